@@ -1,0 +1,1 @@
+//! Seeded scenes shared by the benches.

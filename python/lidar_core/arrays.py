@@ -1,0 +1,94 @@
+"""Array aliases and the only public door for arrays: what passes here, the core can read."""
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidar_core.errors import InputError
+
+Points: TypeAlias = NDArray[np.float32]
+"""Coordinates [m], shape (N, 3)."""
+
+
+def as_points(points: ArrayLike, *, name: str = "points") -> Points:
+    """Rows of coordinates as a C-contiguous float32 array of shape (N, 3).
+
+    Such an array passes uncopied; other real dtypes and layouts are copied once.
+    An organised cloud (H, W, 3) is viewed as (H*W, 3), row-major.
+
+    Raises
+    ------
+    InputError
+        Wrong shape, or a dtype that holds no real numbers.
+    """
+    array = as_real(points, name=name)
+    if array.ndim == 3 and array.shape[2] == 3:
+        array = array.reshape(-1, 3)
+    if array.ndim != 2 or array.shape[1] != 3:
+        hint = "; slice the coordinates first" if array.ndim >= 2 and array.shape[-1] > 3 else ""
+        raise InputError(f"{name}: expected shape (N, 3), got {array.shape}{hint}")
+    return np.ascontiguousarray(array, dtype=np.float32)
+
+
+def as_rows(
+    values: ArrayLike, *, name: str, rows: int | None, shape: tuple[int, ...], dtype: type[Any]
+) -> NDArray[Any]:
+    """`values` as a C-contiguous array of shape (rows, *shape); `rows` None means any number."""
+    array = as_real(values, name=name)
+    expected = ("N" if rows is None else rows, *shape)
+    if array.shape[1:] != shape or array.ndim != 1 + len(shape) or rows not in (None, len(array)):
+        text = "(" + ", ".join(map(str, expected)) + (",)" if len(expected) == 1 else ")")
+        raise InputError(f"{name}: expected shape {text}, got {array.shape}")
+    if np.issubdtype(dtype, np.integer) and not np.issubdtype(array.dtype, np.integer):
+        raise InputError(f"{name}: expected integers, got dtype {array.dtype}")
+    return np.ascontiguousarray(array, dtype=dtype)
+
+
+def as_mask(values: ArrayLike, *, name: str, rows: int) -> NDArray[np.bool_]:
+    """`values` as a C-contiguous boolean array of shape (rows,); (H, W) is flattened."""
+    array = np.asarray(values)
+    if array.dtype != np.bool_:
+        raise InputError(f"{name}: expected dtype bool, got {array.dtype}")
+    if array.size != rows or array.ndim not in (1, 2):
+        raise InputError(f"{name}: expected shape ({rows},), got {array.shape}")
+    return np.ascontiguousarray(array.reshape(-1))
+
+
+def as_pose(matrix: ArrayLike, *, name: str = "world_from_lidar") -> NDArray[np.float64]:
+    """A rigid transform as a (4, 4) float64 array; scale, shear and NaN are refused."""
+    array = as_real(matrix, name=name)
+    if array.shape != (4, 4):
+        raise InputError(f"{name}: expected shape (4, 4), got {array.shape}")
+    pose = np.ascontiguousarray(array, dtype=np.float64)
+    if not np.isfinite(pose).all():
+        raise InputError(f"{name}: expected finite values, got {pose.tolist()}")
+    rotation = pose[:3, :3]
+    is_rotation = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
+    if not is_rotation or np.linalg.det(rotation) < 0 or not np.array_equal(pose[3], [0, 0, 0, 1]):
+        raise InputError(
+            f"{name}: expected a rotation and a translation, last row 0 0 0 1, got {pose.tolist()}"
+        )
+    return pose
+
+
+def as_vector(values: ArrayLike, *, name: str, size: int) -> NDArray[np.float64]:
+    """`values` as a finite float64 array of shape (size,)."""
+    array = as_real(values, name=name)
+    if array.shape != (size,):
+        raise InputError(f"{name}: expected shape ({size},), got {array.shape}")
+    vector = np.ascontiguousarray(array, dtype=np.float64)
+    if not np.isfinite(vector).all():
+        raise InputError(f"{name}: expected finite values, got {vector.tolist()}")
+    return vector
+
+
+def as_real(values: ArrayLike, *, name: str) -> NDArray[Any]:
+    """`values` as an array of integers or floats."""
+    try:
+        array = np.asarray(values)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name}: expected an array of numbers, got {type(values).__name__}: {error}") from error
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"{name}: expected real numbers, got dtype {array.dtype}")
+    return array

@@ -1,0 +1,43 @@
+//! Limits: every allocation whose size comes from input asks here first.
+
+use crate::Error;
+
+/// Points in one scan.
+pub const MAX_POINTS: usize = 4_000_000;
+/// Voxels crossed by one segment.
+pub const MAX_VOXELS_PER_RAY: usize = 100_000;
+
+/// An empty vector with room for `len` values, or a typed error instead of an abort.
+///
+/// # Errors
+/// [`Error::Limit`] if `len` exceeds `limit` or the memory cannot be had.
+pub fn vec_with_capacity<T>(
+    what: &'static str,
+    len: usize,
+    limit: usize,
+    key: &'static str,
+) -> Result<Vec<T>, Error> {
+    let refused =
+        || Error::Limit { what: format!("{what} of {len} entries"), limit: limit as u64, key };
+    if len > limit {
+        return Err(refused());
+    }
+    let mut values = Vec::new();
+    values.try_reserve_exact(len).map_err(|_| refused())?;
+    Ok(values)
+}
+
+/// Check the number of points in a scan.
+///
+/// # Errors
+/// [`Error::Limit`] above [`MAX_POINTS`].
+pub fn check_points(len: usize) -> Result<(), Error> {
+    if len > MAX_POINTS {
+        return Err(Error::Limit {
+            what: format!("a scan of {len} points"),
+            limit: MAX_POINTS as u64,
+            key: "split the scan",
+        });
+    }
+    Ok(())
+}

@@ -1,0 +1,118 @@
+//! The one error type of the crate: every text states what was expected and what was received.
+
+use std::fmt;
+
+/// Why a call was refused. The object it was made on is unchanged.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum Error {
+    /// A parameter is outside its documented range.
+    Parameter {
+        /// Name as the caller wrote it.
+        name: &'static str,
+        /// Documented range.
+        expected: &'static str,
+        /// Value received.
+        got: String,
+    },
+    /// Two arrays that belong together differ in length.
+    Length {
+        /// Name of the array.
+        name: &'static str,
+        /// Length of the array it belongs to.
+        expected: usize,
+        /// Length received.
+        got: usize,
+    },
+    /// An array holds a value that cannot be used.
+    Value {
+        /// Name of the array.
+        name: &'static str,
+        /// What its entries must be.
+        expected: &'static str,
+        /// Row of the first bad entry.
+        index: usize,
+        /// That entry.
+        got: String,
+    },
+    /// A coordinate is not finite or too far away to be indexed.
+    PointOutOfRange {
+        /// The point [m].
+        point: [f64; 3],
+    },
+    /// An input exceeds a limit.
+    Limit {
+        /// What was about to be made, and of what size.
+        what: String,
+        /// The limit.
+        limit: u64,
+        /// The configuration key that raises it.
+        key: &'static str,
+    },
+    /// A covariance lost symmetry or positive definiteness.
+    NotPositiveDefinite {
+        /// Textbook letter of the matrix.
+        matrix: &'static str,
+    },
+    /// A stamp lies before one that has been processed.
+    Time {
+        /// What is late or duplicate, with both stamps and the cure.
+        what: String,
+    },
+    /// A file breaks its format.
+    Format {
+        /// What was found, and the cure.
+        what: String,
+        /// Byte offset of the fault.
+        offset: u64,
+    },
+    /// Reading or writing failed.
+    Io(std::io::Error),
+    /// The caller asked to stop.
+    Interrupted,
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Parameter { name, expected, got } => {
+                write!(f, "{name}: expected {expected}, got {got}")
+            }
+            Self::Length { name, expected, got } => {
+                write!(f, "{name}: expected {expected} rows, got {got}")
+            }
+            Self::Value { name, expected, index, got } => {
+                write!(f, "{name}[{index}]: expected {expected}, got {got}")
+            }
+            Self::PointOutOfRange { point: [x, y, z] } => write!(
+                f,
+                "point ({x}, {y}, {z}): expected finite coordinates within 2^31 voxels of the origin"
+            ),
+            Self::Limit { what, limit, key } => {
+                write!(f, "{what}: the limit is {limit}; raise `{key}` if this is intended")
+            }
+            Self::NotPositiveDefinite { matrix } => {
+                write!(f, "matrix {matrix}: expected symmetric positive definite")
+            }
+            Self::Time { what } => f.write_str(what),
+            Self::Format { what, offset } => write!(f, "byte {offset}: {what}"),
+            Self::Io(error) => error.fmt(f),
+            Self::Interrupted => f.write_str("interrupted by the caller"),
+        }
+    }
+}
+
+impl std::error::Error for Error {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Io(error) => Some(error),
+            _ => None,
+        }
+    }
+}
+
+impl From<std::io::Error> for Error {
+    fn from(error: std::io::Error) -> Self {
+        Self::Io(error)
+    }
+}

@@ -1,0 +1,1 @@
+//! Kalman filtering, chi-square quantiles and association: what all trackers share.

@@ -1,0 +1,6 @@
+//! Lattice, ray walk, clustering and rigid transforms.
+
+pub mod cluster;
+pub mod lattice;
+pub mod transform;
+pub mod traverse;

@@ -1,0 +1,175 @@
+//! Rigid transforms; quaternions in the order (x, y, z, w).
+
+/// A rigid transform: `target_from_source` takes coordinates of the source to the target.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Transform {
+    /// Rows of the rotation matrix.
+    pub rotation: [[f64; 3]; 3],
+    /// Position of the source's origin in the target [m].
+    pub translation: [f64; 3],
+}
+
+impl Transform {
+    /// The transform that changes nothing.
+    pub const IDENTITY: Self = Self {
+        rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        translation: [0.0; 3],
+    };
+
+    /// From the upper rows of a 4x4 matrix in row-major order.
+    #[must_use]
+    pub fn from_matrix(matrix: &[f64; 16]) -> Self {
+        Self {
+            rotation: std::array::from_fn(|row| {
+                std::array::from_fn(|column| matrix[4 * row + column])
+            }),
+            translation: std::array::from_fn(|row| matrix[4 * row + 3]),
+        }
+    }
+
+    /// `point` [m] of the source in the target.
+    #[must_use]
+    #[inline]
+    pub fn apply(&self, point: [f64; 3]) -> [f64; 3] {
+        let turned = self.rotate(point);
+        std::array::from_fn(|axis| turned[axis] + self.translation[axis])
+    }
+
+    /// `direction` of the source in the target.
+    #[must_use]
+    #[inline]
+    pub fn rotate(&self, direction: [f64; 3]) -> [f64; 3] {
+        std::array::from_fn(|row| dot(self.rotation[row], direction))
+    }
+
+    /// The transform at `fraction` (0..1) between `self` and `other`: translation on a line,
+    /// rotation at a constant rate.
+    #[must_use]
+    pub fn interpolate(&self, other: &Self, fraction: f64) -> Self {
+        let start = quaternion_from_rotation(&self.rotation);
+        let end = quaternion_from_rotation(&other.rotation);
+        Self {
+            rotation: rotation_from_quaternion(slerp(start, end, fraction)),
+            translation: std::array::from_fn(|axis| {
+                self.translation[axis]
+                    + fraction * (other.translation[axis] - self.translation[axis])
+            }),
+        }
+    }
+}
+
+/// Scalar product.
+#[must_use]
+#[inline]
+pub fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// `a - b`.
+#[must_use]
+#[inline]
+pub fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|axis| a[axis] - b[axis])
+}
+
+/// Euclidean norm.
+#[must_use]
+#[inline]
+pub fn norm(a: [f64; 3]) -> f64 {
+    dot(a, a).sqrt()
+}
+
+/// Unit quaternion (x, y, z, w) of a rotation matrix.
+#[must_use]
+pub fn quaternion_from_rotation(r: &[[f64; 3]; 3]) -> [f64; 4] {
+    // The largest of the four squares is taken as the pivot, so that nothing small is divided by.
+    let squares = [
+        1.0 + r[0][0] - r[1][1] - r[2][2],
+        1.0 - r[0][0] + r[1][1] - r[2][2],
+        1.0 - r[0][0] - r[1][1] + r[2][2],
+        1.0 + r[0][0] + r[1][1] + r[2][2],
+    ];
+    let mut pivot = 3;
+    for index in 0..3 {
+        if squares[index] > squares[pivot] {
+            pivot = index;
+        }
+    }
+    let q = match pivot {
+        0 => [squares[0], r[0][1] + r[1][0], r[0][2] + r[2][0], r[2][1] - r[1][2]],
+        1 => [r[0][1] + r[1][0], squares[1], r[1][2] + r[2][1], r[0][2] - r[2][0]],
+        2 => [r[0][2] + r[2][0], r[1][2] + r[2][1], squares[2], r[1][0] - r[0][1]],
+        _ => [r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1], squares[3]],
+    };
+    unit(q)
+}
+
+/// Rotation matrix of a unit quaternion (x, y, z, w).
+#[must_use]
+pub fn rotation_from_quaternion([x, y, z, w]: [f64; 4]) -> [[f64; 3]; 3] {
+    [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+}
+
+/// Spherical interpolation along the shorter arc.
+fn slerp(start: [f64; 4], end: [f64; 4], fraction: f64) -> [f64; 4] {
+    let cosine: f64 = (0..4).map(|index| start[index] * end[index]).sum();
+    let sign = if cosine < 0.0 { -1.0 } else { 1.0 };
+    let angle = libm::acos((cosine * sign).min(1.0));
+    let (keep, take) = if angle < 1e-9 {
+        (1.0 - fraction, fraction) // the arc is a line
+    } else {
+        let sine = libm::sin(angle);
+        (libm::sin((1.0 - fraction) * angle) / sine, libm::sin(fraction * angle) / sine)
+    };
+    unit(std::array::from_fn(|index| keep * start[index] + sign * take * end[index]))
+}
+
+fn unit(q: [f64; 4]) -> [f64; 4] {
+    let norm = q.iter().map(|value| value * value).sum::<f64>().sqrt();
+    q.map(|value| value / norm)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn about_z(angle: f64) -> Transform {
+        let (sine, cosine) = (libm::sin(angle), libm::cos(angle));
+        Transform {
+            rotation: [[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]],
+            translation: [angle, 0.0, 0.0],
+        }
+    }
+
+    #[test]
+    fn half_way_is_half_the_angle_and_half_the_way() {
+        for angle in [1e-12, 0.3, 3.0] {
+            let half = about_z(0.0).interpolate(&about_z(angle), 0.5);
+            let expected = about_z(angle / 2.0);
+            for row in 0..3 {
+                for column in 0..3 {
+                    assert!(
+                        (half.rotation[row][column] - expected.rotation[row][column]).abs() < 1e-12
+                    );
+                }
+            }
+            assert!((half.translation[0] - angle / 2.0).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_quaternion_gives_its_rotation_back() {
+        for q in
+            [[0.1, 0.2, 0.3, 0.9], [0.9, 0.1, 0.0, 0.1], [0.0, 1.0, 0.1, 0.0], [0.1, 0.0, 2.0, 0.0]]
+        {
+            let q = unit(q);
+            let back = quaternion_from_rotation(&rotation_from_quaternion(q));
+            let same: f64 = (0..4).map(|index| q[index] * back[index]).sum();
+            assert!((same.abs() - 1.0).abs() < 1e-12);
+        }
+    }
+}

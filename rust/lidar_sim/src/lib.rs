@@ -1,0 +1,1 @@
+//! LiDAR and radar simulator.
