@@ -1,1 +1,5 @@
 //! Kalman filtering, chi-square quantiles and association: what all trackers share.
+
+pub mod association;
+pub mod chi2;
+pub mod kalman;
