@@ -1,1 +1,17 @@
-//! LiDAR and radar simulator.
+//! LiDAR simulator: shapes, movers, ray patterns, noise.
+//!
+//! A [`scene::Scene`] holds bodies at rest under a bounding-volume tree and movers on
+//! [`trajectory::Trajectory`]s. [`simulate::scan`] lets a [`sensors::Lidar`] on a trajectory of
+//! its own look at it: every ray has its own time, every random number depends on nothing but
+//! seed, scan and ray, so that the result is the same for any number of threads.
+
+pub mod mesh;
+pub mod motion;
+mod parry;
+pub mod random;
+pub mod scene;
+pub mod scenes;
+pub mod sensors;
+pub mod shape;
+pub mod simulate;
+pub mod trajectory;

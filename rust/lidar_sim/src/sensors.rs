@@ -1,0 +1,178 @@
+//! LiDAR models: which rays leave when, and how their ranges are spoiled.
+
+use crate::random::{self, Purpose};
+use crate::shape::refused;
+use lidar_core::{Error, budget};
+use std::f64::consts::TAU;
+
+/// Directions of a scan and the times at which they are fired.
+#[derive(Clone, Debug)]
+pub enum Pattern {
+    /// Rows of fixed elevation turn through equal steps of azimuth, counter-clockwise from above.
+    /// Rays are ordered row by row; all rows of a column are fired together.
+    Spinning {
+        /// Elevation of every row [rad], top first.
+        elevations: Vec<f64>,
+        /// Steps of azimuth in one turn.
+        columns: usize,
+        /// Azimuth of the first column [rad].
+        azimuth_start: f64,
+        /// Turn of the whole pattern from one scan to the next [rad].
+        azimuth_per_scan: f64,
+    },
+    /// One ray after the other along a rosette that does not repeat: azimuth turns, elevation
+    /// swings up and down at a rate that has no common measure with the turns.
+    Rosette {
+        /// Rays per scan.
+        rays: usize,
+        /// Lowest and highest elevation [rad].
+        elevation: [f64; 2],
+        /// Turns per second [Hz].
+        turn_rate: f64,
+        /// Swings (up and down) per second [Hz].
+        swing_rate: f64,
+    },
+}
+
+/// A 3D LiDAR.
+#[derive(Clone, Debug)]
+pub struct Lidar {
+    /// Its rays.
+    pub pattern: Pattern,
+    /// Duration of a scan [ns].
+    pub period_ns: i64,
+    /// True: all rays are fired at the start of the scan.
+    pub snapshot: bool,
+    /// Nearer surfaces give no information [m].
+    pub range_min: f64,
+    /// Surfaces from here on give no return [m].
+    pub range_max: f64,
+    /// Standard deviation of the ranges [m].
+    pub range_std: f64,
+    /// Probability that a return is lost.
+    pub dropout: f64,
+    /// True: a lost return is reported as no return, as most drivers do; false: as no information.
+    pub dropout_is_no_return: bool,
+}
+
+/// The rays of one scan in the LiDAR's frame.
+#[derive(Clone, Debug)]
+pub struct Sweep {
+    /// Unit directions.
+    pub directions: Vec<[f64; 3]>,
+    /// Firing that every ray belongs to.
+    pub firings: Vec<u32>,
+    /// Time of every firing after the start of the scan [ns].
+    pub offsets_ns: Vec<i64>,
+}
+
+impl Lidar {
+    /// # Errors
+    /// [`Error::Parameter`] if a value is outside the range that its field states,
+    /// [`Error::Limit`] if a scan has too many rays.
+    pub fn check(&self) -> Result<(), Error> {
+        budget::check_points(self.rays())?;
+        if self.rays() == 0 {
+            return Err(refused("pattern", "at least one ray", &0));
+        }
+        if self.period_ns <= 0 {
+            return Err(refused("period_ns", "> 0", &self.period_ns));
+        }
+        if !(0.0 <= self.range_min && self.range_min < self.range_max) {
+            let got = [self.range_min, self.range_max];
+            return Err(refused("range", "0 <= range_min < range_max", &got));
+        }
+        if !(self.range_std.is_finite() && self.range_std >= 0.0) {
+            return Err(refused("range_std", "finite and >= 0", &self.range_std));
+        }
+        if !(0.0..=1.0).contains(&self.dropout) {
+            return Err(refused("dropout", "0 to 1", &self.dropout));
+        }
+        Ok(())
+    }
+
+    /// Rays per scan.
+    #[must_use]
+    pub fn rays(&self) -> usize {
+        match &self.pattern {
+            Pattern::Spinning { elevations, columns, .. } => {
+                elevations.len().saturating_mul(*columns)
+            }
+            Pattern::Rosette { rays, .. } => *rays,
+        }
+    }
+
+    /// The rays of scan number `scan`.
+    #[must_use]
+    pub fn sweep(&self, scan: u64) -> Sweep {
+        match &self.pattern {
+            Pattern::Spinning { elevations, columns, azimuth_start, azimuth_per_scan } => {
+                let start = azimuth_start + azimuth_per_scan * scan as f64;
+                self.spinning(elevations, *columns, start)
+            }
+            Pattern::Rosette { rays, elevation, turn_rate, swing_rate } => {
+                self.rosette(scan, *rays, *elevation, [*turn_rate, *swing_rate])
+            }
+        }
+    }
+
+    fn spinning(&self, elevations: &[f64], columns: usize, start: f64) -> Sweep {
+        let turns: Vec<[f64; 2]> = (0..columns)
+            .map(|column| TAU * column as f64 / columns as f64 + start)
+            .map(|azimuth| [libm::cos(azimuth), libm::sin(azimuth)])
+            .collect();
+        let mut directions = Vec::with_capacity(elevations.len() * columns);
+        for &elevation in elevations {
+            let (flat, up) = (libm::cos(elevation), libm::sin(elevation));
+            directions.extend(turns.iter().map(|[x, y]| [flat * x, flat * y, up]));
+        }
+        let firings = (0..directions.len()).map(|ray| (ray % columns) as u32).collect();
+        Sweep { directions, firings, offsets_ns: self.offsets(columns) }
+    }
+
+    fn rosette(&self, scan: u64, rays: usize, elevation: [f64; 2], rates: [f64; 2]) -> Sweep {
+        let offsets_ns = self.offsets(rays);
+        let step = self.period_ns as f64 * 1e-9 / rays as f64;
+        let direction = |ray: usize| {
+            let time = (scan as f64 * rays as f64 + ray as f64) * step;
+            let azimuth = TAU * (rates[0] * time).fract();
+            let swing = (2.0 * (rates[1] * time).fract() - 1.0).abs(); // triangle wave, 0 to 1
+            let height = elevation[0] + swing * (elevation[1] - elevation[0]);
+            let flat = libm::cos(height);
+            [flat * libm::cos(azimuth), flat * libm::sin(azimuth), libm::sin(height)]
+        };
+        Sweep {
+            directions: (0..rays).map(direction).collect(),
+            firings: (0..rays as u32).collect(),
+            offsets_ns,
+        }
+    }
+
+    fn offsets(&self, firings: usize) -> Vec<i64> {
+        let offset = |firing: usize| {
+            let share = i128::from(self.period_ns) * firing as i128 / firings as i128;
+            share as i64 // < period_ns
+        };
+        (0..firings).map(|firing| if self.snapshot { 0 } else { offset(firing) }).collect()
+    }
+
+    /// What is reported for a surface at `distance`: the range [m], +inf for no return,
+    /// NaN for no information. It depends on nothing but the arguments.
+    #[must_use]
+    pub fn measured(&self, distance: f64, seed: u64, scan: u64, ray: u32) -> f64 {
+        if distance >= self.range_max {
+            return f64::INFINITY;
+        }
+        if distance < self.range_min {
+            return f64::NAN;
+        }
+        if self.range_std == 0.0 && self.dropout == 0.0 {
+            return distance;
+        }
+        let drawn = random::words(seed, random::place(Purpose::Ray, scan, ray));
+        if random::uniform(drawn[2]) < self.dropout {
+            return if self.dropout_is_no_return { f64::INFINITY } else { f64::NAN };
+        }
+        (distance + self.range_std * random::normal(drawn[0], drawn[1])).max(0.0)
+    }
+}

@@ -1,0 +1,139 @@
+//! One scan of a scene.
+
+use crate::scene::{Hit, Ray, Scene, inverse, passes, within};
+use crate::sensors::{Lidar, Sweep};
+use crate::trajectory::Trajectory;
+use lidar_core::Error;
+use lidar_core::geometry::transform::Transform;
+use rayon::ThreadPool;
+use rayon::prelude::*;
+
+/// Label of a ray without a point.
+pub const NO_LABEL: i32 = -1;
+
+/// Rays worked on together: fixed, so that the result cannot depend on the number of threads.
+const RAYS_PER_CHUNK: usize = 4096;
+
+/// Which scan to make.
+#[derive(Clone, Copy, Debug)]
+pub struct Task<'a> {
+    /// What is looked at.
+    pub scene: &'a Scene,
+    /// What looks.
+    pub lidar: &'a Lidar,
+    /// Where it is.
+    pub sensor: &'a Trajectory,
+    /// Start of the scan [ns].
+    pub start_ns: i64,
+    /// Number of the scan, from 0.
+    pub scan: u64,
+    /// Seed of the noise.
+    pub seed: u64,
+}
+
+/// What one scan reports, and the truth about it. Rays are in the order of the sweep.
+#[derive(Clone, Debug)]
+pub struct Scan {
+    /// Its rays in the LiDAR's frame.
+    pub sweep: Sweep,
+    /// Range of every ray [m]; +inf is no return, NaN no information.
+    pub ranges: Vec<f64>,
+    /// What every ray met; [`NO_LABEL`] where there is no range.
+    pub labels: Vec<i32>,
+    /// For every mover, rays that would meet it within range if nothing else were there.
+    pub unoccluded: Vec<u32>,
+}
+
+/// The world as one firing sees it.
+struct Moment {
+    world_from_lidar: Transform,
+    shape_from_world: Vec<Transform>,
+}
+
+/// Make one scan.
+///
+/// # Errors
+/// As [`Lidar::check`].
+pub fn scan(pool: &ThreadPool, task: &Task<'_>) -> Result<Scan, Error> {
+    task.lidar.check()?;
+    let sweep = task.lidar.sweep(task.scan);
+    let parts: Vec<Part> = pool.install(|| {
+        let moments: Vec<Moment> = sweep
+            .offsets_ns
+            .par_iter()
+            .with_min_len(64)
+            .map(|&offset| task.moment(offset))
+            .collect();
+        let starts: Vec<usize> = (0..sweep.directions.len()).step_by(RAYS_PER_CHUNK).collect();
+        starts.par_iter().map(|&start| task.part(&sweep, &moments, start)).collect()
+    });
+    let mut unoccluded = vec![0; task.scene.movers().len()];
+    let (mut ranges, mut labels) = (Vec::new(), Vec::new());
+    for part in parts {
+        ranges.extend(part.ranges);
+        labels.extend(part.labels);
+        for (total, count) in unoccluded.iter_mut().zip(part.unoccluded) {
+            *total += count;
+        }
+    }
+    Ok(Scan { sweep, ranges, labels, unoccluded })
+}
+
+struct Part {
+    ranges: Vec<f64>,
+    labels: Vec<i32>,
+    unoccluded: Vec<u32>,
+}
+
+impl Task<'_> {
+    fn moment(&self, offset_ns: i64) -> Moment {
+        let stamp_ns = self.start_ns.saturating_add(offset_ns);
+        let movers = self.scene.movers().iter();
+        Moment {
+            world_from_lidar: self.sensor.pose_at(stamp_ns),
+            shape_from_world: movers
+                .map(|mover| inverse(&mover.trajectory.pose_at(stamp_ns)))
+                .collect(),
+        }
+    }
+
+    fn part(&self, sweep: &Sweep, moments: &[Moment], start: usize) -> Part {
+        let end = (start + RAYS_PER_CHUNK).min(sweep.directions.len());
+        let mut part = Part {
+            ranges: Vec::with_capacity(end - start),
+            labels: Vec::with_capacity(end - start),
+            unoccluded: vec![0; self.scene.movers().len()],
+        };
+        for index in start..end {
+            let moment = &moments[sweep.firings[index] as usize];
+            let ray = Ray {
+                origin: moment.world_from_lidar.translation,
+                direction: moment.world_from_lidar.rotate(sweep.directions[index]),
+            };
+            let hit = self.meet(&ray, moment, &mut part.unoccluded);
+            let distance = hit.map_or(f64::INFINITY, |hit| hit.distance);
+            let range = self.lidar.measured(distance, self.seed, self.scan, index as u32);
+            part.ranges.push(range);
+            let label = hit.filter(|_| range.is_finite()).map(|hit| hit.label);
+            part.labels.push(label.unwrap_or(NO_LABEL));
+        }
+        part
+    }
+
+    fn meet(&self, ray: &Ray, moment: &Moment, unoccluded: &mut [u32]) -> Option<Hit> {
+        let limit = self.lidar.range_max;
+        let mut nearest = self.scene.meet(ray, limit);
+        for (index, mover) in self.scene.movers().iter().enumerate() {
+            let local = within(&moment.shape_from_world[index], ray);
+            if !passes(&local, [0.0; 3], mover.shape.radius()) {
+                continue;
+            }
+            let Some(distance) = mover.shape.meet(&local, limit) else { continue };
+            unoccluded[index] += 1;
+            if nearest.is_none_or(|hit| distance < hit.distance) {
+                nearest = Some(Hit { distance, label: mover.label });
+            }
+        }
+        nearest
+    }
+}
