@@ -11,15 +11,23 @@ from lidar_core.errors import (
     MissingExtraError,
     NumericalError,
 )
+from lidar_core.flying.config import VoxelMapConfig
+from lidar_core.flying.voxel_map import IntegrateStats, VoxelMap
+from lidar_core.geometry import cluster_points, traverse
 
 __all__ = [
     "ConfigError",
     "FormatError",
     "InputError",
+    "IntegrateStats",
     "InternalError",
     "LidarCoreError",
     "LimitError",
     "MissingExtraError",
     "NumericalError",
+    "VoxelMap",
+    "VoxelMapConfig",
     "__version__",
+    "cluster_points",
+    "traverse",
 ]

@@ -2,9 +2,10 @@
 
 use crate::errors::BorderError;
 use numpy::{
-    Element, PyReadonlyArray, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
-    ndarray::Dimension,
+    Element, IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1,
+    PyReadonlyArray2, PyUntypedArrayMethods, ndarray::Dimension,
 };
+use pyo3::prelude::*;
 
 /// Borrow an (N, 3) array as rows, without copying.
 pub(crate) fn rows3<'a, T: Element>(
@@ -50,5 +51,31 @@ pub(crate) fn count(name: &'static str, value: i64) -> Result<usize, BorderError
             expected: "a count >= 0",
             got: value.to_string(),
         })
+    })
+}
+
+/// An (N, 3) array that Python owns.
+pub(crate) type Rows3<'py, T> = Bound<'py, PyArray2<T>>;
+
+/// Move rows out as an (N, 3) array.
+pub(crate) fn rows_into<T: Element>(
+    py: Python<'_>,
+    rows: Vec<[T; 3]>,
+) -> Result<Rows3<'_, T>, BorderError> {
+    let count = rows.len();
+    Ok(rows.into_flattened().into_pyarray(py).reshape([count, 3])?)
+}
+
+/// One of a list of names.
+pub(crate) fn choice<T: Copy>(
+    name: &'static str,
+    value: &str,
+    choices: &[(&'static str, T)],
+) -> Result<T, lidar_core::Error> {
+    let found = choices.iter().find(|(known, _)| *known == value);
+    found.map(|&(_, choice)| choice).ok_or_else(|| lidar_core::Error::Parameter {
+        name,
+        expected: "one of the documented names",
+        got: value.into(),
     })
 }

@@ -1,10 +1,12 @@
 //! Bindings of `lidar_core::geometry`.
 
+use crate::arrays;
 use crate::errors::BorderError;
 use crate::guard::detached;
+use lidar_core::geometry::cluster::{self, Clustering};
 use lidar_core::geometry::lattice::Lattice;
 use lidar_core::geometry::traverse as core_traverse;
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
 use std::ops::ControlFlow;
 
@@ -23,12 +25,28 @@ pub(crate) fn traverse<'py>(
         let lattice = Lattice::new(voxel_size, origin)?;
         let (mut voxels, mut lengths) = (Vec::new(), Vec::new());
         core_traverse::traverse(&lattice, start, end, |voxel, length| {
-            voxels.extend(voxel);
+            voxels.push(voxel);
             lengths.push(length);
             ControlFlow::Continue(())
         })?;
         Ok((voxels, lengths))
     })?;
-    let rows = lengths.len();
-    Ok((voxels.into_pyarray(py).reshape([rows, 3])?, lengths.into_pyarray(py)))
+    Ok((arrays::rows_into(py, voxels)?, lengths.into_pyarray(py)))
+}
+
+#[pyfunction]
+#[pyo3(signature = (points, *, max_distance, min_points, max_points))]
+pub(crate) fn cluster_points<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f32>,
+    max_distance: f64,
+    min_points: i64,
+    max_points: Option<i64>,
+) -> Result<Bound<'py, PyArray1<i32>>, BorderError> {
+    let points = arrays::rows3("points", &points)?;
+    let min_points = arrays::count("min_points", min_points)?;
+    let max_points = max_points.map(|most| arrays::count("max_points", most)).transpose()?;
+    let clustering = Clustering { max_distance, min_points, max_points };
+    let labels = detached(py, || cluster::label(points, &clustering))?;
+    Ok(labels.into_pyarray(py))
 }

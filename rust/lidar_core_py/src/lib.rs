@@ -4,11 +4,14 @@ mod arrays;
 mod errors;
 mod geometry;
 mod guard;
+mod voxel_map;
 
 #[pyo3::pymodule]
 mod _core {
     #[pymodule_export]
-    use super::geometry::traverse;
+    use super::geometry::{cluster_points, traverse};
+    #[pymodule_export]
+    use super::voxel_map::PyVoxelMap;
 
     use pyo3::prelude::*;
 

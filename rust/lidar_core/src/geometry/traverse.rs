@@ -145,11 +145,9 @@ mod tests {
 
     #[test]
     fn an_axis_parallel_segment() -> Result<(), Error> {
-        let visits = collect([0.5, 0.5, 0.5], [3.0, 0.5, 0.5])?;
-        assert_eq!(
-            visits,
-            [([0, 0, 0], 0.5), ([1, 0, 0], 1.0), ([2, 0, 0], 1.0), ([3, 0, 0], 0.0)]
-        );
+        let visits = collect([0.5, 0.5, 0.5], [4.5, 0.5, 0.5])?; // a span of 4: exact in binary
+        let lengths = [0.5, 1.0, 1.0, 1.0, 0.5];
+        assert_eq!(visits, std::array::from_fn::<_, 5, _>(|x| ([x as i32, 0, 0], lengths[x])));
         Ok(())
     }
 

@@ -1,0 +1,1 @@
+"""Detection and tracking of flying objects in 3D LiDAR."""

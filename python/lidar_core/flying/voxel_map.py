@@ -1,0 +1,253 @@
+"""The voxel map: occupancy of the environment with an exponential update."""
+
+from dataclasses import dataclass
+from os import PathLike
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidar_core import _core
+from lidar_core.arrays import Points, as_mask, as_points, as_real, as_rows, as_vector
+from lidar_core.errors import InputError
+from lidar_core.flying.config import VoxelMapConfig
+
+
+@dataclass(frozen=True, slots=True)
+class IntegrateStats:
+    """What one scan did to the map.
+
+    Attributes
+    ----------
+    n_background, n_flying, n_unknown : int
+        Points used, by class.
+    n_skipped : int
+        Entries without information: class 0, not finite, or no direction.
+    n_rays, n_no_return_rays : int
+        Rays cast; those of them that met nothing.
+    n_visits : int
+        Voxels crossed by rays, each crossing counted.
+    n_voxels : int
+        Voxels whose value was updated.
+    """
+
+    n_background: int
+    n_flying: int
+    n_unknown: int
+    n_skipped: int
+    n_rays: int
+    n_no_return_rays: int
+    n_visits: int
+    n_voxels: int
+
+
+class VoxelMap:
+    """Occupancy of voxels with an exponential filter, for a world without fixed bounds.
+
+    Every voxel holds one value G(v); its state is free, uncertain, tentatively occupied or
+    confidently occupied (Vrba et al., eqs 6-12). Memory grows with what was observed, up to
+    `config.max_voxels`. Results do not depend on the order of points, rays or threads.
+
+    Parameters
+    ----------
+    config : VoxelMapConfig
+        Sizes, levels and thresholds.
+    threads : int
+        Threads used by `integrate`, >= 1.
+    origin : array_like, shape (3,)
+        World coordinates of the point that coordinates are stored relative to [m]. Give one
+        near the data if it lies far from the world's origin (UTM, say): float64 coordinates
+        then lose nothing.
+
+    Raises
+    ------
+    ConfigError
+        A parameter is outside its range.
+    """
+
+    def __init__(
+        self,
+        config: VoxelMapConfig | None = None,
+        *,
+        threads: int = 1,
+        origin: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
+        self.config = config if config is not None else VoxelMapConfig()
+        self.origin = as_vector(origin, name="origin", size=3)
+        self._map = _core.VoxelMap(self.config, threads=threads, origin=self.origin)
+
+    def integrate(
+        self,
+        points_world: ArrayLike,
+        point_class: ArrayLike,
+        sensor_origin: ArrayLike,
+        *,
+        ray_directions: ArrayLike | None = None,
+        no_return: ArrayLike | None = None,
+    ) -> IntegrateStats:
+        """Update the map with one classified scan.
+
+        A voxel that holds points is pulled, once per point, towards the level of its strongest
+        class: background, then flying (which sets it outright), then unknown. Any other voxel is
+        pulled towards free by the summed length of the rays inside it.
+
+        Parameters
+        ----------
+        points_world : array_like, shape (N, 3), float32
+            Ends of the rays [m], world frame. Entries that are not finite are skipped.
+        point_class : array_like, shape (N,), uint8
+            0 invalid (skipped, no ray), 1 background, 2 flying, 3 unknown.
+        sensor_origin : array_like, shape (3,) or (N, 3), float64
+            Where the rays start [m], world frame.
+        ray_directions : array_like, shape (N, 3), float32, optional
+            Direction of every ray, world frame. Needed where `no_return` is set.
+        no_return : array_like, shape (N,), bool, optional
+            Rays that met nothing: they clear up to `config.max_range`.
+
+        Returns
+        -------
+        IntegrateStats
+
+        Raises
+        ------
+        InputError
+            Wrong shape, dtype or class; the map is unchanged.
+        LimitError
+            The map would outgrow `config.max_voxels`; the map is unchanged.
+
+        Notes
+        -----
+        Source: Vrba et al., eqs 8-12 and 16-22.
+        """
+        points = self._local(points_world)
+        origins = as_real(sensor_origin, name="sensor_origin").astype(np.float64)
+        if origins.shape not in {(3,), (len(points), 3)}:
+            raise InputError(
+                f"sensor_origin: expected shape (3,) or ({len(points)}, 3), got {origins.shape}"
+            )
+        if not np.isfinite(origins).all():
+            raise InputError("sensor_origin: expected finite coordinates, got NaN or infinity")
+        classes = as_real(point_class, name="point_class")
+        if classes.dtype.kind == "f" or (classes.size and (classes.min() < 0 or classes.max() > 3)):
+            raise InputError("point_class: expected integers 0 invalid, 1 background, 2 flying, 3 unknown")
+        points_of, skipped, rays, no_return_rays, visits, voxels = self._map.integrate(
+            points,
+            as_rows(classes, name="point_class", rows=len(points), shape=(), dtype=np.uint8),
+            np.ascontiguousarray(origins.reshape(-1, 3) - self.origin),
+            ray_directions=(
+                None if ray_directions is None else as_points(ray_directions, name="ray_directions")
+            ),
+            no_return=(
+                None if no_return is None else as_mask(no_return, name="no_return", rows=len(points))
+            ),
+        )
+        return IntegrateStats(*points_of, skipped, rays, no_return_rays, visits, voxels)
+
+    def state_at(self, points_world: ArrayLike) -> NDArray[np.uint8]:
+        """State of the voxel at every point, (N,) uint8.
+
+        0 free, 1 uncertain (also: never observed), 2 tentatively occupied, 3 confidently
+        occupied; in general the number of thresholds at or below G (eqs 6-7).
+        """
+        return self._map.state_at(self._local(points_world))
+
+    def values_at(self, points_world: ArrayLike) -> NDArray[np.float32]:
+        """Value G of the voxel at every point, (N,) float32, no unit; +-inf is permanent."""
+        return self._map.values_at(self._local(points_world))
+
+    def set_occupied(self, points_world: ArrayLike) -> None:
+        """Make the voxels at these points occupied for good (sec. III-E)."""
+        self._map.set_occupied(self._local(points_world))
+
+    def set_free(self, points_world: ArrayLike) -> None:
+        """Make the voxels at these points free for good (sec. III-E)."""
+        self._map.set_free(self._local(points_world))
+
+    def is_floating(self, points_world: ArrayLike, *, search_distance: float) -> bool:
+        """Whether a cluster of points is surrounded by free voxels (Algorithm 1).
+
+        Parameters
+        ----------
+        points_world : array_like, shape (N, 3), float32
+            Points of one cluster [m], world frame.
+        search_distance : float
+            A path of uncertain voxels this long (L1) from a point's voxel is a way out [m].
+        """
+        return self._map.is_floating(self._local(points_world), search_distance=search_distance)
+
+    def remove_separate(self, *, max_gap: float, min_confident: int) -> int:
+        """Pull groups of occupied voxels without enough confident ones once towards free.
+
+        Parameters
+        ----------
+        max_gap : float
+            Largest distance between the centres of neighbours in a group [m], d_sep.
+        min_confident : int
+            Groups with fewer confidently occupied voxels are separate, n_conf,min.
+
+        Returns
+        -------
+        int
+            Voxels changed.
+
+        Notes
+        -----
+        Source: Vrba et al., sec. III-D. Only groups that changed since the last call are
+        looked at; the result is that of looking at all.
+        """
+        return self._map.remove_separate(max_gap=max_gap, min_confident=min_confident)
+
+    def occupied_points(self) -> NDArray[np.float64]:
+        """Centres of all voxels that are at least tentatively occupied, (N, 3) [m], world frame."""
+        return self._map.occupied_points() + self.origin
+
+    @property
+    def n_stored(self) -> int:
+        """Voxels for which memory is held."""
+        return self._map.size()[0]
+
+    @property
+    def n_observed(self) -> int:
+        """Voxels that a point or a ray has met."""
+        return self._map.size()[1]
+
+    @property
+    def memory_bytes(self) -> int:
+        """Bytes held by the stored voxels and their index."""
+        return self._map.size()[2]
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the map to a file, whole or not at all.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written; a previous one is intact.
+        """
+        self._map.save(path)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str], *, threads: int = 1) -> Self:
+        """Read a map written by `save`.
+
+        Raises
+        ------
+        FormatError
+            The file is no map, damaged, cut off, or of another version; names the byte.
+        OSError
+            The file cannot be read.
+        """
+        loaded = _core.VoxelMap.load(path, threads=threads)
+        self = cls.__new__(cls)
+        self.config = VoxelMapConfig.load(loaded.parameters())
+        self.origin = np.array(loaded.origin())
+        self._map = loaded
+        return self
+
+    def _local(self, points: ArrayLike) -> Points:
+        """Points relative to the map's origin, subtracted before float64 becomes float32."""
+        if self.origin.any():
+            points = as_real(points, name="points").astype(np.float64)
+            if points.shape[-1:] == (3,):
+                points = points - self.origin
+        return as_points(points)

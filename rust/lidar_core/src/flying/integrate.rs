@@ -1,0 +1,450 @@
+//! One scan into the map: rays, points, then one exponential update per voxel.
+//!
+//! Source: Vrba et al., eqs 8-12 and 16-22.
+
+use super::blocks::{Block, Place, VOLUME};
+use super::raycast::{Content, Mark, Ray, UNITS_PER_EDGE, Window, cast_all, content};
+use super::voxel_map::{Levels, MapParameters, RayUnit, VoxelMap, filtered, two_to_minus};
+use crate::Error;
+use crate::budget::check_points;
+use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
+use crate::geometry::transform::{minus, norm};
+use rayon::prelude::*;
+
+/// Class of a point: not to be used.
+pub const INVALID: u8 = 0;
+/// Class of a point on something that belongs to the environment.
+pub const BACKGROUND: u8 = 1;
+/// Class of a point on a flying object.
+pub const FLYING: u8 = 2;
+/// Class of a point that is neither.
+pub const UNKNOWN: u8 = 3;
+
+/// Where rays start [m].
+#[derive(Clone, Copy, Debug)]
+pub enum Origins<'a> {
+    /// All rays in one point.
+    One([f64; 3]),
+    /// Every ray in its own.
+    Each(&'a [[f64; 3]]),
+}
+
+impl Origins<'_> {
+    /// Origin of the ray `index`.
+    #[must_use]
+    #[inline]
+    pub fn at(&self, index: usize) -> [f64; 3] {
+        match self {
+            Self::One(origin) => *origin,
+            Self::Each(origins) => origins[index],
+        }
+    }
+}
+
+/// One scan in the frame of the map.
+#[derive(Clone, Copy, Debug)]
+pub struct ClassifiedScan<'a> {
+    /// End of every ray [m].
+    pub points: &'a [[f32; 3]],
+    /// [`INVALID`], [`BACKGROUND`], [`FLYING`] or [`UNKNOWN`] per point. Invalid entries cast no ray.
+    pub class: &'a [u8],
+    /// Where the rays start.
+    pub origins: Origins<'a>,
+    /// Direction of every ray; needed where `no_return` is set.
+    pub directions: Option<&'a [[f32; 3]]>,
+    /// Rays that met nothing: they clear up to `max_range`.
+    pub no_return: Option<&'a [bool]>,
+    /// Points whose ray is not cast, such as the nearer of two returns.
+    pub no_ray: Option<&'a [bool]>,
+}
+
+/// What a scan did to the map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct IntegrateStats {
+    /// Points used, per class background, flying, unknown.
+    pub points: [usize; 3],
+    /// Entries without information: class invalid, not finite, or without a direction.
+    pub skipped: usize,
+    /// Rays cast, with and without return.
+    pub rays: usize,
+    /// Of these, rays without return.
+    pub no_return_rays: usize,
+    /// Voxels crossed by rays, each crossing counted.
+    pub visits: u64,
+    /// Voxels whose value was updated.
+    pub voxels: usize,
+}
+
+impl VoxelMap {
+    /// Update the map with one classified scan.
+    ///
+    /// A voxel that holds points is pulled once per point towards the value of its strongest
+    /// class (background before flying before unknown; flying sets it outright, eq. 17); any
+    /// other voxel is pulled towards free by the length of the rays inside it (eq. 22).
+    ///
+    /// # Errors
+    /// [`Error::Length`], [`Error::Value`], [`Error::PointOutOfRange`], [`Error::Limit`]; the map
+    /// is unchanged then.
+    pub fn integrate(&mut self, scan: &ClassifiedScan<'_>) -> Result<IntegrateStats, Error> {
+        check_lengths(scan)?;
+        let plan = Plan::of(scan, self.parameters(), self.lattice())?;
+        let mut stats = plan.stats;
+        let Some([low, high]) = plan.span else { return Ok(stats) };
+        let mut accumulators = std::mem::take(&mut self.accumulators);
+        let outcome = Window::spanning(low, high).and_then(|window| {
+            cast_all(self.pool.as_ref(), &mut accumulators, window, &plan.rays);
+            for &(voxel, class) in &plan.points {
+                accumulators[0].mark_point(voxel, class);
+            }
+            self.update(&accumulators[0].marked())
+        });
+        stats.visits = accumulators[0].visits();
+        self.accumulators = accumulators;
+        stats.voxels = outcome?;
+        Ok(stats)
+    }
+
+    /// Apply the marks of one scan: the only place where a scan changes values.
+    fn update(&mut self, marked: &[(Place, &[Mark; VOLUME])]) -> Result<usize, Error> {
+        let admitted: Vec<_> =
+            marked.iter().filter(|(place, _)| self.admits_some(*place)).copied().collect();
+        let places: Vec<Place> = admitted.iter().map(|&(place, _)| place).collect();
+        let slots = self.blocks.ensure(&places)?;
+        let mut work: Vec<_> = slots
+            .iter()
+            .zip(&admitted)
+            .filter_map(|(&slot, &(_, marks))| Some((slot, self.blocks.take(slot)?, marks)))
+            .collect();
+        let rule = Rule::of(self);
+        let limits = self.limits;
+        let update = |(_, block, marks): &mut (u32, Box<Block>, &[Mark; VOLUME])| {
+            rule.apply(block, marks, limits)
+        };
+        let updates: Vec<BlockUpdate> = match &self.pool {
+            Some(pool) => pool.install(|| work.par_iter_mut().map(update).collect()),
+            None => work.iter_mut().map(update).collect(),
+        };
+        for (slot, block, _) in work {
+            self.blocks.put(slot, block);
+        }
+        for voxel in updates.iter().flat_map(|update| &update.changed) {
+            self.changes.note(*voxel);
+        }
+        Ok(updates.iter().map(|update| update.voxels).sum())
+    }
+
+    fn admits_some(&self, place: Place) -> bool {
+        self.limits.is_none_or(|[low, high]| {
+            let (first, last) = (place.voxel(0), place.voxel(VOLUME - 1));
+            (0..3).all(|axis| last[axis] >= low[axis] && first[axis] <= high[axis])
+        })
+    }
+}
+
+/// What the scan asks for, checked and in units of voxels, before anything is changed.
+struct Plan {
+    rays: Vec<Ray>,
+    points: Vec<(Voxel, Content)>,
+    span: Option<[Voxel; 2]>,
+    stats: IntegrateStats,
+}
+
+impl Plan {
+    fn of(
+        scan: &ClassifiedScan<'_>,
+        parameters: &MapParameters,
+        lattice: &Lattice,
+    ) -> Result<Self, Error> {
+        let len = scan.points.len();
+        let mut plan = Self {
+            rays: Vec::with_capacity(len),
+            points: Vec::with_capacity(len),
+            span: None,
+            stats: IntegrateStats::default(),
+        };
+        for index in 0..len {
+            let origin = scan.origins.at(index);
+            if scan.no_return.is_some_and(|flags| flags[index]) {
+                match scan.directions.and_then(|directions| unit(directions[index])) {
+                    Some(direction) => {
+                        plan.stats.no_return_rays += 1;
+                        let end = ahead(origin, direction, parameters.max_range);
+                        plan.add_ray(lattice, origin, end)?;
+                    }
+                    None => plan.stats.skipped += 1,
+                }
+                continue;
+            }
+            let point = wide(scan.points[index]);
+            let Some(class) = content_of(scan.class[index]) else {
+                plan.stats.skipped += 1;
+                continue;
+            };
+            if !point.iter().all(|value| value.is_finite()) {
+                plan.stats.skipped += 1;
+                continue;
+            }
+            plan.add_point(lattice, point, class)?;
+            if !scan.no_ray.is_some_and(|flags| flags[index]) {
+                plan.add_ray(lattice, origin, hit_end(origin, point, parameters))?;
+            }
+        }
+        plan.stats.rays = plan.rays.len();
+        Ok(plan)
+    }
+
+    fn add_point(
+        &mut self,
+        lattice: &Lattice,
+        point: [f64; 3],
+        class: Content,
+    ) -> Result<(), Error> {
+        let voxel = lattice.voxel_at(point)?;
+        self.stretch(voxel);
+        self.points.push((voxel, class));
+        self.stats.points[match class {
+            Content::Background => 0,
+            Content::Flying => 1,
+            _ => 2,
+        }] += 1;
+        Ok(())
+    }
+
+    fn add_ray(&mut self, lattice: &Lattice, start: [f64; 3], end: [f64; 3]) -> Result<(), Error> {
+        let ray = Ray { start: lattice.scaled(start), end: lattice.scaled(end) };
+        for (scaled, point) in [(ray.start, start), (ray.end, end)] {
+            self.stretch(floor(scaled).ok_or(Error::PointOutOfRange { point })?);
+        }
+        self.rays.push(ray);
+        Ok(())
+    }
+
+    fn stretch(&mut self, voxel: Voxel) {
+        let [low, high] = self.span.get_or_insert([voxel; 2]);
+        for axis in 0..3 {
+            low[axis] = low[axis].min(voxel[axis]);
+            high[axis] = high[axis].max(voxel[axis]);
+        }
+    }
+}
+
+/// End of a ray that hit `point`: at the point, but no further than `max_range` (eq. 20).
+fn hit_end(origin: [f64; 3], point: [f64; 3], parameters: &MapParameters) -> [f64; 3] {
+    let span = minus(point, origin);
+    let distance = norm(span);
+    let reach = (distance - parameters.end_margin).max(0.0).min(parameters.max_range);
+    if reach >= distance {
+        return point;
+    }
+    ahead(origin, span, reach / distance)
+}
+
+fn ahead(origin: [f64; 3], direction: [f64; 3], by: f64) -> [f64; 3] {
+    std::array::from_fn(|axis| origin[axis] + by * direction[axis])
+}
+
+fn unit(direction: [f32; 3]) -> Option<[f64; 3]> {
+    let direction = wide(direction);
+    let norm = norm(direction);
+    (norm.is_finite() && norm > 0.0).then(|| direction.map(|value| value / norm))
+}
+
+fn content_of(class: u8) -> Option<Content> {
+    match class {
+        BACKGROUND => Some(Content::Background),
+        FLYING => Some(Content::Flying),
+        UNKNOWN => Some(Content::Unknown),
+        _ => None,
+    }
+}
+
+fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {
+    let expected = scan.points.len();
+    check_points(expected)?;
+    let lengths = [
+        ("point_class", Some(scan.class.len())),
+        ("ray_directions", scan.directions.map(<[_]>::len)),
+        ("no_return", scan.no_return.map(<[_]>::len)),
+        ("no_ray", scan.no_ray.map(<[_]>::len)),
+        (
+            "sensor_origin",
+            if let Origins::Each(each) = scan.origins { Some(each.len()) } else { None },
+        ),
+    ];
+    for (name, got) in lengths {
+        if let Some(got) = got.filter(|&got| got != expected) {
+            return Err(Error::Length { name, expected, got });
+        }
+    }
+    if let Some(index) = scan.class.iter().position(|&class| class > UNKNOWN) {
+        return Err(Error::Value {
+            name: "point_class",
+            expected: "0 invalid, 1 background, 2 flying or 3 unknown",
+            index,
+            got: scan.class[index].to_string(),
+        });
+    }
+    if scan.no_return.is_some_and(|flags| flags.contains(&true)) && scan.directions.is_none() {
+        return Err(Error::Value {
+            name: "ray_directions",
+            expected: "the direction of every ray, since `no_return` is set",
+            index: 0,
+            got: "none".into(),
+        });
+    }
+    Ok(())
+}
+
+/// What a mark does to a value (eqs 9 and 12).
+struct Rule {
+    levels: Levels,
+    initial: f32,
+    g: [f32; 3],
+    per_unit: f64,
+}
+
+struct BlockUpdate {
+    voxels: usize,
+    changed: Vec<Voxel>,
+}
+
+impl Rule {
+    fn of(map: &VoxelMap) -> Self {
+        let p = map.parameters();
+        let unit = match p.ray_unit {
+            RayUnit::Edges => 1.0,
+            RayUnit::Metres => p.voxel_size,
+            RayUnit::Diagonals => 1.0 / 3f64.sqrt(),
+        };
+        Self {
+            levels: map.levels(),
+            initial: p.initial,
+            g: [p.g_free, p.g_unk, p.g_occ],
+            per_unit: p.ray_gain * unit / UNITS_PER_EDGE,
+        }
+    }
+
+    fn apply(
+        &self,
+        block: &mut Block,
+        marks: &[Mark; VOLUME],
+        limits: Option<[Voxel; 2]>,
+    ) -> BlockUpdate {
+        let mut update = BlockUpdate { voxels: 0, changed: Vec::new() };
+        let place = block.place;
+        for (offset, &mark) in marks.iter().enumerate().filter(|&(_, &mark)| mark != 0) {
+            let voxel = place.voxel(offset);
+            if limits.is_some_and(|[low, high]| {
+                (0..3).any(|axis| voxel[axis] < low[axis] || voxel[axis] > high[axis])
+            }) {
+                continue;
+            }
+            let value = self.updated(block.values[offset], mark);
+            update.voxels += 1;
+            if self.levels.store(block, offset, value) {
+                update.changed.push(voxel);
+            }
+        }
+        update
+    }
+
+    #[inline]
+    fn updated(&self, stored: f32, mark: Mark) -> f32 {
+        let value = if stored.is_nan() { self.initial } else { stored };
+        let [g_free, g_unk, g_occ] = self.g;
+        let (content, count) = content(mark);
+        let count = f64::from(count);
+        match content {
+            Content::Rays => filtered(value, g_free, two_to_minus(count * self.per_unit)),
+            Content::Unknown => filtered(value, g_unk, two_to_minus(count)),
+            Content::Flying => filtered(value, g_unk, 0.0), // n_det is infinite (eq. 17)
+            Content::Background => filtered(value, g_occ, two_to_minus(count)),
+        }
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    pub(crate) fn parameters() -> MapParameters {
+        MapParameters {
+            voxel_size: 0.25,
+            origin: [0.0; 3],
+            g_occ: 0.0,
+            g_unk: -740.0,
+            g_free: -1000.0,
+            initial: -740.0,
+            thresholds: [-750.0, -300.0, -0.1],
+            extra_thresholds: Vec::new(),
+            max_range: 20.0,
+            end_margin: 0.0,
+            ray_unit: RayUnit::Edges,
+            ray_gain: 1.0,
+            bounds: None,
+            max_voxels: 1 << 20,
+        }
+    }
+
+    fn scan<'a>(points: &'a [[f32; 3]], class: &'a [u8]) -> ClassifiedScan<'a> {
+        ClassifiedScan {
+            points,
+            class,
+            origins: Origins::One([0.1; 3]),
+            directions: None,
+            no_return: None,
+            no_ray: None,
+        }
+    }
+
+    #[test]
+    fn a_ray_clears_up_to_the_voxel_of_its_point() -> Result<(), Error> {
+        let mut map = VoxelMap::new(parameters(), 1)?;
+        let stats = map.integrate(&scan(&[[1.1, 0.1, 0.1]], &[BACKGROUND]))?;
+        assert_eq!((stats.rays, stats.visits, stats.voxels), (1, 5, 5));
+        let at = map.values_at(&[[0.3, 0.1, 0.1], [1.1, 0.1, 0.1], [1.3, 0.1, 0.1]]);
+        assert_eq!(at, [-870.0, -370.0, -740.0]); // one edge, one point, nothing
+        Ok(())
+    }
+
+    #[test]
+    fn a_ray_without_return_needs_a_direction() -> Result<(), Error> {
+        let mut map = VoxelMap::new(parameters(), 1)?;
+        let points = [[f32::NAN; 3]];
+        let empty = ClassifiedScan { no_return: Some(&[true]), ..scan(&points, &[INVALID]) };
+        assert!(matches!(map.integrate(&empty), Err(Error::Value { name: "ray_directions", .. })));
+        let directions = [[0.0, 0.0, 2.0]];
+        let stats = map.integrate(&ClassifiedScan { directions: Some(&directions), ..empty })?;
+        assert_eq!((stats.rays, stats.no_return_rays, stats.visits), (1, 1, 81));
+        Ok(())
+    }
+
+    #[test]
+    fn a_refused_scan_changes_nothing() -> Result<(), Error> {
+        let mut map = VoxelMap::new(MapParameters { max_voxels: 1024, ..parameters() }, 2)?;
+        assert!(matches!(
+            map.integrate(&scan(&[[15.0, 9.0, 3.0]], &[UNKNOWN])),
+            Err(Error::Limit { .. })
+        ));
+        assert!(matches!(
+            map.integrate(&scan(&[[1e30, 0.0, 0.0]], &[1])),
+            Err(Error::PointOutOfRange { .. })
+        ));
+        assert!(matches!(map.integrate(&scan(&[[1.0; 3]], &[4])), Err(Error::Value { .. })));
+        assert!(matches!(map.integrate(&scan(&[[1.0; 3]], &[])), Err(Error::Length { .. })));
+        assert_eq!(map.stored_voxels(), 0);
+        Ok(())
+    }
+
+    #[test]
+    fn nothing_outside_the_operating_volume_is_mapped() -> Result<(), Error> {
+        let bounds = Some([[0.0; 3], [0.5, 1.0, 1.0]]);
+        let mut map = VoxelMap::new(MapParameters { bounds, ..parameters() }, 1)?;
+        map.integrate(&scan(&[[5.1, 0.1, 0.1]], &[BACKGROUND]))?;
+        assert_eq!(
+            map.values_at(&[[0.3, 0.1, 0.1], [1.3, 0.1, 0.1], [5.1, 0.1, 0.1]]),
+            [-870.0, -740.0, -740.0]
+        );
+        Ok(())
+    }
+}

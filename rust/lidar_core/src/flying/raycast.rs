@@ -1,0 +1,299 @@
+//! Rays of one scan -> summed length per voxel. Source: Vrba et al., eqs 21-22.
+//!
+//! Lengths are summed as integers in a sparse window of blocks around the rays, so the result
+//! depends neither on the order of the rays nor on the number of threads.
+
+use super::blocks::{EDGE_BITS, Place, VOLUME, offset_of};
+use crate::Error;
+use crate::geometry::lattice::{Voxel, floor};
+use crate::geometry::traverse::Walk;
+use rayon::ThreadPool;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// A segment in units of voxels.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ray {
+    pub(crate) start: [f64; 3],
+    pub(crate) end: [f64; 3],
+}
+
+/// What one scan did to one voxel, in 32 bits: the class of the points inside in the highest
+/// two, below them their number, or without points the length of rays in 1/16384 edges.
+pub(crate) type Mark = u32;
+const COUNT_BITS: u32 = 30;
+const MAX_COUNT: u32 = (1 << COUNT_BITS) - 1;
+/// Length units per voxel edge.
+pub(crate) const UNITS_PER_EDGE: f64 = 16_384.0;
+
+/// Classes that a voxel's points can have, weakest first: of several the strongest counts
+/// (first matching case of eq. 9: background, then flying or unknown, then rays).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Content {
+    Rays,
+    Unknown,
+    Flying,
+    Background,
+}
+
+/// Content and number (points, or length units) of a mark.
+pub(crate) fn content(mark: Mark) -> (Content, u32) {
+    let content = match mark >> COUNT_BITS {
+        0 => Content::Rays,
+        1 => Content::Unknown,
+        2 => Content::Flying,
+        _ => Content::Background,
+    };
+    (content, mark & MAX_COUNT)
+}
+
+/// Rays handed to a thread at a time.
+const RAYS_PER_CHUNK: usize = 1024;
+/// Most blocks in the window of one scan.
+const MAX_WINDOW: u64 = 1 << 24;
+const EMPTY: u32 = u32::MAX;
+
+/// Blocks that bound the rays and points of one scan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Window {
+    low: [i32; 3],
+    size: [usize; 3],
+}
+
+impl Window {
+    /// The window that spans both voxels.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] if it holds too many blocks.
+    pub(crate) fn spanning(low: Voxel, high: Voxel) -> Result<Self, Error> {
+        let (low, high) = (Place::of(low).0, Place::of(high).0);
+        let size: [u64; 3] =
+            std::array::from_fn(|axis| u64::from(high[axis].abs_diff(low[axis])) + 1);
+        let blocks = size.iter().try_fold(1u64, |product, &edge| product.checked_mul(edge));
+        match blocks {
+            Some(blocks) if blocks <= MAX_WINDOW => {
+                Ok(Self { low, size: size.map(|edge| edge as usize) })
+            }
+            _ => Err(Error::Limit {
+                what: format!("a scan that spans {size:?} blocks of 8 voxels"),
+                limit: MAX_WINDOW,
+                key: "voxel_size",
+            }),
+        }
+    }
+
+    fn len(&self) -> usize {
+        self.size.iter().product()
+    }
+
+    #[inline]
+    fn index(&self, place: Place) -> usize {
+        let [x, y, z]: [usize; 3] =
+            std::array::from_fn(|axis| place.0[axis].wrapping_sub(self.low[axis]) as usize);
+        (z * self.size[1] + y) * self.size[0] + x
+    }
+
+    fn place(&self, index: usize) -> Place {
+        let [nx, ny, _] = self.size;
+        let inside = [index % nx, index / nx % ny, index / (nx * ny)];
+        Place(std::array::from_fn(|axis| self.low[axis] + inside[axis] as i32))
+    }
+}
+
+/// Marks of one scan, block by block. Reused from scan to scan.
+#[derive(Default)]
+pub(crate) struct Accumulator {
+    window: Option<Window>,
+    table: Vec<u32>,
+    touched: Vec<u32>,
+    blocks: Vec<[Mark; VOLUME]>,
+    visits: u64,
+}
+
+impl Accumulator {
+    /// Empty the accumulator and aim it at `window`.
+    fn aim(&mut self, window: Window) {
+        for &index in &self.touched {
+            self.table[index as usize] = EMPTY;
+        }
+        self.touched.clear();
+        self.visits = 0;
+        self.table.resize(window.len(), EMPTY);
+        self.window = Some(window);
+    }
+
+    /// Slot of a block, made when first met.
+    #[inline]
+    fn slot(&mut self, window: &Window, place: Place) -> usize {
+        let index = window.index(place);
+        let slot = self.table[index];
+        if slot == EMPTY { self.open(index) } else { slot as usize }
+    }
+
+    #[cold]
+    fn open(&mut self, index: usize) -> usize {
+        let slot = self.touched.len();
+        self.table[index] = slot as u32;
+        self.touched.push(index as u32);
+        if slot == self.blocks.len() {
+            self.blocks.push([0; VOLUME]);
+        } else {
+            self.blocks[slot] = [0; VOLUME];
+        }
+        slot
+    }
+
+    /// Add the length of `ray` inside every voxel it crosses.
+    fn cast(&mut self, window: &Window, ray: &Ray) {
+        let (Some(first), Some(last)) = (floor(ray.start), floor(ray.end)) else { return };
+        let mut walk = Walk::new(ray.start, ray.end, first, last);
+        let mut slot = self.slot(window, Place::of(first));
+        let mut walls = first.map(|index| index >> EDGE_BITS);
+        while let Some((voxel, length, _)) = walk.next() {
+            let place = voxel.map(|index| index >> EDGE_BITS);
+            if place != walls {
+                walls = place;
+                slot = self.slot(window, Place(place));
+            }
+            let mark = &mut self.blocks[slot][offset_of(voxel)];
+            *mark = mark.saturating_add((length * UNITS_PER_EDGE + 0.5) as u32).min(MAX_COUNT);
+            self.visits += 1;
+        }
+    }
+
+    /// Note a point of class `content` in `voxel`.
+    pub(crate) fn mark_point(&mut self, voxel: Voxel, content: Content) {
+        let Some(window) = self.window else { return };
+        let slot = self.slot(&window, Place::of(voxel));
+        let mark = &mut self.blocks[slot][offset_of(voxel)];
+        let tag = content as u32;
+        if *mark >> COUNT_BITS < tag {
+            *mark = tag << COUNT_BITS | 1;
+        } else if *mark >> COUNT_BITS == tag && *mark & MAX_COUNT < MAX_COUNT {
+            *mark += 1;
+        }
+    }
+
+    /// Add the lengths that `other` summed up in the same window.
+    fn absorb(&mut self, other: &Self, window: &Window) {
+        for (slot, &index) in other.touched.iter().enumerate() {
+            let own = self.slot(window, window.place(index as usize));
+            for (mark, &more) in self.blocks[own].iter_mut().zip(&other.blocks[slot]) {
+                *mark = mark.saturating_add(more).min(MAX_COUNT);
+            }
+        }
+        self.visits += other.visits;
+    }
+
+    /// Voxels visited by rays, each visit counted.
+    pub(crate) fn visits(&self) -> u64 {
+        self.visits
+    }
+
+    /// Marked blocks in ascending order of place.
+    pub(crate) fn marked(&self) -> Vec<(Place, &[Mark; VOLUME])> {
+        let Some(window) = self.window else { return Vec::new() };
+        let mut marked: Vec<_> = self
+            .touched
+            .iter()
+            .zip(&self.blocks)
+            .map(|(&index, marks)| (window.place(index as usize), marks))
+            .collect();
+        marked.sort_unstable_by_key(|&(place, _)| place);
+        marked
+    }
+}
+
+/// Sum the lengths of `rays` into the first accumulator; one accumulator per thread.
+pub(crate) fn cast_all(
+    pool: Option<&ThreadPool>,
+    accumulators: &mut [Accumulator],
+    window: Window,
+    rays: &[Ray],
+) {
+    for accumulator in accumulators.iter_mut() {
+        accumulator.aim(window);
+    }
+    let next = AtomicUsize::new(0);
+    let work = |accumulator: &mut Accumulator| {
+        let chunk = || next.fetch_add(RAYS_PER_CHUNK, Ordering::Relaxed);
+        for start in std::iter::repeat_with(chunk).take_while(|&start| start < rays.len()) {
+            for ray in &rays[start..rays.len().min(start + RAYS_PER_CHUNK)] {
+                accumulator.cast(&window, ray);
+            }
+        }
+    };
+    match pool {
+        Some(pool) => pool.install(|| accumulators.par_iter_mut().for_each(work)),
+        None => accumulators.iter_mut().take(1).for_each(work),
+    }
+    if let Some((sum, others)) = accumulators.split_first_mut() {
+        for other in others {
+            sum.absorb(other, &window); // integer sums: their order cannot matter
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sum(rays: &[Ray], threads: usize) -> Result<Vec<(Place, Vec<Mark>)>, Error> {
+        let pool = crate::threads::pool(threads)?;
+        let mut accumulators: Vec<_> = (0..threads).map(|_| Accumulator::default()).collect();
+        let window = Window::spanning([-40; 3], [40; 3])?;
+        cast_all(Some(&pool), &mut accumulators, window, rays);
+        Ok(accumulators[0]
+            .marked()
+            .into_iter()
+            .map(|(place, marks)| (place, marks.to_vec()))
+            .collect())
+    }
+
+    #[test]
+    fn any_number_of_threads_and_any_order_give_the_same_bits() -> Result<(), Error> {
+        let mut rays: Vec<Ray> = (0..5000)
+            .map(|index| {
+                let angle = f64::from(index) * 0.37;
+                let end = [
+                    30.0 * libm::cos(angle),
+                    30.0 * libm::sin(angle),
+                    f64::from(index % 60) - 30.0,
+                ];
+                Ray { start: [0.3, -0.2, 0.1], end }
+            })
+            .collect();
+        let one = sum(&rays, 1)?;
+        assert!(one.len() > 100);
+        for threads in [2, 4, 7] {
+            assert_eq!(sum(&rays, threads)?, one);
+        }
+        rays.reverse();
+        assert_eq!(sum(&rays, 2)?, one);
+        Ok(())
+    }
+
+    #[test]
+    fn points_beat_rays_and_background_beats_all() -> Result<(), Error> {
+        let mut accumulators = [Accumulator::default()];
+        let window = Window::spanning([0; 3], [15; 3])?;
+        let ray = Ray { start: [0.5; 3], end: [3.5, 0.5, 0.5] };
+        cast_all(None, &mut accumulators, window, &[ray]);
+        let sum = &mut accumulators[0];
+        for (x, class) in [
+            (1, Content::Unknown),
+            (1, Content::Background),
+            (1, Content::Unknown),
+            (2, Content::Flying),
+        ] {
+            sum.mark_point([x, 0, 0], class);
+        }
+        let marks = sum.marked()[0].1;
+        assert_eq!(content(marks[0]), (Content::Rays, 8192));
+        assert_eq!(content(marks[1]), (Content::Background, 1));
+        assert_eq!(content(marks[2]), (Content::Flying, 1));
+        assert_eq!(content(marks[3]), (Content::Rays, 8192));
+        assert_eq!(sum.visits(), 4);
+        Ok(())
+    }
+}

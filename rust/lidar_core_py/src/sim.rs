@@ -1,0 +1,369 @@
+//! Bindings of `lidar_sim`.
+
+use crate::arrays;
+use crate::errors::BorderError;
+use crate::guard::{Guarded, detached};
+use lidar_core::geometry::transform::Transform;
+use lidar_core::{Error, threads};
+use lidar_sim::mesh::Mesh;
+use lidar_sim::motion::{Near, RandomMotion};
+use lidar_sim::scene::{Body, Bounds, Mover, Ray, Scene};
+use lidar_sim::sensors::{Lidar, Pattern};
+use lidar_sim::shape::Shape;
+use lidar_sim::simulate::{self, Task};
+use lidar_sim::trajectory::Trajectory;
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
+    PyReadonlyArray3, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use rayon::ThreadPool;
+use rayon::prelude::*;
+use std::sync::Arc;
+
+type Array1<'py, T> = Bound<'py, PyArray1<T>>;
+type Rows<'py, T> = Bound<'py, PyArray2<T>>;
+
+#[pyclass(frozen, module = "lidar_core._core")]
+pub(crate) struct SimShape(Shape);
+
+#[pymethods]
+impl SimShape {
+    #[staticmethod]
+    fn plane(size: [f64; 2]) -> Result<Self, BorderError> {
+        Ok(Self(Shape::plane(size)?))
+    }
+
+    #[staticmethod]
+    fn cuboid(size: [f64; 3]) -> Result<Self, BorderError> {
+        Ok(Self(Shape::cuboid(size)?))
+    }
+
+    #[staticmethod]
+    fn cylinder(radius: f64, height: f64) -> Result<Self, BorderError> {
+        Ok(Self(Shape::cylinder(radius, height)?))
+    }
+
+    #[staticmethod]
+    fn sphere(radius: f64) -> Result<Self, BorderError> {
+        Ok(Self(Shape::sphere(radius)?))
+    }
+
+    #[staticmethod]
+    fn mesh(
+        py: Python<'_>,
+        vertices: PyReadonlyArray2<'_, f64>,
+        faces: PyReadonlyArray2<'_, u32>,
+    ) -> Result<Self, BorderError> {
+        let vertices = arrays::rows3("vertices", &vertices)?;
+        let faces = arrays::rows3("faces", &faces)?;
+        let mesh = detached(py, || Mesh::new(vertices.to_vec(), faces.to_vec()))?;
+        Ok(Self(Shape::Mesh(Arc::new(mesh))))
+    }
+
+    #[staticmethod]
+    fn height_field(
+        py: Python<'_>,
+        heights: PyReadonlyArray2<'_, f64>,
+        cell: f64,
+    ) -> Result<Self, BorderError> {
+        let columns = heights.shape()[1];
+        let heights = arrays::flat("heights", &heights)?;
+        let mesh = detached(py, || Mesh::height_field(heights, columns, cell))?;
+        Ok(Self(Shape::Mesh(Arc::new(mesh))))
+    }
+
+    #[getter]
+    fn radius(&self) -> f64 {
+        self.0.radius()
+    }
+}
+
+#[pyclass(frozen, module = "lidar_core._core")]
+pub(crate) struct SimTrajectory(Trajectory);
+
+#[pymethods]
+impl SimTrajectory {
+    #[new]
+    fn new(
+        stamps_ns: PyReadonlyArray1<'_, i64>,
+        poses: PyReadonlyArray3<'_, f64>,
+    ) -> Result<Self, BorderError> {
+        let stamps_ns = arrays::flat("stamps_ns", &stamps_ns)?.to_vec();
+        Ok(Self(Trajectory::new(stamps_ns, transforms(&poses)?)?))
+    }
+
+    fn poses_at<'py>(
+        &self,
+        py: Python<'py>,
+        stamps_ns: PyReadonlyArray1<'_, i64>,
+    ) -> Result<Bound<'py, PyArray3<f64>>, BorderError> {
+        let stamps_ns = arrays::flat("stamps_ns", &stamps_ns)?;
+        let values: Vec<f64> =
+            stamps_ns.iter().flat_map(|&stamp| matrix(&self.0.pose_at(stamp))).collect();
+        Ok(values.into_pyarray(py).reshape([stamps_ns.len(), 4, 4])?)
+    }
+
+    fn velocities_at<'py>(
+        &self,
+        py: Python<'py>,
+        stamps_ns: PyReadonlyArray1<'_, i64>,
+    ) -> Result<Rows<'py, f64>, BorderError> {
+        let stamps_ns = arrays::flat("stamps_ns", &stamps_ns)?;
+        let rows = stamps_ns.iter().map(|&stamp| self.0.velocity_at(stamp)).collect();
+        arrays::rows_into(py, rows)
+    }
+}
+
+/// The fields of `LidarModel` that the core reads.
+#[derive(FromPyObject)]
+pub(crate) struct LidarConfig {
+    pattern: PatternConfig,
+    scan_rate: f64,
+    snapshot: bool,
+    range_min: f64,
+    range_max: f64,
+    range_std: f64,
+    dropout: f64,
+    dropout_is_no_return: bool,
+}
+
+#[derive(FromPyObject)]
+enum PatternConfig {
+    Spinning {
+        elevations_deg: Vec<f64>,
+        columns: i64,
+        azimuth_start: f64,
+        azimuth_per_scan: f64,
+    },
+    Rosette {
+        rays: i64,
+        elevation_min_deg: f64,
+        elevation_max_deg: f64,
+        turn_rate: f64,
+        swing_rate: f64,
+    },
+}
+
+impl LidarConfig {
+    fn lidar(self) -> Result<Lidar, BorderError> {
+        let pattern = match self.pattern {
+            PatternConfig::Spinning {
+                elevations_deg,
+                columns,
+                azimuth_start,
+                azimuth_per_scan,
+            } => Pattern::Spinning {
+                elevations: elevations_deg.into_iter().map(f64::to_radians).collect(),
+                columns: arrays::count("columns", columns)?,
+                azimuth_start,
+                azimuth_per_scan,
+            },
+            PatternConfig::Rosette {
+                rays,
+                elevation_min_deg: min,
+                elevation_max_deg: max,
+                turn_rate,
+                swing_rate,
+            } => Pattern::Rosette {
+                rays: arrays::count("rays", rays)?,
+                elevation: [min.to_radians(), max.to_radians()],
+                turn_rate,
+                swing_rate,
+            },
+        };
+        Ok(Lidar {
+            pattern,
+            period_ns: (1e9 / self.scan_rate).round() as i64,
+            snapshot: self.snapshot,
+            range_min: self.range_min,
+            range_max: self.range_max,
+            range_std: self.range_std,
+            dropout: self.dropout,
+            dropout_is_no_return: self.dropout_is_no_return,
+        })
+    }
+}
+
+/// The fields of `RandomMotion` that the core reads.
+#[derive(FromPyObject)]
+pub(crate) struct MotionConfig {
+    box_min: [f64; 3],
+    box_max: [f64; 3],
+    speed_max: f64,
+    acceleration_max: f64,
+    clearance: f64,
+    sensor_distance: Option<[f64; 2]>,
+    sensor_elevation_deg: [f64; 2],
+}
+
+/// Points, directions, no return, label, time of every ray; unoccluded rays of every mover.
+type ScanArrays<'py> = (
+    Rows<'py, f32>,
+    Rows<'py, f32>,
+    Array1<'py, bool>,
+    Array1<'py, i32>,
+    Array1<'py, i64>,
+    Array1<'py, u32>,
+);
+
+#[pyclass(frozen, module = "lidar_core._core")]
+pub(crate) struct SimScene(Guarded<(Scene, ThreadPool)>);
+
+#[pymethods]
+impl SimScene {
+    #[new]
+    #[pyo3(signature = (bodies, movers, *, threads))]
+    fn new(
+        py: Python<'_>,
+        bodies: Vec<(Py<SimShape>, PyReadonlyArray2<'_, f64>, i32)>,
+        movers: Vec<(Py<SimShape>, Py<SimTrajectory>, i32)>,
+        threads: i64,
+    ) -> Result<Self, BorderError> {
+        let mut standing = Vec::with_capacity(bodies.len());
+        for (shape, pose, label) in &bodies {
+            let values = arrays::flat("pose", pose)?;
+            let world_from_shape = transform(values.as_chunks::<16>().0.first())?;
+            standing.push(Body { shape: shape.get().0.clone(), world_from_shape, label: *label });
+        }
+        let moving = movers.iter().map(|(shape, trajectory, label)| Mover {
+            shape: shape.get().0.clone(),
+            trajectory: trajectory.get().0.clone(),
+            label: *label,
+        });
+        let moving = moving.collect();
+        let count = arrays::count("threads", threads)?;
+        let made = detached(py, || Ok((Scene::new(standing, moving)?, threads::pool(count)?)))?;
+        Ok(Self(Guarded::new(made)))
+    }
+
+    #[pyo3(signature = (lidar, sensor, *, start_ns, scan, seed))]
+    fn scan<'py>(
+        &self,
+        py: Python<'py>,
+        lidar: LidarConfig,
+        sensor: &Bound<'py, SimTrajectory>,
+        start_ns: i64,
+        scan: u64,
+        seed: u64,
+    ) -> Result<ScanArrays<'py>, BorderError> {
+        let (lidar, sensor) = (lidar.lidar()?, &sensor.get().0);
+        let (made, points, directions) = self.0.with(py, |(scene, pool)| {
+            let task = Task { scene, lidar: &lidar, sensor, start_ns, scan, seed };
+            let made = simulate::scan(pool, &task)?;
+            let (points, directions) = pool.install(|| rows(&made));
+            Ok((made, points, directions))
+        })?;
+        let no_return: Vec<bool> = made.ranges.iter().map(|&range| range == f64::INFINITY).collect();
+        let offsets = &made.sweep.offsets_ns;
+        let time_ns = made.sweep.firings.iter();
+        let time_ns: Vec<i64> =
+            time_ns.map(|&firing| start_ns.saturating_add(offsets[firing as usize])).collect();
+        Ok((
+            arrays::rows_into(py, points)?,
+            arrays::rows_into(py, directions)?,
+            no_return.into_pyarray(py),
+            made.labels.into_pyarray(py),
+            time_ns.into_pyarray(py),
+            made.unoccluded.into_pyarray(py),
+        ))
+    }
+
+    fn cast<'py>(
+        &self,
+        py: Python<'py>,
+        origins: PyReadonlyArray2<'_, f64>,
+        directions: PyReadonlyArray2<'_, f64>,
+        range_max: f64,
+    ) -> Result<(Array1<'py, f64>, Array1<'py, i32>), BorderError> {
+        let origins = arrays::rows3("origins", &origins)?;
+        let directions = arrays::rows3("directions", &directions)?;
+        let (distances, labels): (Vec<f64>, Vec<i32>) = self.0.with(py, |(scene, pool)| {
+            let rays = origins.par_iter().zip(directions).with_min_len(1024);
+            let meet = |(&origin, &direction): (&[f64; 3], &[f64; 3])| {
+                scene.meet(&Ray { origin, direction }, range_max).map_or(
+                    (f64::INFINITY, simulate::NO_LABEL),
+                    |hit| (hit.distance, hit.label),
+                )
+            };
+            Ok(pool.install(|| rays.map(meet).unzip()))
+        })?;
+        Ok((distances.into_pyarray(py), labels.into_pyarray(py)))
+    }
+
+    fn clearance<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'_, f64>,
+        limit: f64,
+    ) -> Result<Array1<'py, f64>, BorderError> {
+        let points = arrays::rows3("points", &points)?;
+        let distances = self.0.with(py, |(scene, _)| {
+            Ok(points.iter().map(|&point| scene.clearance(point, limit)).collect::<Vec<f64>>())
+        })?;
+        Ok(distances.into_pyarray(py))
+    }
+
+    #[pyo3(signature = (config, sensor, *, apart, start_ns, end_ns, seed, stream))]
+    fn random_motion(
+        &self,
+        py: Python<'_>,
+        config: MotionConfig,
+        sensor: &Bound<'_, SimTrajectory>,
+        apart: Vec<(Py<SimTrajectory>, f64)>,
+        start_ns: i64,
+        end_ns: i64,
+        seed: u64,
+        stream: u64,
+    ) -> Result<SimTrajectory, BorderError> {
+        let sensor = &sensor.get().0;
+        let motion = RandomMotion {
+            bounds: Bounds { min: config.box_min, max: config.box_max },
+            speed_max: config.speed_max,
+            acceleration_max: config.acceleration_max,
+            clearance: config.clearance,
+            apart: apart.iter().map(|(other, least)| (&other.get().0, *least)).collect(),
+            near: config.sensor_distance.map(|distance| Near {
+                sensor,
+                distance,
+                elevation: config.sensor_elevation_deg.map(f64::to_radians),
+            }),
+            span_ns: (start_ns, end_ns),
+            seed: (seed, stream),
+        };
+        Ok(SimTrajectory(self.0.with(py, |(scene, _)| motion.trajectory(scene))?))
+    }
+}
+
+/// Points (NaN where there is none) and directions in the LiDAR's frame.
+fn rows(made: &simulate::Scan) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
+    let rays = made.ranges.par_iter().zip(&made.sweep.directions).with_min_len(4096);
+    rays.map(|(&range, direction)| {
+        let range = if range.is_finite() { range } else { f64::NAN };
+        (direction.map(|part| (range * part) as f32), direction.map(|part| part as f32))
+    })
+    .unzip()
+}
+
+fn transforms(poses: &PyReadonlyArray3<'_, f64>) -> Result<Vec<Transform>, BorderError> {
+    if poses.shape()[1..] != [4, 4] {
+        let got = poses.shape().to_vec();
+        return Err(BorderError::Shape { name: "poses", expected: "(K, 4, 4)", got });
+    }
+    let matrices = arrays::flat("poses", poses)?.as_chunks::<16>().0;
+    Ok(matrices.iter().map(Transform::from_matrix).collect())
+}
+
+fn transform(matrix: Option<&[f64; 16]>) -> Result<Transform, Error> {
+    matrix.map(Transform::from_matrix).ok_or(Error::Length { name: "pose", expected: 4, got: 0 })
+}
+
+fn matrix(pose: &Transform) -> [f64; 16] {
+    let mut values = [0.0; 16];
+    for (row, turn) in pose.rotation.iter().enumerate() {
+        values[4 * row..4 * row + 3].copy_from_slice(turn);
+        values[4 * row + 3] = pose.translation[row];
+    }
+    values[15] = 1.0;
+    values
+}

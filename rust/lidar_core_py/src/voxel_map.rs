@@ -1,0 +1,241 @@
+//! Bindings of `lidar_core::flying::voxel_map`.
+
+use crate::arrays::{self, Rows3};
+use crate::errors::BorderError;
+use crate::guard::{Guarded, detached};
+use lidar_core::Error;
+use lidar_core::flying::integrate::{ClassifiedScan, IntegrateStats, Origins};
+use lidar_core::flying::separate::Separation;
+use lidar_core::flying::voxel_map::{MapParameters, RayUnit, VoxelMap};
+use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::prelude::*;
+use std::path::PathBuf;
+
+/// The fields of `VoxelMapConfig` that the core reads.
+#[derive(FromPyObject)]
+pub(crate) struct MapConfig {
+    voxel_size: f64,
+    g_occ: f32,
+    g_unk: f32,
+    g_free: f32,
+    initial: f32,
+    threshold_uncertain: f32,
+    threshold_tentative: f32,
+    threshold_confident: f32,
+    extra_thresholds: Vec<f32>,
+    max_range: f64,
+    end_margin: f64,
+    ray_unit: String,
+    ray_gain: f64,
+    bounds: Option<[[f64; 3]; 2]>,
+    max_voxels: u64,
+}
+
+const UNITS: [(&str, RayUnit); 3] =
+    [("edges", RayUnit::Edges), ("metres", RayUnit::Metres), ("diagonals", RayUnit::Diagonals)];
+
+impl MapConfig {
+    pub(crate) fn parameters(self, origin: [f64; 3]) -> Result<MapParameters, Error> {
+        Ok(MapParameters {
+            voxel_size: self.voxel_size,
+            origin,
+            g_occ: self.g_occ,
+            g_unk: self.g_unk,
+            g_free: self.g_free,
+            initial: self.initial,
+            thresholds: [
+                self.threshold_uncertain,
+                self.threshold_tentative,
+                self.threshold_confident,
+            ],
+            extra_thresholds: self.extra_thresholds,
+            max_range: self.max_range,
+            end_margin: self.end_margin,
+            ray_unit: arrays::choice("ray_unit", &self.ray_unit, &UNITS)?,
+            ray_gain: self.ray_gain,
+            bounds: self.bounds,
+            max_voxels: self.max_voxels,
+        })
+    }
+}
+
+/// Number of points per class, entries skipped, rays, rays without return, visits, voxels.
+type Stats = ([usize; 3], usize, usize, usize, u64, usize);
+
+#[pyclass(frozen, name = "VoxelMap", module = "lidar_core._core")]
+pub(crate) struct PyVoxelMap(Guarded<VoxelMap>);
+
+#[pymethods]
+impl PyVoxelMap {
+    #[new]
+    #[pyo3(signature = (config, *, threads, origin))]
+    fn new(
+        py: Python<'_>,
+        config: MapConfig,
+        threads: i64,
+        origin: [f64; 3],
+    ) -> Result<Self, BorderError> {
+        let threads = arrays::count("threads", threads)?;
+        let map = detached(py, || VoxelMap::new(config.parameters(origin)?, threads))?;
+        Ok(Self(Guarded::new(map)))
+    }
+
+    #[pyo3(signature = (points, point_class, sensor_origin, *, ray_directions, no_return))]
+    fn integrate(
+        &self,
+        py: Python<'_>,
+        points: PyReadonlyArray2<'_, f32>,
+        point_class: PyReadonlyArray1<'_, u8>,
+        sensor_origin: PyReadonlyArray2<'_, f64>,
+        ray_directions: Option<PyReadonlyArray2<'_, f32>>,
+        no_return: Option<PyReadonlyArray1<'_, bool>>,
+    ) -> Result<Stats, BorderError> {
+        let origins = arrays::rows3("sensor_origin", &sensor_origin)?;
+        let scan = ClassifiedScan {
+            points: arrays::rows3("points", &points)?,
+            class: arrays::flat("point_class", &point_class)?,
+            origins: if let [origin] = origins {
+                Origins::One(*origin)
+            } else {
+                Origins::Each(origins)
+            },
+            directions: arrays::maybe_rows3("ray_directions", &ray_directions)?,
+            no_return: arrays::maybe_flat("no_return", &no_return)?,
+            no_ray: None,
+        };
+        let IntegrateStats { points, skipped, rays, no_return_rays, visits, voxels } =
+            self.0.with(py, |map| map.integrate(&scan))?;
+        Ok((points, skipped, rays, no_return_rays, visits, voxels))
+    }
+
+    fn state_at<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'_, f32>,
+    ) -> Result<Bound<'py, PyArray1<u8>>, BorderError> {
+        let points = arrays::rows3("points", &points)?;
+        Ok(self.0.with(py, |map| Ok(map.states_at(points)))?.into_pyarray(py))
+    }
+
+    fn values_at<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'_, f32>,
+    ) -> Result<Bound<'py, PyArray1<f32>>, BorderError> {
+        let points = arrays::rows3("points", &points)?;
+        Ok(self.0.with(py, |map| Ok(map.values_at(points)))?.into_pyarray(py))
+    }
+
+    fn set_occupied(
+        &self,
+        py: Python<'_>,
+        points: PyReadonlyArray2<'_, f32>,
+    ) -> Result<(), BorderError> {
+        let points = arrays::rows3("points", &points)?;
+        self.0.with(py, |map| map.set_occupied(points))
+    }
+
+    fn set_free(
+        &self,
+        py: Python<'_>,
+        points: PyReadonlyArray2<'_, f32>,
+    ) -> Result<(), BorderError> {
+        let points = arrays::rows3("points", &points)?;
+        self.0.with(py, |map| map.set_free(points))
+    }
+
+    #[pyo3(signature = (points, *, search_distance))]
+    fn is_floating(
+        &self,
+        py: Python<'_>,
+        points: PyReadonlyArray2<'_, f32>,
+        search_distance: f64,
+    ) -> Result<bool, BorderError> {
+        let points = arrays::rows3("points", &points)?;
+        self.0.with(py, |map| map.is_floating(points, search_distance))
+    }
+
+    #[pyo3(signature = (*, max_gap, min_confident))]
+    fn remove_separate(
+        &self,
+        py: Python<'_>,
+        max_gap: f64,
+        min_confident: i64,
+    ) -> Result<usize, BorderError> {
+        let min_confident = arrays::count("min_confident", min_confident)?;
+        self.0.with(py, |map| map.remove_separate(Separation { max_gap, min_confident }))
+    }
+
+    /// Centres of all voxels that are at least tentatively occupied, (N, 3) [m].
+    fn occupied_points<'py>(&self, py: Python<'py>) -> Result<Rows3<'py, f64>, BorderError> {
+        let centers = self.0.with(py, |map| Ok(centers(map)))?;
+        arrays::rows_into(py, centers)
+    }
+
+    fn save(&self, py: Python<'_>, path: PathBuf) -> Result<(), BorderError> {
+        self.0.with(py, |map| map.save(&path))
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (path, *, threads))]
+    fn load(py: Python<'_>, path: PathBuf, threads: i64) -> Result<Self, BorderError> {
+        let threads = arrays::count("threads", threads)?;
+        Ok(Self(Guarded::new(detached(py, || VoxelMap::load(&path, threads))?)))
+    }
+
+    /// The map as bytes; equal maps give equal bytes.
+    fn to_bytes(&self, py: Python<'_>) -> Result<Vec<u8>, BorderError> {
+        self.0.with(py, |map| Ok(map.to_bytes()))
+    }
+
+    /// World coordinates of the point that the map's coordinates are relative to.
+    fn origin(&self, py: Python<'_>) -> Result<[f64; 3], BorderError> {
+        self.0.with(py, |map| Ok(map.parameters().origin))
+    }
+
+    /// Values of the configuration it was made with, by name.
+    fn parameters<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> Result<Bound<'py, pyo3::types::PyDict>, BorderError> {
+        let p = self.0.with(py, |map| Ok(map.parameters().clone()))?;
+        let values = pyo3::types::PyDict::new(py);
+        values.set_item("voxel_size", p.voxel_size)?;
+        values.set_item("max_range", p.max_range)?;
+        values.set_item("end_margin", p.end_margin)?;
+        values.set_item("ray_gain", p.ray_gain)?;
+        let unit = UNITS.iter().find(|(_, unit)| *unit == p.ray_unit).map(|(name, _)| *name);
+        values.set_item("ray_unit", unit)?;
+        let levels = [
+            ("g_occ", p.g_occ),
+            ("g_unk", p.g_unk),
+            ("g_free", p.g_free),
+            ("initial", p.initial),
+            ("threshold_uncertain", p.thresholds[0]),
+            ("threshold_tentative", p.thresholds[1]),
+            ("threshold_confident", p.thresholds[2]),
+        ];
+        for (name, value) in levels {
+            values.set_item(name, as_written(value))?;
+        }
+        let extra: Vec<f64> = p.extra_thresholds.into_iter().map(as_written).collect();
+        values.set_item("extra_thresholds", extra)?;
+        values.set_item("bounds", p.bounds)?;
+        values.set_item("max_voxels", p.max_voxels)?;
+        Ok(values)
+    }
+
+    /// Voxels stored, voxels observed, bytes held.
+    fn size(&self, py: Python<'_>) -> Result<(usize, usize, usize), BorderError> {
+        self.0.with(py, |map| Ok((map.stored_voxels(), map.observed_voxels(), map.memory_bytes())))
+    }
+}
+
+/// The shortest decimal number that reads as `value`: -0.1 comes back as -0.1.
+fn as_written(value: f32) -> f64 {
+    value.to_string().parse().unwrap_or(f64::from(value))
+}
+
+fn centers(map: &VoxelMap) -> Vec<[f64; 3]> {
+    map.occupied_voxels().into_iter().map(|voxel| map.lattice().center(voxel)).collect()
+}
