@@ -10,4 +10,5 @@ mod persist;
 mod raycast;
 pub mod separate;
 mod shadow;
+pub mod track;
 pub mod voxel_map;

@@ -1,0 +1,80 @@
+//! The latest point clouds, sorted by stamp, for detections that arrive late.
+
+use crate::Error;
+use crate::budget::{MAX_POINTS, vec_with_capacity};
+use std::collections::VecDeque;
+
+#[derive(Debug)]
+pub(super) struct Cloud {
+    pub(super) stamp_ns: i64,
+    pub(super) points: Vec<[f32; 3]>,
+}
+
+impl Cloud {
+    /// The finite points of a scan.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] for too many points.
+    pub(super) fn new(points: &[[f32; 3]], stamp_ns: i64) -> Result<Self, Error> {
+        let mut kept =
+            vec_with_capacity("a point cloud", points.len(), MAX_POINTS, "split the scan")?;
+        kept.extend(points.iter().filter(|point| point.iter().all(|value| value.is_finite())));
+        Ok(Self { stamp_ns, points: kept })
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct Buffer {
+    clouds: VecDeque<Cloud>,
+    size: usize,
+}
+
+impl Buffer {
+    pub(super) fn new(size: usize) -> Self {
+        Self { clouds: VecDeque::new(), size }
+    }
+
+    /// Whether a cloud of this stamp is older than one that was processed.
+    ///
+    /// # Errors
+    /// [`Error::Time`] for a stamp that is there already, or older than a full buffer.
+    pub(super) fn is_late(&self, stamp_ns: i64) -> Result<bool, Error> {
+        let refuse = |what| Err(Error::Time { what });
+        if self.clouds.iter().any(|cloud| cloud.stamp_ns == stamp_ns) {
+            return refuse(format!(
+                "point cloud at {stamp_ns} ns: expected a new stamp, a cloud of this one is known"
+            ));
+        }
+        match (self.clouds.front(), self.clouds.back()) {
+            (Some(oldest), Some(_))
+                if self.clouds.len() >= self.size && stamp_ns < oldest.stamp_ns =>
+            {
+                refuse(format!(
+                    "point cloud at {stamp_ns} ns: expected a stamp after {} ns, the oldest of the \
+                     {} buffered clouds; raise `buffer_size` if clouds come this late",
+                    oldest.stamp_ns, self.size
+                ))
+            }
+            (_, Some(newest)) => Ok(stamp_ns < newest.stamp_ns),
+            _ => Ok(false),
+        }
+    }
+
+    /// Insert by stamp; the oldest cloud leaves a full buffer.
+    pub(super) fn push(&mut self, cloud: Cloud) {
+        let place = self.clouds.partition_point(|other| other.stamp_ns < cloud.stamp_ns);
+        self.clouds.insert(place, cloud);
+        if self.clouds.len() > self.size {
+            self.clouds.pop_front();
+        }
+    }
+
+    /// Clouds newer than `stamp_ns`, oldest first.
+    pub(super) fn newer_than(&self, stamp_ns: i64) -> impl Iterator<Item = &Cloud> {
+        self.clouds.iter().filter(move |cloud| cloud.stamp_ns > stamp_ns)
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.clouds.clear();
+    }
+}

@@ -1,0 +1,207 @@
+//! newDetections of Algorithm 2: hypotheses, replay of buffered clouds, association with tracks.
+
+use super::buffer::Buffer;
+use super::candidates::Measurement;
+use super::motion::position_block;
+use super::occupancy::Occupancy;
+use super::parameters::{Association, MAX_TRACKS, MeasurementForm, TrackerParameters};
+use super::state::TrackState;
+use super::update::{Scan, Updater};
+use crate::Error;
+use nalgebra::{Matrix3, Vector3};
+
+/// Detections of one time, in the tracker's frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Detections<'a> {
+    /// Time they describe [ns].
+    pub stamp_ns: i64,
+    /// Positions [m].
+    pub positions: &'a [[f64; 3]],
+    /// Covariance of every position [m^2]; without it the parameters' initial one is taken.
+    pub covariance: Option<&'a [[[f64; 3]; 3]]>,
+    /// Sides of their bounding boxes [m].
+    pub extent: Option<&'a [[f64; 3]]>,
+}
+
+impl Detections<'_> {
+    /// One hypothesis per detection, in order.
+    ///
+    /// # Errors
+    /// [`Error::Limit`], [`Error::Length`], or [`Error::Value`] for the first bad entry.
+    pub(super) fn hypotheses(
+        &self,
+        parameters: &TrackerParameters,
+    ) -> Result<Vec<TrackState>, Error> {
+        let count = self.positions.len();
+        if count > MAX_TRACKS {
+            return Err(too_many(count));
+        }
+        let lengths = [
+            ("covariance", self.covariance.map(<[_]>::len)),
+            ("extent", self.extent.map(<[_]>::len)),
+        ];
+        for (name, length) in lengths {
+            if let Some(got) = length.filter(|&length| length != count) {
+                return Err(Error::Length { name, expected: count, got });
+            }
+        }
+        (0..count)
+            .map(|index| {
+                let detection = self.measurement(index, parameters)?;
+                Ok(TrackState::new(&detection, self.stamp_ns, parameters))
+            })
+            .collect()
+    }
+
+    fn measurement(
+        &self,
+        index: usize,
+        parameters: &TrackerParameters,
+    ) -> Result<Measurement, Error> {
+        let position = self.positions[index];
+        let extent = self.extent.map_or([0.0; 3], |extent| extent[index]);
+        let covariance = match self.covariance {
+            Some(covariance) => known_covariance(&covariance[index], parameters),
+            None => Matrix3::identity() * (parameters.initial_std[0] * parameters.initial_std[0]),
+        };
+        let is_finite = |values: [f64; 3]| values.iter().all(|value| value.is_finite());
+        let bad = |name, expected, got| Err(Error::Value { name, expected, index, got });
+        if !is_finite(position) {
+            return bad("positions", "finite coordinates", format!("{position:?}"));
+        }
+        if !is_finite(extent) || extent.iter().any(|&side| side < 0.0) {
+            return bad("extent", "finite sides >= 0", format!("{extent:?}"));
+        }
+        if covariance.cholesky().is_none() || covariance != covariance.transpose() {
+            let got = format!("{:?}", self.covariance.map(|covariance| covariance[index]));
+            return bad("covariance", "a symmetric positive definite matrix", got);
+        }
+        Ok(Measurement { position: Vector3::from(position), covariance, extent })
+    }
+}
+
+pub(super) fn too_many(count: usize) -> Error {
+    Error::Limit {
+        what: format!("a set of {count} detections or tracks"),
+        limit: MAX_TRACKS as u64,
+        key: "split the set",
+    }
+}
+
+/// Sec. III-F3 takes it as it is; otherwise what clusters are not told about comes on top.
+fn known_covariance(rows: &[[f64; 3]; 3], parameters: &TrackerParameters) -> Matrix3<f64> {
+    let given = Matrix3::from_fn(|row, column| rows[row][column]);
+    match parameters.measurement {
+        MeasurementForm::Paper => given,
+        MeasurementForm::Cluster => {
+            given + Matrix3::identity() * (parameters.measurement_std * parameters.measurement_std)
+        }
+    }
+}
+
+/// Which track every set of detections fed.
+#[derive(Debug, Default)]
+pub(super) struct Matches {
+    /// Places in the list of tracks, in the order of the detections.
+    pub(super) fed: Vec<usize>,
+    pub(super) rejected: usize,
+}
+
+impl Updater {
+    /// Bring hypotheses to the present, over the buffered clouds newer than they are.
+    ///
+    /// # Source
+    /// Vrba et al., Algorithm 2, lines 22-25.
+    pub(super) fn replay(
+        &self,
+        mut hypotheses: Vec<TrackState>,
+        stamp_ns: i64,
+        buffer: &Buffer,
+        occupied: &dyn Occupancy,
+    ) -> Result<Vec<TrackState>, Error> {
+        for cloud in buffer.newer_than(stamp_ns) {
+            let scan = Scan { points: &cloud.points, stamp_ns: cloud.stamp_ns, occupied };
+            self.update(&mut hypotheses, &scan, None)?;
+        }
+        let radius = &self.parameters.radius;
+        hypotheses.retain(|hypothesis| hypothesis.radius(radius) <= radius.max);
+        Ok(hypotheses)
+    }
+
+    /// Give every hypothesis to a track, or make it one.
+    pub(super) fn join(
+        &self,
+        tracks: &mut Vec<TrackState>,
+        hypotheses: Vec<TrackState>,
+    ) -> Result<Matches, Error> {
+        match self.parameters.association {
+            Association::Paper => Ok(self.join_nearest(tracks, hypotheses)),
+            Association::Global { .. } => self.join_one_to_one(tracks, hypotheses),
+        }
+    }
+
+    /// Source: Vrba et al., Algorithm 2, lines 26-30; the nearest of the similar tracks counts.
+    fn join_nearest(&self, tracks: &mut Vec<TrackState>, hypotheses: Vec<TrackState>) -> Matches {
+        let radius = &self.parameters.radius;
+        let mut matches = Matches::default();
+        for hypothesis in hypotheses {
+            let distance = |track: &TrackState| (track.position() - hypothesis.position()).norm();
+            let reach = hypothesis.radius(radius);
+            let nearest = (0..tracks.len())
+                .filter(|&index| distance(&tracks[index]) <= tracks[index].radius(radius) + reach)
+                .min_by(|&one, &other| distance(&tracks[one]).total_cmp(&distance(&tracks[other])));
+            match nearest {
+                Some(index) => {
+                    tracks[index].n_detections = tracks[index].n_detections.saturating_add(1);
+                    matches.fed.push(index);
+                }
+                None => tracks.push(hypothesis),
+            }
+        }
+        matches
+    }
+
+    fn join_one_to_one(
+        &self,
+        tracks: &mut Vec<TrackState>,
+        hypotheses: Vec<TrackState>,
+    ) -> Result<Matches, Error> {
+        let noise = &self.parameters.process_noise;
+        let track_of = self.assign(hypotheses.len(), tracks.len(), |row, column| {
+            let (hypothesis, track) = (&hypotheses[row], &tracks[column]);
+            let stamp_ns = hypothesis.stamp_ns.max(track.stamp_ns);
+            let (one, other) = (hypothesis.at(stamp_ns, noise), track.at(stamp_ns, noise));
+            let y = (one.mean - other.mean).fixed_rows::<3>(0).into_owned();
+            (y.norm() <= self.search_radius(track))
+                .then(|| (y, position_block(&(one.covariance + other.covariance))))
+        })?;
+        let mut matches = Matches::default();
+        for (hypothesis, track) in hypotheses.into_iter().zip(track_of) {
+            let Some(index) = track else {
+                tracks.push(hypothesis);
+                continue;
+            };
+            let track = &mut tracks[index];
+            track.n_detections = track.n_detections.saturating_add(1);
+            matches.fed.push(index);
+            // What the track has not seen itself, it learns from the hypothesis.
+            if track.seen_ns < hypothesis.born_ns && !self.learn(track, hypothesis) {
+                matches.rejected += 1;
+            }
+        }
+        Ok(matches)
+    }
+
+    fn learn(&self, track: &mut TrackState, mut hypothesis: TrackState) -> bool {
+        let noise = &self.parameters.process_noise;
+        let stamp_ns = hypothesis.stamp_ns.max(track.stamp_ns);
+        track.predict(stamp_ns, noise);
+        hypothesis.predict(stamp_ns, noise);
+        let measurement = Measurement {
+            position: hypothesis.position(),
+            covariance: position_block(&hypothesis.estimate.covariance),
+            extent: hypothesis.extent,
+        };
+        track.correct(&measurement).is_ok()
+    }
+}

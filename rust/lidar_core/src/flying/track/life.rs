@@ -1,0 +1,120 @@
+//! Birth to removal: numbers, confirmation, merging, deletion.
+
+use super::motion;
+use super::parameters::{Ageing, Merging, TrackerParameters};
+use super::state::{TrackState, UNNUMBERED, seconds};
+
+/// Remove tracks that have become too uncertain; their numbers.
+///
+/// # Source
+/// Vrba et al., Algorithm 2, lines 15-17.
+pub(super) fn remove_uncertain(
+    tracks: &mut Vec<TrackState>,
+    parameters: &TrackerParameters,
+    now_ns: i64,
+) -> Vec<i64> {
+    let lost = |track: &TrackState| {
+        let is_uncertain = motion::radius(&track.aged, &parameters.radius) > parameters.radius.max;
+        is_uncertain
+            || match parameters.ageing {
+                Ageing::Paper => false,
+                Ageing::Visible { max_coast } => seconds(track.seen_ns, now_ns) > max_coast,
+            }
+    };
+    remove(tracks, lost)
+}
+
+/// Enter a set of detections into the history of all tracks: `fed` names those it held, `born`
+/// is the place of the first new one. Returns the numbers of those that are confirmed by it.
+pub(super) fn confirm(
+    tracks: &mut [TrackState],
+    fed: &[usize],
+    born: usize,
+    parameters: &TrackerParameters,
+) -> Vec<i64> {
+    let mut confirmed = Vec::new();
+    for track in &mut tracks[..born] {
+        track.history <<= 1;
+    }
+    for &index in fed {
+        tracks[index].history |= 1;
+    }
+    for track in tracks.iter_mut().filter(|track| !track.confirmed) {
+        if recent(track, parameters).count_ones() >= parameters.confirmation.hits {
+            track.confirmed = true;
+            confirmed.push(track.id);
+        }
+    }
+    confirmed
+}
+
+/// Remove tracks that were never confirmed and that no recent detection held; their numbers.
+pub(super) fn remove_unconfirmed(
+    tracks: &mut Vec<TrackState>,
+    parameters: &TrackerParameters,
+) -> Vec<i64> {
+    remove(tracks, |track| !track.confirmed && recent(track, parameters) == 0)
+}
+
+/// Number the tracks that have none; the numbers.
+pub(super) fn number(tracks: &mut [TrackState], next_id: &mut i64) -> Vec<i64> {
+    let mut born = Vec::new();
+    for track in tracks.iter_mut().filter(|track| track.id == UNNUMBERED) {
+        track.id = *next_id;
+        *next_id += 1;
+        born.push(track.id);
+    }
+    born
+}
+
+/// Merge tracks of one target; pairs of the number that stays and the one that goes.
+///
+/// The elder keeps its number, a confirmed track before any other; the state is that of the one
+/// seen last.
+pub(super) fn merge(tracks: &mut Vec<TrackState>, merging: &Merging) -> Vec<[i64; 2]> {
+    let mut merged = Vec::new();
+    let mut index = 0;
+    while index < tracks.len() {
+        let twin = (index + 1..tracks.len())
+            .find(|&other| is_twin(&tracks[index], &tracks[other], merging));
+        let Some(twin) = twin else {
+            index += 1;
+            continue;
+        };
+        let younger = tracks.remove(twin);
+        let elder = &mut tracks[index];
+        let (kept, dropped) = if younger.confirmed && !elder.confirmed {
+            (younger, elder.clone())
+        } else {
+            (elder.clone(), younger)
+        };
+        merged.push([kept.id, dropped.id]);
+        *elder = united(kept, dropped);
+    }
+    tracks.sort_by_key(|track| track.id);
+    merged
+}
+
+fn united(kept: TrackState, dropped: TrackState) -> TrackState {
+    let n_detections = kept.n_detections.max(dropped.n_detections);
+    let history = kept.history | dropped.history;
+    let (id, born_ns, confirmed) = (kept.id, kept.born_ns, kept.confirmed);
+    let state = if dropped.seen_ns > kept.seen_ns { dropped } else { kept };
+    TrackState { id, born_ns, confirmed, n_detections, history, ..state }
+}
+
+fn is_twin(one: &TrackState, other: &TrackState, merging: &Merging) -> bool {
+    one.stamp_ns == other.stamp_ns
+        && (one.position() - other.position()).norm() <= merging.distance
+        && (one.velocity() - other.velocity()).norm() <= merging.speed
+}
+
+fn recent(track: &TrackState, parameters: &TrackerParameters) -> u64 {
+    track.history & (u64::MAX >> (u64::BITS - parameters.confirmation.window))
+}
+
+fn remove(tracks: &mut Vec<TrackState>, gone: impl Fn(&TrackState) -> bool) -> Vec<i64> {
+    let removed = tracks.iter().filter(|track| gone(track)).map(|track| track.id).collect();
+    tracks.retain(|track| !gone(track));
+    removed
+}

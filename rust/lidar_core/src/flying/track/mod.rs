@@ -1,0 +1,201 @@
+//! Point cloud multi-target tracker: Kalman tracks, scan buffer, life cycle.
+//!
+//! Source: Vrba, Walter & Saska, "On Onboard LiDAR-based Flying Object Detection", sec. III-F and
+//! Algorithm 2, and what goes beyond it: see [`TrackerParameters`].
+
+mod buffer;
+mod candidates;
+mod detections;
+mod life;
+mod motion;
+mod occupancy;
+mod parameters;
+mod select;
+mod state;
+mod update;
+
+#[cfg(test)]
+mod tests;
+
+pub use detections::Detections;
+pub use occupancy::{Occupancy, OccupiedPoints, Visibility};
+pub use parameters::{
+    Ageing, Association, Confirmation, MAX_TRACKS, MAX_WINDOW, MeasurementForm, Merging, NoiseForm,
+    ProcessNoise, Radius, RadiusForm, TrackerParameters,
+};
+
+use crate::Error;
+use crate::budget::check_points;
+use crate::estimation::kalman::Gaussian;
+use buffer::{Buffer, Cloud};
+use state::{TrackState, seconds};
+use update::{Scan, Updater};
+
+/// A track, predicted to one time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Track {
+    /// Number, never reused.
+    pub id: i64,
+    /// Time of the state [ns].
+    pub stamp_ns: i64,
+    /// Position [m], velocity [m/s], acceleration [m/s^2], and their covariance.
+    pub state: Gaussian<9>,
+    /// Sides of the bounding box of the last cluster or detection [m].
+    pub extent: [f64; 3],
+    /// Detections that held it.
+    pub n_detections: u32,
+    /// Time since its first detection [s].
+    pub age: f64,
+    /// Time of the last measurement [ns].
+    pub seen_ns: i64,
+    /// Whether it is to be reported.
+    pub confirmed: bool,
+}
+
+/// What a call did to the tracks, by their numbers.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Stats {
+    /// The cloud was older than the newest one: kept for late detections, tracks untouched.
+    pub late: bool,
+    /// Corrected by a cluster.
+    pub corrected: Vec<i64>,
+    /// New.
+    pub born: Vec<i64>,
+    /// Reported from now on.
+    pub confirmed: Vec<i64>,
+    /// Removed.
+    pub removed: Vec<i64>,
+    /// Pairs: the track that stays and the one that went into it.
+    pub merged: Vec<[i64; 2]>,
+    /// Measurements that could not be used because a covariance was not positive definite.
+    pub rejected: usize,
+}
+
+/// Multi-target tracker over point clouds and detections that may come late.
+///
+/// All positions are in one local world frame, near enough to its origin for `f32` points.
+pub struct PointCloudTracker {
+    updater: Updater,
+    buffer: Buffer,
+    tracks: Vec<TrackState>,
+    next_id: i64,
+}
+
+impl PointCloudTracker {
+    /// A tracker without tracks, on `threads` threads.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for values that cannot work.
+    pub fn new(parameters: TrackerParameters, threads: usize) -> Result<Self, Error> {
+        Ok(Self {
+            updater: Updater::new(parameters, threads)?,
+            buffer: Buffer::new(parameters.buffer_size),
+            tracks: Vec::new(),
+            next_id: 0,
+        })
+    }
+
+    /// Move every track to `stamp_ns` and correct it with its cluster among `points` [m].
+    ///
+    /// Points that are not finite are no information. Tracks that are newer than the cloud, because
+    /// a detection was, wait for the next one.
+    ///
+    /// # Errors
+    /// [`Error::Time`] for a stamp that was processed, or older than a full buffer;
+    /// [`Error::Limit`] for too many points. The tracker is unchanged then.
+    ///
+    /// # Source
+    /// Vrba et al., Algorithm 2, lines 8-18.
+    pub fn new_point_cloud(
+        &mut self,
+        points: &[[f32; 3]],
+        occupied: &dyn Occupancy,
+        visibility: Option<&dyn Visibility>,
+        stamp_ns: i64,
+    ) -> Result<Stats, Error> {
+        check_points(points.len())?;
+        let mut stats = Stats { late: self.buffer.is_late(stamp_ns)?, ..Stats::default() };
+        let cloud = Cloud::new(points, stamp_ns)?;
+        if !stats.late {
+            let mut tracks = self.tracks.clone(); // an error must not leave half of them updated
+            let scan = Scan { points: &cloud.points, stamp_ns, occupied };
+            let outcome = self.updater.update(&mut tracks, &scan, visibility)?;
+            stats.corrected = outcome.corrected;
+            stats.rejected = outcome.rejected;
+            stats.removed = life::remove_uncertain(&mut tracks, self.parameters(), stamp_ns);
+            stats.merged = self.merge(&mut tracks);
+            self.tracks = tracks;
+        }
+        self.buffer.push(cloud);
+        Ok(stats)
+    }
+
+    /// Take in a set of detections, an empty one included, that may be older than the clouds.
+    ///
+    /// # Errors
+    /// [`Error::Length`], [`Error::Value`] for an entry that cannot be used, [`Error::Limit`] above
+    /// [`MAX_TRACKS`]. The tracker is unchanged then.
+    ///
+    /// # Source
+    /// Vrba et al., Algorithm 2, lines 19-32.
+    pub fn new_detections(
+        &mut self,
+        detections: &Detections<'_>,
+        occupied: &dyn Occupancy,
+    ) -> Result<Stats, Error> {
+        let fresh = detections.hypotheses(self.parameters())?;
+        let stamp_ns = detections.stamp_ns;
+        let hypotheses = self.updater.replay(fresh, stamp_ns, &self.buffer, occupied)?;
+        let (mut tracks, mut next_id) = (self.tracks.clone(), self.next_id);
+        let known = tracks.len();
+        let matches = self.updater.join(&mut tracks, hypotheses)?;
+        if tracks.len() > MAX_TRACKS {
+            return Err(detections::too_many(tracks.len()));
+        }
+        let stats = Stats {
+            born: life::number(&mut tracks, &mut next_id),
+            confirmed: life::confirm(&mut tracks, &matches.fed, known, self.parameters()),
+            removed: life::remove_unconfirmed(&mut tracks, self.parameters()),
+            merged: self.merge(&mut tracks),
+            rejected: matches.rejected,
+            ..Stats::default()
+        };
+        (self.tracks, self.next_id) = (tracks, next_id);
+        Ok(stats)
+    }
+
+    /// Every track, unconfirmed ones included, predicted to `stamp_ns`, by number. Changes nothing.
+    #[must_use]
+    pub fn tracks_at(&self, stamp_ns: i64) -> Vec<Track> {
+        let noise = &self.parameters().process_noise;
+        self.tracks
+            .iter()
+            .map(|track| Track {
+                id: track.id,
+                stamp_ns,
+                state: track.at(stamp_ns, noise),
+                extent: track.extent,
+                n_detections: track.n_detections,
+                age: seconds(track.born_ns, stamp_ns),
+                seen_ns: track.seen_ns,
+                confirmed: track.confirmed,
+            })
+            .collect()
+    }
+
+    /// Forget all tracks and clouds. Numbers go on where they were.
+    pub fn reset(&mut self) {
+        self.tracks.clear();
+        self.buffer.clear();
+    }
+
+    /// What the tracker was made with.
+    #[must_use]
+    pub fn parameters(&self) -> &TrackerParameters {
+        &self.updater.parameters
+    }
+
+    fn merge(&self, tracks: &mut Vec<TrackState>) -> Vec<[i64; 2]> {
+        self.parameters().merging.map_or_else(Vec::new, |merging| life::merge(tracks, &merging))
+    }
+}

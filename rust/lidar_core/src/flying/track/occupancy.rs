@@ -1,0 +1,106 @@
+//! What the tracker asks of the map and of the scan.
+
+/// Voxels that are at least tentatively occupied: the set O of Algorithm 2.
+pub trait Occupancy: Sync {
+    /// Whether a centre of such a voxel lies within `distance` [m] of `point` [m], borders included.
+    fn any_within(&self, point: [f64; 3], distance: f64) -> bool;
+}
+
+/// What a scan could see.
+pub trait Visibility {
+    /// Whether a target in the ball around `position` [m] should have given returns: it is in the
+    /// field of view and within range, and nothing hides it.
+    fn expected(&self, position: [f64; 3], radius: f64) -> bool;
+}
+
+type Cell = [i32; 3];
+
+/// Centres of occupied voxels as a plain list, sorted into cells.
+#[derive(Debug)]
+pub struct OccupiedPoints {
+    cell_size: f64,
+    entries: Vec<(Cell, [f32; 3])>,
+}
+
+impl OccupiedPoints {
+    /// `distance` [m] is the distance that will be asked for; points that are not finite are
+    /// left out.
+    #[must_use]
+    pub fn new(points: &[[f32; 3]], distance: f64) -> Self {
+        let cell_size = if distance.is_normal() && distance > 0.0 { distance } else { 1.0 };
+        let mut entries: Vec<(Cell, [f32; 3])> = points
+            .iter()
+            .filter(|point| point.iter().all(|value| value.is_finite()))
+            .map(|point| (cell_of(point.map(f64::from), cell_size), *point))
+            .collect();
+        entries.sort_unstable_by_key(|entry| entry.0);
+        Self { cell_size, entries }
+    }
+
+    fn column_has(&self, low: Cell, high: Cell, is_near: &impl Fn(&[f32; 3]) -> bool) -> bool {
+        let start = self.entries.partition_point(|entry| entry.0 < low);
+        self.entries[start..]
+            .iter()
+            .take_while(|entry| entry.0 <= high)
+            .any(|(_, point)| is_near(point))
+    }
+}
+
+impl Occupancy for OccupiedPoints {
+    fn any_within(&self, point: [f64; 3], distance: f64) -> bool {
+        let is_near = |other: &[f32; 3]| {
+            let offset: [f64; 3] = std::array::from_fn(|axis| f64::from(other[axis]) - point[axis]);
+            offset.iter().map(|value| value * value).sum::<f64>() <= distance * distance
+        };
+        let low = cell_of(point.map(|value| value - distance), self.cell_size);
+        let high = cell_of(point.map(|value| value + distance), self.cell_size);
+        let width = |axis: usize| f64::from(high[axis]) - f64::from(low[axis]) + 1.0;
+        if width(0) * width(1) > self.entries.len() as f64 {
+            return self.entries.iter().any(|(_, point)| is_near(point));
+        }
+        (low[0]..=high[0]).any(|x| {
+            (low[1]..=high[1]).any(|y| self.column_has([x, y, low[2]], [x, y, high[2]], &is_near))
+        })
+    }
+}
+
+/// Cell of a point; far away all points share the last cell, which costs time, not correctness.
+pub(super) fn cell_of(point: [f64; 3], cell_size: f64) -> Cell {
+    point.map(|value| (value / cell_size).floor() as i32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn borders_are_included_and_far_points_found() {
+        let points = [[1.0, 0.0, 0.0], [f32::NAN, 0.0, 0.0], [-1e30, 5.0, 0.0]];
+        let occupied = OccupiedPoints::new(&points, 1.0);
+        assert!(occupied.any_within([0.0; 3], 1.0));
+        assert!(!occupied.any_within([0.0; 3], 0.999));
+        assert!(!occupied.any_within([3.0, 3.0, 0.0], 1.0));
+        assert!(occupied.any_within([f64::from(-1e30_f32), 5.5, 0.0], 1.0));
+        assert!(occupied.any_within([4.0, 0.0, 0.0], 100.0));
+        assert!(!OccupiedPoints::new(&[], 1.0).any_within([0.0; 3], 1e9));
+    }
+
+    #[test]
+    fn the_grid_agrees_with_a_full_search() {
+        let mut seed = 1_u32;
+        let mut draw = || {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (f64::from(seed >> 8) / f64::from(1 << 24) - 0.5) * 20.0
+        };
+        let points: Vec<[f32; 3]> =
+            (0..300).map(|_| [draw() as f32, draw() as f32, draw() as f32]).collect();
+        let occupied = OccupiedPoints::new(&points, 0.9);
+        for _ in 0..2000 {
+            let at = [draw(), draw(), draw()];
+            let expected = points.iter().any(|point| {
+                (0..3).map(|axis| (f64::from(point[axis]) - at[axis]).powi(2)).sum::<f64>() <= 0.81
+            });
+            assert_eq!(occupied.any_within(at, 0.9), expected);
+        }
+    }
+}

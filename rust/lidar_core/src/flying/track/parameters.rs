@@ -1,0 +1,172 @@
+//! Parameters of the tracker; `Paper` variants are the algorithm as published.
+
+use crate::Error;
+use crate::geometry::cluster::{self, Clustering};
+
+/// Most tracks, and most detections in one set.
+pub const MAX_TRACKS: usize = 10_000;
+/// Most sets of detections that confirmation looks back on: one bit each.
+pub const MAX_WINDOW: u32 = 64;
+
+/// Unit of the uncertainty radius.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RadiusForm {
+    /// Eq. 26: cube root of the determinant, which is a variance [m^2].
+    Paper,
+    /// Sixth root: the geometric mean of the standard deviations [m].
+    SixthRoot,
+}
+
+/// Radius of the region in which a track looks for its target.
+#[derive(Clone, Copy, Debug)]
+pub struct Radius {
+    /// Root that is taken.
+    pub form: RadiusForm,
+    /// Multiplier c_r.
+    pub scale: f64,
+    /// Never smaller [m].
+    pub min: f64,
+    /// A track beyond it is removed [m].
+    pub max: f64,
+}
+
+/// How the uncertainty of the motion grows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NoiseForm {
+    /// Eq. 31: the same covariance at every step, however long.
+    Paper,
+    /// White noise in continuous time: two short steps equal one long one.
+    Continuous,
+}
+
+/// Noise of position, velocity and acceleration, per axis.
+#[derive(Clone, Copy, Debug)]
+pub struct ProcessNoise {
+    /// What the numbers mean.
+    pub form: NoiseForm,
+    /// Standard deviations: per step [m, m/s, m/s^2], or as roots of densities [the same / sqrt(s)].
+    pub std: [f64; 3],
+}
+
+/// Covariance of a cluster's centroid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MeasurementForm {
+    /// Z^2 I, sec. III-F1.
+    Paper,
+    /// Z^2 I plus the scatter of the cluster's points divided by their number.
+    Cluster,
+}
+
+/// How tracks find their clusters, and detections their tracks.
+#[derive(Clone, Copy, Debug)]
+pub enum Association {
+    /// Algorithm 2: every track takes the nearest centroid, every detection the nearest track.
+    Paper,
+    /// Global nearest neighbour: one to one, gated by Mahalanobis distance.
+    Global {
+        /// Probability that a true pair passes the gate.
+        gate_probability: f64,
+        /// Density of clusters that belong to no track [1/m^3].
+        clutter_density: f64,
+    },
+}
+
+/// A track is reported once `hits` of the last `window` sets of detections held it.
+#[derive(Clone, Copy, Debug)]
+pub struct Confirmation {
+    /// Sets that held the track, >= 1.
+    pub hits: u32,
+    /// Sets looked back on, `hits` to [`MAX_WINDOW`].
+    pub window: u32,
+}
+
+/// Two tracks this close are one target.
+#[derive(Clone, Copy, Debug)]
+pub struct Merging {
+    /// Distance of their positions [m].
+    pub distance: f64,
+    /// Difference of their velocities [m/s].
+    pub speed: f64,
+}
+
+/// When a track that finds no cluster grows old.
+#[derive(Clone, Copy, Debug)]
+pub enum Ageing {
+    /// Always: Algorithm 2, lines 15-17.
+    Paper,
+    /// Only while its region should give returns; the region is then never larger than the
+    /// largest radius.
+    Visible {
+        /// A track without measurement for longer is removed in any case [s].
+        max_coast: f64,
+    },
+}
+
+/// Everything the tracker can be told.
+#[derive(Clone, Copy, Debug)]
+pub struct TrackerParameters {
+    /// Clouds kept for late detections, N_buf.
+    pub buffer_size: usize,
+    /// Clusters inside a track's region.
+    pub clustering: Clustering,
+    /// Clusters with a longer side of their bounding box are no targets [m].
+    pub max_extent: Option<f64>,
+    /// A centroid this close to an occupied voxel's centre is background, d_min [m].
+    pub occupied_distance: f64,
+    /// Uncertainty radius.
+    pub radius: Radius,
+    /// Process noise.
+    pub process_noise: ProcessNoise,
+    /// Standard deviations of a new track: position [m], velocity [m/s], acceleration [m/s^2].
+    pub initial_std: [f64; 3],
+    /// Covariance of centroids.
+    pub measurement: MeasurementForm,
+    /// Z: standard deviation of a centroid, and of a detection beside its own covariance [m].
+    pub measurement_std: f64,
+    /// Association.
+    pub association: Association,
+    /// Confirmation.
+    pub confirmation: Confirmation,
+    /// Merging of duplicates.
+    pub merging: Option<Merging>,
+    /// Ageing.
+    pub ageing: Ageing,
+}
+
+impl TrackerParameters {
+    /// Check what memory safety and termination need.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for the first value outside its range.
+    pub(super) fn check(&self) -> Result<(), Error> {
+        let refuse = |name, expected, got: String| Err(Error::Parameter { name, expected, got });
+        cluster::label(&[], &self.clustering)?;
+        if self.buffer_size == 0 {
+            return refuse("buffer_size", ">= 1", self.buffer_size.to_string());
+        }
+        let Confirmation { hits, window } = self.confirmation;
+        if !(1..=MAX_WINDOW).contains(&window) || !(1..=window).contains(&hits) {
+            return refuse(
+                "confirm_hits",
+                "1 <= confirm_hits <= confirm_window <= 64",
+                format!("{hits} of {window}"),
+            );
+        }
+        let Radius { scale, min, max, .. } = self.radius;
+        for (name, value) in [("radius_scale", scale), ("radius_min", min), ("radius_max", max)] {
+            if !(value.is_finite() && value > 0.0) {
+                return refuse(name, "finite and > 0", value.to_string());
+            }
+        }
+        let extent = self.max_extent.unwrap_or(0.0);
+        if !(extent.is_finite() && extent >= 0.0) {
+            return refuse("max_extent", "finite and >= 0", extent.to_string());
+        }
+        if let Association::Global { clutter_density, .. } = self.association
+            && !(clutter_density.is_finite() && clutter_density > 0.0)
+        {
+            return refuse("clutter_density", "finite and > 0", clutter_density.to_string());
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,108 @@
+//! One track, or one hypothesis on its way to become a track.
+
+use super::candidates::Measurement;
+use super::motion::{self, Matrix9};
+use super::parameters::{ProcessNoise, Radius, TrackerParameters};
+use crate::Error;
+use crate::estimation::kalman::{Gaussian, Linearised, update};
+use nalgebra::{SVector, Vector3};
+
+/// No number yet: it gets one when it joins the tracks.
+pub(super) const UNNUMBERED: i64 = -1;
+
+#[derive(Clone, Debug)]
+pub(super) struct TrackState {
+    pub(super) id: i64,
+    pub(super) estimate: Gaussian<9>,
+    /// The covariance the track would have if time had passed only while it should be visible.
+    pub(super) aged: Matrix9,
+    pub(super) stamp_ns: i64,
+    pub(super) born_ns: i64,
+    /// Time of the last measurement.
+    pub(super) seen_ns: i64,
+    pub(super) extent: [f64; 3],
+    pub(super) n_detections: u32,
+    /// The last sets of detections, newest in the lowest bit: 1 where the track was in it.
+    pub(super) history: u64,
+    pub(super) confirmed: bool,
+}
+
+impl TrackState {
+    /// A track that starts at a detection. Source: Vrba et al., eqs 32-33.
+    pub(super) fn new(
+        detection: &Measurement,
+        stamp_ns: i64,
+        parameters: &TrackerParameters,
+    ) -> Self {
+        let [_, velocity, acceleration] = parameters.initial_std;
+        let mut mean = SVector::<f64, 9>::zeros();
+        mean.fixed_rows_mut::<3>(0).copy_from(&detection.position);
+        let mut covariance = Matrix9::zeros();
+        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&detection.covariance);
+        for axis in 0..3 {
+            covariance[(axis + 3, axis + 3)] = velocity * velocity;
+            covariance[(axis + 6, axis + 6)] = acceleration * acceleration;
+        }
+        Self {
+            id: UNNUMBERED,
+            estimate: Gaussian { mean, covariance },
+            aged: covariance,
+            stamp_ns,
+            born_ns: stamp_ns,
+            seen_ns: stamp_ns,
+            extent: detection.extent,
+            n_detections: 1,
+            history: 1,
+            confirmed: false,
+        }
+    }
+
+    pub(super) fn position(&self) -> Vector3<f64> {
+        self.estimate.mean.fixed_rows::<3>(0).into_owned()
+    }
+
+    pub(super) fn velocity(&self) -> Vector3<f64> {
+        self.estimate.mean.fixed_rows::<3>(3).into_owned()
+    }
+
+    pub(super) fn radius(&self, parameters: &Radius) -> f64 {
+        motion::radius(&self.estimate.covariance, parameters)
+    }
+
+    pub(super) fn at(&self, stamp_ns: i64, noise: &ProcessNoise) -> Gaussian<9> {
+        motion::predict(&self.estimate, seconds(self.stamp_ns, stamp_ns), noise)
+    }
+
+    /// Move to `stamp_ns`.
+    pub(super) fn predict(&mut self, stamp_ns: i64, noise: &ProcessNoise) {
+        self.estimate = self.at(stamp_ns, noise);
+        self.stamp_ns = stamp_ns;
+    }
+
+    /// Let `dt` seconds without a measurement count.
+    pub(super) fn grow_old(&mut self, dt: f64, noise: &ProcessNoise) {
+        self.aged = motion::predict_covariance(&self.aged, dt, noise);
+    }
+
+    /// Correct with a measurement taken at the state's time.
+    ///
+    /// # Errors
+    /// [`Error::NotPositiveDefinite`]; the state is unchanged then.
+    pub(super) fn correct(&mut self, measurement: &Measurement) -> Result<(), Error> {
+        let model = Linearised {
+            y: measurement.position - self.position(),
+            H: motion::position_matrix(),
+            R: measurement.covariance,
+        };
+        self.estimate = update(&self.estimate, &model)?.posterior;
+        self.aged = self.estimate.covariance;
+        self.extent = measurement.extent;
+        self.seen_ns = self.stamp_ns;
+        Ok(())
+    }
+}
+
+/// Seconds from `start_ns` to `end_ns`.
+pub(super) fn seconds(start_ns: i64, end_ns: i64) -> f64 {
+    (i128::from(end_ns) - i128::from(start_ns)) as f64 * 1e-9
+}

@@ -1,0 +1,210 @@
+//! updateTrack of Algorithm 2: prediction, association with clusters, correction.
+
+use super::candidates::{Measurement, candidates};
+use super::motion::position_block;
+use super::occupancy::{Occupancy, Visibility};
+use super::parameters::{Ageing, Association, TrackerParameters};
+use super::select::{Ball, hits};
+use super::state::{TrackState, seconds};
+use crate::Error;
+use crate::estimation::association::{Pair, assign};
+use crate::estimation::{chi2, kalman};
+use nalgebra::{Matrix3, Vector3};
+use rayon::ThreadPool;
+use rayon::prelude::*;
+use std::f64::consts::TAU;
+
+/// What a scan brings.
+#[derive(Clone, Copy)]
+pub(super) struct Scan<'a> {
+    pub(super) points: &'a [[f32; 3]],
+    pub(super) stamp_ns: i64,
+    pub(super) occupied: &'a dyn Occupancy,
+}
+
+/// What an update did.
+#[derive(Debug, Default)]
+pub(super) struct Outcome {
+    pub(super) corrected: Vec<i64>,
+    /// Measurements whose innovation covariance could not be factorised.
+    pub(super) rejected: usize,
+}
+
+/// Where a track looks.
+struct Seeker {
+    position: Vector3<f64>,
+    covariance: Matrix3<f64>,
+    radius: f64,
+}
+
+pub(super) struct Updater {
+    pub(super) parameters: TrackerParameters,
+    /// Largest squared Mahalanobis distance of a pair.
+    gate: f64,
+    /// Cost of a track without a measurement.
+    unassigned: f64,
+    pool: ThreadPool,
+}
+
+impl Updater {
+    pub(super) fn new(parameters: TrackerParameters, threads: usize) -> Result<Self, Error> {
+        parameters.check()?;
+        let (gate, unassigned) = match parameters.association {
+            Association::Paper => (f64::INFINITY, 0.0),
+            Association::Global { gate_probability, clutter_density } => (
+                chi2::quantile(gate_probability, 3)?,
+                // -2 ln of the likelihood of clutter, without what every pair shares
+                -2.0 * libm::log(clutter_density) - 3.0 * libm::log(TAU),
+            ),
+        };
+        Ok(Self { parameters, gate, unassigned, pool: crate::threads::pool(threads)? })
+    }
+
+    /// Bring every track that is older than the scan to its time and correct it with its cluster.
+    pub(super) fn update(
+        &self,
+        tracks: &mut [TrackState],
+        scan: &Scan<'_>,
+        visibility: Option<&dyn Visibility>,
+    ) -> Result<Outcome, Error> {
+        let noise = &self.parameters.process_noise;
+        let mut due: Vec<(f64, &mut TrackState)> = tracks
+            .iter_mut()
+            .filter(|track| track.stamp_ns < scan.stamp_ns)
+            .map(|track| (seconds(track.stamp_ns, scan.stamp_ns), track))
+            .collect();
+        for (_, track) in &mut due {
+            track.predict(scan.stamp_ns, noise);
+        }
+        let seekers: Vec<Seeker> = due.iter().map(|(_, track)| self.seeker(track)).collect();
+        let found = match self.parameters.association {
+            Association::Paper => self.nearest(&seekers, scan)?,
+            Association::Global { .. } => self.one_to_one(&seekers, scan)?,
+        };
+        let mut outcome = Outcome::default();
+        for (((dt, track), seeker), measurement) in due.into_iter().zip(&seekers).zip(found) {
+            match measurement.map(|measurement| track.correct(&measurement)) {
+                Some(Ok(())) => {
+                    outcome.corrected.push(track.id);
+                    continue;
+                }
+                Some(Err(_)) => outcome.rejected += 1,
+                None => {}
+            }
+            if self.should_be_seen(seeker, visibility) {
+                track.grow_old(dt, noise);
+            }
+        }
+        Ok(outcome)
+    }
+
+    /// The bounded uncertainty radius: see [`Ageing`].
+    pub(super) fn search_radius(&self, track: &TrackState) -> f64 {
+        let radius = track.radius(&self.parameters.radius);
+        match self.parameters.ageing {
+            Ageing::Paper => radius,
+            Ageing::Visible { .. } => radius.min(self.parameters.radius.max),
+        }
+    }
+
+    /// Minimise the sum of -2 ln(likelihood) over pairs of rows and columns.
+    ///
+    /// `offset` gives the difference of a pair and its covariance, or None if it is out of reach.
+    pub(super) fn assign(
+        &self,
+        rows: usize,
+        columns: usize,
+        offset: impl Fn(usize, usize) -> Option<(Vector3<f64>, Matrix3<f64>)>,
+    ) -> Result<Vec<Option<usize>>, Error> {
+        let mut pairs = Vec::new();
+        for row in 0..rows {
+            for column in 0..columns {
+                let Some((y, covariance)) = offset(row, column) else { continue };
+                let Ok(distance) = kalman::mahalanobis(&y, &covariance) else { continue };
+                let cost = distance.squared + distance.log_determinant;
+                if distance.squared <= self.gate && cost.is_finite() {
+                    pairs.push(Pair { row, column, cost });
+                }
+            }
+        }
+        assign(rows, columns, &pairs, self.unassigned)
+    }
+
+    fn seeker(&self, track: &TrackState) -> Seeker {
+        Seeker {
+            position: track.position(),
+            covariance: position_block(&track.estimate.covariance),
+            radius: self.search_radius(track),
+        }
+    }
+
+    fn should_be_seen(&self, seeker: &Seeker, visibility: Option<&dyn Visibility>) -> bool {
+        match (self.parameters.ageing, visibility) {
+            (Ageing::Visible { .. }, Some(visibility)) => {
+                visibility.expected(seeker.position.into(), seeker.radius)
+            }
+            _ => true,
+        }
+    }
+
+    /// Source: Vrba et al., Algorithm 2, lines 36-43.
+    fn nearest(
+        &self,
+        seekers: &[Seeker],
+        scan: &Scan<'_>,
+    ) -> Result<Vec<Option<Measurement>>, Error> {
+        let mut regions = vec![Vec::new(); seekers.len()];
+        for (point, ball) in hits(&self.pool, scan.points, &balls(seekers, 0.0)) {
+            regions[ball as usize].push(scan.points[point as usize]);
+        }
+        let occupied = scan.occupied;
+        let found: Vec<Result<Option<Measurement>, Error>> = self.pool.install(|| {
+            regions
+                .par_iter()
+                .zip(seekers)
+                .map(|(points, seeker)| {
+                    let clusters = candidates(points, occupied, &self.parameters)?;
+                    let distance = |one: &Measurement| (one.position - seeker.position).norm();
+                    Ok(clusters
+                        .into_iter()
+                        .min_by(|one, other| distance(one).total_cmp(&distance(other))))
+                })
+                .collect()
+        });
+        found.into_iter().collect()
+    }
+
+    /// Clusters of all regions together, each given to one track at most.
+    fn one_to_one(
+        &self,
+        seekers: &[Seeker],
+        scan: &Scan<'_>,
+    ) -> Result<Vec<Option<Measurement>>, Error> {
+        // Wide enough that no cluster with its centroid in the region is cut.
+        let margin = self.parameters.max_extent.unwrap_or(0.0);
+        let mut chosen: Vec<u32> = hits(&self.pool, scan.points, &balls(seekers, margin))
+            .iter()
+            .map(|hit| hit.0)
+            .collect();
+        chosen.dedup();
+        let points: Vec<[f32; 3]> =
+            chosen.iter().map(|&index| scan.points[index as usize]).collect();
+        let clusters = candidates(&points, scan.occupied, &self.parameters)?;
+        let cluster_of = self.assign(seekers.len(), clusters.len(), |track, cluster| {
+            let (seeker, cluster) = (&seekers[track], &clusters[cluster]);
+            let y = cluster.position - seeker.position;
+            (y.norm() <= seeker.radius).then(|| (y, seeker.covariance + cluster.covariance))
+        })?;
+        Ok(cluster_of
+            .into_iter()
+            .map(|cluster| cluster.map(|cluster| clusters[cluster].clone()))
+            .collect())
+    }
+}
+
+fn balls(seekers: &[Seeker], margin: f64) -> Vec<Ball> {
+    seekers
+        .iter()
+        .map(|seeker| Ball { center: seeker.position.into(), radius: seeker.radius + margin })
+        .collect()
+}
