@@ -1,12 +1,12 @@
 """Hand-written stub of the compiled module, checked by stubtest."""
 
 from os import PathLike
-from typing import Any, Self, final
+from typing import Any, Self, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["VoxelMap", "__version__", "cluster_points", "traverse"]
+__all__ = ["PointCloudTracker", "SimScene", "SimShape", "SimTrajectory", "VoxelMap", "__version__", "cluster_points", "traverse"]
 
 __version__: str
 
@@ -50,3 +50,93 @@ class VoxelMap:
     def origin(self) -> list[float]: ...
     def parameters(self) -> dict[str, Any]: ...
     def size(self) -> tuple[int, int, int]: ...
+@final
+class SimShape:
+    @staticmethod
+    def plane(size: tuple[float, float]) -> SimShape: ...
+    @staticmethod
+    def cuboid(size: tuple[float, float, float]) -> SimShape: ...
+    @staticmethod
+    def cylinder(radius: float, height: float) -> SimShape: ...
+    @staticmethod
+    def sphere(radius: float) -> SimShape: ...
+    @staticmethod
+    def mesh(vertices: NDArray[np.float64], faces: NDArray[np.uint32]) -> SimShape: ...
+    @staticmethod
+    def height_field(heights: NDArray[np.float64], cell: float) -> SimShape: ...
+    @property
+    def radius(self) -> float: ...
+@final
+class SimTrajectory:
+    def __new__(cls, stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> Self: ...
+    def poses_at(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]: ...
+    def velocities_at(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]: ...
+@final
+class SimScene:
+    def __new__(
+        cls,
+        bodies: list[tuple[SimShape, NDArray[np.float64], int]],
+        movers: list[tuple[SimShape, SimTrajectory, int]],
+        *,
+        threads: int,
+    ) -> Self: ...
+    def scan(
+        self, lidar: object, sensor: SimTrajectory, *, start_ns: int, scan: int, seed: int
+    ) -> tuple[
+        NDArray[np.float32],
+        NDArray[np.float32],
+        NDArray[np.bool_],
+        NDArray[np.int32],
+        NDArray[np.int64],
+        NDArray[np.uint32],
+    ]: ...
+    def cast(
+        self,
+        origins: NDArray[np.float64],
+        directions: NDArray[np.float64],
+        range_max: float,
+    ) -> tuple[NDArray[np.float64], NDArray[np.int32]]: ...
+    def clearance(self, points: NDArray[np.float64], limit: float) -> NDArray[np.float64]: ...
+    def random_motion(
+        self,
+        config: object,
+        sensor: SimTrajectory,
+        *,
+        apart: list[tuple[SimTrajectory, float]],
+        start_ns: int,
+        end_ns: int,
+        seed: int,
+        stream: int,
+    ) -> SimTrajectory: ...
+
+_Numbers: TypeAlias = NDArray[np.int64]
+_TrackEventArrays: TypeAlias = tuple[
+    bool, _Numbers, _Numbers, _Numbers, _Numbers, NDArray[np.int64], int
+]
+_TrackArrays: TypeAlias = tuple[
+    _Numbers,
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    _Numbers,
+    NDArray[np.float64],
+    NDArray[np.bool_],
+]
+
+@final
+class PointCloudTracker:
+    def __new__(cls, config: object, *, threads: int) -> Self: ...
+    def new_point_cloud(
+        self, points: NDArray[np.float32], occupied: NDArray[np.float32], stamp_ns: int
+    ) -> _TrackEventArrays: ...
+    def new_detections(
+        self,
+        positions: NDArray[np.float64],
+        occupied: NDArray[np.float32],
+        stamp_ns: int,
+        *,
+        covariance: NDArray[np.float64] | None,
+        extent: NDArray[np.float64] | None,
+    ) -> _TrackEventArrays: ...
+    def tracks_at(self, stamp_ns: int) -> _TrackArrays: ...
+    def reset(self) -> None: ...

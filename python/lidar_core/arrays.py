@@ -1,5 +1,6 @@
 """Array aliases and the only public door for arrays: what passes here, the core can read."""
 
+from operator import index
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -81,6 +82,19 @@ def as_vector(values: ArrayLike, *, name: str, size: int) -> NDArray[np.float64]
     if not np.isfinite(vector).all():
         raise InputError(f"{name}: expected finite values, got {vector.tolist()}")
     return vector
+
+
+def as_stamp(stamp_ns: int, *, name: str = "stamp_ns") -> int:
+    """A time as an int64 count of nanoseconds."""
+    try:
+        stamp = index(stamp_ns)
+    except TypeError as error:
+        raise InputError(
+            f"{name}: expected an integer [ns], got {type(stamp_ns).__name__}"
+        ) from error
+    if not -(2**63) <= stamp < 2**63:
+        raise InputError(f"{name}: expected an int64 count of nanoseconds, got {stamp}")
+    return stamp
 
 
 def as_real(values: ArrayLike, *, name: str) -> NDArray[Any]:

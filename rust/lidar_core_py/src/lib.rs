@@ -4,12 +4,18 @@ mod arrays;
 mod errors;
 mod geometry;
 mod guard;
+mod sim;
+mod tracker;
 mod voxel_map;
 
 #[pyo3::pymodule]
 mod _core {
     #[pymodule_export]
     use super::geometry::{cluster_points, traverse};
+    #[pymodule_export]
+    use super::sim::{SimScene, SimShape, SimTrajectory};
+    #[pymodule_export]
+    use super::tracker::PyPointCloudTracker;
     #[pymodule_export]
     use super::voxel_map::PyVoxelMap;
 

@@ -1,0 +1,202 @@
+"""The multi-target tracker by itself: point clouds and detections in, tracks out."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidar_core import _core
+from lidar_core.arrays import Points, as_points, as_real, as_rows, as_stamp
+from lidar_core.flying.results import TrackEvents, Tracks
+from lidar_core.flying.tracker_config import TrackerConfig
+
+
+class PointCloudTracker:
+    """Tracks of flying objects, fed by point clouds and by detections that may come late.
+
+    Every cloud moves all tracks to its time and corrects them with the clusters near them. Every
+    detection starts a hypothesis that is brought to the present over the buffered clouds and
+    joins a track or becomes one. Coordinates may lie far from the world's origin: inside, they
+    are relative to the first point that came.
+
+    Parameters
+    ----------
+    config : TrackerConfig
+        `TrackerConfig()` is best mode, `TrackerConfig.paper()` Algorithm 2 with Table II.
+    threads : int
+        Threads used, >= 1; results do not depend on it.
+
+    Raises
+    ------
+    ConfigError
+        A parameter is outside its range.
+
+    Notes
+    -----
+    Source: Vrba et al., sec. III-F and Algorithm 2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> tracker = PointCloudTracker(TrackerConfig(confirm_hits=1, confirm_window=1))
+    >>> for k in range(20):
+    ...     target = np.array([[0.3 * k, 0.0, 5.0]])
+    ...     _ = tracker.new_point_cloud(target, np.empty((0, 3)), k * 100_000_000)
+    ...     _ = tracker.new_detections(target, k * 100_000_000)
+    >>> tracks = tracker.tracks_at(2_000_000_000)
+    >>> tracks.id.tolist(), tracks.position.round(1).tolist(), tracks.velocity.round().tolist()
+    ([0], [[6.0, 0.0, 5.0]], [[3.0, 0.0, 0.0]])
+    """
+
+    def __init__(self, config: TrackerConfig | None = None, *, threads: int = 1) -> None:
+        self.config = config if config is not None else TrackerConfig()
+        self._tracker = _core.PointCloudTracker(self.config, threads=threads)
+        self._origin: NDArray[np.float64] | None = None
+        self._occupied = np.empty((0, 3), np.float32)
+
+    def new_point_cloud(
+        self, points_world: ArrayLike, occupied_world: ArrayLike, stamp_ns: int
+    ) -> TrackEvents:
+        """Move every track to the cloud's time and correct it with its cluster.
+
+        A cloud older than the newest one is kept for detections that come even later.
+
+        Parameters
+        ----------
+        points_world : array_like, shape (N, 3) or (H, W, 3)
+            The whole scan [m], world frame; entries that are not finite are no information.
+        occupied_world : array_like, shape (V, 3)
+            Centres of voxels that are at least tentatively occupied [m], world frame. They
+            serve the detections of this time, too.
+        stamp_ns : int
+            Time of the scan [ns].
+
+        Returns
+        -------
+        TrackEvents
+
+        Raises
+        ------
+        InputError
+            Wrong shape or dtype; a stamp that was processed, or older than the whole buffer.
+            The tracker is unchanged.
+
+        Notes
+        -----
+        Source: Vrba et al., Algorithm 2, lines 8-18.
+        """
+        stamp = as_stamp(stamp_ns)
+        origin = self._origin if self._origin is not None else first_finite(points_world)
+        points = local(points_world, origin, name="points_world")
+        occupied = local(occupied_world, origin, name="occupied_world")
+        events = self._tracker.new_point_cloud(points, occupied, stamp)
+        self._origin = origin
+        self._occupied = occupied
+        return TrackEvents(*events)
+
+    def new_detections(
+        self,
+        positions: ArrayLike,
+        stamp_ns: int,
+        *,
+        covariance: ArrayLike | None = None,
+        extent: ArrayLike | None = None,
+    ) -> TrackEvents:
+        """Take in a set of detections, which may be older than the clouds.
+
+        Hand over empty sets as well: confirmation counts sets.
+
+        Parameters
+        ----------
+        positions : array_like, shape (M, 3)
+            Positions [m], world frame, finite.
+        stamp_ns : int
+            Time the detections describe [ns].
+        covariance : array_like, shape (M, 3, 3), optional
+            Their covariances [m^2]; without it, `config.initial_position` holds.
+        extent : array_like, shape (M, 3), optional
+            Sides of their bounding boxes [m].
+
+        Returns
+        -------
+        TrackEvents
+
+        Raises
+        ------
+        InputError
+            Wrong shape or dtype, an entry that is not finite, or a matrix that is no
+            covariance. The tracker is unchanged.
+
+        Notes
+        -----
+        Source: Vrba et al., Algorithm 2, lines 19-32.
+        """
+        stamp = as_stamp(stamp_ns)
+        rows = as_rows(positions, name="positions", rows=None, shape=(3,), dtype=np.float64)
+        origin = self._origin if self._origin is not None else first_finite(rows)
+        events = self._tracker.new_detections(
+            rows if origin is None else rows - origin,
+            self._occupied,
+            stamp,
+            covariance=_optional(covariance, "covariance", len(rows), (3, 3)),
+            extent=_optional(extent, "extent", len(rows), (3,)),
+        )
+        self._origin = origin
+        return TrackEvents(*events)
+
+    def tracks_at(self, stamp_ns: int) -> Tracks:
+        """Confirmed tracks, predicted to any time; nothing changes."""
+        stamp = as_stamp(stamp_ns)
+        return tracks_from(self._tracker.tracks_at(stamp), stamp, self._origin)
+
+    def reset(self) -> None:
+        """Forget all tracks and clouds; numbers are still not reused."""
+        self._tracker.reset()
+        self._origin = None
+        self._occupied = np.empty((0, 3), np.float32)
+
+
+def tracks_from(
+    arrays: tuple[NDArray[Any], ...], stamp_ns: int, origin: NDArray[np.float64] | None
+) -> Tracks:
+    """Confirmed tracks of the core, moved back to the world's origin."""
+    number, mean, covariance, extent, n_detections, age, confirmed = arrays
+    mean = mean[confirmed]
+    position = mean[:, 0:3] if origin is None else mean[:, 0:3] + origin
+    return Tracks(
+        id=number[confirmed],
+        position=position,
+        velocity=mean[:, 3:6],
+        acceleration=mean[:, 6:9],
+        covariance=covariance[confirmed],
+        extent=extent[confirmed],
+        n_detections=n_detections[confirmed],
+        age=age[confirmed],
+        stamp_ns=stamp_ns,
+    )
+
+
+def first_finite(points: ArrayLike) -> NDArray[np.float64] | None:
+    """The first point without NaN or infinity, in whole metres."""
+    array = as_real(points, name="points")
+    if array.ndim not in (2, 3) or array.shape[-1] != 3:
+        return None
+    rows = array.reshape(-1, 3)
+    finite = np.isfinite(rows).all(axis=1)
+    return np.round(rows[np.argmax(finite)].astype(np.float64)) if finite.any() else None
+
+
+def local(points: ArrayLike, origin: NDArray[np.float64] | None, *, name: str) -> Points:
+    """Points relative to `origin`, subtracted before float64 becomes float32."""
+    array = as_real(points, name=name)
+    if origin is not None and array.shape[-1:] == (3,):
+        array = array.astype(np.float64) - origin
+    return as_points(array, name=name)
+
+
+def _optional(
+    values: ArrayLike | None, name: str, rows: int, shape: tuple[int, ...]
+) -> NDArray[np.float64] | None:
+    if values is None:
+        return None
+    return as_rows(values, name=name, rows=rows, shape=shape, dtype=np.float64)

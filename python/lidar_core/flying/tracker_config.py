@@ -1,0 +1,173 @@
+"""Configuration of the multi-target tracker: the only source of its defaults and ranges."""
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from lidar_core.config import Config
+
+
+class TrackerConfig(Config):
+    """Tracks of flying objects over point clouds and detections that may come late.
+
+    `TrackerConfig()` is what works best; `TrackerConfig.paper()` is the algorithm as published.
+
+    Source: Vrba et al., sec. III-F and Algorithm 2; paper's values: Table II.
+    """
+
+    buffer_size: int = Field(
+        10, ge=1, le=1000, description="Clouds kept for late detections, N_buf (count, no unit)."
+    )
+    cluster_distance: float = Field(
+        0.5, gt=0, description="Largest gap inside a cluster [m]; paper: d_cluster, 0.25 m."
+    )
+    cluster_min_points: int = Field(
+        1, ge=1, description="Smaller clusters are no targets (count, no unit)."
+    )
+    cluster_max_points: int | None = Field(
+        None, ge=1, description="Larger clusters are no targets (count, no unit); none: no limit."
+    )
+    max_extent: float | None = Field(
+        2.0,
+        ge=0,
+        description="Clusters with a longer side of their bounding box are no targets [m];"
+        " none, as in the paper: no limit.",
+    )
+    occupied_distance: float = Field(
+        0.7,
+        ge=0,
+        description="A centroid this close to an occupied voxel's centre is background, d_min [m];"
+        " the paper gives no value, its mode takes 1.0 m.",
+    )
+    radius: Literal["paper", "sixth-root"] = Field(
+        "sixth-root",
+        description="Root of the determinant in the uncertainty radius: cube root, eq. 26, or sixth"
+        " root, which gives a length (no unit).",
+    )
+    radius_scale: float = Field(
+        1.22, gt=0, description="Multiplier of the uncertainty radius, c_r (no unit); paper: 0.5."
+    )
+    radius_min: float = Field(1.5, gt=0, description="Smallest uncertainty radius, r_min [m].")
+    radius_max: float = Field(
+        3.0, gt=0, description="Tracks with a larger uncertainty radius are removed, r_max [m]."
+    )
+    process_noise: Literal["paper", "continuous"] = Field(
+        "continuous",
+        description="Growth of uncertainty: the same at every step, eq. 31, or white noise in"
+        " continuous time (no unit).",
+    )
+    process_position: float = Field(
+        0.0,
+        ge=0,
+        description="Noise of the position, Xi_r: per step [m], or root of a density [m/s^0.5];"
+        " paper: 0.5 m.",
+    )
+    process_velocity: float = Field(
+        0.1,
+        ge=0,
+        description="Noise of the velocity, Xi_v: per step [m/s], or root of a density [m/s^1.5];"
+        " paper: 0.5 m/s.",
+    )
+    process_acceleration: float = Field(
+        3.0,
+        ge=0,
+        description="Noise of the acceleration, Xi_a: per step [m/s^2], or root of a density"
+        " [m/s^2.5]; paper: 0.1 m/s^2.",
+    )
+    initial_position: float = Field(
+        0.3,
+        gt=0,
+        description="Standard deviation of a new track's position where the detection has no"
+        " covariance, P_0,r [m]; paper: 0.5 m.",
+    )
+    initial_velocity: float = Field(
+        4.0, gt=0, description="Same of the velocity, P_0,v [m/s]; paper: 3 m/s."
+    )
+    initial_acceleration: float = Field(
+        3.0, gt=0, description="Same of the acceleration, P_0,a [m/s^2]; paper: 3 m/s^2."
+    )
+    measurement: Literal["paper", "cluster"] = Field(
+        "cluster",
+        description="Covariance of a centroid: Z^2 I, or that plus the scatter of the cluster's"
+        " points divided by their number (no unit).",
+    )
+    measurement_std: float = Field(
+        0.1, gt=0, description="Standard deviation of a centroid, Z [m]; paper: 1 m."
+    )
+    association: Literal["paper", "global"] = Field(
+        "global",
+        description="Who gets a cluster: every track the nearest one, Algorithm 2, or global"
+        " nearest neighbour, one to one and gated (no unit).",
+    )
+    gate_probability: float = Field(
+        0.997,
+        gt=0,
+        lt=1,
+        description="Probability that a target passes the gate of its own track (no unit); global"
+        " association.",
+    )
+    clutter_density: float = Field(
+        1e-5,
+        gt=0,
+        description="Density of clusters that belong to no track [1/m^3]; global association.",
+    )
+    confirm_hits: int = Field(
+        3,
+        ge=1,
+        le=64,
+        description="A track is reported once so many of the last `confirm_window` sets of"
+        " detections held it (count, no unit); paper: 1.",
+    )
+    confirm_window: int = Field(
+        10, ge=1, le=64, description="Sets of detections looked back on (count, no unit)."
+    )
+    merge_distance: float | None = Field(
+        0.3, ge=0, description="Tracks this close are one target [m]; none, as in the paper: never."
+    )
+    merge_speed: float = Field(
+        1.0, ge=0, description="Tracks whose velocities differ by more are two targets [m/s]."
+    )
+    ageing: Literal["paper", "visible"] = Field(
+        "visible",
+        description="When a track without a cluster grows towards removal: always, Algorithm 2, or"
+        " only while its region should give returns (no unit).",
+    )
+    max_coast: float = Field(
+        3.0,
+        gt=0,
+        description="A track without measurement for longer is removed in any case [s]; ageing"
+        " `visible`.",
+    )
+
+    @model_validator(mode="after")
+    def _values_fit_together(self) -> Self:
+        if self.radius_min > self.radius_max:
+            raise ValueError("expected radius_min <= radius_max")
+        if self.confirm_hits > self.confirm_window:
+            raise ValueError("expected confirm_hits <= confirm_window")
+        return self
+
+    @classmethod
+    def paper(cls) -> Self:
+        """The algorithm as published, with the values of Table II."""
+        return cls(
+            cluster_distance=0.25,
+            max_extent=None,
+            occupied_distance=1.0,
+            radius="paper",
+            radius_scale=0.5,
+            process_noise="paper",
+            process_position=0.5,
+            process_velocity=0.5,
+            process_acceleration=0.1,
+            initial_position=0.5,
+            initial_velocity=3.0,
+            initial_acceleration=3.0,
+            measurement="paper",
+            measurement_std=1.0,
+            association="paper",
+            confirm_hits=1,
+            confirm_window=1,
+            merge_distance=None,
+            ageing="paper",
+        )

@@ -1,0 +1,252 @@
+//! Bindings of `lidar_core::flying::track`.
+
+use crate::arrays::{self, Rows3};
+use crate::errors::BorderError;
+use crate::guard::{Guarded, detached};
+use lidar_core::Error;
+use lidar_core::flying::track::{
+    Ageing, Association, Confirmation, Detections, MeasurementForm, Merging, NoiseForm,
+    OccupiedPoints, PointCloudTracker, ProcessNoise, Radius, RadiusForm, Stats, Track,
+    TrackerParameters,
+};
+use lidar_core::geometry::cluster::Clustering;
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
+use numpy::{PyReadonlyArray2, PyReadonlyArray3};
+use pyo3::prelude::*;
+
+/// The fields of `TrackerConfig`.
+#[derive(FromPyObject)]
+pub(crate) struct TrackerConfig {
+    buffer_size: usize,
+    cluster_distance: f64,
+    cluster_min_points: usize,
+    cluster_max_points: Option<usize>,
+    max_extent: Option<f64>,
+    occupied_distance: f64,
+    radius: String,
+    radius_scale: f64,
+    radius_min: f64,
+    radius_max: f64,
+    process_noise: String,
+    process_position: f64,
+    process_velocity: f64,
+    process_acceleration: f64,
+    initial_position: f64,
+    initial_velocity: f64,
+    initial_acceleration: f64,
+    measurement: String,
+    measurement_std: f64,
+    association: String,
+    gate_probability: f64,
+    clutter_density: f64,
+    confirm_hits: u32,
+    confirm_window: u32,
+    merge_distance: Option<f64>,
+    merge_speed: f64,
+    ageing: String,
+    max_coast: f64,
+}
+
+const RADIUS_FORMS: [(&str, RadiusForm); 2] =
+    [("paper", RadiusForm::Paper), ("sixth-root", RadiusForm::SixthRoot)];
+const NOISE_FORMS: [(&str, NoiseForm); 2] =
+    [("paper", NoiseForm::Paper), ("continuous", NoiseForm::Continuous)];
+const MEASUREMENT_FORMS: [(&str, MeasurementForm); 2] =
+    [("paper", MeasurementForm::Paper), ("cluster", MeasurementForm::Cluster)];
+
+impl TrackerConfig {
+    pub(crate) fn parameters(self) -> Result<TrackerParameters, Error> {
+        let association = [
+            ("paper", Association::Paper),
+            (
+                "global",
+                Association::Global {
+                    gate_probability: self.gate_probability,
+                    clutter_density: self.clutter_density,
+                },
+            ),
+        ];
+        let ageing = [
+            ("paper", Ageing::Paper),
+            ("visible", Ageing::Visible { max_coast: self.max_coast }),
+        ];
+        Ok(TrackerParameters {
+            buffer_size: self.buffer_size,
+            clustering: Clustering {
+                max_distance: self.cluster_distance,
+                min_points: self.cluster_min_points,
+                max_points: self.cluster_max_points,
+            },
+            max_extent: self.max_extent,
+            occupied_distance: self.occupied_distance,
+            radius: Radius {
+                form: arrays::choice("radius", &self.radius, &RADIUS_FORMS)?,
+                scale: self.radius_scale,
+                min: self.radius_min,
+                max: self.radius_max,
+            },
+            process_noise: ProcessNoise {
+                form: arrays::choice("process_noise", &self.process_noise, &NOISE_FORMS)?,
+                std: [self.process_position, self.process_velocity, self.process_acceleration],
+            },
+            initial_std: [
+                self.initial_position,
+                self.initial_velocity,
+                self.initial_acceleration,
+            ],
+            measurement: arrays::choice("measurement", &self.measurement, &MEASUREMENT_FORMS)?,
+            measurement_std: self.measurement_std,
+            association: arrays::choice("association", &self.association, &association)?,
+            confirmation: Confirmation { hits: self.confirm_hits, window: self.confirm_window },
+            merging: self
+                .merge_distance
+                .map(|distance| Merging { distance, speed: self.merge_speed }),
+            ageing: arrays::choice("ageing", &self.ageing, &ageing)?,
+        })
+    }
+}
+
+type Numbers<'py> = Bound<'py, PyArray1<i64>>;
+
+/// Whether the cloud was late; numbers of tracks corrected, born, confirmed, removed; pairs
+/// merged; measurements rejected.
+type Events<'py> = (
+    bool,
+    Numbers<'py>,
+    Numbers<'py>,
+    Numbers<'py>,
+    Numbers<'py>,
+    Bound<'py, PyArray2<i64>>,
+    usize,
+);
+
+/// Number, mean (T, 9), covariance (T, 9, 9), extent (T, 3), detections, age, confirmed.
+pub(crate) type TrackArrays<'py> = (
+    Numbers<'py>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Rows3<'py, f64>,
+    Numbers<'py>,
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<bool>>,
+);
+
+#[pyclass(frozen, name = "PointCloudTracker", module = "lidar_core._core")]
+pub(crate) struct PyPointCloudTracker(Guarded<PointCloudTracker>);
+
+#[pymethods]
+impl PyPointCloudTracker {
+    #[new]
+    #[pyo3(signature = (config, *, threads))]
+    fn new(py: Python<'_>, config: TrackerConfig, threads: i64) -> Result<Self, BorderError> {
+        let threads = arrays::count("threads", threads)?;
+        let tracker = detached(py, || PointCloudTracker::new(config.parameters()?, threads))?;
+        Ok(Self(Guarded::new(tracker)))
+    }
+
+    fn new_point_cloud<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'py, f32>,
+        occupied: PyReadonlyArray2<'py, f32>,
+        stamp_ns: i64,
+    ) -> Result<Events<'py>, BorderError> {
+        let points = arrays::rows3("points", &points)?;
+        let occupied = arrays::rows3("occupied", &occupied)?;
+        let stats = self.0.with(py, |tracker| {
+            let occupied = OccupiedPoints::new(occupied, tracker.parameters().occupied_distance);
+            tracker.new_point_cloud(points, &occupied, None, stamp_ns)
+        })?;
+        events(py, stats)
+    }
+
+    #[pyo3(signature = (positions, occupied, stamp_ns, *, covariance, extent))]
+    fn new_detections<'py>(
+        &self,
+        py: Python<'py>,
+        positions: PyReadonlyArray2<'py, f64>,
+        occupied: PyReadonlyArray2<'py, f32>,
+        stamp_ns: i64,
+        covariance: Option<PyReadonlyArray3<'py, f64>>,
+        extent: Option<PyReadonlyArray2<'py, f64>>,
+    ) -> Result<Events<'py>, BorderError> {
+        let covariance = covariance.as_ref().map(covariances).transpose()?;
+        let detections = Detections {
+            stamp_ns,
+            positions: arrays::rows3("positions", &positions)?,
+            covariance,
+            extent: arrays::maybe_rows3("extent", &extent)?,
+        };
+        let occupied = arrays::rows3("occupied", &occupied)?;
+        let stats = self.0.with(py, |tracker| {
+            let occupied = OccupiedPoints::new(occupied, tracker.parameters().occupied_distance);
+            tracker.new_detections(&detections, &occupied)
+        })?;
+        events(py, stats)
+    }
+
+    fn tracks_at<'py>(
+        &self,
+        py: Python<'py>,
+        stamp_ns: i64,
+    ) -> Result<TrackArrays<'py>, BorderError> {
+        track_arrays(py, self.0.with(py, |tracker| Ok(tracker.tracks_at(stamp_ns)))?)
+    }
+
+    fn reset(&self, py: Python<'_>) -> Result<(), BorderError> {
+        self.0.with(py, |tracker| {
+            tracker.reset();
+            Ok(())
+        })
+    }
+}
+
+fn covariances<'a>(
+    array: &'a PyReadonlyArray3<'_, f64>,
+) -> Result<&'a [[[f64; 3]; 3]], BorderError> {
+    use numpy::PyUntypedArrayMethods;
+    if array.shape()[1..] != [3, 3] {
+        return Err(BorderError::Shape {
+            name: "covariance",
+            expected: "(M, 3, 3)",
+            got: array.shape().to_vec(),
+        });
+    }
+    Ok(arrays::flat("covariance", array)?.as_chunks::<3>().0.as_chunks::<3>().0)
+}
+
+fn events(py: Python<'_>, stats: Stats) -> Result<Events<'_>, BorderError> {
+    let pairs = stats.merged.len();
+    Ok((
+        stats.late,
+        stats.corrected.into_pyarray(py),
+        stats.born.into_pyarray(py),
+        stats.confirmed.into_pyarray(py),
+        stats.removed.into_pyarray(py),
+        stats.merged.into_flattened().into_pyarray(py).reshape([pairs, 2])?,
+        stats.rejected,
+    ))
+}
+
+/// Tracks as arrays, one row each.
+pub(crate) fn track_arrays(
+    py: Python<'_>,
+    tracks: Vec<Track>,
+) -> Result<TrackArrays<'_>, BorderError> {
+    let count = tracks.len();
+    let column = |value: fn(&Track) -> i64| tracks.iter().map(value).collect::<Vec<i64>>();
+    let means: Vec<f64> = tracks.iter().flat_map(|track| track.state.mean.data.0[0]).collect();
+    let covariances: Vec<f64> = tracks
+        .iter()
+        .flat_map(|track| track.state.covariance.data.0.into_iter().flatten()) // symmetric
+        .collect();
+    Ok((
+        column(|track| track.id).into_pyarray(py),
+        means.into_pyarray(py).reshape([count, 9])?,
+        covariances.into_pyarray(py).reshape([count, 9, 9])?,
+        arrays::rows_into(py, tracks.iter().map(|track| track.extent).collect())?,
+        column(|track| i64::from(track.n_detections)).into_pyarray(py),
+        tracks.iter().map(|track| track.age).collect::<Vec<f64>>().into_pyarray(py),
+        tracks.iter().map(|track| track.confirmed).collect::<Vec<bool>>().into_pyarray(py),
+    ))
+}
