@@ -16,9 +16,10 @@ const SAMPLES: usize = 10;
 const KNOTS: usize = 25;
 /// Proposals for one control point, the first half of which must be in the sensor's view.
 const PROPOSALS: usize = 32;
-/// Control points tried from one start, per point needed, and starts tried.
+/// Starts tried, walks tried from starts that are free, proposals per control point of a walk.
+const STARTS: usize = 4096;
+const WALKS: usize = 64;
 const EFFORT: usize = 64;
-const STARTS: usize = 64;
 
 /// Stay where a sensor sees it.
 #[derive(Clone, Copy, Debug)]
@@ -65,10 +66,16 @@ impl RandomMotion<'_> {
         let seconds = self.span_ns.1.abs_diff(self.span_ns.0) as f64 * 1e-9;
         let points = (seconds / STEP).ceil() as usize + 3;
         let mut numbers = Stream::new(self.seed.0, Purpose::Motion, self.seed.1);
-        for _ in 0..STARTS {
-            let Some(start) = self.start(scene, &mut numbers) else { continue };
+        let mut walks = 0;
+        for attempt in 0..STARTS {
+            let in_view = attempt < STARTS / 2;
+            let Some(start) = self.start(scene, &mut numbers, in_view) else { continue };
             if let Some(found) = self.walk(scene, &mut numbers, start, points) {
                 return self.curve(&found);
+            }
+            walks += 1;
+            if walks == WALKS {
+                break;
             }
         }
         let expected = "a box with room for a motion that keeps clear of everything";
@@ -98,14 +105,16 @@ impl RandomMotion<'_> {
     }
 
     /// Three control points on a line: a motion at constant velocity.
-    fn start(&self, scene: &Scene, numbers: &mut Stream) -> Option<Vec<[f64; 3]>> {
+    fn start(&self, scene: &Scene, numbers: &mut Stream, in_view: bool) -> Option<Vec<[f64; 3]>> {
         let share = numbers.uniforms();
         let Bounds { min, max } = self.bounds;
         let first = std::array::from_fn(|axis| min[axis] + share[axis] * (max[axis] - min[axis]));
         let step = numbers.direction().map(|part| part * share[3] * self.speed_max * STEP);
         let points = vec![first, sum(first, step), sum(first, sum(step, step))];
+        let seconds = self.span_ns.0 as f64 * 1e-9;
         let free = points.iter().all(|&point| self.holds(point))
-            && self.is_free(scene, points[1], self.span_ns.0 as f64 * 1e-9);
+            && self.is_free(scene, points[1], seconds)
+            && (!in_view || self.is_in_view(scene, points[1], seconds));
         free.then_some(points)
     }
 

@@ -1,0 +1,39 @@
+"""Simulated LiDAR scans with the truth about them: scenes, sensors, motions, targets."""
+
+from lidar_core.sim import scenes
+from lidar_core.sim.config import Body, Scene, Target
+from lidar_core.sim.lidar import LidarModel, Rosette, Spinning
+from lidar_core.sim.meshes import hexacopter_mesh, sphere_mesh
+from lidar_core.sim.motions import Circle, Hover, Loop, RandomMotion, TakeOff, Waypoints
+from lidar_core.sim.shapes import Box, Cylinder, HeightField, Hexacopter, Mesh, Plane, Sphere, Tree
+from lidar_core.sim.simulator import SimulatedScan, Simulator, TargetTruth, simulate
+
+__all__ = [
+    "Body",
+    "Box",
+    "Circle",
+    "Cylinder",
+    "HeightField",
+    "Hexacopter",
+    "Hover",
+    "LidarModel",
+    "Loop",
+    "Mesh",
+    "Plane",
+    "RandomMotion",
+    "Rosette",
+    "Scene",
+    "SimulatedScan",
+    "Simulator",
+    "Sphere",
+    "Spinning",
+    "TakeOff",
+    "Target",
+    "TargetTruth",
+    "Tree",
+    "Waypoints",
+    "hexacopter_mesh",
+    "scenes",
+    "simulate",
+    "sphere_mesh",
+]

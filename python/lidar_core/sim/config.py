@@ -1,0 +1,52 @@
+"""A scene: what stands, what moves, what looks; read from TOML."""
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from lidar_core.config import Config
+from lidar_core.sim.lidar import LidarModel
+from lidar_core.sim.motions import Hover, Motion, Scripted
+from lidar_core.sim.shapes import Shape, Solid
+from lidar_core.sim.types import Quaternion, Vector
+
+
+class Body(Config):
+    """A shape at rest. Its place in the list of bodies is its label in the truth."""
+
+    shape: Shape = Field(description="Surface (see the kinds for units).")
+    position: Vector = Field((0, 0, 0), description="Origin of the shape's frame [m].")
+    rotation: Quaternion = Field((0, 0, 0, 1), description="Attitude (x, y, z, w) (no unit).")
+
+
+class Target(Config):
+    """A shape on its way. Its label in the truth: number of bodies + its place in the list."""
+
+    shape: Solid = Field(description="Surface (see the kinds for units).")
+    motion: Motion = Field(description="Way (see the kinds for units).")
+
+
+class Scene(Config):
+    """A world, a sensor in it, and how long it looks."""
+
+    bodies: tuple[Body, ...] = Field((), description="What stands (see there for units).")
+    targets: tuple[Target, ...] = Field((), description="What moves (see there for units).")
+    lidar: LidarModel = Field(
+        default_factory=lambda: LidarModel.preset("os1-128"),
+        description="The sensor (see there for units).",
+    )
+    sensor: Scripted = Field(
+        Hover(position=(0.0, 0.0, 3.0)), description="Its way (see the kinds for units)."
+    )
+    scans: int = Field(60, ge=1, le=1_000_000, description="Length of the recording [scans].")
+    start_ns: int = Field(0, ge=0, le=2**62, description="Start of the first scan [ns].")
+    pose_rate: float = Field(100.0, gt=0, le=10_000, description="Poses per second [Hz].")
+
+    @model_validator(mode="after")
+    def _random_motions_need_room(self) -> Self:
+        for index, target in enumerate(self.targets):
+            if target.motion.kind == "random":
+                low, high = target.motion.box_min, target.motion.box_max
+                if any(a > b for a, b in zip(low, high, strict=True)):
+                    raise ValueError(f"targets.{index}.motion: expected box_min <= box_max")
+        return self

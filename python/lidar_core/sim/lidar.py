@@ -1,0 +1,130 @@
+"""Models of 3D LiDARs, and presets of some that are sold."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from lidar_core.config import Config
+from lidar_core.errors import ConfigError
+
+
+class Spinning(Config):
+    """Rows of fixed elevation that turn once per scan, counter-clockwise seen from above.
+
+    Rays are ordered row by row; the rays of one column are fired together.
+    """
+
+    kind: Literal["spinning"] = "spinning"
+    elevations_deg: tuple[Annotated[float, Field(ge=-90, le=90)], ...] = Field(
+        min_length=1, max_length=4096, description="Elevation of every row [deg], top row first."
+    )
+    columns: int = Field(1024, ge=1, le=65536, description="Columns per turn (no unit).")
+    azimuth_start: float = Field(0.0, description="Azimuth of the first column [rad].")
+    azimuth_per_scan: float = Field(0.0, description="Turn of the pattern per scan [rad].")
+
+
+class Rosette(Config):
+    """One ray after the other; turns and swings without common measure never repeat.
+
+    The swing is a triangle wave in elevation. Modelled on what non-repetitive sensors show,
+    not on a maker's formula.
+    """
+
+    kind: Literal["rosette"] = "rosette"
+    rays: int = Field(20_000, ge=1, le=4_000_000, description="Rays per scan (no unit).")
+    elevation_min_deg: float = Field(ge=-90, le=90, description="Lowest elevation [deg].")
+    elevation_max_deg: float = Field(ge=-90, le=90, description="Highest elevation [deg].")
+    turn_rate: float = Field(16.180_339_887, gt=0, description="Turns in azimuth [Hz].")
+    swing_rate: float = Field(2236.067_977, gt=0, description="Swings in elevation [Hz].")
+
+
+class LidarModel(Config):
+    """A 3D LiDAR. `preset` fills in every value that is not given beside it.
+
+    Presets: os0-128, os1-128, os2-128, vlp-16, hdl-32e, livox-mid360. Source: the makers'
+    data sheets, rounded; range noise and rates are typical values.
+    """
+
+    pattern: Annotated[Spinning | Rosette, Field(discriminator="kind")] = Field(
+        description="Directions and their order (see the two kinds for units)."
+    )
+    scan_rate: float = Field(10.0, gt=0, le=1000, description="Scans per second [Hz].")
+    snapshot: bool = Field(False, description="All rays at the start of the scan (no unit).")
+    range_min: float = Field(0.3, ge=0, description="Nearer surfaces give no information [m].")
+    range_max: float = Field(100.0, gt=0, description="Surfaces from here on: no return [m].")
+    range_std: float = Field(0.03, ge=0, description="Standard deviation of the ranges [m].")
+    dropout: float = Field(0.0, ge=0, le=1, description="Probability of a lost return (no unit).")
+    dropout_is_no_return: bool = Field(
+        False, description="Lost returns look like no return, as from most drivers (no unit)."
+    )
+
+    @classmethod
+    def preset(cls, name: str, **changes: Any) -> Self:
+        """Take the preset `name`, with `changes` to its fields.
+
+        Raises
+        ------
+        ConfigError
+            There is no such preset, or a change is not valid.
+        """
+        return cls.load({"preset": name, **changes})
+
+    @property
+    def period_ns(self) -> int:
+        """Duration of a scan [ns]."""
+        return round(1e9 / self.scan_rate)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(rows, columns) of an organised scan, else (rays,)."""
+        if isinstance(self.pattern, Spinning):
+            return len(self.pattern.elevations_deg), self.pattern.columns
+        return (self.pattern.rays,)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_preset(cls, values: Any) -> Any:
+        if not isinstance(values, Mapping) or "preset" not in values:
+            return values
+        given = dict(values)
+        name = given.pop("preset")
+        if name not in _PRESETS:
+            raise ConfigError(f"preset: expected one of {', '.join(_PRESETS)}, got {name!r}")
+        return {**_PRESETS[name], **given}
+
+    @model_validator(mode="after")
+    def _ranges_are_ordered(self) -> Self:
+        if self.range_min >= self.range_max:
+            raise ValueError("expected range_min < range_max")
+        return self
+
+
+def _spinning(top: float, bottom: float, rows: int, columns: int) -> dict[str, Any]:
+    elevations = tuple(np.linspace(top, bottom, rows).tolist())
+    return {"kind": "spinning", "elevations_deg": elevations, "columns": columns}
+
+
+_PRESETS: dict[str, dict[str, Any]] = {
+    "os0-128": {"pattern": _spinning(45.0, -45.0, 128, 1024), "range_max": 50.0},
+    "os1-128": {"pattern": _spinning(22.5, -22.5, 128, 1024), "range_max": 100.0},
+    "os2-128": {
+        "pattern": _spinning(11.25, -11.25, 128, 1024),
+        "range_min": 0.8,
+        "range_max": 200.0,
+    },
+    "vlp-16": {"pattern": _spinning(15.0, -15.0, 16, 1800), "range_min": 0.5, "range_max": 100.0},
+    "hdl-32e": {
+        "pattern": _spinning(10.67, -30.67, 32, 2170),
+        "range_min": 0.9,
+        "range_max": 80.0,
+        "range_std": 0.02,
+    },
+    "livox-mid360": {
+        "pattern": {"kind": "rosette", "elevation_min_deg": -7.0, "elevation_max_deg": 52.0},
+        "range_min": 0.1,
+        "range_max": 40.0,
+        "range_std": 0.02,
+    },
+}
