@@ -127,7 +127,12 @@ _TrackArrays: TypeAlias = tuple[
 class PointCloudTracker:
     def __new__(cls, config: object, *, threads: int) -> Self: ...
     def new_point_cloud(
-        self, points: NDArray[np.float32], occupied: NDArray[np.float32], stamp_ns: int
+        self,
+        points: NDArray[np.float32],
+        occupied: NDArray[np.float32],
+        stamp_ns: int,
+        *,
+        sensor_origin: NDArray[np.float64] | None,
     ) -> _TrackEventArrays: ...
     def new_detections(
         self,

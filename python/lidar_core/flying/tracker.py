@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidar_core import _core
-from lidar_core.arrays import Points, as_points, as_real, as_rows, as_stamp
+from lidar_core.arrays import Points, as_points, as_real, as_rows, as_stamp, as_vector
 from lidar_core.flying.results import TrackEvents, Tracks
 from lidar_core.flying.tracker_config import TrackerConfig
 
@@ -55,7 +55,12 @@ class PointCloudTracker:
         self._occupied = np.empty((0, 3), np.float32)
 
     def new_point_cloud(
-        self, points_world: ArrayLike, occupied_world: ArrayLike, stamp_ns: int
+        self,
+        points_world: ArrayLike,
+        occupied_world: ArrayLike,
+        stamp_ns: int,
+        *,
+        sensor_origin: ArrayLike | None = None,
     ) -> TrackEvents:
         """Move every track to the cloud's time and correct it with its cluster.
 
@@ -70,6 +75,9 @@ class PointCloudTracker:
             serve the detections of this time, too.
         stamp_ns : int
             Time of the scan [ns].
+        sensor_origin : array_like, shape (3,), optional
+            Where the scan was taken from [m], world frame: a track behind nearer points then
+            waits, up to `config.max_coast`, instead of growing towards removal.
 
         Returns
         -------
@@ -89,7 +97,11 @@ class PointCloudTracker:
         origin = self._origin if self._origin is not None else first_finite(points_world)
         points = local(points_world, origin, name="points_world")
         occupied = local(occupied_world, origin, name="occupied_world")
-        events = self._tracker.new_point_cloud(points, occupied, stamp)
+        sensor = None
+        if sensor_origin is not None:
+            sensor = as_vector(sensor_origin, name="sensor_origin", size=3)
+            sensor = sensor if origin is None else sensor - origin
+        events = self._tracker.new_point_cloud(points, occupied, stamp, sensor_origin=sensor)
         self._origin = origin
         self._occupied = occupied
         return TrackEvents(*events)

@@ -51,6 +51,12 @@ class TrackerConfig(Config):
     radius_max: float = Field(
         3.0, gt=0, description="Tracks with a larger uncertainty radius are removed, r_max [m]."
     )
+    acceleration_time: float | None = Field(
+        0.5,
+        gt=0,
+        description="Time constant with which accelerations fade [s]; none, as in the paper, eq. 27:"
+        " they stay.",
+    )
     process_noise: Literal["paper", "continuous"] = Field(
         "continuous",
         description="Growth of uncertainty: the same at every step, eq. 31, or white noise in"
@@ -69,7 +75,7 @@ class TrackerConfig(Config):
         " paper: 0.5 m/s.",
     )
     process_acceleration: float = Field(
-        3.0,
+        4.0,
         ge=0,
         description="Noise of the acceleration, Xi_a: per step [m/s^2], or root of a density"
         " [m/s^2.5]; paper: 0.1 m/s^2.",
@@ -92,7 +98,7 @@ class TrackerConfig(Config):
         " points divided by their number (no unit).",
     )
     measurement_std: float = Field(
-        0.1, gt=0, description="Standard deviation of a centroid, Z [m]; paper: 1 m."
+        0.07, gt=0, description="Standard deviation of a centroid, Z [m]; paper: 1 m."
     )
     association: Literal["paper", "global"] = Field(
         "global",
@@ -156,6 +162,7 @@ class TrackerConfig(Config):
             occupied_distance=1.0,
             radius="paper",
             radius_scale=0.5,
+            acceleration_time=None,
             process_noise="paper",
             process_position=0.5,
             process_velocity=0.5,

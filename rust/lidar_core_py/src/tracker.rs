@@ -5,9 +5,9 @@ use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
 use lidar_core::flying::track::{
-    Ageing, Association, Confirmation, Detections, MeasurementForm, Merging, NoiseForm,
-    OccupiedPoints, PointCloudTracker, ProcessNoise, Radius, RadiusForm, Stats, Track,
-    TrackerParameters,
+    Ageing, Association, CloudView, Confirmation, Detections, MeasurementForm, Merging, Motion,
+    NoiseForm, OccupiedPoints, PointCloudTracker, Radius, RadiusForm, Stats, Track,
+    TrackerParameters, Visibility,
 };
 use lidar_core::geometry::cluster::Clustering;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
@@ -27,6 +27,7 @@ pub(crate) struct TrackerConfig {
     radius_scale: f64,
     radius_min: f64,
     radius_max: f64,
+    acceleration_time: Option<f64>,
     process_noise: String,
     process_position: f64,
     process_velocity: f64,
@@ -66,10 +67,8 @@ impl TrackerConfig {
                 },
             ),
         ];
-        let ageing = [
-            ("paper", Ageing::Paper),
-            ("visible", Ageing::Visible { max_coast: self.max_coast }),
-        ];
+        let ageing =
+            [("paper", Ageing::Paper), ("visible", Ageing::Visible { max_coast: self.max_coast })];
         Ok(TrackerParameters {
             buffer_size: self.buffer_size,
             clustering: Clustering {
@@ -85,15 +84,12 @@ impl TrackerConfig {
                 min: self.radius_min,
                 max: self.radius_max,
             },
-            process_noise: ProcessNoise {
+            motion: Motion {
+                acceleration_time: self.acceleration_time,
                 form: arrays::choice("process_noise", &self.process_noise, &NOISE_FORMS)?,
                 std: [self.process_position, self.process_velocity, self.process_acceleration],
             },
-            initial_std: [
-                self.initial_position,
-                self.initial_velocity,
-                self.initial_acceleration,
-            ],
+            initial_std: [self.initial_position, self.initial_velocity, self.initial_acceleration],
             measurement: arrays::choice("measurement", &self.measurement, &MEASUREMENT_FORMS)?,
             measurement_std: self.measurement_std,
             association: arrays::choice("association", &self.association, &association)?,
@@ -144,18 +140,22 @@ impl PyPointCloudTracker {
         Ok(Self(Guarded::new(tracker)))
     }
 
+    #[pyo3(signature = (points, occupied, stamp_ns, *, sensor_origin))]
     fn new_point_cloud<'py>(
         &self,
         py: Python<'py>,
         points: PyReadonlyArray2<'py, f32>,
         occupied: PyReadonlyArray2<'py, f32>,
         stamp_ns: i64,
+        sensor_origin: Option<[f64; 3]>,
     ) -> Result<Events<'py>, BorderError> {
         let points = arrays::rows3("points", &points)?;
         let occupied = arrays::rows3("occupied", &occupied)?;
         let stats = self.0.with(py, |tracker| {
             let occupied = OccupiedPoints::new(occupied, tracker.parameters().occupied_distance);
-            tracker.new_point_cloud(points, &occupied, None, stamp_ns)
+            let view = sensor_origin.map(|origin| CloudView { points, origin });
+            let visibility = view.as_ref().map(|view| view as &dyn Visibility);
+            tracker.new_point_cloud(points, &occupied, visibility, stamp_ns)
         })?;
         events(py, stats)
     }

@@ -166,11 +166,11 @@ impl Updater {
         tracks: &mut Vec<TrackState>,
         hypotheses: Vec<TrackState>,
     ) -> Result<Matches, Error> {
-        let noise = &self.parameters.process_noise;
+        let model = &self.parameters.motion;
         let track_of = self.assign(hypotheses.len(), tracks.len(), |row, column| {
             let (hypothesis, track) = (&hypotheses[row], &tracks[column]);
             let stamp_ns = hypothesis.stamp_ns.max(track.stamp_ns);
-            let (one, other) = (hypothesis.at(stamp_ns, noise), track.at(stamp_ns, noise));
+            let (one, other) = (hypothesis.at(stamp_ns, model), track.at(stamp_ns, model));
             let y = (one.mean - other.mean).fixed_rows::<3>(0).into_owned();
             (y.norm() <= self.search_radius(track))
                 .then(|| (y, position_block(&(one.covariance + other.covariance))))
@@ -193,10 +193,10 @@ impl Updater {
     }
 
     fn learn(&self, track: &mut TrackState, mut hypothesis: TrackState) -> bool {
-        let noise = &self.parameters.process_noise;
+        let model = &self.parameters.motion;
         let stamp_ns = hypothesis.stamp_ns.max(track.stamp_ns);
-        track.predict(stamp_ns, noise);
-        hypothesis.predict(stamp_ns, noise);
+        track.predict(stamp_ns, model);
+        hypothesis.predict(stamp_ns, model);
         let measurement = Measurement {
             position: hypothesis.position(),
             covariance: position_block(&hypothesis.estimate.covariance),

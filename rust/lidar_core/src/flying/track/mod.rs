@@ -13,6 +13,7 @@ mod parameters;
 mod select;
 mod state;
 mod update;
+mod view;
 
 #[cfg(test)]
 mod tests;
@@ -20,14 +21,17 @@ mod tests;
 pub use detections::Detections;
 pub use occupancy::{Occupancy, OccupiedPoints, Visibility};
 pub use parameters::{
-    Ageing, Association, Confirmation, MAX_TRACKS, MAX_WINDOW, MeasurementForm, Merging, NoiseForm,
-    ProcessNoise, Radius, RadiusForm, TrackerParameters,
+    Ageing, Association, Confirmation, MAX_TRACKS, MAX_WINDOW, MeasurementForm, Merging, Motion,
+    NoiseForm, Radius, RadiusForm, TrackerParameters,
 };
+pub use view::CloudView;
 
 use crate::Error;
 use crate::budget::check_points;
-use crate::estimation::kalman::Gaussian;
+use crate::estimation::kalman::{Gaussian, symmetrised};
+use crate::geometry::transform::Transform;
 use buffer::{Buffer, Cloud};
+use nalgebra::{Matrix3, SMatrix};
 use state::{TrackState, seconds};
 use update::{Scan, Updater};
 
@@ -69,6 +73,25 @@ pub struct Stats {
     pub merged: Vec<[i64; 2]>,
     /// Measurements that could not be used because a covariance was not positive definite.
     pub rejected: usize,
+}
+
+impl Track {
+    /// The same track in another frame.
+    #[must_use]
+    pub fn moved(&self, target_from_source: &Transform) -> Self {
+        let r = &target_from_source.rotation;
+        let turn = Matrix3::from_fn(|row, column| r[row][column]);
+        let mut turns = SMatrix::<f64, 9, 9>::zeros();
+        for block in [0, 3, 6] {
+            turns.fixed_view_mut::<3, 3>(block, block).copy_from(&turn);
+        }
+        let mut mean = turns * self.state.mean;
+        for (axis, offset) in target_from_source.translation.iter().enumerate() {
+            mean[axis] += offset;
+        }
+        let covariance = symmetrised(turns * self.state.covariance * turns.transpose());
+        Self { state: Gaussian { mean, covariance }, ..self.clone() }
+    }
 }
 
 /// Multi-target tracker over point clouds and detections that may come late.
@@ -167,13 +190,13 @@ impl PointCloudTracker {
     /// Every track, unconfirmed ones included, predicted to `stamp_ns`, by number. Changes nothing.
     #[must_use]
     pub fn tracks_at(&self, stamp_ns: i64) -> Vec<Track> {
-        let noise = &self.parameters().process_noise;
+        let model = &self.parameters().motion;
         self.tracks
             .iter()
             .map(|track| Track {
                 id: track.id,
                 stamp_ns,
-                state: track.at(stamp_ns, noise),
+                state: track.at(stamp_ns, model),
                 extent: track.extent,
                 n_detections: track.n_detections,
                 age: seconds(track.born_ns, stamp_ns),
@@ -181,6 +204,14 @@ impl PointCloudTracker {
                 confirmed: track.confirmed,
             })
             .collect()
+    }
+
+    /// Whether a cloud of this time would be taken.
+    ///
+    /// # Errors
+    /// [`Error::Time`] as [`PointCloudTracker::new_point_cloud`].
+    pub fn check_stamp(&self, stamp_ns: i64) -> Result<(), Error> {
+        self.buffer.is_late(stamp_ns).map(drop)
     }
 
     /// Forget all tracks and clouds. Numbers go on where they were.

@@ -2,24 +2,37 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::parameters::{NoiseForm, ProcessNoise, Radius, RadiusForm};
+use super::parameters::{Motion, NoiseForm, Radius, RadiusForm};
 use crate::estimation::kalman::{Gaussian, symmetrised};
 use nalgebra::{Matrix3, SMatrix};
+
+/// Below this share of the time constant a series replaces a difference of equal numbers.
+const SMALL: f64 = 1e-4;
+/// Below this one the closed form of the noise loses digits.
+const CANCELS: f64 = 0.5;
+/// Nodes and weights on [-1, 1].
+const GAUSS_LEGENDRE: [(f64, f64); 5] = [
+    (-0.906_179_845_938_664, 0.236_926_885_056_189_08),
+    (-0.538_469_310_105_683_1, 0.478_628_670_499_366_47),
+    (0.0, 0.568_888_888_888_888_9),
+    (0.538_469_310_105_683_1, 0.478_628_670_499_366_47),
+    (0.906_179_845_938_664, 0.236_926_885_056_189_08),
+];
 
 pub(super) type Matrix9 = SMatrix<f64, 9, 9>;
 pub(super) type Matrix3x9 = SMatrix<f64, 3, 9>;
 
 /// `prior` after `dt` seconds; a negative `dt` looks back, with the same growth of uncertainty.
-pub(super) fn predict(prior: &Gaussian<9>, dt: f64, noise: &ProcessNoise) -> Gaussian<9> {
+pub(super) fn predict(prior: &Gaussian<9>, dt: f64, motion: &Motion) -> Gaussian<9> {
     Gaussian {
-        mean: transition(dt) * prior.mean,
-        covariance: predict_covariance(&prior.covariance, dt, noise),
+        mean: transition(dt, motion) * prior.mean,
+        covariance: predict_covariance(&prior.covariance, dt, motion),
     }
 }
 
 /// Covariance of [`predict`].
-pub(super) fn predict_covariance(P: &Matrix9, dt: f64, noise: &ProcessNoise) -> Matrix9 {
-    let (A, Q) = (transition(dt), process_covariance(dt.abs(), noise));
+pub(super) fn predict_covariance(P: &Matrix9, dt: f64, motion: &Motion) -> Matrix9 {
+    let (A, Q) = (transition(dt, motion), process_covariance(dt.abs(), motion));
     symmetrised(if dt < 0.0 { A * (P + Q) * A.transpose() } else { A * P * A.transpose() + Q })
 }
 
@@ -46,36 +59,59 @@ pub(super) fn radius(P: &Matrix9, parameters: &Radius) -> f64 {
     parameters.min.max(parameters.scale * spread)
 }
 
-/// Source: Vrba et al., eq. 27.
-fn transition(dt: f64) -> Matrix9 {
+/// State transition. Where the acceleration fades, looking back holds it: undoing the decay would
+/// let it grow without bounds.
+///
+/// # Source
+/// Vrba et al., eq. 27; with decay: Singer, "Estimating optimal tracking filter performance for
+/// manned maneuvering targets", IEEE T-AES 6(4), 1970.
+fn transition(dt: f64, motion: &Motion) -> Matrix9 {
+    let [to_position, to_velocity, kept] = match motion.acceleration_time {
+        Some(time) if dt > 0.0 => faded(dt, time),
+        _ => [dt * dt / 2.0, dt, 1.0],
+    };
     let mut A = Matrix9::identity();
     for axis in 0..3 {
         A[(axis, axis + 3)] = dt;
-        A[(axis, axis + 6)] = dt * dt / 2.0;
-        A[(axis + 3, axis + 6)] = dt;
+        A[(axis, axis + 6)] = to_position;
+        A[(axis + 3, axis + 6)] = to_velocity;
+        A[(axis + 6, axis + 6)] = kept;
     }
     A
+}
+
+/// What a unit of acceleration that fades with time constant `time` makes of position, velocity
+/// and acceleration after `dt` seconds.
+fn faded(dt: f64, time: f64) -> [f64; 3] {
+    let x = dt / time;
+    let lost = -libm::expm1(-x); // 1 - exp(-x)
+    let to_position = if x < SMALL {
+        dt * dt / 2.0 * (1.0 - x / 3.0 + x * x / 12.0)
+    } else {
+        time * time * (x - lost)
+    };
+    [to_position, time * lost, 1.0 - lost]
 }
 
 /// Process noise of a step of `dt` >= 0 seconds.
 ///
 /// # Source
 /// Vrba et al., eq. 31, or the integral of A(t) diag(q) A(t)' over the step.
-fn process_covariance(dt: f64, noise: &ProcessNoise) -> Matrix9 {
-    let [r, v, a] = noise.std.map(|std| std * std);
-    let blocks = match noise.form {
+fn process_covariance(dt: f64, motion: &Motion) -> Matrix9 {
+    let [r, v, a] = motion.std.map(|std| std * std);
+    let blocks = match motion.form {
         NoiseForm::Paper if dt == 0.0 => [0.0; 6],
         NoiseForm::Paper => [r, 0.0, 0.0, v, 0.0, a],
         NoiseForm::Continuous => {
-            let (t2, t3) = (dt * dt, dt * dt * dt);
-            [
-                r * dt + v * t3 / 3.0 + a * t3 * t2 / 20.0,
-                v * t2 / 2.0 + a * t2 * t2 / 8.0,
-                a * t3 / 6.0,
-                v * dt + a * t3 / 3.0,
-                a * t2 / 2.0,
-                a * dt,
-            ]
+            let of_acceleration = match motion.acceleration_time {
+                Some(time) => faded_noise(dt, time),
+                None => wandering_noise(dt),
+            };
+            let mut blocks = of_acceleration.map(|value| a * value);
+            blocks[0] += r * dt + v * dt * dt * dt / 3.0;
+            blocks[1] += v * dt * dt / 2.0;
+            blocks[3] += v * dt;
+            blocks
         }
     };
     let mut Q = Matrix9::zeros();
@@ -87,6 +123,42 @@ fn process_covariance(dt: f64, noise: &ProcessNoise) -> Matrix9 {
         }
     }
     Q
+}
+
+/// Blocks rr, rv, ra, vv, va, aa that unit noise on the acceleration makes in `dt` seconds.
+fn wandering_noise(dt: f64) -> [f64; 6] {
+    let (t2, t3) = (dt * dt, dt * dt * dt);
+    [t3 * t2 / 20.0, t2 * t2 / 8.0, t3 / 6.0, t3 / 3.0, t2 / 2.0, dt]
+}
+
+/// The same where the acceleration fades with time constant `time`: Singer's closed form, or, where
+/// that would cancel, the integral by five Gauss-Legendre nodes.
+fn faded_noise(dt: f64, time: f64) -> [f64; 6] {
+    let x = dt / time;
+    if x < CANCELS {
+        let mut blocks = [0.0; 6];
+        for (node, weight) in GAUSS_LEGENDRE {
+            let [r, v, a] = faded(dt * (1.0 + node) / 2.0, time);
+            let products = [r * r, r * v, r * a, v * v, v * a, a * a];
+            for (block, product) in blocks.iter_mut().zip(products) {
+                *block += weight * dt / 2.0 * product;
+            }
+        }
+        return blocks;
+    }
+    let (once, twice) = (libm::exp(-x), libm::exp(-2.0 * x));
+    let half = [time / 2.0, time * time / 2.0, time * time * time / 2.0];
+    [
+        half[2]
+            * time
+            * time
+            * (1.0 - twice + 2.0 * x + 2.0 * x * x * x / 3.0 - 2.0 * x * x - 4.0 * x * once),
+        half[2] * time * (twice + 1.0 - 2.0 * once + 2.0 * x * once - 2.0 * x + x * x),
+        half[2] * (1.0 - twice - 2.0 * x * once),
+        half[2] * (4.0 * once - 3.0 - twice + 2.0 * x),
+        half[1] * (twice + 1.0 - 2.0 * once),
+        half[0] * (1.0 - twice),
+    ]
 }
 
 #[cfg(test)]
@@ -101,26 +173,39 @@ mod tests {
         }
     }
 
-    const CONTINUOUS: ProcessNoise =
-        ProcessNoise { form: NoiseForm::Continuous, std: [0.5, 0.7, 2.0] };
-    const PAPER: ProcessNoise = ProcessNoise { form: NoiseForm::Paper, std: [0.5, 0.5, 0.1] };
+    const CONTINUOUS: Motion =
+        Motion { form: NoiseForm::Continuous, std: [0.5, 0.7, 2.0], acceleration_time: None };
+    const FADING: Motion = Motion { acceleration_time: Some(0.8), ..CONTINUOUS };
+    const PAPER: Motion =
+        Motion { form: NoiseForm::Paper, std: [0.5, 0.5, 0.1], acceleration_time: None };
     /// Rounding of eleven matrix products.
     const TOLERANCE: f64 = 1e-12;
 
     #[test]
     fn one_step_equals_ten_steps_of_a_tenth() {
-        let once = predict(&state(), 0.1, &CONTINUOUS);
-        let ten = (0..10).fold(state(), |state, _| predict(&state, 0.01, &CONTINUOUS));
-        assert!((once.mean - ten.mean).amax() < TOLERANCE);
-        assert!((once.covariance - ten.covariance).amax() < TOLERANCE);
-        assert_eq!(ten.covariance, ten.covariance.transpose());
+        for (motion, dt) in [(CONTINUOUS, 0.1), (FADING, 0.1), (FADING, 1e-4), (FADING, 7.0)] {
+            let once = predict(&state(), dt, &motion);
+            let ten = (0..10).fold(state(), |state, _| predict(&state, dt / 10.0, &motion));
+            assert!((once.mean - ten.mean).amax() < TOLERANCE * once.mean.amax());
+            let difference = (once.covariance - ten.covariance).amax();
+            assert!(difference < TOLERANCE * once.covariance.amax(), "{dt}: {difference}");
+            assert_eq!(ten.covariance, ten.covariance.transpose());
+        }
+    }
+
+    #[test]
+    fn a_slow_decay_is_almost_none() {
+        let slow = Motion { acceleration_time: Some(1e7), ..CONTINUOUS };
+        let (got, expected) = (predict(&state(), 2.0, &slow), predict(&state(), 2.0, &CONTINUOUS));
+        assert!((got.mean - expected.mean).amax() < 1e-5);
+        assert!((got.covariance - expected.covariance).amax() < 1e-4);
     }
 
     #[test]
     fn continuous_noise_matches_table_ii_at_ten_hertz() {
         let root = 0.1_f64.sqrt(); // q = Xi^2 / 0.1 s
         let noise =
-            ProcessNoise { form: NoiseForm::Continuous, std: PAPER.std.map(|std| std / root) };
+            Motion { std: PAPER.std.map(|std| std / root), ..CONTINUOUS };
         let (got, paper) = (process_covariance(0.1, &noise), process_covariance(0.1, &PAPER));
         for index in 0..9 {
             assert!((got[(index, index)] / paper[(index, index)] - 1.0).abs() < 0.1);

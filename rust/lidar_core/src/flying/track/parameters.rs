@@ -18,7 +18,7 @@ pub enum RadiusForm {
 }
 
 /// Radius of the region in which a track looks for its target.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Radius {
     /// Root that is taken.
     pub form: RadiusForm,
@@ -39,9 +39,11 @@ pub enum NoiseForm {
     Continuous,
 }
 
-/// Noise of position, velocity and acceleration, per axis.
-#[derive(Clone, Copy, Debug)]
-pub struct ProcessNoise {
+/// Motion of a target: a point mass with noise on position, velocity and acceleration, per axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion {
+    /// The acceleration fades with this time constant [s]; None, as in eq. 27: it stays.
+    pub acceleration_time: Option<f64>,
     /// What the numbers mean.
     pub form: NoiseForm,
     /// Standard deviations: per step [m, m/s, m/s^2], or as roots of densities [the same / sqrt(s)].
@@ -58,7 +60,7 @@ pub enum MeasurementForm {
 }
 
 /// How tracks find their clusters, and detections their tracks.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Association {
     /// Algorithm 2: every track takes the nearest centroid, every detection the nearest track.
     Paper,
@@ -72,7 +74,7 @@ pub enum Association {
 }
 
 /// A track is reported once `hits` of the last `window` sets of detections held it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Confirmation {
     /// Sets that held the track, >= 1.
     pub hits: u32,
@@ -81,7 +83,7 @@ pub struct Confirmation {
 }
 
 /// Two tracks this close are one target.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Merging {
     /// Distance of their positions [m].
     pub distance: f64,
@@ -90,7 +92,7 @@ pub struct Merging {
 }
 
 /// When a track that finds no cluster grows old.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Ageing {
     /// Always: Algorithm 2, lines 15-17.
     Paper,
@@ -103,7 +105,7 @@ pub enum Ageing {
 }
 
 /// Everything the tracker can be told.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackerParameters {
     /// Clouds kept for late detections, N_buf.
     pub buffer_size: usize,
@@ -115,8 +117,8 @@ pub struct TrackerParameters {
     pub occupied_distance: f64,
     /// Uncertainty radius.
     pub radius: Radius,
-    /// Process noise.
-    pub process_noise: ProcessNoise,
+    /// Motion model.
+    pub motion: Motion,
     /// Standard deviations of a new track: position [m], velocity [m/s], acceleration [m/s^2].
     pub initial_std: [f64; 3],
     /// Covariance of centroids.
@@ -157,6 +159,10 @@ impl TrackerParameters {
             if !(value.is_finite() && value > 0.0) {
                 return refuse(name, "finite and > 0", value.to_string());
             }
+        }
+        let time = self.motion.acceleration_time.unwrap_or(1.0);
+        if !(time.is_finite() && time > 0.0) {
+            return refuse("acceleration_time", "finite and > 0", time.to_string());
         }
         let extent = self.max_extent.unwrap_or(0.0);
         if !(extent.is_finite() && extent >= 0.0) {

@@ -2,7 +2,7 @@
 
 use super::candidates::Measurement;
 use super::motion::{self, Matrix9};
-use super::parameters::{ProcessNoise, Radius, TrackerParameters};
+use super::parameters::{Motion, Radius, TrackerParameters};
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, Linearised, update};
 use nalgebra::{SVector, Vector3};
@@ -69,19 +69,19 @@ impl TrackState {
         motion::radius(&self.estimate.covariance, parameters)
     }
 
-    pub(super) fn at(&self, stamp_ns: i64, noise: &ProcessNoise) -> Gaussian<9> {
-        motion::predict(&self.estimate, seconds(self.stamp_ns, stamp_ns), noise)
+    pub(super) fn at(&self, stamp_ns: i64, model: &Motion) -> Gaussian<9> {
+        motion::predict(&self.estimate, seconds(self.stamp_ns, stamp_ns), model)
     }
 
     /// Move to `stamp_ns`.
-    pub(super) fn predict(&mut self, stamp_ns: i64, noise: &ProcessNoise) {
-        self.estimate = self.at(stamp_ns, noise);
+    pub(super) fn predict(&mut self, stamp_ns: i64, model: &Motion) {
+        self.estimate = self.at(stamp_ns, model);
         self.stamp_ns = stamp_ns;
     }
 
     /// Let `dt` seconds without a measurement count.
-    pub(super) fn grow_old(&mut self, dt: f64, noise: &ProcessNoise) {
-        self.aged = motion::predict_covariance(&self.aged, dt, noise);
+    pub(super) fn grow_old(&mut self, dt: f64, model: &Motion) {
+        self.aged = motion::predict_covariance(&self.aged, dt, model);
     }
 
     /// Correct with a measurement taken at the state's time.

@@ -67,14 +67,14 @@ impl Updater {
         scan: &Scan<'_>,
         visibility: Option<&dyn Visibility>,
     ) -> Result<Outcome, Error> {
-        let noise = &self.parameters.process_noise;
+        let model = &self.parameters.motion;
         let mut due: Vec<(f64, &mut TrackState)> = tracks
             .iter_mut()
             .filter(|track| track.stamp_ns < scan.stamp_ns)
             .map(|track| (seconds(track.stamp_ns, scan.stamp_ns), track))
             .collect();
         for (_, track) in &mut due {
-            track.predict(scan.stamp_ns, noise);
+            track.predict(scan.stamp_ns, model);
         }
         let seekers: Vec<Seeker> = due.iter().map(|(_, track)| self.seeker(track)).collect();
         let found = match self.parameters.association {
@@ -92,7 +92,7 @@ impl Updater {
                 None => {}
             }
             if self.should_be_seen(seeker, visibility) {
-                track.grow_old(dt, noise);
+                track.grow_old(dt, model);
             }
         }
         Ok(outcome)

@@ -1,0 +1,57 @@
+//! Visibility as far as a bare cloud tells it.
+
+use super::occupancy::Visibility;
+use crate::geometry::lattice::wide;
+use crate::geometry::transform::{dot, minus, norm};
+
+/// Radius around a track's position that is looked at [m].
+const LOOK_RADIUS: f64 = 0.5;
+
+/// A cloud and where it was taken from: a position is hidden if most returns in its direction are
+/// nearer than it. Without any return there the sky is open, and a target would have been seen.
+#[derive(Clone, Copy, Debug)]
+pub struct CloudView<'a> {
+    /// Returns [m].
+    pub points: &'a [[f32; 3]],
+    /// Where the rays start [m].
+    pub origin: [f64; 3],
+}
+
+impl Visibility for CloudView<'_> {
+    fn expected(&self, position: [f64; 3], radius: f64) -> bool {
+        let radius = radius.min(LOOK_RADIUS);
+        let target = minus(position, self.origin);
+        let distance = norm(target);
+        let (mut nearer, mut farther) = (0_usize, 0_usize);
+        for point in self.points {
+            let ray = minus(wide(*point), self.origin);
+            let (length, along) = (norm(ray), dot(ray, target));
+            // distance of the target from the line of the ray, against the radius
+            let aside = dot(target, target) * length * length - along * along;
+            if along > 0.0 && aside <= radius * radius * length * length {
+                if length < distance - radius {
+                    nearer += 1;
+                } else {
+                    farther += 1;
+                }
+            }
+        }
+        nearer <= farther
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wall_in_front_hides_and_one_behind_does_not() {
+        let wall: Vec<[f32; 3]> = (-10..10).map(|step| [5.0, 0.02 * step as f32, 0.0]).collect();
+        let view = CloudView { points: &wall, origin: [0.0; 3] };
+        assert!(!view.expected([10.0, 0.0, 0.0], 1.5));
+        assert!(view.expected([3.0, 0.0, 0.0], 1.5));
+        assert!(view.expected([10.0, 8.0, 0.0], 1.5));
+        assert!(view.expected([-10.0, 0.0, 0.0], 1.5));
+        assert!(CloudView { points: &[], origin: [0.0; 3] }.expected([1.0; 3], 1.5));
+    }
+}
