@@ -6,7 +6,7 @@
 use super::blocks::{EDGE_BITS, Place, VOLUME, offset_of};
 use crate::Error;
 use crate::geometry::lattice::{Voxel, floor};
-use crate::geometry::traverse::Walk;
+use crate::geometry::traverse::scaled_walk;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -146,7 +146,7 @@ impl Accumulator {
     /// Add the length of `ray` inside every voxel it crosses.
     fn cast(&mut self, window: &Window, ray: &Ray) {
         let (Some(first), Some(last)) = (floor(ray.start), floor(ray.end)) else { return };
-        let mut walk = Walk::new(ray.start, ray.end, first, last);
+        let mut walk = scaled_walk(ray.start, ray.end, first, last);
         let mut slot = self.slot(window, Place::of(first));
         let mut walls = first.map(|index| index >> EDGE_BITS);
         while let Some((voxel, length, _)) = walk.next() {

@@ -5,8 +5,11 @@ use crate::Error;
 /// Index of a voxel along x, y, z.
 pub type Voxel = [i32; 3];
 
-/// Largest |index|: one voxel of room is kept, so that a neighbour's index cannot overflow.
-const MAX_INDEX: f64 = (i32::MAX - 1) as f64;
+/// Largest |index|: room for any search around a voxel, so that no neighbour's index overflows.
+const MAX_INDEX: f64 = (i32::MAX - 4096) as f64;
+
+/// A quotient this close to a whole number, relatively, may have been rounded across it.
+const DOUBT: f64 = 4.0 * f64::EPSILON;
 
 /// Cubes of edge `voxel_size` [m]; the corner of voxel (0, 0, 0) lies at `origin` [m].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,12 +57,22 @@ impl Lattice {
         std::array::from_fn(|axis| (point[axis] - self.origin[axis]) / self.voxel_size)
     }
 
-    /// The voxel that holds `point`; a point on a face belongs to the voxel above it.
+    /// The voxel that holds `point`; a point on a face belongs to the voxel above it. Exact: the
+    /// rounding of the division does not move a point across a face.
     ///
     /// # Errors
     /// [`Error::PointOutOfRange`] if a coordinate is not finite or beyond 2^31 voxels.
     pub fn voxel_at(&self, point: [f64; 3]) -> Result<Voxel, Error> {
-        floor(self.scaled(point)).ok_or(Error::PointOutOfRange { point })
+        let scaled = self.scaled(point);
+        let mut voxel = floor(scaled).ok_or(Error::PointOutOfRange { point })?;
+        for axis in 0..3 {
+            let face = scaled[axis].round();
+            if (scaled[axis] - face).abs() <= DOUBT * face.abs() {
+                let beyond = libm::fma(-face, self.voxel_size, point[axis] - self.origin[axis]);
+                voxel[axis] = face as i32 - i32::from(beyond < 0.0); // in range, as its floor is
+            }
+        }
+        Ok(voxel)
     }
 
     /// Centre of `voxel` [m].

@@ -1,6 +1,7 @@
 //! Amanatides-Woo walk: the voxels of a segment and the length of the segment in each.
 
-use super::lattice::{Lattice, Voxel, floor};
+use super::lattice::{Lattice, Voxel};
+use super::transform::{minus, norm};
 use crate::Error;
 use crate::budget::MAX_VOXELS_PER_RAY;
 use std::ops::ControlFlow;
@@ -23,9 +24,8 @@ pub fn traverse(
     end: [f64; 3],
     mut visit: impl FnMut(Voxel, f64) -> ControlFlow<()>,
 ) -> Result<(), Error> {
-    let scaled = [lattice.scaled(start), lattice.scaled(end)];
-    let first = floor(scaled[0]).ok_or(Error::PointOutOfRange { point: start })?;
-    let last = floor(scaled[1]).ok_or(Error::PointOutOfRange { point: end })?;
+    let first = lattice.voxel_at(start)?;
+    let last = lattice.voxel_at(end)?;
     let voxels = voxel_count(first, last);
     if voxels > MAX_VOXELS_PER_RAY as u64 {
         return Err(Error::Limit {
@@ -34,10 +34,14 @@ pub fn traverse(
             key: "voxel_size",
         });
     }
-    let size = lattice.voxel_size();
-    let mut walk = Walk::new(scaled[0], scaled[1], first, last);
+    let (size, origin) = (lattice.voxel_size(), lattice.origin());
+    let from = minus(start, origin);
+    let span = minus(minus(end, origin), from);
+    // One rounding before the division: exact to 1e-9 m even 1000 km away and along a wall.
+    let wall = |axis: usize, index: f64| libm::fma(index, size, -from[axis]) / span[axis];
+    let mut walk = Walk::along(first, last, norm(minus(end, start)), wall);
     while let Some((voxel, length, _)) = walk.next() {
-        if visit(voxel, length * size).is_break() {
+        if visit(voxel, length).is_break() {
             break;
         }
     }
@@ -50,54 +54,59 @@ pub fn voxel_count(first: Voxel, last: Voxel) -> u64 {
     1 + (0..3).map(|axis| u64::from(first[axis].abs_diff(last[axis]))).sum::<u64>()
 }
 
-/// The walk itself, in units of voxels: one formula for `traverse` and for the ray integration.
-pub(crate) struct Walk {
+/// The walk itself. `wall` gives the ray parameter (0 at the start, 1 at the end) of the wall with
+/// an index along an axis: computed afresh, not summed up, so that its error does not grow.
+pub(crate) struct Walk<W> {
     voxel: Voxel,
     last: Voxel,
     step: [i32; 3],
-    start: [f64; 3],
-    per_span: [f64; 3],
-    /// Ray parameter (0 at the start, 1 at the end) of the next wall per axis.
+    /// Ray parameter of the next wall per axis; infinite where the walk has arrived.
     t_next: [f64; 3],
     t_enter: f64,
     length: f64,
     done: bool,
+    wall: W,
 }
 
-impl Walk {
-    /// `first` and `last` are the voxels of `start` and `end`, all in units of voxels.
+/// The walk in units of voxels, fast: its error grows with the distance from the lattice's origin.
+#[inline]
+pub(crate) fn scaled_walk(
+    start: [f64; 3],
+    end: [f64; 3],
+    first: Voxel,
+    last: Voxel,
+) -> Walk<impl Fn(usize, f64) -> f64> {
+    let span = minus(end, start);
+    // Finite: of a span whose reciprocal overflows, 0 * inf would be NaN and the walk endless.
+    let per_span = span.map(|span| (1.0 / span).clamp(f64::MIN, f64::MAX));
+    Walk::along(first, last, norm(span), move |axis, index| (index - start[axis]) * per_span[axis])
+}
+
+impl<W: Fn(usize, f64) -> f64> Walk<W> {
+    /// From voxel `first` to voxel `last`, in all `length` long.
     #[inline]
-    pub(crate) fn new(start: [f64; 3], end: [f64; 3], first: Voxel, last: Voxel) -> Self {
-        let span: [f64; 3] = std::array::from_fn(|axis| end[axis] - start[axis]);
-        let mut walk = Self {
-            voxel: first,
-            last,
-            step: std::array::from_fn(|axis| last[axis].cmp(&first[axis]) as i32),
-            start,
-            per_span: std::array::from_fn(|axis| 1.0 / span[axis]),
-            t_next: [f64::INFINITY; 3],
-            t_enter: 0.0,
-            length: (span[0] * span[0] + span[1] * span[1] + span[2] * span[2]).sqrt(),
-            done: false,
-        };
+    fn along(first: Voxel, last: Voxel, length: f64, wall: W) -> Self {
+        let step = std::array::from_fn(|axis| last[axis].cmp(&first[axis]) as i32);
+        let t_next = [f64::INFINITY; 3];
+        let mut walk =
+            Self { voxel: first, last, step, t_next, t_enter: 0.0, length, done: false, wall };
         for axis in 0..3 {
-            if walk.step[axis] != 0 {
-                walk.t_next[axis] = walk.wall(axis);
-            }
+            walk.aim(axis);
         }
         walk
     }
 
-    /// Ray parameter of the wall through which the walk leaves its voxel along `axis`: computed
-    /// afresh, not summed up, so that its error does not grow along a long ray.
+    /// Find the wall through which the walk leaves its voxel along `axis`.
     #[inline]
-    fn wall(&self, axis: usize) -> f64 {
-        let wall = f64::from(self.voxel[axis] + i32::from(self.step[axis] > 0));
-        (wall - self.start[axis]) * self.per_span[axis]
+    fn aim(&mut self, axis: usize) {
+        self.t_next[axis] = if self.voxel[axis] == self.last[axis] {
+            f64::INFINITY
+        } else {
+            (self.wall)(axis, f64::from(self.voxel[axis] + i32::from(self.step[axis] > 0)))
+        };
     }
 
-    /// The next voxel, the length inside it in units of voxels, and the axis along which the
-    /// walk leaves it.
+    /// The next voxel, the length inside it, and the axis along which the walk leaves it.
     #[inline]
     pub(crate) fn next(&mut self) -> Option<(Voxel, f64, usize)> {
         if self.done {
@@ -113,8 +122,7 @@ impl Walk {
         }
         self.t_enter = t_exit;
         self.voxel[axis] += self.step[axis];
-        self.t_next[axis] =
-            if self.voxel[axis] == self.last[axis] { f64::INFINITY } else { self.wall(axis) };
+        self.aim(axis);
         Some((voxel, length, axis))
     }
 }
@@ -162,6 +170,16 @@ mod tests {
     #[test]
     fn a_point_visits_its_voxel() -> Result<(), Error> {
         assert_eq!(collect([-0.5, 0.5, 0.5], [-0.5, 0.5, 0.5])?, [([-1, 0, 0], 0.0)]);
+        Ok(())
+    }
+
+    #[test]
+    fn a_span_whose_reciprocal_overflows_is_walked() -> Result<(), Error> {
+        for (from, to) in [(-1e-310, 0.0), (0.0, -1e-310), (-5e-324, 5e-324)] {
+            assert_eq!(collect([0.5, from, 0.5], [0.5, to, 0.5])?.len(), 2);
+            let mut walk = scaled_walk([0.5, from, 0.5], [0.5, to, 0.5], [0; 3], [0, -1, 0]);
+            assert!(walk.next().is_some() && walk.next().is_some() && walk.next().is_none());
+        }
         Ok(())
     }
 
