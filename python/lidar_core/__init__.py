@@ -1,5 +1,6 @@
 """From raw LiDAR to the list of things around a robot that matter."""
 
+from lidar_core import flying
 from lidar_core._core import __version__
 from lidar_core.errors import (
     ConfigError,
@@ -29,5 +30,6 @@ __all__ = [
     "VoxelMapConfig",
     "__version__",
     "cluster_points",
+    "flying",
     "traverse",
 ]

@@ -58,19 +58,31 @@ def as_mask(values: ArrayLike, *, name: str, rows: int) -> NDArray[np.bool_]:
 
 def as_pose(matrix: ArrayLike, *, name: str = "world_from_lidar") -> NDArray[np.float64]:
     """A rigid transform as a (4, 4) float64 array; scale, shear and NaN are refused."""
-    array = as_real(matrix, name=name)
-    if array.shape != (4, 4):
-        raise InputError(f"{name}: expected shape (4, 4), got {array.shape}")
-    pose = np.ascontiguousarray(array, dtype=np.float64)
-    if not np.isfinite(pose).all():
-        raise InputError(f"{name}: expected finite values, got {pose.tolist()}")
-    rotation = pose[:3, :3]
-    is_rotation = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
-    if not is_rotation or np.linalg.det(rotation) < 0 or not np.array_equal(pose[3], [0, 0, 0, 1]):
-        raise InputError(
-            f"{name}: expected a rotation and a translation, last row 0 0 0 1, got {pose.tolist()}"
-        )
-    return pose
+    poses = as_poses(matrix, name=name)
+    if len(poses) != 1 or np.ndim(matrix) != 2:
+        raise InputError(f"{name}: expected shape (4, 4), got {np.shape(matrix)}")
+    return poses[0]
+
+
+def as_poses(matrices: ArrayLike, *, name: str = "world_from_lidar") -> NDArray[np.float64]:
+    """One rigid transform (4, 4) or several (K, 4, 4) as a (K, 4, 4) float64 array."""
+    array = as_real(matrices, name=name)
+    if array.ndim not in (2, 3) or array.shape[-2:] != (4, 4) or not len(array):
+        raise InputError(f"{name}: expected shape (4, 4) or (K, 4, 4), got {array.shape}")
+    poses = np.ascontiguousarray(array, dtype=np.float64).reshape(-1, 4, 4)
+    for pose in poses:
+        rotation = pose[:3, :3]
+        if not (
+            np.isfinite(pose).all()
+            and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
+            and np.linalg.det(rotation) > 0
+            and np.array_equal(pose[3], [0, 0, 0, 1])
+        ):
+            raise InputError(
+                f"{name}: expected a finite rotation and translation, last row 0 0 0 1,"
+                f" got {pose.tolist()}"
+            )
+    return poses
 
 
 def as_vector(values: ArrayLike, *, name: str, size: int) -> NDArray[np.float64]:
@@ -102,7 +114,9 @@ def as_real(values: ArrayLike, *, name: str) -> NDArray[Any]:
     try:
         array = np.asarray(values)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name}: expected an array of numbers, got {type(values).__name__}: {error}") from error
+        raise InputError(
+            f"{name}: expected an array of numbers, got {type(values).__name__}: {error}"
+        ) from error
     if array.dtype.kind not in "fiu":
         raise InputError(f"{name}: expected real numbers, got dtype {array.dtype}")
     return array

@@ -1,7 +1,41 @@
 """Detection and tracking of flying objects in 3D LiDAR."""
 
-from lidar_core.flying.results import TrackEvents, Tracks
+from lidar_core.flying.config import (
+    ClassifyConfig,
+    ClusterConfig,
+    FlyingConfig,
+    SeedConfig,
+    SensorConfig,
+    SeparateConfig,
+    VoxelMapConfig,
+)
+from lidar_core.flying.detector import FlyingObjectDetector
+from lidar_core.flying.results import (
+    FlyingDetections,
+    FlyingFrame,
+    FlyingStatus,
+    Health,
+    TrackEvents,
+    Tracks,
+)
 from lidar_core.flying.tracker import PointCloudTracker
 from lidar_core.flying.tracker_config import TrackerConfig
 
-__all__ = ["PointCloudTracker", "TrackEvents", "TrackerConfig", "Tracks"]
+__all__ = [
+    "ClassifyConfig",
+    "ClusterConfig",
+    "FlyingConfig",
+    "FlyingDetections",
+    "FlyingFrame",
+    "FlyingObjectDetector",
+    "FlyingStatus",
+    "Health",
+    "PointCloudTracker",
+    "SeedConfig",
+    "SensorConfig",
+    "SeparateConfig",
+    "TrackEvents",
+    "TrackerConfig",
+    "Tracks",
+    "VoxelMapConfig",
+]

@@ -1,10 +1,12 @@
 """Configuration of the flying-object detector: the only source of defaults and ranges."""
 
-from typing import Annotated, Literal, Self
+import math
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from lidar_core.config import Config
+from lidar_core.flying.tracker_config import TrackerConfig
 
 Corner = tuple[float, float, float]
 
@@ -63,3 +65,255 @@ class VoxelMapConfig(Config):
                 " <= threshold_tentative <= threshold_confident <= g_occ"
             )
         return self
+
+
+class ClusterConfig(Config):
+    """Clusters of points. Source: Vrba et al., eqs 13-15; defaults: Table II."""
+
+    max_distance: float = Field(
+        0.25, gt=0, description="Largest gap inside a cluster, d_cluster [m]."
+    )
+    min_points: int = Field(1, ge=1, description="Smaller clusters are unknown (count, no unit).")
+    max_points: int | None = Field(
+        None, ge=1, description="Larger clusters are unknown (count, no unit)."
+    )
+
+
+class ClassifyConfig(Config):
+    """Classes of clusters: background, flying, unknown.
+
+    Source: Vrba et al., sec. III-B and Algorithm 1; defaults: Table II, with what best mode adds.
+    """
+
+    close_distance: float = Field(
+        0.7,
+        gt=0,
+        description="Rule A: a point closer than this to the centre of an occupied voxel is"
+        " background, d_close [m].",
+    )
+    search_distance: float = Field(
+        3.0,
+        gt=0,
+        description="Rule B: a path of uncertain voxels this long (L1) connects a cluster,"
+        " d_search [m].",
+    )
+    border: Literal["open", "closed"] = Field(
+        "open",
+        description="A search that leaves a fixed operating volume finds a way out (open) or a"
+        " wall (closed, the paper) (no unit).",
+    )
+    shadow: Literal["own", "paper"] = Field(
+        "own",
+        description="own: never-observed voxels in a cluster's own shadow do not connect it;"
+        " paper: they do, and a target approached head-on is never found (no unit).",
+    )
+    max_extent: float | None = Field(
+        1.5, gt=0, description="Larger groups of clusters are no flying object [m]."
+    )
+    background_extent: float | None = Field(
+        3.0, gt=0, description="Larger clusters are background at any time [m]."
+    )
+    min_points: int = Field(
+        3, ge=1, description="Smaller clusters are no flying object (count, no unit)."
+    )
+    max_distance: float | None = Field(
+        None, gt=0, description="Clusters further from the sensor are no flying object [m]."
+    )
+    group_distance: float | None = Field(
+        0.7,
+        gt=0,
+        description="Clusters closer together than this, none of them background, are judged by"
+        " their common extent [m]; none: each by itself.",
+    )
+    fill_pockets: bool = Field(
+        False,
+        description="Enclosed uncertain voxels around a flying cluster become free (no unit).",
+    )
+
+    @classmethod
+    def paper(cls) -> Self:
+        """Rules A, B and C as published, without gates."""
+        return cls(
+            border="closed",
+            shadow="paper",
+            max_extent=None,
+            background_extent=None,
+            min_points=1,
+            group_distance=None,
+        )
+
+
+class SeparateConfig(Config):
+    """Removal of separate background. Source: Vrba et al., sec. III-D, eq. 23."""
+
+    max_gap: float = Field(
+        0.8,
+        ge=0,
+        description="Largest distance between the centres of neighbouring voxels of a group,"
+        " d_sep; not in Table II, taken from the authors' code [m].",
+    )
+    min_confident: int = Field(
+        24,
+        ge=0,
+        description="Groups with fewer confidently occupied voxels are removed, n_conf,min"
+        " (count, no unit).",
+    )
+
+
+class SeedConfig(Config):
+    """Where the first background comes from: the paper is silent, and without it nothing flies.
+
+    Other seeds are an a-priori map: `FlyingObjectDetector.set_occupied`, `load_map`.
+    """
+
+    burn_in_scans: int = Field(
+        10, ge=0, description="First scans, in which nothing is reported (count, no unit)."
+    )
+    burn_in_extent: float = Field(
+        1.0,
+        gt=0,
+        description="During the burn-in larger clusters are background; must exceed the largest"
+        " target [m].",
+    )
+    ground_height: float | None = Field(
+        None, description="Clusters that reach below this height are background, world frame [m]."
+    )
+    take_off_height: float | None = Field(
+        None,
+        gt=0,
+        description="Height of the sensor above the ground in the first scan: the ground below"
+        " is occupied [m].",
+    )
+
+
+class SensorConfig(Config):
+    """One LiDAR: its own robot in view, and the rays that its driver drops."""
+
+    min_range: float = Field(0.3, ge=0, description="Nearer returns are not used [m].")
+    self_box: tuple[Corner, Corner] | None = Field(
+        None, description="Lower and upper corner of the robot, lidar frame [m]."
+    )
+    blind_sectors: tuple[tuple[float, float, float, float], ...] = Field(
+        (),
+        description="Directions that the robot hides: azimuth from, to, elevation from, to [rad].",
+    )
+    self_mask: tuple[bool, ...] | None = Field(
+        None, description="Per point of the cloud: true where the ray hits the robot (no unit)."
+    )
+    learn_mask_scans: int = Field(
+        0,
+        ge=0,
+        description="First scans in which rays that hit the robot are learnt; the order of the"
+        " points must be the same in every scan (count, no unit).",
+    )
+    learn_mask_range: float = Field(
+        1.0, gt=0, description="While learning, a nearer return is the robot [m]."
+    )
+    mask_empty_only: bool = Field(
+        False,
+        description="Masks skip only rays without return (the authors' code), not all (no unit).",
+    )
+    beams: Literal["vlp-16", "hdl-32e", "hdl-64e", "learnt"] | None = Field(
+        None,
+        description="Rays of a sensor whose driver drops those without return: a preset, or learnt"
+        " from the points (no unit). None: such rays are given, or open sky is not cleared.",
+    )
+    beam_columns: int | None = Field(
+        None,
+        ge=8,
+        le=36_000,
+        description="Rays per revolution of each row, if `beams` is set; none: the preset's"
+        " (count, no unit).",
+    )
+    beam_elevations: tuple[float, ...] = Field(
+        (), description="Elevation of every row, instead of a preset [rad]."
+    )
+    returns_per_ray: int = Field(
+        1,
+        ge=1,
+        le=8,
+        description="Returns per ray: the cloud is that many equal parts, one after another"
+        " (count, no unit).",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_preset(cls, values: dict[str, object]) -> dict[str, object]:
+        preset = BEAM_PRESETS.get(str(values.get("beams")))
+        if preset is None:
+            return values
+        columns, elevations_deg = preset
+        filled = {
+            "beam_columns": columns,
+            "beam_elevations": tuple(round(math.radians(row), 6) for row in elevations_deg),
+        }
+        given = {name: value for name, value in values.items() if value not in (None, ())}
+        return values | filled | given
+
+
+BEAM_PRESETS: dict[str, tuple[int, tuple[float, ...]]] = {
+    "vlp-16": (1800, tuple(range(-15, 16, 2))),
+    "hdl-32e": (2170, tuple(-30.67 + 41.34 * row / 31 for row in range(32))),
+    "hdl-64e": (
+        2083,
+        (
+            *(-24.33 + row * (24.33 - 8.83) / 31 for row in range(32)),
+            *(-8.33 + row * (8.33 + 2.0) / 31 for row in range(32)),
+        ),
+    ),
+    "learnt": (1800, ()),
+}
+"""Rays per revolution at 10 Hz and elevations [deg], after the manufacturers' data sheets."""
+
+
+class FlyingConfig(Config):
+    """The flying-object detector: `FlyingConfig()` is best mode, `.paper()` the paper, Table II."""
+
+    voxel_map: VoxelMapConfig = VoxelMapConfig(max_range=22.0)
+    cluster: ClusterConfig = ClusterConfig()
+    classify: ClassifyConfig = ClassifyConfig()
+    separate: SeparateConfig = SeparateConfig()
+    seed: SeedConfig = SeedConfig()
+    sensor: SensorConfig = Field(
+        SensorConfig(), description="LiDARs that `sensors` does not name (no unit)."
+    )
+    sensors: dict[str, SensorConfig] = Field(
+        {}, description="LiDARs by the name that `process` is given (no unit)."
+    )
+    tracker: TrackerConfig = TrackerConfig()
+    range_std: float = Field(
+        0.03, ge=0, description="Standard deviation of a range, for detection covariances [m]."
+    )
+    target_radius: float = Field(
+        0.325,
+        gt=0,
+        description="Radius of the smallest target: where its rays are free, a track should be"
+        " seen [m].",
+    )
+    mismatch_share: float | None = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="A scan with a larger share of returns in free space is held (share, no unit);"
+        " none: never.",
+    )
+    forget_distance: float | None = Field(
+        None, gt=0, description="The map forgets what is further from the sensor [m]."
+    )
+    on_bad_scan: Literal["raise", "count"] = Field(
+        "raise", description="What to do with a scan that cannot be used (no unit)."
+    )
+
+    @classmethod
+    def paper(cls) -> Self:
+        """The algorithms as published, with the parameters of Table II.
+
+        What the paper leaves out stays at its default: the burn-in that seeds the background,
+        and d_sep.
+        """
+        return cls(
+            voxel_map=VoxelMapConfig(ray_unit="metres"),
+            classify=ClassifyConfig.paper(),
+            tracker=TrackerConfig.paper(),
+            mismatch_share=None,
+        )

@@ -65,3 +65,114 @@ class TrackEvents:
     removed: NDArray[np.int64]
     merged: NDArray[np.int64]
     n_rejected: int
+
+
+@dataclass(frozen=True, slots=True)
+class FlyingDetections:
+    """Flying objects in one scan, world frame.
+
+    Attributes
+    ----------
+    position : ndarray, shape (M, 3), float64
+        Centroids of their points [m].
+    covariance : ndarray, shape (M, 3, 3), float64
+        Of the position of the object's centre [m^2].
+    extent : ndarray, shape (M, 3), float64
+        Sides of the boxes around their points [m].
+    n_points : ndarray, shape (M,), int64
+        Points in the scan.
+    confidence : ndarray, shape (M,), float64
+        0 to 1: share of free voxels around the object, less for few points.
+    """
+
+    position: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    extent: NDArray[np.float64]
+    n_points: NDArray[np.int64]
+    confidence: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+@dataclass(frozen=True, slots=True)
+class FlyingStatus:
+    """Whether detections are reported, and if not, why.
+
+    Attributes
+    ----------
+    gate_open : bool
+        Detections are reported.
+    reason : str
+        Why not: burn-in, no background, or a pose that contradicts the map.
+    map_pose_mismatch : bool
+        The scan was held: `reanchor` or `reset` go on from here.
+    clears_sky : bool
+        Rays without return are known. If not, open sky is never cleared, and objects in front
+        of it are unknown, not flying.
+    n_rebuilt_rays : int
+        Rays without return that the driver had dropped.
+    """
+
+    gate_open: bool
+    reason: str
+    map_pose_mismatch: bool = False
+    clears_sky: bool = False
+    n_rebuilt_rays: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class FlyingFrame:
+    """Result of one scan.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Time of the scan [ns].
+    point_class : ndarray, shape (N,), uint8
+        Row-major order of the input: 0 invalid, 1 background, 2 flying, 3 unknown.
+    detections : FlyingDetections
+        Flying objects in this scan.
+    tracks : Tracks
+        Confirmed tracks at `stamp_ns`.
+    teammate_id : ndarray, shape (K,), int64
+        Known teammates seen in this scan.
+    teammates : FlyingDetections
+        Where they were seen, in the order of `teammate_id`.
+    status : FlyingStatus
+        Background gate open or closed, and why.
+    timing_ms : dict
+        Time per stage [ms].
+    rejected : str or None
+        Why the scan could not be used (`on_bad_scan="count"`); the state is unchanged then.
+    n_rays, n_visits : int
+        Rays cast, and voxels they crossed.
+    """
+
+    stamp_ns: int
+    point_class: NDArray[np.uint8]
+    detections: FlyingDetections
+    tracks: Tracks
+    teammate_id: NDArray[np.int64]
+    teammates: FlyingDetections
+    status: FlyingStatus
+    timing_ms: dict[str, float]
+    rejected: str | None = None
+    n_rays: int = 0
+    n_visits: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """Scans counted: received = processed + held + rejected.
+
+    Attributes
+    ----------
+    received, processed, held, rejected : int
+        All scans; those used; those held for a pose that contradicts the map; those refused.
+    """
+
+    received: int = 0
+    processed: int = 0
+    held: int = 0
+    rejected: int = 0

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from lidar_core import _core
 from lidar_core.arrays import Points, as_mask, as_points, as_real, as_rows, as_vector
 from lidar_core.errors import InputError
-from lidar_core.flying.config import VoxelMapConfig
+from lidar_core.flying.config import ClassifyConfig, VoxelMapConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,9 @@ class VoxelMap:
             raise InputError("sensor_origin: expected finite coordinates, got NaN or infinity")
         classes = as_real(point_class, name="point_class")
         if classes.dtype.kind == "f" or (classes.size and (classes.min() < 0 or classes.max() > 3)):
-            raise InputError("point_class: expected integers 0 invalid, 1 background, 2 flying, 3 unknown")
+            raise InputError(
+                "point_class: expected integers 0 invalid, 1 background, 2 flying, 3 unknown"
+            )
         points_of, skipped, rays, no_return_rays, visits, voxels = self._map.integrate(
             points,
             as_rows(classes, name="point_class", rows=len(points), shape=(), dtype=np.uint8),
@@ -138,7 +140,9 @@ class VoxelMap:
                 None if ray_directions is None else as_points(ray_directions, name="ray_directions")
             ),
             no_return=(
-                None if no_return is None else as_mask(no_return, name="no_return", rows=len(points))
+                None
+                if no_return is None
+                else as_mask(no_return, name="no_return", rows=len(points))
             ),
         )
         return IntegrateStats(*points_of, skipped, rays, no_return_rays, visits, voxels)
@@ -196,6 +200,42 @@ class VoxelMap:
         looked at; the result is that of looking at all.
         """
         return self._map.remove_separate(max_gap=max_gap, min_confident=min_confident)
+
+    def classify(
+        self,
+        points_world: ArrayLike,
+        labels: ArrayLike,
+        sensor_origin: ArrayLike,
+        *,
+        config: ClassifyConfig | None = None,
+    ) -> NDArray[np.uint8]:
+        """Class of every cluster of a labelled cloud; the map stays as it is.
+
+        Parameters
+        ----------
+        points_world : array_like, shape (N, 3), float32
+            Points [m], world frame.
+        labels : array_like, shape (N,), int32
+            Number of each point's cluster as from `cluster_points`; -1 is none.
+        sensor_origin : array_like, shape (3,), float64
+            Where they were seen from [m].
+        config : ClassifyConfig, optional
+            Rules; best mode by default.
+
+        Returns
+        -------
+        ndarray, shape (K,), uint8
+            1 background, 2 flying, 3 unknown for the clusters 0..K-1.
+
+        Notes
+        -----
+        Source: Vrba et al., sec. III-B.
+        """
+        points = self._local(points_world)
+        numbers = as_rows(labels, name="labels", rows=len(points), shape=(), dtype=np.int32)
+        origin = as_vector(sensor_origin, name="sensor_origin", size=3) - self.origin
+        rules = config if config is not None else ClassifyConfig()
+        return self._map.classify(points, numbers, origin, config=rules)
 
     def occupied_points(self) -> NDArray[np.float64]:
         """Centres of all voxels that are at least tentatively occupied, (N, 3) [m], world frame."""

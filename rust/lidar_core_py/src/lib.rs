@@ -2,6 +2,8 @@
 
 mod arrays;
 mod errors;
+mod flying;
+mod flying_config;
 mod geometry;
 mod guard;
 mod sim;
@@ -10,6 +12,8 @@ mod voxel_map;
 
 #[pyo3::pymodule]
 mod _core {
+    #[pymodule_export]
+    use super::flying::PyFlyingObjectDetector;
     #[pymodule_export]
     use super::geometry::{cluster_points, traverse};
     #[pymodule_export]

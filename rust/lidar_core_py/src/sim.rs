@@ -254,7 +254,8 @@ impl SimScene {
             let (points, directions) = pool.install(|| rows(&made));
             Ok((made, points, directions))
         })?;
-        let no_return: Vec<bool> = made.ranges.iter().map(|&range| range == f64::INFINITY).collect();
+        let no_return: Vec<bool> =
+            made.ranges.iter().map(|&range| range == f64::INFINITY).collect();
         let offsets = &made.sweep.offsets_ns;
         let time_ns = made.sweep.firings.iter();
         let time_ns: Vec<i64> =
@@ -281,10 +282,9 @@ impl SimScene {
         let (distances, labels): (Vec<f64>, Vec<i32>) = self.0.with(py, |(scene, pool)| {
             let rays = origins.par_iter().zip(directions).with_min_len(1024);
             let meet = |(&origin, &direction): (&[f64; 3], &[f64; 3])| {
-                scene.meet(&Ray { origin, direction }, range_max).map_or(
-                    (f64::INFINITY, simulate::NO_LABEL),
-                    |hit| (hit.distance, hit.label),
-                )
+                scene
+                    .meet(&Ray { origin, direction }, range_max)
+                    .map_or((f64::INFINITY, simulate::NO_LABEL), |hit| (hit.distance, hit.label))
             };
             Ok(pool.install(|| rays.map(meet).unzip()))
         })?;

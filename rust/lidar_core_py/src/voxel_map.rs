@@ -2,8 +2,10 @@
 
 use crate::arrays::{self, Rows3};
 use crate::errors::BorderError;
+use crate::flying_config::ClassifyConfig;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
+use lidar_core::flying::classify::classify_clusters;
 use lidar_core::flying::integrate::{ClassifiedScan, IntegrateStats, Origins};
 use lidar_core::flying::separate::Separation;
 use lidar_core::flying::voxel_map::{MapParameters, RayUnit, VoxelMap};
@@ -164,6 +166,24 @@ impl PyVoxelMap {
     ) -> Result<usize, BorderError> {
         let min_confident = arrays::count("min_confident", min_confident)?;
         self.0.with(py, |map| map.remove_separate(Separation { max_gap, min_confident }))
+    }
+
+    #[pyo3(signature = (points, labels, sensor_origin, *, config))]
+    fn classify<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'_, f32>,
+        labels: PyReadonlyArray1<'_, i32>,
+        sensor_origin: [f64; 3],
+        config: ClassifyConfig,
+    ) -> Result<Bound<'py, PyArray1<u8>>, BorderError> {
+        let points = arrays::rows3("points", &points)?;
+        let labels = arrays::flat("labels", &labels)?;
+        let parameters = config.parameters();
+        let classes = self
+            .0
+            .with(py, |map| classify_clusters(map, points, labels, sensor_origin, &parameters))?;
+        Ok(classes.into_pyarray(py))
     }
 
     /// Centres of all voxels that are at least tentatively occupied, (N, 3) [m].

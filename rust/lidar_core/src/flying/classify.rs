@@ -4,6 +4,7 @@ use super::blocks::{Cursor, Place, offset_of};
 use super::integrate::{BACKGROUND, FLYING, UNKNOWN};
 use super::separate::row_bits;
 use super::shadow::Shadow;
+use super::track::Occupancy;
 use super::voxel_map::VoxelMap;
 use crate::Error;
 use crate::geometry::lattice::{Voxel, floor, wide};
@@ -110,6 +111,37 @@ impl VoxelMap {
         let mut flood = Flood::new(self, radius, true);
         Ok(flood.is_enclosed(&distinct(starts), None))
     }
+}
+
+/// Class of every cluster of a labelled cloud in the frame of the map, seen from `origin`: 1
+/// background, 2 flying, 3 unknown. The map stays as it is.
+///
+/// # Errors
+/// [`Error::Length`], [`Error::Parameter`].
+pub fn classify_clusters(
+    map: &VoxelMap,
+    points: &[[f32; 3]],
+    labels: &[i32],
+    origin: [f64; 3],
+    parameters: &ClassifyParameters,
+) -> Result<Vec<u8>, Error> {
+    if labels.len() != points.len() {
+        let (expected, got) = (points.len(), labels.len());
+        return Err(Error::Length { name: "labels", expected, got });
+    }
+    let highest = points.len() as i64;
+    if let Some(index) = labels.iter().position(|&label| i64::from(label) >= highest || label < -1)
+    {
+        return Err(Error::Value {
+            name: "labels",
+            expected: "-1, or the number of a cluster below the number of points",
+            index,
+            got: labels[index].to_string(),
+        });
+    }
+    let clusters = Cluster::all(points, labels);
+    let verdicts = classify(map, points, &clusters, origin, parameters)?;
+    Ok(verdicts.into_iter().map(|verdict| verdict.class).collect())
 }
 
 /// Largest L1 distance that a search may still expand, in voxels; it has found a way out one
@@ -222,7 +254,8 @@ impl Judge<'_> {
 pub(crate) struct Near<'a> {
     cursor: Cursor<'a>,
     map: &'a VoxelMap,
-    distance: f64,
+    /// Squared distances below this are close [m^2].
+    limit: f64,
     half: i32,
 }
 
@@ -230,16 +263,22 @@ impl<'a> Near<'a> {
     pub(crate) fn new(map: &'a VoxelMap, distance: f64) -> Self {
         // A centre that close lies at most this many voxels from the point's own.
         let half = (distance / map.lattice().voxel_size() + 0.5).floor() as i32;
-        Self { cursor: Cursor::new(&map.blocks), map, distance, half }
+        Self { cursor: Cursor::new(&map.blocks), map, limit: distance * distance, half }
+    }
+
+    /// The same, but exactly `distance` is close too.
+    fn up_to(map: &'a VoxelMap, distance: f64) -> Self {
+        let near = Self::new(map, distance);
+        Self { limit: near.limit.next_up(), ..near }
     }
 
     pub(crate) fn is_close(&mut self, point: [f64; 3]) -> bool {
         let lattice = self.map.lattice();
         let Some(home) = floor(lattice.scaled(point)) else { return false };
-        let square = self.distance * self.distance;
+        let limit = self.limit;
         let near = |voxel: Voxel| {
             let [x, y, z] = minus(lattice.center(voxel), point);
-            x * x + y * y + z * z < square
+            x * x + y * y + z * z < limit
         };
         if self.cursor.is_tentative(home) && near(home) {
             return true; // the usual case on known background
@@ -265,6 +304,12 @@ impl<'a> Near<'a> {
             }
         }
         false
+    }
+}
+
+impl Occupancy for VoxelMap {
+    fn any_within(&self, point: [f64; 3], distance: f64) -> bool {
+        Near::up_to(self, distance).is_close(point)
     }
 }
 

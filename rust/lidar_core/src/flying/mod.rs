@@ -2,13 +2,22 @@
 //!
 //! Source: Vrba, Walter & Saska, "On Onboard LiDAR-based Flying Object Detection".
 
+mod analysis;
+pub mod beams;
 mod blocks;
 pub mod classify;
+pub mod detection;
+pub mod detector;
+pub mod gate;
 mod group;
 pub mod integrate;
+mod motion;
 mod persist;
 mod raycast;
+pub mod scan;
+pub mod sensor;
 pub mod separate;
 mod shadow;
 pub mod track;
+mod visibility;
 pub mod voxel_map;

@@ -14,7 +14,7 @@ const MAX_CELLS: f64 = (1u64 << 31) as f64;
 const RADIX_BITS: u32 = 11;
 
 /// What makes a cluster.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clustering {
     /// Largest gap inside a cluster [m], finite and > 0. Exactly this distance still links.
     pub max_distance: f64,

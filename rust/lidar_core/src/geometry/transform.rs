@@ -42,6 +42,36 @@ impl Transform {
         std::array::from_fn(|row| dot(self.rotation[row], direction))
     }
 
+    /// The transform that takes the target back to the source.
+    #[must_use]
+    pub fn inverse(&self) -> Self {
+        let rotation: [[f64; 3]; 3] =
+            std::array::from_fn(|row| std::array::from_fn(|column| self.rotation[column][row]));
+        let back = Self { rotation, translation: [0.0; 3] };
+        Self { translation: back.rotate(self.translation).map(|value| -value), ..back }
+    }
+
+    /// `self` after `first`: `a_from_b.after(b_from_c)` is `a_from_c`.
+    #[must_use]
+    pub fn after(&self, first: &Self) -> Self {
+        let column =
+            |index: usize| self.rotate(std::array::from_fn(|row| first.rotation[row][index]));
+        let columns = [column(0), column(1), column(2)];
+        Self {
+            rotation: std::array::from_fn(|row| std::array::from_fn(|index| columns[index][row])),
+            translation: self.apply(first.translation),
+        }
+    }
+
+    /// `R C R'`: a covariance of the source in the target.
+    #[must_use]
+    pub fn turn_covariance(&self, covariance: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
+        let half: [[f64; 3]; 3] = std::array::from_fn(|row| self.rotate(covariance[row])); // C R'
+        let column = |index: usize| self.rotate(std::array::from_fn(|row| half[row][index]));
+        let columns = [column(0), column(1), column(2)];
+        std::array::from_fn(|row| std::array::from_fn(|index| columns[index][row]))
+    }
+
     /// The transform at `fraction` (0..1) between `self` and `other`: translation on a line,
     /// rotation at a constant rate.
     #[must_use]
@@ -159,6 +189,24 @@ mod tests {
             }
             assert!((half.translation[0] - angle / 2.0).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn a_transform_and_its_inverse_cancel() {
+        let there = about_z(0.7).after(&about_z(-0.2));
+        let point = there.inverse().apply(there.apply([1.0, 2.0, 3.0]));
+        assert!(norm(minus(point, [1.0, 2.0, 3.0])) < 1e-12);
+        assert!(
+            norm(minus(there.apply([1.0; 3]), about_z(0.7).apply(about_z(-0.2).apply([1.0; 3]))))
+                < 1e-12
+        );
+    }
+
+    #[test]
+    fn a_covariance_turns_with_its_axes() {
+        let quarter = about_z(std::f64::consts::FRAC_PI_2);
+        let turned = quarter.turn_covariance(&[[4.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 9.0]]);
+        assert!((turned[0][0] - 1.0).abs() < 1e-12 && (turned[1][1] - 4.0).abs() < 1e-12);
     }
 
     #[test]

@@ -204,8 +204,7 @@ mod tests {
     #[test]
     fn continuous_noise_matches_table_ii_at_ten_hertz() {
         let root = 0.1_f64.sqrt(); // q = Xi^2 / 0.1 s
-        let noise =
-            Motion { std: PAPER.std.map(|std| std / root), ..CONTINUOUS };
+        let noise = Motion { std: PAPER.std.map(|std| std / root), ..CONTINUOUS };
         let (got, paper) = (process_covariance(0.1, &noise), process_covariance(0.1, &PAPER));
         for index in 0..9 {
             assert!((got[(index, index)] / paper[(index, index)] - 1.0).abs() < 0.1);

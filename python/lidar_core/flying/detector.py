@@ -1,0 +1,323 @@
+"""The flying-object detector: scans in, point classes, detections and tracks out."""
+
+from dataclasses import replace
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidar_core import _core
+from lidar_core.arrays import as_mask, as_points, as_pose, as_poses, as_real, as_rows, as_stamp
+from lidar_core.errors import InputError
+from lidar_core.flying.config import FlyingConfig
+from lidar_core.flying.results import (
+    FlyingDetections,
+    FlyingFrame,
+    FlyingStatus,
+    Health,
+    Tracks,
+)
+
+
+class FlyingObjectDetector:
+    """Finds and tracks flying objects in scans of one or several 3D LiDARs.
+
+    Every scan is clustered, each cluster is classified on the map of the environment as it is,
+    the map is updated, and clusters surrounded by free space feed the tracker.
+
+    Parameters
+    ----------
+    config : FlyingConfig
+        `FlyingConfig()` is best mode, `FlyingConfig.paper()` the paper with Table II.
+    threads : int
+        Threads used, >= 1. Results do not depend on it.
+
+    Raises
+    ------
+    ConfigError
+        A parameter is outside its range.
+
+    Notes
+    -----
+    Source: Vrba, Walter & Saska, "On Onboard LiDAR-based Flying Object Detection", sec. III.
+    World coordinates may be far from the origin: inside, coordinates are relative to the first
+    pose. Calls from several threads take turns; the GIL is released.
+    """
+
+    def __init__(self, config: FlyingConfig | None = None, *, threads: int = 1) -> None:
+        self.config = config if config is not None else FlyingConfig()
+        self._detector = _core.FlyingObjectDetector(self.config, threads=threads)
+        self._health = Health()
+
+    def process(
+        self,
+        points_lidar: ArrayLike,
+        world_from_lidar: ArrayLike,
+        stamp_ns: int,
+        *,
+        no_return: ArrayLike | None = None,
+        directions: ArrayLike | None = None,
+        point_time_ns: ArrayLike | None = None,
+        pose_stamps_ns: ArrayLike | None = None,
+        pose_covariance: ArrayLike | None = None,
+        sensor: str = "lidar",
+    ) -> FlyingFrame:
+        """Process one scan.
+
+        Parameters
+        ----------
+        points_lidar : array_like, shape (N, 3) or (H, W, 3), float32
+            Coordinates [m], lidar frame; NaN is no information.
+        world_from_lidar : array_like, shape (4, 4) or (K, 4, 4), float64
+            Pose of the scan, or a stream of poses with `pose_stamps_ns`: with `point_time_ns`
+            every point is then placed by the pose at its own time (deskew).
+        stamp_ns : int
+            Start of the scan [ns]; must increase per sensor.
+        no_return : array_like, shape (N,), bool, optional
+            Rays that met nothing within range. Their directions come from `directions`, or are
+            remembered from earlier scans of an organised cloud.
+        directions : array_like, shape (N, 3), float32, optional
+            Unit direction of every ray, lidar frame.
+        point_time_ns : array_like, shape (N,), int64, optional
+            Absolute time of every point [ns].
+        pose_stamps_ns : array_like, shape (K,), int64, optional
+            Time of every pose [ns], increasing.
+        pose_covariance : array_like, shape (6, 6), float64, optional
+            Covariance of translation [m^2] and of the angles about x, y, z [rad^2] (eq. 38).
+        sensor : str
+            Which of several LiDARs.
+
+        Returns
+        -------
+        FlyingFrame
+
+        Raises
+        ------
+        InputError
+            Wrong shape, dtype or value, or a stamp that is not newer than the last one of this
+            sensor. The detector is unchanged. With `on_bad_scan="count"` nothing is raised: the
+            frame says in `rejected` what was wrong.
+        LimitError
+            The map would outgrow its budget; the detector is unchanged.
+        """
+        self._count("received")
+        try:
+            stamp_ns = as_stamp(stamp_ns, name="stamp_ns")
+            points = as_points(points_lidar, name="points_lidar")
+            values = self._detector.process(
+                points,
+                as_poses(world_from_lidar, name="world_from_lidar"),
+                stamp_ns,
+                no_return=_maybe_mask(no_return, len(points)),
+                directions=_maybe_directions(directions, len(points)),
+                point_time_ns=_maybe_stamps(point_time_ns, "point_time_ns", len(points)),
+                pose_stamps_ns=_maybe_stamps(pose_stamps_ns, "pose_stamps_ns", None),
+                pose_covariance=_maybe_covariance(pose_covariance),
+                sensor=sensor,
+            )
+        except InputError as error:
+            self._count("rejected")
+            if self.config.on_bad_scan == "raise":
+                raise
+            return self._rejected(stamp_ns, str(error))
+        except BaseException:
+            self._count("rejected")
+            raise
+        frame = _frame(stamp_ns, values)
+        self._count("held" if frame.status.map_pose_mismatch else "processed")
+        return frame
+
+    def tracks_at(self, stamp_ns: int) -> Tracks:
+        """Confirmed tracks predicted to `stamp_ns` [ns]: compensates latency, changes nothing."""
+        stamp_ns = as_stamp(stamp_ns, name="stamp_ns")
+        return _tracks(self._detector.tracks_at(stamp_ns), stamp_ns)
+
+    def set_teammates(
+        self, ids: ArrayLike, positions_world: ArrayLike, *, radius: float = 1.0
+    ) -> None:
+        """Name known flying objects: from now on labelled in `frame.teammates`, not reported.
+
+        Parameters
+        ----------
+        ids : array_like, shape (K,), int64
+            Their names.
+        positions_world : array_like, shape (K, 3), float64
+            Where they say they are [m]; call again when they have moved.
+        radius : float
+            Detections this near are taken for them [m].
+        """
+        names = as_rows(ids, name="ids", rows=None, shape=(), dtype=np.int64)
+        rows = len(names)
+        positions = as_rows(
+            positions_world, name="positions_world", rows=rows, shape=(3,), dtype=np.float64
+        )
+        self._detector.set_teammates(names, positions, radius=float(radius))
+
+    def set_occupied(self, points_world: ArrayLike) -> None:
+        """Make the voxels at these points (N, 3) [m] occupied for good: an a-priori map."""
+        self._detector.set_known(_world(points_world), occupied=True)
+
+    def set_free(self, points_world: ArrayLike) -> None:
+        """Make the voxels at these points (N, 3) [m] free for good."""
+        self._detector.set_known(_world(points_world), occupied=False)
+
+    def state_at(self, points_world: ArrayLike) -> NDArray[np.uint8]:
+        """State of the map at points (N, 3) [m]: 0 free, 1 uncertain, 2 tentative, 3 occupied."""
+        return self._detector.state_at(_world(points_world))
+
+    def occupied_points(self) -> NDArray[np.float64]:
+        """Centres of all voxels that are at least tentatively occupied, (N, 3) [m], world frame."""
+        return self._detector.occupied_points()
+
+    @property
+    def map_memory_bytes(self) -> int:
+        """Bytes held by the map."""
+        return self._detector.map_size()[2]
+
+    @property
+    def n_observed(self) -> int:
+        """Voxels of the map that a point or a ray has met."""
+        return self._detector.map_size()[1]
+
+    def save_map(self, path: str | PathLike[str]) -> None:
+        """Write the map to a file that `load_map` and `VoxelMap.load` read."""
+        self._detector.save_map(path)
+
+    def load_map(self, path: str | PathLike[str]) -> None:
+        """Go on with a map of an earlier run; tracks are dropped.
+
+        Raises
+        ------
+        FormatError
+            The file is no map, or damaged.
+        ConfigError
+            Its voxels differ in size.
+        """
+        self._detector.load_map(path)
+
+    def reanchor(self) -> bool:
+        """Go on after a jump of the pose (relocalisation, GNSS step).
+
+        The world is shifted so that the scan held last lies where the one before it was: map
+        and tracks keep their place around the robot. False if no scan is held.
+        """
+        return self._detector.reanchor()
+
+    def reset(self) -> None:
+        """Forget map, tracks and poses; track numbers go on, health is kept."""
+        self._detector.reset()
+
+    def health(self) -> Health:
+        """Scans counted since the start: received = processed + held + rejected."""
+        return self._health
+
+    def _count(self, field: str) -> None:
+        self._health = replace(self._health, **{field: getattr(self._health, field) + 1})
+
+    def _rejected(self, stamp_ns: Any, reason: str) -> FlyingFrame:
+        stamp = stamp_ns if isinstance(stamp_ns, int) else 0
+        nobody = _detections(_NO_DETECTIONS)
+        return FlyingFrame(
+            stamp_ns=stamp,
+            point_class=np.empty(0, np.uint8),
+            detections=nobody,
+            tracks=self.tracks_at(stamp),
+            teammate_id=np.empty(0, np.int64),
+            teammates=nobody,
+            status=FlyingStatus(gate_open=False, reason=f"scan rejected: {reason}"),
+            timing_ms={},
+            rejected=reason,
+        )
+
+
+_NO_DETECTIONS = (
+    np.empty((0, 3)),
+    np.empty((0, 3, 3)),
+    np.empty((0, 3)),
+    np.empty(0, np.int64),
+    np.empty(0),
+)
+
+
+def _frame(stamp_ns: int, values: dict[str, Any]) -> FlyingFrame:
+    return FlyingFrame(
+        stamp_ns=stamp_ns,
+        point_class=values["point_class"],
+        detections=_detections(values["detections"]),
+        tracks=_tracks(values["tracks"], stamp_ns),
+        teammate_id=values["teammate_ids"],
+        teammates=_detections(values["teammates"]),
+        status=FlyingStatus(
+            gate_open=values["gate_open"],
+            reason=values["gate_reason"],
+            map_pose_mismatch=values["map_pose_mismatch"],
+            clears_sky=values["clears_sky"],
+            n_rebuilt_rays=values["rebuilt_rays"],
+        ),
+        timing_ms=values["timing_ms"],
+        n_rays=values["rays"],
+        n_visits=values["visits"],
+    )
+
+
+def _detections(arrays: tuple[NDArray[Any], ...]) -> FlyingDetections:
+    position, covariance, extent, n_points, confidence = arrays
+    return FlyingDetections(position, covariance, extent, n_points, confidence)
+
+
+def _tracks(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> Tracks:
+    number, mean, covariance, extent, n_detections, age, _confirmed = arrays
+    return Tracks(
+        id=number,
+        position=mean[:, :3],
+        velocity=mean[:, 3:6],
+        acceleration=mean[:, 6:],
+        covariance=covariance,
+        extent=extent,
+        n_detections=n_detections,
+        age=age,
+        stamp_ns=stamp_ns,
+    )
+
+
+def _world(points: ArrayLike) -> NDArray[np.float64]:
+    rows = as_rows(points, name="points_world", rows=None, shape=(3,), dtype=np.float64)
+    if not np.isfinite(rows).all():
+        raise InputError("points_world: expected finite coordinates, got NaN or infinity")
+    return rows
+
+
+def _maybe_mask(values: ArrayLike | None, rows: int) -> NDArray[np.bool_] | None:
+    return None if values is None else as_mask(values, name="no_return", rows=rows)
+
+
+def _maybe_directions(values: ArrayLike | None, rows: int) -> NDArray[np.float32] | None:
+    if values is None:
+        return None
+    directions = as_points(values, name="directions")
+    if len(directions) != rows:
+        raise InputError(f"directions: expected shape ({rows}, 3), got {directions.shape}")
+    return directions
+
+
+def _maybe_stamps(
+    values: ArrayLike | None, name: str, rows: int | None
+) -> NDArray[np.int64] | None:
+    if values is None:
+        return None
+    stamps = as_real(values, name=name)
+    if rows is not None:
+        stamps = stamps.reshape(-1)
+    return as_rows(stamps, name=name, rows=rows, shape=(), dtype=np.int64)
+
+
+def _maybe_covariance(values: ArrayLike | None) -> NDArray[np.float64] | None:
+    if values is None:
+        return None
+    matrix = as_rows(values, name="pose_covariance", rows=6, shape=(6,), dtype=np.float64)
+    if not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T):
+        raise InputError("pose_covariance: expected a finite symmetric matrix")
+    if np.linalg.eigvalsh(matrix)[0] < -1e-9 * max(1.0, float(np.abs(matrix).max())):
+        raise InputError("pose_covariance: expected no negative eigenvalue")
+    return matrix

@@ -1,0 +1,96 @@
+//! Clusters classified as flying -> detections with covariance and confidence.
+
+use super::analysis::{pose_jacobian, propagated};
+use super::classify::{Cluster, Verdict};
+use crate::geometry::lattice::wide;
+use crate::geometry::transform::{Transform, minus, norm};
+
+/// A flying object in one scan.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Detection {
+    /// Centroid of its points (eq. 19) [m].
+    pub position: [f64; 3],
+    /// Covariance of the object's centre [m^2].
+    pub covariance: [[f64; 3]; 3],
+    /// Edges of the box around its points [m].
+    pub extent: [f64; 3],
+    /// Points in the scan.
+    pub n_points: usize,
+    /// 0 to 1: share of free voxels around it, less for few points.
+    pub confidence: f64,
+}
+
+/// Points of which a target of the smallest kind gives at least this many are certain enough.
+const SURE_POINTS: f64 = 3.0;
+
+impl Detection {
+    /// Detection of a cluster, in the frame of its points.
+    ///
+    /// Its covariance has three sources: the spread of the points over their number, the range
+    /// noise, and along the line of sight that only the near side is seen (half the lateral
+    /// extent, as a standard deviation of a quarter of it).
+    pub(crate) fn of(
+        points: &[[f32; 3]],
+        cluster: &Cluster,
+        verdict: &Verdict,
+        origin: [f64; 3],
+        range_std: f64,
+    ) -> Self {
+        let count = cluster.members.len() as f64;
+        let sight = minus(cluster.centroid, origin);
+        let distance = norm(sight).max(f64::MIN_POSITIVE);
+        let sight = sight.map(|value| value / distance);
+        let hidden = 0.25 * norm(cluster.extent());
+        let mut covariance = [[0.0; 3]; 3];
+        for &row in &cluster.members {
+            let offset = minus(wide(points[row as usize]), cluster.centroid);
+            for (a, line) in covariance.iter_mut().enumerate() {
+                for (b, entry) in line.iter_mut().enumerate() {
+                    *entry += offset[a] * offset[b] / (count * count);
+                }
+            }
+        }
+        for a in 0..3 {
+            for b in 0..3 {
+                covariance[a][b] += hidden * hidden * sight[a] * sight[b];
+            }
+            covariance[a][a] += range_std * range_std;
+        }
+        let confidence = verdict.clearance * (1.0 - libm::exp2(-count / SURE_POINTS));
+        Self {
+            position: cluster.centroid,
+            covariance,
+            extent: cluster.extent(),
+            n_points: cluster.members.len(),
+            confidence,
+        }
+    }
+
+    /// The same detection in another frame.
+    pub(crate) fn moved(&self, target_from_source: &Transform) -> Self {
+        Self {
+            position: target_from_source.apply(self.position),
+            covariance: target_from_source.turn_covariance(&self.covariance),
+            ..self.clone()
+        }
+    }
+
+    /// Add the uncertainty of the sensor's pose, whose `covariance` is stated in the world
+    /// (eqs 41-42, for the centroid). `map_from_world` turns the axes.
+    pub(crate) fn add_pose_covariance(
+        &mut self,
+        pose: &Transform,
+        map_from_world: &Transform,
+        covariance: &[[f64; 6]; 6],
+    ) {
+        let world_from_map = map_from_world.inverse();
+        let (pose, point) = (world_from_map.after(pose), world_from_map.apply(self.position));
+        let in_world = propagated(&pose_jacobian(&pose, point), covariance);
+        let more = map_from_world.turn_covariance(&in_world);
+        for (line, more) in self.covariance.iter_mut().zip(&more) {
+            for (entry, more) in line.iter_mut().zip(more) {
+                *entry += more;
+            }
+        }
+    }
+}

@@ -1,0 +1,145 @@
+//! Where the sensor was at every moment of a scan.
+
+use crate::Error;
+use crate::geometry::transform::Transform;
+use std::collections::HashMap;
+
+/// A point may lie this much outside the pose stream; the nearest pose is taken then [ns].
+const POSE_SLACK_NS: i64 = 20_000_000;
+
+/// Pose of a scan: one, or a stream of them.
+#[derive(Clone, Debug)]
+pub(crate) struct Motion {
+    poses: Vec<Transform>,
+    stamps_ns: Vec<i64>,
+}
+
+impl Motion {
+    /// # Errors
+    /// [`Error::Value`] or [`Error::Length`] if poses are not finite, or stamps are missing or not
+    /// increasing.
+    pub(crate) fn new(poses: &[[f64; 16]], stamps_ns: Option<&[i64]>) -> Result<Self, Error> {
+        if poses.is_empty() {
+            return Err(Error::Length { name: "world_from_lidar", expected: 1, got: 0 });
+        }
+        if let Some(index) =
+            poses.iter().position(|pose| !pose.iter().all(|value| value.is_finite()))
+        {
+            return Err(Error::Value {
+                name: "world_from_lidar",
+                expected: "finite values",
+                index,
+                got: format!("{:?}", poses[index]),
+            });
+        }
+        let stamps_ns = match stamps_ns {
+            None if poses.len() == 1 => vec![0],
+            None => {
+                return Err(Error::Length {
+                    name: "pose_stamps_ns",
+                    expected: poses.len(),
+                    got: 0,
+                });
+            }
+            Some(stamps) if stamps.len() == poses.len() => stamps.to_vec(),
+            Some(stamps) => {
+                return Err(Error::Length {
+                    name: "pose_stamps_ns",
+                    expected: poses.len(),
+                    got: stamps.len(),
+                });
+            }
+        };
+        if let Some(index) = stamps_ns.windows(2).position(|pair| pair[0] >= pair[1]) {
+            return Err(Error::Value {
+                name: "pose_stamps_ns",
+                expected: "increasing stamps",
+                index: index + 1,
+                got: stamps_ns[index + 1].to_string(),
+            });
+        }
+        Ok(Self { poses: poses.iter().map(Transform::from_matrix).collect(), stamps_ns })
+    }
+
+    /// Whether the sensor may move during the scan.
+    pub(crate) fn is_stream(&self) -> bool {
+        self.poses.len() > 1
+    }
+
+    /// Pose at `stamp_ns`; None more than 20 ms outside the stream.
+    pub(crate) fn at(&self, stamp_ns: i64) -> Option<Transform> {
+        let (first, last) = (*self.stamps_ns.first()?, *self.stamps_ns.last()?);
+        if !self.is_stream() {
+            return self.poses.first().copied();
+        }
+        let outside = first.saturating_sub(stamp_ns).max(stamp_ns.saturating_sub(last));
+        if outside > POSE_SLACK_NS {
+            return None;
+        }
+        let stamp_ns = stamp_ns.clamp(first, last);
+        let next =
+            self.stamps_ns.partition_point(|&stamp| stamp <= stamp_ns).min(self.poses.len() - 1);
+        let (from, to) = (self.stamps_ns[next - 1], self.stamps_ns[next]);
+        let fraction = (stamp_ns - from) as f64 / (to - from) as f64;
+        Some(self.poses[next - 1].interpolate(&self.poses[next], fraction))
+    }
+
+    /// Pose of every point: points that share a time share the work.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for the first time outside the stream.
+    pub(crate) fn per_point(&self, times_ns: &[i64]) -> Result<Vec<Transform>, Error> {
+        let mut known: HashMap<i64, Transform> = HashMap::new();
+        let mut poses = Vec::with_capacity(times_ns.len());
+        for (index, &time) in times_ns.iter().enumerate() {
+            let pose = match known.get(&time) {
+                Some(pose) => *pose,
+                None => {
+                    let pose = self.at(time).ok_or_else(|| Error::Value {
+                        name: "point_time_ns",
+                        expected: "times within 20 ms of `pose_stamps_ns`",
+                        index,
+                        got: format!(
+                            "{time}, poses span {:?}",
+                            [self.stamps_ns.first(), self.stamps_ns.last()]
+                        ),
+                    })?;
+                    known.insert(time, pose);
+                    pose
+                }
+            };
+            poses.push(pose);
+        }
+        Ok(poses)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shifted(x: f64) -> [f64; 16] {
+        [1.0, 0.0, 0.0, x, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    }
+
+    #[test]
+    fn a_stream_is_interpolated_and_not_extrapolated() -> Result<(), Error> {
+        let motion =
+            Motion::new(&[shifted(0.0), shifted(1.0), shifted(3.0)], Some(&[0, 100, 200]))?;
+        let x = |stamp| motion.at(stamp).map(|pose| pose.translation[0]);
+        assert_eq!([x(-5), x(0), x(50), x(150), x(200)], [0.0, 0.0, 0.5, 2.0, 3.0].map(Some));
+        assert_eq!(x(200 + POSE_SLACK_NS + 1), None);
+        assert!(motion.per_point(&[50, 1 << 40]).is_err());
+        Ok(())
+    }
+
+    #[test]
+    fn a_bad_stream_is_refused() {
+        let poses = [shifted(0.0), shifted(1.0)];
+        assert!(Motion::new(&poses, None).is_err());
+        assert!(Motion::new(&poses, Some(&[5, 5])).is_err());
+        assert!(Motion::new(&poses, Some(&[5])).is_err());
+        assert!(Motion::new(&[shifted(f64::NAN)], None).is_err());
+        assert!(Motion::new(&[], None).is_err());
+    }
+}

@@ -1,0 +1,271 @@
+//! A raw scan -> points, rays and masks in the frame of the map.
+
+use super::motion::Motion;
+use super::sensor::Sensor;
+use crate::Error;
+use crate::budget::check_points;
+use crate::geometry::lattice::wide;
+use crate::geometry::transform::{Transform, norm};
+
+/// One scan as the sensor delivered it, in its own frame.
+#[derive(Clone, Copy, Debug)]
+pub struct RawScan<'a> {
+    /// Which of the robot's LiDARs.
+    pub sensor: &'a str,
+    /// Start of the scan [ns].
+    pub stamp_ns: i64,
+    /// Coordinates [m]; not finite where there is no information.
+    pub points: &'a [[f32; 3]],
+    /// Rays that met nothing within range.
+    pub no_return: Option<&'a [bool]>,
+    /// Direction of every ray.
+    pub directions: Option<&'a [[f32; 3]]>,
+    /// Time of every point [ns].
+    pub point_time_ns: Option<&'a [i64]>,
+    /// `world_from_lidar`, 4x4 row-major: one, or a stream.
+    pub poses: &'a [[f64; 16]],
+    /// Stamps of the stream [ns].
+    pub pose_stamps_ns: Option<&'a [i64]>,
+    /// Covariance of the pose: translation, then the angles about x, y, z (eq. 38).
+    pub pose_covariance: Option<[[f64; 6]; 6]>,
+}
+
+/// A scan in the frame of the map. Rows beyond `rows` are rebuilt rays without return.
+pub(crate) struct Prepared {
+    /// Rows of the raw scan.
+    pub(crate) rows: usize,
+    /// Coordinates [m]; NaN where there is nothing to classify.
+    pub(crate) points: Vec<[f32; 3]>,
+    pub(crate) origins: Vec<[f64; 3]>,
+    pub(crate) directions: Option<Vec<[f32; 3]>>,
+    pub(crate) no_return: Vec<bool>,
+    pub(crate) no_ray: Option<Vec<bool>>,
+    /// Pose in the middle of the scan.
+    pub(crate) pose: Transform,
+    /// Whether open sky is cleared by rays without return.
+    pub(crate) clears_sky: bool,
+    pub(crate) rebuilt: usize,
+}
+
+impl Prepared {
+    /// # Errors
+    /// [`Error::Length`], [`Error::Value`], [`Error::Limit`] for input that cannot be used.
+    pub(crate) fn new(
+        raw: &RawScan<'_>,
+        sensor: &Sensor,
+        map_from_world: &Transform,
+    ) -> Result<Self, Error> {
+        check(raw, sensor)?;
+        let motion = Motion::new(raw.poses, raw.pose_stamps_ns)?;
+        let poses = Poses::of(raw, &motion, map_from_world)?;
+        let mut scan = Self {
+            rows: raw.points.len(),
+            points: Vec::with_capacity(raw.points.len()),
+            origins: Vec::with_capacity(raw.points.len()),
+            directions: None,
+            no_return: vec![false; raw.points.len()],
+            no_ray: farthest_returns(raw.points, sensor.parameters.returns_per_ray),
+            pose: poses.middle,
+            clears_sky: raw.no_return.is_some(),
+            rebuilt: 0,
+        };
+        scan.take_points(raw, sensor, &poses);
+        if raw.no_return.is_some() {
+            scan.take_empty_rays(raw, sensor, &poses);
+        } else if let Some(missing) = sensor.missing(raw.points) {
+            scan.append_missing(&missing, &poses.middle);
+        }
+        Ok(scan)
+    }
+
+    fn take_points(&mut self, raw: &RawScan<'_>, sensor: &Sensor, poses: &Poses) {
+        for (row, &point) in raw.points.iter().enumerate() {
+            let pose = poses.at(row);
+            let point = wide(point);
+            let usable = point.iter().all(|value| value.is_finite())
+                && !raw.no_return.is_some_and(|flags| flags[row])
+                && !sensor.is_own(row, point);
+            self.points.push(if usable { narrow(pose.apply(point)) } else { [f32::NAN; 3] });
+            self.origins.push(pose.translation);
+        }
+    }
+
+    fn take_empty_rays(&mut self, raw: &RawScan<'_>, sensor: &Sensor, poses: &Poses) {
+        let Some(flags) = raw.no_return else { return };
+        let mut directions = vec![[f32::NAN; 3]; raw.points.len()];
+        for row in (0..flags.len()).filter(|&row| flags[row]) {
+            let known = raw.directions.map(|all| all[row]).or_else(|| sensor.direction(row));
+            let Some(direction) = known else { continue };
+            if !sensor.is_masked(row, wide(direction)) {
+                self.no_return[row] = true;
+                directions[row] = narrow(poses.at(row).rotate(wide(direction)));
+            }
+        }
+        self.directions = Some(directions);
+    }
+
+    fn append_missing(&mut self, missing: &[[f32; 3]], pose: &Transform) {
+        let mut directions = vec![[f32::NAN; 3]; self.rows];
+        directions.extend(missing.iter().map(|&direction| narrow(pose.rotate(wide(direction)))));
+        self.points.resize(self.rows + missing.len(), [f32::NAN; 3]);
+        self.origins.resize(self.rows + missing.len(), pose.translation);
+        self.no_return.resize(self.rows + missing.len(), true);
+        if let Some(no_ray) = &mut self.no_ray {
+            no_ray.resize(self.rows + missing.len(), false);
+        }
+        self.directions = Some(directions);
+        self.clears_sky = true;
+        self.rebuilt = missing.len();
+    }
+}
+
+/// Pose of every row in the frame of the map.
+struct Poses {
+    each: Option<Vec<Transform>>,
+    middle: Transform,
+}
+
+impl Poses {
+    fn of(raw: &RawScan<'_>, motion: &Motion, map_from_world: &Transform) -> Result<Self, Error> {
+        let each = match raw.point_time_ns {
+            Some(times) if motion.is_stream() => {
+                let poses = motion.per_point(times)?;
+                Some(poses.iter().map(|pose| map_from_world.after(pose)).collect::<Vec<_>>())
+            }
+            _ => None,
+        };
+        let middle = match &each {
+            Some(each) if !each.is_empty() => each[each.len() / 2],
+            _ => map_from_world.after(&motion.at(raw.stamp_ns).ok_or_else(|| Error::Value {
+                name: "stamp_ns",
+                expected: "a stamp within 20 ms of `pose_stamps_ns`",
+                index: 0,
+                got: raw.stamp_ns.to_string(),
+            })?),
+        };
+        Ok(Self { each, middle })
+    }
+
+    fn at(&self, row: usize) -> &Transform {
+        self.each.as_ref().map_or(&self.middle, |each| &each[row])
+    }
+}
+
+fn check(raw: &RawScan<'_>, sensor: &Sensor) -> Result<(), Error> {
+    let expected = raw.points.len();
+    check_points(expected)?;
+    let lengths = [
+        ("no_return", raw.no_return.map(<[_]>::len)),
+        ("directions", raw.directions.map(<[_]>::len)),
+        ("point_time_ns", raw.point_time_ns.map(<[_]>::len)),
+        ("self_mask", sensor.parameters.self_mask.as_ref().map(Vec::len)),
+    ];
+    for (name, got) in lengths {
+        if let Some(got) = got.filter(|&got| got != expected) {
+            return Err(Error::Length { name, expected, got });
+        }
+    }
+    let returns = sensor.parameters.returns_per_ray;
+    if returns == 0 || !expected.is_multiple_of(returns) {
+        return Err(Error::Parameter {
+            name: "returns_per_ray",
+            expected: "a divisor of the number of points",
+            got: format!("{returns} for {expected} points"),
+        });
+    }
+    Ok(())
+}
+
+/// With several returns per ray only the farthest one casts a ray: the way to the nearer ones is
+/// part of it.
+fn farthest_returns(points: &[[f32; 3]], returns: usize) -> Option<Vec<bool>> {
+    if returns <= 1 {
+        return None;
+    }
+    let rays = points.len() / returns;
+    let range = |row: usize| {
+        let range = norm(wide(points[row]));
+        if range.is_finite() { range } else { -1.0 }
+    };
+    let mut no_ray = vec![true; points.len()];
+    for ray in 0..rays {
+        let mut farthest = ray;
+        for row in (1..returns).map(|part| part * rays + ray) {
+            if range(row) > range(farthest) {
+                farthest = row;
+            }
+        }
+        no_ray[farthest] = false;
+    }
+    Some(no_ray)
+}
+
+fn narrow(point: [f64; 3]) -> [f32; 3] {
+    point.map(|value| value as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flying::sensor::SensorParameters;
+    use crate::flying::sensor::tests::parameters;
+
+    const STILL: [f64; 16] =
+        [1.0, 0.0, 0.0, 10.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+
+    fn raw<'a>(points: &'a [[f32; 3]]) -> RawScan<'a> {
+        RawScan {
+            sensor: "lidar",
+            stamp_ns: 0,
+            points,
+            no_return: None,
+            directions: None,
+            point_time_ns: None,
+            poses: &[STILL],
+            pose_stamps_ns: None,
+            pose_covariance: None,
+        }
+    }
+
+    #[test]
+    fn own_returns_vanish_and_the_rest_moves_into_the_map() -> Result<(), Error> {
+        let sensor = Sensor::new(parameters());
+        let points = [[0.1, 0.0, 0.0], [5.0, 1.0, 0.0], [f32::NAN; 3]];
+        let scan = Prepared::new(&raw(&points), &sensor, &Transform::IDENTITY)?;
+        assert!(scan.points[0][0].is_nan() && scan.points[2][0].is_nan());
+        assert_eq!(scan.points[1], [15.0, 1.0, 0.0]);
+        assert!(!scan.clears_sky);
+        Ok(())
+    }
+
+    #[test]
+    fn of_two_returns_the_farther_one_casts_the_ray() -> Result<(), Error> {
+        let sensor = Sensor::new(SensorParameters { returns_per_ray: 2, ..parameters() });
+        let points = [[4.0, 0.0, 0.0], [0.0, 9.0, 0.0], [8.0, 0.0, 0.0], [f32::NAN; 3]];
+        let scan = Prepared::new(&raw(&points), &sensor, &Transform::IDENTITY)?;
+        assert_eq!(scan.no_ray, Some(vec![true, false, false, true]));
+        assert!(Prepared::new(&raw(&points[..3]), &sensor, &Transform::IDENTITY).is_err());
+        Ok(())
+    }
+
+    #[test]
+    fn every_column_has_its_own_origin() -> Result<(), Error> {
+        let mut ahead = STILL;
+        ahead[3] = 11.0;
+        let poses = [STILL, ahead];
+        let points = [[5.0, 0.0, 0.0]; 3];
+        let scan = RawScan {
+            poses: &poses,
+            pose_stamps_ns: Some(&[0, 100]),
+            point_time_ns: Some(&[0, 50, 100]),
+            ..raw(&points)
+        };
+        let scan = Prepared::new(&scan, &Sensor::new(parameters()), &Transform::IDENTITY)?;
+        assert_eq!(
+            scan.points.iter().map(|point| point[0]).collect::<Vec<_>>(),
+            [15.0, 15.5, 16.0]
+        );
+        assert_eq!(scan.origins[1], [10.5, 0.0, 0.0]);
+        Ok(())
+    }
+}

@@ -1,0 +1,181 @@
+//! What the detector remembers of each of its LiDARs: last stamp, own body, rays.
+
+use super::beams::{BeamTable, Rebuilder};
+use crate::Error;
+use crate::geometry::lattice::wide;
+use crate::geometry::transform::norm;
+
+/// A direction range in the lidar frame [rad]: azimuth from, to, elevation from, to. A range of
+/// azimuth may cross +-pi: "from" is larger than "to" then.
+pub type Sector = [f64; 4];
+
+/// Parameters of one LiDAR.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SensorParameters {
+    /// Nearer returns are not used [m].
+    pub min_range: f64,
+    /// Corners of a box around the robot, lidar frame: returns inside are not used [m].
+    pub self_box: Option<[[f64; 3]; 2]>,
+    /// Directions towards the robot itself: their rays are not used.
+    pub blind_sectors: Vec<Sector>,
+    /// Rows of the cloud whose rays hit the robot.
+    pub self_mask: Option<Vec<bool>>,
+    /// In so many first scans rays that hit the robot are learnt; 0 learns none.
+    pub learn_mask_scans: u32,
+    /// A ray with a return nearer than this hits the robot [m].
+    pub learn_mask_range: f64,
+    /// Masks apply only to rays without return; otherwise to all.
+    pub mask_empty_only: bool,
+    /// How rays without return are rebuilt where the driver drops them.
+    pub beams: Option<BeamTable>,
+    /// Returns per ray: the cloud holds that many equal parts, one per return.
+    pub returns_per_ray: usize,
+}
+
+/// State of one LiDAR.
+#[derive(Clone, Debug)]
+pub(crate) struct Sensor {
+    pub(crate) parameters: SensorParameters,
+    pub(crate) last_stamp_ns: Option<i64>,
+    rebuilder: Option<Rebuilder>,
+    learnt_scans: u32,
+    near_counts: Vec<u32>,
+    directions: Vec<[f32; 3]>,
+}
+
+impl Sensor {
+    pub(crate) fn new(parameters: SensorParameters) -> Self {
+        Self {
+            rebuilder: parameters.beams.as_ref().map(Rebuilder::new),
+            parameters,
+            last_stamp_ns: None,
+            learnt_scans: 0,
+            near_counts: Vec::new(),
+            directions: Vec::new(),
+        }
+    }
+
+    /// # Errors
+    /// [`Error::Time`] unless `stamp_ns` is newer than every scan of this sensor before.
+    pub(crate) fn check_stamp(&self, name: &str, stamp_ns: i64) -> Result<(), Error> {
+        match self.last_stamp_ns {
+            Some(last) if stamp_ns <= last => Err(Error::Time {
+                what: format!(
+                    "stamp_ns: expected a stamp after {last}, the last scan of sensor {name:?}, got \
+                     {stamp_ns}; a late or repeated scan cannot be used"
+                ),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether the return `point` (row `row`) is on the robot itself or too near.
+    pub(crate) fn is_own(&self, row: usize, point: [f64; 3]) -> bool {
+        let p = &self.parameters;
+        let range = norm(point);
+        let in_box = p.self_box.is_some_and(|[low, high]| {
+            (0..3).all(|axis| (low[axis]..=high[axis]).contains(&point[axis]))
+        });
+        let learning = self.learnt_scans < p.learn_mask_scans && range < p.learn_mask_range;
+        range < p.min_range
+            || in_box
+            || learning
+            || (!p.mask_empty_only && self.is_masked(row, point))
+    }
+
+    /// Whether the ray of row `row` towards `direction` meets the robot itself.
+    pub(crate) fn is_masked(&self, row: usize, direction: [f64; 3]) -> bool {
+        let p = &self.parameters;
+        let learnt = self.learnt_scans >= p.learn_mask_scans
+            && self
+                .near_counts
+                .get(row)
+                .is_some_and(|&count| 2 * count >= p.learn_mask_scans.max(1));
+        learnt
+            || p.self_mask.as_ref().is_some_and(|mask| mask.get(row) == Some(&true))
+            || p.blind_sectors.iter().any(|sector| is_inside(sector, direction))
+    }
+
+    /// Remembered direction of a row, for rays without return of clouds without directions.
+    pub(crate) fn direction(&self, row: usize) -> Option<[f32; 3]> {
+        self.directions.get(row).copied().filter(|direction| direction[0].is_finite())
+    }
+
+    /// Directions of rays without return that the driver dropped; None if they are not known.
+    pub(crate) fn missing(&self, points: &[[f32; 3]]) -> Option<Vec<[f32; 3]>> {
+        let rebuilder = self.rebuilder.as_ref().filter(|rebuilder| rebuilder.is_ready())?;
+        let mut missing = rebuilder.missing(points);
+        missing.retain(|&direction| !self.is_masked(usize::MAX, wide(direction)));
+        Some(missing)
+    }
+
+    /// Remember what an accepted scan told about the sensor.
+    pub(crate) fn learn(&mut self, stamp_ns: i64, points: &[[f32; 3]], needs_directions: bool) {
+        self.last_stamp_ns = Some(stamp_ns);
+        if let Some(rebuilder) = &mut self.rebuilder {
+            rebuilder.learn(points);
+        }
+        if self.learnt_scans < self.parameters.learn_mask_scans {
+            self.learnt_scans += 1;
+            self.near_counts.resize(points.len(), 0);
+            for (count, &point) in self.near_counts.iter_mut().zip(points) {
+                *count += u32::from(norm(wide(point)) < self.parameters.learn_mask_range);
+            }
+        }
+        if needs_directions {
+            self.directions.resize(points.len(), [f32::NAN; 3]);
+            for (direction, &point) in self.directions.iter_mut().zip(points) {
+                let range = norm(wide(point)) as f32;
+                if range.is_finite() && range > 0.0 {
+                    *direction = point.map(|value| value / range);
+                }
+            }
+        }
+    }
+}
+
+fn is_inside(&[from, to, low, high]: &Sector, direction: [f64; 3]) -> bool {
+    let azimuth = libm::atan2(direction[1], direction[0]);
+    let elevation = libm::atan2(direction[2], libm::hypot(direction[0], direction[1]));
+    let turned =
+        if from <= to { (from..=to).contains(&azimuth) } else { azimuth >= from || azimuth <= to };
+    turned && (low..=high).contains(&elevation)
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    pub(crate) fn parameters() -> SensorParameters {
+        SensorParameters {
+            min_range: 0.3,
+            self_box: None,
+            blind_sectors: Vec::new(),
+            self_mask: None,
+            learn_mask_scans: 0,
+            learn_mask_range: 1.0,
+            mask_empty_only: false,
+            beams: None,
+            returns_per_ray: 1,
+        }
+    }
+
+    #[test]
+    fn rays_that_keep_hitting_the_robot_are_masked() {
+        let mut sensor = Sensor::new(SensorParameters { learn_mask_scans: 4, ..parameters() });
+        for scan in 0..4 {
+            let passer_by = if scan == 0 { 0.5 } else { 9.0 };
+            sensor.learn(scan, &[[0.5, 0.0, 0.0], [0.0, passer_by, 0.0]], false);
+        }
+        assert!(sensor.is_masked(0, [1.0, 0.0, 0.0]));
+        assert!(!sensor.is_masked(1, [0.0, 1.0, 0.0]));
+        assert!(!sensor.is_masked(usize::MAX, [1.0, 0.0, 0.0]));
+    }
+
+    #[test]
+    fn a_sector_may_cross_the_back() {
+        let sector = [3.0, -3.0, -0.5, 0.5];
+        assert!(is_inside(&sector, [-1.0, 0.01, 0.0]) && is_inside(&sector, [-1.0, -0.01, 0.0]));
+        assert!(!is_inside(&sector, [1.0, 0.0, 0.0]) && !is_inside(&sector, [-1.0, 0.0, 5.0]));
+    }
+}

@@ -1,0 +1,221 @@
+//! Bindings of `lidar_core::flying::detector`.
+
+use crate::arrays::{self, Rows3};
+use crate::errors::BorderError;
+use crate::flying_config::FlyingConfig;
+use crate::guard::{Guarded, detached};
+use crate::tracker::{TrackArrays, track_arrays};
+use lidar_core::flying::detection::Detection;
+use lidar_core::flying::detector::{FlyingObjectDetector, Frame, Teammate};
+use lidar_core::flying::gate::Gate;
+use lidar_core::flying::scan::RawScan;
+use lidar_core::flying::voxel_map::VoxelMap;
+use numpy::{
+    IntoPyArray, PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
+    PyReadonlyArray3, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::PathBuf;
+
+/// Position, covariance, extent, points, confidence.
+type DetectionArrays<'py> = (
+    Rows3<'py, f64>,
+    Bound<'py, PyArray3<f64>>,
+    Rows3<'py, f64>,
+    Bound<'py, PyArray1<i64>>,
+    Bound<'py, PyArray1<f64>>,
+);
+
+#[pyclass(frozen, name = "FlyingObjectDetector", module = "lidar_core._core")]
+pub(crate) struct PyFlyingObjectDetector(Guarded<FlyingObjectDetector>);
+
+#[pymethods]
+impl PyFlyingObjectDetector {
+    #[new]
+    #[pyo3(signature = (config, *, threads))]
+    fn new(py: Python<'_>, config: FlyingConfig, threads: i64) -> Result<Self, BorderError> {
+        let threads = arrays::count("threads", threads)?;
+        let detector = detached(py, || FlyingObjectDetector::new(config.parameters()?, threads))?;
+        Ok(Self(Guarded::new(detector)))
+    }
+
+    #[pyo3(signature = (points, world_from_lidar, stamp_ns, *, no_return, directions,
+                        point_time_ns, pose_stamps_ns, pose_covariance, sensor))]
+    #[allow(clippy::too_many_arguments)] // one call per scan, as the public API has it
+    fn process<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'py, f32>,
+        world_from_lidar: PyReadonlyArray3<'py, f64>,
+        stamp_ns: i64,
+        no_return: Option<PyReadonlyArray1<'py, bool>>,
+        directions: Option<PyReadonlyArray2<'py, f32>>,
+        point_time_ns: Option<PyReadonlyArray1<'py, i64>>,
+        pose_stamps_ns: Option<PyReadonlyArray1<'py, i64>>,
+        pose_covariance: Option<[[f64; 6]; 6]>,
+        sensor: &str,
+    ) -> Result<Bound<'py, PyDict>, BorderError> {
+        let raw = RawScan {
+            sensor,
+            stamp_ns,
+            points: arrays::rows3("points", &points)?,
+            no_return: arrays::maybe_flat("no_return", &no_return)?,
+            directions: arrays::maybe_rows3("directions", &directions)?,
+            point_time_ns: arrays::maybe_flat("point_time_ns", &point_time_ns)?,
+            poses: matrices(&world_from_lidar)?,
+            pose_stamps_ns: arrays::maybe_flat("pose_stamps_ns", &pose_stamps_ns)?,
+            pose_covariance,
+        };
+        let frame = self.0.with(py, |detector| detector.process(&raw))?;
+        frame_dict(py, frame)
+    }
+
+    fn tracks_at<'py>(
+        &self,
+        py: Python<'py>,
+        stamp_ns: i64,
+    ) -> Result<TrackArrays<'py>, BorderError> {
+        track_arrays(py, self.0.with(py, |detector| Ok(detector.tracks_at(stamp_ns)))?)
+    }
+
+    #[pyo3(signature = (ids, positions, *, radius))]
+    fn set_teammates(
+        &self,
+        py: Python<'_>,
+        ids: PyReadonlyArray1<'_, i64>,
+        positions: PyReadonlyArray2<'_, f64>,
+        radius: f64,
+    ) -> Result<(), BorderError> {
+        let ids = arrays::flat("ids", &ids)?;
+        let positions = arrays::rows3("positions", &positions)?;
+        let mates = ids.iter().zip(positions);
+        let mates = mates.map(|(&id, &position)| Teammate { id, position, radius }).collect();
+        self.0.with(py, |detector| {
+            detector.set_teammates(mates);
+            Ok(())
+        })
+    }
+
+    #[pyo3(signature = (points, *, occupied))]
+    fn set_known(
+        &self,
+        py: Python<'_>,
+        points: PyReadonlyArray2<'_, f64>,
+        occupied: bool,
+    ) -> Result<(), BorderError> {
+        let points = arrays::rows3("points", &points)?;
+        self.0.with(py, |detector| detector.set_known(points, occupied))
+    }
+
+    fn state_at<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'_, f64>,
+    ) -> Result<Bound<'py, PyArray1<u8>>, BorderError> {
+        let points = arrays::rows3("points", &points)?;
+        let states =
+            self.0.with(py, |detector| Ok(detector.map().states_at(&detector.in_map(points))))?;
+        Ok(states.into_pyarray(py))
+    }
+
+    /// Centres of all voxels that are at least tentatively occupied, world frame.
+    fn occupied_points<'py>(&self, py: Python<'py>) -> Result<Rows3<'py, f64>, BorderError> {
+        let centers = self.0.with(py, |detector| {
+            let (map, world_from_map) = (detector.map(), detector.world_from_map());
+            let center = |voxel| world_from_map.apply(map.lattice().center(voxel));
+            Ok(map.occupied_voxels().into_iter().map(center).collect())
+        })?;
+        arrays::rows_into(py, centers)
+    }
+
+    fn save_map(&self, py: Python<'_>, path: PathBuf) -> Result<(), BorderError> {
+        self.0.with(py, |detector| detector.map().save(&path))
+    }
+
+    fn load_map(&self, py: Python<'_>, path: PathBuf) -> Result<(), BorderError> {
+        self.0.with(py, |detector| {
+            let map = VoxelMap::load(&path, detector.map().threads())?;
+            detector.set_map(map)
+        })
+    }
+
+    /// The map as bytes; equal maps give equal bytes.
+    fn map_bytes(&self, py: Python<'_>) -> Result<Vec<u8>, BorderError> {
+        self.0.with(py, |detector| Ok(detector.map().to_bytes()))
+    }
+
+    /// Voxels stored, voxels observed, bytes held.
+    fn map_size(&self, py: Python<'_>) -> Result<(usize, usize, usize), BorderError> {
+        self.0.with(py, |detector| {
+            let map = detector.map();
+            Ok((map.stored_voxels(), map.observed_voxels(), map.memory_bytes()))
+        })
+    }
+
+    fn reanchor(&self, py: Python<'_>) -> Result<bool, BorderError> {
+        self.0.with(py, |detector| Ok(detector.reanchor()))
+    }
+
+    fn reset(&self, py: Python<'_>) -> Result<(), BorderError> {
+        self.0.with(py, FlyingObjectDetector::reset)
+    }
+}
+
+/// Borrow a (K, 4, 4) array as matrices.
+fn matrices<'a>(array: &'a PyReadonlyArray3<'_, f64>) -> Result<&'a [[f64; 16]], BorderError> {
+    if array.shape()[1..] != [4, 4] {
+        let got = array.shape().to_vec();
+        return Err(BorderError::Shape { name: "world_from_lidar", expected: "(K, 4, 4)", got });
+    }
+    Ok(arrays::flat("world_from_lidar", array)?.as_chunks::<16>().0)
+}
+
+fn frame_dict(py: Python<'_>, frame: Frame) -> Result<Bound<'_, PyDict>, BorderError> {
+    let values = PyDict::new(py);
+    values.set_item("point_class", frame.point_class.into_pyarray(py))?;
+    values.set_item("detections", detection_arrays(py, &frame.detections)?)?;
+    let (ids, mates): (Vec<i64>, Vec<Detection>) = frame.teammates.into_iter().unzip();
+    values.set_item("teammate_ids", ids.into_pyarray(py))?;
+    values.set_item("teammates", detection_arrays(py, &mates)?)?;
+    values.set_item("tracks", track_arrays(py, frame.tracks)?)?;
+    values.set_item("gate_open", frame.gate == Gate::Open)?;
+    values.set_item("gate_reason", frame.gate.to_string())?;
+    values.set_item("map_pose_mismatch", matches!(frame.gate, Gate::PoseMismatch { .. }))?;
+    values.set_item("clears_sky", frame.clears_sky)?;
+    values.set_item("rebuilt_rays", frame.rebuilt_rays)?;
+    let stats = frame.integrated.unwrap_or_default();
+    values.set_item("rays", stats.rays)?;
+    values.set_item("visits", stats.visits)?;
+    let timing = frame.timing;
+    let stages = [
+        ("prepare", timing.prepare),
+        ("cluster", timing.cluster),
+        ("classify", timing.classify),
+        ("integrate", timing.integrate),
+        ("separate", timing.separate),
+        ("track", timing.track),
+    ];
+    let timing_ms = PyDict::new(py);
+    for (stage, milliseconds) in stages {
+        timing_ms.set_item(stage, milliseconds)?;
+    }
+    values.set_item("timing_ms", timing_ms)?;
+    Ok(values)
+}
+
+fn detection_arrays<'py>(
+    py: Python<'py>,
+    detections: &[Detection],
+) -> Result<DetectionArrays<'py>, BorderError> {
+    let count = detections.len();
+    let covariances: Vec<f64> =
+        detections.iter().flat_map(|found| found.covariance.into_iter().flatten()).collect();
+    Ok((
+        arrays::rows_into(py, detections.iter().map(|found| found.position).collect())?,
+        covariances.into_pyarray(py).reshape([count, 3, 3])?,
+        arrays::rows_into(py, detections.iter().map(|found| found.extent).collect())?,
+        detections.iter().map(|found| found.n_points as i64).collect::<Vec<_>>().into_pyarray(py),
+        detections.iter().map(|found| found.confidence).collect::<Vec<_>>().into_pyarray(py),
+    ))
+}

@@ -1,0 +1,155 @@
+//! The fields of `FlyingConfig` and its parts that the core reads, by name.
+
+use crate::tracker::TrackerConfig;
+use crate::voxel_map::MapConfig;
+use lidar_core::Error;
+use lidar_core::flying::beams::BeamTable;
+use lidar_core::flying::classify::ClassifyParameters;
+use lidar_core::flying::detector::FlyingParameters;
+use lidar_core::flying::gate::SeedParameters;
+use lidar_core::flying::sensor::SensorParameters;
+use lidar_core::flying::separate::Separation;
+use lidar_core::geometry::cluster::Clustering;
+use pyo3::prelude::*;
+use std::collections::BTreeMap;
+
+#[derive(FromPyObject)]
+pub(crate) struct FlyingConfig {
+    voxel_map: MapConfig,
+    cluster: ClusterConfig,
+    classify: ClassifyConfig,
+    separate: SeparateConfig,
+    seed: SeedConfig,
+    sensor: SensorConfig,
+    sensors: BTreeMap<String, SensorConfig>,
+    tracker: TrackerConfig,
+    range_std: f64,
+    target_radius: f64,
+    mismatch_share: Option<f64>,
+    forget_distance: Option<f64>,
+}
+
+#[derive(FromPyObject)]
+struct ClusterConfig {
+    max_distance: f64,
+    min_points: usize,
+    max_points: Option<usize>,
+}
+
+#[derive(FromPyObject)]
+pub(crate) struct ClassifyConfig {
+    close_distance: f64,
+    search_distance: f64,
+    border: String,
+    shadow: String,
+    max_extent: Option<f64>,
+    background_extent: Option<f64>,
+    min_points: usize,
+    max_distance: Option<f64>,
+    group_distance: Option<f64>,
+    fill_pockets: bool,
+}
+
+#[derive(FromPyObject)]
+struct SeparateConfig {
+    max_gap: f64,
+    min_confident: usize,
+}
+
+#[derive(FromPyObject)]
+struct SeedConfig {
+    burn_in_scans: u32,
+    burn_in_extent: f64,
+    ground_height: Option<f64>,
+    take_off_height: Option<f64>,
+}
+
+#[derive(FromPyObject)]
+struct SensorConfig {
+    min_range: f64,
+    self_box: Option<[[f64; 3]; 2]>,
+    blind_sectors: Vec<[f64; 4]>,
+    self_mask: Option<Vec<bool>>,
+    learn_mask_scans: u32,
+    learn_mask_range: f64,
+    mask_empty_only: bool,
+    beam_columns: Option<usize>,
+    beam_elevations: Vec<f64>,
+    returns_per_ray: usize,
+}
+
+impl FlyingConfig {
+    pub(crate) fn parameters(self) -> Result<FlyingParameters, Error> {
+        Ok(FlyingParameters {
+            map: self.voxel_map.parameters([0.0; 3])?,
+            clustering: Clustering {
+                max_distance: self.cluster.max_distance,
+                min_points: self.cluster.min_points,
+                max_points: self.cluster.max_points,
+            },
+            classify: self.classify.parameters(),
+            separation: Separation {
+                max_gap: self.separate.max_gap,
+                min_confident: self.separate.min_confident,
+            },
+            seed: SeedParameters {
+                burn_in_scans: self.seed.burn_in_scans,
+                burn_in_extent: self.seed.burn_in_extent,
+                ground_height: self.seed.ground_height,
+                take_off_height: self.seed.take_off_height,
+            },
+            sensors: self
+                .sensors
+                .into_iter()
+                .map(|(name, sensor)| (name, sensor.parameters()))
+                .collect(),
+            default_sensor: self.sensor.parameters(),
+            tracker: self.tracker.parameters()?,
+            range_std: self.range_std,
+            target_radius: self.target_radius,
+            mismatch_share: self.mismatch_share,
+            forget_distance: self.forget_distance,
+        })
+    }
+}
+
+impl ClassifyConfig {
+    pub(crate) fn parameters(self) -> ClassifyParameters {
+        ClassifyParameters {
+            close_distance: self.close_distance,
+            search_distance: self.search_distance,
+            open_border: self.border == "open",
+            own_shadow: self.shadow == "own",
+            max_extent: self.max_extent,
+            background_extent: self.background_extent,
+            min_points: self.min_points,
+            max_distance: self.max_distance,
+            group_distance: self.group_distance,
+            fill_pockets: self.fill_pockets,
+        }
+    }
+}
+
+impl SensorConfig {
+    fn parameters(self) -> SensorParameters {
+        let table = |columns| {
+            let mut elevations = self.beam_elevations;
+            elevations.sort_by(f64::total_cmp);
+            match elevations.is_empty() {
+                true => BeamTable::Learnt { columns },
+                false => BeamTable::Rows { elevations, columns },
+            }
+        };
+        SensorParameters {
+            min_range: self.min_range,
+            self_box: self.self_box,
+            blind_sectors: self.blind_sectors,
+            self_mask: self.self_mask,
+            learn_mask_scans: self.learn_mask_scans,
+            learn_mask_range: self.learn_mask_range,
+            mask_empty_only: self.mask_empty_only,
+            beams: self.beam_columns.map(table),
+            returns_per_ray: self.returns_per_ray,
+        }
+    }
+}
