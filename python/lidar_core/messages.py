@@ -1,6 +1,7 @@
 """What flows between readers, the simulator and the pipelines: scans and poses."""
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,8 @@ class Scan:
         Absolute time of every point [ns].
     intensity, ring : ndarray, shape (N,), optional
         As recorded.
+    topic : str
+        Where in the recording it came from.
     """
 
     stamp_ns: int
@@ -36,6 +39,7 @@ class Scan:
     point_time_ns: NDArray[np.int64] | None = None
     intensity: NDArray[np.float32] | None = None
     ring: NDArray[np.uint16] | None = None
+    topic: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +58,8 @@ class Pose:
         Of translation and rotation, in the order x, y, z, roll, pitch, yaw.
     is_static : bool
         True for a mounting that never changes.
+    topic : str
+        Where in the recording it came from.
     """
 
     stamp_ns: int
@@ -62,3 +68,7 @@ class Pose:
     matrix: NDArray[np.float64]
     covariance: NDArray[np.float64] | None = None
     is_static: bool = False
+    topic: str = ""
+
+
+Message: TypeAlias = Scan | Pose
