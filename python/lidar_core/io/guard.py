@@ -1,0 +1,32 @@
+"""Border to the libraries that read formats: their exceptions, and sizes before allocation."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from lidar_core.errors import FormatError, LidarCoreError, LimitError
+
+
+@contextmanager
+def reading(place: str) -> Iterator[None]:
+    """Turn whatever a library raises while it reads `place` into a FormatError that names it."""
+    try:
+        yield
+    except (LidarCoreError, MemoryError):
+        raise
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise  # the disk's fault; bz2 reports broken data as an OSError without a number
+        text = str(error).strip().rstrip(".") or "no further text"
+        raise FormatError(f"{place}: cannot be read: {type(error).__name__}: {text}") from error
+
+
+def check_size(place: str, size: int, *, limit: int, key: str, what: str) -> None:
+    """Refuse a size that comes from a file before anything is allocated for it.
+
+    Raises
+    ------
+    LimitError
+        `size` is greater than `limit`; the text names the option `key` that raises it.
+    """
+    if size > limit:
+        raise LimitError(f"{place}: {what} of {size}, limit {limit}; raise it with {key}")

@@ -1,0 +1,160 @@
+"""A recording: records in time order, decoded to messages when asked for."""
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self, TypeAlias
+
+from lidar_core.io.options import ReadOptions
+from lidar_core.messages import Message, Pose
+
+Kind: TypeAlias = Literal["scan", "pose", "scan+pose", "packets", "other"]
+
+PACKETS: dict[str, str] = {
+    "velodyne_msgs/msg/VelodyneScan": "Velodyne packets",
+    "ouster_msgs/msg/PacketMsg": "Ouster packets: readable where ouster-sdk is installed",
+    "ouster_ros/msg/PacketMsg": "Ouster packets: readable where ouster-sdk is installed",
+    "ouster_sensor_msgs/msg/PacketMsg": "Ouster packets: readable where ouster-sdk is installed",
+    "pandar_msgs/msg/PandarScan": "Hesai packets: no library decodes them; record the"
+    " driver's PointCloud2",
+    "nebula_msgs/msg/NebulaPackets": "Nebula packets: no library decodes them; record the"
+    " driver's PointCloud2",
+}
+"""Message types that hold raw sensor packets, and what to say about them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One stream of a recording.
+
+    Attributes
+    ----------
+    name, type : str
+        As the recording names them.
+    kind : str
+        What a reader makes of it.
+    count : int or None
+        Messages, where the recording states it.
+    note : str
+        Why it is not read, or what was assumed.
+    """
+
+    name: str
+    type: str
+    kind: Kind
+    count: int | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One stored message.
+
+    Attributes
+    ----------
+    topic : Topic
+        Stream it belongs to.
+    time_ns : int
+        When it was stored [ns].
+    decode : callable
+        Its messages; none for a record that no reader understands or that was rejected.
+    """
+
+    topic: Topic
+    time_ns: int
+    decode: Callable[[], list[Message]]
+
+
+@dataclass(slots=True)
+class Findings:
+    """What a reader noticed on the way: conventions it detected, messages it left out."""
+
+    point_time: dict[str, str] = field(default_factory=dict)
+    no_return: dict[str, str] = field(default_factory=dict)
+    rejected: Counter[str] = field(default_factory=Counter)
+    notes: list[str] = field(default_factory=list)
+
+    def note(self, text: str) -> None:
+        """Keep `text` once."""
+        if text not in self.notes:
+            self.notes.append(text)
+
+
+def decoded(*messages: Message) -> Callable[[], list[Message]]:
+    """`Record.decode` of a reader that has the messages at hand."""
+    return lambda: list(messages)
+
+
+class Recording(ABC):
+    """A recording that is open for reading; iterate it for `Scan` and `Pose` messages.
+
+    Attributes
+    ----------
+    path : Path
+        File or folder.
+    options : ReadOptions
+        How it is read.
+    skipped : Counter
+        Messages per topic that no reader understands.
+    findings : Findings
+        Detected conventions and rejected messages.
+    """
+
+    format: str
+
+    def __init__(self, path: Path, options: ReadOptions) -> None:
+        self.path = path
+        self.options = options
+        self.skipped: Counter[str] = Counter()
+        self.findings = Findings()
+
+    @abstractmethod
+    def topics(self) -> list[Topic]:
+        """Streams of the recording, also those without messages."""
+
+    @abstractmethod
+    def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
+        """Stored messages in time order; only topics of `kinds`, if given."""
+
+    def __iter__(self) -> Iterator[Message]:
+        self.skipped.clear()
+        for record in self.records():
+            messages = record.decode()
+            if record.topic.kind in ("other", "packets") and not messages:
+                self.skipped[record.topic.name] += 1
+            yield from messages
+
+    def noticed(self) -> Findings:
+        """What the reads so far detected and left out."""
+        return self.findings
+
+    def poses(self) -> Iterator[tuple[Topic, Pose]]:
+        """Poses alone, with the topic each came from."""
+        for record in self.records(frozenset({"pose", "scan+pose"})):
+            for message in record.decode():
+                if isinstance(message, Pose):
+                    yield record.topic, message
+
+    def info(self) -> Any:
+        """Topics, rates, frames, time span and defects, as a `RecordingInfo`."""
+        from lidar_core.io.info import inspect
+
+        return inspect(self)
+
+    def close(self) -> None:
+        """Release the file, where one is held; further reads are not allowed."""
+        return
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

@@ -1,0 +1,82 @@
+"""Rotations as quaternions (x, y, z, w) and matrices, vectorised over the first axis."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import FormatError
+
+UNIT_TOLERANCE = 0.01  # larger errors are no rounding, but another order or an unset field
+
+
+def unit_quaternion(quaternion: NDArray[np.float64], *, place: str) -> NDArray[np.float64]:
+    """`quaternion` scaled to length one.
+
+    Raises
+    ------
+    FormatError
+        Its length is not one within rounding: not a rotation.
+    """
+    length = float(np.linalg.norm(quaternion))
+    if not abs(length - 1) <= UNIT_TOLERANCE:
+        raise FormatError(f"{place}: quaternion {quaternion.tolist()} is no rotation")
+    return quaternion / length
+
+
+def pose_matrix(
+    translation: NDArray[np.float64], quaternion: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Rigid transforms (..., 4, 4) from translations (..., 3) and unit quaternions (..., 4)."""
+    matrix = np.zeros((*translation.shape[:-1], 4, 4))
+    matrix[..., :3, :3] = matrix_from_quaternion(quaternion)
+    matrix[..., :3, 3] = translation
+    matrix[..., 3, 3] = 1
+    return matrix
+
+
+def matrix_from_quaternion(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation matrices (..., 3, 3) from unit quaternions (..., 4)."""
+    x, y, z, w = np.moveaxis(quaternion, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def quaternion_from_matrix(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit quaternions (..., 4) with w >= 0 from rotation matrices (..., 3, 3).
+
+    Notes
+    -----
+    Source: Bar-Itzhack, "New Method for Extracting the Quaternion from a Rotation Matrix",
+    Journal of Guidance, 2000: the eigenvector of the largest eigenvalue, well conditioned for
+    every angle.
+    """
+    r = np.moveaxis(rotation, (-2, -1), (0, 1))
+    k = np.array(
+        [
+            [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
+            [r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
+            [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
+        ]
+    )
+    vectors = np.linalg.eigh(np.moveaxis(k, (0, 1), (-2, -1))).eigenvectors[..., -1]
+    return np.where(vectors[..., 3:] < 0, -vectors, vectors)
+
+
+def slerp(
+    start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Unit quaternions (K, 4) on the shorter arc from `start` to `end`, at `fraction` (K,)."""
+    cosine = np.sum(start * end, axis=-1, keepdims=True)
+    end = np.where(cosine < 0, -end, end)
+    angle = np.arccos(np.clip(np.abs(cosine), 0, 1))
+    part = fraction[:, None]
+    small = angle < 1e-6  # the chord is the arc, to rounding
+    sine = np.where(small, 1, np.sin(angle))
+    weight_start = np.where(small, 1 - part, np.sin((1 - part) * angle) / sine)
+    weight_end = np.where(small, part, np.sin(part * angle) / sine)
+    mixed = weight_start * start + weight_end * end
+    return np.asarray(mixed / np.linalg.norm(mixed, axis=-1, keepdims=True))

@@ -1,0 +1,172 @@
+"""Transforms between named frames over time, interpolated on SE(3)."""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidar_core.errors import FormatError
+from lidar_core.io.rotations import pose_matrix, quaternion_from_matrix, slerp
+from lidar_core.messages import Pose
+
+
+class NoTransformError(FormatError):
+    """Two frames are not connected, or not at the time asked for."""
+
+
+@dataclass(slots=True)
+class _Edge:
+    """Poses of one frame in another, appended in any order, sorted when first asked for."""
+
+    stamps: list[int] = field(default_factory=list)
+    matrices: list[NDArray[np.float64]] = field(default_factory=list)
+    static: NDArray[np.float64] | None = None
+    arrays: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]] | None = None
+
+    def add(self, pose: Pose) -> None:
+        if pose.is_static:
+            self.static = pose.matrix
+            return
+        self.stamps.append(pose.stamp_ns)
+        self.matrices.append(pose.matrix)
+        self.arrays = None
+
+    def sorted(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+        """Stamps, translations and quaternions; of equal stamps the last one counts."""
+        if self.arrays is None:
+            stamps = np.array(self.stamps, np.int64)
+            order = np.argsort(stamps, kind="stable")
+            last = np.append(np.diff(stamps[order]) != 0, True)
+            order = order[last]
+            matrices = np.array(self.matrices)[order]
+            quaternions = quaternion_from_matrix(matrices[:, :3, :3])
+            self.arrays = (stamps[order], matrices[:, :3, 3], quaternions)
+        return self.arrays
+
+
+class TransformBuffer:
+    """Transforms between frames, each edge interpolated between its two nearest poses.
+
+    Parameters
+    ----------
+    max_gap : float
+        Longest time between two poses to interpolate over [s].
+    max_extrapolation : float
+        How long the first or last pose is held before or after its time [s].
+    """
+
+    def __init__(self, *, max_gap: float, max_extrapolation: float) -> None:
+        self._max_gap_ns = round(max_gap * 1e9)
+        self._max_hold_ns = round(max_extrapolation * 1e9)
+        self._edges: dict[tuple[str, str], _Edge] = {}
+
+    def add(self, pose: Pose) -> None:
+        """Add a pose of `pose.child_frame_id` in `pose.frame_id`."""
+        self._edges.setdefault((pose.frame_id, pose.child_frame_id), _Edge()).add(pose)
+
+    def edges(self) -> dict[tuple[str, str], bool]:
+        """Every pair (parent, child), and whether it is static."""
+        return {key: edge.static is not None for key, edge in self._edges.items()}
+
+    def root_of(self, frame: str) -> str:
+        """Top of the tree that `frame` hangs in; `frame` itself, if nothing holds it."""
+        parents = {child: parent for parent, child in self._edges}
+        seen = {frame}
+        while frame in parents and parents[frame] not in seen:
+            frame = parents[frame]
+            seen.add(frame)
+        return frame
+
+    def is_static(self, target: str, source: str) -> bool:
+        """Whether nothing moves between the two frames."""
+        return all(self._edges[key].static is not None for key, _ in self._path(target, source))
+
+    def knots(self, target: str, source: str, start_ns: int, end_ns: int) -> NDArray[np.int64]:
+        """Stamps strictly between two times at which some pose on the way was recorded."""
+        stamps = [np.empty(0, np.int64)]
+        for key, _ in self._path(target, source):
+            if self._edges[key].static is None:
+                recorded = self._edges[key].sorted()[0]
+                stamps.append(recorded[(recorded > start_ns) & (recorded < end_ns)])
+        return np.unique(np.concatenate(stamps))
+
+    def lookup(self, target: str, source: str, stamps_ns: ArrayLike) -> NDArray[np.float64]:
+        """Transforms `target_from_source`, shape (K, 4, 4), at `stamps_ns` (K,) [ns].
+
+        Raises
+        ------
+        NoTransformError
+            The frames are not connected, or a stamp lies outside the poses or in a gap.
+        """
+        stamps = np.atleast_1d(np.asarray(stamps_ns, np.int64))
+        total = np.broadcast_to(np.eye(4), (len(stamps), 4, 4))
+        for key, forward in self._path(target, source):
+            step = self._at(key, stamps)
+            total = total @ (step if forward else _inverse(step))
+        return np.ascontiguousarray(total)
+
+    def _at(self, key: tuple[str, str], stamps: NDArray[np.int64]) -> NDArray[np.float64]:
+        edge = self._edges[key]
+        if edge.static is not None:
+            return np.broadcast_to(edge.static, (len(stamps), 4, 4))
+        known, translations, quaternions = edge.sorted()
+        self._check_cover(key, known, stamps)
+        inside = np.clip(stamps, known[0], known[-1])
+        after = np.clip(np.searchsorted(known, inside, side="left"), 1, max(len(known) - 1, 1))
+        after = np.minimum(after, len(known) - 1)
+        before = np.maximum(after - 1, 0)
+        span = np.maximum(known[after] - known[before], 1)
+        part = ((inside - known[before]) / span)[:, None]
+        return pose_matrix(
+            (1 - part) * translations[before] + part * translations[after],
+            slerp(quaternions[before], quaternions[after], part[:, 0]),
+        )
+
+    def _check_cover(
+        self, key: tuple[str, str], known: NDArray[np.int64], stamps: NDArray[np.int64]
+    ) -> None:
+        name = f"{key[0]} -> {key[1]}"
+        low, high = known[0] - self._max_hold_ns, known[-1] + self._max_hold_ns
+        outside = stamps[(stamps < low) | (stamps > high)]
+        if len(outside):
+            raise NoTransformError(
+                f"{name} is known from {known[0]} to {known[-1]} ns, not at {outside[0]} ns"
+            )
+        after = np.searchsorted(known, stamps, side="left")
+        inner = (after > 0) & (after < len(known))
+        gaps = known[after[inner]] - known[after[inner] - 1]
+        exact = known[after[inner]] == stamps[inner]
+        if (gaps[~exact] > self._max_gap_ns).any():
+            at = stamps[inner][~exact][gaps[~exact] > self._max_gap_ns][0]
+            raise NoTransformError(f"{name} has a gap of more than max_gap at {at} ns")
+
+    def _path(self, target: str, source: str) -> Sequence[tuple[tuple[str, str], bool]]:
+        """Edges from `target` to `source`, each with True where it runs parent to child."""
+        came: dict[str, tuple[str, tuple[str, str], bool] | None] = {target: None}
+        queue = deque([target])
+        while queue and source not in came:
+            frame = queue.popleft()
+            for key in self._edges:
+                for here, there, forward in ((*key, True), (*key[::-1], False)):
+                    if here == frame and there not in came:
+                        came[there] = (frame, key, forward)
+                        queue.append(there)
+        if source not in came:
+            raise NoTransformError(f"no transform connects {target!r} and {source!r}")
+        path: list[tuple[tuple[str, str], bool]] = []
+        step = came[source]
+        while step is not None:
+            path.append((step[1], step[2]))
+            step = came[step[0]]
+        return path[::-1]
+
+
+def _inverse(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    rotation = np.swapaxes(matrices[:, :3, :3], 1, 2)
+    result = np.zeros_like(matrices)
+    result[:, :3, :3] = rotation
+    result[:, :3, 3] = -np.einsum("kij,kj->ki", rotation, matrices[:, :3, 3])
+    result[:, 3, 3] = 1
+    return result
