@@ -1,0 +1,205 @@
+"""MCAP files: ROS 2 and ROS 1 messages, and Foxglove's protobuf messages."""
+
+import heapq
+from collections.abc import Iterator
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+from typing import IO, Any
+
+from lidar_core.errors import FormatError
+from lidar_core.extras import require
+from lidar_core.io.foxglove_messages import FoxgloveDecoder, foxglove_kind
+from lidar_core.io.guard import check_size, reading
+from lidar_core.io.options import ReadOptions
+from lidar_core.io.recording import PACKETS, Kind, Record, Recording, Topic
+from lidar_core.io.ros import MAX_TOPICS, _complete
+from lidar_core.io.ros_messages import RosDecoder, kind_of
+from lidar_core.messages import Message
+
+_MAGIC_BYTES = 8
+
+
+class McapRecording(Recording):
+    """One MCAP file, read chunk by chunk in time order."""
+
+    format = "MCAP"
+
+    def __init__(self, path: Path, options: ReadOptions) -> None:
+        super().__init__(path, options)
+        self._mcap = require("mcap.stream_reader", extra="io", purpose="reading MCAP")
+        self._records = require("mcap.records", extra="io", purpose="reading MCAP")
+        require("mcap.reader", extra="io", purpose="reading MCAP")
+        self._file: IO[bytes] = path.open("rb")
+        try:
+            self._summary = self._read_summary()
+            self._topics = self._list_topics()
+        except BaseException:
+            self._file.close()
+            raise
+        self._ros = {
+            encoding: RosDecoder(version, options, self.findings)
+            for encoding, version in (("cdr", 2), ("ros1", 1))
+            if any(c.message_encoding == encoding for c in self._summary.channels.values())
+        }
+        self._foxglove = FoxgloveDecoder(options, self.findings)
+
+    def topics(self) -> list[Topic]:
+        """Streams of the recording, by name."""
+        return list({topic.name: topic for topic in self._topics.values()}.values())
+
+    def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
+        """Messages in order of log time; chunks that overlap in time are merged."""
+        wanted = {
+            number for number, topic in self._topics.items() if kinds is None or topic.kind in kinds
+        }
+        chunks = sorted(
+            (index for index in self._summary.chunk_indexes if self._may_hold(index, wanted)),
+            key=lambda index: (index.message_start_time, index.chunk_start_offset),
+        )
+        if not self._summary.chunk_indexes:
+            yield from self._unchunked(wanted)
+            return
+        pending: list[tuple[int, int, Any]] = []
+        order = 0
+        for index in chunks:
+            while pending and pending[0][0] < index.message_start_time:
+                yield self._record(*heapq.heappop(pending)[1:])
+            for message in self._chunk_messages(index.chunk_start_offset):
+                if message.channel_id in wanted:
+                    heapq.heappush(pending, (message.log_time, order, message))
+                    order += 1
+        while pending:
+            yield self._record(*heapq.heappop(pending)[1:])
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _read_summary(self) -> Any:
+        reader = require("mcap.reader", extra="io", purpose="reading MCAP")
+        limit = self.options.max_record_bytes
+        place = f"{self.path}: MCAP summary"
+        with reading(f"{place} (a file that was not closed has none)"):
+            summary = reader.SeekingReader(self._file, record_size_limit=limit).get_summary()
+        if summary is None or (not summary.chunk_indexes and not summary.channels):
+            summary = self._scan_for_channels()
+        check_size(place, len(summary.channels), limit=MAX_TOPICS, key="nothing",
+                   what="a number of topics")  # fmt: skip
+        return summary
+
+    def _scan_for_channels(self) -> Any:
+        """Channels and schemas of a file whose summary repeats none."""
+        summary = require("mcap.summary", extra="io", purpose="reading MCAP").Summary()
+        with reading(f"{self.path}: MCAP data"):
+            self._file.seek(0)
+            for record in self._stream(emit_chunks=False).records:
+                if isinstance(record, self._records.Schema):
+                    summary.schemas[record.id] = record
+                elif isinstance(record, self._records.Channel):
+                    summary.channels[record.id] = record
+        return summary
+
+    def _list_topics(self) -> dict[int, Topic]:
+        counts = {}
+        if self._summary.statistics is not None:
+            counts = self._summary.statistics.channel_message_counts
+        topics = {}
+        for number, channel in sorted(self._summary.channels.items()):
+            schema = self._summary.schemas.get(channel.schema_id)
+            name = schema.name if schema is not None else ""
+            kind, note = _kind(channel.message_encoding, name)
+            topics[number] = Topic(channel.topic, name, kind, counts.get(number), note)
+        return topics
+
+    def _may_hold(self, index: Any, wanted: set[int]) -> bool:
+        offsets = index.message_index_offsets
+        return not offsets or not wanted.isdisjoint(offsets)
+
+    def _stream(self, *, emit_chunks: bool) -> Any:
+        return self._mcap.StreamReader(
+            self._file,
+            skip_magic=self._file.tell() >= _MAGIC_BYTES,
+            emit_chunks=emit_chunks,
+            record_size_limit=self.options.max_record_bytes,
+        )
+
+    def _chunk_messages(self, offset: int) -> list[Any]:
+        """Messages of the chunk at byte `offset`, its checksum and its size checked."""
+        place = f"{self.path}, chunk at byte {offset}"
+        with reading(place):
+            self._file.seek(offset)
+            chunk = next(self._stream(emit_chunks=True).records, None)
+            if not isinstance(chunk, self._records.Chunk):
+                raise FormatError(f"{place}: the index points to something else")
+            limit = self.options.max_record_bytes
+            check_size(place, chunk.uncompressed_size, limit=limit, key="max_record_bytes",
+                       what="a chunk of bytes")  # fmt: skip
+            chunk.data = _decompressed(chunk, place, limit)
+            chunk.compression = ""
+            records = self._mcap.breakup_chunk(chunk, validate_crc=True)
+        return [record for record in records if isinstance(record, self._records.Message)]
+
+    def _unchunked(self, wanted: set[int]) -> Iterator[Record]:
+        self._file.seek(0)
+        with reading(f"{self.path}: MCAP data"):
+            messages = [
+                (record.log_time, order, record)
+                for order, record in enumerate(self._stream(emit_chunks=False).records)
+                if isinstance(record, self._records.Message) and record.channel_id in wanted
+            ]
+        for _, number, message in sorted(messages, key=lambda item: item[:2]):
+            yield self._record(number, message)
+
+    def _record(self, number: int, message: Any) -> Record:
+        topic = self._topics.get(message.channel_id)
+        if topic is None:
+            raise FormatError(
+                f"{self.path}, message {number}: channel {message.channel_id} unknown"
+            )
+        place = f"{self.path}, message {number} on {topic.name}"
+        return Record(topic, message.log_time, partial(self._decode, message, topic, place))
+
+    def _decode(self, message: Any, topic: Topic, place: str) -> list[Message]:
+        channel = self._summary.channels[message.channel_id]
+        ros = self._ros.get(channel.message_encoding)
+        if ros is not None:
+            return ros.decode(topic.name, _ros_name(topic.type), message.data, place)
+        if channel.message_encoding == "protobuf":
+            schema = self._summary.schemas[channel.schema_id]
+            return self._foxglove.decode(topic.name, schema, channel.metadata, message.data, place)
+        return []
+
+
+def _kind(encoding: str, type_name: str) -> tuple[Kind, str]:
+    if encoding in ("cdr", "ros1"):
+        name = _ros_name(type_name)
+        return kind_of(name), PACKETS.get(name, "")
+    if encoding == "protobuf":
+        return foxglove_kind(type_name), ""
+    return "other", f"message encoding {encoding!r} is not read"
+
+
+def _ros_name(type_name: str) -> str:
+    """ROS 1 writes package/Name where ROS 2 writes package/msg/Name."""
+    package, _, rest = type_name.partition("/")
+    return type_name if "/" in rest or not rest else f"{package}/msg/{rest}"
+
+
+def _decompressed(chunk: Any, place: str, limit: int) -> bytes:
+    """Data of a chunk, at most `limit` bytes: the size that the file declares is not trusted."""
+    data: bytes = chunk.data
+    if chunk.compression == "zstd":
+        zstandard = require("zstandard", extra="io", purpose="reading compressed MCAP")
+        with zstandard.ZstdDecompressor().stream_reader(BytesIO(data)) as stream:
+            data = stream.read(limit + 1)
+    elif chunk.compression == "lz4":
+        frame = require("lz4.frame", extra="io", purpose="reading compressed MCAP")
+        data = _complete(frame.LZ4FrameDecompressor(), data, place, limit)
+    elif chunk.compression:
+        raise FormatError(f"{place}: unknown compression {chunk.compression!r}")
+    if len(data) != chunk.uncompressed_size:
+        raise FormatError(
+            f"{place}: declared {chunk.uncompressed_size} bytes, holds {len(data)} or more"
+        )
+    return data

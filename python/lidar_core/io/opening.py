@@ -1,0 +1,175 @@
+"""Which reader a path needs, told by its content rather than by its name where possible."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from lidar_core.errors import FormatError
+from lidar_core.io.options import ReadOptions
+from lidar_core.io.recording import Recording
+
+KNOWN = (
+    "ROS 1 .bag, ROS 2 folder or .db3, .mcap, Ouster .pcap with .json or .osf, Velodyne .pcap,"
+    " .pcd file or folder, KITTI .bin folder, .npz file or folder"
+)
+
+
+def open_recording(
+    path: str | Path, options: ReadOptions | None = None, **values: Any
+) -> Recording:
+    """Open a recording of any supported format.
+
+    Parameters
+    ----------
+    path : str or Path
+        File or folder.
+    options : ReadOptions, optional
+        How to read it.
+    **values
+        Single fields of `ReadOptions`; they override `options`.
+
+    Returns
+    -------
+    recording : Recording
+        Iterates over `Scan` and `Pose` in time order; a context manager.
+
+    Raises
+    ------
+    FormatError
+        Unknown or broken format; the text names the file and what is wrong.
+    LimitError
+        A record is larger than the options allow.
+    MissingExtraError
+        The format needs a package that is not installed.
+    FileNotFoundError
+        There is no such file.
+
+    Examples
+    --------
+    >>> with open_recording("flight.mcap") as recording:  # doctest: +SKIP
+    ...     scans = [message for message in recording if isinstance(message, Scan)]
+    """
+    given = options.model_dump() if options is not None else {}
+    chosen = ReadOptions(**(given | values))
+    place = Path(path)
+    if not place.exists():
+        raise FileNotFoundError(f"{place}: no such file or folder")
+    if place.is_dir():
+        return _open_folder(place, chosen)
+    if not place.is_file():
+        raise FormatError(f"{place}: neither a regular file nor a folder")
+    if place.stat().st_size == 0:
+        raise FormatError(f"{place}: the file is empty")
+    return _open_file(place, chosen)
+
+
+def _open_file(path: Path, options: ReadOptions) -> Recording:
+    suffix = path.suffix.lower()
+    openers: dict[str, Callable[[Path, ReadOptions], Recording]] = {
+        ".bag": _open_bag,
+        ".bin": _open_scan,
+        ".db3": _open_database,
+        ".mcap": _open_mcap,
+        ".npz": _open_npz,
+        ".osf": _open_osf,
+        ".pcap": _open_pcap,
+        ".pcd": _open_scan,
+    }
+    if suffix not in openers:
+        raise FormatError(f"{path}: unknown format {suffix!r}; readable are: {KNOWN}")
+    return openers[suffix](path, options)
+
+
+def _open_folder(path: Path, options: ReadOptions) -> Recording:
+    files = sorted(file for file in path.iterdir() if file.is_file())
+    by_suffix = {
+        suffix: [file for file in files if file.suffix.lower() == suffix]
+        for suffix in (".db3", ".mcap", ".pcd", ".npz", ".bin")
+    }
+    if by_suffix[".db3"]:
+        return _open_ros2(path, by_suffix[".db3"], options)
+    if len(by_suffix[".mcap"]) == 1:
+        return _open_file(by_suffix[".mcap"][0], options)
+    if by_suffix[".mcap"]:
+        from lidar_core.io.chain import ChainedRecording
+
+        return ChainedRecording(path, options, by_suffix[".mcap"])
+    if by_suffix[".npz"]:
+        from lidar_core.io.chain import ChainedRecording
+
+        return ChainedRecording(path, options, by_suffix[".npz"])
+    if by_suffix[".pcd"]:
+        return _open_sequence(path, by_suffix[".pcd"], ".pcd", options)
+    for inner in ("", "velodyne", "velodyne_points/data", "data"):
+        scans = sorted((path / inner).glob("*.bin"))
+        if scans:
+            return _open_sequence(path, scans, ".bin", options)
+    found = ", ".join(sorted({file.suffix or file.name for file in files})) or "nothing"
+    raise FormatError(f"{path}: no recording in this folder, found {found}; readable are: {KNOWN}")
+
+
+def _open_bag(path: Path, options: ReadOptions) -> Recording:
+    """A bag of Ouster packets, where their library is installed; else any ROS 1 bag."""
+    from lidar_core.io.ouster import OusterRecording, holds_ouster_packets
+
+    if holds_ouster_packets(path):
+        return OusterRecording(path, options)
+    from lidar_core.io.ros import RosRecording
+
+    return RosRecording(path, options, [path], version=1)
+
+
+def _open_database(path: Path, options: ReadOptions) -> Recording:
+    return _open_ros2(path, [path], options)
+
+
+def _open_mcap(path: Path, options: ReadOptions) -> Recording:
+    from lidar_core.io.mcap_file import McapRecording
+
+    return McapRecording(path, options)
+
+
+def _open_npz(path: Path, options: ReadOptions) -> Recording:
+    from lidar_core.io.npz import NpzRecording
+
+    return NpzRecording(path, options)
+
+
+def _open_osf(path: Path, options: ReadOptions) -> Recording:
+    from lidar_core.io.ouster import OsfRecording
+
+    return OsfRecording(path, options)
+
+
+def _open_scan(path: Path, options: ReadOptions) -> Recording:
+    return _open_sequence(path, [path], path.suffix.lower(), options)
+
+
+def _open_ros2(path: Path, files: list[Path], options: ReadOptions) -> Recording:
+    from lidar_core.io.ros import RosRecording
+
+    return RosRecording(path, options, files, version=2)
+
+
+def _open_sequence(path: Path, files: list[Path], suffix: str, options: ReadOptions) -> Recording:
+    from lidar_core.io.sequence import KittiRecording, PcdRecording
+
+    reader = PcdRecording if suffix == ".pcd" else KittiRecording
+    return reader(path, options, files)
+
+
+def _open_pcap(path: Path, options: ReadOptions) -> Recording:
+    from lidar_core.io.ouster import OusterRecording, metadata_beside
+    from lidar_core.io.pcap import VELODYNE_BYTES, packet_sizes
+    from lidar_core.io.velodyne import VelodyneRecording
+
+    sizes = packet_sizes(path)
+    if options.metadata is not None or metadata_beside(path) is not None:
+        return OusterRecording(path, options)
+    if sizes[VELODYNE_BYTES]:
+        return VelodyneRecording(path, options)
+    seen = ", ".join(f"{count} of {size}" for size, count in sizes.most_common(3)) or "none"
+    raise FormatError(
+        f"{path}: packets (number of bytes: {seen}) are not Velodyne's; for Ouster, put its .json"
+        " beside the file or name it with --metadata"
+    )

@@ -1,0 +1,90 @@
+"""Poses in text files: KITTI (one matrix a line, one line a scan) and TUM (with times)."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.arrays import as_pose
+from lidar_core.errors import FormatError, InputError
+from lidar_core.io.guard import check_size, reading
+from lidar_core.io.rotations import pose_matrix, unit_quaternion
+
+KITTI_COLUMNS, TUM_COLUMNS = 12, 8
+MAX_FILE_BYTES = 256 * 2**20
+
+
+def read_matrices(path: Path) -> NDArray[np.float64]:
+    """Poses (N, 4, 4) of a KITTI file.
+
+    Raises
+    ------
+    FormatError
+        Not twelve numbers a line, or no rotation.
+    """
+    rows = _numbers(path)
+    if rows.shape[1] != KITTI_COLUMNS:
+        raise FormatError(f"{path}: expected {KITTI_COLUMNS} numbers a line, got {rows.shape[1]}")
+    return _matrices(path, rows)
+
+
+def read_poses(path: Path) -> tuple[NDArray[np.int64] | None, NDArray[np.float64]]:
+    """Stamps [ns] and poses (N, 4, 4) of a TUM file; of a KITTI file, None and poses.
+
+    Raises
+    ------
+    FormatError
+        Neither eight nor twelve numbers a line, or no rotation.
+    """
+    rows = _numbers(path)
+    if rows.shape[1] == KITTI_COLUMNS:
+        return None, _matrices(path, rows)
+    if rows.shape[1] != TUM_COLUMNS:
+        raise FormatError(
+            f"{path}: expected {KITTI_COLUMNS} (KITTI) or {TUM_COLUMNS} (TUM: t x y z qx qy qz qw)"
+            f" numbers a line, got {rows.shape[1]}"
+        )
+    quaternions = np.array(
+        [unit_quaternion(row[4:], place=f"{path}, pose {n}") for n, row in enumerate(rows)]
+    )
+    return _stamps(path, len(rows)), pose_matrix(rows[:, 1:4], quaternions)
+
+
+def _stamps(path: Path, count: int) -> NDArray[np.int64]:
+    """First column as nanoseconds, exactly: a float64 holds epoch seconds only to 0.2 us."""
+    lines = path.read_text("utf-8", "replace").splitlines()
+    texts = [line.split()[0] for line in lines if line.strip() and not line.startswith("#")]
+    stamps = []
+    for text in texts[:count]:
+        whole, _, fraction = text.partition(".")
+        if whole.lstrip("-").isdigit() and (fraction.isdigit() or not fraction):
+            part = int(fraction.ljust(9, "0")[:9])
+            stamps.append(int(whole) * 1_000_000_000 + (-part if whole.startswith("-") else part))
+        else:
+            stamps.append(round(float(text) * 1e9))
+    return np.array(stamps, np.int64)
+
+
+def _numbers(path: Path) -> NDArray[np.float64]:
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such poses file")
+    check_size(str(path), path.stat().st_size, limit=MAX_FILE_BYTES, key="nothing",
+               what="a file of bytes")  # fmt: skip
+    with reading(str(path)):
+        rows = np.loadtxt(path, ndmin=2)
+    if rows.size == 0:
+        raise FormatError(f"{path}: no poses in this file")
+    if not np.isfinite(rows).all():
+        raise FormatError(f"{path}: a number is not finite")
+    return rows
+
+
+def _matrices(path: Path, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    matrices = np.tile(np.eye(4), (len(rows), 1, 1))
+    matrices[:, :3, :] = rows.reshape(-1, 3, 4)
+    for number, matrix in enumerate(matrices):
+        try:
+            as_pose(matrix)
+        except InputError as error:
+            raise FormatError(f"{path}, pose {number}: {error}") from error
+    return matrices

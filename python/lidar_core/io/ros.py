@@ -1,0 +1,154 @@
+"""ROS 1 bags and ROS 2 sqlite3 recordings, through rosbags."""
+
+import bz2
+import heapq
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from lidar_core.errors import FormatError, LimitError
+from lidar_core.extras import require
+from lidar_core.io.guard import check_size, reading
+from lidar_core.io.options import ReadOptions
+from lidar_core.io.recording import PACKETS, Record, Recording, Topic
+from lidar_core.io.ros_messages import RosDecoder, kind_of
+
+MAX_TOPICS = 4096
+
+
+class RosRecording(Recording):
+    """A ROS 1 bag, or the sqlite3 files of a ROS 2 recording.
+
+    A ROS 2 folder is read through its storage files: its metadata.yaml repeats what they say,
+    and is often incomplete (a missing serialization format) or stale.
+    """
+
+    format = "ros"
+
+    def __init__(self, path: Path, options: ReadOptions, files: list[Path], version: int) -> None:
+        super().__init__(path, options)
+        self.format = "ROS 1 bag" if version == 1 else "ROS 2 sqlite3"
+        self._decoder = RosDecoder(version, options, self.findings)
+        self._stack = ExitStack()
+        module = require(f"rosbags.rosbag{version}", extra="io", purpose="reading ROS recordings")
+        self._readers: list[tuple[Path, Any]] = []
+        for file in files:
+            if version == 2:
+                _check_database(file, options)
+            with reading(str(file)):
+                reader = self._stack.enter_context(module.Reader(file))
+            if version == 1:
+                _bound_chunks(reader, file, options)
+            self._readers.append((file, reader))
+        self._topics = self._list_topics()
+
+    def topics(self) -> list[Topic]:
+        """Streams of the recording, by name."""
+        return list(self._topics.values())
+
+    def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
+        """Stored messages in the order of the times at which they were recorded."""
+        parts = [self._file_records(file, reader, kinds) for file, reader in self._readers]
+        yield from heapq.merge(*parts, key=lambda record: record.time_ns)
+
+    def close(self) -> None:
+        """Close the files."""
+        self._stack.close()
+
+    def _file_records(
+        self, file: Path, reader: Any, kinds: frozenset[str] | None
+    ) -> Iterator[Record]:
+        wanted = [
+            connection
+            for connection in reader.connections
+            if kinds is None or self._topics[connection.topic].kind in kinds
+        ]
+        if not wanted:
+            return
+        stored = iter(reader.messages(connections=wanted))
+        number = 0
+        while True:
+            place = f"{file}, message {number}"
+            with reading(place):
+                item = next(stored, None)
+            if item is None:
+                return
+            connection, time_ns, raw = item
+            place = f"{file}, message {number} on {connection.topic}"
+            decode = partial(
+                self._decoder.decode, connection.topic, connection.msgtype, bytes(raw), place
+            )
+            yield Record(self._topics[connection.topic], time_ns, decode)
+            number += 1
+
+    def _list_topics(self) -> dict[str, Topic]:
+        topics: dict[str, Topic] = {}
+        for file, reader in self._readers:
+            check_size(str(file), len(reader.connections), limit=MAX_TOPICS, key="nothing",
+                       what="a number of topics")  # fmt: skip
+            for item in reader.connections:
+                before = topics.get(item.topic)
+                count = int(item.msgcount) + (before.count or 0 if before else 0)
+                note = PACKETS.get(item.msgtype, "")
+                topics[item.topic] = Topic(
+                    item.topic, item.msgtype, kind_of(item.msgtype), count, note
+                )
+        return dict(sorted(topics.items()))
+
+
+def _check_database(file: Path, options: ReadOptions) -> None:
+    """Refuse a message larger than the limit before rosbags loads it."""
+    with reading(str(file)):
+        database = sqlite3.connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)
+        try:
+            query = "SELECT id, length(data) FROM messages ORDER BY length(data) DESC LIMIT 1"
+            row = database.execute(query).fetchone()
+        finally:
+            database.close()
+    if row is not None and row[1] is not None:
+        check_size(
+            f"{file}, message {row[0]}",
+            int(row[1]),
+            limit=options.max_record_bytes,
+            key="max_record_bytes",
+            what="a message of bytes",
+        )
+
+
+def _bound_chunks(reader: Any, file: Path, options: ReadOptions) -> None:
+    """Replace rosbags' decompressors, which have no limit."""
+    limit = options.max_record_bytes
+    for position, chunk in reader.chunks.items():
+        place = f"{file}, chunk at byte {position}"
+        check_size(
+            place, chunk.datasize, limit=limit, key="max_record_bytes", what="a chunk of bytes"
+        )
+        bounded = bounded_decompressor(chunk.decompressor, place, limit)
+        reader.chunks[position] = chunk._replace(decompressor=bounded)
+
+
+def bounded_decompressor(
+    original: Callable[[bytes], bytes], place: str, limit: int
+) -> Callable[[bytes], bytes]:
+    """A decompressor like `original` that stops at `limit` bytes of output."""
+    module = getattr(original, "__module__", "")
+    if module == "bz2":
+        return lambda data: _complete(bz2.BZ2Decompressor(), data, place, limit)
+    if module.startswith("lz4"):
+        frame = require("lz4.frame", extra="io", purpose="reading compressed ROS bags")
+        return lambda data: _complete(frame.LZ4FrameDecompressor(), data, place, limit)
+    return original
+
+
+def _complete(decompressor: Any, data: bytes, place: str, limit: int) -> bytes:
+    output: bytes = decompressor.decompress(data, max_length=limit + 1)
+    if len(output) > limit:
+        raise LimitError(
+            f"{place}: decompresses to more than {limit} bytes; raise it with max_record_bytes"
+        )
+    if not decompressor.eof:
+        raise FormatError(f"{place}: compressed data ends early")
+    return output

@@ -1,0 +1,182 @@
+"""ROS messages to scans and poses.
+
+Message definitions come from rosbags' own stores, never from the file: rosbags compiles
+definitions to Python code, and a file must not choose code.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import FormatError
+from lidar_core.extras import require
+from lidar_core.io.cloud import ROS_TYPES, CloudDecoder, Field, Layout, unpack
+from lidar_core.io.guard import check_size, reading
+from lidar_core.io.options import ReadOptions
+from lidar_core.io.recording import PACKETS, Findings, Kind
+from lidar_core.io.rotations import pose_matrix, unit_quaternion
+from lidar_core.messages import Message, Pose, Scan
+
+SCAN_TYPES = ("sensor_msgs/msg/PointCloud2",)
+TRANSFORM_TYPES = (
+    "tf2_msgs/msg/TFMessage",
+    "tf/msg/tfMessage",
+    "geometry_msgs/msg/TransformStamped",
+)
+POSE_TYPES = (
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+)
+VELODYNE_TYPE = "velodyne_msgs/msg/VelodyneScan"
+EXTRA_DEFINITIONS = {
+    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
+    "tf/msg/tfMessage": "geometry_msgs/TransformStamped[] transforms",
+    "velodyne_msgs/msg/VelodynePacket": "time stamp\nuint8[1206] data",
+    VELODYNE_TYPE: "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
+}
+
+
+def kind_of(type_name: str) -> Kind:
+    """What a message of this type is read as."""
+    if type_name in SCAN_TYPES or type_name == VELODYNE_TYPE:
+        return "scan"
+    if type_name in TRANSFORM_TYPES or type_name in POSE_TYPES:
+        return "pose"
+    return "packets" if type_name in PACKETS else "other"
+
+
+class RosDecoder:
+    """Decodes raw messages of one recording.
+
+    Parameters
+    ----------
+    version : int
+        1 for ROS 1 serialisation, 2 for CDR.
+    """
+
+    def __init__(self, version: int, options: ReadOptions, findings: Findings) -> None:
+        typesys = require("rosbags.typesys", extra="io", purpose="reading ROS messages")
+        store = typesys.Stores.ROS1_NOETIC if version == 1 else typesys.Stores.ROS2_HUMBLE
+        self._store = typesys.get_typestore(store)
+        for name, text in EXTRA_DEFINITIONS.items():
+            if name not in self._store.fielddefs:
+                self._store.register(typesys.get_types_from_msg(text, name))
+        self._parse: Callable[[bytes, str], Any] = (
+            self._store.deserialize_ros1 if version == 1 else self._store.deserialize_cdr
+        )
+        self._options = options
+        self._findings = findings
+        self._clouds: dict[str, CloudDecoder] = {}
+        self._velodyne: dict[str, Any] = {}
+
+    def decode(self, topic: str, type_name: str, raw: bytes, place: str) -> list[Message]:
+        """Scans and poses of one message; none for a type that is not read.
+
+        Raises
+        ------
+        FormatError
+            The bytes are no message of this type.
+        LimitError
+            The message is larger than the options allow.
+        """
+        limit = self._options.max_record_bytes
+        check_size(place, len(raw), limit=limit, key="max_record_bytes", what="a message of bytes")
+        if kind_of(type_name) not in ("scan", "pose"):
+            return []
+        with reading(place):
+            message = self._parse(raw, type_name)
+        if type_name in SCAN_TYPES:
+            return [self._cloud(topic, message, place)]
+        if type_name == VELODYNE_TYPE:
+            return self._packets(topic, message, place)
+        try:
+            return _poses(topic, type_name, message, place)
+        except FormatError as error:
+            self._findings.rejected[topic] += 1
+            self._findings.note(str(error))
+            return []
+
+    def _cloud(self, topic: str, message: Any, place: str) -> Scan:
+        fields = []
+        for item in message.fields:
+            code = ROS_TYPES.get(item.datatype)
+            if code is None:
+                raise FormatError(
+                    f"{place}: field {item.name!r} has unknown datatype {item.datatype}"
+                )
+            fields.append(Field(item.name, code, item.offset, item.count))
+        layout = Layout(fields, message.point_step, message.row_step, message.width,
+                        message.height, bool(message.is_bigendian))  # fmt: skip
+        rows = unpack(message.data, layout, place=place, max_points=self._options.max_points)
+        if topic not in self._clouds:
+            self._clouds[topic] = CloudDecoder(topic, self._options, self._findings)
+        header = message.header
+        return self._clouds[topic].scan(
+            rows, _stamp_ns(header.stamp), _frame(header.frame_id), place=place
+        )
+
+    def _packets(self, topic: str, message: Any, place: str) -> list[Message]:
+        from lidar_core.io.velodyne import PacketDecoder
+
+        if topic not in self._velodyne:
+            self._velodyne[topic] = PacketDecoder(topic, self._options, self._findings)
+        packets = [(_stamp_ns(item.stamp), item.data) for item in message.packets]
+        scan: Scan | None = self._velodyne[topic].scan(
+            packets, _frame(message.header.frame_id), place=place
+        )
+        return [] if scan is None else [scan]
+
+
+def _poses(topic: str, type_name: str, message: Any, place: str) -> list[Message]:
+    if type_name in TRANSFORM_TYPES:
+        items = message.transforms if hasattr(message, "transforms") else [message]
+        static = topic.rstrip("/").endswith("tf_static")
+        return [_transform(topic, item, static, place) for item in items]
+    inner, covariance = message.pose, None
+    if hasattr(inner, "covariance"):
+        covariance = np.array(inner.covariance, np.float64).reshape(6, 6)
+        inner = inner.pose
+    matrix = _matrix(inner.position, inner.orientation, place)
+    child = _frame(getattr(message, "child_frame_id", ""))
+    known = covariance is not None and covariance.any()
+    return [
+        Pose(
+            _stamp_ns(message.header.stamp),
+            _frame(message.header.frame_id),
+            child,
+            matrix,
+            covariance if known else None,
+            topic=topic,
+        )
+    ]
+
+
+def _transform(topic: str, item: Any, static: bool, place: str) -> Pose:
+    matrix = _matrix(item.transform.translation, item.transform.rotation, place)
+    return Pose(
+        _stamp_ns(item.header.stamp),
+        _frame(item.header.frame_id),
+        _frame(item.child_frame_id),
+        matrix,
+        is_static=static,
+        topic=topic,
+    )
+
+
+def _matrix(position: Any, rotation: Any, place: str) -> NDArray[np.float64]:
+    translation = np.array([position.x, position.y, position.z], np.float64)
+    if not np.isfinite(translation).all():
+        raise FormatError(f"{place}: position {translation.tolist()} is not finite")
+    quaternion = np.array([rotation.x, rotation.y, rotation.z, rotation.w], np.float64)
+    return pose_matrix(translation, unit_quaternion(quaternion, place=place))
+
+
+def _stamp_ns(stamp: Any) -> int:
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def _frame(name: str) -> str:
+    return name.lstrip("/")

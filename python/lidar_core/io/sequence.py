@@ -1,0 +1,193 @@
+"""Folders of one file per scan: PCD and KITTI .bin."""
+
+import re
+from abc import abstractmethod
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import FormatError
+from lidar_core.extras import require
+from lidar_core.io.cloud import CloudDecoder
+from lidar_core.io.guard import check_size, reading
+from lidar_core.io.options import ReadOptions
+from lidar_core.io.pose_files import read_matrices
+from lidar_core.io.recording import Record, Recording, Topic
+from lidar_core.messages import Message, Pose, Scan
+
+FRAME, WORLD_FRAME = "lidar", "world"
+KITTI_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
+_NANOSECONDS = re.compile(r"^\d{18,19}$")
+_SECONDS = re.compile(r"^(\d{9,10})[._](\d{1,9})$")
+
+
+class SequenceRecording(Recording):
+    """Scans that lie one to a file, ordered by number or time in their names."""
+
+    def __init__(self, path: Path, options: ReadOptions, files: list[Path]) -> None:
+        super().__init__(path, options)
+        self._files = sorted(files, key=_natural_key)
+        self._folder = path if path.is_dir() else path.parent
+        self._topic = Topic(FRAME, self.format, "scan", len(files))
+        self._stamps = self._find_stamps()
+        self._decoder = CloudDecoder(FRAME, options, self.findings)
+        self._poses = self._find_poses()
+
+    def topics(self) -> list[Topic]:
+        """The scans, and the poses if there are any."""
+        poses = [Topic("poses", "poses.txt", "pose", len(self._poses))] if len(self._poses) else []
+        return [self._topic, *poses]
+
+    def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
+        """One record per file, each after its pose."""
+        pose_topic = self.topics()[-1]
+        for number, (file, stamp_ns) in enumerate(zip(self._files, self._stamps, strict=True)):
+            if len(self._poses) and (kinds is None or "pose" in kinds):
+                yield Record(pose_topic, stamp_ns, partial(self._pose, number, stamp_ns))
+            if kinds is None or "scan" in kinds:
+                yield Record(self._topic, stamp_ns, partial(self._scan, file, stamp_ns))
+
+    @abstractmethod
+    def _rows(self, file: Path) -> NDArray[Any]:
+        """Structured rows of one file, (N,) or (H, W)."""
+
+    def _scan(self, file: Path, stamp_ns: int) -> list[Message]:
+        limit = self.options.max_record_bytes
+        check_size(str(file), file.stat().st_size, limit=limit, key="max_record_bytes",
+                   what="a file of bytes")  # fmt: skip
+        scan: Scan = self._decoder.scan(self._rows(file), stamp_ns, FRAME, place=str(file))
+        return [scan]
+
+    def _pose(self, number: int, stamp_ns: int) -> list[Message]:
+        return [Pose(stamp_ns, WORLD_FRAME, FRAME, self._poses[number], topic="poses")]
+
+    def _find_stamps(self) -> list[int]:
+        """Times from times.txt, else from the names, else counted from the rate."""
+        for folder in (self._folder, self._folder.parent):
+            if len(self._files) > 1 and (folder / "times.txt").is_file():
+                with reading(str(folder / "times.txt")):
+                    seconds = np.loadtxt(folder / "times.txt", ndmin=1)
+                self._expect_rows(folder / "times.txt", len(seconds))
+                return [round(float(value) * 1e9) for value in seconds]
+        named = [_stamp_of(file) for file in self._files]
+        stamps = [stamp for stamp in named if stamp is not None]
+        if len(stamps) == len(named):
+            return stamps
+        if len(named) > 1:
+            self.findings.note(
+                f"no times.txt and no times in the names: {self.options.scan_rate:g} Hz assumed"
+                " (scan_rate)"
+            )
+        return [round(number * 1e9 / self.options.scan_rate) for number in range(len(named))]
+
+    def _find_poses(self) -> NDArray[np.float64]:
+        """Poses of the LiDAR from poses.txt; KITTI's are of a camera, which calib.txt places."""
+        none = np.empty((0, 4, 4))
+        for folder in (self._folder, self._folder.parent):
+            file = folder / "poses.txt"
+            if len(self._files) > 1 and file.is_file():
+                break
+        else:
+            return none
+        poses = read_matrices(file)
+        self._expect_rows(file, len(poses))
+        camera_from_lidar = _calibration(file.parent / "calib.txt")
+        if camera_from_lidar is None:
+            return poses
+        return np.asarray(np.linalg.inv(camera_from_lidar) @ poses @ camera_from_lidar)
+
+    def _expect_rows(self, file: Path, count: int) -> None:
+        if count != len(self._files):
+            raise FormatError(f"{file}: {count} lines for {len(self._files)} scans")
+
+
+class PcdRecording(SequenceRecording):
+    """PCD files, through pypcd4."""
+
+    format = "PCD"
+
+    def _rows(self, file: Path) -> NDArray[Any]:
+        library = require("pypcd4", extra="io", purpose="reading PCD")
+        with reading(str(file)), file.open("rb") as stream:
+            header = self._header(file, library)
+            cloud = library.PointCloud.from_fileobj(stream)
+        rows: NDArray[Any] = np.atleast_1d(cloud.pc_data)
+        if len(rows) != header.points:
+            raise FormatError(f"{file}: header states {header.points} points, found {len(rows)}")
+        if header.viewpoint != (0, 0, 0, 1, 0, 0, 0):
+            self.findings.note(f"{file}: VIEWPOINT {header.viewpoint} is not applied")
+        return rows.reshape(header.height, header.width) if header.height > 1 else rows
+
+    def _header(self, file: Path, library: Any) -> Any:
+        """Header of a file, its sizes checked before the data is read."""
+        lines: list[str] = []
+        with file.open("rb") as stream:
+            while len(lines) < 64:
+                raw = stream.readline(65_536)
+                if not raw:
+                    raise FormatError(f"{file}: the header has no DATA line")
+                line = raw.decode("utf-8", "replace").strip()
+                lines.append(line)
+                if line.startswith("DATA"):
+                    break
+            left = file.stat().st_size - stream.tell()
+        header = library.MetaData.parse_header(lines)
+        check_size(str(file), header.points, limit=self.options.max_points, key="max_points",
+                   what="a scan of points")  # fmt: skip
+        if header.width * header.height != header.points:
+            size_text = f"width {header.width} x height {header.height}"
+            raise FormatError(f"{file}: {size_text} is not {header.points} points")
+        size = header.build_dtype().itemsize * header.points
+        if header.data.value == "binary" and left < size:
+            raise FormatError(f"{file}: {left} bytes of points, the header promises {size}")
+        limit = self.options.max_record_bytes
+        check_size(str(file), size, limit=limit, key="max_record_bytes", what="points of bytes")
+        return header
+
+
+class KittiRecording(SequenceRecording):
+    """KITTI .bin files: x, y, z, intensity as little-endian float32."""
+
+    format = "KITTI bin"
+
+    def _rows(self, file: Path) -> NDArray[Any]:
+        size = file.stat().st_size
+        if size % KITTI_POINT.itemsize:
+            raise FormatError(
+                f"{file}: {size} bytes are no multiple of {KITTI_POINT.itemsize}, a point's"
+                " x, y, z, intensity in float32"
+            )
+        check_size(str(file), size // KITTI_POINT.itemsize, limit=self.options.max_points,
+                   key="max_points", what="a scan of points")  # fmt: skip
+        return np.fromfile(file, KITTI_POINT)
+
+
+def _natural_key(file: Path) -> tuple[int, str]:
+    """Numbers by value, so that 2.pcd comes before 10.pcd."""
+    digits = re.sub(r"\D", "", file.stem)
+    return (int(digits) if digits else 0, file.name)
+
+
+def _stamp_of(file: Path) -> int | None:
+    """Time in a file name: nanoseconds, or seconds with a fraction."""
+    if _NANOSECONDS.match(file.stem):
+        return int(file.stem)
+    match = _SECONDS.match(file.stem)
+    return int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0")) if match else None
+
+
+def _calibration(file: Path) -> NDArray[np.float64] | None:
+    """`camera_from_lidar` of a KITTI calib.txt, or None without one."""
+    if not file.is_file():
+        return None
+    for line in file.read_text("utf-8", "replace").splitlines():
+        key, _, rest = line.partition(":")
+        if key.strip() in ("Tr", "Tr_velo_to_cam", "Tr_velo_cam"):
+            with reading(str(file)):
+                top = np.array(rest.split(), np.float64).reshape(3, 4)
+            return np.vstack([top, [0, 0, 0, 1]])
+    raise FormatError(f"{file}: no line Tr, which places the LiDAR in the camera's frame")
