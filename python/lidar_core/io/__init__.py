@@ -1,0 +1,31 @@
+"""Recordings in and out: one iterator over every readable format, poses, and writers."""
+
+from lidar_core.io.info import RecordingInfo, TopicInfo
+from lidar_core.io.npz import write_npz
+from lidar_core.io.opening import open_recording
+from lidar_core.io.options import PoseOptions, ReadOptions
+from lidar_core.io.posed import PosedScan, PosedScans, posed_scans
+from lidar_core.io.recording import Recording, Topic
+from lidar_core.io.tf_buffer import NoTransformError, TransformBuffer
+from lidar_core.io.tracks import write_tracks_table, write_tum
+from lidar_core.io.write_mcap import McapWriter, write_mcap
+
+__all__ = [
+    "McapWriter",
+    "NoTransformError",
+    "PoseOptions",
+    "PosedScan",
+    "PosedScans",
+    "ReadOptions",
+    "Recording",
+    "RecordingInfo",
+    "Topic",
+    "TopicInfo",
+    "TransformBuffer",
+    "open_recording",
+    "posed_scans",
+    "write_mcap",
+    "write_npz",
+    "write_tracks_table",
+    "write_tum",
+]

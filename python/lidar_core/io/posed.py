@@ -1,0 +1,251 @@
+"""Scans with the sensor's pose, from transforms, odometry or a poses file."""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import ConfigError, FormatError
+from lidar_core.io.options import PoseOptions
+from lidar_core.io.pose_files import read_poses
+from lidar_core.io.recording import Recording, Topic
+from lidar_core.io.ros_messages import POSE_TYPES
+from lidar_core.io.tf_buffer import NoTransformError, TransformBuffer
+from lidar_core.messages import Pose, Scan
+
+WORLD_FRAME = "world"
+MOST_POSES_PER_SCAN = 64
+
+
+@dataclass(frozen=True, slots=True)
+class PosedScan:
+    """A scan and where the sensor was.
+
+    Attributes
+    ----------
+    scan : Scan
+        As recorded.
+    world_from_lidar : ndarray, shape (4, 4) or (K, 4, 4), float64
+        One pose, or poses over the scan.
+    pose_stamps_ns : ndarray, shape (K,), int64, optional
+        Times of the poses [ns].
+    """
+
+    scan: Scan
+    world_from_lidar: NDArray[np.float64]
+    pose_stamps_ns: NDArray[np.int64] | None = None
+
+
+class PosedScans:
+    """Iterable of `PosedScan`; made by `posed_scans`.
+
+    Attributes
+    ----------
+    fixed_frame : str
+        Frame that the poses are in.
+    source : str
+        Where the poses come from, in words.
+    without_pose : Counter
+        Scans left out, per reason.
+    """
+
+    def __init__(self, recording: Recording, options: PoseOptions) -> None:
+        self._recording = recording
+        self._options = options
+        self._cloud = _cloud_topic(recording, options.cloud)
+        self.fixed_frame = options.fixed_frame or WORLD_FRAME
+        self.source = options.pose
+        self.without_pose: Counter[str] = Counter()
+
+    def __iter__(self) -> Iterator[PosedScan]:
+        self.without_pose.clear()
+        if self._options.pose == "static":
+            self.source = "static: the sensor does not move"
+            for scan in self._scans():
+                yield PosedScan(scan, np.eye(4))
+            return
+        if self._options.pose != "auto":
+            yield from self._from_file(Path(self._options.pose))
+            return
+        yield from self._from_buffer()
+
+    def _scans(self) -> Iterator[Scan]:
+        for record in self._recording.records(frozenset({"scan", "scan+pose"})):
+            if record.topic.name == self._cloud.name:
+                yield from (item for item in record.decode() if isinstance(item, Scan))
+
+    def _from_file(self, path: Path) -> Iterator[PosedScan]:
+        stamps, matrices = read_poses(path)
+        self.source = f"{path}, {len(matrices)} poses"
+        if stamps is not None:
+            buffer = self._buffer()
+            for stamp, matrix in zip(stamps.tolist(), matrices, strict=True):
+                buffer.add(Pose(stamp, WORLD_FRAME, "", matrix))
+            yield from self._looked_up(buffer, WORLD_FRAME, "")
+            return
+        count = 0
+        for scan in self._scans():
+            if count >= len(matrices):
+                raise FormatError(
+                    f"{path}: {len(matrices)} poses, but the recording has more scans"
+                )
+            yield PosedScan(scan, matrices[count])
+            count += 1
+        if count != len(matrices):
+            raise FormatError(f"{path}: {len(matrices)} poses for {count} scans of the recording")
+
+    def _from_buffer(self) -> Iterator[PosedScan]:
+        first = next(self._scans(), None)
+        if first is None:
+            return
+        buffer = self._filled(first.frame_id)
+        frame = first.frame_id
+        root = self._options.fixed_frame or buffer.root_of(frame)
+        try:
+            is_static = root == frame or buffer.is_static(root, frame)
+        except NoTransformError as error:
+            raise self._missing(frame, buffer, str(error)) from error
+        if root == frame or (is_static and self._options.fixed_frame is None):
+            raise self._missing(frame, buffer, f"nothing moves {frame!r}")
+        self.fixed_frame = root
+        self.source = f"transforms {root} -> {frame}"
+        yield from self._looked_up(buffer, root, frame)
+
+    def _looked_up(self, buffer: TransformBuffer, root: str, frame: str) -> Iterator[PosedScan]:
+        given = 0
+        for scan in self._scans():
+            stamps = _pose_stamps(scan, buffer, root, frame)
+            try:
+                poses = buffer.lookup(root, frame, stamps)
+            except NoTransformError as error:
+                self.without_pose[str(error)] += 1
+                continue
+            given += 1
+            single = len(stamps) == 1
+            yield PosedScan(scan, poses[0] if single else poses, None if single else stamps)
+        if given == 0:
+            reason = next(iter(self.without_pose), "no scans")
+            raise self._missing(frame, buffer, f"no scan has a pose: {reason}")
+
+    def _buffer(self) -> TransformBuffer:
+        options = self._options
+        return TransformBuffer(max_gap=options.max_gap, max_extrapolation=options.max_extrapolation)
+
+    def _filled(self, frame: str) -> TransformBuffer:
+        """Poses of the recording: transforms first; odometry where asked for, or without them."""
+        gathered = list(self._recording.poses())
+        odometry = [item for item in gathered if item[0].type in POSE_TYPES]
+        topics = sorted({topic.name for topic, _ in odometry})
+        chosen = self._options.odom
+        if chosen is not None and chosen not in {topic.name for topic, _ in gathered}:
+            raise ConfigError(f"odom: no topic {chosen!r} with poses; found {_listed(topics)}")
+        transforms = [item for item in gathered if item[0].type not in POSE_TYPES]
+        buffer = self._with(transforms, frame, chosen)
+        if chosen is None:
+            root = self._options.fixed_frame or buffer.root_of(frame)
+            if _moves(buffer, root, frame) or len(topics) != 1:
+                return buffer
+            chosen = topics[0]
+        picked = [item for item in gathered if item[0].name == chosen]
+        static = [item for item in transforms if item[1].is_static]
+        return self._with([*static, *picked], frame, chosen)
+
+    def _with(
+        self, items: list[tuple[Topic, Pose]], frame: str, chosen: str | None
+    ) -> TransformBuffer:
+        """Buffer of `items`; a pose of the chosen topic without child frame is the sensor's."""
+        buffer = self._buffer()
+        for topic, pose in items:
+            nameless = not pose.child_frame_id and topic.name == chosen
+            child = frame if nameless else pose.child_frame_id
+            buffer.add(
+                Pose(pose.stamp_ns, pose.frame_id, child, pose.matrix, is_static=pose.is_static)
+            )
+        return buffer
+
+    def _missing(self, frame: str, buffer: TransformBuffer, reason: str) -> FormatError:
+        edges = [f"{parent} -> {child}" for parent, child in buffer.edges()]
+        odometry = [t.name for t in self._recording.topics() if t.type in POSE_TYPES]
+        return FormatError(
+            f"{self._recording.path}: no pose for frame {frame!r} of topic {self._cloud.name!r}:"
+            f" {reason}. Found transforms: {_listed(edges)}; odometry topics: {_listed(odometry)}."
+            " Name a frame with --fixed-frame, a topic with --odom, a poses file with --pose FILE,"
+            " or --pose static for a sensor that does not move"
+        )
+
+
+def posed_scans(
+    recording: Recording, options: PoseOptions | None = None, **values: Any
+) -> PosedScans:
+    """Scans of one topic with the sensor's poses.
+
+    Parameters
+    ----------
+    recording : Recording
+        Open recording; it is read twice, first for its poses.
+    options : PoseOptions, optional
+        Where the poses come from.
+    **values
+        Single fields of `PoseOptions`: fixed_frame, pose, cloud, odom; they override `options`.
+
+    Returns
+    -------
+    scans : PosedScans
+        Iterate it; scans outside the poses' time are left out and counted.
+
+    Raises
+    ------
+    FormatError
+        No poses (while iterating); the text says what was found and which option helps.
+    ConfigError
+        No such topic, or several to choose from.
+    """
+    given = options.model_dump() if options is not None else {}
+    return PosedScans(recording, PoseOptions(**(given | values)))
+
+
+def _cloud_topic(recording: Recording, name: str | None) -> Topic:
+    topics = recording.topics()
+    clouds = [topic for topic in topics if topic.kind in ("scan", "scan+pose")]
+    chosen = [topic for topic in clouds if name in (None, topic.name)]
+    if len(chosen) == 1:
+        return chosen[0]
+    listed = _listed([topic.name for topic in clouds])
+    if name is not None:
+        raise ConfigError(
+            f"cloud: no topic {name!r} with clouds in {recording.path}; found {listed}"
+        )
+    if chosen:
+        raise ConfigError(f"cloud: several topics with clouds in {recording.path}: {listed};"
+                          " name one with --cloud")  # fmt: skip
+    found = _listed([f"{t.name} ({t.type}{', ' + t.note if t.note else ''})" for t in topics])
+    raise FormatError(f"{recording.path}: no clouds to read; found {found}")
+
+
+def _moves(buffer: TransformBuffer, root: str, frame: str) -> bool:
+    try:
+        return root != frame and not buffer.is_static(root, frame)
+    except NoTransformError:
+        return False
+
+
+def _pose_stamps(scan: Scan, buffer: TransformBuffer, root: str, frame: str) -> NDArray[np.int64]:
+    """Times to ask poses for: the scan's span and what was recorded inside it."""
+    if scan.point_time_ns is None or scan.point_time_ns.size == 0:
+        return np.array([scan.stamp_ns], np.int64)
+    start = min(scan.stamp_ns, int(scan.point_time_ns.min()))
+    end = int(scan.point_time_ns.max())
+    if end <= start:
+        return np.array([start], np.int64)
+    inside = buffer.knots(root, frame, start, end)
+    if len(inside) > MOST_POSES_PER_SCAN:
+        inside = np.linspace(start, end, MOST_POSES_PER_SCAN).astype(np.int64)[1:-1]
+    return np.unique(np.concatenate([[start], inside, [end]])).astype(np.int64)
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(sorted(names)) or "none"

@@ -1,0 +1,160 @@
+"""Tracks in tables and trajectory files."""
+
+import csv
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.extras import require
+from lidar_core.io.atomic import written_whole
+
+STATE = ("x", "y", "z", "vx", "vy", "vz")
+COVARIANCE = tuple(
+    (row, column) for row in range(len(STATE)) for column in range(row, len(STATE))
+)  # upper triangle
+COLUMNS: tuple[str, ...] = (
+    "t_ns", "track_id", "frame_id", *STATE,
+    "extent_x", "extent_y", "extent_z", "n_detections", "age",
+    *(f"cov_{STATE[row]}_{STATE[column]}" for row, column in COVARIANCE),
+)  # fmt: skip
+"""Columns of the tracks table: SI units; covariance is of position and velocity."""
+
+
+class TracksLike(Protocol):
+    """Tracks at one time, one row per track, as `lidar_core.flying.Tracks` holds them."""
+
+    @property
+    def id(self) -> NDArray[np.int64]:
+        """Numbers of the tracks, shape (T,)."""
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Positions [m], shape (T, 3)."""
+
+    @property
+    def velocity(self) -> NDArray[np.float64]:
+        """Velocities [m/s], shape (T, 3)."""
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Covariances, shape (T, >= 6, >= 6), position and velocity first."""
+
+    @property
+    def extent(self) -> NDArray[np.float64]:
+        """Sides of the bounding boxes [m], shape (T, 3)."""
+
+    @property
+    def n_detections(self) -> NDArray[np.int64]:
+        """Detections that held each track, shape (T,)."""
+
+    @property
+    def age(self) -> NDArray[np.float64]:
+        """Time since the first detection [s], shape (T,)."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Time of the states [ns]."""
+
+
+def write_tracks_table(
+    path: str | Path, tracks: Iterable[TracksLike], *, frame_id: str = "world"
+) -> Path:
+    """Write tracks as one long table, a row per track and time, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        Parquet, if it ends in .parquet and pyarrow is installed; otherwise CSV, ending in .csv.
+    tracks : iterable of Tracks
+        Tracks at successive times.
+    frame_id : str
+        Frame of the states.
+
+    Returns
+    -------
+    path : Path
+        File that was written.
+    """
+    place = Path(path)
+    rows = list(_rows(tracks, frame_id))
+    if place.suffix == ".parquet" and find_spec("pyarrow") is not None:
+        _write_parquet(place, rows)
+        return place
+    place = place.with_suffix(".csv")
+    with (
+        written_whole(place) as temporary,
+        temporary.open("w", newline="", encoding="utf-8") as file,
+    ):
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        writer.writerows(rows)
+    return place
+
+
+def write_tum(folder: str | Path, tracks: Iterable[TracksLike]) -> list[Path]:
+    """Write one TUM trajectory (t x y z qx qy qz qw) per track into `folder`.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Made if missing; files are named track_ID.txt.
+    tracks : iterable of Tracks
+        Tracks at successive times.
+
+    Returns
+    -------
+    paths : list of Path
+        Files that were written, by track.
+    """
+    lines: dict[int, list[str]] = defaultdict(list)
+    for state in tracks:
+        seconds, nanoseconds = divmod(int(state.stamp_ns), 1_000_000_000)
+        for number, position in zip(state.id.tolist(), state.position.tolist(), strict=True):
+            x, y, z = (f"{value:.6f}" for value in position)
+            lines[number].append(f"{seconds}.{nanoseconds:09d} {x} {y} {z} 0 0 0 1\n")
+    place = Path(folder)
+    place.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for number, text in sorted(lines.items()):
+        path = place / f"track_{number}.txt"
+        with written_whole(path) as temporary:
+            temporary.write_text("".join(text), encoding="utf-8")
+        paths.append(path)
+    return paths
+
+
+def _rows(tracks: Iterable[TracksLike], frame_id: str) -> Iterator[Sequence[Any]]:
+    for state in tracks:
+        numbers = state.id.tolist()
+        for row, number in enumerate(numbers):
+            covariance = state.covariance[row]
+            yield (
+                int(state.stamp_ns), number, frame_id,
+                *state.position[row].tolist(), *state.velocity[row].tolist(),
+                *state.extent[row].tolist(), int(state.n_detections[row]), float(state.age[row]),
+                *(float(covariance[at]) for at in COVARIANCE),
+            )  # fmt: skip
+
+
+def _write_parquet(place: Path, rows: list[Sequence[Any]]) -> None:
+    arrow = require("pyarrow", extra="tables", purpose="writing Parquet")
+    parquet = require("pyarrow.parquet", extra="tables", purpose="writing Parquet")
+    integers, texts = {"t_ns", "track_id", "n_detections"}, {"frame_id"}
+    schema = arrow.schema(
+        [
+            (name, arrow.int64() if name in integers else arrow.string() if name in texts
+             else arrow.float64())
+            for name in COLUMNS
+        ]
+    )  # fmt: skip
+    columns = list(zip(*rows, strict=True)) if rows else [()] * len(COLUMNS)
+    arrays = [
+        arrow.array(column, field.type) for column, field in zip(columns, schema, strict=True)
+    ]
+    with written_whole(place) as temporary:
+        parquet.write_table(arrow.table(arrays, schema=schema), temporary)

@@ -1,0 +1,229 @@
+"""MCAP with Foxglove's messages: what viewers read, and what `open_recording` reads back."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import InputError
+from lidar_core.extras import require
+from lidar_core.io.atomic import commit, temporary_for
+from lidar_core.io.foxglove_messages import FOXGLOVE_TYPES, OWN_HEIGHT
+from lidar_core.io.rotations import quaternion_from_matrix
+from lidar_core.io.tracks import TracksLike
+from lidar_core.messages import Message, Pose, Scan
+
+SCAN_TOPIC, TRACKS_TOPIC, POSE_TOPIC, STATIC_TOPIC = "/lidar/points", "/tracks", "/tf", "/tf_static"
+TRACK_LIFETIME_NS = 500_000_000  # a track that is no longer written disappears from the view
+SMALLEST_BOX = 0.1  # a track without extent stays visible [m]
+TRACK_COLOUR = (1.0, 0.35, 0.1, 0.8)
+
+
+class McapWriter:
+    """Writes scans, poses and tracks as they come; the file appears when it is complete.
+
+    Scans become PointCloud, poses FrameTransform (their covariances are not kept), tracks
+    SceneUpdate. Leaving the `with` block completes the file, also on Ctrl-C; any other error
+    leaves nothing behind.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to write; an older one is replaced when the new one is complete.
+    tracks_frame : str
+        Frame that tracks are given in.
+    """
+
+    def __init__(self, path: str | Path, *, tracks_frame: str) -> None:
+        self._foxglove = require("foxglove", extra="viz", purpose="writing MCAP")
+        self._messages = require("foxglove.messages", extra="viz", purpose="writing MCAP")
+        self._channel_types = require("foxglove.channels", extra="viz", purpose="writing MCAP")
+        self._path = Path(path)
+        self._temporary = temporary_for(self._path)
+        self._tracks_frame = tracks_frame
+        self._context = self._foxglove.Context()
+        self._channels: dict[tuple[str, int], Any] = {}
+        self._writer = self._foxglove.open_mcap(
+            self._temporary, allow_overwrite=True, context=self._context
+        )
+
+    def write(self, item: Message | TracksLike) -> None:
+        """Append a scan, a pose or the tracks of one time.
+
+        Raises
+        ------
+        InputError
+            A time before 1970, or point times more than two seconds from the scan's stamp.
+        """
+        if item.stamp_ns < 0:
+            raise InputError(f"stamp_ns: MCAP holds no negative times, got {item.stamp_ns}")
+        if isinstance(item, Scan):
+            self._write_scan(item)
+        elif isinstance(item, Pose):
+            self._write_pose(item)
+        else:
+            self._write_tracks(item)
+
+    def close(self, *, keep: bool = True) -> None:
+        """Complete the file and put it in its place, or drop it."""
+        try:
+            self._writer.close()
+            if keep:
+                commit(self._temporary, self._path)
+        finally:
+            self._temporary.unlink(missing_ok=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close(keep=kind is None or issubclass(kind, KeyboardInterrupt))
+
+    def _write_scan(self, scan: Scan) -> None:
+        m = self._messages
+        rows = _packed(scan)
+        codes = {code: number for number, code in FOXGLOVE_TYPES.items()}
+        numeric = {int(t): t for t in _numeric_types(m.PackedElementFieldNumericType)}
+        offsets: Mapping[str, Any] = rows.dtype.fields or {}
+        fields = [
+            m.PackedElementField(
+                name=name, offset=item[1], type=numeric[codes[item[0].str.lstrip("<|")]]
+            )
+            for name, item in offsets.items()
+        ]
+        height = scan.points.shape[0] if scan.points.ndim == 3 else 1
+        message = m.PointCloud(
+            timestamp=self._stamp(scan.stamp_ns),
+            frame_id=scan.frame_id,
+            pose=m.Pose(position=m.Vector3(), orientation=m.Quaternion(w=1.0)),
+            point_stride=rows.dtype.itemsize,
+            fields=fields,
+            data=rows.tobytes(),
+        )
+        self._channel("PointCloudChannel", scan.topic or SCAN_TOPIC, height).log(
+            message, log_time=scan.stamp_ns
+        )
+
+    def _write_pose(self, pose: Pose) -> None:
+        m = self._messages
+        message = m.FrameTransform(
+            timestamp=self._stamp(pose.stamp_ns),
+            parent_frame_id=pose.frame_id,
+            child_frame_id=pose.child_frame_id,
+            translation=self._vector(pose.matrix[:3, 3]),
+            rotation=self._quaternion(quaternion_from_matrix(pose.matrix[:3, :3])),
+        )
+        topic = STATIC_TOPIC if pose.is_static else POSE_TOPIC
+        self._channel("FrameTransformChannel", topic, 1).log(message, log_time=pose.stamp_ns)
+
+    def _write_tracks(self, tracks: TracksLike) -> None:
+        m = self._messages
+        stamp = self._stamp(tracks.stamp_ns)
+        entities = [self._entity(tracks, row, stamp) for row in range(len(tracks.id))]
+        self._channel("SceneUpdateChannel", TRACKS_TOPIC, 1).log(
+            m.SceneUpdate(entities=entities), log_time=tracks.stamp_ns
+        )
+
+    def _entity(self, tracks: TracksLike, row: int, stamp: Any) -> Any:
+        m = self._messages
+        number, size = int(tracks.id[row]), np.maximum(tracks.extent[row], SMALLEST_BOX)
+        upright = m.Quaternion(w=1.0)
+        colour = m.Color(**dict(zip("rgba", TRACK_COLOUR, strict=True)))
+        at = m.Pose(position=self._vector(tracks.position[row]), orientation=upright)
+        above = m.Pose(
+            position=self._vector(tracks.position[row] + [0, 0, size[2]]), orientation=upright
+        )
+        speed = float(np.linalg.norm(tracks.velocity[row]))
+        label = m.TextPrimitive(
+            pose=above, billboard=True, font_size=14.0, scale_invariant=True, color=colour,
+            text=f"{number}: {speed:.1f} m/s",
+        )  # fmt: skip
+        return m.SceneEntity(
+            timestamp=stamp,
+            frame_id=self._tracks_frame,
+            id=str(number),
+            lifetime=m.Duration(sec=0, nsec=TRACK_LIFETIME_NS),
+            cubes=[m.CubePrimitive(pose=at, size=self._vector(size), color=colour)],
+            texts=[label],
+        )
+
+    def _channel(self, kind: str, topic: str, height: int) -> Any:
+        key = (topic, height)
+        if key not in self._channels:
+            make = getattr(self._channel_types, kind)
+            metadata = {OWN_HEIGHT: str(height)} if kind == "PointCloudChannel" else {}
+            self._channels[key] = make(topic, metadata=metadata, context=self._context)
+        return self._channels[key]
+
+    def _stamp(self, stamp_ns: int) -> Any:
+        seconds, nanoseconds = divmod(int(stamp_ns), 1_000_000_000)
+        return self._messages.Timestamp(sec=seconds, nsec=nanoseconds)
+
+    def _vector(self, values: NDArray[np.float64]) -> Any:
+        x, y, z = (float(value) for value in values)
+        return self._messages.Vector3(x=x, y=y, z=z)
+
+    def _quaternion(self, values: NDArray[np.float64]) -> Any:
+        x, y, z, w = (float(value) for value in values)
+        return self._messages.Quaternion(x=x, y=y, z=z, w=w)
+
+
+def write_mcap(
+    path: str | Path, items: Iterable[Message | TracksLike], *, tracks_frame: str = "world"
+) -> None:
+    """Write scans, poses and tracks to one MCAP file, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to write.
+    items : iterable of Scan, Pose and Tracks
+        Written as they come.
+    tracks_frame : str
+        Frame that tracks are given in.
+
+    Raises
+    ------
+    MissingExtraError
+        foxglove-sdk is not installed.
+    """
+    with McapWriter(path, tracks_frame=tracks_frame) as writer:
+        for item in items:
+            writer.write(item)
+
+
+def _packed(scan: Scan) -> NDArray[Any]:
+    """Rows of a scan as one structured array; point times as int32 [ns] from its stamp."""
+    columns: dict[str, NDArray[Any]] = {}
+    points = scan.points.reshape(-1, 3)
+    columns |= {name: points[:, axis] for axis, name in enumerate("xyz")}
+    if scan.intensity is not None:
+        columns["intensity"] = scan.intensity
+    if scan.ring is not None:
+        columns["ring"] = scan.ring
+    if scan.point_time_ns is not None:
+        offset = scan.point_time_ns - scan.stamp_ns
+        if offset.size and np.abs(offset).max() > np.iinfo(np.int32).max:
+            raise InputError("point_time_ns: expected times within 2.1 s of the scan's stamp")
+        columns["t"] = offset.astype(np.int32)
+    if scan.no_return is not None:
+        columns["no_return"] = scan.no_return.astype(np.uint8)
+    if scan.directions is not None:
+        columns |= {name: scan.directions[:, axis] for axis, name in enumerate(("dx", "dy", "dz"))}
+    little = [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()]
+    rows = np.empty(len(points), little)
+    for name, column in columns.items():
+        rows[name] = column
+    return rows
+
+
+def _numeric_types(enum: Any) -> list[Any]:
+    return [getattr(enum, name) for name in dir(enum) if name[0].isupper() and name != "Unknown"]
