@@ -279,16 +279,41 @@ fn link_groups<K: Key>(
     }
 }
 
+/// Pairs above which the box of a group is worth its making.
+const MANY_PAIRS: usize = 1024;
+
 /// Whether two groups hold a pair of points within reach (a squared distance).
 fn touch<K: Key>(groups: &Groups<K>, a: usize, b: usize, reach: f64) -> bool {
-    groups.points[groups.range(a)].iter().any(|&p| {
-        let p = wide(p);
-        groups.points[groups.range(b)].iter().any(|&q| {
+    let (ours, theirs) = (&groups.points[groups.range(a)], &groups.points[groups.range(b)]);
+    let near = |p: [f64; 3]| {
+        theirs.iter().any(|&q| {
             let q = wide(q);
             let (dx, dy, dz) = (p[0] - q[0], p[1] - q[1], p[2] - q[2]);
             dx * dx + dy * dy + dz * dz <= reach
         })
+    };
+    if ours.len() * theirs.len() < MANY_PAIRS {
+        return ours.iter().any(|&p| near(wide(p)));
+    }
+    let [low, high] = bounds(theirs);
+    ours.iter().map(|&p| wide(p)).any(|p| {
+        let [x, y, z] =
+            std::array::from_fn(|axis| (low[axis] - p[axis]).max(p[axis] - high[axis]).max(0.0));
+        x * x + y * y + z * z <= reach && near(p)
     })
+}
+
+/// Lower and upper corner of the box around `points`.
+fn bounds(points: &[[f32; 3]]) -> [[f64; 3]; 2] {
+    let mut corners = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
+    for &point in points {
+        let point = wide(point);
+        for axis in 0..3 {
+            corners[0][axis] = corners[0][axis].min(point[axis]);
+            corners[1][axis] = corners[1][axis].max(point[axis]);
+        }
+    }
+    corners
 }
 
 /// Union-find whose root is the smallest member.
