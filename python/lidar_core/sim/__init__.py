@@ -5,6 +5,7 @@ from lidar_core.sim.config import Body, Scene, Target
 from lidar_core.sim.lidar import LidarModel, Rosette, Spinning
 from lidar_core.sim.meshes import hexacopter_mesh, sphere_mesh
 from lidar_core.sim.motions import Circle, Hover, Loop, RandomMotion, TakeOff, Waypoints
+from lidar_core.sim.recording import Recorded, record
 from lidar_core.sim.shapes import Box, Cylinder, HeightField, Hexacopter, Mesh, Plane, Sphere, Tree
 from lidar_core.sim.simulator import SimulatedScan, Simulator, TargetTruth, simulate
 
@@ -21,6 +22,7 @@ __all__ = [
     "Mesh",
     "Plane",
     "RandomMotion",
+    "Recorded",
     "Rosette",
     "Scene",
     "SimulatedScan",
@@ -33,6 +35,7 @@ __all__ = [
     "Tree",
     "Waypoints",
     "hexacopter_mesh",
+    "record",
     "scenes",
     "simulate",
     "sphere_mesh",

@@ -96,8 +96,8 @@ class Simulator:
         if not 0 <= seed < 2**64:
             raise ConfigError(f"seed: expected 0 to 2^64 - 1, got {seed}")
         self.scans = scene.scans if scans is None else scans
-        if self.scans < 0:
-            raise ConfigError(f"scans: expected >= 0, got {scans}")
+        if self.scans < 1:
+            raise ConfigError(f"scans: expected >= 1, got {scans}")
         self.scene = scene
         self.seed = seed
         self._seconds = max(self.scans, scene.scans) * scene.lidar.period_ns * 1e-9

@@ -1,0 +1,153 @@
+"""A simulated recording on disk, with the truth and the scene beside it."""
+
+import csv
+import hashlib
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from lidar_core._core import __version__
+from lidar_core.errors import ConfigError
+from lidar_core.messages import Message, Pose
+from lidar_core.sim.config import Scene
+from lidar_core.sim.simulator import SimulatedScan, Simulator
+
+WORLD_FRAME = "world"
+POSE_TOPIC = "tf"
+TRUTH_COLUMNS = (
+    "scan", "t_ns", "target_id", "x", "y", "z", "vx", "vy", "vz", "radius", "hits", "rays",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What `record` wrote.
+
+    Attributes
+    ----------
+    recording, truth, scene, run : Path
+        Scans and poses; targets per scan (`TargetTruth` as CSV); the scene; version, seed, hash.
+    scans, points, target_hits : int
+        Scans, points in all, points on targets.
+    """
+
+    recording: Path
+    truth: Path
+    scene: Path
+    run: Path
+    scans: int
+    points: int
+    target_hits: int
+
+
+def messages(scans: Iterable[SimulatedScan]) -> Iterator[Message]:
+    """Put scans and poses in line as a recording holds them, in the order of their stamps."""
+    last = -1
+    for made in scans:
+        for stamp_ns, matrix in zip(made.pose_stamps_ns.tolist(), made.poses, strict=True):
+            if stamp_ns > last:  # a scan starts where the one before ended
+                yield Pose(stamp_ns, WORLD_FRAME, made.scan.frame_id, matrix, topic=POSE_TOPIC)
+                last = stamp_ns
+            if stamp_ns == made.scan.stamp_ns:
+                yield made.scan
+
+
+def record(
+    scene: Scene,
+    path: str | Path,
+    *,
+    seed: int,
+    scans: int | None = None,
+    threads: int = 1,
+    on_scan: Callable[[SimulatedScan], None] = lambda made: None,
+) -> Recorded:
+    """Simulate `scene` into the recording `path` (.npz or .mcap).
+
+    Beside it: NAME.truth.csv, NAME.scene.toml, NAME.run.toml.
+
+    Parameters
+    ----------
+    scene, seed, scans, threads
+        As for `Simulator`.
+    path : str or Path
+        Recording to write; its ending chooses the format.
+    on_scan : callable
+        Called after every scan, for a progress display.
+
+    Raises
+    ------
+    ConfigError
+        Another ending, or as for `Simulator`.
+    """
+    path = Path(path)
+    write = _writer(path)
+    simulator = Simulator(scene, seed=seed, scans=scans, threads=threads)
+    rows: list[tuple[Any, ...]] = []
+    points = 0
+
+    def watched() -> Iterator[SimulatedScan]:
+        nonlocal points
+        for number, made in enumerate(simulator):
+            points += int(np.count_nonzero(made.label >= 0))
+            rows.extend(_truth_rows(number, made))
+            on_scan(made)
+            yield made
+
+    write(path, messages(watched()))
+    truth, scene_file, run = (
+        path.with_suffix(f".{name}") for name in ("truth.csv", "scene.toml", "run.toml")
+    )
+    with truth.open("w", newline="") as file:
+        csv.writer(file).writerows([TRUTH_COLUMNS, *rows])
+    effective = scene.model_copy(update={"scans": simulator.scans})
+    scene_file.write_text(effective.to_toml())
+    run.write_text(_run(path, simulator))
+    hits = sum(row[TRUTH_COLUMNS.index("hits")] for row in rows)
+    return Recorded(path, truth, scene_file, run, simulator.scans, points, hits)
+
+
+def _writer(path: Path) -> Callable[[Path, Iterable[Message]], None]:
+    if path.suffix == ".npz":
+        from lidar_core.io import write_npz
+
+        return write_npz
+    if path.suffix == ".mcap":
+        from lidar_core.io import write_mcap
+
+        return write_mcap
+    raise ConfigError(f"{path}: expected a name that ends in .npz or .mcap")
+
+
+def _truth_rows(number: int, made: SimulatedScan) -> Iterator[tuple[Any, ...]]:
+    truth = made.truth
+    for target, name in enumerate(truth.id.tolist()):
+        yield (
+            number,
+            made.scan.stamp_ns,
+            name,
+            *truth.position[target].tolist(),
+            *truth.velocity[target].tolist(),
+            float(truth.radius[target]),
+            int(truth.hits[target]),
+            int(truth.rays[target]),
+        )
+
+
+def _run(path: Path, simulator: Simulator) -> str:
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return tomli_w.dumps(
+        {
+            "command": "simulate",
+            "lidar_core": __version__,
+            "numpy": np.__version__,
+            "seed": simulator.seed,
+            "scans": simulator.scans,
+            "recording": path.name,
+            "sha256": digest,
+        }
+    )
