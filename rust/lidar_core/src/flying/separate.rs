@@ -10,6 +10,9 @@ use crate::Error;
 use crate::geometry::lattice::Voxel;
 use std::collections::{HashMap, HashSet};
 
+/// Changes that are kept; above it, as when removal has been given up, all is looked at again.
+const MOST_CHANGES: usize = 1 << 22;
+
 /// Voxels whose occupied state changed since the last removal.
 #[derive(Clone, Default)]
 pub(crate) struct Changes {
@@ -23,6 +26,14 @@ pub(crate) struct Changes {
 impl Changes {
     #[inline]
     pub(crate) fn note(&mut self, voxel: Voxel) {
+        if self.settled_with.is_none() {
+            return; // the next removal looks at everything
+        }
+        if self.voxels.len() == MOST_CHANGES {
+            self.voxels = Vec::new();
+            self.settled_with = None;
+            return;
+        }
         self.voxels.push(voxel);
     }
 
@@ -60,7 +71,7 @@ impl VoxelMap {
             seen: HashMap::new(),
         };
         let mut separate = Vec::new();
-        let mut anchor = self.changes.anchor.filter(|&voxel| search.is_anchored(voxel));
+        let mut anchor = None;
         for &voxel in &candidates {
             if let Some(members) = search.component(voxel) {
                 separate.extend(members);
@@ -68,6 +79,9 @@ impl VoxelMap {
                 anchor = Some(voxel);
             }
         }
+        // Only now: a group that ceased to be anchored is found, and returned, from a candidate.
+        let known = self.changes.anchor.filter(|&voxel| search.is_anchored(voxel));
+        anchor = known.or(anchor);
         self.changes = Changes { voxels: Vec::new(), settled_with: Some(separation), anchor };
         let (g_free, keep) = (self.parameters().g_free, two_to_minus(1.0));
         let removable: Vec<Voxel> = {
