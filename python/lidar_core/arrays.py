@@ -29,7 +29,8 @@ def as_points(points: ArrayLike, *, name: str = "points") -> Points:
     if array.ndim != 2 or array.shape[1] != 3:
         hint = "; slice the coordinates first" if array.ndim >= 2 and array.shape[-1] > 3 else ""
         raise InputError(f"{name}: expected shape (N, 3), got {array.shape}{hint}")
-    return np.ascontiguousarray(array, dtype=np.float32)
+    with np.errstate(over="ignore"):  # beyond float32 is infinite: no point
+        return np.ascontiguousarray(array, dtype=np.float32)
 
 
 def as_rows(
@@ -43,7 +44,12 @@ def as_rows(
         raise InputError(f"{name}: expected shape {text}, got {array.shape}")
     if np.issubdtype(dtype, np.integer) and not np.issubdtype(array.dtype, np.integer):
         raise InputError(f"{name}: expected integers, got dtype {array.dtype}")
-    return np.ascontiguousarray(array, dtype=dtype)
+    if np.issubdtype(dtype, np.integer) and array.size:
+        low, high, range_of = array.min(), array.max(), np.iinfo(dtype)
+        if low < range_of.min or high > range_of.max:
+            raise InputError(f"{name}: expected values of {np.dtype(dtype)}, got {low} to {high}")
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(array, dtype=dtype)
 
 
 def as_mask(values: ArrayLike, *, name: str, rows: int) -> NDArray[np.bool_]:

@@ -1,5 +1,8 @@
 """The voxel map: occupancy of the environment with an exponential update."""
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from typing import Self
@@ -9,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidar_core import _core
 from lidar_core.arrays import Points, as_mask, as_points, as_real, as_rows, as_vector
-from lidar_core.errors import InputError
+from lidar_core.errors import FormatError, InputError
 from lidar_core.flying.config import ClassifyConfig, VoxelMapConfig
 
 
@@ -264,7 +267,8 @@ class VoxelMap:
         OSError
             The file cannot be written; a previous one is intact.
         """
-        self._map.save(path)
+        with _naming(path):
+            self._map.save(path)
 
     @classmethod
     def load(cls, path: str | PathLike[str], *, threads: int = 1) -> Self:
@@ -277,7 +281,8 @@ class VoxelMap:
         OSError
             The file cannot be read.
         """
-        loaded = _core.VoxelMap.load(path, threads=threads)
+        with _naming(path):
+            loaded = _core.VoxelMap.load(path, threads=threads)
         self = cls.__new__(cls)
         self.config = VoxelMapConfig.load(loaded.parameters())
         self.origin = np.array(loaded.origin())
@@ -291,3 +296,17 @@ class VoxelMap:
             if points.shape[-1:] == (3,):
                 points = points - self.origin
         return as_points(points)
+
+
+@contextmanager
+def _naming(path: str | PathLike[str]) -> Iterator[None]:
+    """Errors about a file name it."""
+    name = os.fspath(path)
+    try:
+        yield
+    except FormatError as error:
+        raise FormatError(f"{name}: {error}") from error
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, os.strerror(error.errno), name) from error
