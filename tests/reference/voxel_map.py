@@ -1,0 +1,115 @@
+"""The voxel map as a dictionary: eqs 6-12 and 20-22, one voxel at a time.
+
+Lengths are summed in whole units of 1/16384 edge, as the map does, so that sums are exact.
+"""
+
+import math
+from collections import Counter
+from fractions import Fraction
+
+import numpy as np
+
+from lidar_core import VoxelMapConfig
+from reference.traverse import Segment, Voxel
+
+UNITS_PER_EDGE = 16_384
+MOST_UNITS = 2**30 - 1
+BACKGROUND, FLYING, UNKNOWN = 1, 2, 3
+STRONGEST_FIRST = (BACKGROUND, FLYING, UNKNOWN)
+
+
+class VoxelMap:
+    """Values of G for the voxels that have been observed."""
+
+    def __init__(self, config: VoxelMapConfig) -> None:
+        self.config = config
+        self.values: dict[Voxel, np.float32] = {}
+
+    def voxel_at(self, point) -> Voxel:
+        size = Fraction(self.config.voxel_size)
+        return tuple(math.floor(Fraction(float(value)) / size) for value in point)
+
+    def admits(self, voxel: Voxel) -> bool:
+        if self.config.bounds is None:
+            return True
+        low, high = map(self.voxel_at, self.config.bounds)
+        return all(a <= index <= b for a, index, b in zip(low, voxel, high, strict=True))
+
+    def value(self, voxel: Voxel) -> np.float32:
+        return self.values.get(voxel, np.float32(self.config.initial))
+
+    def values_at(self, points) -> np.ndarray:
+        return np.array([self.value(self.voxel_at(point)) for point in points], np.float32)
+
+    def state(self, value: np.float32) -> int:
+        c = self.config
+        bounds = (c.threshold_uncertain, c.threshold_tentative, c.threshold_confident)
+        return sum(value >= np.float32(bound) for bound in (*bounds, *c.extra_thresholds))
+
+    def is_free(self, voxel: Voxel) -> bool:
+        return self.value(voxel) < np.float32(self.config.threshold_uncertain)
+
+    def is_tentative(self, voxel: Voxel) -> bool:
+        return self.value(voxel) >= np.float32(self.config.threshold_tentative)
+
+    def is_confident(self, voxel: Voxel) -> bool:
+        return self.value(voxel) >= np.float32(self.config.threshold_confident)
+
+    def occupied(self) -> list[Voxel]:
+        return sorted(voxel for voxel in self.values if self.is_tentative(voxel))
+
+    def set_all(self, points, value: float) -> None:
+        for voxel in map(self.voxel_at, points):
+            if self.admits(voxel):
+                self.values[voxel] = np.float32(value)
+
+    def pull(self, voxel: Voxel, target: float, weight: float) -> None:
+        """Eq. 12; a permanent voxel stays (sec. III-E)."""
+        old = self.value(voxel)
+        if math.isinf(old):
+            return
+        keep = 0.0 if weight > 1000 else 2.0**-weight
+        self.values[voxel] = np.float32(keep * float(old) + (1 - keep) * float(np.float32(target)))
+
+    def ray_end(self, origin, point):
+        """Eq. 20 with the margin before a hit."""
+        span = point - origin
+        distance = math.sqrt(float(span @ span))
+        reach = min(max(distance - self.config.end_margin, 0.0), self.config.max_range)
+        return point if reach >= distance else origin + (reach / distance) * span
+
+    def integrate(self, points, classes, origins, directions=None, no_return=None) -> None:
+        """One scan: eqs 9, 12 and 16-22."""
+        origins = np.broadcast_to(np.asarray(origins, np.float64), (len(points), 3))
+        contents: dict[Voxel, list[int]] = {}
+        units: Counter[Voxel] = Counter()
+        for row, point in enumerate(np.asarray(points, np.float64)):
+            if no_return is not None and no_return[row]:
+                direction = np.asarray(directions[row], np.float64)
+                norm = math.sqrt(float(direction @ direction))
+                if math.isfinite(norm) and norm > 0:
+                    end = origins[row] + self.config.max_range * (direction / norm)
+                    self._add_ray(units, origins[row], end)
+            elif classes[row] and np.isfinite(point).all():
+                contents.setdefault(self.voxel_at(point), []).append(int(classes[row]))
+                self._add_ray(units, origins[row], self.ray_end(origins[row], point))
+        self._update(contents, units)
+
+    def _add_ray(self, units: Counter[Voxel], start, end) -> None:
+        for voxel, length in Segment(start, end, self.config.voxel_size).lengths().items():
+            length_units = math.floor(length / self.config.voxel_size * UNITS_PER_EDGE + 0.5)
+            if length_units:
+                units[voxel] = min(units[voxel] + length_units, MOST_UNITS)
+
+    def _update(self, contents: dict[Voxel, list[int]], units: Counter[Voxel]) -> None:
+        c = self.config
+        unit = {"edges": 1.0, "metres": c.voxel_size, "diagonals": 1 / math.sqrt(3)}[c.ray_unit]
+        target = {BACKGROUND: c.g_occ, FLYING: c.g_unk, UNKNOWN: c.g_unk}
+        for voxel in filter(self.admits, contents.keys() | units.keys()):
+            found = contents.get(voxel)
+            if found is None:
+                self.pull(voxel, c.g_free, units[voxel] / UNITS_PER_EDGE * unit * c.ray_gain)
+                continue
+            strongest = next(kind for kind in STRONGEST_FIRST if kind in found)
+            weight = math.inf if strongest == FLYING else found.count(strongest)
+            self.pull(voxel, target[strongest], weight)
