@@ -54,8 +54,8 @@ class TrackerConfig(Config):
     acceleration_time: float | None = Field(
         0.5,
         gt=0,
-        description="Time constant with which accelerations fade [s]; none, as in the paper, eq. 27:"
-        " they stay.",
+        description="Time constant with which accelerations fade [s]; none, as in eq. 27 of the"
+        " paper: they stay.",
     )
     process_noise: Literal["paper", "continuous"] = Field(
         "continuous",

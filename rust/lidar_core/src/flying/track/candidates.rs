@@ -5,6 +5,7 @@ use super::parameters::{MeasurementForm, TrackerParameters};
 use crate::Error;
 use crate::geometry::cluster;
 use nalgebra::{Matrix3, Vector3};
+use std::cmp::Ordering;
 
 /// Something measured: where, how well, and how large.
 #[derive(Clone, Debug)]
@@ -14,90 +15,83 @@ pub(super) struct Measurement {
     pub(super) extent: [f64; 3],
 }
 
-/// Clusters of `points` that are small enough and far enough from the background, by first
-/// appearance. Source: Vrba et al., Algorithm 2, lines 37-39 and 43.
+/// Clusters of `points` that are small enough and far enough from the background, by position.
+///
+/// The result does not depend on the order of the points, not even in its last bit.
 ///
 /// # Errors
 /// Those of [`cluster::label`].
+///
+/// # Source
+/// Vrba et al., Algorithm 2, lines 37-39 and 43.
 pub(super) fn candidates(
     points: &[[f32; 3]],
     occupied: &dyn Occupancy,
     parameters: &TrackerParameters,
 ) -> Result<Vec<Measurement>, Error> {
     let labels = cluster::label(points, &parameters.clustering)?;
-    let count = labels.iter().map(|&label| (label + 1) as usize).max().unwrap_or(0);
-    let mut clusters = vec![Cluster::EMPTY; count];
+    let mut clusters: Vec<Cluster> = Vec::new();
     for (point, &label) in points.iter().zip(&labels) {
-        if label >= 0 {
-            clusters[label as usize].add(point.map(f64::from));
+        let Ok(label) = usize::try_from(label) else { continue }; // noise is negative
+        if label >= clusters.len() {
+            clusters.resize(label + 1, Cluster::EMPTY);
         }
+        clusters[label].add(*point);
     }
-    if parameters.measurement == MeasurementForm::Cluster {
-        for (point, &label) in points.iter().zip(&labels) {
-            if label >= 0 {
-                clusters[label as usize].add_scatter(point.map(f64::from));
-            }
-        }
-    }
-    let is_target = |cluster: &Cluster| {
-        let centroid = cluster.centroid();
-        cluster.extent().iter().all(|&side| parameters.max_extent.is_none_or(|max| side <= max))
-            && !occupied.any_within(centroid.into(), parameters.occupied_distance)
-    };
-    Ok(clusters
-        .iter()
-        .filter(|cluster| is_target(cluster))
-        .map(|cluster| cluster.measurement(parameters.measurement_std))
-        .collect())
+    let mut measurements: Vec<Measurement> = clusters
+        .into_iter()
+        .filter(|cluster| {
+            let max = parameters.max_extent.unwrap_or(f64::INFINITY);
+            cluster.extent().iter().all(|&side| side <= max)
+        })
+        .map(|cluster| cluster.measurement(parameters))
+        .filter(|measurement| {
+            !occupied.any_within(measurement.position.into(), parameters.occupied_distance)
+        })
+        .collect();
+    measurements.sort_by(|one, other| order(&one.position.into(), &other.position.into()));
+    Ok(measurements)
+}
+
+fn order<T: Copy + PartialOrd>(one: &[T; 3], other: &[T; 3]) -> Ordering {
+    one.partial_cmp(other).unwrap_or(Ordering::Equal) // finite, so never unknown
 }
 
 #[derive(Clone)]
 struct Cluster {
-    count: f64,
-    sum: Vector3<f64>,
-    low: [f64; 3],
-    high: [f64; 3],
-    scatter: Matrix3<f64>,
+    points: Vec<[f32; 3]>,
+    low: [f32; 3],
+    high: [f32; 3],
 }
 
 impl Cluster {
-    const EMPTY: Self = Self {
-        count: 0.0,
-        sum: Vector3::new(0.0, 0.0, 0.0),
-        low: [f64::INFINITY; 3],
-        high: [f64::NEG_INFINITY; 3],
-        scatter: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-    };
+    const EMPTY: Self =
+        Self { points: Vec::new(), low: [f32::INFINITY; 3], high: [f32::NEG_INFINITY; 3] };
 
-    fn add(&mut self, point: [f64; 3]) {
-        self.count += 1.0;
-        self.sum += Vector3::from(point);
+    fn add(&mut self, point: [f32; 3]) {
+        self.points.push(point);
         for (axis, value) in point.into_iter().enumerate() {
             self.low[axis] = self.low[axis].min(value);
             self.high[axis] = self.high[axis].max(value);
         }
     }
 
-    fn add_scatter(&mut self, point: [f64; 3]) {
-        let offset = Vector3::from(point) - self.centroid();
-        self.scatter += offset * offset.transpose();
-    }
-
-    fn centroid(&self) -> Vector3<f64> {
-        self.sum / self.count
-    }
-
     fn extent(&self) -> [f64; 3] {
-        std::array::from_fn(|axis| self.high[axis] - self.low[axis])
+        std::array::from_fn(|axis| f64::from(self.high[axis]) - f64::from(self.low[axis]))
     }
 
-    /// The scatter is zero where the paper's fixed covariance is asked for.
-    fn measurement(&self, std: f64) -> Measurement {
-        Measurement {
-            position: self.centroid(),
-            covariance: Matrix3::identity() * (std * std)
-                + self.scatter / (self.count * self.count),
-            extent: self.extent(),
+    fn measurement(mut self, parameters: &TrackerParameters) -> Measurement {
+        self.points.sort_unstable_by(order);
+        let count = self.points.len() as f64;
+        let places = || self.points.iter().map(|point| Vector3::from(point.map(f64::from)));
+        let position = places().sum::<Vector3<f64>>() / count;
+        let std = parameters.measurement_std;
+        let mut covariance = Matrix3::identity() * (std * std);
+        if parameters.measurement == MeasurementForm::Cluster {
+            let scatter: Matrix3<f64> =
+                places().map(|place| (place - position) * (place - position).transpose()).sum();
+            covariance += scatter / (count * count);
         }
+        Measurement { position, covariance, extent: self.extent() }
     }
 }

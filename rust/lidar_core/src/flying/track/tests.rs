@@ -1,1 +1,189 @@
+//! The tracker as a whole, by hand; its full comparison with an oracle is in `tests/python`.
 
+use super::*;
+use crate::geometry::cluster::Clustering;
+
+const STEP_NS: i64 = 100_000_000;
+const NOTHING: [[f32; 3]; 0] = [];
+
+fn paper() -> TrackerParameters {
+    TrackerParameters {
+        buffer_size: 10,
+        clustering: Clustering { max_distance: 0.25, min_points: 1, max_points: None },
+        max_extent: None,
+        occupied_distance: 1.0,
+        radius: Radius { form: RadiusForm::Paper, scale: 0.5, min: 1.5, max: 3.0 },
+        motion: Motion { acceleration_time: None, form: NoiseForm::Paper, std: [0.5, 0.5, 0.1] },
+        initial_std: [0.5, 3.0, 3.0],
+        measurement: MeasurementForm::Paper,
+        measurement_std: 1.0,
+        association: Association::Paper,
+        confirmation: Confirmation { hits: 1, window: 1 },
+        merging: None,
+        ageing: Ageing::Paper,
+    }
+}
+
+fn best() -> TrackerParameters {
+    TrackerParameters {
+        association: Association::Global { gate_probability: 0.997, clutter_density: 1e-5 },
+        ageing: Ageing::Visible { max_coast: 3.0 },
+        merging: Some(Merging { distance: 0.3, speed: 1.0 }),
+        confirmation: Confirmation { hits: 2, window: 3 },
+        measurement: MeasurementForm::Cluster,
+        measurement_std: 0.1,
+        ..paper()
+    }
+}
+
+fn free() -> OccupiedPoints {
+    OccupiedPoints::new(&NOTHING, 1.0)
+}
+
+fn detect(
+    tracker: &mut PointCloudTracker,
+    positions: &[[f64; 3]],
+    stamp_ns: i64,
+) -> Result<Stats, Error> {
+    let detections = Detections { stamp_ns, positions, covariance: None, extent: None };
+    tracker.new_detections(&detections, &free())
+}
+
+/// One position axis of Table II after 0.1 s: 0.5^2 + 0.3^2 + 0.015^2 + 0.5^2 = 0.590225.
+#[test]
+fn the_first_correction_agrees_with_a_calculation_by_hand() -> Result<(), Error> {
+    let mut tracker = PointCloudTracker::new(paper(), 1)?;
+    detect(&mut tracker, &[[0.0; 3]], 0)?;
+    let stats = tracker.new_point_cloud(&[[0.4, 0.0, 0.0]], &free(), None, STEP_NS)?;
+    assert_eq!(stats.corrected, [0]);
+    let track = &tracker.tracks_at(STEP_NS)[0];
+    let gain = 0.590225 / 1.590225;
+    assert!((track.state.mean[0] - gain * f64::from(0.4_f32)).abs() < 1e-12);
+    assert!((track.state.covariance[(0, 0)] - gain).abs() < 1e-12);
+    assert!(track.confirmed);
+    Ok(())
+}
+
+#[test]
+fn a_cluster_beside_an_occupied_voxel_corrects_nothing() -> Result<(), Error> {
+    for (voxel, corrected) in [([0.0, 1.0, 0.0], 0), ([0.0, 1.001, 0.0], 1)] {
+        let mut tracker = PointCloudTracker::new(paper(), 1)?;
+        detect(&mut tracker, &[[0.0; 3]], 0)?;
+        let occupied = OccupiedPoints::new(&[voxel], 1.0);
+        let stats = tracker.new_point_cloud(&[[0.0; 3]], &occupied, None, STEP_NS)?;
+        assert_eq!(stats.corrected.len(), corrected);
+    }
+    Ok(())
+}
+
+#[test]
+fn the_paper_counts_a_similar_detection_and_adds_a_distant_one() -> Result<(), Error> {
+    let mut tracker = PointCloudTracker::new(paper(), 1)?;
+    let stats = detect(&mut tracker, &[[0.0; 3], [3.0, 0.0, 0.0], [3.1, 0.0, 0.0]], 0)?;
+    // Radii 1.5 + 1.5: the second is the first again, the third is new.
+    assert_eq!(stats.born, [0, 1]);
+    let counts: Vec<u32> = tracker.tracks_at(0).iter().map(|track| track.n_detections).collect();
+    assert_eq!(counts, [2, 1]);
+    Ok(())
+}
+
+#[test]
+fn one_cluster_corrects_one_track_only() -> Result<(), Error> {
+    let mut tracker = PointCloudTracker::new(best(), 1)?;
+    detect(&mut tracker, &[[0.0; 3], [1.0, 0.0, 0.0]], 0)?;
+    let stats = tracker.new_point_cloud(&[[0.3, 0.0, 0.0]], &free(), None, STEP_NS)?;
+    assert_eq!(stats.corrected, [0]);
+    let stats =
+        tracker.new_point_cloud(&[[0.3, 0.0, 0.0], [0.9, 0.0, 0.0]], &free(), None, 2 * STEP_NS)?;
+    assert_eq!(stats.corrected, [0, 1]);
+    Ok(())
+}
+
+#[test]
+fn a_track_is_confirmed_by_two_of_three_sets() -> Result<(), Error> {
+    let mut tracker = PointCloudTracker::new(best(), 1)?;
+    let target = [[0.0; 3]];
+    assert!(detect(&mut tracker, &target, 0)?.confirmed.is_empty());
+    assert!(detect(&mut tracker, &[], 1)?.confirmed.is_empty());
+    assert_eq!(detect(&mut tracker, &target, 2)?.confirmed, [0]);
+    detect(&mut tracker, &[[50.0, 0.0, 0.0]], 3)?;
+    detect(&mut tracker, &[], 4)?;
+    detect(&mut tracker, &[], 5)?;
+    assert_eq!(detect(&mut tracker, &[], 6)?.removed, [1]); // its only set has left the window
+    Ok(())
+}
+
+#[test]
+fn a_detection_newer_than_all_clouds_corrects_the_track() -> Result<(), Error> {
+    let mut tracker = PointCloudTracker::new(best(), 1)?;
+    tracker.new_point_cloud(&[[0.0; 3]], &free(), None, 0)?;
+    detect(&mut tracker, &[[0.0; 3]], 0)?;
+    detect(&mut tracker, &[[0.3, 0.0, 0.0]], STEP_NS)?;
+    let tracks = tracker.tracks_at(STEP_NS);
+    assert_eq!(tracks.len(), 1);
+    assert!(tracks[0].state.mean[0] > 0.1);
+    assert_eq!(tracks[0].seen_ns, STEP_NS);
+    // The cloud of that time brings nothing new.
+    let stats = tracker.new_point_cloud(&[[0.3, 0.0, 0.0]], &free(), None, STEP_NS)?;
+    assert!(stats.corrected.is_empty());
+    Ok(())
+}
+
+struct Hidden;
+
+impl Visibility for Hidden {
+    fn expected(&self, _: [f64; 3], _: f64) -> bool {
+        false
+    }
+}
+
+#[test]
+fn a_hidden_track_outlives_its_radius_and_ends_with_the_coast() -> Result<(), Error> {
+    let mut tracker = PointCloudTracker::new(best(), 1)?;
+    detect(&mut tracker, &[[0.0; 3]], 0)?;
+    for step in 1..=30 {
+        let stats = tracker.new_point_cloud(&NOTHING, &free(), Some(&Hidden), step * STEP_NS)?;
+        assert!(stats.removed.is_empty(), "{step}");
+    }
+    let stats = tracker.new_point_cloud(&NOTHING, &free(), Some(&Hidden), 31 * STEP_NS)?;
+    assert_eq!(stats.removed, [0]);
+    Ok(())
+}
+
+#[test]
+fn converged_twins_become_the_elder() -> Result<(), Error> {
+    let merging = Merging { distance: 0.3, speed: 1.0 };
+    let mut tracker =
+        PointCloudTracker::new(TrackerParameters { merging: Some(merging), ..paper() }, 1)?;
+    detect(&mut tracker, &[[0.0; 3], [3.1, 0.0, 0.0]], 0)?;
+    let mut merged = Vec::new();
+    for step in 1..20 {
+        let points = [[1.5, 0.0, 0.0]]; // within 1.55 m of both
+        merged.extend(tracker.new_point_cloud(&points, &free(), None, step * STEP_NS)?.merged);
+    }
+    assert_eq!(merged, [[0, 1]]);
+    assert_eq!(tracker.tracks_at(0).len(), 1);
+    Ok(())
+}
+
+#[test]
+fn parameters_that_cannot_work_are_refused() {
+    let bad = [
+        TrackerParameters { buffer_size: 0, ..paper() },
+        TrackerParameters { confirmation: Confirmation { hits: 1, window: 65 }, ..paper() },
+        TrackerParameters { confirmation: Confirmation { hits: 3, window: 2 }, ..paper() },
+        TrackerParameters { radius: Radius { max: f64::NAN, ..paper().radius }, ..paper() },
+        TrackerParameters { max_extent: Some(f64::INFINITY), ..paper() },
+        TrackerParameters {
+            motion: Motion { acceleration_time: Some(0.0), ..paper().motion },
+            ..paper()
+        },
+        TrackerParameters {
+            association: Association::Global { gate_probability: 1.0, clutter_density: 1.0 },
+            ..paper()
+        },
+    ];
+    for parameters in bad {
+        assert!(matches!(PointCloudTracker::new(parameters, 1), Err(Error::Parameter { .. })));
+    }
+}

@@ -1,0 +1,343 @@
+"""Multi-target tracker of Algorithm 2 in plain numpy: paper mode and best mode.
+
+Written from the paper (Vrba et al., sec. III-F) and the text of `TrackerConfig`; slow and obvious.
+Process noise comes from the matrix exponential (Van Loan), distances from full tables, assignment
+from scipy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cache
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import cdist
+from scipy.stats import chi2
+
+EYE = np.eye(3)
+H = np.hstack([EYE, np.zeros((3, 6))])
+
+
+@dataclass
+class Track:
+    x: np.ndarray
+    P: np.ndarray
+    aged: np.ndarray
+    stamp: int
+    born: int
+    seen: int
+    extent: np.ndarray
+    id: int = -1
+    n_detections: int = 1
+    history: list[bool] = field(default_factory=lambda: [True])
+    confirmed: bool = False
+
+    @property
+    def r(self):
+        return self.x[:3]
+
+
+@dataclass
+class Events:
+    late: bool = False
+    corrected: list = field(default_factory=list)
+    born: list = field(default_factory=list)
+    confirmed: list = field(default_factory=list)
+    removed: list = field(default_factory=list)
+    merged: list = field(default_factory=list)
+
+
+class Tracker:
+    def __init__(self, config):
+        self.c = config
+        self.buffer = []  # (stamp, points)
+        self.tracks = []
+        self.next_id = 0
+        self.gate = chi2.ppf(config.gate_probability, 3)
+        self.alone = -2 * np.log(config.clutter_density) - 3 * np.log(2 * np.pi)
+
+    # --- motion -------------------------------------------------------------------------------
+
+    @cache  # noqa: B019
+    def model(self, dt):
+        """Transition and process noise over `dt` >= 0 [s]."""
+        tau = self.c.acceleration_time
+        F = np.kron([[0, 1, 0], [0, 0, 1], [0, 0, 0 if tau is None else -1 / tau]], EYE)
+        std = np.repeat(
+            [self.c.process_position, self.c.process_velocity, self.c.process_acceleration], 3
+        )
+        L = np.diag(std**2)
+        if self.c.process_noise == "paper":
+            return expm(F * dt), L if dt > 0 else np.zeros((9, 9))
+        steps = max(1, int(np.ceil(dt * 20)))  # short ones: Van Loan's matrix holds exp(-F' t)
+        A, Q = np.eye(9), np.zeros((9, 9))
+        h = dt / steps
+        van_loan = expm(np.block([[-F, L], [np.zeros((9, 9)), F.T]]) * h)
+        Ah = van_loan[9:, 9:].T
+        Qh = Ah @ van_loan[:9, 9:]
+        for _ in range(steps):
+            A, Q = Ah @ A, Ah @ Q @ Ah.T + Qh
+        return A, Q
+
+    def predicted(self, x, P, dt):
+        if dt >= 0:
+            A, Q = self.model(dt)
+            return A @ x, A @ P @ A.T + Q
+        _, Q = self.model(-dt)
+        A = np.eye(9)
+        A[:6, 3:] += dt * np.eye(6)
+        A[:3, 6:] = dt**2 / 2 * EYE
+        return A @ x, A @ (P + Q) @ A.T
+
+    def at(self, track, stamp):
+        return self.predicted(track.x, track.P, (stamp - track.stamp) * 1e-9)
+
+    def move(self, track, stamp):
+        track.x, track.P = self.at(track, stamp)
+        track.stamp = stamp
+
+    def radius(self, P):
+        determinant = np.linalg.det(H @ P @ H.T)
+        root = np.cbrt(determinant) if self.c.radius == "paper" else determinant ** (1 / 6)
+        return max(self.c.radius_min, self.c.radius_scale * root)
+
+    def reach(self, track):
+        r = self.radius(track.P)
+        return r if self.c.ageing == "paper" else min(r, self.c.radius_max)
+
+    def correct(self, track, z, R, extent):
+        S = H @ track.P @ H.T + R
+        K = track.P @ H.T @ np.linalg.inv(S)
+        track.x = track.x + K @ (z - track.r)
+        track.P = (np.eye(9) - K @ H) @ track.P
+        track.P = (track.P + track.P.T) / 2
+        track.aged = track.P
+        track.extent = np.asarray(extent, float)
+        track.seen = track.stamp
+
+    # --- clusters -----------------------------------------------------------------------------
+
+    def clusters(self, points, occupied):
+        """Centroid, covariance, extent of every acceptable cluster, by first appearance."""
+        if len(points) == 0:
+            return []
+        _, label = connected_components(cdist(points, points) <= self.c.cluster_distance)
+        found = []
+        for name in dict.fromkeys(label):
+            own = points[label == name]
+            centroid, extent = own.mean(axis=0), np.ptp(own, axis=0)
+            too_many = (
+                self.c.cluster_max_points is not None and len(own) > self.c.cluster_max_points
+            )
+            too_large = self.c.max_extent is not None and extent.max() > self.c.max_extent
+            near = len(occupied) and np.linalg.norm(occupied - centroid, axis=1).min()
+            if len(own) < self.c.cluster_min_points or too_many or too_large:
+                continue
+            if len(occupied) and near <= self.c.occupied_distance:
+                continue
+            R = self.c.measurement_std**2 * EYE
+            if self.c.measurement == "cluster":
+                R = R + (own - centroid).T @ (own - centroid) / len(own) ** 2
+            found.append((centroid, R, extent))
+        return found
+
+    def assign(self, rows, columns, offset):
+        """Cheapest one-to-one assignment; column of every row or None."""
+        forbidden = 1e9
+        costs = np.full((rows, columns + rows), forbidden)
+        for row in range(rows):
+            costs[row, columns + row] = self.alone
+            for column in range(columns):
+                pair = offset(row, column)
+                if pair is None:
+                    continue
+                y, S = pair
+                squared = y @ np.linalg.solve(S, y)
+                if squared <= self.gate:
+                    costs[row, column] = squared + np.log(np.linalg.det(S))
+        row_of, column_of = linear_sum_assignment(costs)
+        chosen = dict(zip(row_of.tolist(), column_of.tolist(), strict=True))
+        return [chosen[row] if chosen[row] < columns else None for row in range(rows)]
+
+    # --- Algorithm 2 --------------------------------------------------------------------------
+
+    def update(self, tracks, stamp, points, occupied):
+        due = [track for track in tracks if track.stamp < stamp]
+        elapsed = [(stamp - track.stamp) * 1e-9 for track in due]
+        for track in due:
+            self.move(track, stamp)
+        if self.c.association == "paper":
+            found = [self.nearest(track, points, occupied) for track in due]
+        else:
+            found = self.one_to_one(due, points, occupied)
+        for track, cluster, dt in zip(due, found, elapsed, strict=True):
+            if cluster is None:
+                A, Q = self.model(dt)
+                track.aged = A @ track.aged @ A.T + Q
+            else:
+                self.correct(track, *cluster)
+        return [track.id for track, cluster in zip(due, found, strict=True) if cluster is not None]
+
+    def inside(self, points, track, margin=0.0):
+        return np.linalg.norm(points - track.r, axis=1) <= self.reach(track) + margin
+
+    def nearest(self, track, points, occupied):
+        found = self.clusters(points[self.inside(points, track)], occupied)
+        return min(found, key=lambda cluster: np.linalg.norm(cluster[0] - track.r), default=None)
+
+    def one_to_one(self, tracks, points, occupied):
+        margin = self.c.max_extent or 0.0
+        chosen = np.zeros(len(points), bool)
+        for track in tracks:
+            chosen |= self.inside(points, track, margin)
+        found = self.clusters(points[chosen], occupied)
+
+        def offset(row, column):
+            y = found[column][0] - tracks[row].r
+            if np.linalg.norm(y) > self.reach(tracks[row]):
+                return None
+            return y, tracks[row].P[:3, :3] + found[column][1]
+
+        columns = self.assign(len(tracks), len(found), offset)
+        return [None if column is None else found[column] for column in columns]
+
+    def new_point_cloud(self, points, occupied, stamp):
+        points = points[np.isfinite(points).all(axis=1)].astype(float)
+        events = Events(late=bool(self.buffer) and stamp < self.buffer[-1][0])
+        if not events.late:
+            events.corrected = self.update(self.tracks, stamp, points, occupied)
+            events.removed = self.remove(lambda track: self.is_lost(track, stamp))
+            events.merged = self.merge()
+        self.buffer.append((stamp, points))
+        self.buffer.sort(key=lambda cloud: cloud[0])
+        self.buffer = self.buffer[-self.c.buffer_size :]
+        return events
+
+    def is_lost(self, track, stamp):
+        coasting = (stamp - track.seen) * 1e-9
+        too_long = self.c.ageing == "visible" and coasting > self.c.max_coast
+        return self.radius(track.aged) > self.c.radius_max or too_long
+
+    def remove(self, gone):
+        removed = [track.id for track in self.tracks if gone(track)]
+        self.tracks = [track for track in self.tracks if not gone(track)]
+        return removed
+
+    def new_detections(self, positions, occupied, stamp, covariance=None):
+        fresh = []
+        for index, z in enumerate(positions):
+            P = np.zeros((9, 9))
+            P[:3, :3] = self.c.initial_position**2 * EYE
+            if covariance is not None:
+                P[:3, :3] = covariance[index]
+                if self.c.measurement == "cluster":
+                    P[:3, :3] += self.c.measurement_std**2 * EYE
+            P[3:6, 3:6] = self.c.initial_velocity**2 * EYE
+            P[6:, 6:] = self.c.initial_acceleration**2 * EYE
+            x = np.r_[z, np.zeros(6)]
+            fresh.append(Track(x, P, P, stamp, stamp, stamp, np.zeros(3)))
+        for time, points in self.buffer:
+            if time > stamp:
+                self.update(fresh, time, points, occupied)
+        fresh = [track for track in fresh if self.radius(track.P) <= self.c.radius_max]
+        known = len(self.tracks)
+        fed = self.join_nearest(fresh) if self.c.association == "paper" else self.join(fresh)
+        return self.finish(fed, known)
+
+    def join_nearest(self, fresh):
+        fed = []
+        for new in fresh:
+            distance = {
+                index: np.linalg.norm(track.r - new.r)
+                for index, track in enumerate(self.tracks)
+                if np.linalg.norm(track.r - new.r) <= self.radius(track.P) + self.radius(new.P)
+            }
+            if distance:
+                index = min(distance, key=distance.get)
+                self.tracks[index].n_detections += 1
+                fed.append(index)
+            else:
+                self.tracks.append(new)
+        return fed
+
+    def join(self, fresh):
+        def offset(row, column):
+            new, track = fresh[row], self.tracks[column]
+            stamp = max(new.stamp, track.stamp)
+            (x, P), (x2, P2) = self.at(new, stamp), self.at(track, stamp)
+            y = (x - x2)[:3]
+            return (y, (P + P2)[:3, :3]) if np.linalg.norm(y) <= self.reach(track) else None
+
+        fed = []
+        track_of = self.assign(len(fresh), len(self.tracks), offset)
+        for new, index in zip(fresh, track_of, strict=True):
+            if index is None:
+                self.tracks.append(new)
+                continue
+            track = self.tracks[index]
+            track.n_detections += 1
+            fed.append(index)
+            if track.seen < new.born:
+                stamp = max(new.stamp, track.stamp)
+                self.move(track, stamp)
+                self.move(new, stamp)
+                self.correct(track, new.r, new.P[:3, :3], new.extent)
+        return fed
+
+    def finish(self, fed, known):
+        events = Events()
+        for track in self.tracks[known:]:
+            track.id = self.next_id
+            self.next_id += 1
+            events.born.append(track.id)
+        for track in self.tracks[:known]:
+            track.history.append(False)
+        for index in fed:
+            self.tracks[index].history[-1] = True
+        window = self.c.confirm_window
+        for track in self.tracks:
+            if not track.confirmed and sum(track.history[-window:]) >= self.c.confirm_hits:
+                track.confirmed = True
+                events.confirmed.append(track.id)
+        events.removed = self.remove(
+            lambda track: not track.confirmed and not any(track.history[-window:])
+        )
+        events.merged = self.merge()
+        return events
+
+    def merge(self):
+        if self.c.merge_distance is None:
+            return []
+        merged, index = [], 0
+        while index < len(self.tracks):
+            one = self.tracks[index]
+            twins = [
+                other
+                for other in self.tracks[index + 1 :]
+                if other.stamp == one.stamp
+                and np.linalg.norm(other.r - one.r) <= self.c.merge_distance
+                and np.linalg.norm((other.x - one.x)[3:6]) <= self.c.merge_speed
+            ]
+            if not twins:
+                index += 1
+                continue
+            other = twins[0]
+            kept, gone = (other, one) if other.confirmed and not one.confirmed else (one, other)
+            merged.append([kept.id, gone.id])
+            state = gone if gone.seen > kept.seen else kept
+            size = max(len(kept.history), len(gone.history))
+            padded = [[False] * (size - len(t.history)) + t.history for t in (kept, gone)]
+            self.tracks[index] = replace(
+                state,
+                id=kept.id,
+                born=kept.born,
+                confirmed=kept.confirmed,
+                n_detections=max(kept.n_detections, gone.n_detections),
+                history=[a or b for a, b in zip(*padded, strict=True)],
+            )
+            self.tracks = [track for track in self.tracks if track is not other]
+        self.tracks.sort(key=lambda track: track.id)
+        return merged
