@@ -107,6 +107,12 @@ class ClassifyConfig(Config):
         description="own: never-observed voxels in a cluster's own shadow do not connect it;"
         " paper: they do, and a target approached head-on is never found (no unit).",
     )
+    own_voxels: Literal["expanded", "paper"] = Field(
+        "expanded",
+        description="expanded: the search goes on from the voxels that hold the cluster even where"
+        " they are free, so that a wall seen at a grazing angle is not taken for a flying object;"
+        " paper: not (no unit).",
+    )
     max_extent: float | None = Field(
         1.5, gt=0, description="Larger groups of clusters are no flying object [m]."
     )
@@ -122,8 +128,8 @@ class ClassifyConfig(Config):
     group_distance: float | None = Field(
         0.7,
         gt=0,
-        description="Clusters closer together than this, none of them background, are judged by"
-        " their common extent [m]; none: each by itself.",
+        description="Clusters with gaps up to this are judged together: by their common extent,"
+        " and as background if background of this scan is among them [m]; none: each by itself.",
     )
     fill_pockets: bool = Field(
         False,
@@ -136,6 +142,7 @@ class ClassifyConfig(Config):
         return cls(
             border="closed",
             shadow="paper",
+            own_voxels="paper",
             max_extent=None,
             background_extent=None,
             min_points=1,

@@ -1,6 +1,7 @@
 //! Clusters of one scan -> background, flying or unknown. Source: Vrba et al., sec. III-B.
 
 use super::blocks::{Cursor, Place, offset_of};
+use super::group::groups;
 use super::integrate::{BACKGROUND, FLYING, UNKNOWN};
 use super::separate::row_bits;
 use super::shadow::Shadow;
@@ -22,6 +23,10 @@ pub struct ClassifyParameters {
     pub open_border: bool,
     /// Never-observed voxels in a cluster's own shadow do not connect it.
     pub own_shadow: bool,
+    /// The search goes on from the voxels of a cluster even where they are free, so that one that
+    /// touches what has never been observed is connected. A wall seen at a grazing angle lies in
+    /// voxels that the rays along it have freed.
+    pub expand_own: bool,
     /// Larger clusters are no flying object [m].
     pub max_extent: Option<f64>,
     /// Larger clusters are background [m].
@@ -30,8 +35,8 @@ pub struct ClassifyParameters {
     pub min_points: usize,
     /// Clusters further from the sensor are no flying object [m].
     pub max_distance: Option<f64>,
-    /// Clusters with another point, not background, closer than this are judged by their common
-    /// extent [m].
+    /// Clusters with gaps up to this are judged together: by their common extent, and as
+    /// background if background of this scan is among them [m].
     pub group_distance: Option<f64>,
     /// Enclosed uncertain voxels around a flying cluster are made free.
     pub fill_pockets: bool,
@@ -108,7 +113,7 @@ impl VoxelMap {
         for &point in points {
             starts.push(self.lattice().voxel_at(wide(point))?);
         }
-        let mut flood = Flood::new(self, radius, true);
+        let mut flood = Flood::new(self, radius, true, false);
         Ok(flood.is_enclosed(&distinct(starts), None))
     }
 }
@@ -173,13 +178,13 @@ pub(crate) fn classify(
         Some(pool) => pool.install(|| clusters.par_iter().map(near).collect()),
         None => clusters.iter().map(near).collect(),
     };
-    let grouped = super::group::extents(points, clusters, &background, parameters.group_distance)?;
-    let flood = || Flood::new(map, radius, parameters.open_border);
+    let groups = groups(points, clusters, &background, parameters.group_distance)?;
+    let flood = || Flood::new(map, radius, parameters.open_border, parameters.expand_own);
     let verdict = |flood: &mut Flood<'_>, (index, cluster): (usize, &Cluster)| {
-        if background[index] {
+        if background[index] || groups[index].with_background {
             return Verdict { class: BACKGROUND, ..Verdict::default() };
         }
-        judge.flying_or_unknown(flood, cluster, grouped[index])
+        judge.flying_or_unknown(flood, cluster, groups[index].extent)
     };
     Ok(match &map.pool {
         Some(pool) => {
@@ -320,6 +325,7 @@ struct Flood<'a> {
     /// Steps that end the search.
     radius: i32,
     open_border: bool,
+    expand_own: bool,
     /// Number of the search that last met a voxel of the cube around the start.
     met: Vec<u16>,
     search: u16,
@@ -328,13 +334,14 @@ struct Flood<'a> {
 }
 
 impl<'a> Flood<'a> {
-    fn new(map: &'a VoxelMap, radius: i32, open_border: bool) -> Self {
+    fn new(map: &'a VoxelMap, radius: i32, open_border: bool, expand_own: bool) -> Self {
         let edge = 2 * radius as usize + 1;
         Self {
             map,
             cursor: Cursor::new(&map.blocks),
             radius,
             open_border,
+            expand_own,
             met: vec![0; edge * edge * edge],
             search: 0,
             queue: Vec::new(),
@@ -364,7 +371,7 @@ impl<'a> Flood<'a> {
             if value >= self.map.tentative_from() {
                 return true; // A1:15
             }
-            if value < self.map.uncertain_from() {
+            if value < self.map.uncertain_from() && !(self.expand_own && voxel == start) {
                 continue; // free voxels are not expanded, A1:31
             }
             if stored.is_nan() && shadow.is_some_and(|shadow| shadow.hides(voxel)) {

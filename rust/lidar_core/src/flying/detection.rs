@@ -52,7 +52,7 @@ impl Detection {
         }
         for a in 0..3 {
             for b in 0..3 {
-                covariance[a][b] += hidden * hidden * sight[a] * sight[b];
+                covariance[a][b] += hidden * hidden * (sight[a] * sight[b]);
             }
             covariance[a][a] += range_std * range_std;
         }

@@ -169,7 +169,7 @@ impl FlyingObjectDetector {
         timing.cluster = clock.lap();
 
         let gate = self.parameters.seed.gate(self.scans, &self.map, self.needed());
-        let verdicts = self.verdicts(&scan, &clusters, gate)?;
+        let verdicts = self.verdicts(&scan, &clusters)?;
         let class = point_classes(&scan, &labels, &verdicts);
         timing.classify = clock.lap();
 
@@ -343,12 +343,7 @@ impl FlyingObjectDetector {
         contradicts.then(|| Gate::PoseMismatch { per_mille: 1000 * free / observed })
     }
 
-    fn verdicts(
-        &self,
-        scan: &Prepared,
-        clusters: &[Cluster],
-        gate: Gate,
-    ) -> Result<Vec<Verdict>, Error> {
+    fn verdicts(&self, scan: &Prepared, clusters: &[Cluster]) -> Result<Vec<Verdict>, Error> {
         let mut parameters = self.parameters.classify.clone();
         parameters.background_extent =
             self.parameters.seed.background_extent(self.scans, parameters.background_extent);
@@ -359,7 +354,7 @@ impl FlyingObjectDetector {
         for (verdict, cluster) in verdicts.iter_mut().zip(clusters) {
             if ground.is_some_and(|height| world_from_map.apply(cluster.low)[2] < height) {
                 *verdict = Verdict { class: BACKGROUND, ..Verdict::default() };
-            } else if verdict.class == FLYING && gate != Gate::Open {
+            } else if verdict.class == FLYING && !self.map.has_background() {
                 *verdict = Verdict { class: UNKNOWN, ..Verdict::default() };
             }
         }
@@ -466,6 +461,11 @@ impl FlyingObjectDetector {
         self.frame(raw, class, scan, Found::default(), None, gate, timing)
     }
 
+    /// During the burn-in the tracker runs already, unseen; a held scan still has its tracks.
+    fn reports(&self, gate: Gate) -> bool {
+        matches!(gate, Gate::Open | Gate::PoseMismatch { .. })
+    }
+
     #[allow(clippy::too_many_arguments)] // the parts of a frame, each made by another stage
     fn frame(
         &self,
@@ -478,6 +478,13 @@ impl FlyingObjectDetector {
         timing: Timing,
     ) -> Frame {
         point_class.truncate(scan.rows);
+        if gate != Gate::Open {
+            point_class
+                .iter_mut()
+                .filter(|class| **class == FLYING)
+                .for_each(|class| *class = UNKNOWN);
+        }
+        let found = if gate == Gate::Open { found } else { Found::default() };
         let world_from_map = self.map_from_world.inverse();
         Frame {
             stamp_ns: raw.stamp_ns,
@@ -488,7 +495,7 @@ impl FlyingObjectDetector {
                 .iter()
                 .map(|(id, d)| (*id, d.moved(&world_from_map)))
                 .collect(),
-            tracks: self.tracks_at(raw.stamp_ns),
+            tracks: if self.reports(gate) { self.tracks_at(raw.stamp_ns) } else { Vec::new() },
             gate,
             clears_sky: scan.clears_sky,
             rebuilt_rays: scan.rebuilt,
