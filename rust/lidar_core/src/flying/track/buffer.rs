@@ -11,14 +11,14 @@ pub(super) struct Cloud {
 }
 
 impl Cloud {
-    /// The finite points of a scan.
+    /// A copy of a scan.
     ///
     /// # Errors
     /// [`Error::Limit`] for too many points.
     pub(super) fn new(points: &[[f32; 3]], stamp_ns: i64) -> Result<Self, Error> {
         let mut kept =
             vec_with_capacity("a point cloud", points.len(), MAX_POINTS, "split the scan")?;
-        kept.extend(points.iter().filter(|point| point.iter().all(|value| value.is_finite())));
+        kept.extend_from_slice(points);
         Ok(Self { stamp_ns, points: kept })
     }
 }

@@ -2,12 +2,13 @@
 
 use super::buffer::Buffer;
 use super::candidates::Measurement;
-use super::motion::position_block;
+use super::motion::{position, position_block};
 use super::occupancy::Occupancy;
 use super::parameters::{Association, MAX_TRACKS, MeasurementForm, TrackerParameters};
 use super::state::TrackState;
 use super::update::{Scan, Updater};
 use crate::Error;
+use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix3, Vector3};
 
 /// Detections of one time, in the tracker's frame.
@@ -167,13 +168,22 @@ impl Updater {
         hypotheses: Vec<TrackState>,
     ) -> Result<Matches, Error> {
         let model = &self.parameters.motion;
+        // All hypotheses have one time; tracks behind it are brought there, once each.
+        let Some(now_ns) = hypotheses.first().map(|hypothesis| hypothesis.stamp_ns) else {
+            return Ok(Matches::default());
+        };
+        let ahead: Vec<(Gaussian<9>, f64)> = tracks
+            .iter()
+            .map(|track| (track.at(track.stamp_ns.max(now_ns), model), self.search_radius(track)))
+            .collect();
         let track_of = self.assign(hypotheses.len(), tracks.len(), |row, column| {
             let (hypothesis, track) = (&hypotheses[row], &tracks[column]);
-            let stamp_ns = hypothesis.stamp_ns.max(track.stamp_ns);
-            let (one, other) = (hypothesis.at(stamp_ns, model), track.at(stamp_ns, model));
-            let y = (one.mean - other.mean).fixed_rows::<3>(0).into_owned();
-            (y.norm() <= self.search_radius(track))
-                .then(|| (y, position_block(&(one.covariance + other.covariance))))
+            let reached = (track.stamp_ns > now_ns).then(|| hypothesis.at(track.stamp_ns, model));
+            let one = reached.as_ref().unwrap_or(&hypothesis.estimate);
+            let (other, reach) = &ahead[column];
+            let y = position(one) - position(other);
+            (y.norm() <= *reach)
+                .then(|| (y, position_block(&one.covariance) + position_block(&other.covariance)))
         })?;
         let mut matches = Matches::default();
         for (hypothesis, track) in hypotheses.into_iter().zip(track_of) {

@@ -4,7 +4,7 @@
 
 use super::parameters::{Motion, NoiseForm, Radius, RadiusForm};
 use crate::estimation::kalman::{Gaussian, symmetrised};
-use nalgebra::{Matrix3, SMatrix};
+use nalgebra::{Matrix3, SMatrix, Vector3};
 
 /// Below this share of the time constant a series replaces a difference of equal numbers.
 const SMALL: f64 = 1e-4;
@@ -39,6 +39,11 @@ pub(super) fn predict_covariance(P: &Matrix9, dt: f64, motion: &Motion) -> Matri
 /// Measurement matrix. Source: Vrba et al., eq. 30.
 pub(super) fn position_matrix() -> Matrix3x9 {
     Matrix3x9::identity()
+}
+
+/// Expected position.
+pub(super) fn position(state: &Gaussian<9>) -> Vector3<f64> {
+    state.mean.fixed_rows::<3>(0).into_owned()
 }
 
 /// Block of the position.

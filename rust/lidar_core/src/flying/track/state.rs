@@ -58,7 +58,7 @@ impl TrackState {
     }
 
     pub(super) fn position(&self) -> Vector3<f64> {
-        self.estimate.mean.fixed_rows::<3>(0).into_owned()
+        motion::position(&self.estimate)
     }
 
     pub(super) fn velocity(&self) -> Vector3<f64> {
