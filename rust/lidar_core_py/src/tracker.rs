@@ -56,19 +56,19 @@ const MEASUREMENT_FORMS: [(&str, MeasurementForm); 2] =
     [("paper", MeasurementForm::Paper), ("cluster", MeasurementForm::Cluster)];
 
 impl TrackerConfig {
-    pub(crate) fn parameters(self) -> Result<TrackerParameters, Error> {
-        let association = [
-            ("paper", Association::Paper),
-            (
-                "global",
-                Association::Global {
-                    gate_probability: self.gate_probability,
-                    clutter_density: self.clutter_density,
-                },
-            ),
-        ];
-        let ageing =
-            [("paper", Ageing::Paper), ("visible", Ageing::Visible { max_coast: self.max_coast })];
+    fn association(&self) -> Result<Association, Error> {
+        let Self { gate_probability, clutter_density, .. } = *self;
+        let global = Association::Global { gate_probability, clutter_density };
+        let known = [("paper", Association::Paper), ("global", global)];
+        arrays::choice("association", &self.association, &known)
+    }
+
+    fn ageing(&self) -> Result<Ageing, Error> {
+        let visible = Ageing::Visible { max_coast: self.max_coast };
+        arrays::choice("ageing", &self.ageing, &[("paper", Ageing::Paper), ("visible", visible)])
+    }
+
+    pub(crate) fn parameters(&self) -> Result<TrackerParameters, Error> {
         Ok(TrackerParameters {
             buffer_size: self.buffer_size,
             clustering: Clustering {
@@ -92,12 +92,12 @@ impl TrackerConfig {
             initial_std: [self.initial_position, self.initial_velocity, self.initial_acceleration],
             measurement: arrays::choice("measurement", &self.measurement, &MEASUREMENT_FORMS)?,
             measurement_std: self.measurement_std,
-            association: arrays::choice("association", &self.association, &association)?,
+            association: self.association()?,
             confirmation: Confirmation { hits: self.confirm_hits, window: self.confirm_window },
             merging: self
                 .merge_distance
                 .map(|distance| Merging { distance, speed: self.merge_speed }),
-            ageing: arrays::choice("ageing", &self.ageing, &ageing)?,
+            ageing: self.ageing()?,
         })
     }
 }
