@@ -51,12 +51,14 @@ pub(crate) struct Cluster {
 }
 
 impl Cluster {
-    /// Clusters of a labelled cloud, in the order of their labels.
+    /// Clusters of a labelled cloud, in the order of their labels; points that are not finite
+    /// belong to none.
     pub(crate) fn all(points: &[[f32; 3]], labels: &[i32]) -> Vec<Self> {
         let count = labels.iter().max().map_or(0, |&last| (last + 1).max(0) as usize);
         let mut members = vec![Vec::new(); count];
         for (row, &label) in labels.iter().enumerate() {
-            if let Ok(cluster) = usize::try_from(label) {
+            let Ok(cluster) = usize::try_from(label) else { continue };
+            if points[row].iter().all(|value| value.is_finite()) {
                 members[cluster].push(row as u32);
             }
         }
@@ -64,6 +66,9 @@ impl Cluster {
     }
 
     fn of(points: &[[f32; 3]], members: Vec<u32>) -> Self {
+        if members.is_empty() {
+            return Self { members, low: [0.0; 3], high: [0.0; 3], centroid: [0.0; 3] };
+        }
         let mut low = [f64::INFINITY; 3];
         let mut high = [f64::NEG_INFINITY; 3];
         let mut sum = [0.0; 3];
@@ -152,15 +157,18 @@ pub fn classify_clusters(
 /// Largest L1 distance that a search may still expand, in voxels; it has found a way out one
 /// step further (A1:21, `>= d_search`).
 fn search_radius(search_distance: f64, voxel_size: f64) -> Result<i32, Error> {
-    let steps = search_distance / voxel_size;
-    if !(steps > 0.0 && steps <= 128.0) {
-        return Err(Error::Parameter {
-            name: "search_distance",
-            expected: "0 to 128 voxels",
-            got: format!("{search_distance} m"),
-        });
-    }
+    let steps = check_steps("search_distance", search_distance, voxel_size)?;
     Ok((steps - 1e-9).ceil() as i32)
+}
+
+/// A distance in voxels: searches grow with its cube.
+fn check_steps(name: &'static str, distance: f64, voxel_size: f64) -> Result<f64, Error> {
+    let steps = distance / voxel_size;
+    if !(steps > 0.0 && steps <= 128.0) {
+        let got = format!("{distance} m");
+        return Err(Error::Parameter { name, expected: "0 to 128 voxels", got });
+    }
+    Ok(steps)
 }
 
 /// Classify the clusters of a scan on the map as it is before this scan's update.
@@ -172,6 +180,7 @@ pub(crate) fn classify(
     parameters: &ClassifyParameters,
 ) -> Result<Vec<Verdict>, Error> {
     let radius = search_radius(parameters.search_distance, map.lattice().voxel_size())?;
+    check_steps("close_distance", parameters.close_distance, map.lattice().voxel_size())?;
     let judge = Judge { map, points, origin, parameters };
     let near = |cluster: &Cluster| judge.is_background(cluster);
     let background: Vec<bool> = match &map.pool {
