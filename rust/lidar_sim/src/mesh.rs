@@ -13,6 +13,8 @@ pub const MAX_FACES: usize = 20_000_000;
 pub struct Mesh {
     vertices: Vec<[f64; 3]>,
     faces: Vec<[u32; 3]>,
+    /// First corner and the two edges from it, of every face.
+    triangles: Vec<[[f64; 3]; 3]>,
     tree: Tree,
     radius: f64,
 }
@@ -38,7 +40,12 @@ impl Mesh {
             budget::vec_with_capacity("mesh", faces.len(), MAX_FACES, "split the mesh")?;
         boxes.extend(faces.iter().map(|face| Bounds::around(face.map(|v| vertices[v as usize]))));
         let radius = vertices.iter().map(|&v| norm(v)).fold(0.0, f64::max);
-        Ok(Self { tree: Tree::new(&boxes), vertices, faces, radius })
+        let triangles = faces.iter().map(|face| {
+            let [a, b, c] = face.map(|v| vertices[v as usize]);
+            [a, minus(b, a), minus(c, a)]
+        });
+        let triangles = triangles.collect();
+        Ok(Self { tree: Tree::new(&boxes), vertices, faces, triangles, radius })
     }
 
     /// Ground of `heights` [m] (row by row, rows along x, `columns` along y) with `cell` [m]
@@ -93,8 +100,9 @@ impl Mesh {
     }
 
     pub(crate) fn meet(&self, ray: &Ray, limit: f64) -> Option<f64> {
-        let nearest =
-            self.tree.nearest(ray, limit, |face, _| meet_triangle(ray, self.triangle(face)));
+        let nearest = self
+            .tree
+            .nearest(ray, limit, |face, _| meet_triangle(ray, &self.triangles[face as usize]));
         nearest.map(|(_, distance)| distance)
     }
 
@@ -117,24 +125,26 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 ///
 /// # Source
 /// Moeller & Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection", 1997.
-fn meet_triangle(ray: &Ray, [a, b, c]: [[f64; 3]; 3]) -> Option<f64> {
-    let (ab, ac) = (minus(b, a), minus(c, a));
-    let p = cross(ray.direction, ac);
-    let scale = dot(ab, p);
+#[inline]
+fn meet_triangle(ray: &Ray, [a, ab, ac]: &[[f64; 3]; 3]) -> Option<f64> {
+    let p = cross(ray.direction, *ac);
+    let scale = dot(*ab, p);
     if scale == 0.0 {
         return None; // parallel, or no area
     }
-    let from_a = minus(ray.origin, a);
-    let u = dot(from_a, p) / scale;
-    if !(0.0..=1.0).contains(&u) {
+    // Shares u and v of the edges, times |scale|: most triangles are refused without a division.
+    let (size, sign) = (scale.abs(), scale.signum());
+    let from_a = minus(ray.origin, *a);
+    let u = sign * dot(from_a, p);
+    if u < 0.0 || u > size {
         return None;
     }
-    let q = cross(from_a, ab);
-    let v = dot(ray.direction, q) / scale;
-    if v < 0.0 || u + v > 1.0 {
+    let q = cross(from_a, *ab);
+    let v = sign * dot(ray.direction, q);
+    if v < 0.0 || u + v > size {
         return None;
     }
-    let distance = dot(ac, q) / scale;
+    let distance = dot(*ac, q) / scale;
     (distance >= 0.0).then_some(distance)
 }
 

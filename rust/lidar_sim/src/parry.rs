@@ -73,12 +73,12 @@ impl Tree {
                 maxs: vector(minus(bounds.max, center)) + Vector::splat(margin),
             })
             .collect();
-        let bvh = Bvh::from_leaves(BvhBuildStrategy::Binned, &leaves);
+        let bvh = Bvh::from_leaves(BvhBuildStrategy::Ploc, &leaves);
         Self { bvh, center, radius }
     }
 
     /// Nearest hit closer than `limit` [m]: its number and distance. `hit(number, limit)` tests
-    /// one candidate. Of equal distances the lowest number wins.
+    /// one candidate. Of equal distances it is always the same one.
     pub(crate) fn nearest(
         &self,
         ray: &Ray,
@@ -99,9 +99,9 @@ impl Tree {
         let tree_ray = TreeRay::new(vector(entry), vector(ray.direction));
         let slack = MARGIN * self.radius;
         self.bvh.cast_ray(&tree_ray, (limit - start + slack) as f32, |number, _| {
-            let (leader, distance) = best.get();
+            let (_, distance) = best.get();
             let found = hit(number, distance)?;
-            if found < distance || (found == distance && number < leader) {
+            if found < distance {
                 best.set((number, found));
             }
             Some((found - start + slack) as f32)

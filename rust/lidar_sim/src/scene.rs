@@ -4,9 +4,12 @@ use crate::parry::Tree;
 use crate::shape::Shape;
 use crate::trajectory::Trajectory;
 use lidar_core::Error;
-use lidar_core::geometry::transform::{Transform, dot, minus};
+use lidar_core::geometry::transform::{Transform, dot, minus, norm};
 
 pub use crate::parry::{Bounds, Ray};
+
+/// Wide bodies that are kept out of the tree.
+const MOST_WIDE: usize = 8;
 
 /// A shape at rest.
 #[derive(Clone, Debug)]
@@ -45,8 +48,10 @@ pub struct Scene {
     bodies: Vec<Body>,
     /// Inverse poses of `bodies`.
     shape_from_world: Vec<Transform>,
-    /// Bodies without an end, tested by every ray.
-    endless: Vec<u32>,
+    /// True for bodies that are not turned.
+    upright: Vec<bool>,
+    /// Bodies without an end or as wide as the scene, tested by every ray before the tree.
+    wide: Vec<u32>,
     /// Bodies of the tree, in the order of its leaves.
     bounded: Vec<u32>,
     tree: Tree,
@@ -57,7 +62,7 @@ impl Scene {
     /// # Errors
     /// [`Error::Value`] if a pose is not finite.
     pub fn new(bodies: Vec<Body>, movers: Vec<Mover>) -> Result<Self, Error> {
-        let (mut endless, mut bounded, mut boxes) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut wide, mut bounded, mut boxes) = (Vec::new(), Vec::new(), Vec::new());
         for (index, body) in bodies.iter().enumerate() {
             let pose = &body.world_from_shape;
             let mut values = pose.rotation.iter().flatten().chain(&pose.translation);
@@ -70,11 +75,16 @@ impl Scene {
                     bounded.push(index as u32);
                     boxes.push(bounds);
                 }
-                None => endless.push(index as u32),
+                None => wide.push(index as u32),
             }
         }
+        take_wide(&mut wide, &mut bounded, &mut boxes);
         let shape_from_world = bodies.iter().map(|body| inverse(&body.world_from_shape)).collect();
-        Ok(Self { tree: Tree::new(&boxes), bodies, shape_from_world, endless, bounded, movers })
+        let is_upright =
+            |body: &Body| body.world_from_shape.rotation == Transform::IDENTITY.rotation;
+        let upright = bodies.iter().map(is_upright).collect();
+        let tree = Tree::new(&boxes);
+        Ok(Self { tree, bodies, shape_from_world, upright, wide, bounded, movers })
     }
 
     /// What moves.
@@ -88,11 +98,16 @@ impl Scene {
     pub fn meet(&self, ray: &Ray, limit: f64) -> Option<Hit> {
         let test = |index: u32, limit: f64| {
             let index = index as usize;
-            self.bodies[index].shape.meet(&within(&self.shape_from_world[index], ray), limit)
+            let body = &self.bodies[index];
+            if self.upright[index] {
+                let origin = minus(ray.origin, body.world_from_shape.translation);
+                return body.shape.meet(&Ray { origin, direction: ray.direction }, limit);
+            }
+            body.shape.meet(&within(&self.shape_from_world[index], ray), limit)
         };
         let mut nearest = None;
         let mut limit = limit;
-        for &index in &self.endless {
+        for &index in &self.wide {
             if let Some(distance) = test(index, limit) {
                 nearest = Some(index);
                 limit = distance;
@@ -113,8 +128,21 @@ impl Scene {
             let local = self.shape_from_world[index as usize].apply(point);
             self.bodies[index as usize].shape.clearance(local, limit)
         };
-        let endless = self.endless.iter().map(|&index| of(index)).fold(limit, f64::min);
-        self.tree.clearance(point, endless, |leaf| of(self.bounded[leaf as usize]))
+        let wide = self.wide.iter().map(|&index| of(index)).fold(limit, f64::min);
+        self.tree.clearance(point, wide, |leaf| of(self.bounded[leaf as usize]))
+    }
+}
+
+/// Move bodies that are at least half as wide as all together to `wide`, a few at most: in the tree
+/// they would be met by nearly every ray, but late.
+fn take_wide(wide: &mut Vec<u32>, bounded: &mut Vec<u32>, boxes: &mut Vec<Bounds>) {
+    let size = |bounds: &Bounds| norm(minus(bounds.max, bounds.min));
+    let all = size(&Bounds::around(boxes.iter().flat_map(|bounds| [bounds.min, bounds.max])));
+    for place in (0..boxes.len()).rev() {
+        if wide.len() < MOST_WIDE && size(&boxes[place]) >= 0.5 * all {
+            wide.push(bounded.remove(place));
+            boxes.remove(place);
+        }
     }
 }
 

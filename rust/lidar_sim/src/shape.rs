@@ -184,7 +184,8 @@ fn slab(origin: f64, direction: f64, half: f64) -> [f64; 2] {
         let inside = origin.abs() <= half;
         return if inside { [f64::NEG_INFINITY, f64::INFINITY] } else { NOWHERE };
     }
-    let (low, high) = ((-half - origin) / direction, (half - origin) / direction);
+    let per_length = 1.0 / direction;
+    let (low, high) = ((-half - origin) * per_length, (half - origin) * per_length);
     if low < high { [low, high] } else { [high, low] }
 }
 
