@@ -1,5 +1,9 @@
 """From raw LiDAR to the list of things around a robot that matter."""
 
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING
+
 from lidar_core import flying
 from lidar_core._core import __version__
 from lidar_core.errors import (
@@ -15,6 +19,13 @@ from lidar_core.errors import (
 from lidar_core.flying.config import VoxelMapConfig
 from lidar_core.flying.voxel_map import IntegrateStats, VoxelMap
 from lidar_core.geometry import cluster_points, traverse
+
+if TYPE_CHECKING:
+    from lidar_core import io as io
+    from lidar_core import sim as sim
+
+_LAZY = ("io", "sim")
+"""Subpackages that are imported when they are first used."""
 
 __all__ = [
     "ConfigError",
@@ -33,3 +44,9 @@ __all__ = [
     "flying",
     "traverse",
 ]
+
+
+def __getattr__(name: str) -> ModuleType:
+    if name in _LAZY:
+        return import_module(f"lidar_core.{name}")
+    raise AttributeError(f"module 'lidar_core' has no attribute {name!r}")
