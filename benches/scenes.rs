@@ -1,1 +1,226 @@
-//! Seeded scenes shared by the benches.
+//! Seeded scenes shared by the benches, and the plain kernels that serve as yardsticks.
+
+pub mod reference;
+
+use lidar_core::Error;
+use lidar_core::flying::classify::ClassifyParameters;
+use lidar_core::flying::detector::FlyingParameters;
+use lidar_core::flying::gate::SeedParameters;
+use lidar_core::flying::integrate::{BACKGROUND, ClassifiedScan, INVALID, Origins};
+use lidar_core::flying::scan::RawScan;
+use lidar_core::flying::sensor::SensorParameters;
+use lidar_core::flying::separate::Separation;
+use lidar_core::flying::track::{
+    Ageing, Association, Confirmation, MeasurementForm, Merging, Motion, NoiseForm, Radius,
+    RadiusForm, TrackerParameters,
+};
+use lidar_core::flying::voxel_map::{MapParameters, RayUnit};
+use lidar_core::geometry::cluster::Clustering;
+use lidar_core::threads;
+use lidar_sim::scenes::performance;
+use std::collections::BTreeMap;
+
+/// Rays clear up to here [m].
+pub const MAX_RANGE: f64 = 20.0;
+/// Edge of a voxel [m].
+pub const VOXEL_SIZE: f64 = 0.25;
+
+/// One scan of a scene: 128 x 1024 rays.
+pub struct Scan {
+    /// Start of all rays [m], world frame.
+    pub origin: [f64; 3],
+    /// Unit directions; the sensor does not turn.
+    pub directions: Vec<[f32; 3]>,
+    /// Ends of the rays [m], world frame; NaN without return.
+    pub world: Vec<[f32; 3]>,
+    /// The same in the LiDAR's frame.
+    pub local: Vec<[f32; 3]>,
+    /// Rays that met nothing.
+    pub no_return: Vec<bool>,
+    /// Background where there is a point.
+    pub class: Vec<u8>,
+    /// `world_from_lidar`, row-major.
+    pub pose: [f64; 16],
+}
+
+impl Scan {
+    /// The scan with every point as background.
+    #[must_use]
+    pub fn classified(&self) -> ClassifiedScan<'_> {
+        ClassifiedScan {
+            points: &self.world,
+            class: &self.class,
+            origins: Origins::One(self.origin),
+            directions: Some(&self.directions),
+            no_return: Some(&self.no_return),
+            no_ray: None,
+        }
+    }
+
+    /// The scan as a sensor delivers it.
+    #[must_use]
+    pub fn raw(&self, stamp_ns: i64) -> RawScan<'_> {
+        RawScan {
+            sensor: "lidar",
+            stamp_ns,
+            points: &self.local,
+            no_return: Some(&self.no_return),
+            directions: Some(&self.directions),
+            point_time_ns: None,
+            poses: std::slice::from_ref(&self.pose),
+            pose_stamps_ns: None,
+            pose_covariance: None,
+        }
+    }
+
+    /// Points with a return.
+    #[must_use]
+    pub fn returns(&self) -> Vec<[f32; 3]> {
+        self.world.iter().copied().filter(|point| point[0].is_finite()).collect()
+    }
+}
+
+/// The first `count` scans of scene 1 (sensor 10 m above a street) or 2 (3 m).
+///
+/// # Errors
+/// Of the simulator.
+pub fn street(number: u32, count: u64) -> Result<Vec<Scan>, Error> {
+    let scene = performance(number)?;
+    let pool = threads::pool(2)?;
+    (0..count)
+        .map(|index| {
+            let scan = scene.scan(&pool, index)?;
+            Ok(from_ranges(scan.origin, &scan.directions, &scan.ranges))
+        })
+        .collect()
+}
+
+fn from_ranges(origin: [f64; 3], directions: &[[f64; 3]], ranges: &[f64]) -> Scan {
+    let end = |direction: &[f64; 3], range: f64, start: [f64; 3]| -> [f32; 3] {
+        if range.is_finite() {
+            std::array::from_fn(|axis| (start[axis] + range * direction[axis]) as f32)
+        } else {
+            [f32::NAN; 3]
+        }
+    };
+    let rays = || directions.iter().zip(ranges);
+    let [x, y, z] = origin;
+    Scan {
+        origin,
+        directions: directions
+            .iter()
+            .map(|direction| direction.map(|value| value as f32))
+            .collect(),
+        world: rays().map(|(direction, &range)| end(direction, range, origin)).collect(),
+        local: rays().map(|(direction, &range)| end(direction, range, [0.0; 3])).collect(),
+        no_return: ranges.iter().map(|range| !range.is_finite()).collect(),
+        class: ranges
+            .iter()
+            .map(|range| if range.is_finite() { BACKGROUND } else { INVALID })
+            .collect(),
+        pose: [1.0, 0.0, 0.0, x, 0.0, 1.0, 0.0, y, 0.0, 0.0, 1.0, z, 0.0, 0.0, 0.0, 1.0],
+    }
+}
+
+/// Map of Table II.
+#[must_use]
+pub fn map_parameters() -> MapParameters {
+    MapParameters {
+        voxel_size: VOXEL_SIZE,
+        origin: [0.0; 3],
+        g_occ: 0.0,
+        g_unk: -740.0,
+        g_free: -1000.0,
+        initial: -740.0,
+        thresholds: [-750.0, -300.0, -0.1],
+        extra_thresholds: Vec::new(),
+        max_range: MAX_RANGE,
+        end_margin: 0.0,
+        ray_unit: RayUnit::Edges,
+        ray_gain: 1.0,
+        bounds: None,
+        max_voxels: 200_000_000,
+    }
+}
+
+/// Clusters of Table II.
+pub const CLUSTERING: Clustering =
+    Clustering { max_distance: 0.25, min_points: 1, max_points: None };
+/// Separation of Table II.
+pub const SEPARATION: Separation = Separation { max_gap: 0.8, min_confident: 24 };
+
+/// Classification in best mode.
+#[must_use]
+pub fn classify_parameters() -> ClassifyParameters {
+    ClassifyParameters {
+        close_distance: 0.7,
+        search_distance: 3.0,
+        open_border: true,
+        own_shadow: true,
+        expand_own: true,
+        max_extent: Some(1.5),
+        background_extent: Some(3.0),
+        min_points: 3,
+        max_distance: None,
+        group_distance: Some(0.7),
+        fill_pockets: false,
+    }
+}
+
+/// The whole detector in best mode.
+#[must_use]
+pub fn flying_parameters() -> FlyingParameters {
+    FlyingParameters {
+        map: map_parameters(),
+        clustering: CLUSTERING,
+        classify: classify_parameters(),
+        separation: SEPARATION,
+        seed: SeedParameters {
+            burn_in_scans: 4,
+            burn_in_extent: 1.0,
+            ground_height: None,
+            take_off_height: None,
+        },
+        sensors: BTreeMap::new(),
+        default_sensor: SensorParameters {
+            min_range: 0.3,
+            self_box: None,
+            blind_sectors: Vec::new(),
+            self_mask: None,
+            learn_mask_scans: 0,
+            learn_mask_range: 1.0,
+            mask_empty_only: false,
+            beams: None,
+            returns_per_ray: 1,
+        },
+        tracker: tracker_parameters(),
+        range_std: 0.03,
+        target_radius: 0.325,
+        mismatch_share: Some(0.5),
+        forget_distance: None,
+    }
+}
+
+/// Tracker in best mode.
+#[must_use]
+pub fn tracker_parameters() -> TrackerParameters {
+    TrackerParameters {
+        buffer_size: 10,
+        clustering: CLUSTERING,
+        max_extent: Some(1.5),
+        occupied_distance: 0.7,
+        radius: Radius { form: RadiusForm::SixthRoot, scale: 1.22, min: 1.5, max: 3.0 },
+        motion: Motion {
+            acceleration_time: Some(0.5),
+            form: NoiseForm::Continuous,
+            std: [0.0, 0.1, 4.0],
+        },
+        initial_std: [0.3, 4.0, 3.0],
+        measurement: MeasurementForm::Cluster,
+        measurement_std: 0.07,
+        association: Association::Global { gate_probability: 0.997, clutter_density: 1e-5 },
+        confirmation: Confirmation { hits: 3, window: 10 },
+        merging: Some(Merging { distance: 0.3, speed: 1.0 }),
+        ageing: Ageing::Visible { max_coast: 3.0 },
+    }
+}

@@ -63,13 +63,15 @@ impl Transform {
         }
     }
 
-    /// `R C R'`: a covariance of the source in the target.
+    /// `R C R'`: a covariance of the source in the target, exactly symmetric.
     #[must_use]
     pub fn turn_covariance(&self, covariance: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
         let half: [[f64; 3]; 3] = std::array::from_fn(|row| self.rotate(covariance[row])); // C R'
         let column = |index: usize| self.rotate(std::array::from_fn(|row| half[row][index]));
         let columns = [column(0), column(1), column(2)];
-        std::array::from_fn(|row| std::array::from_fn(|index| columns[index][row]))
+        std::array::from_fn(|row| {
+            std::array::from_fn(|index| 0.5 * (columns[index][row] + columns[row][index]))
+        })
     }
 
     /// The transform at `fraction` (0..1) between `self` and `other`: translation on a line,

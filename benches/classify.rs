@@ -1,0 +1,62 @@
+//! Classification of the clusters of a scan, and removal of separate voxels.
+
+use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
+use lidar_core::Error;
+use lidar_core::flying::classify::classify_clusters;
+use lidar_core::flying::voxel_map::VoxelMap;
+use lidar_core::geometry::cluster::label;
+use scenes::{CLUSTERING, SEPARATION, classify_parameters, map_parameters, street};
+
+fn classify(c: &mut Criterion) -> Result<(), Error> {
+    for number in [1, 2] {
+        let scans = street(number, 4)?;
+        let mut map = VoxelMap::new(map_parameters(), 1)?;
+        for scan in &scans[..3] {
+            map.integrate(&scan.classified())?;
+            map.remove_separate(SEPARATION)?;
+        }
+        let scan = &scans[3];
+        let labels = label(&scan.world, &CLUSTERING)?;
+        let parameters = classify_parameters();
+        let mut group = c.benchmark_group(format!("classify/scene_{number}"));
+        group.sample_size(20);
+        group.throughput(Throughput::Elements(scan.world.len() as u64));
+        group.bench_function("classify", |b| {
+            b.iter(|| classify_clusters(&map, &scan.world, &labels, scan.origin, &parameters));
+        });
+        let mut next = scans.iter().cycle();
+        group.bench_function("remove_separate", |b| {
+            b.iter_custom(|rounds| {
+                (0..rounds)
+                    .filter_map(|_| next.next())
+                    .map(|scan| {
+                        let integrated = map.integrate(&scan.classified()).is_ok();
+                        let start = std::time::Instant::now();
+                        let removed = map.remove_separate(SEPARATION);
+                        std::hint::black_box((integrated, removed).0);
+                        start.elapsed()
+                    })
+                    .sum()
+            });
+        });
+        let fresh = || VoxelMap::from_bytes(&map.to_bytes(), 1);
+        group.bench_function("remove_separate_everything", |b| {
+            b.iter_batched(
+                fresh,
+                |map| map.and_then(|mut map| map.remove_separate(SEPARATION)),
+                BatchSize::PerIteration,
+            );
+        });
+        group.finish();
+    }
+    Ok(())
+}
+
+fn run(c: &mut Criterion) {
+    if let Err(error) = classify(c) {
+        std::process::exit(i32::from(!error.to_string().is_empty()));
+    }
+}
+
+criterion_group!(benches, run);
+criterion_main!(benches);

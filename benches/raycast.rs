@@ -1,0 +1,76 @@
+//! Ray walk and map update, against the scalar yardstick on the same scans.
+
+use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
+use lidar_core::Error;
+use lidar_core::flying::voxel_map::VoxelMap;
+use lidar_core::geometry::lattice::Lattice;
+use lidar_core::geometry::traverse::traverse;
+use scenes::reference::DenseMap;
+use scenes::{MAX_RANGE, VOXEL_SIZE, map_parameters, street};
+use std::ops::ControlFlow;
+
+const SCANS: u64 = 3;
+
+fn raycast(c: &mut Criterion) -> Result<(), Error> {
+    for number in [1, 2] {
+        let scans = street(number, SCANS)?;
+        let mut group = c.benchmark_group(format!("raycast/scene_{number}"));
+        group.sample_size(20);
+        group.throughput(Throughput::Elements(scans[0].world.len() as u64));
+
+        let lattice = Lattice::new(VOXEL_SIZE, [0.0; 3])?;
+        group.bench_function("traverse", |b| {
+            b.iter(|| {
+                let mut visits = 0u64;
+                for direction in &scans[0].directions {
+                    let origin = scans[0].origin;
+                    let end = std::array::from_fn(|axis| {
+                        origin[axis] + MAX_RANGE * f64::from(direction[axis])
+                    });
+                    let count = |_, _| {
+                        visits += 1;
+                        ControlFlow::Continue(())
+                    };
+                    traverse(&lattice, origin, end, count)?;
+                }
+                Ok::<_, Error>(visits)
+            });
+        });
+
+        let mut dense = DenseMap::new([-50.0, -50.0, -1.0]);
+        let mut next = scans.iter().cycle();
+        group.bench_function("ray_scalar", |b| {
+            b.iter_batched(
+                || next.next(),
+                |scan| scan.map(|scan| dense.integrate(scan)),
+                BatchSize::PerIteration,
+            );
+        });
+
+        for threads in [1, 2] {
+            let mut map = VoxelMap::new(map_parameters(), threads)?;
+            for scan in &scans {
+                map.integrate(&scan.classified())?;
+            }
+            let mut next = scans.iter().cycle();
+            group.bench_function(format!("integrate_{threads}_threads"), |b| {
+                b.iter_batched(
+                    || next.next(),
+                    |scan| scan.map(|scan| map.integrate(&scan.classified())),
+                    BatchSize::PerIteration,
+                );
+            });
+        }
+        group.finish();
+    }
+    Ok(())
+}
+
+fn run(c: &mut Criterion) {
+    if let Err(error) = raycast(c) {
+        std::process::exit(i32::from(!error.to_string().is_empty()));
+    }
+}
+
+criterion_group!(benches, run);
+criterion_main!(benches);
