@@ -6,7 +6,16 @@ from typing import Any, Self, TypeAlias, final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["PointCloudTracker", "SimScene", "SimShape", "SimTrajectory", "VoxelMap", "__version__", "cluster_points", "traverse"]
+__all__ = [
+    "PointCloudTracker",
+    "SimScene",
+    "SimShape",
+    "SimTrajectory",
+    "VoxelMap",
+    "__version__",
+    "cluster_points",
+    "traverse",
+]
 
 __version__: str
 
@@ -24,6 +33,7 @@ def cluster_points(
     min_points: int,
     max_points: int | None,
 ) -> NDArray[np.int32]: ...
+
 @final
 class VoxelMap:
     def __new__(cls, config: object, *, threads: int, origin: NDArray[np.float64]) -> Self: ...
@@ -50,6 +60,7 @@ class VoxelMap:
     def origin(self) -> list[float]: ...
     def parameters(self) -> dict[str, Any]: ...
     def size(self) -> tuple[int, int, int]: ...
+
 @final
 class SimShape:
     @staticmethod
@@ -66,11 +77,13 @@ class SimShape:
     def height_field(heights: NDArray[np.float64], cell: float) -> SimShape: ...
     @property
     def radius(self) -> float: ...
+
 @final
 class SimTrajectory:
     def __new__(cls, stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> Self: ...
     def poses_at(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]: ...
     def velocities_at(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]: ...
+
 @final
 class SimScene:
     def __new__(
@@ -103,10 +116,8 @@ class SimScene:
         sensor: SimTrajectory,
         *,
         apart: list[tuple[SimTrajectory, float]],
-        start_ns: int,
-        end_ns: int,
-        seed: int,
-        stream: int,
+        span_ns: tuple[int, int],
+        seed: tuple[int, int],
     ) -> SimTrajectory: ...
 
 _Numbers: TypeAlias = NDArray[np.int64]

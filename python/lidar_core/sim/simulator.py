@@ -170,6 +170,7 @@ class Simulator:
 
     def _ways(self, standing: SimScene, shapes: list[SimShape]) -> list[SimTrajectory]:
         ways: list[SimTrajectory] = []
+        start_ns = self.scene.start_ns
         for number, (target, shape) in enumerate(zip(self.scene.targets, shapes, strict=True)):
             motion = target.motion
             if not isinstance(motion, RandomMotion):
@@ -183,10 +184,8 @@ class Simulator:
                     motion.model_copy(update={"clearance": reach}),
                     self.sensor,
                     apart=[(self.sensor, reach), *apart],
-                    start_ns=self.scene.start_ns,
-                    end_ns=self.scene.start_ns + round(self._seconds * 1e9),
-                    seed=self.seed,
-                    stream=number,
+                    span_ns=(start_ns, start_ns + round(self._seconds * 1e9)),
+                    seed=(self.seed, number),
                 )
             )
         return ways

@@ -304,17 +304,15 @@ impl SimScene {
         Ok(distances.into_pyarray(py))
     }
 
-    #[pyo3(signature = (config, sensor, *, apart, start_ns, end_ns, seed, stream))]
+    #[pyo3(signature = (config, sensor, *, apart, span_ns, seed))]
     fn random_motion(
         &self,
         py: Python<'_>,
         config: MotionConfig,
         sensor: &Bound<'_, SimTrajectory>,
         apart: Vec<(Py<SimTrajectory>, f64)>,
-        start_ns: i64,
-        end_ns: i64,
-        seed: u64,
-        stream: u64,
+        span_ns: (i64, i64),
+        seed: (u64, u64),
     ) -> Result<SimTrajectory, BorderError> {
         let sensor = &sensor.get().0;
         let motion = RandomMotion {
@@ -328,8 +326,8 @@ impl SimScene {
                 distance,
                 elevation: config.sensor_elevation_deg.map(f64::to_radians),
             }),
-            span_ns: (start_ns, end_ns),
-            seed: (seed, stream),
+            span_ns,
+            seed,
         };
         Ok(SimTrajectory(self.0.with(py, |(scene, _)| motion.trajectory(scene))?))
     }
