@@ -1,7 +1,9 @@
 """Settings and fixtures shared by all tests."""
 
 import os
+from pathlib import Path
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 # The same examples on every run; `HYPOTHESIS_PROFILE=wide` looks further.
@@ -14,3 +16,31 @@ settings.register_profile(
 )
 settings.register_profile("wide", settings.get_profile("ci"), derandomize=False, max_examples=5000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
+
+ROOT = Path(__file__).parents[2]
+
+
+def _present(path: Path, what: str) -> Path:
+    """`path`, if it exists; else a failure in CI and a skip elsewhere."""
+    if not path.exists():
+        text = f"{what} not found at {path}"
+        if os.environ.get("CI") == "true":
+            pytest.fail(text)
+        pytest.skip(text)
+    return path
+
+
+@pytest.fixture(scope="session")
+def recordings() -> Path:
+    """Folder of real recordings."""
+    default = ROOT.parent / "shared" / "data"
+    return _present(Path(os.environ.get("LIDAR_CORE_DATA", default)), "real recordings")
+
+
+@pytest.fixture(scope="session")
+def ouster_python() -> Path:
+    """Interpreter of the environment that holds lidar_core and ouster-sdk."""
+    default = ROOT.parent / ".venv-ouster" / "bin" / "python"
+    return _present(
+        Path(os.environ.get("LIDAR_CORE_OUSTER_PYTHON", default)), "environment with ouster-sdk"
+    )
