@@ -15,6 +15,7 @@ from lidar_core.messages import Scan
 
 INTENSITY_FIELDS = ("intensity", "reflectivity", "i")
 RING_FIELDS = ("ring", "channel", "line")
+MAX_POINT_BYTES = 65_536
 ROS_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
@@ -56,9 +57,7 @@ def unpack(data: NDArray[np.uint8], layout: Layout, *, place: str, max_points: i
     row_step = layout.row_step if rows > 1 else columns * layout.point_step
     used = columns * layout.point_step
     if row_step < used:
-        raise FormatError(
-            f"{place}: row_step {row_step} is less than {columns} points need, {used}"
-        )
+        raise FormatError(f"{place}: row_step {row_step}, but {columns} points need {used}")
     needed = (rows - 1) * row_step + used
     if len(data) < needed:
         raise FormatError(f"{place}: {len(data)} bytes of data, but the layout needs {needed}")
@@ -69,6 +68,8 @@ def unpack(data: NDArray[np.uint8], layout: Layout, *, place: str, max_points: i
 
 
 def _dtype(layout: Layout, place: str) -> np.dtype[Any]:
+    if not 0 < layout.point_step <= MAX_POINT_BYTES:
+        raise FormatError(f"{place}: point step of {layout.point_step} bytes")
     order = ">" if layout.is_bigendian else "<"
     names, formats, offsets = [], [], []
     for item in layout.fields:
@@ -86,8 +87,6 @@ def _dtype(layout: Layout, place: str) -> np.dtype[Any]:
         names.append(item.name)
         formats.append(code if count == 1 else np.dtype((code, (count,))))
         offsets.append(item.offset)
-    if layout.point_step <= 0:
-        raise FormatError(f"{place}: point step of {layout.point_step} bytes")
     return np.dtype(
         {"names": names, "formats": formats, "offsets": offsets, "itemsize": layout.point_step}
     )
