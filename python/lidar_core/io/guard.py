@@ -1,9 +1,13 @@
 """Border to the libraries that read formats: their exceptions, and sizes before allocation."""
 
+import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from lidar_core.errors import FormatError, LidarCoreError, LimitError
+
+_FILES_FAULT = (None, errno.EINVAL, errno.EOVERFLOW)
+"""Numbers of an OSError that a broken file causes: bz2 gives none, a seek beyond any file these."""
 
 
 @contextmanager
@@ -14,8 +18,8 @@ def reading(place: str) -> Iterator[None]:
     except (LidarCoreError, MemoryError):
         raise
     except Exception as error:
-        if isinstance(error, OSError) and error.errno is not None:
-            raise  # the disk's fault; bz2 reports broken data as an OSError without a number
+        if isinstance(error, OSError) and error.errno not in _FILES_FAULT:
+            raise
         text = str(error).strip().rstrip(".") or "no further text"
         raise FormatError(f"{place}: cannot be read: {type(error).__name__}: {text}") from error
 

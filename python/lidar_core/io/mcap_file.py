@@ -2,12 +2,13 @@
 
 import heapq
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
-from lidar_core.errors import FormatError
+from lidar_core.errors import FormatError, LimitError
 from lidar_core.extras import require
 from lidar_core.io.foxglove_messages import FoxgloveDecoder, foxglove_kind
 from lidar_core.io.guard import check_size, reading
@@ -76,11 +77,23 @@ class McapRecording(Recording):
         """Close the file."""
         self._file.close()
 
+    @contextmanager
+    def _reading(self, place: str) -> Iterator[None]:
+        """As `reading`, for a library that has a limit of its own on records."""
+        exceptions = require("mcap.exceptions", extra="io", purpose="reading MCAP")
+        with reading(place):
+            try:
+                yield
+            except exceptions.RecordLengthLimitExceeded as error:
+                if self.path.stat().st_size <= self.options.max_record_bytes:
+                    raise  # no honest length: the file is smaller
+                raise LimitError(f"{place}: {error}; raise it with max_record_bytes") from error
+
     def _read_summary(self) -> Any:
         reader = require("mcap.reader", extra="io", purpose="reading MCAP")
         limit = self.options.max_record_bytes
         place = f"{self.path}: MCAP summary"
-        with reading(f"{place} (a file that was not closed has none)"):
+        with self._reading(f"{place} (a file that was not closed has none)"):
             summary = reader.SeekingReader(self._file, record_size_limit=limit).get_summary()
         if summary is None or (not summary.chunk_indexes and not summary.channels):
             summary = self._scan_for_channels()
@@ -91,7 +104,7 @@ class McapRecording(Recording):
     def _scan_for_channels(self) -> Any:
         """Channels and schemas of a file whose summary repeats none."""
         summary = require("mcap.summary", extra="io", purpose="reading MCAP").Summary()
-        with reading(f"{self.path}: MCAP data"):
+        with self._reading(f"{self.path}: MCAP data"):
             self._file.seek(0)
             for record in self._stream(emit_chunks=False).records:
                 if isinstance(record, self._records.Schema):
@@ -127,7 +140,7 @@ class McapRecording(Recording):
     def _chunk_messages(self, offset: int) -> list[Any]:
         """Messages of the chunk at byte `offset`, its checksum and its size checked."""
         place = f"{self.path}, chunk at byte {offset}"
-        with reading(place):
+        with self._reading(place):
             self._file.seek(offset)
             chunk = next(self._stream(emit_chunks=True).records, None)
             if not isinstance(chunk, self._records.Chunk):
@@ -142,7 +155,7 @@ class McapRecording(Recording):
 
     def _unchunked(self, wanted: set[int]) -> Iterator[Record]:
         self._file.seek(0)
-        with reading(f"{self.path}: MCAP data"):
+        with self._reading(f"{self.path}: MCAP data"):
             messages = [
                 (record.log_time, order, record)
                 for order, record in enumerate(self._stream(emit_chunks=False).records)

@@ -33,17 +33,12 @@ class RosRecording(Recording):
         self.format = "ROS 1 bag" if version == 1 else "ROS 2 sqlite3"
         self._decoder = RosDecoder(version, options, self.findings)
         self._stack = ExitStack()
-        module = require(f"rosbags.rosbag{version}", extra="io", purpose="reading ROS recordings")
         self._readers: list[tuple[Path, Any]] = []
-        for file in files:
-            if version == 2:
-                _check_database(file, options)
-            with reading(str(file)):
-                reader = self._stack.enter_context(module.Reader(file))
-            if version == 1:
-                _bound_chunks(reader, file, options)
-            self._readers.append((file, reader))
-        self._topics = self._list_topics()
+        with ExitStack() as stack:
+            for file in files:
+                self._readers.append((file, self._opened(file, version, stack)))
+            self._topics = self._list_topics()
+            self._stack = stack.pop_all()
 
     def topics(self) -> list[Topic]:
         """Streams of the recording, by name."""
@@ -57,6 +52,16 @@ class RosRecording(Recording):
     def close(self) -> None:
         """Close the files."""
         self._stack.close()
+
+    def _opened(self, file: Path, version: int, stack: ExitStack) -> Any:
+        module = require(f"rosbags.rosbag{version}", extra="io", purpose="reading ROS recordings")
+        if version == 2:
+            _check_database(file, self.options)
+        with reading(str(file)):
+            reader = stack.enter_context(module.Reader(file))
+        if version == 1:
+            _bound_chunks(reader, file, self.options)
+        return reader
 
     def _file_records(
         self, file: Path, reader: Any, kinds: frozenset[str] | None

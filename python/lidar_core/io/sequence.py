@@ -20,6 +20,7 @@ from lidar_core.io.recording import Record, Recording, Topic
 from lidar_core.messages import Message, Pose, Scan
 
 FRAME, WORLD_FRAME = "lidar", "world"
+MAX_COLUMNS = 4096
 KITTI_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
 _NANOSECONDS = re.compile(r"^\d{18,19}$")
 _SECONDS = re.compile(r"^(\d{9,10})[._](\d{1,9})$")
@@ -136,6 +137,11 @@ class PcdRecording(SequenceRecording):
                     break
             left = file.stat().st_size - stream.tell()
         header = library.MetaData.parse_header(lines)
+        if len({len(header.fields), len(header.size), len(header.type), len(header.count)}) != 1:
+            raise FormatError(f"{file}: FIELDS, SIZE, TYPE and COUNT differ in length")
+        columns = sum(header.count)
+        if columns > MAX_COLUMNS:
+            raise FormatError(f"{file}: {columns} columns, more than {MAX_COLUMNS}")
         check_size(str(file), header.points, limit=self.options.max_points, key="max_points",
                    what="a scan of points")  # fmt: skip
         if header.width * header.height != header.points:
