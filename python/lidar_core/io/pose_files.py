@@ -1,5 +1,6 @@
 """Poses in text files: KITTI (one matrix a line, one line a scan) and TUM (with times)."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +71,8 @@ def _numbers(path: Path) -> NDArray[np.float64]:
         raise FileNotFoundError(f"{path}: no such poses file")
     check_size(str(path), path.stat().st_size, limit=MAX_FILE_BYTES, key="nothing",
                what="a file of bytes")  # fmt: skip
-    with reading(str(path)):
+    with reading(str(path)), warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of an empty file: said below
         rows = np.loadtxt(path, ndmin=2)
     if rows.size == 0:
         raise FormatError(f"{path}: no poses in this file")

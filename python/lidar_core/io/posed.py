@@ -90,9 +90,7 @@ class PosedScans:
         count = 0
         for scan in self._scans():
             if count >= len(matrices):
-                raise FormatError(
-                    f"{path}: {len(matrices)} poses, but the recording has more scans"
-                )
+                raise FormatError(f"{path}: {len(matrices)} poses for a recording of more scans")
             yield PosedScan(scan, matrices[count])
             count += 1
         if count != len(matrices):
