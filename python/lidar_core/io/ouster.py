@@ -35,7 +35,7 @@ INSTALL = (
 class _Beams(NamedTuple):
     """Geometry of one sensor."""
 
-    directions: NDArray[np.float32]
+    directions: NDArray[np.float64]
     offsets: NDArray[np.float64]
     shifts: NDArray[np.int64]
 
@@ -133,7 +133,7 @@ class _OusterFrames(Recording):
         columns = {
             "points": points,
             "no_return": no_return,
-            "directions": beams.directions,
+            "directions": beams.directions.astype(np.float32),
             "times": np.broadcast_to(stamps, ranges.shape),
             "ring": np.broadcast_to(np.arange(frame.h, dtype=np.uint16)[:, None], ranges.shape),
         }
@@ -193,7 +193,7 @@ class _OusterFrames(Recording):
             )
             directions = (far - near) / 100
             self._beams[sensor] = _Beams(
-                directions.astype(np.float32),
+                directions,
                 near - directions,
                 np.asarray(info.format.pixel_shift_by_row, np.int64),
             )
