@@ -3,12 +3,18 @@
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar, get_args
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from lidar_core.errors import ConfigError
+
+NONE = "none"
+"""What TOML files say for "no value"."""
+
+
+ConfigT = TypeVar("ConfigT", bound="Config")
 
 
 class Config(BaseModel):
@@ -21,6 +27,21 @@ class Config(BaseModel):
             super().__init__(**values)
         except ValidationError as error:
             raise _config_error(type(self).__name__, error) from error
+
+    # Not pydantic's word for "overridden": models inside models are then validated as one, and
+    # every problem carries its whole path.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_none(cls, values: Any) -> Any:
+        """TOML has no null: "none" stands for it where null is allowed."""
+        if not isinstance(values, dict):
+            return values
+        return {
+            name: None if value == NONE and _may_be_none(cls, name) else value
+            for name, value in values.items()
+        }
 
     @classmethod
     def load(cls, values: Mapping[str, Any]) -> Self:
@@ -45,13 +66,41 @@ class Config(BaseModel):
         try:
             with Path(path).open("rb") as file:
                 values = tomllib.load(file)
-        except tomllib.TOMLDecodeError as error:
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ConfigError(f"{path}: expected TOML: {error}") from error
         return cls.load(values)
 
     def to_toml(self) -> str:
-        """Every value, as TOML that `read` accepts."""
-        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
+        """Every value, as TOML that `read` accepts; "none" where there is no value."""
+        return tomli_w.dumps(_without_null(self.model_dump(mode="json")))
+
+
+def as_config(config: ConfigT | None, model: type[ConfigT]) -> ConfigT:
+    """`config`, or the defaults where none is given.
+
+    Raises
+    ------
+    ConfigError
+        It is not of this model.
+    """
+    if config is None:
+        return model()
+    if not isinstance(config, model):
+        raise ConfigError(f"config: expected a {model.__name__}, got {type(config).__name__}")
+    return config
+
+
+def _without_null(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_null(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_without_null(inner) for inner in value]
+    return NONE if value is None else value
+
+
+def _may_be_none(model: type[BaseModel], name: str) -> bool:
+    field = model.model_fields.get(name)
+    return field is not None and type(None) in get_args(field.annotation)
 
 
 def _config_error(model: str, error: ValidationError) -> ConfigError:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidar_core import _core
 from lidar_core.arrays import Points, as_mask, as_points, as_real, as_rows, as_vector
+from lidar_core.config import as_config
 from lidar_core.errors import FormatError, InputError
 from lidar_core.flying.config import ClassifyConfig, VoxelMapConfig
 
@@ -75,7 +76,7 @@ class VoxelMap:
         threads: int = 1,
         origin: ArrayLike = (0.0, 0.0, 0.0),
     ) -> None:
-        self.config = config if config is not None else VoxelMapConfig()
+        self.config = as_config(config, VoxelMapConfig)
         self.origin = as_vector(origin, name="origin", size=3)
         self._map = _core.VoxelMap(self.config, threads=threads, origin=self.origin)
 
@@ -237,7 +238,7 @@ class VoxelMap:
         points = self._local(points_world)
         numbers = as_rows(labels, name="labels", rows=len(points), shape=(), dtype=np.int32)
         origin = as_vector(sensor_origin, name="sensor_origin", size=3) - self.origin
-        rules = config if config is not None else ClassifyConfig()
+        rules = as_config(config, ClassifyConfig)
         return self._map.classify(points, numbers, origin, config=rules)
 
     def occupied_points(self) -> NDArray[np.float64]:
