@@ -1,0 +1,155 @@
+"""Configuration models: ranges, units, dotted paths, TOML there and back."""
+
+import importlib
+import pkgutil
+import re
+import typing
+
+import pytest
+from pydantic import ValidationError
+
+import lidar_core
+from lidar_core import ConfigError, VoxelMap, VoxelMapConfig
+from lidar_core.config import Config
+from lidar_core.flying import FlyingConfig
+
+UNIT = re.compile(r"\[[^\]]+\]|no unit")
+
+
+def models():
+    """Every public configuration model of the package."""
+    for found in pkgutil.walk_packages(lidar_core.__path__, "lidar_core."):
+        if "config" in found.name:
+            importlib.import_module(found.name)
+    pending, known = [Config], []
+    while pending:
+        model = pending.pop()
+        pending.extend(model.__subclasses__())
+        if model is not Config and model.__module__.startswith("lidar_core"):
+            known.append(model)
+    return sorted(set(known), key=lambda model: f"{model.__module__}.{model.__name__}")
+
+
+def is_tag(annotation):
+    """A field with one possible value tells models apart."""
+    return typing.get_origin(annotation) is typing.Literal and len(typing.get_args(annotation)) == 1
+
+
+def holds_models(annotation):
+    arguments = typing.get_args(annotation)
+    if arguments:
+        return any(map(holds_models, arguments))
+    return isinstance(annotation, type) and issubclass(annotation, Config)
+
+
+@pytest.mark.parametrize("model", models(), ids=lambda model: model.__name__)
+def test_every_field_states_what_it_is_and_its_unit(model):
+    assert model.__doc__
+    bare = {
+        name: field.description
+        for name, field in model.model_fields.items()
+        if not holds_models(field.annotation)
+        and not is_tag(field.annotation)
+        and not UNIT.search(field.description or "")
+    }
+    assert bare == {}
+
+
+@pytest.mark.parametrize("model", models(), ids=lambda model: model.__name__)
+def test_defaults_pass_their_own_checks_and_the_round_trip(model, tmp_path):
+    if any(field.is_required() for field in model.model_fields.values()):
+        pytest.skip("needs values")
+    for config in [model(), *([model.paper()] if hasattr(model, "paper") else [])]:
+        assert model.load(config.model_dump()) == config
+        path = tmp_path / "config.toml"
+        path.write_text(config.to_toml(), encoding="utf-8")
+        assert model.read(path) == config
+        assert model.model_json_schema()["additionalProperties"] is False
+    with pytest.raises(ValidationError, match="frozen"):
+        model().__setattr__(next(iter(model.model_fields)), 1)
+
+
+def test_an_unknown_key_is_named_with_its_path():
+    with pytest.raises(ConfigError) as refusal:
+        VoxelMapConfig(voxel_sise=0.2)
+    assert str(refusal.value) == "voxel_sise: Extra inputs are not permitted, got 0.2"
+    with pytest.raises(ConfigError) as refusal:
+        FlyingConfig.load({"voxel_map": {"voxel_sise": 0.2}})
+    assert str(refusal.value) == "voxel_map.voxel_sise: Extra inputs are not permitted, got 0.2"
+
+
+def test_all_problems_are_reported_at_once():
+    with pytest.raises(ConfigError) as refusal:
+        FlyingConfig.load(
+            {"voxel_map": {"voxel_size": -1.0, "ray_unit": "feet"}, "classify": {"min_points": 0}}
+        )
+    lines = str(refusal.value).splitlines()
+    assert sorted(line.partition(":")[0] for line in lines) == [
+        "classify.min_points",
+        "voxel_map.ray_unit",
+        "voxel_map.voxel_size",
+    ]
+    assert "voxel_map.voxel_size: Input should be greater than 0, got -1.0" in lines
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), "wide", None])
+def test_a_number_is_finite(value):
+    with pytest.raises(ConfigError, match=r"^voxel_size: "):
+        VoxelMapConfig(voxel_size=value)
+
+
+def test_levels_are_ordered():
+    with pytest.raises(ConfigError, match=r"expected g_free <= threshold_uncertain <= g_unk"):
+        VoxelMapConfig(g_unk=-800.0)
+    with pytest.raises(ConfigError, match=r"^voxel_map: "):
+        FlyingConfig.load({"voxel_map": {"g_free": 10.0}})
+
+
+def test_a_file_that_is_no_toml_is_named(tmp_path):
+    path = tmp_path / "broken.toml"
+    path.write_text("voxel_size = ", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"broken\.toml: expected TOML: "):
+        VoxelMapConfig.read(path)
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match=r"broken\.toml: expected TOML: "):
+        VoxelMapConfig.read(path)
+    with pytest.raises(FileNotFoundError):
+        VoxelMapConfig.read(tmp_path / "missing.toml")
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"bounds": ((1, 1, 1), (0, 2, 2))},
+        {"voxel_size": 1e-320},
+        {"g_occ": 1e300},
+    ],
+)
+def test_what_the_core_cannot_use_is_a_config_error(bad):
+    with pytest.raises(ConfigError):
+        VoxelMap(VoxelMapConfig(**bad))
+
+
+def test_a_map_takes_its_own_configuration_only():
+    with pytest.raises(ConfigError, match=r"^config: expected a VoxelMapConfig, got dict$"):
+        VoxelMap({"voxel_size": 0.2})
+
+
+def test_paper_mode_is_table_ii():
+    """Notes, section 3: the values that the paper states."""
+    paper = FlyingConfig.paper()
+    voxels, rules, tracker = paper.voxel_map, paper.classify, paper.tracker
+    assert (voxels.voxel_size, voxels.max_range) == (0.25, 20.0)
+    assert (voxels.g_occ, voxels.g_unk, voxels.g_free, voxels.initial) == (0, -740, -1000, -740)
+    assert (
+        voxels.threshold_confident,
+        voxels.threshold_tentative,
+        voxels.threshold_uncertain,
+    ) == (-0.1, -300, -750)
+    assert (voxels.ray_unit, voxels.ray_gain, voxels.end_margin) == ("metres", 1.0, 0.0)
+    assert paper.cluster.max_distance == 0.25
+    assert (rules.close_distance, rules.search_distance) == (0.7, 3.0)
+    assert (rules.shadow, rules.own_voxels, rules.border) == ("paper", "paper", "closed")
+    assert rules.max_extent is rules.background_extent is rules.group_distance is None
+    assert paper.separate.min_confident == 24
+    assert tracker.model_dump()  # its own test holds the values
