@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from mcap.writer import Writer as McapFile
 from pypcd4 import Encoding, PointCloud
 from ros_files import Ros
+from rosbags.rosbag2 import CompressionFormat, CompressionMode
+from rosbags.rosbag2 import Writer as Writer2
 
 import lidar_core as lc
 import lidar_core.io
@@ -26,6 +28,7 @@ CLOUD = np.dtype(
         "itemsize": 32,
     }
 )
+CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 STORAGES = [(1, "bag"), (2, "sqlite3"), (2, "mcap")]
 
 
@@ -326,6 +329,24 @@ def test_metadata_without_serialisation_format_does_not_matter(tmp_path):
     assert len(read_all(path.parent)) == 10
     metadata.unlink()
     assert len(read_all(path.parent)) == 10
+
+
+def test_compressed_ros2_recordings_say_how_to_unpack(tmp_path):
+    ros = Ros(2)
+    path = tmp_path / "a"
+    writer = Writer2(path, version=9)
+    writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/points", CLOUD_TYPE, typestore=ros.store)
+        message = ros.cloud(np.zeros(3, CLOUD), BASE_NS, "os")
+        writer.write(connection, BASE_NS, ros.store.serialize_cdr(message, CLOUD_TYPE))
+    with pytest.raises(FormatError, match=r"compressed with zstd; .* ros2 bag convert"):
+        read_all(path)
+    folder = tmp_path / "b"
+    folder.mkdir()
+    (folder / "b_0.db3.zstd").write_bytes(b"x")
+    with pytest.raises(FormatError, match=r"unpack it first: zstd -d b_0\.db3\.zstd"):
+        lc.io.open_recording(folder)
 
 
 def test_an_unset_quaternion_is_counted_not_used(tmp_path):

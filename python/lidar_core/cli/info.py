@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 def command(
     recording: Annotated[Path, typer.Argument(help="File or folder to look into.")],
     point_time: Annotated[
-        str, typer.Option(help="Time of each point as field:unit:reference, auto or none.")
-    ] = "auto",
+        str | None, typer.Option(help="Time of each point as field:unit:reference, auto or none.")
+    ] = None,
     no_return: Annotated[
-        str, typer.Option(help="What marks a ray without return: auto, zero, nan or none.")
-    ] = "auto",
+        str | None, typer.Option(help="What marks a ray without return: auto, zero, nan or none.")
+    ] = None,
     metadata: Annotated[
         str | None, typer.Option(help="JSON file of an Ouster capture, if not beside it.")
     ] = None,
@@ -28,9 +28,8 @@ def command(
     """Topics, rates, frames, time span and defects of a recording."""
     from lidar_core.io import ReadOptions, open_recording
 
-    options = ReadOptions.load(
-        {"point_time": point_time, "no_return": no_return, "metadata": metadata}
-    )
+    given = {"point_time": point_time, "no_return": no_return, "metadata": metadata}
+    options = ReadOptions.load({name: text for name, text in given.items() if text is not None})
     with open_recording(recording, options) as opened:
         info = opened.info()
     if as_json:
@@ -50,6 +49,8 @@ def _print(info: "RecordingInfo", console: "Console") -> None:
         start = f"{info.start_ns // 10**9}.{info.start_ns % 10**9:09d}"
         console.print(f"from {start} s, {info.duration_s:.3f} s long")
     table = Table("topic", "type", "read as", "messages", "Hz", "frames", "rays", "points")
+    for column in table.columns:
+        column.overflow = "fold"
     for topic in info.topics:
         table.add_row(
             escape(topic.name),

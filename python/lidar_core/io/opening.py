@@ -104,6 +104,11 @@ def _open_folder(path: Path, options: ReadOptions) -> Recording:
         scans = sorted((path / inner).glob("*.bin"))
         if scans:
             return _open_sequence(path, scans, ".bin", options)
+    packed = [file.name for file in files if file.suffix.lower() == ".zstd"]
+    if packed:
+        raise FormatError(
+            f"{path}: {packed[0]} is compressed; unpack it first: zstd -d {packed[0]}"
+        )
     found = ", ".join(sorted({file.suffix or file.name for file in files})) or "nothing"
     raise FormatError(f"{path}: no recording in this folder, found {found}; readable are: {KNOWN}")
 

@@ -126,6 +126,8 @@ class _OusterFrames(Recording):
         stamp_ns: int,
     ) -> Scan:
         beams = self._beams_of(sensor)
+        if "RANGE2" in frame.fields:
+            self.findings.note(f"{self._topics[sensor].name}: second returns are not read")
         ranges = np.asarray(frame.field(self._core.ChanField.RANGE), np.float64) * 1e-3
         no_return = (ranges == 0) & received
         points = (ranges[..., None] * beams.directions + beams.offsets).astype(np.float32)

@@ -31,6 +31,7 @@ POSE_TYPES = (
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
 )
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 VELODYNE_TYPE = "velodyne_msgs/msg/VelodyneScan"
 EXTRA_DEFINITIONS = {
     "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
@@ -82,6 +83,10 @@ class RosDecoder:
         check_size(place, len(raw), limit=limit, key="max_record_bytes", what="a message of bytes")
         if kind_of(type_name) not in ("scan", "pose"):
             return []
+        if raw.startswith(ZSTD_MAGIC):
+            raise FormatError(
+                f"{place}: compressed with zstd; store it uncompressed with: ros2 bag convert"
+            )
         with reading(place):
             message = self._parse(raw, type_name)
         if type_name in SCAN_TYPES:
