@@ -30,8 +30,9 @@ class NoReturnRule:
 
     def apply(self, points: NDArray[np.float32], *, organised: bool) -> NDArray[np.bool_] | None:
         """Mask of the rays without return, shape (N,); marked and broken rows become NaN."""
-        finite: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=1))
-        zero: NDArray[np.bool_] = np.asarray(finite & ~points.any(axis=1))
+        x, y, z = points.T  # columns: reducing over an axis of three is five times slower
+        finite: NDArray[np.bool_] = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+        zero: NDArray[np.bool_] = (x == 0) & (y == 0) & (z == 0)
         self._decide(int(zero.sum()), int((~finite).sum()), len(points), organised=organised)
         if zero.any() or not finite.all():
             points[zero | ~finite] = np.nan
