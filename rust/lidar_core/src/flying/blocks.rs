@@ -136,6 +136,17 @@ impl Blocks {
     }
 
     #[inline]
+    pub(crate) fn find(&self, place: Place) -> Option<(u32, &Block)> {
+        let slot = self.slot(place)?;
+        Some((slot, self.at(slot)?))
+    }
+
+    /// The stored value; NaN where nothing has been observed.
+    pub(crate) fn stored(&self, voxel: Voxel) -> f32 {
+        self.get(Place::of(voxel)).map_or(NEVER, |block| block.values[offset_of(voxel)])
+    }
+
+    #[inline]
     pub(crate) fn at(&self, slot: u32) -> Option<&Block> {
         self.pool.get(slot as usize)?.as_deref()
     }

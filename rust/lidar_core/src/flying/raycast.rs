@@ -3,10 +3,11 @@
 //! Lengths are summed as integers in a sparse window of blocks around the rays, so the result
 //! depends neither on the order of the rays nor on the number of threads.
 
-use super::blocks::{EDGE_BITS, Place, VOLUME, offset_of};
+use super::blocks::{EDGE, EDGE_BITS, Place, VOLUME, offset_of};
 use crate::Error;
 use crate::geometry::lattice::{Voxel, floor};
-use crate::geometry::traverse::scaled_walk;
+use crate::geometry::transform::{minus, norm};
+use crate::geometry::traverse::voxel_count;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -100,6 +101,81 @@ impl Window {
     }
 }
 
+/// One axis of the walk of a ray.
+struct Axis {
+    /// Ray parameter (0 at the start, 1 at the end) of the next wall; infinite after the last.
+    t: f64,
+    wall: f64,
+    start: f64,
+    per_span: f64,
+    direction: i32,
+    /// Walls until the end of the ray.
+    walls: u32,
+    /// Walls until the walk leaves its block.
+    room: i32,
+    /// From a voxel's place in its block to the next one's.
+    stride: isize,
+}
+
+/// What happens at a wall.
+struct Crossing {
+    t: f64,
+    direction: i32,
+    offset_step: isize,
+    leaves_block: bool,
+}
+
+impl Axis {
+    #[inline]
+    fn new(axis: usize, start: f64, span: f64, first: Voxel, last: Voxel) -> Self {
+        let direction = last[axis].cmp(&first[axis]) as i32;
+        let inside = first[axis] & (EDGE - 1);
+        let mut this = Self {
+            t: f64::INFINITY,
+            wall: f64::from(first[axis] + i32::from(direction > 0)),
+            start,
+            // Finite: of a span whose reciprocal overflows, 0 * inf would be NaN.
+            per_span: (1.0 / span).clamp(f64::MIN, f64::MAX),
+            direction,
+            walls: first[axis].abs_diff(last[axis]),
+            room: if direction > 0 { EDGE - inside } else { inside + 1 },
+            stride: isize::try_from(direction << (EDGE_BITS * axis as i32)).unwrap_or(0),
+        };
+        this.aim();
+        this
+    }
+
+    /// Computed afresh at every wall, not summed up, so that the error does not grow.
+    #[inline]
+    fn aim(&mut self) {
+        self.t =
+            if self.walls == 0 { f64::INFINITY } else { (self.wall - self.start) * self.per_span };
+    }
+
+    #[inline]
+    fn cross(&mut self) -> Crossing {
+        let t = self.t.min(1.0); // rounding: not past the end
+        self.walls -= 1;
+        self.wall += f64::from(self.direction);
+        self.aim();
+        self.room -= 1;
+        let leaves_block = self.room == 0;
+        let mut offset_step = self.stride;
+        if leaves_block {
+            self.room = EDGE;
+            offset_step -= self.stride * EDGE as isize; // in at the other side
+        }
+        Crossing { t, direction: self.direction, offset_step, leaves_block }
+    }
+}
+
+/// Add a length, rounded to a whole unit, halves to even; a full mark stays full.
+#[inline]
+fn add(mark: &mut Mark, units: f64) {
+    const SHIFT: f64 = (1u64 << 52) as f64; // moves the units to the lowest bits
+    *mark = mark.wrapping_add((units + SHIFT).to_bits() as u32).min(MAX_COUNT);
+}
+
 /// Marks of one scan, block by block. Reused from scan to scan.
 #[derive(Default)]
 pub(crate) struct Accumulator {
@@ -144,21 +220,39 @@ impl Accumulator {
     }
 
     /// Add the length of `ray` inside every voxel it crosses.
+    ///
+    /// The walk of Amanatides & Woo, in units of voxels, with the place inside the block kept
+    /// beside it: one look-up per block, none per voxel. At an edge or corner the lowest axis
+    /// goes first, as in `geometry::traverse`.
     fn cast(&mut self, window: &Window, ray: &Ray) {
         let (Some(first), Some(last)) = (floor(ray.start), floor(ray.end)) else { return };
-        let mut walk = scaled_walk(ray.start, ray.end, first, last);
-        let mut slot = self.slot(window, Place::of(first));
-        let mut walls = first.map(|index| index >> EDGE_BITS);
-        while let Some((voxel, length, _)) = walk.next() {
-            let place = voxel.map(|index| index >> EDGE_BITS);
-            if place != walls {
-                walls = place;
-                slot = self.slot(window, Place(place));
+        let span = minus(ray.end, ray.start);
+        let scale = norm(span) * UNITS_PER_EDGE;
+        let [mut x, mut y, mut z] =
+            std::array::from_fn(|axis| Axis::new(axis, ray.start[axis], span[axis], first, last));
+        let steps = voxel_count(first, last) - 1;
+        self.visits += steps + 1;
+        let mut place = Place::of(first);
+        let mut offset = offset_of(first);
+        let mut slot = self.slot(window, place);
+        let mut t_enter = 0.0;
+        for _ in 0..steps {
+            let (axis, crossing) = if x.t <= y.t && x.t <= z.t {
+                (0, x.cross())
+            } else if y.t <= z.t {
+                (1, y.cross())
+            } else {
+                (2, z.cross())
+            };
+            add(&mut self.blocks[slot][offset % VOLUME], (crossing.t - t_enter) * scale);
+            t_enter = crossing.t;
+            offset = offset.wrapping_add_signed(crossing.offset_step);
+            if crossing.leaves_block {
+                place.0[axis] += crossing.direction;
+                slot = self.slot(window, place);
             }
-            let mark = &mut self.blocks[slot][offset_of(voxel)];
-            *mark = mark.saturating_add((length * UNITS_PER_EDGE + 0.5) as u32).min(MAX_COUNT);
-            self.visits += 1;
         }
+        add(&mut self.blocks[slot][offset % VOLUME], (1.0 - t_enter) * scale);
     }
 
     /// Note a point of class `content` in `voxel`.

@@ -4,11 +4,10 @@
 //! its voxels changed its state, or one beside it ceased to be occupied; the look ends as soon
 //! as enough confident voxels are found. Cost follows the changes, not the size of the map.
 
-use super::blocks::{Block, Cursor, EDGE, EDGE_BITS, Place, has, offset_of};
+use super::blocks::{Bits, Block, Blocks, EDGE, EDGE_BITS, Place, VOLUME, has, offset_of};
 use super::voxel_map::{VoxelMap, filtered, two_to_minus};
 use crate::Error;
 use crate::geometry::lattice::Voxel;
-use std::collections::{HashMap, HashSet};
 
 /// Changes that are kept; above it, as when removal has been given up, all is looked at again.
 const MOST_CHANGES: usize = 1 << 22;
@@ -21,6 +20,8 @@ pub(crate) struct Changes {
     settled_with: Option<Separation>,
     /// A voxel of a component that had enough confident voxels.
     anchor: Option<Voxel>,
+    /// Spare memory of the searches, clear.
+    marks: Vec<Mark>,
 }
 
 impl Changes {
@@ -63,37 +64,31 @@ impl VoxelMap {
     /// Vrba et al., sec. III-D, eq. 23.
     pub fn remove_separate(&mut self, separation: Separation) -> Result<usize, Error> {
         let neighbours = Neighbours::within(separation.max_gap / self.lattice().voxel_size())?;
-        let candidates = self.candidates(separation, &neighbours);
+        let looks_at_all = self.changes.settled_with != Some(separation);
+        let starts =
+            if looks_at_all { self.occupied_voxels() } else { self.changes.voxels.clone() };
         let mut search = Search {
-            cursor: Cursor::new(&self.blocks),
+            blocks: &self.blocks,
             neighbours: &neighbours,
             min_confident: separation.min_confident,
-            seen: HashMap::new(),
+            marks: Marks::take(&mut self.changes.marks, self.blocks.len()),
+            separate: Vec::new(),
+            anchor: None,
         };
-        let mut separate = Vec::new();
-        let mut anchor = None;
-        for &voxel in &candidates {
-            if let Some(members) = search.component(voxel) {
-                separate.extend(members);
-            } else if anchor.is_none() {
-                anchor = Some(voxel);
-            }
+        for voxel in self.changes.anchor.into_iter().chain(starts) {
+            search.look_around(voxel);
         }
-        // Only now: a group that ceased to be anchored is found, and returned, from a candidate.
-        let known = self.changes.anchor.filter(|&voxel| search.is_anchored(voxel));
-        anchor = known.or(anchor);
-        self.changes = Changes { voxels: Vec::new(), settled_with: Some(separation), anchor };
+        let Search { mut separate, anchor, marks, .. } = search;
+        self.changes.marks = marks.give_back();
+        (self.changes.settled_with, self.changes.anchor) = (Some(separation), anchor);
+        self.changes.voxels.clear();
+        separate.retain(|&voxel| self.blocks.stored(voxel).is_finite()); // permanent ones stay
         let (g_free, keep) = (self.parameters().g_free, two_to_minus(1.0));
-        let removable: Vec<Voxel> = {
-            let mut cursor = Cursor::new(&self.blocks);
-            separate.retain(|&voxel| cursor.stored(voxel).is_finite()); // permanent ones stay
-            separate
-        };
-        for &voxel in &removable {
+        for &voxel in &separate {
             self.rewrite(voxel, |value| filtered(value, g_free, keep));
             self.changes.note(voxel); // what is left of the group is looked at again
         }
-        Ok(removable.len())
+        Ok(separate.len())
     }
 
     /// Whether some group of occupied voxels holds enough confident ones, as of the last
@@ -103,35 +98,12 @@ impl VoxelMap {
         self.changes.anchor.is_some()
     }
 
-    /// Occupied voxels from which every component that may have changed can be reached.
-    fn candidates(&self, separation: Separation, neighbours: &Neighbours) -> Vec<Voxel> {
-        if self.changes.settled_with != Some(separation) {
-            return self.occupied_voxels();
-        }
-        let mut cursor = Cursor::new(&self.blocks);
-        let mut changed = self.changes.voxels.clone();
-        changed.sort_unstable();
-        changed.dedup();
-        let mut candidates = Vec::new();
-        for voxel in changed {
-            if cursor.is_tentative(voxel) {
-                candidates.push(voxel);
-            } else {
-                neighbours.each_tentative(&mut cursor, voxel, |beside| candidates.push(beside));
-            }
-        }
-        candidates.sort_unstable();
-        candidates.dedup();
-        candidates
-    }
-
     /// Every voxel that is at least tentatively occupied, in a fixed order.
     #[must_use]
     pub fn occupied_voxels(&self) -> Vec<Voxel> {
         let mut voxels = Vec::new();
         for block in self.blocks.iter().filter(|block| block.tentative != [0; 8]) {
-            for offset in (0..super::blocks::VOLUME).filter(|&offset| has(&block.tentative, offset))
-            {
+            for offset in (0..VOLUME).filter(|&offset| has(&block.tentative, offset)) {
                 voxels.push(block.place.voxel(offset));
             }
         }
@@ -141,7 +113,7 @@ impl VoxelMap {
 }
 
 /// Rows of neighbours: for every (dy, dz) how far the reach goes along x, in voxels.
-pub(crate) struct Neighbours {
+struct Neighbours {
     rows: Vec<(i32, i32, i32)>,
 }
 
@@ -150,7 +122,7 @@ impl Neighbours {
     ///
     /// # Errors
     /// [`Error::Parameter`] unless 0 <= reach <= 64.
-    pub(crate) fn within(reach: f64) -> Result<Self, Error> {
+    fn within(reach: f64) -> Result<Self, Error> {
         const MOST: f64 = 64.0;
         if !(0.0..=MOST).contains(&reach) {
             return Err(Error::Parameter {
@@ -173,82 +145,163 @@ impl Neighbours {
         Ok(Self { rows })
     }
 
-    /// Visit every tentatively occupied voxel around `voxel` (and `voxel` itself).
-    fn each_tentative(&self, cursor: &mut Cursor<'_>, voxel: Voxel, mut visit: impl FnMut(Voxel)) {
+    /// Visit every stretch of a row inside one block: its first voxel and its length, 1 to 8.
+    fn each_stretch(&self, voxel: Voxel, mut visit: impl FnMut(Voxel, i32)) {
         for &(dy, dz, reach) in &self.rows {
-            let (y, z) = (voxel[1] + dy, voxel[2] + dz);
-            let (mut x, end) = (voxel[0] - reach, voxel[0] + reach);
-            while x <= end {
+            let (mut x, end) = (voxel[0] - reach, voxel[0] + reach + 1);
+            while x < end {
                 let wall = ((x >> EDGE_BITS) + 1) * EDGE;
-                if let Some(block) = cursor.block(Place::of([x, y, z])) {
-                    let row = row_bits(block, [x, y, z]);
-                    for beside in
-                        (x..wall.min(end + 1)).filter(|beside| row >> (beside & 7) & 1 == 1)
-                    {
-                        visit([beside, y, z]);
-                    }
-                }
+                visit([x, voxel[1] + dy, voxel[2] + dz], wall.min(end) - x);
                 x = wall;
             }
         }
     }
 }
 
-/// Tentative bits of the row of x that holds `voxel`.
-pub(crate) fn row_bits(block: &Block, voxel: Voxel) -> u8 {
+/// Bits of the row of x that holds `voxel`.
+fn row_of(bits: &Bits, voxel: Voxel) -> u8 {
     let offset = offset_of(voxel);
-    (block.tentative[offset >> 6] >> (offset & 0b11_1000)) as u8
+    (bits[offset >> 6] >> (offset & 0b11_1000)) as u8
 }
 
-#[derive(Clone, Copy, PartialEq)]
-enum Verdict {
-    Anchored,
-    Separate,
+/// Tentative bits of the row of x that holds `voxel`.
+pub(crate) fn row_bits(block: &Block, voxel: Voxel) -> u8 {
+    row_of(&block.tentative, voxel)
+}
+
+fn set_row(bits: &mut Bits, voxel: Voxel, row: u8) {
+    let offset = offset_of(voxel);
+    bits[offset >> 6] |= u64::from(row) << (offset & 0b11_1000);
+}
+
+/// What the searches of one removal know of the voxels of a block.
+#[derive(Clone, Copy, Default)]
+struct Mark {
+    /// Some search has met them.
+    met: Bits,
+    /// Their group holds enough confident voxels.
+    anchored: Bits,
+}
+
+/// Marks per slot of the map's pool; only touched ones are cleared.
+struct Marks {
+    marks: Vec<Mark>,
+    touched: Vec<u32>,
+}
+
+impl Marks {
+    fn take(spare: &mut Vec<Mark>, slots: usize) -> Self {
+        let mut marks = std::mem::take(spare);
+        marks.resize(slots, Mark::default());
+        Self { marks, touched: Vec::new() }
+    }
+
+    fn at(&mut self, slot: u32) -> &mut Mark {
+        let mark = &mut self.marks[slot as usize];
+        if mark.met == [0; 8] {
+            self.touched.push(slot);
+        }
+        mark
+    }
+
+    fn give_back(mut self) -> Vec<Mark> {
+        for slot in self.touched {
+            self.marks[slot as usize] = Mark::default();
+        }
+        self.marks
+    }
 }
 
 /// Breadth-first searches of one removal; what one search learns, the others use.
 struct Search<'a> {
-    cursor: Cursor<'a>,
+    blocks: &'a Blocks,
     neighbours: &'a Neighbours,
     min_confident: usize,
-    seen: HashMap<Voxel, Verdict>,
+    marks: Marks,
+    /// Members of separate groups.
+    separate: Vec<Voxel>,
+    /// A voxel of some anchored group.
+    anchor: Option<Voxel>,
 }
 
 impl Search<'_> {
-    fn is_anchored(&mut self, voxel: Voxel) -> bool {
-        self.cursor.is_tentative(voxel) && self.component(voxel).is_none()
+    /// Look at the group of a voxel that changed; if it is no longer occupied, at the groups
+    /// around it, which it may have held together.
+    fn look_around(&mut self, voxel: Voxel) {
+        let Some((slot, block)) = self.blocks.find(Place::of(voxel)) else { return };
+        if has(&block.tentative, offset_of(voxel)) {
+            if !has(&self.marks.at(slot).met, offset_of(voxel)) {
+                self.component(voxel);
+            }
+            return;
+        }
+        let (neighbours, blocks) = (self.neighbours, self.blocks);
+        neighbours.each_stretch(voxel, |first, length| {
+            let Some((slot, block)) = blocks.find(Place::of(first)) else { return };
+            let row = stretch(first, length) & row_bits(block, first);
+            for x in (0..8).filter(|x| row >> x & 1 == 1) {
+                let beside = [(first[0] & !7) + x, first[1], first[2]];
+                if !has(&self.marks.at(slot).met, offset_of(beside)) {
+                    self.component(beside);
+                }
+            }
+        });
     }
 
-    /// All members of the separate component of `voxel`; None if it is anchored or was
-    /// returned before.
-    fn component(&mut self, start: Voxel) -> Option<Vec<Voxel>> {
-        if let Some(verdict) = self.seen.get(&start) {
-            return (*verdict == Verdict::Separate).then(Vec::new);
-        }
-        let mut members = vec![start];
-        let mut inside = HashSet::from([start]);
+    /// Search the group of `start` until it is anchored, or known whole and separate.
+    fn component(&mut self, start: Voxel) {
+        let mut members = Vec::new();
         let mut confident = 0;
+        let mut anchored = self.min_confident == 0;
+        self.meet(start, 1, &mut members, &mut confident);
         let mut next = 0;
-        let mut verdict = Verdict::Separate;
-        let (seen, neighbours) = (&self.seen, self.neighbours);
-        while next < members.len() && verdict == Verdict::Separate {
-            let voxel = members[next];
+        while let Some(&voxel) = members.get(next).filter(|_| !anchored) {
             next += 1;
-            let block = self.cursor.block(Place::of(voxel));
-            confident +=
-                usize::from(block.is_some_and(|block| has(&block.confident, offset_of(voxel))));
-            if confident >= self.min_confident {
-                verdict = Verdict::Anchored;
-            }
-            neighbours.each_tentative(&mut self.cursor, voxel, |beside| {
-                if seen.get(&beside) == Some(&Verdict::Anchored) {
-                    verdict = Verdict::Anchored;
-                } else if inside.insert(beside) {
-                    members.push(beside);
-                }
+            let neighbours = self.neighbours;
+            neighbours.each_stretch(voxel, |first, length| {
+                anchored |= self.meet(first, length, &mut members, &mut confident);
             });
+            anchored |= confident >= self.min_confident;
         }
-        self.seen.extend(members.iter().map(|&member| (member, verdict)));
-        (verdict == Verdict::Separate).then_some(members)
+        if !anchored {
+            self.separate.append(&mut members);
+            return;
+        }
+        self.anchor = self.anchor.or(Some(start));
+        for voxel in members {
+            if let Some((slot, _)) = self.blocks.find(Place::of(voxel)) {
+                let mark = &mut self.marks.at(slot).anchored;
+                set_row(mark, voxel, 1 << (voxel[0] & 7));
+            }
+        }
     }
+
+    /// Add the new occupied voxels of a stretch. True if one of its voxels is anchored.
+    fn meet(
+        &mut self,
+        first: Voxel,
+        length: i32,
+        members: &mut Vec<Voxel>,
+        confident: &mut usize,
+    ) -> bool {
+        let Some((slot, block)) = self.blocks.find(Place::of(first)) else { return false };
+        let row = stretch(first, length) & row_bits(block, first);
+        if row == 0 {
+            return false;
+        }
+        let mark = self.marks.at(slot);
+        let new = row & !row_of(&mark.met, first);
+        set_row(&mut mark.met, first, new);
+        *confident += (new & row_of(&block.confident, first)).count_ones() as usize;
+        for x in (0..8).filter(|x| new >> x & 1 == 1) {
+            members.push([(first[0] & !7) + x, first[1], first[2]]);
+        }
+        row & row_of(&mark.anchored, first) != 0
+    }
+}
+
+/// Bits of `length` voxels of a row of x, from `first` on.
+fn stretch(first: Voxel, length: i32) -> u8 {
+    let ones = ((1u32 << length) - 1) << (first[0] & 7);
+    ones as u8 // a stretch ends with its block
 }

@@ -311,15 +311,21 @@ pub fn filtered(value: f32, target: f32, keep: f64) -> f32 {
 #[inline]
 pub fn two_to_minus(n: f64) -> f64 {
     const LN_2: f64 = std::f64::consts::LN_2;
+    /// ln(2)^k / k! for k = 10..=1: the exponential series, highest power first.
+    const SERIES: [f64; 10] = {
+        let mut series = [0.0; 10];
+        let (mut power, mut k) = (1.0, 1);
+        while k <= 10 {
+            power *= LN_2 / k as f64;
+            series[10 - k] = power;
+            k += 1;
+        }
+        series
+    };
     let n = n.clamp(0.0, 1000.0);
     let whole = (n + 0.5).floor();
-    let x = (whole - n) * LN_2; // |x| <= ln(2)/2: ten terms of the exponential series
-    let mut series = 1.0;
-    let mut k = 10.0;
-    while k > 0.5 {
-        series = 1.0 + series * x / k;
-        k -= 1.0;
-    }
+    let x = whole - n; // |x| <= 1/2
+    let series = SERIES.iter().fold(0.0, |sum, term| (sum + term) * x) + 1.0;
     series * f64::from_bits((1023 - whole as u64) << 52)
 }
 
