@@ -34,13 +34,8 @@ pub fn traverse(
             key: "voxel_size",
         });
     }
-    let (size, origin) = (lattice.voxel_size(), lattice.origin());
-    let from = minus(start, origin);
-    let span = minus(minus(end, origin), from);
-    // One rounding before the division: exact to 1e-9 m even 1000 km away and along a wall.
-    let wall = |axis: usize, index: f64| libm::fma(index, size, -from[axis]) / span[axis];
-    let mut walk = Walk::along(first, last, norm(minus(end, start)), wall);
-    while let Some((voxel, length, _)) = walk.next() {
+    let mut walk = Walk::new(lattice, start, end, first, last);
+    while let Some((voxel, length)) = walk.next() {
         if visit(voxel, length).is_break() {
             break;
         }
@@ -54,61 +49,58 @@ pub fn voxel_count(first: Voxel, last: Voxel) -> u64 {
     1 + (0..3).map(|axis| u64::from(first[axis].abs_diff(last[axis]))).sum::<u64>()
 }
 
-/// The walk itself. `wall` gives the ray parameter (0 at the start, 1 at the end) of the wall with
-/// an index along an axis: computed afresh, not summed up, so that its error does not grow.
-pub(crate) struct Walk<W> {
+/// The walk itself.
+struct Walk {
     voxel: Voxel,
     last: Voxel,
     step: [i32; 3],
-    /// Ray parameter of the next wall per axis; infinite where the walk has arrived.
+    /// Start relative to the lattice's origin, and from start to end [m].
+    from: [f64; 3],
+    span: [f64; 3],
+    voxel_size: f64,
+    /// Ray parameter (0 at the start, 1 at the end) of the next wall per axis; infinite where the
+    /// walk has arrived.
     t_next: [f64; 3],
     t_enter: f64,
     length: f64,
     done: bool,
-    wall: W,
 }
 
-/// The walk in units of voxels, fast: its error grows with the distance from the lattice's origin.
-#[inline]
-pub(crate) fn scaled_walk(
-    start: [f64; 3],
-    end: [f64; 3],
-    first: Voxel,
-    last: Voxel,
-) -> Walk<impl Fn(usize, f64) -> f64> {
-    let span = minus(end, start);
-    // Finite: of a span whose reciprocal overflows, 0 * inf would be NaN and the walk endless.
-    let per_span = span.map(|span| (1.0 / span).clamp(f64::MIN, f64::MAX));
-    Walk::along(first, last, norm(span), move |axis, index| (index - start[axis]) * per_span[axis])
-}
-
-impl<W: Fn(usize, f64) -> f64> Walk<W> {
-    /// From voxel `first` to voxel `last`, in all `length` long.
-    #[inline]
-    fn along(first: Voxel, last: Voxel, length: f64, wall: W) -> Self {
-        let step = std::array::from_fn(|axis| last[axis].cmp(&first[axis]) as i32);
-        let t_next = [f64::INFINITY; 3];
-        let mut walk =
-            Self { voxel: first, last, step, t_next, t_enter: 0.0, length, done: false, wall };
+impl Walk {
+    fn new(lattice: &Lattice, start: [f64; 3], end: [f64; 3], first: Voxel, last: Voxel) -> Self {
+        let from = minus(start, lattice.origin());
+        let mut walk = Self {
+            voxel: first,
+            last,
+            step: std::array::from_fn(|axis| last[axis].cmp(&first[axis]) as i32),
+            from,
+            span: minus(minus(end, lattice.origin()), from),
+            voxel_size: lattice.voxel_size(),
+            t_next: [f64::INFINITY; 3],
+            t_enter: 0.0,
+            length: norm(minus(end, start)),
+            done: false,
+        };
         for axis in 0..3 {
             walk.aim(axis);
         }
         walk
     }
 
-    /// Find the wall through which the walk leaves its voxel along `axis`.
-    #[inline]
+    /// Find the wall through which the walk leaves its voxel along `axis`: computed afresh, not
+    /// summed up, and with one rounding before the division, so that lengths are exact to 1e-9 m
+    /// even 1000 km away and along a wall.
     fn aim(&mut self, axis: usize) {
         self.t_next[axis] = if self.voxel[axis] == self.last[axis] {
             f64::INFINITY
         } else {
-            (self.wall)(axis, f64::from(self.voxel[axis] + i32::from(self.step[axis] > 0)))
+            let wall = f64::from(self.voxel[axis] + i32::from(self.step[axis] > 0));
+            libm::fma(wall, self.voxel_size, -self.from[axis]) / self.span[axis]
         };
     }
 
-    /// The next voxel, the length inside it, and the axis along which the walk leaves it.
-    #[inline]
-    pub(crate) fn next(&mut self) -> Option<(Voxel, f64, usize)> {
+    /// The next voxel and the length inside it [m].
+    fn next(&mut self) -> Option<(Voxel, f64)> {
         if self.done {
             return None;
         }
@@ -118,16 +110,15 @@ impl<W: Fn(usize, f64) -> f64> Walk<W> {
         let length = (t_exit - self.t_enter) * self.length;
         if voxel == self.last {
             self.done = true;
-            return Some((voxel, length, axis));
+            return Some((voxel, length));
         }
         self.t_enter = t_exit;
         self.voxel[axis] += self.step[axis];
         self.aim(axis);
-        Some((voxel, length, axis))
+        Some((voxel, length))
     }
 }
 
-#[inline]
 fn argmin([x, y, z]: [f64; 3]) -> usize {
     if x <= y && x <= z {
         0
@@ -177,8 +168,6 @@ mod tests {
     fn a_span_whose_reciprocal_overflows_is_walked() -> Result<(), Error> {
         for (from, to) in [(-1e-310, 0.0), (0.0, -1e-310), (-5e-324, 5e-324)] {
             assert_eq!(collect([0.5, from, 0.5], [0.5, to, 0.5])?.len(), 2);
-            let mut walk = scaled_walk([0.5, from, 0.5], [0.5, to, 0.5], [0; 3], [0, -1, 0]);
-            assert!(walk.next().is_some() && walk.next().is_some() && walk.next().is_none());
         }
         Ok(())
     }
