@@ -16,7 +16,7 @@ EMPTY = np.empty((0, 3))
 # Corners of a box around a target's centroid [m]: what a small drone returns.
 BODY = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.15, 0.15) for z in (-0.1, 0.1)])
 ORACLE_TOLERANCE = 1e-9  # relative, of goal G11
-BEST = TrackerConfig()
+BEST = TrackerConfig(report_coast=60.0)  # tracks out of sight are looked at too
 PAPER = TrackerConfig.paper()
 AT_ONCE = {"confirm_hits": 1, "confirm_window": 1}
 
@@ -209,6 +209,21 @@ def test_a_track_in_sight_that_finds_nothing_is_removed_but_a_hidden_one_waits()
         life[name] = (k - 19 + 1) * 0.1
     assert 1.0 < gone["sight"] < 2.5
     assert waiting["hidden"] == pytest.approx(BEST.max_coast + 0.1)
+
+
+def test_a_track_out_of_sight_is_kept_but_not_reported_for_long():
+    wall = np.random.default_rng(0).uniform(-0.5, 0.5, (100, 3)) + np.array([5, 0, 0])
+    tracker = PointCloudTracker(TrackerConfig(report_coast=0.5))
+    target = np.array([[10.0, 0, 0]])
+    for k in range(20):
+        fly(tracker, target, k)
+    reported = []
+    for k in range(20, 30):
+        tracker.new_point_cloud(wall, wall, k * STEP_NS, sensor_origin=np.zeros(3))
+        reported.append(len(tracker.tracks_at(k * STEP_NS)))
+    assert reported == [1] * 5 + [0] * 5
+    fly(tracker, target, 30)
+    assert tracker.tracks_at(30 * STEP_NS).id.tolist() == [0]
 
 
 def test_single_false_detections_make_no_track():

@@ -267,7 +267,7 @@ def _detections(arrays: tuple[NDArray[Any], ...]) -> FlyingDetections:
 
 
 def _tracks(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> Tracks:
-    number, mean, covariance, extent, n_detections, age, _confirmed = arrays
+    number, mean, covariance, extent, n_detections, age, _reported = arrays
     return Tracks(
         id=number,
         position=mean[:, :3],

@@ -172,18 +172,18 @@ def tracks_from(
     arrays: tuple[NDArray[Any], ...], stamp_ns: int, origin: NDArray[np.float64] | None
 ) -> Tracks:
     """Confirmed tracks of the core, moved back to the world's origin."""
-    number, mean, covariance, extent, n_detections, age, confirmed = arrays
-    mean = mean[confirmed]
+    number, mean, covariance, extent, n_detections, age, reported = arrays
+    mean = mean[reported]
     position = mean[:, 0:3] if origin is None else mean[:, 0:3] + origin
     return Tracks(
-        id=number[confirmed],
+        id=number[reported],
         position=position,
         velocity=mean[:, 3:6],
         acceleration=mean[:, 6:9],
-        covariance=covariance[confirmed],
-        extent=extent[confirmed],
-        n_detections=n_detections[confirmed],
-        age=age[confirmed],
+        covariance=covariance[reported],
+        extent=extent[reported],
+        n_detections=n_detections[reported],
+        age=age[reported],
         stamp_ns=stamp_ns,
     )
 

@@ -144,6 +144,12 @@ class TrackerConfig(Config):
         description="A track without measurement for longer is removed in any case [s]; ageing"
         " `visible`.",
     )
+    report_coast: float = Field(
+        0.5,
+        gt=0,
+        description="A track without measurement for longer is kept but not reported [s]; ageing"
+        " `visible`.",
+    )
 
     @model_validator(mode="after")
     def _values_fit_together(self) -> Self:

@@ -46,6 +46,7 @@ pub(crate) struct TrackerConfig {
     merge_speed: f64,
     ageing: String,
     max_coast: f64,
+    report_coast: f64,
 }
 
 const RADIUS_FORMS: [(&str, RadiusForm); 2] =
@@ -64,7 +65,8 @@ impl TrackerConfig {
     }
 
     fn ageing(&self) -> Result<Ageing, Error> {
-        let visible = Ageing::Visible { max_coast: self.max_coast };
+        let visible =
+            Ageing::Visible { max_coast: self.max_coast, report_coast: self.report_coast };
         arrays::choice("ageing", &self.ageing, &[("paper", Ageing::Paper), ("visible", visible)])
     }
 
@@ -116,7 +118,7 @@ type Events<'py> = (
     usize,
 );
 
-/// Number, mean (T, 9), covariance (T, 9, 9), extent (T, 3), detections, age, confirmed.
+/// Number, mean (T, 9), covariance (T, 9, 9), extent (T, 3), detections, age, reported.
 pub(crate) type TrackArrays<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray2<f64>>,
@@ -247,6 +249,6 @@ pub(crate) fn track_arrays(
         arrays::rows_into(py, tracks.iter().map(|track| track.extent).collect())?,
         column(|track| i64::from(track.n_detections)).into_pyarray(py),
         tracks.iter().map(|track| track.age).collect::<Vec<f64>>().into_pyarray(py),
-        tracks.iter().map(|track| track.confirmed).collect::<Vec<bool>>().into_pyarray(py),
+        tracks.iter().map(|track| track.reported).collect::<Vec<bool>>().into_pyarray(py),
     ))
 }

@@ -126,6 +126,11 @@ impl Blocks {
         self.pool.len()
     }
 
+    /// The budget, in blocks.
+    pub(crate) fn max_blocks(&self) -> usize {
+        self.max_blocks
+    }
+
     pub(crate) fn slot(&self, place: Place) -> Option<u32> {
         self.slots.get(&place).copied()
     }

@@ -191,7 +191,7 @@ impl FlyingObjectDetector {
     pub fn tracks_at(&self, stamp_ns: i64) -> Vec<Track> {
         let world_from_map = self.map_from_world.inverse();
         let mut tracks = self.tracker.tracks_at(stamp_ns);
-        tracks.retain(|track| track.confirmed);
+        tracks.retain(|track| track.reported);
         tracks.into_iter().map(|track| track.moved(&world_from_map)).collect()
     }
 

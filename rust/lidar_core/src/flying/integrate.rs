@@ -20,6 +20,10 @@ pub const FLYING: u8 = 2;
 /// Class of a point that is neither.
 pub const UNKNOWN: u8 = 3;
 
+/// Blocks that a scan may touch whatever the budget of the map: those outside its operating volume
+/// are not stored. 256 MiB.
+const LEAST_SCRATCH: usize = 1 << 17;
+
 /// Where rays start [m].
 #[derive(Clone, Copy, Debug)]
 pub enum Origins<'a> {
@@ -89,13 +93,16 @@ impl VoxelMap {
         check_lengths(scan)?;
         let plan = Plan::of(scan, self.parameters(), self.lattice())?;
         let mut stats = plan.stats;
-        let Some([low, high]) = plan.span else { return Ok(stats) };
+        let first_point = plan.points.first().map(|&(voxel, _)| [voxel; 2]);
+        let Some([low, high]) = plan.span.or(first_point) else { return Ok(stats) };
+        let most = self.blocks.max_blocks().max(LEAST_SCRATCH);
         let mut accumulators = std::mem::take(&mut self.accumulators);
         let outcome = Window::spanning(low, high).and_then(|window| {
-            cast_all(self.pool.as_ref(), &mut accumulators, window, &plan.rays);
-            for &(voxel, class) in &plan.points {
+            cast_all(self.pool.as_ref(), &mut accumulators, window, &plan.rays, most);
+            for &(voxel, class) in plan.points.iter().filter(|(voxel, _)| self.admits(*voxel)) {
                 accumulators[0].mark_point(voxel, class);
             }
+            accumulators[0].check()?;
             self.update(&accumulators[0].marked())
         });
         stats.visits = accumulators[0].visits();
@@ -200,7 +207,6 @@ impl Plan {
         class: Content,
     ) -> Result<(), Error> {
         let voxel = lattice.voxel_at(point)?;
-        self.stretch(voxel);
         self.points.push((voxel, class));
         self.stats.points[match class {
             Content::Background => 0,

@@ -10,6 +10,7 @@ use crate::geometry::transform::{minus, norm};
 use crate::geometry::traverse::voxel_count;
 use rayon::ThreadPool;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A segment in units of voxels.
@@ -54,7 +55,7 @@ const RAYS_PER_CHUNK: usize = 1024;
 const MAX_WINDOW: u64 = 1 << 24;
 const EMPTY: u32 = u32::MAX;
 
-/// Blocks that bound the rays and points of one scan.
+/// Blocks that bound the rays of one scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Window {
     low: [i32; 3],
@@ -92,6 +93,10 @@ impl Window {
         let [x, y, z]: [usize; 3] =
             std::array::from_fn(|axis| place.0[axis].wrapping_sub(self.low[axis]) as usize);
         (z * self.size[1] + y) * self.size[0] + x
+    }
+
+    fn holds(&self, place: Place) -> bool {
+        (0..3).all(|axis| (place.0[axis].wrapping_sub(self.low[axis]) as usize) < self.size[axis])
     }
 
     fn place(&self, index: usize) -> Place {
@@ -183,17 +188,23 @@ pub(crate) struct Accumulator {
     table: Vec<u32>,
     touched: Vec<u32>,
     blocks: Vec<[Mark; VOLUME]>,
+    /// Blocks with points beyond the window: a stray return must not widen it.
+    far: BTreeMap<Place, Box<[Mark; VOLUME]>>,
     visits: u64,
+    /// Most blocks that one scan may touch.
+    most: usize,
 }
 
 impl Accumulator {
-    /// Empty the accumulator and aim it at `window`.
-    fn aim(&mut self, window: Window) {
+    /// Empty the accumulator and aim it at `window`; it will touch at most `most` blocks.
+    fn aim(&mut self, window: Window, most: usize) {
         for &index in &self.touched {
             self.table[index as usize] = EMPTY;
         }
         self.touched.clear();
+        self.far.clear();
         self.visits = 0;
+        self.most = most;
         self.table.resize(window.len(), EMPTY);
         self.window = Some(window);
     }
@@ -209,6 +220,9 @@ impl Accumulator {
     #[cold]
     fn open(&mut self, index: usize) -> usize {
         let slot = self.touched.len();
+        if slot > self.most {
+            return slot - 1; // too many: `check` will say so, and nothing of this scan is used
+        }
         self.table[index] = slot as u32;
         self.touched.push(index as u32);
         if slot == self.blocks.len() {
@@ -258,8 +272,16 @@ impl Accumulator {
     /// Note a point of class `content` in `voxel`.
     pub(crate) fn mark_point(&mut self, voxel: Voxel, content: Content) {
         let Some(window) = self.window else { return };
-        let slot = self.slot(&window, Place::of(voxel));
-        let mark = &mut self.blocks[slot][offset_of(voxel)];
+        let place = Place::of(voxel);
+        let block = if window.holds(place) {
+            let slot = self.slot(&window, place);
+            &mut self.blocks[slot]
+        } else if self.far.len() > self.most {
+            return; // as in `open`
+        } else {
+            self.far.entry(place).or_insert_with(|| Box::new([0; VOLUME])).as_mut()
+        };
+        let mark = &mut block[offset_of(voxel)];
         let tag = content as u32;
         if *mark >> COUNT_BITS < tag {
             *mark = tag << COUNT_BITS | 1;
@@ -279,6 +301,19 @@ impl Accumulator {
         self.visits += other.visits;
     }
 
+    /// # Errors
+    /// [`Error::Limit`] if the scan touches too many blocks; its marks are of no use then.
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        if self.touched.len() > self.most || self.far.len() > self.most {
+            return Err(Error::Limit {
+                what: format!("a scan that touches more than {} voxels", self.most * VOLUME),
+                limit: (self.most * VOLUME) as u64,
+                key: "voxel_map.max_voxels",
+            });
+        }
+        Ok(())
+    }
+
     /// Voxels visited by rays, each visit counted.
     pub(crate) fn visits(&self) -> u64 {
         self.visits
@@ -292,21 +327,24 @@ impl Accumulator {
             .iter()
             .zip(&self.blocks)
             .map(|(&index, marks)| (window.place(index as usize), marks))
+            .chain(self.far.iter().map(|(&place, marks)| (place, &**marks)))
             .collect();
         marked.sort_unstable_by_key(|&(place, _)| place);
         marked
     }
 }
 
-/// Sum the lengths of `rays` into the first accumulator; one accumulator per thread.
+/// Sum the lengths of `rays` into the first accumulator; one accumulator per thread. Its `check`
+/// says whether they fit into `most` blocks.
 pub(crate) fn cast_all(
     pool: Option<&ThreadPool>,
     accumulators: &mut [Accumulator],
     window: Window,
     rays: &[Ray],
+    most: usize,
 ) {
     for accumulator in accumulators.iter_mut() {
-        accumulator.aim(window);
+        accumulator.aim(window, most);
     }
     let next = AtomicUsize::new(0);
     let work = |accumulator: &mut Accumulator| {
@@ -314,6 +352,9 @@ pub(crate) fn cast_all(
         for start in std::iter::repeat_with(chunk).take_while(|&start| start < rays.len()) {
             for ray in &rays[start..rays.len().min(start + RAYS_PER_CHUNK)] {
                 accumulator.cast(&window, ray);
+            }
+            if accumulator.check().is_err() {
+                return;
             }
         }
     };
@@ -336,7 +377,7 @@ mod tests {
         let pool = crate::threads::pool(threads)?;
         let mut accumulators: Vec<_> = (0..threads).map(|_| Accumulator::default()).collect();
         let window = Window::spanning([-40; 3], [40; 3])?;
-        cast_all(Some(&pool), &mut accumulators, window, rays);
+        cast_all(Some(&pool), &mut accumulators, window, rays, 1 << 20);
         Ok(accumulators[0]
             .marked()
             .into_iter()
@@ -372,7 +413,7 @@ mod tests {
         let mut accumulators = [Accumulator::default()];
         let window = Window::spanning([0; 3], [15; 3])?;
         let ray = Ray { start: [0.5; 3], end: [3.5, 0.5, 0.5] };
-        cast_all(None, &mut accumulators, window, &[ray]);
+        cast_all(None, &mut accumulators, window, &[ray], 1 << 20);
         let sum = &mut accumulators[0];
         for (x, class) in [
             (1, Content::Unknown),

@@ -74,6 +74,10 @@ impl Buffer {
         self.clouds.iter().filter(move |cloud| cloud.stamp_ns > stamp_ns)
     }
 
+    pub(super) fn newest_ns(&self) -> Option<i64> {
+        self.clouds.back().map(|cloud| cloud.stamp_ns)
+    }
+
     pub(super) fn clear(&mut self) {
         self.clouds.clear();
     }

@@ -18,7 +18,7 @@ pub(super) fn remove_uncertain(
         is_uncertain
             || match parameters.ageing {
                 Ageing::Paper => false,
-                Ageing::Visible { max_coast } => seconds(track.seen_ns, now_ns) > max_coast,
+                Ageing::Visible { max_coast, .. } => seconds(track.seen_ns, now_ns) > max_coast,
             }
     };
     remove(tracks, lost)

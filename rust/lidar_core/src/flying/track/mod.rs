@@ -54,6 +54,8 @@ pub struct Track {
     pub seen_ns: i64,
     /// Whether it is to be reported.
     pub confirmed: bool,
+    /// Confirmed, and not out of sight for too long.
+    pub reported: bool,
 }
 
 /// What a call did to the tracks, by their numbers.
@@ -202,6 +204,7 @@ impl PointCloudTracker {
                 age: seconds(track.born_ns, stamp_ns),
                 seen_ns: track.seen_ns,
                 confirmed: track.confirmed,
+                reported: track.confirmed && self.is_recent(track),
             })
             .collect()
     }
@@ -224,6 +227,15 @@ impl PointCloudTracker {
     #[must_use]
     pub fn parameters(&self) -> &TrackerParameters {
         &self.updater.parameters
+    }
+
+    fn is_recent(&self, track: &TrackState) -> bool {
+        match (self.parameters().ageing, self.buffer.newest_ns()) {
+            (Ageing::Visible { report_coast, .. }, Some(newest_ns)) => {
+                seconds(track.seen_ns, newest_ns) <= report_coast
+            }
+            _ => true,
+        }
     }
 
     fn merge(&self, tracks: &mut Vec<TrackState>) -> Vec<[i64; 2]> {

@@ -101,6 +101,8 @@ pub enum Ageing {
     Visible {
         /// A track without measurement for longer is removed in any case [s].
         max_coast: f64,
+        /// A track without measurement for longer is kept but not reported [s].
+        report_coast: f64,
     },
 }
 

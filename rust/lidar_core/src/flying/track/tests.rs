@@ -27,7 +27,7 @@ fn paper() -> TrackerParameters {
 fn best() -> TrackerParameters {
     TrackerParameters {
         association: Association::Global { gate_probability: 0.997, clutter_density: 1e-5 },
-        ageing: Ageing::Visible { max_coast: 3.0 },
+        ageing: Ageing::Visible { max_coast: 3.0, report_coast: 3.0 },
         merging: Some(Merging { distance: 0.3, speed: 1.0 }),
         confirmation: Confirmation { hits: 2, window: 3 },
         measurement: MeasurementForm::Cluster,
