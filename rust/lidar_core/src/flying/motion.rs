@@ -1,8 +1,10 @@
 //! Where the sensor was at every moment of a scan.
 
+use super::blocks::Spread;
 use crate::Error;
 use crate::geometry::transform::Transform;
 use std::collections::HashMap;
+use std::hash::BuildHasherDefault;
 
 /// A point may lie this much outside the pose stream; the nearest pose is taken then [ns].
 const POSE_SLACK_NS: i64 = 20_000_000;
@@ -84,33 +86,38 @@ impl Motion {
         Some(self.poses[next - 1].interpolate(&self.poses[next], fraction))
     }
 
-    /// Pose of every point: points that share a time share the work.
+    /// Pose of every point, as a table of distinct poses and every point's place in it: points
+    /// that share a time share the work.
     ///
     /// # Errors
     /// [`Error::Value`] for the first time outside the stream.
-    pub(crate) fn per_point(&self, times_ns: &[i64]) -> Result<Vec<Transform>, Error> {
-        let mut known: HashMap<i64, Transform> = HashMap::new();
-        let mut poses = Vec::with_capacity(times_ns.len());
+    pub(crate) fn per_point(&self, times_ns: &[i64]) -> Result<(Vec<Transform>, Vec<u32>), Error> {
+        let mut known: HashMap<i64, u32, BuildHasherDefault<Spread>> = HashMap::default();
+        let (mut poses, mut places) = (Vec::new(), Vec::with_capacity(times_ns.len()));
         for (index, &time) in times_ns.iter().enumerate() {
-            let pose = match known.get(&time) {
-                Some(pose) => *pose,
+            let place = match known.get(&time) {
+                Some(place) => *place,
                 None => {
-                    let pose = self.at(time).ok_or_else(|| Error::Value {
-                        name: "point_time_ns",
-                        expected: "times within 20 ms of `pose_stamps_ns`",
-                        index,
-                        got: format!(
-                            "{time}, poses span {:?}",
-                            [self.stamps_ns.first(), self.stamps_ns.last()]
-                        ),
-                    })?;
-                    known.insert(time, pose);
-                    pose
+                    let place = poses.len() as u32; // at most one per point
+                    poses.push(self.at(time).ok_or_else(|| self.outside(time, index))?);
+                    known.insert(time, place);
+                    place
                 }
             };
-            poses.push(pose);
+            places.push(place);
         }
-        Ok(poses)
+        Ok((poses, places))
+    }
+
+    fn outside(&self, time: i64, index: usize) -> Error {
+        let end = |stamp: Option<&i64>| stamp.copied().unwrap_or_default();
+        let (first, last) = (end(self.stamps_ns.first()), end(self.stamps_ns.last()));
+        Error::Value {
+            name: "point_time_ns",
+            expected: "times within 20 ms of `pose_stamps_ns`",
+            index,
+            got: format!("{time}, outside {first} to {last}"),
+        }
     }
 }
 

@@ -121,33 +121,36 @@ impl Prepared {
 
 /// Pose of every row in the frame of the map.
 struct Poses {
-    each: Option<Vec<Transform>>,
+    table: Vec<Transform>,
+    /// Place of every row in the table; None if all rows share `middle`.
+    places: Option<Vec<u32>>,
     middle: Transform,
 }
 
 impl Poses {
     fn of(raw: &RawScan<'_>, motion: &Motion, map_from_world: &Transform) -> Result<Self, Error> {
-        let each = match raw.point_time_ns {
+        let (table, places) = match raw.point_time_ns {
             Some(times) if motion.is_stream() => {
-                let poses = motion.per_point(times)?;
-                Some(poses.iter().map(|pose| map_from_world.after(pose)).collect::<Vec<_>>())
+                let (table, places) = motion.per_point(times)?;
+                (table.iter().map(|pose| map_from_world.after(pose)).collect(), Some(places))
             }
-            _ => None,
+            _ => (Vec::new(), None),
         };
-        let middle = match &each {
-            Some(each) if !each.is_empty() => each[each.len() / 2],
-            _ => map_from_world.after(&motion.at(raw.stamp_ns).ok_or_else(|| Error::Value {
+        let middle = match places.as_ref().and_then(|places| places.get(places.len() / 2)) {
+            Some(&place) => table[place as usize],
+            None => map_from_world.after(&motion.at(raw.stamp_ns).ok_or_else(|| Error::Value {
                 name: "stamp_ns",
                 expected: "a stamp within 20 ms of `pose_stamps_ns`",
                 index: 0,
                 got: raw.stamp_ns.to_string(),
             })?),
         };
-        Ok(Self { each, middle })
+        Ok(Self { table, places, middle })
     }
 
+    #[inline]
     fn at(&self, row: usize) -> &Transform {
-        self.each.as_ref().map_or(&self.middle, |each| &each[row])
+        self.places.as_ref().map_or(&self.middle, |places| &self.table[places[row] as usize])
     }
 }
 
