@@ -323,6 +323,39 @@ def test_a_scan_wider_than_any_window_is_refused():
     assert vmap.n_stored == 0
 
 
+def test_one_stray_return_far_away_is_mapped_and_costs_nothing():
+    """It used to widen the dense window around the scan until the scan was refused."""
+    rng = np.random.default_rng(6)
+    scan = random_scan(rng, dyadic=False)
+    far = np.float32([[9e5, -8e5, 7e5], [-9e5, 8e5, 7e5]])
+    scan["points"][:2], scan["classes"][:2], scan["no_return"][:2] = far, [1, 3], False
+    for config in (VoxelMapConfig(), VoxelMapConfig(bounds=((-2, -2, -2), (2, 2, 2)))):
+        vmap, oracle = VoxelMap(config), Oracle(config)
+        integrate(vmap, scan)
+        integrate_oracle(oracle, scan)
+        assert_equals_oracle(vmap, oracle)
+        assert vmap.memory_bytes < 2e6
+
+
+def test_a_scan_that_touches_too_much_is_refused_before_it_is_marked():
+    config = VoxelMapConfig(voxel_size=0.01, max_range=150.0, max_voxels=10**6)
+    angle = np.linspace(0, 2 * np.pi, 1000)
+    circle = 100 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    vmap = VoxelMap(config)
+    before = digest(vmap)
+    with pytest.raises(LimitError, match=r"raise `voxel_map\.max_voxels`"):
+        vmap.integrate(circle, np.ones(1000, int), [0, 0, 0])
+    assert digest(vmap) == before
+    vmap.integrate([[0.5, 0.5, 0.5]], [1], [0.1, 0.1, 0.1])
+    assert vmap.values_at([[0.5, 0.5, 0.5]]).tolist() == [-370.0]
+
+
+def test_a_ray_whose_span_underflows_ends():
+    vmap = VoxelMap(VoxelMapConfig(voxel_size=1.0))
+    stats = vmap.integrate([[0.5, 0.0, 0.5]], [3], [0.5, -1e-310, 0.5])
+    assert (stats.n_rays, stats.n_visits) == (1, 2)
+
+
 @pytest.mark.parametrize(
     "scan",
     [

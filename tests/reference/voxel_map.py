@@ -97,7 +97,7 @@ class VoxelMap:
 
     def _add_ray(self, units: Counter[Voxel], start, end) -> None:
         for voxel, length in Segment(start, end, self.config.voxel_size).lengths().items():
-            length_units = math.floor(length / self.config.voxel_size * UNITS_PER_EDGE + 0.5)
+            length_units = round(length / self.config.voxel_size * UNITS_PER_EDGE)  # half to even
             if length_units:
                 units[voxel] = min(units[voxel] + length_units, MOST_UNITS)
 
