@@ -67,7 +67,8 @@ def as_pose(matrix: ArrayLike, *, name: str = "world_from_lidar") -> NDArray[np.
     poses = as_poses(matrix, name=name)
     if len(poses) != 1 or np.ndim(matrix) != 2:
         raise InputError(f"{name}: expected shape (4, 4), got {np.shape(matrix)}")
-    return poses[0]
+    pose: NDArray[np.float64] = poses[0]
+    return pose
 
 
 def as_poses(matrices: ArrayLike, *, name: str = "world_from_lidar") -> NDArray[np.float64]:
