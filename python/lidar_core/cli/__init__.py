@@ -2,21 +2,43 @@
 
 import sys
 from importlib import import_module
+from typing import Annotated
 
 import typer
 
+from lidar_core.cli import config
 from lidar_core.errors import LidarCoreError
 
 app = typer.Typer(
     name="lidar-core",
-    help="From raw LiDAR to the list of things around a robot that matter.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=True,
 )
 
-for _name in ("demo", "info", "simulate", "detect"):
+for _name in ("demo", "info", "simulate", "detect", "doctor"):
     app.command(_name)(import_module(f"lidar_core.cli.{_name}").command)
+app.add_typer(config.app, name="config")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from lidar_core import __version__
+
+        print(f"lidar-core {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    """From raw LiDAR to the list of things around a robot that matter."""
 
 
 def main() -> None:

@@ -1,0 +1,107 @@
+"""`lidar-core config`: what can be set, what is set, and files to start from."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+if TYPE_CHECKING:
+    from lidar_core.config import Config
+
+Mode = Literal["best", "paper"]
+ModelOption = Annotated[
+    str, typer.Option("--model", help="evaluation, flying, poses, read or scene.")
+]
+ModeOption = Annotated[Mode, typer.Option(help="Whose defaults.")]
+
+app = typer.Typer(help="Show, start and describe configuration files (TOML).", no_args_is_help=True)
+
+
+@app.command()
+def show(
+    file: Annotated[Path | None, typer.Argument(help="TOML file; without it the defaults.")] = None,
+    *,
+    model: ModelOption = "flying",
+    mode: ModeOption = "best",
+    changed: Annotated[bool, typer.Option(help="Only what differs from the defaults.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
+) -> None:
+    """Every value in force; those that differ from best mode's defaults are marked."""
+    defaults = _defaults(model, "best")
+    config = _defaults(model, mode) if file is None else type(defaults).read(file)
+    if as_json:
+        print(json.dumps(config.model_dump(mode="json"), indent=2))
+        return
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from lidar_core.parameters import toml_value
+
+    before = dict(_flat(defaults.model_dump(mode="json")))
+    table = Table("parameter", "value", "default")
+    for path, value in _flat(config.model_dump(mode="json")):
+        text, default = toml_value(value), toml_value(before[path]) if path in before else "-"
+        differs = text != default
+        if differs or not changed:
+            style = "bold" if differs else None
+            table.add_row(path, escape(text), escape(default) if differs else "", style=style)
+    Console().print(table)
+
+
+@app.command()
+def init(
+    *,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="File to write; without it printed.")
+    ] = None,
+    model: ModelOption = "flying",
+    mode: ModeOption = "best",
+    overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False,
+) -> None:
+    """Write a file with every parameter, its meaning, unit and range."""
+    from lidar_core.errors import ConfigError
+    from lidar_core.parameters import commented_toml
+
+    text = commented_toml(_defaults(model, mode))
+    if output is None:
+        print(text, end="")
+        return
+    if output.exists() and not overwrite:
+        raise ConfigError(f"{output}: exists; --overwrite replaces it")
+    output.write_text(text, encoding="utf-8")
+    print(output)
+
+
+@app.command()
+def schema(*, model: ModelOption = "flying") -> None:
+    """Print the JSON Schema, for editors and checks."""
+    from lidar_core.parameters import model_named
+
+    print(json.dumps(model_named(model).model_json_schema(), indent=2))
+
+
+def _defaults(model: str, mode: Mode) -> "Config":
+    from lidar_core.errors import ConfigError
+    from lidar_core.parameters import model_named
+
+    kind = model_named(model)
+    if mode == "best":
+        return kind()
+    paper = getattr(kind, "paper", None)
+    if paper is None:
+        raise ConfigError(f"mode: {model} has no paper mode")
+    config: Config = paper()
+    return config
+
+
+def _flat(values: dict[str, object], path: str = "") -> list[tuple[str, object]]:
+    """Values by their dotted paths."""
+    rows: list[tuple[str, object]] = []
+    for name, value in values.items():
+        if isinstance(value, dict):
+            rows += _flat(value, f"{path}{name}.")
+        else:
+            rows.append((f"{path}{name}", value))
+    return rows

@@ -1,0 +1,105 @@
+"""`lidar-core doctor`: what is installed, what is missing, and whether the core works."""
+
+import json
+import os
+import platform
+import re
+from importlib import metadata
+from typing import Annotated, Any
+
+import typer
+
+_REQUIREMENT = re.compile(r"(?P<name>[A-Za-z0-9._-]+).*;.*extra\s*==\s*['\"](?P<extra>[\w-]+)['\"]")
+_CORE = ("numpy", "pydantic", "onnxruntime", "typer", "rich", "tomli-w")
+_ALONE = ("ouster",)
+"""Extras whose pins clash with other extras: they go into an environment of their own."""
+
+
+def command(
+    as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
+) -> None:
+    """Versions, optional packages and a short check of the core; exit status 1 if that fails."""
+    report = _report()
+    if as_json:
+        print(json.dumps(report, indent=2))
+    else:
+        _print(report)
+    if report["core"] != "works":
+        raise typer.Exit(1)
+
+
+def _report() -> dict[str, Any]:
+    from lidar_core import __version__
+
+    return {
+        "lidar_core": __version__,
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "cores": os.cpu_count(),
+        "core": _check_core(),
+        "packages": {name: _version(name) for name in _CORE},
+        "extras": {
+            extra: {name: _version(name) for name in names} for extra, names in _extras().items()
+        },
+    }
+
+
+def _check_core() -> str:
+    """Map one scan and look at it again."""
+    import numpy as np
+
+    import lidar_core as lc
+
+    try:
+        vmap = lc.VoxelMap(threads=2)
+        wall = np.stack([np.full(50, 5.0), np.linspace(-2, 2, 50), np.zeros(50)], axis=1)
+        vmap.integrate(wall, np.ones(50, np.uint8), (0, 0, 0))
+        states = vmap.state_at([[2.6, 0.0, 0.0], [5.0, 0.0, 0.0]]).tolist()
+    except Exception as error:  # whatever it is, the user is to see it
+        return f"fails: {type(error).__name__}: {error}"
+    return "works" if states == [0, 2] else f"fails: expected states [0, 2], got {states}"
+
+
+def _extras() -> dict[str, list[str]]:
+    """Packages of every extra, as the installed distribution declares them."""
+    found: dict[str, list[str]] = {}
+    for line in metadata.requires("lidar-core") or []:
+        match = _REQUIREMENT.match(line)
+        if match and match["name"] != "lidar-core":
+            found.setdefault(match["extra"], []).append(match["name"])
+    return {extra: sorted(names) for extra, names in sorted(found.items())}
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _print(report: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    console = Console()
+    console.print(
+        f"lidar_core {report['lidar_core']}, Python {report['python']}, {report['platform']},"
+        f" {report['cores']} cores"
+    )
+    console.print(f"core: {report['core']}", style=None if report["core"] == "works" else "red")
+    table = Table("extra", "packages", "to install")
+    table.add_row("-", _listed(report["packages"]), "")
+    for extra, packages in report["extras"].items():
+        cure = _cure(extra) if None in packages.values() else ""
+        table.add_row(extra, _listed(packages), escape(cure))
+    console.print(table)
+
+
+def _listed(packages: dict[str, str | None]) -> str:
+    return ", ".join(f"{name} {version or '(missing)'}" for name, version in packages.items())
+
+
+def _cure(extra: str) -> str:
+    command = f"pip install 'lidar-core[{extra}]'"
+    return f"in an environment of its own: {command}" if extra in _ALONE else command
