@@ -63,8 +63,9 @@ fn track(c: &mut Criterion) -> Result<(), Error> {
                         positions: &positions,
                         covariance: None,
                         extent: None,
+                        delay: None,
                     };
-                    let seen = tracker.new_point_cloud(&cloud, &occupied, None, stamp_ns);
+                    let seen = tracker.new_point_cloud(&cloud, None, &occupied, None, stamp_ns);
                     std::hint::black_box(seen.is_ok());
                     std::hint::black_box(tracker.new_detections(&detections, &occupied).is_ok());
                 }

@@ -153,6 +153,7 @@ class PointCloudTracker:
         stamp_ns: int,
         *,
         sensor_origin: NDArray[np.float64] | None,
+        delays: NDArray[np.float32] | None,
     ) -> _TrackEventArrays: ...
     def new_detections(
         self,
@@ -162,6 +163,7 @@ class PointCloudTracker:
         *,
         covariance: NDArray[np.float64] | None,
         extent: NDArray[np.float64] | None,
+        delay: NDArray[np.float64] | None,
     ) -> _TrackEventArrays: ...
     def tracks_at(self, stamp_ns: int) -> _TrackArrays: ...
     def reset(self) -> None: ...

@@ -47,6 +47,11 @@ def random_world(seed, scans):
         yield cloud, background, np.concatenate([found + noise, false, twice]), late
 
 
+def scan_times(count):
+    """When the rays of a scan of 0.1 s were fired, after its start [ns]."""
+    return np.linspace(0, STEP_NS, count).astype(np.int64)
+
+
 def same(events, expected):
     assert events.is_late == expected.late
     for name in ("corrected", "born", "confirmed", "removed", "merged"):
@@ -79,15 +84,20 @@ def test_oracle_agrees_on_random_worlds(config, seed):
     for k, (cloud, voxels, found, late) in enumerate(random_world(seed, 25)):
         stamp = (k + (2 * (k % 7 == 3) - 2 * (k % 7 == 5))) * STEP_NS + k  # some clouds come late
         occupied = voxels.astype(np.float32)
+        after_ns = scan_times(len(cloud)) if k % 3 else np.zeros(len(cloud), np.int64)
+        delays = (after_ns * 1e-9).astype(np.float32).astype(float)
         same(
-            tracker.new_point_cloud(cloud, occupied, stamp),
-            reference.new_point_cloud(cloud, occupied, stamp),
+            tracker.new_point_cloud(cloud, occupied, stamp, point_time_ns=stamp + after_ns),
+            reference.new_point_cloud(cloud, occupied, stamp, delays=delays),
         )
         known = np.repeat(covariance, len(found), axis=0) if k % 2 else None
         at = stamp - late * STEP_NS
+        times = at + scan_times(len(found))
         same(
-            tracker.new_detections(found, at, covariance=known),
-            reference.new_detections(found, occupied, at, covariance=known),
+            tracker.new_detections(found, at, covariance=known, time_ns=times),
+            reference.new_detections(
+                found, occupied, at, covariance=known, delay=(times - at) * 1e-9
+            ),
         )
         assert_same_state(tracker, reference, stamp)
         assert_same_state(tracker, reference, stamp + 30_000_000)

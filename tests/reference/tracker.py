@@ -108,10 +108,11 @@ class Tracker:
         r = self.radius(track.P)
         return r if self.c.ageing == "paper" else min(r, self.c.radius_max)
 
-    def correct(self, track, z, R, extent):
+    def correct(self, track, z, R, extent, delay=0.0):
+        H = np.hstack([EYE, delay * EYE, delay**2 / 2 * EYE])
         S = H @ track.P @ H.T + R
         K = track.P @ H.T @ np.linalg.inv(S)
-        track.x = track.x + K @ (z - track.r)
+        track.x = track.x + K @ (z - H @ track.x)
         track.P = (np.eye(9) - K @ H) @ track.P
         track.P = (track.P + track.P.T) / 2
         track.aged = track.P
@@ -120,8 +121,8 @@ class Tracker:
 
     # --- clusters -----------------------------------------------------------------------------
 
-    def clusters(self, points, occupied):
-        """Centroid, covariance, extent of every acceptable cluster, by first appearance."""
+    def clusters(self, points, occupied, delays=None):
+        """Centroid, covariance, extent, mean delay of every acceptable cluster, by first appearance."""
         if len(points) == 0:
             return []
         _, label = connected_components(cdist(points, points) <= self.c.cluster_distance)
@@ -141,7 +142,8 @@ class Tracker:
             R = self.c.measurement_std**2 * EYE
             if self.c.measurement == "cluster":
                 R = R + (own - centroid).T @ (own - centroid) / len(own) ** 2
-            found.append((centroid, R, extent))
+            timed = delays is not None and self.c.measurement == "cluster"
+            found.append((centroid, R, extent, delays[label == name].mean() if timed else 0.0))
         return found
 
     def assign(self, rows, columns, offset):
@@ -164,15 +166,15 @@ class Tracker:
 
     # --- Algorithm 2 --------------------------------------------------------------------------
 
-    def update(self, tracks, stamp, points, occupied):
+    def update(self, tracks, stamp, points, occupied, delays=None):
         due = [track for track in tracks if track.stamp < stamp]
         elapsed = [(stamp - track.stamp) * 1e-9 for track in due]
         for track in due:
             self.move(track, stamp)
         if self.c.association == "paper":
-            found = [self.nearest(track, points, occupied) for track in due]
+            found = [self.nearest(track, points, occupied, delays) for track in due]
         else:
-            found = self.one_to_one(due, points, occupied)
+            found = self.one_to_one(due, points, occupied, delays)
         for track, cluster, dt in zip(due, found, elapsed, strict=True):
             if cluster is None:
                 A, Q = self.model(dt)
@@ -184,34 +186,38 @@ class Tracker:
     def inside(self, points, track, margin=0.0):
         return np.linalg.norm(points - track.r, axis=1) <= self.reach(track) + margin
 
-    def nearest(self, track, points, occupied):
-        found = self.clusters(points[self.inside(points, track)], occupied)
+    def nearest(self, track, points, occupied, delays=None):
+        own = self.inside(points, track)
+        found = self.clusters(points[own], occupied, None if delays is None else delays[own])
         return min(found, key=lambda cluster: np.linalg.norm(cluster[0] - track.r), default=None)
 
-    def one_to_one(self, tracks, points, occupied):
+    def one_to_one(self, tracks, points, occupied, delays=None):
         margin = self.c.max_extent or 0.0
         chosen = np.zeros(len(points), bool)
         for track in tracks:
             chosen |= self.inside(points, track, margin)
-        found = self.clusters(points[chosen], occupied)
+        found = self.clusters(points[chosen], occupied, None if delays is None else delays[chosen])
 
         def offset(row, column):
-            y = found[column][0] - tracks[row].r
+            z, R, _, delay = found[column]
+            y = z - (tracks[row].r + delay * tracks[row].x[3:6])
             if np.linalg.norm(y) > self.reach(tracks[row]):
                 return None
-            return y, tracks[row].P[:3, :3] + found[column][1]
+            return y, tracks[row].P[:3, :3] + R
 
         columns = self.assign(len(tracks), len(found), offset)
         return [None if column is None else found[column] for column in columns]
 
-    def new_point_cloud(self, points, occupied, stamp):
-        points = points[np.isfinite(points).all(axis=1)].astype(float)
+    def new_point_cloud(self, points, occupied, stamp, delays=None):
+        finite = np.isfinite(points).all(axis=1)
+        points = points[finite].astype(float)
+        delays = None if delays is None else delays[finite]
         events = Events(late=bool(self.buffer) and stamp < self.buffer[-1][0])
         if not events.late:
-            events.corrected = self.update(self.tracks, stamp, points, occupied)
+            events.corrected = self.update(self.tracks, stamp, points, occupied, delays)
             events.removed = self.remove(lambda track: self.is_lost(track, stamp))
             events.merged = self.merge()
-        self.buffer.append((stamp, points))
+        self.buffer.append((stamp, points, delays))
         self.buffer.sort(key=lambda cloud: cloud[0])
         self.buffer = self.buffer[-self.c.buffer_size :]
         return events
@@ -226,7 +232,7 @@ class Tracker:
         self.tracks = [track for track in self.tracks if not gone(track)]
         return removed
 
-    def new_detections(self, positions, occupied, stamp, covariance=None):
+    def new_detections(self, positions, occupied, stamp, covariance=None, delay=None):
         fresh = []
         for index, z in enumerate(positions):
             P = np.zeros((9, 9))
@@ -237,11 +243,15 @@ class Tracker:
                     P[:3, :3] += self.c.measurement_std**2 * EYE
             P[3:6, 3:6] = self.c.initial_velocity**2 * EYE
             P[6:, 6:] = self.c.initial_acceleration**2 * EYE
+            late = 0.0 if delay is None or self.c.measurement == "paper" else delay[index]
+            J = np.eye(9)
+            J[:3, 3:6] = -late * EYE  # r = z - v * delay
+            P = J @ P @ J.T
             x = np.r_[z, np.zeros(6)]
             fresh.append(Track(x, P, P, stamp, stamp, stamp, np.zeros(3)))
-        for time, points in self.buffer:
+        for time, points, delays in self.buffer:
             if time > stamp:
-                self.update(fresh, time, points, occupied)
+                self.update(fresh, time, points, occupied, delays)
         fresh = [track for track in fresh if self.radius(track.P) <= self.c.radius_max]
         known = len(self.tracks)
         fed = self.join_nearest(fresh) if self.c.association == "paper" else self.join(fresh)

@@ -61,6 +61,7 @@ class PointCloudTracker:
         stamp_ns: int,
         *,
         sensor_origin: ArrayLike | None = None,
+        point_time_ns: ArrayLike | None = None,
     ) -> TrackEvents:
         """Move every track to the cloud's time and correct it with its cluster.
 
@@ -78,6 +79,9 @@ class PointCloudTracker:
         sensor_origin : array_like, shape (3,), optional
             Where the scan was taken from [m], world frame: a track behind nearer points then
             waits, up to `config.max_coast`, instead of growing towards removal.
+        point_time_ns : array_like, shape (N,), int64, optional
+            Absolute time of every point [ns]: a cluster then counts at the mean time of its
+            points (config.measurement "cluster").
 
         Returns
         -------
@@ -101,7 +105,14 @@ class PointCloudTracker:
         if sensor_origin is not None:
             sensor = as_vector(sensor_origin, name="sensor_origin", size=3)
             sensor = sensor if origin is None else sensor - origin
-        events = self._tracker.new_point_cloud(points, occupied, stamp, sensor_origin=sensor)
+        delays = _delays(point_time_ns, "point_time_ns", len(points), stamp)
+        events = self._tracker.new_point_cloud(
+            points,
+            occupied,
+            stamp,
+            sensor_origin=sensor,
+            delays=None if delays is None else delays.astype(np.float32),
+        )
         self._origin = origin
         self._occupied = occupied
         return TrackEvents(*events)
@@ -113,6 +124,7 @@ class PointCloudTracker:
         *,
         covariance: ArrayLike | None = None,
         extent: ArrayLike | None = None,
+        time_ns: ArrayLike | None = None,
     ) -> TrackEvents:
         """Take in a set of detections, which may be older than the clouds.
 
@@ -128,6 +140,8 @@ class PointCloudTracker:
             Their covariances [m^2]; without it, `config.initial_position` holds.
         extent : array_like, shape (M, 3), optional
             Sides of their bounding boxes [m].
+        time_ns : array_like, shape (M,), int64, optional
+            When each position was measured [ns], within 10 s of `stamp_ns`; without it, then.
 
         Returns
         -------
@@ -152,6 +166,7 @@ class PointCloudTracker:
             stamp,
             covariance=_optional(covariance, "covariance", len(rows), (3, 3)),
             extent=_optional(extent, "extent", len(rows), (3,)),
+            delay=_delays(time_ns, "time_ns", len(rows), stamp),
         )
         self._origin = origin
         return TrackEvents(*events)
@@ -204,6 +219,16 @@ def local(points: ArrayLike, origin: NDArray[np.float64] | None, *, name: str) -
     if origin is not None and array.shape[-1:] == (3,):
         array = array.astype(np.float64) - origin
     return as_points(array, name=name)
+
+
+def _delays(
+    time_ns: ArrayLike | None, name: str, rows: int, stamp_ns: int
+) -> NDArray[np.float64] | None:
+    """Times after the stamp [s]."""
+    if time_ns is None:
+        return None
+    times = as_real(time_ns, name=name).reshape(-1)
+    return (as_rows(times, name=name, rows=rows, shape=(), dtype=np.int64) - stamp_ns) * 1e-9
 
 
 def _optional(

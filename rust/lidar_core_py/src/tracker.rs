@@ -11,7 +11,7 @@ use lidar_core::flying::track::{
 };
 use lidar_core::geometry::cluster::Clustering;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
-use numpy::{PyReadonlyArray2, PyReadonlyArray3};
+use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;
 
 /// The fields of `TrackerConfig`.
@@ -142,7 +142,7 @@ impl PyPointCloudTracker {
         Ok(Self(Guarded::new(tracker)))
     }
 
-    #[pyo3(signature = (points, occupied, stamp_ns, *, sensor_origin))]
+    #[pyo3(signature = (points, occupied, stamp_ns, *, sensor_origin, delays))]
     fn new_point_cloud<'py>(
         &self,
         py: Python<'py>,
@@ -150,19 +150,22 @@ impl PyPointCloudTracker {
         occupied: PyReadonlyArray2<'py, f32>,
         stamp_ns: i64,
         sensor_origin: Option<[f64; 3]>,
+        delays: Option<PyReadonlyArray1<'py, f32>>,
     ) -> Result<Events<'py>, BorderError> {
         let points = arrays::rows3("points", &points)?;
         let occupied = arrays::rows3("occupied", &occupied)?;
+        let delays = arrays::maybe_flat("delays", &delays)?;
         let stats = self.0.with(py, |tracker| {
             let occupied = OccupiedPoints::new(occupied, tracker.parameters().occupied_distance);
             let view = sensor_origin.map(|origin| CloudView { points, origin });
             let visibility = view.as_ref().map(|view| view as &dyn Visibility);
-            tracker.new_point_cloud(points, &occupied, visibility, stamp_ns)
+            tracker.new_point_cloud(points, delays, &occupied, visibility, stamp_ns)
         })?;
         events(py, stats)
     }
 
-    #[pyo3(signature = (positions, occupied, stamp_ns, *, covariance, extent))]
+    #[pyo3(signature = (positions, occupied, stamp_ns, *, covariance, extent, delay))]
+    #[allow(clippy::too_many_arguments)] // one call per set, as the public API has it
     fn new_detections<'py>(
         &self,
         py: Python<'py>,
@@ -171,6 +174,7 @@ impl PyPointCloudTracker {
         stamp_ns: i64,
         covariance: Option<PyReadonlyArray3<'py, f64>>,
         extent: Option<PyReadonlyArray2<'py, f64>>,
+        delay: Option<PyReadonlyArray1<'py, f64>>,
     ) -> Result<Events<'py>, BorderError> {
         let covariance = covariance.as_ref().map(covariances).transpose()?;
         let detections = Detections {
@@ -178,6 +182,7 @@ impl PyPointCloudTracker {
             positions: arrays::rows3("positions", &positions)?,
             covariance,
             extent: arrays::maybe_rows3("extent", &extent)?,
+            delay: arrays::maybe_flat("delay", &delay)?,
         };
         let occupied = arrays::rows3("occupied", &occupied)?;
         let stats = self.0.with(py, |tracker| {

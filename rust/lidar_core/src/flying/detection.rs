@@ -2,6 +2,7 @@
 
 use super::analysis::{pose_jacobian, propagated};
 use super::classify::{Cluster, Verdict};
+use super::scan::Prepared;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, minus, norm};
 
@@ -14,6 +15,8 @@ pub struct Detection {
     pub covariance: [[f64; 3]; 3],
     /// Edges of the box around its points [m].
     pub extent: [f64; 3],
+    /// Mean time of its points after the stamp of the scan [s].
+    pub delay: f64,
     /// Points in the scan.
     pub n_points: usize,
     /// 0 to 1: share of free voxels around it, less for few points.
@@ -30,12 +33,12 @@ impl Detection {
     /// noise, and along the line of sight that only the near side is seen (half the lateral
     /// extent, as a standard deviation of a quarter of it).
     pub(crate) fn of(
-        points: &[[f32; 3]],
+        scan: &Prepared,
         cluster: &Cluster,
         verdict: &Verdict,
-        origin: [f64; 3],
         range_std: f64,
     ) -> Self {
+        let (points, origin) = (&scan.points, scan.pose.translation);
         let count = cluster.members.len() as f64;
         let sight = minus(cluster.centroid, origin);
         let distance = norm(sight).max(f64::MIN_POSITIVE);
@@ -61,6 +64,10 @@ impl Detection {
             position: cluster.centroid,
             covariance,
             extent: cluster.extent(),
+            delay: scan.delays.as_ref().map_or(0.0, |delays| {
+                cluster.members.iter().map(|&row| f64::from(delays[row as usize])).sum::<f64>()
+                    / count
+            }),
             n_points: cluster.members.len(),
             confidence,
         }

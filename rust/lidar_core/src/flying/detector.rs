@@ -420,11 +420,10 @@ impl FlyingObjectDetector {
         pose_covariance: Option<&[[f64; 6]; 6]>,
     ) -> Found {
         let mut found = Found::default();
-        let origin = scan.pose.translation;
         let turn = Transform { translation: [0.0; 3], ..self.map_from_world };
         for (cluster, verdict) in clusters.iter().zip(verdicts).filter(|(_, v)| v.class == FLYING) {
             let range_std = self.parameters.range_std;
-            let mut detection = Detection::of(&scan.points, cluster, verdict, origin, range_std);
+            let mut detection = Detection::of(scan, cluster, verdict, range_std);
             if let Some(covariance) = pose_covariance {
                 detection.add_pose_covariance(&scan.pose, &turn, covariance);
             }
@@ -442,12 +441,20 @@ impl FlyingObjectDetector {
 
     fn track(&mut self, scan: &Prepared, found: &Found, stamp_ns: i64) -> Result<(), Error> {
         let view = ScanView::new(scan, self.parameters.target_radius);
-        self.tracker.new_point_cloud(&scan.points, &self.map, Some(&view), stamp_ns)?;
+        self.tracker.new_point_cloud(
+            &scan.points,
+            scan.delays.as_deref(),
+            &self.map,
+            Some(&view),
+            stamp_ns,
+        )?;
         let positions: Vec<_> = found.detections.iter().map(|found| found.position).collect();
         let covariance: Vec<_> = found.detections.iter().map(|found| found.covariance).collect();
         let extent: Vec<_> = found.detections.iter().map(|found| found.extent).collect();
+        let delay: Vec<_> = found.detections.iter().map(|found| found.delay).collect();
         let detections = Detections {
             stamp_ns,
+            delay: Some(&delay),
             positions: &positions,
             covariance: Some(&covariance),
             extent: Some(&extent),

@@ -40,6 +40,8 @@ pub(crate) struct Prepared {
     pub(crate) directions: Option<Vec<[f32; 3]>>,
     pub(crate) no_return: Vec<bool>,
     pub(crate) no_ray: Option<Vec<bool>>,
+    /// Time of every point after the stamp [s].
+    pub(crate) delays: Option<Vec<f32>>,
     /// Pose in the middle of the scan.
     pub(crate) pose: Transform,
     /// Whether open sky is cleared by rays without return.
@@ -64,6 +66,7 @@ impl Prepared {
             origins: Vec::with_capacity(raw.points.len()),
             directions: None,
             no_return: vec![false; raw.points.len()],
+            delays: raw.point_time_ns.map(|times| delays(times, raw.stamp_ns)),
             no_ray: farthest_returns(raw.points, sensor.parameters.returns_per_ray),
             pose: poses.middle,
             clears_sky: raw.no_return.is_some(),
@@ -110,6 +113,9 @@ impl Prepared {
         self.points.resize(self.rows + missing.len(), [f32::NAN; 3]);
         self.origins.resize(self.rows + missing.len(), pose.translation);
         self.no_return.resize(self.rows + missing.len(), true);
+        if let Some(delays) = &mut self.delays {
+            delays.resize(self.rows + missing.len(), 0.0);
+        }
         if let Some(no_ray) = &mut self.no_ray {
             no_ray.resize(self.rows + missing.len(), false);
         }
@@ -177,6 +183,10 @@ fn check(raw: &RawScan<'_>, sensor: &Sensor) -> Result<(), Error> {
         });
     }
     Ok(())
+}
+
+fn delays(times_ns: &[i64], stamp_ns: i64) -> Vec<f32> {
+    times_ns.iter().map(|time| (time.saturating_sub(stamp_ns) as f64 * 1e-9) as f32).collect()
 }
 
 /// With several returns per ray only the farthest one casts a ray: the way to the nearer ones is

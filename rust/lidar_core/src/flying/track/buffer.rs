@@ -8,18 +8,28 @@ use std::collections::VecDeque;
 pub(super) struct Cloud {
     pub(super) stamp_ns: i64,
     pub(super) points: Vec<[f32; 3]>,
+    /// Time of every point after the stamp [s]; None if all are at the stamp.
+    pub(super) delays: Option<Vec<f32>>,
 }
 
 impl Cloud {
     /// A copy of a scan.
     ///
     /// # Errors
-    /// [`Error::Limit`] for too many points.
-    pub(super) fn new(points: &[[f32; 3]], stamp_ns: i64) -> Result<Self, Error> {
+    /// [`Error::Limit`] for too many points, [`Error::Length`] for delays that do not fit.
+    pub(super) fn new(
+        points: &[[f32; 3]],
+        delays: Option<&[f32]>,
+        stamp_ns: i64,
+    ) -> Result<Self, Error> {
+        if let Some(delays) = delays.filter(|delays| delays.len() != points.len()) {
+            let (expected, got) = (points.len(), delays.len());
+            return Err(Error::Length { name: "point_time_ns", expected, got });
+        }
         let mut kept =
             vec_with_capacity("a point cloud", points.len(), MAX_POINTS, "split the scan")?;
         kept.extend_from_slice(points);
-        Ok(Self { stamp_ns, points: kept })
+        Ok(Self { stamp_ns, points: kept, delays: delays.map(<[f32]>::to_vec) })
     }
 }
 

@@ -12,6 +12,8 @@ use std::cmp::Ordering;
 pub(super) struct Measurement {
     pub(super) position: Vector3<f64>,
     pub(super) covariance: Matrix3<f64>,
+    /// Time of the measurement after the state's [s]: a scan takes a while.
+    pub(super) delay: f64,
     pub(super) extent: [f64; 3],
 }
 
@@ -26,17 +28,18 @@ pub(super) struct Measurement {
 /// Vrba et al., Algorithm 2, lines 37-39 and 43.
 pub(super) fn candidates(
     points: &[[f32; 3]],
+    delays: &[f32],
     occupied: &dyn Occupancy,
     parameters: &TrackerParameters,
 ) -> Result<Vec<Measurement>, Error> {
     let labels = cluster::label(points, &parameters.clustering)?;
     let mut clusters: Vec<Cluster> = Vec::new();
-    for (point, &label) in points.iter().zip(&labels) {
+    for (row, (point, &label)) in points.iter().zip(&labels).enumerate() {
         let Ok(label) = usize::try_from(label) else { continue }; // noise is negative
         if label >= clusters.len() {
             clusters.resize(label + 1, Cluster::EMPTY);
         }
-        clusters[label].add(*point);
+        clusters[label].add(*point, delays.get(row).copied().unwrap_or(0.0));
     }
     let mut measurements: Vec<Measurement> = clusters
         .into_iter()
@@ -59,7 +62,8 @@ fn order<T: Copy + PartialOrd>(one: &[T; 3], other: &[T; 3]) -> Ordering {
 
 #[derive(Clone)]
 struct Cluster {
-    points: Vec<[f32; 3]>,
+    /// Coordinates and delay.
+    points: Vec<([f32; 3], f32)>,
     low: [f32; 3],
     high: [f32; 3],
 }
@@ -68,8 +72,8 @@ impl Cluster {
     const EMPTY: Self =
         Self { points: Vec::new(), low: [f32::INFINITY; 3], high: [f32::NEG_INFINITY; 3] };
 
-    fn add(&mut self, point: [f32; 3]) {
-        self.points.push(point);
+    fn add(&mut self, point: [f32; 3], delay: f32) {
+        self.points.push((point, delay));
         for (axis, value) in point.into_iter().enumerate() {
             self.low[axis] = self.low[axis].min(value);
             self.high[axis] = self.high[axis].max(value);
@@ -81,9 +85,16 @@ impl Cluster {
     }
 
     fn measurement(mut self, parameters: &TrackerParameters) -> Measurement {
-        self.points.sort_unstable_by(order);
+        self.points.sort_unstable_by(|(one, early), (other, late)| {
+            order(one, other).then(early.total_cmp(late))
+        });
         let count = self.points.len() as f64;
-        let places = || self.points.iter().map(|point| Vector3::from(point.map(f64::from)));
+        let places = || self.points.iter().map(|(point, _)| Vector3::from(point.map(f64::from)));
+        let delays = self.points.iter().map(|&(_, delay)| f64::from(delay));
+        let delay = match parameters.measurement {
+            MeasurementForm::Paper => 0.0,
+            MeasurementForm::Cluster => delays.sum::<f64>() / count,
+        };
         let position = places().sum::<Vector3<f64>>() / count;
         let std = parameters.measurement_std;
         let mut covariance = Matrix3::identity() * (std * std);
@@ -92,6 +103,6 @@ impl Cluster {
                 places().map(|place| (place - position) * (place - position).transpose()).sum();
             covariance += scatter / (count * count);
         }
-        Measurement { position, covariance, extent: self.extent() }
+        Measurement { position, covariance, delay, extent: self.extent() }
     }
 }

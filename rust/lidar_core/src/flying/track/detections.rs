@@ -11,6 +11,9 @@ use crate::Error;
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix3, Vector3};
 
+/// No scan takes longer [s].
+const MAX_DELAY: f64 = 10.0;
+
 /// Detections of one time, in the tracker's frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Detections<'a> {
@@ -22,6 +25,8 @@ pub struct Detections<'a> {
     pub covariance: Option<&'a [[[f64; 3]; 3]]>,
     /// Sides of their bounding boxes [m].
     pub extent: Option<&'a [[f64; 3]]>,
+    /// When each position was measured, after the stamp [s].
+    pub delay: Option<&'a [f64]>,
 }
 
 impl Detections<'_> {
@@ -40,6 +45,7 @@ impl Detections<'_> {
         let lengths = [
             ("covariance", self.covariance.map(<[_]>::len)),
             ("extent", self.extent.map(<[_]>::len)),
+            ("delay", self.delay.map(<[_]>::len)),
         ];
         for (name, length) in lengths {
             if let Some(got) = length.filter(|&length| length != count) {
@@ -70,14 +76,21 @@ impl Detections<'_> {
         if !is_finite(position) {
             return bad("positions", "finite coordinates", format!("{position:?}"));
         }
+        let delay = match parameters.measurement {
+            MeasurementForm::Paper => 0.0,
+            MeasurementForm::Cluster => self.delay.map_or(0.0, |delay| delay[index]),
+        };
+        if !(delay.abs() <= MAX_DELAY) {
+            return bad("delay", "at most 10 s", delay.to_string());
+        }
         if !is_finite(extent) || extent.iter().any(|&side| side < 0.0) {
             return bad("extent", "finite sides >= 0", format!("{extent:?}"));
         }
         if covariance.cholesky().is_none() || covariance != covariance.transpose() {
-            let got = format!("{:?}", self.covariance.map(|covariance| covariance[index]));
+            let got = format!("{:?}", self.covariance.map_or([[0.0; 3]; 3], |all| all[index]));
             return bad("covariance", "a symmetric positive definite matrix", got);
         }
-        Ok(Measurement { position: Vector3::from(position), covariance, extent })
+        Ok(Measurement { position: Vector3::from(position), covariance, delay, extent })
     }
 }
 
@@ -121,7 +134,12 @@ impl Updater {
         occupied: &dyn Occupancy,
     ) -> Result<Vec<TrackState>, Error> {
         for cloud in buffer.newer_than(stamp_ns) {
-            let scan = Scan { points: &cloud.points, stamp_ns: cloud.stamp_ns, occupied };
+            let scan = Scan {
+                points: &cloud.points,
+                delays: cloud.delays.as_deref(),
+                stamp_ns: cloud.stamp_ns,
+                occupied,
+            };
             self.update(&mut hypotheses, &scan, None)?;
         }
         let radius = &self.parameters.radius;
@@ -210,6 +228,7 @@ impl Updater {
         let measurement = Measurement {
             position: hypothesis.position(),
             covariance: position_block(&hypothesis.estimate.covariance),
+            delay: 0.0,
             extent: hypothesis.extent,
         };
         track.correct(&measurement).is_ok()

@@ -123,7 +123,8 @@ impl PointCloudTracker {
     /// Move every track to `stamp_ns` and correct it with its cluster among `points` [m].
     ///
     /// Points that are not finite are no information. Tracks that are newer than the cloud, because
-    /// a detection was, wait for the next one.
+    /// a detection was, wait for the next one. `delays` is the time of every point after the stamp
+    /// [s], if the scan took a while.
     ///
     /// # Errors
     /// [`Error::Time`] for a stamp that was processed, or older than a full buffer;
@@ -134,16 +135,18 @@ impl PointCloudTracker {
     pub fn new_point_cloud(
         &mut self,
         points: &[[f32; 3]],
+        delays: Option<&[f32]>,
         occupied: &dyn Occupancy,
         visibility: Option<&dyn Visibility>,
         stamp_ns: i64,
     ) -> Result<Stats, Error> {
         check_points(points.len())?;
         let mut stats = Stats { late: self.buffer.is_late(stamp_ns)?, ..Stats::default() };
-        let cloud = Cloud::new(points, stamp_ns)?;
+        let cloud = Cloud::new(points, delays, stamp_ns)?;
         if !stats.late {
             let mut tracks = self.tracks.clone(); // an error must not leave half of them updated
-            let scan = Scan { points: &cloud.points, stamp_ns, occupied };
+            let delays = cloud.delays.as_deref();
+            let scan = Scan { points: &cloud.points, delays, stamp_ns, occupied };
             let outcome = self.updater.update(&mut tracks, &scan, visibility)?;
             stats.corrected = outcome.corrected;
             stats.rejected = outcome.rejected;

@@ -36,9 +36,15 @@ pub(super) fn predict_covariance(P: &Matrix9, dt: f64, motion: &Motion) -> Matri
     symmetrised(if dt < 0.0 { A * (P + Q) * A.transpose() } else { A * P * A.transpose() + Q })
 }
 
-/// Measurement matrix. Source: Vrba et al., eq. 30.
-pub(super) fn position_matrix() -> Matrix3x9 {
-    Matrix3x9::identity()
+/// Measurement matrix of a position `delay` seconds after the state's time: eq. 30 for none, else
+/// the upper rows of eq. 27.
+pub(super) fn position_matrix(delay: f64) -> Matrix3x9 {
+    let mut H = Matrix3x9::identity();
+    for axis in 0..3 {
+        H[(axis, axis + 3)] = delay;
+        H[(axis, axis + 6)] = 0.5 * delay * delay;
+    }
+    H
 }
 
 /// Expected position.

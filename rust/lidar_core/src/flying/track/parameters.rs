@@ -53,9 +53,10 @@ pub struct Motion {
 /// Covariance of a cluster's centroid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MeasurementForm {
-    /// Z^2 I, sec. III-F1.
+    /// Z^2 I, sec. III-F1, at the stamp of the scan.
     Paper,
-    /// Z^2 I plus the scatter of the cluster's points divided by their number.
+    /// Z^2 I plus the scatter of the cluster's points divided by their number, at the mean time
+    /// of these points.
     Cluster,
 }
 

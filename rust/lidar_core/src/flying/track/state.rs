@@ -35,11 +35,16 @@ impl TrackState {
         parameters: &TrackerParameters,
     ) -> Self {
         let [_, velocity, acceleration] = parameters.initial_std;
+        let delay = detection.delay;
         let mut mean = SVector::<f64, 9>::zeros();
         mean.fixed_rows_mut::<3>(0).copy_from(&detection.position);
         let mut covariance = Matrix9::zeros();
         covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&detection.covariance);
         for axis in 0..3 {
+            // r = z - v * delay with an unknown velocity
+            covariance[(axis, axis)] += delay * delay * velocity * velocity;
+            covariance[(axis, axis + 3)] = -delay * velocity * velocity;
+            covariance[(axis + 3, axis)] = -delay * velocity * velocity;
             covariance[(axis + 3, axis + 3)] = velocity * velocity;
             covariance[(axis + 6, axis + 6)] = acceleration * acceleration;
         }
@@ -84,14 +89,19 @@ impl TrackState {
         self.aged = motion::predict_covariance(&self.aged, dt, model);
     }
 
-    /// Correct with a measurement taken at the state's time.
+    /// Position `delay` seconds after the state's time.
+    pub(super) fn position_after(&self, delay: f64) -> Vector3<f64> {
+        (motion::position_matrix(delay) * self.estimate.mean).into_owned()
+    }
+
+    /// Correct with a measurement taken `delay` seconds after the state's time.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`]; the state is unchanged then.
     pub(super) fn correct(&mut self, measurement: &Measurement) -> Result<(), Error> {
         let model = Linearised {
-            y: measurement.position - self.position(),
-            H: motion::position_matrix(),
+            y: measurement.position - self.position_after(measurement.delay),
+            H: motion::position_matrix(measurement.delay),
             R: measurement.covariance,
         };
         self.estimate = update(&self.estimate, &model)?.posterior;

@@ -45,7 +45,8 @@ fn detect(
     positions: &[[f64; 3]],
     stamp_ns: i64,
 ) -> Result<Stats, Error> {
-    let detections = Detections { stamp_ns, positions, covariance: None, extent: None };
+    let detections =
+        Detections { stamp_ns, positions, covariance: None, extent: None, delay: None };
     tracker.new_detections(&detections, &free())
 }
 
@@ -54,7 +55,7 @@ fn detect(
 fn the_first_correction_agrees_with_a_calculation_by_hand() -> Result<(), Error> {
     let mut tracker = PointCloudTracker::new(paper(), 1)?;
     detect(&mut tracker, &[[0.0; 3]], 0)?;
-    let stats = tracker.new_point_cloud(&[[0.4, 0.0, 0.0]], &free(), None, STEP_NS)?;
+    let stats = tracker.new_point_cloud(&[[0.4, 0.0, 0.0]], None, &free(), None, STEP_NS)?;
     assert_eq!(stats.corrected, [0]);
     let track = &tracker.tracks_at(STEP_NS)[0];
     let gain = 0.590225 / 1.590225;
@@ -70,7 +71,7 @@ fn a_cluster_beside_an_occupied_voxel_corrects_nothing() -> Result<(), Error> {
         let mut tracker = PointCloudTracker::new(paper(), 1)?;
         detect(&mut tracker, &[[0.0; 3]], 0)?;
         let occupied = OccupiedPoints::new(&[voxel], 1.0);
-        let stats = tracker.new_point_cloud(&[[0.0; 3]], &occupied, None, STEP_NS)?;
+        let stats = tracker.new_point_cloud(&[[0.0; 3]], None, &occupied, None, STEP_NS)?;
         assert_eq!(stats.corrected.len(), corrected);
     }
     Ok(())
@@ -91,10 +92,15 @@ fn the_paper_counts_a_similar_detection_and_adds_a_distant_one() -> Result<(), E
 fn one_cluster_corrects_one_track_only() -> Result<(), Error> {
     let mut tracker = PointCloudTracker::new(best(), 1)?;
     detect(&mut tracker, &[[0.0; 3], [1.0, 0.0, 0.0]], 0)?;
-    let stats = tracker.new_point_cloud(&[[0.3, 0.0, 0.0]], &free(), None, STEP_NS)?;
+    let stats = tracker.new_point_cloud(&[[0.3, 0.0, 0.0]], None, &free(), None, STEP_NS)?;
     assert_eq!(stats.corrected, [0]);
-    let stats =
-        tracker.new_point_cloud(&[[0.3, 0.0, 0.0], [0.9, 0.0, 0.0]], &free(), None, 2 * STEP_NS)?;
+    let stats = tracker.new_point_cloud(
+        &[[0.3, 0.0, 0.0], [0.9, 0.0, 0.0]],
+        None,
+        &free(),
+        None,
+        2 * STEP_NS,
+    )?;
     assert_eq!(stats.corrected, [0, 1]);
     Ok(())
 }
@@ -116,7 +122,7 @@ fn a_track_is_confirmed_by_two_of_three_sets() -> Result<(), Error> {
 #[test]
 fn a_detection_newer_than_all_clouds_corrects_the_track() -> Result<(), Error> {
     let mut tracker = PointCloudTracker::new(best(), 1)?;
-    tracker.new_point_cloud(&[[0.0; 3]], &free(), None, 0)?;
+    tracker.new_point_cloud(&[[0.0; 3]], None, &free(), None, 0)?;
     detect(&mut tracker, &[[0.0; 3]], 0)?;
     detect(&mut tracker, &[[0.3, 0.0, 0.0]], STEP_NS)?;
     let tracks = tracker.tracks_at(STEP_NS);
@@ -124,7 +130,7 @@ fn a_detection_newer_than_all_clouds_corrects_the_track() -> Result<(), Error> {
     assert!(tracks[0].state.mean[0] > 0.1);
     assert_eq!(tracks[0].seen_ns, STEP_NS);
     // The cloud of that time brings nothing new.
-    let stats = tracker.new_point_cloud(&[[0.3, 0.0, 0.0]], &free(), None, STEP_NS)?;
+    let stats = tracker.new_point_cloud(&[[0.3, 0.0, 0.0]], None, &free(), None, STEP_NS)?;
     assert!(stats.corrected.is_empty());
     Ok(())
 }
@@ -142,10 +148,11 @@ fn a_hidden_track_outlives_its_radius_and_ends_with_the_coast() -> Result<(), Er
     let mut tracker = PointCloudTracker::new(best(), 1)?;
     detect(&mut tracker, &[[0.0; 3]], 0)?;
     for step in 1..=30 {
-        let stats = tracker.new_point_cloud(&NOTHING, &free(), Some(&Hidden), step * STEP_NS)?;
+        let stats =
+            tracker.new_point_cloud(&NOTHING, None, &free(), Some(&Hidden), step * STEP_NS)?;
         assert!(stats.removed.is_empty(), "{step}");
     }
-    let stats = tracker.new_point_cloud(&NOTHING, &free(), Some(&Hidden), 31 * STEP_NS)?;
+    let stats = tracker.new_point_cloud(&NOTHING, None, &free(), Some(&Hidden), 31 * STEP_NS)?;
     assert_eq!(stats.removed, [0]);
     Ok(())
 }
@@ -159,7 +166,8 @@ fn converged_twins_become_the_elder() -> Result<(), Error> {
     let mut merged = Vec::new();
     for step in 1..20 {
         let points = [[1.5, 0.0, 0.0]]; // within 1.55 m of both
-        merged.extend(tracker.new_point_cloud(&points, &free(), None, step * STEP_NS)?.merged);
+        merged
+            .extend(tracker.new_point_cloud(&points, None, &free(), None, step * STEP_NS)?.merged);
     }
     assert_eq!(merged, [[0, 1]]);
     assert_eq!(tracker.tracks_at(0).len(), 1);

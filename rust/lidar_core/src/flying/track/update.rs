@@ -18,6 +18,8 @@ use std::f64::consts::TAU;
 #[derive(Clone, Copy)]
 pub(super) struct Scan<'a> {
     pub(super) points: &'a [[f32; 3]],
+    /// Time of every point after the stamp [s].
+    pub(super) delays: Option<&'a [f32]>,
     pub(super) stamp_ns: i64,
     pub(super) occupied: &'a dyn Occupancy,
 }
@@ -33,6 +35,7 @@ pub(super) struct Outcome {
 /// Where a track looks.
 struct Seeker {
     position: Vector3<f64>,
+    velocity: Vector3<f64>,
     covariance: Matrix3<f64>,
     radius: f64,
 }
@@ -133,6 +136,7 @@ impl Updater {
     fn seeker(&self, track: &TrackState) -> Seeker {
         Seeker {
             position: track.position(),
+            velocity: track.velocity(),
             covariance: position_block(&track.estimate.covariance),
             radius: self.search_radius(track),
         }
@@ -153,17 +157,19 @@ impl Updater {
         seekers: &[Seeker],
         scan: &Scan<'_>,
     ) -> Result<Vec<Option<Measurement>>, Error> {
-        let mut regions = vec![Vec::new(); seekers.len()];
+        let mut regions = vec![(Vec::new(), Vec::new()); seekers.len()];
         for (point, ball) in hits(&self.pool, scan.points, &balls(seekers, 0.0)) {
-            regions[ball as usize].push(scan.points[point as usize]);
+            let (points, delays) = &mut regions[ball as usize];
+            points.push(scan.points[point as usize]);
+            delays.extend(scan.delays.map(|delays| delays[point as usize]));
         }
         let occupied = scan.occupied;
         let found: Vec<Result<Option<Measurement>, Error>> = self.pool.install(|| {
             regions
                 .par_iter()
                 .zip(seekers)
-                .map(|(points, seeker)| {
-                    let clusters = candidates(points, occupied, &self.parameters)?;
+                .map(|((points, delays), seeker)| {
+                    let clusters = candidates(points, delays, occupied, &self.parameters)?;
                     let distance = |one: &Measurement| (one.position - seeker.position).norm();
                     Ok(clusters
                         .into_iter()
@@ -189,10 +195,13 @@ impl Updater {
         chosen.dedup();
         let points: Vec<[f32; 3]> =
             chosen.iter().map(|&index| scan.points[index as usize]).collect();
-        let clusters = candidates(&points, scan.occupied, &self.parameters)?;
+        let delays: Vec<f32> = scan.delays.map_or_else(Vec::new, |delays| {
+            chosen.iter().map(|&index| delays[index as usize]).collect()
+        });
+        let clusters = candidates(&points, &delays, scan.occupied, &self.parameters)?;
         let cluster_of = self.assign(seekers.len(), clusters.len(), |track, cluster| {
             let (seeker, cluster) = (&seekers[track], &clusters[cluster]);
-            let y = cluster.position - seeker.position;
+            let y = cluster.position - (seeker.position + seeker.velocity * cluster.delay);
             (y.norm() <= seeker.radius).then(|| (y, seeker.covariance + cluster.covariance))
         })?;
         Ok(cluster_of
