@@ -1,0 +1,92 @@
+# Every developer command. `make help` lists them.
+
+PYTHON ?= python3
+# Environment of development, and those that `make test` makes.
+VENV ?= .venv
+TEST_VENV := .venv-test
+OUSTER_VENV := .venv-ouster
+# A built wheel to test; without it `make test` builds one from the working tree.
+WHEEL ?=
+
+EXTRAS := io,velodyne,tables,plot,viz
+PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
+BIN := $(VENV)/bin
+
+export CARGO_TARGET_DIR ?= $(CURDIR)/target
+export LIDAR_CORE_OUSTER_PYTHON ?= $(CURDIR)/$(OUSTER_VENV)/bin/python
+
+.PHONY: help demo dev fmt lint lint-rust lint-python test test-env bench docs golden wheel ci clean
+.DEFAULT_GOAL := help
+
+help: ## Show this list.
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+demo: ## Install into .venv and run the demo: the first command of the README.
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install '.[plot]'
+	$(BIN)/lidar-core demo
+
+dev: ## Environment in .venv with an editable build, the tools and all extras.
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python $(PIP_INSTALL) --upgrade 'pip>=25.1' 'maturin>=1.9.4,<2'
+	VIRTUAL_ENV=$(CURDIR)/$(VENV) $(BIN)/maturin develop --extras $(EXTRAS)
+	$(BIN)/python $(PIP_INSTALL) --group dev
+
+fmt: ## Format Rust and Python.
+	cargo fmt --all
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+lint: lint-rust lint-python ## Check format, lints, types and the stub.
+
+lint-rust: ## Only rustfmt and clippy.
+	cargo fmt --all --check
+	cargo clippy --locked --workspace --all-targets -- -D warnings
+	cargo check --locked --benches
+
+lint-python: ## Only ruff, mypy and stubtest.
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m mypy.stubtest lidar_core._core
+
+test: test-env ## Install what the tests need and run them all, on a wheel.
+	cargo test --locked
+	$(TEST_VENV)/bin/pytest
+	$(TEST_VENV)/bin/pytest --doctest-modules --pyargs lidar_core
+
+# The tests run on an installed wheel, never on the working tree. ouster-sdk pins versions that
+# the other extras cannot live with, so it has an environment of its own.
+test-env:
+	$(PYTHON) -m venv $(TEST_VENV)
+	$(PYTHON) -m venv $(OUSTER_VENV)
+	for venv in $(TEST_VENV) $(OUSTER_VENV); do \
+	    $$venv/bin/python $(PIP_INSTALL) --upgrade 'pip>=25.1' || exit 1; \
+	done
+	$(if $(WHEEL),,rm -f dist/lidar_core-*.whl; $(TEST_VENV)/bin/pip wheel --no-deps --wheel-dir dist .)
+	wheel=$$(ls $(or $(WHEEL),dist/lidar_core-*.whl)) && \
+	for venv in $(TEST_VENV) $(OUSTER_VENV); do \
+	    $$venv/bin/python $(PIP_INSTALL) --force-reinstall --no-deps "$$wheel" || exit 1; \
+	done && \
+	$(TEST_VENV)/bin/python $(PIP_INSTALL) "$$wheel[$(EXTRAS)]" --group test && \
+	$(OUSTER_VENV)/bin/python $(PIP_INSTALL) "$$wheel[ouster]"
+
+bench: ## Measure every stage (criterion); needs no Python.
+	cargo bench --locked
+
+docs: ## Build the guide with the parameter reference into site/.
+	$(BIN)/python docs/generate_parameters.py
+	$(BIN)/mkdocs build --strict
+
+golden: ## Write the golden files again, after an intended change.
+	$(BIN)/python tests/golden/generate.py
+
+wheel: ## Build the source distribution and, from it, the wheel into dist/.
+	rm -rf dist
+	$(BIN)/python -m build --outdir dist
+
+ci: ## Everything that has to pass, from a clean checkout.
+	.ci/run
+
+clean: ## Remove what the commands above made, except .venv.
+	rm -rf target dist site runs docs/parameters.md $(TEST_VENV) $(OUSTER_VENV) python/lidar_core/*.so
