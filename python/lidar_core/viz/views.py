@@ -1,0 +1,55 @@
+"""What pictures show, as plain arrays."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.io.tracks import TracksLike
+
+
+@dataclass(frozen=True, slots=True)
+class FlyingView:
+    """A run of the flying-object detector, world frame.
+
+    Attributes
+    ----------
+    title : str
+        Headline.
+    cloud, cloud_class : ndarray, shapes (N, 3), float64, and (N,), uint8
+        The last scan [m], and 0 invalid, 1 background, 2 flying, 3 unknown.
+    flying : ndarray, shape (K, 3), float64
+        Points classified as flying, of all scans [m].
+    occupied : ndarray, shape (V, 3), float64
+        Centres of occupied voxels [m].
+    voxel_size : float
+        Edge of a voxel [m].
+    sensor : ndarray, shape (S, 3), float64
+        Positions of the sensor, one per scan [m].
+    stamp_ns : ndarray, shape (S,), int64
+        Times of the scans [ns].
+    tracks : sequence of Tracks
+        Tracks, one per scan.
+    n_detections : ndarray, shape (S,), int64
+        Detections per scan.
+    truth : mapping of int to ndarray, shape (S, 3), float64
+        True positions of every target [m]; NaN where unknown. Empty without truth.
+    recall : mapping of str to pair of ndarray
+        Per name, times [ns] and share of targets found.
+    """
+
+    title: str
+    cloud: NDArray[np.float64]
+    cloud_class: NDArray[np.uint8]
+    flying: NDArray[np.float64]
+    occupied: NDArray[np.float64]
+    voxel_size: float
+    sensor: NDArray[np.float64]
+    stamp_ns: NDArray[np.int64]
+    tracks: Sequence[TracksLike]
+    n_detections: NDArray[np.int64]
+    truth: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
+    recall: Mapping[str, tuple[NDArray[np.int64], NDArray[np.float64]]] = field(
+        default_factory=dict
+    )
