@@ -21,10 +21,12 @@ from lidar_core.flying.voxel_map import IntegrateStats, VoxelMap
 from lidar_core.geometry import cluster_points, traverse
 
 if TYPE_CHECKING:
+    from lidar_core import evaluation as evaluation
     from lidar_core import io as io
     from lidar_core import sim as sim
+    from lidar_core import viz as viz
 
-_LAZY = ("io", "sim")
+_LAZY = ("evaluation", "io", "sim", "viz")
 """Subpackages that are imported when they are first used."""
 
 __all__ = [

@@ -93,7 +93,7 @@ def record(
         nonlocal points
         for number, made in enumerate(simulator):
             points += int(np.count_nonzero(made.label >= 0))
-            rows.extend(_truth_rows(number, made))
+            rows.extend(truth_rows(number, made))
             on_scan(made)
             yield made
 
@@ -122,7 +122,8 @@ def _writer(path: Path) -> Callable[[Path, Iterable[Message]], None]:
     raise ConfigError(f"{path}: expected a name that ends in .npz or .mcap")
 
 
-def _truth_rows(number: int, made: SimulatedScan) -> Iterator[tuple[Any, ...]]:
+def truth_rows(number: int, made: SimulatedScan) -> Iterator[tuple[Any, ...]]:
+    """Rows of `TRUTH_COLUMNS` of one scan, one per target."""
     truth = made.truth
     for target, name in enumerate(truth.id.tolist()):
         yield (

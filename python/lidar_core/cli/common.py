@@ -1,0 +1,154 @@
+"""What the commands share: consoles, progress, pictures, results for people and machines."""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
+
+import typer
+
+from lidar_core.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+    from rich.table import Table
+
+    from lidar_core.viz import FlyingView
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C."""
+
+
+def all_threads() -> int:
+    """Threads that this process may use."""
+    with suppress(AttributeError):  # not on every platform
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+Threads: TypeAlias = Annotated[
+    int,
+    typer.Option(
+        min=1,
+        default_factory=all_threads,
+        show_default="all",
+        help="Threads; the result is the same.",
+    ),
+]
+JsonFile: TypeAlias = Annotated[
+    Path | None,
+    typer.Option("--json", help="Also write the result as JSON; - prints it instead of the table."),
+]
+
+
+class Row(NamedTuple):
+    """One line of a table of results."""
+
+    name: str
+    value: str
+    remark: str
+
+
+def consoles(json_file: Path | None) -> "tuple[Console, Console]":
+    """Where the table goes, and where progress goes: standard output stays clean for `--json -`."""
+    from rich.console import Console
+
+    errors = Console(stderr=True)
+    return (errors if str(json_file) == "-" else Console(), errors)
+
+
+def progress_on(console: "Console") -> "Progress":
+    """Progress bar that counts scans and goes away at the end."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("scans"),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+    )
+
+
+def result_table(title: str, rows: Sequence[Row | None], *, caption: str = "") -> "Table":
+    """Measure, value, remark; None draws a line."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(
+        title=escape(title), title_justify="left", title_style="bold", show_header=False,
+        caption=escape(caption), caption_justify="left",
+    )  # fmt: skip
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column(justify="right", style="bold", overflow="fold")
+    table.add_column(style="dim", overflow="fold")
+    for row in rows:
+        if row is None:
+            table.add_section()
+        else:
+            table.add_row(*map(escape, row))
+    return table
+
+
+def stage_rows(ms_per_scan: Mapping[str, float]) -> list[Row]:
+    """Rows of the mean time per scan: the total, then every stage."""
+    total = ms_per_scan["total"]
+    stages = [Row(f"  {name}", f"{value:.1f} ms", _bar(value / total))
+              for name, value in ms_per_scan.items() if name != "total" and total > 0]  # fmt: skip
+    rate = f"{1e3 / total:.1f} scans per second" if total > 0 else ""
+    return [Row("time per scan", f"{total:.0f} ms", rate), *stages]
+
+
+def map_rows(size: Mapping[str, int]) -> list[Row]:
+    """Rows of the size of a map."""
+    return [
+        Row("voxels observed", f"{size['observed_voxels']:,}",
+            f"{size['occupied_voxels']:,} occupied"),
+        Row("map memory", f"{size['memory_bytes'] / 2**20:.1f} MiB", ""),
+    ]  # fmt: skip
+
+
+def _bar(share: float) -> str:
+    return "▪" * round(share * 20)
+
+
+def draw(view: "FlyingView", path: Path, console: "Console") -> bool:
+    """Draw the picture; without matplotlib say which extra brings it. True if drawn."""
+    from lidar_core.viz import draw_flying
+
+    try:
+        draw_flying(view, path)
+    except MissingExtraError as error:
+        console.print(f"no picture: {error}", markup=False, soft_wrap=True)
+        return False
+    return True
+
+
+def write_json(result: Mapping[str, Any], json_file: Path | None) -> None:
+    """Write `result` where `--json` says."""
+    if json_file is None:
+        return
+    text = json.dumps(result, indent=2)
+    if str(json_file) == "-":
+        print(text)
+        return
+    from lidar_core.io.atomic import written_whole
+
+    with written_whole(json_file) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def number(value: float | None, digits: int, unit: str = "") -> str:
+    """A number for people; a dash where there is none."""
+    return "-" if value is None else f"{value:.{digits}f}{unit}"

@@ -1,0 +1,210 @@
+"""A run of the flying-object detector: what it gave, scan by scan, and the files about it."""
+
+from collections import Counter
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.flying import FlyingFrame, FlyingObjectDetector, Tracks
+from lidar_core.io import write_tracks_table, write_tum
+from lidar_core.messages import Scan
+from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
+from lidar_core.viz import FlyingView
+
+CLASSES = ("invalid", "background", "flying", "unknown")
+FLYING = CLASSES.index("flying")
+
+
+class FlyingRun:
+    """Passes scans to a detector and keeps what a summary, tables and a picture need.
+
+    Parameters
+    ----------
+    detector : FlyingObjectDetector
+        Gets every scan.
+    """
+
+    def __init__(self, detector: FlyingObjectDetector) -> None:
+        self.detector = detector
+        self.tracks: list[Tracks] = []
+        self.gate_reason = "no scan was processed"
+        self.gate_is_open = False
+        self.gate_opened_at: int | None = None
+        self.clears_sky = False
+        self.rejected: Counter[str] = Counter()
+        self.frame_id = "world"
+        self._class_counts = np.zeros(len(CLASSES), np.int64)
+        self._timing: Counter[str] = Counter()
+        self._wall_ms = 0.0
+        self.frames: list[FlyingFrame] = []
+        self._sensors: list[str] = []
+        self._path: list[NDArray[np.float64]] = []
+        self._flying: list[NDArray[np.float64]] = []
+        self._cloud = np.empty((0, 3))
+        self._cloud_class = np.empty(0, np.uint8)
+
+    def process(
+        self,
+        scan: Scan,
+        world_from_lidar: NDArray[np.float64],
+        pose_stamps_ns: NDArray[np.int64] | None,
+        *,
+        sensor: str = "lidar",
+    ) -> FlyingFrame:
+        """Process one scan, with everything the recording knows about it."""
+        start = perf_counter()
+        frame = self.detector.process(
+            scan.points,
+            world_from_lidar,
+            scan.stamp_ns,
+            no_return=scan.no_return,
+            directions=scan.directions,
+            point_time_ns=scan.point_time_ns,
+            pose_stamps_ns=pose_stamps_ns,
+            sensor=sensor,
+        )
+        self._wall_ms += (perf_counter() - start) * 1e3
+        if frame.rejected is not None:
+            self.rejected[frame.rejected] += 1
+            return frame
+        self._keep(frame, sensor)
+        poses = world_from_lidar.reshape(-1, 4, 4)
+        self._path.append(poses[0, :3, 3])
+        self._cloud = _placed(scan, poses, pose_stamps_ns)
+        self._cloud_class = frame.point_class
+        self._flying.append(self._cloud[frame.point_class == FLYING])
+        return frame
+
+    def _keep(self, frame: FlyingFrame, sensor: str) -> None:
+        status = frame.status
+        self.gate_reason, self.gate_is_open = status.reason, status.gate_open
+        if status.gate_open and self.gate_opened_at is None:
+            self.gate_opened_at = len(self.frames)
+        self.clears_sky = self.clears_sky or status.clears_sky
+        self._class_counts += np.bincount(frame.point_class, minlength=len(CLASSES))
+        self._timing.update(frame.timing_ms)
+        self.frames.append(frame)
+        self._sensors.append(sensor)
+        self.tracks.append(frame.tracks)
+
+    @property
+    def n_scans(self) -> int:
+        """Scans that were processed or held."""
+        return len(self.frames)
+
+    @property
+    def ms_per_scan(self) -> dict[str, float]:
+        """Mean time per scan, in all and per stage [ms]."""
+        count = max(1, self.n_scans)
+        stages = {name: total / count for name, total in self._timing.items()}
+        return {"total": self._wall_ms / count, **stages}
+
+    @property
+    def class_shares(self) -> dict[str, float]:
+        """Share of each class among the points with information."""
+        counts = self._class_counts[1:]
+        return dict(zip(CLASSES[1:], (counts / max(1, counts.sum())).tolist(), strict=True))
+
+    @property
+    def track_ids(self) -> list[int]:
+        """Numbers of the tracks that were reported."""
+        return sorted({number for tracks in self.tracks for number in tracks.id.tolist()})
+
+    @property
+    def n_detections(self) -> int:
+        """Detections of all scans."""
+        return sum(len(frame.detections) for frame in self.frames)
+
+    def detections_table(self) -> dict[str, Any]:
+        """Detections as columns, one row per detection; SI units, world frame."""
+        frames, sensors = self.frames, self._sensors
+        counts = [len(frame.detections) for frame in frames]
+        found = [frame.detections for frame in frames]
+        position = np.concatenate([item.position for item in found] or [np.empty((0, 3))])
+        extent = np.concatenate([item.extent for item in found] or [np.empty((0, 3))])
+        covariance = np.concatenate([item.covariance for item in found] or [np.empty((0, 3, 3))])
+        stamps = np.array([frame.stamp_ns for frame in frames], np.int64)
+        table: dict[str, Any] = {
+            "t_ns": np.repeat(stamps, counts),
+            "sensor": [s for s, count in zip(sensors, counts, strict=True) for _ in range(count)],
+            "frame_id": [self.frame_id] * sum(counts),
+        }
+        table |= {name: position[:, axis] for axis, name in enumerate("xyz")}
+        table |= {f"extent_{name}": extent[:, axis] for axis, name in enumerate("xyz")}
+        table["n_points"] = np.array([n for item in found for n in item.n_points], np.int64)
+        table["confidence"] = np.array([c for item in found for c in item.confidence], np.float64)
+        for row, column in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
+            table[f"cov_{'xyz'[row]}_{'xyz'[column]}"] = covariance[:, row, column]
+        return table
+
+    def summary(self) -> dict[str, Any]:
+        """What the run gave, as plain values."""
+        health = self.detector.health()
+        return {
+            "scans": {
+                "received": health.received,
+                "processed": health.processed,
+                "held": health.held,
+                "rejected": dict(self.rejected),
+            },
+            "points": int(self._class_counts[1:].sum()),
+            "class_shares": self.class_shares,
+            "gate": {
+                "open": self.gate_is_open,
+                "reason": self.gate_reason,
+                "opened_at_scan": self.gate_opened_at,
+            },
+            "clears_sky": self.clears_sky,
+            "detections": self.n_detections,
+            "tracks": len(self.track_ids),
+            "ms_per_scan": self.ms_per_scan,
+            "map": {
+                "observed_voxels": self.detector.n_observed,
+                "occupied_voxels": len(self.detector.occupied_points()),
+                "memory_bytes": self.detector.map_memory_bytes,
+            },
+        }
+
+    def write(self, folder: RunFolder) -> list[str]:
+        """Write tables, trajectories and map; return their names."""
+        tracks = write_tracks_table(
+            folder.path / "tracks.parquet", self.tracks, frame_id=self.frame_id
+        )
+        table = folder.write_table("detections", self.detections_table())
+        write_tum(folder.path / TRACKS_FOLDER, self.tracks)
+        self.detector.save_map(folder.path / "map.lcvm")
+        return [tracks.name, table.name, TRACKS_FOLDER, "map.lcvm"]
+
+    def view(self, title: str, **more: Any) -> FlyingView:
+        """What a picture of the run shows; `more` are further fields of `FlyingView`."""
+        return FlyingView(
+            title=title,
+            cloud=self._cloud,
+            cloud_class=self._cloud_class,
+            flying=np.concatenate([*self._flying, np.empty((0, 3))]),
+            occupied=self.detector.occupied_points(),
+            voxel_size=self.detector.config.voxel_map.voxel_size,
+            sensor=np.array(self._path).reshape(-1, 3),
+            stamp_ns=np.array([frame.stamp_ns for frame in self.frames], np.int64),
+            tracks=self.tracks,
+            n_detections=np.array([len(frame.detections) for frame in self.frames], np.int64),
+            **more,
+        )
+
+
+def _placed(
+    scan: Scan, poses: NDArray[np.float64], pose_stamps_ns: NDArray[np.int64] | None
+) -> NDArray[np.float64]:
+    """Points in the world, each by the last pose before it: near enough for a picture."""
+    points = scan.points.reshape(-1, 3).astype(np.float64)
+    if pose_stamps_ns is None or scan.point_time_ns is None:
+        return points @ poses[0, :3, :3].T + poses[0, :3, 3]
+    before = np.searchsorted(pose_stamps_ns, scan.point_time_ns.reshape(-1), side="right") - 1
+    before = np.clip(before, 0, len(poses) - 1)
+    placed = np.empty_like(points)
+    for number in np.unique(before):
+        rows = before == number
+        placed[rows] = points[rows] @ poses[number, :3, :3].T + poses[number, :3, 3]
+    return placed

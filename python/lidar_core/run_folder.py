@@ -1,0 +1,145 @@
+"""The folder that a run writes: whole files, and a note of what made them."""
+
+import csv
+import hashlib
+import json
+import platform
+import shutil
+import sys
+import tomllib
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from shlex import join
+from typing import Any
+
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+
+from lidar_core._core import __version__
+from lidar_core.config import Config
+from lidar_core.errors import FormatError
+from lidar_core.extras import require
+from lidar_core.io.atomic import written_whole
+
+RUN_FILE = "run.toml"
+FILES = (
+    "detections.csv",
+    "detections.parquet",
+    "map.lcvm",
+    "picture.png",
+    "run.mcap",
+    RUN_FILE,
+    "scene.toml",
+    "summary.json",
+    "tracks.csv",
+    "tracks.parquet",
+    "truth.csv",
+    "truth.parquet",
+)
+TRACKS_FOLDER = "tracks_tum"
+
+
+class RunFolder:
+    """A folder for the results of one run.
+
+    Parameters
+    ----------
+    path : Path
+        Made by `begin` if missing.
+    overwrite : bool
+        Whether to replace what an earlier run left there. Other files are never touched.
+
+    Raises
+    ------
+    FileExistsError
+        There is something in it, and `overwrite` is not given, or no run wrote it.
+    """
+
+    def __init__(self, path: Path, *, overwrite: bool) -> None:
+        self.path = path
+        if not path.exists():
+            return
+        if not path.is_dir():
+            raise FileExistsError(f"{path}: expected a folder")
+        if not any(path.iterdir()):
+            return
+        if not (path / RUN_FILE).exists():
+            raise FileExistsError(f"{path}: holds files that no run wrote; choose another folder")
+        if not overwrite:
+            raise FileExistsError(f"{path}: holds an earlier run; --overwrite replaces it")
+
+    def begin(self) -> None:
+        """Make the folder, and remove what an earlier run left in it."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        for name in FILES:
+            (self.path / name).unlink(missing_ok=True)
+        shutil.rmtree(self.path / TRACKS_FOLDER, ignore_errors=True)
+
+    def write_text(self, name: str, text: str) -> None:
+        """Write a text file, whole or not at all."""
+        with written_whole(self.path / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+
+    def write_summary(self, summary: Mapping[str, Any]) -> None:
+        """Write summary.json."""
+        self.write_text("summary.json", json.dumps(summary, indent=2) + "\n")
+
+    def write_note(
+        self, inputs: Mapping[str, Any], config: Mapping[str, Config], **more: Any
+    ) -> None:
+        """Write run.toml: command, versions, inputs and the whole effective configuration."""
+        note = {
+            "command": join(["lidar-core", *sys.argv[1:]]),
+            **more,
+            "versions": {
+                "lidar_core": __version__,
+                "python": platform.python_version(),
+                "numpy": np.__version__,
+                "platform": platform.platform(),
+            },
+            "input": dict(inputs),
+            "config": {name: tomllib.loads(model.to_toml()) for name, model in config.items()},
+        }
+        self.write_text(RUN_FILE, tomli_w.dumps(note))
+
+    def write_table(self, name: str, columns: Mapping[str, NDArray[Any] | Sequence[str]]) -> Path:
+        """Write columns of equal length as NAME.parquet if pyarrow is installed, else NAME.csv."""
+        if find_spec("pyarrow") is None:
+            path = self.path / f"{name}.csv"
+            with (
+                written_whole(path) as temporary,
+                temporary.open("w", newline="", encoding="utf-8") as file,
+            ):
+                writer = csv.writer(file)
+                writer.writerow(columns)
+                writer.writerows(zip(*map(_plain, columns.values()), strict=True))
+            return path
+        arrow = require("pyarrow", extra="tables", purpose="writing Parquet")
+        parquet = require("pyarrow.parquet", extra="tables", purpose="writing Parquet")
+        path = self.path / f"{name}.parquet"
+        with written_whole(path) as temporary:
+            parquet.write_table(arrow.table(dict(columns)), temporary)
+        return path
+
+
+def fingerprint(path: Path) -> dict[str, Any]:
+    """Path, size and SHA-256 of a file, or of all files of a folder by name."""
+    files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
+    if not files:
+        raise FormatError(f"{path}: the folder is empty")
+    digest, size = hashlib.sha256(), 0
+    for file in files:
+        with file.open("rb") as content:
+            one = hashlib.file_digest(content, "sha256")
+        size += file.stat().st_size
+        if path.is_file():
+            digest = one
+            continue
+        digest.update(f"{one.hexdigest()}  {file.relative_to(path).as_posix()}\n".encode())
+    return {"path": str(path), "bytes": size, "sha256": digest.hexdigest()}
+
+
+def _plain(column: NDArray[Any] | Sequence[str]) -> list[Any]:
+    return column.tolist() if isinstance(column, np.ndarray) else list(column)
