@@ -4,9 +4,9 @@ pub mod reference;
 
 use lidar_core::Error;
 use lidar_core::flying::classify::ClassifyParameters;
-use lidar_core::flying::detector::FlyingParameters;
 use lidar_core::flying::gate::SeedParameters;
 use lidar_core::flying::integrate::{BACKGROUND, ClassifiedScan, INVALID, Origins};
+use lidar_core::flying::parameters::FlyingParameters;
 use lidar_core::flying::scan::RawScan;
 use lidar_core::flying::sensor::SensorParameters;
 use lidar_core::flying::separate::Separation;

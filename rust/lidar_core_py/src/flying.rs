@@ -3,10 +3,11 @@
 use crate::arrays::{self, Rows3};
 use crate::errors::BorderError;
 use crate::flying_config::FlyingConfig;
-use crate::guard::{Guarded, detached};
+use crate::guard::{Guarded, detached, keep_going};
 use crate::tracker::{TrackArrays, track_arrays};
 use lidar_core::flying::detection::Detection;
-use lidar_core::flying::detector::{FlyingObjectDetector, Frame, Teammate};
+use lidar_core::flying::detector::FlyingObjectDetector;
+use lidar_core::flying::frame::{Frame, Teammate};
 use lidar_core::flying::gate::Gate;
 use lidar_core::flying::scan::RawScan;
 use lidar_core::flying::voxel_map::VoxelMap;
@@ -67,7 +68,7 @@ impl PyFlyingObjectDetector {
             pose_stamps_ns: arrays::maybe_flat("pose_stamps_ns", &pose_stamps_ns)?,
             pose_covariance,
         };
-        let frame = self.0.with(py, |detector| detector.process(&raw))?;
+        let frame = self.0.with(py, |detector| detector.process_while(&raw, &keep_going))?;
         frame_dict(py, frame)
     }
 

@@ -1,11 +1,11 @@
 //! Clusters of one scan -> background, flying or unknown. Source: Vrba et al., sec. III-B.
 
-use super::blocks::{Cursor, Place, offset_of};
+use super::blocks::Cursor;
+use super::flood::{Flood, check_steps, distinct, neighbours, search_radius};
 use super::group::groups;
 use super::integrate::{BACKGROUND, FLYING, UNKNOWN};
-use super::separate::row_bits;
+use super::near::Near;
 use super::shadow::Shadow;
-use super::track::Occupancy;
 use super::voxel_map::VoxelMap;
 use crate::Error;
 use crate::geometry::lattice::{Voxel, floor, wide};
@@ -105,24 +105,6 @@ pub(crate) struct Verdict {
     pub(crate) clearance: f64,
 }
 
-impl VoxelMap {
-    /// Whether one cluster of points is surrounded by free voxels (Algorithm 1): no path of
-    /// uncertain voxels leads from any of its points to a tentatively occupied voxel, or
-    /// `search_distance` [m] away (L1). An empty cluster is not floating.
-    ///
-    /// # Errors
-    /// [`Error::PointOutOfRange`] for a point that cannot be indexed, [`Error::Parameter`].
-    pub fn is_floating(&self, points: &[[f32; 3]], search_distance: f64) -> Result<bool, Error> {
-        let radius = search_radius(search_distance, self.lattice().voxel_size())?;
-        let mut starts = Vec::new();
-        for &point in points {
-            starts.push(self.lattice().voxel_at(wide(point))?);
-        }
-        let mut flood = Flood::new(self, radius, true, false);
-        Ok(flood.is_enclosed(&distinct(starts), None))
-    }
-}
-
 /// Class of every cluster of a labelled cloud in the frame of the map, seen from `origin`: 1
 /// background, 2 flying, 3 unknown. The map stays as it is.
 ///
@@ -152,23 +134,6 @@ pub fn classify_clusters(
     let clusters = Cluster::all(points, labels);
     let verdicts = classify(map, points, &clusters, origin, parameters)?;
     Ok(verdicts.into_iter().map(|verdict| verdict.class).collect())
-}
-
-/// Largest L1 distance that a search may still expand, in voxels; it has found a way out one
-/// step further (A1:21, `>= d_search`).
-fn search_radius(search_distance: f64, voxel_size: f64) -> Result<i32, Error> {
-    let steps = check_steps("search_distance", search_distance, voxel_size)?;
-    Ok((steps - 1e-9).ceil() as i32)
-}
-
-/// A distance in voxels: searches grow with its cube.
-fn check_steps(name: &'static str, distance: f64, voxel_size: f64) -> Result<f64, Error> {
-    let steps = distance / voxel_size;
-    if !(steps > 0.0 && steps <= 128.0) {
-        let got = format!("{distance} m");
-        return Err(Error::Parameter { name, expected: "0 to 128 voxels", got });
-    }
-    Ok(steps)
 }
 
 /// Classify the clusters of a scan on the map as it is before this scan's update.
@@ -262,184 +227,4 @@ impl Judge<'_> {
             shell.iter().filter(|&&voxel| self.map.known(cursor.stored(voxel)) < bound).count();
         free as f64 / shell.len().max(1) as f64
     }
-}
-
-/// Rule A for single points: is a tentatively occupied voxel's centre closer than `distance`?
-pub(crate) struct Near<'a> {
-    cursor: Cursor<'a>,
-    map: &'a VoxelMap,
-    /// Squared distances below this are close [m^2].
-    limit: f64,
-    half: i32,
-}
-
-impl<'a> Near<'a> {
-    pub(crate) fn new(map: &'a VoxelMap, distance: f64) -> Self {
-        // A centre that close lies at most this many voxels from the point's own.
-        let half = (distance / map.lattice().voxel_size() + 0.5).floor() as i32;
-        Self { cursor: Cursor::new(&map.blocks), map, limit: distance * distance, half }
-    }
-
-    /// The same, but exactly `distance` is close too.
-    fn up_to(map: &'a VoxelMap, distance: f64) -> Self {
-        let near = Self::new(map, distance);
-        Self { limit: near.limit.next_up(), ..near }
-    }
-
-    pub(crate) fn is_close(&mut self, point: [f64; 3]) -> bool {
-        let lattice = self.map.lattice();
-        let Some(home) = floor(lattice.scaled(point)) else { return false };
-        let limit = self.limit;
-        let near = |voxel: Voxel| {
-            let [x, y, z] = minus(lattice.center(voxel), point);
-            x * x + y * y + z * z < limit
-        };
-        if self.cursor.is_tentative(home) && near(home) {
-            return true; // the usual case on known background
-        }
-        for z in home[2] - self.half..=home[2] + self.half {
-            for y in home[1] - self.half..=home[1] + self.half {
-                let (mut x, end) = (home[0] - self.half, home[0] + self.half);
-                while x <= end {
-                    let wall = (x & !7) + 8;
-                    if let Some(block) = self.cursor.block(Place::of([x, y, z])) {
-                        let mut row = row_bits(block, [x, y, z]) >> (x & 7);
-                        let mut at = x;
-                        while row != 0 && at <= end {
-                            if row & 1 == 1 && near([at, y, z]) {
-                                return true;
-                            }
-                            row >>= 1;
-                            at += 1;
-                        }
-                    }
-                    x = wall;
-                }
-            }
-        }
-        false
-    }
-}
-
-impl Occupancy for VoxelMap {
-    fn any_within(&self, point: [f64; 3], distance: f64) -> bool {
-        Near::up_to(self, distance).is_close(point)
-    }
-}
-
-/// Algorithm 1: breadth-first search over uncertain voxels, nodes marked when pushed.
-struct Flood<'a> {
-    map: &'a VoxelMap,
-    cursor: Cursor<'a>,
-    /// Steps that end the search.
-    radius: i32,
-    open_border: bool,
-    expand_own: bool,
-    /// Number of the search that last met a voxel of the cube around the start.
-    met: Vec<u16>,
-    search: u16,
-    queue: Vec<Voxel>,
-    explored: Vec<Voxel>,
-}
-
-impl<'a> Flood<'a> {
-    fn new(map: &'a VoxelMap, radius: i32, open_border: bool, expand_own: bool) -> Self {
-        let edge = 2 * radius as usize + 1;
-        Self {
-            map,
-            cursor: Cursor::new(&map.blocks),
-            radius,
-            open_border,
-            expand_own,
-            met: vec![0; edge * edge * edge],
-            search: 0,
-            queue: Vec::new(),
-            explored: Vec::new(),
-        }
-    }
-
-    /// Whether no search from any of `starts` finds a way out.
-    fn is_enclosed(&mut self, starts: &[Voxel], shadow: Option<&Shadow>) -> bool {
-        self.explored.clear();
-        !starts.is_empty() && starts.iter().all(|&start| !self.finds_a_way_out(start, shadow))
-    }
-
-    /// Uncertain voxels that the searches explored.
-    fn take_explored(&mut self) -> Vec<Voxel> {
-        distinct(std::mem::take(&mut self.explored))
-    }
-
-    fn finds_a_way_out(&mut self, start: Voxel, shadow: Option<&Shadow>) -> bool {
-        self.begin();
-        self.push(start, start);
-        let mut next = 0;
-        while let Some(&voxel) = self.queue.get(next) {
-            next += 1;
-            let stored = self.cursor.stored(voxel);
-            let value = self.map.known(stored);
-            if value >= self.map.tentative_from() {
-                return true; // A1:15
-            }
-            if value < self.map.uncertain_from() && !(self.expand_own && voxel == start) {
-                continue; // free voxels are not expanded, A1:31
-            }
-            if stored.is_nan() && shadow.is_some_and(|shadow| shadow.hides(voxel)) {
-                continue;
-            }
-            if steps(voxel, start) >= self.radius {
-                return true; // A1:21
-            }
-            self.explored.push(voxel);
-            for beside in neighbours(voxel) {
-                if self.map.admits(beside) {
-                    self.push(beside, start);
-                } else if self.open_border {
-                    return true;
-                }
-            }
-        }
-        false
-    }
-
-    fn begin(&mut self) {
-        self.queue.clear();
-        self.search = self.search.wrapping_add(1);
-        if self.search == 0 {
-            self.met.fill(0);
-            self.search = 1;
-        }
-    }
-
-    /// Queue a voxel unless this search has met it. Voxels are at most `radius` steps away.
-    fn push(&mut self, voxel: Voxel, start: Voxel) {
-        let edge = 2 * self.radius + 1;
-        let [x, y, z]: [i32; 3] =
-            std::array::from_fn(|axis| voxel[axis] - start[axis] + self.radius);
-        let met = &mut self.met[((z * edge + y) * edge + x) as usize];
-        if *met != self.search {
-            *met = self.search;
-            self.queue.push(voxel);
-        }
-    }
-}
-
-fn steps(a: Voxel, b: Voxel) -> i32 {
-    (0..3).map(|axis| (a[axis] - b[axis]).abs()).sum()
-}
-
-fn neighbours([x, y, z]: Voxel) -> [Voxel; 6] {
-    [[x - 1, y, z], [x + 1, y, z], [x, y - 1, z], [x, y + 1, z], [x, y, z - 1], [x, y, z + 1]]
-}
-
-fn distinct(mut voxels: Vec<Voxel>) -> Vec<Voxel> {
-    voxels.sort_unstable();
-    voxels.dedup();
-    voxels
-}
-
-/// Whether the map holds `voxel` as free; used by the pipeline's checks of a pose.
-pub(crate) fn is_observed_free(map: &VoxelMap, cursor: &mut Cursor<'_>, voxel: Voxel) -> bool {
-    cursor
-        .block(Place::of(voxel))
-        .is_some_and(|block| block.values[offset_of(voxel)] < map.uncertain_from())
 }

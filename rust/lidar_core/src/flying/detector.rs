@@ -1,120 +1,40 @@
 //! The pipeline: raw scans in, point classes, detections and tracks out.
 
 use super::blocks::Cursor;
-use super::classify::{ClassifyParameters, Cluster, Near, Verdict, classify, is_observed_free};
+use super::classify::{Cluster, Verdict, classify};
 use super::detection::Detection;
-use super::gate::{Gate, SeedParameters};
+use super::frame::{Clock, Found, Frame, Teammate, Timing};
+use super::gate::Gate;
 use super::integrate::{
     BACKGROUND, ClassifiedScan, FLYING, INVALID, IntegrateStats, Origins, UNKNOWN,
 };
+use super::near::{Near, is_observed_free};
+use super::parameters::FlyingParameters;
 use super::scan::{Prepared, RawScan};
-use super::sensor::{Sensor, SensorParameters};
-use super::separate::Separation;
-use super::track::{Detections, PointCloudTracker, Track, TrackerParameters};
+use super::sensor::Sensor;
+use super::track::{Detections, PointCloudTracker, Track};
 use super::visibility::ScanView;
-use super::voxel_map::{MapParameters, VoxelMap};
+use super::voxel_map::VoxelMap;
+use super::world::local;
 use crate::Error;
-use crate::geometry::cluster::{Clustering, label};
+use crate::geometry::cluster::label;
 use crate::geometry::lattice::{floor, wide};
 use crate::geometry::transform::{Transform, minus, norm};
 use std::collections::BTreeMap;
-use std::time::Instant;
-
-/// All parameters of the detector.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FlyingParameters {
-    /// The map; its origin is set by the detector.
-    pub map: MapParameters,
-    /// Clusters of points (eqs 13-15).
-    pub clustering: Clustering,
-    /// Classes of clusters (sec. III-B).
-    pub classify: ClassifyParameters,
-    /// Removal of separate voxels (sec. III-D).
-    pub separation: Separation,
-    /// Seeds of the background.
-    pub seed: SeedParameters,
-    /// LiDARs by name; `default_sensor` for the others.
-    pub sensors: BTreeMap<String, SensorParameters>,
-    /// LiDARs that `sensors` does not name.
-    pub default_sensor: SensorParameters,
-    /// Tracks (sec. III-F).
-    pub tracker: TrackerParameters,
-    /// Range noise [m].
-    pub range_std: f64,
-    /// The smallest target that must be seen [m]: radius.
-    pub target_radius: f64,
-    /// Share of returns in free space from which a scan is held; None never holds.
-    pub mismatch_share: Option<f64>,
-    /// The map forgets what is further from the sensor [m].
-    pub forget_distance: Option<f64>,
-}
-
-/// Milliseconds spent per stage.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Timing {
-    /// Transform, deskew, masks.
-    pub prepare: f64,
-    /// Clustering.
-    pub cluster: f64,
-    /// Classification.
-    pub classify: f64,
-    /// Map update.
-    pub integrate: f64,
-    /// Removal of separate voxels.
-    pub separate: f64,
-    /// Tracking.
-    pub track: f64,
-}
-
-/// Result of one scan; positions in the world frame.
-#[derive(Clone, Debug)]
-pub struct Frame {
-    /// Time of the scan [ns].
-    pub stamp_ns: i64,
-    /// Class of every point of the input.
-    pub point_class: Vec<u8>,
-    /// Flying objects in this scan.
-    pub detections: Vec<Detection>,
-    /// Known teammates that were seen: id and measured position.
-    pub teammates: Vec<(i64, Detection)>,
-    /// Confirmed tracks at the time of the scan.
-    pub tracks: Vec<Track>,
-    /// Whether detections are reported.
-    pub gate: Gate,
-    /// Whether rays without return clear open sky.
-    pub clears_sky: bool,
-    /// Rays without return that were rebuilt.
-    pub rebuilt_rays: usize,
-    /// What the scan did to the map; None if it was held.
-    pub integrated: Option<IntegrateStats>,
-    /// Time per stage.
-    pub timing: Timing,
-}
-
-/// A known flying object that is not to be reported.
-#[derive(Clone, Copy, Debug)]
-pub struct Teammate {
-    /// Its name.
-    pub id: i64,
-    /// Where it says it is, world frame [m].
-    pub position: [f64; 3],
-    /// Detections this near are taken for it [m].
-    pub radius: f64,
-}
 
 /// Detection and tracking of flying objects in scans of one or several LiDARs.
 pub struct FlyingObjectDetector {
-    parameters: FlyingParameters,
-    map: VoxelMap,
-    tracker: PointCloudTracker,
-    sensors: BTreeMap<String, Sensor>,
-    teammates: Vec<Teammate>,
-    anchored: bool,
-    map_from_world: Transform,
-    scans: u32,
-    last_stamp_ns: Option<i64>,
-    last_pose: Option<Transform>,
-    held_pose: Option<Transform>,
+    pub(super) parameters: FlyingParameters,
+    pub(super) map: VoxelMap,
+    pub(super) tracker: PointCloudTracker,
+    pub(super) sensors: BTreeMap<String, Sensor>,
+    pub(super) teammates: Vec<Teammate>,
+    pub(super) anchored: bool,
+    pub(super) map_from_world: Transform,
+    pub(super) scans: u32,
+    pub(super) last_stamp_ns: Option<i64>,
+    pub(super) last_pose: Option<Transform>,
+    pub(super) held_pose: Option<Transform>,
 }
 
 impl FlyingObjectDetector {
@@ -143,15 +63,31 @@ impl FlyingObjectDetector {
     /// # Errors
     /// For input that cannot be used; the detector is unchanged then.
     pub fn process(&mut self, raw: &RawScan<'_>) -> Result<Frame, Error> {
+        self.process_while(raw, &|| true)
+    }
+
+    /// The same, but given up if `keep_going` says false between stages.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`], and those of `process`; the detector is unchanged then.
+    pub fn process_while(
+        &mut self,
+        raw: &RawScan<'_>,
+        keep_going: &dyn Fn() -> bool,
+    ) -> Result<Frame, Error> {
         let was_anchored = self.anchored;
-        let frame = self.process_anchored(raw);
+        let frame = self.process_anchored(raw, keep_going);
         if frame.is_err() && !was_anchored {
             self.anchored = false; // the next scan says where the map begins
         }
         frame
     }
 
-    fn process_anchored(&mut self, raw: &RawScan<'_>) -> Result<Frame, Error> {
+    fn process_anchored(
+        &mut self,
+        raw: &RawScan<'_>,
+        keep_going: &dyn Fn() -> bool,
+    ) -> Result<Frame, Error> {
         let mut clock = Clock::start();
         let sensor = self.sensor(raw.sensor);
         sensor.check_stamp(raw.sensor, raw.stamp_ns)?;
@@ -167,11 +103,17 @@ impl FlyingObjectDetector {
         let labels = label(&scan.points, &self.parameters.clustering)?;
         let clusters = Cluster::all(&scan.points, &labels);
         timing.cluster = clock.lap();
+        if !keep_going() {
+            return Err(Error::Interrupted);
+        }
 
         let gate = self.parameters.seed.gate(self.scans, &self.map, self.needed());
         let verdicts = self.verdicts(&scan, &clusters)?;
         let class = point_classes(&scan, &labels, &verdicts);
         timing.classify = clock.lap();
+        if !keep_going() {
+            return Err(Error::Interrupted);
+        }
 
         let stats = self.integrate(&scan, &class)?; // the last stage that may refuse the scan
         self.accept(raw, &scan, sensor);
@@ -200,80 +142,10 @@ impl FlyingObjectDetector {
         self.teammates = teammates;
     }
 
-    /// Make the voxels of `points` [m, world] occupied, or free, for good (sec. III-E).
-    ///
-    /// # Errors
-    /// As [`VoxelMap::set_free`].
-    pub fn set_known(&mut self, points: &[[f64; 3]], occupied: bool) -> Result<(), Error> {
-        let Some(&first) = points.first() else { return Ok(()) };
-        if !self.anchored {
-            self.anchor_at(first)?;
-        }
-        let points = self.in_map(points);
-        if occupied { self.map.set_occupied(&points) } else { self.map.set_free(&points) }
-    }
-
     /// The map; its coordinates are relative to its origin.
     #[must_use]
     pub fn map(&self) -> &VoxelMap {
         &self.map
-    }
-
-    /// Take over a map, such as one of an earlier run; its own parameters stay in force.
-    ///
-    /// # Errors
-    /// [`Error::Parameter`] if its voxels differ in size from the configured ones.
-    pub fn set_map(&mut self, map: VoxelMap) -> Result<(), Error> {
-        if map.parameters().voxel_size != self.parameters.map.voxel_size {
-            return Err(Error::Parameter {
-                name: "voxel_size",
-                expected: "a map with the configured size",
-                got: map.parameters().voxel_size.to_string(),
-            });
-        }
-        self.place_origin(map.parameters().origin);
-        self.map = map;
-        self.tracker.reset();
-        Ok(())
-    }
-
-    /// Points [m, world] in the frame of the map.
-    #[must_use]
-    pub fn in_map(&self, points: &[[f64; 3]]) -> Vec<[f32; 3]> {
-        let local = |&point: &[f64; 3]| self.map_from_world.apply(point).map(|value| value as f32);
-        points.iter().map(local).collect()
-    }
-
-    /// Where the frame of the map lies in the world.
-    #[must_use]
-    pub fn world_from_map(&self) -> Transform {
-        self.map_from_world.inverse()
-    }
-
-    /// After a jump of the pose (relocalisation, GNSS step): shift the world so that the scan held
-    /// last lies where the scan before it was. False if no scan is held.
-    pub fn reanchor(&mut self) -> bool {
-        let (Some(held), Some(last)) = (self.held_pose.take(), self.last_pose) else {
-            return false;
-        };
-        self.map_from_world = last.after(&held.inverse());
-        true
-    }
-
-    /// Forget map, tracks and poses. Track numbers go on; what was learnt of the sensors stays.
-    ///
-    /// # Errors
-    /// None that [`FlyingObjectDetector::new`] did not have.
-    pub fn reset(&mut self) -> Result<(), Error> {
-        self.map = VoxelMap::new(local(&self.parameters.map, [0.0; 3]), self.map.threads())?;
-        self.tracker.reset();
-        for sensor in self.sensors.values_mut() {
-            sensor.last_stamp_ns = None;
-        }
-        (self.anchored, self.map_from_world) = (false, Transform::IDENTITY);
-        (self.scans, self.last_stamp_ns) = (0, None);
-        (self.last_pose, self.held_pose) = (None, None);
-        Ok(())
     }
 
     fn sensor(&self, name: &str) -> Sensor {
@@ -288,31 +160,6 @@ impl FlyingObjectDetector {
         let stamp_ns = stamp_ns.saturating_add(i64::from(taken));
         self.tracker.check_stamp(stamp_ns)?;
         Ok(stamp_ns)
-    }
-
-    /// The local frame: the first pose's position, on a corner of the world's voxels.
-    fn anchor(&mut self, raw: &RawScan<'_>) -> Result<(), Error> {
-        match raw.poses.first() {
-            Some(pose) if !self.anchored => self.anchor_at([pose[3], pose[7], pose[11]]),
-            _ => Ok(()),
-        }
-    }
-
-    fn anchor_at(&mut self, point: [f64; 3]) -> Result<(), Error> {
-        let size = self.parameters.map.voxel_size;
-        let origin = point.map(|value| (value / size).round() * size);
-        if !origin.iter().all(|value| value.is_finite()) {
-            return Err(Error::PointOutOfRange { point });
-        }
-        self.map = VoxelMap::new(local(&self.parameters.map, origin), self.map.threads())?;
-        self.place_origin(origin);
-        Ok(())
-    }
-
-    fn place_origin(&mut self, origin: [f64; 3]) {
-        self.anchored = true;
-        self.map_from_world =
-            Transform { translation: origin.map(|value| -value), ..Transform::IDENTITY };
     }
 
     fn needed(&self) -> usize {
@@ -510,34 +357,6 @@ impl FlyingObjectDetector {
             timing,
         }
     }
-}
-
-#[derive(Default)]
-struct Found {
-    detections: Vec<Detection>,
-    teammates: Vec<(i64, Detection)>,
-}
-
-/// Stop watch for the stages.
-struct Clock(Instant);
-
-impl Clock {
-    fn start() -> Self {
-        Self(Instant::now())
-    }
-
-    /// Milliseconds since the last lap.
-    fn lap(&mut self) -> f64 {
-        let now = Instant::now();
-        let passed = now.duration_since(std::mem::replace(&mut self.0, now));
-        passed.as_secs_f64() * 1e3
-    }
-}
-
-/// Map parameters for coordinates relative to `origin`.
-fn local(parameters: &MapParameters, origin: [f64; 3]) -> MapParameters {
-    let bounds = parameters.bounds.map(|corners| corners.map(|corner| minus(corner, origin)));
-    MapParameters { origin, bounds, ..parameters.clone() }
 }
 
 /// Class of every row: that of its cluster; unknown for points in no cluster.

@@ -80,7 +80,7 @@ impl Detections<'_> {
             MeasurementForm::Paper => 0.0,
             MeasurementForm::Cluster => self.delay.map_or(0.0, |delay| delay[index]),
         };
-        if !(delay.abs() <= MAX_DELAY) {
+        if !(-MAX_DELAY..=MAX_DELAY).contains(&delay) {
             return bad("delay", "at most 10 s", delay.to_string());
         }
         if !is_finite(extent) || extent.iter().any(|&side| side < 0.0) {

@@ -1,0 +1,156 @@
+//! Algorithm 1: is a cluster surrounded by free voxels?
+
+use super::blocks::Cursor;
+use super::shadow::Shadow;
+use super::voxel_map::VoxelMap;
+use crate::Error;
+use crate::geometry::lattice::{Voxel, wide};
+
+impl VoxelMap {
+    /// Whether one cluster of points is surrounded by free voxels (Algorithm 1): no path of
+    /// uncertain voxels leads from any of its points to a tentatively occupied voxel, or
+    /// `search_distance` [m] away (L1). An empty cluster is not floating.
+    ///
+    /// # Errors
+    /// [`Error::PointOutOfRange`] for a point that cannot be indexed, [`Error::Parameter`].
+    pub fn is_floating(&self, points: &[[f32; 3]], search_distance: f64) -> Result<bool, Error> {
+        let radius = search_radius(search_distance, self.lattice().voxel_size())?;
+        let mut starts = Vec::new();
+        for &point in points {
+            starts.push(self.lattice().voxel_at(wide(point))?);
+        }
+        let mut flood = Flood::new(self, radius, true, false);
+        Ok(flood.is_enclosed(&distinct(starts), None))
+    }
+}
+
+/// Largest L1 distance that a search may still expand, in voxels; it has found a way out one
+/// step further (A1:21, `>= d_search`).
+pub(crate) fn search_radius(search_distance: f64, voxel_size: f64) -> Result<i32, Error> {
+    let steps = check_steps("search_distance", search_distance, voxel_size)?;
+    Ok((steps - 1e-9).ceil() as i32)
+}
+
+/// A distance in voxels: searches grow with its cube.
+pub(crate) fn check_steps(
+    name: &'static str,
+    distance: f64,
+    voxel_size: f64,
+) -> Result<f64, Error> {
+    let steps = distance / voxel_size;
+    if !(steps > 0.0 && steps <= 128.0) {
+        let got = format!("{distance} m");
+        return Err(Error::Parameter { name, expected: "0 to 128 voxels", got });
+    }
+    Ok(steps)
+}
+
+/// Algorithm 1: breadth-first search over uncertain voxels, nodes marked when pushed.
+pub(crate) struct Flood<'a> {
+    map: &'a VoxelMap,
+    cursor: Cursor<'a>,
+    /// Steps that end the search.
+    radius: i32,
+    open_border: bool,
+    expand_own: bool,
+    /// Number of the search that last met a voxel of the cube around the start.
+    met: Vec<u16>,
+    search: u16,
+    queue: Vec<Voxel>,
+    explored: Vec<Voxel>,
+}
+
+impl<'a> Flood<'a> {
+    pub(crate) fn new(map: &'a VoxelMap, radius: i32, open_border: bool, expand_own: bool) -> Self {
+        let edge = 2 * radius as usize + 1;
+        Self {
+            map,
+            cursor: Cursor::new(&map.blocks),
+            radius,
+            open_border,
+            expand_own,
+            met: vec![0; edge * edge * edge],
+            search: 0,
+            queue: Vec::new(),
+            explored: Vec::new(),
+        }
+    }
+
+    /// Whether no search from any of `starts` finds a way out.
+    pub(crate) fn is_enclosed(&mut self, starts: &[Voxel], shadow: Option<&Shadow>) -> bool {
+        self.explored.clear();
+        !starts.is_empty() && starts.iter().all(|&start| !self.finds_a_way_out(start, shadow))
+    }
+
+    /// Uncertain voxels that the searches explored.
+    pub(crate) fn take_explored(&mut self) -> Vec<Voxel> {
+        distinct(std::mem::take(&mut self.explored))
+    }
+
+    fn finds_a_way_out(&mut self, start: Voxel, shadow: Option<&Shadow>) -> bool {
+        self.begin();
+        self.push(start, start);
+        let mut next = 0;
+        while let Some(&voxel) = self.queue.get(next) {
+            next += 1;
+            let stored = self.cursor.stored(voxel);
+            let value = self.map.known(stored);
+            if value >= self.map.tentative_from() {
+                return true; // A1:15
+            }
+            if value < self.map.uncertain_from() && !(self.expand_own && voxel == start) {
+                continue; // free voxels are not expanded, A1:31
+            }
+            if stored.is_nan() && shadow.is_some_and(|shadow| shadow.hides(voxel)) {
+                continue;
+            }
+            if steps(voxel, start) >= self.radius {
+                return true; // A1:21
+            }
+            self.explored.push(voxel);
+            for beside in neighbours(voxel) {
+                if self.map.admits(beside) {
+                    self.push(beside, start);
+                } else if self.open_border {
+                    return true;
+                }
+            }
+        }
+        false
+    }
+
+    fn begin(&mut self) {
+        self.queue.clear();
+        self.search = self.search.wrapping_add(1);
+        if self.search == 0 {
+            self.met.fill(0);
+            self.search = 1;
+        }
+    }
+
+    /// Queue a voxel unless this search has met it. Voxels are at most `radius` steps away.
+    fn push(&mut self, voxel: Voxel, start: Voxel) {
+        let edge = 2 * self.radius + 1;
+        let [x, y, z]: [i32; 3] =
+            std::array::from_fn(|axis| voxel[axis] - start[axis] + self.radius);
+        let met = &mut self.met[((z * edge + y) * edge + x) as usize];
+        if *met != self.search {
+            *met = self.search;
+            self.queue.push(voxel);
+        }
+    }
+}
+
+fn steps(a: Voxel, b: Voxel) -> i32 {
+    (0..3).map(|axis| (a[axis] - b[axis]).abs()).sum()
+}
+
+pub(crate) fn neighbours([x, y, z]: Voxel) -> [Voxel; 6] {
+    [[x - 1, y, z], [x + 1, y, z], [x, y - 1, z], [x, y + 1, z], [x, y, z - 1], [x, y, z + 1]]
+}
+
+pub(crate) fn distinct(mut voxels: Vec<Voxel>) -> Vec<Voxel> {
+    voxels.sort_unstable();
+    voxels.dedup();
+    voxels
+}

@@ -1,0 +1,83 @@
+//! What the detector says about one scan.
+
+use super::detection::Detection;
+use super::gate::Gate;
+use super::integrate::IntegrateStats;
+use super::track::Track;
+use std::time::Instant;
+
+/// Milliseconds spent per stage.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Timing {
+    /// Transform, deskew, masks.
+    pub prepare: f64,
+    /// Clustering.
+    pub cluster: f64,
+    /// Classification.
+    pub classify: f64,
+    /// Map update.
+    pub integrate: f64,
+    /// Removal of separate voxels.
+    pub separate: f64,
+    /// Tracking.
+    pub track: f64,
+}
+
+/// Result of one scan; positions in the world frame.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Time of the scan [ns].
+    pub stamp_ns: i64,
+    /// Class of every point of the input.
+    pub point_class: Vec<u8>,
+    /// Flying objects in this scan.
+    pub detections: Vec<Detection>,
+    /// Known teammates that were seen: id and measured position.
+    pub teammates: Vec<(i64, Detection)>,
+    /// Confirmed tracks at the time of the scan.
+    pub tracks: Vec<Track>,
+    /// Whether detections are reported.
+    pub gate: Gate,
+    /// Whether rays without return clear open sky.
+    pub clears_sky: bool,
+    /// Rays without return that were rebuilt.
+    pub rebuilt_rays: usize,
+    /// What the scan did to the map; None if it was held.
+    pub integrated: Option<IntegrateStats>,
+    /// Time per stage.
+    pub timing: Timing,
+}
+
+/// A known flying object that is not to be reported.
+#[derive(Clone, Copy, Debug)]
+pub struct Teammate {
+    /// Its name.
+    pub id: i64,
+    /// Where it says it is, world frame [m].
+    pub position: [f64; 3],
+    /// Detections this near are taken for it [m].
+    pub radius: f64,
+}
+
+/// Detections and teammates of a scan, in the frame of the map.
+#[derive(Default)]
+pub(crate) struct Found {
+    pub(crate) detections: Vec<Detection>,
+    pub(crate) teammates: Vec<(i64, Detection)>,
+}
+
+/// Stop watch for the stages.
+pub(crate) struct Clock(Instant);
+
+impl Clock {
+    pub(crate) fn start() -> Self {
+        Self(Instant::now())
+    }
+
+    /// Milliseconds since the last lap.
+    pub(crate) fn lap(&mut self) -> f64 {
+        let now = Instant::now();
+        let passed = now.duration_since(std::mem::replace(&mut self.0, now));
+        passed.as_secs_f64() * 1e3
+    }
+}

@@ -1,0 +1,39 @@
+//! Everything the detector can be told.
+
+use super::classify::ClassifyParameters;
+use super::gate::SeedParameters;
+use super::sensor::SensorParameters;
+use super::separate::Separation;
+use super::track::TrackerParameters;
+use super::voxel_map::MapParameters;
+use crate::geometry::cluster::Clustering;
+use std::collections::BTreeMap;
+
+/// All parameters of the detector.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FlyingParameters {
+    /// The map; its origin is set by the detector.
+    pub map: MapParameters,
+    /// Clusters of points (eqs 13-15).
+    pub clustering: Clustering,
+    /// Classes of clusters (sec. III-B).
+    pub classify: ClassifyParameters,
+    /// Removal of separate voxels (sec. III-D).
+    pub separation: Separation,
+    /// Seeds of the background.
+    pub seed: SeedParameters,
+    /// LiDARs by name; `default_sensor` for the others.
+    pub sensors: BTreeMap<String, SensorParameters>,
+    /// LiDARs that `sensors` does not name.
+    pub default_sensor: SensorParameters,
+    /// Tracks (sec. III-F).
+    pub tracker: TrackerParameters,
+    /// Range noise [m].
+    pub range_std: f64,
+    /// The smallest target that must be seen [m]: radius.
+    pub target_radius: f64,
+    /// Share of returns in free space from which a scan is held; None never holds.
+    pub mismatch_share: Option<f64>,
+    /// The map forgets what is further from the sensor [m].
+    pub forget_distance: Option<f64>,
+}
