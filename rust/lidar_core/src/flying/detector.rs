@@ -100,7 +100,7 @@ impl FlyingObjectDetector {
             self.held_pose = Some(self.map_from_world.inverse().after(&scan.pose));
             return Ok(self.held_frame(raw, &scan, gate, timing));
         }
-        let labels = label(&scan.points, &self.parameters.clustering)?;
+        let labels = self.labels(&scan)?;
         let clusters = Cluster::all(&scan.points, &labels);
         timing.cluster = clock.lap();
         if !keep_going() {
@@ -108,18 +108,22 @@ impl FlyingObjectDetector {
         }
 
         let gate = self.parameters.seed.gate(self.scans, &self.map, self.needed());
-        let verdicts = self.verdicts(&scan, &clusters)?;
-        let class = point_classes(&scan, &labels, &verdicts);
+        let mut verdicts = self.verdicts(&scan, &clusters)?;
+        let class = point_classes(&scan, &labels, &self.to_integrate(&verdicts));
         timing.classify = clock.lap();
         if !keep_going() {
             return Err(Error::Interrupted);
         }
 
         let stats = self.integrate(&scan, &class)?; // the last stage that may refuse the scan
+        if self.parameters.classify.after_update {
+            verdicts = self.verdicts(&scan, &clusters)?;
+        }
+        let class = point_classes(&scan, &labels, &verdicts);
         self.accept(raw, &scan, sensor);
         self.fill_pockets(&clusters, &verdicts, &scan);
         timing.integrate = clock.lap();
-        self.map.remove_separate(self.parameters.separation)?;
+        self.map.remove_separate_from_background(self.parameters.separation)?;
         timing.separate = clock.lap();
 
         let found = self.detections(&scan, &clusters, &verdicts, raw.pose_covariance.as_ref());
@@ -160,6 +164,30 @@ impl FlyingObjectDetector {
         let stamp_ns = stamp_ns.saturating_add(i64::from(taken));
         self.tracker.check_stamp(stamp_ns)?;
         Ok(stamp_ns)
+    }
+
+    fn labels(&self, scan: &Prepared) -> Result<Vec<i32>, Error> {
+        if !self.parameters.cluster_voxels {
+            return label(&scan.points, &self.parameters.clustering);
+        }
+        let lattice = self.map.lattice();
+        let center = |&point: &[f32; 3]| match floor(lattice.scaled(wide(point))) {
+            Some(voxel) => lattice.center(voxel).map(|value| value as f32),
+            None => [f32::NAN; 3],
+        };
+        let centers: Vec<[f32; 3]> = scan.points.iter().map(center).collect();
+        label(&centers, &self.parameters.clustering)
+    }
+
+    /// What the map is told: before rule B has been judged, nothing is flying.
+    fn to_integrate(&self, verdicts: &[Verdict]) -> Vec<Verdict> {
+        let mut verdicts = verdicts.to_vec();
+        if self.parameters.classify.after_update {
+            for verdict in verdicts.iter_mut().filter(|verdict| verdict.class == FLYING) {
+                verdict.class = UNKNOWN;
+            }
+        }
+        verdicts
     }
 
     fn needed(&self) -> usize {

@@ -53,6 +53,18 @@ pub struct Separation {
     pub min_confident: usize,
 }
 
+impl Separation {
+    fn neighbours(&self, voxel_size: f64) -> Result<Neighbours, Error> {
+        Neighbours::within(self.max_gap / voxel_size)
+    }
+
+    /// # Errors
+    /// [`Error::Parameter`] if `max_gap` is not a distance of 0 to 64 voxels.
+    pub(crate) fn check(&self, voxel_size: f64) -> Result<(), Error> {
+        self.neighbours(voxel_size).map(drop)
+    }
+}
+
 impl VoxelMap {
     /// Pull every voxel of a group of at least tentatively occupied voxels that holds fewer
     /// than `min_confident` confident ones once towards free. Returns the voxels changed.
@@ -63,7 +75,30 @@ impl VoxelMap {
     /// # Source
     /// Vrba et al., sec. III-D, eq. 23.
     pub fn remove_separate(&mut self, separation: Separation) -> Result<usize, Error> {
-        let neighbours = Neighbours::within(separation.max_gap / self.lattice().voxel_size())?;
+        let separate = self.separate_voxels(separation)?;
+        Ok(self.pull_to_free(&separate))
+    }
+
+    /// The same, but nothing is removed before some group holds enough confident voxels: a young
+    /// background would be pulled down faster than a sparse sensor can build it up.
+    ///
+    /// # Errors
+    /// As [`VoxelMap::remove_separate`].
+    pub fn remove_separate_from_background(
+        &mut self,
+        separation: Separation,
+    ) -> Result<usize, Error> {
+        let separate = self.separate_voxels(separation)?;
+        if self.has_background() {
+            return Ok(self.pull_to_free(&separate));
+        }
+        self.changes.restart();
+        Ok(0)
+    }
+
+    /// Members of separate groups that are not permanent, of those groups that changed.
+    fn separate_voxels(&mut self, separation: Separation) -> Result<Vec<Voxel>, Error> {
+        let neighbours = separation.neighbours(self.lattice().voxel_size())?;
         let looks_at_all = self.changes.settled_with != Some(separation);
         let starts =
             if looks_at_all { self.occupied_voxels() } else { self.changes.voxels.clone() };
@@ -78,17 +113,26 @@ impl VoxelMap {
         for voxel in self.changes.anchor.into_iter().chain(starts) {
             search.look_around(voxel);
         }
+        if search.anchor.is_none() && !looks_at_all {
+            for voxel in self.occupied_voxels() {
+                search.look_around(voxel); // the known background is gone: is there another?
+            }
+        }
         let Search { mut separate, anchor, marks, .. } = search;
         self.changes.marks = marks.give_back();
         (self.changes.settled_with, self.changes.anchor) = (Some(separation), anchor);
         self.changes.voxels.clear();
-        separate.retain(|&voxel| self.blocks.stored(voxel).is_finite()); // permanent ones stay
+        separate.retain(|&voxel| self.blocks.stored(voxel).is_finite());
+        Ok(separate)
+    }
+
+    fn pull_to_free(&mut self, separate: &[Voxel]) -> usize {
         let (g_free, keep) = (self.parameters().g_free, two_to_minus(1.0));
-        for &voxel in &separate {
+        for &voxel in separate {
             self.rewrite(voxel, |value| filtered(value, g_free, keep));
             self.changes.note(voxel); // what is left of the group is looked at again
         }
-        Ok(separate.len())
+        separate.len()
     }
 
     /// Whether some group of occupied voxels holds enough confident ones, as of the last
