@@ -147,7 +147,7 @@ pub fn map_parameters() -> MapParameters {
 pub const CLUSTERING: Clustering =
     Clustering { max_distance: 0.25, min_points: 1, max_points: None };
 /// Separation of Table II.
-pub const SEPARATION: Separation = Separation { max_gap: 0.8, min_confident: 24 };
+pub const SEPARATION: Separation = Separation { max_gap: 0.8, min_confident: 24, dilate: false };
 
 /// Classification in best mode.
 #[must_use]
@@ -155,6 +155,8 @@ pub fn classify_parameters() -> ClassifyParameters {
     ClassifyParameters {
         close_distance: 0.7,
         search_distance: 3.0,
+        search_adds_extent: false,
+        after_update: false,
         open_border: true,
         own_shadow: true,
         expand_own: true,
@@ -173,6 +175,7 @@ pub fn flying_parameters() -> FlyingParameters {
     FlyingParameters {
         map: map_parameters(),
         clustering: CLUSTERING,
+        cluster_voxels: false,
         classify: classify_parameters(),
         separation: SEPARATION,
         seed: SeedParameters {
@@ -209,6 +212,7 @@ pub fn tracker_parameters() -> TrackerParameters {
         clustering: CLUSTERING,
         max_extent: Some(1.5),
         occupied_distance: 0.7,
+        occupied_adds_extent: false,
         radius: Radius { form: RadiusForm::SixthRoot, scale: 1.22, min: 1.5, max: 3.0 },
         motion: Motion {
             acceleration_time: Some(0.5),

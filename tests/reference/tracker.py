@@ -137,7 +137,8 @@ class Tracker:
             near = len(occupied) and np.linalg.norm(occupied - centroid, axis=1).min()
             if len(own) < self.c.cluster_min_points or too_many or too_large:
                 continue
-            if len(occupied) and near <= self.c.occupied_distance:
+            wider = np.linalg.norm(extent) if self.c.occupied_adds_extent else 0.0
+            if len(occupied) and near <= self.c.occupied_distance + wider:
                 continue
             R = self.c.measurement_std**2 * EYE
             if self.c.measurement == "cluster":

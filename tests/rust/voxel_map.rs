@@ -126,7 +126,7 @@ proptest! {
             integrate(&mut map, &entries).map_err(fail)?;
             // Now and then the parameters change, which makes all groups candidates.
             let max_gap = if gap == 0 { 0.3 } else { 0.8 };
-            let separation = Separation { max_gap, min_confident: 1 + min_confident / 3 };
+            let separation = Separation { max_gap, min_confident: 1 + min_confident / 3, dilate: false };
             let mut fresh = VoxelMap::from_bytes(&map.to_bytes(), 1).map_err(fail)?;
             let changed = map.remove_separate(separation).map_err(fail)?;
             prop_assert_eq!(fresh.remove_separate(separation).map_err(fail)?, changed);

@@ -77,6 +77,11 @@ class ClusterConfig(Config):
     max_points: int | None = Field(
         None, ge=1, description="Larger clusters are unknown (count, no unit)."
     )
+    of: Literal["points", "voxels"] = Field(
+        "points",
+        description="What is clustered: points, or the centres of their voxels as in the authors'"
+        " code (no unit).",
+    )
 
 
 class ClassifyConfig(Config):
@@ -96,6 +101,16 @@ class ClassifyConfig(Config):
         gt=0,
         description="Rule B: a path of uncertain voxels this long (L1) connects a cluster,"
         " d_search [m].",
+    )
+    search_adds_extent: bool = Field(
+        False,
+        description="The diagonal of a cluster's box is added to its search distance, as in the"
+        " authors' code (no unit).",
+    )
+    map_state: Literal["before", "after_update"] = Field(
+        "before",
+        description="Rule B is judged on the map before this scan's update, or after it as in the"
+        " authors' code (no unit).",
     )
     border: Literal["open", "closed"] = Field(
         "open",
@@ -164,6 +179,11 @@ class SeparateConfig(Config):
         ge=0,
         description="Groups with fewer confidently occupied voxels are removed, n_conf,min"
         " (count, no unit).",
+    )
+    dilate: bool = Field(
+        False,
+        description="Observed voxels within `max_gap` of a removed one are pulled towards free"
+        " too, as in the authors' code (no unit).",
     )
 
 

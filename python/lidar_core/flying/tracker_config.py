@@ -39,6 +39,11 @@ class TrackerConfig(Config):
         description="A centroid this close to an occupied voxel's centre is background, d_min [m];"
         " the paper gives no value, its mode takes 1.0 m.",
     )
+    occupied_adds_extent: bool = Field(
+        False,
+        description="The diagonal of the cluster's box is added to `occupied_distance`, as in the"
+        " authors' code (no unit).",
+    )
     radius: Literal["paper", "sixth-root"] = Field(
         "sixth-root",
         description="Root of the determinant in the uncertainty radius: cube root, eq. 26, or sixth"

@@ -34,12 +34,15 @@ struct ClusterConfig {
     max_distance: f64,
     min_points: usize,
     max_points: Option<usize>,
+    of: String,
 }
 
 #[derive(FromPyObject)]
 pub(crate) struct ClassifyConfig {
     close_distance: f64,
     search_distance: f64,
+    search_adds_extent: bool,
+    map_state: String,
     border: String,
     shadow: String,
     own_voxels: String,
@@ -55,6 +58,7 @@ pub(crate) struct ClassifyConfig {
 struct SeparateConfig {
     max_gap: f64,
     min_confident: usize,
+    dilate: bool,
 }
 
 #[derive(FromPyObject)]
@@ -88,10 +92,12 @@ impl FlyingConfig {
                 min_points: self.cluster.min_points,
                 max_points: self.cluster.max_points,
             },
+            cluster_voxels: self.cluster.of == "voxels",
             classify: self.classify.parameters(),
             separation: Separation {
                 max_gap: self.separate.max_gap,
                 min_confident: self.separate.min_confident,
+                dilate: self.separate.dilate,
             },
             seed: SeedParameters {
                 burn_in_scans: self.seed.burn_in_scans,
@@ -119,6 +125,8 @@ impl ClassifyConfig {
         ClassifyParameters {
             close_distance: self.close_distance,
             search_distance: self.search_distance,
+            search_adds_extent: self.search_adds_extent,
+            after_update: self.map_state == "after_update",
             open_border: self.border == "open",
             own_shadow: self.shadow == "own",
             expand_own: self.own_voxels == "expanded",

@@ -23,6 +23,7 @@ pub(crate) struct TrackerConfig {
     cluster_max_points: Option<usize>,
     max_extent: Option<f64>,
     occupied_distance: f64,
+    occupied_adds_extent: bool,
     radius: String,
     radius_scale: f64,
     radius_min: f64,
@@ -80,6 +81,7 @@ impl TrackerConfig {
             },
             max_extent: self.max_extent,
             occupied_distance: self.occupied_distance,
+            occupied_adds_extent: self.occupied_adds_extent,
             radius: Radius {
                 form: arrays::choice("radius", &self.radius, &RADIUS_FORMS)?,
                 scale: self.radius_scale,

@@ -165,7 +165,9 @@ impl PyVoxelMap {
         min_confident: i64,
     ) -> Result<usize, BorderError> {
         let min_confident = arrays::count("min_confident", min_confident)?;
-        self.0.with(py, |map| map.remove_separate(Separation { max_gap, min_confident }))
+        self.0.with(py, |map| {
+            map.remove_separate(Separation { max_gap, min_confident, dilate: false })
+        })
     }
 
     #[pyo3(signature = (points, labels, sensor_origin, *, config))]

@@ -19,6 +19,10 @@ pub struct ClassifyParameters {
     pub close_distance: f64,
     /// Rule B: a path of uncertain voxels this long (L1) ends the search, d_search [m].
     pub search_distance: f64,
+    /// The diagonal of a cluster's box is added to its search distance.
+    pub search_adds_extent: bool,
+    /// Rule B is judged on the map after this scan's update, not before.
+    pub after_update: bool,
     /// A search that leaves a fixed operating volume: true finds a way out, false a wall.
     pub open_border: bool,
     /// Never-observed voxels in a cluster's own shadow do not connect it.
@@ -208,11 +212,18 @@ impl Judge<'_> {
         let lattice = self.map.lattice();
         let starts = distinct(points.iter().filter_map(|&p| floor(lattice.scaled(p))).collect());
         let shadow = p.own_shadow.then(|| Shadow::of(&points, self.origin, lattice));
-        if !flood.is_enclosed(&starts, shadow.as_ref()) {
+        let search = |flood: &mut Flood<'_>| {
+            (flood.is_enclosed(&starts, shadow.as_ref()), flood.take_explored())
+        };
+        let (enclosed, explored) = if p.search_adds_extent {
+            search(&mut Flood::wider(self.map, p, cluster.diagonal()))
+        } else {
+            search(flood)
+        };
+        if !enclosed {
             return unknown;
         }
-        let clearance = self.clearance(&starts);
-        Verdict { class: FLYING, explored: flood.take_explored(), clearance }
+        Verdict { class: FLYING, explored, clearance: self.clearance(&starts) }
     }
 
     /// Share of free voxels among the neighbours of a cluster's voxels.

@@ -109,17 +109,21 @@ impl FlyingObjectDetector {
 
         let gate = self.parameters.seed.gate(self.scans, &self.map, self.needed());
         let mut verdicts = self.verdicts(&scan, &clusters)?;
-        let class = point_classes(&scan, &labels, &self.to_integrate(&verdicts));
+        let mut class = point_classes(&scan, &labels, &verdicts);
+        let after_update = self.parameters.classify.after_update;
+        if after_update {
+            replace(&mut class, FLYING, UNKNOWN); // rule B is judged below
+        }
         timing.classify = clock.lap();
         if !keep_going() {
             return Err(Error::Interrupted);
         }
 
         let stats = self.integrate(&scan, &class)?; // the last stage that may refuse the scan
-        if self.parameters.classify.after_update {
+        if after_update {
             verdicts = self.verdicts(&scan, &clusters)?;
+            class = point_classes(&scan, &labels, &verdicts);
         }
-        let class = point_classes(&scan, &labels, &verdicts);
         self.accept(raw, &scan, sensor);
         self.fill_pockets(&clusters, &verdicts, &scan);
         timing.integrate = clock.lap();
@@ -177,17 +181,6 @@ impl FlyingObjectDetector {
         };
         let centers: Vec<[f32; 3]> = scan.points.iter().map(center).collect();
         label(&centers, &self.parameters.clustering)
-    }
-
-    /// What the map is told: before rule B has been judged, nothing is flying.
-    fn to_integrate(&self, verdicts: &[Verdict]) -> Vec<Verdict> {
-        let mut verdicts = verdicts.to_vec();
-        if self.parameters.classify.after_update {
-            for verdict in verdicts.iter_mut().filter(|verdict| verdict.class == FLYING) {
-                verdict.class = UNKNOWN;
-            }
-        }
-        verdicts
     }
 
     fn needed(&self) -> usize {
@@ -361,10 +354,7 @@ impl FlyingObjectDetector {
     ) -> Frame {
         point_class.truncate(scan.rows);
         if gate != Gate::Open {
-            point_class
-                .iter_mut()
-                .filter(|class| **class == FLYING)
-                .for_each(|class| *class = UNKNOWN);
+            replace(&mut point_class, FLYING, UNKNOWN);
         }
         let found = if gate == Gate::Open { found } else { Found::default() };
         let world_from_map = self.map_from_world.inverse();
@@ -395,4 +385,8 @@ fn point_classes(scan: &Prepared, labels: &[i32], verdicts: &[Verdict]) -> Vec<u
         Err(_) => INVALID,
     };
     scan.points.iter().zip(labels).map(class).collect()
+}
+
+fn replace(classes: &mut [u8], old: u8, new: u8) {
+    classes.iter_mut().filter(|class| **class == old).for_each(|class| *class = new);
 }

@@ -1,6 +1,7 @@
 //! Algorithm 1: is a cluster surrounded by free voxels?
 
 use super::blocks::Cursor;
+use super::classify::ClassifyParameters;
 use super::shadow::Shadow;
 use super::voxel_map::VoxelMap;
 use crate::Error;
@@ -31,6 +32,9 @@ pub(crate) fn search_radius(search_distance: f64, voxel_size: f64) -> Result<i32
     Ok((steps - 1e-9).ceil() as i32)
 }
 
+/// Longest search [voxels].
+const MOST_STEPS: f64 = 128.0;
+
 /// A distance in voxels: searches grow with its cube.
 pub(crate) fn check_steps(
     name: &'static str,
@@ -38,7 +42,7 @@ pub(crate) fn check_steps(
     voxel_size: f64,
 ) -> Result<f64, Error> {
     let steps = distance / voxel_size;
-    if !(steps > 0.0 && steps <= 128.0) {
+    if !(steps > 0.0 && steps <= MOST_STEPS) {
         let got = format!("{distance} m");
         return Err(Error::Parameter { name, expected: "0 to 128 voxels", got });
     }
@@ -74,6 +78,14 @@ impl<'a> Flood<'a> {
             queue: Vec::new(),
             explored: Vec::new(),
         }
+    }
+
+    /// With a search distance that grows by the extent of the cluster [m].
+    pub(crate) fn wider(map: &'a VoxelMap, p: &ClassifyParameters, extent: f64) -> Self {
+        let size = map.lattice().voxel_size();
+        let distance = (p.search_distance + extent).min(MOST_STEPS * size);
+        let radius = (distance / size - 1e-9).ceil() as i32;
+        Self::new(map, radius, p.open_border, p.expand_own)
     }
 
     /// Whether no search from any of `starts` finds a way out.

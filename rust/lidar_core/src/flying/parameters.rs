@@ -16,6 +16,8 @@ pub struct FlyingParameters {
     pub map: MapParameters,
     /// Clusters of points (eqs 13-15).
     pub clustering: Clustering,
+    /// Centres of voxels are clustered instead of points.
+    pub cluster_voxels: bool,
     /// Classes of clusters (sec. III-B).
     pub classify: ClassifyParameters,
     /// Removal of separate voxels (sec. III-D).

@@ -51,6 +51,8 @@ pub struct Separation {
     pub max_gap: f64,
     /// A group with fewer confidently occupied voxels is removed, n_conf,min.
     pub min_confident: usize,
+    /// Observed voxels within `max_gap` of a removed one are pulled towards free too.
+    pub dilate: bool,
 }
 
 impl Separation {
@@ -122,6 +124,9 @@ impl VoxelMap {
         self.changes.marks = marks.give_back();
         (self.changes.settled_with, self.changes.anchor) = (Some(separation), anchor);
         self.changes.voxels.clear();
+        if separation.dilate {
+            separate = neighbours.dilated(&separate);
+        }
         separate.retain(|&voxel| self.blocks.stored(voxel).is_finite());
         Ok(separate)
     }
@@ -187,6 +192,19 @@ impl Neighbours {
             }
         }
         Ok(Self { rows })
+    }
+
+    /// `voxels` and all their neighbours, in ascending order.
+    fn dilated(&self, voxels: &[Voxel]) -> Vec<Voxel> {
+        let mut dilated = Vec::new();
+        for &voxel in voxels {
+            self.each_stretch(voxel, |[x, y, z], length| {
+                dilated.extend((x..x + length).map(|x| [x, y, z]));
+            });
+        }
+        dilated.sort_unstable();
+        dilated.dedup();
+        dilated
     }
 
     /// Visit every stretch of a row inside one block: its first voxel and its length, 1 to 8.

@@ -4,6 +4,7 @@ use super::occupancy::Occupancy;
 use super::parameters::{MeasurementForm, TrackerParameters};
 use crate::Error;
 use crate::geometry::cluster;
+use crate::geometry::transform::norm;
 use nalgebra::{Matrix3, Vector3};
 use std::cmp::Ordering;
 
@@ -49,7 +50,11 @@ pub(super) fn candidates(
         })
         .map(|cluster| cluster.measurement(parameters))
         .filter(|measurement| {
-            !occupied.any_within(measurement.position.into(), parameters.occupied_distance)
+            let reach = match parameters.occupied_adds_extent {
+                true => parameters.occupied_distance + norm(measurement.extent),
+                false => parameters.occupied_distance,
+            };
+            !occupied.any_within(measurement.position.into(), reach)
         })
         .collect();
     measurements.sort_by(|one, other| order(&one.position.into(), &other.position.into()));

@@ -12,6 +12,7 @@ fn paper() -> TrackerParameters {
         clustering: Clustering { max_distance: 0.25, min_points: 1, max_points: None },
         max_extent: None,
         occupied_distance: 1.0,
+        occupied_adds_extent: false,
         radius: Radius { form: RadiusForm::Paper, scale: 0.5, min: 1.5, max: 3.0 },
         motion: Motion { acceleration_time: None, form: NoiseForm::Paper, std: [0.5, 0.5, 0.1] },
         initial_std: [0.5, 3.0, 3.0],
