@@ -1,6 +1,7 @@
 """A run of the flying-object detector: what it gave, scan by scan, and the files about it."""
 
 from collections import Counter
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
@@ -85,9 +86,15 @@ class FlyingRun:
         self.clears_sky = self.clears_sky or status.clears_sky
         self._class_counts += np.bincount(frame.point_class, minlength=len(CLASSES))
         self._timing.update(frame.timing_ms)
-        self.frames.append(frame)
+        # Classes of every point of every scan would fill the memory on a long recording.
+        self.frames.append(replace(frame, point_class=frame.point_class[:0]))
         self._sensors.append(sensor)
         self.tracks.append(frame.tracks)
+
+    @property
+    def n_received(self) -> int:
+        """Scans so far, rejected ones included."""
+        return len(self.frames) + self.rejected.total()
 
     @property
     def n_scans(self) -> int:

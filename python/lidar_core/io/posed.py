@@ -45,6 +45,8 @@ class PosedScans:
 
     Attributes
     ----------
+    cloud : str
+        Topic of the clouds.
     fixed_frame : str
         Frame that the poses are in.
     source : str
@@ -57,6 +59,7 @@ class PosedScans:
         self._recording = recording
         self._options = options
         self._cloud = _cloud_topic(recording, options.cloud)
+        self.cloud = self._cloud.name
         self.fixed_frame = options.fixed_frame or WORLD_FRAME
         self.source = options.pose
         self.without_pose: Counter[str] = Counter()
