@@ -1,0 +1,25 @@
+"""The demo scene, seeds 0 to 9: what the detector promises on it."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
+
+from score_seeds import score
+
+LONGEST_GAP = 1.0  # [s]: every target is tracked within this time of being in sight
+MEAN_ERROR = 0.25  # [m]: the visible side of a sphere of 0.325 m lies about 0.22 m off its centre
+LOWEST_RECALL = 0.98
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_every_target_in_sight_is_tracked_and_nothing_else(seed):
+    tracks, detections = score(seed)
+    assert tracks.n_eligible > 50
+    assert tracks.recall >= LOWEST_RECALL
+    assert tracks.mean_error <= MEAN_ERROR
+    assert max(tracks.longest_gap.values()) <= LONGEST_GAP
+    assert tracks.false_ids == ()
+    assert detections.recall >= LOWEST_RECALL
