@@ -1,7 +1,7 @@
 //! The fields of `FlyingConfig` and its parts that the core reads, by name.
 
+use crate::arrays;
 use crate::tracker::TrackerConfig;
-use crate::voxel_map::MapConfig;
 use lidar_core::Error;
 use lidar_core::flying::beams::BeamTable;
 use lidar_core::flying::classify::ClassifyParameters;
@@ -9,6 +9,7 @@ use lidar_core::flying::gate::SeedParameters;
 use lidar_core::flying::parameters::FlyingParameters;
 use lidar_core::flying::sensor::SensorParameters;
 use lidar_core::flying::separate::Separation;
+use lidar_core::flying::voxel_map::{MapParameters, RayUnit};
 use lidar_core::geometry::cluster::Clustering;
 use pyo3::prelude::*;
 use std::collections::BTreeMap;
@@ -161,5 +162,54 @@ impl SensorConfig {
             beams: self.beam_columns.map(table),
             returns_per_ray: self.returns_per_ray,
         }
+    }
+}
+
+/// The fields of `VoxelMapConfig` that the core reads.
+#[derive(FromPyObject)]
+pub(crate) struct MapConfig {
+    voxel_size: f64,
+    g_occ: f32,
+    g_unk: f32,
+    g_free: f32,
+    initial: f32,
+    threshold_uncertain: f32,
+    threshold_tentative: f32,
+    threshold_confident: f32,
+    extra_thresholds: Vec<f32>,
+    max_range: f64,
+    end_margin: f64,
+    ray_unit: String,
+    ray_gain: f64,
+    bounds: Option<[[f64; 3]; 2]>,
+    max_voxels: u64,
+}
+
+/// Names of the units of the ray weight.
+pub(crate) const RAY_UNITS: [(&str, RayUnit); 3] =
+    [("edges", RayUnit::Edges), ("metres", RayUnit::Metres), ("diagonals", RayUnit::Diagonals)];
+
+impl MapConfig {
+    pub(crate) fn parameters(self, origin: [f64; 3]) -> Result<MapParameters, Error> {
+        Ok(MapParameters {
+            voxel_size: self.voxel_size,
+            origin,
+            g_occ: self.g_occ,
+            g_unk: self.g_unk,
+            g_free: self.g_free,
+            initial: self.initial,
+            thresholds: [
+                self.threshold_uncertain,
+                self.threshold_tentative,
+                self.threshold_confident,
+            ],
+            extra_thresholds: self.extra_thresholds,
+            max_range: self.max_range,
+            end_margin: self.end_margin,
+            ray_unit: arrays::choice("ray_unit", &self.ray_unit, &RAY_UNITS)?,
+            ray_gain: self.ray_gain,
+            bounds: self.bounds,
+            max_voxels: self.max_voxels,
+        })
     }
 }

@@ -2,64 +2,15 @@
 
 use crate::arrays::{self, Rows3};
 use crate::errors::BorderError;
-use crate::flying_config::ClassifyConfig;
+use crate::flying_config::{ClassifyConfig, MapConfig, RAY_UNITS};
 use crate::guard::{Guarded, detached};
-use lidar_core::Error;
 use lidar_core::flying::classify::classify_clusters;
 use lidar_core::flying::integrate::{ClassifiedScan, IntegrateStats, Origins};
 use lidar_core::flying::separate::Separation;
-use lidar_core::flying::voxel_map::{MapParameters, RayUnit, VoxelMap};
+use lidar_core::flying::voxel_map::VoxelMap;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use std::path::PathBuf;
-
-/// The fields of `VoxelMapConfig` that the core reads.
-#[derive(FromPyObject)]
-pub(crate) struct MapConfig {
-    voxel_size: f64,
-    g_occ: f32,
-    g_unk: f32,
-    g_free: f32,
-    initial: f32,
-    threshold_uncertain: f32,
-    threshold_tentative: f32,
-    threshold_confident: f32,
-    extra_thresholds: Vec<f32>,
-    max_range: f64,
-    end_margin: f64,
-    ray_unit: String,
-    ray_gain: f64,
-    bounds: Option<[[f64; 3]; 2]>,
-    max_voxels: u64,
-}
-
-const UNITS: [(&str, RayUnit); 3] =
-    [("edges", RayUnit::Edges), ("metres", RayUnit::Metres), ("diagonals", RayUnit::Diagonals)];
-
-impl MapConfig {
-    pub(crate) fn parameters(self, origin: [f64; 3]) -> Result<MapParameters, Error> {
-        Ok(MapParameters {
-            voxel_size: self.voxel_size,
-            origin,
-            g_occ: self.g_occ,
-            g_unk: self.g_unk,
-            g_free: self.g_free,
-            initial: self.initial,
-            thresholds: [
-                self.threshold_uncertain,
-                self.threshold_tentative,
-                self.threshold_confident,
-            ],
-            extra_thresholds: self.extra_thresholds,
-            max_range: self.max_range,
-            end_margin: self.end_margin,
-            ray_unit: arrays::choice("ray_unit", &self.ray_unit, &UNITS)?,
-            ray_gain: self.ray_gain,
-            bounds: self.bounds,
-            max_voxels: self.max_voxels,
-        })
-    }
-}
 
 /// Number of points per class, entries skipped, rays, rays without return, visits, voxels.
 type Stats = ([usize; 3], usize, usize, usize, u64, usize);
@@ -226,7 +177,7 @@ impl PyVoxelMap {
         values.set_item("max_range", p.max_range)?;
         values.set_item("end_margin", p.end_margin)?;
         values.set_item("ray_gain", p.ray_gain)?;
-        let unit = UNITS.iter().find(|(_, unit)| *unit == p.ray_unit).map(|(name, _)| *name);
+        let unit = RAY_UNITS.iter().find(|(_, unit)| *unit == p.ray_unit).map(|(name, _)| *name);
         values.set_item("ray_unit", unit)?;
         let levels = [
             ("g_occ", p.g_occ),

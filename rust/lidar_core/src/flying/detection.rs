@@ -1,7 +1,8 @@
 //! Clusters classified as flying -> detections with covariance and confidence.
 
 use super::analysis::{pose_jacobian, propagated};
-use super::classify::{Cluster, Verdict};
+use super::classify::Verdict;
+use super::clusters::Cluster;
 use super::scan::Prepared;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, minus, norm};

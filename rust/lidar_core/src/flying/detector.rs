@@ -1,8 +1,10 @@
 //! The pipeline: raw scans in, point classes, detections and tracks out.
 
 use super::blocks::Cursor;
-use super::classify::{Cluster, Verdict, classify};
+use super::classify::{Verdict, classify};
+use super::clusters::Cluster;
 use super::detection::Detection;
+use super::flood::{check_steps, search_radius};
 use super::frame::{Clock, Found, Frame, Teammate, Timing};
 use super::gate::Gate;
 use super::integrate::{
@@ -15,7 +17,6 @@ use super::sensor::Sensor;
 use super::track::{Detections, PointCloudTracker, Track};
 use super::visibility::ScanView;
 use super::voxel_map::VoxelMap;
-use super::world::local;
 use crate::Error;
 use crate::geometry::cluster::label;
 use crate::geometry::lattice::{floor, wide};
@@ -43,8 +44,13 @@ impl FlyingObjectDetector {
     /// # Errors
     /// [`Error::Parameter`] for values that cannot work.
     pub fn new(parameters: FlyingParameters, threads: usize) -> Result<Self, Error> {
+        let voxel_size = parameters.map.voxel_size;
+        parameters.separation.check(voxel_size)?;
+        search_radius(parameters.classify.search_distance, voxel_size)?;
+        check_steps("close_distance", parameters.classify.close_distance, voxel_size)?;
+        label(&[], &parameters.clustering)?;
         Ok(Self {
-            map: VoxelMap::new(local(&parameters.map, [0.0; 3]), threads)?,
+            map: VoxelMap::new(parameters.map.relative_to([0.0; 3]), threads)?,
             tracker: PointCloudTracker::new(parameters.tracker, threads)?,
             parameters,
             sensors: BTreeMap::new(),

@@ -1,7 +1,6 @@
 //! Algorithm 1: is a cluster surrounded by free voxels?
 
 use super::blocks::Cursor;
-use super::classify::ClassifyParameters;
 use super::shadow::Shadow;
 use super::voxel_map::VoxelMap;
 use crate::Error;
@@ -80,12 +79,15 @@ impl<'a> Flood<'a> {
         }
     }
 
-    /// With a search distance that grows by the extent of the cluster [m].
-    pub(crate) fn wider(map: &'a VoxelMap, p: &ClassifyParameters, extent: f64) -> Self {
-        let size = map.lattice().voxel_size();
-        let distance = (p.search_distance + extent).min(MOST_STEPS * size);
-        let radius = (distance / size - 1e-9).ceil() as i32;
-        Self::new(map, radius, p.open_border, p.expand_own)
+    /// With a search distance [m] of its own, cut to what a search may cost.
+    pub(crate) fn wider(
+        map: &'a VoxelMap,
+        distance: f64,
+        open_border: bool,
+        expand_own: bool,
+    ) -> Self {
+        let steps = (distance / map.lattice().voxel_size()).min(MOST_STEPS);
+        Self::new(map, (steps - 1e-9).ceil() as i32, open_border, expand_own)
     }
 
     /// Whether no search from any of `starts` finds a way out.

@@ -4,7 +4,7 @@
 //! clusters of a target's size. What lies close together is taken as one thing, and what lies
 //! close to background of the same scan is background too, before the map knows it.
 
-use super::classify::Cluster;
+use super::clusters::Cluster;
 use crate::Error;
 use crate::geometry::cluster::{Clustering, label};
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};

@@ -6,6 +6,7 @@ mod analysis;
 pub mod beams;
 mod blocks;
 pub mod classify;
+mod clusters;
 pub mod detection;
 pub mod detector;
 mod flood;

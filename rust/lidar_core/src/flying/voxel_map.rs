@@ -6,6 +6,7 @@ use super::blocks::{Block, Blocks, Cursor, Place, assign, offset_of};
 use super::raycast::Accumulator;
 use super::separate::Changes;
 use crate::geometry::lattice::{Lattice, Voxel, wide};
+use crate::geometry::transform::minus;
 use crate::{Error, threads};
 use rayon::ThreadPool;
 
@@ -52,6 +53,15 @@ pub struct MapParameters {
     pub bounds: Option<[[f64; 3]; 2]>,
     /// Budget of stored voxels.
     pub max_voxels: u64,
+}
+
+impl MapParameters {
+    /// The same for coordinates relative to `origin` [m, world].
+    #[must_use]
+    pub fn relative_to(&self, origin: [f64; 3]) -> Self {
+        let bounds = self.bounds.map(|corners| corners.map(|corner| minus(corner, origin)));
+        Self { origin, bounds, ..self.clone() }
+    }
 }
 
 /// The map: values of G(v), four states by default.

@@ -2,9 +2,9 @@
 
 use super::detector::FlyingObjectDetector;
 use super::scan::RawScan;
-use super::voxel_map::{MapParameters, VoxelMap};
+use super::voxel_map::VoxelMap;
 use crate::Error;
-use crate::geometry::transform::{Transform, minus};
+use crate::geometry::transform::Transform;
 
 impl FlyingObjectDetector {
     /// Make the voxels of `points` [m, world] occupied, or free, for good (sec. III-E).
@@ -66,7 +66,7 @@ impl FlyingObjectDetector {
     /// # Errors
     /// None that [`FlyingObjectDetector::new`] did not have.
     pub fn reset(&mut self) -> Result<(), Error> {
-        self.map = VoxelMap::new(local(&self.parameters.map, [0.0; 3]), self.map.threads())?;
+        self.map = VoxelMap::new(self.parameters.map.relative_to([0.0; 3]), self.map.threads())?;
         self.tracker.reset();
         for sensor in self.sensors.values_mut() {
             sensor.last_stamp_ns = None;
@@ -91,7 +91,7 @@ impl FlyingObjectDetector {
         if !origin.iter().all(|value| value.is_finite()) {
             return Err(Error::PointOutOfRange { point });
         }
-        self.map = VoxelMap::new(local(&self.parameters.map, origin), self.map.threads())?;
+        self.map = VoxelMap::new(self.parameters.map.relative_to(origin), self.map.threads())?;
         self.place_origin(origin);
         Ok(())
     }
@@ -101,10 +101,4 @@ impl FlyingObjectDetector {
         self.map_from_world =
             Transform { translation: origin.map(|value| -value), ..Transform::IDENTITY };
     }
-}
-
-/// Map parameters for coordinates relative to `origin`.
-pub(super) fn local(parameters: &MapParameters, origin: [f64; 3]) -> MapParameters {
-    let bounds = parameters.bounds.map(|corners| corners.map(|corner| minus(corner, origin)));
-    MapParameters { origin, bounds, ..parameters.clone() }
 }
