@@ -17,6 +17,7 @@ from lidar_core.errors import ConfigError
 
 MODELS = {
     "evaluation": "lidar_core.evaluation:EvaluationConfig",
+    "flight": "lidar_core.sim:InsertedFlight",
     "flying": "lidar_core.flying:FlyingConfig",
     "poses": "lidar_core.io:PoseOptions",
     "read": "lidar_core.io:ReadOptions",
@@ -173,7 +174,9 @@ def _default_text(field: FieldInfo) -> str:
         return "required"
     value = field.get_default(call_default_factory=True, validated_data={})
     if isinstance(value, Config):
-        return f"{type(value).__name__}"
+        changes = value.model_dump(mode="json", exclude_unset=True)
+        text = ", ".join(f"{name} = {toml_value(item)}" for name, item in changes.items())
+        return f"{type(value).__name__}{' with ' * bool(text)}{text}"
     return " ".join(toml_value(value).split()) if value != {} else "empty"
 
 

@@ -19,8 +19,7 @@ UNIT = re.compile(r"\[[^\]]+\]|no unit")
 def models():
     """Every public configuration model of the package."""
     for found in pkgutil.walk_packages(lidar_core.__path__, "lidar_core."):
-        if "config" in found.name:
-            importlib.import_module(found.name)
+        importlib.import_module(found.name)
     pending, known = [Config], []
     while pending:
         model = pending.pop()

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 Mode = Literal["best", "paper"]
 ModelOption = Annotated[
-    str, typer.Option("--model", help="evaluation, flying, poses, read or scene.")
+    str, typer.Option("--model", help="evaluation, flight, flying, poses, read or scene.")
 ]
 ModeOption = Annotated[Mode, typer.Option(help="Whose defaults.")]
 
@@ -20,16 +20,19 @@ app = typer.Typer(help="Show, start and describe configuration files (TOML).", n
 
 @app.command()
 def show(
-    file: Annotated[Path | None, typer.Argument(help="TOML file; without it the defaults.")] = None,
+    file: Annotated[Path | None, typer.Argument(help="TOML file, or a run.toml.")] = None,
     *,
     model: ModelOption = "flying",
     mode: ModeOption = "best",
     changed: Annotated[bool, typer.Option(help="Only what differs from the defaults.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
 ) -> None:
-    """Every value in force; those that differ from best mode's defaults are marked."""
-    defaults = _defaults(model, "best")
-    config = _defaults(model, mode) if file is None else type(defaults).read(file)
+    """Every value in force, FILE's over those of MODE; marked if not best mode's default."""
+    from lidar_core.cli.settings import file_values, merged
+
+    defaults, config = _defaults(model, "best"), _defaults(model, mode)
+    if file is not None:
+        config = type(defaults).load(merged(config.model_dump(), file_values(file)))
     if as_json:
         print(json.dumps(config.model_dump(mode="json"), indent=2))
         return

@@ -4,14 +4,13 @@ import json
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any
 
+from lidar_core.cli.config import Mode
 from lidar_core.errors import ConfigError
 
 if TYPE_CHECKING:
     from lidar_core.flying import FlyingConfig
-
-Mode: TypeAlias = Literal["best", "paper"]
 
 
 def flying_config(mode: Mode, file: Path | None, assignments: Iterable[str]) -> "FlyingConfig":
@@ -30,7 +29,7 @@ def flying_config(mode: Mode, file: Path | None, assignments: Iterable[str]) -> 
     base = FlyingConfig() if mode == "best" else FlyingConfig.paper()
     values = base.model_dump() | {"on_bad_scan": "count"}
     if file is not None:
-        values = merged(values, _file_values(file))
+        values = merged(values, file_values(file))
     for text in assignments:
         values = merged(values, _assignment(text))
     return FlyingConfig.load(values)
@@ -46,7 +45,7 @@ def merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     return result
 
 
-def _file_values(file: Path) -> dict[str, Any]:
+def file_values(file: Path) -> dict[str, Any]:
     """Values of a configuration file, or those that a run.toml says its run used."""
     try:
         values = tomllib.loads(file.read_text(encoding="utf-8"))
