@@ -1,0 +1,156 @@
+"""The command line: every command explains itself, errors end in one line and status 2."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+import lidar_core
+from lidar_core.cli import app, doctor
+from lidar_core.parameters import MODELS, model_named
+
+COMMANDS = sorted(
+    [*(command.name for command in app.registered_commands)]
+    + [group.name for group in app.registered_groups]
+)
+CONFIG = ["init", "schema", "show"]
+HEAVY = ["matplotlib", "onnxruntime", "pyarrow", "rosbags", "scipy", "torch"]
+WITH_PAPER_MODE = ["flying"]
+
+
+def run(*arguments):
+    """What `lidar-core ARGUMENTS` does, in a process of its own."""
+    program = "from lidar_core.cli import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", program, *map(str, arguments)],
+        capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+
+
+def output_of(*arguments):
+    """What a command prints; it must succeed."""
+    result = CliRunner().invoke(app, list(map(str, arguments)))
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+@pytest.mark.parametrize(
+    "command",
+    [*([name] for name in COMMANDS), *(["config", name] for name in CONFIG)],
+    ids=" ".join,
+)
+def test_every_command_explains_itself(command):
+    text = output_of(*command, "--help")
+    assert "Usage:" in text
+    body = text.partition("Usage:")[2].splitlines()
+    assert any(line.strip() for line in body[1:4]), f"{command} has no description"
+
+
+def test_the_commands_are_those_of_the_guide():
+    assert {"config", "demo", "detect", "doctor", "info", "simulate"} <= set(COMMANDS)
+
+
+def test_version():
+    assert output_of("--version") == f"lidar-core {lidar_core.__version__}\n"
+
+
+def test_help_needs_no_heavy_import():
+    program = (
+        "import sys\nfrom lidar_core.cli import app\n"
+        f"sys.exit(', '.join(name for name in {HEAVY} if name in sys.modules))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert done.stderr.strip() == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (["info", "missing.bag"], "missing.bag"),
+        (["detect", "missing.pcd", "-o", "run"], "missing.pcd"),
+        (["simulate", "missing.toml", "-o", "out.npz"], "missing.toml"),
+        (["config", "show", "missing.toml"], "missing.toml"),
+        (["config", "show", "--model", "nothing"], "model: expected one of evaluation, "),
+        (["config", "init", "--model", "read", "--mode", "paper"], "read has no paper mode"),
+    ],
+)
+def test_errors_are_one_line_and_status_2(arguments, what, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = run(*arguments)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith("error: ")
+    assert done.stderr.count("\n") == 1
+    assert what in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("arguments", [["nonsense"], ["info"], ["config", "show", "--colour"]])
+def test_wrong_usage_is_status_2(arguments):
+    assert run(*arguments).returncode == 2
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_init_writes_a_file_that_means_the_defaults(name, tmp_path):
+    model, path = model_named(name), tmp_path / "config.toml"
+    for mode in ["best", "paper"] if name in WITH_PAPER_MODE else ["best"]:
+        output_of("config", "init", "--model", name, "--mode", mode, "-o", path, "--overwrite")
+        assert model.read(path) == (model() if mode == "best" else model.paper())
+        assert output_of("config", "init", "--model", name, "--mode", mode) == path.read_text()
+
+
+def test_init_explains_every_parameter():
+    lines = output_of("config", "init").splitlines()
+    for number, line in enumerate(lines):
+        if " = " in line and not line.startswith("#"):
+            assert lines[number - 1].startswith("# "), line
+    assert "# Edge of a voxel, v_s [m]. Allowed: > 0." in lines
+
+
+def test_init_replaces_a_file_only_on_request(tmp_path):
+    path = tmp_path / "config.toml"
+    path.write_text("mine")
+    done = run("config", "init", "-o", path)
+    assert (done.returncode, path.read_text()) == (2, "mine")
+    assert done.stderr == f"error: {path}: exists; --overwrite replaces it\n"
+
+
+def test_show_tells_what_differs(tmp_path):
+    path = tmp_path / "config.toml"
+    path.write_text("range_std = 0.05\n[voxel_map]\nvoxel_size = 0.5\n")
+    shown = json.loads(output_of("config", "show", path, "--json"))
+    assert (shown["range_std"], shown["voxel_map"]["voxel_size"]) == (0.05, 0.5)
+    table = output_of("config", "show", path, "--changed")
+    assert "voxel_map.voxel_size" in table
+    assert "range_std" in table
+    assert "max_range" not in table  # as `detect --config` has it
+    path.write_text("[voxel_map]\nvoxel_size = -1\n")
+    done = run("config", "show", path)
+    assert done.returncode == 2
+    assert "voxel_map.voxel_size: Input should be greater than 0, got -1" in done.stderr
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_schema_is_the_models_own(name):
+    shown = json.loads(output_of("config", "schema", "--model", name))
+    assert shown == model_named(name).model_json_schema()
+
+
+def test_doctor_reports_versions_and_extras():
+    report = json.loads(output_of("doctor", "--json"))
+    assert report["core"] == "works"
+    assert report["lidar_core"] == lidar_core.__version__
+    assert report["packages"]["numpy"]
+    assert set(report["extras"]) >= {"io", "ouster", "plot", "tables", "velodyne", "viz"}
+    assert report["extras"]["plot"].keys() == {"matplotlib"}
+    assert "core: works" in output_of("doctor")
+
+
+def test_doctor_fails_if_the_core_does(monkeypatch):
+    monkeypatch.setattr(doctor, "_check_core", lambda: "fails: reason")
+    result = CliRunner().invoke(app, ["doctor"])
+    assert result.exit_code == 1
+    assert "core: fails: reason" in result.output
