@@ -1,0 +1,239 @@
+"""The whole detector in plain Python: clusters, classes, map, removal, tracks, one after the other.
+
+Written from sec. III of Vrba et al., the text of `FlyingConfig` and the documentation of
+`FlyingObjectDetector`; made of the oracles of its parts. One LiDAR, one pose per scan or a stream
+of poses. Not here: the check for jumps of the pose, masks, teammates, beam tables.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from reference import separate
+from reference.classify import beside, classify, diagonal
+from reference.cluster import cluster_points
+from reference.tracker import Tracker
+from reference.voxel_map import BACKGROUND, FLYING, UNKNOWN, VoxelMap
+
+RAYS_TO_SEE = 3  # a target that fewer rays meet may give no return
+POINTS_HALF_SURE = 3.0
+
+
+@dataclass
+class Frame:
+    point_class: np.ndarray
+    position: np.ndarray
+    covariance: np.ndarray
+    extent: np.ndarray
+    n_points: np.ndarray
+    confidence: np.ndarray
+    tracks: list = field(default_factory=list)
+    gate: str = "open"
+
+
+class RememberingMap(VoxelMap):
+    """The map, with its occupied voxels looked up once after every change."""
+
+    known = None
+
+    def pull(self, voxel, target, weight):
+        self.known = None
+        super().pull(voxel, target, weight)
+
+    def occupied(self):
+        if self.known is None:
+            self.known = super().occupied()
+        return self.known
+
+
+class SeeingTracker(Tracker):
+    """A tracker that knows which places a scan could see."""
+
+    view = None
+
+    def update(self, tracks, stamp, points, occupied, delays=None):
+        due = {id(track): track.aged for track in tracks if track.stamp < stamp}
+        corrected = super().update(tracks, stamp, points, occupied, delays)
+        for track in tracks:
+            unseen = id(track) in due and track.seen != stamp
+            if (
+                unseen
+                and self.view is not None
+                and self.c.ageing == "visible"
+                and not self.view(track.r, self.reach(track))
+            ):
+                track.aged = due[id(track)]
+        return corrected
+
+    def reported(self, stamp):
+        newest = self.buffer[-1][0]
+        coast = self.c.report_coast if self.c.ageing == "visible" else np.inf
+        for track in self.tracks:
+            if track.confirmed and (newest - track.seen) * 1e-9 <= coast:
+                x, P = self.at(track, stamp)
+                yield track.id, x, P, track.n_detections
+
+
+class Detector:
+    def __init__(self, config) -> None:
+        self.c = config
+        self.origin = None
+        self.tracker = SeeingTracker(config.tracker)
+        self.scans = 0
+        self.has_background = False
+
+    def process(
+        self, points, poses, stamp, no_return=None, directions=None, times=None, pose_stamps=None
+    ) -> Frame:
+        poses = np.reshape(poses, (-1, 4, 4))
+        if self.origin is None:
+            size = self.c.voxel_map.voxel_size
+            self.origin = np.round(poses[0, :3, 3] / size) * size
+            self.map = RememberingMap(self.c.voxel_map)
+        turns, places, middle = self.motion(poses, pose_stamps, times, stamp, len(points))
+        cloud = self.cloud(points, no_return, turns, places)
+        rays = np.full((len(points), 3), np.nan, np.float32)
+        if no_return is not None:
+            rays[no_return] = np.einsum("nij,nj->ni", turns, directions.astype(float))[no_return]
+        delays = np.zeros(len(points), np.float32)
+        if times is not None:
+            delays = ((times - stamp) * 1e-9).astype(np.float32)
+
+        gate = self.gate()
+        labels = cluster_points(cloud, **self.c.cluster.model_dump(include=CLUSTERING))
+        verdicts = self.verdicts(cloud, labels, places[middle])
+        point_class = np.array([verdicts[label] if label >= 0 else UNKNOWN for label in labels])
+        point_class[~np.isfinite(cloud).all(axis=1)] = 0
+        found = self.detections(cloud, labels, verdicts, places[middle], delays)
+
+        self.map.integrate(cloud, point_class, places, rays, no_return)
+        self.remove_separate()
+        self.scans += 1
+        self.track(cloud, places, rays, no_return, delays, found, stamp)
+        return self.frame(point_class, found, stamp, gate)
+
+    def motion(self, poses, pose_stamps, times, stamp, rows):
+        """Rotation and place of every ray in the frame of the map, and the row in the middle."""
+        shifted = poses[:, :3, 3] - self.origin
+        if len(poses) == 1:
+            return np.repeat(poses[:, :3, :3], rows, 0), np.repeat(shifted, rows, 0), 0
+        at = np.full(rows, stamp) if times is None else times
+        at = np.clip(at, pose_stamps[0], pose_stamps[-1])
+        turns = Slerp(pose_stamps, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
+        places = np.stack([np.interp(at, pose_stamps, axis) for axis in shifted.T], axis=1)
+        return turns, places, rows // 2
+
+    def cloud(self, points, no_return, turns, places):
+        points = points.astype(float)
+        near = np.linalg.norm(points, axis=1) < self.c.sensor.min_range
+        moved = np.einsum("nij,nj->ni", turns, points) + places
+        moved[near | ~np.isfinite(points).all(axis=1)] = np.nan
+        if no_return is not None:
+            moved[no_return] = np.nan
+        return moved.astype(np.float32)
+
+    def gate(self) -> str:
+        if self.scans < self.c.seed.burn_in_scans:
+            return "burn-in"
+        return "open" if self.has_background else "no background"
+
+    def verdicts(self, cloud, labels, origin):
+        limits = [self.c.classify.background_extent]
+        if self.scans < self.c.seed.burn_in_scans:
+            limits.append(self.c.seed.burn_in_extent)
+        limit = min((limit for limit in limits if limit is not None), default=None)
+        rules = self.c.classify.model_copy(update={"background_extent": limit})
+        verdicts = classify(self.map, cloud, labels, origin, rules)
+        ground = self.c.seed.ground_height
+        for label in range(len(verdicts)):
+            low = cloud[labels == label, 2].astype(float).min() + self.origin[2]
+            if ground is not None and low < ground:
+                verdicts[label] = BACKGROUND
+            elif verdicts[label] == FLYING and not self.has_background:
+                verdicts[label] = UNKNOWN
+        return verdicts
+
+    def detections(self, cloud, labels, verdicts, origin, delays):
+        found = []
+        for label in np.flatnonzero(np.array(verdicts) == FLYING):
+            own = cloud[labels == label].astype(float)
+            center = own.mean(axis=0)
+            sight = (center - origin) / np.linalg.norm(center - origin)
+            covariance = (own - center).T @ (own - center) / len(own) ** 2
+            covariance += (diagonal(own) / 4) ** 2 * np.outer(sight, sight)
+            covariance += self.c.range_std**2 * np.eye(3)
+            sure = 1 - 2 ** (-len(own) / POINTS_HALF_SURE)
+            found.append(
+                {
+                    "position": center,
+                    "covariance": covariance,
+                    "extent": np.ptp(own, axis=0),
+                    "n_points": len(own),
+                    "confidence": self.clearance(own) * sure,
+                    "delay": delays[labels == label].astype(float).mean(),
+                }
+            )
+        return found
+
+    def clearance(self, points) -> float:
+        own = {self.map.voxel_at(point) for point in points}
+        shell = {voxel for start in own for voxel in beside(start)} - own
+        return sum(map(self.map.is_free, shell)) / max(len(shell), 1)
+
+    def remove_separate(self) -> None:
+        """Sec. III-D, once there is something to be separate from."""
+        options = self.c.separate
+        reach = options.max_gap / self.map.config.voxel_size
+        enough = [
+            sum(map(self.map.is_confident, group)) >= options.min_confident
+            for group in separate.groups(self.map.occupied(), reach)
+        ]
+        self.has_background = any(enough)
+        if self.has_background:
+            separate.remove_separate(
+                self.map, max_gap=options.max_gap, min_confident=options.min_confident
+            )
+
+    def track(self, cloud, places, rays, no_return, delays, found, stamp) -> None:
+        occupied = (np.array(self.map.occupied()).reshape(-1, 3) + 0.5) * self.map.config.voxel_size
+        spans = cloud.astype(float) - places
+        lengths = np.linalg.norm(spans, axis=1)
+        with np.errstate(invalid="ignore"):
+            directions = spans / lengths[:, None]
+        if no_return is not None:
+            directions[no_return], lengths[no_return] = rays[no_return], np.inf
+
+        def view(position, radius):
+            radius = min(radius, self.c.target_radius)
+            arm = position - places
+            along = np.einsum("ij,ij->i", arm, directions)
+            aside = np.einsum("ij,ij->i", arm, arm) - along**2
+            passes = (along > 0) & (aside <= radius**2) & (lengths >= along - radius)
+            return passes.sum() >= RAYS_TO_SEE
+
+        self.tracker.view = view
+        self.tracker.new_point_cloud(cloud, occupied, stamp, delays.astype(float))
+        self.tracker.view = None
+        names = ("position", "covariance", "delay")
+        position, covariance, delay = ([one[name] for one in found] for name in names)
+        self.tracker.new_detections(position, occupied, stamp, covariance, delay)
+
+    def frame(self, point_class, found, stamp, gate) -> Frame:
+        tracks = []
+        if gate != "open":
+            point_class[point_class == FLYING] = UNKNOWN
+            found = []
+        else:
+            shift = np.r_[self.origin, np.zeros(6)]
+            tracks = [(n, x + shift, P, d) for n, x, P, d in self.tracker.reported(stamp)]
+        rows = {
+            name: np.array([one[name] for one in found]).reshape(-1, *shape)
+            for name, shape in SHAPES.items()
+        }
+        rows["position"] = rows["position"] + self.origin
+        return Frame(point_class, **rows, tracks=tracks, gate=gate)
+
+
+CLUSTERING = {"max_distance", "min_points", "max_points"}
+SHAPES = {"position": (3,), "covariance": (3, 3), "extent": (3,), "n_points": (), "confidence": ()}
