@@ -2,6 +2,7 @@
 
 from lidar_core.sim import scenes
 from lidar_core.sim.config import Body, Scene, Target
+from lidar_core.sim.insert import InsertedFlight, insert_target, with_target
 from lidar_core.sim.lidar import LidarModel, Rosette, Spinning
 from lidar_core.sim.meshes import hexacopter_mesh, sphere_mesh
 from lidar_core.sim.motions import Circle, Hover, Loop, RandomMotion, TakeOff, Waypoints
@@ -17,6 +18,7 @@ __all__ = [
     "HeightField",
     "Hexacopter",
     "Hover",
+    "InsertedFlight",
     "LidarModel",
     "Loop",
     "Mesh",
@@ -35,8 +37,10 @@ __all__ = [
     "Tree",
     "Waypoints",
     "hexacopter_mesh",
+    "insert_target",
     "record",
     "scenes",
     "simulate",
     "sphere_mesh",
+    "with_target",
 ]
