@@ -18,7 +18,8 @@ from lidar_core.cli.common import (
     stage_rows,
     write_json,
 )
-from lidar_core.cli.settings import Mode, flying_config
+from lidar_core.cli.config import Mode
+from lidar_core.cli.settings import flying_config
 
 if TYPE_CHECKING:
     from rich.table import Table
