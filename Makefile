@@ -81,8 +81,11 @@ docs: ## Build the guide with the parameter reference into site/.
 golden: ## Write the golden files again, after an intended change.
 	$(BIN)/python tests/golden/generate.py
 
+# Files of a source distribution all carry one old time, so that cargo takes what it built of them
+# before for fresh: it is removed first.
 wheel: ## Build the source distribution and, from it, the wheel into dist/.
 	rm -rf dist
+	cargo clean --quiet --release -p lidar_core -p lidar_sim -p lidar_core_py
 	$(BIN)/python -m build --outdir dist
 
 ci: ## Everything that has to pass, from a clean checkout.
