@@ -163,8 +163,9 @@ pub fn classify_parameters() -> ClassifyParameters {
         max_extent: Some(1.5),
         background_extent: Some(3.0),
         min_points: 3,
-        max_distance: None,
+        max_distance: Some(20.0),
         group_distance: Some(0.7),
+        min_clearance: 0.625,
         fill_pockets: false,
     }
 }
@@ -225,6 +226,6 @@ pub fn tracker_parameters() -> TrackerParameters {
         association: Association::Global { gate_probability: 0.997, clutter_density: 1e-5 },
         confirmation: Confirmation { hits: 3, window: 10 },
         merging: Some(Merging { distance: 0.3, speed: 1.0 }),
-        ageing: Ageing::Visible { max_coast: 3.0, report_coast: 0.5 },
+        ageing: Ageing::Visible { max_coast: 3.0, report_coast: 0.3 },
     }
 }

@@ -151,4 +151,11 @@ def flying_or_unknown(vmap: VoxelMap, points, extent: float, origin, config) -> 
         is_wall=Shadow(vmap, points, origin) if config.shadow == "own" else None,
         expand_start=config.own_voxels == "expanded",
     )
-    return FLYING if floating else UNKNOWN
+    return FLYING if floating and clearance(vmap, points) >= config.min_clearance else UNKNOWN
+
+
+def clearance(vmap: VoxelMap, points) -> float:
+    """Share of free voxels among the neighbours of the cluster's own."""
+    own = {vmap.voxel_at(point) for point in points}
+    shell = {neighbour for voxel in own for neighbour in beside(voxel)} - own
+    return sum(map(vmap.is_free, shell)) / max(len(shell), 1)

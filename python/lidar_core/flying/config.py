@@ -138,13 +138,23 @@ class ClassifyConfig(Config):
         3, ge=1, description="Smaller clusters are no flying object (count, no unit)."
     )
     max_distance: float | None = Field(
-        None, gt=0, description="Clusters further from the sensor are no flying object [m]."
+        20.0,
+        gt=0,
+        description="Clusters further from the sensor are no flying object [m]; less than"
+        " `voxel_map.max_range`, so that what is around them has been observed.",
     )
     group_distance: float | None = Field(
         0.7,
         gt=0,
         description="Clusters with gaps up to this are judged together: by their common extent,"
         " and as background if background of this scan is among them [m]; none: each by itself.",
+    )
+    min_clearance: float = Field(
+        0.625,
+        ge=0,
+        le=1,
+        description="A flying object has at least this share of free voxels among the neighbours"
+        " of its own: those behind it may be hidden, not the others (share, no unit).",
     )
     fill_pockets: bool = Field(
         False,
@@ -161,7 +171,9 @@ class ClassifyConfig(Config):
             max_extent=None,
             background_extent=None,
             min_points=1,
+            max_distance=None,
             group_distance=None,
+            min_clearance=0.0,
         )
 
 

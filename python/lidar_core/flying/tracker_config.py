@@ -150,7 +150,7 @@ class TrackerConfig(Config):
         " `visible`.",
     )
     report_coast: float = Field(
-        0.5,
+        0.3,
         gt=0,
         description="A track without measurement for longer is kept but not reported [s]; ageing"
         " `visible`.",

@@ -52,6 +52,7 @@ pub(crate) struct ClassifyConfig {
     min_points: usize,
     max_distance: Option<f64>,
     group_distance: Option<f64>,
+    min_clearance: f64,
     fill_pockets: bool,
 }
 
@@ -136,6 +137,7 @@ impl ClassifyConfig {
             min_points: self.min_points,
             max_distance: self.max_distance,
             group_distance: self.group_distance,
+            min_clearance: self.min_clearance,
             fill_pockets: self.fill_pockets,
         }
     }

@@ -43,6 +43,8 @@ pub struct ClassifyParameters {
     /// Clusters with gaps up to this are judged together: by their common extent, and as
     /// background if background of this scan is among them [m].
     pub group_distance: Option<f64>,
+    /// A flying object has at least this share of free voxels among the neighbours of its own.
+    pub min_clearance: f64,
     /// Enclosed uncertain voxels around a flying cluster are made free.
     pub fill_pockets: bool,
 }
@@ -169,10 +171,11 @@ impl Judge<'_> {
         } else {
             search(flood)
         };
-        if !enclosed {
+        let clearance = if enclosed { self.clearance(&starts) } else { 0.0 };
+        if !enclosed || clearance < p.min_clearance {
             return unknown;
         }
-        Verdict { class: FLYING, explored, clearance: self.clearance(&starts) }
+        Verdict { class: FLYING, explored, clearance }
     }
 
     /// Share of free voxels among the neighbours of a cluster's voxels.
