@@ -5,6 +5,7 @@ import importlib
 import json
 import pkgutil
 import re
+import runpy
 import subprocess
 import sys
 import tomllib
@@ -172,6 +173,14 @@ def test_the_schema_is_the_golden_one():
     golden = json.loads(text_of("tests/golden/config.schema.json"))
     now = {name: model_named(name).model_json_schema() for name in MODELS}
     assert now == golden, "if this change is intended: make golden, and a line in the changelog"
+
+
+def test_the_parameter_page_has_a_row_for_every_parameter():
+    page = runpy.run_path(str(ROOT / "docs/generate_parameters.py"))["page"]()
+    for name in MODELS:
+        for model in models_within(model_named(name)):
+            assert f"### {model.__name__}\n" in page
+            assert all(f"| `{field}` |" in page for field in model.model_fields)
 
 
 # The compiled module and the package
