@@ -70,6 +70,14 @@ def test_architecture_names_every_folder_of_code():
             if "__pycache__" not in path and f"`{path}/" not in text] == []  # fmt: skip
 
 
+def test_architecture_names_every_module_of_the_core():
+    text = text_of("ARCHITECTURE.md")
+    sources = (ROOT / "rust/lidar_core/src").rglob("*.rs")
+    paths = {path.relative_to(ROOT).as_posix() for path in sources if path.name != "mod.rs"}
+    known = {path for path in paths if "/track/" in path}  # the tracker's parts: see its folder
+    assert [path for path in sorted(paths - known) if f"`{path}`" not in text] == []
+
+
 @pytest.mark.parametrize("paper", PAPERS, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_links_between_papers_lead_somewhere(paper):
     links = re.findall(r"\]\(([^)#\s]+)[^)]*\)", paper.read_text(encoding="utf-8"))
