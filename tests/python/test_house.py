@@ -74,8 +74,8 @@ def test_architecture_names_every_module_of_the_core():
     text = text_of("ARCHITECTURE.md")
     sources = (ROOT / "rust/lidar_core/src").rglob("*.rs")
     paths = {path.relative_to(ROOT).as_posix() for path in sources if path.name != "mod.rs"}
-    known = {path for path in paths if "/track/" in path}  # the tracker's parts: see its folder
-    assert [path for path in sorted(paths - known) if f"`{path}`" not in text] == []
+    parts = {path for path in paths if "/track/" in path}  # the folder stands for them
+    assert [path for path in sorted(paths - parts) if f"`{path}`" not in text] == []
 
 
 @pytest.mark.parametrize("paper", PAPERS, ids=lambda path: path.relative_to(ROOT).as_posix())
