@@ -1,6 +1,5 @@
 //! The pipeline: raw scans in, point classes, detections and tracks out.
 
-use super::blocks::Cursor;
 use super::classify::{Verdict, classify};
 use super::clusters::Cluster;
 use super::detection::Detection;
@@ -10,7 +9,7 @@ use super::gate::Gate;
 use super::integrate::{
     BACKGROUND, ClassifiedScan, FLYING, INVALID, IntegrateStats, Origins, UNKNOWN,
 };
-use super::near::{Near, is_observed_free};
+use super::jump::Held;
 use super::parameters::FlyingParameters;
 use super::scan::{Prepared, RawScan};
 use super::sensor::Sensor;
@@ -33,9 +32,9 @@ pub struct FlyingObjectDetector {
     pub(super) anchored: bool,
     pub(super) map_from_world: Transform,
     pub(super) scans: u32,
-    pub(super) last_stamp_ns: Option<i64>,
-    pub(super) last_pose: Option<Transform>,
-    pub(super) held_pose: Option<Transform>,
+    /// Whether the last scan that was used left tracks to be reported.
+    pub(super) reporting: bool,
+    pub(super) held: Option<Held>,
 }
 
 impl FlyingObjectDetector {
@@ -58,9 +57,8 @@ impl FlyingObjectDetector {
             anchored: false,
             map_from_world: Transform::IDENTITY,
             scans: 0,
-            last_stamp_ns: None,
-            last_pose: None,
-            held_pose: None,
+            reporting: false,
+            held: None,
         })
     }
 
@@ -84,7 +82,7 @@ impl FlyingObjectDetector {
         let was_anchored = self.anchored;
         let frame = self.process_anchored(raw, keep_going);
         if frame.is_err() && !was_anchored {
-            self.anchored = false; // the next scan says where the map begins
+            self.unanchor(); // the next scan says where the map begins
         }
         frame
     }
@@ -99,11 +97,12 @@ impl FlyingObjectDetector {
         sensor.check_stamp(raw.sensor, raw.stamp_ns)?;
         let stamp_ns = self.tracker_stamp(raw.stamp_ns)?;
         self.anchor(raw)?;
-        let scan = Prepared::new(raw, &sensor, &self.map_from_world)?;
+        let mut scan = Prepared::new(raw, &sensor, &self.map_from_world)?;
         let mut timing = Timing { prepare: clock.lap(), ..Timing::default() };
 
         if let Some(gate) = self.contradiction(&scan) {
-            self.held_pose = Some(self.map_from_world.inverse().after(&scan.pose));
+            let world_from_lidar = self.map_from_world.inverse().after(&scan.pose);
+            self.held = Some(Held { sensor: raw.sensor.to_owned(), world_from_lidar });
             return Ok(self.held_frame(raw, &scan, gate, timing));
         }
         let labels = self.labels(&scan)?;
@@ -125,12 +124,13 @@ impl FlyingObjectDetector {
             return Err(Error::Interrupted);
         }
 
-        let stats = self.integrate(&scan, &class)?; // the last stage that may refuse the scan
+        self.tracker.check_room(count_of(&verdicts, FLYING))?;
+        let stats = self.integrate(&mut scan, &mut class)?; // the last stage that may refuse it
         if after_update {
             verdicts = self.verdicts(&scan, &clusters)?;
             class = point_classes(&scan, &labels, &verdicts);
         }
-        self.accept(raw, &scan, sensor);
+        self.accept(raw, &scan, sensor, gate);
         self.fill_pockets(&clusters, &verdicts, &scan);
         timing.integrate = clock.lap();
         self.map.remove_separate_from_background(self.parameters.separation)?;
@@ -145,6 +145,9 @@ impl FlyingObjectDetector {
     /// Confirmed tracks predicted to `stamp_ns`, world frame: compensates latency.
     #[must_use]
     pub fn tracks_at(&self, stamp_ns: i64) -> Vec<Track> {
+        if !self.reporting {
+            return Vec::new();
+        }
         let world_from_map = self.map_from_world.inverse();
         let mut tracks = self.tracker.tracks_at(stamp_ns);
         tracks.retain(|track| track.reported);
@@ -168,10 +171,9 @@ impl FlyingObjectDetector {
         self.sensors.get(name).cloned().unwrap_or_else(|| Sensor::new(parameters.clone()))
     }
 
-    /// Two sensors may fire at the same time; the tracker wants distinct stamps.
+    /// Sensors may fire at the same time; the tracker wants distinct stamps.
     fn tracker_stamp(&self, stamp_ns: i64) -> Result<i64, Error> {
-        let taken = self.last_stamp_ns == Some(stamp_ns);
-        let stamp_ns = stamp_ns.saturating_add(i64::from(taken));
+        let stamp_ns = self.tracker.free_stamp(stamp_ns);
         self.tracker.check_stamp(stamp_ns)?;
         Ok(stamp_ns)
     }
@@ -193,30 +195,6 @@ impl FlyingObjectDetector {
         self.parameters.separation.min_confident
     }
 
-    /// A closed gate if most returns in observed voxels lie in free space, away from anything
-    /// occupied.
-    fn contradiction(&self, scan: &Prepared) -> Option<Gate> {
-        const SAMPLES: usize = 2048;
-        const ENOUGH: u32 = 200;
-        let limit = self.parameters.mismatch_share.filter(|_| self.map.has_background())?;
-        let returns: Vec<_> = scan.points.iter().filter(|point| point[0].is_finite()).collect();
-        let mut cursor = Cursor::new(&self.map.blocks);
-        let mut near = Near::new(&self.map, self.parameters.classify.close_distance);
-        let (mut observed, mut free) = (0u32, 0u32);
-        for &&point in returns.iter().step_by((returns.len() / SAMPLES).max(1)) {
-            let point = wide(point);
-            let Some(voxel) = floor(self.map.lattice().scaled(point)) else { continue };
-            if cursor.stored(voxel).is_nan() {
-                continue;
-            }
-            observed += 1;
-            free +=
-                u32::from(is_observed_free(&self.map, &mut cursor, voxel) && !near.is_close(point));
-        }
-        let contradicts = observed >= ENOUGH && f64::from(free) > limit * f64::from(observed);
-        contradicts.then(|| Gate::PoseMismatch { per_mille: 1000 * free / observed })
-    }
-
     fn verdicts(&self, scan: &Prepared, clusters: &[Cluster]) -> Result<Vec<Verdict>, Error> {
         let mut parameters = self.parameters.classify.clone();
         parameters.background_extent =
@@ -235,30 +213,35 @@ impl FlyingObjectDetector {
         Ok(verdicts)
     }
 
-    fn integrate(&mut self, scan: &Prepared, class: &[u8]) -> Result<IntegrateStats, Error> {
+    fn integrate(
+        &mut self,
+        scan: &mut Prepared,
+        class: &mut Vec<u8>,
+    ) -> Result<IntegrateStats, Error> {
+        let ground = self.parameters.seed.take_off_ground(scan.pose.translation);
+        for ground in ground.filter(|_| self.scans == 0).into_iter().flatten() {
+            scan.append_known(ground);
+            class.push(BACKGROUND);
+        }
         let stats = self.map.integrate(&ClassifiedScan {
             points: &scan.points,
-            class,
+            class: &*class,
             origins: Origins::Each(&scan.origins),
             directions: scan.directions.as_deref(),
             no_return: scan.directions.is_some().then_some(&scan.no_return),
             no_ray: scan.no_ray.as_deref(),
         })?;
-        if self.scans == 0 {
-            self.parameters.seed.seed_take_off(&mut self.map, scan.pose.translation)?;
-        }
         Ok(stats)
     }
 
-    fn accept(&mut self, raw: &RawScan<'_>, scan: &Prepared, mut sensor: Sensor) {
+    fn accept(&mut self, raw: &RawScan<'_>, scan: &Prepared, mut sensor: Sensor, gate: Gate) {
         let needs_directions = raw.no_return.is_some() && raw.directions.is_none();
         sensor.learn(raw.stamp_ns, raw.points, needs_directions);
+        sensor.last_pose = Some(scan.pose);
         self.sensors.insert(raw.sensor.to_owned(), sensor);
         self.scans = self.scans.saturating_add(1);
-        self.last_stamp_ns =
-            Some(self.last_stamp_ns.map_or(raw.stamp_ns, |last| last.max(raw.stamp_ns)));
-        self.last_pose = Some(scan.pose);
-        self.held_pose = None;
+        self.reporting = gate == Gate::Open;
+        self.held = None;
         if let Some(distance) = self.parameters.forget_distance {
             self.map.forget(scan.pose.translation, distance);
         }
@@ -338,13 +321,8 @@ impl FlyingObjectDetector {
     }
 
     fn held_frame(&self, raw: &RawScan<'_>, scan: &Prepared, gate: Gate, timing: Timing) -> Frame {
-        let class = vec![UNKNOWN; scan.rows];
+        let class = point_classes(scan, &vec![-1; scan.rows], &[]);
         self.frame(raw, class, scan, Found::default(), None, gate, timing)
-    }
-
-    /// During the burn-in the tracker runs already, unseen; a held scan still has its tracks.
-    fn reports(&self, gate: Gate) -> bool {
-        matches!(gate, Gate::Open | Gate::PoseMismatch { .. })
     }
 
     #[allow(clippy::too_many_arguments)] // the parts of a frame, each made by another stage
@@ -373,7 +351,7 @@ impl FlyingObjectDetector {
                 .iter()
                 .map(|(id, d)| (*id, d.moved(&world_from_map)))
                 .collect(),
-            tracks: if self.reports(gate) { self.tracks_at(raw.stamp_ns) } else { Vec::new() },
+            tracks: self.tracks_at(raw.stamp_ns),
             gate,
             clears_sky: scan.clears_sky,
             rebuilt_rays: scan.rebuilt,
@@ -381,6 +359,10 @@ impl FlyingObjectDetector {
             timing,
         }
     }
+}
+
+fn count_of(verdicts: &[Verdict], class: u8) -> usize {
+    verdicts.iter().filter(|verdict| verdict.class == class).count()
 }
 
 /// Class of every row: that of its cluster; unknown for points in no cluster.

@@ -4,7 +4,6 @@
 //! seed nothing is ever background and nothing is ever detected. The paper is silent about it.
 
 use super::voxel_map::VoxelMap;
-use crate::Error;
 use std::fmt;
 
 /// Seeds of the background.
@@ -88,16 +87,10 @@ impl SeedParameters {
         }
     }
 
-    /// Seed the voxel on the ground below the first position of the sensor, as a range finder
-    /// would: two readings make it tentatively occupied.
-    pub(crate) fn seed_take_off(
-        &self,
-        map: &mut VoxelMap,
-        position: [f64; 3],
-    ) -> Result<(), Error> {
-        let Some(height) = self.take_off_height else { return Ok(()) };
-        let ground = [position[0], position[1], position[2] - height].map(|value| value as f32);
-        let g_occ = map.parameters().g_occ;
-        map.pull(&[ground], g_occ, 2.0)
+    /// The place on the ground below the first position of the sensor, as a range finder would
+    /// see it: two readings make its voxel tentatively occupied.
+    pub(crate) fn take_off_ground(&self, [x, y, z]: [f64; 3]) -> Option<[[f32; 3]; 2]> {
+        let height = self.take_off_height?;
+        Some([[x, y, z - height].map(|value| value as f32); 2])
     }
 }

@@ -14,6 +14,7 @@ pub mod frame;
 pub mod gate;
 mod group;
 pub mod integrate;
+mod jump;
 mod motion;
 mod near;
 pub mod parameters;

@@ -107,6 +107,22 @@ impl Prepared {
         self.directions = Some(directions);
     }
 
+    /// A point that is known without having been measured.
+    pub(crate) fn append_known(&mut self, point: [f32; 3]) {
+        self.points.push(point);
+        self.origins.push(wide(point)); // its ray has no length
+        self.no_return.push(false);
+        if let Some(directions) = &mut self.directions {
+            directions.push([f32::NAN; 3]);
+        }
+        if let Some(no_ray) = &mut self.no_ray {
+            no_ray.push(false);
+        }
+        if let Some(delays) = &mut self.delays {
+            delays.push(0.0);
+        }
+    }
+
     fn append_missing(&mut self, missing: &[[f32; 3]], pose: &Transform) {
         let mut directions = vec![[f32::NAN; 3]; self.rows];
         directions.extend(missing.iter().map(|&direction| narrow(pose.rotate(wide(direction)))));

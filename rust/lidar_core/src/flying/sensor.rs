@@ -3,7 +3,7 @@
 use super::beams::{BeamTable, Rebuilder};
 use crate::Error;
 use crate::geometry::lattice::wide;
-use crate::geometry::transform::norm;
+use crate::geometry::transform::{Transform, norm};
 
 /// A direction range in the lidar frame [rad]: azimuth from, to, elevation from, to. A range of
 /// azimuth may cross +-pi: "from" is larger than "to" then.
@@ -37,6 +37,8 @@ pub struct SensorParameters {
 pub(crate) struct Sensor {
     pub(crate) parameters: SensorParameters,
     pub(crate) last_stamp_ns: Option<i64>,
+    /// Pose of the last scan used, in the frame of the map.
+    pub(crate) last_pose: Option<Transform>,
     rebuilder: Option<Rebuilder>,
     learnt_scans: u32,
     near_counts: Vec<u32>,
@@ -49,6 +51,7 @@ impl Sensor {
             rebuilder: parameters.beams.as_ref().map(Rebuilder::new),
             parameters,
             last_stamp_ns: None,
+            last_pose: None,
             learnt_scans: 0,
             near_counts: Vec::new(),
             directions: Vec::new(),

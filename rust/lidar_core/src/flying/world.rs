@@ -1,10 +1,13 @@
-//! Where the detector's map lies in the world: known places, other maps, jumps of the pose.
+//! Where the detector's map lies in the world: known places, other maps.
 
 use super::detector::FlyingObjectDetector;
 use super::scan::RawScan;
 use super::voxel_map::VoxelMap;
 use crate::Error;
 use crate::geometry::transform::Transform;
+
+/// Places further from the world's origin cannot be told apart to a millimetre [m].
+const FARTHEST: f64 = 1e12;
 
 impl FlyingObjectDetector {
     /// Make the voxels of `points` [m, world] occupied, or free, for good (sec. III-E).
@@ -13,11 +16,17 @@ impl FlyingObjectDetector {
     /// As [`VoxelMap::set_free`].
     pub fn set_known(&mut self, points: &[[f64; 3]], occupied: bool) -> Result<(), Error> {
         let Some(&first) = points.first() else { return Ok(()) };
-        if !self.anchored {
+        let was_anchored = self.anchored;
+        if !was_anchored {
             self.anchor_at(first)?;
         }
         let points = self.in_map(points);
-        if occupied { self.map.set_occupied(&points) } else { self.map.set_free(&points) }
+        let outcome =
+            if occupied { self.map.set_occupied(&points) } else { self.map.set_free(&points) };
+        if outcome.is_err() && !was_anchored {
+            self.unanchor();
+        }
+        outcome
     }
 
     /// Take over a map, such as one of an earlier run; its own parameters stay in force.
@@ -34,7 +43,7 @@ impl FlyingObjectDetector {
         }
         self.place_origin(map.parameters().origin);
         self.map = map;
-        self.tracker.reset();
+        self.forget_motion();
         Ok(())
     }
 
@@ -51,30 +60,38 @@ impl FlyingObjectDetector {
         self.map_from_world.inverse()
     }
 
-    /// After a jump of the pose (relocalisation, GNSS step): shift the world so that the scan held
-    /// last lies where the scan before it was. False if no scan is held.
-    pub fn reanchor(&mut self) -> bool {
-        let (Some(held), Some(last)) = (self.held_pose.take(), self.last_pose) else {
-            return false;
-        };
-        self.map_from_world = last.after(&held.inverse());
-        true
-    }
-
     /// Forget map, tracks and poses. Track numbers go on; what was learnt of the sensors stays.
     ///
     /// # Errors
     /// None that [`FlyingObjectDetector::new`] did not have.
     pub fn reset(&mut self) -> Result<(), Error> {
         self.map = VoxelMap::new(self.parameters.map.relative_to([0.0; 3]), self.map.threads())?;
-        self.tracker.reset();
+        (self.anchored, self.map_from_world) = (false, Transform::IDENTITY);
+        self.scans = 0;
+        self.forget_motion();
         for sensor in self.sensors.values_mut() {
             sensor.last_stamp_ns = None;
         }
-        (self.anchored, self.map_from_world) = (false, Transform::IDENTITY);
-        (self.scans, self.last_stamp_ns) = (0, None);
-        (self.last_pose, self.held_pose) = (None, None);
         Ok(())
+    }
+
+    /// Tracks, and poses in the frame of a map that is no more.
+    fn forget_motion(&mut self) {
+        self.tracker.reset();
+        (self.reporting, self.held) = (false, None);
+        for sensor in self.sensors.values_mut() {
+            sensor.last_pose = None;
+        }
+    }
+
+    /// Back to the empty map of an unknown place.
+    pub(super) fn unanchor(&mut self) {
+        (self.anchored, self.map_from_world) = (false, Transform::IDENTITY);
+        if let Ok(map) =
+            VoxelMap::new(self.parameters.map.relative_to([0.0; 3]), self.map.threads())
+        {
+            self.map = map; // cannot fail: it could be made before
+        }
     }
 
     /// The local frame: the first pose's position, on a corner of the world's voxels.
@@ -88,7 +105,7 @@ impl FlyingObjectDetector {
     fn anchor_at(&mut self, point: [f64; 3]) -> Result<(), Error> {
         let size = self.parameters.map.voxel_size;
         let origin = point.map(|value| (value / size).round() * size);
-        if !origin.iter().all(|value| value.is_finite()) {
+        if !origin.iter().all(|value| value.abs() <= FARTHEST) {
             return Err(Error::PointOutOfRange { point });
         }
         self.map = VoxelMap::new(self.parameters.map.relative_to(origin), self.map.threads())?;

@@ -44,13 +44,18 @@ impl Buffer {
         Self { clouds: VecDeque::new(), size }
     }
 
+    /// Whether a cloud of this stamp is there.
+    pub(super) fn has(&self, stamp_ns: i64) -> bool {
+        self.clouds.iter().any(|cloud| cloud.stamp_ns == stamp_ns)
+    }
+
     /// Whether a cloud of this stamp is older than one that was processed.
     ///
     /// # Errors
     /// [`Error::Time`] for a stamp that is there already, or older than a full buffer.
     pub(super) fn is_late(&self, stamp_ns: i64) -> Result<bool, Error> {
         let refuse = |what| Err(Error::Time { what });
-        if self.clouds.iter().any(|cloud| cloud.stamp_ns == stamp_ns) {
+        if self.has(stamp_ns) {
             return refuse(format!(
                 "point cloud at {stamp_ns} ns: expected a new stamp, a cloud of this one is known"
             ));

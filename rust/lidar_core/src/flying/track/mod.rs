@@ -212,6 +212,21 @@ impl PointCloudTracker {
             .collect()
     }
 
+    /// The first time from `stamp_ns` on of which no cloud is known.
+    pub(crate) fn free_stamp(&self, mut stamp_ns: i64) -> i64 {
+        while self.buffer.has(stamp_ns) && stamp_ns < i64::MAX {
+            stamp_ns += 1;
+        }
+        stamp_ns
+    }
+
+    /// # Errors
+    /// [`Error::Limit`] if so many more tracks might be too many.
+    pub(crate) fn check_room(&self, count: usize) -> Result<(), Error> {
+        let count = self.tracks.len() + count;
+        if count > MAX_TRACKS { Err(detections::too_many(count)) } else { Ok(()) }
+    }
+
     /// Whether a cloud of this time would be taken.
     ///
     /// # Errors
