@@ -1,0 +1,353 @@
+"""`lidar-core detect`: recordings in, run folders out; what ends it early leaves whole files."""
+
+import csv
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from dataclasses import replace
+from itertools import count
+
+import numpy as np
+import pytest
+from flying_scenes import drone, yard
+from typer.testing import CliRunner
+
+from lidar_core import ConfigError, FormatError, VoxelMap, run_folder, sim
+from lidar_core.cli import app
+from lidar_core.flying import FlyingConfig, FlyingObjectDetector
+from lidar_core.io import open_recording, posed_scans, write_npz
+from lidar_core.messages import Pose, Scan
+
+SCANS = 20
+FLIGHT = drone((6.0, 4.0, 3.5), (5.0, 6.0, 4.0))
+PROGRAM = "import sys; sys.argv[0] = 'lidar-core'; from lidar_core.cli import main; main()"
+POSITION_ERROR = 0.4
+"""Of a track of a ball of radius 0.325 m, of which one side is seen [m]."""
+
+
+def run_command(*arguments):
+    return CliRunner().invoke(app, ["detect", *map(str, arguments)])
+
+
+def result_of(*arguments):
+    """The result of a run that must succeed."""
+    out = run_command(*arguments, "--json", "-")
+    assert out.exit_code == 0, out.output
+    return json.loads(out.stdout)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """A drone in a yard, in lidar_core's own format."""
+    path = tmp_path_factory.mktemp("recording") / "yard.npz"
+    sim.record(yard(FLIGHT, scans=SCANS), path, seed=0)
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(recording, tmp_path_factory):
+    """Folder and result of a run on it."""
+    folder = tmp_path_factory.mktemp("detect") / "run"
+    return folder, result_of(recording, "-o", folder, "--threads", 2)
+
+
+def table_rows(folder, name):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    return parquet.read_table(folder / f"{name}.parquet").to_pylist()
+
+
+def test_the_drone_is_found_and_tracked(run):
+    folder, result = run
+    assert result["scans"] == {"received": SCANS, "processed": SCANS, "held": 0, "rejected": {}}
+    assert result["gate"] == {"open": True, "reason": "open", "opened_at_scan": 10}
+    assert result["tracks"] == 1
+    assert result["detections"] == SCANS - 10
+    assert sum(result["class_shares"].values()) == pytest.approx(1)
+    assert 0 < result["class_shares"]["flying"] < 0.01
+    assert result["clears_sky"]
+    assert result["ended_early"] is None
+    rows = table_rows(folder, "tracks")
+    assert len(rows) == SCANS - 10
+    assert {row["track_id"] for row in rows} == {0}
+
+
+def test_tracks_lie_where_the_truth_says(recording, run):
+    with recording.with_name("yard.truth.csv").open() as file:
+        truth = {int(row["t_ns"]): row for row in csv.DictReader(file)}
+    for row in table_rows(run[0], "tracks"):
+        target = truth[row["t_ns"]]
+        away = [row[axis] - float(target[axis]) for axis in "xyz"]
+        assert np.linalg.norm(away) < POSITION_ERROR
+    rows = table_rows(run[0], "detections")
+    assert {row["sensor"] for row in rows} == {"lidar"}
+    assert all(row["n_points"] >= 3 and row["cov_x_x"] > 0 for row in rows)
+
+
+def test_the_folder_is_complete_and_noted(recording, run):
+    folder, result = run
+    names = {path.name for path in folder.iterdir()}
+    assert set(result["files"]) == names
+    assert {"map.lcvm", "picture.png", "run.mcap", "tracks_tum"} < names
+    note = tomllib.loads((folder / "run.toml").read_text())
+    assert note["input"]["recording"] == {
+        "path": str(recording),
+        "bytes": recording.stat().st_size,
+        "sha256": hashlib.sha256(recording.read_bytes()).hexdigest(),
+    }
+    config = FlyingConfig.load(note["config"]["flying"])
+    assert config == FlyingConfig(on_bad_scan="count")
+    detector = FlyingObjectDetector()
+    detector.load_map(folder / "map.lcvm")
+    assert detector.n_observed == result["map"]["observed_voxels"]
+
+
+def test_the_mcap_file_holds_classes_and_poses(run):
+    pytest.importorskip("mcap_protobuf")
+    with open_recording(run[0] / "run.mcap") as opened:
+        clouds = [item for item in opened if isinstance(item, Scan)]
+        assert len(clouds) == SCANS
+        assert {topic.name for topic in opened.topics()} == {"/classes", "/tf", "/tracks"}
+    assert set(np.unique(clouds[-1].intensity)) == {1.0, 2.0, 3.0}
+
+
+def test_a_short_recording_says_which_gate_stayed_closed(recording, tmp_path):
+    path = tmp_path / "short.npz"
+    with open_recording(recording) as opened:
+        write_npz(path, [item for number, item in zip(range(9), opened, strict=False)])
+    out = run_command(path, "-o", tmp_path / "run")
+    assert out.exit_code == 0, out.output
+    assert "closed" in out.output
+    assert "burn-in: scan" in out.output
+
+
+def test_repeating_opens_the_gate(recording, tmp_path):
+    path = tmp_path / "short.npz"
+    with open_recording(recording) as opened:
+        scans = [item.scan for item in posed_scans(opened)][:4]
+    write_npz(path, scans)
+    result = result_of(path, "-o", tmp_path / "run", "--pose", "static", "--repeat", 4)
+    assert result["scans"]["processed"] == 16
+    assert result["gate"]["opened_at_scan"] == 10
+    assert result["poses"] == "static: the sensor does not move"
+
+
+def test_an_earlier_run_is_replaced_only_when_asked(recording, tmp_path):
+    path, folder = tmp_path / "one.npz", tmp_path / "run"
+    with open_recording(recording) as opened:
+        write_npz(path, [next(iter(posed_scans(opened))).scan])
+    arguments = (path, "-o", folder, "--pose", "static", "--no-picture", "--no-mcap")
+    assert run_command(*arguments).exit_code == 0
+    out = run_command(*arguments)
+    assert isinstance(out.exception, FileExistsError)
+    assert "--overwrite" in str(out.exception)
+    (folder / "tracks_tum" / "track_99.txt").write_text("of the earlier run")
+    assert run_command(*arguments, "--overwrite").exit_code == 0
+    assert not list((folder / "tracks_tum").iterdir())
+
+
+def test_missing_poses_leave_no_folder_and_name_the_cure(recording, tmp_path):
+    path = tmp_path / "bare.npz"
+    with open_recording(recording) as opened:
+        write_npz(path, [next(iter(posed_scans(opened))).scan])
+    out = run_command(path, "-o", tmp_path / "run")
+    assert isinstance(out.exception, FormatError)
+    assert "--pose static" in str(out.exception)
+    assert not (tmp_path / "run").exists()
+
+
+def test_values_come_from_mode_file_and_assignments_in_this_order(recording, tmp_path):
+    path = tmp_path / "one.npz"
+    with open_recording(recording) as opened:
+        write_npz(path, [next(iter(posed_scans(opened))).scan])
+    (tmp_path / "own.toml").write_text(
+        'range_std = 0.05\n[voxel_map]\nvoxel_size = 0.4\nbounds = "none"\n'
+    )
+    arguments = (path, "--pose", "static", "--no-picture", "--no-mcap")
+    changes = ("--set", "voxel_map.voxel_size=0.5", "--set", "sensor.beams=vlp-16")
+    out = run_command(
+        *arguments, "-o", tmp_path / "a", "--mode", "paper", "--config", tmp_path / "own.toml",
+        *changes, "--set", 'sensors."/a.b/c".min_range=2.0',
+    )  # fmt: skip
+    assert out.exit_code == 0, out.exception
+    note = tomllib.loads((tmp_path / "a" / "run.toml").read_text())
+    config = FlyingConfig.load(note["config"]["flying"])
+    assert config.tracker == FlyingConfig.paper().tracker
+    assert (config.range_std, config.voxel_map.voxel_size) == (0.05, 0.5)
+    assert config.sensor.beam_columns == 1800
+    assert config.sensors["/a.b/c"].min_range == 2.0
+    # The note of a run is a configuration.
+    again = (*arguments, "-o", tmp_path / "b", "--config", tmp_path / "a" / "run.toml")
+    assert run_command(*again).exit_code == 0
+    second = tomllib.loads((tmp_path / "b" / "run.toml").read_text())
+    assert second["config"]["flying"] == note["config"]["flying"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("--set", "voxel_map.voxel_size=-1"), "voxel_map.voxel_size"),
+        (("--set", "voxel_map.size=1"), "voxel_map.size"),
+        (("--set", "nonsense"), "expected name=value"),
+        (("--set", "=1"), "expected name=value"),
+        (("--pose", "static", "--cloud", "/nothing"), "no topic '/nothing'"),
+        (("--point-time", "t:fortnight:start"), "point_time"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_before_anything_is_written(
+    recording, tmp_path, arguments, text
+):
+    out = run_command(recording, "-o", tmp_path / "run", *arguments)
+    assert isinstance(out.exception, ConfigError)
+    assert text in str(out.exception)
+    assert not (tmp_path / "run").exists()
+
+
+def test_two_lidars_feed_one_map(tmp_path):
+    scans = list(sim.simulate(yard(FLIGHT, scans=14), seed=0))
+    other = list(sim.simulate(yard(FLIGHT, scans=14), seed=1))
+    items = []
+    for left, right in zip(scans, other, strict=True):
+        stamp = left.scan.stamp_ns
+        items.append(Pose(stamp, "world", "body", left.world_from_lidar, topic="/tf"))
+        items.append(replace(left.scan, frame_id="body", topic="/left"))
+        items.append(replace(right.scan, frame_id="body", topic="/right"))
+    write_npz(tmp_path / "two.npz", items)
+    arguments = (tmp_path / "two.npz", "--no-picture", "--no-mcap")
+    out = run_command(*arguments, "-o", tmp_path / "run")
+    assert "/left, /right; name one with --cloud" in str(out.exception)
+    topics = ("--cloud", "/left", "--cloud", "/right")
+    result = result_of(*arguments, "-o", tmp_path / "run", *topics)
+    assert result["scans"]["processed"] == 28
+    assert result["tracks"] == 1
+    rows = table_rows(tmp_path / "run", "detections")
+    assert {row["sensor"] for row in rows} == {"/left", "/right"}
+
+
+def test_a_scan_that_cannot_be_used_is_counted(recording, tmp_path):
+    path = tmp_path / "twice.npz"
+    with open_recording(recording) as opened:
+        scans = [item.scan for item in posed_scans(opened)][:3]
+    write_npz(path, [scans[0], scans[1], scans[1], scans[2]])
+    result = result_of(path, "-o", tmp_path / "run", "--pose", "static", "--no-picture")
+    assert result["scans"]["processed"] == 3
+    assert sum(result["scans"]["rejected"].values()) == 1
+    out = run_command(
+        path, "-o", tmp_path / "b", "--pose", "static", "--set", "on_bad_scan=raise", "--no-picture"
+    )
+    assert out.exit_code == 1
+    assert "stamp_ns" in str(out.exception)
+    summary = json.loads((tmp_path / "b" / "summary.json").read_text())
+    assert summary["scans"]["processed"] == 2
+    assert "stamp_ns" in summary["ended_early"]
+
+
+def test_without_pyarrow_tables_are_csv(recording, tmp_path, monkeypatch):
+    for module in ("lidar_core.run_folder", "lidar_core.io.tracks"):
+        monkeypatch.setattr(f"{module}.find_spec", lambda name: None)
+    assert run_folder.find_spec("pyarrow") is None
+    result_of(recording, "-o", tmp_path, "--no-picture", "--no-mcap")
+    for name in ("detections", "tracks"):
+        with (tmp_path / f"{name}.csv").open() as file:
+            assert len(list(csv.DictReader(file))) == SCANS - 10
+
+
+def test_without_the_viz_extra_there_is_no_mcap(recording, tmp_path, monkeypatch):
+    monkeypatch.setattr("lidar_core.cli.detect.find_spec", lambda name: None)
+    result = result_of(recording, "-o", tmp_path, "--no-picture", "--pose", "static")
+    assert "run.mcap" not in result["files"]
+
+
+def test_ctrl_c_leaves_whole_files_and_ends_with_130(recording, tmp_path):
+    folder = tmp_path / "run"
+    arguments = ["detect", recording, "-o", folder, "--repeat", "100000", "--pose", "static"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, *map(str, arguments)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )  # fmt: skip
+    for _ in count():
+        if list(folder.glob(".run.mcap*")) or process.poll() is not None:
+            break
+        time.sleep(0.05)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "interrupted" in err
+    assert "time per scan" in out
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["ended_early"] == "interrupted"
+    assert summary["scans"]["processed"] > 0
+    VoxelMap.load(folder / "map.lcvm")
+    with open_recording(folder / "run.mcap") as opened:
+        clouds = sum(isinstance(item, Scan) for item in opened)
+    assert abs(clouds - summary["scans"]["processed"]) <= 1
+    assert not [path for path in folder.iterdir() if path.name.startswith(".")]
+
+
+SHORT = {
+    "velodyne_mrpt/sample_velodyne_vlp16_gps.pcap": ("static", 4),
+    "velodyne_mrpt/sample_velodyne_hdl32.pcap": ("static", 3),
+    "nebula/velodyne/vlp16/1673400472138016708.pcd": ("static", 1),
+    "nebula/velodyne/vls128/1585897255376374245.pcd": ("static", 1),
+    "nebula/hesai/64/1673403880898440686.pcd": ("static", 1),
+    "nebula/hesai/xt32/1673400678101968885.pcd": ("static", 1),
+    "ndt_omp_pair": ("static", 2),
+}
+"""Real recordings, how their poses are given, and their scans: too few for the burn-in."""
+
+OUSTER = {
+    "OS-0-128-U1_v2.3.0_1024x10.pcap": ("static", 1),
+    "OS-2-128-U1_v2.3.0_1024x10.pcap": ("static", 1),
+    "OS-1-128_v2.3.0_1024x10_lb_n3.osf": ("static", 3),
+    "OS-1-128_v2.3.0_1024x10_lb_n3.pcap": ("OS-1-128_v2.3.0_1024x10_lb_n3_poses_kitti.txt", 3),
+}
+
+
+def check_short(result, scans):
+    assert result["scans"]["processed"] == scans
+    assert result["gate"] == {
+        "open": False, "reason": f"burn-in: scan {scans} of 10", "opened_at_scan": None,
+    }  # fmt: skip
+    assert (result["detections"], result["tracks"]) == (0, 0)
+    assert result["class_shares"]["flying"] == 0
+    assert result["class_shares"]["background"] > 0.75
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_real_recordings_without_a_flyer(name, recordings, tmp_path):
+    pose, scans = SHORT[name]
+    check_short(result_of(recordings / "3d" / name, "--pose", pose, "-o", tmp_path / "a"), scans)
+
+
+@pytest.mark.parametrize("name", OUSTER)
+def test_real_ouster_recordings_without_a_flyer(name, recordings, ouster_python, tmp_path):
+    pose, scans = OUSTER[name]
+    data = recordings / "3d" / "ouster"
+    given = pose if pose == "static" else data / pose
+    arguments = ["detect", data / name, "-o", tmp_path / "a", "--pose", given, "--json", "-"]
+    done = subprocess.run(
+        [ouster_python, "-c", PROGRAM, *map(str, arguments)],
+        capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    check_short(json.loads(done.stdout), scans)
+
+
+def test_broken_ouster_files_are_refused(recordings, ouster_python, tmp_path):
+    files = sorted((recordings / "formats" / "ouster_broken").glob("*.osf"))
+    assert len(files) == 3
+    for file in files:
+        arguments = ["detect", file, "-o", tmp_path / "a", "--pose", "static"]
+        done = subprocess.run(
+            [ouster_python, "-c", PROGRAM, *map(str, arguments)],
+            capture_output=True, text=True, check=False, timeout=60,
+        )  # fmt: skip
+        assert done.returncode == 2
+        assert done.stderr.startswith(f"error: {file}")
+        assert not (tmp_path / "a").exists()

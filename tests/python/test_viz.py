@@ -1,0 +1,98 @@
+"""Pictures: drawn for any run, whole, and named when their package is missing."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from lidar_core import MissingExtraError
+from lidar_core.flying import Tracks
+from lidar_core.viz import FlyingView, draw_flying
+
+SHAPE = (902, 1540)
+FLYING = np.array([0xFB, 0x71, 0x85]) / 255
+TRACK = np.array([0x03, 0x69, 0xA1]) / 255
+COLOUR_STEP = 0.6 / 255
+"""Less than one step of an 8-bit channel."""
+
+
+def tracks_at(number, ids, position):
+    count = len(ids)
+    return Tracks(
+        id=np.array(ids, np.int64),
+        position=np.array(position, float).reshape(count, 3),
+        velocity=np.zeros((count, 3)),
+        acceleration=np.zeros((count, 3)),
+        covariance=np.tile(np.eye(9) * 0.3, (count, 1, 1)),
+        extent=np.ones((count, 3)),
+        n_detections=np.ones(count, np.int64),
+        age=np.ones(count),
+        stamp_ns=number * 100_000_000,
+    )
+
+
+@pytest.fixture
+def view():
+    rng = np.random.default_rng(0)
+    cloud = rng.uniform((-20, -20, 0), (20, 20, 8), (5000, 3))
+    cloud[:10] = np.nan
+    stamps = np.arange(20, dtype=np.int64) * 100_000_000
+    way = np.stack([np.linspace(5, 9, 20), np.full(20, 4.0), np.full(20, 5.0)], axis=1)
+    return FlyingView(
+        title="a run",
+        cloud=cloud,
+        cloud_class=np.where(np.isnan(cloud[:, 0]), 0, rng.choice([1, 3], 5000)).astype(np.uint8),
+        flying=way + np.array([0, 3, 0]),
+        occupied=np.round(cloud[10:] / 0.25) * 0.25,
+        voxel_size=0.25,
+        sensor=np.stack([np.linspace(0, 4, 20), np.zeros(20), np.full(20, 2.0)], axis=1),
+        stamp_ns=stamps,
+        tracks=[tracks_at(n, [3, 9], [way[n], way[n] * [-1, 1, 1]]) for n in range(20)],
+        n_detections=np.full(20, 2),
+        truth={1: way, 2: np.full_like(way, np.nan)},
+        recall={"tracks": (stamps[5:], np.ones(15)), "detections": (stamps[5:], np.full(15, 0.5))},
+    )
+
+
+def shares(path):
+    """Share of the pixels of the colours of flying points and of the first track."""
+    pixels = imread(path)[..., :3]
+    return [
+        np.mean(np.abs(pixels - colour).max(axis=-1) < COLOUR_STEP) for colour in (FLYING, TRACK)
+    ]
+
+
+def test_a_run_with_truth_shows_its_tracks(view, tmp_path):
+    path = draw_flying(view, tmp_path / "picture.png")
+    assert imread(path).shape[:2] == SHAPE
+    assert min(shares(path)) > 1e-5
+    assert [file.name for file in tmp_path.iterdir()] == ["picture.png"]
+
+
+def test_a_run_without_truth_tracks_or_points_is_drawn(view, tmp_path):
+    nothing = np.empty((0, 3))
+    empty = replace(
+        view, cloud=nothing, cloud_class=np.empty(0, np.uint8), flying=nothing, occupied=nothing,
+        tracks=[tracks_at(n, [], []) for n in range(20)], truth={}, recall={},
+    )  # fmt: skip
+    full = shares(draw_flying(view, tmp_path / "full.png"))
+    assert shares(draw_flying(empty, tmp_path / "a.png"))[0] < full[0]
+    no_scans = replace(
+        empty, sensor=nothing, stamp_ns=np.empty(0, np.int64), tracks=[],
+        n_detections=np.empty(0, np.int64),
+    )  # fmt: skip
+    assert imread(draw_flying(no_scans, tmp_path / "b.png")).shape[:2] == SHAPE
+
+
+def test_the_same_view_gives_the_same_picture(view, tmp_path):
+    first = draw_flying(view, tmp_path / "a.png").read_bytes()
+    assert draw_flying(view, tmp_path / "b.png").read_bytes() == first
+
+
+def test_without_matplotlib_the_extra_is_named(view, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'lidar-core\[plot\]'"):
+        draw_flying(view, tmp_path / "picture.png")
+    assert list(tmp_path.iterdir()) == []
