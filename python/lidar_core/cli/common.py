@@ -61,7 +61,7 @@ def consoles(json_file: Path | None) -> "tuple[Console, Console]":
 
 
 def progress_on(console: "Console") -> "Progress":
-    """Progress bar that counts scans and goes away at the end."""
+    """Progress bar that counts scans and goes away at the end; only on a terminal."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -78,6 +78,7 @@ def progress_on(console: "Console") -> "Progress":
         TimeRemainingColumn(),
         console=console,
         transient=True,
+        disable=not console.is_terminal,
     )
 
 
