@@ -90,7 +90,8 @@ class Detector:
         if self.origin is None:
             size = self.c.voxel_map.voxel_size
             self.origin = np.round(poses[0, :3, 3] / size) * size
-            self.map = RememberingMap(self.c.voxel_map)
+            reach = self.c.voxel_map.max_range + self.c.range_margin
+            self.map = RememberingMap(self.c.voxel_map.model_copy(update={"max_range": reach}))
         turns, places, middle = self.motion(poses, pose_stamps, times, stamp, len(points))
         cloud = self.cloud(points, no_return, turns, places)
         rays = np.full((len(points), 3), np.nan, np.float32)

@@ -140,8 +140,7 @@ class ClassifyConfig(Config):
     max_distance: float | None = Field(
         20.0,
         gt=0,
-        description="Clusters further from the sensor are no flying object [m]; less than"
-        " `voxel_map.max_range`, so that what is around them has been observed.",
+        description="Clusters further from the sensor are no flying object [m].",
     )
     group_distance: float | None = Field(
         0.7,
@@ -308,7 +307,7 @@ BEAM_PRESETS: dict[str, tuple[int, tuple[float, ...]]] = {
 class FlyingConfig(Config):
     """The flying-object detector: `FlyingConfig()` is best mode, `.paper()` the paper, Table II."""
 
-    voxel_map: VoxelMapConfig = VoxelMapConfig(max_range=22.0)
+    voxel_map: VoxelMapConfig = VoxelMapConfig()
     cluster: ClusterConfig = ClusterConfig()
     classify: ClassifyConfig = ClassifyConfig()
     separate: SeparateConfig = SeparateConfig()
@@ -320,6 +319,12 @@ class FlyingConfig(Config):
         {}, description="LiDARs by the name that `process` is given (no unit)."
     )
     tracker: TrackerConfig = TrackerConfig()
+    range_margin: float = Field(
+        2.0,
+        ge=0,
+        description="Rays clear this much further than `voxel_map.max_range`, so that what is"
+        " around a target at that range has been observed [m].",
+    )
     range_std: float = Field(
         0.03, ge=0, description="Standard deviation of a range, for detection covariances [m]."
     )
@@ -354,5 +359,6 @@ class FlyingConfig(Config):
             voxel_map=VoxelMapConfig(ray_unit="metres"),
             classify=ClassifyConfig.paper(),
             tracker=TrackerConfig.paper(),
+            range_margin=0.0,
             mismatch_share=None,
         )

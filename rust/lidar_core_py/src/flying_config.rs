@@ -24,6 +24,7 @@ pub(crate) struct FlyingConfig {
     sensor: SensorConfig,
     sensors: BTreeMap<String, SensorConfig>,
     tracker: TrackerConfig,
+    range_margin: f64,
     range_std: f64,
     target_radius: f64,
     mismatch_share: Option<f64>,
@@ -88,7 +89,10 @@ struct SensorConfig {
 impl FlyingConfig {
     pub(crate) fn parameters(self) -> Result<FlyingParameters, Error> {
         Ok(FlyingParameters {
-            map: self.voxel_map.parameters([0.0; 3])?,
+            map: MapParameters {
+                max_range: self.voxel_map.max_range + self.range_margin,
+                ..self.voxel_map.parameters([0.0; 3])?
+            },
             clustering: Clustering {
                 max_distance: self.cluster.max_distance,
                 min_points: self.cluster.min_points,
