@@ -136,6 +136,17 @@ def test_repeating_opens_the_gate(recording, tmp_path):
     assert result["poses"] == "static: the sensor does not move"
 
 
+def test_a_run_starts_from_the_map_of_an_earlier_one(recording, run, tmp_path):
+    known = run[0] / "map.lcvm"
+    result = result_of(recording, "-o", tmp_path, "--map", known, "--no-picture", "--no-mcap")
+    assert result["map"]["observed_voxels"] >= run[1]["map"]["observed_voxels"]
+    note = tomllib.loads((tmp_path / "run.toml").read_text())
+    assert note["input"]["map"]["sha256"] == hashlib.sha256(known.read_bytes()).hexdigest()
+    out = run_command(recording, "-o", tmp_path / "b", "--map", recording)
+    assert isinstance(out.exception, FormatError)
+    assert not (tmp_path / "b").exists()
+
+
 def test_an_earlier_run_is_replaced_only_when_asked(recording, tmp_path):
     path, folder = tmp_path / "one.npz", tmp_path / "run"
     with open_recording(recording) as opened:

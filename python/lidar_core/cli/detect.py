@@ -34,6 +34,7 @@ POINT_TIME = "Time of each point as field:unit:reference, auto or none."
 NO_RETURN = "What marks a ray without return: auto, zero, nan or none."
 METADATA = "JSON file of an Ouster capture, if not beside it."
 SCAN_RATE = "Scans per second of a folder without times [Hz]."
+MAP = "Map to start from: map.lcvm of an earlier run in the same frame."
 REPEAT = "Play the recording this often: lets a short one open the gate of the background."
 CONFIG = "TOML file; the run.toml of an earlier run will do."
 SET = "Single value, such as voxel_map.voxel_size=0.5; again for more."
@@ -53,6 +54,7 @@ def command(
     metadata: Annotated[str | None, typer.Option(help=METADATA)] = None,
     scan_rate: Annotated[float | None, typer.Option(help=SCAN_RATE)] = None,
     repeat: Annotated[int, typer.Option(min=1, help=REPEAT)] = 1,
+    known_map: Annotated[Path | None, typer.Option("--map", help=MAP)] = None,
     mode: Annotated[Mode, typer.Option(help="What works best, or the paper.")] = "best",
     config: Annotated[Path | None, typer.Option(help=CONFIG)] = None,
     values: Annotated[list[str], typer.Option("--set", help=SET)] = [],  # noqa: B006
@@ -81,6 +83,7 @@ def command(
         pose=PoseOptions.load(_given(poses)),
         clouds=tuple(cloud),
         repeat=repeat,
+        known_map=known_map,
         threads=threads,
         writes_mcap=find_spec("foxglove") is not None if mcap is None else mcap,
         draws=picture,
@@ -125,7 +128,10 @@ def _table(summary: Mapping[str, Any], name: str) -> "Table":
     sky = (
         ("cleared", "rays without return are known")
         if summary["clears_sky"]
-        else ("not cleared", "the recording has no rays without return; see sensor.beams")
+        else (
+            "not cleared",
+            "rays without return are missing; --set sensor.beams=... rebuilds them",
+        )
     )
     rows = (
         Row("scans", str(scans["processed"]), ", ".join(left_out)),

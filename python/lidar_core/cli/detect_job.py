@@ -28,6 +28,7 @@ class DetectJob:
     pose: PoseOptions
     clouds: tuple[str, ...]
     repeat: int
+    known_map: Path | None
     threads: int
     writes_mcap: bool
     draws: bool
@@ -49,6 +50,8 @@ def detect(job: DetectJob, console: Console) -> DetectResult:
     before the first scan are raised, and leave no folder.
     """
     run = FlyingRun(FlyingObjectDetector(job.config, threads=job.threads))
+    if job.known_map is not None:
+        run.detector.load_map(job.known_map)
     with ScanSource(job.recording, job.read, job.pose, job.clouds, job.repeat) as source:
         end = _pass_through(job, source, run, console)
         if not run.n_received:
@@ -65,23 +68,31 @@ def detect(job: DetectJob, console: Console) -> DetectResult:
             "ended_early": None if end is None else str(end) or "interrupted",
         }
     files = [*run.write(job.folder), "run.toml", "summary.json"]
-    with console.status("hashing the recording"):
-        inputs = {"recording": fingerprint(job.recording)}
-        if Path(job.pose.pose).is_file():
-            inputs["poses"] = fingerprint(Path(job.pose.pose))
     job.folder.write_summary(summary)
-    job.folder.write_note(
-        inputs,
-        {"flying": job.config, "read": job.read, "pose": job.pose},
-        clouds=list(job.clouds),
-        repeat=job.repeat,
-    )
+    _write_note(job, console)
     title = f"{job.recording.name}: {run.n_scans} scans, {len(run.track_ids)} tracks"
     if job.draws and draw(run.view(title), job.folder.path / "picture.png", console):
         files.append("picture.png")
     if (job.folder.path / NAME).exists():
         files.append(NAME)
     return DetectResult(summary, tuple(sorted(files)), end)
+
+
+def _write_note(job: DetectJob, console: Console) -> None:
+    """Write run.toml, with the hashes of everything that was read."""
+    files = {"recording": job.recording, "poses": Path(job.pose.pose), "map": job.known_map}
+    with console.status("hashing the recording"):
+        inputs = {
+            name: fingerprint(path)
+            for name, path in files.items()
+            if path is not None and path.exists()
+        }
+    job.folder.write_note(
+        inputs,
+        {"flying": job.config, "read": job.read, "pose": job.pose},
+        clouds=list(job.clouds),
+        repeat=job.repeat,
+    )
 
 
 def _pass_through(
