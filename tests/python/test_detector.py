@@ -34,7 +34,8 @@ def random_world(seed, *, scans=10, stream=False):
     body = fan()
     times = np.linspace(0, 0.09, len(body)) * 1e9
     velocity, turn = rng.uniform(-0.4, 0.4, 3), rng.uniform(-0.5, 0.5)
-    start, heading = rng.uniform(-1, 1, 3) + (30.0, -20.0, 4.0), rng.uniform(-3, 3)
+    start = np.array([30.0, -20.0, 4.0]) + rng.uniform(-1, 1, 3)
+    heading = rng.uniform(-3, 3)
     balls = start + rng.uniform(1.5, 2.0, (2, 1)) * unit(rng.normal(size=(2, 3)) * [1, 1, 0.2])
     speeds = rng.uniform(-0.6, 0.6, (2, 3))
     wall_x = start[0] + rng.uniform(3.0, 4.0)
@@ -254,7 +255,7 @@ def test_far_from_the_origin_everything_is_the_same():
             np.testing.assert_allclose(a.position + shift, b.position, atol=1e-3)
             np.testing.assert_allclose(a.covariance, b.covariance, atol=1e-6)
     assert len(far.tracks) == 1
-    assert detector.state_at(shift + [(11.6, 0.0, 3.0)]).tolist() == [3]
+    assert detector.state_at(np.array([[11.6, 0.0, 3.0]]) + shift).tolist() == [3]
     occupied = detector.occupied_points()
     assert np.abs(occupied - shift).max() < 110
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from reference import separate
-from reference.classify import beside, classify, diagonal
+from reference.classify import classify, clearance, diagonal
 from reference.cluster import cluster_points
 from reference.tracker import Tracker
 from reference.voxel_map import BACKGROUND, FLYING, UNKNOWN, VoxelMap
@@ -92,7 +92,8 @@ class Detector:
             self.origin = np.round(poses[0, :3, 3] / size) * size
             reach = self.c.voxel_map.max_range + self.c.range_margin
             self.map = RememberingMap(self.c.voxel_map.model_copy(update={"max_range": reach}))
-        turns, places, middle = self.motion(poses, pose_stamps, times, stamp, len(points))
+        turns, places = self.motion(poses, pose_stamps, times, stamp, len(points))
+        origin = self.middle(poses, pose_stamps, times, stamp, points, no_return)
         cloud = self.cloud(points, no_return, turns, places)
         rays = np.full((len(points), 3), np.nan, np.float32)
         if no_return is not None:
@@ -103,10 +104,10 @@ class Detector:
 
         gate = self.gate()
         labels = cluster_points(cloud, **self.c.cluster.model_dump(include=CLUSTERING))
-        verdicts = self.verdicts(cloud, labels, places[middle])
+        verdicts = self.verdicts(cloud, labels, origin)
         point_class = np.array([verdicts[label] if label >= 0 else UNKNOWN for label in labels])
         point_class[~np.isfinite(cloud).all(axis=1)] = 0
-        found = self.detections(cloud, labels, verdicts, places[middle], delays)
+        found = self.detections(cloud, labels, verdicts, origin, delays)
 
         self.map.integrate(cloud, point_class, places, rays, no_return)
         self.remove_separate()
@@ -115,15 +116,23 @@ class Detector:
         return self.frame(point_class, found, stamp, gate)
 
     def motion(self, poses, pose_stamps, times, stamp, rows):
-        """Rotation and place of every ray in the frame of the map, and the row in the middle."""
+        """Rotation and place of every ray in the frame of the map."""
         shifted = poses[:, :3, 3] - self.origin
         if len(poses) == 1:
-            return np.repeat(poses[:, :3, :3], rows, 0), np.repeat(shifted, rows, 0), 0
+            return np.repeat(poses[:, :3, :3], rows, 0), np.repeat(shifted, rows, 0)
         at = np.full(rows, stamp) if times is None else times
         at = np.clip(at, pose_stamps[0], pose_stamps[-1])
         turns = Slerp(pose_stamps, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
         places = np.stack([np.interp(at, pose_stamps, axis) for axis in shifted.T], axis=1)
-        return turns, places, rows // 2
+        return turns, places
+
+    def middle(self, poses, pose_stamps, times, stamp, points, no_return):
+        """Place of the sensor half way between the first and the last ray that tells anything."""
+        at = stamp
+        if times is not None and len(poses) > 1:
+            known = times[np.isfinite(points).all(axis=1) | (no_return is not None and no_return)]
+            at = (known.min() + known.max()) // 2
+        return self.motion(poses, pose_stamps, None, at, 1)[1][0]
 
     def cloud(self, points, no_return, turns, places):
         points = points.astype(float)
@@ -171,16 +180,11 @@ class Detector:
                     "covariance": covariance,
                     "extent": np.ptp(own, axis=0),
                     "n_points": len(own),
-                    "confidence": self.clearance(own) * sure,
+                    "confidence": clearance(self.map, own) * sure,
                     "delay": delays[labels == label].astype(float).mean(),
                 }
             )
         return found
-
-    def clearance(self, points) -> float:
-        own = {self.map.voxel_at(point) for point in points}
-        shell = {voxel for start in own for voxel in beside(start)} - own
-        return sum(map(self.map.is_free, shell)) / max(len(shell), 1)
 
     def remove_separate(self) -> None:
         """Sec. III-D, once there is something to be separate from."""

@@ -26,6 +26,8 @@ pub enum BeamTable {
 
 /// Elevation bins of the learner [rad]: 0.05 degrees.
 const BIN: f64 = PI / 3600.0;
+/// Bins are halved above this, long before they overflow: a scan has fewer points.
+const MOST_POINTS: u32 = 1 << 30;
 /// A bin is a row once it held this share of a revolution in all scans together.
 const ROW_SHARE: f64 = 0.25;
 /// Rows further apart than this do not bound a row's tolerance [rad].
@@ -69,8 +71,16 @@ impl Rebuilder {
             let last = self.histogram.len() - 1;
             self.histogram[bin.min(last)] += 1;
         }
+        if self.histogram.iter().any(|&count| count > MOST_POINTS) {
+            self.histogram.iter_mut().for_each(|count| *count /= 2);
+        }
         let enough = (ROW_SHARE * self.columns as f64) as u32;
         self.elevations = peaks(&self.histogram, enough.max(1));
+    }
+
+    /// Whether a scan holds any return: without one it tells nothing, not even of open sky.
+    pub(crate) fn has_returns(points: &[[f32; 3]]) -> bool {
+        points.iter().any(|&point| angles(point).is_some())
     }
 
     /// Directions, in the lidar frame, of the rays that returned nothing.

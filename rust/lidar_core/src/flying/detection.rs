@@ -24,6 +24,8 @@ pub struct Detection {
     pub confidence: f64,
 }
 
+/// A single point of a sensor without noise still has a covariance of full rank [m^2].
+const LEAST_VARIANCE: f64 = 1e-6;
 /// Points of which a target of the smallest kind gives at least this many are certain enough.
 const SURE_POINTS: f64 = 3.0;
 
@@ -58,7 +60,7 @@ impl Detection {
             for b in 0..3 {
                 covariance[a][b] += hidden * hidden * (sight[a] * sight[b]);
             }
-            covariance[a][a] += range_std * range_std;
+            covariance[a][a] += (range_std * range_std).max(LEAST_VARIANCE);
         }
         let confidence = verdict.clearance * (1.0 - libm::exp2(-count / SURE_POINTS));
         Self {

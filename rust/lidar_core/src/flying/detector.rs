@@ -3,7 +3,7 @@
 use super::classify::{Verdict, classify};
 use super::clusters::Cluster;
 use super::detection::Detection;
-use super::flood::{check_steps, search_radius};
+use super::flood::{check_steps, distinct, search_radius};
 use super::frame::{Clock, Found, Frame, Teammate, Timing};
 use super::gate::Gate;
 use super::integrate::{
@@ -20,6 +20,7 @@ use crate::Error;
 use crate::geometry::cluster::label;
 use crate::geometry::lattice::{floor, wide};
 use crate::geometry::transform::{Transform, minus, norm};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 /// Detection and tracking of flying objects in scans of one or several LiDARs.
@@ -131,7 +132,7 @@ impl FlyingObjectDetector {
             class = point_classes(&scan, &labels, &verdicts);
         }
         self.accept(raw, &scan, sensor, gate);
-        self.fill_pockets(&clusters, &verdicts, &scan);
+        self.fill_pockets(&verdicts, &scan);
         timing.integrate = clock.lap();
         self.map.remove_separate_from_background(self.parameters.separation)?;
         timing.separate = clock.lap();
@@ -248,22 +249,18 @@ impl FlyingObjectDetector {
     }
 
     /// Enclosed uncertain voxels around flying objects become free, unless they hold points.
-    fn fill_pockets(&mut self, clusters: &[Cluster], verdicts: &[Verdict], scan: &Prepared) {
+    fn fill_pockets(&mut self, verdicts: &[Verdict], scan: &Prepared) {
         if !self.parameters.classify.fill_pockets {
             return;
         }
+        let lattice = *self.map.lattice();
+        let place = |&point: &[f32; 3]| floor(lattice.scaled(wide(point)));
+        let held = distinct(scan.points.iter().filter_map(place).collect());
         let below = self.map.uncertain_from().next_down();
-        for (verdict, cluster) in verdicts.iter().zip(clusters).filter(|(v, _)| v.class == FLYING) {
-            let lattice = *self.map.lattice();
-            let mut held: Vec<_> = cluster
-                .members
-                .iter()
-                .filter_map(|&row| floor(lattice.scaled(wide(scan.points[row as usize]))))
-                .collect();
-            held.sort_unstable();
-            for &voxel in verdict.explored.iter().filter(|voxel| held.binary_search(voxel).is_err())
-            {
-                self.map.rewrite(voxel, |value| if value.is_infinite() { value } else { below });
+        let flying = verdicts.iter().filter(|verdict| verdict.class == FLYING);
+        for &voxel in flying.flat_map(|verdict| &verdict.explored) {
+            if held.binary_search(&voxel).is_err() {
+                self.map.rewrite(voxel, |value| value.min(below)); // NaN: never observed
             }
         }
     }
@@ -278,16 +275,19 @@ impl FlyingObjectDetector {
     ) -> Found {
         let mut found = Found::default();
         let turn = Transform { translation: [0.0; 3], ..self.map_from_world };
-        for (cluster, verdict) in clusters.iter().zip(verdicts).filter(|(_, v)| v.class == FLYING) {
+        for (cluster, verdict) in clusters.iter().zip(verdicts) {
+            let mate = self.teammate_at(cluster.centroid).filter(|_| verdict.class != BACKGROUND);
+            if mate.is_some() {
+                found.hidden.extend(&cluster.members);
+            }
+            if verdict.class != FLYING {
+                continue;
+            }
             let range_std = self.parameters.range_std;
             let mut detection = Detection::of(scan, cluster, verdict, range_std);
             if let Some(covariance) = pose_covariance {
                 detection.add_pose_covariance(&scan.pose, &turn, covariance);
             }
-            let mate = self.teammates.iter().find(|mate| {
-                norm(minus(self.map_from_world.apply(mate.position), detection.position))
-                    <= mate.radius
-            });
             match mate {
                 Some(mate) => found.teammates.push((mate.id, detection)),
                 None => found.detections.push(detection),
@@ -296,10 +296,19 @@ impl FlyingObjectDetector {
         found
     }
 
+    fn teammate_at(&self, position: [f64; 3]) -> Option<&Teammate> {
+        let offset = |mate: &Teammate| minus(self.map_from_world.apply(mate.position), position);
+        self.teammates.iter().find(|mate| norm(offset(mate)) <= mate.radius)
+    }
+
     fn track(&mut self, scan: &Prepared, found: &Found, stamp_ns: i64) -> Result<(), Error> {
         let view = ScanView::new(scan, self.parameters.target_radius);
+        let mut points = Cow::from(&scan.points);
+        for &row in &found.hidden {
+            points.to_mut()[row as usize] = [f32::NAN; 3]; // no track follows a teammate
+        }
         self.tracker.new_point_cloud(
-            &scan.points,
+            &points,
             scan.delays.as_deref(),
             &self.map,
             Some(&view),

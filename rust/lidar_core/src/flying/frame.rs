@@ -64,6 +64,8 @@ pub struct Teammate {
 pub(crate) struct Found {
     pub(crate) detections: Vec<Detection>,
     pub(crate) teammates: Vec<(i64, Detection)>,
+    /// Rows of points on teammates.
+    pub(crate) hidden: Vec<u32>,
 }
 
 /// Stop watch for the stages.

@@ -87,14 +87,19 @@ impl Motion {
     }
 
     /// Pose of every point, as a table of distinct poses and every point's place in it: points
-    /// that share a time share the work.
+    /// that share a time share the work. Rows that tell nothing may have any time.
     ///
     /// # Errors
     /// [`Error::Value`] for the first time outside the stream.
-    pub(crate) fn per_point(&self, times_ns: &[i64]) -> Result<(Vec<Transform>, Vec<u32>), Error> {
+    pub(crate) fn per_point(
+        &self,
+        times_ns: &[i64],
+        is_informative: impl Fn(usize) -> bool,
+    ) -> Result<(Vec<Transform>, Vec<u32>), Error> {
         let mut known: HashMap<i64, u32, BuildHasherDefault<Spread>> = HashMap::default();
         let (mut poses, mut places) = (Vec::new(), Vec::with_capacity(times_ns.len()));
         for (index, &time) in times_ns.iter().enumerate() {
+            let time = if is_informative(index) { time } else { self.stamps_ns[0] };
             let place = match known.get(&time) {
                 Some(place) => *place,
                 None => {
@@ -136,7 +141,7 @@ mod tests {
         let x = |stamp| motion.at(stamp).map(|pose| pose.translation[0]);
         assert_eq!([x(-5), x(0), x(50), x(150), x(200)], [0.0, 0.0, 0.5, 2.0, 3.0].map(Some));
         assert_eq!(x(200 + POSE_SLACK_NS + 1), None);
-        assert!(motion.per_point(&[50, 1 << 40]).is_err());
+        assert!(motion.per_point(&[50, 1 << 40], |_| true).is_err());
         Ok(())
     }
 

@@ -96,7 +96,9 @@ impl Prepared {
     fn take_empty_rays(&mut self, raw: &RawScan<'_>, sensor: &Sensor, poses: &Poses) {
         let Some(flags) = raw.no_return else { return };
         let mut directions = vec![[f32::NAN; 3]; raw.points.len()];
-        for row in (0..flags.len()).filter(|&row| flags[row]) {
+        let casts = |row: usize| !self.no_ray.as_ref().is_some_and(|no_ray| no_ray[row]);
+        let empty: Vec<usize> = (0..flags.len()).filter(|&row| flags[row] && casts(row)).collect();
+        for row in empty {
             let known = raw.directions.map(|all| all[row]).or_else(|| sensor.direction(row));
             let Some(direction) = known else { continue };
             if !sensor.is_masked(row, wide(direction)) {
@@ -153,27 +155,36 @@ impl Poses {
     fn of(raw: &RawScan<'_>, motion: &Motion, map_from_world: &Transform) -> Result<Self, Error> {
         let (table, places) = match raw.point_time_ns {
             Some(times) if motion.is_stream() => {
-                let (table, places) = motion.per_point(times)?;
+                let (table, places) = motion.per_point(times, |row| is_informative(raw, row))?;
                 (table.iter().map(|pose| map_from_world.after(pose)).collect(), Some(places))
             }
             _ => (Vec::new(), None),
         };
-        let middle = match places.as_ref().and_then(|places| places.get(places.len() / 2)) {
-            Some(&place) => table[place as usize],
-            None => map_from_world.after(&motion.at(raw.stamp_ns).ok_or_else(|| Error::Value {
-                name: "stamp_ns",
-                expected: "a stamp within 20 ms of `pose_stamps_ns`",
-                index: 0,
-                got: raw.stamp_ns.to_string(),
-            })?),
+        let middle_ns = match places {
+            Some(_) => middle_of(raw).unwrap_or(raw.stamp_ns),
+            None => raw.stamp_ns,
         };
-        Ok(Self { table, places, middle })
+        let middle = motion.at(middle_ns).ok_or_else(|| Error::Value {
+            name: "stamp_ns",
+            expected: "a stamp within 20 ms of `pose_stamps_ns`",
+            index: 0,
+            got: raw.stamp_ns.to_string(),
+        })?;
+        Ok(Self { table, places, middle: map_from_world.after(&middle) })
     }
 
     #[inline]
     fn at(&self, row: usize) -> &Transform {
         self.places.as_ref().map_or(&self.middle, |places| &self.table[places[row] as usize])
     }
+}
+
+/// Half way between the first and the last time of a row that tells anything [ns].
+fn middle_of(raw: &RawScan<'_>) -> Option<i64> {
+    let times = raw.point_time_ns?;
+    let known = || (0..times.len()).filter(|&row| is_informative(raw, row)).map(|row| times[row]);
+    let (first, last) = (known().min()?, known().max()?);
+    Some(first + (last - first) / 2) // no overflow: both are near `stamp_ns`
 }
 
 fn check(raw: &RawScan<'_>, sensor: &Sensor) -> Result<(), Error> {
@@ -192,13 +203,38 @@ fn check(raw: &RawScan<'_>, sensor: &Sensor) -> Result<(), Error> {
     }
     let returns = sensor.parameters.returns_per_ray;
     if returns == 0 || !expected.is_multiple_of(returns) {
-        return Err(Error::Parameter {
-            name: "returns_per_ray",
-            expected: "a divisor of the number of points",
-            got: format!("{returns} for {expected} points"),
+        return Err(Error::Value {
+            name: "points_lidar",
+            expected: "`returns_per_ray` equal parts",
+            index: expected,
+            got: format!("{expected} points for {returns} parts"),
         });
     }
-    Ok(())
+    check_times(raw)
+}
+
+/// Times of another clock than `stamp_ns` would put targets anywhere.
+fn check_times(raw: &RawScan<'_>) -> Result<(), Error> {
+    const LONGEST_SCAN_NS: u64 = 10_000_000_000;
+    let Some(times) = raw.point_time_ns else { return Ok(()) };
+    let is_off = |&(row, time): &(usize, &i64)| {
+        time.abs_diff(raw.stamp_ns) > LONGEST_SCAN_NS && is_informative(raw, row)
+    };
+    match times.iter().enumerate().find(is_off) {
+        Some((index, time)) => Err(Error::Value {
+            name: "point_time_ns",
+            expected: "times within 10 s of `stamp_ns`",
+            index,
+            got: format!("{time}, and {} as `stamp_ns`", raw.stamp_ns),
+        }),
+        None => Ok(()),
+    }
+}
+
+/// Whether a row tells anything; drivers leave the times of others at 0.
+fn is_informative(raw: &RawScan<'_>, row: usize) -> bool {
+    raw.no_return.is_some_and(|flags| flags[row])
+        || raw.points[row].iter().all(|value| value.is_finite())
 }
 
 fn delays(times_ns: &[i64], stamp_ns: i64) -> Vec<f32> {

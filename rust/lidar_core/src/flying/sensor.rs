@@ -107,6 +107,9 @@ impl Sensor {
     /// Directions of rays without return that the driver dropped; None if they are not known.
     pub(crate) fn missing(&self, points: &[[f32; 3]]) -> Option<Vec<[f32; 3]>> {
         let rebuilder = self.rebuilder.as_ref().filter(|rebuilder| rebuilder.is_ready())?;
+        if !Rebuilder::has_returns(points) {
+            return None;
+        }
         let mut missing = rebuilder.missing(points);
         missing.retain(|&direction| !self.is_masked(usize::MAX, wide(direction)));
         Some(missing)

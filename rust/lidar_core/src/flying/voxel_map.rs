@@ -262,11 +262,14 @@ impl VoxelMap {
     pub fn forget(&mut self, center: [f64; 3], distance: f64) {
         let lattice = self.lattice;
         let reach = distance + 8.0 * lattice.voxel_size();
+        let before = self.blocks.len();
         self.blocks.retain(|place| {
             let middle = lattice.center(place.voxel(super::blocks::VOLUME / 2));
             (0..3).all(|axis| (middle[axis] - center[axis]).abs() <= reach)
         });
-        self.changes.restart();
+        if self.blocks.len() != before {
+            self.changes.restart();
+        }
     }
 
     /// Forget everything.
