@@ -2,13 +2,15 @@
 
 from dataclasses import replace
 from os import PathLike
+from threading import Lock
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidar_core import _core
-from lidar_core.arrays import as_mask, as_points, as_pose, as_poses, as_real, as_rows, as_stamp
+from lidar_core.arrays import as_mask, as_points, as_poses, as_real, as_rows, as_stamp
+from lidar_core.config import as_config
 from lidar_core.errors import InputError
 from lidar_core.flying.config import FlyingConfig
 from lidar_core.flying.results import (
@@ -46,9 +48,10 @@ class FlyingObjectDetector:
     """
 
     def __init__(self, config: FlyingConfig | None = None, *, threads: int = 1) -> None:
-        self.config = config if config is not None else FlyingConfig()
+        self.config = as_config(config, FlyingConfig)
         self._detector = _core.FlyingObjectDetector(self.config, threads=threads)
         self._health = Health()
+        self._counting = Lock()
 
     def process(
         self,
@@ -114,7 +117,7 @@ class FlyingObjectDetector:
                 point_time_ns=_maybe_stamps(point_time_ns, "point_time_ns", len(points)),
                 pose_stamps_ns=_maybe_stamps(pose_stamps_ns, "pose_stamps_ns", None),
                 pose_covariance=_maybe_covariance(pose_covariance),
-                sensor=sensor,
+                sensor=_name(sensor),
             )
         except InputError as error:
             self._count("rejected")
@@ -152,7 +155,12 @@ class FlyingObjectDetector:
         positions = as_rows(
             positions_world, name="positions_world", rows=rows, shape=(3,), dtype=np.float64
         )
-        self._detector.set_teammates(names, positions, radius=float(radius))
+        if not np.isfinite(positions).all():
+            raise InputError("positions_world: expected finite coordinates, got NaN or infinity")
+        reach = as_real(radius, name="radius")
+        if reach.ndim or not 0 <= reach < np.inf:
+            raise InputError(f"radius: expected a distance >= 0 [m], got {radius!r}")
+        self._detector.set_teammates(names, positions, radius=float(reach))
 
     def set_occupied(self, points_world: ArrayLike) -> None:
         """Make the voxels at these points (N, 3) [m] occupied for good: an a-priori map."""
@@ -213,10 +221,14 @@ class FlyingObjectDetector:
         return self._health
 
     def _count(self, field: str) -> None:
-        self._health = replace(self._health, **{field: getattr(self._health, field) + 1})
+        with self._counting:
+            self._health = replace(self._health, **{field: getattr(self._health, field) + 1})
 
     def _rejected(self, stamp_ns: Any, reason: str) -> FlyingFrame:
-        stamp = stamp_ns if isinstance(stamp_ns, int) else 0
+        try:
+            stamp = as_stamp(stamp_ns)
+        except InputError:
+            stamp = 0
         nobody = _detections(_NO_DETECTIONS)
         return FlyingFrame(
             stamp_ns=stamp,
@@ -230,6 +242,9 @@ class FlyingObjectDetector:
             rejected=reason,
         )
 
+
+_LARGEST_POSE_VARIANCE = 1e4
+"""A pose less certain than 100 m or 100 rad says nothing [m^2, rad^2]."""
 
 _NO_DETECTIONS = (
     np.empty((0, 3)),
@@ -318,6 +333,18 @@ def _maybe_covariance(values: ArrayLike | None) -> NDArray[np.float64] | None:
     matrix = as_rows(values, name="pose_covariance", rows=6, shape=(6,), dtype=np.float64)
     if not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T):
         raise InputError("pose_covariance: expected a finite symmetric matrix")
-    if np.linalg.eigvalsh(matrix)[0] < -1e-9 * max(1.0, float(np.abs(matrix).max())):
+    if np.abs(matrix).max() > _LARGEST_POSE_VARIANCE:
+        raise InputError(
+            f"pose_covariance: expected values up to {_LARGEST_POSE_VARIANCE:g} m^2 and rad^2,"
+            f" got {np.abs(matrix).max():g}"
+        )
+    values, axes = np.linalg.eigh((matrix + matrix.T) / 2)
+    if values[0] < -1e-9 * max(1.0, float(values[-1])):
         raise InputError("pose_covariance: expected no negative eigenvalue")
-    return matrix
+    return np.ascontiguousarray((axes * np.maximum(values, 0)) @ axes.T)  # not even by rounding
+
+
+def _name(sensor: str) -> str:
+    if not isinstance(sensor, str):
+        raise InputError(f"sensor: expected a name, got {type(sensor).__name__}")
+    return sensor
