@@ -9,6 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
 
+from lidar_core.errors import ConfigError
 from lidar_core.io import (
     PosedScan,
     PosedScans,
@@ -41,11 +42,21 @@ class ScanSource:
     repeat : int
         How often the recording is played, one after the other: opens the gate of the background
         on recordings that are too short for it.
+
+    Raises
+    ------
+    ConfigError
+        Several LiDARs and no poses to tell their mountings by, or no such topic.
     """
 
     def __init__(
         self, path: Path, read: ReadOptions, pose: PoseOptions, clouds: Sequence[str], repeat: int
     ) -> None:
+        if len(clouds) > 1 and pose.pose == "static":
+            raise ConfigError(
+                "pose: static puts several LiDARs at one place; leave it out, and name the frame"
+                " that they are mounted on with --fixed-frame"
+            )
         self._read = read
         self._repeat = repeat
         self._stack = ExitStack()
