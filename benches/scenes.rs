@@ -182,6 +182,7 @@ pub fn flying_parameters() -> FlyingParameters {
         seed: SeedParameters {
             burn_in_scans: 4,
             burn_in_extent: 1.0,
+            standing_scans: 0,
             ground_height: None,
             take_off_height: None,
         },

@@ -213,6 +213,12 @@ class SeedConfig(Config):
         description="During the burn-in larger clusters are background; must exceed the largest"
         " target [m].",
     )
+    standing_scans: int = Field(
+        6,
+        ge=0,
+        description="What holds its place in so many scans of the burn-in is background, however"
+        " small; 0 for none (count, no unit).",
+    )
     ground_height: float | None = Field(
         None, description="Clusters that reach below this height are background, world frame [m]."
     )
@@ -239,13 +245,16 @@ class SensorConfig(Config):
         None, description="Per point of the cloud: true where the ray hits the robot (no unit)."
     )
     learn_mask_scans: int = Field(
-        0,
+        10,
         ge=0,
-        description="First scans in which rays that hit the robot are learnt; the order of the"
-        " points must be the same in every scan (count, no unit).",
+        description="First scans in which the directions towards the robot are learnt, 0 for none"
+        " (count, no unit).",
     )
     learn_mask_range: float = Field(
-        1.0, gt=0, description="While learning, a nearer return is the robot [m]."
+        1.0,
+        gt=0,
+        description="Where returns keep coming from nearer than this, there is the robot: they,"
+        " and rays without return in their directions, are not used [m].",
     )
     mask_empty_only: bool = Field(
         False,
@@ -358,6 +367,8 @@ class FlyingConfig(Config):
         return cls(
             voxel_map=VoxelMapConfig(ray_unit="metres"),
             classify=ClassifyConfig.paper(),
+            seed=SeedConfig(standing_scans=0),
+            sensor=SensorConfig(learn_mask_scans=0),
             tracker=TrackerConfig.paper(),
             range_margin=0.0,
             mismatch_share=None,

@@ -68,6 +68,7 @@ struct SeparateConfig {
 struct SeedConfig {
     burn_in_scans: u32,
     burn_in_extent: f64,
+    standing_scans: u32,
     ground_height: Option<f64>,
     take_off_height: Option<f64>,
 }
@@ -108,6 +109,7 @@ impl FlyingConfig {
             seed: SeedParameters {
                 burn_in_scans: self.seed.burn_in_scans,
                 burn_in_extent: self.seed.burn_in_extent,
+                standing_scans: self.seed.standing_scans,
                 ground_height: self.seed.ground_height,
                 take_off_height: self.seed.take_off_height,
             },

@@ -1,5 +1,6 @@
 //! The pipeline: raw scans in, point classes, detections and tracks out.
 
+use super::blocks::{Place, Spread};
 use super::classify::{Verdict, classify};
 use super::clusters::Cluster;
 use super::detection::Detection;
@@ -21,7 +22,8 @@ use crate::geometry::cluster::label;
 use crate::geometry::lattice::{floor, wide};
 use crate::geometry::transform::{Transform, minus, norm};
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
+use std::hash::BuildHasherDefault;
 
 /// Detection and tracking of flying objects in scans of one or several LiDARs.
 pub struct FlyingObjectDetector {
@@ -36,6 +38,8 @@ pub struct FlyingObjectDetector {
     /// Whether the last scan that was used left tracks to be reported.
     pub(super) reporting: bool,
     pub(super) held: Option<Held>,
+    /// Scans of the burn-in in which a voxel held points that are not background.
+    pub(super) standing: HashMap<Place, u32, BuildHasherDefault<Spread>>,
 }
 
 impl FlyingObjectDetector {
@@ -60,6 +64,7 @@ impl FlyingObjectDetector {
             scans: 0,
             reporting: false,
             held: None,
+            standing: HashMap::default(),
         })
     }
 
@@ -133,6 +138,7 @@ impl FlyingObjectDetector {
         }
         self.accept(raw, &scan, sensor, gate);
         self.fill_pockets(&verdicts, &scan);
+        self.keep_standing(&clusters, &verdicts, &scan);
         timing.integrate = clock.lap();
         self.map.remove_separate_from_background(self.parameters.separation)?;
         timing.separate = clock.lap();
@@ -245,6 +251,33 @@ impl FlyingObjectDetector {
         self.held = None;
         if let Some(distance) = self.parameters.forget_distance {
             self.map.forget(scan.pose.translation, distance);
+        }
+    }
+
+    /// During the burn-in, what stays in its place becomes background, however small.
+    fn keep_standing(&mut self, clusters: &[Cluster], verdicts: &[Verdict], scan: &Prepared) {
+        let seed = &self.parameters.seed;
+        if self.scans > seed.burn_in_scans || seed.standing_scans == 0 {
+            self.standing.clear();
+            return;
+        }
+        let lattice = *self.map.lattice();
+        let rows = clusters
+            .iter()
+            .zip(verdicts)
+            .filter(|(_, verdict)| verdict.class != BACKGROUND)
+            .flat_map(|(cluster, _)| &cluster.members);
+        let voxel = |&row: &u32| floor(lattice.scaled(wide(scan.points[row as usize])));
+        let mut standing = distinct(rows.filter_map(voxel).collect());
+        standing.retain(|&voxel| {
+            let scans = self.standing.entry(Place(voxel)).or_insert(0);
+            *scans += 1;
+            *scans >= seed.standing_scans
+        });
+        if !standing.is_empty() {
+            self.map.keep(&standing);
+            let distance = self.parameters.classify.close_distance;
+            self.tracker.drop_near(&self.map, distance); // tracks that it had, still unseen
         }
     }
 

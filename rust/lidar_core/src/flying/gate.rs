@@ -13,6 +13,8 @@ pub struct SeedParameters {
     pub burn_in_scans: u32,
     /// During the burn-in larger clusters are background [m].
     pub burn_in_extent: f64,
+    /// Voxels that held points in so many scans of the burn-in are background, 0 for none.
+    pub standing_scans: u32,
     /// Clusters that reach down to this height are background, world frame [m].
     pub ground_height: Option<f64>,
     /// Height of the sensor above ground in the first scan: the voxel there is seeded [m].

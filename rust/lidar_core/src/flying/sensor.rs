@@ -20,9 +20,10 @@ pub struct SensorParameters {
     pub blind_sectors: Vec<Sector>,
     /// Rows of the cloud whose rays hit the robot.
     pub self_mask: Option<Vec<bool>>,
-    /// In so many first scans rays that hit the robot are learnt; 0 learns none.
+    /// In so many first scans the directions towards the robot are learnt; 0 learns none.
     pub learn_mask_scans: u32,
-    /// A ray with a return nearer than this hits the robot [m].
+    /// Where returns keep coming from nearer than this, there is the robot: such returns, and rays
+    /// without return in these directions, are not used [m].
     pub learn_mask_range: f64,
     /// Masks apply only to rays without return; otherwise to all.
     pub mask_empty_only: bool,
@@ -41,6 +42,7 @@ pub(crate) struct Sensor {
     pub(crate) last_pose: Option<Transform>,
     rebuilder: Option<Rebuilder>,
     learnt_scans: u32,
+    /// Scans with a near return, per cell of direction.
     near_counts: Vec<u32>,
     directions: Vec<[f32; 3]>,
 }
@@ -79,24 +81,33 @@ impl Sensor {
         let in_box = p.self_box.is_some_and(|[low, high]| {
             (0..3).all(|axis| (low[axis]..=high[axis]).contains(&point[axis]))
         });
-        let learning = self.learnt_scans < p.learn_mask_scans && range < p.learn_mask_range;
+        let is_robot = range < p.learn_mask_range
+            && (self.learnt_scans < p.learn_mask_scans || self.is_learnt(point));
         range < p.min_range
             || in_box
-            || learning
-            || (!p.mask_empty_only && self.is_masked(row, point))
+            || is_robot
+            || (!p.mask_empty_only && self.is_named(row, point))
     }
 
     /// Whether the ray of row `row` towards `direction` meets the robot itself.
     pub(crate) fn is_masked(&self, row: usize, direction: [f64; 3]) -> bool {
+        self.is_learnt(direction) || self.is_named(row, direction)
+    }
+
+    /// Whether the configuration says that this ray meets the robot.
+    fn is_named(&self, row: usize, direction: [f64; 3]) -> bool {
         let p = &self.parameters;
-        let learnt = self.learnt_scans >= p.learn_mask_scans
+        p.self_mask.as_ref().is_some_and(|mask| mask.get(row) == Some(&true))
+            || p.blind_sectors.iter().any(|sector| is_inside(sector, direction))
+    }
+
+    /// Whether at least a fifth of the learning scans had a near return in this direction.
+    fn is_learnt(&self, direction: [f64; 3]) -> bool {
+        self.learnt_scans >= self.parameters.learn_mask_scans
             && self
                 .near_counts
-                .get(row)
-                .is_some_and(|&count| 2 * count >= p.learn_mask_scans.max(1));
-        learnt
-            || p.self_mask.as_ref().is_some_and(|mask| mask.get(row) == Some(&true))
-            || p.blind_sectors.iter().any(|sector| is_inside(sector, direction))
+                .get(cell_of(direction))
+                .is_some_and(|&count| 5 * count >= self.parameters.learn_mask_scans.max(1))
     }
 
     /// Remembered direction of a row, for rays without return of clouds without directions.
@@ -115,6 +126,21 @@ impl Sensor {
         Some(missing)
     }
 
+    fn count_near(&mut self, points: &[[f32; 3]]) {
+        let cells = 6 * FACE_CELLS * FACE_CELLS;
+        self.near_counts.resize(cells, 0);
+        let mut near = vec![false; cells];
+        for point in points.iter().map(|&point| wide(point)) {
+            let range = norm(point);
+            if range > 0.0 && range < self.parameters.learn_mask_range {
+                near[cell_of(point)] = true;
+            }
+        }
+        for (count, near) in self.near_counts.iter_mut().zip(near) {
+            *count += u32::from(near);
+        }
+    }
+
     /// Remember what an accepted scan told about the sensor.
     pub(crate) fn learn(&mut self, stamp_ns: i64, points: &[[f32; 3]], needs_directions: bool) {
         self.last_stamp_ns = Some(stamp_ns);
@@ -123,10 +149,7 @@ impl Sensor {
         }
         if self.learnt_scans < self.parameters.learn_mask_scans {
             self.learnt_scans += 1;
-            self.near_counts.resize(points.len(), 0);
-            for (count, &point) in self.near_counts.iter_mut().zip(points) {
-                *count += u32::from(norm(wide(point)) < self.parameters.learn_mask_range);
-            }
+            self.count_near(points);
         }
         if needs_directions {
             self.directions.resize(points.len(), [f32::NAN; 3]);
@@ -138,6 +161,25 @@ impl Sensor {
             }
         }
     }
+}
+
+/// Cells along the edge of a face of the cube of directions: 2 degrees each.
+const FACE_CELLS: usize = 48;
+
+/// Cell of a direction, which need not be a unit vector: place on one of the six faces of a cube.
+fn cell_of(direction: [f64; 3]) -> usize {
+    let mut axis = 0;
+    for other in 1..3 {
+        if direction[other].abs() > direction[axis].abs() {
+            axis = other;
+        }
+    }
+    let face = 2 * axis + usize::from(direction[axis] < 0.0);
+    let place = |other: usize| {
+        let share = 0.5 + 0.5 * direction[other % 3] / direction[axis].abs();
+        ((share * FACE_CELLS as f64) as usize).min(FACE_CELLS - 1) // NaN gives 0
+    };
+    (face * FACE_CELLS + place(axis + 1)) * FACE_CELLS + place(axis + 2)
 }
 
 fn is_inside(&[from, to, low, high]: &Sector, direction: [f64; 3]) -> bool {
@@ -168,14 +210,14 @@ pub(crate) mod tests {
 
     #[test]
     fn rays_that_keep_hitting_the_robot_are_masked() {
-        let mut sensor = Sensor::new(SensorParameters { learn_mask_scans: 4, ..parameters() });
-        for scan in 0..4 {
+        let mut sensor = Sensor::new(SensorParameters { learn_mask_scans: 6, ..parameters() });
+        for scan in 0..6 {
             let passer_by = if scan == 0 { 0.5 } else { 9.0 };
             sensor.learn(scan, &[[0.5, 0.0, 0.0], [0.0, passer_by, 0.0]], false);
         }
-        assert!(sensor.is_masked(0, [1.0, 0.0, 0.0]));
-        assert!(!sensor.is_masked(1, [0.0, 1.0, 0.0]));
-        assert!(!sensor.is_masked(usize::MAX, [1.0, 0.0, 0.0]));
+        assert!(sensor.is_masked(0, [1.0, 0.0, 0.0]) && sensor.is_own(0, [0.6, 0.0, 0.0]));
+        assert!(!sensor.is_masked(0, [0.0, 1.0, 0.0]) && !sensor.is_own(0, [0.0, 0.5, 0.0]));
+        assert!(!sensor.is_own(0, [7.0, 0.0, 0.0])); // what passes the robot is seen
     }
 
     #[test]

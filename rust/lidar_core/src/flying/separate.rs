@@ -4,10 +4,12 @@
 //! its voxels changed its state, or one beside it ceased to be occupied; the look ends as soon
 //! as enough confident voxels are found. Cost follows the changes, not the size of the map.
 
-use super::blocks::{Bits, Block, Blocks, EDGE, EDGE_BITS, Place, VOLUME, has, offset_of};
+use super::blocks::{Bits, Block, Blocks, EDGE, EDGE_BITS, Place, Spread, VOLUME, has, offset_of};
 use super::voxel_map::{VoxelMap, filtered, two_to_minus};
 use crate::Error;
 use crate::geometry::lattice::Voxel;
+use std::collections::HashSet;
+use std::hash::BuildHasherDefault;
 
 /// Changes that are kept; above it, as when removal has been given up, all is looked at again.
 const MOST_CHANGES: usize = 1 << 22;
@@ -22,6 +24,8 @@ pub(crate) struct Changes {
     anchor: Option<Voxel>,
     /// Spare memory of the searches, clear.
     marks: Vec<Mark>,
+    /// Voxels whose groups are never separate: see [`VoxelMap::keep`].
+    pub(crate) kept: HashSet<Place, BuildHasherDefault<Spread>>,
 }
 
 impl Changes {
@@ -40,7 +44,7 @@ impl Changes {
 
     /// Forget the history: the next removal looks at every component.
     pub(crate) fn restart(&mut self) {
-        *self = Self::default();
+        *self = Self { kept: std::mem::take(&mut self.kept), ..Self::default() };
     }
 }
 
@@ -107,6 +111,7 @@ impl VoxelMap {
         let mut search = Search {
             blocks: &self.blocks,
             neighbours: &neighbours,
+            kept: &self.changes.kept,
             min_confident: separation.min_confident,
             marks: Marks::take(&mut self.changes.marks, self.blocks.len()),
             separate: Vec::new(),
@@ -138,6 +143,16 @@ impl VoxelMap {
             self.changes.note(voxel); // what is left of the group is looked at again
         }
         separate.len()
+    }
+
+    /// Make observed voxels occupied and their groups part of the background, however small: what
+    /// stands still from the beginning is no flying object. Rays may clear them later.
+    pub(crate) fn keep(&mut self, voxels: &[Voxel]) {
+        let g_occ = self.parameters().g_occ;
+        for &voxel in voxels {
+            self.rewrite(voxel, |value| if value.is_infinite() { value } else { g_occ });
+            self.changes.kept.insert(Place(voxel));
+        }
     }
 
     /// Whether some group of occupied voxels holds enough confident ones, as of the last
@@ -278,6 +293,7 @@ impl Marks {
 struct Search<'a> {
     blocks: &'a Blocks,
     neighbours: &'a Neighbours,
+    kept: &'a HashSet<Place, BuildHasherDefault<Spread>>,
     min_confident: usize,
     marks: Marks,
     /// Members of separate groups.
@@ -323,13 +339,15 @@ impl Search<'_> {
             neighbours.each_stretch(voxel, |first, length| {
                 anchored |= self.meet(first, length, &mut members, &mut confident);
             });
-            anchored |= confident >= self.min_confident;
+            anchored |= confident >= self.min_confident || self.kept.contains(&Place(voxel));
         }
         if !anchored {
             self.separate.append(&mut members);
             return;
         }
-        self.anchor = self.anchor.or(Some(start));
+        if confident >= self.min_confident {
+            self.anchor = self.anchor.or(Some(start));
+        }
         for voxel in members {
             if let Some((slot, _)) = self.blocks.find(Place::of(voxel)) {
                 let mark = &mut self.marks.at(slot).anchored;

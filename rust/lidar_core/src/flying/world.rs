@@ -79,6 +79,7 @@ impl FlyingObjectDetector {
     fn forget_motion(&mut self) {
         self.tracker.reset();
         (self.reporting, self.held) = (false, None);
+        self.standing.clear();
         for sensor in self.sensors.values_mut() {
             sensor.last_pose = None;
         }

@@ -235,6 +235,11 @@ impl PointCloudTracker {
         self.buffer.is_late(stamp_ns).map(drop)
     }
 
+    /// Forget the tracks within `distance` [m] of an occupied voxel.
+    pub fn drop_near(&mut self, occupied: &dyn Occupancy, distance: f64) {
+        self.tracks.retain(|track| !occupied.any_within(track.position().into(), distance));
+    }
+
     /// Forget all tracks and clouds. Numbers go on where they were.
     pub fn reset(&mut self) {
         self.tracks.clear();
