@@ -150,7 +150,8 @@ class FlyingObjectDetector:
         radius : float
             Detections this near are taken for them [m].
         """
-        names = as_rows(ids, name="ids", rows=None, shape=(), dtype=np.int64)
+        given = ids if np.size(ids) else np.empty(0, np.int64)  # an empty list has no integers
+        names = as_rows(given, name="ids", rows=None, shape=(), dtype=np.int64)
         rows = len(names)
         positions = as_rows(
             positions_world, name="positions_world", rows=rows, shape=(3,), dtype=np.float64

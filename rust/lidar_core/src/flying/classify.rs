@@ -161,6 +161,9 @@ impl Judge<'_> {
             cluster.members.iter().map(|&row| wide(self.points[row as usize])).collect();
         let lattice = self.map.lattice();
         let starts = distinct(points.iter().filter_map(|&p| floor(lattice.scaled(p))).collect());
+        if !starts.iter().all(|&voxel| self.map.admits(voxel)) {
+            return unknown; // nothing is known outside the operating volume
+        }
         let shadow = p.own_shadow.then(|| Shadow::of(&points, self.origin, lattice));
         let search = |flood: &mut Flood<'_>| {
             (flood.is_enclosed(&starts, shadow.as_ref()), flood.take_explored())
