@@ -117,7 +117,9 @@ def as_stamp(stamp_ns: int, *, name: str = "stamp_ns") -> int:
 
 
 def as_real(values: ArrayLike, *, name: str) -> NDArray[Any]:
-    """`values` as an array of integers or floats."""
+    """`values` as an array of integers or floats; one with masked entries is refused."""
+    if np.ma.is_masked(values):
+        raise InputError(f"{name}: expected no masked entries; fill them with NaN first")
     try:
         array = np.asarray(values)
     except (TypeError, ValueError) as error:

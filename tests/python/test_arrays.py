@@ -320,3 +320,10 @@ def test_what_is_public_is_documented(name, thing):
 @pytest.mark.parametrize("module", ["lidar_core.geometry", "lidar_core.flying.voxel_map"])
 def test_examples_in_docstrings_hold(module):
     assert doctest.testmod(importlib.import_module(module)).failed == 0
+
+
+def test_masked_entries_are_refused_not_read():
+    cloud = np.ma.masked_greater(np.arange(6.0).reshape(2, 3), 4)
+    with pytest.raises(InputError, match="no masked entries"):
+        arrays.as_points(cloud)
+    assert len(arrays.as_points(np.ma.asarray(np.zeros((2, 3))))) == 2
