@@ -68,7 +68,10 @@ class Config(BaseModel):
                 values = tomllib.load(file)
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ConfigError(f"{path}: expected TOML: {error}") from error
-        return cls.load(values)
+        try:
+            return cls.load(values)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from error
 
     def to_toml(self) -> str:
         """Every value, as TOML that `read` accepts; "none" where there is no value."""
@@ -105,7 +108,13 @@ def _may_be_none(model: type[BaseModel], name: str) -> bool:
 
 def _config_error(model: str, error: ValidationError) -> ConfigError:
     problems = (
-        f"{'.'.join(map(str, problem['loc'])) or model}: {problem['msg']}, got {problem['input']!r}"
+        f"{'.'.join(map(str, problem['loc'])) or model}: {problem['msg']},"
+        f" got {_short(problem['input'])}"
         for problem in error.errors()
     )
     return ConfigError("\n".join(problems))
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 100 else f"{text[:97]}..."

@@ -158,3 +158,34 @@ def test_paper_mode_is_table_ii():
     assert rules.max_extent is rules.background_extent is rules.group_distance is None
     assert paper.separate.min_confident == 24
     assert tracker.model_dump()  # its own test holds the values
+
+
+@pytest.mark.parametrize(
+    ("table", "key"),
+    [
+        ("voxel_map", "max_voxels"),
+        ("cluster", "min_points"),
+        ("separate", "min_confident"),
+        ("seed", "burn_in_scans"),
+        ("seed", "standing_scans"),
+        ("sensor", "learn_mask_scans"),
+        ("tracker", "cluster_max_points"),
+    ],
+)
+def test_a_count_that_the_core_cannot_hold_is_named(table, key):
+    with pytest.raises(ConfigError, match=rf"^{table}\.{key}: .*less than or equal"):
+        FlyingConfig(**{table: {key: 2**70}})
+
+
+@pytest.mark.parametrize(("table", "key"), [("voxel_map", "bounds"), ("sensor", "self_box")])
+def test_corners_are_in_order(table, key):
+    with pytest.raises(ConfigError, match=rf"^{table}\.{key}: .*a lower corner, then an upper"):
+        FlyingConfig(**{table: {key: ((1, 1, 1), (-1, 2, 2))}})
+
+
+def test_a_file_with_a_bad_value_is_named_and_the_value_cut(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text(f"voxel_size = {[*range(1000)]}\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"bad\.toml: voxel_size: ") as caught:
+        VoxelMapConfig.read(path)
+    assert len(str(caught.value)) < 300 + len(str(path))

@@ -1,14 +1,25 @@
 """Configuration of the flying-object detector: the only source of defaults and ranges."""
 
 import math
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from lidar_core.config import Config
-from lidar_core.flying.tracker_config import TrackerConfig
+from lidar_core.flying.tracker_config import MOST_POINTS, TrackerConfig
 
 Corner = tuple[float, float, float]
+MOST_SCANS = 1_000_000
+"""Longest burn-in or learning, more than a day."""
+
+
+def _ordered(box: tuple[Corner, Corner]) -> tuple[Corner, Corner]:
+    if not all(low < high for low, high in zip(*box, strict=True)):
+        raise ValueError("expected a lower corner, then an upper corner")
+    return box
+
+
+Box = Annotated[tuple[Corner, Corner], AfterValidator(_ordered)]
 
 
 class VoxelMapConfig(Config):
@@ -42,11 +53,14 @@ class VoxelMapConfig(Config):
         " text) or voxel diagonals (no unit).",
     )
     ray_gain: float = Field(1.0, gt=0, description="Factor on the ray weight (no unit).")
-    bounds: tuple[Corner, Corner] | None = Field(
+    bounds: Box | None = Field(
         None, description="Lower and upper corner of a fixed operating volume [m]; none: no bounds."
     )
     max_voxels: int = Field(
-        200_000_000, gt=0, description="Budget of stored voxels, 4.3 bytes each (count, no unit)."
+        200_000_000,
+        gt=0,
+        le=10**12,
+        description="Budget of stored voxels, 4.3 bytes each (count, no unit).",
     )
 
     @model_validator(mode="after")
@@ -73,9 +87,11 @@ class ClusterConfig(Config):
     max_distance: float = Field(
         0.25, gt=0, description="Largest gap inside a cluster, d_cluster [m]."
     )
-    min_points: int = Field(1, ge=1, description="Smaller clusters are unknown (count, no unit).")
+    min_points: int = Field(
+        1, ge=1, le=MOST_POINTS, description="Smaller clusters are unknown (count, no unit)."
+    )
     max_points: int | None = Field(
-        None, ge=1, description="Larger clusters are unknown (count, no unit)."
+        None, ge=1, le=MOST_POINTS, description="Larger clusters are unknown (count, no unit)."
     )
     of: Literal["points", "voxels"] = Field(
         "points",
@@ -135,7 +151,10 @@ class ClassifyConfig(Config):
         3.0, gt=0, description="Larger clusters are background at any time [m]."
     )
     min_points: int = Field(
-        3, ge=1, description="Smaller clusters are no flying object (count, no unit)."
+        3,
+        ge=1,
+        le=MOST_POINTS,
+        description="Smaller clusters are no flying object (count, no unit).",
     )
     max_distance: float | None = Field(
         20.0,
@@ -188,6 +207,7 @@ class SeparateConfig(Config):
     min_confident: int = Field(
         24,
         ge=0,
+        le=10**9,
         description="Groups with fewer confidently occupied voxels are removed, n_conf,min"
         " (count, no unit).",
     )
@@ -205,7 +225,10 @@ class SeedConfig(Config):
     """
 
     burn_in_scans: int = Field(
-        10, ge=0, description="First scans, in which nothing is reported (count, no unit)."
+        10,
+        ge=0,
+        le=MOST_SCANS,
+        description="First scans, in which nothing is reported (count, no unit).",
     )
     burn_in_extent: float = Field(
         1.0,
@@ -214,8 +237,9 @@ class SeedConfig(Config):
         " target [m].",
     )
     standing_scans: int = Field(
-        6,
+        7,
         ge=0,
+        le=MOST_SCANS,
         description="What holds its place in so many scans of the burn-in is background, however"
         " small; 0 for none (count, no unit).",
     )
@@ -234,7 +258,7 @@ class SensorConfig(Config):
     """One LiDAR: its own robot in view, and the rays that its driver drops."""
 
     min_range: float = Field(0.3, ge=0, description="Nearer returns are not used [m].")
-    self_box: tuple[Corner, Corner] | None = Field(
+    self_box: Box | None = Field(
         None, description="Lower and upper corner of the robot, lidar frame [m]."
     )
     blind_sectors: tuple[tuple[float, float, float, float], ...] = Field(
@@ -247,6 +271,7 @@ class SensorConfig(Config):
     learn_mask_scans: int = Field(
         10,
         ge=0,
+        le=MOST_SCANS,
         description="First scans in which the directions towards the robot are learnt, 0 for none"
         " (count, no unit).",
     )

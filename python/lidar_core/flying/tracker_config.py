@@ -6,6 +6,9 @@ from pydantic import Field, model_validator
 
 from lidar_core.config import Config
 
+MOST_POINTS = 4_000_000
+"""A scan has no more."""
+
 
 class TrackerConfig(Config):
     """Tracks of flying objects over point clouds and detections that may come late.
@@ -22,10 +25,13 @@ class TrackerConfig(Config):
         0.5, gt=0, description="Largest gap inside a cluster [m]; paper: d_cluster, 0.25 m."
     )
     cluster_min_points: int = Field(
-        1, ge=1, description="Smaller clusters are no targets (count, no unit)."
+        1, ge=1, le=MOST_POINTS, description="Smaller clusters are no targets (count, no unit)."
     )
     cluster_max_points: int | None = Field(
-        None, ge=1, description="Larger clusters are no targets (count, no unit); none: no limit."
+        None,
+        ge=1,
+        le=MOST_POINTS,
+        description="Larger clusters are no targets (count, no unit); none: no limit.",
     )
     max_extent: float | None = Field(
         2.0,
