@@ -570,3 +570,8 @@ def test_configuration_gives_units_and_survives_a_file(tmp_path):
         path = tmp_path / "tracker.toml"
         path.write_text(config.to_toml())
         assert flying.TrackerConfig.read(path).buffer_size == config.buffer_size
+
+
+def test_it_takes_its_own_configuration_only():
+    with pytest.raises(ConfigError, match="expected a TrackerConfig, got FlyingConfig"):
+        PointCloudTracker(flying.FlyingConfig())

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidar_core import _core
 from lidar_core.arrays import Points, as_points, as_real, as_rows, as_stamp, as_vector
+from lidar_core.config import as_config
 from lidar_core.flying.results import TrackEvents, Tracks
 from lidar_core.flying.tracker_config import TrackerConfig
 
@@ -49,7 +50,7 @@ class PointCloudTracker:
     """
 
     def __init__(self, config: TrackerConfig | None = None, *, threads: int = 1) -> None:
-        self.config = config if config is not None else TrackerConfig()
+        self.config = as_config(config, TrackerConfig)
         self._tracker = _core.PointCloudTracker(self.config, threads=threads)
         self._origin: NDArray[np.float64] | None = None
         self._occupied = np.empty((0, 3), np.float32)
