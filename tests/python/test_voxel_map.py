@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lidar_core import FormatError, InputError, LimitError, VoxelMap, VoxelMapConfig
+from lidar_core.flying import FlyingObjectDetector
 from reference import separate as separate_oracle
 from reference.voxel_map import VoxelMap as Oracle
 
@@ -294,6 +295,9 @@ def test_files_that_cannot_be_read_or_written_are_named(tmp_path):
         VoxelMap.load(tmp_path)
     with pytest.raises(FileNotFoundError, match=r"nowhere"):
         sample_map().save(tmp_path / "nowhere" / "map.lcvm")
+    (tmp_path / "text.lcvm").write_text("no map", encoding="utf-8")
+    with pytest.raises(FormatError, match=r"text\.lcvm: byte 0: "):
+        FlyingObjectDetector().load_map(tmp_path / "text.lcvm")
 
 
 def test_saving_over_a_map_replaces_it(tmp_path):

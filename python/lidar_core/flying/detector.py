@@ -20,6 +20,7 @@ from lidar_core.flying.results import (
     Health,
     Tracks,
 )
+from lidar_core.flying.voxel_map import naming
 
 
 class FlyingObjectDetector:
@@ -191,7 +192,8 @@ class FlyingObjectDetector:
 
     def save_map(self, path: str | PathLike[str]) -> None:
         """Write the map to a file that `load_map` and `VoxelMap.load` read."""
-        self._detector.save_map(path)
+        with naming(path):
+            self._detector.save_map(path)
 
     def load_map(self, path: str | PathLike[str]) -> None:
         """Go on with a map of an earlier run; tracks are dropped.
@@ -203,7 +205,8 @@ class FlyingObjectDetector:
         ConfigError
             Its voxels differ in size.
         """
-        self._detector.load_map(path)
+        with naming(path):
+            self._detector.load_map(path)
 
     def reanchor(self) -> bool:
         """Go on after a jump of the pose (relocalisation, GNSS step).

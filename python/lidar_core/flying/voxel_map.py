@@ -268,7 +268,7 @@ class VoxelMap:
         OSError
             The file cannot be written; a previous one is intact.
         """
-        with _naming(path):
+        with naming(path):
             self._map.save(path)
 
     @classmethod
@@ -282,7 +282,7 @@ class VoxelMap:
         OSError
             The file cannot be read.
         """
-        with _naming(path):
+        with naming(path):
             loaded = _core.VoxelMap.load(path, threads=threads)
         self = cls.__new__(cls)
         self.config = VoxelMapConfig.load(loaded.parameters())
@@ -300,7 +300,7 @@ class VoxelMap:
 
 
 @contextmanager
-def _naming(path: str | PathLike[str]) -> Iterator[None]:
+def naming(path: str | PathLike[str]) -> Iterator[None]:
     """Errors about a file name it."""
     name = os.fspath(path)
     try:
