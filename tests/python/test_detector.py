@@ -103,7 +103,10 @@ def small(config):
             "cluster": config.cluster.model_copy(update={"max_distance": 0.7}),
             "classify": config.classify.model_copy(update={"search_distance": 2.0}),
             "separate": config.separate.model_copy(update={"max_gap": 1.0, "min_confident": 2}),
-            "seed": config.seed.model_copy(update={"burn_in_scans": 3, "burn_in_extent": 1.3}),
+            "seed": config.seed.model_copy(
+                update={"burn_in_scans": 3, "burn_in_extent": 1.3, "standing_scans": 0}
+            ),
+            "sensor": config.sensor.model_copy(update={"learn_mask_scans": 0}),
         }
     )
 
