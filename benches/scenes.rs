@@ -61,6 +61,7 @@ impl Scan {
     #[must_use]
     pub fn raw(&self, stamp_ns: i64) -> RawScan<'_> {
         RawScan {
+            organised: true,
             sensor: "lidar",
             stamp_ns,
             points: &self.local,

@@ -183,6 +183,7 @@ class FlyingObjectDetector:
         pose_stamps_ns: NDArray[np.int64] | None,
         pose_covariance: NDArray[np.float64] | None,
         sensor: str,
+        organised: bool,
     ) -> dict[str, Any]: ...
     def tracks_at(self, stamp_ns: int) -> _TrackArrays: ...
     def set_teammates(

@@ -1,5 +1,8 @@
 """Classes of clusters against Algorithm 1 in plain Python, and on ray-traced scenes."""
 
+import tempfile
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -167,9 +170,11 @@ def test_classes_equal_the_oracle(name, threads):
     assert {BACKGROUND, FLYING, UNKNOWN} <= set(classes)
 
 
-def reload(vmap, threads, path="/tmp/lidar_core_test_classify.lcvm"):
-    vmap.save(path)
-    return VoxelMap.load(path, threads=threads)
+def reload(vmap, threads):
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "map.lcvm"
+        vmap.save(path)
+        return VoxelMap.load(path, threads=threads)
 
 
 def test_rule_a_is_strict_and_measures_to_the_centre():

@@ -122,7 +122,7 @@ class Tracker:
     # --- clusters -----------------------------------------------------------------------------
 
     def clusters(self, points, occupied, delays=None):
-        """Centroid, covariance, extent, mean delay of every acceptable cluster, by first appearance."""
+        """Centroid, covariance, extent, mean delay of acceptable clusters, by first appearance."""
         if len(points) == 0:
             return []
         _, label = connected_components(cdist(points, points) <= self.c.cluster_distance)

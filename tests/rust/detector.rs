@@ -143,6 +143,7 @@ fn points(target: [f32; 3]) -> Vec<[f32; 3]> {
 
 fn scan<'a>(points: &'a [[f32; 3]], poses: &'a [[f64; 16]], stamp_ns: i64) -> RawScan<'a> {
     RawScan {
+        organised: true,
         sensor: "lidar",
         stamp_ns,
         points,

@@ -237,7 +237,7 @@ class SeedConfig(Config):
         " target [m].",
     )
     standing_scans: int = Field(
-        7,
+        5,
         ge=0,
         le=MOST_SCANS,
         description="What holds its place in so many scans of the burn-in is background, however"

@@ -119,6 +119,7 @@ class FlyingObjectDetector:
                 pose_stamps_ns=_maybe_stamps(pose_stamps_ns, "pose_stamps_ns", None),
                 pose_covariance=_maybe_covariance(pose_covariance),
                 sensor=_name(sensor),
+                organised=np.ndim(points_lidar) == 3,
             )
         except InputError as error:
             self._count("rejected")

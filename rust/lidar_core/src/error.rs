@@ -46,7 +46,7 @@ pub enum Error {
         what: String,
         /// The limit.
         limit: u64,
-        /// The configuration key that raises it.
+        /// The configuration key that raises it, or another cure.
         key: &'static str,
     },
     /// A covariance lost symmetry or positive definiteness.
@@ -89,6 +89,9 @@ impl fmt::Display for Error {
                 "point ({x}, {y}, {z}): expected finite coordinates within 2^31 voxels of the origin"
             ),
             Self::Limit { what, limit, key } => {
+                if key.contains(' ') {
+                    return write!(f, "{what}: the limit is {limit}; {key}"); // a cure, no key
+                }
                 write!(f, "{what}: the limit is {limit}; raise `{key}` if this is intended")
             }
             Self::NotPositiveDefinite { matrix } => {

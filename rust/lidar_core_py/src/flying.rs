@@ -42,7 +42,7 @@ impl PyFlyingObjectDetector {
     }
 
     #[pyo3(signature = (points, world_from_lidar, stamp_ns, *, no_return, directions,
-                        point_time_ns, pose_stamps_ns, pose_covariance, sensor))]
+                        point_time_ns, pose_stamps_ns, pose_covariance, sensor, organised))]
     #[allow(clippy::too_many_arguments)] // one call per scan, as the public API has it
     fn process<'py>(
         &self,
@@ -56,8 +56,10 @@ impl PyFlyingObjectDetector {
         pose_stamps_ns: Option<PyReadonlyArray1<'py, i64>>,
         pose_covariance: Option<[[f64; 6]; 6]>,
         sensor: &str,
+        organised: bool,
     ) -> Result<Bound<'py, PyDict>, BorderError> {
         let raw = RawScan {
+            organised,
             sensor,
             stamp_ns,
             points: arrays::rows3("points", &points)?,

@@ -125,6 +125,14 @@ pub(crate) fn classify(
     })
 }
 
+/// Rule B judged on a later map; what rule A said stays.
+pub(crate) fn judge_again(verdicts: &mut [Verdict], later: Vec<Verdict>) {
+    for (verdict, later) in verdicts.iter_mut().zip(later).filter(|(v, _)| v.class != BACKGROUND) {
+        let class = if later.class == FLYING { FLYING } else { UNKNOWN };
+        *verdict = Verdict { class, ..later };
+    }
+}
+
 struct Judge<'a> {
     map: &'a VoxelMap,
     points: &'a [[f32; 3]],

@@ -1,7 +1,6 @@
 //! The pipeline: raw scans in, point classes, detections and tracks out.
 
-use super::blocks::{Place, Spread};
-use super::classify::{Verdict, classify};
+use super::classify::{Verdict, classify, judge_again};
 use super::clusters::Cluster;
 use super::detection::Detection;
 use super::flood::{check_steps, distinct, search_radius};
@@ -14,6 +13,7 @@ use super::jump::Held;
 use super::parameters::FlyingParameters;
 use super::scan::{Prepared, RawScan};
 use super::sensor::Sensor;
+use super::standing::Standing;
 use super::track::{Detections, PointCloudTracker, Track};
 use super::visibility::ScanView;
 use super::voxel_map::VoxelMap;
@@ -22,8 +22,7 @@ use crate::geometry::cluster::label;
 use crate::geometry::lattice::{floor, wide};
 use crate::geometry::transform::{Transform, minus, norm};
 use std::borrow::Cow;
-use std::collections::{BTreeMap, HashMap};
-use std::hash::BuildHasherDefault;
+use std::collections::BTreeMap;
 
 /// Detection and tracking of flying objects in scans of one or several LiDARs.
 pub struct FlyingObjectDetector {
@@ -38,8 +37,8 @@ pub struct FlyingObjectDetector {
     /// Whether the last scan that was used left tracks to be reported.
     pub(super) reporting: bool,
     pub(super) held: Option<Held>,
-    /// Scans of the burn-in in which a voxel held points that are not background.
-    pub(super) standing: HashMap<Place, u32, BuildHasherDefault<Spread>>,
+    /// What the scans of the burn-in held.
+    pub(super) standing: Standing,
 }
 
 impl FlyingObjectDetector {
@@ -64,7 +63,7 @@ impl FlyingObjectDetector {
             scans: 0,
             reporting: false,
             held: None,
-            standing: HashMap::default(),
+            standing: Standing::default(),
         })
     }
 
@@ -133,12 +132,12 @@ impl FlyingObjectDetector {
         self.tracker.check_room(count_of(&verdicts, FLYING))?;
         let stats = self.integrate(&mut scan, &mut class)?; // the last stage that may refuse it
         if after_update {
-            verdicts = self.verdicts(&scan, &clusters)?;
+            judge_again(&mut verdicts, self.verdicts(&scan, &clusters)?);
             class = point_classes(&scan, &labels, &verdicts);
         }
         self.accept(raw, &scan, sensor, gate);
         self.fill_pockets(&verdicts, &scan);
-        self.keep_standing(&clusters, &verdicts, &scan);
+        self.keep_standing(&scan);
         timing.integrate = clock.lap();
         self.map.remove_separate_from_background(self.parameters.separation)?;
         timing.separate = clock.lap();
@@ -242,7 +241,7 @@ impl FlyingObjectDetector {
     }
 
     fn accept(&mut self, raw: &RawScan<'_>, scan: &Prepared, mut sensor: Sensor, gate: Gate) {
-        let needs_directions = raw.no_return.is_some() && raw.directions.is_none();
+        let needs_directions = raw.organised && raw.no_return.is_some() && raw.directions.is_none();
         sensor.learn(raw.stamp_ns, raw.points, needs_directions);
         sensor.last_pose = Some(scan.pose);
         self.sensors.insert(raw.sensor.to_owned(), sensor);
@@ -251,33 +250,6 @@ impl FlyingObjectDetector {
         self.held = None;
         if let Some(distance) = self.parameters.forget_distance {
             self.map.forget(scan.pose.translation, distance);
-        }
-    }
-
-    /// During the burn-in, what stays in its place becomes background, however small.
-    fn keep_standing(&mut self, clusters: &[Cluster], verdicts: &[Verdict], scan: &Prepared) {
-        let seed = &self.parameters.seed;
-        if self.scans > seed.burn_in_scans || seed.standing_scans == 0 {
-            self.standing.clear();
-            return;
-        }
-        let lattice = *self.map.lattice();
-        let rows = clusters
-            .iter()
-            .zip(verdicts)
-            .filter(|(_, verdict)| verdict.class != BACKGROUND)
-            .flat_map(|(cluster, _)| &cluster.members);
-        let voxel = |&row: &u32| floor(lattice.scaled(wide(scan.points[row as usize])));
-        let mut standing = distinct(rows.filter_map(voxel).collect());
-        standing.retain(|&voxel| {
-            let scans = self.standing.entry(Place(voxel)).or_insert(0);
-            *scans += 1;
-            *scans >= seed.standing_scans
-        });
-        if !standing.is_empty() {
-            self.map.keep(&standing);
-            let distance = self.parameters.classify.close_distance;
-            self.tracker.drop_near(&self.map, distance); // tracks that it had, still unseen
         }
     }
 

@@ -24,6 +24,7 @@ pub mod scan;
 pub mod sensor;
 pub mod separate;
 mod shadow;
+mod standing;
 pub mod track;
 mod visibility;
 pub mod voxel_map;

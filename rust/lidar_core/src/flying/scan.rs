@@ -14,6 +14,8 @@ pub struct RawScan<'a> {
     pub sensor: &'a str,
     /// Start of the scan [ns].
     pub stamp_ns: i64,
+    /// Whether the rays come in the same order in every scan.
+    pub organised: bool,
     /// Coordinates [m]; not finite where there is no information.
     pub points: &'a [[f32; 3]],
     /// Rays that met nothing within range.
@@ -69,7 +71,7 @@ impl Prepared {
             delays: raw.point_time_ns.map(|times| delays(times, raw.stamp_ns)),
             no_ray: farthest_returns(raw.points, sensor.parameters.returns_per_ray),
             pose: poses.middle,
-            clears_sky: raw.no_return.is_some(),
+            clears_sky: false,
             rebuilt: 0,
         };
         scan.take_points(raw, sensor, &poses);
@@ -98,9 +100,12 @@ impl Prepared {
         let mut directions = vec![[f32::NAN; 3]; raw.points.len()];
         let casts = |row: usize| !self.no_ray.as_ref().is_some_and(|no_ray| no_ray[row]);
         let empty: Vec<usize> = (0..flags.len()).filter(|&row| flags[row] && casts(row)).collect();
+        let remembered = |row| if raw.organised { sensor.direction(row) } else { None };
+        self.clears_sky = empty.is_empty();
         for row in empty {
-            let known = raw.directions.map(|all| all[row]).or_else(|| sensor.direction(row));
+            let known = raw.directions.map(|all| all[row]).or_else(|| remembered(row));
             let Some(direction) = known else { continue };
+            self.clears_sky = true;
             if !sensor.is_masked(row, wide(direction)) {
                 self.no_return[row] = true;
                 directions[row] = narrow(poses.at(row).rotate(wide(direction)));
@@ -280,6 +285,7 @@ mod tests {
 
     fn raw<'a>(points: &'a [[f32; 3]]) -> RawScan<'a> {
         RawScan {
+            organised: true,
             sensor: "lidar",
             stamp_ns: 0,
             points,

@@ -152,6 +152,9 @@ impl Sensor {
             self.count_near(points);
         }
         if needs_directions {
+            if self.directions.len() != points.len() {
+                self.directions.clear(); // another mode of the sensor: other rays
+            }
             self.directions.resize(points.len(), [f32::NAN; 3]);
             for (direction, &point) in self.directions.iter_mut().zip(points) {
                 let range = norm(wide(point)) as f32;

@@ -148,10 +148,13 @@ impl VoxelMap {
     /// Make observed voxels occupied and their groups part of the background, however small: what
     /// stands still from the beginning is no flying object. Rays may clear them later.
     pub(crate) fn keep(&mut self, voxels: &[Voxel]) {
-        let g_occ = self.parameters().g_occ;
+        let (g_occ, confident) = (self.parameters().g_occ, self.confident_from());
         for &voxel in voxels {
-            self.rewrite(voxel, |value| if value.is_infinite() { value } else { g_occ });
-            self.changes.kept.insert(Place(voxel));
+            let stored = self.blocks.stored(voxel);
+            if stored.is_finite() && stored < confident {
+                self.rewrite(voxel, |_| g_occ);
+                self.changes.kept.insert(Place(voxel));
+            }
         }
     }
 
@@ -339,15 +342,15 @@ impl Search<'_> {
             neighbours.each_stretch(voxel, |first, length| {
                 anchored |= self.meet(first, length, &mut members, &mut confident);
             });
-            anchored |= confident >= self.min_confident || self.kept.contains(&Place(voxel));
+            anchored |= confident >= self.min_confident;
         }
         if !anchored {
-            self.separate.append(&mut members);
+            if !members.iter().any(|&voxel| self.kept.contains(&Place(voxel))) {
+                self.separate.append(&mut members);
+            }
             return;
         }
-        if confident >= self.min_confident {
-            self.anchor = self.anchor.or(Some(start));
-        }
+        self.anchor = self.anchor.or(Some(start));
         for voxel in members {
             if let Some((slot, _)) = self.blocks.find(Place::of(voxel)) {
                 let mark = &mut self.marks.at(slot).anchored;

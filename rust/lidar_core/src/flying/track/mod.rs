@@ -235,6 +235,14 @@ impl PointCloudTracker {
         self.buffer.is_late(stamp_ns).map(drop)
     }
 
+    /// Positions of all tracks, unconfirmed ones included, that are further than `distance` [m]
+    /// from where they began.
+    #[must_use]
+    pub fn moved_by(&self, distance: f64) -> Vec<[f64; 3]> {
+        let moved = |track: &&TrackState| (track.position() - track.born_at).norm() > distance;
+        self.tracks.iter().filter(moved).map(|track| track.position().into()).collect()
+    }
+
     /// Forget the tracks within `distance` [m] of an occupied voxel.
     pub fn drop_near(&mut self, occupied: &dyn Occupancy, distance: f64) {
         self.tracks.retain(|track| !occupied.any_within(track.position().into(), distance));

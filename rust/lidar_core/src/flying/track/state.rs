@@ -18,6 +18,8 @@ pub(super) struct TrackState {
     pub(super) aged: Matrix9,
     pub(super) stamp_ns: i64,
     pub(super) born_ns: i64,
+    /// Where its first detection was.
+    pub(super) born_at: Vector3<f64>,
     /// Time of the last measurement.
     pub(super) seen_ns: i64,
     pub(super) extent: [f64; 3],
@@ -54,6 +56,7 @@ impl TrackState {
             aged: covariance,
             stamp_ns,
             born_ns: stamp_ns,
+            born_at: detection.position,
             seen_ns: stamp_ns,
             extent: detection.extent,
             n_detections: 1,
