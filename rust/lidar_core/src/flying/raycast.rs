@@ -79,7 +79,7 @@ impl Window {
             _ => Err(Error::Limit {
                 what: format!("a scan that spans {size:?} blocks of 8 voxels"),
                 limit: MAX_WINDOW,
-                key: "voxel_size",
+                key: "raise `voxel_size` or lower `max_range`",
             }),
         }
     }
