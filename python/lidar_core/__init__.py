@@ -21,13 +21,14 @@ from lidar_core.flying.voxel_map import IntegrateStats, VoxelMap
 from lidar_core.geometry import cluster_points, traverse
 
 if TYPE_CHECKING:
+    from lidar_core import estimation as estimation
     from lidar_core import evaluation as evaluation
     from lidar_core import io as io
     from lidar_core import sim as sim
     from lidar_core import viz as viz
 
-_LAZY = ("evaluation", "io", "sim", "viz")
-"""Subpackages that are imported when they are first used."""
+_LAZY = ("estimation", "evaluation", "io", "sim", "viz")
+"""Modules that are imported when they are first used."""
 
 __all__ = [
     "ConfigError",

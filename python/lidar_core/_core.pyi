@@ -14,6 +14,7 @@ __all__ = [
     "SimTrajectory",
     "VoxelMap",
     "__version__",
+    "chi2_quantile",
     "cluster_points",
     "traverse",
 ]
@@ -34,6 +35,7 @@ def cluster_points(
     min_points: int,
     max_points: int | None,
 ) -> NDArray[np.int32]: ...
+def chi2_quantile(probability: float, *, degrees: int) -> float: ...
 
 @final
 class VoxelMap:

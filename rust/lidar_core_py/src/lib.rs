@@ -2,6 +2,7 @@
 
 mod arrays;
 mod errors;
+mod estimation;
 mod flying;
 mod flying_config;
 mod geometry;
@@ -12,6 +13,8 @@ mod voxel_map;
 
 #[pyo3::pymodule]
 mod _core {
+    #[pymodule_export]
+    use super::estimation::chi2_quantile;
     #[pymodule_export]
     use super::flying::PyFlyingObjectDetector;
     #[pymodule_export]
