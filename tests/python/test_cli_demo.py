@@ -40,7 +40,7 @@ def test_the_short_demo_finds_both_drones_and_nothing_else(demo):
     assert scores["n_eligible"] == 2 * (SCANS - FlyingConfig().seed.burn_in_scans)
     assert scores["recall"] == 1.0
     assert scores["false_ids"] == []
-    assert scores["mean_error"] < 0.3
+    assert scores["position_error"]["mean"] < 0.3
     assert demo[2]["detection_scores"]["n_false"] == 0
 
 

@@ -68,3 +68,47 @@ def scores(scans, gate):
     result["false_ids"] = tuple(sorted(false_ids))
     result["first_delay"] = delay
     return result
+
+
+def ospa(estimates, targets, cutoff, order):
+    """OSPA by the formula: every injection of the smaller set into the larger one is tried."""
+    small, large = sorted([list(estimates), list(targets)], key=len)
+    if not large:
+        return 0.0
+    best = min(
+        sum(min(np.linalg.norm(a - b), cutoff) ** order for a, b in zip(small, chosen, strict=True))
+        for chosen in permutations(large, len(small))
+    )
+    return ((best + cutoff**order * (len(large) - len(small))) / len(large)) ** (1 / order)
+
+
+def gospa(estimates, targets, cutoff, order):
+    """GOSPA with alpha 2, over all sets of pairs: its p-th power."""
+    best = np.inf
+    for size in range(min(len(estimates), len(targets)) + 1):
+        for chosen in combinations(range(len(estimates)), size):
+            for others in permutations(range(len(targets)), size):
+                pairs = zip(chosen, others, strict=True)
+                total = sum(np.linalg.norm(estimates[a] - targets[b]) ** order for a, b in pairs)
+                single = cutoff**order / 2
+                total += single * (len(estimates) + len(targets) - 2 * size)
+                best = min(best, total)
+    return best
+
+
+def nees(error, covariance):
+    """Squared errors normalised by covariances, one by one, with the inverse."""
+    return np.array([e @ np.linalg.inv(P) @ e for e, P in zip(error, covariance, strict=True)])
+
+
+def fragmentations(wanted, found):
+    """Times a target was found after a scan that lacked it, but for the first time."""
+    flags = [is_found for is_wanted, is_found in zip(wanted, found, strict=True) if is_wanted]
+    starts = sum(now and not before for before, now in zip([False, *flags], flags, strict=False))
+    return max(0, starts - 1)
+
+
+def line_of_sight(error, target, sensor):
+    """Part of an error along the line of sight, and the length of the rest."""
+    sight = (target - sensor) / np.linalg.norm(target - sensor)
+    return float(error @ sight), float(np.linalg.norm(error - (error @ sight) * sight))

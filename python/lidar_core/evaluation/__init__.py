@@ -1,30 +1,66 @@
 """How good tracks and detections are, held against the truth."""
 
 from lidar_core.evaluation.assignment import Matches, assign, match
+from lidar_core.evaluation.bins import Bins, binned
 from lidar_core.evaluation.config import EvaluationConfig
+from lidar_core.evaluation.consistency import Consistency, consistency, nees
+from lidar_core.evaluation.identity import IdentityScores, score_identities
+from lidar_core.evaluation.latency import Latency
+from lidar_core.evaluation.pairing import Pairing, counted, pair
+from lidar_core.evaluation.report import Evaluation, evaluate
 from lidar_core.evaluation.scoring import eligible, score_detections, score_tracks
+from lidar_core.evaluation.set_distance import Gospa, gospa, ospa
+from lidar_core.evaluation.spread import Spread
 from lidar_core.evaluation.tables import (
+    aligned,
     estimates_of_detections,
     estimates_of_tracks,
     joined,
     truth_of,
 )
-from lidar_core.evaluation.types import DetectionScores, Estimates, TrackScores, Truth
+from lidar_core.evaluation.types import (
+    DetectionScores,
+    DistanceScores,
+    Estimates,
+    SetScores,
+    TrackScores,
+    Truth,
+)
 
 __all__ = [
+    "Bins",
+    "Consistency",
     "DetectionScores",
+    "DistanceScores",
     "Estimates",
+    "Evaluation",
     "EvaluationConfig",
+    "Gospa",
+    "IdentityScores",
+    "Latency",
     "Matches",
+    "Pairing",
+    "SetScores",
+    "Spread",
     "TrackScores",
     "Truth",
+    "aligned",
     "assign",
+    "binned",
+    "consistency",
+    "counted",
     "eligible",
     "estimates_of_detections",
     "estimates_of_tracks",
+    "evaluate",
+    "gospa",
     "joined",
     "match",
+    "nees",
+    "ospa",
+    "pair",
     "score_detections",
+    "score_identities",
     "score_tracks",
     "truth_of",
 ]

@@ -21,12 +21,15 @@ class Matches:
         Between the two [m].
     nearest : ndarray, shape (E,), float64
         From every estimate to the nearest target [m]; infinite without targets.
+    nearest_target : ndarray, shape (E,), int64
+        Row of that target; -1 without targets.
     """
 
     estimate: NDArray[np.int64]
     target: NDArray[np.int64]
     distance: NDArray[np.float64]
     nearest: NDArray[np.float64]
+    nearest_target: NDArray[np.int64]
 
 
 def match(estimates: ArrayLike, targets: ArrayLike, *, gate: float) -> Matches:
@@ -65,6 +68,7 @@ def match(estimates: ArrayLike, targets: ArrayLike, *, gate: float) -> Matches:
         target=columns,
         distance=distance[rows, columns],
         nearest=distance.min(axis=1, initial=np.inf),
+        nearest_target=distance.argmin(axis=1) if len(true) else np.full(len(found), -1),
     )
 
 

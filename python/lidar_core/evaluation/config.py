@@ -1,15 +1,23 @@
 """Configuration of the evaluation: the only source of its defaults and ranges."""
 
-from pydantic import Field
+from itertools import pairwise
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
 
 from lidar_core.config import Config
 
+Edge = Annotated[float, Field(ge=0)]
+
 
 class EvaluationConfig(Config):
-    """What counts as found, and which targets had to be found."""
+    """What counts as found, which targets had to be found, and how results are grouped."""
 
     gate: float = Field(
-        1.0, gt=0, description="An estimate further from every target's centre is false [m]."
+        1.0,
+        gt=0,
+        description="An estimate further from every target's centre is false [m]; also the cutoff c"
+        " of OSPA and GOSPA.",
     )
     max_distance: float = Field(
         20.0, gt=0, description="Targets further from the sensor need not be found [m]."
@@ -17,3 +25,35 @@ class EvaluationConfig(Config):
     min_hits: int = Field(
         3, ge=0, description="Targets with fewer points need not be found (count, no unit)."
     )
+    burn_in_scans: int = Field(
+        0, ge=0, description="First scans, in which no target need be found (count, no unit)."
+    )
+    time_tolerance: float = Field(
+        1e-4, ge=0, description="Estimates belong to the truth of a time at most this far away [s]."
+    )
+    distance_edges: tuple[Edge, ...] = Field(
+        tuple(float(edge) for edge in range(0, 51, 5)),
+        min_length=2,
+        description="Edges of the groups by distance from the sensor [m]; a group holds its far"
+        " edge.",
+    )
+    order: float = Field(
+        2.0,
+        ge=1,
+        le=16,
+        description="Order p of OSPA and GOSPA (no unit). Source: Rahmathullah et al., 2017.",
+    )
+    band: float = Field(
+        0.95,
+        gt=0,
+        lt=1,
+        description="Probability inside the band of a consistent NEES or NIS (no unit). Source:"
+        " Bar-Shalom et al., 2001, sec. 5.4.",
+    )
+
+    @model_validator(mode="after")
+    def _edges_grow(self) -> Self:
+        edges = self.distance_edges
+        if any(far <= near for near, far in pairwise(edges)):
+            raise ValueError("distance_edges: expected each edge greater than the one before")
+        return self

@@ -1,18 +1,36 @@
-"""Recall, precision, position errors, false tracks, changes of identity."""
+"""Scores of detections and of tracks."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidar_core.arrays import as_mask, as_real, as_rows
+from lidar_core.arrays import as_real, as_rows
 from lidar_core.config import as_config
 from lidar_core.errors import InputError
-from lidar_core.evaluation.assignment import Matches, match
+from lidar_core.evaluation.bins import bin_of, norms
 from lidar_core.evaluation.config import EvaluationConfig
-from lidar_core.evaluation.types import DetectionScores, Estimates, TrackScores, Truth
+from lidar_core.evaluation.consistency import Consistency, consistency, nees
+from lidar_core.evaluation.continuity import continuity, switches
+from lidar_core.evaluation.pairing import (
+    Pairing,
+    checked_estimates,
+    checked_truth,
+    counted,
+    numbers_of,
+    pair,
+    scans,
+)
+from lidar_core.evaluation.set_distance import gospa, ospa
+from lidar_core.evaluation.spread import Spread
+from lidar_core.evaluation.types import (
+    DetectionScores,
+    DistanceScores,
+    Estimates,
+    SetScores,
+    TrackScores,
+    Truth,
+)
 
 
 def eligible(
@@ -47,7 +65,7 @@ def eligible(
         raise InputError(
             f"sensor_position: expected shape (3,) or {centres.shape}, got {sensors.shape}"
         )
-    is_near: NDArray[np.bool_] = np.linalg.norm(centres - sensors, axis=-1) <= config.max_distance
+    is_near: NDArray[np.bool_] = norms(centres - sensors) <= config.max_distance
     return is_near & (points >= config.min_hits)
 
 
@@ -62,9 +80,12 @@ def score_detections(
     Raises
     ------
     InputError
-        Tables whose columns differ in length.
+        Tables whose columns differ in length, or that hold an object twice at one time.
     """
-    return DetectionScores(**_tally(detections, truth, as_config(config, EvaluationConfig)).base())
+    config = as_config(config, EvaluationConfig)
+    detections, truth = checked_estimates(detections), checked_truth(truth)
+    pairing = pair(detections, truth, config=config)
+    return DetectionScores(**_common(detections, truth, pairing, config))
 
 
 def score_tracks(
@@ -77,144 +98,167 @@ def score_tracks(
     InputError
         Tables whose columns differ in length, or tracks without numbers.
     """
-    if tracks.id is None:
-        raise InputError("tracks.id: expected the number of every track, got None")
-    tally = _tally(tracks, truth, as_config(config, EvaluationConfig))
+    config = as_config(config, EvaluationConfig)
+    tracks = checked_estimates(tracks)
+    numbers, truth = numbers_of(tracks), checked_truth(truth)
+    pairing = pair(tracks, truth, config=config)
+    common = _common(tracks, truth, pairing, config)
+    false_ids = np.unique(numbers[pairing.nearest > config.gate]).tolist()
+    duration = common["duration"]
     return TrackScores(
-        **tally.base(),
-        track_ids=tuple(np.unique(tracks.id).tolist()),
-        false_ids=tuple(sorted(tally.false_ids)),
-        n_switches=tally.n_switches,
-        first_delay=tally.first_delays(),
-        longest_gap={
-            target: max((after - before for before, after in gaps), default=0) * 1e-9
-            for target, gaps in sorted(tally.gaps.items())
-        },
+        **common,
+        track_ids=tuple(np.unique(numbers).tolist()),
+        false_ids=tuple(false_ids),
+        false_tracks_per_minute=60 * len(false_ids) / duration if duration else None,
+        n_switches=switches(truth, pairing, numbers),
+        state_nees=_state_nees(tracks, truth, pairing, config),
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _OneScan:
-    stamp_ns: int
-    truth_id: NDArray[np.int64]
-    is_eligible: NDArray[np.bool_]
-    track_id: NDArray[np.int64] | None
-    matches: Matches
+def _common(
+    estimates: Estimates, truth: Truth, pairing: Pairing, config: EvaluationConfig
+) -> dict[str, Any]:
+    """Fields of `DetectionScores`."""
+    steady = continuity(truth, pairing)
+    return {
+        **_counts(estimates, truth, pairing, config),
+        **_errors(estimates, truth, pairing),
+        "over_distance": _over_distance(estimates, truth, pairing, config),
+        "sets": _set_scores(estimates, truth, config),
+        "position_nees": _position_nees(estimates, truth, pairing, config),
+        "first_delay": steady.first_delay,
+        "longest_gap": steady.longest_gap,
+        "n_fragmentations": steady.n_fragmentations,
+    }
 
 
-@dataclass(slots=True)
-class _Tally:
-    """Counts over the scans seen so far."""
-
-    n_scans: int = 0
-    n_estimates: int = 0
-    n_matched: int = 0
-    n_false: int = 0
-    errors: list[float] = field(default_factory=list)
-    recall_at: list[tuple[int, int, int]] = field(default_factory=list)  # stamp, found, eligible
-    false_ids: set[int] = field(default_factory=set)
-    n_switches: int = 0
-    track_of: dict[int, int] = field(default_factory=dict)
-    first_eligible: dict[int, int] = field(default_factory=dict)
-    first_found: dict[int, int] = field(default_factory=dict)
-    open_since: dict[int, int] = field(default_factory=dict)
-    gaps: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
-
-    def see(self, scan: _OneScan, gate: float) -> None:
-        matches = scan.matches
-        is_false = matches.nearest > gate
-        self.n_scans += 1
-        self.n_estimates += len(is_false)
-        self.n_matched += len(matches.target)
-        self.n_false += int(is_false.sum())
-        found = scan.is_eligible[matches.target]
-        self.errors += matches.distance[found].tolist()
-        if scan.is_eligible.any():
-            self.recall_at.append((scan.stamp_ns, int(found.sum()), int(scan.is_eligible.sum())))
-        if scan.track_id is not None:
-            self.false_ids.update(scan.track_id[is_false].tolist())
-            self._see_identities(scan, scan.track_id)
-
-    def _see_identities(self, scan: _OneScan, track_id: NDArray[np.int64]) -> None:
-        matches = scan.matches
-        pairs = zip(
-            scan.truth_id[matches.target].tolist(), track_id[matches.estimate].tolist(), strict=True
-        )
-        tracked = dict(pairs)
-        for target, track in tracked.items():
-            self.n_switches += self.track_of.get(target, track) != track
-            self.track_of[target] = track
-        for target, counts in zip(scan.truth_id.tolist(), scan.is_eligible.tolist(), strict=True):
-            if counts:
-                self.first_eligible.setdefault(target, scan.stamp_ns)
-                self.gaps.setdefault(target, [])
-            if target in tracked and target in self.first_eligible:
-                self.first_found.setdefault(target, scan.stamp_ns)
-            self._see_gap(target, scan.stamp_ns, counts=counts, is_tracked=target in tracked)
-
-    def _see_gap(self, target: int, stamp_ns: int, *, counts: bool, is_tracked: bool) -> None:
-        if counts and not is_tracked:
-            self.open_since.setdefault(target, stamp_ns)
-        if target in self.open_since and (counts or is_tracked):
-            self.gaps[target].append((self.open_since[target], stamp_ns))
-        if is_tracked or not counts:
-            self.open_since.pop(target, None)
-
-    def first_delays(self) -> dict[int, float | None]:
-        found = self.first_found
-        return {
-            target: (found[target] - since) * 1e-9 if target in found else None
-            for target, since in sorted(self.first_eligible.items())
-        }
-
-    def base(self) -> dict[str, Any]:
-        """Fields of `DetectionScores`."""
-        errors = np.array(self.errors)
-        stamps, found, wanted = np.array(self.recall_at, np.int64).reshape(-1, 3).T
-        n_found, n_eligible = int(found.sum()), int(wanted.sum())
-        return {
-            "n_scans": self.n_scans,
-            "n_eligible": n_eligible,
-            "n_found": n_found,
-            "n_estimates": self.n_estimates,
-            "n_matched": self.n_matched,
-            "n_duplicate": self.n_estimates - self.n_matched - self.n_false,
-            "n_false": self.n_false,
-            "recall": n_found / n_eligible if n_eligible else None,
-            "precision": self.n_matched / self.n_estimates if self.n_estimates else None,
-            "mean_error": float(errors.mean()) if len(errors) else None,
-            "rmse": float(np.sqrt(np.mean(errors**2))) if len(errors) else None,
-            "max_error": float(errors.max()) if len(errors) else None,
-            "stamp_ns": stamps,
-            "recall_at": found / wanted,
-        }
+def _counts(
+    estimates: Estimates, truth: Truth, pairing: Pairing, config: EvaluationConfig
+) -> dict[str, Any]:
+    stamps = np.union1d(estimates.stamp_ns, truth.stamp_ns)
+    wanted = truth.stamp_ns[truth.is_eligible]
+    when, n_wanted = np.unique(wanted, return_counts=True)
+    n_found = np.bincount(np.searchsorted(when, truth.stamp_ns[pairing.found]), minlength=len(when))
+    n_estimates, n_matched = len(estimates.stamp_ns), int((pairing.target_of >= 0).sum())
+    n_false = int((pairing.nearest > config.gate).sum())
+    return {
+        "n_scans": len(stamps),
+        "duration": _duration(stamps),
+        "n_eligible": len(wanted),
+        "n_found": len(pairing.found),
+        "n_estimates": n_estimates,
+        "n_matched": n_matched,
+        "n_duplicate": n_estimates - n_matched - n_false,
+        "n_false": n_false,
+        "recall": _ratio(len(pairing.found), len(wanted)),
+        "precision": _ratio(n_matched, n_estimates),
+        "stamp_ns": when,
+        "recall_at": n_found / n_wanted,
+    }
 
 
-def _tally(estimates: Estimates, truth: Truth, config: EvaluationConfig) -> _Tally:
-    tally = _Tally()
-    for scan in _scans(estimates, truth, config.gate):
-        tally.see(scan, config.gate)
-    return tally
+def _duration(stamps: NDArray[np.int64]) -> float:
+    """First to last scan, and one usual interval for the last one [s]."""
+    steps = np.diff(stamps)
+    return float(steps.sum() + np.median(steps)) * 1e-9 if len(steps) else 0.0
 
 
-def _scans(estimates: Estimates, truth: Truth, gate: float) -> Iterator[_OneScan]:
-    """Scans by time, each with its targets, estimates and their assignment."""
-    when = as_rows(truth.stamp_ns, name="truth.stamp_ns", rows=None, shape=(), dtype=np.int64)
-    known = len(when)
-    names = as_rows(truth.id, name="truth.id", rows=known, shape=(), dtype=np.int64)
-    places = as_rows(truth.position, name="truth.position", rows=known, shape=(3,), dtype=float)
-    counts = as_mask(truth.is_eligible, name="truth.is_eligible", rows=known)
-    seen = as_rows(estimates.stamp_ns, name="stamp_ns", rows=None, shape=(), dtype=np.int64)
-    found = as_rows(estimates.position, name="position", rows=len(seen), shape=(3,), dtype=float)
-    numbers = estimates.id
-    if numbers is not None:
-        numbers = as_rows(numbers, name="id", rows=len(seen), shape=(), dtype=np.int64)
-    for stamp_ns in np.unique(np.concatenate([when, seen])).tolist():
-        here, there = np.flatnonzero(when == stamp_ns), np.flatnonzero(seen == stamp_ns)
-        yield _OneScan(
-            stamp_ns=stamp_ns,
-            truth_id=names[here],
-            is_eligible=counts[here],
-            track_id=None if numbers is None else numbers[there],
-            matches=match(found[there], places[here], gate=gate),
-        )
+def _errors(estimates: Estimates, truth: Truth, pairing: Pairing) -> dict[str, Spread | None]:
+    rows = pairing.found
+    away = estimates.position[pairing.estimate_of[rows]] - truth.position[rows]
+    radial = across = velocity = None
+    if truth.sensor is not None:
+        sight = truth.position[rows] - truth.sensor[rows]
+        length = norms(sight)
+        known = length > 0
+        sight, seen = sight[known] / length[known, None], away[known]
+        along = np.sum(seen * sight, axis=1)
+        radial, across = Spread.of(along), Spread.of(norms(seen - along[:, None] * sight))
+    if truth.velocity is not None and estimates.velocity is not None:
+        change = estimates.velocity[pairing.estimate_of[rows]] - truth.velocity[rows]
+        velocity = Spread.of(norms(change))
+    return {
+        "position_error": Spread.of(norms(away)),
+        "radial_error": radial,
+        "across_error": across,
+        "velocity_error": velocity,
+    }
+
+
+def _over_distance(
+    estimates: Estimates, truth: Truth, pairing: Pairing, config: EvaluationConfig
+) -> tuple[DistanceScores, ...]:
+    """Targets by their own distance, estimates by theirs from the sensor of the same time."""
+    if truth.sensor is None:
+        return ()
+    edges = np.array(config.distance_edges)
+    group = bin_of(norms(truth.position - truth.sensor), edges)
+    away = norms(estimates.position - _sensor_at(estimates.stamp_ns, truth))
+    group_of_estimate = bin_of(away, edges)
+    rows = pairing.found
+    error = norms(estimates.position[pairing.estimate_of[rows]] - truth.position[rows])
+    result = []
+    for number, (near, far) in enumerate(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)):
+        here = group_of_estimate == number
+        n_eligible = int((truth.is_eligible & (group == number)).sum())
+        found, n_estimates = group[rows] == number, int(here.sum())
+        n_found, n_matched = int(found.sum()), int((pairing.target_of[here] >= 0).sum())
+        if n_eligible or n_estimates:
+            ratios = _ratio(n_found, n_eligible), _ratio(n_matched, n_estimates)
+            counts = n_eligible, n_found, n_estimates, n_matched
+            result.append(DistanceScores(near, far, *counts, *ratios, Spread.of(error[found])))
+    return tuple(result)
+
+
+def _sensor_at(stamps: NDArray[np.int64], truth: Truth) -> NDArray[np.float64]:
+    """Where the sensor was at these times; NaN where the truth does not say."""
+    places = np.full((len(stamps), 3), np.nan)
+    if truth.sensor is not None and len(truth.stamp_ns):
+        when, first = np.unique(truth.stamp_ns, return_index=True)
+        row = np.minimum(np.searchsorted(when, stamps), len(when) - 1)
+        known = when[row] == stamps
+        places[known] = truth.sensor[first[row[known]]]
+    return places
+
+
+def _set_scores(estimates: Estimates, truth: Truth, config: EvaluationConfig) -> SetScores | None:
+    estimates, truth = counted(estimates, truth, config=config)
+    rows = []
+    for here, there in scans(estimates, truth):
+        sets = estimates.position[here], truth.position[there]
+        parts = gospa(*sets, cutoff=config.gate, order=config.order)
+        distance = ospa(*sets, cutoff=config.gate, order=config.order)
+        rows.append((distance, parts.distance, parts.localisation, parts.missed, parts.false))
+    return SetScores(len(rows), *np.mean(rows, axis=0).tolist()) if rows else None
+
+
+def _position_nees(
+    estimates: Estimates, truth: Truth, pairing: Pairing, config: EvaluationConfig
+) -> Consistency | None:
+    if estimates.covariance is None:
+        return None
+    rows = pairing.found
+    partners = pairing.estimate_of[rows]
+    away = estimates.position[partners] - truth.position[rows]
+    values = nees(away, estimates.covariance[partners][:, :3, :3])
+    return consistency(values, degrees=3, config=config)
+
+
+def _state_nees(
+    tracks: Estimates, truth: Truth, pairing: Pairing, config: EvaluationConfig
+) -> Consistency | None:
+    covariance = tracks.covariance
+    if covariance is None or covariance.shape[1] != 6:
+        return None
+    if tracks.velocity is None or truth.velocity is None:
+        return None
+    rows = pairing.found
+    partners = pairing.estimate_of[rows]
+    place = tracks.position[partners] - truth.position[rows]
+    speed = tracks.velocity[partners] - truth.velocity[rows]
+    values = nees(np.concatenate([place, speed], axis=1), covariance[partners])
+    return consistency(values, degrees=6, config=config)
+
+
+def _ratio(part: int, whole: int) -> float | None:
+    return part / whole if whole else None

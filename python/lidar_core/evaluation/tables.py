@@ -1,9 +1,12 @@
 """Tables for the scores, from simulated scans and from what the detector returned."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lidar_core.config import as_config
 from lidar_core.evaluation.config import EvaluationConfig
 from lidar_core.evaluation.scoring import eligible
 from lidar_core.evaluation.types import Estimates, Truth
@@ -23,28 +26,37 @@ def truth_of(
         position=targets.position,
         is_eligible=eligible(targets.position, targets.hits, sensor, config=config)
         & np.bool_(not is_burn_in),
+        velocity=targets.velocity,
+        sensor=np.tile(sensor, (len(targets.id), 1)),
     )
 
 
 def joined(parts: Iterable[Truth]) -> Truth:
-    """Several tables as one."""
+    """Several tables as one; a column that one of them lacks is left out."""
     tables = list(parts)
+    velocity = [part.velocity for part in tables if part.velocity is not None]
+    sensor = [part.sensor for part in tables if part.sensor is not None]
     return Truth(
         stamp_ns=np.concatenate([np.empty(0, np.int64), *(part.stamp_ns for part in tables)]),
         id=np.concatenate([np.empty(0, np.int64), *(part.id for part in tables)]),
-        position=np.concatenate([np.empty((0, 3)), *(part.position for part in tables)]),
+        position=_stacked([part.position for part in tables]),
         is_eligible=np.concatenate([np.empty(0, bool), *(part.is_eligible for part in tables)]),
+        velocity=_stacked(velocity) if len(velocity) == len(tables) else None,
+        sensor=_stacked(sensor) if len(sensor) == len(tables) else None,
     )
 
 
 def estimates_of_tracks(tracks: Iterable[Tracks]) -> Estimates:
-    """Tracks at successive times as one table."""
-    states = list(tracks)
+    """Tracks at successive times as one table; of one time only the last state counts."""
+    states = list({state.stamp_ns: state for state in tracks}.values())
     stamps = np.array([state.stamp_ns for state in states], np.int64)
+    covariance = [state.covariance[:, :6, :6] for state in states]
     return Estimates(
         stamp_ns=np.repeat(stamps, [len(state) for state in states]),
-        position=np.concatenate([np.empty((0, 3)), *(state.position for state in states)]),
+        position=_stacked([state.position for state in states]),
         id=np.concatenate([np.empty(0, np.int64), *(state.id for state in states)]),
+        velocity=_stacked([state.velocity for state in states]),
+        covariance=np.concatenate([np.empty((0, 6, 6)), *covariance]),
     )
 
 
@@ -55,5 +67,26 @@ def estimates_of_detections(frames: Iterable[FlyingFrame]) -> Estimates:
     found = [frame.detections for frame in results]
     return Estimates(
         stamp_ns=np.repeat(stamps, [len(item) for item in found]),
-        position=np.concatenate([np.empty((0, 3)), *(item.position for item in found)]),
+        position=_stacked([item.position for item in found]),
+        covariance=np.concatenate([np.empty((0, 3, 3)), *(item.covariance for item in found)]),
     )
+
+
+def aligned(
+    estimates: Estimates, truth: Truth, *, config: EvaluationConfig | None = None
+) -> Estimates:
+    """The estimates with the times of the truth, where one is within `time_tolerance`."""
+    tolerance = as_config(config, EvaluationConfig).time_tolerance * 1e9
+    when, stamps = np.unique(truth.stamp_ns), estimates.stamp_ns
+    if not len(when):
+        return estimates
+    after = np.minimum(np.searchsorted(when, stamps), len(when) - 1)
+    before = np.maximum(after - 1, 0)
+    is_after = np.abs(when[after] - stamps) < np.abs(when[before] - stamps)
+    nearest = np.where(is_after, when[after], when[before])
+    is_near = np.abs(nearest - stamps) <= tolerance
+    return replace(estimates, stamp_ns=np.where(is_near, nearest, stamps))
+
+
+def _stacked(parts: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    return np.concatenate([np.empty((0, 3)), *parts])

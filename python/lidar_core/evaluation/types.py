@@ -1,10 +1,13 @@
 """What the evaluation reads and returns: long tables in, scores out."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from lidar_core.evaluation.consistency import Consistency
+from lidar_core.evaluation.spread import Spread
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,12 +24,18 @@ class Truth:
         Its centre [m], world frame.
     is_eligible : ndarray, shape (R,), bool
         Whether it had to be found in this scan (`eligible`).
+    velocity : ndarray, shape (R, 3), float64, optional
+        Its velocity [m/s], world frame.
+    sensor : ndarray, shape (R, 3), float64, optional
+        Where the sensor was [m], world frame; NaN where unknown.
     """
 
     stamp_ns: NDArray[np.int64]
     id: NDArray[np.int64]
     position: NDArray[np.float64]
     is_eligible: NDArray[np.bool_]
+    velocity: NDArray[np.float64] | None = None
+    sensor: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +50,68 @@ class Estimates:
         Where the object was reported [m], world frame.
     id : ndarray, shape (E,), int64, optional
         Number of the track; detections have none.
+    velocity : ndarray, shape (E, 3), float64, optional
+        Reported velocity [m/s].
+    covariance : ndarray, shape (E, 3, 3) or (E, 6, 6), float64, optional
+        Of the position, or of position and velocity.
     """
 
     stamp_ns: NDArray[np.int64]
     position: NDArray[np.float64]
     id: NDArray[np.int64] | None = None
+    velocity: NDArray[np.float64] | None = None
+    covariance: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DistanceScores:
+    """Scores of one group by distance from the sensor. Ratios of nothing are None.
+
+    Attributes
+    ----------
+    near, far : float
+        Edges [m].
+    n_eligible, n_found : int
+        Targets at this distance that had to be found, and those that were.
+    n_estimates, n_matched : int
+        Estimates at this distance, and those matched with any target.
+    recall, precision : float or None
+        `n_found / n_eligible`, `n_matched / n_estimates`.
+    position_error : Spread or None
+        Of the found targets at this distance [m].
+    """
+
+    near: float
+    far: float
+    n_eligible: int
+    n_found: int
+    n_estimates: int
+    n_matched: int
+    recall: float | None
+    precision: float | None
+    position_error: Spread | None
+
+
+@dataclass(frozen=True, slots=True)
+class SetScores:
+    """OSPA and GOSPA, means over the scans with a target or an estimate that counts.
+
+    Attributes
+    ----------
+    n_scans : int
+        These scans.
+    ospa, gospa : float
+        Mean distances [m].
+    localisation, missed, false : float
+        Mean parts of GOSPA before the root [m^p].
+    """
+
+    n_scans: int
+    ospa: float
+    gospa: float
+    localisation: float
+    missed: float
+    false: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +122,8 @@ class DetectionScores:
     ----------
     n_scans : int
         Scans with a target or an estimate.
+    duration : float
+        Time that these scans cover [s].
     n_eligible, n_found : int
         Target-scans that had to be found, and those of them that were.
     n_estimates, n_matched, n_duplicate, n_false : int
@@ -65,8 +133,27 @@ class DetectionScores:
         `n_found / n_eligible`.
     precision : float or None
         `n_matched / n_estimates`.
-    mean_error, rmse, max_error : float or None
-        Of the distances between the found targets and their estimates [m].
+    position_error : Spread or None
+        Distances between the found targets and their estimates [m].
+    radial_error, across_error : Spread or None
+        The same along the line of sight, signed, positive behind the target; and its length
+        across the line [m]. None where the sensor's place is unknown.
+    velocity_error : Spread or None
+        Length of the difference of the velocities [m/s]; None where one is unknown.
+    over_distance : tuple of DistanceScores
+        By distance from the sensor, groups with a target or an estimate.
+    sets : SetScores or None
+        OSPA and GOSPA; None if no scan counts.
+    position_nees : Consistency or None
+        Of the position errors, 3 degrees of freedom; None without covariances.
+    first_delay : dict
+        Per target that ever had to be found: time from the first such scan to its first estimate
+        [s]; None if it never had one.
+    longest_gap : dict
+        Per target: longest time without an estimate in which it had to be found in every scan
+        [s]; up to the scan that has the estimate, where there is one.
+    n_fragmentations : int
+        How often a target was lost and found again, among the scans in which it had to be found.
     stamp_ns : ndarray, shape (S,), int64
         Scans in which a target had to be found [ns].
     recall_at : ndarray, shape (S,), float64
@@ -74,6 +161,7 @@ class DetectionScores:
     """
 
     n_scans: int
+    duration: float
     n_eligible: int
     n_found: int
     n_estimates: int
@@ -82,17 +170,50 @@ class DetectionScores:
     n_false: int
     recall: float | None
     precision: float | None
-    mean_error: float | None
-    rmse: float | None
-    max_error: float | None
+    position_error: Spread | None
+    radial_error: Spread | None
+    across_error: Spread | None
+    velocity_error: Spread | None
+    over_distance: tuple[DistanceScores, ...]
+    sets: SetScores | None
+    position_nees: Consistency | None
+    first_delay: dict[int, float | None]
+    longest_gap: dict[int, float]
+    n_fragmentations: int
     stamp_ns: NDArray[np.int64] = field(repr=False)
     recall_at: NDArray[np.float64] = field(repr=False)
 
+    @property
+    def mean_error(self) -> float | None:
+        """Mean of `position_error` [m]."""
+        return None if self.position_error is None else self.position_error.mean
+
+    @property
+    def rmse(self) -> float | None:
+        """Root of the mean square of `position_error` [m]."""
+        return None if self.position_error is None else self.position_error.rmse
+
+    @property
+    def max_error(self) -> float | None:
+        """Largest of `position_error` [m]."""
+        return None if self.position_error is None else self.position_error.largest
+
     def to_dict(self) -> dict[str, Any]:
-        """Every number as plain values, ready for JSON; the arrays are left out."""
-        return {
-            name: value for name, value in asdict(self).items() if not isinstance(value, np.ndarray)
+        """Every number as plain values, ready for JSON; the arrays are left out.
+
+        `over_distance` becomes one value per name: `recall@10m` is that of the group up to 10 m.
+        """
+        values: dict[str, Any] = plain(self)
+        values["over_distance"] = {
+            f"{name}@{group.far:g}m": value
+            for group in self.over_distance
+            for name, value in (
+                ("recall", group.recall),
+                ("precision", group.precision),
+                ("error", None if group.position_error is None else group.position_error.mean),
+            )
         }
+        return values
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,18 +226,28 @@ class TrackScores(DetectionScores):
         Tracks reported at least once.
     false_ids : tuple of int
         Tracks that were further than the gate from every target in at least one scan.
+    false_tracks_per_minute : float or None
+        Number of `false_ids` over `duration`.
     n_switches : int
         How often a target was matched with another track than the last time.
-    first_delay : dict
-        Per target that ever had to be found: time from the first such scan to its first track
-        [s]; None if it never had one.
-    longest_gap : dict
-        Per target: longest time without a track in which it had to be found in every scan [s];
-        up to the scan that has the track, where there is one.
+    state_nees : Consistency or None
+        Of position and velocity together, 6 degrees of freedom; None where one is unknown.
     """
 
     track_ids: tuple[int, ...]
     false_ids: tuple[int, ...]
+    false_tracks_per_minute: float | None
     n_switches: int
-    first_delay: dict[int, float | None]
-    longest_gap: dict[int, float]
+    state_nees: Consistency | None
+
+
+def plain(value: Any) -> Any:
+    """Dataclasses as dicts, tuples as lists; fields that hold arrays are left out."""
+    if is_dataclass(value):
+        held = {item.name: getattr(value, item.name) for item in fields(value)}
+        return {
+            name: plain(item) for name, item in held.items() if not isinstance(item, np.ndarray)
+        }
+    if isinstance(value, dict):
+        return {name: plain(item) for name, item in value.items()}
+    return [plain(item) for item in value] if isinstance(value, tuple) else value

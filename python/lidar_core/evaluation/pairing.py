@@ -1,0 +1,186 @@
+"""Which estimate is which target, over all scans, and which rows count."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.arrays import as_mask, as_rows
+from lidar_core.config import as_config
+from lidar_core.errors import InputError
+from lidar_core.evaluation.assignment import match
+from lidar_core.evaluation.config import EvaluationConfig
+from lidar_core.evaluation.types import Estimates, Truth
+
+Rows = NDArray[np.int64]
+TableT = TypeVar("TableT", Truth, Estimates)
+
+
+@dataclass(frozen=True, slots=True)
+class Pairing:
+    """Pairs of all scans, as row numbers of the two tables.
+
+    Attributes
+    ----------
+    target_of : ndarray, shape (E,), int64
+        Row of the truth that every estimate was paired with; -1 for none.
+    estimate_of : ndarray, shape (R,), int64
+        The same the other way round.
+    nearest : ndarray, shape (E,), float64
+        From every estimate to the nearest target of its scan [m]; infinite without targets.
+    nearest_target : ndarray, shape (E,), int64
+        Row of that target; -1 without targets.
+    found : ndarray, shape (K,), int64
+        Rows of the targets that had to be found and were, by time.
+    """
+
+    target_of: Rows
+    estimate_of: Rows
+    nearest: NDArray[np.float64]
+    nearest_target: Rows
+    found: Rows
+
+
+def pair(estimates: Estimates, truth: Truth, *, config: EvaluationConfig | None = None) -> Pairing:
+    """Pair estimates and targets scan by scan; the assignment is optimal within the gate.
+
+    All targets take part, also those that need not be found. Use the rows to group errors by
+    anything the tables or the caller know: speed, acceleration, distance (`binned`).
+
+    Raises
+    ------
+    InputError
+        Tables whose columns differ in length, or that hold an object twice at one time.
+
+    Examples
+    --------
+    >>> stamps = np.zeros(1, np.int64)
+    >>> truth = Truth(stamps, np.array([7]), np.zeros((1, 3)), np.ones(1, bool))
+    >>> pair(Estimates(stamps, np.array([[0.1, 0, 0]])), truth).target_of
+    array([0])
+    """
+    gate = as_config(config, EvaluationConfig).gate
+    estimates, truth = checked_estimates(estimates), checked_truth(truth)
+    size, known = len(estimates.stamp_ns), len(truth.stamp_ns)
+    target_of, estimate_of = np.full(size, -1), np.full(known, -1)
+    nearest, nearest_target = np.full(size, np.inf), np.full(size, -1)
+    for here, there in scans(estimates, truth):
+        matches = match(estimates.position[here], truth.position[there], gate=gate)
+        target_of[here[matches.estimate]] = there[matches.target]
+        estimate_of[there[matches.target]] = here[matches.estimate]
+        nearest[here] = matches.nearest
+        if len(there):
+            nearest_target[here] = there[matches.nearest_target]
+    found = np.flatnonzero(truth.is_eligible & (estimate_of >= 0))
+    order = np.argsort(truth.stamp_ns[found], kind="stable")
+    return Pairing(target_of, estimate_of, nearest, nearest_target, found[order])
+
+
+def counted(
+    estimates: Estimates, truth: Truth, *, config: EvaluationConfig | None = None
+) -> tuple[Estimates, Truth]:
+    """Rows that count: targets that had to be found, and estimates that are not of the others.
+
+    An estimate is left out if it was paired with a target that need not be found, or has no
+    partner and the nearest target, within the gate, is such a one.
+    """
+    config = as_config(config, EvaluationConfig)
+    pairing = pair(estimates, truth, config=config)
+    partner = np.where(
+        (pairing.target_of < 0) & (pairing.nearest <= config.gate),
+        pairing.nearest_target,
+        pairing.target_of,
+    )
+    eligible = checked_truth(truth).is_eligible
+    counts = partner < 0
+    counts[~counts] = eligible[partner[~counts]]
+    return rows_of(estimates, counts), rows_of(truth, eligible)
+
+
+def scans(estimates: Estimates, truth: Truth) -> Iterator[tuple[Rows, Rows]]:
+    """Rows of the estimates and of the truth of every scan, by time."""
+    stamps = np.union1d(estimates.stamp_ns, truth.stamp_ns)
+    yield from zip(
+        _rows_at(estimates.stamp_ns, stamps), _rows_at(truth.stamp_ns, stamps), strict=True
+    )
+
+
+def rows_of(table: TableT, which: NDArray[np.bool_] | Rows) -> TableT:
+    """The table with these rows only."""
+    columns = {name: getattr(table, name) for name in table.__slots__}
+    return replace(
+        table,
+        **{name: column[which] for name, column in columns.items() if column is not None},
+    )
+
+
+def numbers_of(tracks: Estimates) -> Rows:
+    """Numbers of the tracks; an InputError where there are none."""
+    if tracks.id is None:
+        raise InputError("tracks.id: expected the number of every track, got None")
+    return tracks.id
+
+
+def checked_truth(truth: Truth) -> Truth:
+    """The table with columns of the right type; anything else is an InputError."""
+    stamps = as_rows(truth.stamp_ns, name="truth.stamp_ns", rows=None, shape=(), dtype=np.int64)
+    rows = len(stamps)
+    names = as_rows(truth.id, name="truth.id", rows=rows, shape=(), dtype=np.int64)
+    _refuse_twice(stamps, names, name="truth.id")
+    return Truth(
+        stamp_ns=stamps,
+        id=names,
+        position=as_rows(truth.position, name="truth.position", rows=rows, shape=(3,), dtype=float),
+        is_eligible=as_mask(truth.is_eligible, name="truth.is_eligible", rows=rows),
+        velocity=_vectors(truth.velocity, "truth.velocity", rows),
+        sensor=_vectors(truth.sensor, "truth.sensor", rows),
+    )
+
+
+def checked_estimates(estimates: Estimates) -> Estimates:
+    """The table with columns of the right type; anything else is an InputError."""
+    stamps = as_rows(estimates.stamp_ns, name="stamp_ns", rows=None, shape=(), dtype=np.int64)
+    rows, numbers, covariance = len(stamps), estimates.id, estimates.covariance
+    if numbers is not None:
+        numbers = as_rows(numbers, name="id", rows=rows, shape=(), dtype=np.int64)
+        _refuse_twice(stamps, numbers, name="id")
+    if covariance is not None:
+        size = 6 if np.shape(covariance)[1:] == (6, 6) else 3
+        covariance = as_rows(
+            covariance, name="covariance", rows=rows, shape=(size, size), dtype=float
+        )
+    return Estimates(
+        stamp_ns=stamps,
+        position=as_rows(estimates.position, name="position", rows=rows, shape=(3,), dtype=float),
+        id=numbers,
+        velocity=_vectors(estimates.velocity, "velocity", rows),
+        covariance=covariance,
+    )
+
+
+def _vectors(
+    values: NDArray[np.float64] | None, name: str, rows: int
+) -> NDArray[np.float64] | None:
+    if values is None:
+        return None
+    return as_rows(values, name=name, rows=rows, shape=(3,), dtype=np.float64)
+
+
+def _refuse_twice(stamps: Rows, names: Rows, *, name: str) -> None:
+    order = np.lexsort((names, stamps))
+    again = np.flatnonzero((np.diff(stamps[order]) == 0) & (np.diff(names[order]) == 0))
+    if len(again):
+        row = order[again[0]]
+        raise InputError(
+            f"{name}: expected one row per object and time, got {names[row]} twice"
+            f" at {stamps[row]} ns"
+        )
+
+
+def _rows_at(when: Rows, stamps: Rows) -> list[Rows]:
+    """Rows of every stamp, in the order of the table."""
+    order = np.argsort(when, kind="stable").astype(np.int64)
+    cuts = np.searchsorted(when[order], stamps[1:]) if len(stamps) else np.empty(0, np.int64)
+    return np.split(order, cuts) if len(stamps) else []

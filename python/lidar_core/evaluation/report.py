@@ -1,0 +1,88 @@
+"""Everything about one run in one result."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from lidar_core.config import as_config
+from lidar_core.evaluation.config import EvaluationConfig
+from lidar_core.evaluation.identity import IdentityScores, score_identities
+from lidar_core.evaluation.latency import Latency
+from lidar_core.evaluation.scoring import score_detections, score_tracks
+from lidar_core.evaluation.tables import aligned
+from lidar_core.evaluation.types import DetectionScores, Estimates, TrackScores, Truth, plain
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """Scores of a run; None for what was not given.
+
+    Attributes
+    ----------
+    tracks : TrackScores or None
+        Of the tracks.
+    detections : DetectionScores or None
+        Of the detections.
+    identities : IdentityScores or None
+        HOTA, MOTA and IDF1 of the tracks.
+    latency : Latency or None
+        Time per scan.
+    """
+
+    tracks: TrackScores | None
+    detections: DetectionScores | None
+    identities: IdentityScores | None
+    latency: Latency | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Every number as plain values, ready for JSON; the arrays are left out."""
+        return {
+            "track_scores": None if self.tracks is None else self.tracks.to_dict(),
+            "detection_scores": None if self.detections is None else self.detections.to_dict(),
+            "identity_scores": plain(self.identities),
+            "latency_ms": plain(self.latency),
+        }
+
+
+def evaluate(
+    truth: Truth,
+    *,
+    tracks: Estimates | None = None,
+    detections: Estimates | None = None,
+    latency: Latency | None = None,
+    with_identities: bool = False,
+    config: EvaluationConfig | None = None,
+) -> Evaluation:
+    """Hold tracks and detections against the truth.
+
+    Parameters
+    ----------
+    truth : Truth
+        The targets.
+    tracks, detections : Estimates, optional
+        What was reported; times within `time_tolerance` of the truth's are taken for the same.
+    latency : Latency, optional
+        Passed on.
+    with_identities : bool
+        Whether HOTA, MOTA and IDF1 are wanted (extra `eval`).
+    config : EvaluationConfig, optional
+        What counts as found.
+
+    Raises
+    ------
+    InputError
+        Tables whose columns differ in length, that hold an object twice at one time, or tracks
+        without numbers.
+    MissingExtraError
+        `with_identities` without trackeval.
+    """
+    config = as_config(config, EvaluationConfig)
+    track_scores = detection_scores = identities = None
+    if tracks is not None:
+        tracks = aligned(tracks, truth, config=config)
+        track_scores = score_tracks(tracks, truth, config=config)
+        if with_identities:
+            identities = score_identities(tracks, truth, config=config)
+    if detections is not None:
+        detections = aligned(detections, truth, config=config)
+        detection_scores = score_detections(detections, truth, config=config)
+    return Evaluation(track_scores, detection_scores, identities, latency)
