@@ -121,14 +121,16 @@ class Tracker:
 
     # --- clusters -----------------------------------------------------------------------------
 
-    def clusters(self, points, occupied, delays=None):
+    def clusters(self, points, occupied, delays=None, tracks=()):
         """Centroid, covariance, extent, mean delay of acceptable clusters, by first appearance."""
         if len(points) == 0:
             return []
         _, label = connected_components(cdist(points, points) <= self.c.cluster_distance)
+        after = np.zeros(len(points)) if delays is None else delays
+        whole = [np.flatnonzero(label == name) for name in dict.fromkeys(label)]
         found = []
-        for name in dict.fromkeys(label):
-            own = points[label == name]
+        for rows in [part for rows in whole for part in self.parts(rows, points, after, tracks)]:
+            own = points[rows]
             centroid, extent = own.mean(axis=0), np.ptp(own, axis=0)
             too_many = (
                 self.c.cluster_max_points is not None and len(own) > self.c.cluster_max_points
@@ -144,8 +146,35 @@ class Tracker:
             if self.c.measurement == "cluster":
                 R = R + (own - centroid).T @ (own - centroid) / len(own) ** 2
             timed = delays is not None and self.c.measurement == "cluster"
-            found.append((centroid, R, extent, delays[label == name].mean() if timed else 0.0))
+            found.append((centroid, R, extent, delays[rows].mean() if timed else 0.0))
         return found
+
+    def parts(self, rows, points, delays, tracks):
+        """The rows of a cluster, divided among the confirmed tracks that are near and apart."""
+        limit = self.c.split_distance
+        if limit is None:
+            return [rows]
+
+        def from_track(track):
+            moved = track.r + delays[rows, None] * track.x[3:6]
+            return np.linalg.norm(points[rows] - moved, axis=1)
+
+        owners = []
+        for track in tracks:
+            if not track.confirmed or from_track(track).min() > limit:
+                continue
+            y = [track.r - other.r for other in owners]
+            S = [(track.P + other.P)[:3, :3] for other in owners]
+            if all(
+                np.linalg.norm(a) > limit and a @ np.linalg.solve(b, a) > self.gate
+                for a, b in zip(y, S, strict=True)
+            ):
+                owners.append(track)
+        if len(owners) < 2:
+            return [rows]
+        nearest = np.argmin([from_track(track) for track in owners], axis=0)
+        parts = [rows[nearest == owner] for owner in np.unique(nearest)]
+        return [rows] if min(map(len, parts)) < self.c.cluster_min_points else parts
 
     def assign(self, rows, columns, offset):
         """Cheapest one-to-one assignment; column of every row or None."""
@@ -197,7 +226,9 @@ class Tracker:
         chosen = np.zeros(len(points), bool)
         for track in tracks:
             chosen |= self.inside(points, track, margin)
-        found = self.clusters(points[chosen], occupied, None if delays is None else delays[chosen])
+        found = self.clusters(
+            points[chosen], occupied, None if delays is None else delays[chosen], tracks
+        )
 
         def offset(row, column):
             z, R, _, delay = found[column]

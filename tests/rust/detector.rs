@@ -121,6 +121,7 @@ fn tracker() -> TrackerParameters {
         measurement: MeasurementForm::Cluster,
         measurement_std: 0.07,
         association: Association::Global { gate_probability: 0.997, clutter_density: 1e-5 },
+        split_distance: Some(0.8),
         confirmation: Confirmation { hits: 2, window: 10 },
         merging: Some(Merging { distance: 0.3, speed: 1.0 }),
         ageing: Ageing::Visible { max_coast: 3.0, report_coast: 0.5 },

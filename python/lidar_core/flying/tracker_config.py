@@ -128,6 +128,13 @@ class TrackerConfig(Config):
         gt=0,
         description="Density of clusters that belong to no track [1/m^3]; global association.",
     )
+    split_distance: float | None = Field(
+        0.8,
+        gt=0,
+        description="A cluster this near to several confirmed tracks, which are further apart from"
+        " each other, is divided among them [m]; none, as in the paper: it stays whole; global"
+        " association.",
+    )
     confirm_hits: int = Field(
         3,
         ge=1,
@@ -190,6 +197,7 @@ class TrackerConfig(Config):
             measurement="paper",
             measurement_std=1.0,
             association="paper",
+            split_distance=None,
             confirm_hits=1,
             confirm_window=1,
             merge_distance=None,

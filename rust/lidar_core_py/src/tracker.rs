@@ -41,6 +41,7 @@ pub(crate) struct TrackerConfig {
     association: String,
     gate_probability: f64,
     clutter_density: f64,
+    split_distance: Option<f64>,
     confirm_hits: u32,
     confirm_window: u32,
     merge_distance: Option<f64>,
@@ -97,6 +98,7 @@ impl TrackerConfig {
             measurement: arrays::choice("measurement", &self.measurement, &MEASUREMENT_FORMS)?,
             measurement_std: self.measurement_std,
             association: self.association()?,
+            split_distance: self.split_distance,
             confirmation: Confirmation { hits: self.confirm_hits, window: self.confirm_window },
             merging: self
                 .merge_distance

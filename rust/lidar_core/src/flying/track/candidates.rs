@@ -2,8 +2,6 @@
 
 use super::occupancy::Occupancy;
 use super::parameters::{MeasurementForm, TrackerParameters};
-use crate::Error;
-use crate::geometry::cluster;
 use crate::geometry::transform::norm;
 use nalgebra::{Matrix3, Vector3};
 use std::cmp::Ordering;
@@ -18,24 +16,22 @@ pub(super) struct Measurement {
     pub(super) extent: [f64; 3],
 }
 
-/// Clusters of `points` that are small enough and far enough from the background, by position.
+/// Clusters of `points`, given by their `labels`, that are small enough and far enough from the
+/// background, by position.
 ///
 /// The result does not depend on the order of the points, not even in its last bit.
 ///
-/// # Errors
-/// Those of [`cluster::label`].
-///
 /// # Source
-/// Vrba et al., Algorithm 2, lines 37-39 and 43.
+/// Vrba et al., Algorithm 2, lines 38-39 and 43.
 pub(super) fn candidates(
     points: &[[f32; 3]],
+    labels: &[i32],
     delays: &[f32],
     occupied: &dyn Occupancy,
     parameters: &TrackerParameters,
-) -> Result<Vec<Measurement>, Error> {
-    let labels = cluster::label(points, &parameters.clustering)?;
+) -> Vec<Measurement> {
     let mut clusters: Vec<Cluster> = Vec::new();
-    for (row, (point, &label)) in points.iter().zip(&labels).enumerate() {
+    for (row, (point, &label)) in points.iter().zip(labels).enumerate() {
         let Ok(label) = usize::try_from(label) else { continue }; // noise is negative
         if label >= clusters.len() {
             clusters.resize(label + 1, Cluster::EMPTY);
@@ -58,7 +54,7 @@ pub(super) fn candidates(
         })
         .collect();
     measurements.sort_by(|one, other| order(&one.position.into(), &other.position.into()));
-    Ok(measurements)
+    measurements
 }
 
 fn order<T: Copy + PartialOrd>(one: &[T; 3], other: &[T; 3]) -> Ordering {

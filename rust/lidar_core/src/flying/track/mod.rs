@@ -11,6 +11,7 @@ mod motion;
 mod occupancy;
 mod parameters;
 mod select;
+mod split;
 mod state;
 mod update;
 mod view;

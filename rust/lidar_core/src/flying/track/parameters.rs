@@ -132,6 +132,9 @@ pub struct TrackerParameters {
     pub measurement_std: f64,
     /// Association.
     pub association: Association,
+    /// A cluster this near to several tracks, which are further apart from each other, is divided
+    /// among them [m]; None: clusters stay whole. Global association only.
+    pub split_distance: Option<f64>,
     /// Confirmation.
     pub confirmation: Confirmation,
     /// Merging of duplicates.
@@ -160,14 +163,17 @@ impl TrackerParameters {
             );
         }
         let Radius { scale, min, max, .. } = self.radius;
-        for (name, value) in [("radius_scale", scale), ("radius_min", min), ("radius_max", max)] {
+        let positive = [
+            ("radius_scale", scale),
+            ("radius_min", min),
+            ("radius_max", max),
+            ("acceleration_time", self.motion.acceleration_time.unwrap_or(1.0)),
+            ("split_distance", self.split_distance.unwrap_or(1.0)),
+        ];
+        for (name, value) in positive {
             if !(value.is_finite() && value > 0.0) {
                 return refuse(name, "finite and > 0", value.to_string());
             }
-        }
-        let time = self.motion.acceleration_time.unwrap_or(1.0);
-        if !(time.is_finite() && time > 0.0) {
-            return refuse("acceleration_time", "finite and > 0", time.to_string());
         }
         let extent = self.max_extent.unwrap_or(0.0);
         if !(extent.is_finite() && extent >= 0.0) {

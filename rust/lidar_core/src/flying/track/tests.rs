@@ -19,6 +19,7 @@ fn paper() -> TrackerParameters {
         measurement: MeasurementForm::Paper,
         measurement_std: 1.0,
         association: Association::Paper,
+        split_distance: None,
         confirmation: Confirmation { hits: 1, window: 1 },
         merging: None,
         ageing: Ageing::Paper,
@@ -183,6 +184,7 @@ fn parameters_that_cannot_work_are_refused() {
         TrackerParameters { confirmation: Confirmation { hits: 3, window: 2 }, ..paper() },
         TrackerParameters { radius: Radius { max: f64::NAN, ..paper().radius }, ..paper() },
         TrackerParameters { max_extent: Some(f64::INFINITY), ..paper() },
+        TrackerParameters { split_distance: Some(0.0), ..paper() },
         TrackerParameters {
             motion: Motion { acceleration_time: Some(0.0), ..paper().motion },
             ..paper()

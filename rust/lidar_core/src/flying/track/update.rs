@@ -5,10 +5,12 @@ use super::motion::position_block;
 use super::occupancy::{Occupancy, Visibility};
 use super::parameters::{Ageing, Association, TrackerParameters};
 use super::select::{Ball, hits};
+use super::split::Division;
 use super::state::{TrackState, seconds};
 use crate::Error;
 use crate::estimation::association::{Pair, assign};
 use crate::estimation::{chi2, kalman};
+use crate::geometry::cluster;
 use nalgebra::{Matrix3, Vector3};
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -33,11 +35,12 @@ pub(super) struct Outcome {
 }
 
 /// Where a track looks.
-struct Seeker {
-    position: Vector3<f64>,
-    velocity: Vector3<f64>,
-    covariance: Matrix3<f64>,
-    radius: f64,
+pub(super) struct Seeker {
+    pub(super) position: Vector3<f64>,
+    pub(super) velocity: Vector3<f64>,
+    pub(super) covariance: Matrix3<f64>,
+    pub(super) radius: f64,
+    pub(super) confirmed: bool,
 }
 
 pub(super) struct Updater {
@@ -139,6 +142,7 @@ impl Updater {
             velocity: track.velocity(),
             covariance: position_block(&track.estimate.covariance),
             radius: self.search_radius(track),
+            confirmed: track.confirmed,
         }
     }
 
@@ -169,7 +173,8 @@ impl Updater {
                 .par_iter()
                 .zip(seekers)
                 .map(|((points, delays), seeker)| {
-                    let clusters = candidates(points, delays, occupied, &self.parameters)?;
+                    let labels = cluster::label(points, &self.parameters.clustering)?;
+                    let clusters = candidates(points, &labels, delays, occupied, &self.parameters);
                     let distance = |one: &Measurement| (one.position - seeker.position).norm();
                     Ok(clusters
                         .into_iter()
@@ -198,7 +203,13 @@ impl Updater {
         let delays: Vec<f32> = scan.delays.map_or_else(Vec::new, |delays| {
             chosen.iter().map(|&index| delays[index as usize]).collect()
         });
-        let clusters = candidates(&points, &delays, scan.occupied, &self.parameters)?;
+        let mut labels = cluster::label(&points, &self.parameters.clustering)?;
+        if let Some(distance) = self.parameters.split_distance {
+            let min_points = self.parameters.clustering.min_points;
+            let division = Division { distance, gate: self.gate, min_points };
+            division.divide(&mut labels, &points, &delays, seekers);
+        }
+        let clusters = candidates(&points, &labels, &delays, scan.occupied, &self.parameters);
         let cluster_of = self.assign(seekers.len(), clusters.len(), |track, cluster| {
             let (seeker, cluster) = (&seekers[track], &clusters[cluster]);
             let y = cluster.position - (seeker.position + seeker.velocity * cluster.delay);

@@ -1,0 +1,178 @@
+//! One cluster of several targets: every point goes to the track it is nearest to.
+
+use super::update::Seeker;
+use crate::estimation::kalman;
+use nalgebra::Vector3;
+
+/// What makes a cluster one of several targets.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Division {
+    /// A track this near to a point of a cluster may own a part of it; tracks no further apart
+    /// from each other may be one target [m].
+    pub(super) distance: f64,
+    /// Tracks whose squared Mahalanobis distance is larger are apart.
+    pub(super) gate: f64,
+    /// No part is smaller.
+    pub(super) min_points: usize,
+}
+
+/// A point, and its time after the stamp [s].
+struct Place {
+    at: Vector3<f64>,
+    delay: f64,
+}
+
+impl Place {
+    fn distance(&self, seeker: &Seeker) -> f64 {
+        (self.at - seeker.position - seeker.velocity * self.delay).norm()
+    }
+}
+
+impl Division {
+    /// Divide the clusters that lie near several confirmed tracks which are surely apart.
+    ///
+    /// `labels` are those of [`crate::geometry::cluster::label`]; parts get labels of their own.
+    pub(super) fn divide(
+        &self,
+        labels: &mut [i32],
+        points: &[[f32; 3]],
+        delays: &[f32],
+        seekers: &[Seeker],
+    ) {
+        let confirmed: Vec<&Seeker> = seekers.iter().filter(|seeker| seeker.confirmed).collect();
+        if confirmed.len() < 2 {
+            return;
+        }
+        let mut next = labels.iter().max().map_or(0, |&last| last + 1);
+        for rows in rows_of(labels, next) {
+            let places: Vec<Place> = rows
+                .iter()
+                .map(|&row| Place {
+                    at: Vector3::from(points[row].map(f64::from)),
+                    delay: delays.get(row).copied().map_or(0.0, f64::from),
+                })
+                .collect();
+            let parts = self.parts(&places, &confirmed);
+            for part in parts.iter().skip(1) {
+                part.iter().for_each(|&index| labels[rows[index]] = next);
+                next += 1;
+            }
+        }
+    }
+
+    /// Places by the track that owns them; none if the cluster stays whole.
+    fn parts(&self, places: &[Place], seekers: &[&Seeker]) -> Vec<Vec<usize>> {
+        let owners = self.owners(places, seekers);
+        if owners.len() < 2 {
+            return Vec::new();
+        }
+        let mut parts = vec![Vec::new(); owners.len()];
+        for (index, place) in places.iter().enumerate() {
+            let distance = |&owner: &usize| place.distance(owners[owner]);
+            let nearest =
+                (0..owners.len()).min_by(|one, other| distance(one).total_cmp(&distance(other)));
+            nearest.into_iter().for_each(|owner| parts[owner].push(index));
+        }
+        parts.retain(|part| !part.is_empty());
+        if parts.iter().any(|part| part.len() < self.min_points) {
+            parts.clear();
+        }
+        parts
+    }
+
+    /// Tracks near the cluster, each surely apart from those before it.
+    fn owners<'a>(&self, places: &[Place], seekers: &[&'a Seeker]) -> Vec<&'a Seeker> {
+        let Some(first) = places.first() else { return Vec::new() };
+        let (mut low, mut high, mut latest) = (first.at, first.at, 0.0_f64);
+        for place in places {
+            (low, high) = (low.inf(&place.at), high.sup(&place.at));
+            latest = latest.max(place.delay.abs());
+        }
+        let mut owners: Vec<&Seeker> = Vec::new();
+        for &seeker in seekers {
+            let reach = self.distance + latest * seeker.velocity.norm();
+            let outside = (low - seeker.position).sup(&(seeker.position - high));
+            let is_near = outside.max() <= reach
+                && places.iter().any(|place| place.distance(seeker) <= self.distance);
+            if is_near && owners.iter().all(|owner| self.are_apart(owner, seeker)) {
+                owners.push(seeker);
+            }
+        }
+        owners
+    }
+
+    fn are_apart(&self, one: &Seeker, other: &Seeker) -> bool {
+        let y = one.position - other.position;
+        let covariance = one.covariance + other.covariance;
+        y.norm() > self.distance
+            && kalman::mahalanobis(&y, &covariance).is_ok_and(|far| far.squared > self.gate)
+    }
+}
+
+/// Rows of every cluster, by label.
+fn rows_of(labels: &[i32], count: i32) -> Vec<Vec<usize>> {
+    let mut rows = vec![Vec::new(); usize::try_from(count).unwrap_or(0)];
+    for (row, &label) in labels.iter().enumerate() {
+        if let Ok(label) = usize::try_from(label) {
+            rows[label].push(row); // noise is negative
+        }
+    }
+    rows
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Matrix3;
+
+    const DIVISION: Division = Division { distance: 0.8, gate: 14.0, min_points: 1 };
+
+    fn seeker(x: f64, std: f64, confirmed: bool) -> Seeker {
+        Seeker {
+            position: Vector3::new(x, 0.0, 0.0),
+            velocity: Vector3::zeros(),
+            covariance: Matrix3::identity() * (std * std),
+            radius: 1.5,
+            confirmed,
+        }
+    }
+
+    fn divided(seekers: &[Seeker], division: Division) -> Vec<i32> {
+        let points = [0.0, 0.3, 0.7, 1.1].map(|x| [x, 0.0, 0.0]);
+        let mut labels = vec![0; points.len()];
+        division.divide(&mut labels, &points, &[], seekers);
+        labels
+    }
+
+    #[test]
+    fn points_go_to_the_nearest_track() {
+        let two = [seeker(0.0, 0.1, true), seeker(1.2, 0.1, true)];
+        assert_eq!(divided(&two, DIVISION), [0, 0, 1, 1]);
+    }
+
+    #[test]
+    fn a_cluster_stays_whole_where_division_is_not_certain() {
+        let certain = || seeker(0.0, 0.1, true);
+        for other in [
+            seeker(0.7, 0.1, true),  // may be the same target
+            seeker(1.2, 0.5, true),  // may be anywhere
+            seeker(1.2, 0.1, false), // may be nothing
+            seeker(2.0, 0.1, true),  // too far
+        ] {
+            assert_eq!(divided(&[certain(), other], DIVISION), [0; 4]);
+        }
+        let two = [certain(), seeker(1.2, 0.1, true)];
+        assert_eq!(divided(&two, Division { min_points: 3, ..DIVISION }), [0; 4]);
+        assert_eq!(divided(&[], DIVISION), [0; 4]);
+    }
+
+    #[test]
+    fn tracks_are_moved_to_the_time_of_every_point() {
+        let fast = Seeker { velocity: Vector3::new(10.0, 0.0, 0.0), ..seeker(0.1, 0.1, true) };
+        let seekers = [fast, seeker(1.6, 0.1, true)];
+        let points = [[1.1, 0.0, 0.0], [1.15, 0.0, 0.0]];
+        let mut labels = vec![0, 0];
+        DIVISION.divide(&mut labels, &points, &[0.1, 0.0], &seekers);
+        assert_eq!(labels, [0, 1]);
+    }
+}
