@@ -184,6 +184,27 @@ def test_crossing_targets_keep_their_numbers(gap, seed):
             assert np.linalg.norm(tracks.position - truth, axis=1).max() < 0.4
 
 
+def test_targets_that_share_a_cluster_keep_their_tracks():
+    """They pass at 0.9 m, their boxes at 0.6 m, which `cluster_distance` would bridge."""
+    errors = {}
+    for split_distance in (None, 0.8):
+        tracker = PointCloudTracker(
+            TrackerConfig(cluster_distance=0.7, split_distance=split_distance)
+        )
+        worst = 0.0
+        for k in range(60):
+            truth = np.array([[0.3 * k - 9, 0, 5], [9 - 0.3 * k, 0.9, 5]])
+            fly(tracker, truth, k)
+            tracks = tracker.tracks_at(k * STEP_NS)
+            if k >= 8:
+                far = np.linalg.norm(tracks.position[:, None] - truth, axis=2)
+                worst = max(worst, far.min(axis=0).max())
+        errors[split_distance] = worst
+        if split_distance is not None:
+            assert tracks.id.tolist() == [0, 1]
+    assert errors[0.8] < 0.1 < errors[None]
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_a_number_survives_two_hidden_seconds(seed):
     rng = np.random.default_rng(seed)

@@ -129,7 +129,8 @@ class Tracker:
         after = np.zeros(len(points)) if delays is None else delays
         whole = [np.flatnonzero(label == name) for name in dict.fromkeys(label)]
         found = []
-        for rows in [part for rows in whole for part in self.parts(rows, points, after, tracks)]:
+        divided = [self.parts(cluster, points, after, tracks) for cluster in whole]
+        for rows in [part for parts in divided for part in parts]:
             own = points[rows]
             centroid, extent = own.mean(axis=0), np.ptp(own, axis=0)
             too_many = (
