@@ -7,13 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.extras import require
-from lidar_core.io.atomic import written_whole
 from lidar_core.io.tracks import TracksLike
+from lidar_core.viz.figure import INK, PALE, PURPOSE, write_figure
 from lidar_core.viz.views import FlyingView
 
-PURPOSE = "the picture"
 SIZE, DPI = (14.0, 8.2), 110
-INK, PALE, FLYING, UNKNOWN = "#1f2933", "#9aa5b1", "#fb7185", "#f59e0b"
+FLYING, UNKNOWN = "#fb7185", "#f59e0b"
 VOXEL_COLOURS = ("#efeae0", "#d8cfbd", "#a89f8d")
 CLOUDS = (
     ("background, last scan", "#64748b", 0.6),
@@ -48,37 +47,7 @@ def draw_flying(view: FlyingView, path: str | Path) -> Path:
     MissingExtraError
         matplotlib is not installed.
     """
-    figure_module = require("matplotlib.figure", extra="plot", purpose=PURPOSE)
-    require("matplotlib.backends.backend_agg", extra="plot", purpose=PURPOSE)
-    style = require("matplotlib", extra="plot", purpose=PURPOSE)
-    place = Path(path)
-    with style.rc_context({**_STYLE}):
-        figure = figure_module.Figure(figsize=SIZE, dpi=DPI, facecolor="white")
-        _compose(figure, view)
-        with written_whole(place) as temporary:
-            figure.savefig(temporary, format="png")
-    return place
-
-
-_STYLE = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9,
-    "axes.edgecolor": PALE,
-    "axes.labelcolor": INK,
-    "axes.titlesize": 10,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "text.color": INK,
-    "grid.color": "#e6e8eb",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "savefig.pad_inches": 0.1,
-}
+    return write_figure(path, lambda figure: _compose(figure, view), size=SIZE, dpi=DPI)
 
 
 def _compose(figure: Any, view: FlyingView) -> None:

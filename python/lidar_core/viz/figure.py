@@ -1,0 +1,65 @@
+"""One style for all pictures, and how a figure becomes a file."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from lidar_core.extras import require
+from lidar_core.io.atomic import written_whole
+
+PURPOSE = "the picture"
+INK, PALE = "#1f2933", "#9aa5b1"
+
+
+def write_figure(
+    path: str | Path, draw: Callable[[Any], None], *, size: tuple[float, float], dpi: int = 110
+) -> Path:
+    """Let `draw` fill an empty matplotlib Figure, and write it as PNG, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to write.
+    draw : callable
+        Gets the Figure.
+    size : (float, float)
+        Width and height [inch].
+    dpi : int
+        Pixels per inch.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    figures = require("matplotlib.figure", extra="plot", purpose=PURPOSE)
+    require("matplotlib.backends.backend_agg", extra="plot", purpose=PURPOSE)
+    style = require("matplotlib", extra="plot", purpose=PURPOSE)
+    place = Path(path)
+    with style.rc_context({**_STYLE}):
+        figure = figures.Figure(figsize=size, dpi=dpi, facecolor="white")
+        draw(figure)
+        with written_whole(place) as temporary:
+            figure.savefig(temporary, format="png")
+    return place
+
+
+_STYLE = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.edgecolor": PALE,
+    "axes.labelcolor": INK,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "text.color": INK,
+    "grid.color": "#e6e8eb",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "savefig.pad_inches": 0.1,
+}
