@@ -571,3 +571,27 @@ def test_a_recording_reads_back_as_it_was_simulated(suffix, tmp_path):
     assert done.target_hits == rows["hits"].sum()
     assert done.points == sum((m.label >= 0).sum() for m in made)
     assert sim.Scene.read(done.scene) == scene.model_copy(update={"scans": 4})
+
+
+def test_a_street_keeps_given_places_clear():
+    places = np.array([[0.0, 0.0], [10.0, 5.0], [10.0, 7.0]])
+    bodies = sim.scenes.street(3, keep_clear=places, clearance=2.5)
+    assert len(bodies) == 1 + 15 + 15 + 10
+    for body in bodies[1:]:
+        shape = body.shape
+        reach = {
+            "box": lambda s: np.hypot(*s.size[:2]) / 2,
+            "cylinder": lambda s: s.radius,
+            "tree": lambda s: s.crown_radius,
+        }[shape.kind](shape)
+        assert (np.hypot(*(places - body.position[:2]).T) > reach + 2.5).all()
+    assert bodies == sim.scenes.street(3, keep_clear=places, clearance=2.5)
+    assert bodies != sim.scenes.street(4, keep_clear=places, clearance=2.5)
+
+
+def test_a_street_without_room_says_so():
+    grid = np.stack(np.meshgrid(np.arange(-45, 46, 5), np.arange(-45, 46, 5)), -1).reshape(-1, 2)
+    with pytest.raises(InputError, match="no room"):
+        sim.scenes.street(0, keep_clear=grid, clearance=5.0)
+    with pytest.raises(InputError, match="keep_clear"):
+        sim.scenes.street(0, keep_clear=[[1, 2, 3]], clearance=5.0)

@@ -1,10 +1,14 @@
 """Built-in scenes."""
 
+from collections.abc import Callable
 from math import hypot
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from lidar_core.errors import ConfigError
+from lidar_core.arrays import as_rows
+from lidar_core.errors import ConfigError, InputError
 from lidar_core.sim.config import Body, Scene, Target
 from lidar_core.sim.lidar import LidarModel, Spinning
 from lidar_core.sim.motions import Loop, RandomMotion, Waypoints
@@ -12,6 +16,10 @@ from lidar_core.sim.shapes import Box, Cylinder, Plane, Sphere, Tree
 
 DRONE_RADIUS = 0.325
 """Radius of the sphere that stands for a drone [m]."""
+DRAWS = 20_000
+"""Places to try for houses, poles or trees, before there is said to be no room."""
+IsClear: TypeAlias = Callable[[float, float, float], bool]
+"""Whether a body of some radius may stand at x, y [m]."""
 
 
 def performance(*, scene: int, seed: int = 20240607) -> Scene:
@@ -33,7 +41,7 @@ def performance(*, scene: int, seed: int = 20240607) -> Scene:
         elevations_deg=_fan(22.5, 128), columns=1024, azimuth_start=0.001, azimuth_per_scan=0.05
     )
     return Scene(
-        bodies=_street(np.random.default_rng(seed)),
+        bodies=_street(np.random.default_rng(seed), _is_clear),
         targets=(
             _drifting((8.0, 5.0, height + 1.5), (0.4, 0.1, 0.05), scans),
             _drifting((-6.0, -12.0, height - 1.0), (-0.2, 0.4, -0.05), scans),
@@ -52,7 +60,7 @@ def demo(seed: int = 0, *, scans: int = 60) -> Scene:
     """
     rng = np.random.default_rng([20240607, seed])
     return Scene(
-        bodies=_street(rng) + _trees(rng, count=10),
+        bodies=_street(rng, _is_clear) + _trees(rng, _is_clear, count=10),
         targets=(_drone(), _drone()),
         lidar=LidarModel.preset("os1-128"),
         sensor=Loop(
@@ -68,6 +76,42 @@ def demo(seed: int = 0, *, scans: int = 60) -> Scene:
     )
 
 
+def street(seed: int, *, keep_clear: ArrayLike, clearance: float) -> tuple[Body, ...]:
+    """Make a street like that of `demo` around given places: ground, houses, poles and trees.
+
+    Parameters
+    ----------
+    seed : int
+        Of sizes and places.
+    keep_clear : array_like, shape (N, 2), float64
+        Places that nothing but the ground may be near to [m]; many along a way keep it free.
+    clearance : float
+        Least horizontal distance from them to a house, pole or tree [m].
+
+    Returns
+    -------
+    bodies : tuple of Body
+
+    Raises
+    ------
+    InputError
+        Wrong shape, or the places leave no room.
+
+    Examples
+    --------
+    >>> len(street(0, keep_clear=[[0, 0], [5, 5]], clearance=2.0))
+    41
+    """
+    places = as_rows(keep_clear, name="keep_clear", rows=None, shape=(2,), dtype=np.float64)
+
+    def is_clear(x: float, y: float, radius: float) -> bool:
+        away = np.hypot(places[:, 0] - x, places[:, 1] - y)
+        return bool((away > radius + clearance).all())
+
+    rng = np.random.default_rng([20240607, seed])
+    return _street(rng, is_clear) + _trees(rng, is_clear, count=10)
+
+
 def _drone() -> Target:
     return Target(
         shape=Sphere(radius=DRONE_RADIUS),
@@ -80,39 +124,54 @@ def _drone() -> Target:
     )
 
 
-def _street(rng: np.random.Generator) -> tuple[Body, ...]:
-    """Ground, 15 houses and 15 poles, clear of the middle of the street."""
+def _street(rng: np.random.Generator, is_clear: IsClear) -> tuple[Body, ...]:
+    """Ground, 15 houses and 15 poles, each where it `is_clear`."""
     bodies = [Body(shape=Plane(size=(100.0, 100.0)))]
-    while len(bodies) < 16:
+
+    def house() -> Body | None:
         size_x, size_y, height = rng.uniform(4, 12), rng.uniform(4, 12), rng.uniform(6, 22)
         x, y = rng.uniform(-42, 42), rng.uniform(-42, 42)
-        if _is_clear(x, y, hypot(size_x, size_y) / 2):
-            house = Box(size=(size_x, size_y, height))
-            bodies.append(Body(shape=house, position=(x, y, height / 2)))
-    while len(bodies) < 31:
+        if not is_clear(x, y, hypot(size_x, size_y) / 2):
+            return None
+        return Body(shape=Box(size=(size_x, size_y, height)), position=(x, y, height / 2))
+
+    def pole() -> Body | None:
         radius, height = rng.uniform(0.3, 1.5), rng.uniform(8, 18)
         x, y = rng.uniform(-30, 30), rng.uniform(-30, 30)
-        if _is_clear(x, y, radius):
-            pole = Cylinder(radius=radius, height=height)
-            bodies.append(Body(shape=pole, position=(x, y, height / 2)))
-    return tuple(bodies)
+        if not is_clear(x, y, radius):
+            return None
+        return Body(shape=Cylinder(radius=radius, height=height), position=(x, y, height / 2))
+
+    return (*bodies, *_several(house, 15), *_several(pole, 15))
 
 
-def _trees(rng: np.random.Generator, *, count: int) -> tuple[Body, ...]:
-    trees: list[Body] = []
-    while len(trees) < count:
+def _trees(rng: np.random.Generator, is_clear: IsClear, *, count: int) -> tuple[Body, ...]:
+    def tree() -> Body | None:
         crown = rng.uniform(1.2, 2.2)
         x, y = rng.uniform(-25, 25), rng.uniform(-25, 25)
-        if _is_clear(x, y, crown):
-            tree = Tree(
-                trunk_radius=rng.uniform(0.12, 0.3),
-                trunk_height=rng.uniform(3.0, 5.0),
-                crown_radius=crown,
-                leaves=round(60 * crown**3),
-                seed=int(rng.integers(2**31)),
-            )
-            trees.append(Body(shape=tree, position=(x, y, 0.0)))
-    return tuple(trees)
+        if not is_clear(x, y, crown):
+            return None
+        shape = Tree(
+            trunk_radius=rng.uniform(0.12, 0.3),
+            trunk_height=rng.uniform(3.0, 5.0),
+            crown_radius=crown,
+            leaves=round(60 * crown**3),
+            seed=int(rng.integers(2**31)),
+        )
+        return Body(shape=shape, position=(x, y, 0.0))
+
+    return _several(tree, count)
+
+
+def _several(draw: Callable[[], Body | None], count: int) -> tuple[Body, ...]:
+    """Draw until `count` bodies have found a place."""
+    found: list[Body] = []
+    for _ in range(DRAWS):
+        if len(found) == count:
+            return tuple(found)
+        body = draw()
+        found += [body] if body is not None else []
+    raise InputError("keep_clear: the places leave no room for houses, poles and trees")
 
 
 def _is_clear(x: float, y: float, radius: float) -> bool:
