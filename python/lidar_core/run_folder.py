@@ -90,19 +90,7 @@ class RunFolder:
         self, inputs: Mapping[str, Any], config: Mapping[str, Config], **more: Any
     ) -> None:
         """Write run.toml: command, versions, inputs and the whole effective configuration."""
-        note = {
-            "command": join(["lidar-core", *sys.argv[1:]]),
-            **more,
-            "versions": {
-                "lidar_core": __version__,
-                "python": platform.python_version(),
-                "numpy": np.__version__,
-                "platform": platform.platform(),
-            },
-            "input": dict(inputs),
-            "config": {name: tomllib.loads(model.to_toml()) for name, model in config.items()},
-        }
-        self.write_text(RUN_FILE, tomli_w.dumps(note))
+        self.write_text(RUN_FILE, note_of(inputs, config, **more))
 
     def write_table(self, name: str, columns: Mapping[str, NDArray[Any] | Sequence[str]]) -> Path:
         """Write columns of equal length as NAME.parquet if pyarrow is installed, else NAME.csv."""
@@ -122,6 +110,28 @@ class RunFolder:
         with written_whole(path) as temporary:
             parquet.write_table(arrow.table(dict(columns)), temporary)
         return path
+
+
+def note_of(inputs: Mapping[str, Any], config: Mapping[str, Config], **more: Any) -> str:
+    """What made some results, as TOML: command, versions, inputs, effective configuration."""
+    note = {
+        "command": command_line(),
+        **more,
+        "versions": {
+            "lidar_core": __version__,
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+            "platform": platform.platform(),
+        },
+        "input": dict(inputs),
+        "config": {name: tomllib.loads(model.to_toml()) for name, model in config.items()},
+    }
+    return tomli_w.dumps(note)
+
+
+def command_line() -> str:
+    """Return the command that is running, as a shell takes it."""
+    return join(["lidar-core", *sys.argv[1:]])
 
 
 def fingerprint(path: Path) -> dict[str, Any]:

@@ -60,7 +60,7 @@ def consoles(json_file: Path | None) -> "tuple[Console, Console]":
     return (errors if str(json_file) == "-" else Console(), errors)
 
 
-def progress_on(console: "Console") -> "Progress":
+def progress_on(console: "Console", *, counts: str = "scans") -> "Progress":
     """Progress bar that counts scans and goes away at the end; only on a terminal."""
     from rich.progress import (
         BarColumn,
@@ -74,7 +74,7 @@ def progress_on(console: "Console") -> "Progress":
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("scans"),
+        TextColumn(counts),
         TimeRemainingColumn(),
         console=console,
         transient=True,
@@ -136,7 +136,7 @@ def draw(view: "FlyingView", path: Path, console: "Console") -> bool:
     return True
 
 
-def write_json(result: Mapping[str, Any], json_file: Path | None) -> None:
+def write_json(result: Mapping[str, Any] | list[Any], json_file: Path | None) -> None:
     """Write `result` where `--json` says."""
     if json_file is None:
         return

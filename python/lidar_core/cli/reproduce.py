@@ -1,0 +1,106 @@
+"""`lidar-core reproduce`: tables and figures of the papers, beside the papers' numbers."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lidar_core.cli.common import INTERRUPTED, JsonFile, Threads, consoles, write_json
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from lidar_core.reproduce import Item, Result
+
+ALL = "all"
+FRESH = "Make every part again, also those that an earlier run of this build finished."
+
+
+def command(
+    item: Annotated[
+        str | None, typer.Argument(help="What to run, or all; without it the list.")
+    ] = None,
+    *,
+    scans: Annotated[
+        int | None, typer.Option(min=1, help="Length; fewer for a quick look.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for ITEM.png, ITEM.json, ITEM.toml.")
+    ] = Path("runs/reproduce"),
+    fresh: Annotated[bool, typer.Option("--fresh", help=FRESH)] = False,
+    picture: Annotated[bool, typer.Option(help="Draw ITEM.png (extra `plot`).")] = True,
+    threads: Threads,
+    json: JsonFile = None,
+) -> None:
+    """Run tables and figures of the papers again: paper | paper mode | best mode.
+
+    Ctrl-C leaves whole files; the same command goes on where it stopped.
+    """
+    from lidar_core.cli.reproduce_job import ReproduceJob
+    from lidar_core.reproduce import item_named, items
+
+    out, errors = consoles(json)
+    if item is None:
+        out.print(_list(items()))
+        return
+    chosen = list(items().values()) if item == ALL else [item_named(item)]
+    for one in chosen:
+        length = scans or one.scans
+        text = f"{one.name}: {length:,} {one.counts}, about {one.duration(length)} on two cores"
+        errors.print(text, highlight=False, soft_wrap=True)
+    job = ReproduceJob(
+        output, seed=seed, scans=scans, threads=threads, is_fresh=fresh, draws=picture
+    )
+    done: list[dict[str, Any]] = []
+    try:
+        for one in chosen:
+            result = job.run(one, errors)
+            done.append(job.write(one, result, errors))
+            out.print(_table(one, result))
+            if str(json) != "-":  # a file holds what is finished, at any time
+                write_json(done if item == ALL else done[0], json)
+    except KeyboardInterrupt as stop:
+        errors.print("interrupted: the same command goes on from here")
+        raise typer.Exit(INTERRUPTED) from stop
+    if str(json) == "-":
+        write_json(done if item == ALL else done[0], json)
+    out.print(f"{output}: {', '.join(job.files)}", highlight=False, soft_wrap=True)
+
+
+def _list(items: "dict[str, Item]") -> "Table":
+    from rich.table import Table
+
+    table = Table(title="lidar-core reproduce ITEM", title_justify="left", title_style="bold")
+    for column in ("item", "shows", "full run", "on two cores"):
+        table.add_column(column, overflow="fold")
+    for item in items.values():
+        length = f"{item.scans:,} {item.counts}"
+        table.add_row(item.name, item.title, length, item.duration(item.scans))
+    return table
+
+
+def _table(item: "Item", result: "Result") -> "Table":
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(
+        title=escape(f"{item.name}: {item.title} ({result.scans:,} {item.counts})"),
+        title_justify="left", title_style="bold",
+        caption=escape(result.note), caption_justify="left",
+    )  # fmt: skip
+    table.add_column("", style="cyan", overflow="fold")
+    table.add_column("unit", style="dim")
+    for column in ("paper", "paper mode", "best mode"):
+        table.add_column(column, justify="right")
+    for row in result.rows:
+        values = (row.paper, row.paper_mode, row.best_mode)
+        table.add_row(escape(row.name), escape(row.unit), *map(_number, values))
+    return table
+
+
+def _number(value: float | None) -> str:
+    """Counts as they are, other numbers to three decimals; a dash where there is none."""
+    if value is None:
+        return "-"
+    return f"{value:,.0f}" if float(value).is_integer() else f"{value:.3f}"

@@ -1,0 +1,135 @@
+"""Independent parts of a long run: over several processes, and kept for a run that goes on.
+
+A part is a mapping of names to arrays, so that a finished one can lie on the disk as .npz.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import cache
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, TypeAlias
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+import lidar_core
+from lidar_core import _core
+from lidar_core.config import Config
+from lidar_core.io.atomic import written_whole
+from lidar_core.reproduce.types import Request
+
+Part: TypeAlias = dict[str, NDArray[Any]]
+STAMP = "stamp"
+"""Entry of a part on the disk that says what made it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One part: `function(**arguments)`, a function of a module, with plain arguments.
+
+    Attributes
+    ----------
+    name : str
+        Unique among the jobs of a run; names the file of the part.
+    function : callable
+        Returns the part; with the same arguments always the same one.
+    arguments : mapping
+        Numbers, texts, tuples of them and configurations.
+    scans : int
+        Its share of the progress.
+    """
+
+    name: str
+    function: Callable[..., Part]
+    arguments: Mapping[str, Any]
+    scans: int
+
+    @property
+    def stamp(self) -> str:
+        """What made the part; a part with another stamp is of no use."""
+        plain = {name: _plain(value) for name, value in self.arguments.items()}
+        return json.dumps([_build(), self.function.__qualname__, plain])
+
+
+def run(jobs: Sequence[Job], request: Request) -> list[Part]:
+    """Do all jobs and return their parts, in the order of the jobs.
+
+    With `request.parts` every finished part is kept there, and parts of an earlier run of the
+    same build with the same arguments are taken instead of made again.
+    """
+    parts: dict[str, Part] = {}
+    for job in jobs:
+        kept = _kept(job, request.parts)
+        if kept is not None:
+            parts[job.name] = kept
+            request.advance(job.scans)
+    left = [job for job in jobs if job.name not in parts]
+    if request.threads == 1 or len(left) <= 1:
+        for job in left:
+            parts[job.name] = _finished(job, job.function(**job.arguments), request)
+    else:
+        parts |= _in_processes(left, request)
+    return [parts[job.name] for job in jobs]
+
+
+def _in_processes(jobs: Sequence[Job], request: Request) -> dict[str, Part]:
+    parts: dict[str, Part] = {}
+    workers = min(request.threads, len(jobs))
+    # Not fork: objects of the core refuse to work in a forked process.
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    try:
+        pending: dict[Future[Part], Job] = {
+            pool.submit(job.function, **job.arguments): job for job in jobs
+        }
+        for done in as_completed(pending):
+            job = pending[done]
+            parts[job.name] = _finished(job, done.result(), request)
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+    return parts
+
+
+def _finished(job: Job, part: Part, request: Request) -> Part:
+    """Keep a part, and say so."""
+    if request.parts is not None:
+        request.parts.mkdir(parents=True, exist_ok=True)
+        save: Callable[..., None] = np.savez_compressed
+        with (
+            written_whole(request.parts / f"{job.name}.npz") as temporary,
+            temporary.open("wb") as file,
+        ):
+            save(file, **part, **{STAMP: np.array(job.stamp)})
+    request.advance(job.scans)
+    return part
+
+
+def _kept(job: Job, folder: Path | None) -> Part | None:
+    """Return the part of an earlier run, if it is of this very job."""
+    path = folder / f"{job.name}.npz" if folder is not None else None
+    if path is None or not path.is_file():
+        return None
+    try:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            part = {name: file[name] for name in file.files}
+    except (OSError, ValueError, BadZipFile):
+        return None  # cut short, or not ours: made again
+    return part if str(part.pop(STAMP, "")) == job.stamp else None
+
+
+@cache
+def _build() -> str:
+    """Digest of the core and of the package: parts of another build are made again."""
+    digest = hashlib.sha256(Path(_core.__file__).read_bytes())
+    package = Path(lidar_core.__file__).parent
+    for path in sorted(package.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    return value.model_dump(mode="json") if isinstance(value, Config) else value

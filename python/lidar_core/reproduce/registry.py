@@ -1,0 +1,29 @@
+"""The items of `lidar-core reproduce`."""
+
+from importlib import import_module
+
+from lidar_core.errors import ConfigError
+from lidar_core.reproduce.types import Item
+
+MODULES = ("flying_fig4",)
+"""Modules of this package that hold an `ITEM`, in the order in which `all` runs them."""
+
+
+def items() -> dict[str, Item]:
+    """Every item by its name."""
+    found = (import_module(f"lidar_core.reproduce.{name}").ITEM for name in MODULES)
+    return {item.name: item for item in found}
+
+
+def item_named(name: str) -> Item:
+    """Return the item that the command calls `name`.
+
+    Raises
+    ------
+    ConfigError
+        There is no such item.
+    """
+    known = items()
+    if name not in known:
+        raise ConfigError(f"item: expected one of {', '.join(known)} or all, got {name!r}")
+    return known[name]

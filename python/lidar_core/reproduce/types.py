@@ -1,0 +1,113 @@
+"""What an item of `lidar-core reproduce` is, is asked for, and returns."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+from lidar_core.config import Config
+
+Draw: TypeAlias = Callable[[Any], None]
+"""Draws into an empty matplotlib Figure."""
+
+
+class Row(NamedTuple):
+    """One number, as the paper has it and as both modes give it; None where it is not known.
+
+    A curve is one row per point: `recall@10m`.
+    """
+
+    name: str
+    unit: str
+    paper: float | None = None
+    paper_mode: float | None = None
+    best_mode: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """How to run an item.
+
+    Attributes
+    ----------
+    seed : int
+        Of everything random, >= 0.
+    scans : int
+        Length of the run, in what the item counts, >= 1. An item may do a little more or less:
+        whole flights.
+    threads : int
+        Processes or threads to use, >= 1; the rows do not depend on it.
+    parts : Path, optional
+        Folder for finished parts of a long run, see `jobs.run`; None keeps none.
+    advance : callable
+        Told how much of `scans` is done since the last call.
+    """
+
+    seed: int
+    scans: int
+    threads: int
+    parts: Path | None = None
+    advance: Callable[[int], None] = lambda done: None
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What an item gave.
+
+    Attributes
+    ----------
+    rows : tuple of Row
+        The table.
+    draw : callable
+        Draws the picture into an empty matplotlib Figure.
+    scans : int
+        What was really run.
+    note : str
+        What a reader of the table has to know.
+    config : mapping
+        Configurations in force, by name, for the note beside the results.
+    """
+
+    rows: tuple[Row, ...]
+    draw: Draw
+    scans: int
+    note: str = ""
+    config: Mapping[str, Config] = field(default_factory=dict)
+
+    def to_dict(self, *, item: str, seed: int, command: str) -> dict[str, Any]:
+        """As `--json` writes it."""
+        rows = [row._asdict() for row in self.rows]
+        return {"item": item, "seed": seed, "command": command, "rows": rows}
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One table or figure.
+
+    Attributes
+    ----------
+    name : str
+        As the command calls it.
+    title : str
+        What it shows, in one line.
+    scans : int
+        Length of the full run.
+    minutes : float
+        Duration of the full run on two cores [min].
+    run : callable
+        Runs it; imports what it needs.
+    counts : str
+        What `scans` counts.
+    """
+
+    name: str
+    title: str
+    scans: int
+    minutes: float
+    run: Callable[[Request], Result]
+    counts: str = "scans"
+
+    def duration(self, scans: int) -> str:
+        """Say how long `scans` take on two cores."""
+        seconds = self.minutes * 60 * scans / self.scans
+        return f"{max(1, round(seconds))} s" if seconds < 90 else f"{seconds / 60:.0f} min"

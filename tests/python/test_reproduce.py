@@ -1,0 +1,219 @@
+"""`lidar-core reproduce`: the framework, and every item in short."""
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from typer.testing import CliRunner
+
+from lidar_core import ConfigError, reproduce, sim
+from lidar_core.cli import app
+from lidar_core.reproduce import Item, Request, Result, Row
+from lidar_core.reproduce.jobs import Job, run
+from lidar_core.reproduce.registry import MODULES, item_named, items
+
+SHORT = {"flying-fig4": 30}
+"""Length of the short run of an item, where the common one shows too little."""
+COMMON = 16
+
+
+@pytest.fixture
+def coarse_sensor(monkeypatch):
+    """Every sensor has fewer rays and sees less far: the items stay what they are, in seconds."""
+    preset = sim.LidarModel.preset.__func__
+
+    def coarse(cls, name, **changes):
+        full = preset(cls, name, **changes)
+        pattern = sim.Spinning(elevations_deg=full.pattern.elevations_deg[::2], columns=512)
+        return full.model_copy(update={"pattern": pattern, "range_max": 12.0})
+
+    monkeypatch.setattr(sim.LidarModel, "preset", classmethod(coarse))
+
+
+def run_command(*arguments):
+    return CliRunner().invoke(app, ["reproduce", *map(str, arguments)])
+
+
+def item(name, run, **more):
+    return Item(name=name, title=f"{name} in short", scans=10, minutes=1, run=run, **more)
+
+
+def counted(request: Request) -> Result:
+    request.advance(request.scans)
+    return Result(
+        rows=(Row("recall@10m", "1", None, 0.5, np.float64(request.seed)),),
+        draw=lambda figure: figure.subplots().plot([0, 1]),
+        scans=request.scans,
+    )
+
+
+def stopped(request: Request) -> Result:
+    raise KeyboardInterrupt
+
+
+@pytest.fixture
+def two_items(monkeypatch):
+    """Two items in place of those that there are; returns a way to change them."""
+
+    def put(*chosen):
+        known = {one.name: one for one in chosen}
+        monkeypatch.setattr(reproduce, "items", lambda: known)
+        monkeypatch.setattr(reproduce, "item_named", known.__getitem__)
+
+    put(item("first", counted), item("second", counted))
+    return put
+
+
+# Every item
+
+
+@pytest.mark.parametrize("name", items())
+@pytest.mark.usefixtures("coarse_sensor")
+def test_an_item_in_short_gives_a_table_a_picture_and_json(name, tmp_path):
+    result = tmp_path / "result.json"
+    scans = SHORT.get(name, COMMON)
+    out = run_command(
+        name, "--scans", scans, "--seed", 7, "--threads", 1, "-o", tmp_path, "--json", result
+    )
+    assert out.exit_code == 0, out.output
+    values = json.loads(result.read_text())
+    assert set(values) == {"item", "seed", "command", "rows"}
+    assert (values["item"], values["seed"]) == (name, 7)
+    assert values["rows"]
+    for row in values["rows"]:
+        assert list(row) == ["name", "unit", "paper", "paper_mode", "best_mode"]
+        numbers = [row[column] for column in ("paper", "paper_mode", "best_mode")]
+        assert all(value is None or np.isfinite(value) for value in numbers), row
+        assert row["name"]
+        assert row["unit"]
+    names = [row["name"] for row in values["rows"]]
+    assert len(set(names)) == len(names)
+    assert json.loads((tmp_path / f"{name}.json").read_text()) == values
+    note = tomllib.loads((tmp_path / f"{name}.toml").read_text())
+    assert note["input"]["item"] == name
+    assert imread(tmp_path / f"{name}.png").shape[0] > 300
+
+
+def test_items_are_named_once_and_like_their_modules():
+    assert len(items()) == len(MODULES)
+    assert {name.replace("-", "_") for name in items()} == set(MODULES)
+    for one in items().values():
+        assert one.title
+        assert one.minutes <= 60
+
+
+# The command
+
+
+def test_without_an_item_the_list_names_all_of_them():
+    out = run_command()
+    assert out.exit_code == 0
+    for name in items():
+        assert name in out.output
+
+
+def test_an_unknown_item_is_named_with_the_known_ones(tmp_path):
+    out = run_command("flying-fig44", "-o", tmp_path / "a")
+    assert isinstance(out.exception, ConfigError)
+    assert "flying-fig4" in str(out.exception).split(", got ")[0]
+    assert "'flying-fig44'" in str(out.exception)
+    assert not (tmp_path / "a").exists()
+    with pytest.raises(ConfigError, match="expected one of"):
+        item_named("all")
+
+
+@pytest.mark.usefixtures("two_items")
+def test_all_writes_a_list_and_says_beforehand_how_long_it_takes(tmp_path):
+    out = run_command("all", "-o", tmp_path, "--scans", 5, "--json", "-")
+    assert out.exit_code == 0
+    values = json.loads(out.stdout)
+    assert [one["item"] for one in values] == ["first", "second"]
+    assert values[0]["rows"] == [
+        {"name": "recall@10m", "unit": "1", "paper": None, "paper_mode": 0.5, "best_mode": 0.0}
+    ]
+    assert "first: 5 scans, about 30 s on two cores" in out.stderr
+    assert {path.name for path in tmp_path.iterdir()} == {
+        f"{name}.{kind}" for name in ("first", "second") for kind in ("json", "png", "toml")
+    }
+
+
+def test_stopped_with_ctrl_c_the_files_of_what_was_finished_are_whole(tmp_path, two_items):
+    two_items(item("first", counted), item("second", stopped))
+    out = run_command("all", "-o", tmp_path / "a", "--json", tmp_path / "result.json")
+    assert out.exit_code == 130
+    assert [one["item"] for one in json.loads((tmp_path / "result.json").read_text())] == ["first"]
+    assert {path.name for path in (tmp_path / "a").iterdir()} == {
+        "first.json", "first.png", "first.toml"
+    }  # fmt: skip
+
+
+# Parts of long runs
+
+
+def doubled(*, number, log):
+    with open(log, "a", encoding="utf-8") as file:
+        file.write(f"{number}\n")
+    return {"value": np.array([2 * number])}
+
+
+def jobs_for(log, numbers=range(3)):
+    arguments = [{"number": number, "log": str(log)} for number in numbers]
+    return [Job(f"part-{values['number']}", doubled, values, 5) for values in arguments]
+
+
+def made(log):
+    return sorted(map(int, log.read_text().split()))
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_parts_come_in_the_order_of_the_jobs_and_are_made_once(tmp_path, threads):
+    log, advanced = tmp_path / "log", []
+    request = Request(
+        seed=0, scans=15, threads=threads, parts=tmp_path / "parts", advance=advanced.append
+    )
+    for _ in range(2):
+        parts = run(jobs_for(log), request)
+        assert [part["value"].tolist() for part in parts] == [[0], [2], [4]]
+        assert all(set(part) == {"value"} for part in parts)
+    assert made(log) == [0, 1, 2]
+    assert sum(advanced) == 30
+
+
+def test_a_part_of_other_arguments_or_cut_short_is_made_again(tmp_path):
+    log, folder = tmp_path / "log", tmp_path / "parts"
+    request = Request(seed=0, scans=15, threads=1, parts=folder)
+    run(jobs_for(log), request)
+    other = [Job("part-0", doubled, {"number": 9, "log": str(log)}, 5)]
+    assert run(other, request)[0]["value"].tolist() == [18]
+    whole = (folder / "part-1.npz").read_bytes()
+    (folder / "part-1.npz").write_bytes(whole[: len(whole) // 2])
+    (folder / "part-2.npz").write_text("not ours")
+    run(jobs_for(log, (1, 2)), request)
+    assert made(log) == [0, 1, 1, 2, 2, 9]
+
+
+def test_without_a_folder_no_part_is_kept(tmp_path):
+    log = tmp_path / "log"
+    for _ in range(2):
+        run(jobs_for(log, [1]), Request(seed=0, scans=5, threads=1))
+    assert made(log) == [1, 1]
+
+
+def test_fresh_forgets_parts_and_nothing_else(tmp_path, two_items):
+    log = tmp_path / "log"
+
+    def with_parts(request):
+        run(jobs_for(log, [1]), request)
+        return counted(request)
+
+    two_items(item("first", with_parts))
+    for more in ([], [], ["--fresh"]):
+        (tmp_path / "a" / "parts").mkdir(parents=True, exist_ok=True)
+        (tmp_path / "a" / "parts" / "mine.txt").write_text("kept")
+        out = run_command("first", "-o", tmp_path / "a", "--no-picture", *more)
+        assert out.exit_code == 0, out.output
+    assert made(log) == [1, 1]
+    assert (tmp_path / "a" / "parts" / "mine.txt").exists()
+    assert not (tmp_path / "a" / "first.png").exists()
