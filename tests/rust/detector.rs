@@ -36,6 +36,7 @@ fn parameters() -> FlyingParameters {
     FlyingParameters {
         map: map(),
         clustering: CLUSTERING,
+        cluster_angle: 0.0,
         cluster_voxels: false,
         classify: classify(),
         separation: Separation { max_gap: 0.8, min_confident: 4, dilate: false },

@@ -2,5 +2,6 @@
 
 pub mod cluster;
 pub mod lattice;
+pub mod sight;
 pub mod transform;
 pub mod traverse;
