@@ -2,7 +2,7 @@
 //!
 //! Three capabilities stand on shared modules and never import one another:
 //! [`flying`] finds and tracks flying objects in 3D scans; circles (2D) and fusion
-//! (LiDAR + radar) follow. [`geometry`] and [`estimation`] hold what they share.
+//! (LiDAR + radar) follow. [`geometry`], [`estimation`] and [`probability`] hold what they share.
 //!
 //! SI units and radians; right-handed frames, x forward, y left, z up; stamps are `i64`
 //! nanoseconds; points are `f32`, poses and filter states `f64`.
@@ -12,6 +12,7 @@ mod error;
 pub mod estimation;
 pub mod flying;
 pub mod geometry;
+pub mod probability;
 pub mod threads;
 
 pub use error::Error;
