@@ -1,0 +1,364 @@
+//! Area of a union of caps on the unit sphere, exactly.
+//!
+//! The border of the union consists of arcs of the caps' rims that no other cap covers. By the
+//! theorem of Gauss and Bonnet, the area to the left of a closed curve is, up to whole spheres, the
+//! sum over its arcs of the triangle between the arc's ends and any fixed point, and of what lies
+//! between the arc and the straight way between its ends. An arc's cap gives both.
+
+use crate::geometry::transform::{cross, dot, minus, norm};
+use rayon::ThreadPool;
+use rayon::prelude::*;
+use std::collections::HashMap;
+use std::f64::consts::PI;
+use std::ops::Range;
+
+const SPHERE: f64 = 4.0 * PI;
+
+/// Caps nearer to one another than this are one [rad].
+const SAME: f64 = 1e-10;
+/// Gaps in the cover of a rim that are shorter are none [rad].
+const LEAST_GAP: f64 = 1e-12;
+/// Longest piece of an arc whose ends are joined by a straight way.
+const LONGEST_PIECE: f64 = 2.0;
+/// Caps handed to a thread at a time; fixed, so that sums do not depend on the threads.
+const CAPS_PER_CHUNK: usize = 1024;
+/// Any point that is not special.
+const POLE: [f64; 3] = [0.6, 0.48, 0.64];
+
+/// A cap: its middle as a unit vector, and its angular radius, 0 to pi [rad].
+#[derive(Clone, Copy, Debug)]
+pub struct Cap {
+    /// Middle.
+    pub center: [f64; 3],
+    /// Angular radius [rad].
+    pub radius: f64,
+}
+
+impl Cap {
+    /// Area on the unit sphere [sr].
+    #[must_use]
+    pub fn area(&self) -> f64 {
+        let sine = libm::sin(0.5 * self.radius);
+        4.0 * PI * sine * sine
+    }
+}
+
+/// Unit vectors, sorted into cells of several sizes for searches of any reach.
+pub struct Directions {
+    units: Vec<[f64; 3]>,
+    /// Cells of some size, of twice that, and so on.
+    levels: Vec<Cells>,
+}
+
+impl Directions {
+    /// `directions` of any length except 0, of which equal ones count once. Caps around them will
+    /// have radii up to `largest` [rad].
+    #[must_use]
+    pub fn new(directions: &[[f64; 3]], largest: f64) -> Self {
+        let unit = |&direction: &[f64; 3]| {
+            let length = norm(direction);
+            direction.map(|value| value / length + 0.0) // no -0
+        };
+        let mut units: Vec<[f64; 3]> = directions.iter().map(unit).collect();
+        units.sort_unstable_by_key(|unit| unit.map(f64::to_bits));
+        let mut size = (4.0 * PI / units.len().max(1) as f64).sqrt().min(1.0);
+        let all = Cells::new(&units, size);
+        let is_first = |index: usize| {
+            let mut near = all.around(units[index]);
+            !near.any(|other| other < index && norm(minus(units[other], units[index])) < SAME)
+        };
+        let first: Vec<bool> = (0..units.len()).map(is_first).collect();
+        let mut first = first.iter();
+        units.retain(|_| first.next().copied().unwrap_or(false));
+        let mut levels = vec![Cells::new(&units, size)];
+        while size < 2.0 * largest {
+            size *= 2.0;
+            levels.push(Cells::new(&units, size));
+        }
+        Self { units, levels }
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.units.is_empty()
+    }
+
+    /// Area of the union of caps of `radius` around all directions and of `others` [sr].
+    ///
+    /// `radius` is at most pi/2, and at most the largest one that was announced; no two `others`
+    /// are equal.
+    #[must_use]
+    pub fn covered(&self, pool: &ThreadPool, radius: f64, others: &[Cap]) -> f64 {
+        let part = |chunk: &[[f64; 3]]| -> f64 {
+            chunk.iter().map(|&center| self.rim(Cap { center, radius }, others)).sum()
+        };
+        let parts: Vec<f64> =
+            pool.install(|| self.units.par_chunks(CAPS_PER_CHUNK).map(part).collect());
+        let more = (0..others.len()).map(|index| self.rim_of_other(index, radius, others));
+        let area = (parts.iter().sum::<f64>() + more.sum::<f64>()).rem_euclid(SPHERE);
+        let own = if self.units.is_empty() { 0.0 } else { Cap { center: POLE, radius }.area() };
+        let least = others.iter().map(Cap::area).fold(own, f64::max);
+        if area < 0.5 * least { SPHERE } else { area } // the sum leaves whole spheres open
+    }
+
+    /// What the uncovered arcs of the rim around a direction contribute.
+    fn rim(&self, cap: Cap, others: &[Cap]) -> f64 {
+        let frame = Frame::of(cap);
+        let mut cover = Cover::default();
+        for &other in others {
+            frame.add_covered(&mut cover, other, false);
+        }
+        // The nearest caps cover most of a rim: further ones matter near what they leave, if at all.
+        let mut gaps = vec![[0.0, 2.0 * PI]];
+        let chord = 2.0 * libm::sin(0.5 * cap.radius);
+        for cells in &self.levels {
+            let open: Vec<_> = gaps.iter().map(|&gap| frame.ball_around(gap)).collect();
+            for index in cells.around(cap.center) {
+                let center = self.units[index];
+                let meets = |(middle, reach): &([f64; 3], f64)| {
+                    norm(minus(center, *middle)) <= chord + reach
+                };
+                if center != cap.center && open.iter().any(meets) {
+                    frame.add_covered(&mut cover, Cap { center, ..cap }, false);
+                }
+            }
+            cover.settle();
+            gaps = cover.gaps();
+            if gaps.is_empty() || cells.size >= 2.0 * cap.radius {
+                break;
+            }
+        }
+        frame.contribution(&gaps)
+    }
+
+    /// The same for one of the other caps.
+    fn rim_of_other(&self, index: usize, radius: f64, others: &[Cap]) -> f64 {
+        let frame = Frame::of(others[index]);
+        let mut cover = Cover::default();
+        for (_, &other) in others.iter().enumerate().filter(|(other, _)| *other != index) {
+            frame.add_covered(&mut cover, other, false);
+        }
+        for &center in &self.units {
+            frame.add_covered(&mut cover, Cap { center, radius }, true);
+        }
+        cover.settle();
+        frame.contribution(&cover.gaps())
+    }
+}
+
+/// Indices of unit vectors, cell by cell.
+struct Cells {
+    size: f64,
+    indices: Vec<usize>,
+    /// Where the indices of a cell lie.
+    ranges: HashMap<[i32; 3], Range<usize>>,
+}
+
+impl Cells {
+    fn new(units: &[[f64; 3]], size: f64) -> Self {
+        let cell = |index: usize| cell(units[index], size);
+        let mut indices: Vec<usize> = (0..units.len()).collect();
+        indices.sort_unstable_by_key(|&index| (cell(index), index));
+        let mut ranges = HashMap::new();
+        let mut start = 0;
+        for part in indices.chunk_by(|&a, &b| cell(a) == cell(b)) {
+            ranges.insert(cell(part[0]), start..start + part.len());
+            start += part.len();
+        }
+        Self { size, indices, ranges }
+    }
+
+    /// All vectors not further than a cell's size from `unit`, and some more.
+    fn around(&self, unit: [f64; 3]) -> impl Iterator<Item = usize> {
+        let [x, y, z] = cell(unit, self.size);
+        (0..27)
+            .filter_map(move |k| {
+                self.ranges.get(&[x + k % 3 - 1, y + k / 3 % 3 - 1, z + k / 9 - 1])
+            })
+            .flat_map(|range| self.indices[range.clone()].iter().copied())
+    }
+}
+
+fn cell(unit: [f64; 3], size: f64) -> [i32; 3] {
+    unit.map(|value| (value / size).floor() as i32)
+}
+
+/// A cap's rim, with angles along it counted from `x` towards `y`.
+struct Frame {
+    center: [f64; 3],
+    x: [f64; 3],
+    y: [f64; 3],
+    sine: f64,
+    cosine: f64,
+}
+
+impl Frame {
+    fn of(Cap { center, radius }: Cap) -> Self {
+        let least = (0..3).fold(0, |a, b| if center[b].abs() < center[a].abs() { b } else { a });
+        let axis = std::array::from_fn(|row| f64::from(u8::from(row == least)));
+        let across = cross(axis, center);
+        let length = norm(across);
+        let x = across.map(|value| value / length);
+        Self { center, x, y: cross(center, x), sine: libm::sin(radius), cosine: libm::cos(radius) }
+    }
+
+    /// Add the arc of this rim that `other` covers; `ties`: one equal to this cap covers all of it.
+    fn add_covered(&self, cover: &mut Cover, other: Cap, ties: bool) {
+        let (x, y) = (dot(self.x, other.center), dot(self.y, other.center));
+        let (beside, along) = (libm::hypot(x, y), dot(self.center, other.center));
+        let (needed, sine) = (libm::cos(other.radius) - self.cosine * along, self.sine * beside);
+        if beside < SAME || needed.abs() >= sine {
+            if needed < 0.0 || (needed == 0.0 && ties) {
+                cover.add(0.0, PI);
+            }
+            return;
+        }
+        cover.add(libm::atan2(y, x), libm::acos(needed / sine));
+    }
+
+    /// Middle and radius of a ball that holds an arc of the rim.
+    fn ball_around(&self, [start, end]: [f64; 2]) -> ([f64; 3], f64) {
+        if end - start > PI {
+            return (self.center.map(|value| self.cosine * value), self.sine);
+        }
+        let middle = self.point(0.5 * (start + end));
+        (middle, norm(minus(self.point(start), middle)) + SAME)
+    }
+
+    fn point(&self, angle: f64) -> [f64; 3] {
+        let (x, y) = (self.sine * libm::cos(angle), self.sine * libm::sin(angle));
+        std::array::from_fn(|axis| {
+            self.cosine * self.center[axis] + x * self.x[axis] + y * self.y[axis]
+        })
+    }
+
+    /// Area swept from `POLE` along the arcs, up to whole spheres.
+    fn contribution(&self, arcs: &[[f64; 2]]) -> f64 {
+        let mut area = 0.0;
+        for &[start, end] in arcs {
+            let pieces = ((end - start) / LONGEST_PIECE).ceil();
+            let turn = (end - start) / pieces;
+            for piece in 0..pieces as u32 {
+                let from = start + f64::from(piece) * turn;
+                let ends = [self.point(from), self.point(from + turn)];
+                area += (1.0 - self.cosine) * turn - triangle(self.center, ends);
+                area += triangle(POLE, ends);
+            }
+        }
+        area
+    }
+}
+
+/// Signed area of the triangle of unit vectors on the sphere [sr].
+///
+/// # Source
+/// Van Oosterom & Strackee, "The Solid Angle of a Plane Triangle", 1983.
+fn triangle(a: [f64; 3], [b, c]: [[f64; 3]; 2]) -> f64 {
+    2.0 * libm::atan2(dot(a, cross(b, c)), 1.0 + dot(a, b) + dot(b, c) + dot(c, a))
+}
+
+/// Covered arcs of a rim, as angles from 0 to 2 pi.
+#[derive(Default)]
+struct Cover {
+    arcs: Vec<[f64; 2]>,
+}
+
+impl Cover {
+    /// Add the arc of half width `half` (0 to pi) around `middle` (-pi to pi).
+    fn add(&mut self, middle: f64, half: f64) {
+        let (start, end) = (middle - half, middle + half);
+        self.arcs.push([start.max(0.0), end.min(2.0 * PI)]);
+        if start < 0.0 {
+            self.arcs.push([start + 2.0 * PI, (end + 2.0 * PI).min(2.0 * PI)]);
+        }
+    }
+
+    /// Merge arcs that overlap.
+    fn settle(&mut self) {
+        self.arcs.retain(|[start, end]| start < end);
+        self.arcs.sort_unstable_by(|a, b| a[0].total_cmp(&b[0]));
+        self.arcs.dedup_by(|next, kept| {
+            let merges = next[0] <= kept[1] + LEAST_GAP;
+            if merges {
+                kept[1] = kept[1].max(next[1]);
+            }
+            merges
+        });
+    }
+
+    /// What is not covered; the arcs must be settled.
+    fn gaps(&self) -> Vec<[f64; 2]> {
+        let starts = std::iter::once(0.0).chain(self.arcs.iter().map(|arc| arc[1]));
+        let ends = self.arcs.iter().map(|arc| arc[0]).chain(std::iter::once(2.0 * PI));
+        starts
+            .zip(ends)
+            .filter(|(start, end)| end - start > LEAST_GAP)
+            .map(|(start, end)| [start, end])
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Error, threads};
+
+    fn covered(units: &[[f64; 3]], radius: f64, others: &[Cap]) -> Result<f64, Error> {
+        Ok(Directions::new(units, radius).covered(&threads::pool(1)?, radius, others))
+    }
+
+    #[test]
+    fn caps_apart_add_up() -> Result<(), Error> {
+        let one = Cap { center: POLE, radius: 0.2 }.area();
+        let axes = [[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, -3.0], [1.0, 0.0, 0.0]];
+        for count in 1..=3 {
+            let area = covered(&axes[..count], 0.2, &[])?;
+            assert!((area - count as f64 * one).abs() < 1e-12, "{count}: {area}");
+        }
+        assert!((covered(&axes, 0.2, &[])? - 3.0 * one).abs() < 1e-12); // twice the same: once
+        assert_eq!(covered(&[], 0.2, &[])?, 0.0);
+        Ok(())
+    }
+
+    #[test]
+    fn two_caps_share_a_lens() -> Result<(), Error> {
+        let (radius, away) = (0.5f64, 0.6f64);
+        let units = [[1.0, 0.0, 0.0], [libm::cos(away), libm::sin(away), 0.0]];
+        // The lens by polar coordinates about the first cap, beyond the middle line.
+        let rows = 200_000;
+        let half = libm::acos(libm::tan(away / 2.0) / libm::tan(radius));
+        let lens: f64 = (0..rows)
+            .map(|row| half * (2.0 * (f64::from(row) + 0.5) / f64::from(rows) - 1.0))
+            .map(|angle| libm::cos(libm::atan(libm::tan(away / 2.0) / libm::cos(angle))))
+            .map(|cosine| (cosine - libm::cos(radius)) * 2.0 * half / f64::from(rows))
+            .sum();
+        let exact = 2.0 * Cap { center: POLE, radius }.area() - 2.0 * lens;
+        assert!((covered(&units, radius, &[])? - exact).abs() < 1e-9);
+        Ok(())
+    }
+
+    #[test]
+    fn enough_caps_cover_everything() -> Result<(), Error> {
+        let axes: Vec<[f64; 3]> = (0..6)
+            .map(|k| {
+                std::array::from_fn(|a| if a == k / 2 { 1.0 - 2.0 * (k % 2) as f64 } else { 0.0 })
+            })
+            .collect();
+        assert_eq!(covered(&axes, 1.0, &[])?, SPHERE); // corners are 0.955 rad away
+        let corner_gaps = SPHERE - covered(&axes, 0.95, &[])?;
+        assert!(0.0 < corner_gaps && corner_gaps < 2e-3, "{corner_gaps}");
+        Ok(())
+    }
+
+    #[test]
+    fn a_cap_inside_another_adds_nothing() -> Result<(), Error> {
+        let big = Cap { center: [0.0, 0.0, 1.0], radius: 2.5 };
+        for unit in [[0.0, 0.0, 1.0], [0.3, 0.2, 0.8]] {
+            assert!((covered(&[unit], 0.4, &[big])? - big.area()).abs() < 1e-12);
+        }
+        let same = Cap { center: [0.0, 0.0, 1.0], radius: 0.4 };
+        assert!((covered(&[same.center], 0.4, &[same])? - same.area()).abs() < 1e-12);
+        Ok(())
+    }
+}
