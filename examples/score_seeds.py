@@ -31,12 +31,10 @@ def score(
                 pose_stamps_ns=made.pose_stamps_ns,
             )
         )
-    report = evaluation.evaluate(
-        evaluation.joined(truth),
-        tracks=evaluation.estimates_of_tracks(frame.tracks for frame in frames),
-        detections=evaluation.estimates_of_detections(frames),
-    )
-    return report.tracks, report.detections
+    table = evaluation.joined(truth)
+    tracks = evaluation.estimates_of_tracks(frame.tracks for frame in frames)
+    detections = evaluation.estimates_of_detections(frames)
+    return evaluation.score_tracks(tracks, table), evaluation.score_detections(detections, table)
 
 
 def main() -> None:

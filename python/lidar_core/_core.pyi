@@ -16,6 +16,9 @@ __all__ = [
     "__version__",
     "chi2_quantile",
     "cluster_points",
+    "detection_probability",
+    "hit_probability",
+    "point_covariance",
     "traverse",
 ]
 
@@ -34,10 +37,31 @@ def cluster_points(
     max_distance: float,
     min_points: int,
     max_points: int | None,
-    max_angle: float,
-    origin: NDArray[np.float64],
 ) -> NDArray[np.int32]: ...
 def chi2_quantile(probability: float, *, degrees: int) -> float: ...
+def point_covariance(
+    points: NDArray[np.float32],
+    world_from_lidar: NDArray[np.float64],
+    *,
+    pose_covariance: NDArray[np.float64],
+    range_std: float,
+) -> NDArray[np.float64]: ...
+def hit_probability(
+    points: NDArray[np.float64],
+    covariance: NDArray[np.float64],
+    *,
+    voxel_size: float,
+    origin: NDArray[np.float64],
+    threads: int,
+) -> NDArray[np.float64]: ...
+def detection_probability(
+    directions: NDArray[np.float64],
+    *,
+    radius: float,
+    distances: NDArray[np.float64],
+    field_of_view: tuple[float, float],
+    threads: int,
+) -> NDArray[np.float64]: ...
 
 @final
 class VoxelMap:

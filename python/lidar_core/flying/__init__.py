@@ -1,5 +1,10 @@
 """Detection and tracking of flying objects in 3D LiDAR."""
 
+from lidar_core.flying.analysis import (
+    detection_probability,
+    hit_probability,
+    point_covariance,
+)
 from lidar_core.flying.config import (
     ClassifyConfig,
     ClusterConfig,
@@ -38,4 +43,7 @@ __all__ = [
     "TrackerConfig",
     "Tracks",
     "VoxelMapConfig",
+    "detection_probability",
+    "hit_probability",
+    "point_covariance",
 ]

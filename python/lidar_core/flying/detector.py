@@ -12,6 +12,7 @@ from lidar_core import _core
 from lidar_core.arrays import as_mask, as_points, as_poses, as_real, as_rows, as_stamp
 from lidar_core.config import as_config
 from lidar_core.errors import InputError
+from lidar_core.flying.analysis import as_pose_covariance
 from lidar_core.flying.config import FlyingConfig
 from lidar_core.flying.results import (
     FlyingDetections,
@@ -117,7 +118,9 @@ class FlyingObjectDetector:
                 directions=_maybe_directions(directions, len(points)),
                 point_time_ns=_maybe_stamps(point_time_ns, "point_time_ns", len(points)),
                 pose_stamps_ns=_maybe_stamps(pose_stamps_ns, "pose_stamps_ns", None),
-                pose_covariance=_maybe_covariance(pose_covariance),
+                pose_covariance=(
+                    None if pose_covariance is None else as_pose_covariance(pose_covariance)
+                ),
                 sensor=_name(sensor),
                 organised=np.ndim(points_lidar) == 3,
             )
@@ -248,9 +251,6 @@ class FlyingObjectDetector:
         )
 
 
-_LARGEST_POSE_VARIANCE = 1e4
-"""A pose less certain than 100 m or 100 rad says nothing [m^2, rad^2]."""
-
 _NO_DETECTIONS = (
     np.empty((0, 3)),
     np.empty((0, 3, 3)),
@@ -330,23 +330,6 @@ def _maybe_stamps(
     if rows is not None:
         stamps = stamps.reshape(-1)
     return as_rows(stamps, name=name, rows=rows, shape=(), dtype=np.int64)
-
-
-def _maybe_covariance(values: ArrayLike | None) -> NDArray[np.float64] | None:
-    if values is None:
-        return None
-    matrix = as_rows(values, name="pose_covariance", rows=6, shape=(6,), dtype=np.float64)
-    if not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T):
-        raise InputError("pose_covariance: expected a finite symmetric matrix")
-    if np.abs(matrix).max() > _LARGEST_POSE_VARIANCE:
-        raise InputError(
-            f"pose_covariance: expected values up to {_LARGEST_POSE_VARIANCE:g} m^2 and rad^2,"
-            f" got {np.abs(matrix).max():g}"
-        )
-    values, axes = np.linalg.eigh((matrix + matrix.T) / 2)
-    if values[0] < -1e-9 * max(1.0, float(values[-1])):
-        raise InputError("pose_covariance: expected no negative eigenvalue")
-    return np.ascontiguousarray((axes * np.maximum(values, 0)) @ axes.T)  # not even by rounding
 
 
 def _name(sensor: str) -> str:

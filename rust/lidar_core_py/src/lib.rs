@@ -1,5 +1,6 @@
 //! The compiled module `lidar_core._core`: arrays in and out, no algorithms.
 
+mod analysis;
 mod arrays;
 mod errors;
 mod estimation;
@@ -13,6 +14,8 @@ mod voxel_map;
 
 #[pyo3::pymodule]
 mod _core {
+    #[pymodule_export]
+    use super::analysis::{detection_probability, hit_probability, point_covariance};
     #[pymodule_export]
     use super::estimation::chi2_quantile;
     #[pymodule_export]

@@ -1,6 +1,194 @@
-//! Uncertainty of measured points. Source: Vrba et al., sec. IV-A.
+//! What the sensor can know and see: uncertainty of measured points, probability that the right
+//! voxel is updated, probability that a target is met by a ray. Source: Vrba et al., sec. IV.
 
-use crate::geometry::transform::{Transform, minus};
+use crate::budget::check_points;
+use crate::geometry::caps::{Cap, Directions};
+use crate::geometry::lattice::{Lattice, wide};
+use crate::geometry::transform::{Transform, cross, minus, norm};
+use crate::probability::box_probability;
+use crate::{Error, threads};
+use rayon::prelude::*;
+use std::f64::consts::{FRAC_PI_2, PI};
+
+/// Points handed to a thread at a time.
+const POINTS_PER_CHUNK: usize = 1024;
+/// Smallest share of the sphere that a field of view may be.
+const LEAST_VIEW: f64 = 1e-6;
+
+/// Covariances of measured points in the world, from those of the pose and of the range.
+///
+/// `pose_covariance` is that of the translation and of the angles alpha, beta, gamma of
+/// `R = Rz(gamma) Ry(beta) Rx(alpha)`. Where a point is not finite, so is its covariance; one in
+/// the sensor itself has no range error, for want of a direction.
+///
+/// # Errors
+/// [`Error::Limit`] for too many points, [`Error::Parameter`] for a negative `range_std`.
+///
+/// # Source
+/// Vrba et al., eqs 34-44.
+pub fn point_covariance(
+    points_lidar: &[[f32; 3]],
+    world_from_lidar: &Transform,
+    pose_covariance: &[[f64; 6]; 6],
+    range_std: f64,
+) -> Result<Vec<[[f64; 3]; 3]>, Error> {
+    check_points(points_lidar.len())?;
+    if !(range_std.is_finite() && range_std >= 0.0) {
+        return Err(parameter("range_std", "finite and >= 0 [m]", range_std));
+    }
+    let of_point = |&point: &[f32; 3]| {
+        let jacobian = point_jacobian(world_from_lidar, wide(point));
+        let mut covariance = propagated(&jacobian, pose_covariance);
+        for (a, line) in covariance.iter_mut().enumerate() {
+            for (b, entry) in line.iter_mut().enumerate() {
+                *entry += range_std * range_std * (jacobian[a][6] * jacobian[b][6]);
+            }
+        }
+        covariance
+    };
+    Ok(points_lidar.iter().map(of_point).collect())
+}
+
+/// Derivative of a measured point by translation, angles and range (eq. 42).
+pub(crate) fn point_jacobian(pose: &Transform, point_lidar: [f64; 3]) -> [[f64; 7]; 3] {
+    let by_pose = pose_jacobian(pose, pose.apply(point_lidar));
+    let range = norm(point_lidar);
+    let along = pose.rotate(point_lidar);
+    std::array::from_fn(|row| {
+        std::array::from_fn(|column| match column {
+            0..6 => by_pose[row][column],
+            _ if range == 0.0 => 0.0,
+            _ => along[row] / range,
+        })
+    })
+}
+
+/// Probability that what was measured at `points` lies in the voxel of the measured point.
+///
+/// `covariance` is one for all points or one per point. NaN for points that are not finite.
+///
+/// # Errors
+/// [`Error::Length`], [`Error::Limit`], [`Error::PointOutOfRange`], [`Error::Parameter`] for what
+/// cannot be a lattice or number of threads, [`Error::NotPositiveDefinite`] for the first
+/// covariance that is none.
+///
+/// # Source
+/// Vrba et al., eqs 45-46.
+pub fn hit_probability(
+    points: &[[f64; 3]],
+    covariance: &[[[f64; 3]; 3]],
+    lattice: &Lattice,
+    threads: usize,
+) -> Result<Vec<f64>, Error> {
+    check_points(points.len())?;
+    if covariance.len() != 1 && covariance.len() != points.len() {
+        let (expected, got) = (points.len(), covariance.len());
+        return Err(Error::Length { name: "covariance", expected, got });
+    }
+    let of_point = |index: usize| {
+        let point = points[index];
+        if !point.iter().all(|value| value.is_finite()) {
+            return Ok(f64::NAN);
+        }
+        let center = lattice.center(lattice.voxel_at(point)?);
+        let to_center = minus(center, point);
+        let half = 0.5 * lattice.voxel_size();
+        box_probability(
+            &covariance[if covariance.len() == 1 { 0 } else { index }],
+            to_center.map(|value| value - half),
+            to_center.map(|value| value + half),
+        )
+    };
+    let hits: Vec<Result<f64, Error>> = threads::pool(threads)?.install(|| {
+        (0..points.len()).into_par_iter().with_min_len(POINTS_PER_CHUNK).map(of_point).collect()
+    });
+    hits.into_iter().collect() // the first error in the order of the points
+}
+
+/// Probability that at least one ray meets a ball whose centre lies anywhere at `distances` [m]
+/// with equal probability, for each of them.
+///
+/// A ray meets a ball of `radius` [m] at a distance l if the angle between the ray and the centre
+/// is at most asin(radius / l): the caps around the rays, whose union is measured exactly (to
+/// 1e-9). A sensor inside the ball meets it. `view` are the least and the largest elevation [rad]
+/// of the band of directions in which the centre lies; (-pi/2, pi/2) is the sphere of the paper.
+///
+/// # Errors
+/// [`Error::Value`] for a direction of no length or a distance that is none, [`Error::Parameter`]
+/// for the rest.
+///
+/// # Source
+/// Vrba et al., eqs 47-49.
+pub fn detection_probability(
+    directions: &[[f64; 3]],
+    radius: f64,
+    distances: &[f64],
+    view: [f64; 2],
+    threads: usize,
+) -> Result<Vec<f64>, Error> {
+    check_points(directions.len())?;
+    let share = check_view(view)?;
+    if !(radius.is_finite() && radius > 0.0) {
+        return Err(parameter("radius", "finite and > 0 [m]", radius));
+    }
+    for (index, direction) in directions.iter().enumerate() {
+        let length = norm(*direction);
+        if !(length.is_normal() && length > 0.0) {
+            let got = format!("{direction:?}");
+            let expected = "a direction";
+            return Err(Error::Value { name: "directions", expected, index, got });
+        }
+    }
+    if let Some(index) = distances.iter().position(|d| !(d.is_finite() && *d >= 0.0)) {
+        let (expected, got) = ("finite and >= 0 [m]", distances[index].to_string());
+        return Err(Error::Value { name: "distance", expected, index, got });
+    }
+    let pool = threads::pool(threads)?;
+    let nearest = distances.iter().copied().filter(|&l| l > radius).fold(f64::INFINITY, f64::min);
+    let directions = Directions::new(directions, cap_radius(radius, nearest));
+    let outside = outside(view);
+    let hidden: f64 = outside.iter().map(Cap::area).sum();
+    let met = |&distance: &f64| {
+        if directions.is_empty() || distance <= radius {
+            return if directions.is_empty() { 0.0 } else { 1.0 };
+        }
+        let covered = directions.covered(&pool, cap_radius(radius, distance), &outside);
+        ((covered - hidden) / (4.0 * PI * share)).clamp(0.0, 1.0)
+    };
+    Ok(distances.iter().map(met).collect())
+}
+
+fn cap_radius(radius: f64, distance: f64) -> f64 {
+    libm::asin((radius / distance).min(1.0))
+}
+
+/// Share of the sphere that a band of elevations is.
+///
+/// # Errors
+/// [`Error::Parameter`] if it is none.
+fn check_view([low, high]: [f64; 2]) -> Result<f64, Error> {
+    let share = 0.5 * (libm::sin(high) - libm::sin(low));
+    let inside = |angle: f64| (-FRAC_PI_2..=FRAC_PI_2).contains(&angle);
+    if inside(low) && inside(high) && share >= LEAST_VIEW {
+        return Ok(share);
+    }
+    Err(Error::Parameter {
+        name: "field_of_view",
+        expected: "least and largest elevation, -pi/2 to pi/2 [rad]",
+        got: format!("({low}, {high})"),
+    })
+}
+
+/// The caps above and below a band of elevations.
+fn outside([low, high]: [f64; 2]) -> Vec<Cap> {
+    let above = Cap { center: [0.0, 0.0, 1.0], radius: FRAC_PI_2 - high };
+    let below = Cap { center: [0.0, 0.0, -1.0], radius: FRAC_PI_2 + low };
+    [above, below].into_iter().filter(|cap| cap.radius > 0.0).collect()
+}
+
+fn parameter(name: &'static str, expected: &'static str, got: f64) -> Error {
+    Error::Parameter { name, expected, got: got.to_string() }
+}
 
 /// Derivative of a measured point by the pose: translation, then the angles alpha, beta, gamma of
 /// `R = Rz(gamma) Ry(beta) Rx(alpha)` (the first five blocks of eq. 42). `point` is in the frame
@@ -21,19 +209,18 @@ pub(crate) fn pose_jacobian(pose: &Transform, point: [f64; 3]) -> [[f64; 6]; 3] 
     })
 }
 
-/// `J C J'` (eq. 41).
-pub(crate) fn propagated(jacobian: &[[f64; 6]; 3], covariance: &[[f64; 6]; 6]) -> [[f64; 3]; 3] {
+/// `J C J'` for the columns of the pose (eq. 41), exactly symmetric.
+pub(crate) fn propagated<const N: usize>(
+    jacobian: &[[f64; N]; 3],
+    covariance: &[[f64; 6]; 6],
+) -> [[f64; 3]; 3] {
     let entry = |a: usize, b: usize| -> f64 {
         (0..6)
             .flat_map(|i| (0..6).map(move |j| (i, j)))
             .map(|(i, j)| jacobian[a][i] * covariance[i][j] * jacobian[b][j])
             .sum()
     };
-    std::array::from_fn(|a| std::array::from_fn(|b| entry(a, b)))
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    std::array::from_fn(|a| std::array::from_fn(|b| 0.5 * (entry(a, b) + entry(b, a))))
 }
 
 #[cfg(test)]
@@ -58,9 +245,12 @@ mod tests {
     fn the_jacobian_is_that_of_finite_differences() {
         let at = [1.0, -2.0, 3.0, 0.4, -0.7, 2.1];
         let local = [5.0, 3.0, -1.0];
-        let jacobian = pose_jacobian(&pose(at), pose(at).apply(local));
-        for column in 0..6 {
+        let jacobian = point_jacobian(&pose(at), local);
+        for column in 0..7 {
             let shifted = |by: f64| {
+                if column == 6 {
+                    return pose(at).apply(local.map(|value| value * (1.0 + by / norm(local))));
+                }
                 let mut moved = at;
                 moved[column] += by;
                 pose(moved).apply(local)
@@ -70,5 +260,28 @@ mod tests {
                 assert!((difference[row] / 2e-6 - jacobian[row][column]).abs() < 1e-8);
             }
         }
+    }
+
+    #[test]
+    fn a_certain_pose_leaves_the_range_error_along_the_ray() -> Result<(), Error> {
+        let none = [[0.0; 6]; 6];
+        let covariance =
+            point_covariance(&[[0.0, 5.0, 0.0], [0.0; 3]], &Transform::IDENTITY, &none, 0.1)?;
+        assert!((covariance[0][1][1] - 0.01).abs() < 1e-15);
+        assert_eq!(covariance[0][0], [0.0; 3]);
+        assert_eq!(covariance[1], [[0.0; 3]; 3]);
+        Ok(())
+    }
+
+    #[test]
+    fn one_ray_covers_its_cap() -> Result<(), Error> {
+        let whole = [-FRAC_PI_2, FRAC_PI_2];
+        let met = detection_probability(&[[0.0, 3.0, 0.0]], 0.5, &[0.4, 5.0, 50.0], whole, 1)?;
+        assert_eq!(met[0], 1.0);
+        for (share, distance) in met[1..].iter().zip([5.0f64, 50.0]) {
+            let exact = 0.5 * (1.0 - (1.0 - (0.5 / distance).powi(2)).sqrt());
+            assert!((share / exact - 1.0).abs() < 1e-9, "{share} {exact}");
+        }
+        Ok(())
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Source: Vrba, Walter & Saska, "On Onboard LiDAR-based Flying Object Detection".
 
-mod analysis;
+pub mod analysis;
 pub mod beams;
 mod blocks;
 pub mod classify;

@@ -1,0 +1,75 @@
+//! Bindings of `lidar_core::flying::analysis`.
+
+use crate::arrays;
+use crate::errors::BorderError;
+use crate::guard::detached;
+use lidar_core::flying::analysis;
+use lidar_core::geometry::lattice::Lattice;
+use lidar_core::geometry::transform::Transform;
+use numpy::{
+    IntoPyArray, PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
+    PyReadonlyArray3, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+
+#[pyfunction]
+#[pyo3(signature = (points, world_from_lidar, *, pose_covariance, range_std))]
+pub(crate) fn point_covariance<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f32>,
+    world_from_lidar: [[f64; 4]; 4],
+    pose_covariance: [[f64; 6]; 6],
+    range_std: f64,
+) -> Result<Bound<'py, PyArray3<f64>>, BorderError> {
+    let points = arrays::rows3("points_lidar", &points)?;
+    let pose = Transform {
+        rotation: std::array::from_fn(|row| std::array::from_fn(|k| world_from_lidar[row][k])),
+        translation: std::array::from_fn(|row| world_from_lidar[row][3]),
+    };
+    let covariances =
+        detached(py, || analysis::point_covariance(points, &pose, &pose_covariance, range_std))?;
+    let entries: Vec<f64> = covariances.into_flattened().into_flattened();
+    Ok(entries.into_pyarray(py).reshape([points.len(), 3, 3])?)
+}
+
+#[pyfunction]
+#[pyo3(signature = (points, covariance, *, voxel_size, origin, threads))]
+pub(crate) fn hit_probability<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f64>,
+    covariance: PyReadonlyArray3<'py, f64>,
+    voxel_size: f64,
+    origin: [f64; 3],
+    threads: i64,
+) -> Result<Bound<'py, PyArray1<f64>>, BorderError> {
+    let points = arrays::rows3("points_world", &points)?;
+    let (name, threads) = ("covariance", arrays::count("threads", threads)?);
+    if covariance.shape()[1..] != [3, 3] {
+        let got = covariance.shape().to_vec();
+        return Err(BorderError::Shape { name, expected: "(N, 3, 3)", got });
+    }
+    let rows = arrays::flat(name, &covariance)?.as_chunks::<3>().0.as_chunks::<3>().0;
+    let hits = detached(py, || {
+        analysis::hit_probability(points, rows, &Lattice::new(voxel_size, origin)?, threads)
+    })?;
+    Ok(hits.into_pyarray(py))
+}
+
+#[pyfunction]
+#[pyo3(signature = (directions, *, radius, distances, field_of_view, threads))]
+pub(crate) fn detection_probability<'py>(
+    py: Python<'py>,
+    directions: PyReadonlyArray2<'py, f64>,
+    radius: f64,
+    distances: PyReadonlyArray1<'py, f64>,
+    field_of_view: [f64; 2],
+    threads: i64,
+) -> Result<Bound<'py, PyArray1<f64>>, BorderError> {
+    let directions = arrays::rows3("directions", &directions)?;
+    let distances = arrays::flat("distance", &distances)?;
+    let threads = arrays::count("threads", threads)?;
+    let shares = detached(py, || {
+        analysis::detection_probability(directions, radius, distances, field_of_view, threads)
+    })?;
+    Ok(shares.into_pyarray(py))
+}
