@@ -11,7 +11,7 @@ use lidar_core::flying::scan::RawScan;
 use lidar_core::flying::sensor::SensorParameters;
 use lidar_core::flying::separate::Separation;
 use lidar_core::flying::track::{
-    Ageing, Association, Confirmation, MeasurementForm, Merging, Motion, NoiseForm, Radius,
+    Ageing, Association, Confirmation, Hiding, MeasurementForm, Merging, Motion, NoiseForm, Radius,
     RadiusForm, TrackerParameters,
 };
 use lidar_core::flying::voxel_map::{MapParameters, RayUnit};
@@ -225,6 +225,7 @@ pub fn tracker_parameters() -> TrackerParameters {
         initial_std: [0.3, 4.0, 3.0],
         measurement: MeasurementForm::Cluster,
         measurement_std: 0.07,
+        hiding: Some(Hiding { share: 0.75, time: 2.0 }),
         association: Association::Global { gate_probability: 0.997, clutter_density: 1e-5 },
         split_distance: Some(0.8),
         confirmation: Confirmation { hits: 3, window: 10 },

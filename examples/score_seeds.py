@@ -31,10 +31,12 @@ def score(
                 pose_stamps_ns=made.pose_stamps_ns,
             )
         )
-    table = evaluation.joined(truth)
-    tracks = evaluation.estimates_of_tracks(frame.tracks for frame in frames)
-    detections = evaluation.estimates_of_detections(frames)
-    return evaluation.score_tracks(tracks, table), evaluation.score_detections(detections, table)
+    report = evaluation.evaluate(
+        evaluation.joined(truth),
+        tracks=evaluation.estimates_of_tracks(frame.tracks for frame in frames),
+        detections=evaluation.estimates_of_detections(frames),
+    )
+    return report.tracks, report.detections
 
 
 def main() -> None:

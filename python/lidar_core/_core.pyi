@@ -37,6 +37,8 @@ def cluster_points(
     max_distance: float,
     min_points: int,
     max_points: int | None,
+    max_angle: float,
+    origin: NDArray[np.float64],
 ) -> NDArray[np.int32]: ...
 def chi2_quantile(probability: float, *, degrees: int) -> float: ...
 def point_covariance(

@@ -66,9 +66,15 @@ def traverse(
 
 
 def cluster_points(
-    points: ArrayLike, *, max_distance: float, min_points: int, max_points: int | None = None
+    points: ArrayLike,
+    *,
+    max_distance: float,
+    min_points: int,
+    max_points: int | None = None,
+    max_angle: float = 0.0,
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> NDArray[np.int32]:
-    """Group points that are linked by steps of at most `max_distance`.
+    """Group points that are linked by steps of at most `max_distance`, or more where they are far.
 
     Parameters
     ----------
@@ -81,6 +87,11 @@ def cluster_points(
         Smaller clusters are labelled as noise, >= 1.
     max_points : int, optional
         Larger clusters are labelled as noise.
+    max_angle : float
+        A step of at most this angle times the range of the nearer point links too [rad], 0 to
+        0.5: far away, the gaps between the rays of a LiDAR are wide.
+    origin : array_like, shape (3,)
+        The sensor, from which ranges are taken [m].
 
     Returns
     -------
@@ -92,7 +103,7 @@ def cluster_points(
     InputError
         Wrong shape or dtype, or a cloud more than 2^31 steps wide.
     ConfigError
-        `max_distance` <= 0 or `min_points` < 1.
+        `max_distance` <= 0, `min_points` < 1 or `max_angle` not in 0 to 0.5.
     LimitError
         More than 4 million points.
 
@@ -106,5 +117,10 @@ def cluster_points(
     array([0, 0, 1], dtype=int32)
     """
     return _core.cluster_points(
-        as_points(points), max_distance=max_distance, min_points=min_points, max_points=max_points
+        as_points(points),
+        max_distance=max_distance,
+        min_points=min_points,
+        max_points=max_points,
+        max_angle=max_angle,
+        origin=as_vector(origin, name="origin", size=3),
     )

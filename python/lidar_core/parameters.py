@@ -19,6 +19,7 @@ MODELS = {
     "evaluation": "lidar_core.evaluation:EvaluationConfig",
     "flight": "lidar_core.sim:InsertedFlight",
     "flying": "lidar_core.flying:FlyingConfig",
+    "pose_noise": "lidar_core.sim:PoseNoise",
     "poses": "lidar_core.io:PoseOptions",
     "read": "lidar_core.io:ReadOptions",
     "scene": "lidar_core.sim:Scene",

@@ -33,6 +33,8 @@ FILES = (
     RUN_FILE,
     "scene.toml",
     "summary.json",
+    "timing.csv",
+    "timing.parquet",
     "tracks.csv",
     "tracks.parquet",
     "truth.csv",
@@ -132,6 +134,12 @@ def note_of(inputs: Mapping[str, Any], config: Mapping[str, Config], **more: Any
 def command_line() -> str:
     """Return the command that is running, as a shell takes it."""
     return join(["lidar-core", *sys.argv[1:]])
+
+
+def table_in(folder: Path, name: str) -> Path | None:
+    """The table NAME of a run folder, in whichever format it was written; None without one."""
+    places = (folder / f"{name}{suffix}" for suffix in (".parquet", ".csv"))
+    return next((place for place in places if place.is_file()), None)
 
 
 def fingerprint(path: Path) -> dict[str, Any]:

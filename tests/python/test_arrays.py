@@ -227,7 +227,8 @@ def test_integers_that_do_not_fit_are_refused(values, dtype, text):
 
 def test_the_core_checks_again():
     """Whoever calls the compiled module directly gets typed errors too."""
-    options = {"max_distance": 1.0, "min_points": 1, "max_points": None}
+    sight = {"max_angle": 0.0, "origin": np.zeros(3)}
+    options = {"max_distance": 1.0, "min_points": 1, "max_points": None, **sight}
     with pytest.raises(InputError, match=r"^points: expected shape \(N, 3\), got \[2, 4\]$"):
         _core.cluster_points(np.zeros((2, 4), np.float32), **options)
     with pytest.raises(InputError, match=r"^points: expected a C-contiguous array$"):

@@ -49,7 +49,7 @@ def test_every_command_explains_itself(command):
 
 
 def test_the_commands_are_those_of_the_guide():
-    assert {"config", "demo", "detect", "doctor", "info", "simulate"} <= set(COMMANDS)
+    assert {"config", "demo", "detect", "doctor", "evaluate", "info", "simulate"} <= set(COMMANDS)
 
 
 def test_version():

@@ -60,6 +60,17 @@ def test_the_folder_holds_what_the_guide_says(demo):
     assert not [name for name in names if name.startswith(".")]
 
 
+def test_the_folder_can_be_evaluated_again(demo, tmp_path):
+    folder, _, result = demo
+    again = tmp_path / "again.json"
+    out = CliRunner().invoke(app, ["evaluate", str(folder), str(folder), "--json", str(again)])
+    assert out.exit_code == 0, out.output
+    values = json.loads(again.read_text())
+    for name in ("track_scores", "detection_scores", "latency_ms"):
+        assert values[name] == result[name]
+    assert values["identity_scores"]["mota"] == 1.0
+
+
 def test_the_note_holds_the_whole_configuration(demo):
     note = tomllib.loads((demo[0] / "run.toml").read_text())
     assert FlyingConfig.load(note["config"]["flying"]) == FlyingConfig()

@@ -248,6 +248,44 @@ def test_clusters_equal_scipy_on_clouds(shape, n):
         )
 
 
+angles = st.sampled_from([0.0, 0.01, 0.125, 0.25, 0.5])
+
+
+@given(
+    points=grid_points,
+    origin=st.tuples(*[st.integers(-30, 30)] * 3),
+    max_angle=angles,
+    size=sizes,
+)
+def test_clusters_seen_from_afar_equal_scipy_on_grids(points, origin, max_angle, size):
+    assert_same_labels(
+        (points / 8).astype(np.float32),
+        max_distance=0.125,
+        min_points=size[0],
+        max_points=size[1],
+        max_angle=max_angle,
+        origin=tuple(value / 8 for value in origin),
+    )
+
+
+@pytest.mark.parametrize("shape", [blobs, line, rings, copies])
+@pytest.mark.parametrize("n", [1, 2, 50, 400, 3000])
+def test_clusters_seen_from_afar_equal_scipy_on_clouds(shape, n):
+    rng = np.random.default_rng(n)
+    options = {"max_distance": 0.0625, "min_points": 2, "origin": (1.0, -2.0, 0.5)}
+    labels = assert_same_labels(cloud := shape(rng, n), max_angle=0.0125, **options)
+    rows = rng.permutation(n)
+    shuffled = np.empty_like(labels)
+    shuffled[rows] = cluster_points(cloud[rows], max_angle=0.0125, **options)
+    assert canonical(shuffled) == canonical(labels)
+
+
+@pytest.mark.parametrize("angle", [-0.1, 0.6, np.nan])
+def test_angles_out_of_range_are_refused(angle):
+    with pytest.raises(ConfigError, match=r"^max_angle: expected 0 to 0.5, got "):
+        cluster_points(np.zeros((1, 3)), max_distance=1.0, min_points=1, max_angle=angle)
+
+
 def canonical(labels):
     """The partition alone: for every point the first member of its cluster."""
     first = {label: row for row, label in reversed(list(enumerate(labels.tolist())))}

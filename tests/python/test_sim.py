@@ -595,3 +595,83 @@ def test_a_street_without_room_says_so():
         sim.scenes.street(0, keep_clear=grid, clearance=5.0)
     with pytest.raises(InputError, match="keep_clear"):
         sim.scenes.street(0, keep_clear=[[1, 2, 3]], clearance=5.0)
+
+
+shuttles = st.builds(
+    lambda speed, acceleration, pause, length: sim.Shuttle(
+        start=(0, 0, 1), end=(0, length, 1), speed=speed, acceleration=acceleration, pause=pause
+    ),
+    *[st.floats(0.2, 10)] * 2,
+    st.floats(0, 3),
+    st.floats(0.5, 30),
+)
+
+
+@given(shuttles)
+def test_a_shuttle_keeps_its_speed_and_acceleration_and_reaches_both_ends(shuttle):
+    length = shuttle.end[1]
+    leg = shuttle.leg(length)
+    times, matrices = shuttle.knots(2 * leg + 0.5)
+    way = matrices[:, 1, 3]
+    assert way.min() >= 0
+    assert way.max() <= length
+    speed = np.diff(way) / np.diff(times)
+    assert np.abs(speed).max() <= shuttle.speed + 1e-6
+    turn = np.diff(speed) / np.diff(times)[1:]
+    assert np.abs(turn).max() <= shuttle.acceleration * 1.001 + 1e-6
+    reach = shuttle.acceleration * 0.01**2
+    assert np.interp(leg, times, way) == pytest.approx(length, abs=reach)
+    assert np.interp(leg - shuttle.pause, times, way) == pytest.approx(length, abs=reach)
+    assert np.interp(2 * leg, times, way) == pytest.approx(0, abs=reach)
+    later = shuttle.model_copy(update={"lead": 1.0}).knots(1.0)[1][:, 1, 3]
+    np.testing.assert_allclose(later[0], np.interp(1.0, *(times, way)), atol=reach)
+
+
+def test_a_shuttle_needs_two_places():
+    with pytest.raises(ConfigError, match="expected two places"):
+        sim.Shuttle(start=(1, 2, 3), end=(1, 2, 3), speed=1, acceleration=1)
+
+
+# Noise on poses
+
+
+def pose_errors(noise, *, scans, seed=0):
+    """Errors of the poses of successive scans, (scans, K, 6): translations and angles."""
+    scene = sim.Scene(lidar=sim.LidarModel(pattern=sim.Spinning(elevations_deg=(0,), columns=1)))
+    noisy = sim.NoisyPoses(noise, seed=seed)
+    errors = []
+    for made in sim.simulate(scene, seed=0, scans=scans):
+        seen = noisy.observed(made)
+        assert seen.truth is made.truth
+        assert (seen.world_from_lidar == seen.poses[0]).all()
+        step = np.linalg.inv(made.poses) @ seen.poses
+        angles = Rotation.from_matrix(step[:, :3, :3]).as_euler("ZYX")[:, ::-1]
+        errors.append(np.hstack([seen.poses[:, :3, 3] - made.poses[:, :3, 3], angles]))
+    return np.array(errors)
+
+
+def test_white_pose_noise_is_one_error_per_scan_of_the_stated_size():
+    noise = sim.PoseNoise(position_std=0.1, angle_std_deg=0.5)
+    errors = pose_errors(noise, scans=400)
+    np.testing.assert_allclose(errors, np.repeat(errors[:, :1], errors.shape[1], axis=1), atol=1e-9)
+    std = errors[:, 0].std(axis=0)
+    np.testing.assert_allclose(std, np.sqrt(np.diag(noise.covariance)), rtol=0.15)
+    assert np.abs(np.corrcoef(errors[:-1, 0].T, errors[1:, 0].T)[:6, 6:]).max() < 0.2
+
+
+def test_coloured_pose_noise_goes_on_between_scans_and_forgets_itself():
+    noise = sim.PoseNoise(position_std=0.1, angle_std_deg=0.0, time_constant=0.5)
+    errors = pose_errors(noise, scans=2000)
+    assert (errors[:-1, -1] == errors[1:, 0]).all()  # one time, one error
+    start = errors[:, 0, :3]
+    np.testing.assert_allclose(start.std(axis=0), 0.1, rtol=0.15)
+    for lag in (1, 5):
+        kept = (start[:-lag] * start[lag:]).mean() / (start**2).mean()
+        assert kept == pytest.approx(np.exp(-0.1 * lag / 0.5), abs=0.08)
+    assert np.abs(errors[..., 3:]).max() < 1e-9
+
+
+def test_pose_noise_is_seeded():
+    noise = sim.PoseNoise()
+    assert (pose_errors(noise, scans=3) == pose_errors(noise, scans=3)).all()
+    assert (pose_errors(noise, scans=3) != pose_errors(noise, scans=3, seed=1)).any()

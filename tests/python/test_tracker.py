@@ -34,7 +34,11 @@ def random_world(seed, scans):
     for k in range(scans):
         position = start + velocity * (0.1 * k)
         seen = rng.random(n) < 0.8
-        bodies = [p + BODY + rng.normal(size=(8, 3)) * 0.02 for p in position[seen]]
+        cut = np.where(rng.random(n) < 0.15, 4, 8)  # some are half hidden
+        bodies = [
+            p + BODY[:size] + rng.normal(size=(size, 3)) * 0.02
+            for p, size in zip(position[seen], cut[seen], strict=True)
+        ]
         clutter = rng.uniform(-8, 8, (rng.integers(0, 3), 3))
         cloud = np.concatenate([*bodies, clutter, background + rng.normal(size=(40, 3)) * 0.02])
         cloud = rng.permutation(cloud).astype(np.float32)
@@ -203,6 +207,22 @@ def test_targets_that_share_a_cluster_keep_their_tracks():
         if split_distance is not None:
             assert tracks.id.tolist() == [0, 1]
     assert errors[0.8] < 0.1 < errors[None]
+
+
+@pytest.mark.parametrize(("hidden_share", "limit"), [(None, 2.0), (0.75, 0.5)])
+def test_what_slides_behind_an_edge_keeps_its_velocity(hidden_share, limit):
+    ball = np.random.default_rng(0).normal(size=(200, 3))
+    ball *= 0.3 / np.linalg.norm(ball, axis=1)[:, None]
+    tracker = PointCloudTracker(BEST.model_copy(update={"hidden_share": hidden_share}))
+    for k in range(100):
+        centre = np.array([0.15 * k - 4.5, 8.0, 5.0])
+        shown = centre + ball[(centre + ball)[:, 0] < 0]  # the edge is at x = 0
+        if not len(shown):
+            break
+        tracker.new_point_cloud(shown, EMPTY, k * STEP_NS)
+        tracker.new_detections(centre[None] if k < 20 else EMPTY, k * STEP_NS)
+    error = np.linalg.norm(tracker.tracks_at(k * STEP_NS).velocity[0] - [1.5, 0, 0])
+    assert limit / 4 < error < limit
 
 
 @pytest.mark.parametrize("seed", range(20))

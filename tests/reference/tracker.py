@@ -30,6 +30,7 @@ class Track:
     born: int
     seen: int
     extent: np.ndarray
+    size: np.ndarray
     id: int = -1
     n_detections: int = 1
     history: list[bool] = field(default_factory=lambda: [True])
@@ -177,6 +178,13 @@ class Tracker:
         parts = [rows[nearest == owner] for owner in np.unique(nearest)]
         return [rows] if min(map(len, parts)) < self.c.cluster_min_points else parts
 
+    def widened(self, R, extent, track):
+        """Covariance of a cluster of which a part may be hidden."""
+        if self.c.hidden_share is None or self.c.association == "paper":
+            return R
+        is_short = extent < self.c.hidden_share * track.size
+        return R + np.diag(np.where(is_short, track.size - extent, 0) ** 2)
+
     def assign(self, rows, columns, offset):
         """Cheapest one-to-one assignment; column of every row or None."""
         forbidden = 1e9
@@ -211,7 +219,10 @@ class Tracker:
                 A, Q = self.model(dt)
                 track.aged = A @ track.aged @ A.T + Q
             else:
-                self.correct(track, *cluster)
+                z, R, extent, delay = cluster
+                self.correct(track, z, self.widened(R, extent, track), extent, delay)
+                if self.c.hidden_share is not None:
+                    track.size = extent + np.exp(-dt / self.c.size_time) * (track.size - extent)
         return [track.id for track, cluster in zip(due, found, strict=True) if cluster is not None]
 
     def inside(self, points, track, margin=0.0):
@@ -232,11 +243,11 @@ class Tracker:
         )
 
         def offset(row, column):
-            z, R, _, delay = found[column]
+            z, R, extent, delay = found[column]
             y = z - (tracks[row].r + delay * tracks[row].x[3:6])
             if np.linalg.norm(y) > self.reach(tracks[row]):
                 return None
-            return y, tracks[row].P[:3, :3] + R
+            return y, tracks[row].P[:3, :3] + self.widened(R, extent, tracks[row])
 
         columns = self.assign(len(tracks), len(found), offset)
         return [None if column is None else found[column] for column in columns]
@@ -281,7 +292,7 @@ class Tracker:
             J[:3, 3:6] = -late * EYE  # r = z - v * delay
             P = J @ P @ J.T
             x = np.r_[z, np.zeros(6)]
-            fresh.append(Track(x, P, P, stamp, stamp, stamp, np.zeros(3)))
+            fresh.append(Track(x, P, P, stamp, stamp, stamp, np.zeros(3), np.zeros(3)))
         for time, points, delays in self.buffer:
             if time > stamp:
                 self.update(fresh, time, points, occupied, delays)

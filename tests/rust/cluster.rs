@@ -1,6 +1,7 @@
 //! Clustering against all pairs and a union-find without any grid.
 
 use lidar_core::geometry::cluster::{Clustering, NOISE, label};
+use lidar_core::geometry::sight::{Sight, label_seen};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -38,13 +39,25 @@ fn clustering() -> impl Strategy<Value = Clustering> {
     )
 }
 
+fn sight() -> impl Strategy<Value = Sight> {
+    let angles = vec![0.0, 0.01, 0.125, 0.25, 0.5];
+    let place = prop::array::uniform3((-40..40_i16).prop_map(|eighths| f64::from(eighths) / 8.0));
+    (place, prop::sample::select(angles))
+        .prop_map(|(origin, max_angle)| Sight { origin, max_angle })
+}
+
 /// Every point takes the smallest root among those it is linked to, until nothing changes.
-fn slow(points: &[[f32; 3]], clustering: &Clustering) -> Vec<i32> {
+fn slow(points: &[[f32; 3]], sight: &Sight, clustering: &Clustering) -> Vec<i32> {
     let finite = |p: &[f32; 3]| p.iter().all(|value| value.is_finite());
     let linked = |p: &[f32; 3], q: &[f32; 3]| {
         let square: f64 =
             (0..3).map(|axis| (f64::from(p[axis]) - f64::from(q[axis])).powi(2)).sum();
-        finite(p) && finite(q) && square <= clustering.max_distance * clustering.max_distance
+        let range = |point: &[f32; 3]| -> f64 {
+            (0..3).map(|axis| (f64::from(point[axis]) - sight.origin[axis]).powi(2)).sum()
+        };
+        let seen = sight.max_angle * sight.max_angle * range(p).min(range(q));
+        let reach = (clustering.max_distance * clustering.max_distance).max(seen);
+        finite(p) && finite(q) && square <= reach
     };
     let mut roots: Vec<usize> = (0..points.len()).collect();
     let mut changed = true;
@@ -75,6 +88,8 @@ fn slow(points: &[[f32; 3]], clustering: &Clustering) -> Vec<i32> {
         .collect()
 }
 
+const NOWHERE: Sight = Sight { origin: [0.0; 3], max_angle: 0.0 };
+
 proptest! {
     #![proptest_config(seeded())]
 
@@ -82,7 +97,18 @@ proptest! {
     fn labels_equal_those_of_all_pairs(points in cloud(), clustering in clustering()) {
         let labels = label(&points, &clustering)
             .map_err(|error| TestCaseError::fail(error.to_string()))?;
-        prop_assert_eq!(labels, slow(&points, &clustering));
+        prop_assert_eq!(labels, slow(&points, &NOWHERE, &clustering));
+    }
+
+    #[test]
+    fn labels_of_a_sight_equal_those_of_all_pairs(
+        points in cloud(),
+        sight in sight(),
+        clustering in clustering(),
+    ) {
+        let labels = label_seen(&points, &sight, &clustering)
+            .map_err(|error| TestCaseError::fail(error.to_string()))?;
+        prop_assert_eq!(labels, slow(&points, &sight, &clustering));
     }
 
     #[test]
@@ -103,6 +129,6 @@ proptest! {
         let clustering = Clustering { max_distance: 0.25, min_points: 1, max_points: None };
         let labels = label(&points, &clustering)
             .map_err(|error| TestCaseError::fail(error.to_string()))?;
-        prop_assert_eq!(labels, slow(&points, &clustering));
+        prop_assert_eq!(labels, slow(&points, &NOWHERE, &clustering));
     }
 }

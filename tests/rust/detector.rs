@@ -10,7 +10,7 @@ use lidar_core::flying::scan::RawScan;
 use lidar_core::flying::sensor::SensorParameters;
 use lidar_core::flying::separate::Separation;
 use lidar_core::flying::track::{
-    Ageing, Association, Confirmation, MeasurementForm, Merging, Motion, NoiseForm, Radius,
+    Ageing, Association, Confirmation, Hiding, MeasurementForm, Merging, Motion, NoiseForm, Radius,
     RadiusForm, TrackerParameters,
 };
 use lidar_core::flying::voxel_map::{MapParameters, RayUnit};
@@ -36,6 +36,7 @@ fn parameters() -> FlyingParameters {
     FlyingParameters {
         map: map(),
         clustering: CLUSTERING,
+        cluster_angle: 0.0,
         cluster_voxels: false,
         classify: classify(),
         separation: Separation { max_gap: 0.8, min_confident: 4, dilate: false },
@@ -120,6 +121,7 @@ fn tracker() -> TrackerParameters {
         initial_std: [0.3, 4.0, 3.0],
         measurement: MeasurementForm::Cluster,
         measurement_std: 0.07,
+        hiding: Some(Hiding { share: 0.75, time: 2.0 }),
         association: Association::Global { gate_probability: 0.997, clutter_density: 1e-5 },
         split_distance: Some(0.8),
         confirmation: Confirmation { hits: 2, window: 10 },

@@ -16,7 +16,7 @@ app = typer.Typer(
     add_completion=True,
 )
 
-for _name in ("demo", "info", "simulate", "detect", "doctor", "reproduce"):
+for _name in ("demo", "info", "simulate", "detect", "evaluate", "doctor", "reproduce"):
     app.command(_name)(import_module(f"lidar_core.cli.{_name}").command)
 app.add_typer(config.app, name="config")
 

@@ -8,23 +8,22 @@ import typer
 
 from lidar_core.cli.common import (
     JsonFile,
-    Row,
     Threads,
     consoles,
     draw,
     map_rows,
-    number,
     progress_on,
     result_table,
     stage_rows,
     write_json,
 )
+from lidar_core.cli.score_rows import counted_caption, main_rows
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from lidar_core.cli.flying_run import FlyingRun
-    from lidar_core.evaluation import DetectionScores, TrackScores, Truth
+    from lidar_core.evaluation import Evaluation, EvaluationConfig, Truth
     from lidar_core.run_folder import RunFolder
     from lidar_core.sim import SimulatedScan, Simulator
     from lidar_core.viz import FlyingView
@@ -46,6 +45,7 @@ def command(
     A 128-line LiDAR flies a loop at 3 m/s between houses, poles and trees. Needs no input.
     """
     from lidar_core.cli.flying_run import FlyingRun
+    from lidar_core.evaluation import EvaluationConfig
     from lidar_core.flying import FlyingConfig, FlyingObjectDetector
     from lidar_core.run_folder import RunFolder
     from lidar_core.sim import Simulator, scenes
@@ -54,27 +54,21 @@ def command(
     folder = RunFolder(output, overwrite=True)
     simulator = Simulator(scenes.demo(seed, scans=scans), seed=seed, threads=threads)
     run = FlyingRun(FlyingObjectDetector(FlyingConfig(), threads=threads))
-    truth = _Truth()
+    truth = _Truth(EvaluationConfig(burn_in_scans=run.detector.config.seed.burn_in_scans))
     with progress_on(errors) as progress:
         task = progress.add_task("simulate and detect", total=scans)
-        for number_of, made in enumerate(simulator):
-            truth.add(made, is_burn_in=number_of < run.detector.config.seed.burn_in_scans)
+        for made in simulator:
+            truth.add(made)
             run.process(made.scan, made.poses, made.pose_stamps_ns)
             progress.advance(task)
-    compared = _Compared.of(run, truth)
-    summary = {
-        "command": "demo",
-        "seed": seed,
-        "track_scores": compared.tracks.to_dict(),
-        "detection_scores": compared.detections.to_dict(),
-        **run.summary(),
-    }
+    report = _compared(run, truth)
+    summary = {"command": "demo", "seed": seed, **report.to_dict(), **run.summary()}
     folder.begin()
     files = [*run.write(folder), *_write_rest(folder, simulator, run, truth, summary)]
-    view = _view(simulator, run, truth, compared)
+    view = _view(simulator, run, truth, report)
     if picture and draw(view, output / "picture.png", errors):
         files.append("picture.png")
-    out.print(_table(view.title, summary, compared))
+    out.print(_table(view.title, summary, report, truth.rule))
     out.print(f"{output}: {', '.join(sorted(files))}", highlight=False, soft_wrap=True)
     write_json(summary, json)
 
@@ -83,31 +77,29 @@ def command(
 class _Truth:
     """Truth of the scans so far: for the scores, the table and the picture."""
 
+    rule: "EvaluationConfig"
     parts: "list[Truth]" = field(default_factory=list)
     rows: list[tuple[Any, ...]] = field(default_factory=list)
 
-    def add(self, made: "SimulatedScan", *, is_burn_in: bool) -> None:
+    def add(self, made: "SimulatedScan") -> None:
         from lidar_core.evaluation import truth_of
         from lidar_core.sim.recording import truth_rows
 
         self.rows.extend(truth_rows(len(self.parts), made))
-        self.parts.append(truth_of(made, is_burn_in=is_burn_in))
+        is_burn_in = len(self.parts) < self.rule.burn_in_scans
+        self.parts.append(truth_of(made, is_burn_in=is_burn_in, config=self.rule))
 
 
-@dataclass(frozen=True, slots=True)
-class _Compared:
-    tracks: "TrackScores"
-    detections: "DetectionScores"
+def _compared(run: "FlyingRun", truth: _Truth) -> "Evaluation":
+    from lidar_core import evaluation
 
-    @classmethod
-    def of(cls, run: "FlyingRun", truth: _Truth) -> "_Compared":
-        from lidar_core import evaluation
-
-        table = evaluation.joined(truth.parts)
-        return cls(
-            evaluation.score_tracks(evaluation.estimates_of_tracks(run.tracks), table),
-            evaluation.score_detections(evaluation.estimates_of_detections(run.frames), table),
-        )
+    return evaluation.evaluate(
+        evaluation.joined(truth.parts),
+        tracks=evaluation.estimates_of_tracks(run.tracks),
+        detections=evaluation.estimates_of_detections(run.frames),
+        latency=run.latency,
+        config=truth.rule,
+    )
 
 
 def _write_rest(
@@ -118,7 +110,6 @@ def _write_rest(
     summary: dict[str, Any],
 ) -> list[str]:
     """Truth, scene, summary and run.toml."""
-    from lidar_core.evaluation import EvaluationConfig
     from lidar_core.sim.recording import TRUTH_COLUMNS
 
     columns = list(zip(*truth.rows, strict=True)) or [()] * len(TRUTH_COLUMNS)
@@ -127,55 +118,36 @@ def _write_rest(
     folder.write_summary(summary)
     folder.write_note(
         {"scene": "scene.toml", "seed": simulator.seed, "scans": simulator.scans},
-        {"flying": run.detector.config, "evaluation": EvaluationConfig()},
+        {"flying": run.detector.config, "evaluation": truth.rule},
     )
     return [name, "scene.toml", "summary.json", "run.toml"]
 
 
 def _view(
-    simulator: "Simulator", run: "FlyingRun", truth: _Truth, compared: _Compared
+    simulator: "Simulator", run: "FlyingRun", truth: _Truth, report: "Evaluation"
 ) -> "FlyingView":
     import numpy as np
 
     ways = np.array([part.position for part in truth.parts])
-    tracks, detections = compared.tracks, compared.detections
+    scores = {"tracks": report.tracks, "detections": report.detections}
     return run.view(
         f"lidar-core demo, seed {simulator.seed}: {len(ways)} scans, {ways.shape[1]} drones",
         truth=dict(zip(truth.parts[0].id.tolist(), ways.swapaxes(0, 1), strict=True)),
         recall={
-            "tracks": (tracks.stamp_ns, tracks.recall_at),
-            "detections": (detections.stamp_ns, detections.recall_at),
+            what: (item.stamp_ns, item.recall_at)
+            for what, item in scores.items()
+            if item is not None
         },
     )
 
 
-def _table(title: str, summary: dict[str, Any], compared: _Compared) -> "Table":
-    from lidar_core.evaluation import EvaluationConfig
-
-    tracks, detections, rule = compared.tracks, compared.detections, EvaluationConfig()
-    delays = [delay for delay in tracks.first_delay.values() if delay is not None]
-    spread = f"RMSE {number(tracks.rmse, 2)}, largest {number(tracks.max_error, 2)}"
-    of_all = f"of {len(tracks.track_ids)}; {tracks.n_switches} changes of identity"
-    false = f"of {detections.n_estimates}"
-    first = f"at the latest; {len(delays)} of {len(tracks.first_delay)} targets tracked"
+def _table(
+    title: str, summary: dict[str, Any], report: "Evaluation", rule: "EvaluationConfig"
+) -> "Table":
     rows = (
-        Row("recall of tracks", number(tracks.recall, 3), _found(tracks)),
-        Row("recall of detections", number(detections.recall, 3), _found(detections)),
-        Row("position error", number(tracks.mean_error, 2, " m"), f"mean of tracks; {spread}"),
-        Row("false tracks", str(len(tracks.false_ids)), of_all),
-        Row("false detections", str(detections.n_false), false),
-        Row("first track after", number(max(delays, default=None), 1, " s"), first),
+        *main_rows(report),
         None,
         *stage_rows(summary["ms_per_scan"]),
         *map_rows(summary["map"]),
     )
-    return result_table(
-        title,
-        rows,
-        caption=f"Sightings: target within {rule.max_distance:g} m, hit by {rule.min_hits} rays or"
-        " more, after the burn-in.",
-    )
-
-
-def _found(scores: "DetectionScores") -> str:
-    return f"{scores.n_found} of {scores.n_eligible} sightings"
+    return result_table(title, rows, caption=counted_caption(rule))

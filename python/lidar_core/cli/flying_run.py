@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.evaluation import Latency
 from lidar_core.flying import FlyingFrame, FlyingObjectDetector, Tracks
 from lidar_core.io import write_tracks_table, write_tum
 from lidar_core.messages import Scan
@@ -37,8 +38,7 @@ class FlyingRun:
         self.rejected: Counter[str] = Counter()
         self.frame_id = "world"
         self._class_counts = np.zeros(len(CLASSES), np.int64)
-        self._timing: Counter[str] = Counter()
-        self._wall_ms = 0.0
+        self._wall_ms: list[float] = []
         self.frames: list[FlyingFrame] = []
         self._sensors: list[str] = []
         self._path: list[NDArray[np.float64]] = []
@@ -66,10 +66,11 @@ class FlyingRun:
             pose_stamps_ns=pose_stamps_ns,
             sensor=sensor,
         )
-        self._wall_ms += (perf_counter() - start) * 1e3
+        wall_ms = (perf_counter() - start) * 1e3
         if frame.rejected is not None:
             self.rejected[frame.rejected] += 1
             return frame
+        self._wall_ms.append(wall_ms)
         self._keep(frame, sensor)
         poses = world_from_lidar.reshape(-1, 4, 4)
         self._path.append(poses[0, :3, 3])
@@ -85,7 +86,6 @@ class FlyingRun:
             self.gate_opened_at = len(self.frames)
         self.clears_sky = self.clears_sky or status.clears_sky
         self._class_counts += np.bincount(frame.point_class, minlength=len(CLASSES))
-        self._timing.update(frame.timing_ms)
         # Classes of every point of every scan would fill the memory on a long recording.
         self.frames.append(replace(frame, point_class=frame.point_class[:0]))
         self._sensors.append(sensor)
@@ -102,11 +102,22 @@ class FlyingRun:
         return len(self.frames)
 
     @property
+    def latency(self) -> Latency | None:
+        """Time per processed scan, in all and per stage [ms]; None without scans."""
+        return Latency.of(self._wall_ms, self._stages_ms())
+
+    @property
     def ms_per_scan(self) -> dict[str, float]:
         """Mean time per scan, in all and per stage [ms]."""
-        count = max(1, self.n_scans)
-        stages = {name: total / count for name, total in self._timing.items()}
-        return {"total": self._wall_ms / count, **stages}
+        latency = self.latency
+        if latency is None:
+            return {"total": 0.0}
+        stages = {name: spread.mean for name, spread in latency.stages.items()}
+        return {"total": latency.total.mean, **stages}
+
+    def _stages_ms(self) -> dict[str, list[float]]:
+        names = list(self.frames[0].timing_ms) if self.frames else []
+        return {name: [frame.timing_ms[name] for frame in self.frames] for name in names}
 
     @property
     def class_shares(self) -> dict[str, float]:
@@ -146,6 +157,12 @@ class FlyingRun:
             table[f"cov_{'xyz'[row]}_{'xyz'[column]}"] = covariance[:, row, column]
         return table
 
+    def _timing_table(self) -> dict[str, Any]:
+        """Times as columns, one row per processed scan [ms]."""
+        stages = {f"{name}_ms": np.array(times) for name, times in self._stages_ms().items()}
+        stamps = np.array([frame.stamp_ns for frame in self.frames], np.int64)
+        return {"t_ns": stamps, "total_ms": np.array(self._wall_ms, np.float64), **stages}
+
     def summary(self) -> dict[str, Any]:
         """What the run gave, as plain values."""
         health = self.detector.health()
@@ -180,9 +197,10 @@ class FlyingRun:
             folder.path / "tracks.parquet", self.tracks, frame_id=self.frame_id
         )
         table = folder.write_table("detections", self.detections_table())
+        timing = folder.write_table("timing", self._timing_table())
         write_tum(folder.path / TRACKS_FOLDER, self.tracks)
         self.detector.save_map(folder.path / "map.lcvm")
-        return [tracks.name, table.name, TRACKS_FOLDER, "map.lcvm"]
+        return [tracks.name, table.name, timing.name, TRACKS_FOLDER, "map.lcvm"]
 
     def view(self, title: str, **more: Any) -> FlyingView:
         """What a picture of the run shows; `more` are further fields of `FlyingView`."""

@@ -30,9 +30,20 @@ def flying_config(mode: Mode, file: Path | None, assignments: Iterable[str]) -> 
     values = base.model_dump() | {"on_bad_scan": "count"}
     if file is not None:
         values = merged(values, file_values(file))
+    return FlyingConfig.load(with_assignments(values, assignments))
+
+
+def with_assignments(values: dict[str, Any], assignments: Iterable[str]) -> dict[str, Any]:
+    """`values` with those of `a.b=c` texts.
+
+    Raises
+    ------
+    ConfigError
+        A text is no assignment.
+    """
     for text in assignments:
         values = merged(values, _assignment(text))
-    return FlyingConfig.load(values)
+    return values
 
 
 def merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

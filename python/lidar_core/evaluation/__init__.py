@@ -7,6 +7,7 @@ from lidar_core.evaluation.consistency import Consistency, consistency, nees
 from lidar_core.evaluation.identity import IdentityScores, score_identities
 from lidar_core.evaluation.latency import Latency
 from lidar_core.evaluation.pairing import Pairing, counted, pair
+from lidar_core.evaluation.reading import Prediction, read_prediction, read_truth
 from lidar_core.evaluation.report import Evaluation, evaluate
 from lidar_core.evaluation.scoring import eligible, score_detections, score_tracks
 from lidar_core.evaluation.set_distance import Gospa, gospa, ospa
@@ -40,6 +41,7 @@ __all__ = [
     "Latency",
     "Matches",
     "Pairing",
+    "Prediction",
     "SetScores",
     "Spread",
     "TrackScores",
@@ -59,6 +61,8 @@ __all__ = [
     "nees",
     "ospa",
     "pair",
+    "read_prediction",
+    "read_truth",
     "score_detections",
     "score_identities",
     "score_tracks",

@@ -87,6 +87,13 @@ class ClusterConfig(Config):
     max_distance: float = Field(
         0.25, gt=0, description="Largest gap inside a cluster, d_cluster [m]."
     )
+    max_angle: float = Field(
+        0.0125,
+        ge=0,
+        le=0.5,
+        description="Gaps of this angle times the range of the nearer point are inside a cluster"
+        " too, twice the angle between the rays of an OS1-128 [rad]; paper: 0.",
+    )
     min_points: int = Field(
         1, ge=1, le=MOST_POINTS, description="Smaller clusters are unknown (count, no unit)."
     )
@@ -383,6 +390,13 @@ class FlyingConfig(Config):
     )
 
     @classmethod
+    def long_range(cls) -> Self:
+        """Best mode with d_max 50 m: for dense LiDARs; the map costs more time and memory."""
+        return cls(
+            voxel_map=VoxelMapConfig(max_range=50.0), classify=ClassifyConfig(max_distance=50.0)
+        )
+
+    @classmethod
     def paper(cls) -> Self:
         """The algorithms as published, with the parameters of Table II.
 
@@ -391,6 +405,7 @@ class FlyingConfig(Config):
         """
         return cls(
             voxel_map=VoxelMapConfig(ray_unit="metres"),
+            cluster=ClusterConfig(max_angle=0.0),
             classify=ClassifyConfig.paper(),
             seed=SeedConfig(standing_scans=0),
             sensor=SensorConfig(learn_mask_scans=0),

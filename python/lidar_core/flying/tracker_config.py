@@ -111,6 +111,17 @@ class TrackerConfig(Config):
     measurement_std: float = Field(
         0.07, gt=0, description="Standard deviation of a centroid, Z [m]; paper: 1 m."
     )
+    hidden_share: float | None = Field(
+        0.75,
+        gt=0,
+        le=1,
+        description="A cluster with a side shorter than this share of the track's usual one is"
+        " partly hidden: what is missing is added to its standard deviation (share, no unit); none,"
+        " as in the paper: never; global association.",
+    )
+    size_time: float = Field(
+        2.0, gt=0, description="Time constant of the usual size of a track's clusters [s]."
+    )
     association: Literal["paper", "global"] = Field(
         "global",
         description="Who gets a cluster: every track the nearest one, Algorithm 2, or global"
@@ -196,6 +207,7 @@ class TrackerConfig(Config):
             initial_acceleration=3.0,
             measurement="paper",
             measurement_std=1.0,
+            hidden_share=None,
             association="paper",
             split_distance=None,
             confirm_hits=1,

@@ -1,5 +1,6 @@
 """Recordings in and out: one iterator over every readable format, poses, and writers."""
 
+from lidar_core.io.columns import read_columns
 from lidar_core.io.info import RecordingInfo, TopicInfo
 from lidar_core.io.npz import write_npz
 from lidar_core.io.opening import open_recording
@@ -24,6 +25,7 @@ __all__ = [
     "TransformBuffer",
     "open_recording",
     "posed_scans",
+    "read_columns",
     "write_mcap",
     "write_npz",
     "write_tracks_table",

@@ -55,16 +55,25 @@ class FoxgloveDecoder:
         LimitError
             The message is larger than the options allow.
         """
-        limit = self._options.max_record_bytes
-        check_size(place, len(raw), limit=limit, key="max_record_bytes", what="a message of bytes")
         if foxglove_kind(schema.name) == "other":
+            self._check_size(raw, place)
             return []
+        message = self.message(schema, raw, place)
         with reading(place):
-            message = self._parser(schema)(raw)
             if schema.name == CLOUD:
                 return [self._cloud(topic, message, metadata, place)]
             items = message.transforms if schema.name == TRANSFORMS else [message]
             return [_transform(topic, item, place) for item in items]
+
+    def message(self, schema: Any, raw: bytes, place: str) -> Any:
+        """One message as its schema says; errors as of `decode`."""
+        self._check_size(raw, place)
+        with reading(place):
+            return self._parser(schema)(raw)
+
+    def _check_size(self, raw: bytes, place: str) -> None:
+        limit = self._options.max_record_bytes
+        check_size(place, len(raw), limit=limit, key="max_record_bytes", what="a message of bytes")
 
     def _parser(self, schema: Any) -> Callable[[bytes], Any]:
         if schema.id not in self._parsers:

@@ -54,6 +54,25 @@ class McapRecording(Recording):
         wanted = {
             number for number, topic in self._topics.items() if kinds is None or topic.kind in kinds
         }
+        for order, message in self._messages(wanted):
+            yield self._record(order, message)
+
+    def foxglove(self, type_name: str) -> Iterator[tuple[str, Any]]:
+        """Protobuf messages of one schema, as they are, with their places, in order of log time."""
+        wanted = {
+            number
+            for number, channel in self._summary.channels.items()
+            if self._topics[number].type == type_name and channel.message_encoding == "protobuf"
+        }
+        for order, message in self._messages(wanted):
+            topic = self._topics[message.channel_id]
+            channel = self._summary.channels[message.channel_id]
+            place = f"{self.path}, message {order} on {topic.name}"
+            schema = self._summary.schemas[channel.schema_id]
+            yield place, self._foxglove.message(schema, message.data, place)
+
+    def _messages(self, wanted: set[int]) -> Iterator[tuple[int, Any]]:
+        """Stored messages of these channels with their order in the file, by log time."""
         chunks = sorted(
             (index for index in self._summary.chunk_indexes if self._may_hold(index, wanted)),
             key=lambda index: (index.message_start_time, index.chunk_start_offset),
@@ -65,13 +84,13 @@ class McapRecording(Recording):
         order = 0
         for index in chunks:
             while pending and pending[0][0] < index.message_start_time:
-                yield self._record(*heapq.heappop(pending)[1:])
+                yield heapq.heappop(pending)[1:]
             for message in self._chunk_messages(index.chunk_start_offset):
                 if message.channel_id in wanted:
                     heapq.heappush(pending, (message.log_time, order, message))
                     order += 1
         while pending:
-            yield self._record(*heapq.heappop(pending)[1:])
+            yield heapq.heappop(pending)[1:]
 
     def close(self) -> None:
         """Close the file."""
@@ -153,7 +172,7 @@ class McapRecording(Recording):
             records = self._mcap.breakup_chunk(chunk, validate_crc=True)
         return [record for record in records if isinstance(record, self._records.Message)]
 
-    def _unchunked(self, wanted: set[int]) -> Iterator[Record]:
+    def _unchunked(self, wanted: set[int]) -> Iterator[tuple[int, Any]]:
         self._file.seek(0)
         with self._reading(f"{self.path}: MCAP data"):
             messages = [
@@ -162,7 +181,7 @@ class McapRecording(Recording):
                 if isinstance(record, self._records.Message) and record.channel_id in wanted
             ]
         for _, number, message in sorted(messages, key=lambda item: item[:2]):
-            yield self._record(number, message)
+            yield number, message
 
     def _record(self, number: int, message: Any) -> Record:
         topic = self._topics.get(message.channel_id)

@@ -1,6 +1,6 @@
 """Simulated flights through detectors of several configurations, and what is kept of them."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from lidar_core.flying import FlyingConfig, FlyingFrame, FlyingObjectDetector
 
 if TYPE_CHECKING:
+    from lidar_core.evaluation import Estimates, EvaluationConfig, Truth
     from lidar_core.reproduce.jobs import Part
-    from lidar_core.sim import SimulatedScan, Simulator
+    from lidar_core.sim import NoisyPoses, SimulatedScan, Simulator
 
 Kind: TypeAlias = Literal["detections", "tracks"]
-Observe: TypeAlias = "Callable[[SimulatedScan], SimulatedScan]"
-"""What the detectors are given of a scan: as it is, or with noise on its poses."""
 DIFFERENCE_NS = 50_000_000
 """Half the time over which true velocities are compared, for accelerations [ns]."""
 
@@ -30,9 +29,11 @@ def fly(
     configs: Mapping[str, FlyingConfig],
     *,
     scans: int,
-    observe: "Observe" = lambda made: made,
+    noise: "NoisyPoses | None" = None,
 ) -> "Part":
-    """Give the first `scans` scans to a detector of every configuration.
+    """Give the first `scans` scans to a detector of every configuration, with wrong poses.
+
+    The detectors of best mode know how wrong the poses may be, the paper's does not ask.
 
     Returns
     -------
@@ -46,16 +47,27 @@ def fly(
     for number in range(scans):
         made = simulator.scan(number)
         truth.append(made)
-        given = observe(made)
+        given = made if noise is None else noise.observed(made)
         for name, detector in detectors.items():
-            seen[name].add(number, processed(detector, given))
+            covariance = None if noise is None or is_paper(name) else noise.noise.covariance
+            seen[name].add(number, processed(detector, given, pose_covariance=covariance))
     columns = truth_columns(simulator, truth)
     for name, one in seen.items():
         columns |= {f"{name}_{key}": value for key, value in one.columns().items()}
     return columns
 
 
-def processed(detector: FlyingObjectDetector, made: "SimulatedScan") -> FlyingFrame:
+def is_paper(name: str) -> bool:
+    """Whether a configuration of this name is the paper's."""
+    return name.startswith("paper")
+
+
+def processed(
+    detector: FlyingObjectDetector,
+    made: "SimulatedScan",
+    *,
+    pose_covariance: NDArray[np.float64] | None = None,
+) -> FlyingFrame:
     """Give one scan to a detector, with everything that is known about it."""
     scan = made.scan
     return detector.process(
@@ -66,6 +78,7 @@ def processed(detector: FlyingObjectDetector, made: "SimulatedScan") -> FlyingFr
         directions=scan.directions,
         point_time_ns=scan.point_time_ns,
         pose_stamps_ns=made.pose_stamps_ns,
+        pose_covariance=pose_covariance,
     )
 
 
@@ -118,37 +131,29 @@ def truth_columns(simulator: "Simulator", scans: "Iterable[SimulatedScan]") -> "
     }
 
 
-@dataclass(frozen=True, slots=True)
-class Pairs:
-    """Estimates of one flight, each with the target that it was assigned to.
+def tables(
+    part: "Part", name: str, kind: Kind, *, config: "EvaluationConfig"
+) -> "tuple[Estimates, Truth]":
+    """Detections or tracks of the configuration `name`, and the targets, for the evaluation.
 
-    Attributes
-    ----------
-    scan, target : ndarray, shape (E,), int64
-        Scan, and place of the target among the targets; -1 where it has none within the gate.
-    position : ndarray, shape (E, 3), float64
-        Estimate [m].
-    nearest : ndarray, shape (E,), float64
-        Distance to the nearest target [m].
+    The truth has one row per scan and target, in this order.
     """
+    from lidar_core.evaluation import Estimates, Truth, eligible
 
-    scan: NDArray[np.int64]
-    target: NDArray[np.int64]
-    position: NDArray[np.float64]
-    nearest: NDArray[np.float64]
-
-
-def pairs(part: "Part", name: str, kind: Kind) -> Pairs:
-    """Assign the detections or tracks of the configuration `name` to the targets, per scan."""
-    from lidar_core.evaluation import EvaluationConfig, match
-
-    scan = part[f"{name}_{kind}_scan"]
-    position = part[f"{name}_{kind}_position"]
-    target = np.full(len(scan), -1, np.int64)
-    nearest = np.full(len(scan), np.inf)
-    for number in np.unique(scan).tolist():
-        here = np.flatnonzero(scan == number)
-        matches = match(position[here], part["position"][number], gate=EvaluationConfig().gate)
-        target[here[matches.estimate]] = matches.target
-        nearest[here] = matches.nearest
-    return Pairs(scan, target, position, nearest)
+    count = len(part["id"])
+    stamps, position = part["stamp_ns"], part["position"].reshape(-1, 3)
+    sensor = np.repeat(part["sensor"], count, axis=0)
+    after = np.repeat(np.arange(len(stamps)) >= config.burn_in_scans, count)
+    estimates = Estimates(
+        stamp_ns=stamps[part[f"{name}_{kind}_scan"]],
+        position=part[f"{name}_{kind}_position"],
+        id=part[f"{name}_tracks_id"] if kind == "tracks" else None,
+    )
+    truth = Truth(
+        stamp_ns=np.repeat(stamps, count),
+        id=np.tile(part["id"], len(stamps)),
+        position=position,
+        is_eligible=eligible(position, part["hits"].reshape(-1), sensor, config=config) & after,
+        sensor=sensor,
+    )
+    return estimates, truth

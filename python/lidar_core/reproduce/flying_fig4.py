@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.flying import FlyingConfig
-from lidar_core.reproduce.flights import Kind, both_modes, fly, pairs
+from lidar_core.reproduce.flights import Kind, both_modes, fly, tables
 from lidar_core.reproduce.jobs import Job, Part, run
 from lidar_core.reproduce.types import Item, Request, Result, Row
 
@@ -85,12 +85,17 @@ def _scene(seed: int, number: int, scans: int) -> "Scene":
 
 def first_scans(part: Part, name: str, kind: Kind) -> NDArray[np.float64]:
     """Return the first scan after the start in which each drone is found; infinite for none."""
+    from lidar_core.evaluation import EvaluationConfig, pair
+
     start = np.searchsorted(part["stamp_ns"], round(START * 1e9), side="right")
-    found = pairs(part, name, kind)
-    first = np.full(len(part["id"]), np.inf)
-    counts = (found.target >= 0) & (found.scan >= start)
-    np.minimum.at(first, found.target[counts], found.scan[counts].astype(float))
-    return first
+    config = EvaluationConfig()
+    drones = len(part["id"])
+    is_found = pair(*tables(part, name, kind, config=config), config=config).estimate_of >= 0
+    is_found = is_found.reshape(-1, drones)[start:]
+    if not len(is_found):
+        return np.full(drones, np.inf)
+    first = np.where(is_found.any(axis=0), start + is_found.argmax(axis=0), np.inf)
+    return np.asarray(first, np.float64)
 
 
 def _rows(parts: list[Part]) -> list[Row]:

@@ -5,7 +5,16 @@ from lidar_core.sim.config import Body, Scene, Target
 from lidar_core.sim.insert import InsertedFlight, insert_target, with_target
 from lidar_core.sim.lidar import LidarModel, Rosette, Spinning
 from lidar_core.sim.meshes import hexacopter_mesh, sphere_mesh
-from lidar_core.sim.motions import Circle, Hover, Loop, RandomMotion, TakeOff, Waypoints
+from lidar_core.sim.motions import (
+    Circle,
+    Hover,
+    Loop,
+    RandomMotion,
+    Shuttle,
+    TakeOff,
+    Waypoints,
+)
+from lidar_core.sim.noise import NoisyPoses, PoseNoise
 from lidar_core.sim.recording import Recorded, record
 from lidar_core.sim.shapes import Box, Cylinder, HeightField, Hexacopter, Mesh, Plane, Sphere, Tree
 from lidar_core.sim.simulator import SimulatedScan, Simulator, TargetTruth, simulate
@@ -22,11 +31,14 @@ __all__ = [
     "LidarModel",
     "Loop",
     "Mesh",
+    "NoisyPoses",
     "Plane",
+    "PoseNoise",
     "RandomMotion",
     "Recorded",
     "Rosette",
     "Scene",
+    "Shuttle",
     "SimulatedScan",
     "Simulator",
     "Sphere",

@@ -127,6 +127,52 @@ class TakeOff(Config):
         return times, poses(places, _upright(0 * times))
 
 
+class Shuttle(Config):
+    """Back and forth between two places, as fast as a speed and an acceleration allow."""
+
+    kind: Literal["shuttle"] = "shuttle"
+    start: Vector = Field(description="One end [m].")
+    end: Vector = Field(description="Other end [m].")
+    speed: float = Field(gt=0, description="Greatest speed [m/s].")
+    acceleration: float = Field(gt=0, description="Of starting and stopping [m/s2].")
+    pause: float = Field(0.0, ge=0, description="Rest at either end [s].")
+    lead: float = Field(0.0, ge=0, description="Time on the way before the start [s].")
+
+    @model_validator(mode="after")
+    def _ends_differ(self) -> Self:
+        if self.start == self.end:
+            raise ValueError("expected two places")
+        return self
+
+    def knots(self, seconds: float) -> Knots:
+        """Places along the line: constant acceleration, constant speed, the same backwards."""
+        times = _times(seconds)
+        line = np.array(self.end) - np.array(self.start)
+        length = float(np.linalg.norm(line))
+        way = self._way(np.mod(times + self.lead, 2 * self.leg(length)), length)
+        places = np.array(self.start) + way[:, None] * (line / length)
+        return times, poses(places, _upright(0 * times))
+
+    def leg(self, length: float) -> float:
+        """Time from the start at one end to the start at the other [s]."""
+        speed = min(self.speed, float(np.sqrt(self.acceleration * length)))
+        return length / speed + speed / self.acceleration + self.pause
+
+    def _way(self, clock: NDArray[np.float64], length: float) -> NDArray[np.float64]:
+        """Distance from the first end, `clock` seconds after leaving it."""
+        speed = min(self.speed, float(np.sqrt(self.acceleration * length)))
+        leg = self.leg(length)
+        is_back = clock >= leg
+        clock = np.where(is_back, clock - leg, clock)
+        ramp = speed / self.acceleration
+        left = np.clip(leg - self.pause - clock, 0, None)  # time to the stop
+        speeding = self.acceleration / 2 * np.minimum(clock, ramp) ** 2
+        braking = self.acceleration / 2 * np.minimum(left, ramp) ** 2
+        steady = speed * np.clip(clock - ramp, 0, None)
+        way = np.where(left > ramp, speeding + steady, length - braking)
+        return np.where(is_back, length - way, way)
+
+
 class RandomMotion(Config):
     """A smooth random flight (cubic B-spline) that keeps clear of everything."""
 
@@ -147,10 +193,11 @@ class RandomMotion(Config):
 
 
 Scripted: TypeAlias = Annotated[
-    Circle | Hover | Loop | TakeOff | Waypoints, Field(discriminator="kind")
+    Circle | Hover | Loop | Shuttle | TakeOff | Waypoints, Field(discriminator="kind")
 ]
 Motion: TypeAlias = Annotated[
-    Circle | Hover | Loop | RandomMotion | TakeOff | Waypoints, Field(discriminator="kind")
+    Circle | Hover | Loop | RandomMotion | Shuttle | TakeOff | Waypoints,
+    Field(discriminator="kind"),
 ]
 
 

@@ -20,6 +20,7 @@ WORLD_FRAME = "world"
 POSE_TOPIC = "tf"
 TRUTH_COLUMNS = (
     "scan", "t_ns", "target_id", "x", "y", "z", "vx", "vy", "vz", "radius", "hits", "rays",
+    "sensor_x", "sensor_y", "sensor_z",
 )  # fmt: skip
 
 
@@ -30,7 +31,8 @@ class Recorded:
     Attributes
     ----------
     recording, truth, scene, run : Path
-        Scans and poses; targets per scan (`TargetTruth` as CSV); the scene; version, seed, hash.
+        Scans and poses; targets per scan (`TargetTruth`, and where the sensor was, as CSV); the
+        scene; version, seed, hash.
     scans, points, target_hits : int
         Scans, points in all, points on targets.
     """
@@ -135,6 +137,7 @@ def truth_rows(number: int, made: SimulatedScan) -> Iterator[tuple[Any, ...]]:
             float(truth.radius[target]),
             int(truth.hits[target]),
             int(truth.rays[target]),
+            *made.world_from_lidar[:3, 3].tolist(),
         )
 
 

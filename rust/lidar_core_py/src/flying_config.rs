@@ -34,6 +34,7 @@ pub(crate) struct FlyingConfig {
 #[derive(FromPyObject)]
 struct ClusterConfig {
     max_distance: f64,
+    max_angle: f64,
     min_points: usize,
     max_points: Option<usize>,
     of: String,
@@ -99,6 +100,7 @@ impl FlyingConfig {
                 min_points: self.cluster.min_points,
                 max_points: self.cluster.max_points,
             },
+            cluster_angle: self.cluster.max_angle,
             cluster_voxels: self.cluster.of == "voxels",
             classify: self.classify.parameters(),
             separation: Separation {

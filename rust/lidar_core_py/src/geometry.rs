@@ -3,8 +3,9 @@
 use crate::arrays;
 use crate::errors::BorderError;
 use crate::guard::detached;
-use lidar_core::geometry::cluster::{self, Clustering};
+use lidar_core::geometry::cluster::Clustering;
 use lidar_core::geometry::lattice::Lattice;
+use lidar_core::geometry::sight::{Sight, label_seen};
 use lidar_core::geometry::traverse as core_traverse;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
@@ -35,18 +36,20 @@ pub(crate) fn traverse<'py>(
 }
 
 #[pyfunction]
-#[pyo3(signature = (points, *, max_distance, min_points, max_points))]
+#[pyo3(signature = (points, *, max_distance, min_points, max_points, max_angle, origin))]
 pub(crate) fn cluster_points<'py>(
     py: Python<'py>,
     points: PyReadonlyArray2<'py, f32>,
     max_distance: f64,
     min_points: i64,
     max_points: Option<i64>,
+    max_angle: f64,
+    origin: [f64; 3],
 ) -> Result<Bound<'py, PyArray1<i32>>, BorderError> {
     let points = arrays::rows3("points", &points)?;
     let min_points = arrays::count("min_points", min_points)?;
     let max_points = max_points.map(|most| arrays::count("max_points", most)).transpose()?;
     let clustering = Clustering { max_distance, min_points, max_points };
-    let labels = detached(py, || cluster::label(points, &clustering))?;
+    let labels = detached(py, || label_seen(points, &Sight { origin, max_angle }, &clustering))?;
     Ok(labels.into_pyarray(py))
 }

@@ -5,8 +5,8 @@ use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
 use lidar_core::flying::track::{
-    Ageing, Association, CloudView, Confirmation, Detections, MeasurementForm, Merging, Motion,
-    NoiseForm, OccupiedPoints, PointCloudTracker, Radius, RadiusForm, Stats, Track,
+    Ageing, Association, CloudView, Confirmation, Detections, Hiding, MeasurementForm, Merging,
+    Motion, NoiseForm, OccupiedPoints, PointCloudTracker, Radius, RadiusForm, Stats, Track,
     TrackerParameters, Visibility,
 };
 use lidar_core::geometry::cluster::Clustering;
@@ -38,6 +38,8 @@ pub(crate) struct TrackerConfig {
     initial_acceleration: f64,
     measurement: String,
     measurement_std: f64,
+    hidden_share: Option<f64>,
+    size_time: f64,
     association: String,
     gate_probability: f64,
     clutter_density: f64,
@@ -97,6 +99,7 @@ impl TrackerConfig {
             initial_std: [self.initial_position, self.initial_velocity, self.initial_acceleration],
             measurement: arrays::choice("measurement", &self.measurement, &MEASUREMENT_FORMS)?,
             measurement_std: self.measurement_std,
+            hiding: self.hidden_share.map(|share| Hiding { share, time: self.size_time }),
             association: self.association()?,
             split_distance: self.split_distance,
             confirmation: Confirmation { hits: self.confirm_hits, window: self.confirm_window },

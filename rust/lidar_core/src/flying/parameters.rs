@@ -16,6 +16,8 @@ pub struct FlyingParameters {
     pub map: MapParameters,
     /// Clusters of points (eqs 13-15).
     pub clustering: Clustering,
+    /// Gaps that the sensor sees under this angle are inside a cluster too [rad].
+    pub cluster_angle: f64,
     /// Centres of voxels are clustered instead of points.
     pub cluster_voxels: bool,
     /// Classes of clusters (sec. III-B).

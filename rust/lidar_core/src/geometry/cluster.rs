@@ -7,6 +7,9 @@ use crate::budget::check_points;
 /// Label of points that belong to no cluster.
 pub const NOISE: i32 = -1;
 
+/// Group of points that are not finite.
+pub(super) const NO_GROUP: u32 = u32::MAX;
+
 /// Room for rounding: two points at exactly `max_distance` never lie more than one cell apart.
 const CELL_MARGIN: f64 = 1.0 + 1e-6;
 /// Most cells along one axis.
@@ -38,19 +41,52 @@ pub struct Clustering {
 pub fn label(points: &[[f32; 3]], clustering: &Clustering) -> Result<Vec<i32>, Error> {
     check(clustering)?;
     check_points(points.len())?;
-    let grid = Grid::of(points, clustering.max_distance)?;
-    let mut labels = vec![NOISE; points.len()];
-    let Some(grid) = grid else { return Ok(labels) };
-    let group_of = if grid.key_bits() <= 64 {
-        groups_linked::<u64>(points, &grid, clustering.max_distance)
-    } else {
-        groups_linked::<u128>(points, &grid, clustering.max_distance)
-    };
-    number_by_first_appearance(&group_of, clustering, &mut labels);
-    Ok(labels)
+    let group_of = linked(points, clustering.max_distance, &Fixed::new(clustering.max_distance))?;
+    Ok(numbered(&group_of, clustering))
 }
 
-fn check(clustering: &Clustering) -> Result<(), Error> {
+/// How far apart two points may be that are linked.
+pub(super) trait Reach {
+    /// Square of the largest distance [m^2].
+    fn most(&self) -> f64;
+    /// Square of the distance for these two points [m^2].
+    fn of(&self, one: [f64; 3], other: [f64; 3]) -> f64;
+}
+
+/// The same distance everywhere.
+pub(super) struct Fixed(f64);
+
+impl Fixed {
+    pub(super) const fn new(distance: f64) -> Self {
+        Self(distance * distance)
+    }
+}
+
+impl Reach for Fixed {
+    fn most(&self) -> f64 {
+        self.0
+    }
+
+    fn of(&self, _: [f64; 3], _: [f64; 3]) -> f64 {
+        self.0
+    }
+}
+
+/// For every point the root of its group; [`NO_GROUP`] where it is not finite. No reach is larger
+/// than `largest` [m], and none smaller than 0.8661 of it.
+pub(super) fn linked(
+    points: &[[f32; 3]],
+    largest: f64,
+    reach: &impl Reach,
+) -> Result<Vec<u32>, Error> {
+    let Some(grid) = Grid::of(points, largest)? else { return Ok(vec![NO_GROUP; points.len()]) };
+    Ok(match grid.key_bits() {
+        ..=64 => groups_linked::<u64>(points, &grid, reach),
+        _ => groups_linked::<u128>(points, &grid, reach),
+    })
+}
+
+pub(super) fn check(clustering: &Clustering) -> Result<(), Error> {
     if !(clustering.max_distance.is_normal() && clustering.max_distance > 0.0) {
         return Err(Error::Parameter {
             name: "max_distance",
@@ -65,7 +101,7 @@ fn check(clustering: &Clustering) -> Result<(), Error> {
 }
 
 /// Cells of edge `max_distance`, each split into eight octants. Two points of one octant are
-/// always linked (its diagonal is 0.87 of the distance), so octants are what is joined.
+/// always linked (its diagonal is 0.866 of the distance), so octants are what is joined.
 struct Grid {
     low: [f64; 3],
     octant_size: f64,
@@ -147,8 +183,7 @@ macro_rules! key {
 key!(u64);
 key!(u128);
 
-/// For every point the root of its group; u32::MAX where it is not finite.
-fn groups_linked<K: Key>(points: &[[f32; 3]], grid: &Grid, max_distance: f64) -> Vec<u32> {
+fn groups_linked<K: Key>(points: &[[f32; 3]], grid: &Grid, reach: &impl Reach) -> Vec<u32> {
     let mut order: Vec<(K, u32)> = Vec::with_capacity(points.len());
     for (index, &point) in points.iter().enumerate() {
         if is_finite(point) {
@@ -158,8 +193,8 @@ fn groups_linked<K: Key>(points: &[[f32; 3]], grid: &Grid, max_distance: f64) ->
     sort(&mut order, grid.key_bits());
     let groups = Groups::of(points, &order);
     let mut sets = Sets::new(groups.len());
-    link_cells(&groups, &row_offsets(grid), max_distance * max_distance, &mut sets);
-    let mut group_of = vec![u32::MAX; points.len()];
+    link_cells(&groups, &row_offsets(grid), reach, &mut sets);
+    let mut group_of = vec![NO_GROUP; points.len()];
     for group in 0..groups.len() {
         let root = sets.root(group as u32);
         for &(_, index) in &order[groups.range(group)] {
@@ -237,7 +272,7 @@ fn row_offsets(grid: &Grid) -> [i128; 4] {
 }
 
 /// Join the groups of every cell with each other and with those of the 13 neighbours behind it.
-fn link_cells<K: Key>(groups: &Groups<K>, rows: &[i128; 4], reach: f64, sets: &mut Sets) {
+fn link_cells<K: Key>(groups: &Groups<K>, rows: &[i128; 4], reach: &impl Reach, sets: &mut Sets) {
     let cells = &groups.cells;
     let mut heads = [0; 4];
     for (cell, &(key, _)) in cells.iter().enumerate() {
@@ -266,7 +301,7 @@ fn link_groups<K: Key>(
     groups: &Groups<K>,
     ours: std::ops::Range<u32>,
     theirs: std::ops::Range<u32>,
-    reach: f64,
+    reach: &impl Reach,
     sets: &mut Sets,
 ) {
     for a in ours {
@@ -282,14 +317,14 @@ fn link_groups<K: Key>(
 /// Pairs above which the box of a group is worth its making.
 const MANY_PAIRS: usize = 1024;
 
-/// Whether two groups hold a pair of points within reach (a squared distance).
-fn touch<K: Key>(groups: &Groups<K>, a: usize, b: usize, reach: f64) -> bool {
+/// Whether two groups hold a pair of points within reach.
+fn touch<K: Key>(groups: &Groups<K>, a: usize, b: usize, reach: &impl Reach) -> bool {
     let (ours, theirs) = (&groups.points[groups.range(a)], &groups.points[groups.range(b)]);
     let near = |p: [f64; 3]| {
         theirs.iter().any(|&q| {
             let q = wide(q);
             let (dx, dy, dz) = (p[0] - q[0], p[1] - q[1], p[2] - q[2]);
-            dx * dx + dy * dy + dz * dz <= reach
+            dx * dx + dy * dy + dz * dz <= reach.of(p, q)
         })
     };
     if ours.len() * theirs.len() < MANY_PAIRS {
@@ -299,7 +334,7 @@ fn touch<K: Key>(groups: &Groups<K>, a: usize, b: usize, reach: f64) -> bool {
     ours.iter().map(|&p| wide(p)).any(|p| {
         let [x, y, z] =
             std::array::from_fn(|axis| (low[axis] - p[axis]).max(p[axis] - high[axis]).max(0.0));
-        x * x + y * y + z * z <= reach && near(p)
+        x * x + y * y + z * z <= reach.most() && near(p)
     })
 }
 
@@ -317,16 +352,16 @@ fn bounds(points: &[[f32; 3]]) -> [[f64; 3]; 2] {
 }
 
 /// Union-find whose root is the smallest member.
-struct Sets {
+pub(super) struct Sets {
     parent: Vec<u32>,
 }
 
 impl Sets {
-    fn new(len: usize) -> Self {
+    pub(super) fn new(len: usize) -> Self {
         Self { parent: (0..len as u32).collect() }
     }
 
-    fn root(&mut self, mut member: u32) -> u32 {
+    pub(super) fn root(&mut self, mut member: u32) -> u32 {
         while self.parent[member as usize] != member {
             let up = self.parent[self.parent[member as usize] as usize];
             self.parent[member as usize] = up; // path halving
@@ -335,23 +370,25 @@ impl Sets {
         member
     }
 
-    fn join(&mut self, a: u32, b: u32) {
+    pub(super) fn join(&mut self, a: u32, b: u32) {
         self.parent[a.max(b) as usize] = a.min(b);
     }
 }
 
-fn number_by_first_appearance(group_of: &[u32], clustering: &Clustering, labels: &mut [i32]) {
+/// Labels by first appearance; groups of unwanted size are noise.
+pub(super) fn numbered(group_of: &[u32], clustering: &Clustering) -> Vec<i32> {
+    let mut labels = vec![NOISE; group_of.len()];
     let groups =
-        group_of.iter().filter(|&&group| group != u32::MAX).max().map_or(0, |&g| g as usize + 1);
+        group_of.iter().filter(|&&group| group != NO_GROUP).max().map_or(0, |&g| g as usize + 1);
     let mut sizes = vec![0usize; groups];
-    for &group in group_of.iter().filter(|&&group| group != u32::MAX) {
+    for &group in group_of.iter().filter(|&&group| group != NO_GROUP) {
         sizes[group as usize] += 1;
     }
     let largest = clustering.max_points.unwrap_or(usize::MAX);
     let mut numbers = vec![NOISE; groups];
     let mut next = 0;
     for (label, &group) in labels.iter_mut().zip(group_of) {
-        if group == u32::MAX || !(clustering.min_points..=largest).contains(&sizes[group as usize])
+        if group == NO_GROUP || !(clustering.min_points..=largest).contains(&sizes[group as usize])
         {
             continue;
         }
@@ -362,6 +399,7 @@ fn number_by_first_appearance(group_of: &[u32], clustering: &Clustering, labels:
         }
         *label = *number;
     }
+    labels
 }
 
 fn is_finite(point: [f32; 3]) -> bool {

@@ -3,5 +3,6 @@
 pub mod caps;
 pub mod cluster;
 pub mod lattice;
+pub mod sight;
 pub mod transform;
 pub mod traverse;

@@ -60,6 +60,15 @@ pub enum MeasurementForm {
     Cluster,
 }
 
+/// Clusters of which a part is hidden, because something else is in front of the target.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hiding {
+    /// A side shorter than this share of the track's usual one is partly hidden.
+    pub share: f64,
+    /// Time constant of the usual size [s].
+    pub time: f64,
+}
+
 /// How tracks find their clusters, and detections their tracks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Association {
@@ -130,6 +139,8 @@ pub struct TrackerParameters {
     pub measurement: MeasurementForm,
     /// Z: standard deviation of a centroid, and of a detection beside its own covariance [m].
     pub measurement_std: f64,
+    /// What is missing of a hidden side makes the cluster's position uncertain; None: it does not.
+    pub hiding: Option<Hiding>,
     /// Association.
     pub association: Association,
     /// A cluster this near to several tracks, which are further apart from each other, is divided
@@ -168,6 +179,7 @@ impl TrackerParameters {
             ("radius_min", min),
             ("radius_max", max),
             ("acceleration_time", self.motion.acceleration_time.unwrap_or(1.0)),
+            ("size_time", self.hiding.map_or(1.0, |hiding| hiding.time)),
             ("split_distance", self.split_distance.unwrap_or(1.0)),
         ];
         for (name, value) in positive {

@@ -133,6 +133,7 @@ mod tests {
             velocity: Vector3::zeros(),
             covariance: Matrix3::identity() * (std * std),
             radius: 1.5,
+            size: [0.0; 3],
             confirmed,
         }
     }

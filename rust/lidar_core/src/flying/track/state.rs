@@ -2,7 +2,7 @@
 
 use super::candidates::Measurement;
 use super::motion::{self, Matrix9};
-use super::parameters::{Motion, Radius, TrackerParameters};
+use super::parameters::{Hiding, Motion, Radius, TrackerParameters};
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, Linearised, update};
 use nalgebra::{SVector, Vector3};
@@ -23,6 +23,8 @@ pub(super) struct TrackState {
     /// Time of the last measurement.
     pub(super) seen_ns: i64,
     pub(super) extent: [f64; 3],
+    /// Its usual extent: an average over time [m].
+    pub(super) size: [f64; 3],
     pub(super) n_detections: u32,
     /// The last sets of detections, newest in the lowest bit: 1 where the track was in it.
     pub(super) history: u64,
@@ -59,6 +61,7 @@ impl TrackState {
             born_at: detection.position,
             seen_ns: stamp_ns,
             extent: detection.extent,
+            size: detection.extent,
             n_detections: 1,
             history: 1,
             confirmed: false,
@@ -90,6 +93,14 @@ impl TrackState {
     /// Let `dt` seconds without a measurement count.
     pub(super) fn grow_old(&mut self, dt: f64, model: &Motion) {
         self.aged = motion::predict_covariance(&self.aged, dt, model);
+    }
+
+    /// Let the last extent, seen for `dt` seconds, count for the usual one.
+    pub(super) fn remember_size(&mut self, dt: f64, hiding: &Hiding) {
+        let weight = -libm::expm1(-dt / hiding.time);
+        for (size, extent) in self.size.iter_mut().zip(self.extent) {
+            *size += weight * (extent - *size);
+        }
     }
 
     /// Position `delay` seconds after the state's time.

@@ -18,6 +18,7 @@ fn paper() -> TrackerParameters {
         initial_std: [0.5, 3.0, 3.0],
         measurement: MeasurementForm::Paper,
         measurement_std: 1.0,
+        hiding: None,
         association: Association::Paper,
         split_distance: None,
         confirmation: Confirmation { hits: 1, window: 1 },
@@ -185,6 +186,7 @@ fn parameters_that_cannot_work_are_refused() {
         TrackerParameters { radius: Radius { max: f64::NAN, ..paper().radius }, ..paper() },
         TrackerParameters { max_extent: Some(f64::INFINITY), ..paper() },
         TrackerParameters { split_distance: Some(0.0), ..paper() },
+        TrackerParameters { hiding: Some(Hiding { share: 0.75, time: 0.0 }), ..paper() },
         TrackerParameters {
             motion: Motion { acceleration_time: Some(0.0), ..paper().motion },
             ..paper()

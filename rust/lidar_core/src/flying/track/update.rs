@@ -3,7 +3,7 @@
 use super::candidates::{Measurement, candidates};
 use super::motion::position_block;
 use super::occupancy::{Occupancy, Visibility};
-use super::parameters::{Ageing, Association, TrackerParameters};
+use super::parameters::{Ageing, Association, Hiding, TrackerParameters};
 use super::select::{Ball, hits};
 use super::split::Division;
 use super::state::{TrackState, seconds};
@@ -40,7 +40,22 @@ pub(super) struct Seeker {
     pub(super) velocity: Vector3<f64>,
     pub(super) covariance: Matrix3<f64>,
     pub(super) radius: f64,
+    pub(super) size: [f64; 3],
     pub(super) confirmed: bool,
+}
+
+impl Seeker {
+    /// Covariance of a cluster as a measurement of this track: what is missing of a hidden side
+    /// may be missing on one end.
+    fn covariance_of(&self, cluster: &Measurement, hiding: Option<Hiding>) -> Matrix3<f64> {
+        let mut covariance = cluster.covariance;
+        for (axis, (size, extent)) in self.size.into_iter().zip(cluster.extent).enumerate() {
+            if hiding.is_some_and(|hiding| extent < hiding.share * size) {
+                covariance[(axis, axis)] += (size - extent) * (size - extent);
+            }
+        }
+        covariance
+    }
 }
 
 pub(super) struct Updater {
@@ -91,6 +106,9 @@ impl Updater {
         for (((dt, track), seeker), measurement) in due.into_iter().zip(&seekers).zip(found) {
             match measurement.map(|measurement| track.correct(&measurement)) {
                 Some(Ok(())) => {
+                    if let Some(hiding) = &self.parameters.hiding {
+                        track.remember_size(dt, hiding);
+                    }
                     outcome.corrected.push(track.id);
                     continue;
                 }
@@ -142,6 +160,7 @@ impl Updater {
             velocity: track.velocity(),
             covariance: position_block(&track.estimate.covariance),
             radius: self.search_radius(track),
+            size: track.size,
             confirmed: track.confirmed,
         }
     }
@@ -210,15 +229,19 @@ impl Updater {
             division.divide(&mut labels, &points, &delays, seekers);
         }
         let clusters = candidates(&points, &labels, &delays, scan.occupied, &self.parameters);
+        let hiding = self.parameters.hiding;
         let cluster_of = self.assign(seekers.len(), clusters.len(), |track, cluster| {
             let (seeker, cluster) = (&seekers[track], &clusters[cluster]);
             let y = cluster.position - (seeker.position + seeker.velocity * cluster.delay);
-            (y.norm() <= seeker.radius).then(|| (y, seeker.covariance + cluster.covariance))
+            (y.norm() <= seeker.radius)
+                .then(|| (y, seeker.covariance + seeker.covariance_of(cluster, hiding)))
         })?;
-        Ok(cluster_of
-            .into_iter()
-            .map(|cluster| cluster.map(|cluster| clusters[cluster].clone()))
-            .collect())
+        let measured = |(cluster, seeker): (Option<usize>, &Seeker)| {
+            let cluster = &clusters[cluster?];
+            let covariance = seeker.covariance_of(cluster, hiding);
+            Some(Measurement { covariance, ..cluster.clone() })
+        };
+        Ok(cluster_of.into_iter().zip(seekers).map(measured).collect())
     }
 }
 

@@ -1,0 +1,131 @@
+"""`lidar-core evaluate`: what a run reported, held against the truth."""
+
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lidar_core.cli.common import JsonFile, Row, consoles, result_table, write_json
+from lidar_core.cli.score_rows import (
+    counted_caption,
+    detail_rows,
+    distance_table,
+    identity_rows,
+    latency_rows,
+    main_rows,
+)
+from lidar_core.cli.settings import with_assignments
+from lidar_core.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from lidar_core.evaluation import Evaluation, EvaluationConfig, Prediction, Truth
+
+PREDICTED = "Run folder of detect or demo, or a table of tracks: CSV, Parquet, .npz, TUM, MCAP."
+TRUE = "NAME.truth.csv of simulate, the recording beside it, a demo's folder, or such a table."
+GATE = "An estimate further from every target is false [m]."
+MAX_DISTANCE = "Targets further from the sensor need not be found [m]."
+MIN_HITS = "Targets with fewer points need not be found."
+BURN_IN = "First scans, in which no target need be found; by default what the run's folder says."
+SET = "Single value of the configuration, such as order=1; again for more."
+IDENTITIES = "HOTA, MOTA and IDF1; by default if the extra `eval` is there."
+
+
+def command(
+    predicted: Annotated[Path, typer.Argument(metavar="PRED", help=PREDICTED)],
+    true: Annotated[Path, typer.Argument(metavar="TRUTH", help=TRUE)],
+    *,
+    gate: Annotated[float | None, typer.Option(help=GATE)] = None,
+    max_distance: Annotated[float | None, typer.Option(help=MAX_DISTANCE)] = None,
+    min_hits: Annotated[int | None, typer.Option(help=MIN_HITS)] = None,
+    burn_in: Annotated[int | None, typer.Option(help=BURN_IN)] = None,
+    values: Annotated[list[str], typer.Option("--set", help=SET)] = [],  # noqa: B006
+    identities: Annotated[bool | None, typer.Option(help=IDENTITIES)] = None,
+    json: JsonFile = None,
+) -> None:
+    """Score the tracks and detections in PRED against the targets in TRUTH.
+
+    What each figure means is in the guide, under "Evaluation".
+    """
+    from lidar_core.evaluation import EvaluationConfig, evaluate, read_prediction, read_truth
+
+    options = {"gate": gate, "max_distance": max_distance, "min_hits": min_hits,
+               "burn_in_scans": burn_in}  # fmt: skip
+    prediction = read_prediction(predicted)
+    of_run = {"burn_in_scans": prediction.burn_in_scans}
+    chosen = with_assignments(_given(of_run), values) | _given(options)
+    config = EvaluationConfig.load(chosen)
+    truth = read_truth(true, config=config)
+    report = evaluate(
+        truth,
+        tracks=prediction.tracks,
+        detections=prediction.detections,
+        latency=prediction.latency,
+        with_identities=find_spec("trackeval") is not None if identities is None else identities,
+        config=config,
+    )
+    out, _ = consoles(json)
+    without = _without_truth(prediction, truth, config, f"{predicted} and {true}")
+    _print(out, report, config, f"{predicted} against {true}")
+    if without:
+        out.print(f"note: {without} tracks lie at times without truth, and count as false")
+    write_json(
+        {
+            "command": "evaluate",
+            "prediction": str(predicted),
+            "truth": str(true),
+            "config": config.model_dump(mode="json"),
+            "tracks_without_truth": without,
+            **report.to_dict(),
+        },
+        json,
+    )
+
+
+def _given(options: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def _without_truth(
+    prediction: "Prediction", truth: "Truth", config: "EvaluationConfig", files: str
+) -> int:
+    """Rows of tracks at times that the truth does not have.
+
+    Raises
+    ------
+    InputError
+        All of them: the tables are of different recordings or clocks.
+    """
+    import numpy as np
+
+    from lidar_core.evaluation import aligned
+
+    ours, theirs = prediction.tracks.stamp_ns, truth.stamp_ns
+    without = ~np.isin(aligned(prediction.tracks, truth, config=config).stamp_ns, theirs)
+    if len(ours) and len(theirs) and without.all():
+        spans = [f"{column.min() * 1e-9:.3f} to {column.max() * 1e-9:.3f} s"
+                 for column in (ours, theirs)]  # fmt: skip
+        raise InputError(
+            f"{files}: no time in common, {spans[0]} and {spans[1]}; give the truth of the same"
+            " recording, or allow for shifted clocks with --set time_tolerance=SECONDS"
+        )
+    return int(without.sum())
+
+
+def _print(out: "Console", report: "Evaluation", config: "EvaluationConfig", title: str) -> None:
+    rows: list[Row | None] = [*main_rows(report)]
+    scores = [(what, item) for what, item in (("tracks", report.tracks),
+              ("detections", report.detections)) if item is not None]  # fmt: skip
+    for what, item in scores:
+        rows += detail_rows(item, what)
+    if report.identities is not None:
+        rows += identity_rows(report.identities)
+    if report.latency is not None:
+        rows += latency_rows(report.latency)
+    out.print(result_table(title, rows, caption=counted_caption(config)))
+    table = distance_table(scores)
+    if table is not None:
+        out.print(table)

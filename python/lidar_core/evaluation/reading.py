@@ -1,0 +1,226 @@
+"""Estimates and truth from files: run folders, simulated recordings, tables of tracks."""
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.config import as_config
+from lidar_core.errors import FormatError, InputError
+from lidar_core.evaluation.bins import norms
+from lidar_core.evaluation.config import EvaluationConfig
+from lidar_core.evaluation.latency import Latency
+from lidar_core.evaluation.pairing import checked_estimates, checked_truth, rows_of
+from lidar_core.evaluation.types import Estimates, Truth
+from lidar_core.io.columns import Columns, read_columns
+from lidar_core.run_folder import RUN_FILE, table_in
+
+RECORDINGS = (".mcap", ".npz")
+AXES, RATES = ("x", "y", "z"), ("vx", "vy", "vz")
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """What a run reported.
+
+    Attributes
+    ----------
+    tracks : Estimates
+        Its tracks.
+    detections : Estimates or None
+        Its detections, where they are known.
+    latency : Latency or None
+        Time per scan, where it is known.
+    burn_in_scans : int or None
+        First scans in which the run reports nothing, where it says so.
+    """
+
+    tracks: Estimates
+    detections: Estimates | None = None
+    latency: Latency | None = None
+    burn_in_scans: int | None = None
+
+
+def read_prediction(path: str | Path) -> Prediction:
+    """Read a run folder, or a table of tracks.
+
+    Parameters
+    ----------
+    path : str or Path
+        Folder that `lidar-core detect` or `lidar-core demo` wrote, or whatever
+        `lidar_core.io.read_columns` reads, with columns t_ns, track_id, x, y, z and, if known, vx,
+        vy, vz and the upper triangle of the covariance, cov_x_x to cov_vz_vz.
+
+    Raises
+    ------
+    FormatError
+        Something is missing or cannot be read; the text names the file and the column.
+    """
+    place = Path(path)
+    if not (place / RUN_FILE).is_file():
+        return Prediction(_estimates(place, read_columns(place), has_id=True))
+    tracks, detections = table_in(place, "tracks"), table_in(place, "detections")
+    timing = table_in(place, "timing")
+    if tracks is None:
+        raise FormatError(f"{place}: the run folder holds no table of tracks; run it again")
+    return Prediction(
+        tracks=_estimates(tracks, read_columns(tracks), has_id=True),
+        detections=None
+        if detections is None
+        else _estimates(detections, read_columns(detections), has_id=False),
+        latency=None if timing is None else _latency(timing),
+        burn_in_scans=_burn_in(place / RUN_FILE),
+    )
+
+
+def read_truth(path: str | Path, *, config: EvaluationConfig | None = None) -> Truth:
+    """Read the targets of a recording, and say which of them had to be found.
+
+    A target has to be found after the burn-in, within `max_distance` where the file has the
+    columns sensor_x, sensor_y, sensor_z, and with `min_hits` points where it has the column hits.
+
+    Parameters
+    ----------
+    path : str or Path
+        NAME.truth.csv of `lidar-core simulate`, or the recording beside it; a folder of
+        `lidar-core demo`; or whatever `lidar_core.io.read_columns` reads, with columns t_ns,
+        target_id or track_id, x, y, z and, if known, vx, vy, vz.
+    config : EvaluationConfig, optional
+        `max_distance`, `min_hits`, `burn_in_scans`.
+
+    Raises
+    ------
+    FormatError
+        Something is missing or cannot be read; the text names the file and the column.
+    """
+    config = as_config(config, EvaluationConfig)
+    place = _truth_file(Path(path))
+    columns = read_columns(place)
+    stamps = _integers(place, columns, "t_ns")
+    position, velocity = _rows(place, columns, AXES), _rows_if_known(place, columns, RATES)
+    sensor = _rows_if_known(place, columns, tuple(f"sensor_{axis}" for axis in AXES))
+    counts = _after_burn_in(stamps, config.burn_in_scans)
+    if "hits" in columns:
+        counts &= _integers(place, columns, "hits") >= config.min_hits
+    if sensor is not None:
+        counts &= norms(position - sensor) <= config.max_distance
+    name = "target_id" if "target_id" in columns else "track_id"
+    numbers = _integers(place, columns, name)
+    try:
+        return checked_truth(Truth(stamps, numbers, position, counts, velocity, sensor))
+    except InputError as error:
+        raise FormatError(f"{place}: {error}") from error
+
+
+def _truth_file(place: Path) -> Path:
+    """The table itself, the one beside a recording, or the one in a run folder."""
+    if (place / RUN_FILE).is_file():
+        table = table_in(place, "truth")
+        if table is None:
+            raise FormatError(
+                f"{place}: the run folder holds no truth; give NAME.truth.csv of the simulation"
+            )
+        return table
+    beside = place.with_suffix(".truth.csv")
+    return beside if place.suffix in RECORDINGS and beside.is_file() else place
+
+
+def _estimates(place: Path, columns: Columns, *, has_id: bool) -> Estimates:
+    stamps, position = _integers(place, columns, "t_ns"), _rows(place, columns, AXES)
+    numbers = _integers(place, columns, "track_id") if has_id else None
+    velocity = _rows_if_known(place, columns, RATES)
+    covariance = _covariance(place, columns, (*AXES, *RATES))
+    if covariance is None:
+        covariance = _covariance(place, columns, AXES)
+    table = Estimates(stamps, position, numbers, velocity, covariance)
+    try:
+        return checked_estimates(_last_rows(table))
+    except InputError as error:
+        raise FormatError(f"{place}: {error}") from error
+
+
+def _last_rows(table: Estimates) -> Estimates:
+    """Without the earlier rows of a track that was written twice at one time."""
+    if table.id is None:
+        return table
+    last = {key: row for row, key in enumerate(zip(table.stamp_ns, table.id, strict=True))}
+    kept = np.array(sorted(last.values()), np.int64)
+    return table if len(kept) == len(table.id) else rows_of(table, kept)
+
+
+def _covariance(
+    place: Path, columns: Columns, names: tuple[str, ...]
+) -> NDArray[np.float64] | None:
+    """Symmetric matrices from their upper triangle; None unless all of it is there."""
+    pairs = [(row, column) for row in range(len(names)) for column in range(row, len(names))]
+    titles = [f"cov_{names[row]}_{names[column]}" for row, column in pairs]
+    if any(title not in columns for title in titles):
+        return None
+    rows = len(columns[titles[0]])
+    matrices = np.empty((rows, len(names), len(names)))
+    for (row, column), title in zip(pairs, titles, strict=True):
+        matrices[:, row, column] = matrices[:, column, row] = _numbers(place, columns, title)
+    return matrices
+
+
+def _latency(place: Path) -> Latency | None:
+    columns = read_columns(place)
+    stages = {
+        name.removesuffix("_ms"): _numbers(place, columns, name)
+        for name in columns
+        if name.endswith("_ms") and name != "total_ms"
+    }
+    return Latency.of(_numbers(place, columns, "total_ms"), stages)
+
+
+def _burn_in(run_file: Path) -> int | None:
+    """What the configuration of the run says."""
+    try:
+        note = tomllib.loads(run_file.read_text(encoding="utf-8"))
+        return int(note["config"]["flying"]["seed"]["burn_in_scans"])
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, ValueError) as error:
+        raise FormatError(f"{run_file}: cannot be read: {error}") from error
+    except (KeyError, TypeError):
+        return None
+
+
+def _after_burn_in(stamps: NDArray[np.int64], scans: int) -> NDArray[np.bool_]:
+    when, number = np.unique(stamps, return_inverse=True)
+    after: NDArray[np.bool_] = number >= scans if len(when) else np.empty(0, np.bool_)
+    return after
+
+
+def _rows(place: Path, columns: Columns, names: tuple[str, ...]) -> NDArray[np.float64]:
+    return np.stack([_numbers(place, columns, name) for name in names], axis=1)
+
+
+def _rows_if_known(
+    place: Path, columns: Columns, names: tuple[str, ...]
+) -> NDArray[np.float64] | None:
+    return _rows(place, columns, names) if set(names) <= set(columns) else None
+
+
+def _numbers(place: Path, columns: Columns, name: str) -> NDArray[np.float64]:
+    column = _column(place, columns, name)
+    if column.dtype.kind not in "fiu" or not np.isfinite(column).all():
+        raise FormatError(f"{place}: column {name}: expected finite numbers")
+    return column.astype(np.float64)
+
+
+def _integers(place: Path, columns: Columns, name: str) -> NDArray[np.int64]:
+    column = _column(place, columns, name)
+    if column.dtype.kind not in "iu":
+        raise FormatError(f"{place}: column {name}: expected integers, got {column.dtype}")
+    return column
+
+
+def _column(place: Path, columns: Columns, name: str) -> NDArray[Any]:
+    if name not in columns:
+        raise FormatError(
+            f"{place}: no column {name} among {', '.join(columns) or 'none'}; expected t_ns,"
+            " track_id or target_id, x, y, z and, if known, vx, vy, vz"
+        )
+    return columns[name]
