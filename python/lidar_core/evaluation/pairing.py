@@ -88,15 +88,18 @@ def counted(
     """
     config = as_config(config, EvaluationConfig)
     pairing = pair(estimates, truth, config=config)
-    partner = np.where(
-        (pairing.target_of < 0) & (pairing.nearest <= config.gate),
-        pairing.nearest_target,
-        pairing.target_of,
-    )
-    eligible = checked_truth(truth).is_eligible
-    counts = partner < 0
-    counts[~counts] = eligible[partner[~counts]]
-    return rows_of(estimates, counts), rows_of(truth, eligible)
+    is_eligible = checked_truth(truth).is_eligible
+    counts = counting(pairing, is_eligible, config.gate)
+    return rows_of(estimates, counts), rows_of(truth, is_eligible)
+
+
+def counting(pairing: Pairing, is_eligible: NDArray[np.bool_], gate: float) -> NDArray[np.bool_]:
+    """Which estimates `counted` keeps, shape (E,)."""
+    is_near = (pairing.target_of < 0) & (pairing.nearest <= gate)
+    partner = np.where(is_near, pairing.nearest_target, pairing.target_of)
+    counts: NDArray[np.bool_] = partner < 0
+    counts[~counts] = is_eligible[partner[~counts]]
+    return counts
 
 
 def scans(estimates: Estimates, truth: Truth) -> Iterator[tuple[Rows, Rows]]:

@@ -16,12 +16,13 @@ from lidar_core.evaluation.pairing import (
     Pairing,
     checked_estimates,
     checked_truth,
-    counted,
+    counting,
     numbers_of,
     pair,
+    rows_of,
     scans,
 )
-from lidar_core.evaluation.set_distance import gospa, ospa
+from lidar_core.evaluation.set_distance import set_distances
 from lidar_core.evaluation.spread import Spread
 from lidar_core.evaluation.types import (
     DetectionScores,
@@ -124,7 +125,7 @@ def _common(
         **_counts(estimates, truth, pairing, config),
         **_errors(estimates, truth, pairing),
         "over_distance": _over_distance(estimates, truth, pairing, config),
-        "sets": _set_scores(estimates, truth, config),
+        "sets": _set_scores(estimates, truth, pairing, config),
         "position_nees": _position_nees(estimates, truth, pairing, config),
         "first_delay": steady.first_delay,
         "longest_gap": steady.longest_gap,
@@ -221,13 +222,15 @@ def _sensor_at(stamps: NDArray[np.int64], truth: Truth) -> NDArray[np.float64]:
     return places
 
 
-def _set_scores(estimates: Estimates, truth: Truth, config: EvaluationConfig) -> SetScores | None:
-    estimates, truth = counted(estimates, truth, config=config)
+def _set_scores(
+    estimates: Estimates, truth: Truth, pairing: Pairing, config: EvaluationConfig
+) -> SetScores | None:
+    counts = counting(pairing, truth.is_eligible, config.gate)
+    estimates, truth = rows_of(estimates, counts), rows_of(truth, truth.is_eligible)
     rows = []
     for here, there in scans(estimates, truth):
         sets = estimates.position[here], truth.position[there]
-        parts = gospa(*sets, cutoff=config.gate, order=config.order)
-        distance = ospa(*sets, cutoff=config.gate, order=config.order)
+        distance, parts = set_distances(*sets, cutoff=config.gate, order=config.order)
         rows.append((distance, parts.distance, parts.localisation, parts.missed, parts.false))
     return SetScores(len(rows), *np.mean(rows, axis=0).tolist()) if rows else None
 

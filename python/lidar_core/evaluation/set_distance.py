@@ -64,13 +64,7 @@ def ospa(estimates: ArrayLike, targets: ArrayLike, *, cutoff: float, order: floa
     >>> ospa([[0, 0, 0]], [[0, 0, 0], [9, 0, 0]], cutoff=1.0, order=1.0)
     0.5
     """
-    cost = _costs(estimates, targets, cutoff, order)
-    size = max(cost.shape)
-    if not size:
-        return 0.0
-    unpaired = size - min(cost.shape)
-    total = float(_pair_costs(cost, cutoff, order).sum()) + unpaired * cutoff**order
-    return float((total / size) ** (1 / order))
+    return set_distances(estimates, targets, cutoff=cutoff, order=order)[0]
 
 
 def gospa(estimates: ArrayLike, targets: ArrayLike, *, cutoff: float, order: float) -> Gospa:
@@ -89,15 +83,24 @@ def gospa(estimates: ArrayLike, targets: ArrayLike, *, cutoff: float, order: flo
     >>> gospa([[0, 0, 0], [5, 0, 0]], [[0.5, 0, 0]], cutoff=1.0, order=2.0).false
     0.5
     """
+    return set_distances(estimates, targets, cutoff=cutoff, order=order)[1]
+
+
+def set_distances(
+    estimates: ArrayLike, targets: ArrayLike, *, cutoff: float, order: float
+) -> tuple[float, Gospa]:
+    """OSPA and GOSPA: both have the same best assignment of the smaller set."""
     cost = _costs(estimates, targets, cutoff, order)
-    pairs = _pair_costs(cost, cutoff, order)
-    pairs = pairs[pairs < cutoff**order]
+    rows, columns = assign(cost, gate=cutoff**order)
+    pairs, size = cost[rows, columns], max(cost.shape)
+    together = float(pairs.sum()) + (size - len(pairs)) * cutoff**order
+    inside = pairs[pairs < cutoff**order]
     single = cutoff**order / 2
-    localisation = float(pairs.sum())
-    missed = single * (cost.shape[1] - len(pairs))
-    false = single * (cost.shape[0] - len(pairs))
+    localisation = float(inside.sum())
+    missed, false = (single * (count - len(inside)) for count in reversed(cost.shape))
     distance = float((localisation + missed + false) ** (1 / order))
-    return Gospa(distance, localisation, missed, false)
+    ospa_distance = float((together / max(size, 1)) ** (1 / order))
+    return ospa_distance, Gospa(distance, localisation, missed, false)
 
 
 def _costs(
@@ -113,9 +116,3 @@ def _costs(
     distance = np.linalg.norm(found[:, None] - true[None], axis=-1)
     costs: NDArray[np.float64] = np.minimum(distance, cutoff) ** order
     return costs
-
-
-def _pair_costs(cost: NDArray[np.float64], cutoff: float, order: float) -> NDArray[np.float64]:
-    """Costs of the pairs of the best assignment of the smaller set."""
-    rows, columns = assign(cost, gate=cutoff**order)
-    return cost[rows, columns]
