@@ -6,10 +6,13 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 from flying_scenes import drone, yard
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from lidar_core import FormatError, LidarCoreError, MissingExtraError, evaluation
@@ -173,6 +176,14 @@ def test_tracks_can_stand_for_the_truth(place):
     assert scores["radial_error"] is None
 
 
+def test_a_covariance_that_is_none_is_named(place, tracks, tmp_path):
+    path = tmp_path / "tracks.npz"
+    np.savez(path, **{name: column for name, column in tracks.items() if name != "frame_id"}
+             | {"cov_x_x": -tracks["cov_x_x"]})  # fmt: skip
+    text = str(refusal_of(path, place / "yard.npz"))
+    assert "tracks.npz: row 0: its covariance is not positive definite" in text
+
+
 def test_of_a_track_written_twice_the_last_row_counts(tmp_path):
     columns = {"t_ns": np.zeros(2, np.int64), "track_id": np.full(2, 3)}
     columns |= {name: np.array([5.0, 7.0]) for name in "xyz"}
@@ -232,6 +243,40 @@ def test_what_cannot_be_read_is_named(place, tmp_path):
         error = refusal_of(path, place / "yard.truth.csv")
         assert isinstance(error, kind), (path, error)
         assert words in str(error)
+
+
+@pytest.fixture(scope="module")
+def whole_files(place):
+    """Bytes of a good file of every format."""
+    run = place / "run"
+    columns = read_columns(run / "tracks.parquet")
+    np.savez(place / "tracks.npz", **{name: columns[name] for name in ("t_ns", "track_id", *"xyz")})
+    write_csv(place / "tracks.csv", columns)
+    paths = (place / "tracks.csv", place / "tracks.npz", run / "tracks.parquet",
+             run / "run.mcap", run / "tracks_tum" / "track_0.txt")  # fmt: skip
+    return {path.suffix: path.read_bytes() for path in paths}
+
+
+@given(
+    suffix=st.sampled_from([".csv", ".npz", ".parquet", ".mcap", ".txt"]),
+    at=st.floats(0, 1),
+    junk=st.binary(max_size=20),
+    keeps_tail=st.booleans(),
+)
+@settings(max_examples=150)
+def test_damaged_files_are_read_or_refused_in_words(whole_files, suffix, at, junk, keeps_tail):
+    content = whole_files[suffix]
+    cut = int(at * len(content))
+    rest = content[cut + len(junk) :] if keeps_tail else b""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"damaged{suffix}"
+        path.write_bytes(content[:cut] + junk + rest)
+        refusal = None
+        try:
+            evaluation.read_prediction(path)
+        except LidarCoreError as error:
+            refusal = str(error)
+        assert refusal is None or str(path) in refusal
 
 
 def test_truth_that_cannot_be_used_is_named(place, tmp_path):

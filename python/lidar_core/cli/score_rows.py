@@ -42,7 +42,8 @@ def main_rows(report: "Evaluation") -> list[Row]:
 
 def _track_rows(tracks: "TrackScores") -> list[Row]:
     spread = f"RMSE {number(tracks.rmse, 2)}, largest {number(tracks.max_error, 2)}"
-    of_all = f"of {len(tracks.track_ids)}; {tracks.n_switches} changes of identity"
+    rate = number(tracks.false_tracks_per_minute, 1)
+    of_all = f"of {len(tracks.track_ids)}, {rate} per minute; {tracks.n_switches} id changes"
     return [
         Row("position error", number(tracks.mean_error, 2, " m"), f"mean of tracks; {spread}"),
         Row("false tracks", str(len(tracks.false_ids)), of_all),

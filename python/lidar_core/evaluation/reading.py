@@ -163,6 +163,13 @@ def _covariance(
     matrices = np.empty((rows, len(names), len(names)))
     for (row, column), title in zip(pairs, titles, strict=True):
         matrices[:, row, column] = matrices[:, column, row] = _numbers(place, columns, title)
+    smallest = np.linalg.eigvalsh(matrices)[:, 0]
+    if (smallest <= 0).any():
+        row = int(np.argmax(smallest <= 0))
+        raise FormatError(
+            f"{place}: row {row}: its covariance is not positive definite; without the columns"
+            " cov_* the table is scored without NEES"
+        )
     return matrices
 
 
