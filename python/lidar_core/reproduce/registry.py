@@ -5,7 +5,14 @@ from importlib import import_module
 from lidar_core.errors import ConfigError
 from lidar_core.reproduce.types import Item
 
-MODULES = ("flying_fig4", "flying_table3", "flying_fig7")
+MODULES = (
+    "flying_fig4",
+    "flying_table3",
+    "flying_fig7",
+    "flying_crossings",
+    "flying_occlusions",
+    "flying_consistency",
+)
 """Modules of this package that hold an `ITEM`, in the order in which `all` runs them."""
 
 
