@@ -14,7 +14,7 @@ from lidar_core.reproduce import Item, Request, Result, Row
 from lidar_core.reproduce.jobs import Job, run
 from lidar_core.reproduce.registry import MODULES, item_named, items
 
-SHORT = {"flying-fig4": 30}
+SHORT = {"flying-fig4": 30, "flying-crossings": 1, "flying-occlusions": 1}
 """Length of the short run of an item, where the common one shows too little."""
 COMMON = 16
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.reproduce.flights import Kind, Pairs, both_modes, fly, pairs
+from lidar_core.reproduce.flights import both_modes, fly, tables
 from lidar_core.reproduce.jobs import Job, Part, run
 from lidar_core.reproduce.types import Request
 
@@ -18,7 +18,6 @@ SENSOR = (0.0, 0.0, 3.0)
 """Where it hovers [m]."""
 SETTLED = 15
 """Scans from which on targets have to be tracked: the burn-in, and a few to be confirmed."""
-TRACKS: Kind = "tracks"
 MODES = (("paper", "paper mode"), ("best", "best mode"))
 
 
@@ -90,31 +89,20 @@ def in_sight(places: NDArray[np.float64]) -> bool:
 
 def scores(part: Part, mode: str) -> "TrackScores":
     """Score the tracks of a mode, once the burn-in is over."""
-    from lidar_core.evaluation import Estimates, Truth, score_tracks
+    from lidar_core.evaluation import EvaluationConfig, score_tracks
 
-    count = len(part["stamp_ns"])
-    has_to = (part["hits"] >= 3) & (np.arange(count) >= SETTLED)[:, None]
-    truth = Truth(
-        stamp_ns=np.repeat(part["stamp_ns"], len(part["id"])),
-        id=np.tile(part["id"], count),
-        position=part["position"].reshape(-1, 3),
-        is_eligible=has_to.ravel(),
-    )
-    tracks = Estimates(
-        stamp_ns=part["stamp_ns"][part[f"{mode}_tracks_scan"]],
-        position=part[f"{mode}_tracks_position"],
-        id=part[f"{mode}_tracks_id"],
-    )
-    return score_tracks(tracks, truth)
+    config = EvaluationConfig(burn_in_scans=SETTLED)
+    return score_tracks(*tables(part, mode, "tracks", config=config), config=config)
 
 
 def numbers(part: Part, mode: str) -> NDArray[np.int64]:
     """Track of every target in every scan, (S, T); -1 for none."""
-    found: Pairs = pairs(part, mode, TRACKS)
-    table = np.full(part["hits"].shape, -1, np.int64)
-    is_paired = found.target >= 0
-    table[found.scan[is_paired], found.target[is_paired]] = part[f"{mode}_tracks_id"][is_paired]
-    return table
+    from lidar_core.evaluation import EvaluationConfig, pair
+
+    config = EvaluationConfig()
+    row = pair(*tables(part, mode, "tracks", config=config), config=config).estimate_of
+    known = np.append(part[f"{mode}_tracks_id"], -1)  # -1, no row, is the last one
+    return known[row].reshape(part["hits"].shape)
 
 
 def draw_numbers(figure: Any, parts: Sequence[Part], title: str) -> None:

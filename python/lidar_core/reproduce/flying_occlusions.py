@@ -127,7 +127,7 @@ def _rows(parts: list[Part]) -> list[Row]:
     )
     return [
         Row("occlusions", "1", None, len(parts), len(parts)),
-        Row("ids kept", "1", None, *map(float, kept)),
+        Row("share of ids kept", "1", None, *map(float, kept)),
         Row("mean time without a hit", "s", None, hidden, hidden),
         Row("recall of tracks", "1", None,
             *(n / of if of else None for n, of in zip(hit, eligible, strict=True))),
