@@ -1,5 +1,6 @@
 """Hand-written stub of the compiled module, checked by stubtest."""
 
+from collections.abc import Sequence
 from os import PathLike
 from typing import Any, Self, TypeAlias, final
 
@@ -131,6 +132,8 @@ class SimScene:
         movers: list[tuple[SimShape, SimTrajectory, int]],
         *,
         threads: int,
+        sways: Sequence[tuple[Sequence[float], float, float] | None] = ...,
+        air: Sequence[object] = ...,
     ) -> Self: ...
     def scan(
         self, lidar: object, sensor: SimTrajectory, *, start_ns: int, scan: int, seed: int

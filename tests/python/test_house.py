@@ -127,11 +127,13 @@ def test_python_in_papers_uses_names_that_exist(paper):
                 held = getattr(held, name)
 
 
-def test_the_scene_of_the_guide_can_be_simulated():
-    (text,) = re.findall(r"```toml\n(.*?)```", text_of("docs/simulation.md"), re.DOTALL)
-    scene = lidar_core.sim.Scene.load(tomllib.loads(text))
-    (scan,) = lidar_core.sim.simulate(scene, seed=0, scans=1)
-    assert (scan.truth.hits > 0).all()
+def test_the_scenes_of_the_guide_can_be_simulated():
+    texts = re.findall(r"```toml\n(.*?)```", text_of("docs/simulation.md"), re.DOTALL)
+    assert len(texts) == 2
+    for text in texts:
+        scene = lidar_core.sim.Scene.load(tomllib.loads(text))
+        (scan,) = lidar_core.sim.simulate(scene, seed=0, scans=1)
+        assert (scan.truth.hits > 0).all()
 
 
 def test_make_help_lists_the_targets():

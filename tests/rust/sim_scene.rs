@@ -37,7 +37,12 @@ fn bodies() -> impl Strategy<Value = (Vec<Body>, [f64; 3])> {
                 move |(shape, offset, quaternion)| {
                     let translation = std::array::from_fn(|i| center[i] + reach * offset[i]);
                     let rotation = rotation_from_quaternion(quaternion);
-                    Body { shape, world_from_shape: Transform { rotation, translation }, label: 0 }
+                    Body {
+                        shape,
+                        world_from_shape: Transform { rotation, translation },
+                        sway: None,
+                        label: 0,
+                    }
                 },
             );
             (prop::collection::vec(body, 0..60), Just(center))
@@ -68,11 +73,11 @@ proptest! {
             for (offset, direction) in rays {
                 let origin = std::array::from_fn(|i| center[i] + offset[i]);
                 let ray = Ray { origin, direction };
-                let every = alone.iter().filter_map(|scene| scene.meet(&ray, RANGE_MAX));
+                let every = alone.iter().filter_map(|scene| scene.meet(&ray, RANGE_MAX, 0.0));
                 let best = every.min_by(|a, b| {
                     a.distance.total_cmp(&b.distance).then(a.label.cmp(&b.label))
                 });
-                assert_eq!(scene.meet(&ray, RANGE_MAX), best);
+                assert_eq!(scene.meet(&ray, RANGE_MAX, 0.0), best);
             }
             Ok(())
         };
@@ -88,7 +93,7 @@ proptest! {
         let origin: [f64; 3] = std::array::from_fn(|i| center[i] + offset[i]);
         let check = || -> Result<(), Error> {
             let scene = Scene::new(bodies, vec![])?;
-            if let Some(hit) = scene.meet(&Ray { origin, direction }, RANGE_MAX) {
+            if let Some(hit) = scene.meet(&Ray { origin, direction }, RANGE_MAX, 0.0) {
                 let end = std::array::from_fn(|i| origin[i] + hit.distance * direction[i]);
                 assert!(scene.clearance(end, 1.0) < 1e-6); // roundings of 1e6 m
                 assert!((norm(minus(end, origin)) - hit.distance).abs() < 1e-6);

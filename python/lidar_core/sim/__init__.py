@@ -1,6 +1,7 @@
 """Simulated LiDAR scans with the truth about them: scenes, sensors, motions, targets."""
 
 from lidar_core.sim import scenes
+from lidar_core.sim.air import Dust, Rain
 from lidar_core.sim.config import Body, Scene, Target
 from lidar_core.sim.insert import InsertedFlight, insert_target, with_target
 from lidar_core.sim.lidar import LidarModel, Rosette, Spinning
@@ -24,6 +25,7 @@ __all__ = [
     "Box",
     "Circle",
     "Cylinder",
+    "Dust",
     "HeightField",
     "Hexacopter",
     "Hover",
@@ -34,6 +36,7 @@ __all__ = [
     "NoisyPoses",
     "Plane",
     "PoseNoise",
+    "Rain",
     "RandomMotion",
     "Recorded",
     "Rosette",

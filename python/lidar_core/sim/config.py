@@ -5,6 +5,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from lidar_core.config import Config
+from lidar_core.sim.air import Particles
 from lidar_core.sim.lidar import LidarModel
 from lidar_core.sim.motions import Hover, Motion, Scripted
 from lidar_core.sim.shapes import Shape, Solid
@@ -24,6 +25,11 @@ class Target(Config):
 
     shape: Solid = Field(description="Surface (see the kinds for units).")
     motion: Motion = Field(description="Way (see the kinds for units).")
+    clutter: bool = Field(
+        False,
+        description="An insect, a bird: it gives returns with its own label, but is no target of"
+        " the truth (no unit).",
+    )
 
 
 class Scene(Config):
@@ -31,6 +37,9 @@ class Scene(Config):
 
     bodies: tuple[Body, ...] = Field((), description="What stands (see there for units).")
     targets: tuple[Target, ...] = Field((), description="What moves (see there for units).")
+    air: tuple[Particles, ...] = Field(
+        (), max_length=256, description="Rain and dust (see the kinds for units)."
+    )
     lidar: LidarModel = Field(
         default_factory=lambda: LidarModel.preset("os1-128"),
         description="The sensor (see there for units).",

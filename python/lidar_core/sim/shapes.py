@@ -12,6 +12,8 @@ from lidar_core.sim.meshes import hexacopter_mesh
 from lidar_core.sim.types import Vector
 
 Length: TypeAlias = Annotated[float, Field(gt=0)]
+Sway: TypeAlias = tuple[Vector, float, float]
+"""Greatest offset [m], swings per second [Hz], angle at time 0 [rad]."""
 Placed: TypeAlias = list[tuple[SimShape, NDArray[np.float64]]]
 """Surfaces, and where each is in the shape's frame [m]."""
 
@@ -118,7 +120,11 @@ class Tree(Config):
     crown_radius: Length = Field(1.8, description="Radius of the crown [m].")
     leaf_radius: Length = Field(0.12, description="Radius of a leaf sphere [m].")
     leaves: int = Field(300, ge=0, le=100_000, description="Leaf spheres (no unit).")
-    seed: int = Field(0, ge=0, description="Seed of their places (no unit).")
+    seed: int = Field(0, ge=0, description="Seed of their places and of their sway (no unit).")
+    sway: float = Field(
+        0.0, ge=0, description="Greatest way of the outermost leaves to either side in wind [m]."
+    )
+    sway_rate: float = Field(0.5, gt=0, le=100, description="Mean swings per second [Hz].")
 
     def surfaces(self) -> Placed:
         """Trunk and leaves."""
@@ -131,6 +137,22 @@ class Tree(Config):
         way *= reach * np.cbrt(rng.uniform(size=(self.leaves, 1)))  # even in the volume
         middle = np.array([0.0, 0.0, self.trunk_height])
         return [(trunk, 0.5 * middle), *((leaf, middle + step) for step in way)]
+
+    def sways(self) -> list[Sway | None]:
+        """Reach [m], rate [Hz] and phase [rad] of every surface: the further out, the wider."""
+        rng = np.random.default_rng([self.seed, 1])
+        out = [float(np.linalg.norm(place - [0, 0, self.trunk_height]))
+               for _, place in self.surfaces()[1:]]  # fmt: skip
+        wind = rng.uniform(0, 2 * np.pi)
+        along = np.array([np.cos(wind), np.sin(wind), 0.2])
+        swings: list[Sway | None] = [None]
+        for reach in out:
+            lateral = rng.normal(0, 0.3, 3)
+            size = self.sway * reach / self.crown_radius
+            rate = self.sway_rate * rng.uniform(0.7, 1.4)
+            x, y, z = (size * (along + lateral)).tolist()
+            swings.append(((x, y, z), float(rate), float(rng.uniform(0, 2 * np.pi))))
+        return swings
 
 
 Solid: TypeAlias = Annotated[

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from lidar_core._core import SimScene, SimShape, SimTrajectory
 from lidar_core.errors import ConfigError
 from lidar_core.messages import Scan
-from lidar_core.sim.config import Scene
+from lidar_core.sim.config import Body, Scene
 from lidar_core.sim.lidar import Spinning
 from lidar_core.sim.motions import RandomMotion, poses
+from lidar_core.sim.shapes import Sway, Tree
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +60,8 @@ class SimulatedScan:
     truth : TargetTruth
         The targets.
     label : ndarray, shape (N,), int32
-        What every ray met: number of the body or target, -1 where there is no point.
+        What every ray met: number of the body or target, -1 where there is no point, -2 for rain
+        and dust.
     """
 
     scan: Scan
@@ -102,13 +104,16 @@ class Simulator:
         self.seed = seed
         self._seconds = max(self.scans, scene.scans) * scene.lidar.period_ns * 1e-9
         self.sensor = self._trajectory(*scene.sensor.knots(self._seconds))
-        bodies = _bodies(scene)
+        bodies, sways = _bodies(scene)
         shapes = [target.shape.surfaces()[0][0] for target in scene.targets]
-        self.targets = self._ways(SimScene(bodies, [], threads=1), shapes)
-        self._ids = len(scene.bodies) + np.arange(len(shapes), dtype=np.int32)
-        self._radius = np.array([shape.radius for shape in shapes], np.float64)
-        movers = list(zip(shapes, self.targets, self._ids.tolist(), strict=True))
-        self._world = SimScene(bodies, movers, threads=threads)
+        ways = self._ways(SimScene(bodies, [], threads=1), shapes)
+        labels = len(scene.bodies) + np.arange(len(shapes), dtype=np.int32)
+        movers = list(zip(shapes, ways, labels.tolist(), strict=True))
+        self._world = SimScene(bodies, movers, threads=threads, sways=sways, air=list(scene.air))
+        self._is_target = np.array([not target.clutter for target in scene.targets], bool)
+        self.targets = [way for way, wanted in zip(ways, self._is_target, strict=True) if wanted]
+        self._ids = labels[self._is_target]
+        self._radius = np.array([shape.radius for shape in shapes], np.float64)[self._is_target]
 
     def __iter__(self) -> Iterator[SimulatedScan]:
         return (self.scan(number) for number in range(self.scans))
@@ -164,7 +169,7 @@ class Simulator:
             velocity=np.reshape(velocity, (-1, 3)),
             radius=self._radius,
             hits=hits,
-            rays=rays.astype(np.int64),
+            rays=rays[self._is_target].astype(np.int64),
             visible=hits > 0,
         )
 
@@ -212,12 +217,31 @@ def simulate(
     return iter(Simulator(scene, seed=seed, scans=scans, threads=threads))
 
 
-def _bodies(scene: Scene) -> list[tuple[SimShape, NDArray[np.float64], int]]:
+def _bodies(
+    scene: Scene,
+) -> tuple[list[tuple[SimShape, NDArray[np.float64], int]], list[Sway | None]]:
+    """Surfaces, poses and labels of all bodies, and how each surface sways."""
     bodies = []
+    sways: list[Sway | None] = []
     for label, body in enumerate(scene.bodies):
         pose = poses(np.array([body.position]), np.array([body.rotation]))[0]
         for shape, place in body.shape.surfaces():
             at = pose.copy()
             at[:3, 3] += pose[:3, :3] @ place
             bodies.append((shape, at, label))
-    return bodies
+        sways += _sways(body, pose[:3, :3], len(bodies) - len(sways))
+    return bodies, sways
+
+
+def _sways(body: Body, turn: NDArray[np.float64], surfaces: int) -> list[Sway | None]:
+    """Return the sways of a body's surfaces, world frame."""
+    if not isinstance(body.shape, Tree) or body.shape.sway == 0:
+        return [None] * surfaces
+    found: list[Sway | None] = []
+    for sway in body.shape.sways():
+        if sway is None:
+            found.append(None)
+        else:
+            x, y, z = (turn @ sway[0]).tolist()
+            found.append(((x, y, z), *sway[1:]))
+    return found

@@ -5,9 +5,10 @@ use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
 use lidar_core::geometry::transform::Transform;
 use lidar_core::{Error, threads};
+use lidar_sim::air::Particles;
 use lidar_sim::mesh::Mesh;
 use lidar_sim::motion::{Near, RandomMotion};
-use lidar_sim::scene::{Body, Bounds, Mover, Ray, Scene};
+use lidar_sim::scene::{Body, Bounds, Mover, Ray, Scene, Sway};
 use lidar_sim::sensors::{Lidar, Pattern};
 use lidar_sim::shape::Shape;
 use lidar_sim::simulate::{self, Task};
@@ -197,6 +198,35 @@ pub(crate) struct MotionConfig {
     sensor_elevation_deg: [f64; 2],
 }
 
+/// The fields of `Rain` and `Dust`.
+#[derive(FromPyObject)]
+pub(crate) enum ParticlesConfig {
+    Rain { density: f64, drop_size: f64, beam_size: f64, beam_divergence: f64, least_share: f64 },
+    Dust { center: [f64; 3], velocity: [f64; 3], radius: f64, growth: f64, free_path: f64 },
+}
+
+impl From<ParticlesConfig> for Particles {
+    fn from(config: ParticlesConfig) -> Self {
+        match config {
+            ParticlesConfig::Rain {
+                density,
+                drop_size,
+                beam_size,
+                beam_divergence,
+                least_share,
+            } => Self::Rain {
+                density,
+                size: drop_size,
+                beam: [beam_size, beam_divergence],
+                least_share,
+            },
+            ParticlesConfig::Dust { center, velocity, radius, growth, free_path } => {
+                Self::Dust { center, velocity, radius, growth, free_path }
+            }
+        }
+    }
+}
+
 /// Points, directions, no return, label, time of every ray; unoccluded rays of every mover.
 type ScanArrays<'py> = (
     Rows<'py, f32>,
@@ -213,18 +243,25 @@ pub(crate) struct SimScene(Guarded<(Scene, ThreadPool)>);
 #[pymethods]
 impl SimScene {
     #[new]
-    #[pyo3(signature = (bodies, movers, *, threads))]
+    #[pyo3(signature = (bodies, movers, *, threads, sways=Vec::new(), air=Vec::new()))]
+    #[allow(clippy::type_complexity)] // a row per body
     fn new(
         py: Python<'_>,
         bodies: Vec<(Py<SimShape>, PyReadonlyArray2<'_, f64>, i32)>,
         movers: Vec<(Py<SimShape>, Py<SimTrajectory>, i32)>,
         threads: i64,
+        sways: Vec<Option<([f64; 3], f64, f64)>>,
+        air: Vec<ParticlesConfig>,
     ) -> Result<Self, BorderError> {
         let mut standing = Vec::with_capacity(bodies.len());
+        let mut sways = sways.into_iter();
         for (shape, pose, label) in &bodies {
+            let sway = sways.next().flatten();
+            let sway = sway.map(|(reach, rate, phase)| Sway { reach, rate, phase });
             let values = arrays::flat("pose", pose)?;
             let world_from_shape = transform(values.as_chunks::<16>().0.first())?;
-            standing.push(Body { shape: shape.get().0.clone(), world_from_shape, label: *label });
+            let (shape, label) = (shape.get().0.clone(), *label);
+            standing.push(Body { shape, world_from_shape, sway, label });
         }
         let moving = movers.iter().map(|(shape, trajectory, label)| Mover {
             shape: shape.get().0.clone(),
@@ -233,7 +270,10 @@ impl SimScene {
         });
         let moving = moving.collect();
         let count = arrays::count("threads", threads)?;
-        let made = detached(py, || Ok((Scene::new(standing, moving)?, threads::pool(count)?)))?;
+        let air = air.into_iter().map(Particles::from).collect();
+        let made = detached(py, || {
+            Ok((Scene::new(standing, moving)?.with_air(air)?, threads::pool(count)?))
+        })?;
         Ok(Self(Guarded::new(made)))
     }
 
@@ -283,7 +323,7 @@ impl SimScene {
             let rays = origins.par_iter().zip(directions).with_min_len(1024);
             let meet = |(&origin, &direction): (&[f64; 3], &[f64; 3])| {
                 scene
-                    .meet(&Ray { origin, direction }, range_max)
+                    .meet(&Ray { origin, direction }, range_max, 0.0)
                     .map_or((f64::INFINITY, simulate::NO_LABEL), |hit| (hit.distance, hit.label))
             };
             Ok(pool.install(|| rays.map(meet).unzip()))

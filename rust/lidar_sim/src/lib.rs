@@ -5,6 +5,7 @@
 //! its own look at it: every ray has its own time, every random number depends on nothing but
 //! seed, scan and ray, so that the result is the same for any number of threads.
 
+pub mod air;
 pub mod mesh;
 pub mod motion;
 mod parry;

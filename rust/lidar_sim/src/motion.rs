@@ -200,7 +200,7 @@ impl RandomMotion<'_> {
             let way = minus(place, origin);
             let length = norm(way);
             let ray = Ray { origin, direction: way.map(|part| part / length) };
-            length > 0.0 && scene.meet(&ray, length).is_none()
+            length > 0.0 && scene.meet(&ray, length, 0.0).is_none()
         })
     }
 

@@ -8,6 +8,8 @@ pub enum Purpose {
     Ray = 1,
     /// Steps of a random motion.
     Motion = 2,
+    /// Particles that one ray may meet.
+    Air = 3,
 }
 
 /// Four random words at a place.

@@ -1,23 +1,38 @@
 //! What stands and what moves.
 
+use crate::air::{MAX_VOLUMES, Particles};
 use crate::parry::Tree;
-use crate::shape::Shape;
+use crate::shape::{Shape, refused};
 use crate::trajectory::Trajectory;
 use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, dot, minus, norm};
+use std::f64::consts::TAU;
 
 pub use crate::parry::{Bounds, Ray};
 
 /// Wide bodies that are kept out of the tree.
 const MOST_WIDE: usize = 8;
 
-/// A shape at rest.
+/// Swing of a body around its place, as leaves in the wind.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sway {
+    /// Greatest offset [m].
+    pub reach: [f64; 3],
+    /// Swings per second [Hz].
+    pub rate: f64,
+    /// Angle at time 0 [rad].
+    pub phase: f64,
+}
+
+/// A shape at rest, or swaying.
 #[derive(Clone, Debug)]
 pub struct Body {
     /// Its surface.
     pub shape: Shape,
     /// Where it stands.
     pub world_from_shape: Transform,
+    /// How it sways.
+    pub sway: Option<Sway>,
     /// Name in the truth labels; several bodies may share one.
     pub label: i32,
 }
@@ -42,7 +57,7 @@ pub struct Hit {
     pub label: i32,
 }
 
-/// Bodies at rest under a tree, and movers.
+/// Bodies at rest under a tree, movers, and what is in the air.
 #[derive(Clone, Debug)]
 pub struct Scene {
     bodies: Vec<Body>,
@@ -56,22 +71,41 @@ pub struct Scene {
     bounded: Vec<u32>,
     tree: Tree,
     movers: Vec<Mover>,
+    air: Vec<Particles>,
+}
+
+impl Sway {
+    /// Offset `seconds` after time 0 [m].
+    fn at(&self, seconds: f64) -> [f64; 3] {
+        let swing = libm::sin(TAU * (self.rate * seconds).fract() + self.phase);
+        self.reach.map(|reach| reach * swing)
+    }
+
+    fn is_finite(&self) -> bool {
+        self.reach.iter().chain([&self.rate, &self.phase]).all(|value| value.is_finite())
+    }
 }
 
 impl Scene {
     /// # Errors
-    /// [`Error::Value`] if a pose is not finite.
+    /// [`Error::Value`] if a pose or a sway is not finite.
     pub fn new(bodies: Vec<Body>, movers: Vec<Mover>) -> Result<Self, Error> {
         let (mut wide, mut bounded, mut boxes) = (Vec::new(), Vec::new(), Vec::new());
         for (index, body) in bodies.iter().enumerate() {
             let pose = &body.world_from_shape;
             let mut values = pose.rotation.iter().flatten().chain(&pose.translation);
-            if !values.all(|value| value.is_finite()) {
+            let sways = body.sway.is_none_or(|sway| sway.is_finite());
+            if !(values.all(|value| value.is_finite()) && sways) {
                 let got = format!("{pose:?}");
-                return Err(Error::Value { name: "bodies", expected: "a finite pose", index, got });
+                return Err(Error::Value { name: "bodies", expected: "finite", index, got });
             }
             match body.shape.bounds(pose) {
-                Some(bounds) => {
+                Some(mut bounds) => {
+                    let reach = body.sway.map_or([0.0; 3], |sway| sway.reach.map(f64::abs));
+                    for (axis, reach) in reach.into_iter().enumerate() {
+                        bounds.min[axis] -= reach;
+                        bounds.max[axis] += reach;
+                    }
                     bounded.push(index as u32);
                     boxes.push(bounds);
                 }
@@ -84,7 +118,25 @@ impl Scene {
             |body: &Body| body.world_from_shape.rotation == Transform::IDENTITY.rotation;
         let upright = bodies.iter().map(is_upright).collect();
         let tree = Tree::new(&boxes);
-        Ok(Self { tree, bodies, shape_from_world, upright, wide, bounded, movers })
+        Ok(Self { tree, bodies, shape_from_world, upright, wide, bounded, movers, air: Vec::new() })
+    }
+
+    /// The same with particles in the air.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] as [`Particles::check`], or above [`MAX_VOLUMES`].
+    pub fn with_air(self, air: Vec<Particles>) -> Result<Self, Error> {
+        if air.len() > MAX_VOLUMES {
+            return Err(refused("air", "at most 256 volumes", &air.len()));
+        }
+        air.iter().try_for_each(Particles::check)?;
+        Ok(Self { air, ..self })
+    }
+
+    /// What is in the air.
+    #[must_use]
+    pub fn air(&self) -> &[Particles] {
+        &self.air
     }
 
     /// What moves.
@@ -93,12 +145,17 @@ impl Scene {
         &self.movers
     }
 
-    /// First body at rest that `ray` meets before `limit` [m].
+    /// First body that `ray` meets before `limit` [m], `seconds` after time 0.
     #[must_use]
-    pub fn meet(&self, ray: &Ray, limit: f64) -> Option<Hit> {
+    pub fn meet(&self, ray: &Ray, limit: f64, seconds: f64) -> Option<Hit> {
         let test = |index: u32, limit: f64| {
             let index = index as usize;
             let body = &self.bodies[index];
+            let swayed = body.sway.map(|sway| Ray {
+                origin: minus(ray.origin, sway.at(seconds)),
+                direction: ray.direction,
+            });
+            let ray = swayed.as_ref().unwrap_or(ray);
             if self.upright[index] {
                 let origin = minus(ray.origin, body.world_from_shape.translation);
                 return body.shape.meet(&Ray { origin, direction: ray.direction }, limit);
@@ -121,7 +178,7 @@ impl Scene {
         nearest.map(|index| Hit { distance: limit, label: self.bodies[index as usize].label })
     }
 
-    /// Distance [m] of `point` from the nearest body at rest, or `limit` if none is nearer.
+    /// Distance [m] of `point` from the nearest body in its place, or `limit` if none is nearer.
     #[must_use]
     pub fn clearance(&self, point: [f64; 3], limit: f64) -> f64 {
         let of = |index: u32| {

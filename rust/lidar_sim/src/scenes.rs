@@ -189,7 +189,8 @@ fn bodies() -> Result<Vec<Body>, Error> {
     for [radius, height, x, y] in CYLINDERS {
         shapes.push((Shape::cylinder(radius, height)?, [x, y, 0.5 * height]));
     }
-    let body = |(label, (shape, place))| Body { shape, world_from_shape: at(place), label };
+    let body =
+        |(label, (shape, place))| Body { shape, world_from_shape: at(place), sway: None, label };
     Ok((0..).zip(shapes).map(body).collect())
 }
 

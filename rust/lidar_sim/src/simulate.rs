@@ -1,5 +1,6 @@
 //! One scan of a scene.
 
+use crate::random::{self, Purpose};
 use crate::scene::{Hit, Ray, Scene, inverse, passes, within};
 use crate::sensors::{Lidar, Sweep};
 use crate::trajectory::Trajectory;
@@ -10,6 +11,8 @@ use rayon::prelude::*;
 
 /// Label of a ray without a point.
 pub const NO_LABEL: i32 = -1;
+/// Label of a ray that ended on rain or dust.
+pub const AIR_LABEL: i32 = -2;
 
 /// Rays worked on together: fixed, so that the result cannot depend on the number of threads.
 const RAYS_PER_CHUNK: usize = 4096;
@@ -47,6 +50,8 @@ pub struct Scan {
 /// The world as one firing sees it.
 struct Moment {
     world_from_lidar: Transform,
+    /// Since time 0 [s].
+    seconds: f64,
     shape_from_world: Vec<Transform>,
 }
 
@@ -91,6 +96,7 @@ impl Task<'_> {
         let movers = self.scene.movers().iter();
         Moment {
             world_from_lidar: self.sensor.pose_at(stamp_ns),
+            seconds: stamp_ns as f64 * 1e-9,
             shape_from_world: movers
                 .map(|mover| inverse(&mover.trajectory.pose_at(stamp_ns)))
                 .collect(),
@@ -111,6 +117,7 @@ impl Task<'_> {
                 direction: moment.world_from_lidar.rotate(sweep.directions[index]),
             };
             let hit = self.meet(&ray, moment, &mut part.unoccluded);
+            let hit = self.in_air(&ray, moment, hit, index as u32);
             let distance = hit.map_or(f64::INFINITY, |hit| hit.distance);
             let range = self.lidar.measured(distance, self.seed, self.scan, index as u32);
             part.ranges.push(range);
@@ -122,7 +129,7 @@ impl Task<'_> {
 
     fn meet(&self, ray: &Ray, moment: &Moment, unoccluded: &mut [u32]) -> Option<Hit> {
         let limit = self.lidar.range_max;
-        let mut nearest = self.scene.meet(ray, limit);
+        let mut nearest = self.scene.meet(ray, limit, moment.seconds);
         for (index, mover) in self.scene.movers().iter().enumerate() {
             let local = within(&moment.shape_from_world[index], ray);
             if !passes(&local, [0.0; 3], mover.shape.radius()) {
@@ -132,6 +139,24 @@ impl Task<'_> {
             unoccluded[index] += 1;
             if nearest.is_none_or(|hit| distance < hit.distance) {
                 nearest = Some(Hit { distance, label: mover.label });
+            }
+        }
+        nearest
+    }
+
+    /// The particle that a ray ends on, or else `hit`.
+    fn in_air(&self, ray: &Ray, moment: &Moment, hit: Option<Hit>, index: u32) -> Option<Hit> {
+        let mut nearest = hit;
+        for (group, volumes) in (0_u32..).zip(self.scene.air().chunks(4)) {
+            let [ray_at, scan, scan_high, purpose] = random::place(Purpose::Air, self.scan, index);
+            let drawn = random::words(self.seed, [ray_at, scan, scan_high, purpose | group << 8]);
+            for (volume, word) in volumes.iter().zip(drawn) {
+                let depth = -libm::log(random::uniform(word));
+                let found = volume.meet(ray, self.lidar.range_min, moment.seconds, depth);
+                let limit = nearest.map_or(self.lidar.range_max, |hit| hit.distance);
+                if let Some(distance) = found.filter(|&distance| distance < limit) {
+                    nearest = Some(Hit { distance, label: AIR_LABEL });
+                }
             }
         }
         nearest

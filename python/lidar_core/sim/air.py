@@ -1,0 +1,49 @@
+"""What is in the air: rain and dust, whose returns are no things."""
+
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import Field
+
+from lidar_core.config import Config
+from lidar_core.sim.types import Vector
+
+
+class Rain(Config):
+    """Drops everywhere: a ray ends on the first one that fills enough of its section.
+
+    Drops of 3 mm are seen up to 6.6 m, of 4 mm up to 9.8 m; ten large drops per cubic metre, the
+    default, take 3 % of the rays. The ray is that of an Ouster OS1 (its data sheet); the share
+    that is enough is a typical value.
+    """
+
+    kind: Literal["rain"] = "rain"
+    density: float = Field(10.0, gt=0, description="Drops of that size [1/m^3].")
+    drop_size: float = Field(0.003, gt=0, description="Diameter of a drop [m].")
+    beam_size: float = Field(
+        0.0095, gt=0, description="Diameter of a ray where it leaves the sensor [m]."
+    )
+    beam_divergence: float = Field(
+        0.0031, gt=0, description="Growth of that diameter with the range [rad]."
+    )
+    least_share: float = Field(
+        0.01,
+        gt=0,
+        le=1,
+        description="A drop is seen while it fills this share of the ray's section (no unit).",
+    )
+
+
+class Dust(Config):
+    """A ball of dust that drifts and grows; a ray ends in it after a random way."""
+
+    kind: Literal["dust"] = "dust"
+    center: Vector = Field(description="Middle at time 0 [m].")
+    velocity: Vector = Field((0, 0, 0), description="Drift [m/s].")
+    radius: float = Field(gt=0, description="Radius at time 0 [m].")
+    growth: float = Field(0.0, ge=0, description="Growth of the radius [m/s].")
+    free_path: float = Field(
+        5.0, gt=0, description="Mean length of a ray in the dust before it ends [m]."
+    )
+
+
+Particles: TypeAlias = Annotated[Dust | Rain, Field(discriminator="kind")]

@@ -1,0 +1,146 @@
+//! What is in the air: rain and dust, whose drops and grains give returns of their own.
+
+use crate::parry::Ray;
+use crate::shape::refused;
+use lidar_core::Error;
+use lidar_core::geometry::transform::{dot, minus, norm};
+use std::f64::consts::PI;
+
+/// Most volumes of one scene.
+pub const MAX_VOLUMES: usize = 256;
+
+/// A volume of particles. Every ray meets other ones in every scan: they are far smaller than
+/// the gaps between rays, and far faster than scans.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Particles {
+    /// Drops everywhere.
+    Rain {
+        /// Drops [1/m^3].
+        density: f64,
+        /// Diameter of a drop [m].
+        size: f64,
+        /// Diameter of a ray where it leaves the sensor [m], and its growth [m/m].
+        beam: [f64; 2],
+        /// A drop is seen while it fills this share of the ray's section.
+        least_share: f64,
+    },
+    /// A ball of dust that drifts.
+    Dust {
+        /// Middle at time 0 [m].
+        center: [f64; 3],
+        /// Drift [m/s].
+        velocity: [f64; 3],
+        /// Radius at time 0 [m].
+        radius: f64,
+        /// Growth of the radius [m/s].
+        growth: f64,
+        /// Mean length of a ray in it before it ends on a grain [m].
+        free_path: f64,
+    },
+}
+
+impl Particles {
+    /// # Errors
+    /// [`Error::Parameter`] if a value is outside the range that its field states.
+    pub fn check(&self) -> Result<(), Error> {
+        let positive = |name, value: f64| match value.is_finite() && value > 0.0 {
+            true => Ok(()),
+            false => Err(refused(name, "finite and > 0", &value)),
+        };
+        match *self {
+            Self::Rain { density, size, beam, least_share } => {
+                positive("density", density)?;
+                positive("size", size)?;
+                positive("beam", beam[0])?;
+                positive("beam", beam[1])?;
+                positive("least_share", least_share)
+            }
+            Self::Dust { center, velocity, radius, growth, free_path } => {
+                if !center.iter().chain(&velocity).all(|value| value.is_finite()) {
+                    return Err(refused("center", "finite", &center));
+                }
+                if !(growth.is_finite() && growth >= 0.0) {
+                    return Err(refused("growth", "finite and >= 0", &growth));
+                }
+                positive("radius", radius)?;
+                positive("free_path", free_path)
+            }
+        }
+    }
+
+    /// Where `ray` ends on a particle, from `start` [m] on, `seconds` after time 0; `depth` is a
+    /// draw of the standard exponential distribution: how many particles it may pass.
+    pub(crate) fn meet(&self, ray: &Ray, start: f64, seconds: f64, depth: f64) -> Option<f64> {
+        match *self {
+            Self::Rain { density, size, beam, least_share } => {
+                // The rate per metre is density * PI / 4 * (beam[0] + beam[1] * l + size)^2.
+                let width = |length: f64| beam[0] + beam[1] * length + size;
+                let cube = width(start).powi(3) + 12.0 * beam[1] * depth / (PI * density);
+                let distance = (libm::cbrt(cube) - beam[0] - size) / beam[1];
+                let seen_up_to = (size / least_share.sqrt() - beam[0]) / beam[1];
+                (distance <= seen_up_to).then_some(distance)
+            }
+            Self::Dust { center, velocity, radius, growth, free_path } => {
+                let to_center: [f64; 3] = std::array::from_fn(|axis| {
+                    center[axis] + seconds * velocity[axis] - ray.origin[axis]
+                });
+                let along = dot(to_center, ray.direction);
+                let aside = norm(minus(to_center, ray.direction.map(|part| part * along)));
+                let radius = radius + growth * seconds.max(0.0);
+                let half = (radius * radius - aside * aside).max(0.0).sqrt();
+                let distance = (along - half).max(start) + free_path * depth;
+                (distance <= along + half).then_some(distance)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const AHEAD: Ray = Ray { origin: [0.0; 3], direction: [1.0, 0.0, 0.0] };
+
+    #[test]
+    fn a_ray_ends_in_dust_where_its_depth_is_reached() -> Result<(), Error> {
+        let dust = Particles::Dust {
+            center: [10.0, 0.0, 0.0],
+            velocity: [0.0, 1.0, 0.0],
+            radius: 2.0,
+            growth: 0.5,
+            free_path: 3.0,
+        };
+        dust.check()?;
+        assert_eq!(dust.meet(&AHEAD, 0.3, 0.0, 0.5), Some(9.5));
+        assert_eq!(dust.meet(&AHEAD, 9.0, 0.0, 0.5), Some(10.5));
+        assert_eq!(dust.meet(&AHEAD, 0.3, 0.0, 1.5), None);
+        assert_eq!(dust.meet(&AHEAD, 0.3, 1.0, 0.0), Some(10.0 - 5.25f64.sqrt()));
+        assert_eq!(dust.meet(&AHEAD, 0.3, 9.0, 0.1), None);
+        Ok(())
+    }
+
+    #[test]
+    fn rain_is_met_at_the_rate_of_its_drops() -> Result<(), Error> {
+        let rain = |least_share| Particles::Rain {
+            density: 100.0,
+            size: 0.003,
+            beam: [0.0095, 0.0031],
+            least_share,
+        };
+        rain(0.01).check()?;
+        // Sum of the rate over small steps: the depth that reaches the far end.
+        let rate = |l: f64| 100.0 * PI / 4.0 * (0.0095 + 0.0031 * l + 0.003).powi(2);
+        let depth: f64 = (0..4000).map(|k| 1e-3 * rate(1.0 + 1e-3 * (f64::from(k) + 0.5))).sum();
+        let found = rain(1e-6).meet(&AHEAD, 1.0, 0.0, depth);
+        assert!(found.is_some_and(|distance| (distance - 5.0).abs() < 1e-6));
+        assert!(rain(0.01).meet(&AHEAD, 1.0, 0.0, depth).is_some()); // seen up to 6.6 m
+        assert!(rain(0.04).meet(&AHEAD, 1.0, 0.0, depth).is_none()); // up to 1.8 m
+        Ok(())
+    }
+
+    #[test]
+    fn impossible_air_is_refused() {
+        let rain = Particles::Rain { density: 0.0, size: 0.1, beam: [0.1; 2], least_share: 0.1 };
+        assert!(rain.check().is_err());
+    }
+}
