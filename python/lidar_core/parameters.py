@@ -23,6 +23,7 @@ MODELS = {
     "poses": "lidar_core.io:PoseOptions",
     "read": "lidar_core.io:ReadOptions",
     "scene": "lidar_core.sim:Scene",
+    "steering": "lidar_core.sim:Steering",
 }
 """Models that a file or a command line fills, by the name the command gives them."""
 

@@ -675,3 +675,75 @@ def test_pose_noise_is_seeded():
     noise = sim.PoseNoise()
     assert (pose_errors(noise, scans=3) == pose_errors(noise, scans=3)).all()
     assert (pose_errors(noise, scans=3) != pose_errors(noise, scans=3, seed=1)).any()
+
+
+# Steered sensors
+
+places = st.tuples(*[st.floats(-30, 30)] * 3)
+
+
+@given(
+    st.lists(st.tuples(places, places, st.floats(0.05, 0.5)), min_size=1, max_size=6),
+    st.floats(0.5, 10),
+    st.floats(0.5, 10),
+)
+def test_a_steered_sensor_keeps_its_limits_and_never_jumps(goals, speed, acceleration):
+    steering = sim.Steering(speed_max=speed, acceleration_max=acceleration)
+    sensor = sim.SteeredSensor((1, 2, 3), stamp_ns=5_000, steering=steering)
+    way, stamps = [np.array([1.0, 2.0, 3.0])], [5_000]
+    for goal, drift, seconds in goals:
+        flown = sensor.fly(goal, goal_velocity=drift, seconds=seconds)
+        steps = stamps[-1] + np.arange(round(seconds * 100) + 1) * 10_000_000
+        assert steps[-1] == sensor.stamp_ns
+        places_flown = flown.poses_at(steps)[:, :3, 3]
+        np.testing.assert_allclose(places_flown[0], way[-1], atol=1e-9)
+        way += list(places_flown[1:])
+        stamps += steps[1:].tolist()
+    velocity = np.diff(way, axis=0) / 0.01
+    assert np.linalg.norm(velocity, axis=1).max() <= speed * (1 + 1e-6)
+    change = np.diff(velocity, axis=0) / 0.01
+    if len(change):
+        assert np.linalg.norm(change, axis=1).max() <= acceleration * (1 + 1e-4) + 1e-4
+
+
+def test_a_steered_sensor_arrives_and_follows_a_moving_goal_without_lag():
+    sensor = sim.SteeredSensor((0, 0, 0), stamp_ns=0)
+    sensor.fly((5, 0, 2), seconds=10)
+    np.testing.assert_allclose(sensor.position, (5, 0, 2), atol=0.01)
+    np.testing.assert_allclose(sensor.velocity, 0, atol=0.01)
+    sensor.fly((5, 0, 2), goal_velocity=(0, 3, 0), seconds=10)
+    np.testing.assert_allclose(sensor.position, (5, 30, 2), atol=0.02)
+
+
+def test_a_scan_can_be_taken_from_a_steered_sensor():
+    scene = sim.Scene(
+        bodies=(sim.Body(shape=sim.Plane()),),
+        lidar=sim.LidarModel(pattern=sim.Spinning(elevations_deg=(-90,), columns=8), range_std=0),
+        sensor=sim.Hover(position=(0, 0, 3)),
+    )
+    simulator = sim.Simulator(scene, seed=0)
+    sensor = sim.SteeredSensor((0, 0, 3), stamp_ns=0)
+    way = sensor.fly((0, 0, 9), seconds=0.1)
+    made = simulator.scan(0, sensor=way)
+    heights = way.poses_at(made.scan.point_time_ns)[:, 2, 3]
+    np.testing.assert_allclose(-made.scan.points[0, :, 2], heights, atol=1e-5)
+    assert heights[-1] > heights[0] == 3
+    assert made.poses[-1, 2, 3] == sensor.position[2]
+    assert simulator.scan(0).world_from_lidar[2, 3] == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ({"goal": (0, 0)}, "goal"),
+        ({"goal": (0, 0, np.nan)}, "goal"),
+        ({"goal": (0, 0, 0), "goal_velocity": (1, 2)}, "goal_velocity"),
+        ({"goal": (0, 0, 0), "seconds": 0.0}, "seconds"),
+        ({"goal": (0, 0, 0), "seconds": np.nan}, "seconds"),
+    ],
+)
+def test_a_goal_that_is_none_is_refused(arguments, named):
+    sensor = sim.SteeredSensor((0, 0, 0), stamp_ns=0)
+    with pytest.raises(InputError, match=named):
+        sensor.fly(**{"seconds": 0.1, **arguments})
+    assert sensor.stamp_ns == 0

@@ -19,6 +19,7 @@ from lidar_core.sim.noise import NoisyPoses, PoseNoise
 from lidar_core.sim.recording import Recorded, record
 from lidar_core.sim.shapes import Box, Cylinder, HeightField, Hexacopter, Mesh, Plane, Sphere, Tree
 from lidar_core.sim.simulator import SimulatedScan, Simulator, TargetTruth, simulate
+from lidar_core.sim.steering import SteeredSensor, Steering
 
 __all__ = [
     "Body",
@@ -46,6 +47,8 @@ __all__ = [
     "Simulator",
     "Sphere",
     "Spinning",
+    "SteeredSensor",
+    "Steering",
     "TakeOff",
     "Target",
     "TargetTruth",

@@ -118,8 +118,8 @@ class Simulator:
     def __iter__(self) -> Iterator[SimulatedScan]:
         return (self.scan(number) for number in range(self.scans))
 
-    def scan(self, number: int) -> SimulatedScan:
-        """Scan `number`, from 0.
+    def scan(self, number: int, *, sensor: SimTrajectory | None = None) -> SimulatedScan:
+        """Scan `number`, from 0; with a `sensor` steered by the caller, from its way.
 
         Raises
         ------
@@ -128,14 +128,14 @@ class Simulator:
         """
         if not 0 <= number < max(self.scans, self.scene.scans):
             raise ConfigError(f"number: expected 0 to {self.scans - 1}, got {number}")
-        lidar = self.scene.lidar
+        lidar, way = self.scene.lidar, self.sensor if sensor is None else sensor
         start_ns = self.scene.start_ns + number * lidar.period_ns
         points, directions, no_return, label, time_ns, rays = self._world.scan(
-            lidar, self.sensor, start_ns=start_ns, scan=number, seed=self.seed
+            lidar, way, start_ns=start_ns, scan=number, seed=self.seed
         )
         count = max(2, 1 + int(np.ceil(self.scene.pose_rate / lidar.scan_rate)))
         stamps = start_ns + np.linspace(0, lidar.period_ns, count).round().astype(np.int64)
-        path = self.sensor.poses_at(stamps)
+        path = way.poses_at(stamps)
         organised = isinstance(lidar.pattern, Spinning)
         return SimulatedScan(
             scan=Scan(
