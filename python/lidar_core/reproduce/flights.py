@@ -112,7 +112,11 @@ class Seen:
 
 
 def truth_columns(simulator: "Simulator", scans: "Iterable[SimulatedScan]") -> "Part":
-    """What is true at the start of every scan: arrays of (S,), (S, 3), (S, T) or (S, T, 3)."""
+    """What is true of every scan: arrays of shape (S,), (S, 3), (S, T) or (S, T, 3).
+
+    All of it is at the start of the scan, but `position_hit` at the mean time of the target's
+    points, or of all points where it has none.
+    """
     made = list(scans)
     stamps = np.array([one.scan.stamp_ns for one in made], np.int64)
     change = [
@@ -125,10 +129,26 @@ def truth_columns(simulator: "Simulator", scans: "Iterable[SimulatedScan]") -> "
         "id": made[0].truth.id.astype(np.int64),
         "radius": made[0].truth.radius,
         "position": np.array([one.truth.position for one in made]),
+        "position_hit": np.array([_position_hit(simulator, one) for one in made]),
         "velocity": np.array([one.truth.velocity for one in made]),
         "acceleration": np.stack(change, axis=1) / (2e-9 * DIFFERENCE_NS),
         "hits": np.array([one.truth.hits for one in made]),
     }
+
+
+def _position_hit(simulator: "Simulator", made: "SimulatedScan") -> NDArray[np.float64]:
+    """Where the targets were when the rays met them, (T, 3)."""
+    times = made.scan.point_time_ns
+    if times is None:
+        return made.truth.position
+    start = made.scan.stamp_ns
+    middle = float(np.mean(times - start))
+    places = []
+    for way, name in zip(simulator.targets, made.truth.id.tolist(), strict=True):
+        met = times[made.label == name] - start
+        when = start + round(float(met.mean()) if len(met) else middle)
+        places.append(way.poses_at(np.array([when]))[0, :3, 3])
+    return np.reshape(places, (-1, 3))
 
 
 def tables(
@@ -136,12 +156,14 @@ def tables(
 ) -> "tuple[Estimates, Truth]":
     """Detections or tracks of the configuration `name`, and the targets, for the evaluation.
 
-    The truth has one row per scan and target, in this order.
+    The truth has one row per scan and target, in this order: tracks are where it says at the
+    start of the scan, detections where the rays met the target.
     """
     from lidar_core.evaluation import Estimates, Truth, eligible
 
     count = len(part["id"])
-    stamps, position = part["stamp_ns"], part["position"].reshape(-1, 3)
+    stamps = part["stamp_ns"]
+    position = part["position" if kind == "tracks" else "position_hit"].reshape(-1, 3)
     sensor = np.repeat(part["sensor"], count, axis=0)
     after = np.repeat(np.arange(len(stamps)) >= config.burn_in_scans, count)
     estimates = Estimates(

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from lidar_core.reproduce.flights import Kind, both_modes
 from lidar_core.reproduce.jobs import Part, run
-from lidar_core.reproduce.street_flights import Sample, evaluation_config, jobs, sample
+from lidar_core.reproduce.sightings import Sightings
+from lidar_core.reproduce.street_flights import evaluation_config, jobs, sample
 from lidar_core.reproduce.types import Item, Request, Result, Row
 
 SHAPES = ("sphere", "mesh")
@@ -19,7 +20,7 @@ AXES = (
     ("speed", "m/s", (0.0, 0.5, 1.5, 2.5, 3.5, 4.5, 6.0, 8.0, 10.5)),
     ("acceleration", "m/s2", (0.0, 0.5, 1.5, 3.0, 5.0, 9.0)),
 )
-"""What the sightings are grouped by: column of `Sample`, unit, edges."""
+"""What the sightings are grouped by: column of `Sightings`, unit, edges."""
 KINDS: tuple[Kind, Kind] = ("detections", "tracks")
 MODES = ("paper", "best")
 
@@ -38,13 +39,13 @@ def _run(request: Request) -> Result:
     )
 
 
-def _joined(parts: Sequence[Part], mode: str, kind: Kind) -> Sample:
+def _joined(parts: Sequence[Part], mode: str, kind: Kind) -> Sightings:
     both = [sample(parts, mode, kind, shape) for shape in SHAPES]
-    names = Sample.__slots__
-    return Sample(*(np.concatenate([getattr(one, name) for one in both]) for name in names))
+    names = Sightings.__slots__
+    return Sightings(*(np.concatenate([getattr(one, name) for one in both]) for name in names))
 
 
-def _rows(seen: dict[tuple[str, Kind], Sample]) -> list[Row]:
+def _rows(seen: dict[tuple[str, Kind], Sightings]) -> list[Row]:
     rows = []
     for axis, unit, edges in AXES:
         for kind in KINDS:
@@ -57,7 +58,7 @@ def _rows(seen: dict[tuple[str, Kind], Sample]) -> list[Row]:
 
 
 def _curves(
-    seen: Sample, axis: str, edges: Sequence[float]
+    seen: Sightings, axis: str, edges: Sequence[float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean error of what was found, and recall, per group; NaN in empty groups."""
     from lidar_core.evaluation import binned
@@ -75,7 +76,7 @@ def _value(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _draw(figure: Any, seen: dict[tuple[str, Kind], Sample]) -> None:
+def _draw(figure: Any, seen: dict[tuple[str, Kind], Sightings]) -> None:
     """Errors above, recall below, one column per quantity."""
     panels = figure.subplots(2, len(AXES), sharey="row", sharex="col")
     figure.suptitle("Simulated flights, ideal", x=0.06, ha="left", fontweight="bold")

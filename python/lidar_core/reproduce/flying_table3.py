@@ -7,11 +7,11 @@ import numpy as np
 
 from lidar_core.reproduce.flights import Kind, both_modes, tables
 from lidar_core.reproduce.jobs import Part, run
+from lidar_core.reproduce.sightings import Sightings
 from lidar_core.reproduce.street_flights import (
     RADII,
     SHAPES,
     WAYS,
-    Sample,
     evaluation_config,
     jobs,
     sample,
@@ -72,7 +72,7 @@ QUANTITIES = (
 )
 
 
-def _numbers(seen: Sample) -> list[float | None]:
+def _numbers(seen: Sightings) -> list[float | None]:
     """Values of `QUANTITIES`; None where nothing was seen or found."""
     found = seen.is_found
     error, slow = seen.error[found], seen.error[found & (seen.acceleration <= SLOW)]

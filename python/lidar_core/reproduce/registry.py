@@ -9,6 +9,7 @@ MODULES = (
     "flying_fig4",
     "flying_table3",
     "flying_fig7",
+    "flying_fig8",
     "flying_crossings",
     "flying_occlusions",
     "flying_consistency",

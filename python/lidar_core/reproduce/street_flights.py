@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidar_core.reproduce.flights import Kind, both_modes, fly, tables
+from lidar_core.reproduce.flights import Kind, both_modes, fly
 from lidar_core.reproduce.jobs import Job, Part
+from lidar_core.reproduce.sightings import Sightings, sightings
 from lidar_core.reproduce.types import Request
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ RANGES = (5.0, 20.0)
 """Ranges that the drones cover evenly [m]."""
 HEIGHTS = (3.0, 5.0)
 SENSOR_HEIGHT = 4.0
-RATES = ("velocity", "acceleration")
 GATE = 2.0
 """Estimates further from every target are false [m]; the drones stay further apart."""
 SHAPES = ("sphere", "mesh", "any sphere", "any mesh")
@@ -185,53 +184,6 @@ def evaluation_config() -> "EvaluationConfig":
     return EvaluationConfig(gate=GATE, burn_in_scans=FlyingConfig().seed.burn_in_scans)
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """All sightings of one shape that had to be found, over all flights.
-
-    Attributes
-    ----------
-    distance, speed, acceleration : ndarray, shape (N,), float64
-        From the sensor [m]; of the target [m/s], [m/s^2].
-    error : ndarray, shape (N,), float64
-        Distance to its detection or track [m]; NaN where it has none.
-    along : ndarray, shape (N,), float64
-        The same along the line of sight, positive behind the centre [m].
-    """
-
-    distance: NDArray[np.float64]
-    speed: NDArray[np.float64]
-    acceleration: NDArray[np.float64]
-    error: NDArray[np.float64]
-    along: NDArray[np.float64]
-
-    @property
-    def is_found(self) -> NDArray[np.bool_]:
-        """Whether there is a detection or track."""
-        return np.isfinite(self.error)
-
-
-def sample(parts: Sequence[Part], name: str, kind: Kind, shape: str) -> Sample:
+def sample(parts: Sequence[Part], name: str, kind: Kind, shape: str) -> Sightings:
     """Sightings of `shape` by the configuration `name`."""
-    columns = [_columns(part, name, kind, SHAPES.index(shape)) for part in parts]
-    return Sample(*np.concatenate(columns, axis=1))
-
-
-def _columns(part: Part, name: str, kind: Kind, target: int) -> NDArray[np.float64]:
-    """Rows of `Sample` of one flight and one of its targets."""
-    from lidar_core.evaluation import pair
-
-    config = evaluation_config()
-    estimates, truth = tables(part, name, kind, config=config)
-    partner = pair(estimates, truth, config=config).estimate_of
-    count = len(part["id"])
-    chosen = np.flatnonzero(truth.is_eligible & (np.arange(len(partner)) % count == target))
-    scan, partner = chosen // count, partner[chosen]
-    sight = part["position"][scan, target] - part["sensor"][scan]
-    distance = np.linalg.norm(sight, axis=1)
-    away = np.full((len(chosen), 3), np.nan)
-    is_found = partner >= 0
-    away[is_found] = estimates.position[partner[is_found]] - truth.position[chosen[is_found]]
-    speeds = (np.linalg.norm(part[name][scan, target], axis=1) for name in RATES)
-    error = np.linalg.norm(away, axis=1)
-    return np.stack([distance, *speeds, error, np.sum(away * sight, axis=1) / distance])
+    return sightings(parts, name, kind, target=SHAPES.index(shape), config=evaluation_config())
