@@ -13,6 +13,8 @@ MODULES = (
     "flying_crossings",
     "flying_occlusions",
     "flying_consistency",
+    "flying_range",
+    "flying_false_tracks",
 )
 """Modules of this package that hold an `ITEM`, in the order in which `all` runs them."""
 
