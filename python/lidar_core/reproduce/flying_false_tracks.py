@@ -215,6 +215,6 @@ ITEM = Item(
     name="flying-false-tracks",
     title="tracks of nothing: ideal, with noise, in rain, dust, insects and swaying trees",
     scans=4500,
-    minutes=20,
+    minutes=40,
     run=_run,
 )

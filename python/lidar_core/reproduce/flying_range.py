@@ -215,7 +215,7 @@ def _draw(figure: Any, parts: Sequence[Part]) -> None:
 ITEM = Item(
     name="flying-range",
     title="drones 20 to 35 m away: recall and error, d_max 20 m and 50 m",
-    scans=1200,
-    minutes=12,
+    scans=600,
+    minutes=15,
     run=_run,
 )
