@@ -277,6 +277,26 @@ def test_a_track_out_of_sight_is_kept_but_not_reported_for_long():
     assert tracker.tracks_at(30 * STEP_NS).id.tolist() == [0]
 
 
+def test_a_target_seen_at_both_ends_of_a_scan_is_one_target():
+    tracker = PointCloudTracker(TrackerConfig())
+    velocity = np.array([4.0, 0.0, 0.0])
+    for k in range(30):
+        seconds = 0.1 * k + np.array([0.0, 0.1])
+        places = np.array([0, 8.0, 5.0]) + seconds[:, None] * velocity
+        times = np.round(seconds * 1e9).astype(np.int64)
+        points = np.concatenate([place + BODY for place in places])
+        tracker.new_point_cloud(
+            points, EMPTY, k * STEP_NS, point_time_ns=np.repeat(times, len(BODY))
+        )
+        tracker.new_detections(
+            places[: 1 if k < 10 else 2], k * STEP_NS, time_ns=times[: 1 if k < 10 else 2]
+        )
+        if k >= 10:
+            tracks = tracker.tracks_at(k * STEP_NS)
+            assert tracks.id.tolist() == [0]
+            assert np.linalg.norm(tracks.position[0] - places[0]) < 0.1
+
+
 def test_single_false_detections_make_no_track():
     rng = np.random.default_rng(0)
     tracker = PointCloudTracker(BEST)

@@ -32,6 +32,7 @@ class Track:
     extent: np.ndarray
     size: np.ndarray
     id: int = -1
+    delay: float = 0.0
     n_detections: int = 1
     history: list[bool] = field(default_factory=lambda: [True])
     confirmed: bool = False
@@ -292,7 +293,7 @@ class Tracker:
             J[:3, 3:6] = -late * EYE  # r = z - v * delay
             P = J @ P @ J.T
             x = np.r_[z, np.zeros(6)]
-            fresh.append(Track(x, P, P, stamp, stamp, stamp, np.zeros(3), np.zeros(3)))
+            fresh.append(Track(x, P, P, stamp, stamp, stamp, np.zeros(3), np.zeros(3), delay=late))
         for time, points, delays in self.buffer:
             if time > stamp:
                 self.update(fresh, time, points, occupied, delays)
@@ -325,11 +326,12 @@ class Tracker:
             y = (x - x2)[:3]
             return (y, (P + P2)[:3, :3]) if np.linalg.norm(y) <= self.reach(track) else None
 
-        fed = []
+        fed, known = [], list(self.tracks)
         track_of = self.assign(len(fresh), len(self.tracks), offset)
         for new, index in zip(fresh, track_of, strict=True):
             if index is None:
-                self.tracks.append(new)
+                if not self.is_seen_twice(new, known):
+                    self.tracks.append(new)
                 continue
             track = self.tracks[index]
             track.n_detections += 1
@@ -340,6 +342,13 @@ class Tracker:
                 self.move(new, stamp)
                 self.correct(track, new.r, new.P[:3, :3], new.extent)
         return fed
+
+    def is_seen_twice(self, new, known):
+        late = new.delay if new.stamp == new.born else 0.0
+        states = [self.at(track, new.stamp)[0] for track in known]
+        expected = [x[:3] + late * x[3:6] + late**2 / 2 * x[6:] for x in states]
+        gaps = [np.linalg.norm(place - new.r) for place in expected]
+        return min(gaps, default=np.inf) <= self.c.cluster_distance
 
     def finish(self, fed, known):
         events = Events()

@@ -2,7 +2,7 @@
 
 use super::buffer::Buffer;
 use super::candidates::Measurement;
-use super::motion::{position, position_block};
+use super::motion::{position, position_block, position_matrix};
 use super::occupancy::Occupancy;
 use super::parameters::{Association, MAX_TRACKS, MeasurementForm, TrackerParameters};
 use super::state::TrackState;
@@ -206,7 +206,9 @@ impl Updater {
         let mut matches = Matches::default();
         for (hypothesis, track) in hypotheses.into_iter().zip(track_of) {
             let Some(index) = track else {
-                tracks.push(hypothesis);
+                if !self.is_seen_twice(&hypothesis, &tracks[..ahead.len()]) {
+                    tracks.push(hypothesis);
+                }
                 continue;
             };
             let track = &mut tracks[index];
@@ -218,6 +220,19 @@ impl Updater {
             }
         }
         Ok(matches)
+    }
+
+    /// Whether the hypothesis is the target of a track once more: a rolling scan may meet a target
+    /// at its start and again at its end, partly at least. No further away than a gap inside a
+    /// cluster.
+    fn is_seen_twice(&self, hypothesis: &TrackState, tracks: &[TrackState]) -> bool {
+        let model = &self.parameters.motion;
+        let is_fresh = hypothesis.stamp_ns == hypothesis.born_ns;
+        let delay = if is_fresh { hypothesis.delay } else { 0.0 };
+        tracks.iter().any(|track| {
+            let expected = position_matrix(delay) * track.at(hypothesis.stamp_ns, model).mean;
+            (hypothesis.position() - expected).norm() <= self.parameters.clustering.max_distance
+        })
     }
 
     fn learn(&self, track: &mut TrackState, mut hypothesis: TrackState) -> bool {

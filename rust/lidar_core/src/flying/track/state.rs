@@ -20,6 +20,8 @@ pub(super) struct TrackState {
     pub(super) born_ns: i64,
     /// Where its first detection was.
     pub(super) born_at: Vector3<f64>,
+    /// When that was measured, after `born_ns` [s].
+    pub(super) delay: f64,
     /// Time of the last measurement.
     pub(super) seen_ns: i64,
     pub(super) extent: [f64; 3],
@@ -59,6 +61,7 @@ impl TrackState {
             stamp_ns,
             born_ns: stamp_ns,
             born_at: detection.position,
+            delay,
             seen_ns: stamp_ns,
             extent: detection.extent,
             size: detection.extent,
