@@ -114,7 +114,7 @@ fn tracker() -> TrackerParameters {
         occupied_adds_extent: false,
         radius: Radius { form: RadiusForm::SixthRoot, scale: 1.22, min: 1.5, max: 3.0 },
         motion: Motion {
-            acceleration_time: Some(0.5),
+            acceleration_time: Some(1.0),
             form: NoiseForm::Continuous,
             std: [0.0, 0.1, 4.0],
         },

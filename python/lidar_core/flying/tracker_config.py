@@ -63,7 +63,7 @@ class TrackerConfig(Config):
         3.0, gt=0, description="Tracks with a larger uncertainty radius are removed, r_max [m]."
     )
     acceleration_time: float | None = Field(
-        0.5,
+        1.0,
         gt=0,
         description="Time constant with which accelerations fade [s]; none, as in eq. 27 of the"
         " paper: they stay.",
