@@ -219,6 +219,7 @@ pub fn tracker_parameters() -> TrackerParameters {
         radius: Radius { form: RadiusForm::SixthRoot, scale: 1.22, min: 1.5, max: 3.0 },
         motion: Motion {
             acceleration_time: Some(1.0),
+            unseen_time: Some(0.3),
             form: NoiseForm::Continuous,
             std: [0.0, 0.1, 4.0],
         },

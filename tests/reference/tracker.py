@@ -64,9 +64,11 @@ class Tracker:
     # --- motion -------------------------------------------------------------------------------
 
     @cache  # noqa: B019
-    def model(self, dt):
+    def model(self, dt, unseen=False):
         """Transition and process noise over `dt` >= 0 [s]."""
         tau = self.c.acceleration_time
+        if unseen and self.c.unseen_acceleration_time is not None:
+            tau = self.c.unseen_acceleration_time
         F = np.kron([[0, 1, 0], [0, 0, 1], [0, 0, 0 if tau is None else -1 / tau]], EYE)
         std = np.repeat(
             [self.c.process_position, self.c.process_velocity, self.c.process_acceleration], 3
@@ -84,18 +86,19 @@ class Tracker:
             A, Q = Ah @ A, Ah @ Q @ Ah.T + Qh
         return A, Q
 
-    def predicted(self, x, P, dt):
+    def predicted(self, x, P, dt, unseen=False):
         if dt >= 0:
-            A, Q = self.model(dt)
+            A, Q = self.model(dt, unseen)
             return A @ x, A @ P @ A.T + Q
-        _, Q = self.model(-dt)
+        _, Q = self.model(-dt, unseen)
         A = np.eye(9)
         A[:6, 3:] += dt * np.eye(6)
         A[:3, 6:] = dt**2 / 2 * EYE
         return A @ x, A @ (P + Q) @ A.T
 
     def at(self, track, stamp):
-        return self.predicted(track.x, track.P, (stamp - track.stamp) * 1e-9)
+        seconds = (stamp - track.stamp) * 1e-9
+        return self.predicted(track.x, track.P, seconds, track.seen < track.stamp)
 
     def move(self, track, stamp):
         track.x, track.P = self.at(track, stamp)

@@ -68,6 +68,12 @@ class TrackerConfig(Config):
         description="Time constant with which accelerations fade [s]; none, as in eq. 27 of the"
         " paper: they stay.",
     )
+    unseen_acceleration_time: float | None = Field(
+        0.3,
+        gt=0,
+        description="The same while a track goes on without measurements [s]; none, as in the"
+        " paper: no other.",
+    )
     process_noise: Literal["paper", "continuous"] = Field(
         "continuous",
         description="Growth of uncertainty: the same at every step, eq. 31, or white noise in"
@@ -198,6 +204,7 @@ class TrackerConfig(Config):
             radius="paper",
             radius_scale=0.5,
             acceleration_time=None,
+            unseen_acceleration_time=None,
             process_noise="paper",
             process_position=0.5,
             process_velocity=0.5,

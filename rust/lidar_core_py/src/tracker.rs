@@ -29,6 +29,7 @@ pub(crate) struct TrackerConfig {
     radius_min: f64,
     radius_max: f64,
     acceleration_time: Option<f64>,
+    unseen_acceleration_time: Option<f64>,
     process_noise: String,
     process_position: f64,
     process_velocity: f64,
@@ -93,6 +94,7 @@ impl TrackerConfig {
             },
             motion: Motion {
                 acceleration_time: self.acceleration_time,
+                unseen_time: self.unseen_acceleration_time,
                 form: arrays::choice("process_noise", &self.process_noise, &NOISE_FORMS)?,
                 std: [self.process_position, self.process_velocity, self.process_acceleration],
             },

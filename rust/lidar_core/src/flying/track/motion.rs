@@ -184,11 +184,19 @@ mod tests {
         }
     }
 
-    const CONTINUOUS: Motion =
-        Motion { form: NoiseForm::Continuous, std: [0.5, 0.7, 2.0], acceleration_time: None };
+    const CONTINUOUS: Motion = Motion {
+        form: NoiseForm::Continuous,
+        std: [0.5, 0.7, 2.0],
+        acceleration_time: None,
+        unseen_time: None,
+    };
     const FADING: Motion = Motion { acceleration_time: Some(0.8), ..CONTINUOUS };
-    const PAPER: Motion =
-        Motion { form: NoiseForm::Paper, std: [0.5, 0.5, 0.1], acceleration_time: None };
+    const PAPER: Motion = Motion {
+        form: NoiseForm::Paper,
+        std: [0.5, 0.5, 0.1],
+        acceleration_time: None,
+        unseen_time: None,
+    };
     /// Rounding of eleven matrix products.
     const TOLERANCE: f64 = 1e-12;
 

@@ -44,6 +44,8 @@ pub enum NoiseForm {
 pub struct Motion {
     /// The acceleration fades with this time constant [s]; None, as in eq. 27: it stays.
     pub acceleration_time: Option<f64>,
+    /// The same while a track goes on unseen [s]; None: no other.
+    pub unseen_time: Option<f64>,
     /// What the numbers mean.
     pub form: NoiseForm,
     /// Standard deviations: per step [m, m/s, m/s^2], or as roots of densities [the same / sqrt(s)].
@@ -179,6 +181,7 @@ impl TrackerParameters {
             ("radius_min", min),
             ("radius_max", max),
             ("acceleration_time", self.motion.acceleration_time.unwrap_or(1.0)),
+            ("unseen_acceleration_time", self.motion.unseen_time.unwrap_or(1.0)),
             ("size_time", self.hiding.map_or(1.0, |hiding| hiding.time)),
             ("split_distance", self.split_distance.unwrap_or(1.0)),
         ];

@@ -83,8 +83,15 @@ impl TrackState {
         motion::radius(&self.estimate.covariance, parameters)
     }
 
+    /// The state at `stamp_ns`. The acceleration of a track that was not seen at its own time is
+    /// of the past.
     pub(super) fn at(&self, stamp_ns: i64, model: &Motion) -> Gaussian<9> {
-        motion::predict(&self.estimate, seconds(self.stamp_ns, stamp_ns), model)
+        let acceleration_time = match model.unseen_time {
+            Some(time) if self.seen_ns < self.stamp_ns => Some(time),
+            _ => model.acceleration_time,
+        };
+        let model = Motion { acceleration_time, ..*model };
+        motion::predict(&self.estimate, seconds(self.stamp_ns, stamp_ns), &model)
     }
 
     /// Move to `stamp_ns`.

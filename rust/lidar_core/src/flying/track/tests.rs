@@ -14,7 +14,12 @@ fn paper() -> TrackerParameters {
         occupied_distance: 1.0,
         occupied_adds_extent: false,
         radius: Radius { form: RadiusForm::Paper, scale: 0.5, min: 1.5, max: 3.0 },
-        motion: Motion { acceleration_time: None, form: NoiseForm::Paper, std: [0.5, 0.5, 0.1] },
+        motion: Motion {
+            acceleration_time: None,
+            unseen_time: None,
+            form: NoiseForm::Paper,
+            std: [0.5, 0.5, 0.1],
+        },
         initial_std: [0.5, 3.0, 3.0],
         measurement: MeasurementForm::Paper,
         measurement_std: 1.0,
