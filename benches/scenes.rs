@@ -177,6 +177,7 @@ pub fn flying_parameters() -> FlyingParameters {
     FlyingParameters {
         map: map_parameters(),
         clustering: CLUSTERING,
+        cluster_angle: 0.0125,
         cluster_voxels: false,
         classify: classify_parameters(),
         separation: SEPARATION,
