@@ -228,7 +228,7 @@ pub fn tracker_parameters() -> TrackerParameters {
         measurement: MeasurementForm::Cluster,
         measurement_std: 0.07,
         hiding: Some(Hiding { share: 0.75, time: 2.0 }),
-        association: Association::Global { gate_probability: 0.997, clutter_density: 1e-5 },
+        association: Association::Global { gate_probability: 0.9999, clutter_density: 1e-5 },
         split_distance: Some(0.8),
         confirmation: Confirmation { hits: 3, window: 10 },
         merging: Some(Merging { distance: 0.3, speed: 1.0 }),

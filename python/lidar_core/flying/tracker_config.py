@@ -134,7 +134,7 @@ class TrackerConfig(Config):
         " nearest neighbour, one to one and gated (no unit).",
     )
     gate_probability: float = Field(
-        0.997,
+        0.9999,
         gt=0,
         lt=1,
         description="Probability that a target passes the gate of its own track (no unit); global"

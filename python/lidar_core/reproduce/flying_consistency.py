@@ -30,7 +30,7 @@ EMPTY = np.empty((0, 3))
 
 def _run(request: Request) -> Result:
     configs = {"paper": TrackerConfig.paper(), "best": TrackerConfig()}
-    runs = request.scans
+    runs, stated = request.scans, [stated_std(config) for config in configs.values()]
     own = [_own_model(config, request.seed, runs) for config in configs.values()]
     found = [consistency(values, degrees=9) for values in own]
     circles = [
@@ -42,8 +42,8 @@ def _run(request: Request) -> Result:
         rows=(*_own_rows(found, own), *_circle_rows(circles)),
         draw=lambda figure: _draw(figure, own, found),
         scans=runs,
-        note=f"{runs} runs of {STEPS} steps; measurements with the covariance that each mode"
-        f" states: 1 m in paper mode, {CENTRE_STD} m in best mode; on circles {CENTRE_STD} m.",
+        note=f"{runs} runs of {STEPS} steps. Noise as each mode states it, {stated[0]:g} and"
+        f" {stated[1]:.2g} m; on circles {CENTRE_STD} m.",
         config=configs,
     )
 
@@ -51,17 +51,25 @@ def _run(request: Request) -> Result:
 def _own_model(config: TrackerConfig, seed: int, runs: int) -> Array:
     """NEES of all nine numbers of the state, (runs, steps); NaN where there is no track."""
     rng = np.random.default_rng([3, seed])
-    noise = config.measurement_std if config.measurement == "paper" else CENTRE_STD
+    noise = stated_std(config)
     truth = _drawn(config, rng, runs)
     measured = truth[:, :, :3] + rng.normal(size=(runs, STEPS, 3)) * noise
     first = config.initial_position if config.measurement == "paper" else noise
     measured[:, 0] = truth[:, 0, :3] + rng.normal(size=(runs, 3)) * first
     values = np.full((runs, STEPS), np.nan)
     for run in range(runs):
-        mean, covariance, _ = _tracked(config, measured[run], noise)
+        mean, covariance, _ = _tracked(config, measured[run])
         known = np.isfinite(mean[:, 0])
         values[run, known] = nees(mean[known] - truth[run, known], covariance[known])
     return values
+
+
+def stated_std(config: TrackerConfig) -> float:
+    """Noise of a measurement per axis, as the filter takes it [m]."""
+    if config.measurement == "paper":
+        return config.measurement_std
+    is_centroid = config.measurement == "cluster"  # its own covariance comes on top
+    return float(np.hypot(CENTRE_STD, config.measurement_std if is_centroid else 0.0))
 
 
 def _drawn(config: TrackerConfig, rng: np.random.Generator, runs: int) -> Array:
@@ -86,11 +94,11 @@ def _drawn(config: TrackerConfig, rng: np.random.Generator, runs: int) -> Array:
     return np.stack(states, axis=1)
 
 
-def _tracked(config: TrackerConfig, measured: Array, noise: float) -> tuple[Array, Array, Array]:
+def _tracked(config: TrackerConfig, measured: Array) -> tuple[Array, Array, Array]:
     """State (steps, 9), covariance, and position predicted by `AHEAD_NS`; NaN without a track."""
     at_once = config.model_copy(update={"confirm_hits": 1, "confirm_window": 1})
     tracker = PointCloudTracker(at_once)
-    covariance = np.eye(3)[None] * noise**2
+    covariance = np.eye(3)[None] * CENTRE_STD**2
     mean = np.full((len(measured), 9), np.nan)
     spread = np.full((len(measured), 9, 9), np.nan)
     ahead = np.full((len(measured), 3), np.nan)
@@ -125,7 +133,7 @@ def _circle(
         along = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=1) @ turn.T
         truth = np.concatenate([out * speed**2 / acceleration, along * speed], axis=1)
         noisy = truth[:-1, :3] + rng.normal(size=(STEPS, 3)) * CENTRE_STD
-        mean, covariance, ahead = _tracked(config, noisy, CENTRE_STD)
+        mean, covariance, ahead = _tracked(config, noisy)
         error, later = mean[:, :6] - truth[:-1], ahead - truth[1:, :3]
         values = np.stack(
             [
