@@ -366,6 +366,11 @@ class FlyingConfig(Config):
         description="Rays clear this much further than `voxel_map.max_range`, so that what is"
         " around a target at that range has been observed [m].",
     )
+    position: Literal["center", "paper"] = Field(
+        "center",
+        description="Position of a detection: the centre of the target behind the points that were"
+        " hit, or the centroid of these points, eq. 19 (no unit).",
+    )
     range_std: float = Field(
         0.03, ge=0, description="Standard deviation of a range, for detection covariances [m]."
     )
@@ -410,6 +415,7 @@ class FlyingConfig(Config):
             seed=SeedConfig(standing_scans=0),
             sensor=SensorConfig(learn_mask_scans=0),
             tracker=TrackerConfig.paper(),
+            position="paper",
             range_margin=0.0,
             mismatch_share=None,
         )

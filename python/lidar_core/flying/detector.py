@@ -237,7 +237,7 @@ class FlyingObjectDetector:
             stamp = as_stamp(stamp_ns)
         except InputError:
             stamp = 0
-        nobody = _detections(_NO_DETECTIONS)
+        nobody = _detections(_NO_DETECTIONS, stamp)
         return FlyingFrame(
             stamp_ns=stamp,
             point_class=np.empty(0, np.uint8),
@@ -254,8 +254,10 @@ class FlyingObjectDetector:
 _NO_DETECTIONS = (
     np.empty((0, 3)),
     np.empty((0, 3, 3)),
+    np.empty(0),
     np.empty((0, 3)),
     np.empty(0, np.int64),
+    np.empty(0),
     np.empty(0),
 )
 
@@ -264,10 +266,10 @@ def _frame(stamp_ns: int, values: dict[str, Any]) -> FlyingFrame:
     return FlyingFrame(
         stamp_ns=stamp_ns,
         point_class=values["point_class"],
-        detections=_detections(values["detections"]),
+        detections=_detections(values["detections"], stamp_ns),
         tracks=_tracks(values["tracks"], stamp_ns),
         teammate_id=values["teammate_ids"],
-        teammates=_detections(values["teammates"]),
+        teammates=_detections(values["teammates"], stamp_ns),
         status=FlyingStatus(
             gate_open=values["gate_open"],
             reason=values["gate_reason"],
@@ -281,9 +283,9 @@ def _frame(stamp_ns: int, values: dict[str, Any]) -> FlyingFrame:
     )
 
 
-def _detections(arrays: tuple[NDArray[Any], ...]) -> FlyingDetections:
-    position, covariance, extent, n_points, confidence = arrays
-    return FlyingDetections(position, covariance, extent, n_points, confidence)
+def _detections(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> FlyingDetections:
+    *columns, delay = arrays
+    return FlyingDetections(*columns, stamp_ns + np.round(delay * 1e9).astype(np.int64))
 
 
 def _tracks(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> Tracks:

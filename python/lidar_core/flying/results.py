@@ -74,22 +74,29 @@ class FlyingDetections:
     Attributes
     ----------
     position : ndarray, shape (M, 3), float64
-        Centroids of their points [m].
+        Their centres [m]; with `FlyingConfig.position` "paper" the centroids of their points.
     covariance : ndarray, shape (M, 3, 3), float64
         Of the position of the object's centre [m^2].
+    radius : ndarray, shape (M,), float64
+        Of the sphere around each object [m].
     extent : ndarray, shape (M, 3), float64
         Sides of the boxes around their points [m].
     n_points : ndarray, shape (M,), int64
         Points in the scan.
     confidence : ndarray, shape (M,), float64
         0 to 1: share of free voxels around the object, less for few points.
+    time_ns : ndarray, shape (M,), int64
+        When each was measured [ns]: the mean time of its points; the stamp of the scan where
+        times of points are not given.
     """
 
     position: NDArray[np.float64]
     covariance: NDArray[np.float64]
+    radius: NDArray[np.float64]
     extent: NDArray[np.float64]
     n_points: NDArray[np.int64]
     confidence: NDArray[np.float64]
+    time_ns: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.position)

@@ -109,10 +109,12 @@ class TrackerConfig(Config):
     initial_acceleration: float = Field(
         3.0, gt=0, description="Same of the acceleration, P_0,a [m/s^2]; paper: 3 m/s^2."
     )
-    measurement: Literal["paper", "cluster"] = Field(
-        "cluster",
-        description="Covariance of a centroid: Z^2 I, or that plus the scatter of the cluster's"
-        " points divided by their number (no unit).",
+    measurement: Literal["paper", "cluster", "center"] = Field(
+        "center",
+        description="What a cluster measures: its centroid with covariance Z^2 I; or with that plus"
+        " the scatter of its points divided by their number; or the centre of the target behind"
+        " the points, where the rays of the scan are known (as in the detector), else as"
+        " `cluster` (no unit).",
     )
     measurement_std: float = Field(
         0.07, gt=0, description="Standard deviation of a centroid, Z [m]; paper: 1 m."

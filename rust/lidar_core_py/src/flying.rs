@@ -19,12 +19,14 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
 
-/// Position, covariance, extent, points, confidence.
+/// Position, covariance, radius, extent, points, confidence, time after the scan's stamp [s].
 type DetectionArrays<'py> = (
     Rows3<'py, f64>,
     Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray1<f64>>,
     Rows3<'py, f64>,
     Bound<'py, PyArray1<i64>>,
+    Bound<'py, PyArray1<f64>>,
     Bound<'py, PyArray1<f64>>,
 );
 
@@ -212,13 +214,18 @@ fn detection_arrays<'py>(
     detections: &[Detection],
 ) -> Result<DetectionArrays<'py>, BorderError> {
     let count = detections.len();
+    let column = |value: fn(&Detection) -> f64| -> Bound<'py, PyArray1<f64>> {
+        detections.iter().map(value).collect::<Vec<_>>().into_pyarray(py)
+    };
     let covariances: Vec<f64> =
         detections.iter().flat_map(|found| found.covariance.into_iter().flatten()).collect();
     Ok((
         arrays::rows_into(py, detections.iter().map(|found| found.position).collect())?,
         covariances.into_pyarray(py).reshape([count, 3, 3])?,
+        column(|found| found.radius),
         arrays::rows_into(py, detections.iter().map(|found| found.extent).collect())?,
         detections.iter().map(|found| found.n_points as i64).collect::<Vec<_>>().into_pyarray(py),
-        detections.iter().map(|found| found.confidence).collect::<Vec<_>>().into_pyarray(py),
+        column(|found| found.confidence),
+        column(|found| found.delay),
     ))
 }

@@ -25,6 +25,7 @@ pub(crate) struct FlyingConfig {
     sensors: BTreeMap<String, SensorConfig>,
     tracker: TrackerConfig,
     range_margin: f64,
+    position: String,
     range_std: f64,
     target_radius: f64,
     mismatch_share: Option<f64>,
@@ -88,6 +89,9 @@ struct SensorConfig {
     returns_per_ray: usize,
 }
 
+/// Whether detections are centres.
+const POSITIONS: [(&str, bool); 2] = [("paper", false), ("center", true)];
+
 impl FlyingConfig {
     pub(crate) fn parameters(self) -> Result<FlyingParameters, Error> {
         Ok(FlyingParameters {
@@ -122,6 +126,7 @@ impl FlyingConfig {
                 .collect(),
             default_sensor: self.sensor.parameters(),
             tracker: self.tracker.parameters()?,
+            centers: arrays::choice("position", &self.position, &POSITIONS)?,
             range_std: self.range_std,
             target_radius: self.target_radius,
             mismatch_share: self.mismatch_share,

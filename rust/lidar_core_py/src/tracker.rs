@@ -58,8 +58,11 @@ const RADIUS_FORMS: [(&str, RadiusForm); 2] =
     [("paper", RadiusForm::Paper), ("sixth-root", RadiusForm::SixthRoot)];
 const NOISE_FORMS: [(&str, NoiseForm); 2] =
     [("paper", NoiseForm::Paper), ("continuous", NoiseForm::Continuous)];
-const MEASUREMENT_FORMS: [(&str, MeasurementForm); 2] =
-    [("paper", MeasurementForm::Paper), ("cluster", MeasurementForm::Cluster)];
+const MEASUREMENT_FORMS: [(&str, MeasurementForm); 3] = [
+    ("paper", MeasurementForm::Paper),
+    ("cluster", MeasurementForm::Cluster),
+    ("center", MeasurementForm::Center),
+];
 
 impl TrackerConfig {
     fn association(&self) -> Result<Association, Error> {

@@ -1,6 +1,7 @@
 //! Clusters classified as flying -> detections with covariance and confidence.
 
 use super::analysis::{pose_jacobian, propagated};
+use super::center::Center;
 use super::classify::Verdict;
 use super::clusters::Cluster;
 use super::scan::Prepared;
@@ -10,10 +11,12 @@ use crate::geometry::transform::{Transform, minus, norm};
 /// A flying object in one scan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Detection {
-    /// Centroid of its points (eq. 19) [m].
+    /// Its centre, or the centroid of its points (eq. 19) [m].
     pub position: [f64; 3],
     /// Covariance of the object's centre [m^2].
     pub covariance: [[f64; 3]; 3],
+    /// Radius of the sphere around it [m].
+    pub radius: f64,
     /// Edges of the box around its points [m].
     pub extent: [f64; 3],
     /// Mean time of its points after the stamp of the scan [s].
@@ -30,7 +33,7 @@ const LEAST_VARIANCE: f64 = 1e-6;
 const SURE_POINTS: f64 = 3.0;
 
 impl Detection {
-    /// Detection of a cluster, in the frame of its points.
+    /// Detection of a cluster by its centroid (eq. 19), in the frame of its points.
     ///
     /// Its covariance has three sources: the spread of the points over their number, the range
     /// noise, and along the line of sight that only the near side is seen (half the lateral
@@ -41,31 +44,12 @@ impl Detection {
         verdict: &Verdict,
         range_std: f64,
     ) -> Self {
-        let (points, origin) = (&scan.points, scan.pose.translation);
         let count = cluster.members.len() as f64;
-        let sight = minus(cluster.centroid, origin);
-        let distance = norm(sight).max(f64::MIN_POSITIVE);
-        let sight = sight.map(|value| value / distance);
-        let hidden = 0.25 * norm(cluster.extent());
-        let mut covariance = [[0.0; 3]; 3];
-        for &row in &cluster.members {
-            let offset = minus(wide(points[row as usize]), cluster.centroid);
-            for (a, line) in covariance.iter_mut().enumerate() {
-                for (b, entry) in line.iter_mut().enumerate() {
-                    *entry += offset[a] * offset[b] / (count * count);
-                }
-            }
-        }
-        for a in 0..3 {
-            for b in 0..3 {
-                covariance[a][b] += hidden * hidden * (sight[a] * sight[b]);
-            }
-            covariance[a][a] += (range_std * range_std).max(LEAST_VARIANCE);
-        }
         let confidence = verdict.clearance * (1.0 - libm::exp2(-count / SURE_POINTS));
         Self {
             position: cluster.centroid,
-            covariance,
+            covariance: centroid_covariance(scan, cluster, range_std),
+            radius: 0.5 * cluster.diagonal(),
             extent: cluster.extent(),
             delay: scan.delays.as_ref().map_or(0.0, |delays| {
                 cluster.members.iter().map(|&row| f64::from(delays[row as usize])).sum::<f64>()
@@ -73,6 +57,16 @@ impl Detection {
             }),
             n_points: cluster.members.len(),
             confidence,
+        }
+    }
+
+    /// The same detection at an estimated centre.
+    pub(crate) fn at(self, center: &Center) -> Self {
+        Self {
+            position: center.position.into(),
+            covariance: center.covariance.into(),
+            radius: center.radius,
+            ..self
         }
     }
 
@@ -103,4 +97,29 @@ impl Detection {
             }
         }
     }
+}
+
+fn centroid_covariance(scan: &Prepared, cluster: &Cluster, range_std: f64) -> [[f64; 3]; 3] {
+    let (points, origin) = (&scan.points, scan.pose.translation);
+    let count = cluster.members.len() as f64;
+    let sight = minus(cluster.centroid, origin);
+    let distance = norm(sight).max(f64::MIN_POSITIVE);
+    let sight = sight.map(|value| value / distance);
+    let hidden = 0.25 * cluster.diagonal();
+    let mut covariance = [[0.0; 3]; 3];
+    for &row in &cluster.members {
+        let offset = minus(wide(points[row as usize]), cluster.centroid);
+        for (a, line) in covariance.iter_mut().enumerate() {
+            for (b, entry) in line.iter_mut().enumerate() {
+                *entry += offset[a] * offset[b] / (count * count);
+            }
+        }
+    }
+    for a in 0..3 {
+        for b in 0..3 {
+            covariance[a][b] += hidden * hidden * (sight[a] * sight[b]);
+        }
+        covariance[a][a] += (range_std * range_std).max(LEAST_VARIANCE);
+    }
+    covariance
 }

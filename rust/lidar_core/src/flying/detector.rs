@@ -1,5 +1,6 @@
 //! The pipeline: raw scans in, point classes, detections and tracks out.
 
+use super::center::Center;
 use super::classify::{Verdict, classify, judge_again};
 use super::clusters::Cluster;
 use super::detection::Detection;
@@ -283,7 +284,8 @@ impl FlyingObjectDetector {
     ) -> Found {
         let mut found = Found::default();
         let turn = Transform { translation: [0.0; 3], ..self.map_from_world };
-        for (cluster, verdict) in clusters.iter().zip(verdicts) {
+        let centers = self.centers(scan, clusters, verdicts);
+        for ((cluster, verdict), center) in clusters.iter().zip(verdicts).zip(centers) {
             let mate = self.teammate_at(cluster.centroid).filter(|_| verdict.class != BACKGROUND);
             if mate.is_some() {
                 found.hidden.extend(&cluster.members);
@@ -291,8 +293,10 @@ impl FlyingObjectDetector {
             if verdict.class != FLYING {
                 continue;
             }
-            let range_std = self.parameters.range_std;
-            let mut detection = Detection::of(scan, cluster, verdict, range_std);
+            let mut detection = Detection::of(scan, cluster, verdict, self.parameters.range_std);
+            if let Some(center) = center {
+                detection = detection.at(&center);
+            }
             if let Some(covariance) = pose_covariance {
                 detection.add_pose_covariance(&scan.pose, &turn, covariance);
             }
@@ -304,13 +308,36 @@ impl FlyingObjectDetector {
         found
     }
 
+    /// For every cluster, the centre behind its points if it is a flying object and if centres
+    /// are asked for.
+    fn centers(
+        &self,
+        scan: &Prepared,
+        clusters: &[Cluster],
+        verdicts: &[Verdict],
+    ) -> Vec<Option<Center>> {
+        let is_wanted = |&index: &usize| self.parameters.centers && verdicts[index].class == FLYING;
+        let wanted: Vec<usize> = (0..clusters.len()).filter(is_wanted).collect();
+        let rows: Vec<&[u32]> =
+            wanted.iter().map(|&index| clusters[index].members.as_slice()).collect();
+        let mut centers = vec![None; clusters.len()];
+        for (index, center) in wanted.into_iter().zip(self.view(scan).centers_of(&rows)) {
+            centers[index] = Some(center);
+        }
+        centers
+    }
+
+    fn view<'a>(&self, scan: &'a Prepared) -> ScanView<'a> {
+        ScanView::new(scan, self.parameters.target_radius, self.parameters.range_std)
+    }
+
     fn teammate_at(&self, position: [f64; 3]) -> Option<&Teammate> {
         let offset = |mate: &Teammate| minus(self.map_from_world.apply(mate.position), position);
         self.teammates.iter().find(|mate| norm(offset(mate)) <= mate.radius)
     }
 
     fn track(&mut self, scan: &Prepared, found: &Found, stamp_ns: i64) -> Result<(), Error> {
-        let view = ScanView::new(scan, self.parameters.target_radius);
+        let view = self.view(scan);
         let mut points = Cow::from(&scan.points);
         for &row in &found.hidden {
             points.to_mut()[row as usize] = [f32::NAN; 3]; // no track follows a teammate

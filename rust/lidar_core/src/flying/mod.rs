@@ -5,6 +5,7 @@
 pub mod analysis;
 pub mod beams;
 mod blocks;
+pub mod center;
 pub mod classify;
 mod clusters;
 pub mod detection;

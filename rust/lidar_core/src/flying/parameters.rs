@@ -32,6 +32,8 @@ pub struct FlyingParameters {
     pub default_sensor: SensorParameters,
     /// Tracks (sec. III-F).
     pub tracker: TrackerParameters,
+    /// Detections are centres of targets, not centroids of their points (eq. 19).
+    pub centers: bool,
     /// Range noise [m].
     pub range_std: f64,
     /// The smallest target that must be seen [m]: radius.

@@ -1,9 +1,11 @@
 //! What one scan could see, for the tracker: is a target in the field of view and not hidden?
 
+use super::center::{Center, Hit, Ray, Region, SightSource};
 use super::scan::Prepared;
 use super::track::Visibility;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{dot, minus, norm};
+use nalgebra::Vector3;
 
 /// Rays that must pass, so that a target in the ball should have given returns.
 const ENOUGH: usize = 3;
@@ -13,11 +15,28 @@ pub(crate) struct ScanView<'a> {
     scan: &'a Prepared,
     /// Radius of the smallest target that must be seen [m].
     target_radius: f64,
+    /// Noise of ranges [m].
+    range_std: f64,
 }
 
 impl<'a> ScanView<'a> {
-    pub(crate) fn new(scan: &'a Prepared, target_radius: f64) -> Self {
-        Self { scan, target_radius }
+    pub(crate) fn new(scan: &'a Prepared, target_radius: f64, range_std: f64) -> Self {
+        Self { scan, target_radius, range_std }
+    }
+
+    /// Centres of targets, given the rows of their points, none of them empty.
+    pub(crate) fn centers_of(&self, targets: &[&[u32]]) -> Vec<Center> {
+        self.sights(targets).iter().map(|sight| Center::of(sight, self.range_std)).collect()
+    }
+
+    /// Way and length of the ray `row`, not normalised; None where it tells nothing.
+    fn way(&self, row: usize) -> Option<([f64; 3], f64)> {
+        if self.scan.no_return[row] {
+            return Some((wide(self.scan.directions.as_ref()?[row]), f64::INFINITY));
+        }
+        let way = minus(wide(self.scan.points[row]), self.scan.origins[row]);
+        let squared = dot(way, way);
+        (squared > 0.0).then_some((way, squared))
     }
 
     /// Unit direction and length of the ray `row`; None where it tells nothing.
@@ -45,4 +64,45 @@ impl Visibility for ScanView<'_> {
         };
         (0..self.scan.points.len()).filter(|&row| passes(row)).take(ENOUGH).count() == ENOUGH
     }
+
+    fn centers(&self, targets: &[&[u32]]) -> Option<Vec<Center>> {
+        Some(self.centers_of(targets))
+    }
+}
+
+impl SightSource for ScanView<'_> {
+    fn hit(&self, row: usize) -> Hit {
+        Hit::new(self.scan.origins[row], wide(self.scan.points[row]))
+    }
+
+    fn passing(&self, regions: &[Region]) -> Vec<Vec<Ray>> {
+        let mut passing = vec![Vec::new(); regions.len()];
+        if regions.is_empty() {
+            return passing;
+        }
+        let casts = |row: usize| !self.scan.no_ray.as_ref().is_some_and(|no_ray| no_ray[row]);
+        for row in 0..self.scan.points.len() {
+            let Some((way, squared)) = self.way(row) else { continue };
+            for (region, rays) in regions.iter().zip(&mut passing) {
+                if passes(region, self.scan.origins[row], way, squared) && casts(row) {
+                    let origin = Vector3::from(self.scan.origins[row]);
+                    rays.push(Ray { origin, direction: Vector3::from(way).normalize() });
+                }
+            }
+        }
+        passing
+    }
+}
+
+/// Whether a ray comes near a region and goes on behind it. `squared` is the length of `way`
+/// squared, infinite if the ray met nothing.
+fn passes(region: &Region, origin: [f64; 3], way: [f64; 3], squared: f64) -> bool {
+    let span = minus(region.middle.into(), origin);
+    let along = dot(span, way);
+    if along <= 0.0 {
+        return false;
+    }
+    let (reach, unit) = (region.reach(), dot(way, way));
+    let is_near = (dot(span, span) - reach * reach) * unit <= along * along;
+    is_near && (squared.is_infinite() || squared > (squared.sqrt() * reach) + along)
 }

@@ -1,7 +1,7 @@
 //! Clusters that may be a track's target.
 
-use super::occupancy::Occupancy;
 use super::parameters::{MeasurementForm, TrackerParameters};
+use super::update::Scan;
 use crate::geometry::transform::norm;
 use nalgebra::{Matrix3, Vector3};
 use std::cmp::Ordering;
@@ -16,45 +16,68 @@ pub(super) struct Measurement {
     pub(super) extent: [f64; 3],
 }
 
-/// Clusters of `points`, given by their `labels`, that are small enough and far enough from the
-/// background, by position.
+/// Clusters of the points in `rows`, given by their `labels`, that are small enough and far enough
+/// from the background, by position.
 ///
 /// The result does not depend on the order of the points, not even in its last bit.
 ///
 /// # Source
 /// Vrba et al., Algorithm 2, lines 38-39 and 43.
 pub(super) fn candidates(
-    points: &[[f32; 3]],
+    rows: &[u32],
     labels: &[i32],
-    delays: &[f32],
-    occupied: &dyn Occupancy,
+    scan: &Scan<'_>,
     parameters: &TrackerParameters,
 ) -> Vec<Measurement> {
-    let mut clusters: Vec<Cluster> = Vec::new();
-    for (row, (point, &label)) in points.iter().zip(labels).enumerate() {
-        let Ok(label) = usize::try_from(label) else { continue }; // noise is negative
-        if label >= clusters.len() {
-            clusters.resize(label + 1, Cluster::EMPTY);
-        }
-        clusters[label].add(*point, delays.get(row).copied().unwrap_or(0.0));
-    }
-    let mut measurements: Vec<Measurement> = clusters
+    let max_extent = parameters.max_extent.unwrap_or(f64::INFINITY);
+    let mut found: Vec<(Cluster, Measurement)> = clusters(rows, labels, scan)
         .into_iter()
-        .filter(|cluster| {
-            let max = parameters.max_extent.unwrap_or(f64::INFINITY);
-            cluster.extent().iter().all(|&side| side <= max)
+        .filter(|cluster| cluster.extent().iter().all(|&side| side <= max_extent))
+        .map(|cluster| {
+            let measurement = cluster.measurement(scan, parameters);
+            (cluster, measurement)
         })
-        .map(|cluster| cluster.measurement(parameters))
-        .filter(|measurement| {
+        .filter(|(_, measurement)| {
             let reach = match parameters.occupied_adds_extent {
                 true => parameters.occupied_distance + norm(measurement.extent),
                 false => parameters.occupied_distance,
             };
-            !occupied.any_within(measurement.position.into(), reach)
+            !scan.occupied.any_within(measurement.position.into(), reach)
         })
         .collect();
-    measurements.sort_by(|one, other| order(&one.position.into(), &other.position.into()));
-    measurements
+    found.sort_by(|(_, one), (_, other)| order(&one.position.into(), &other.position.into()));
+    if parameters.measurement == MeasurementForm::Center {
+        take_centers(&mut found, scan);
+    }
+    found.into_iter().map(|(_, measurement)| measurement).collect()
+}
+
+fn clusters(rows: &[u32], labels: &[i32], scan: &Scan<'_>) -> Vec<Cluster> {
+    let mut clusters: Vec<Cluster> = Vec::new();
+    for (&row, &label) in rows.iter().zip(labels) {
+        let Ok(label) = usize::try_from(label) else { continue }; // noise is negative
+        if label >= clusters.len() {
+            clusters.resize(label + 1, Cluster::EMPTY);
+        }
+        clusters[label].add(row, scan.points[row as usize]);
+    }
+    for cluster in &mut clusters {
+        cluster.rows.sort_by(|&one, &other| {
+            let key = |row: u32| (scan.points[row as usize], scan.delay(row));
+            let ((one, early), (other, late)) = (key(one), key(other));
+            order(&one, &other).then(early.total_cmp(&late))
+        });
+    }
+    clusters
+}
+
+/// Centres instead of centroids, where the scan knows its rays.
+fn take_centers(found: &mut [(Cluster, Measurement)], scan: &Scan<'_>) {
+    let rows: Vec<&[u32]> = found.iter().map(|(cluster, _)| cluster.rows.as_slice()).collect();
+    let centers = scan.visibility.and_then(|visibility| visibility.centers(&rows));
+    for ((_, measurement), center) in found.iter_mut().zip(centers.into_iter().flatten()) {
+        (measurement.position, measurement.covariance) = (center.position, center.covariance);
+    }
 }
 
 fn order<T: Copy + PartialOrd>(one: &[T; 3], other: &[T; 3]) -> Ordering {
@@ -63,18 +86,18 @@ fn order<T: Copy + PartialOrd>(one: &[T; 3], other: &[T; 3]) -> Ordering {
 
 #[derive(Clone)]
 struct Cluster {
-    /// Coordinates and delay.
-    points: Vec<([f32; 3], f32)>,
+    /// Rows of its points in the scan, by coordinates.
+    rows: Vec<u32>,
     low: [f32; 3],
     high: [f32; 3],
 }
 
 impl Cluster {
     const EMPTY: Self =
-        Self { points: Vec::new(), low: [f32::INFINITY; 3], high: [f32::NEG_INFINITY; 3] };
+        Self { rows: Vec::new(), low: [f32::INFINITY; 3], high: [f32::NEG_INFINITY; 3] };
 
-    fn add(&mut self, point: [f32; 3], delay: f32) {
-        self.points.push((point, delay));
+    fn add(&mut self, row: u32, point: [f32; 3]) {
+        self.rows.push(row);
         for (axis, value) in point.into_iter().enumerate() {
             self.low[axis] = self.low[axis].min(value);
             self.high[axis] = self.high[axis].max(value);
@@ -85,23 +108,21 @@ impl Cluster {
         std::array::from_fn(|axis| f64::from(self.high[axis]) - f64::from(self.low[axis]))
     }
 
-    fn measurement(mut self, parameters: &TrackerParameters) -> Measurement {
-        self.points.sort_unstable_by(|(one, early), (other, late)| {
-            order(one, other).then(early.total_cmp(late))
-        });
-        let count = self.points.len() as f64;
-        let places = || self.points.iter().map(|(point, _)| Vector3::from(point.map(f64::from)));
-        let delays = self.points.iter().map(|&(_, delay)| f64::from(delay));
+    fn measurement(&self, scan: &Scan<'_>, parameters: &TrackerParameters) -> Measurement {
+        let count = self.rows.len() as f64;
+        let place = |&row: &u32| Vector3::from(scan.points[row as usize].map(f64::from));
         let delay = match parameters.measurement {
             MeasurementForm::Paper => 0.0,
-            MeasurementForm::Cluster => delays.sum::<f64>() / count,
+            MeasurementForm::Cluster | MeasurementForm::Center => {
+                self.rows.iter().map(|&row| f64::from(scan.delay(row))).sum::<f64>() / count
+            }
         };
-        let position = places().sum::<Vector3<f64>>() / count;
+        let position = self.rows.iter().map(place).sum::<Vector3<f64>>() / count;
         let std = parameters.measurement_std;
         let mut covariance = Matrix3::identity() * (std * std);
-        if parameters.measurement == MeasurementForm::Cluster {
-            let scatter: Matrix3<f64> =
-                places().map(|place| (place - position) * (place - position).transpose()).sum();
+        if parameters.measurement != MeasurementForm::Paper {
+            let offsets = self.rows.iter().map(|row| place(row) - position);
+            let scatter: Matrix3<f64> = offsets.map(|offset| offset * offset.transpose()).sum();
             covariance += scatter / (count * count);
         }
         Measurement { position, covariance, delay, extent: self.extent() }

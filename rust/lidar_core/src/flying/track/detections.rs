@@ -78,7 +78,9 @@ impl Detections<'_> {
         }
         let delay = match parameters.measurement {
             MeasurementForm::Paper => 0.0,
-            MeasurementForm::Cluster => self.delay.map_or(0.0, |delay| delay[index]),
+            MeasurementForm::Cluster | MeasurementForm::Center => {
+                self.delay.map_or(0.0, |delay| delay[index])
+            }
         };
         if !(-MAX_DELAY..=MAX_DELAY).contains(&delay) {
             return bad("delay", "at most 10 s", delay.to_string());
@@ -102,11 +104,12 @@ pub(super) fn too_many(count: usize) -> Error {
     }
 }
 
-/// Sec. III-F3 takes it as it is; otherwise what clusters are not told about comes on top.
+/// Sec. III-F3 takes it as it is, and a centre's own is whole; to a centroid's comes what clusters
+/// are not told about.
 fn known_covariance(rows: &[[f64; 3]; 3], parameters: &TrackerParameters) -> Matrix3<f64> {
     let given = Matrix3::from_fn(|row, column| rows[row][column]);
     match parameters.measurement {
-        MeasurementForm::Paper => given,
+        MeasurementForm::Paper | MeasurementForm::Center => given,
         MeasurementForm::Cluster => {
             given + Matrix3::identity() * (parameters.measurement_std * parameters.measurement_std)
         }
@@ -139,8 +142,9 @@ impl Updater {
                 delays: cloud.delays.as_deref(),
                 stamp_ns: cloud.stamp_ns,
                 occupied,
+                visibility: None,
             };
-            self.update(&mut hypotheses, &scan, None)?;
+            self.update(&mut hypotheses, &scan)?;
         }
         let radius = &self.parameters.radius;
         hypotheses.retain(|hypothesis| hypothesis.radius(radius) <= radius.max);

@@ -147,8 +147,8 @@ impl PointCloudTracker {
         if !stats.late {
             let mut tracks = self.tracks.clone(); // an error must not leave half of them updated
             let delays = cloud.delays.as_deref();
-            let scan = Scan { points: &cloud.points, delays, stamp_ns, occupied };
-            let outcome = self.updater.update(&mut tracks, &scan, visibility)?;
+            let scan = Scan { points: &cloud.points, delays, stamp_ns, occupied, visibility };
+            let outcome = self.updater.update(&mut tracks, &scan)?;
             stats.corrected = outcome.corrected;
             stats.rejected = outcome.rejected;
             stats.removed = life::remove_uncertain(&mut tracks, self.parameters(), stamp_ns);

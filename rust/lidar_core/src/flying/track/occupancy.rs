@@ -1,5 +1,7 @@
 //! What the tracker asks of the map and of the scan.
 
+use crate::flying::center::Center;
+
 /// Voxels that are at least tentatively occupied: the set O of Algorithm 2.
 pub trait Occupancy: Sync {
     /// Whether a centre of such a voxel lies within `distance` [m] of `point` [m], borders included.
@@ -7,10 +9,17 @@ pub trait Occupancy: Sync {
 }
 
 /// What a scan could see.
-pub trait Visibility {
+pub trait Visibility: Sync {
     /// Whether a target in the ball around `position` [m] should have given returns: it is in the
     /// field of view and within range, and nothing hides it.
     fn expected(&self, position: [f64; 3], radius: f64) -> bool;
+
+    /// Centres of targets, given the rows of their points in the scan; None if the rays that
+    /// passed beside them are not known.
+    fn centers(&self, targets: &[&[u32]]) -> Option<Vec<Center>> {
+        let _ = targets;
+        None
+    }
 }
 
 type Cell = [i32; 3];

@@ -52,14 +52,17 @@ pub struct Motion {
     pub std: [f64; 3],
 }
 
-/// Covariance of a cluster's centroid.
+/// Where a cluster says its target is, and how well.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MeasurementForm {
-    /// Z^2 I, sec. III-F1, at the stamp of the scan.
+    /// The centroid, with Z^2 I, sec. III-F1, at the stamp of the scan.
     Paper,
-    /// Z^2 I plus the scatter of the cluster's points divided by their number, at the mean time
-    /// of these points.
+    /// The centroid, with Z^2 I plus the scatter of the cluster's points divided by their number,
+    /// at the mean time of these points.
     Cluster,
+    /// The centre behind the points with its own covariance, at their mean time; the same as
+    /// `Cluster` where the rays of the scan are not known.
+    Center,
 }
 
 /// Clusters of which a part is hidden, because something else is in front of the target.

@@ -24,6 +24,18 @@ pub(super) struct Scan<'a> {
     pub(super) delays: Option<&'a [f32]>,
     pub(super) stamp_ns: i64,
     pub(super) occupied: &'a dyn Occupancy,
+    pub(super) visibility: Option<&'a dyn Visibility>,
+}
+
+impl Scan<'_> {
+    /// Time of a point after the stamp [s].
+    pub(super) fn delay(&self, row: u32) -> f32 {
+        self.delays.map_or(0.0, |delays| delays[row as usize])
+    }
+
+    fn points_of(&self, rows: &[u32]) -> Vec<[f32; 3]> {
+        rows.iter().map(|&row| self.points[row as usize]).collect()
+    }
 }
 
 /// What an update did.
@@ -86,7 +98,6 @@ impl Updater {
         &self,
         tracks: &mut [TrackState],
         scan: &Scan<'_>,
-        visibility: Option<&dyn Visibility>,
     ) -> Result<Outcome, Error> {
         let model = &self.parameters.motion;
         let mut due: Vec<(f64, &mut TrackState)> = tracks
@@ -115,7 +126,7 @@ impl Updater {
                 Some(Err(_)) => outcome.rejected += 1,
                 None => {}
             }
-            if self.should_be_seen(seeker, visibility) {
+            if self.should_be_seen(seeker, scan.visibility) {
                 track.grow_old(dt, model);
             }
         }
@@ -180,22 +191,19 @@ impl Updater {
         seekers: &[Seeker],
         scan: &Scan<'_>,
     ) -> Result<Vec<Option<Measurement>>, Error> {
-        let mut regions = vec![(Vec::new(), Vec::new()); seekers.len()];
+        let mut regions = vec![Vec::new(); seekers.len()];
         for (point, ball) in hits(&self.pool, scan.points, &balls(seekers, 0.0)) {
-            let (points, delays) = &mut regions[ball as usize];
-            points.push(scan.points[point as usize]);
-            delays.extend(scan.delays.map(|delays| delays[point as usize]));
+            regions[ball as usize].push(point);
         }
-        let occupied = scan.occupied;
         let found: Vec<Result<Option<Measurement>, Error>> = self.pool.install(|| {
             regions
                 .par_iter()
                 .zip(seekers)
-                .map(|((points, delays), seeker)| {
-                    let labels = cluster::label(points, &self.parameters.clustering)?;
-                    let clusters = candidates(points, &labels, delays, occupied, &self.parameters);
+                .map(|(rows, seeker)| {
+                    let labels =
+                        cluster::label(&scan.points_of(rows), &self.parameters.clustering)?;
                     let distance = |one: &Measurement| (one.position - seeker.position).norm();
-                    Ok(clusters
+                    Ok(candidates(rows, &labels, scan, &self.parameters)
                         .into_iter()
                         .min_by(|one, other| distance(one).total_cmp(&distance(other))))
                 })
@@ -217,18 +225,15 @@ impl Updater {
             .map(|hit| hit.0)
             .collect();
         chosen.dedup();
-        let points: Vec<[f32; 3]> =
-            chosen.iter().map(|&index| scan.points[index as usize]).collect();
-        let delays: Vec<f32> = scan.delays.map_or_else(Vec::new, |delays| {
-            chosen.iter().map(|&index| delays[index as usize]).collect()
-        });
+        let points = scan.points_of(&chosen);
         let mut labels = cluster::label(&points, &self.parameters.clustering)?;
         if let Some(distance) = self.parameters.split_distance {
             let min_points = self.parameters.clustering.min_points;
             let division = Division { distance, gate: self.gate, min_points };
+            let delays: Vec<f32> = chosen.iter().map(|&row| scan.delay(row)).collect();
             division.divide(&mut labels, &points, &delays, seekers);
         }
-        let clusters = candidates(&points, &labels, &delays, scan.occupied, &self.parameters);
+        let clusters = candidates(&chosen, &labels, scan, &self.parameters);
         let hiding = self.parameters.hiding;
         let cluster_of = self.assign(seekers.len(), clusters.len(), |track, cluster| {
             let (seeker, cluster) = (&seekers[track], &clusters[cluster]);

@@ -1,0 +1,74 @@
+//! Where the centre of a target is, of which a scan shows the near side only.
+//!
+//! The centroid of its points (eq. 19) lies nearer to the sensor by up to the target's radius, as
+//! the paper says itself (sec. V-A). Here two models of the target are held against the points
+//! and against the rays that passed beside them, and weighed by how well they agree: a solid ball,
+//! whose centre and radius the points and the passing rays determine, and an open frame as of a
+//! multicopter, whose centre lies behind the centroid by a share of its width.
+
+mod frame;
+mod sight;
+mod sphere;
+
+#[cfg(test)]
+mod tests;
+
+pub(crate) use sight::{Hit, Ray, Region, Sight, SightSource};
+
+use crate::estimation::kalman::symmetrised;
+use frame::OpenFrame;
+use nalgebra::{Matrix3, Vector3};
+use sphere::Sphere;
+
+/// The centre of a target's circumscribed sphere, as one scan tells it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Center {
+    /// Position [m].
+    pub position: Vector3<f64>,
+    /// Its covariance [m^2].
+    pub covariance: Matrix3<f64>,
+    /// Radius of the sphere [m].
+    pub radius: f64,
+}
+
+/// Squared residuals per degree of freedom at which ball and frame are equally likely.
+const EVEN_RATIO: f64 = 2.0;
+/// How fast the ball loses beyond it.
+const RATIO_STEEPNESS: f64 = 3.0;
+/// A few points fit any ball: so many imagined degrees of freedom, at the even ratio.
+const IMAGINED_FREEDOM: f64 = 2.0;
+/// Solid share from which on a target may be a ball, and from which on its rays do not speak
+/// against it.
+const BALL_SHARE: [f64; 2] = [0.4, 0.55];
+
+impl Center {
+    /// Estimate the centre of what was hit; `range_std` is the noise of ranges [m].
+    ///
+    /// The order of hits and of passing rays does not matter.
+    pub(crate) fn of(sight: &Sight, range_std: f64) -> Self {
+        let frame = OpenFrame::of(sight, range_std);
+        let fitted = Sphere::fit(sight, &frame.start(), range_std);
+        let Some(ball) = fitted else { return frame.into_center() };
+        let weight = ball_weight(&ball, &frame, sight.hits.len());
+        let offset = ball.center - frame.position;
+        Self {
+            position: frame.position + weight * offset,
+            covariance: symmetrised(
+                weight * ball.covariance
+                    + (1.0 - weight) * frame.covariance
+                    + weight * (1.0 - weight) * offset * offset.transpose(),
+            ),
+            radius: weight * ball.radius + (1.0 - weight) * frame.radius,
+        }
+    }
+}
+
+/// Probability of the ball against the frame, 0 to 1.
+fn ball_weight(ball: &Sphere, frame: &OpenFrame, n_hits: usize) -> f64 {
+    let freedom = n_hits.saturating_sub(sphere::PARAMETERS) as f64;
+    let imagined = EVEN_RATIO * IMAGINED_FREEDOM;
+    let ratio = (ball.squared_residuals + imagined) / (freedom + IMAGINED_FREEDOM);
+    let agrees = 1.0 / (1.0 + libm::exp(RATIO_STEEPNESS * (ratio - EVEN_RATIO)));
+    let [from, full] = BALL_SHARE;
+    agrees * ((frame.solid_share - from) / (full - from)).clamp(0.0, 1.0)
+}
