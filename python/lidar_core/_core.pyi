@@ -20,6 +20,7 @@ __all__ = [
     "detection_probability",
     "hit_probability",
     "point_covariance",
+    "target_center",
     "traverse",
 ]
 
@@ -41,6 +42,13 @@ def cluster_points(
     max_angle: float,
     origin: NDArray[np.float64],
 ) -> NDArray[np.int32]: ...
+def target_center(
+    points: NDArray[np.float64],
+    sensor_origin: NDArray[np.float64],
+    *,
+    passing: NDArray[np.float64],
+    range_std: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]: ...
 def chi2_quantile(probability: float, *, degrees: int) -> float: ...
 def point_covariance(
     points: NDArray[np.float32],

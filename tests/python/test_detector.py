@@ -144,7 +144,7 @@ def test_the_detector_does_what_the_specification_says(mode, stream):
 def same(frame, expected):
     assert frame.status.gate_open == (expected.gate == "open")
     np.testing.assert_array_equal(frame.point_class, expected.point_class)
-    for name in ("position", "covariance", "extent", "n_points", "confidence"):
+    for name in ("position", "covariance", "radius", "extent", "n_points", "confidence"):
         found, wanted = getattr(frame.detections, name), getattr(expected, name)
         np.testing.assert_allclose(found, wanted, rtol=0, atol=FLOAT_TOLERANCE)
     tracks = frame.tracks

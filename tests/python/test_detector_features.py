@@ -694,8 +694,8 @@ def test_nothing_is_mapped_and_nothing_flies_outside_the_operating_volume():
         detector = FlyingObjectDetector(config)
         for simulated in scans_of(IN_THE_SKY):
             frame = feed(detector, simulated)
-            found = frame.detections.position
-            assert ((found >= bounds[0]) & (found <= bounds[1])).all()
+            found, reach = frame.detections.position, frame.detections.radius[:, None]
+            assert ((found >= bounds[0] - reach) & (found <= bounds[1] + reach)).all()
         occupied = detector.occupied_points()
         assert len(occupied) > 500
         inside = (occupied > bounds[0]) & (occupied < np.add(bounds[1], 0.25))  # whole voxels

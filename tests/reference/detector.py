@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from reference import separate
+from reference import center, separate
 from reference.classify import classify, clearance, diagonal
 from reference.cluster import cluster_points
 from reference.tracker import Tracker
@@ -26,6 +26,7 @@ class Frame:
     point_class: np.ndarray
     position: np.ndarray
     covariance: np.ndarray
+    radius: np.ndarray
     extent: np.ndarray
     n_points: np.ndarray
     confidence: np.ndarray
@@ -104,6 +105,7 @@ class Detector:
             delays = ((times - stamp) * 1e-9).astype(np.float32)
 
         gate = self.gate()
+        self.see(cloud, places, rays, no_return)
         labels = cluster_points(cloud, **self.c.cluster.model_dump(include=CLUSTERING))
         verdicts = self.verdicts(cloud, labels, origin)
         point_class = np.array([verdicts[label] if label >= 0 else UNKNOWN for label in labels])
@@ -113,7 +115,7 @@ class Detector:
         self.map.integrate(cloud, point_class, places, rays, no_return)
         self.remove_separate()
         self.scans += 1
-        self.track(cloud, places, rays, no_return, delays, found, stamp)
+        self.track(cloud, places, delays, found, stamp)
         return self.frame(point_class, found, stamp, gate)
 
     def motion(self, poses, pose_stamps, times, stamp, rows):
@@ -165,20 +167,45 @@ class Detector:
                 verdicts[label] = UNKNOWN
         return verdicts
 
+    def see(self, cloud, places, rays, no_return) -> None:
+        """Keep the rays of the scan: origins, directions, lengths."""
+        spans = cloud.astype(float) - places
+        self.lengths = np.linalg.norm(spans, axis=1)
+        if no_return is not None:
+            spans[no_return], self.lengths[no_return] = rays[no_return], np.inf
+        self.known = np.isfinite(spans).all(axis=1)
+        self.spans = spans
+        self.origin_of = dict(zip(map(tuple, cloud.astype(float)), places, strict=True))
+        self.places = places
+
+    def center_of(self, own):
+        """The centre behind points of the scan, its covariance and radius."""
+        origins = np.array([self.origin_of[tuple(point)] for point in own])
+        middle, reach = center.region(own)
+        near = center.Rays(self.places[self.known], self.spans[self.known])
+        along = near.along(middle)
+        past = (along > 0) & (self.lengths[self.known] > along + reach + center.MARGIN)
+        return center.target_center(own, origins, near.those(past), self.c.range_std)
+
     def detections(self, cloud, labels, verdicts, origin, delays):
         found = []
         for label in np.flatnonzero(np.array(verdicts) == FLYING):
             own = cloud[labels == label].astype(float)
-            center = own.mean(axis=0)
-            sight = (center - origin) / np.linalg.norm(center - origin)
-            covariance = (own - center).T @ (own - center) / len(own) ** 2
-            covariance += (diagonal(own) / 4) ** 2 * np.outer(sight, sight)
-            covariance += self.c.range_std**2 * np.eye(3)
+            if self.c.position == "paper":
+                place = own.mean(axis=0)
+                sight = (place - origin) / np.linalg.norm(place - origin)
+                covariance = (own - place).T @ (own - place) / len(own) ** 2
+                covariance += (diagonal(own) / 4) ** 2 * np.outer(sight, sight)
+                covariance += self.c.range_std**2 * np.eye(3)
+                radius = diagonal(own) / 2
+            else:
+                place, covariance, radius = self.center_of(own)
             sure = 1 - 2 ** (-len(own) / POINTS_HALF_SURE)
             found.append(
                 {
-                    "position": center,
+                    "position": place,
                     "covariance": covariance,
+                    "radius": radius,
                     "extent": np.ptp(own, axis=0),
                     "n_points": len(own),
                     "confidence": clearance(self.map, own) * sure,
@@ -201,14 +228,10 @@ class Detector:
                 self.map, max_gap=options.max_gap, min_confident=options.min_confident
             )
 
-    def track(self, cloud, places, rays, no_return, delays, found, stamp) -> None:
+    def track(self, cloud, places, delays, found, stamp) -> None:
         occupied = (np.array(self.map.occupied()).reshape(-1, 3) + 0.5) * self.map.config.voxel_size
-        spans = cloud.astype(float) - places
-        lengths = np.linalg.norm(spans, axis=1)
-        with np.errstate(invalid="ignore"):
-            directions = spans / lengths[:, None]
-        if no_return is not None:
-            directions[no_return], lengths[no_return] = rays[no_return], np.inf
+        lengths = self.lengths
+        directions = self.spans / np.linalg.norm(self.spans, axis=1, keepdims=True)
 
         def view(position, radius):
             radius = min(radius, self.c.target_radius)
@@ -219,8 +242,9 @@ class Detector:
             return passes.sum() >= RAYS_TO_SEE
 
         self.tracker.view = view
+        self.tracker.center = lambda own: self.center_of(own)[:2]
         self.tracker.new_point_cloud(cloud, occupied, stamp, delays.astype(float))
-        self.tracker.view = None
+        self.tracker.view = self.tracker.center = None
         names = ("position", "covariance", "delay")
         position, covariance, delay = ([one[name] for one in found] for name in names)
         self.tracker.new_detections(position, occupied, stamp, covariance, delay)
@@ -242,4 +266,11 @@ class Detector:
 
 
 CLUSTERING = {"max_distance", "min_points", "max_points"}
-SHAPES = {"position": (3,), "covariance": (3, 3), "extent": (3,), "n_points": (), "confidence": ()}
+SHAPES = {
+    "position": (3,),
+    "covariance": (3, 3),
+    "radius": (),
+    "extent": (3,),
+    "n_points": (),
+    "confidence": (),
+}

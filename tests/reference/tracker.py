@@ -53,6 +53,8 @@ class Events:
 
 
 class Tracker:
+    center = None  # centre and covariance of a target, from its points
+
     def __init__(self, config):
         self.c = config
         self.buffer = []  # (stamp, points)
@@ -149,9 +151,11 @@ class Tracker:
             if len(occupied) and near <= self.c.occupied_distance + wider:
                 continue
             R = self.c.measurement_std**2 * EYE
-            if self.c.measurement == "cluster":
+            if self.c.measurement != "paper":
                 R = R + (own - centroid).T @ (own - centroid) / len(own) ** 2
-            timed = delays is not None and self.c.measurement == "cluster"
+            if self.c.measurement == "center" and self.center is not None:
+                centroid, R = self.center(own)
+            timed = delays is not None and self.c.measurement != "paper"
             found.append((centroid, R, extent, delays[rows].mean() if timed else 0.0))
         return found
 

@@ -5,6 +5,7 @@ from lidar_core.flying.analysis import (
     hit_probability,
     point_covariance,
 )
+from lidar_core.flying.center import TargetCenter, target_center
 from lidar_core.flying.config import (
     ClassifyConfig,
     ClusterConfig,
@@ -39,6 +40,7 @@ __all__ = [
     "SeedConfig",
     "SensorConfig",
     "SeparateConfig",
+    "TargetCenter",
     "TrackEvents",
     "TrackerConfig",
     "Tracks",
@@ -46,4 +48,5 @@ __all__ = [
     "detection_probability",
     "hit_probability",
     "point_covariance",
+    "target_center",
 ]

@@ -2,6 +2,7 @@
 
 mod analysis;
 mod arrays;
+mod center;
 mod errors;
 mod estimation;
 mod flying;
@@ -16,6 +17,8 @@ mod voxel_map;
 mod _core {
     #[pymodule_export]
     use super::analysis::{detection_probability, hit_probability, point_covariance};
+    #[pymodule_export]
+    use super::center::target_center;
     #[pymodule_export]
     use super::estimation::chi2_quantile;
     #[pymodule_export]

@@ -109,7 +109,8 @@ impl Outline {
         axes: &[Vector3<f64>; 3],
     ) -> Self {
         let [across, up, sight] = axes;
-        let flat = |point: Vector3<f64>| [(point - centroid).dot(across), (point - centroid).dot(up)];
+        let flat =
+            |point: Vector3<f64>| [(point - centroid).dot(across), (point - centroid).dot(up)];
         let hits: Vec<[f64; 2]> = view.hits.iter().map(|hit| flat(hit.point)).collect();
         let middle: [f64; 2] = std::array::from_fn(|axis| {
             let ends = hits.iter().map(|hit| hit[axis]);

@@ -15,7 +15,10 @@ mod tests;
 
 pub(crate) use sight::{Hit, Ray, Region, Sight, SightSource};
 
+use crate::Error;
+use crate::budget::check_points;
 use crate::estimation::kalman::symmetrised;
+use crate::geometry::transform::norm;
 use frame::OpenFrame;
 use nalgebra::{Matrix3, Vector3};
 use sphere::Sphere;
@@ -40,6 +43,59 @@ const IMAGINED_FREEDOM: f64 = 2.0;
 /// Solid share from which on a target may be a ball, and from which on its rays do not speak
 /// against it.
 const BALL_SHARE: [f64; 2] = [0.4, 0.55];
+
+/// The centre of a target, from its points [m], where they were seen from, and the directions of
+/// rays that passed beside it. Directions need not have unit length; rays more than 0.4 m beside
+/// the points do not count.
+///
+/// # Errors
+/// [`Error::Value`] for the first entry that is not finite, or a direction without length;
+/// [`Error::Length`] without points; [`Error::Limit`] for too many.
+pub fn target_center(
+    points: &[[f64; 3]],
+    origin: [f64; 3],
+    passing: &[[f64; 3]],
+    range_std: f64,
+) -> Result<Center, Error> {
+    check_points(points.len().max(passing.len()))?;
+    if points.is_empty() {
+        return Err(Error::Length { name: "points_world", expected: 1, got: 0 });
+    }
+    if !(range_std.is_finite() && range_std >= 0.0) {
+        let got = range_std.to_string();
+        return Err(Error::Parameter { name: "range_std", expected: "finite and >= 0", got });
+    }
+    check_finite("sensor_origin", &[origin], |_| true)?;
+    check_finite("points_world", points, |_| true)?;
+    check_finite("passing_directions", passing, |way| norm(way) > 0.0)?;
+    let hits: Vec<Hit> = points.iter().map(|&point| Hit::new(origin, point)).collect();
+    let region = Region::of(&hits);
+    let ray =
+        |&way: &[f64; 3]| Ray { origin: origin.into(), direction: Vector3::from(way).normalize() };
+    let near = |ray: &Ray| ray.aside(&region.middle).norm() <= region.reach();
+    let passing = passing.iter().map(ray).filter(near).collect();
+    Ok(Center::of(&Sight::new(hits, passing), range_std))
+}
+
+fn check_finite(
+    name: &'static str,
+    rows: &[[f64; 3]],
+    is_usable: impl Fn([f64; 3]) -> bool,
+) -> Result<(), Error> {
+    let is_bad = |row: &[f64; 3]| !row.iter().all(|value| value.is_finite()) || !is_usable(*row);
+    match rows.iter().position(is_bad) {
+        Some(index) => {
+            let got = format!("{:?}", rows[index]);
+            Err(Error::Value {
+                name,
+                expected: "finite coordinates, directions not zero",
+                index,
+                got,
+            })
+        }
+        None => Ok(()),
+    }
+}
 
 impl Center {
     /// Estimate the centre of what was hit; `range_std` is the noise of ranges [m].

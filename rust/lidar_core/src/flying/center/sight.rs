@@ -58,11 +58,7 @@ pub(crate) trait SightSource {
             .collect();
         let regions: Vec<Region> = hits.iter().map(|hits| Region::of(hits)).collect();
         let passing = self.passing(&regions);
-        hits.into_iter()
-            .zip(passing)
-            .zip(&regions)
-            .map(|((hits, passing), region)| Sight::new(hits, passing, region))
-            .collect()
+        hits.into_iter().zip(passing).map(|(hits, passing)| Sight::new(hits, passing)).collect()
     }
 }
 
@@ -83,7 +79,7 @@ impl Hit {
 }
 
 impl Region {
-    fn of(hits: &[Hit]) -> Self {
+    pub(super) fn of(hits: &[Hit]) -> Self {
         let (mut low, mut high) = (Vector3::repeat(f64::MAX), Vector3::repeat(f64::MIN));
         for hit in hits {
             low = low.inf(&hit.point);
@@ -100,7 +96,8 @@ impl Region {
 
 impl Sight {
     /// Sorts what it is given, so that results do not depend on the order of rays.
-    fn new(mut hits: Vec<Hit>, mut passing: Vec<Ray>, region: &Region) -> Self {
+    pub(super) fn new(mut hits: Vec<Hit>, mut passing: Vec<Ray>) -> Self {
+        let region = Region::of(&hits);
         hits.sort_by(|one, other| order(&one.point, &other.point));
         passing.sort_by(|one, other| order(&one.direction, &other.direction));
         let is_near = |ray: &Ray| ray.aside(&region.middle).norm() <= region.radius + NEAR;

@@ -13,6 +13,9 @@ const LEAST_GAIN: f64 = 1e-9;
 const RADIUS_MEAN: f64 = 0.3;
 const RADIUS_STD: f64 = 0.25;
 const RADIUS_RANGE: [f64; 2] = [0.02, 2.0];
+/// How far the centre may be from where the fit starts, as a standard deviation [m]: a few points
+/// say nothing about some directions.
+const PLACE_STD: f64 = 0.5;
 /// A ray that passes is let into the ball by this standard deviation [m].
 const PASSING_STD: f64 = 0.01;
 /// Cosine of the angle of incidence below which a range says no more about the surface.
@@ -55,13 +58,13 @@ impl Sphere {
     /// and what is known of radii; None if the equations cannot be solved.
     pub(super) fn fit(sight: &Sight, start: &Start, range_std: f64) -> Option<Self> {
         let mut at = start.center.push(start.radius);
-        let mut sums = Normal::at(sight, &at, range_std);
+        let mut sums = Normal::at(sight, &at, start, range_std);
         let mut damping = 1e-3;
         for _ in 0..MAX_STEPS {
             let damped = sums.matrix + Matrix4::from_diagonal(&(damping * sums.matrix.diagonal()));
             let mut next = at - damped.cholesky()?.solve(&sums.vector);
             next[3] = next[3].clamp(RADIUS_RANGE[0], RADIUS_RANGE[1]);
-            let there = Normal::at(sight, &next, range_std);
+            let there = Normal::at(sight, &next, start, range_std);
             if there.cost < sums.cost {
                 let is_last = sums.cost - there.cost < LEAST_GAIN * sums.cost;
                 (at, sums) = (next, there);
@@ -89,9 +92,9 @@ impl Sphere {
 }
 
 impl Normal {
-    fn at(sight: &Sight, at: &Vector4, range_std: f64) -> Self {
+    fn at(sight: &Sight, at: &Vector4, start: &Start, range_std: f64) -> Self {
         let (center, radius) = (at.fixed_rows::<3>(0).into_owned(), at[3]);
-        let mut sums = Self::of_radius(radius);
+        let mut sums = Self::of_what_is_known(&(center - start.center), radius);
         let before = sums.cost;
         for hit in &sight.hits {
             sums.add_hit(hit, &center, radius, range_std);
@@ -103,9 +106,14 @@ impl Normal {
         sums
     }
 
-    fn of_radius(radius: f64) -> Self {
+    fn of_what_is_known(offset: &Vector3<f64>, radius: f64) -> Self {
         let mut sums =
             Self { matrix: Matrix4::zeros(), vector: Vector4::zeros(), cost: 0.0, points: 0.0 };
+        for axis in 0..3 {
+            let mut slope = Vector4::zeros();
+            slope[axis] = 1.0 / PLACE_STD;
+            sums.add(offset[axis] / PLACE_STD, &slope);
+        }
         let slope = Vector4::new(0.0, 0.0, 0.0, 1.0 / RADIUS_STD);
         sums.add((radius - RADIUS_MEAN) / RADIUS_STD, &slope);
         sums

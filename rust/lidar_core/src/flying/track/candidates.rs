@@ -61,6 +61,7 @@ fn clusters(rows: &[u32], labels: &[i32], scan: &Scan<'_>) -> Vec<Cluster> {
         }
         clusters[label].add(row, scan.points[row as usize]);
     }
+    clusters.retain(|cluster| !cluster.rows.is_empty());
     for cluster in &mut clusters {
         cluster.rows.sort_by(|&one, &other| {
             let key = |row: u32| (scan.points[row as usize], scan.delay(row));

@@ -1,0 +1,143 @@
+"""The centre of a target in plain numpy: a ball against an open frame, weighed.
+
+Written from the description in `lidar_core.flying.target_center` and the constants below.
+"""
+
+import numpy as np
+from scipy.special import expit
+
+MARGIN, NEAR = 0.4, 0.15
+RADIUS_MEAN, RADIUS_STD, PLACE_STD = 0.3, 0.25, 0.5
+PASSING_STD, LEAST_COSINE = 0.01, 0.3
+
+
+class Rays:
+    """Rays with their origins, and unit directions."""
+
+    def __init__(self, origins, directions) -> None:
+        directions = np.reshape(directions, (-1, 3)).astype(float)
+        self.origins = np.broadcast_to(np.asarray(origins, float), directions.shape)
+        self.directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+    def along(self, point):
+        return np.einsum("ij,ij->i", point - self.origins, self.directions)
+
+    def aside(self, point):
+        """Offsets of a point from the rays."""
+        return point - self.origins - self.directions * self.along(point)[:, None]
+
+    def distance(self, point):
+        return np.linalg.norm(self.aside(point), axis=1)
+
+    def those(self, chosen):
+        return Rays(self.origins[chosen], self.directions[chosen])
+
+
+def between(share, ends):
+    """Values for solid shares of 0.3 and 0.6, on a line between."""
+    return np.interp(share, [0.3, 0.6], ends)
+
+
+def frame(points, origin, passing, std):
+    """Centre, covariance, radius and solid share of an open frame; where a ball starts."""
+    count, centroid = len(points), points.mean(axis=0)
+    distance = np.linalg.norm(centroid - origin)
+    sight = (centroid - origin) / distance
+    across = np.array([-sight[1], sight[0], 0.0])
+    across = across / np.linalg.norm(across) if np.linalg.norm(across) > 1e-9 else np.eye(3)[1]
+    axes = np.stack([across, np.cross(sight, across)])
+    flat = (points - centroid) @ axes.T
+    middle = (flat.min(axis=0) + flat.max(axis=0)) / 2
+    reach = np.linalg.norm(flat - middle, axis=1).max()
+    ahead = passing.those(passing.directions @ sight > 0)
+    lengths = distance / (ahead.directions @ sight)
+    crossing = ahead.origins + ahead.directions * lengths[:, None]
+    off = np.linalg.norm((crossing - centroid) @ axes.T - middle, axis=1)
+    gap = (reach + MARGIN) * np.sqrt(np.pi / (count + (off < reach + MARGIN).sum()))
+    share = count / (count + (off < reach + gap / 2).sum())
+    radius = reach + between(share, [1.5, 0.75]) * gap
+    scatter = np.cov(points.T, bias=True) if count > 1 else np.zeros((3, 3))
+    depth = np.sqrt(max(sight @ scatter @ sight, 0.0))
+    shift = between(share, [0.25, 0.40]) * radius - between(share, [0.3, 0.0]) * depth
+    along = np.outer(sight, sight)
+    covariance = (
+        scatter / count
+        + (np.eye(3) - along) * (gap**2 / (12 * np.sqrt(count)) + 0.02**2)
+        + along * ((0.15 * radius) ** 2 + std**2 / count)
+    )
+    size = max(reach, 0.05)
+    return centroid + shift * sight, covariance, radius, share, (centroid + 0.66 * size * sight, size)
+
+
+def residuals(x, start, points, hits, passing, std):
+    """Residuals of points, passing rays, place and radius, stacked, and their Jacobian."""
+    center, radius = x[:3], x[3]
+    offset = points - center
+    distance = np.linalg.norm(offset, axis=1)
+    incidence = hits.distance(center) / radius
+    cosine = np.sqrt(np.maximum(1 - incidence**2, LEAST_COSINE**2))
+    scale = 1 / (max(std, 1e-3) * cosine)
+    hit = (distance - radius) * scale
+    hit_slope = np.column_stack([-offset / distance[:, None], -np.ones(len(points))])
+    away, passed = passing.aside(center), passing.distance(center)
+    inside = (passed < radius) & (passing.along(center) > 0)
+    away, passed = away[inside], passed[inside]
+    intrusion = (radius - passed) / PASSING_STD
+    slope = np.column_stack([-away / passed[:, None], np.ones(len(passed))]) / PASSING_STD
+    known = np.append((center - start[0]) / PLACE_STD, (radius - RADIUS_MEAN) / RADIUS_STD)
+    known_slope = np.diag([1 / PLACE_STD] * 3 + [1 / RADIUS_STD])
+    jacobian = np.vstack([hit_slope * scale[:, None], slope, known_slope])
+    return np.concatenate([hit, intrusion, known]), jacobian
+
+
+def ball(points, hits, passing, std, start):
+    """Centre, covariance, radius and squared residuals of the points for the best ball."""
+    x = np.append(*start)
+    e, J = residuals(x, start, points, hits, passing, std)
+    damping = 1e-3
+    for _ in range(20):
+        H = J.T @ J
+        y = x - np.linalg.solve(H + damping * np.diag(np.diag(H)), J.T @ e)
+        y[3] = np.clip(y[3], 0.02, 2.0)
+        f, K = residuals(y, start, points, hits, passing, std)
+        if f @ f < e @ e:
+            is_last = e @ e - f @ f < 1e-9 * (e @ e)
+            x, e, J = y, f, K
+            damping /= 10
+            if is_last:
+                break
+        else:
+            damping *= 10
+    ahead = x[:3] - hits.origins.mean(axis=0)
+    ahead /= np.linalg.norm(ahead)
+    covariance = (
+        np.linalg.inv(J.T @ J)[:3, :3]
+        + np.eye(3) * (0.01 * x[3]) ** 2
+        + np.outer(ahead, ahead) * (0.3 * std) ** 2
+    )
+    return x[:3], covariance, x[3], float(e[: len(points)] @ e[: len(points)])
+
+
+def region(points):
+    """Middle of the box around points, and half its diagonal."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return (low + high) / 2, np.linalg.norm(high - low) / 2
+
+
+def target_center(points, origins, passing, std):
+    """Position, covariance, radius; `origins` of the hits, `passing` as `Rays`."""
+    points = np.asarray(points, float)
+    hits = Rays(origins, points - origins)
+    middle, reach = region(points)
+    passing = passing.those(passing.distance(middle) <= reach + MARGIN)
+    near = passing.those(passing.distance(middle) <= reach + NEAR)
+    position, covariance, radius, share, start = frame(
+        points, hits.origins.mean(axis=0), passing, std
+    )
+    center, spread, size, squares = ball(points, hits, near, std, start)
+    ratio = (squares + 4) / (max(len(points) - 4, 0) + 2)
+    weight = np.clip((share - 0.4) / 0.15, 0, 1) * expit(3 * (2 - ratio))
+    offset = center - position
+    mixed = weight * spread + (1 - weight) * covariance
+    mixed += weight * (1 - weight) * np.outer(offset, offset)
+    return position + weight * offset, mixed, weight * size + (1 - weight) * radius
