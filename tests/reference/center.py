@@ -57,8 +57,7 @@ def frame(points, origin, passing, std):
     share = count / (count + (off < reach + gap / 2).sum())
     radius = reach + between(share, [1.5, 0.75]) * gap
     scatter = np.cov(points.T, bias=True) if count > 1 else np.zeros((3, 3))
-    depth = np.sqrt(max(sight @ scatter @ sight, 0.0))
-    shift = between(share, [0.25, 0.40]) * radius - between(share, [0.3, 0.0]) * depth
+    shift = between(share, [0.17, 0.40]) * radius
     along = np.outer(sight, sight)
     covariance = (
         scatter / count

@@ -17,6 +17,7 @@ from reference.cluster import cluster_points
 from reference.tracker import Tracker
 from reference.voxel_map import BACKGROUND, FLYING, UNKNOWN, VoxelMap
 
+RAYS_TO_CUT = 2  # so many that end in front of a target may hide a part of it
 RAYS_TO_SEE = 3  # a target that fewer rays meet may give no return
 POINTS_HALF_SURE = 3.0
 
@@ -179,13 +180,17 @@ class Detector:
         self.places = places
 
     def center_of(self, own):
-        """The centre behind points of the scan, its covariance and radius."""
+        """The centre behind points of the scan, its covariance and radius, whether it is cut."""
         origins = np.array([self.origin_of[tuple(point)] for point in own])
         middle, reach = center.region(own)
         near = center.Rays(self.places[self.known], self.spans[self.known])
         along = near.along(middle)
-        past = (along > 0) & (self.lengths[self.known] > along + reach + center.MARGIN)
-        return center.target_center(own, origins, near.those(past), self.c.range_std)
+        lengths, margin = self.lengths[self.known], reach + center.MARGIN
+        past = (along > 0) & (lengths > along + margin)
+        beside = (along > 0) & (near.distance(middle) <= margin)
+        is_cut = np.count_nonzero(beside & (lengths < along - margin)) >= RAYS_TO_CUT
+        found = center.target_center(own, origins, near.those(past), self.c.range_std)
+        return *found, is_cut
 
     def detections(self, cloud, labels, verdicts, origin, delays):
         found = []
@@ -199,7 +204,7 @@ class Detector:
                 covariance += self.c.range_std**2 * np.eye(3)
                 radius = diagonal(own) / 2
             else:
-                place, covariance, radius = self.center_of(own)
+                place, covariance, radius, _ = self.center_of(own)
             sure = 1 - 2 ** (-len(own) / POINTS_HALF_SURE)
             found.append(
                 {
@@ -242,7 +247,12 @@ class Detector:
             return passes.sum() >= RAYS_TO_SEE
 
         self.tracker.view = view
-        self.tracker.center = lambda own: self.center_of(own)[:2]
+
+        def center_of(own):
+            place, spread, _, is_cut = self.center_of(own)
+            return place, spread, is_cut
+
+        self.tracker.center = center_of
         self.tracker.new_point_cloud(cloud, occupied, stamp, delays.astype(float))
         self.tracker.view = self.tracker.center = None
         names = ("position", "covariance", "delay")

@@ -53,7 +53,7 @@ class Events:
 
 
 class Tracker:
-    center = None  # centre and covariance of a target, from its points
+    center = None  # centre of a target, its covariance, whether it is cut; from its points
 
     def __init__(self, config):
         self.c = config
@@ -129,7 +129,7 @@ class Tracker:
     # --- clusters -----------------------------------------------------------------------------
 
     def clusters(self, points, occupied, delays=None, tracks=()):
-        """Centroid, covariance, extent, mean delay of acceptable clusters, by first appearance."""
+        """Place, covariance, extent, mean delay, whether cut, of the acceptable clusters."""
         if len(points) == 0:
             return []
         _, label = connected_components(cdist(points, points) <= self.c.cluster_distance)
@@ -153,10 +153,12 @@ class Tracker:
             R = self.c.measurement_std**2 * EYE
             if self.c.measurement != "paper":
                 R = R + (own - centroid).T @ (own - centroid) / len(own) ** 2
+            is_cut = True
             if self.c.measurement == "center" and self.center is not None:
-                centroid, R = self.center(own)
+                centroid, R, is_cut = self.center(own)
             timed = delays is not None and self.c.measurement != "paper"
-            found.append((centroid, R, extent, delays[rows].mean() if timed else 0.0))
+            delay = delays[rows].mean() if timed else 0.0
+            found.append((centroid, R, extent, delay, is_cut))
         return found
 
     def parts(self, rows, points, delays, tracks):
@@ -186,9 +188,9 @@ class Tracker:
         parts = [rows[nearest == owner] for owner in np.unique(nearest)]
         return [rows] if min(map(len, parts)) < self.c.cluster_min_points else parts
 
-    def widened(self, R, extent, track):
+    def widened(self, R, extent, is_cut, track):
         """Covariance of a cluster of which a part may be hidden."""
-        if self.c.hidden_share is None or self.c.association == "paper":
+        if not is_cut or self.c.hidden_share is None or self.c.association == "paper":
             return R
         is_short = extent < self.c.hidden_share * track.size
         return R + np.diag(np.where(is_short, track.size - extent, 0) ** 2)
@@ -227,8 +229,8 @@ class Tracker:
                 A, Q = self.model(dt)
                 track.aged = A @ track.aged @ A.T + Q
             else:
-                z, R, extent, delay = cluster
-                self.correct(track, z, self.widened(R, extent, track), extent, delay)
+                z, R, extent, delay, is_cut = cluster
+                self.correct(track, z, self.widened(R, extent, is_cut, track), extent, delay)
                 if self.c.hidden_share is not None:
                     track.size = extent + np.exp(-dt / self.c.size_time) * (track.size - extent)
         return [track.id for track, cluster in zip(due, found, strict=True) if cluster is not None]
@@ -251,11 +253,11 @@ class Tracker:
         )
 
         def offset(row, column):
-            z, R, extent, delay = found[column]
+            z, R, extent, delay, is_cut = found[column]
             y = z - (tracks[row].r + delay * tracks[row].x[3:6])
             if np.linalg.norm(y) > self.reach(tracks[row]):
                 return None
-            return y, tracks[row].P[:3, :3] + self.widened(R, extent, tracks[row])
+            return y, tracks[row].P[:3, :3] + self.widened(R, extent, is_cut, tracks[row])
 
         columns = self.assign(len(tracks), len(found), offset)
         return [None if column is None else found[column] for column in columns]

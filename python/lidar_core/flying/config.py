@@ -88,11 +88,11 @@ class ClusterConfig(Config):
         0.25, gt=0, description="Largest gap inside a cluster, d_cluster [m]."
     )
     max_angle: float = Field(
-        0.0125,
+        0.02,
         ge=0,
         le=0.5,
         description="Gaps of this angle times the range of the nearer point are inside a cluster"
-        " too, twice the angle between the rays of an OS1-128 [rad]; paper: 0.",
+        " too, three times the angle between the rays of an OS1-128 [rad]; paper: 0.",
     )
     min_points: int = Field(
         1, ge=1, le=MOST_POINTS, description="Smaller clusters are unknown (count, no unit)."

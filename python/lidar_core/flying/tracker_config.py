@@ -124,8 +124,9 @@ class TrackerConfig(Config):
         gt=0,
         le=1,
         description="A cluster with a side shorter than this share of the track's usual one is"
-        " partly hidden: what is missing is added to its standard deviation (share, no unit); none,"
-        " as in the paper: never; global association.",
+        " partly hidden, unless the scan shows that nothing nearer is beside it: what is missing is"
+        " added to its standard deviation (share, no unit); none, as in the paper: never; global"
+        " association.",
     )
     size_time: float = Field(
         2.0, gt=0, description="Time constant of the usual size of a track's clusters [s]."

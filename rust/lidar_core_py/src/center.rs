@@ -21,8 +21,7 @@ pub(crate) fn target_center<'py>(
 ) -> Result<CenterArrays<'py>, BorderError> {
     let points = arrays::rows3("points_world", &points)?;
     let passing = arrays::rows3("passing_directions", &passing)?;
-    let found =
-        detached(py, || center::target_center(points, sensor_origin, passing, range_std))?;
+    let found = detached(py, || center::target_center(points, sensor_origin, passing, range_std))?;
     let covariance: Vec<f64> = found.covariance.iter().copied().collect(); // symmetric
     let position: [f64; 3] = found.position.into();
     Ok((

@@ -1,6 +1,6 @@
 //! What one scan could see, for the tracker: is a target in the field of view and not hidden?
 
-use super::center::{Center, Hit, Ray, Region, SightSource};
+use super::center::{Around, Center, Hit, Ray, Region, SightSource};
 use super::scan::Prepared;
 use super::track::Visibility;
 use crate::geometry::lattice::wide;
@@ -75,34 +75,54 @@ impl SightSource for ScanView<'_> {
         Hit::new(self.scan.origins[row], wide(self.scan.points[row]))
     }
 
-    fn passing(&self, regions: &[Region]) -> Vec<Vec<Ray>> {
-        let mut passing = vec![Vec::new(); regions.len()];
+    fn around(&self, regions: &[Region]) -> Vec<Around> {
+        let mut around = vec![Around::default(); regions.len()];
         if regions.is_empty() {
-            return passing;
+            return around;
         }
         let casts = |row: usize| !self.scan.no_ray.as_ref().is_some_and(|no_ray| no_ray[row]);
         for row in 0..self.scan.points.len() {
             let Some((way, squared)) = self.way(row) else { continue };
-            for (region, rays) in regions.iter().zip(&mut passing) {
-                if passes(region, self.scan.origins[row], way, squared) && casts(row) {
-                    let origin = Vector3::from(self.scan.origins[row]);
-                    rays.push(Ray { origin, direction: Vector3::from(way).normalize() });
+            for (region, rays) in regions.iter().zip(&mut around) {
+                match End::of(region, self.scan.origins[row], way, squared) {
+                    Some(End::Behind) if casts(row) => {
+                        let origin = Vector3::from(self.scan.origins[row]);
+                        rays.passing
+                            .push(Ray { origin, direction: Vector3::from(way).normalize() });
+                    }
+                    Some(End::InFront) => rays.n_blocked += 1,
+                    _ => {}
                 }
             }
         }
-        passing
+        around
     }
 }
 
-/// Whether a ray comes near a region and goes on behind it. `squared` is the length of `way`
-/// squared, infinite if the ray met nothing.
-fn passes(region: &Region, origin: [f64; 3], way: [f64; 3], squared: f64) -> bool {
-    let span = minus(region.middle.into(), origin);
-    let along = dot(span, way);
-    if along <= 0.0 {
-        return false;
+/// Where a ray ends that comes near a region.
+enum End {
+    InFront,
+    Behind,
+}
+
+impl End {
+    /// `squared` is the length of `way` squared, infinite if the ray met nothing; None for rays
+    /// that stay away from the region or end in it.
+    fn of(region: &Region, origin: [f64; 3], way: [f64; 3], squared: f64) -> Option<Self> {
+        let span = minus(region.middle.into(), origin);
+        let along = dot(span, way);
+        let (reach, unit) = (region.reach(), dot(way, way));
+        if along <= 0.0 || (dot(span, span) - reach * reach) * unit > along * along {
+            return None;
+        }
+        if squared.is_infinite() {
+            return Some(Self::Behind);
+        }
+        let margin = squared.sqrt() * reach;
+        match squared {
+            _ if squared > along + margin => Some(Self::Behind),
+            _ if squared < along - margin => Some(Self::InFront),
+            _ => None,
+        }
     }
-    let (reach, unit) = (region.reach(), dot(way, way));
-    let is_near = (dot(span, span) - reach * reach) * unit <= along * along;
-    is_near && (squared.is_infinite() || squared > (squared.sqrt() * reach) + along)
 }

@@ -12,10 +12,8 @@ use std::f64::consts::PI;
 const SHARES: [f64; 2] = [0.3, 0.6];
 /// So many gaps between rays lie between the outermost points and the rim.
 const RIM_GAPS: [f64; 2] = [1.5, 0.75];
-/// The centre lies behind the centroid by this share of the radius (a ball would have 0.68), less
-/// this share of the depth of the points: an open frame shows its far side, too.
-const SHIFTS: [f64; 2] = [0.25, 0.40];
-const DEPTHS: [f64; 2] = [0.3, 0.0];
+/// The centre lies behind the centroid by this share of the radius; a ball would have 0.68.
+const SHIFTS: [f64; 2] = [0.17, 0.40];
 /// Standard deviation of that shift, as a share of the radius.
 const SHIFT_STD: f64 = 0.15;
 /// Part of the standard deviation across the line of sight that no number of points removes [m].
@@ -55,8 +53,7 @@ impl OpenFrame {
         let scatter: Matrix3<f64> = offsets().map(|offset| offset * offset.transpose()).sum();
         let along = sight * sight.transpose();
         let gap = outline.ray_gap * outline.ray_gap / (12.0 * count.sqrt());
-        let depth_std = (sight.dot(&(scatter * sight)) / count).max(0.0).sqrt();
-        let shift = between(SHIFTS) * radius - between(DEPTHS) * depth_std;
+        let shift = between(SHIFTS) * radius;
         let shift_std = SHIFT_STD * radius;
         Self {
             position: centroid + sight * shift,
@@ -77,9 +74,9 @@ impl OpenFrame {
         Start { center: self.centroid + self.sight * (BALL_SHIFT * radius), radius }
     }
 
-    pub(super) fn into_center(self) -> Center {
+    pub(super) fn into_center(self, is_cut: bool) -> Center {
         let Self { position, covariance, radius, .. } = self;
-        Center { position, covariance: symmetrised(covariance), radius }
+        Center { position, covariance: symmetrised(covariance), radius, is_cut }
     }
 }
 

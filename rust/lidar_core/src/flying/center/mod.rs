@@ -13,7 +13,7 @@ mod sphere;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use sight::{Hit, Ray, Region, Sight, SightSource};
+pub(crate) use sight::{Around, Hit, Ray, Region, Sight, SightSource};
 
 use crate::Error;
 use crate::budget::check_points;
@@ -32,6 +32,8 @@ pub struct Center {
     pub covariance: Matrix3<f64>,
     /// Radius of the sphere [m].
     pub radius: f64,
+    /// Whether something nearer may hide a part of the target.
+    pub is_cut: bool,
 }
 
 /// Squared residuals per degree of freedom at which ball and frame are equally likely.
@@ -74,7 +76,7 @@ pub fn target_center(
         |&way: &[f64; 3]| Ray { origin: origin.into(), direction: Vector3::from(way).normalize() };
     let near = |ray: &Ray| ray.aside(&region.middle).norm() <= region.reach();
     let passing = passing.iter().map(ray).filter(near).collect();
-    Ok(Center::of(&Sight::new(hits, passing), range_std))
+    Ok(Center::of(&Sight::new(hits, Around { passing, n_blocked: 0 }), range_std))
 }
 
 fn check_finite(
@@ -104,7 +106,7 @@ impl Center {
     pub(crate) fn of(sight: &Sight, range_std: f64) -> Self {
         let frame = OpenFrame::of(sight, range_std);
         let fitted = Sphere::fit(sight, &frame.start(), range_std);
-        let Some(ball) = fitted else { return frame.into_center() };
+        let Some(ball) = fitted else { return frame.into_center(sight.is_cut) };
         let weight = ball_weight(&ball, &frame, sight.hits.len());
         let offset = ball.center - frame.position;
         Self {
@@ -115,6 +117,7 @@ impl Center {
                     + weight * (1.0 - weight) * offset * offset.transpose(),
             ),
             radius: weight * ball.radius + (1.0 - weight) * frame.radius,
+            is_cut: sight.is_cut,
         }
     }
 }

@@ -7,6 +7,8 @@ use std::cmp::Ordering;
 pub(super) const MARGIN: f64 = 0.4;
 /// Of these, a ball is held against those this far beside the points [m].
 const NEAR: f64 = 0.15;
+/// So many rays that end in front may hide a part of the target: one alone is a speck of dust.
+const ENOUGH_BLOCKED: usize = 2;
 
 /// A ray from a sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,6 +32,8 @@ pub(crate) struct Sight {
     pub(crate) hits: Vec<Hit>,
     /// Rays that went past the target, on either side and through its gaps.
     pub(crate) passing: Vec<Ray>,
+    /// Whether rays beside the points ended nearer, so that a part of the target may be hidden.
+    pub(crate) is_cut: bool,
     /// How many of these, the first ones, are near the points.
     n_near: usize,
 }
@@ -43,12 +47,21 @@ pub(crate) struct Region {
     pub(crate) radius: f64,
 }
 
+/// Rays around a region.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Around {
+    /// Those that went on behind it.
+    pub(crate) passing: Vec<Ray>,
+    /// How many ended in front of it.
+    pub(crate) n_blocked: usize,
+}
+
 /// A scan that can be asked what it saw.
 pub(crate) trait SightSource {
     /// The hit of a row that has a point.
     fn hit(&self, row: usize) -> Hit;
-    /// For every region, the rays that pass within [`MARGIN`] of it and go on behind it.
-    fn passing(&self, regions: &[Region]) -> Vec<Vec<Ray>>;
+    /// For every region, the rays that come within [`MARGIN`] of it.
+    fn around(&self, regions: &[Region]) -> Vec<Around>;
 
     /// Sights of targets, given the rows of their points, none of them empty.
     fn sights(&self, targets: &[&[u32]]) -> Vec<Sight> {
@@ -57,8 +70,8 @@ pub(crate) trait SightSource {
             .map(|rows| rows.iter().map(|&row| self.hit(row as usize)).collect())
             .collect();
         let regions: Vec<Region> = hits.iter().map(|hits| Region::of(hits)).collect();
-        let passing = self.passing(&regions);
-        hits.into_iter().zip(passing).map(|(hits, passing)| Sight::new(hits, passing)).collect()
+        let around = self.around(&regions);
+        hits.into_iter().zip(around).map(|(hits, around)| Sight::new(hits, around)).collect()
     }
 }
 
@@ -96,7 +109,8 @@ impl Region {
 
 impl Sight {
     /// Sorts what it is given, so that results do not depend on the order of rays.
-    pub(super) fn new(mut hits: Vec<Hit>, mut passing: Vec<Ray>) -> Self {
+    pub(super) fn new(mut hits: Vec<Hit>, around: Around) -> Self {
+        let Around { mut passing, n_blocked } = around;
         let region = Region::of(&hits);
         hits.sort_by(|one, other| order(&one.point, &other.point));
         passing.sort_by(|one, other| order(&one.direction, &other.direction));
@@ -104,7 +118,7 @@ impl Sight {
         let (mut near, far): (Vec<Ray>, Vec<Ray>) = passing.into_iter().partition(is_near);
         let n_near = near.len();
         near.extend(far);
-        Self { hits, passing: near, n_near }
+        Self { hits, passing: near, is_cut: n_blocked >= ENOUGH_BLOCKED, n_near }
     }
 
     pub(super) fn near_passing(&self) -> &[Ray] {

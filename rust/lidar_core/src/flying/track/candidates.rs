@@ -14,6 +14,8 @@ pub(super) struct Measurement {
     /// Time of the measurement after the state's [s]: a scan takes a while.
     pub(super) delay: f64,
     pub(super) extent: [f64; 3],
+    /// Whether a part of the target may be hidden.
+    pub(super) is_cut: bool,
 }
 
 /// Clusters of the points in `rows`, given by their `labels`, that are small enough and far enough
@@ -78,6 +80,7 @@ fn take_centers(found: &mut [(Cluster, Measurement)], scan: &Scan<'_>) {
     let centers = scan.visibility.and_then(|visibility| visibility.centers(&rows));
     for ((_, measurement), center) in found.iter_mut().zip(centers.into_iter().flatten()) {
         (measurement.position, measurement.covariance) = (center.position, center.covariance);
+        measurement.is_cut = center.is_cut;
     }
 }
 
@@ -126,6 +129,6 @@ impl Cluster {
             let scatter: Matrix3<f64> = offsets.map(|offset| offset * offset.transpose()).sum();
             covariance += scatter / (count * count);
         }
-        Measurement { position, covariance, delay, extent: self.extent() }
+        Measurement { position, covariance, delay, extent: self.extent(), is_cut: true }
     }
 }

@@ -92,7 +92,8 @@ impl Detections<'_> {
             let got = format!("{:?}", self.covariance.map_or([[0.0; 3]; 3], |all| all[index]));
             return bad("covariance", "a symmetric positive definite matrix", got);
         }
-        Ok(Measurement { position: Vector3::from(position), covariance, delay, extent })
+        let position = Vector3::from(position);
+        Ok(Measurement { position, covariance, delay, extent, is_cut: false })
     }
 }
 
@@ -249,6 +250,7 @@ impl Updater {
             covariance: position_block(&hypothesis.estimate.covariance),
             delay: 0.0,
             extent: hypothesis.extent,
+            is_cut: false,
         };
         track.correct(&measurement).is_ok()
     }

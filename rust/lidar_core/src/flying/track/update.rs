@@ -62,7 +62,7 @@ impl Seeker {
     fn covariance_of(&self, cluster: &Measurement, hiding: Option<Hiding>) -> Matrix3<f64> {
         let mut covariance = cluster.covariance;
         for (axis, (size, extent)) in self.size.into_iter().zip(cluster.extent).enumerate() {
-            if hiding.is_some_and(|hiding| extent < hiding.share * size) {
+            if cluster.is_cut && hiding.is_some_and(|hiding| extent < hiding.share * size) {
                 covariance[(axis, axis)] += (size - extent) * (size - extent);
             }
         }
