@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from lidar_core import flying, sim
 from lidar_core.errors import ConfigError, InputError
 from lidar_core.flying import target_center
-from tests.reference import center as reference
+from reference import center as reference
 
 STEP = 0.0062  # between rays, as of 128 rows over 45 degrees [rad]
 ORACLE = 1e-6  # the same steps in another order: rounding grows by the conditioning of the fit [m]

@@ -65,7 +65,13 @@ def frame(points, origin, passing, std):
         + along * ((0.15 * radius) ** 2 + std**2 / count)
     )
     size = max(reach, 0.05)
-    return centroid + shift * sight, covariance, radius, share, (centroid + 0.66 * size * sight, size)
+    return (
+        centroid + shift * sight,
+        covariance,
+        radius,
+        share,
+        (centroid + 0.66 * size * sight, size),
+    )
 
 
 def residuals(x, start, points, hits, passing, std):

@@ -284,8 +284,9 @@ def _frame(stamp_ns: int, values: dict[str, Any]) -> FlyingFrame:
 
 
 def _detections(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> FlyingDetections:
-    *columns, delay = arrays
-    return FlyingDetections(*columns, stamp_ns + np.round(delay * 1e9).astype(np.int64))
+    position, covariance, radius, extent, n_points, confidence, delay = arrays
+    time_ns = stamp_ns + np.round(delay * 1e9).astype(np.int64)
+    return FlyingDetections(position, covariance, radius, extent, n_points, confidence, time_ns)
 
 
 def _tracks(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> Tracks:
