@@ -15,6 +15,7 @@ use lidar_core::flying::track::{
     RadiusForm, TrackerParameters,
 };
 use lidar_core::flying::voxel_map::{MapParameters, RayUnit};
+use lidar_core::flying::weighting::PoseParameters;
 use lidar_core::geometry::cluster::Clustering;
 use lidar_core::threads;
 use lidar_sim::scenes::performance;
@@ -54,6 +55,7 @@ impl Scan {
             directions: Some(&self.directions),
             no_return: Some(&self.no_return),
             no_ray: None,
+            pose_error: None,
         }
     }
 
@@ -202,6 +204,12 @@ pub fn flying_parameters() -> FlyingParameters {
         },
         tracker: tracker_parameters(),
         centers: true,
+        pose: PoseParameters {
+            position_std: [0.0; 3],
+            angle_std: [0.0; 3],
+            weighting: None,
+            end_sigmas: 0.0,
+        },
         range_std: 0.03,
         target_radius: 0.325,
         mismatch_share: Some(0.5),

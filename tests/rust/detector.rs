@@ -14,6 +14,7 @@ use lidar_core::flying::track::{
     RadiusForm, TrackerParameters,
 };
 use lidar_core::flying::voxel_map::{MapParameters, RayUnit};
+use lidar_core::flying::weighting::PoseParameters;
 use lidar_core::geometry::cluster::Clustering;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -61,6 +62,12 @@ fn parameters() -> FlyingParameters {
         },
         tracker: tracker(),
         centers: true,
+        pose: PoseParameters {
+            position_std: [0.0; 3],
+            angle_std: [0.0; 3],
+            weighting: None,
+            end_sigmas: 0.0,
+        },
         range_std: 0.03,
         target_radius: 0.325,
         mismatch_share: Some(0.5),

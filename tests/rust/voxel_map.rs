@@ -73,6 +73,7 @@ fn integrate(map: &mut VoxelMap, entries: &[Entry]) -> Result<(), Error> {
         directions: Some(&directions),
         no_return: Some(&no_return),
         no_ray: None,
+        pose_error: None,
     })?;
     Ok(())
 }

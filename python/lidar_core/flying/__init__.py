@@ -16,6 +16,7 @@ from lidar_core.flying.config import (
     VoxelMapConfig,
 )
 from lidar_core.flying.detector import FlyingObjectDetector
+from lidar_core.flying.pose_config import PoseConfig
 from lidar_core.flying.results import (
     FlyingDetections,
     FlyingFrame,
@@ -37,6 +38,7 @@ __all__ = [
     "FlyingStatus",
     "Health",
     "PointCloudTracker",
+    "PoseConfig",
     "SeedConfig",
     "SensorConfig",
     "SeparateConfig",

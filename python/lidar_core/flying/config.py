@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from lidar_core.config import Config
+from lidar_core.flying.pose_config import PoseConfig
 from lidar_core.flying.tracker_config import MOST_POINTS, TrackerConfig
 
 Corner = tuple[float, float, float]
@@ -360,6 +361,7 @@ class FlyingConfig(Config):
         {}, description="LiDARs by the name that `process` is given (no unit)."
     )
     tracker: TrackerConfig = TrackerConfig()
+    pose: PoseConfig = PoseConfig()
     range_margin: float = Field(
         2.0,
         ge=0,
@@ -416,6 +418,7 @@ class FlyingConfig(Config):
             sensor=SensorConfig(learn_mask_scans=0),
             tracker=TrackerConfig.paper(),
             position="paper",
+            pose=PoseConfig.paper(),
             range_margin=0.0,
             mismatch_share=None,
         )

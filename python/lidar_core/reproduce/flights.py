@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +12,22 @@ from lidar_core.flying import FlyingConfig, FlyingFrame, FlyingObjectDetector
 if TYPE_CHECKING:
     from lidar_core.evaluation import Estimates, EvaluationConfig, Truth
     from lidar_core.reproduce.jobs import Part
-    from lidar_core.sim import NoisyPoses, SimulatedScan, Simulator
+    from lidar_core.sim import SimulatedScan, Simulator
 
 Kind: TypeAlias = Literal["detections", "tracks"]
 DIFFERENCE_NS = 50_000_000
 """Half the time over which true velocities are compared, for accelerations [ns]."""
+
+
+class PoseErrors(Protocol):
+    """What makes the poses of successive scans wrong, such as `lidar_core.sim.NoisyPoses`."""
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Of the error of a scan, shape (6, 6)."""
+
+    def observed(self, made: "SimulatedScan") -> "SimulatedScan":
+        """Return the scan as a detector gets it."""
 
 
 def both_modes() -> dict[str, FlyingConfig]:
@@ -29,7 +40,7 @@ def fly(
     configs: Mapping[str, FlyingConfig],
     *,
     scans: int,
-    noise: "NoisyPoses | None" = None,
+    noise: "PoseErrors | None" = None,
 ) -> "Part":
     """Give the first `scans` scans to a detector of every configuration, with wrong poses.
 
@@ -49,7 +60,7 @@ def fly(
         truth.append(made)
         given = made if noise is None else noise.observed(made)
         for name, detector in detectors.items():
-            covariance = None if noise is None or is_paper(name) else noise.noise.covariance
+            covariance = None if noise is None or is_paper(name) else noise.covariance
             seen[name].add(number, processed(detector, given, pose_covariance=covariance))
     columns = truth_columns(simulator, truth)
     for name, one in seen.items():

@@ -6,12 +6,16 @@ from lidar_core.errors import ConfigError
 from lidar_core.reproduce.types import Item
 
 MODULES = (
+    "flying_fig3",
     "flying_fig4",
+    "flying_fig5",
+    "flying_detection_probability",
     "flying_table3",
     "flying_fig7",
     "flying_fig8",
     "flying_crossings",
     "flying_occlusions",
+    "flying_pose_noise",
     "flying_consistency",
     "flying_range",
     "flying_false_tracks",

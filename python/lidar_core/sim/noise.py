@@ -50,6 +50,11 @@ class NoisyPoses:
         self._error = np.zeros(6)
         self._stamp_ns: int | None = None
 
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Of the error of any scan, shape (6, 6), see `PoseNoise.covariance`."""
+        return self.noise.covariance
+
     def observed(self, made: SimulatedScan) -> SimulatedScan:
         """Return the scan as the detector gets it; scans in the order of time."""
         errors = np.array([self._error_at(stamp) for stamp in made.pose_stamps_ns.tolist()])

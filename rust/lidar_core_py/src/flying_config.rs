@@ -10,6 +10,7 @@ use lidar_core::flying::parameters::FlyingParameters;
 use lidar_core::flying::sensor::SensorParameters;
 use lidar_core::flying::separate::Separation;
 use lidar_core::flying::voxel_map::{MapParameters, RayUnit};
+use lidar_core::flying::weighting::{PoseParameters, PoseWeighting};
 use lidar_core::geometry::cluster::Clustering;
 use pyo3::prelude::*;
 use std::collections::BTreeMap;
@@ -24,6 +25,7 @@ pub(crate) struct FlyingConfig {
     sensor: SensorConfig,
     sensors: BTreeMap<String, SensorConfig>,
     tracker: TrackerConfig,
+    pose: PoseConfig,
     range_margin: f64,
     position: String,
     range_std: f64,
@@ -127,10 +129,35 @@ impl FlyingConfig {
             default_sensor: self.sensor.parameters(),
             tracker: self.tracker.parameters()?,
             centers: arrays::choice("position", &self.position, &POSITIONS)?,
+            pose: self.pose.parameters()?,
             range_std: self.range_std,
             target_radius: self.target_radius,
             mismatch_share: self.mismatch_share,
             forget_distance: self.forget_distance,
+        })
+    }
+}
+
+#[derive(FromPyObject)]
+struct PoseConfig {
+    position_std: [f64; 3],
+    angle_std: [f64; 3],
+    weighting: String,
+    end_sigmas: f64,
+}
+
+impl PoseConfig {
+    fn parameters(self) -> Result<PoseParameters, Error> {
+        let weightings = [
+            ("off", None),
+            ("ends", Some(PoseWeighting::Ends)),
+            ("spread", Some(PoseWeighting::Spread)),
+        ];
+        Ok(PoseParameters {
+            position_std: self.position_std,
+            angle_std: self.angle_std,
+            weighting: arrays::choice("pose.weighting", &self.weighting, &weightings)?,
+            end_sigmas: self.end_sigmas,
         })
     }
 }

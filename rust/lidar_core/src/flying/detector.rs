@@ -132,7 +132,7 @@ impl FlyingObjectDetector {
         }
 
         self.tracker.check_room(count_of(&verdicts, FLYING))?;
-        let stats = self.integrate(&mut scan, &mut class)?; // the last stage that may refuse it
+        let stats = self.integrate(raw, &mut scan, &mut class)?; // the last stage that may refuse it
         if after_update {
             judge_again(&mut verdicts, self.verdicts(&scan, &clusters)?);
             class = point_classes(&scan, &labels, &verdicts);
@@ -144,7 +144,8 @@ impl FlyingObjectDetector {
         self.map.remove_separate_from_background(self.parameters.separation)?;
         timing.separate = clock.lap();
 
-        let found = self.detections(&scan, &clusters, &verdicts, raw.pose_covariance.as_ref());
+        let found =
+            self.detections(&scan, &clusters, &verdicts, self.pose_covariance(raw).as_ref());
         self.track(&scan, &found, stamp_ns)?;
         timing.track = clock.lap();
         Ok(self.frame(raw, class, &scan, found, Some(stats), gate, timing))
@@ -225,6 +226,7 @@ impl FlyingObjectDetector {
 
     fn integrate(
         &mut self,
+        raw: &RawScan<'_>,
         scan: &mut Prepared,
         class: &mut Vec<u8>,
     ) -> Result<IntegrateStats, Error> {
@@ -240,6 +242,7 @@ impl FlyingObjectDetector {
             directions: scan.directions.as_deref(),
             no_return: scan.directions.is_some().then_some(&scan.no_return),
             no_ray: scan.no_ray.as_deref(),
+            pose_error: self.pose_error(raw, scan).as_ref(),
         })?;
         Ok(stats)
     }

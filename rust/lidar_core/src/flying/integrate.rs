@@ -3,8 +3,9 @@
 //! Source: Vrba et al., eqs 8-12 and 16-22.
 
 use super::blocks::{Block, Place, VOLUME};
-use super::raycast::{Content, Mark, Ray, UNITS_PER_EDGE, Window, cast_all, content};
+use super::raycast::{Content, Mark, POINT_UNITS, Ray, UNITS_PER_EDGE, Window, cast_all, content};
 use super::voxel_map::{Levels, MapParameters, RayUnit, VoxelMap, filtered, two_to_minus};
+use super::weighting::PoseError;
 use crate::Error;
 use crate::budget::check_points;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
@@ -60,6 +61,8 @@ pub struct ClassifiedScan<'a> {
     pub no_return: Option<&'a [bool]>,
     /// Points whose ray is not cast, such as the nearer of two returns.
     pub no_ray: Option<&'a [bool]>,
+    /// How uncertain the points are, if the update is to heed that.
+    pub pose_error: Option<&'a PoseError>,
 }
 
 /// What a scan did to the map.
@@ -99,11 +102,10 @@ impl VoxelMap {
         let mut accumulators = std::mem::take(&mut self.accumulators);
         let outcome = Window::spanning(low, high).and_then(|window| {
             cast_all(self.pool.as_ref(), &mut accumulators, window, &plan.rays, most);
-            for &(voxel, class) in plan.points.iter().filter(|(voxel, _)| self.admits(*voxel)) {
-                accumulators[0].mark_point(voxel, class);
-            }
+            self.mark(&mut accumulators[0], &plan.points, scan.pose_error);
             accumulators[0].check()?;
-            self.update(&accumulators[0].marked())
+            let weighted = scan.pose_error.is_some_and(PoseError::weighs_points);
+            self.update(&accumulators[0].marked(), weighted)
         });
         stats.visits = accumulators[0].visits();
         self.accumulators = accumulators;
@@ -112,7 +114,11 @@ impl VoxelMap {
     }
 
     /// Apply the marks of one scan: the only place where a scan changes values.
-    fn update(&mut self, marked: &[(Place, &[Mark; VOLUME])]) -> Result<usize, Error> {
+    fn update(
+        &mut self,
+        marked: &[(Place, &[Mark; VOLUME])],
+        weighted: bool,
+    ) -> Result<usize, Error> {
         let admitted: Vec<_> =
             marked.iter().filter(|(place, _)| self.admits_some(*place)).copied().collect();
         let places: Vec<Place> = admitted.iter().map(|&(place, _)| place).collect();
@@ -122,7 +128,7 @@ impl VoxelMap {
             .zip(&admitted)
             .filter_map(|(&slot, &(_, marks))| Some((slot, self.blocks.take(slot)?, marks)))
             .collect();
-        let rule = Rule::of(self);
+        let rule = Rule::of(self, weighted);
         let limits = self.limits;
         let update = |(_, block, marks): &mut (u32, Box<Block>, &[Mark; VOLUME])| {
             rule.apply(block, marks, limits)
@@ -193,7 +199,7 @@ impl Plan {
             }
             plan.add_point(lattice, point, class)?;
             if !scan.no_ray.is_some_and(|flags| flags[index]) {
-                plan.add_ray(lattice, origin, hit_end(origin, point, parameters))?;
+                plan.add_ray(lattice, origin, hit_end(origin, point, parameters, scan.pose_error))?;
             }
         }
         plan.stats.rays = plan.rays.len();
@@ -235,10 +241,16 @@ impl Plan {
 }
 
 /// End of a ray that hit `point`: at the point, but no further than `max_range` (eq. 20).
-fn hit_end(origin: [f64; 3], point: [f64; 3], parameters: &MapParameters) -> [f64; 3] {
+fn hit_end(
+    origin: [f64; 3],
+    point: [f64; 3],
+    parameters: &MapParameters,
+    error: Option<&PoseError>,
+) -> [f64; 3] {
     let span = minus(point, origin);
     let distance = norm(span);
-    let reach = (distance - parameters.end_margin).max(0.0).min(parameters.max_range);
+    let margin = parameters.end_margin + error.map_or(0.0, |error| error.end_margin(span));
+    let reach = (distance - margin).max(0.0).min(parameters.max_range);
     if reach >= distance {
         return point;
     }
@@ -307,6 +319,8 @@ struct Rule {
     initial: f32,
     g: [f32; 3],
     per_unit: f64,
+    /// Weight of one of the units in which points are counted.
+    per_point: f64,
 }
 
 struct BlockUpdate {
@@ -315,7 +329,7 @@ struct BlockUpdate {
 }
 
 impl Rule {
-    fn of(map: &VoxelMap) -> Self {
+    fn of(map: &VoxelMap, weighted: bool) -> Self {
         let p = map.parameters();
         let unit = match p.ray_unit {
             RayUnit::Edges => 1.0,
@@ -327,6 +341,7 @@ impl Rule {
             initial: p.initial,
             g: [p.g_free, p.g_unk, p.g_occ],
             per_unit: p.ray_gain * unit / UNITS_PER_EDGE,
+            per_point: if weighted { 1.0 / f64::from(POINT_UNITS) } else { 1.0 },
         }
     }
 
@@ -362,9 +377,9 @@ impl Rule {
         let count = f64::from(count);
         match content {
             Content::Rays => filtered(value, g_free, two_to_minus(count * self.per_unit)),
-            Content::Unknown => filtered(value, g_unk, two_to_minus(count)),
+            Content::Unknown => filtered(value, g_unk, two_to_minus(count * self.per_point)),
             Content::Flying => filtered(value, g_unk, 0.0), // n_det is infinite (eq. 17)
-            Content::Background => filtered(value, g_occ, two_to_minus(count)),
+            Content::Background => filtered(value, g_occ, two_to_minus(count * self.per_point)),
         }
     }
 }
@@ -400,6 +415,7 @@ pub(crate) mod tests {
             directions: None,
             no_return: None,
             no_ray: None,
+            pose_error: None,
         }
     }
 

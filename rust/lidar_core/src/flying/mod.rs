@@ -29,4 +29,5 @@ mod standing;
 pub mod track;
 mod visibility;
 pub mod voxel_map;
+pub mod weighting;
 mod world;

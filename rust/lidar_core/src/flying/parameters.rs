@@ -6,6 +6,7 @@ use super::sensor::SensorParameters;
 use super::separate::Separation;
 use super::track::TrackerParameters;
 use super::voxel_map::MapParameters;
+use super::weighting::PoseParameters;
 use crate::geometry::cluster::Clustering;
 use std::collections::BTreeMap;
 
@@ -34,6 +35,8 @@ pub struct FlyingParameters {
     pub tracker: TrackerParameters,
     /// Detections are centres of targets, not centroids of their points (eq. 19).
     pub centers: bool,
+    /// Poses that come without a covariance, and what the map makes of uncertain ones.
+    pub pose: PoseParameters,
     /// Range noise [m].
     pub range_std: f64,
     /// The smallest target that must be seen [m]: radius.

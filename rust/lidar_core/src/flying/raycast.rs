@@ -23,8 +23,11 @@ pub(crate) struct Ray {
 /// What one scan did to one voxel, in 32 bits: the class of the points inside in the highest
 /// two, below them their number, or without points the length of rays in 1/16384 edges.
 pub(crate) type Mark = u32;
+/// Of points, their number, or in a weighted scan their weight in units of 1 / `POINT_UNITS`.
 const COUNT_BITS: u32 = 30;
 const MAX_COUNT: u32 = (1 << COUNT_BITS) - 1;
+/// Weight units per point, in scans whose points have weights.
+pub(crate) const POINT_UNITS: u32 = 1024;
 /// Length units per voxel edge.
 pub(crate) const UNITS_PER_EDGE: f64 = 16_384.0;
 
@@ -269,25 +272,38 @@ impl Accumulator {
         add(&mut self.blocks[slot][offset % VOLUME], (1.0 - t_enter) * scale);
     }
 
-    /// Note a point of class `content` in `voxel`.
-    pub(crate) fn mark_point(&mut self, voxel: Voxel, content: Content) {
-        let Some(window) = self.window else { return };
+    /// Note a point, or as many units, of class `content` in `voxel`.
+    pub(crate) fn mark_points(&mut self, voxel: Voxel, content: Content, units: u32) {
+        let tag = content as u32;
+        let Some(mark) = self.mark(voxel) else { return };
+        if *mark >> COUNT_BITS < tag {
+            *mark = tag << COUNT_BITS | units.min(MAX_COUNT);
+        } else if *mark >> COUNT_BITS == tag {
+            *mark = tag << COUNT_BITS | (*mark & MAX_COUNT).saturating_add(units).min(MAX_COUNT);
+        }
+    }
+
+    /// Note that points of the background may lie in `voxel`, unless it holds others.
+    pub(crate) fn mark_beside(&mut self, voxel: Voxel, units: u32) {
+        let others = [Content::Unknown, Content::Flying];
+        if self.mark(voxel).is_some_and(|mark| !others.contains(&content(*mark).0)) {
+            self.mark_points(voxel, Content::Background, units);
+        }
+    }
+
+    /// Mark of a voxel.
+    fn mark(&mut self, voxel: Voxel) -> Option<&mut Mark> {
+        let window = self.window?;
         let place = Place::of(voxel);
         let block = if window.holds(place) {
             let slot = self.slot(&window, place);
             &mut self.blocks[slot]
         } else if self.far.len() > self.most {
-            return; // as in `open`
+            return None; // as in `open`
         } else {
             self.far.entry(place).or_insert_with(|| Box::new([0; VOLUME])).as_mut()
         };
-        let mark = &mut block[offset_of(voxel)];
-        let tag = content as u32;
-        if *mark >> COUNT_BITS < tag {
-            *mark = tag << COUNT_BITS | 1;
-        } else if *mark >> COUNT_BITS == tag && *mark & MAX_COUNT < MAX_COUNT {
-            *mark += 1;
-        }
+        Some(&mut block[offset_of(voxel)])
     }
 
     /// Add the lengths that `other` summed up in the same window.
@@ -421,7 +437,7 @@ mod tests {
             (1, Content::Unknown),
             (2, Content::Flying),
         ] {
-            sum.mark_point([x, 0, 0], class);
+            sum.mark_points([x, 0, 0], class, 1);
         }
         let marks = sum.marked()[0].1;
         assert_eq!(content(marks[0]), (Content::Rays, 8192));
