@@ -190,6 +190,26 @@ fn parameter(name: &'static str, expected: &'static str, got: f64) -> Error {
     Error::Parameter { name, expected, got: got.to_string() }
 }
 
+/// An uncertain pose, and what follows for points in the frame of the map.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PoseSpread {
+    /// Pose of the sensor in the world.
+    pub(crate) world_from_lidar: Transform,
+    /// The world in the frame of the map.
+    pub(crate) map_from_world: Transform,
+    /// Covariance of the pose in the world: translation, then the angles of eq. 38.
+    pub(crate) covariance: [[f64; 6]; 6],
+}
+
+impl PoseSpread {
+    /// Covariance of a point of the map that was measured from this pose (eqs 41-42) [m^2].
+    pub(crate) fn at(&self, point: [f64; 3]) -> [[f64; 3]; 3] {
+        let in_world = self.map_from_world.inverse().apply(point);
+        let jacobian = pose_jacobian(&self.world_from_lidar, in_world);
+        self.map_from_world.turn_covariance(&propagated(&jacobian, &self.covariance))
+    }
+}
+
 /// Derivative of a measured point by the pose: translation, then the angles alpha, beta, gamma of
 /// `R = Rz(gamma) Ry(beta) Rx(alpha)` (the first five blocks of eq. 42). `point` is in the frame
 /// that `pose` leads to.

@@ -1,6 +1,6 @@
 //! Clusters classified as flying -> detections with covariance and confidence.
 
-use super::analysis::{pose_jacobian, propagated};
+use super::analysis::PoseSpread;
 use super::center::Center;
 use super::classify::Verdict;
 use super::clusters::Cluster;
@@ -79,18 +79,9 @@ impl Detection {
         }
     }
 
-    /// Add the uncertainty of the sensor's pose, whose `covariance` is stated in the world
-    /// (eqs 41-42, for the centroid). `map_from_world` turns the axes.
-    pub(crate) fn add_pose_covariance(
-        &mut self,
-        pose: &Transform,
-        map_from_world: &Transform,
-        covariance: &[[f64; 6]; 6],
-    ) {
-        let world_from_map = map_from_world.inverse();
-        let (pose, point) = (world_from_map.after(pose), world_from_map.apply(self.position));
-        let in_world = propagated(&pose_jacobian(&pose, point), covariance);
-        let more = map_from_world.turn_covariance(&in_world);
+    /// Add the uncertainty of the sensor's pose (eqs 41-42, for the position).
+    pub(crate) fn add_pose_covariance(&mut self, spread: &PoseSpread) {
+        let more = spread.at(self.position);
         for (line, more) in self.covariance.iter_mut().zip(&more) {
             for (entry, more) in line.iter_mut().zip(more) {
                 *entry += more;

@@ -144,9 +144,9 @@ impl FlyingObjectDetector {
         self.map.remove_separate_from_background(self.parameters.separation)?;
         timing.separate = clock.lap();
 
-        let found =
-            self.detections(&scan, &clusters, &verdicts, self.pose_covariance(raw).as_ref());
-        self.track(&scan, &found, stamp_ns)?;
+        let view = self.view(raw, &scan);
+        let found = self.detections(&view, &scan, &clusters, &verdicts);
+        self.track(&view, &scan, &found, stamp_ns)?;
         timing.track = clock.lap();
         Ok(self.frame(raw, class, &scan, found, Some(stats), gate, timing))
     }
@@ -280,14 +280,13 @@ impl FlyingObjectDetector {
     /// Detections and teammates of a scan, in the frame of the map.
     fn detections(
         &self,
+        view: &ScanView<'_>,
         scan: &Prepared,
         clusters: &[Cluster],
         verdicts: &[Verdict],
-        pose_covariance: Option<&[[f64; 6]; 6]>,
     ) -> Found {
         let mut found = Found::default();
-        let turn = Transform { translation: [0.0; 3], ..self.map_from_world };
-        let centers = self.centers(scan, clusters, verdicts);
+        let centers = self.centers(view, clusters, verdicts);
         for ((cluster, verdict), center) in clusters.iter().zip(verdicts).zip(centers) {
             let mate = self.teammate_at(cluster.centroid).filter(|_| verdict.class != BACKGROUND);
             if mate.is_some() {
@@ -300,8 +299,8 @@ impl FlyingObjectDetector {
             if let Some(center) = center {
                 detection = detection.at(&center);
             }
-            if let Some(covariance) = pose_covariance {
-                detection.add_pose_covariance(&scan.pose, &turn, covariance);
+            if let Some(spread) = view.spread() {
+                detection.add_pose_covariance(spread);
             }
             match mate {
                 Some(mate) => found.teammates.push((mate.id, detection)),
@@ -315,7 +314,7 @@ impl FlyingObjectDetector {
     /// are asked for.
     fn centers(
         &self,
-        scan: &Prepared,
+        view: &ScanView<'_>,
         clusters: &[Cluster],
         verdicts: &[Verdict],
     ) -> Vec<Option<Center>> {
@@ -324,14 +323,15 @@ impl FlyingObjectDetector {
         let rows: Vec<&[u32]> =
             wanted.iter().map(|&index| clusters[index].members.as_slice()).collect();
         let mut centers = vec![None; clusters.len()];
-        for (index, center) in wanted.into_iter().zip(self.view(scan).centers_of(&rows)) {
+        for (index, center) in wanted.into_iter().zip(view.centers_of(&rows)) {
             centers[index] = Some(center);
         }
         centers
     }
 
-    fn view<'a>(&self, scan: &'a Prepared) -> ScanView<'a> {
-        ScanView::new(scan, self.parameters.target_radius, self.parameters.range_std)
+    fn view<'a>(&self, raw: &RawScan<'_>, scan: &'a Prepared) -> ScanView<'a> {
+        let FlyingParameters { target_radius, range_std, .. } = self.parameters;
+        ScanView::new(scan, target_radius, range_std, self.pose_spread(raw, scan))
     }
 
     fn teammate_at(&self, position: [f64; 3]) -> Option<&Teammate> {
@@ -339,8 +339,13 @@ impl FlyingObjectDetector {
         self.teammates.iter().find(|mate| norm(offset(mate)) <= mate.radius)
     }
 
-    fn track(&mut self, scan: &Prepared, found: &Found, stamp_ns: i64) -> Result<(), Error> {
-        let view = self.view(scan);
+    fn track(
+        &mut self,
+        view: &ScanView<'_>,
+        scan: &Prepared,
+        found: &Found,
+        stamp_ns: i64,
+    ) -> Result<(), Error> {
         let mut points = Cow::from(&scan.points);
         for &row in &found.hidden {
             points.to_mut()[row as usize] = [f32::NAN; 3]; // no track follows a teammate
@@ -349,7 +354,7 @@ impl FlyingObjectDetector {
             &points,
             scan.delays.as_deref(),
             &self.map,
-            Some(&view),
+            Some(view),
             stamp_ns,
         )?;
         let positions: Vec<_> = found.detections.iter().map(|found| found.position).collect();

@@ -1,11 +1,12 @@
 //! What one scan could see, for the tracker: is a target in the field of view and not hidden?
 
+use super::analysis::PoseSpread;
 use super::center::{Around, Center, Hit, Ray, Region, SightSource};
 use super::scan::Prepared;
 use super::track::Visibility;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{dot, minus, norm};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 /// Rays that must pass, so that a target in the ball should have given returns.
 const ENOUGH: usize = 3;
@@ -17,16 +18,29 @@ pub(crate) struct ScanView<'a> {
     target_radius: f64,
     /// Noise of ranges [m].
     range_std: f64,
+    /// Noise of the pose, if it is known.
+    spread: Option<PoseSpread>,
 }
 
 impl<'a> ScanView<'a> {
-    pub(crate) fn new(scan: &'a Prepared, target_radius: f64, range_std: f64) -> Self {
-        Self { scan, target_radius, range_std }
+    pub(crate) fn new(
+        scan: &'a Prepared,
+        target_radius: f64,
+        range_std: f64,
+        spread: Option<PoseSpread>,
+    ) -> Self {
+        Self { scan, target_radius, range_std, spread }
     }
 
-    /// Centres of targets, given the rows of their points, none of them empty.
+    /// Centres of targets, given the rows of their points, none of them empty; the pose counts as
+    /// exact.
     pub(crate) fn centers_of(&self, targets: &[&[u32]]) -> Vec<Center> {
         self.sights(targets).iter().map(|sight| Center::of(sight, self.range_std)).collect()
+    }
+
+    /// Noise of the pose, if it is known.
+    pub(crate) fn spread(&self) -> Option<&PoseSpread> {
+        self.spread.as_ref()
     }
 
     /// Way and length of the ray `row`, not normalised; None where it tells nothing.
@@ -66,7 +80,13 @@ impl Visibility for ScanView<'_> {
     }
 
     fn centers(&self, targets: &[&[u32]]) -> Option<Vec<Center>> {
-        Some(self.centers_of(targets))
+        let mut centers = self.centers_of(targets);
+        if let Some(spread) = &self.spread {
+            for center in &mut centers {
+                center.covariance += Matrix3::from(spread.at(center.position.into())); // symmetric
+            }
+        }
+        Some(centers)
     }
 }
 

@@ -5,7 +5,7 @@
 //! probability that the point lies there (Vrba et al., eqs 41-46), taken along the map's axes one by
 //! one and for a point in the middle of its voxel, so that all points of a voxel have the same.
 
-use super::analysis::pose_jacobian;
+use super::analysis::{PoseSpread, pose_jacobian};
 use super::detector::FlyingObjectDetector;
 use super::raycast::{Accumulator, Content, POINT_UNITS};
 use super::scan::{Prepared, RawScan};
@@ -172,7 +172,7 @@ pub struct PoseParameters {
 
 impl FlyingObjectDetector {
     /// Covariance of the pose of a scan, if anything is known about it.
-    pub(super) fn pose_covariance(&self, raw: &RawScan<'_>) -> Option<[[f64; 6]; 6]> {
+    fn pose_covariance(&self, raw: &RawScan<'_>) -> Option<[[f64; 6]; 6]> {
         let PoseParameters { position_std: [x, y, z], angle_std: [a, b, c], .. } =
             self.parameters.pose;
         let std = [x, y, z, a, b, c];
@@ -181,13 +181,24 @@ impl FlyingObjectDetector {
         raw.pose_covariance.or_else(|| std.iter().any(|&std| std > 0.0).then(constant))
     }
 
-    /// What the update of the map is to heed.
-    pub(super) fn pose_error(&self, raw: &RawScan<'_>, scan: &Prepared) -> Option<PoseError> {
-        Some(PoseError {
-            weighting: self.parameters.pose.weighting?,
+    /// What follows from it for points of the scan.
+    pub(super) fn pose_spread(&self, raw: &RawScan<'_>, scan: &Prepared) -> Option<PoseSpread> {
+        Some(PoseSpread {
             world_from_lidar: self.map_from_world.inverse().after(&scan.pose),
             map_from_world: self.map_from_world,
             covariance: self.pose_covariance(raw)?,
+        })
+    }
+
+    /// What the update of the map is to heed.
+    pub(super) fn pose_error(&self, raw: &RawScan<'_>, scan: &Prepared) -> Option<PoseError> {
+        let PoseSpread { world_from_lidar, map_from_world, covariance } =
+            self.pose_spread(raw, scan)?;
+        Some(PoseError {
+            weighting: self.parameters.pose.weighting?,
+            world_from_lidar,
+            map_from_world,
+            covariance,
             range_std: self.parameters.range_std,
             end_sigmas: self.parameters.pose.end_sigmas,
         })
