@@ -146,3 +146,22 @@ def test_false_detections_fall_and_recall_stays():
 def test_what_is_no_uncertainty_is_refused(values):
     with pytest.raises(ConfigError, match=next(iter(values))):
         PoseConfig(**values)
+
+
+def test_tracks_that_know_of_uncertain_poses_are_steadier_and_honest():
+    scene = yard(drone((6.0, 2.0, 4.0), (2.0, 7.0, 4.5), seconds=4.0), scans=40)
+    observed, covariance = noisy_scans(scene)
+    errors, squares = {}, {}
+    for known in (None, covariance):
+        made = FlyingObjectDetector(FlyingConfig())
+        found, nees = [], []
+        for simulated, seen in zip(scans_of(scene), observed, strict=True):
+            tracks = feed(made, seen, pose_covariance=known).tracks
+            if len(tracks) == 1 and made.health().processed > 15:
+                e = tracks.position[0] - simulated.truth.position[0]
+                found.append(np.linalg.norm(e))
+                nees.append(e @ np.linalg.solve(tracks.covariance[0, :3, :3], e))
+        assert len(found) > 10
+        errors[known is None], squares[known is None] = np.mean(found), np.mean(nees)
+    assert errors[False] < 0.9 * errors[True]
+    assert squares[False] < 9 < squares[True]  # 3 if exact
