@@ -7,7 +7,7 @@ import pytest
 from flying_scenes import VLP_16, drone, feed, lidar, scans_of, wall, yard
 from scipy.spatial.transform import Rotation
 
-from lidar_core import VoxelMapConfig
+from lidar_core import VoxelMapConfig, sim
 from lidar_core.errors import InputError
 from lidar_core.flying import (
     ClassifyConfig,
@@ -856,3 +856,33 @@ def test_eight_threads_may_use_one_detector():
     assert health.processed + health.held + health.rejected == health.received
     assert health.rejected == 4 * len(scans)
     assert len({twin._detector.map_bytes() for twin in alone.values()}) == 1
+
+
+# Large targets
+
+
+def test_a_large_sphere_that_comes_straight_at_the_sensor_is_found_all_the_way():
+    motion = sim.Shuttle(
+        start=(20, 0.4, 3), end=(4, 0, 3), speed=4, acceleration=4, lead=1.0
+    )  # its own trail lies in its shadow
+    scene = sim.Scene(
+        bodies=(
+            sim.Body(shape=sim.Plane(size=(80, 80))),
+            sim.Body(shape=sim.Box(size=(2, 40, 12)), position=(30, 0, 6)),
+        ),
+        targets=(sim.Target(shape=sim.Sphere(radius=0.6), motion=motion),),
+        lidar=sim.LidarModel.preset("os1-128", snapshot=True, range_std=0.0),
+        sensor=sim.Hover(position=(0, 0, 3)),
+        scans=35,
+    )
+    detector = FlyingObjectDetector()
+    missed = []
+    for number, made in enumerate(sim.simulate(scene, seed=0)):
+        scan = made.scan
+        found = detector.process(
+            scan.points, made.world_from_lidar, scan.stamp_ns, no_return=scan.no_return
+        ).detections.position
+        near = np.linalg.norm(found - made.truth.position, axis=1) < 1
+        if number >= detector.config.seed.burn_in_scans and near.sum() != 1:
+            missed.append(number)
+    assert missed == []

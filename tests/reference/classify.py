@@ -64,7 +64,7 @@ def is_floating(vmap: VoxelMap, points, search_distance: float, **options) -> bo
 
 
 class Shadow:
-    """Never-observed voxels behind a cluster: hidden from `origin` by one of its points.
+    """Voxels behind a cluster: hidden from `origin` by one of its points.
 
     A voxel is hidden if its centre lies more than one edge further away than a point that the
     line of sight to the centre passes within half a diagonal.
@@ -76,8 +76,6 @@ class Shadow:
         self.origin = origin
 
     def __call__(self, voxel: Voxel) -> bool:
-        if voxel in self.vmap.values:
-            return False
         size = self.vmap.config.voxel_size
         center = (np.array(voxel) + 0.5) * size - self.origin
         distance = float(np.sqrt(center @ center))

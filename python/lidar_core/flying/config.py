@@ -143,7 +143,7 @@ class ClassifyConfig(Config):
     )
     shadow: Literal["own", "paper"] = Field(
         "own",
-        description="own: never-observed voxels in a cluster's own shadow do not connect it;"
+        description="own: uncertain voxels in a cluster's own shadow do not connect it;"
         " paper: they do, and a target approached head-on is never found (no unit).",
     )
     own_voxels: Literal["expanded", "paper"] = Field(
@@ -153,7 +153,10 @@ class ClassifyConfig(Config):
         " paper: not (no unit).",
     )
     max_extent: float | None = Field(
-        1.5, gt=0, description="Larger groups of clusters are no flying object [m]."
+        2.0,
+        gt=0,
+        description="Groups of clusters with a larger diagonal of their box are no flying object"
+        " [m]; the visible side of a sphere has one of up to 3.1 radii.",
     )
     background_extent: float | None = Field(
         3.0, gt=0, description="Larger clusters are background at any time [m]."

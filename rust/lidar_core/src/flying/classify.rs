@@ -26,7 +26,7 @@ pub struct ClassifyParameters {
     pub after_update: bool,
     /// A search that leaves a fixed operating volume: true finds a way out, false a wall.
     pub open_border: bool,
-    /// Never-observed voxels in a cluster's own shadow do not connect it.
+    /// Uncertain voxels in a cluster's own shadow do not connect it.
     pub own_shadow: bool,
     /// The search goes on from the voxels of a cluster even where they are free, so that one that
     /// touches what has never been observed is connected. A wall seen at a grazing angle lies in

@@ -115,7 +115,10 @@ impl<'a> Flood<'a> {
             if value < self.map.uncertain_from() && !(self.expand_own && voxel == start) {
                 continue; // free voxels are not expanded, A1:31
             }
-            if stored.is_nan() && shadow.is_some_and(|shadow| shadow.hides(voxel)) {
+            if shadow.is_some_and(|shadow| shadow.hides(voxel)) {
+                if !stored.is_nan() {
+                    self.explored.push(voxel); // met, though not followed
+                }
                 continue;
             }
             if steps(voxel, start) >= self.radius {

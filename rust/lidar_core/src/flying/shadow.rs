@@ -1,12 +1,13 @@
-//! The shadow that a cluster casts, seen from the sensor: what no ray can have observed yet.
+//! The shadow that a cluster casts, seen from the sensor: what no ray can observe now.
 
 use crate::geometry::lattice::{Lattice, Voxel};
 use crate::geometry::transform::{dot, minus, norm};
 
 /// Points of one cluster as rays from the sensor.
 ///
-/// A target that is approached head-on hides the same voxels in every scan. Algorithm 1 as
-/// published walks through them and never detects it. In best mode such voxels do not connect.
+/// A target that is approached head-on hides the same voxels in every scan: some were never
+/// observed, others it flew through itself, and no ray clears them. Algorithm 1 as published
+/// walks through them and never detects it. In best mode such voxels do not connect.
 pub(crate) struct Shadow {
     origin: [f64; 3],
     lattice: Lattice,
