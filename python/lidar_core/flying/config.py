@@ -242,10 +242,10 @@ class SeedConfig(Config):
         description="First scans, in which nothing is reported (count, no unit).",
     )
     burn_in_extent: float = Field(
-        1.0,
+        2.0,
         gt=0,
-        description="During the burn-in larger clusters are background; must exceed the largest"
-        " target [m].",
+        description="During the burn-in clusters with a larger diagonal of their box are"
+        " background; must exceed that of the largest target [m].",
     )
     standing_scans: int = Field(
         5,
@@ -410,14 +410,14 @@ class FlyingConfig(Config):
     def paper(cls) -> Self:
         """The algorithms as published, with the parameters of Table II.
 
-        What the paper leaves out stays at its default: the burn-in that seeds the background,
-        and d_sep.
+        What the paper leaves out is the burn-in that seeds the background, with an extent for
+        targets of the paper's size, and d_sep, which stays at its default.
         """
         return cls(
             voxel_map=VoxelMapConfig(ray_unit="metres"),
             cluster=ClusterConfig(max_angle=0.0),
             classify=ClassifyConfig.paper(),
-            seed=SeedConfig(standing_scans=0),
+            seed=SeedConfig(burn_in_extent=1.0, standing_scans=0),
             sensor=SensorConfig(learn_mask_scans=0),
             tracker=TrackerConfig.paper(),
             position="paper",
