@@ -64,6 +64,7 @@ fn track(c: &mut Criterion) -> Result<(), Error> {
                         covariance: None,
                         extent: None,
                         delay: None,
+                        confidence: None,
                     };
                     let seen = tracker.new_point_cloud(&cloud, None, &occupied, None, stamp_ns);
                     std::hint::black_box(seen.is_ok());

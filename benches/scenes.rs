@@ -239,7 +239,7 @@ pub fn tracker_parameters() -> TrackerParameters {
         hiding: Some(Hiding { share: 0.75, time: 2.0 }),
         association: Association::Global { gate_probability: 0.9999, clutter_density: 1e-5 },
         split_distance: Some(0.8),
-        confirmation: Confirmation { hits: 3, window: 10 },
+        confirmation: Confirmation { hits: 3, window: 10, doubt: None },
         merging: Some(Merging { distance: 0.3, speed: 1.0 }),
         ageing: Ageing::Visible { max_coast: 3.0, report_coast: 0.3 },
     }

@@ -255,9 +255,10 @@ class Detector:
         self.tracker.center = center_of
         self.tracker.new_point_cloud(cloud, occupied, stamp, delays.astype(float))
         self.tracker.view = self.tracker.center = None
-        names = ("position", "covariance", "delay")
-        position, covariance, delay = ([one[name] for one in found] for name in names)
-        self.tracker.new_detections(position, occupied, stamp, covariance, delay)
+        names = ("position", "covariance", "delay", "confidence")
+        columns = ([one[name] for one in found] for name in names)
+        position, *others = columns
+        self.tracker.new_detections(position, occupied, stamp, *others)
 
     def frame(self, point_class, found, stamp, gate) -> Frame:
         tracks = []

@@ -35,6 +35,8 @@ class Track:
     delay: float = 0.0
     n_detections: int = 1
     history: list[bool] = field(default_factory=lambda: [True])
+    sure: list[bool] = field(default_factory=lambda: [True])
+    place: np.ndarray = None
     confirmed: bool = False
 
     @property
@@ -286,7 +288,9 @@ class Tracker:
         self.tracks = [track for track in self.tracks if not gone(track)]
         return removed
 
-    def new_detections(self, positions, occupied, stamp, covariance=None, delay=None):
+    def new_detections(
+        self, positions, occupied, stamp, covariance=None, delay=None, confidence=None
+    ):
         fresh = []
         for index, z in enumerate(positions):
             P = np.zeros((9, 9))
@@ -302,7 +306,12 @@ class Tracker:
             J[:3, 3:6] = -late * EYE  # r = z - v * delay
             P = J @ P @ J.T
             x = np.r_[z, np.zeros(6)]
-            fresh.append(Track(x, P, P, stamp, stamp, stamp, np.zeros(3), np.zeros(3), delay=late))
+            weak = confidence is not None and self.c.confirm_confidence is not None
+            sure = [not weak or bool(confidence[index] >= self.c.confirm_confidence)]
+            size = np.zeros(3)
+            fresh.append(
+                Track(x, P, P, stamp, stamp, stamp, size, size, delay=late, sure=sure, place=z)
+            )
         for time, points, delays in self.buffer:
             if time > stamp:
                 self.update(fresh, time, points, occupied, delays)
@@ -322,7 +331,7 @@ class Tracker:
             if distance:
                 index = min(distance, key=distance.get)
                 self.tracks[index].n_detections += 1
-                fed.append(index)
+                fed.append((index, new.sure[0]))
             else:
                 self.tracks.append(new)
         return fed
@@ -344,7 +353,7 @@ class Tracker:
                 continue
             track = self.tracks[index]
             track.n_detections += 1
-            fed.append(index)
+            fed.append((index, new.sure[0]))
             if track.seen < new.born:
                 stamp = max(new.stamp, track.stamp)
                 self.move(track, stamp)
@@ -367,11 +376,13 @@ class Tracker:
             events.born.append(track.id)
         for track in self.tracks[:known]:
             track.history.append(False)
-        for index in fed:
+            track.sure.append(False)
+        for index, is_sure in fed:
             self.tracks[index].history[-1] = True
+            self.tracks[index].sure[-1] |= is_sure
         window = self.c.confirm_window
         for track in self.tracks:
-            if not track.confirmed and sum(track.history[-window:]) >= self.c.confirm_hits:
+            if not track.confirmed and self.is_certain(track):
                 track.confirmed = True
                 events.confirmed.append(track.id)
         events.removed = self.remove(
@@ -379,6 +390,16 @@ class Tracker:
         )
         events.merged = self.merge()
         return events
+
+    def is_certain(self, track):
+        hits, window = self.c.confirm_hits, self.c.confirm_window
+        if self.c.confirm_confidence is None:
+            return sum(track.history[-window:]) >= hits
+        std = np.sqrt(np.trace(track.P[:3, :3]) / 3)
+        has_moved = np.linalg.norm(track.r - track.place) > self.c.confirm_distance + 2 * std
+        counted = track.history if has_moved else track.sure
+        many = sum(track.history[-self.c.confirm_still_window :]) >= self.c.confirm_still_hits
+        return many or sum(counted[-window:]) >= hits
 
     def merge(self):
         if self.c.merge_distance is None:
@@ -401,14 +422,19 @@ class Tracker:
             merged.append([kept.id, gone.id])
             state = gone if gone.seen > kept.seen else kept
             size = max(len(kept.history), len(gone.history))
-            padded = [[False] * (size - len(t.history)) + t.history for t in (kept, gone)]
+
+            def either(one, other, size=size):
+                padded = [[False] * (size - len(sets)) + sets for sets in (one, other)]
+                return [a or b for a, b in zip(*padded, strict=True)]
+
             self.tracks[index] = replace(
                 state,
                 id=kept.id,
                 born=kept.born,
                 confirmed=kept.confirmed,
                 n_detections=max(kept.n_detections, gone.n_detections),
-                history=[a or b for a, b in zip(*padded, strict=True)],
+                history=either(kept.history, gone.history),
+                sure=either(kept.sure, gone.sure),
             )
             self.tracks = [track for track in self.tracks if track is not other]
         self.tracks.sort(key=lambda track: track.id)

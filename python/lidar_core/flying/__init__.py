@@ -11,7 +11,6 @@ from lidar_core.flying.config import (
     ClusterConfig,
     FlyingConfig,
     SeedConfig,
-    SensorConfig,
     SeparateConfig,
     VoxelMapConfig,
 )
@@ -25,6 +24,7 @@ from lidar_core.flying.results import (
     TrackEvents,
     Tracks,
 )
+from lidar_core.flying.sensor_config import SensorConfig
 from lidar_core.flying.tracker import PointCloudTracker
 from lidar_core.flying.tracker_config import TrackerConfig
 

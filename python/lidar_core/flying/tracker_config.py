@@ -5,9 +5,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from lidar_core.config import Config
-
-MOST_POINTS = 4_000_000
-"""A scan has no more."""
+from lidar_core.flying.config_types import MOST_POINTS
 
 
 class TrackerConfig(Config):
@@ -165,6 +163,29 @@ class TrackerConfig(Config):
     confirm_window: int = Field(
         10, ge=1, le=64, description="Sets of detections looked back on (count, no unit)."
     )
+    confirm_confidence: float | None = Field(
+        0.85,
+        ge=0,
+        le=1,
+        description="Detections of less confidence confirm a track only once it has moved, or as"
+        " `confirm_still_hits`: weak ones that stand still may be background that has just come"
+        " into view (share, no unit); none, as in the paper: all count.",
+    )
+    confirm_distance: float = Field(
+        1.0,
+        ge=0,
+        description="A track this far from where it began has moved, with two standard deviations"
+        " of its position on top [m].",
+    )
+    confirm_still_hits: int = Field(
+        12,
+        ge=1,
+        le=64,
+        description="So many weak detections confirm a track that stands still (count, no unit).",
+    )
+    confirm_still_window: int = Field(
+        20, ge=1, le=64, description="Sets of detections looked back on for them (count, no unit)."
+    )
     merge_distance: float | None = Field(
         0.3, ge=0, description="Tracks this close are one target [m]; none, as in the paper: never."
     )
@@ -195,6 +216,8 @@ class TrackerConfig(Config):
             raise ValueError("expected radius_min <= radius_max")
         if self.confirm_hits > self.confirm_window:
             raise ValueError("expected confirm_hits <= confirm_window")
+        if self.confirm_still_hits > self.confirm_still_window:
+            raise ValueError("expected confirm_still_hits <= confirm_still_window")
         return self
 
     @classmethod
@@ -222,6 +245,7 @@ class TrackerConfig(Config):
             split_distance=None,
             confirm_hits=1,
             confirm_window=1,
+            confirm_confidence=None,
             merge_distance=None,
             ageing="paper",
         )

@@ -5,9 +5,9 @@ use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
 use lidar_core::flying::track::{
-    Ageing, Association, CloudView, Confirmation, Detections, Hiding, MeasurementForm, Merging,
-    Motion, NoiseForm, OccupiedPoints, PointCloudTracker, Radius, RadiusForm, Stats, Track,
-    TrackerParameters, Visibility,
+    Ageing, Association, CloudView, Confirmation, Detections, Doubt, Hiding, MeasurementForm,
+    Merging, Motion, NoiseForm, OccupiedPoints, PointCloudTracker, Radius, RadiusForm, Stats,
+    Track, TrackerParameters, Visibility,
 };
 use lidar_core::geometry::cluster::Clustering;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
@@ -47,6 +47,10 @@ pub(crate) struct TrackerConfig {
     split_distance: Option<f64>,
     confirm_hits: u32,
     confirm_window: u32,
+    confirm_confidence: Option<f64>,
+    confirm_distance: f64,
+    confirm_still_hits: u32,
+    confirm_still_window: u32,
     merge_distance: Option<f64>,
     merge_speed: f64,
     ageing: String,
@@ -107,7 +111,16 @@ impl TrackerConfig {
             hiding: self.hidden_share.map(|share| Hiding { share, time: self.size_time }),
             association: self.association()?,
             split_distance: self.split_distance,
-            confirmation: Confirmation { hits: self.confirm_hits, window: self.confirm_window },
+            confirmation: Confirmation {
+                hits: self.confirm_hits,
+                window: self.confirm_window,
+                doubt: self.confirm_confidence.map(|confidence| Doubt {
+                    confidence,
+                    distance: self.confirm_distance,
+                    hits: self.confirm_still_hits,
+                    window: self.confirm_still_window,
+                }),
+            },
             merging: self
                 .merge_distance
                 .map(|distance| Merging { distance, speed: self.merge_speed }),
@@ -195,6 +208,7 @@ impl PyPointCloudTracker {
             covariance,
             extent: arrays::maybe_rows3("extent", &extent)?,
             delay: arrays::maybe_flat("delay", &delay)?,
+            confidence: None,
         };
         let occupied = arrays::rows3("occupied", &occupied)?;
         let stats = self.0.with(py, |tracker| {

@@ -1,11 +1,10 @@
 //! The pipeline: raw scans in, point classes, detections and tracks out.
 
-use super::center::Center;
 use super::classify::{Verdict, classify, judge_again};
 use super::clusters::Cluster;
-use super::detection::Detection;
 use super::flood::{check_steps, distinct, search_radius};
-use super::frame::{Clock, Found, Frame, Teammate, Timing};
+use super::found::Found;
+use super::frame::{Clock, Frame, Teammate, Timing};
 use super::gate::Gate;
 use super::integrate::{
     BACKGROUND, ClassifiedScan, FLYING, INVALID, IntegrateStats, Origins, UNKNOWN,
@@ -21,7 +20,7 @@ use super::voxel_map::VoxelMap;
 use crate::Error;
 use crate::geometry::lattice::{floor, wide};
 use crate::geometry::sight::{Sight, label_seen};
-use crate::geometry::transform::{Transform, minus, norm};
+use crate::geometry::transform::Transform;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
@@ -277,66 +276,9 @@ impl FlyingObjectDetector {
         }
     }
 
-    /// Detections and teammates of a scan, in the frame of the map.
-    fn detections(
-        &self,
-        view: &ScanView<'_>,
-        scan: &Prepared,
-        clusters: &[Cluster],
-        verdicts: &[Verdict],
-    ) -> Found {
-        let mut found = Found::default();
-        let centers = self.centers(view, clusters, verdicts);
-        for ((cluster, verdict), center) in clusters.iter().zip(verdicts).zip(centers) {
-            let mate = self.teammate_at(cluster.centroid).filter(|_| verdict.class != BACKGROUND);
-            if mate.is_some() {
-                found.hidden.extend(&cluster.members);
-            }
-            if verdict.class != FLYING {
-                continue;
-            }
-            let mut detection = Detection::of(scan, cluster, verdict, self.parameters.range_std);
-            if let Some(center) = center {
-                detection = detection.at(&center);
-            }
-            if let Some(spread) = view.spread() {
-                detection.add_pose_covariance(spread);
-            }
-            match mate {
-                Some(mate) => found.teammates.push((mate.id, detection)),
-                None => found.detections.push(detection),
-            }
-        }
-        found
-    }
-
-    /// For every cluster, the centre behind its points if it is a flying object and if centres
-    /// are asked for.
-    fn centers(
-        &self,
-        view: &ScanView<'_>,
-        clusters: &[Cluster],
-        verdicts: &[Verdict],
-    ) -> Vec<Option<Center>> {
-        let is_wanted = |&index: &usize| self.parameters.centers && verdicts[index].class == FLYING;
-        let wanted: Vec<usize> = (0..clusters.len()).filter(is_wanted).collect();
-        let rows: Vec<&[u32]> =
-            wanted.iter().map(|&index| clusters[index].members.as_slice()).collect();
-        let mut centers = vec![None; clusters.len()];
-        for (index, center) in wanted.into_iter().zip(view.centers_of(&rows)) {
-            centers[index] = Some(center);
-        }
-        centers
-    }
-
     fn view<'a>(&self, raw: &RawScan<'_>, scan: &'a Prepared) -> ScanView<'a> {
         let FlyingParameters { target_radius, range_std, .. } = self.parameters;
         ScanView::new(scan, target_radius, range_std, self.pose_spread(raw, scan))
-    }
-
-    fn teammate_at(&self, position: [f64; 3]) -> Option<&Teammate> {
-        let offset = |mate: &Teammate| minus(self.map_from_world.apply(mate.position), position);
-        self.teammates.iter().find(|mate| norm(offset(mate)) <= mate.radius)
     }
 
     fn track(
@@ -361,9 +303,11 @@ impl FlyingObjectDetector {
         let covariance: Vec<_> = found.detections.iter().map(|found| found.covariance).collect();
         let extent: Vec<_> = found.detections.iter().map(|found| found.extent).collect();
         let delay: Vec<_> = found.detections.iter().map(|found| found.delay).collect();
+        let confidence: Vec<_> = found.detections.iter().map(|found| found.confidence).collect();
         let detections = Detections {
             stamp_ns,
             delay: Some(&delay),
+            confidence: Some(&confidence),
             positions: &positions,
             covariance: Some(&covariance),
             extent: Some(&extent),

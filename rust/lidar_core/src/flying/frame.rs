@@ -59,15 +59,6 @@ pub struct Teammate {
     pub radius: f64,
 }
 
-/// Detections and teammates of a scan, in the frame of the map.
-#[derive(Default)]
-pub(crate) struct Found {
-    pub(crate) detections: Vec<Detection>,
-    pub(crate) teammates: Vec<(i64, Detection)>,
-    /// Rows of points on teammates.
-    pub(crate) hidden: Vec<u32>,
-}
-
 /// Stop watch for the stages.
 pub(crate) struct Clock(Instant);
 

@@ -27,6 +27,8 @@ pub struct Detections<'a> {
     pub extent: Option<&'a [[f64; 3]]>,
     /// When each position was measured, after the stamp [s].
     pub delay: Option<&'a [f64]>,
+    /// How sure each is, 0 to 1; without it all are.
+    pub confidence: Option<&'a [f64]>,
 }
 
 impl Detections<'_> {
@@ -46,6 +48,7 @@ impl Detections<'_> {
             ("covariance", self.covariance.map(<[_]>::len)),
             ("extent", self.extent.map(<[_]>::len)),
             ("delay", self.delay.map(<[_]>::len)),
+            ("confidence", self.confidence.map(<[_]>::len)),
         ];
         for (name, length) in lengths {
             if let Some(got) = length.filter(|&length| length != count) {
@@ -55,9 +58,18 @@ impl Detections<'_> {
         (0..count)
             .map(|index| {
                 let detection = self.measurement(index, parameters)?;
-                Ok(TrackState::new(&detection, self.stamp_ns, parameters))
+                let mut fresh = TrackState::new(&detection, self.stamp_ns, parameters);
+                fresh.sure = u64::from(self.is_sure(index, parameters));
+                Ok(fresh)
             })
             .collect()
+    }
+
+    fn is_sure(&self, index: usize, parameters: &TrackerParameters) -> bool {
+        match (self.confidence, parameters.confirmation.doubt) {
+            (Some(confidence), Some(doubt)) => confidence[index] >= doubt.confidence,
+            _ => true,
+        }
     }
 
     fn measurement(
@@ -120,8 +132,8 @@ fn known_covariance(rows: &[[f64; 3]; 3], parameters: &TrackerParameters) -> Mat
 /// Which track every set of detections fed.
 #[derive(Debug, Default)]
 pub(super) struct Matches {
-    /// Places in the list of tracks, in the order of the detections.
-    pub(super) fed: Vec<usize>,
+    /// Places in the list of tracks, in the order of the detections, and whether these were sure.
+    pub(super) fed: Vec<(usize, bool)>,
     pub(super) rejected: usize,
 }
 
@@ -177,7 +189,7 @@ impl Updater {
             match nearest {
                 Some(index) => {
                     tracks[index].n_detections = tracks[index].n_detections.saturating_add(1);
-                    matches.fed.push(index);
+                    matches.fed.push((index, hypothesis.sure == 1));
                 }
                 None => tracks.push(hypothesis),
             }
@@ -218,7 +230,7 @@ impl Updater {
             };
             let track = &mut tracks[index];
             track.n_detections = track.n_detections.saturating_add(1);
-            matches.fed.push(index);
+            matches.fed.push((index, hypothesis.sure == 1));
             // What the track has not seen itself, it learns from the hypothesis.
             if track.seen_ns < hypothesis.born_ns && !self.learn(track, hypothesis) {
                 matches.rejected += 1;

@@ -1,7 +1,7 @@
 //! Birth to removal: numbers, confirmation, merging, deletion.
 
-use super::motion;
-use super::parameters::{Ageing, Merging, TrackerParameters};
+use super::motion::{self, position_block};
+use super::parameters::{Ageing, Confirmation, Merging, TrackerParameters};
 use super::state::{TrackState, UNNUMBERED, seconds};
 
 /// Remove tracks that have become too uncertain; their numbers.
@@ -28,24 +28,40 @@ pub(super) fn remove_uncertain(
 /// is the place of the first new one. Returns the numbers of those that are confirmed by it.
 pub(super) fn confirm(
     tracks: &mut [TrackState],
-    fed: &[usize],
+    fed: &[(usize, bool)],
     born: usize,
     parameters: &TrackerParameters,
 ) -> Vec<i64> {
     let mut confirmed = Vec::new();
     for track in &mut tracks[..born] {
         track.history <<= 1;
+        track.sure <<= 1;
     }
-    for &index in fed {
+    for &(index, is_sure) in fed {
         tracks[index].history |= 1;
+        tracks[index].sure |= u64::from(is_sure);
     }
     for track in tracks.iter_mut().filter(|track| !track.confirmed) {
-        if recent(track, parameters).count_ones() >= parameters.confirmation.hits {
+        if is_certain(track, &parameters.confirmation) {
             track.confirmed = true;
             confirmed.push(track.id);
         }
     }
     confirmed
+}
+
+/// Whether enough sets of detections speak for a track.
+fn is_certain(track: &TrackState, confirmation: &Confirmation) -> bool {
+    let enough = |sets: u64, hits: u32, window: u32| last(sets, window).count_ones() >= hits;
+    let Confirmation { hits, window, doubt } = *confirmation;
+    let Some(doubt) = doubt else { return enough(track.history, hits, window) };
+    let spread = position_block(&track.estimate.covariance).trace() / 3.0;
+    let reach = doubt.distance + 2.0 * spread.max(0.0).sqrt();
+    let counted = match (track.position() - track.born_at).norm() > reach {
+        true => track.history,
+        false => track.sure,
+    };
+    enough(counted, hits, window) || enough(track.history, doubt.hits, doubt.window)
 }
 
 /// Remove tracks that were never confirmed and that no recent detection held; their numbers.
@@ -98,9 +114,10 @@ pub(super) fn merge(tracks: &mut Vec<TrackState>, merging: &Merging) -> Vec<[i64
 fn united(kept: TrackState, dropped: TrackState) -> TrackState {
     let n_detections = kept.n_detections.max(dropped.n_detections);
     let history = kept.history | dropped.history;
+    let sure = kept.sure | dropped.sure;
     let (id, born_ns, confirmed) = (kept.id, kept.born_ns, kept.confirmed);
     let state = if dropped.seen_ns > kept.seen_ns { dropped } else { kept };
-    TrackState { id, born_ns, confirmed, n_detections, history, ..state }
+    TrackState { id, born_ns, confirmed, n_detections, history, sure, ..state }
 }
 
 fn is_twin(one: &TrackState, other: &TrackState, merging: &Merging) -> bool {
@@ -110,7 +127,12 @@ fn is_twin(one: &TrackState, other: &TrackState, merging: &Merging) -> bool {
 }
 
 fn recent(track: &TrackState, parameters: &TrackerParameters) -> u64 {
-    track.history & (u64::MAX >> (u64::BITS - parameters.confirmation.window))
+    last(track.history, parameters.confirmation.window)
+}
+
+/// Of sets of detections the newest `window`.
+fn last(sets: u64, window: u32) -> u64 {
+    sets & (u64::MAX >> (u64::BITS - window))
 }
 
 fn remove(tracks: &mut Vec<TrackState>, gone: impl Fn(&TrackState) -> bool) -> Vec<i64> {

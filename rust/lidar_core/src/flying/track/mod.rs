@@ -22,8 +22,8 @@ mod tests;
 pub use detections::Detections;
 pub use occupancy::{Occupancy, OccupiedPoints, Visibility};
 pub use parameters::{
-    Ageing, Association, Confirmation, Hiding, MAX_TRACKS, MAX_WINDOW, MeasurementForm, Merging,
-    Motion, NoiseForm, Radius, RadiusForm, TrackerParameters,
+    Ageing, Association, Confirmation, Doubt, Hiding, MAX_TRACKS, MAX_WINDOW, MeasurementForm,
+    Merging, Motion, NoiseForm, Radius, RadiusForm, TrackerParameters,
 };
 pub use view::CloudView;
 

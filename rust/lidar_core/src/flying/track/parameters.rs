@@ -95,6 +95,22 @@ pub struct Confirmation {
     pub hits: u32,
     /// Sets looked back on, `hits` to [`MAX_WINDOW`].
     pub window: u32,
+    /// More is asked of tracks that nothing speaks for.
+    pub doubt: Option<Doubt>,
+}
+
+/// Weak detections of something that stands still may be a part of the background that has just
+/// come into view: only those that are sure count, or many of them, or a track that has moved.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Doubt {
+    /// Detections of less confidence are weak.
+    pub confidence: f64,
+    /// A track this far from where it began has moved, with two standard deviations on top [m].
+    pub distance: f64,
+    /// So many sets confirm a track in any case, of the last `window`.
+    pub hits: u32,
+    /// Sets looked back on for that, `hits` to [`MAX_WINDOW`].
+    pub window: u32,
 }
 
 /// Two tracks this close are one target.
@@ -170,7 +186,16 @@ impl TrackerParameters {
         if self.buffer_size == 0 {
             return refuse("buffer_size", ">= 1", self.buffer_size.to_string());
         }
-        let Confirmation { hits, window } = self.confirmation;
+        let Confirmation { hits, window, doubt } = self.confirmation;
+        if let Some(Doubt { hits, window, .. }) = doubt
+            && !((1..=MAX_WINDOW).contains(&window) && (1..=window).contains(&hits))
+        {
+            return refuse(
+                "confirm_still_hits",
+                "1 <= confirm_still_hits <= confirm_still_window <= 64",
+                format!("{hits} of {window}"),
+            );
+        }
         if !(1..=MAX_WINDOW).contains(&window) || !(1..=window).contains(&hits) {
             return refuse(
                 "confirm_hits",

@@ -30,6 +30,8 @@ pub(super) struct TrackState {
     pub(super) n_detections: u32,
     /// The last sets of detections, newest in the lowest bit: 1 where the track was in it.
     pub(super) history: u64,
+    /// The same for those of them that were sure.
+    pub(super) sure: u64,
     pub(super) confirmed: bool,
 }
 
@@ -67,6 +69,7 @@ impl TrackState {
             size: detection.extent,
             n_detections: 1,
             history: 1,
+            sure: 1,
             confirmed: false,
         }
     }

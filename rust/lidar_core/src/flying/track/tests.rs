@@ -26,7 +26,7 @@ fn paper() -> TrackerParameters {
         hiding: None,
         association: Association::Paper,
         split_distance: None,
-        confirmation: Confirmation { hits: 1, window: 1 },
+        confirmation: Confirmation { hits: 1, window: 1, doubt: None },
         merging: None,
         ageing: Ageing::Paper,
     }
@@ -37,7 +37,7 @@ fn best() -> TrackerParameters {
         association: Association::Global { gate_probability: 0.997, clutter_density: 1e-5 },
         ageing: Ageing::Visible { max_coast: 3.0, report_coast: 3.0 },
         merging: Some(Merging { distance: 0.3, speed: 1.0 }),
-        confirmation: Confirmation { hits: 2, window: 3 },
+        confirmation: Confirmation { hits: 2, window: 3, doubt: None },
         measurement: MeasurementForm::Cluster,
         measurement_std: 0.1,
         ..paper()
@@ -53,8 +53,14 @@ fn detect(
     positions: &[[f64; 3]],
     stamp_ns: i64,
 ) -> Result<Stats, Error> {
-    let detections =
-        Detections { stamp_ns, positions, covariance: None, extent: None, delay: None };
+    let detections = Detections {
+        stamp_ns,
+        positions,
+        covariance: None,
+        extent: None,
+        delay: None,
+        confidence: None,
+    };
     tracker.new_detections(&detections, &free())
 }
 
@@ -110,6 +116,38 @@ fn one_cluster_corrects_one_track_only() -> Result<(), Error> {
         2 * STEP_NS,
     )?;
     assert_eq!(stats.corrected, [0, 1]);
+    Ok(())
+}
+
+/// The set, counted from 1, that confirms a target which is seen with `confidence` at `speed`.
+fn confirming_set(confidence: f64, speed: f64) -> Result<Option<i64>, Error> {
+    let doubt = Some(Doubt { confidence: 0.8, distance: 1.0, hits: 12, window: 20 });
+    let confirmation = Confirmation { hits: 3, window: 10, doubt };
+    let mut tracker = PointCloudTracker::new(TrackerParameters { confirmation, ..best() }, 1)?;
+    for set in 1..=30 {
+        let at = speed * set as f64 * 0.1;
+        tracker.new_point_cloud(&[[at as f32, 0.0, 0.0]], None, &free(), None, set * STEP_NS)?;
+        let found = Detections {
+            stamp_ns: set * STEP_NS,
+            positions: &[[at, 0.0, 0.0]],
+            covariance: None,
+            extent: None,
+            delay: None,
+            confidence: Some(&[confidence]),
+        };
+        if !tracker.new_detections(&found, &free())?.confirmed.is_empty() {
+            return Ok(Some(set));
+        }
+    }
+    Ok(None)
+}
+
+#[test]
+fn weak_detections_confirm_what_moves_or_stays_long() -> Result<(), Error> {
+    assert_eq!(confirming_set(0.9, 0.0)?, Some(3));
+    assert_eq!(confirming_set(0.5, 0.0)?, Some(12));
+    let moving = confirming_set(0.5, 4.0)?;
+    assert!(moving.is_some_and(|set| (3..9).contains(&set)), "{moving:?}");
     Ok(())
 }
 
@@ -186,8 +224,14 @@ fn converged_twins_become_the_elder() -> Result<(), Error> {
 fn parameters_that_cannot_work_are_refused() {
     let bad = [
         TrackerParameters { buffer_size: 0, ..paper() },
-        TrackerParameters { confirmation: Confirmation { hits: 1, window: 65 }, ..paper() },
-        TrackerParameters { confirmation: Confirmation { hits: 3, window: 2 }, ..paper() },
+        TrackerParameters {
+            confirmation: Confirmation { hits: 1, window: 65, doubt: None },
+            ..paper()
+        },
+        TrackerParameters {
+            confirmation: Confirmation { hits: 3, window: 2, doubt: None },
+            ..paper()
+        },
         TrackerParameters { radius: Radius { max: f64::NAN, ..paper().radius }, ..paper() },
         TrackerParameters { max_extent: Some(f64::INFINITY), ..paper() },
         TrackerParameters { split_distance: Some(0.0), ..paper() },
