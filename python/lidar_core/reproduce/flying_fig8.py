@@ -134,17 +134,17 @@ def _rows(parts: Parts) -> list[Row]:
     for kinds, what in ((FLIGHTS, "all flights"), *(((one,), one) for one in FLIGHTS)):
         for kind in KINDS:
             columns = (_numbers(_seen(parts, kinds, mode, kind)) for mode in MODES)
-            names = (f"{name} of {kind}, {what}" for name, _ in QUANTITIES)
+            names = (f"{what}, {kind}: {name}" for name, _ in QUANTITIES)
             known = PAPER[kind] if kinds == FLIGHTS else (None, None)
             rows += map(Row, names, (unit for _, unit in QUANTITIES), (*known, None), *columns)
     paper, best = (_distance_error(parts["following", mode]) for mode in MODES)
-    rows.append(Row("mean error of the distance kept, following", "m", None, paper, best))
+    rows.append(Row("following: mean error of the distance kept", "m", None, paper, best))
     passes = (_passes(parts["interception", mode]) for mode in MODES)
-    rows.append(Row(f"passes nearer than {PASS:g} m, interception", "count", None, *passes))
+    rows.append(Row(f"interception: passes nearer than {PASS:g} m", "count", None, *passes))
     return rows
 
 
-QUANTITIES = (("mean position error", "m"), ("std of the position error", "m"), ("recall", "1"))
+QUANTITIES = (("mean error", "m"), ("std of the error", "m"), ("recall", "1"))
 
 
 def _seen(parts: Parts, kinds: Sequence[str], mode: str, kind: Kind) -> Sightings:
@@ -215,6 +215,6 @@ ITEM = Item(
     name="flying-fig8",
     title="the three real flights, simulated: manual, following, interception (Fig. 8)",
     scans=1200,
-    minutes=20,
+    minutes=15,
     run=_run,
 )

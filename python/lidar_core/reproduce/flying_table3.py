@@ -35,7 +35,7 @@ def _run(request: Request) -> Result:
     exact, rough = parts[: len(ideal)], parts[len(ideal) :]
     ways = ", ".join(f"{way.kind} {way.speed:g} m/s {way.acceleration:g} m/s2" for way in WAYS)
     return Result(
-        rows=(*_rows(exact, ""), *_rows(rough, ", noisy")),
+        rows=(*_rows(exact, ""), *_rows(rough, "noisy ")),
         draw=lambda figure: _draw(figure, exact),
         scans=sum(job.scans for job in (*ideal, *noisy)),
         note=f"OS1-128, 5 to 20 m; any: radius {RADII[0]:g} to {RADII[1]:g} m, unknown. Flights:"
@@ -44,30 +44,30 @@ def _run(request: Request) -> Result:
     )
 
 
-def _rows(parts: Sequence[Part], suffix: str) -> list[Row]:
+def _rows(parts: Sequence[Part], prefix: str) -> list[Row]:
     rows: list[Row] = []
     kinds: tuple[Kind, Kind] = ("detections", "tracks")
     for shape in SHAPES:
         for kind in kinds:
-            known = PAPER[kind] if suffix == "" and not shape.startswith("any") else ()
-            names = (f"{name} of {kind}, {shape}{suffix}" for name, _ in QUANTITIES)
+            known = PAPER[kind] if prefix == "" and not shape.startswith("any") else ()
+            names = (f"{prefix}{shape}, {kind}: {name}" for name, _ in QUANTITIES)
             columns = (_numbers(sample(parts, mode, kind, shape)) for mode in MODES)
             units = (unit for _, unit in QUANTITIES)
             published = (*known, *[None] * (len(QUANTITIES) - len(known)))
             rows += map(Row, names, units, published, *columns)
     paper, best = (_identities(parts, mode) for mode in MODES)
     rows += [
-        Row(f"false tracks{suffix}", "count", None, paper[0], best[0]),
-        Row(f"changes of identity{suffix}", "count", None, paper[1], best[1]),
+        Row(f"{prefix}false tracks", "count", None, paper[0], best[0]),
+        Row(f"{prefix}changes of identity", "count", None, paper[1], best[1]),
     ]
     return rows
 
 
 QUANTITIES = (
-    ("mean position error", "m"),
-    ("std of the position error", "m"),
-    ("mean error along the line of sight", "m"),
-    ("mean position error up to 4 m/s2", "m"),
+    ("mean error", "m"),
+    ("std of the error", "m"),
+    ("mean along the line of sight", "m"),
+    ("mean error up to 4 m/s2", "m"),
     ("recall", "1"),
 )
 

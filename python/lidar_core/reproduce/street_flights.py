@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from lidar_core.sim import Scene
     from lidar_core.sim.motions import Scripted
 
-SCANS_PER_FLIGHT = 100
+SCANS_PER_FLIGHT, SHORTEST = 100, 25
 PAPER_RADIUS = 0.325
 RADII = (0.15, 0.60)
 """Radii of drones of unknown size [m]."""
@@ -68,9 +68,9 @@ WAYS = (
 
 
 def jobs(request: Request, scans: int, *, is_noisy: bool) -> Iterator[Job]:
-    """Flights of `scans` scans in all, at least one."""
-    each = min(scans, SCANS_PER_FLIGHT)
-    for number in range(max(1, round(scans / SCANS_PER_FLIGHT))):
+    """Flights of `scans` scans in all; fewer scans make shorter flights, so that all ways show."""
+    each = min(scans, max(SHORTEST, min(SCANS_PER_FLIGHT, scans // len(WAYS))))
+    for number in range(max(1, round(scans / each))):
         arguments = {"seed": request.seed, "number": number, "scans": each, "is_noisy": is_noisy}
         name = f"street-{request.seed}-{number}-{each}-{'noisy' if is_noisy else 'ideal'}"
         yield Job(name, flight, arguments, each)
