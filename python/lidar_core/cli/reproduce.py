@@ -72,7 +72,8 @@ def _list(items: "dict[str, Item]") -> "Table":
     from rich.table import Table
 
     table = Table(title="lidar-core reproduce ITEM", title_justify="left", title_style="bold")
-    for column in ("item", "shows", "full run", "on two cores"):
+    table.add_column("item", no_wrap=True)
+    for column in ("shows", "full run", "on two cores"):
         table.add_column(column, overflow="fold")
     for item in items.values():
         length = f"{item.scans:,} {item.counts}"
