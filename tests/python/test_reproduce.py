@@ -194,6 +194,22 @@ def test_a_part_of_other_arguments_or_cut_short_is_made_again(tmp_path):
     assert made(log) == [0, 1, 1, 2, 2, 9]
 
 
+def test_a_part_with_a_flipped_byte_is_never_taken_for_another(tmp_path):
+    log, folder = tmp_path / "log", tmp_path / "parts"
+    request = Request(seed=0, scans=5, threads=1, parts=folder)
+    run(jobs_for(log, [1]), request)
+    path = folder / "part-1.npz"
+    whole = path.read_bytes()
+    for place in range(len(whole)):
+        damaged = bytearray(whole)
+        damaged[place] ^= 0xFF
+        path.write_bytes(damaged)
+        part = run(jobs_for(log, [1]), request)[0]
+        assert part["value"].tolist() == [2], place
+        assert set(part) == {"value"}, place
+    assert len(made(log)) > len(whole) / 2
+
+
 def test_without_a_folder_no_part_is_kept(tmp_path):
     log = tmp_path / "log"
     for _ in range(2):
@@ -201,7 +217,7 @@ def test_without_a_folder_no_part_is_kept(tmp_path):
     assert made(log) == [1, 1]
 
 
-def test_fresh_forgets_parts_and_nothing_else(tmp_path, two_items):
+def test_fresh_makes_the_parts_of_the_item_again_and_leaves_all_others(tmp_path, two_items):
     log = tmp_path / "log"
 
     def with_parts(request):
@@ -209,11 +225,15 @@ def test_fresh_forgets_parts_and_nothing_else(tmp_path, two_items):
         return counted(request)
 
     two_items(item("first", with_parts))
+    folder = tmp_path / "a" / "parts"
+    folder.mkdir(parents=True)
+    np.savez(folder / "mine.npz", kept=np.arange(3))
+    foreign = (folder / "mine.npz").read_bytes()
+    run(jobs_for(log, [2]), Request(seed=0, scans=5, threads=1, parts=folder))
     for more in ([], [], ["--fresh"]):
-        (tmp_path / "a" / "parts").mkdir(parents=True, exist_ok=True)
-        (tmp_path / "a" / "parts" / "mine.txt").write_text("kept")
         out = run_command("first", "-o", tmp_path / "a", "--no-picture", *more)
         assert out.exit_code == 0, out.output
-    assert made(log) == [1, 1]
-    assert (tmp_path / "a" / "parts" / "mine.txt").exists()
+    run(jobs_for(log, [2]), Request(seed=0, scans=5, threads=1, parts=folder))
+    assert made(log) == [1, 1, 2]
+    assert (folder / "mine.npz").read_bytes() == foreign
     assert not (tmp_path / "a" / "first.png").exists()

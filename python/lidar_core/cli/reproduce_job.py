@@ -33,9 +33,6 @@ class ReproduceJob:
 
     def __post_init__(self) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
-        if self.is_fresh:
-            for part in (self.folder / PARTS).glob("*.npz"):
-                part.unlink()
 
     def run(self, item: Item, console: "Console") -> Result:
         """Run one item, with a progress bar."""
@@ -47,6 +44,7 @@ class ReproduceJob:
                 scans=scans,
                 threads=self.threads,
                 parts=self.folder / PARTS,
+                is_fresh=self.is_fresh,
                 advance=lambda done: progress.advance(task, done),
             )
             return item.run(request)

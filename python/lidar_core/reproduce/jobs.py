@@ -5,12 +5,14 @@ A part is a mapping of names to arrays, so that a finished one can lie on the di
 
 import hashlib
 import json
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, TypeAlias
 from zipfile import BadZipFile
 
@@ -24,6 +26,8 @@ from lidar_core.io.atomic import written_whole
 from lidar_core.reproduce.types import Request
 
 Part: TypeAlias = dict[str, NDArray[Any]]
+DAMAGED = (OSError, ValueError, EOFError, RuntimeError, BadZipFile, zlib.error, TokenError)
+"""What reading a part raises that is cut short, has flipped bytes, or is not ours."""
 STAMP = "stamp"
 """Entry of a part on the disk that says what made it."""
 
@@ -60,11 +64,11 @@ def run(jobs: Sequence[Job], request: Request) -> list[Part]:
     """Do all jobs and return their parts, in the order of the jobs.
 
     With `request.parts` every finished part is kept there, and parts of an earlier run of the
-    same build with the same arguments are taken instead of made again.
+    same build with the same arguments are taken instead of made again, unless it is a fresh run.
     """
     parts: dict[str, Part] = {}
     for job in jobs:
-        kept = _kept(job, request.parts)
+        kept = None if request.is_fresh else _kept(job, request.parts)
         if kept is not None:
             parts[job.name] = kept
             request.advance(job.scans)
@@ -116,8 +120,8 @@ def _kept(job: Job, folder: Path | None) -> Part | None:
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             part = {name: file[name] for name in file.files}
-    except (OSError, ValueError, BadZipFile):
-        return None  # cut short, or not ours: made again
+    except DAMAGED:
+        return None  # made again
     return part if str(part.pop(STAMP, "")) == job.stamp else None
 
 

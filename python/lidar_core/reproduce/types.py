@@ -39,6 +39,8 @@ class Request:
         Processes or threads to use, >= 1; the rows do not depend on it.
     parts : Path, optional
         Folder for finished parts of a long run, see `jobs.run`; None keeps none.
+    is_fresh : bool
+        Whether parts that lie there are made again.
     advance : callable
         Told how much of `scans` is done since the last call.
     """
@@ -47,6 +49,7 @@ class Request:
     scans: int
     threads: int
     parts: Path | None = None
+    is_fresh: bool = False
     advance: Callable[[int], None] = lambda done: None
 
 
