@@ -107,11 +107,20 @@ def test_items_are_named_once_and_like_their_modules():
 # The command
 
 
-def test_without_an_item_the_list_names_all_of_them():
+@pytest.mark.parametrize("columns", [60, 80])
+def test_without_an_item_the_list_names_all_of_them_also_on_a_narrow_terminal(monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", str(columns))
     out = run_command()
     assert out.exit_code == 0
     for name in items():
         assert name in out.output
+
+
+def test_long_runs_are_told_in_hours():
+    one = item("first", counted)  # a minute for ten
+    assert [one.duration(scans) for scans in (1, 10, 15, 1190, 4000)] == [
+        "6 s", "60 s", "2 min", "119 min", "6.7 h"
+    ]  # fmt: skip
 
 
 def test_an_unknown_item_is_named_with_the_known_ones(tmp_path):
@@ -150,6 +159,29 @@ def test_stopped_with_ctrl_c_the_files_of_what_was_finished_are_whole(tmp_path, 
 
 
 # Parts of long runs
+
+
+class Enough(Exception):  # noqa: N818
+    """The jobs of an item are known."""
+
+
+WITHOUT_JOBS = {"flying-fig3", "flying-fig5", "flying-consistency"}
+
+
+@pytest.mark.parametrize("name", sorted(set(items()) - WITHOUT_JOBS))
+def test_the_parts_of_another_seed_have_other_names(name, monkeypatch, tmp_path):
+    def noted(jobs, request):
+        names.append({job.name for job in jobs})
+        raise Enough
+
+    monkeypatch.setattr("lidar_core.reproduce.jobs._in_processes", noted)
+    names: list[set[str]] = []
+    one = items()[name]
+    for seed in (0, 1):
+        with pytest.raises(Enough):
+            one.run(Request(seed=seed, scans=one.scans, threads=2, parts=tmp_path))
+    assert all(len(found) > 1 for found in names)
+    assert not names[0] & names[1]
 
 
 def doubled(*, number, log):

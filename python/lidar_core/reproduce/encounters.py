@@ -25,7 +25,7 @@ def cases(function: Callable[..., Part], name: str, request: Request, scans: int
     """Run `request.scans` encounters made by `function(seed=, number=, scans=)`."""
     same = {"seed": request.seed, "scans": scans}
     jobs = [
-        Job(f"{name}-{number}", function, {"number": number, **same}, 1)
+        Job(f"{name}-{request.seed}-{number}-{scans}", function, {"number": number, **same}, 1)
         for number in range(request.scans)
     ]
     return run(jobs, request)

@@ -113,4 +113,6 @@ class Item:
     def duration(self, scans: int) -> str:
         """Say how long `scans` take on two cores."""
         seconds = self.minutes * 60 * scans / self.scans
-        return f"{max(1, round(seconds))} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+        if seconds < 90:
+            return f"{max(1, round(seconds))} s"
+        return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
