@@ -113,8 +113,11 @@ def _way(
 
 def is_kept(part: Part, mode: str) -> bool:
     """Whether the track from before is there at the end, and no other one ever was."""
-    table = numbers(part, mode)[:, 0]
-    return bool(len(set(table[table >= 0].tolist())) == 1 and table[-1] >= 0)
+    table, hidden = numbers(part, mode)[:, 0], np.flatnonzero(part["hits"][:, 0] == 0)
+    if not len(hidden) or not hidden[0]:
+        return False
+    is_same = table[hidden[0] - 1] == table[-1] >= 0
+    return bool(is_same and len(set(table[table >= 0].tolist())) == 1)
 
 
 def _rows(parts: list[Part]) -> list[Row]:
