@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.flying import FlyingConfig, PoseConfig
-from lidar_core.reproduce.flights import both_modes, fly
+from lidar_core.reproduce.flights import both_modes, fly, tables
 from lidar_core.reproduce.jobs import Job, Part, run
 from lidar_core.reproduce.types import Item, Request, Result, Row
 
 if TYPE_CHECKING:
+    from lidar_core.evaluation import EvaluationConfig
     from lidar_core.sim import Scene, SimulatedScan
 
 SCANS_PER_FLIGHT = 150
@@ -64,7 +65,7 @@ def _run(request: Request) -> Result:
         f" {DRIFT[0]} m and {DRIFT[1]} deg with a time constant of {DRIFT_SECONDS:g} s. Every"
         " configuration but the paper's is told their covariance; 'off' has no use for it in the"
         " map.",
-        config=_configs(),
+        config={**_configs(), "evaluation": _evaluation()},
     )
 
 
@@ -132,42 +133,31 @@ def _rows(parts: Sequence[Part], scans: int) -> list[Row]:
 
 def _counts(parts: Sequence[Part], name: str) -> tuple[int, int, float, float]:
     """False detections, false tracks, and shares of sightings with a detection, with a track."""
-    false_detections = false_tracks = 0
-    found: list[NDArray[np.bool_]] = []
-    for part in parts:
-        away = _distances(part, name, "detections")
-        false_detections += int((away.min(axis=1) > GATE).sum())
-        tracks, track_id = _distances(part, name, "tracks"), part[f"{name}_tracks_id"]
-        of_targets = set(track_id[tracks.min(axis=1) <= GATE].tolist())
-        false_tracks += len(set(track_id.tolist()) - of_targets)
-        both = [_is_found(part, name, kind, one)
-                for kind, one in (("detections", away), ("tracks", tracks))]  # fmt: skip
-        found.append(np.stack(both, axis=-1)[_is_seen(part)])
-    shares = np.concatenate(found).mean(axis=0) if sum(map(len, found)) else np.zeros(2)
-    return false_detections, false_tracks, float(shares[0]), float(shares[1])
+    from lidar_core.evaluation import score_detections, score_tracks
+
+    config = _evaluation()
+    found = [score_detections(*tables(part, name, "detections", config=config), config=config)
+             for part in parts]  # fmt: skip
+    followed = [score_tracks(*tables(part, name, "tracks", config=config), config=config)
+                for part in parts]  # fmt: skip
+    seen = max(1, sum(one.n_eligible for one in found))
+    return (
+        sum(one.n_false for one in found),
+        sum(len(one.false_ids) for one in followed),
+        sum(one.n_found for one in found) / seen,
+        sum(one.n_found for one in followed) / seen,
+    )
 
 
-def _distances(part: Part, name: str, kind: str) -> NDArray[np.float64]:
-    """Distance of every estimate from every target at its time, (M, T) [m]."""
-    targets = part["position"][part[f"{name}_{kind}_scan"]]
-    away = part[f"{name}_{kind}_position"][:, None] - targets
-    return np.asarray(np.linalg.norm(away, axis=-1), np.float64)
+def _evaluation() -> "EvaluationConfig":
+    """Sightings that count: after the burn-in, near enough, with enough rays."""
+    from lidar_core.evaluation import EvaluationConfig
 
-
-def _is_found(part: Part, name: str, kind: str, away: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether a target has an estimate in a scan, (S, T)."""
-    found = np.zeros(part["hits"].shape, bool)
-    estimate, target = np.nonzero(away <= GATE)
-    found[part[f"{name}_{kind}_scan"][estimate], target] = True
-    return found
-
-
-def _is_seen(part: Part) -> NDArray[np.bool_]:
-    """Sightings that count, (S, T): after the burn-in, near enough, with enough rays."""
-    ranges = np.linalg.norm(part["position"] - part["sensor"][:, None], axis=-1)
-    after = np.arange(len(ranges)) >= FlyingConfig().seed.burn_in_scans
-    return np.asarray(
-        after[:, None] & (ranges <= SEEN_RANGE) & (part["hits"] >= SEEN_HITS), np.bool_
+    return EvaluationConfig(
+        gate=GATE,
+        max_distance=SEEN_RANGE,
+        min_hits=SEEN_HITS,
+        burn_in_scans=FlyingConfig().seed.burn_in_scans,
     )
 
 
