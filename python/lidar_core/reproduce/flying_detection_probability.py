@@ -18,6 +18,8 @@ RADIUS = 0.325
 """Of the paper's target [m]."""
 TARGETS = 64
 """Targets in a scan."""
+GOAL = 0.01
+"""Greatest difference of the probabilities that is asked for (no unit)."""
 TRIES = 100
 """Places that are tried for a target before it may overlap another."""
 COLOURS = ("#be185d", "#f472b6", "#0369a1", "#38bdf8")
@@ -42,7 +44,8 @@ def _run(request: Request) -> Result:
         scans=scans * len(cases),
         note=f"Balls of {RADIUS} m, their centres anywhere on the sphere (eq. 47) or in the"
         f" vertical field of view; {scans * TARGETS} of them per point. Predicted: eq. 49;"
-        " simulated: share with at least one hit. The paper gives no numbers; both modes are one.",
+        " simulated: share with at least one hit, and its standard error. Goal: they differ by"
+        f" {GOAL} at most. The paper gives no numbers; both modes are one.",
     )
 
 
@@ -107,7 +110,15 @@ def _rows(parts: list[Part]) -> list[Row]:
         for what, value in (("predicted", predicted), ("simulated", met),
                             ("difference", abs(predicted - met))):  # fmt: skip
             rows.append(Row(f"{what}, {part['name']}", "1", None, value, value))
+        error = standard_error(part)
+        rows.append(Row(f"standard error, {part['name']}", "1", None, error, error))
     return rows
+
+
+def standard_error(part: Part) -> float | None:
+    """Of the simulated share, from how the scans differ; None for a single scan."""
+    shares = part["met"].reshape(-1, TARGETS).mean(axis=1)
+    return float(shares.std(ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else None
 
 
 def _draw(figure: Any, parts: list[Part]) -> None:
