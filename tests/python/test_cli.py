@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+from typer.main import get_command
 from typer.testing import CliRunner
 
 import lidar_core
@@ -46,6 +47,23 @@ def test_every_command_explains_itself(command):
     assert "Usage:" in text
     body = text.partition("Usage:")[2].splitlines()
     assert any(line.strip() for line in body[1:4]), f"{command} has no description"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [*([name] for name in COMMANDS), *(["config", name] for name in CONFIG)],
+    ids=" ".join,
+)
+def test_every_help_text_keeps_its_unit(command, monkeypatch):
+    """A word in brackets is a style to the library that prints the help, unless it is escaped."""
+    monkeypatch.setenv("COLUMNS", "300")
+    here = get_command(app)
+    for name in command:
+        here = here.commands[name]
+    text = output_of(*command, "--help")
+    for option in here.params:
+        written = (getattr(option, "help", None) or "").replace("\\[", "[")
+        assert " ".join(written.split()) in text
 
 
 def test_the_commands_are_those_of_the_guide():

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 PREDICTED = "Run folder of detect or demo, or a table of tracks: CSV, Parquet, .npz, TUM, MCAP."
 TRUE = "NAME.truth.csv of simulate, the recording beside it, a demo's folder, or such a table."
-GATE = "An estimate further from every target is false [m]."
-MAX_DISTANCE = "Targets further from the sensor need not be found [m]."
+GATE = "An estimate further from every target is false \\[m]."
+MAX_DISTANCE = "Targets further from the sensor need not be found \\[m]."
 MIN_HITS = "Targets with fewer points need not be found."
 BURN_IN = "First scans, in which no target need be found; by default what the run's folder says."
 SET = "Single value of the configuration, such as order=1; again for more."
