@@ -52,6 +52,18 @@ def as_rows(
         return np.ascontiguousarray(array, dtype=dtype)
 
 
+def as_finite_rows(
+    values: ArrayLike, *, name: str, rows: int | None, shape: tuple[int, ...]
+) -> NDArray[np.float64]:
+    """As `as_rows`, float64, and every number finite."""
+    array = as_rows(values, name=name, rows=rows, shape=shape, dtype=np.float64)
+    finite = np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise InputError(f"{name}: expected finite values, got {array[row].tolist()} in row {row}")
+    return array
+
+
 def as_mask(values: ArrayLike, *, name: str, rows: int) -> NDArray[np.bool_]:
     """`values` as a C-contiguous boolean array of shape (rows,); (H, W) is flattened."""
     array = np.asarray(values)

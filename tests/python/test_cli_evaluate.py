@@ -5,6 +5,7 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -156,6 +157,20 @@ def states(columns):
             extent=np.ones((1, 3)), n_detections=np.ones(1, np.int64), age=np.ones(1),
             stamp_ns=int(columns["t_ns"][row]),
         )  # fmt: skip
+
+
+def test_detections_keep_when_and_how_large_they_were(place):
+    columns = read_columns(place / "run" / "detections.parquet")
+    delay = columns["time_ns"] - columns["t_ns"]
+    assert (delay >= 0).all()
+    assert 0 < delay.max() < 10**8
+    assert (columns["radius"] > 0).all()
+    detections = evaluation.read_prediction(place / "run").detections
+    np.testing.assert_array_equal(detections.time_ns, columns["time_ns"])
+    truth = evaluation.read_truth(place / "yard.truth.csv")
+    moved = evaluation.evaluate(truth, detections=detections).detections
+    start = evaluation.evaluate(truth, detections=replace(detections, time_ns=None)).detections
+    assert moved.mean_error < start.mean_error
 
 
 def test_a_table_of_tracks_keeps_everything(tracks, tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import pairwise
 
@@ -147,6 +148,8 @@ def test_nees_refuses_what_is_no_covariance():
         evaluation.nees([0.0, 0, 0], np.eye(2))
     with pytest.raises(NumericalError, match="positive definite"):
         evaluation.nees([0.0, 0, 0], np.zeros((3, 3)))
+    with pytest.raises(InputError, match="symmetric"):
+        evaluation.nees([0.0, 0.0], [[1e-9, 5e-10], [0.0, 1e-9]])
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
@@ -365,6 +368,77 @@ def test_an_object_twice_at_one_time_is_refused():
     with pytest.raises(InputError, match=r"^id: .* got 4 twice"):
         evaluation.score_tracks(Estimates(truth.stamp_ns, truth.position, truth.id),
                                 evaluation.joined([]))  # fmt: skip
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_numbers_that_are_not_finite_are_refused(bad):
+    stamps, place = np.zeros(1, np.int64), np.zeros((1, 3))
+    wrong = np.array([[0.0, bad, 0.0]])
+    truth = Truth(stamps, stamps, place, np.ones(1, bool))
+    for name, tracks, targets in (
+        ("position", Estimates(stamps, wrong, stamps), truth),
+        ("velocity", Estimates(stamps, place, stamps, wrong), truth),
+        ("covariance", Estimates(stamps, place, stamps, None, np.full((1, 3, 3), bad)), truth),
+        ("truth.position", Estimates(stamps, place, stamps), replace(truth, position=wrong)),
+        ("truth.velocity", Estimates(stamps, place, stamps), replace(truth, velocity=wrong)),
+    ):
+        with pytest.raises(InputError, match=rf"^{name}: expected finite values"):
+            evaluation.pair(tracks, targets)
+    for distance in (evaluation.ospa, evaluation.gospa):
+        with pytest.raises(InputError, match=r"^estimates: expected finite"):
+            distance(wrong, place, cutoff=1.0, order=2)
+        with pytest.raises(InputError, match=r"^targets: expected finite"):
+            distance(place, wrong, cutoff=1.0, order=2)
+    with pytest.raises(InputError, match=r"^position: expected finite"):
+        evaluation.eligible(wrong, [9], [0, 0, 0])
+    with pytest.raises(InputError, match=r"^sensor_position: expected finite"):
+        evaluation.eligible(place, [9], wrong[0])
+    with pytest.raises(InputError, match="finite symmetric"):
+        evaluation.nees([0.0, 0.0], [[1.0, 0.0], [0.0, bad]])
+
+
+def late_pass(*, with_velocity=True, with_times=True):
+    """Two targets 1 m apart that fly 10 m/s, each measured late, up to 90 ms into a scan."""
+    delays = np.array([90_000_000, 30_000_000, 60_000_000, 80_000_000])
+    stamps = np.repeat(np.array([0, 100_000_000]), 2)
+    velocity = np.tile([10.0, 0.0, 0.0], (4, 1))
+    start = np.array([[0.0, 5, 0], [1, 5, 0], [1, 5, 0], [2, 5, 0]])
+    truth = Truth(stamps, np.array([0, 1, 0, 1]), start, np.ones(4, bool),
+                  velocity if with_velocity else None, np.zeros((4, 3)))  # fmt: skip
+    found = start + delays[:, None] * 1e-9 * velocity
+    times = stamps + delays if with_times else None
+    covariance = np.tile(1e-4 * np.eye(3), (4, 1, 1))
+    return Estimates(stamps, found, None, None, covariance, times), truth
+
+
+def test_detections_are_held_against_the_targets_when_they_were_measured():
+    found, truth = late_pass()
+    scores = evaluation.score_detections(found, truth, config=EvaluationConfig(gate=0.5))
+    assert (scores.n_found, scores.n_false) == (4, 0)
+    assert scores.max_error == pytest.approx(0, abs=1e-12)
+    assert scores.position_nees.mean == pytest.approx(0, abs=1e-12)
+    assert scores.sets.gospa == pytest.approx(0, abs=1e-12)
+    assert evaluation.pair(found, truth).target_of.tolist() == [0, 1, 2, 3]
+    # Times a little beside those of the truth are taken for them, both of them.
+    shifted = replace(found, stamp_ns=found.stamp_ns + 50_000, time_ns=found.time_ns + 50_000)
+    again = evaluation.evaluate(truth, detections=shifted).detections
+    assert again.max_error == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize("missing", ["with_velocity", "with_times"])
+def test_without_times_or_velocities_targets_stay_where_the_scan_began(missing):
+    found, truth = late_pass(**{missing: False})
+    scores = evaluation.score_detections(found, truth, config=EvaluationConfig(gate=0.5))
+    assert (scores.n_found, scores.n_false) == (2, 1)
+    assert scores.max_error > 0.2
+
+
+def test_times_of_measurement_belong_to_rows():
+    found, truth = late_pass()
+    with pytest.raises(InputError, match=r"^time_ns: expected shape \(4,\), got \(3,\)"):
+        evaluation.evaluate(truth, detections=replace(found, time_ns=found.time_ns[:3]))
+    with pytest.raises(InputError, match=r"^time_ns: expected integers"):
+        evaluation.pair(replace(found, time_ns=found.time_ns * 1e-9), truth)
 
 
 def test_times_near_those_of_the_truth_are_taken_for_them():

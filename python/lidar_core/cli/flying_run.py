@@ -146,11 +146,13 @@ class FlyingRun:
         stamps = np.array([frame.stamp_ns for frame in frames], np.int64)
         table: dict[str, Any] = {
             "t_ns": np.repeat(stamps, counts),
+            "time_ns": np.array([t for item in found for t in item.time_ns], np.int64),
             "sensor": [s for s, count in zip(sensors, counts, strict=True) for _ in range(count)],
             "frame_id": [self.frame_id] * sum(counts),
         }
         table |= {name: position[:, axis] for axis, name in enumerate("xyz")}
         table |= {f"extent_{name}": extent[:, axis] for axis, name in enumerate("xyz")}
+        table["radius"] = np.array([r for item in found for r in item.radius], np.float64)
         table["n_points"] = np.array([n for item in found for n in item.n_points], np.int64)
         table["confidence"] = np.array([c for item in found for c in item.confidence], np.float64)
         for row, column in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):

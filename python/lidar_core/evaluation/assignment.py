@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidar_core.arrays import as_real, as_rows
+from lidar_core.arrays import as_finite_rows, as_real
 from lidar_core.errors import InputError
 
 
@@ -52,23 +52,34 @@ def match(estimates: ArrayLike, targets: ArrayLike, *, gate: float) -> Matches:
     Raises
     ------
     InputError
-        Wrong shape or dtype, or a gate that is not > 0.
+        Wrong shape or dtype, a number that is not finite, or a gate that is not > 0.
 
     Examples
     --------
     >>> match([[0, 0, 0], [9, 0, 0]], [[0.2, 0, 0]], gate=1.0).estimate
     array([0])
     """
-    found = as_rows(estimates, name="estimates", rows=None, shape=(3,), dtype=np.float64)
-    true = as_rows(targets, name="targets", rows=None, shape=(3,), dtype=np.float64)
-    distance = np.linalg.norm(found[:, None] - true[None], axis=-1)
+    return matches_of(distances(estimates, targets), gate=gate)
+
+
+def distances(estimates: ArrayLike, targets: ArrayLike) -> NDArray[np.float64]:
+    """From every estimate to every target [m], shape (E, T)."""
+    found = as_finite_rows(estimates, name="estimates", rows=None, shape=(3,))
+    true = as_finite_rows(targets, name="targets", rows=None, shape=(3,))
+    table: NDArray[np.float64] = np.linalg.norm(found[:, None] - true[None], axis=-1)
+    return table
+
+
+def matches_of(distance: NDArray[np.float64], *, gate: float) -> Matches:
+    """Pairs by a table of distances, shape (E, T), as `match` makes them."""
     rows, columns = assign(distance, gate=gate)
+    known = distance.shape[1] > 0
     return Matches(
         estimate=rows,
         target=columns,
         distance=distance[rows, columns],
         nearest=distance.min(axis=1, initial=np.inf),
-        nearest_target=distance.argmin(axis=1) if len(true) else np.full(len(found), -1),
+        nearest_target=distance.argmin(axis=1) if known else np.full(len(distance), -1),
     )
 
 
@@ -94,6 +105,9 @@ def assign(cost: ArrayLike, *, gate: float) -> tuple[NDArray[np.int64], NDArray[
 
     Notes
     -----
+    The time grows with the cube of the size: for the objects of a scan, tens to a few hundred;
+    tables of more than 1000 rows and columns take seconds.
+
     Source: shortest augmenting paths, Jonker & Volgenant, "A Shortest Augmenting Path Algorithm
     for Dense and Sparse Linear Assignment Problems", Computing 38, 1987.
     """

@@ -11,6 +11,9 @@ from lidar_core.errors import InputError, NumericalError
 from lidar_core.estimation import chi2_quantile
 from lidar_core.evaluation.config import EvaluationConfig
 
+ASYMMETRY = 1e-6
+"""Of a covariance, beside its largest entry: rounding to float32 is allowed."""
+
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
@@ -67,7 +70,7 @@ def nees(error: ArrayLike, covariance: ArrayLike) -> NDArray[np.float64]:
     Raises
     ------
     InputError
-        Shapes that do not belong together.
+        Shapes that do not belong together, or a covariance that is not finite and symmetric.
     NumericalError
         A covariance is not positive definite.
 
@@ -88,15 +91,23 @@ def nees(error: ArrayLike, covariance: ArrayLike) -> NDArray[np.float64]:
             f"covariance: expected shape {(*away.shape, *away.shape[-1:])}, got {spread.shape}"
         )
     known = np.isfinite(away).all(axis=-1)
-    values = np.full(away.shape[:-1], np.nan)
+    values, chosen = np.full(away.shape[:-1], np.nan), spread[known]
+    if not np.isfinite(chosen).all() or not _are_symmetric(chosen):
+        raise InputError("covariance: expected finite symmetric matrices")
     try:
-        root = np.linalg.cholesky(spread[known])
+        root = np.linalg.cholesky(chosen)
     except np.linalg.LinAlgError as fault:
         raise NumericalError("covariance: expected positive definite matrices") from fault
     if known.any():
         scaled = np.linalg.solve(root, away[known][..., None])[..., 0]
         values[known] = np.sum(scaled**2, axis=-1)
     return values
+
+
+def _are_symmetric(matrices: NDArray[np.float64]) -> bool:
+    largest = np.abs(matrices).max(axis=(1, 2), initial=0.0)
+    skew = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
+    return bool((skew <= ASYMMETRY * largest).all())
 
 
 def consistency(

@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidar_core.config import as_config
 from lidar_core.evaluation.config import EvaluationConfig
-from lidar_core.evaluation.pairing import counted, numbers_of, scans
+from lidar_core.evaluation.pairing import counted, distances_at, numbers_of, scans
 from lidar_core.evaluation.types import Estimates, Truth
 from lidar_core.extras import require
 
@@ -115,14 +114,7 @@ def _prepared(tracks: Estimates, truth: Truth, gate: float) -> dict[str, Any]:
         "gt_ids": [target_of[there] for _, there in rows],
         "tracker_ids": [track_of[here] for here, _ in rows],
         "similarity_scores": [
-            _similarity(truth.position[there], tracks.position[here], gate) for here, there in rows
+            np.clip(1 - distances_at(tracks, here, truth, there).T / gate, 0, 1)
+            for here, there in rows
         ],
     }
-
-
-def _similarity(
-    targets: NDArray[np.float64], found: NDArray[np.float64], gate: float
-) -> NDArray[np.float64]:
-    distance = np.linalg.norm(targets[:, None] - found[None], axis=-1)
-    similarity: NDArray[np.float64] = np.clip(1 - distance / gate, 0, 1)
-    return similarity

@@ -7,10 +7,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.arrays import as_mask, as_rows
+from lidar_core.arrays import as_finite_rows, as_mask, as_rows
 from lidar_core.config import as_config
 from lidar_core.errors import InputError
-from lidar_core.evaluation.assignment import match
+from lidar_core.evaluation.assignment import matches_of
 from lidar_core.evaluation.config import EvaluationConfig
 from lidar_core.evaluation.types import Estimates, Truth
 
@@ -46,13 +46,15 @@ class Pairing:
 def pair(estimates: Estimates, truth: Truth, *, config: EvaluationConfig | None = None) -> Pairing:
     """Pair estimates and targets scan by scan; the assignment is optimal within the gate.
 
-    All targets take part, also those that need not be found. Use the rows to group errors by
+    All targets take part, also those that need not be found; each where it was when the estimate
+    was measured, if `time_ns` and velocities are known. Use the rows to group errors by
     anything the tables or the caller know: speed, acceleration, distance (`binned`).
 
     Raises
     ------
     InputError
-        Tables whose columns differ in length, or that hold an object twice at one time.
+        Tables whose columns differ in length, that hold an object twice at one time, or a number
+        that is not finite.
 
     Examples
     --------
@@ -67,7 +69,7 @@ def pair(estimates: Estimates, truth: Truth, *, config: EvaluationConfig | None 
     target_of, estimate_of = np.full(size, -1), np.full(known, -1)
     nearest, nearest_target = np.full(size, np.inf), np.full(size, -1)
     for here, there in scans(estimates, truth):
-        matches = match(estimates.position[here], truth.position[there], gate=gate)
+        matches = matches_of(distances_at(estimates, here, truth, there), gate=gate)
         target_of[here[matches.estimate]] = there[matches.target]
         estimate_of[there[matches.target]] = here[matches.estimate]
         nearest[here] = matches.nearest
@@ -110,6 +112,39 @@ def scans(estimates: Estimates, truth: Truth) -> Iterator[tuple[Rows, Rows]]:
     )
 
 
+def distances_at(
+    estimates: Estimates, here: Rows, truth: Truth, there: Rows
+) -> NDArray[np.float64]:
+    """From every estimate to every target of one scan [m], by rows, shape (E, T)."""
+    places = _places(truth, there[None], _delays(estimates)[here][:, None])
+    away = estimates.position[here][:, None] - places
+    table: NDArray[np.float64] = np.linalg.norm(away, axis=-1)
+    return table
+
+
+def errors_of(estimates: Estimates, truth: Truth, pairing: Pairing) -> NDArray[np.float64]:
+    """Estimates minus the targets that had to be found and were [m], shape (K, 3)."""
+    partners = pairing.estimate_of[pairing.found]
+    places = _places(truth, pairing.found, _delays(estimates)[partners])
+    away: NDArray[np.float64] = estimates.position[partners] - places
+    return away
+
+
+def _delays(estimates: Estimates) -> NDArray[np.float64]:
+    """From the start of the scan to the measurement [s], shape (E,)."""
+    if estimates.time_ns is None:
+        return np.zeros(len(estimates.stamp_ns))
+    delays: NDArray[np.float64] = (estimates.time_ns - estimates.stamp_ns).astype(np.float64)
+    return delays * 1e-9
+
+
+def _places(truth: Truth, rows: Rows, delays: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where these targets were so long after the start of the scan [m]."""
+    if truth.velocity is None:
+        return truth.position[rows]
+    return truth.position[rows] + delays[..., None] * truth.velocity[rows]
+
+
 def rows_of(table: TableT, which: NDArray[np.bool_] | Rows) -> TableT:
     """The table with these rows only."""
     columns = {name: getattr(table, name) for name in table.__slots__}
@@ -135,10 +170,12 @@ def checked_truth(truth: Truth) -> Truth:
     return Truth(
         stamp_ns=stamps,
         id=names,
-        position=as_rows(truth.position, name="truth.position", rows=rows, shape=(3,), dtype=float),
+        position=as_finite_rows(truth.position, name="truth.position", rows=rows, shape=(3,)),
         is_eligible=as_mask(truth.is_eligible, name="truth.is_eligible", rows=rows),
         velocity=_vectors(truth.velocity, "truth.velocity", rows),
-        sensor=_vectors(truth.sensor, "truth.sensor", rows),
+        sensor=None
+        if truth.sensor is None
+        else as_rows(truth.sensor, name="truth.sensor", rows=rows, shape=(3,), dtype=np.float64),
     )
 
 
@@ -146,20 +183,22 @@ def checked_estimates(estimates: Estimates) -> Estimates:
     """The table with columns of the right type; anything else is an InputError."""
     stamps = as_rows(estimates.stamp_ns, name="stamp_ns", rows=None, shape=(), dtype=np.int64)
     rows, numbers, covariance = len(stamps), estimates.id, estimates.covariance
+    times = estimates.time_ns
+    if times is not None:
+        times = as_rows(times, name="time_ns", rows=rows, shape=(), dtype=np.int64)
     if numbers is not None:
         numbers = as_rows(numbers, name="id", rows=rows, shape=(), dtype=np.int64)
         _refuse_twice(stamps, numbers, name="id")
     if covariance is not None:
         size = 6 if np.shape(covariance)[1:] == (6, 6) else 3
-        covariance = as_rows(
-            covariance, name="covariance", rows=rows, shape=(size, size), dtype=float
-        )
+        covariance = as_finite_rows(covariance, name="covariance", rows=rows, shape=(size, size))
     return Estimates(
         stamp_ns=stamps,
-        position=as_rows(estimates.position, name="position", rows=rows, shape=(3,), dtype=float),
+        position=as_finite_rows(estimates.position, name="position", rows=rows, shape=(3,)),
         id=numbers,
         velocity=_vectors(estimates.velocity, "velocity", rows),
         covariance=covariance,
+        time_ns=times,
     )
 
 
@@ -168,7 +207,7 @@ def _vectors(
 ) -> NDArray[np.float64] | None:
     if values is None:
         return None
-    return as_rows(values, name=name, rows=rows, shape=(3,), dtype=np.float64)
+    return as_finite_rows(values, name=name, rows=rows, shape=(3,))
 
 
 def _refuse_twice(stamps: Rows, names: Rows, *, name: str) -> None:

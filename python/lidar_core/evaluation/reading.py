@@ -135,7 +135,10 @@ def _estimates(place: Path, columns: Columns, *, has_id: bool) -> Estimates:
     covariance = _covariance(place, columns, (*AXES, *RATES))
     if covariance is None:
         covariance = _covariance(place, columns, AXES)
-    table = Estimates(stamps, position, numbers, velocity, covariance)
+    # Tracks are states at the time of the scan, detections are measured during it.
+    is_timed = not has_id and "time_ns" in columns
+    times = _integers(place, columns, "time_ns") if is_timed else None
+    table = Estimates(stamps, position, numbers, velocity, covariance, times)
     try:
         return checked_estimates(_last_rows(table))
     except InputError as error:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidar_core.arrays import as_real, as_rows
+from lidar_core.arrays import as_finite_rows, as_real, as_rows
 from lidar_core.config import as_config
 from lidar_core.errors import InputError
 from lidar_core.evaluation.bins import bin_of, norms
@@ -17,6 +17,8 @@ from lidar_core.evaluation.pairing import (
     checked_estimates,
     checked_truth,
     counting,
+    distances_at,
+    errors_of,
     numbers_of,
     pair,
     rows_of,
@@ -57,15 +59,22 @@ def eligible(
     Returns
     -------
     is_eligible : ndarray, shape (T,), bool
+
+    Raises
+    ------
+    InputError
+        Wrong shape or dtype, or a number that is not finite.
     """
     config = as_config(config, EvaluationConfig)
-    centres = as_rows(position, name="position", rows=None, shape=(3,), dtype=np.float64)
+    centres = as_finite_rows(position, name="position", rows=None, shape=(3,))
     points = as_rows(hits, name="hits", rows=len(centres), shape=(), dtype=np.int64)
     sensors = as_real(sensor_position, name="sensor_position")
     if sensors.shape not in {(3,), centres.shape}:
         raise InputError(
             f"sensor_position: expected shape (3,) or {centres.shape}, got {sensors.shape}"
         )
+    if not np.isfinite(sensors).all():
+        raise InputError("sensor_position: expected finite values")
     is_near: NDArray[np.bool_] = norms(centres - sensors) <= config.max_distance
     return is_near & (points >= config.min_hits)
 
@@ -166,7 +175,7 @@ def _duration(stamps: NDArray[np.int64]) -> float:
 
 def _errors(estimates: Estimates, truth: Truth, pairing: Pairing) -> dict[str, Spread | None]:
     rows = pairing.found
-    away = estimates.position[pairing.estimate_of[rows]] - truth.position[rows]
+    away = errors_of(estimates, truth, pairing)
     radial = across = velocity = None
     if truth.sensor is not None:
         sight = truth.position[rows] - truth.sensor[rows]
@@ -197,7 +206,7 @@ def _over_distance(
     away = norms(estimates.position - _sensor_at(estimates.stamp_ns, truth))
     group_of_estimate = bin_of(away, edges)
     rows = pairing.found
-    error = norms(estimates.position[pairing.estimate_of[rows]] - truth.position[rows])
+    error = norms(errors_of(estimates, truth, pairing))
     result = []
     for number, (near, far) in enumerate(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)):
         here = group_of_estimate == number
@@ -229,8 +238,8 @@ def _set_scores(
     estimates, truth = rows_of(estimates, counts), rows_of(truth, truth.is_eligible)
     rows = []
     for here, there in scans(estimates, truth):
-        sets = estimates.position[here], truth.position[there]
-        distance, parts = set_distances(*sets, cutoff=config.gate, order=config.order)
+        table = distances_at(estimates, here, truth, there)
+        distance, parts = set_distances(table, cutoff=config.gate, order=config.order)
         rows.append((distance, parts.distance, parts.localisation, parts.missed, parts.false))
     return SetScores(len(rows), *np.mean(rows, axis=0).tolist()) if rows else None
 
@@ -240,9 +249,8 @@ def _position_nees(
 ) -> Consistency | None:
     if estimates.covariance is None:
         return None
-    rows = pairing.found
-    partners = pairing.estimate_of[rows]
-    away = estimates.position[partners] - truth.position[rows]
+    partners = pairing.estimate_of[pairing.found]
+    away = errors_of(estimates, truth, pairing)
     values = nees(away, estimates.covariance[partners][:, :3, :3])
     return consistency(values, degrees=3, config=config)
 
@@ -257,7 +265,7 @@ def _state_nees(
         return None
     rows = pairing.found
     partners = pairing.estimate_of[rows]
-    place = tracks.position[partners] - truth.position[rows]
+    place = errors_of(tracks, truth, pairing)
     speed = tracks.velocity[partners] - truth.velocity[rows]
     values = nees(np.concatenate([place, speed], axis=1), covariance[partners])
     return consistency(values, degrees=6, config=config)

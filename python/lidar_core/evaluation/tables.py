@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from lidar_core.config import as_config
 from lidar_core.evaluation.config import EvaluationConfig
+from lidar_core.evaluation.pairing import checked_estimates
 from lidar_core.evaluation.scoring import eligible
 from lidar_core.evaluation.types import Estimates, Truth
 from lidar_core.flying import FlyingFrame, Tracks
@@ -69,23 +70,32 @@ def estimates_of_detections(frames: Iterable[FlyingFrame]) -> Estimates:
         stamp_ns=np.repeat(stamps, [len(item) for item in found]),
         position=_stacked([item.position for item in found]),
         covariance=np.concatenate([np.empty((0, 3, 3)), *(item.covariance for item in found)]),
+        time_ns=np.concatenate([np.empty(0, np.int64), *(item.time_ns for item in found)]),
     )
 
 
 def aligned(
     estimates: Estimates, truth: Truth, *, config: EvaluationConfig | None = None
 ) -> Estimates:
-    """The estimates with the times of the truth, where one is within `time_tolerance`."""
+    """The estimates with the times of the truth, where one is within `time_tolerance`.
+
+    When in the scan each was measured, `time_ns - stamp_ns`, stays as it is.
+    """
     tolerance = as_config(config, EvaluationConfig).time_tolerance * 1e9
-    when, stamps = np.unique(truth.stamp_ns), estimates.stamp_ns
+    when = np.unique(truth.stamp_ns)
     if not len(when):
         return estimates
+    estimates = checked_estimates(estimates)
+    stamps, times = estimates.stamp_ns, estimates.time_ns
     after = np.minimum(np.searchsorted(when, stamps), len(when) - 1)
     before = np.maximum(after - 1, 0)
     is_after = np.abs(when[after] - stamps) < np.abs(when[before] - stamps)
     nearest = np.where(is_after, when[after], when[before])
     is_near = np.abs(nearest - stamps) <= tolerance
-    return replace(estimates, stamp_ns=np.where(is_near, nearest, stamps))
+    shift = np.where(is_near, nearest - stamps, np.int64(0))
+    if times is not None:
+        times = times + shift
+    return replace(estimates, stamp_ns=stamps + shift, time_ns=times)
 
 
 def _stacked(parts: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:

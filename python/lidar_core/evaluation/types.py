@@ -21,7 +21,7 @@ class Truth:
     id : ndarray, shape (R,), int64
         Number of the target.
     position : ndarray, shape (R, 3), float64
-        Its centre [m], world frame.
+        Its centre at that time [m], world frame.
     is_eligible : ndarray, shape (R,), bool
         Whether it had to be found in this scan (`eligible`).
     velocity : ndarray, shape (R, 3), float64, optional
@@ -54,6 +54,9 @@ class Estimates:
         Reported velocity [m/s].
     covariance : ndarray, shape (E, 3, 3) or (E, 6, 6), float64, optional
         Of the position, or of position and velocity.
+    time_ns : ndarray, shape (E,), int64, optional
+        When each position was true [ns]; without it, at `stamp_ns`. A target is held against it
+        where its velocity takes it by then, if the truth has velocities.
     """
 
     stamp_ns: NDArray[np.int64]
@@ -61,6 +64,7 @@ class Estimates:
     id: NDArray[np.int64] | None = None
     velocity: NDArray[np.float64] | None = None
     covariance: NDArray[np.float64] | None = None
+    time_ns: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True, slots=True)
