@@ -106,7 +106,7 @@ def assign(cost: ArrayLike, *, gate: float) -> tuple[NDArray[np.int64], NDArray[
     Notes
     -----
     The time grows with the cube of the size: for the objects of a scan, tens to a few hundred;
-    tables of more than 1000 rows and columns take seconds.
+    tables of more than 500 rows and columns take seconds.
 
     Source: shortest augmenting paths, Jonker & Volgenant, "A Shortest Augmenting Path Algorithm
     for Dense and Sparse Linear Assignment Problems", Computing 38, 1987.

@@ -55,8 +55,8 @@ def ospa(estimates: ArrayLike, targets: ArrayLike, *, cutoff: float, order: floa
 
     Notes
     -----
-    For the objects of a scan: sets of more than 1000 take seconds, and the time grows with the
-    cube of the size.
+    For the objects of a scan: where more than 500 are within the cutoff of another it takes
+    seconds, and the time grows with the cube of their number.
 
     Source: Schuhmacher, Vo & Vo, "A Consistent Metric for Performance Evaluation of Multi-Object
     Filters", IEEE Trans. Signal Processing 56, 2008, eq. 3.
@@ -92,13 +92,13 @@ def set_distances(
     distance_of: NDArray[np.float64], *, cutoff: float, order: float
 ) -> tuple[float, Gospa]:
     """OSPA and GOSPA of a table of distances: both have the same best assignment."""
-    cost = _costs(distance_of, cutoff, order)
-    rows, columns = assign(cost, gate=cutoff**order)
-    pairs, size = cost[rows, columns], max(cost.shape)
-    together = float(pairs.sum()) + (size - len(pairs)) * cutoff**order
-    inside = pairs[pairs < cutoff**order]
-    single = cutoff**order / 2
-    localisation = float(inside.sum())
+    cost, is_near = _costs(distance_of, cutoff, order), distance_of < cutoff
+    # What is near nothing costs the same with any partner, and is left out of the search.
+    some = np.ix_(is_near.any(axis=1), is_near.any(axis=0))
+    pairs = assign(cost[some], gate=2 * cutoff**order)
+    inside, size = cost[some][pairs][is_near[some][pairs]], max(cost.shape)
+    single, localisation = cutoff**order / 2, float(inside.sum())
+    together = localisation + (size - len(inside)) * cutoff**order
     missed, false = (single * (count - len(inside)) for count in reversed(cost.shape))
     distance = float((localisation + missed + false) ** (1 / order))
     ospa_distance = float((together / max(size, 1)) ** (1 / order))
