@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lidar_core as lc
-from lidar_core import ConfigError, InputError, NumericalError
+from lidar_core import ConfigError, InputError
 from lidar_core.flying import detection_probability, hit_probability, point_covariance
 from reference import analysis as oracle
 
@@ -79,6 +79,31 @@ def test_point_covariance_of_what_is_no_point():
     assert np.isnan(got[1:]).all()
 
 
+@pytest.mark.parametrize("range_std", [-1.0, 101.0, 1e200, np.inf, np.nan])
+def test_a_range_error_that_says_nothing_is_refused(range_std):
+    with pytest.raises(ConfigError, match=r"range_std: expected 0 to 100 \[m\]"):
+        point_covariance([[1, 0, 0]], np.eye(4), pose_covariance=np.eye(6), range_std=range_std)
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1e-9, 1e-3, 1.0])
+def test_pose_covariances_are_judged_at_any_scale(scale):
+    def call(matrix):
+        return point_covariance([[1, 0, 0]], np.eye(4), pose_covariance=matrix, range_std=0.0)
+
+    asymmetric = np.eye(6)
+    asymmetric[0, 1] = 0.5
+    indefinite = np.eye(6)
+    indefinite[0, 1] = indefinite[1, 0] = 1.1
+    with pytest.raises(InputError, match="pose_covariance: expected a finite symmetric matrix"):
+        call(scale * asymmetric)
+    for matrix in (indefinite, np.diag([1.0] * 5 + [-1.0])):
+        with pytest.raises(InputError, match="pose_covariance: expected no negative eigenvalue"):
+            call(scale * matrix)
+    root = np.random.default_rng(0).normal(size=(6, 2))  # singular, and rounded to float32
+    assert np.isfinite(call((scale * root @ root.T).astype(np.float32))).all()
+    assert (call(np.zeros((6, 6))) == 0).all()
+
+
 # Voxels that were hit
 
 
@@ -142,18 +167,53 @@ def test_hit_probability_far_from_the_origin_and_without_a_point():
     assert np.isnan(got[1])
 
 
-@pytest.mark.parametrize(
-    ("covariance", "error", "text"),
-    [
-        (np.eye(2), InputError, r"covariance: expected shape \(3, 3\) or \(1, 3, 3\)"),
-        (np.diag([1.0, 1.0, -1.0]), NumericalError, "covariance: expected symmetric positive"),
-        (np.full((3, 3), np.nan), NumericalError, "covariance"),
-        (np.array([[1, 2, 0], [2, 1, 0], [0, 0, 1]]), NumericalError, "covariance"),
-    ],
-)
-def test_what_is_no_covariance_is_refused(covariance, error, text):
-    with pytest.raises(error, match=text):
+def test_hit_probability_of_an_organised_cloud():
+    points = np.random.default_rng(3).uniform(-5, 5, (4, 6, 3))
+    covariance = point_covariance(
+        points, np.eye(4), pose_covariance=np.eye(6) * 1e-4, range_std=0.03
+    )
+    got = hit_probability(points, covariance, voxel_size=0.25)
+    flat = hit_probability(points.reshape(-1, 3), covariance, voxel_size=0.25)
+    assert got.shape == (24,)
+    assert (got == flat).all()
+    with pytest.raises(InputError, match=r"points_world: expected shape \(N, 3\)"):
+        hit_probability(points[..., :2], covariance, voxel_size=0.25)
+
+
+NO_COVARIANCES = [
+    np.diag([1.0, 1.0, -1.0]),
+    np.diag([1e-10, 1e-10, -1e-10]),
+    np.full((3, 3), np.nan),
+    np.array([[1.0, 2, 0], [2, 1, 0], [0, 0, 1]]),
+    np.array([[1.0, 0.1, 0], [0, 1, 0], [0, 0, 1]]),
+]
+
+
+@pytest.mark.parametrize("covariance", NO_COVARIANCES)
+def test_what_is_no_covariance_is_refused_by_its_row(covariance):
+    with pytest.raises(InputError, match=r"covariance\[0\]: expected finite, symmetric, without"):
         hit_probability([[0, 0, 0]], covariance, voxel_size=0.25)
+    rows = np.stack([np.eye(3), np.zeros((3, 3)), covariance, covariance])
+    with pytest.raises(InputError, match=r"covariance\[2\]"):
+        hit_probability(np.zeros((4, 3)), rows, voxel_size=0.25)
+    points = np.zeros((4, 3))
+    points[2:] = np.nan  # as point_covariance gives it: no point, no covariance
+    got = hit_probability(points, rows, voxel_size=0.25)
+    assert np.isfinite(got[:2]).all()
+    assert np.isnan(got[2:]).all()
+
+
+def test_covariances_of_the_wrong_shape_are_refused():
+    with pytest.raises(InputError, match=r"covariance: expected shape \(3, 3\) or \(1, 3, 3\)"):
+        hit_probability([[0, 0, 0]], np.eye(2), voxel_size=0.25)
+
+
+@pytest.mark.parametrize("threads", [0, -1, 257, 2**63, 2**70, -(2**70)])
+def test_threads_out_of_range_are_refused(threads):
+    with pytest.raises(ConfigError, match="threads: expected"):
+        hit_probability([[0, 0, 0]], np.eye(3), voxel_size=0.25, threads=threads)
+    with pytest.raises(ConfigError, match="threads: expected"):
+        lc.VoxelMap(lc.VoxelMapConfig(), threads=threads)
 
 
 # Targets that are met
@@ -164,6 +224,12 @@ def test_one_ray_meets_the_area_of_its_cap(distance):
     """Eq. 48."""
     (got,) = detection_probability([[0.0, 0.0, -2.0]], radius=0.5, distance=distance)
     assert got == pytest.approx((1 - np.sqrt(1 - (0.5 / distance) ** 2)) / 2, rel=1e-9)
+
+
+@pytest.mark.parametrize("length", [5e-324, 1e-200, 1e-160, 1e160, 1e200, 1.7e308])
+def test_directions_have_any_length(length):
+    expected = detection_probability([[0, 1, 0]], radius=0.5, distance=5.0)
+    assert detection_probability([[0, length, 0]], radius=0.5, distance=5.0) == expected
 
 
 @pytest.mark.parametrize("view", [(-np.pi / 2, np.pi / 2), (-0.45, 0.3)])
@@ -227,7 +293,12 @@ def test_the_whole_sphere_is_made_of_bands():
         ({"distance": [1.0, -1.0]}, InputError, r"distance\[1\]: expected finite and >= 0"),
         ({"distance": [[1.0]]}, InputError, "distance: expected shape"),
         ({"radius": 0.0}, ConfigError, "radius: expected finite and > 0"),
+        ({"directions": [[np.inf, 0, 0]]}, InputError, r"directions\[0\]: expected a direction"),
+        ({"directions": [[1, np.nan, 0]]}, InputError, r"directions\[0\]: expected a direction"),
         ({"threads": 0}, ConfigError, "threads"),
+        ({"threads": 2**70}, ConfigError, "threads: expected 1 to 256, got 1180591620717411303424"),
+        ({"field_of_view": (1,)}, InputError, r"field_of_view: expected shape \(2,\)"),
+        ({"field_of_view": "wide"}, InputError, "field_of_view"),
         ({"field_of_view": (0.5, 0.1)}, ConfigError, "field_of_view: expected least and largest"),
         ({"field_of_view": (0.0, 2.0)}, ConfigError, "field_of_view"),
     ],

@@ -12,6 +12,8 @@ from lidar_core.errors import InputError
 
 _LARGEST_POSE_VARIANCE = 1e4
 """A pose less certain than 100 m or 100 rad says nothing [m^2, rad^2]."""
+_ROUNDING = 1e-6
+"""Asymmetry and negative eigenvalues that pass as rounding, relative to the largest entry."""
 _WHOLE_SPHERE = (-math.pi / 2, math.pi / 2)
 
 
@@ -34,7 +36,7 @@ def point_covariance(
         Covariance of the translation [m^2] and of the angles alpha, beta, gamma [rad^2] of
         R = Rz(gamma) Ry(beta) Rx(alpha), in this order (eq. 38).
     range_std : float
-        Standard deviation of a range [m], >= 0; independent of the pose.
+        Standard deviation of a range [m], 0 to 100; independent of the pose.
 
     Returns
     -------
@@ -47,7 +49,7 @@ def point_covariance(
     InputError
         Wrong shape or dtype, a matrix that is no pose, or one that is no covariance.
     ConfigError
-        `range_std` < 0.
+        `range_std` out of range.
     LimitError
         More than 4 million points.
 
@@ -85,17 +87,17 @@ def hit_probability(
 
     Parameters
     ----------
-    points_world : array_like, shape (N, 3), float64
-        Measured points [m], in the frame that the voxels are aligned with.
+    points_world : array_like, shape (N, 3) or (H, W, 3), float64
+        Measured points [m], in the frame that the voxels are aligned with; N = H * W.
     covariance : array_like, shape (N, 3, 3) or (3, 3), float64
         Covariance of every point, or of all of them [m^2], as `point_covariance` gives it. It may
-        be singular.
+        be singular; that of a point that is not finite is not looked at.
     voxel_size : float
         Edge of a voxel [m], > 0.
     origin : array_like, shape (3,)
         Corner of voxel (0, 0, 0) [m].
     threads : int
-        Threads used, >= 1. The result does not depend on it.
+        Threads used, 1 to 256. The result does not depend on it.
 
     Returns
     -------
@@ -105,11 +107,10 @@ def hit_probability(
     Raises
     ------
     InputError
-        Wrong shape or dtype, or a point beyond 2^31 voxels.
-    NumericalError
-        A matrix is no covariance: not finite, not symmetric, or with a negative eigenvalue.
+        Wrong shape or dtype, a point beyond 2^31 voxels, or a matrix that is no covariance: not
+        finite, not symmetric, or with a negative eigenvalue; the text names its row.
     ConfigError
-        `voxel_size` <= 0 or `threads` < 1.
+        `voxel_size` <= 0, or `threads` out of 1 to 256.
     LimitError
         More than 4 million points.
 
@@ -126,7 +127,10 @@ def hit_probability(
     ... ).round(4)
     array([1. , 0.5])
     """
-    points = as_rows(points_world, name="points_world", rows=None, shape=(3,), dtype=np.float64)
+    points = as_real(points_world, name="points_world")
+    if points.ndim == 3:  # an organised cloud
+        points = points.reshape(-1, points.shape[2])
+    points = as_rows(points, name="points_world", rows=None, shape=(3,), dtype=np.float64)
     matrices = as_real(covariance, name="covariance")
     if matrices.shape not in ((3, 3), (len(points), 3, 3)):
         raise InputError(
@@ -167,7 +171,7 @@ def detection_probability(
         Least and largest elevation [rad] of the centre above the LiDAR's x-y plane. None is the
         whole sphere, as in the paper.
     threads : int
-        Threads used, >= 1. The result does not depend on it.
+        Threads used, 1 to 256. The result does not depend on it.
 
     Returns
     -------
@@ -179,7 +183,7 @@ def detection_probability(
     InputError
         Wrong shape or dtype, a direction without length, a distance that is none.
     ConfigError
-        `radius` <= 0, `threads` < 1, or elevations out of order or range.
+        `radius` <= 0, `threads` out of 1 to 256, or elevations out of order or range.
     LimitError
         More than 4 million directions.
 
@@ -196,11 +200,13 @@ def detection_probability(
     """
     rows = as_rows(directions, name="directions", rows=None, shape=(3,), dtype=np.float64)
     distances = np.atleast_1d(as_real(distance, name="distance"))
+    view = _WHOLE_SPHERE if field_of_view is None else field_of_view
+    low, high = as_vector(view, name="field_of_view", size=2).tolist()
     return _core.detection_probability(
         rows,
         radius=radius,
         distances=as_rows(distances, name="distance", rows=None, shape=(), dtype=np.float64),
-        field_of_view=_WHOLE_SPHERE if field_of_view is None else field_of_view,
+        field_of_view=(low, high),
         threads=threads,
     )
 
@@ -214,14 +220,15 @@ def as_pose_covariance(values: ArrayLike) -> NDArray[np.float64]:
         Wrong shape, not finite, not symmetric, a negative eigenvalue, or absurdly large.
     """
     matrix = as_rows(values, name="pose_covariance", rows=6, shape=(6,), dtype=np.float64)
-    if not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T):
+    largest = np.abs(matrix).max()
+    if not np.isfinite(largest) or np.abs(matrix - matrix.T).max() > _ROUNDING * largest:
         raise InputError("pose_covariance: expected a finite symmetric matrix")
-    if np.abs(matrix).max() > _LARGEST_POSE_VARIANCE:
+    if largest > _LARGEST_POSE_VARIANCE:
         raise InputError(
             f"pose_covariance: expected values up to {_LARGEST_POSE_VARIANCE:g} m^2 and rad^2,"
-            f" got {np.abs(matrix).max():g}"
+            f" got {largest:g}"
         )
     values, axes = np.linalg.eigh((matrix + matrix.T) / 2)
-    if values[0] < -1e-9 * max(1.0, float(values[-1])):
+    if values[0] < -_ROUNDING * largest:
         raise InputError("pose_covariance: expected no negative eigenvalue")
     return np.ascontiguousarray((axes * np.maximum(values, 0)) @ axes.T)  # not even by rounding

@@ -1,6 +1,6 @@
 //! Bindings of `lidar_core::flying::analysis`.
 
-use crate::arrays;
+use crate::arrays::{self, Threads};
 use crate::errors::BorderError;
 use crate::guard::detached;
 use lidar_core::flying::analysis;
@@ -40,17 +40,17 @@ pub(crate) fn hit_probability<'py>(
     covariance: PyReadonlyArray3<'py, f64>,
     voxel_size: f64,
     origin: [f64; 3],
-    threads: i64,
+    threads: Threads,
 ) -> Result<Bound<'py, PyArray1<f64>>, BorderError> {
     let points = arrays::rows3("points_world", &points)?;
-    let (name, threads) = ("covariance", arrays::count("threads", threads)?);
+    let name = "covariance";
     if covariance.shape()[1..] != [3, 3] {
         let got = covariance.shape().to_vec();
         return Err(BorderError::Shape { name, expected: "(N, 3, 3)", got });
     }
     let rows = arrays::flat(name, &covariance)?.as_chunks::<3>().0.as_chunks::<3>().0;
     let hits = detached(py, || {
-        analysis::hit_probability(points, rows, &Lattice::new(voxel_size, origin)?, threads)
+        analysis::hit_probability(points, rows, &Lattice::new(voxel_size, origin)?, threads.0)
     })?;
     Ok(hits.into_pyarray(py))
 }
@@ -63,13 +63,12 @@ pub(crate) fn detection_probability<'py>(
     radius: f64,
     distances: PyReadonlyArray1<'py, f64>,
     field_of_view: [f64; 2],
-    threads: i64,
+    threads: Threads,
 ) -> Result<Bound<'py, PyArray1<f64>>, BorderError> {
     let directions = arrays::rows3("directions", &directions)?;
     let distances = arrays::flat("distance", &distances)?;
-    let threads = arrays::count("threads", threads)?;
     let shares = detached(py, || {
-        analysis::detection_probability(directions, radius, distances, field_of_view, threads)
+        analysis::detection_probability(directions, radius, distances, field_of_view, threads.0)
     })?;
     Ok(shares.into_pyarray(py))
 }

@@ -1,10 +1,12 @@
 //! numpy -> slices: the only checks of shape and contiguity on this side of the border.
 
 use crate::errors::BorderError;
+use lidar_core::Error;
 use numpy::{
     Element, IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1,
     PyReadonlyArray2, PyUntypedArrayMethods, ndarray::Dimension,
 };
+use pyo3::exceptions::PyOverflowError;
 use pyo3::prelude::*;
 
 /// Borrow an (N, 3) array as rows, without copying.
@@ -46,12 +48,29 @@ pub(crate) fn maybe_flat<'a, T: Element>(
 /// A count that crossed as `i64`.
 pub(crate) fn count(name: &'static str, value: i64) -> Result<usize, BorderError> {
     usize::try_from(value).map_err(|_| {
-        BorderError::Core(lidar_core::Error::Parameter {
+        BorderError::Core(Error::Parameter {
             name,
             expected: "a count >= 0",
             got: value.to_string(),
         })
     })
+}
+
+/// A number of threads; what is no count, or does not fit, is refused as such.
+pub(crate) struct Threads(pub(crate) usize);
+
+impl<'py> FromPyObject<'_, 'py> for Threads {
+    type Error = BorderError;
+
+    fn extract(value: Borrowed<'_, 'py, PyAny>) -> Result<Self, BorderError> {
+        match value.extract::<i64>() {
+            Err(error) if error.is_instance_of::<PyOverflowError>(value.py()) => {
+                let (expected, got) = ("1 to 256", value.str()?.to_string());
+                Err(Error::Parameter { name: "threads", expected, got }.into())
+            }
+            known => Ok(Self(count("threads", known?)?)),
+        }
+    }
 }
 
 /// An (N, 3) array that Python owns.
@@ -71,9 +90,9 @@ pub(crate) fn choice<T: Copy>(
     name: &'static str,
     value: &str,
     choices: &[(&'static str, T)],
-) -> Result<T, lidar_core::Error> {
+) -> Result<T, Error> {
     let found = choices.iter().find(|(known, _)| *known == value);
-    found.map(|&(_, choice)| choice).ok_or_else(|| lidar_core::Error::Parameter {
+    found.map(|&(_, choice)| choice).ok_or_else(|| Error::Parameter {
         name,
         expected: "one of the documented names",
         got: value.into(),

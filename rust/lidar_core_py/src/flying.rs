@@ -1,6 +1,6 @@
 //! Bindings of `lidar_core::flying::detector`.
 
-use crate::arrays::{self, Rows3};
+use crate::arrays::{self, Rows3, Threads};
 use crate::errors::BorderError;
 use crate::flying_config::FlyingConfig;
 use crate::guard::{Guarded, detached, keep_going};
@@ -37,9 +37,8 @@ pub(crate) struct PyFlyingObjectDetector(Guarded<FlyingObjectDetector>);
 impl PyFlyingObjectDetector {
     #[new]
     #[pyo3(signature = (config, *, threads))]
-    fn new(py: Python<'_>, config: FlyingConfig, threads: i64) -> Result<Self, BorderError> {
-        let threads = arrays::count("threads", threads)?;
-        let detector = detached(py, || FlyingObjectDetector::new(config.parameters()?, threads))?;
+    fn new(py: Python<'_>, config: FlyingConfig, threads: Threads) -> Result<Self, BorderError> {
+        let detector = detached(py, || FlyingObjectDetector::new(config.parameters()?, threads.0))?;
         Ok(Self(Guarded::new(detector)))
     }
 

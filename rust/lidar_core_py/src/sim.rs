@@ -1,6 +1,6 @@
 //! Bindings of `lidar_sim`.
 
-use crate::arrays;
+use crate::arrays::{self, Threads};
 use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
 use lidar_core::geometry::transform::Transform;
@@ -249,7 +249,7 @@ impl SimScene {
         py: Python<'_>,
         bodies: Vec<(Py<SimShape>, PyReadonlyArray2<'_, f64>, i32)>,
         movers: Vec<(Py<SimShape>, Py<SimTrajectory>, i32)>,
-        threads: i64,
+        threads: Threads,
         sways: Vec<Option<([f64; 3], f64, f64)>>,
         air: Vec<ParticlesConfig>,
     ) -> Result<Self, BorderError> {
@@ -269,10 +269,9 @@ impl SimScene {
             label: *label,
         });
         let moving = moving.collect();
-        let count = arrays::count("threads", threads)?;
         let air = air.into_iter().map(Particles::from).collect();
         let made = detached(py, || {
-            Ok((Scene::new(standing, moving)?.with_air(air)?, threads::pool(count)?))
+            Ok((Scene::new(standing, moving)?.with_air(air)?, threads::pool(threads.0)?))
         })?;
         Ok(Self(Guarded::new(made)))
     }

@@ -1,6 +1,6 @@
 //! Bindings of `lidar_core::flying::track`.
 
-use crate::arrays::{self, Rows3};
+use crate::arrays::{self, Rows3, Threads};
 use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
@@ -161,9 +161,8 @@ pub(crate) struct PyPointCloudTracker(Guarded<PointCloudTracker>);
 impl PyPointCloudTracker {
     #[new]
     #[pyo3(signature = (config, *, threads))]
-    fn new(py: Python<'_>, config: TrackerConfig, threads: i64) -> Result<Self, BorderError> {
-        let threads = arrays::count("threads", threads)?;
-        let tracker = detached(py, || PointCloudTracker::new(config.parameters()?, threads))?;
+    fn new(py: Python<'_>, config: TrackerConfig, threads: Threads) -> Result<Self, BorderError> {
+        let tracker = detached(py, || PointCloudTracker::new(config.parameters()?, threads.0))?;
         Ok(Self(Guarded::new(tracker)))
     }
 

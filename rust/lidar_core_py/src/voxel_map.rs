@@ -1,6 +1,6 @@
 //! Bindings of `lidar_core::flying::voxel_map`.
 
-use crate::arrays::{self, Rows3};
+use crate::arrays::{self, Rows3, Threads};
 use crate::errors::BorderError;
 use crate::flying_config::{ClassifyConfig, MapConfig, RAY_UNITS};
 use crate::guard::{Guarded, detached};
@@ -25,11 +25,10 @@ impl PyVoxelMap {
     fn new(
         py: Python<'_>,
         config: MapConfig,
-        threads: i64,
+        threads: Threads,
         origin: [f64; 3],
     ) -> Result<Self, BorderError> {
-        let threads = arrays::count("threads", threads)?;
-        let map = detached(py, || VoxelMap::new(config.parameters(origin)?, threads))?;
+        let map = detached(py, || VoxelMap::new(config.parameters(origin)?, threads.0))?;
         Ok(Self(Guarded::new(map)))
     }
 
@@ -152,9 +151,8 @@ impl PyVoxelMap {
 
     #[staticmethod]
     #[pyo3(signature = (path, *, threads))]
-    fn load(py: Python<'_>, path: PathBuf, threads: i64) -> Result<Self, BorderError> {
-        let threads = arrays::count("threads", threads)?;
-        Ok(Self(Guarded::new(detached(py, || VoxelMap::load(&path, threads))?)))
+    fn load(py: Python<'_>, path: PathBuf, threads: Threads) -> Result<Self, BorderError> {
+        Ok(Self(Guarded::new(detached(py, || VoxelMap::load(&path, threads.0))?)))
     }
 
     /// The map as bytes; equal maps give equal bytes.

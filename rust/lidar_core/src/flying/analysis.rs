@@ -4,7 +4,7 @@
 use crate::budget::check_points;
 use crate::geometry::caps::{Cap, Directions};
 use crate::geometry::lattice::{Lattice, wide};
-use crate::geometry::transform::{Transform, cross, minus, norm};
+use crate::geometry::transform::{Transform, cross, direction_of, minus, norm};
 use crate::probability::box_probability;
 use crate::{Error, threads};
 use rayon::prelude::*;
@@ -14,6 +14,8 @@ use std::f64::consts::{FRAC_PI_2, PI};
 const POINTS_PER_CHUNK: usize = 1024;
 /// Smallest share of the sphere that a field of view may be.
 const LEAST_VIEW: f64 = 1e-6;
+/// A range less certain than this says nothing [m].
+const LARGEST_RANGE_STD: f64 = 100.0;
 
 /// Covariances of measured points in the world, from those of the pose and of the range.
 ///
@@ -22,7 +24,7 @@ const LEAST_VIEW: f64 = 1e-6;
 /// the sensor itself has no range error, for want of a direction.
 ///
 /// # Errors
-/// [`Error::Limit`] for too many points, [`Error::Parameter`] for a negative `range_std`.
+/// [`Error::Limit`] for too many points, [`Error::Parameter`] for a `range_std` beyond 0 to 100 m.
 ///
 /// # Source
 /// Vrba et al., eqs 34-44.
@@ -33,8 +35,8 @@ pub fn point_covariance(
     range_std: f64,
 ) -> Result<Vec<[[f64; 3]; 3]>, Error> {
     check_points(points_lidar.len())?;
-    if !(range_std.is_finite() && range_std >= 0.0) {
-        return Err(parameter("range_std", "finite and >= 0 [m]", range_std));
+    if !(0.0..=LARGEST_RANGE_STD).contains(&range_std) {
+        return Err(parameter("range_std", "0 to 100 [m]", range_std));
     }
     let of_point = |&point: &[f32; 3]| {
         let jacobian = point_jacobian(world_from_lidar, wide(point));
@@ -69,8 +71,8 @@ pub(crate) fn point_jacobian(pose: &Transform, point_lidar: [f64; 3]) -> [[f64; 
 ///
 /// # Errors
 /// [`Error::Length`], [`Error::Limit`], [`Error::PointOutOfRange`], [`Error::Parameter`] for what
-/// cannot be a lattice or number of threads, [`Error::NotPositiveDefinite`] for the first
-/// covariance that is none.
+/// cannot be a lattice or number of threads, [`Error::Value`] for the first covariance of a finite
+/// point that is none.
 ///
 /// # Source
 /// Vrba et al., eqs 45-46.
@@ -93,16 +95,23 @@ pub fn hit_probability(
         let center = lattice.center(lattice.voxel_at(point)?);
         let to_center = minus(center, point);
         let half = 0.5 * lattice.voxel_size();
-        box_probability(
-            &covariance[if covariance.len() == 1 { 0 } else { index }],
-            to_center.map(|value| value - half),
-            to_center.map(|value| value + half),
-        )
+        let row = if covariance.len() == 1 { 0 } else { index };
+        let low = to_center.map(|value| value - half);
+        let high = to_center.map(|value| value + half);
+        box_probability(&covariance[row], low, high).map_err(|error| match error {
+            Error::NotPositiveDefinite { .. } => no_covariance(row, &covariance[row]),
+            other => other,
+        })
     };
     let hits: Vec<Result<f64, Error>> = threads::pool(threads)?.install(|| {
         (0..points.len()).into_par_iter().with_min_len(POINTS_PER_CHUNK).map(of_point).collect()
     });
     hits.into_iter().collect() // the first error in the order of the points
+}
+
+fn no_covariance(index: usize, matrix: &[[f64; 3]; 3]) -> Error {
+    let expected = "finite, symmetric, without negative eigenvalues";
+    Error::Value { name: "covariance", expected, index, got: format!("{matrix:?}") }
 }
 
 /// Probability that at least one ray meets a ball whose centre lies anywhere at `distances` [m]
@@ -131,21 +140,14 @@ pub fn detection_probability(
     if !(radius.is_finite() && radius > 0.0) {
         return Err(parameter("radius", "finite and > 0 [m]", radius));
     }
-    for (index, direction) in directions.iter().enumerate() {
-        let length = norm(*direction);
-        if !(length.is_normal() && length > 0.0) {
-            let got = format!("{direction:?}");
-            let expected = "a direction";
-            return Err(Error::Value { name: "directions", expected, index, got });
-        }
-    }
     if let Some(index) = distances.iter().position(|d| !(d.is_finite() && *d >= 0.0)) {
         let (expected, got) = ("finite and >= 0 [m]", distances[index].to_string());
         return Err(Error::Value { name: "distance", expected, index, got });
     }
+    let units = units(directions)?;
     let pool = threads::pool(threads)?;
     let nearest = distances.iter().copied().filter(|&l| l > radius).fold(f64::INFINITY, f64::min);
-    let directions = Directions::new(directions, cap_radius(radius, nearest));
+    let directions = Directions::new(units, cap_radius(radius, nearest));
     let outside = outside(view);
     let hidden: f64 = outside.iter().map(Cap::area).sum();
     let met = |&distance: &f64| {
@@ -156,6 +158,20 @@ pub fn detection_probability(
         ((covered - hidden) / (4.0 * PI * share)).clamp(0.0, 1.0)
     };
     Ok(distances.iter().map(met).collect())
+}
+
+/// Directions of length 1.
+///
+/// # Errors
+/// [`Error::Value`] for the first that has no length or is not finite.
+fn units(directions: &[[f64; 3]]) -> Result<Vec<[f64; 3]>, Error> {
+    let of_row = |(index, direction): (usize, &[f64; 3])| {
+        direction_of(*direction).ok_or_else(|| {
+            let (expected, got) = ("a direction", format!("{direction:?}"));
+            Error::Value { name: "directions", expected, index, got }
+        })
+    };
+    directions.iter().enumerate().map(of_row).collect()
 }
 
 fn cap_radius(radius: f64, distance: f64) -> f64 {

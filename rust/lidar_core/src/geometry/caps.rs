@@ -51,15 +51,11 @@ pub struct Directions {
 }
 
 impl Directions {
-    /// `directions` of any length except 0, of which equal ones count once. Caps around them will
-    /// have radii up to `largest` [rad].
+    /// `units` of length 1, of which equal ones count once. Caps around them will have radii up to
+    /// `largest` [rad].
     #[must_use]
-    pub fn new(directions: &[[f64; 3]], largest: f64) -> Self {
-        let unit = |&direction: &[f64; 3]| {
-            let length = norm(direction);
-            direction.map(|value| value / length + 0.0) // no -0
-        };
-        let mut units: Vec<[f64; 3]> = directions.iter().map(unit).collect();
+    pub fn new(mut units: Vec<[f64; 3]>, largest: f64) -> Self {
+        units.iter_mut().flatten().for_each(|value| *value += 0.0); // no -0
         units.sort_unstable_by_key(|unit| unit.map(f64::to_bits));
         let mut size = (4.0 * PI / units.len().max(1) as f64).sqrt().min(1.0);
         let all = Cells::new(&units, size);
@@ -302,9 +298,11 @@ impl Cover {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::transform::direction_of;
     use crate::{Error, threads};
 
-    fn covered(units: &[[f64; 3]], radius: f64, others: &[Cap]) -> Result<f64, Error> {
+    fn covered(rays: &[[f64; 3]], radius: f64, others: &[Cap]) -> Result<f64, Error> {
+        let units = rays.iter().filter_map(|&ray| direction_of(ray)).collect();
         Ok(Directions::new(units, radius).covered(&threads::pool(1)?, radius, others))
     }
 

@@ -118,6 +118,18 @@ pub fn norm(a: [f64; 3]) -> f64 {
     dot(a, a).sqrt()
 }
 
+/// The vector at length 1, however long or short; None if it is zero or not finite.
+#[must_use]
+pub fn direction_of(a: [f64; 3]) -> Option<[f64; 3]> {
+    let largest = a.iter().fold(0.0, |largest, value| value.abs().max(largest));
+    if !(largest > 0.0 && a.iter().all(|value| value.is_finite())) {
+        return None;
+    }
+    let scaled = a.map(|value| value / largest); // squares neither overflow nor vanish
+    let length = norm(scaled);
+    Some(scaled.map(|value| value / length))
+}
+
 /// Unit quaternion (x, y, z, w) of a rotation matrix.
 #[must_use]
 pub fn quaternion_from_rotation(r: &[[f64; 3]; 3]) -> [f64; 4] {
