@@ -10,6 +10,7 @@ mod flying_config;
 mod geometry;
 mod guard;
 mod sim;
+mod sim_config;
 mod tracker;
 mod voxel_map;
 

@@ -3,13 +3,12 @@
 use crate::arrays::{self, Threads};
 use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
+use crate::sim_config::{LidarConfig, MotionConfig, ParticlesConfig};
 use lidar_core::geometry::transform::Transform;
 use lidar_core::{Error, threads};
 use lidar_sim::air::Particles;
 use lidar_sim::mesh::Mesh;
-use lidar_sim::motion::{Near, RandomMotion};
-use lidar_sim::scene::{Body, Bounds, Mover, Ray, Scene, Sway};
-use lidar_sim::sensors::{Lidar, Pattern};
+use lidar_sim::scene::{Body, Mover, Ray, Scene, Sway};
 use lidar_sim::shape::Shape;
 use lidar_sim::simulate::{self, Task};
 use lidar_sim::trajectory::Trajectory;
@@ -113,117 +112,6 @@ impl SimTrajectory {
         let stamps_ns = arrays::flat("stamps_ns", &stamps_ns)?;
         let rows = stamps_ns.iter().map(|&stamp| self.0.velocity_at(stamp)).collect();
         arrays::rows_into(py, rows)
-    }
-}
-
-/// The fields of `LidarModel` that the core reads.
-#[derive(FromPyObject)]
-pub(crate) struct LidarConfig {
-    pattern: PatternConfig,
-    scan_rate: f64,
-    snapshot: bool,
-    range_min: f64,
-    range_max: f64,
-    range_std: f64,
-    dropout: f64,
-    dropout_is_no_return: bool,
-}
-
-#[derive(FromPyObject)]
-enum PatternConfig {
-    Spinning {
-        elevations_deg: Vec<f64>,
-        columns: i64,
-        azimuth_start: f64,
-        azimuth_per_scan: f64,
-    },
-    Rosette {
-        rays: i64,
-        elevation_min_deg: f64,
-        elevation_max_deg: f64,
-        turn_rate: f64,
-        swing_rate: f64,
-    },
-}
-
-impl LidarConfig {
-    fn lidar(self) -> Result<Lidar, BorderError> {
-        let pattern = match self.pattern {
-            PatternConfig::Spinning {
-                elevations_deg,
-                columns,
-                azimuth_start,
-                azimuth_per_scan,
-            } => Pattern::Spinning {
-                elevations: elevations_deg.into_iter().map(f64::to_radians).collect(),
-                columns: arrays::count("columns", columns)?,
-                azimuth_start,
-                azimuth_per_scan,
-            },
-            PatternConfig::Rosette {
-                rays,
-                elevation_min_deg: min,
-                elevation_max_deg: max,
-                turn_rate,
-                swing_rate,
-            } => Pattern::Rosette {
-                rays: arrays::count("rays", rays)?,
-                elevation: [min.to_radians(), max.to_radians()],
-                turn_rate,
-                swing_rate,
-            },
-        };
-        Ok(Lidar {
-            pattern,
-            period_ns: (1e9 / self.scan_rate).round() as i64,
-            snapshot: self.snapshot,
-            range_min: self.range_min,
-            range_max: self.range_max,
-            range_std: self.range_std,
-            dropout: self.dropout,
-            dropout_is_no_return: self.dropout_is_no_return,
-        })
-    }
-}
-
-/// The fields of `RandomMotion` that the core reads.
-#[derive(FromPyObject)]
-pub(crate) struct MotionConfig {
-    box_min: [f64; 3],
-    box_max: [f64; 3],
-    speed_max: f64,
-    acceleration_max: f64,
-    clearance: f64,
-    sensor_distance: Option<[f64; 2]>,
-    sensor_elevation_deg: [f64; 2],
-}
-
-/// The fields of `Rain` and `Dust`.
-#[derive(FromPyObject)]
-pub(crate) enum ParticlesConfig {
-    Rain { density: f64, drop_size: f64, beam_size: f64, beam_divergence: f64, least_share: f64 },
-    Dust { center: [f64; 3], velocity: [f64; 3], radius: f64, growth: f64, free_path: f64 },
-}
-
-impl From<ParticlesConfig> for Particles {
-    fn from(config: ParticlesConfig) -> Self {
-        match config {
-            ParticlesConfig::Rain {
-                density,
-                drop_size,
-                beam_size,
-                beam_divergence,
-                least_share,
-            } => Self::Rain {
-                density,
-                size: drop_size,
-                beam: [beam_size, beam_divergence],
-                least_share,
-            },
-            ParticlesConfig::Dust { center, velocity, radius, growth, free_path } => {
-                Self::Dust { center, velocity, radius, growth, free_path }
-            }
-        }
     }
 }
 
@@ -353,21 +241,8 @@ impl SimScene {
         span_ns: (i64, i64),
         seed: (u64, u64),
     ) -> Result<SimTrajectory, BorderError> {
-        let sensor = &sensor.get().0;
-        let motion = RandomMotion {
-            bounds: Bounds { min: config.box_min, max: config.box_max },
-            speed_max: config.speed_max,
-            acceleration_max: config.acceleration_max,
-            clearance: config.clearance,
-            apart: apart.iter().map(|(other, least)| (&other.get().0, *least)).collect(),
-            near: config.sensor_distance.map(|distance| Near {
-                sensor,
-                distance,
-                elevation: config.sensor_elevation_deg.map(f64::to_radians),
-            }),
-            span_ns,
-            seed,
-        };
+        let apart = apart.iter().map(|(other, least)| (&other.get().0, *least)).collect();
+        let motion = config.motion(&sensor.get().0, apart, span_ns, seed);
         Ok(SimTrajectory(self.0.with(py, |(scene, _)| motion.trajectory(scene))?))
     }
 }

@@ -1,0 +1,147 @@
+//! Configuration of the simulator from Python -> parameters of `lidar_sim`.
+
+use crate::arrays;
+use crate::errors::BorderError;
+use lidar_sim::air::Particles;
+use lidar_sim::motion::{Near, RandomMotion};
+use lidar_sim::scene::Bounds;
+use lidar_sim::sensors::{Lidar, Pattern};
+use lidar_sim::trajectory::Trajectory;
+use pyo3::prelude::*;
+
+/// The fields of `LidarModel` that the core reads.
+#[derive(FromPyObject)]
+pub(crate) struct LidarConfig {
+    pattern: PatternConfig,
+    scan_rate: f64,
+    snapshot: bool,
+    range_min: f64,
+    range_max: f64,
+    range_std: f64,
+    dropout: f64,
+    dropout_is_no_return: bool,
+}
+
+#[derive(FromPyObject)]
+enum PatternConfig {
+    Spinning {
+        elevations_deg: Vec<f64>,
+        columns: i64,
+        azimuth_start: f64,
+        azimuth_per_scan: f64,
+    },
+    Rosette {
+        rays: i64,
+        elevation_min_deg: f64,
+        elevation_max_deg: f64,
+        turn_rate: f64,
+        swing_rate: f64,
+    },
+}
+
+impl LidarConfig {
+    pub(crate) fn lidar(self) -> Result<Lidar, BorderError> {
+        let pattern = match self.pattern {
+            PatternConfig::Spinning {
+                elevations_deg,
+                columns,
+                azimuth_start,
+                azimuth_per_scan,
+            } => Pattern::Spinning {
+                elevations: elevations_deg.into_iter().map(f64::to_radians).collect(),
+                columns: arrays::count("columns", columns)?,
+                azimuth_start,
+                azimuth_per_scan,
+            },
+            PatternConfig::Rosette {
+                rays,
+                elevation_min_deg: min,
+                elevation_max_deg: max,
+                turn_rate,
+                swing_rate,
+            } => Pattern::Rosette {
+                rays: arrays::count("rays", rays)?,
+                elevation: [min.to_radians(), max.to_radians()],
+                turn_rate,
+                swing_rate,
+            },
+        };
+        Ok(Lidar {
+            pattern,
+            period_ns: (1e9 / self.scan_rate).round() as i64,
+            snapshot: self.snapshot,
+            range_min: self.range_min,
+            range_max: self.range_max,
+            range_std: self.range_std,
+            dropout: self.dropout,
+            dropout_is_no_return: self.dropout_is_no_return,
+        })
+    }
+}
+
+/// The fields of `RandomMotion` that the core reads.
+#[derive(FromPyObject)]
+pub(crate) struct MotionConfig {
+    box_min: [f64; 3],
+    box_max: [f64; 3],
+    speed_max: f64,
+    acceleration_max: f64,
+    clearance: f64,
+    sensor_distance: Option<[f64; 2]>,
+    sensor_elevation_deg: [f64; 2],
+}
+
+impl MotionConfig {
+    /// `apart` are the trajectories to stay away from, with the least distances.
+    pub(crate) fn motion<'a>(
+        self,
+        sensor: &'a Trajectory,
+        apart: Vec<(&'a Trajectory, f64)>,
+        span_ns: (i64, i64),
+        seed: (u64, u64),
+    ) -> RandomMotion<'a> {
+        RandomMotion {
+            bounds: Bounds { min: self.box_min, max: self.box_max },
+            speed_max: self.speed_max,
+            acceleration_max: self.acceleration_max,
+            clearance: self.clearance,
+            apart,
+            near: self.sensor_distance.map(|distance| Near {
+                sensor,
+                distance,
+                elevation: self.sensor_elevation_deg.map(f64::to_radians),
+            }),
+            span_ns,
+            seed,
+        }
+    }
+}
+
+/// The fields of `Rain` and `Dust`.
+#[derive(FromPyObject)]
+pub(crate) enum ParticlesConfig {
+    Rain { density: f64, drop_size: f64, beam_size: f64, beam_divergence: f64, least_share: f64 },
+    Dust { center: [f64; 3], velocity: [f64; 3], radius: f64, growth: f64, free_path: f64 },
+}
+
+impl From<ParticlesConfig> for Particles {
+    fn from(config: ParticlesConfig) -> Self {
+        match config {
+            ParticlesConfig::Rain {
+                density,
+                drop_size,
+                beam_size,
+                beam_divergence,
+                least_share,
+            } => Self::Rain {
+                density,
+                size: drop_size,
+                beam: [beam_size, beam_divergence],
+                least_share,
+            },
+            ParticlesConfig::Dust { center, velocity, radius, growth, free_path } => {
+                Self::Dust { center, velocity, radius, growth, free_path }
+            }
+        }
+    }
+}
