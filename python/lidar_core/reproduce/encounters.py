@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.reproduce.common import BLUE, MODES, PALE, RED
 from lidar_core.reproduce.flights import both_modes, fly, tables
 from lidar_core.reproduce.jobs import Job, Part, run
 from lidar_core.reproduce.types import Request
@@ -18,7 +19,6 @@ SENSOR = (0.0, 0.0, 3.0)
 """Where it hovers [m]."""
 SETTLED = 15
 """Scans from which on targets have to be tracked: the burn-in, and a few to be confirmed."""
-MODES = (("paper", "paper mode"), ("best", "best mode"))
 
 
 def cases(function: Callable[..., Part], name: str, request: Request, scans: int) -> list[Part]:
@@ -107,17 +107,17 @@ def numbers(part: Part, mode: str) -> NDArray[np.int64]:
 
 def draw_numbers(figure: Any, parts: Sequence[Part], title: str) -> None:
     """Draw every target as a line in time: its first track, other tracks, none, hidden."""
-    colours = ["#ffffff", "#0369a1", "#be185d", "#d5dae1"]
+    colours = ["#ffffff", BLUE, RED, PALE]
     panels = figure.subplots(1, 2, sharey=True)
     figure.suptitle(title, x=0.06, ha="left", fontweight="bold")
-    for axes, (mode, name) in zip(panels, MODES, strict=True):
+    for axes, mode in zip(panels, MODES, strict=True):
         picture = np.concatenate([_states(part, mode).T for part in parts])
         seconds = parts[0]["stamp_ns"] * 1e-9
         axes.pcolormesh(
             seconds, np.arange(len(picture)), picture, cmap=_map(colours), vmin=0, vmax=3,
             shading="nearest",
         )  # fmt: skip
-        axes.set(title=name, xlabel="time [s]")
+        axes.set(title=f"{mode} mode", xlabel="time [s]")
     panels[0].set_ylabel("target")
     names = ("first track", "another track", "hidden, no track")
     handles = [_patch(colour) for colour in colours[1:]]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lidar_core.evaluation import Consistency, consistency, nees
 from lidar_core.flying import PointCloudTracker, TrackerConfig
+from lidar_core.reproduce.common import BLUE, PALE
 from lidar_core.reproduce.types import Item, Request, Result, Row
 
 Array: TypeAlias = NDArray[np.float64]
@@ -197,9 +198,9 @@ def _draw(figure: Any, own: list[Array], found: list[Consistency | None]) -> Non
         known = ~np.isnan(values)
         count = known.sum(axis=0)
         means = np.where(known, values, 0).sum(axis=0)[count > 0] / count[count > 0]
-        axes.plot(SECONDS * np.flatnonzero(count), means, color="#0369a1")
+        axes.plot(SECONDS * np.flatnonzero(count), means, color=BLUE)
         if one is not None:
-            axes.axhspan(*one.step_band, color="#d5dae1", label="95 % band of the mean")
+            axes.axhspan(*one.step_band, color=PALE, label="95 % band of the mean")
             axes.legend(loc="upper right")
         axes.set(title=name, xlabel="time [s]", ylim=(0, None))
         axes.grid(visible=True)

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.reproduce.common import MODES
 from lidar_core.reproduce.encounters import (
-    MODES,
     SENSOR,
     cases,
     draw_numbers,
@@ -87,7 +87,7 @@ def _ways(rng: np.random.Generator, times: NDArray[np.float64]) -> NDArray[np.fl
 
 
 def _rows(parts: list[Part]) -> list[Row]:
-    found = [[scores(part, mode) for part in parts] for mode, _ in MODES]
+    found = [[scores(part, mode) for part in parts] for mode in MODES]
     switches = [[one.n_switches for one in mode] for mode in found]
     eligible, hit = (
         [sum(getattr(one, name) for one in mode) for mode in found]

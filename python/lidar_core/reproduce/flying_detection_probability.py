@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.flying import detection_probability
+from lidar_core.reproduce.common import BLUE, RED, scene_rng
 from lidar_core.reproduce.jobs import Job, Part, run
 from lidar_core.reproduce.types import Item, Request, Result, Row
 
@@ -22,7 +23,7 @@ GOAL = 0.01
 """Greatest difference of the probabilities that is asked for (no unit)."""
 TRIES = 100
 """Places that are tried for a target before it may overlap another."""
-COLOURS = ("#be185d", "#f472b6", "#0369a1", "#38bdf8")
+COLOURS = (RED, "#f472b6", BLUE, "#38bdf8")
 
 
 def _run(request: Request) -> Result:
@@ -55,7 +56,7 @@ def share(*, sensor: str, distance: float, whole: bool, seed: int, scans: int) -
 
     lidar = sim.LidarModel.preset(sensor, snapshot=True, range_std=0.0)
     view = (-np.pi / 2, np.pi / 2) if whole else _field_of_view(lidar)
-    rng = np.random.default_rng([20240607, seed, round(distance), whole])
+    rng = scene_rng(seed, round(distance), int(whole))
     ball, observer = sim.Sphere(radius=RADIUS), sim.Hover(position=(0.0, 0.0, 0.0))
     met, directions = [], np.empty((0, 3))
     for number in range(scans):

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.flying import FlyingObjectDetector
+from lidar_core.reproduce.common import COLOURS, GATE, MODES, scene_rng, simulator_seed
 from lidar_core.reproduce.flights import both_modes, is_paper, processed
 from lidar_core.reproduce.jobs import Job, Part, run
 from lidar_core.reproduce.types import Item, Request, Result, Row
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     from lidar_core.sim.air import Particles
 
 SCANS_PER_FLIGHT = 100
-GATE = 2.0
-"""A track further from every drone is false [m]."""
 SHARES = {"ideal": 1, "noisy": 10, "rain": 1, "dust": 1, "insects": 1, "foliage": 1}
 """Conditions, and how the scans are shared among them."""
 NOISY_RANGE, IDEAL_RANGE = 0.05, 0.0
@@ -28,7 +27,6 @@ POSITION_STD, ANGLE_STD_DEG = 0.1, 0.5
 SWAY = 0.25
 INSECTS = 20
 PUFFS = 6
-MODES = ("paper", "best")
 
 
 def _run(request: Request) -> Result:
@@ -71,7 +69,7 @@ def street(*, seed: int, number: int, scans: int, condition: str) -> Part:
     """Fly through one street; NAME_false: scan, number and place of the false tracks of a mode."""
     from lidar_core.sim import NoisyPoses, PoseNoise, Simulator
 
-    name = (seed * 1_000_003 + number) % 2**32
+    name = simulator_seed(seed, number)
     simulator = Simulator(_scene(seed, number, scans, condition), seed=name)
     noise = None
     if condition == "noisy":
@@ -88,7 +86,7 @@ def _flown(simulator: Any, scans: int, noise: "NoisyPoses | None") -> Part:
         made = simulator.scan(number)
         given = made if noise is None else noise.observed(made)
         for name, detector in detectors.items():
-            covariance = None if noise is None or is_paper(name) else noise.noise.covariance
+            covariance = None if noise is None or is_paper(name) else noise.covariance
             tracks = processed(detector, given, pose_covariance=covariance).tracks
             false[name].append(_false(number, tracks, made.truth.position))
     part: Part = {"scans": np.array(scans)}
@@ -107,7 +105,7 @@ def _scene(seed: int, number: int, scans: int, condition: str) -> "Scene":
     """Make a street of the demo, every second one without drones, in the given condition."""
     from lidar_core import sim
 
-    rng = np.random.default_rng([20240607, seed, number])
+    rng = scene_rng(seed, number)
     base = sim.scenes.demo(int(rng.integers(2**31)), scans=scans)
     drones = base.targets if number % 2 else ()
     noise = NOISY_RANGE if condition == "noisy" else IDEAL_RANGE
@@ -197,7 +195,7 @@ def _draw(figure: Any, of: dict[str, list[Part]]) -> None:
     axes = figure.subplots()
     axes.set_title("Tracks of nothing", loc="left", fontweight="bold")
     rows = {row.name: row for row in _rows(of)}
-    for offset, mode, colour in ((-0.2, "paper", "#be185d"), (0.2, "best", "#0369a1")):
+    for offset, (mode, colour) in zip((-0.2, 0.2), COLOURS.items(), strict=True):
         rates = [
             rows[f"false tracks per 1000 scans, {condition}"]._asdict()[f"{mode}_mode"]
             for condition in of

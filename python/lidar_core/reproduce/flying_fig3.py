@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from lidar_core.flying import FlyingConfig, VoxelMapConfig
 from lidar_core.flying.voxel_map import VoxelMap
+from lidar_core.reproduce.common import BLUE, GREY, RED
 from lidar_core.reproduce.flights import both_modes
 from lidar_core.reproduce.types import Item, Request, Result, Row
 
@@ -121,7 +122,7 @@ def _draw(
     panels[0].set_ylabel("L(v)")
     panels[2].step(times, np.where(log_odds >= 0, 2, 0), where="post", color="#57606a",
                    label="log-odds")  # fmt: skip
-    for (name, one), colour in zip(values.items(), ("#be185d", "#0369a1"), strict=True):
+    for (name, one), colour in zip(values.items(), (RED, BLUE), strict=True):
         occupied, free = _states(one)
         panels[1].step(times, one, where="post", color=colour)
         state = np.where(occupied, 2, np.where(free, 0, 1))
@@ -131,7 +132,7 @@ def _draw(
                   xlabel="time [s]")  # fmt: skip
     panels[2].legend(fontsize=8)
     for panel in panels:
-        panel.axvspan(ENTERS, LEAVES, color="#9aa5b1", alpha=0.2)
+        panel.axvspan(ENTERS, LEAVES, color=GREY, alpha=0.2)
         panel.grid(visible=True)
 
 

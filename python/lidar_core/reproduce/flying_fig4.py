@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.flying import FlyingConfig
+from lidar_core.reproduce.common import BLUE, GREY, KINDS, MODES, RED, scene_rng
 from lidar_core.reproduce.flights import Kind, both_modes, fly, tables
 from lidar_core.reproduce.jobs import Job, Part, run
 from lidar_core.reproduce.types import Item, Request, Result, Row
@@ -63,7 +64,7 @@ def _scene(seed: int, number: int, scans: int) -> "Scene":
     """Four drones on the ground around a sensor that hovers; ideal, as in the paper."""
     from lidar_core import sim
 
-    rng = np.random.default_rng([20240607, seed, number])
+    rng = scene_rng(seed, number)
     azimuth = np.pi / 2 * np.arange(4) + rng.uniform(-0.5, 0.5, 4)
     distance = rng.permutation(np.linspace(6, 14, 4)) + rng.uniform(-0.5, 0.5, 4)
     places = distance[:, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
@@ -101,10 +102,9 @@ def first_scans(part: Part, name: str, kind: Kind) -> NDArray[np.float64]:
 
 def _rows(parts: list[Part]) -> list[Row]:
     rows: list[Row] = []
-    kinds: tuple[Kind, Kind] = ("detections", "tracks")
     for removal, suffix in (("", ""), (", without removal", "_without")):
-        for kind in kinds:
-            paper, best = (_summary(parts, mode + suffix, kind) for mode in ("paper", "best"))
+        for kind in KINDS:
+            paper, best = (_summary(parts, mode + suffix, kind) for mode in MODES)
             what = kind.removesuffix("s") + removal
             names = (f"time to first {what}", f"height at first {what}", f"share with a {what}")
             rows += map(Row, names, ("s", "m", "1"), (None,) * 3, paper, best)
@@ -130,18 +130,17 @@ def _draw(figure: Any, parts: list[Part]) -> None:
     panels = figure.subplots(1, 2, sharey=True)
     figure.suptitle("Take-off: first detections", x=0.06, ha="left", fontweight="bold")
     drones = sum(len(part["id"]) for part in parts)
-    for axes, (mode, title) in zip(panels, (("paper", "paper mode"), ("best", "best mode")),
-                                   strict=True):  # fmt: skip
+    for axes, mode in zip(panels, MODES, strict=True):
         for part in parts:
-            axes.plot(_seconds(part), part["position"][:, :, 2], color="#9aa5b1", lw=0.8)
+            axes.plot(_seconds(part), part["position"][:, :, 2], color=GREY, lw=0.8)
         for name, marker, colour, what in (
-            (mode, "o", "#0369a1", "with removal"),
-            (f"{mode}_without", "x", "#be185d", "without removal"),
+            (mode, "o", BLUE, "with removal"),
+            (f"{mode}_without", "x", RED, "without removal"),
         ):
             points = np.concatenate([_first_points(part, name) for part in parts])
             label = f"{what}: {len(points)} of {drones}"
             axes.plot(*points.T, marker, color=colour, ms=6, mfc="none", label=label)
-        axes.set(title=title, xlabel="time after the start [s]")
+        axes.set(title=f"{mode} mode", xlabel="time after the start [s]")
         axes.grid(visible=True)
         axes.legend(loc="lower right")
     panels[0].set_ylabel("height of the centre [m]")

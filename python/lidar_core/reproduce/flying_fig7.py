@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.reproduce.common import COLOURS, KINDS, MODES
 from lidar_core.reproduce.flights import Kind, both_modes
 from lidar_core.reproduce.jobs import Part, run
 from lidar_core.reproduce.sightings import Sightings
@@ -21,8 +22,6 @@ AXES = (
     ("acceleration", "m/s2", (0.0, 0.5, 1.5, 3.0, 5.0, 9.0)),
 )
 """What the sightings are grouped by: column of `Sightings`, unit, edges."""
-KINDS: tuple[Kind, Kind] = ("detections", "tracks")
-MODES = ("paper", "best")
 
 
 def _run(request: Request) -> Result:
@@ -82,7 +81,7 @@ def _draw(figure: Any, seen: dict[tuple[str, Kind], Sightings]) -> None:
     figure.suptitle("Simulated flights, ideal", x=0.06, ha="left", fontweight="bold")
     for column, (axis, unit, edges) in enumerate(AXES):
         for (mode, kind), one in seen.items():
-            style = {"color": "#be185d" if mode == "paper" else "#0369a1",
+            style = {"color": COLOURS[mode],
                      "ls": "-" if kind == "detections" else "--"}  # fmt: skip
             for row, curve in enumerate(_curves(one, axis, edges)):
                 panels[row, column].plot(_middles(edges), curve, marker=".",

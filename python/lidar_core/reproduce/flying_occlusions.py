@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.reproduce.common import MODES
 from lidar_core.reproduce.encounters import (
-    MODES,
     SENSOR,
     cases,
     draw_numbers,
@@ -121,8 +121,8 @@ def is_kept(part: Part, mode: str) -> bool:
 
 
 def _rows(parts: list[Part]) -> list[Row]:
-    kept = [np.mean([is_kept(part, mode) for part in parts]) for mode, _ in MODES]
-    found = [[scores(part, mode) for part in parts] for mode, _ in MODES]
+    kept = [np.mean([is_kept(part, mode) for part in parts]) for mode in MODES]
+    found = [[scores(part, mode) for part in parts] for mode in MODES]
     hidden = float(np.mean([(part["hits"] == 0).sum() for part in parts])) * 0.1
     eligible, hit = (
         [sum(getattr(one, name) for one in mode) for mode in found]

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.flying import FlyingConfig, PoseConfig
+from lidar_core.reproduce.common import BLUE, RED, scene_rng, simulator_seed
 from lidar_core.reproduce.flights import both_modes, fly, tables
 from lidar_core.reproduce.jobs import Job, Part, run
 from lidar_core.reproduce.types import Item, Request, Result, Row
@@ -82,7 +83,7 @@ def flight(*, seed: int, number: int, scans: int) -> Part:
     """Simulate one flight and detect in it with every configuration."""
     from lidar_core.sim import Simulator
 
-    name = (seed * 1_000_003 + number) % 2**32
+    name = simulator_seed(seed, number)
     simulator = Simulator(_scene(seed, number, scans), seed=name)
     return fly(simulator, _configs(), scans=scans, noise=JitterAndDrift(seed=name))
 
@@ -91,7 +92,7 @@ def _scene(seed: int, number: int, scans: int) -> "Scene":
     """A street, a LiDAR with 64 rows on its way, and two drones on theirs."""
     from lidar_core import sim
 
-    rng = np.random.default_rng([20240607, seed, number])
+    rng = scene_rng(seed, number)
     seconds = scans * 0.1
     pattern = sim.Spinning(elevations_deg=tuple(np.linspace(22.5, -22.5, 64).tolist()), columns=512)
 
@@ -168,9 +169,9 @@ def _draw(figure: Any, parts: Sequence[Part], scans: int) -> None:
     figure.suptitle("Poses that jitter and drift", x=0.06, ha="left", fontweight="bold")
     counts = [_counts(parts, name) for name in names]
     false = [1000 * one[0] / scans for one in counts]
-    panels[0].bar(names, false, color="#be185d")
+    panels[0].bar(names, false, color=RED)
     panels[0].set_ylabel("false detections per 1000 scans")
-    panels[1].bar(names, [one[2] for one in counts], color="#0369a1")
+    panels[1].bar(names, [one[2] for one in counts], color=BLUE)
     panels[1].set(ylabel="recall of detections", ylim=(0, 1.05))
     for panel in panels:
         panel.set_xlabel("weighting of the map")

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.flying import FlyingConfig
+from lidar_core.reproduce.common import COLOURS, KINDS, MODES, scene_rng, simulator_seed
 from lidar_core.reproduce.flights import Kind, both_modes, fly, tables
 from lidar_core.reproduce.jobs import Job, Part, run
+from lidar_core.reproduce.sightings import sightings
 from lidar_core.reproduce.types import Item, Request, Result, Row
 
 if TYPE_CHECKING:
@@ -24,8 +26,6 @@ EDGES = (20.0, 22.5, 25.0, 27.5, 30.0, 32.5, 35.0)
 FAR = 50.0
 """The larger d_max [m]."""
 SHAPES = ("sphere", "mesh")
-MODES = ("paper", "best")
-KINDS: tuple[Kind, Kind] = ("detections", "tracks")
 HOUSES, TREES = slice(1, 4), slice(31, None)
 """Bodies of a street that stand in the open country."""
 
@@ -67,7 +67,7 @@ def flight(*, seed: int, number: int, scans: int) -> Part:
     """Simulate one flight and detect in it with all configurations."""
     from lidar_core.sim import Simulator
 
-    name = (seed * 1_000_003 + number) % 2**32
+    name = simulator_seed(seed, number)
     simulator = Simulator(_scene(seed, number, scans), seed=name)
     return fly(simulator, configs(), scans=scans)
 
@@ -76,7 +76,7 @@ def _scene(seed: int, number: int, scans: int) -> "Scene":
     """Open country: ground, three houses, ten trees; a sensor on its way; two drones."""
     from lidar_core import sim
 
-    rng = np.random.default_rng([20240607, seed, number])
+    rng = scene_rng(seed, number)
     motion = sim.RandomMotion(
         box_min=(-45.0, -45.0, 2.0),
         box_max=(45.0, 45.0, 14.0),
@@ -119,27 +119,13 @@ def _evaluation() -> "EvaluationConfig":
     return EvaluationConfig(max_distance=EDGES[-1], burn_in_scans=burn_in)
 
 
-def sightings(
+def _seen(
     parts: Sequence[Part], name: str, kind: Kind, shape: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Distances of the sightings of `shape` that count, and errors; NaN where it is not found."""
-    from lidar_core.evaluation import pair
-
-    distances, errors = [], []
-    for part in parts:
-        estimates, truth = tables(part, name, kind, config=_evaluation())
-        partner = pair(estimates, truth, config=_evaluation()).estimate_of
-        distance = np.linalg.norm(part["position"] - part["sensor"][:, None], axis=2).reshape(-1)
-        is_shape = np.arange(len(partner)) % len(SHAPES) == SHAPES.index(shape)
-        counts = truth.is_eligible & is_shape & (distance >= EDGES[0])
-        error = np.full(len(partner), np.nan)
-        found = partner >= 0
-        error[found] = np.linalg.norm(
-            estimates.position[partner[found]] - truth.position[found], axis=1
-        )
-        distances.append(distance[counts])
-        errors.append(error[counts])
-    return np.concatenate(distances), np.concatenate(errors)
+    seen = sightings(parts, name, kind, target=SHAPES.index(shape), config=_evaluation())
+    counts = seen.distance >= EDGES[0]
+    return seen.distance[counts], seen.error[counts]
 
 
 def _rows(parts: Sequence[Part]) -> list[Row]:
@@ -148,7 +134,7 @@ def _rows(parts: Sequence[Part]) -> list[Row]:
         rows.append(Row(f"sightings, {shape}", "1", None, *_counts(parts, shape)))
         for what, suffix in (("d_max 50 m", "_far"), ("d_max 20 m", "")):
             for kind in KINDS:
-                values = [sightings(parts, mode + suffix, kind, shape)[1] for mode in MODES]
+                values = [_seen(parts, mode + suffix, kind, shape)[1] for mode in MODES]
                 recall, error = (_recall(one) for one in values), (_error(one) for one in values)
                 rows.append(Row(f"recall of {kind}, {shape}, {what}", "1", None, *recall))
                 rows.append(Row(f"error of {kind}, {shape}, {what}", "m", None, *error))
@@ -163,7 +149,7 @@ def _rows(parts: Sequence[Part]) -> list[Row]:
 
 
 def _counts(parts: Sequence[Part], shape: str) -> tuple[float, float]:
-    count = float(len(sightings(parts, "best_far", "tracks", shape)[0]))
+    count = float(len(_seen(parts, "best_far", "tracks", shape)[0]))
     return count, count
 
 
@@ -178,7 +164,7 @@ def _error(error: NDArray[np.float64]) -> float | None:
 
 def _curve(parts: Sequence[Part], name: str, kind: Kind, shape: str) -> list[float | None]:
     """Recall per group of distances; None where there is nothing to find."""
-    distance, error = sightings(parts, name, kind, shape)
+    distance, error = _seen(parts, name, kind, shape)
     return [_recall(error[(distance > near) & (distance <= far)]) for near, far in pairwise(EDGES)]
 
 
@@ -201,7 +187,7 @@ def _draw(figure: Any, parts: Sequence[Part]) -> None:
     panels = figure.subplots(1, len(SHAPES), sharey=True)
     figure.suptitle("Far drones, d_max 50 m", x=0.06, ha="left", fontweight="bold")
     for panel, shape in zip(panels, SHAPES, strict=True):
-        for mode, colour in zip(MODES, ("#be185d", "#0369a1"), strict=True):
+        for mode, colour in COLOURS.items():
             for kind, line in zip(KINDS, ("-", "--"), strict=True):
                 curve = np.array(_curve(parts, f"{mode}_far", kind, shape), float)
                 panel.plot(_middles(), curve, line, marker=".", color=colour,

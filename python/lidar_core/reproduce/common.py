@@ -1,0 +1,23 @@
+"""What the items share: the two modes, how they are drawn, and the seeds of flights."""
+
+import numpy as np
+
+from lidar_core.reproduce.flights import Kind
+
+MODES = ("paper", "best")
+KINDS: tuple[Kind, Kind] = ("detections", "tracks")
+BLUE, RED, GREY, PALE = "#0369a1", "#be185d", "#9aa5b1", "#d5dae1"
+COLOURS = {"paper": RED, "best": BLUE}
+"""Colour of each mode."""
+GATE = 2.0
+"""Estimates further from every target are false: simulated and real flights alike [m]."""
+
+
+def simulator_seed(seed: int, number: int) -> int:
+    """Seed of the noise of flight `number`, another one for every flight of every seed."""
+    return (seed * 1_000_003 + number) % 2**32
+
+
+def scene_rng(seed: int, number: int, *more: int) -> np.random.Generator:
+    """Random numbers that lay out the scene of flight `number`."""
+    return np.random.default_rng([20240607, seed, number, *more])
