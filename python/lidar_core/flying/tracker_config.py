@@ -164,7 +164,7 @@ class TrackerConfig(Config):
         10, ge=1, le=64, description="Sets of detections looked back on (count, no unit)."
     )
     confirm_confidence: float | None = Field(
-        0.85,
+        0.7,
         ge=0,
         le=1,
         description="Detections of less confidence confirm a track only once it has moved, or as"
@@ -178,7 +178,7 @@ class TrackerConfig(Config):
         " of its position on top [m].",
     )
     confirm_still_hits: int = Field(
-        12,
+        10,
         ge=1,
         le=64,
         description="So many weak detections confirm a track that stands still (count, no unit).",

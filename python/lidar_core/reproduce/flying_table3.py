@@ -23,7 +23,7 @@ IDEAL_SHARE = 2 / 3
 PAPER = {"detections": (0.17, 0.10), "tracks": (0.24, 0.24)}
 """Mean and standard deviation of the position error [m], Table III, simulation."""
 SLOW = 4.5
-"""Limit of the rows on flights up to 4 m/s^2; the drones' own reading of it swings a little."""
+"""Limit of the rows on moments of up to 4 m/s^2; what differences of speeds tell of it swings."""
 MODES = ("paper", "best")
 
 
@@ -55,10 +55,10 @@ def _rows(parts: Sequence[Part], prefix: str) -> list[Row]:
             units = (unit for _, unit in QUANTITIES)
             published = (*known, *[None] * (len(QUANTITIES) - len(known)))
             rows += map(Row, names, units, published, *columns)
-    paper, best = (_identities(parts, mode) for mode in MODES)
+    counts = (_counts(parts, mode) for mode in MODES)
     rows += [
-        Row(f"{prefix}false tracks", "count", None, paper[0], best[0]),
-        Row(f"{prefix}changes of identity", "count", None, paper[1], best[1]),
+        Row(f"{prefix}{name}", "count", None, paper, best)
+        for name, paper, best in zip(COUNTED, *counts, strict=True)
     ]
     return rows
 
@@ -81,14 +81,24 @@ def _numbers(seen: Sightings) -> list[float | None]:
     return [mean, float(error.std()) if len(error) else None, along, mean_slow, recall]
 
 
-def _identities(parts: Sequence[Part], mode: str) -> tuple[int, int]:
-    """False tracks and changes of identity over all flights."""
-    from lidar_core.evaluation import score_tracks
+COUNTED = ("false tracks", "changes of identity", "false detections", "duplicate detections")
+
+
+def _counts(parts: Sequence[Part], mode: str) -> tuple[int, ...]:
+    """Sums of `COUNTED` over all flights."""
+    from lidar_core.evaluation import score_detections, score_tracks
 
     config = evaluation_config()
-    scores = [score_tracks(*tables(part, mode, "tracks", config=config), config=config)
+    tracks = [score_tracks(*tables(part, mode, "tracks", config=config), config=config)
               for part in parts]  # fmt: skip
-    return sum(len(one.false_ids) for one in scores), sum(one.n_switches for one in scores)
+    found = [score_detections(*tables(part, mode, "detections", config=config), config=config)
+             for part in parts]  # fmt: skip
+    return (
+        sum(len(one.false_ids) for one in tracks),
+        sum(one.n_switches for one in tracks),
+        sum(one.n_false for one in found),
+        sum(one.n_duplicate for one in found),
+    )
 
 
 def _draw(figure: Any, parts: Sequence[Part]) -> None:
