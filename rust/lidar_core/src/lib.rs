@@ -1,13 +1,15 @@
 //! From raw LiDAR to the list of things around a robot that matter.
 //!
 //! Three capabilities stand on shared modules and never import one another:
-//! [`flying`] finds and tracks flying objects in 3D scans; circles (2D) and fusion
-//! (LiDAR + radar) follow. [`geometry`], [`estimation`] and [`probability`] hold what they share.
+//! [`flying`] finds and tracks flying objects in 3D scans, [`circles`] maps round obstacles in 2D
+//! scans; fusion (LiDAR + radar) follows. [`geometry`], [`estimation`] and [`probability`] hold
+//! what they share.
 //!
 //! SI units and radians; right-handed frames, x forward, y left, z up; stamps are `i64`
 //! nanoseconds; points are `f32`, poses and filter states `f64`.
 
 pub mod budget;
+pub mod circles;
 mod error;
 pub mod estimation;
 pub mod flying;

@@ -1,0 +1,9 @@
+//! Round obstacles in 2D scans: from one sweep of ranges to a map of circles with identities.
+//!
+//! # Source
+//! Sanchez-Lopez, Sampedro, Cazzato & Voos, "Deep learning based semantic situation awareness
+//! system for multirotor aerial robots using LIDAR", 2019. Equation numbers are the paper's.
+
+pub mod circle;
+pub mod polar;
+pub mod segments;
