@@ -1,4 +1,4 @@
-"""What flows between readers, the simulator and the pipelines: scans and poses."""
+"""What flows between readers, the simulator and the pipelines: scans in 3D and 2D, poses."""
 
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -43,6 +43,43 @@ class Scan:
 
 
 @dataclass(frozen=True, slots=True)
+class LaserScan:
+    """One sweep of a 2D LiDAR, in its own frame: rays in the plane z = 0, counter-clockwise.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Time of the first ray [ns].
+    ranges : ndarray, shape (B,), float32
+        Distance of every ray [m]; +inf is no return, NaN no information (REP-117).
+    angle_min, angle_increment : float
+        Bearing of the first ray, and from one ray to the next [rad]; the increment is negative
+        for a scanner that turns clockwise.
+    range_min, range_max : float
+        Limits of the scanner [m].
+    frame_id : str
+        Name of the LiDAR's frame.
+    intensity : ndarray, shape (B,), float32, optional
+        As recorded.
+    time_increment_ns : int
+        From one ray to the next [ns]; 0: all rays at `stamp_ns`, or the recording does not tell.
+    topic : str
+        Where in the recording it came from.
+    """
+
+    stamp_ns: int
+    ranges: NDArray[np.float32]
+    angle_min: float
+    angle_increment: float
+    range_min: float
+    range_max: float
+    frame_id: str = "laser"
+    intensity: NDArray[np.float32] | None = None
+    time_increment_ns: int = 0
+    topic: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Pose:
     """Where the frame `child_frame_id` is in the frame `frame_id` at one time.
 
@@ -71,4 +108,4 @@ class Pose:
     topic: str = ""
 
 
-Message: TypeAlias = Scan | Pose
+Message: TypeAlias = Scan | LaserScan | Pose

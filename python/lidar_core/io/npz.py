@@ -31,7 +31,7 @@ from lidar_core.io.atomic import written_whole
 from lidar_core.io.guard import check_size, reading
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import Record, Recording, Topic, decoded
-from lidar_core.messages import Message, Pose, Scan
+from lidar_core.messages import LaserScan, Message, Pose, Scan
 
 LAYOUT = 1
 OPTIONAL = ("no_return", "directions", "point_time_ns", "intensity", "ring")
@@ -181,6 +181,11 @@ def write_npz(path: str | Path, messages: Iterable[Message]) -> None:
     messages : iterable of Scan and Pose
         Written as they come: a generator is not gathered in memory.
 
+    Raises
+    ------
+    InputError
+        A message is a 2D scan.
+
     Examples
     --------
     >>> write_npz("scans.npz", [Scan(0, np.zeros((3, 3), np.float32))])  # doctest: +SKIP
@@ -192,6 +197,8 @@ def write_npz(path: str | Path, messages: Iterable[Message]) -> None:
             if isinstance(message, Pose):
                 poses.append(message)
                 continue
+            if isinstance(message, LaserScan):
+                raise InputError("messages: expected 3D scans and poses, got a 2D scan")
             prefix = f"scan_{len(scans):06d}_"
             for name in ("points", *OPTIONAL):
                 value = getattr(message, name)

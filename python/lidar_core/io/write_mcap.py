@@ -14,7 +14,7 @@ from lidar_core.io.atomic import commit, temporary_for
 from lidar_core.io.foxglove_messages import FOXGLOVE_TYPES, OWN_HEIGHT
 from lidar_core.io.rotations import quaternion_from_matrix
 from lidar_core.io.tracks import TracksLike
-from lidar_core.messages import Message, Pose, Scan
+from lidar_core.messages import LaserScan, Message, Pose, Scan
 
 SCAN_TOPIC, TRACKS_TOPIC, POSE_TOPIC, STATIC_TOPIC = "/lidar/points", "/tracks", "/tf", "/tf_static"
 TRACK_LIFETIME_NS = 500_000_000  # a track that is no longer written disappears from the view
@@ -56,7 +56,8 @@ class McapWriter:
         Raises
         ------
         InputError
-            A time before 1970, or point times more than two seconds from the scan's stamp.
+            A time before 1970, point times more than two seconds from the scan's stamp, or a
+            2D scan.
         """
         if item.stamp_ns < 0:
             raise InputError(f"stamp_ns: MCAP holds no negative times, got {item.stamp_ns}")
@@ -64,6 +65,8 @@ class McapWriter:
             self._write_scan(item)
         elif isinstance(item, Pose):
             self._write_pose(item)
+        elif isinstance(item, LaserScan):
+            raise InputError("items: expected 3D scans, poses and tracks, got a 2D scan")
         else:
             self._write_tracks(item)
 
