@@ -14,6 +14,7 @@ USED_BY = {
     "pose_noise": "`lidar_core.sim.NoisyPoses`, `lidar-core reproduce`",
     "poses": "`lidar-core detect`, `lidar_core.io.posed_scans`",
     "read": "`lidar-core info`, `lidar-core detect`, `lidar_core.io.open_recording`",
+    "scanner": "`lidar_core.circles`: the 2D LiDAR",
     "scene": "`lidar-core simulate`, `lidar_core.sim.simulate`",
     "steering": "`lidar_core.sim.SteeredSensor`, `lidar-core reproduce`",
 }

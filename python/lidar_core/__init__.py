@@ -4,7 +4,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from lidar_core import flying
+from lidar_core import circles, flying
 from lidar_core._core import __version__
 from lidar_core.errors import (
     ConfigError,
@@ -44,6 +44,7 @@ __all__ = [
     "VoxelMap",
     "VoxelMapConfig",
     "__version__",
+    "circles",
     "cluster_points",
     "flying",
     "traverse",

@@ -22,6 +22,7 @@ MODELS = {
     "pose_noise": "lidar_core.sim:PoseNoise",
     "poses": "lidar_core.io:PoseOptions",
     "read": "lidar_core.io:ReadOptions",
+    "scanner": "lidar_core.circles:Scanner",
     "scene": "lidar_core.sim:Scene",
     "steering": "lidar_core.sim:Steering",
 }

@@ -1,0 +1,77 @@
+"""What a 2D LiDAR measures: which rays, and from where to where."""
+
+import math
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from lidar_core.config import Config
+
+_MOST_BEAMS = 100_000
+
+
+class Scanner(Config):
+    """A 2D LiDAR; the defaults are the paper's: a Hokuyo UTM-30LX, limited to 10 m.
+
+    Values may be given by position, in the order of the fields. Source: Sanchez-Lopez et al.,
+    sec. VI-B.
+
+    Examples
+    --------
+    >>> scanner = Scanner(-math.pi / 2, math.pi / 180, 181, 0.1, 30.0)
+    >>> scanner.field_of_view == math.pi
+    True
+    """
+
+    angle_min: float = Field(
+        math.radians(-135.0),
+        ge=-4 * math.pi,
+        le=4 * math.pi,
+        description="Bearing of the first ray, counter-clockwise from the x axis [rad].",
+    )
+    angle_increment: float = Field(
+        math.radians(0.25),
+        ge=-1.0,
+        le=1.0,
+        description="Step from ray to ray [rad], not 0; negative: the scanner turns clockwise.",
+    )
+    n_beams: int = Field(
+        1081, ge=2, le=_MOST_BEAMS, description="Rays of one sweep (count, no unit)."
+    )
+    range_min: float = Field(0.1, ge=0, description="Nearest surface that is measured [m].")
+    range_max: float = Field(10.0, gt=0, description="Farthest surface that is measured [m].")
+
+    def __init__(self, *values: float, **named: Any) -> None:
+        fields = type(self).model_fields
+        if len(values) > len(fields):
+            raise TypeError(f"Scanner takes {len(fields)} values, got {len(values)}")
+        given = dict(zip(fields, values, strict=False))
+        if twice := given.keys() & named.keys():
+            raise TypeError(f"Scanner got {', '.join(sorted(twice))} twice")
+        super().__init__(**given, **named)
+
+    # As in Config: a scanner inside another model is validated as a part of it.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    @model_validator(mode="after")
+    def _is_a_sweep(self) -> Self:
+        if not 0 < self.field_of_view <= 2 * math.pi + abs(self.angle_increment):
+            raise ValueError(
+                "expected angle_increment not 0, and n_beams that turn once at most:"
+                f" they sweep {self.field_of_view:.4g} rad"
+            )
+        if self.range_min >= self.range_max:
+            raise ValueError("expected range_min < range_max")
+        return self
+
+    @property
+    def field_of_view(self) -> float:
+        """Angle from the first ray to the last [rad]."""
+        return abs(self.angle_increment) * (self.n_beams - 1)
+
+    def bearings(self) -> NDArray[np.float64]:
+        """Bearing of every ray, shape (n_beams,) [rad]."""
+        steps = np.arange(self.n_beams, dtype=np.float64)
+        return np.asarray(self.angle_min + self.angle_increment * steps, dtype=np.float64)
