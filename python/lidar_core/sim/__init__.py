@@ -1,10 +1,10 @@
-"""Simulated LiDAR scans with the truth about them: scenes, sensors, motions, targets."""
+"""Simulated LiDAR scans, 3D and 2D, with the truth: scenes, sensors, motions, targets."""
 
 from lidar_core.sim import scenes
 from lidar_core.sim.air import Dust, Rain
 from lidar_core.sim.config import Body, Scene, Target
 from lidar_core.sim.insert import InsertedFlight, insert_target, with_target
-from lidar_core.sim.lidar import LidarModel, Rosette, Spinning
+from lidar_core.sim.lidar import Beam, LidarModel, Planar, Rosette, Spinning
 from lidar_core.sim.meshes import hexacopter_mesh, sphere_mesh
 from lidar_core.sim.motions import (
     Circle,
@@ -16,17 +16,34 @@ from lidar_core.sim.motions import (
     Waypoints,
 )
 from lidar_core.sim.noise import NoisyPoses, PoseNoise
+from lidar_core.sim.paths import FigureEight, StopAndGo, Swinging, Wandering
+from lidar_core.sim.people import Barrel, Person
 from lidar_core.sim.recording import Recorded, record
-from lidar_core.sim.shapes import Box, Cylinder, HeightField, Hexacopter, Mesh, Plane, Sphere, Tree
-from lidar_core.sim.simulator import SimulatedScan, Simulator, TargetTruth, simulate
+from lidar_core.sim.shapes import (
+    Box,
+    Cylinder,
+    EllipticCylinder,
+    HeightField,
+    Hexacopter,
+    Mesh,
+    Plane,
+    Sphere,
+    Tree,
+)
+from lidar_core.sim.simulator import Simulator, simulate, sweeps
 from lidar_core.sim.steering import SteeredSensor, Steering
+from lidar_core.sim.truth import ObjectTruth, SimulatedScan, SimulatedSweep, TargetTruth
 
 __all__ = [
+    "Barrel",
+    "Beam",
     "Body",
     "Box",
     "Circle",
     "Cylinder",
     "Dust",
+    "EllipticCylinder",
+    "FigureEight",
     "HeightField",
     "Hexacopter",
     "Hover",
@@ -35,6 +52,9 @@ __all__ = [
     "Loop",
     "Mesh",
     "NoisyPoses",
+    "ObjectTruth",
+    "Person",
+    "Planar",
     "Plane",
     "PoseNoise",
     "Rain",
@@ -44,15 +64,19 @@ __all__ = [
     "Scene",
     "Shuttle",
     "SimulatedScan",
+    "SimulatedSweep",
     "Simulator",
     "Sphere",
     "Spinning",
     "SteeredSensor",
     "Steering",
+    "StopAndGo",
+    "Swinging",
     "TakeOff",
     "Target",
     "TargetTruth",
     "Tree",
+    "Wandering",
     "Waypoints",
     "hexacopter_mesh",
     "insert_target",
@@ -60,5 +84,6 @@ __all__ = [
     "scenes",
     "simulate",
     "sphere_mesh",
+    "sweeps",
     "with_target",
 ]

@@ -11,7 +11,7 @@ from lidar_core.arrays import as_real
 from lidar_core.config import Config
 from lidar_core.errors import InputError
 from lidar_core.messages import Scan
-from lidar_core.sim.simulator import SimulatedScan, TargetTruth
+from lidar_core.sim.truth import SimulatedScan, TargetTruth
 
 BACKGROUND, TARGET = 0, 1
 """Labels of what a ray met; -1 is nothing."""

@@ -1,4 +1,4 @@
-"""Models of 3D LiDARs, and presets of some that are sold."""
+"""Models of 3D and 2D LiDARs, and presets of some that are sold."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
@@ -40,14 +40,55 @@ class Rosette(Config):
     swing_rate: float = Field(2236.067_977, gt=0, description="Swings in elevation [Hz].")
 
 
-class LidarModel(Config):
-    """A 3D LiDAR. `preset` fills in every value that is not given beside it.
+class Planar(Config):
+    """A 2D LiDAR: one ray after the other in the plane z = 0 of its frame."""
 
-    Presets: os0-128, os1-128, os2-128, vlp-16, hdl-32e, livox-mid360. Source: the makers'
-    data sheets, rounded; range noise and rates are typical values.
+    kind: Literal["planar"] = "planar"
+    beams: int = Field(1081, ge=2, le=1_000_000, description="Rays per scan (no unit).")
+    angle_min: float = Field(-2.356194490192345, description="Bearing of the first ray [rad].")
+    angle_increment: float = Field(
+        0.004363323129985824,
+        description="From one ray to the next, < 0 for clockwise; one turn in all at most [rad].",
+    )
+    sweep_time: float = Field(
+        0.01875, ge=0, description="From the first ray to the last; 0: all at once [s]."
+    )
+
+    @property
+    def time_increment_ns(self) -> int:
+        """From one ray to the next [ns]."""
+        return round(self.sweep_time * 1e9 / (self.beams - 1))
+
+
+class Beam(Config):
+    """Light of some width in azimuth: at edges it meets the object and what is behind it."""
+
+    half_width: float = Field(gt=0, le=0.1, description="To either side of the ray [rad].")
+    lines: int = Field(9, ge=2, le=64, description="Lines that stand for the beam (no unit).")
+    returns: Literal["first", "mean", "mixed"] = Field(
+        "first",
+        description="What is reported: the nearest of what the beam meets, the mean of it, or the"
+        " mean of what is less than `pulse_length` behind the nearest (no unit).",
+    )
+    pulse_length: float = Field(
+        0.3, gt=0, description="Echoes nearer to one another than this become one [m]."
+    )
+
+    @property
+    def echo_length(self) -> float:
+        """How far behind the first surface others count [m]."""
+        return {"first": 0.0, "mean": float("inf"), "mixed": self.pulse_length}[self.returns]
+
+
+class LidarModel(Config):
+    """A LiDAR. `preset` fills in every value that is not given beside it.
+
+    Presets: os0-128, os1-128, os2-128, vlp-16, hdl-32e, livox-mid360, and in 2D utm-30lx,
+    urg-04lx, lms111. Source: the makers' data sheets, rounded; range noise and rates are typical
+    values.
     """
 
-    pattern: Annotated[Spinning | Rosette, Field(discriminator="kind")] = Field(
+    pattern: Annotated[Spinning | Rosette | Planar, Field(discriminator="kind")] = Field(
         description="Directions and their order (see the two kinds for units)."
     )
     scan_rate: float = Field(10.0, gt=0, le=1000, description="Scans per second [Hz].")
@@ -58,6 +99,9 @@ class LidarModel(Config):
     dropout: float = Field(0.0, ge=0, le=1, description="Probability of a lost return (no unit).")
     dropout_is_no_return: bool = Field(
         False, description="Lost returns look like no return, as from most drivers (no unit)."
+    )
+    beam: Beam | None = Field(
+        None, description="Width of the light; without it rays are lines (see there for units)."
     )
 
     @classmethod
@@ -81,7 +125,7 @@ class LidarModel(Config):
         """(rows, columns) of an organised scan, else (rays,)."""
         if isinstance(self.pattern, Spinning):
             return len(self.pattern.elevations_deg), self.pattern.columns
-        return (self.pattern.rays,)
+        return (self.pattern.beams if isinstance(self.pattern, Planar) else self.pattern.rays,)
 
     @model_validator(mode="before")
     @classmethod
@@ -100,10 +144,29 @@ class LidarModel(Config):
             raise ValueError("expected range_min < range_max")
         return self
 
+    @model_validator(mode="after")
+    def _sweep_is_over_in_time(self) -> Self:
+        if isinstance(self.pattern, Planar):
+            sweep_ns = self.pattern.time_increment_ns * self.pattern.beams
+            if not self.snapshot and sweep_ns > self.period_ns:
+                raise ValueError("expected sweep_time within 1 / scan_rate")
+        return self
+
 
 def _spinning(top: float, bottom: float, rows: int, columns: int) -> dict[str, Any]:
     elevations = tuple(np.linspace(top, bottom, rows).tolist())
     return {"kind": "spinning", "elevations_deg": elevations, "columns": columns}
+
+
+def _planar(angle_deg: float, beams: int, sweep_time: float) -> dict[str, Any]:
+    angle = float(np.deg2rad(angle_deg))
+    return {
+        "kind": "planar",
+        "beams": beams,
+        "angle_min": -angle / 2,
+        "angle_increment": angle / (beams - 1),
+        "sweep_time": sweep_time,
+    }
 
 
 _PRESETS: dict[str, dict[str, Any]] = {
@@ -126,5 +189,25 @@ _PRESETS: dict[str, dict[str, Any]] = {
         "range_min": 0.1,
         "range_max": 40.0,
         "range_std": 0.02,
+    },
+    "utm-30lx": {
+        "pattern": {"kind": "planar"},
+        "scan_rate": 40.0,
+        "range_min": 0.1,
+        "range_max": 30.0,
+        "range_std": 0.01,
+    },
+    "urg-04lx": {
+        "pattern": _planar(239.77, 683, 0.0667),
+        "range_min": 0.06,
+        "range_max": 4.095,
+        "range_std": 0.01,
+    },
+    "lms111": {
+        "pattern": _planar(270.0, 541, 0.015),
+        "scan_rate": 50.0,
+        "range_min": 0.5,
+        "range_max": 20.0,
+        "range_std": 0.012,
     },
 }

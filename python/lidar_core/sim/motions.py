@@ -7,13 +7,9 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from lidar_core.config import Config
+from lidar_core.sim.knots import Knots, from_angles, poses, times_of, upright
+from lidar_core.sim.paths import FigureEight, StopAndGo, Swinging, Wandering
 from lidar_core.sim.types import Quaternion, Vector
-
-Knots: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Seconds after the start (K,), and poses (K, 4, 4) there; straight lines between them."""
-
-STEP = 0.01
-"""Time between the knots of a curve [s]: at 10 m/s2 lines leave it by 0.13 mm at most."""
 
 
 class Hover(Config):
@@ -65,11 +61,11 @@ class Circle(Config):
 
     def knots(self, seconds: float) -> Knots:
         """Places along the circle."""
-        times = _times(seconds)
+        times = times_of(seconds)
         angle = self.phase + self.speed / self.radius * times
         places = self.radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
         heading = angle + np.copysign(np.pi / 2, self.speed)
-        return times, poses(places + np.array(self.center), _upright(heading))
+        return times, poses(places + np.array(self.center), upright(heading))
 
 
 class Loop(Config):
@@ -87,13 +83,13 @@ class Loop(Config):
 
     def knots(self, seconds: float) -> Knots:
         """Places along the loop."""
-        times = _times(seconds)
+        times = times_of(seconds)
         places = self._places(self.start + self.speed * times) + np.array(self.center)
         swing = 2 * np.pi * times / self.tilt_period
         tilt = np.deg2rad(self.tilt_deg)
         roll, pitch = tilt * np.sin(swing), tilt * np.cos(swing)
         half = np.stack([roll, pitch, self.yaw_rate * times]) / 2
-        return times, poses(places, _from_angles(np.sin(half), np.cos(half)))
+        return times, poses(places, from_angles(np.sin(half), np.cos(half)))
 
     def _places(self, way: NDArray[np.float64]) -> NDArray[np.float64]:
         bend = np.pi * self.radius
@@ -119,12 +115,12 @@ class TakeOff(Config):
 
     def knots(self, seconds: float) -> Knots:
         """Places of the climb: height (3 s^2 - 2 s^3) over a share s of its time."""
-        times = _times(seconds)
+        times = times_of(seconds)
         duration = 1.5 * self.height / self.speed
         share = np.clip((times - self.start) / duration, 0, 1)
         climb = self.height * (3 - 2 * share) * share**2
         places = np.array(self.position) + climb[:, None] * np.array([0, 0, 1])
-        return times, poses(places, _upright(0 * times))
+        return times, poses(places, upright(0 * times))
 
 
 class Shuttle(Config):
@@ -146,12 +142,12 @@ class Shuttle(Config):
 
     def knots(self, seconds: float) -> Knots:
         """Places along the line: constant acceleration, constant speed, the same backwards."""
-        times = _times(seconds)
+        times = times_of(seconds)
         line = np.array(self.end) - np.array(self.start)
         length = float(np.linalg.norm(line))
         way = self._way(np.mod(times + self.lead, 2 * self.leg(length)), length)
         places = np.array(self.start) + way[:, None] * (line / length)
-        return times, poses(places, _upright(0 * times))
+        return times, poses(places, upright(0 * times))
 
     def leg(self, length: float) -> float:
         """Time from the start at one end to the start at the other [s]."""
@@ -193,49 +189,16 @@ class RandomMotion(Config):
 
 
 Scripted: TypeAlias = Annotated[
-    Circle | Hover | Loop | Shuttle | TakeOff | Waypoints, Field(discriminator="kind")
-]
-Motion: TypeAlias = Annotated[
-    Circle | Hover | Loop | RandomMotion | Shuttle | TakeOff | Waypoints,
+    Circle
+    | FigureEight
+    | Hover
+    | Loop
+    | Shuttle
+    | StopAndGo
+    | Swinging
+    | TakeOff
+    | Wandering
+    | Waypoints,
     Field(discriminator="kind"),
 ]
-
-
-def poses(positions: NDArray[np.float64], quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Matrices (K, 4, 4) from positions (K, 3) and unit quaternions (K, 4) in order x, y, z, w."""
-    x, y, z, w = quaternions.T
-    matrices = np.zeros((len(positions), 4, 4))
-    matrices[:, :3, 3] = positions
-    matrices[:, 3, 3] = 1
-    matrices[:, 0, :3] = np.stack(
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=-1
-    )
-    matrices[:, 1, :3] = np.stack(
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=-1
-    )
-    matrices[:, 2, :3] = np.stack(
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=-1
-    )
-    return matrices
-
-
-def _times(seconds: float) -> NDArray[np.float64]:
-    return np.arange(int(np.ceil(seconds / STEP)) + 1, dtype=np.float64) * STEP
-
-
-def _upright(yaw: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.stack([0 * yaw, 0 * yaw, np.sin(yaw / 2), np.cos(yaw / 2)], axis=-1)
-
-
-def _from_angles(sine: NDArray[np.float64], cosine: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quaternions of Rz(yaw) Ry(pitch) Rx(roll), from sines and cosines of the half angles."""
-    (sr, sp, sy), (cr, cp, cy) = sine, cosine
-    return np.stack(
-        [
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ],
-        axis=-1,
-    )
+Motion: TypeAlias = Annotated[Scripted | RandomMotion, Field(discriminator="kind")]

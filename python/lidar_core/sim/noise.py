@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from lidar_core.config import Config
-from lidar_core.sim.simulator import SimulatedScan
+from lidar_core.sim.truth import SimulatedScan
 
 
 class PoseNoise(Config):

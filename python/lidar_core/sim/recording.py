@@ -14,7 +14,8 @@ from lidar_core._core import __version__
 from lidar_core.errors import ConfigError
 from lidar_core.messages import Message, Pose
 from lidar_core.sim.config import Scene
-from lidar_core.sim.simulator import SimulatedScan, Simulator
+from lidar_core.sim.simulator import Simulator
+from lidar_core.sim.truth import SimulatedScan
 
 WORLD_FRAME = "world"
 POSE_TOPIC = "tf"

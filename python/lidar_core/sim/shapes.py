@@ -3,19 +3,16 @@
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from lidar_core._core import SimShape
 from lidar_core.config import Config
 from lidar_core.sim.meshes import hexacopter_mesh
+from lidar_core.sim.people import Barrel, Length, Person, Placed
 from lidar_core.sim.types import Vector
 
-Length: TypeAlias = Annotated[float, Field(gt=0)]
 Sway: TypeAlias = tuple[Vector, float, float]
 """Greatest offset [m], swings per second [Hz], angle at time 0 [rad]."""
-Placed: TypeAlias = list[tuple[SimShape, NDArray[np.float64]]]
-"""Surfaces, and where each is in the shape's frame [m]."""
 
 
 class Plane(Config):
@@ -47,11 +44,28 @@ class Cylinder(Config):
 
     kind: Literal["cylinder"] = "cylinder"
     radius: Length = Field(description="Radius [m].")
-    height: Length = Field(description="Length along z [m].")
+    height: Length | None = Field(
+        None, description="Length along z [m]; without it the cylinder has no ends."
+    )
 
     def surfaces(self) -> Placed:
         """One surface."""
-        return [(SimShape.cylinder(self.radius, self.height), np.zeros(3))]
+        return [(SimShape.cylinder(self.radius, self.height or float("inf")), np.zeros(3))]
+
+
+class EllipticCylinder(Config):
+    """The same on an ellipse."""
+
+    kind: Literal["elliptic_cylinder"] = "elliptic_cylinder"
+    half_axes: tuple[Length, Length] = Field(description="Half axes along x and y [m].")
+    height: Length | None = Field(
+        None, description="Length along z [m]; without it the cylinder has no ends."
+    )
+
+    def surfaces(self) -> Placed:
+        """One surface."""
+        height = self.height or float("inf")
+        return [(SimShape.elliptic_cylinder(self.half_axes, height), np.zeros(3))]
 
 
 class Sphere(Config):
@@ -156,11 +170,12 @@ class Tree(Config):
 
 
 Solid: TypeAlias = Annotated[
-    Box | Cylinder | Hexacopter | Mesh | Sphere, Field(discriminator="kind")
+    Barrel | Box | Cylinder | EllipticCylinder | Hexacopter | Mesh | Person | Sphere,
+    Field(discriminator="kind"),
 ]
 """What can move."""
 
 Shape: TypeAlias = Annotated[
-    Box | Cylinder | HeightField | Hexacopter | Mesh | Plane | Sphere | Tree,
+    Solid | HeightField | Plane | Tree,
     Field(discriminator="kind"),
 ]

@@ -1,75 +1,21 @@
 """Scans of a scene, one after the other, with the truth."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core._core import SimScene, SimShape, SimTrajectory
 from lidar_core.errors import ConfigError
-from lidar_core.messages import Scan
+from lidar_core.messages import LaserScan, Scan
 from lidar_core.sim.config import Body, Scene
-from lidar_core.sim.lidar import Spinning
-from lidar_core.sim.motions import RandomMotion, poses
-from lidar_core.sim.shapes import Sway, Tree
-
-
-@dataclass(frozen=True, slots=True)
-class TargetTruth:
-    """Where the targets are at the start of a scan, world frame, one row per target.
-
-    Attributes
-    ----------
-    id : ndarray, shape (T,), int32
-        As in `SimulatedScan.label`.
-    position, velocity : ndarray, shape (T, 3), float64
-        Of the centre [m], [m/s].
-    radius : ndarray, shape (T,), float64
-        Of the sphere around the target [m].
-    hits : ndarray, shape (T,), int64
-        Points on the target in this scan.
-    rays : ndarray, shape (T,), int64
-        Rays that would meet it within range if nothing else were there: 0 out of the field of
-        view or out of range; far more than `hits` if it is hidden.
-    visible : ndarray, shape (T,), bool
-        At least one point.
-    """
-
-    id: NDArray[np.int32]
-    position: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    radius: NDArray[np.float64]
-    hits: NDArray[np.int64]
-    rays: NDArray[np.int64]
-    visible: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True)
-class SimulatedScan:
-    """A scan, where it was made, and the truth about it.
-
-    Attributes
-    ----------
-    scan : Scan
-        Points in the LiDAR's frame at the time of each ray.
-    world_from_lidar : ndarray, shape (4, 4), float64
-        At the start of the scan.
-    pose_stamps_ns, poses : ndarray, shapes (K,), int64, and (K, 4, 4), float64
-        The same over the whole scan, ends included.
-    truth : TargetTruth
-        The targets.
-    label : ndarray, shape (N,), int32
-        What every ray met: number of the body or target, -1 where there is no point, -2 for rain
-        and dust.
-    """
-
-    scan: Scan
-    world_from_lidar: NDArray[np.float64]
-    pose_stamps_ns: NDArray[np.int64]
-    poses: NDArray[np.float64]
-    truth: TargetTruth
-    label: NDArray[np.int32]
+from lidar_core.sim.knots import poses, times_of
+from lidar_core.sim.lidar import Planar, Spinning
+from lidar_core.sim.motions import RandomMotion
+from lidar_core.sim.movers import movers_of, reach_of
+from lidar_core.sim.people import Barrel
+from lidar_core.sim.shapes import Cylinder, Sway, Tree
+from lidar_core.sim.truth import ObjectTruth, SimulatedScan, SimulatedSweep, TargetTruth
 
 
 class Simulator:
@@ -105,15 +51,15 @@ class Simulator:
         self._seconds = max(self.scans, scene.scans) * scene.lidar.period_ns * 1e-9
         self.sensor = self._trajectory(*scene.sensor.knots(self._seconds))
         bodies, sways = _bodies(scene)
-        shapes = [target.shape.surfaces()[0][0] for target in scene.targets]
-        ways = self._ways(SimScene(bodies, [], threads=1), shapes)
-        labels = len(scene.bodies) + np.arange(len(shapes), dtype=np.int32)
-        movers = list(zip(shapes, ways, labels.tolist(), strict=True))
+        radii = [reach_of(target.shape.surfaces()) for target in scene.targets]
+        ways = self._ways(SimScene(bodies, [], threads=1), radii)
+        labels = len(scene.bodies) + np.arange(len(radii), dtype=np.int32)
+        movers = self._movers(ways, labels.tolist())
         self._world = SimScene(bodies, movers, threads=threads, sways=sways, air=list(scene.air))
         self._is_target = np.array([not target.clutter for target in scene.targets], bool)
         self.targets = [way for way, wanted in zip(ways, self._is_target, strict=True) if wanted]
         self._ids = labels[self._is_target]
-        self._radius = np.array([shape.radius for shape in shapes], np.float64)[self._is_target]
+        self._radius = np.array(radii, np.float64)[self._is_target]
 
     def __iter__(self) -> Iterator[SimulatedScan]:
         return (self.scan(number) for number in range(self.scans))
@@ -126,15 +72,12 @@ class Simulator:
         ConfigError
             There is no such scan.
         """
-        if not 0 <= number < max(self.scans, self.scene.scans):
-            raise ConfigError(f"number: expected 0 to {self.scans - 1}, got {number}")
         lidar, way = self.scene.lidar, self.sensor if sensor is None else sensor
-        start_ns = self.scene.start_ns + number * lidar.period_ns
+        start_ns = self._start(number)
         points, directions, no_return, label, time_ns, rays = self._world.scan(
             lidar, way, start_ns=start_ns, scan=number, seed=self.seed
         )
-        count = max(2, 1 + int(np.ceil(self.scene.pose_rate / lidar.scan_rate)))
-        stamps = start_ns + np.linspace(0, lidar.period_ns, count).round().astype(np.int64)
+        stamps = self._pose_stamps(start_ns)
         path = way.poses_at(stamps)
         organised = isinstance(lidar.pattern, Spinning)
         return SimulatedScan(
@@ -155,6 +98,72 @@ class Simulator:
             label=label,
         )
 
+    def sweep(self, number: int, *, sensor: SimTrajectory | None = None) -> SimulatedSweep:
+        """Scan `number` of a 2D LiDAR; parameters and errors as for `scan`.
+
+        Raises
+        ------
+        ConfigError
+            The LiDAR is not planar.
+        """
+        lidar, way = self.scene.lidar, self.sensor if sensor is None else sensor
+        pattern = lidar.pattern
+        if not isinstance(pattern, Planar):
+            raise ConfigError(f"lidar.pattern: expected a planar one, got {pattern.kind}")
+        start_ns = self._start(number)
+        ranges, label, rays = self._world.sweep(
+            lidar, way, start_ns=start_ns, scan=number, seed=self.seed
+        )
+        stamps = self._pose_stamps(start_ns)
+        path = way.poses_at(stamps)
+        return SimulatedSweep(
+            scan=LaserScan(
+                stamp_ns=start_ns,
+                ranges=ranges,
+                angle_min=pattern.angle_min,
+                angle_increment=pattern.angle_increment,
+                range_min=lidar.range_min,
+                range_max=lidar.range_max,
+                time_increment_ns=0 if lidar.snapshot else pattern.time_increment_ns,
+            ),
+            world_from_lidar=path[0],
+            pose_stamps_ns=stamps,
+            poses=path,
+            truth=self.objects(start_ns, label, rays),
+            label=label,
+        )
+
+    def objects(
+        self, stamp_ns: int, label: NDArray[np.int32], rays: NDArray[np.uint32]
+    ) -> ObjectTruth:
+        """Describe the targets in the plane at `stamp_ns`, as `truth` does in space."""
+        found = self.truth(stamp_ns, label, rays)
+        shapes = [target.shape for target in self.scene.targets if not target.clutter]
+        radius = [
+            shape.radius if isinstance(shape, Cylinder | Barrel) else np.nan for shape in shapes
+        ]
+        return ObjectTruth(
+            id=found.id,
+            kind=tuple(shape.kind for shape in shapes),
+            center=found.position[:, :2],
+            velocity=found.velocity[:, :2],
+            radius=np.array(radius, np.float64),
+            hits=found.hits,
+            rays=found.rays,
+        )
+
+    def _start(self, number: int) -> int:
+        """Start of scan `number` [ns]."""
+        if not 0 <= number < max(self.scans, self.scene.scans):
+            raise ConfigError(f"number: expected 0 to {self.scans - 1}, got {number}")
+        return self.scene.start_ns + number * self.scene.lidar.period_ns
+
+    def _pose_stamps(self, start_ns: int) -> NDArray[np.int64]:
+        """Over the scan that starts at `start_ns`, ends included."""
+        lidar = self.scene.lidar
+        count = max(2, 1 + int(np.ceil(self.scene.pose_rate / lidar.scan_rate)))
+        return start_ns + np.linspace(0, lidar.period_ns, count).round().astype(np.int64)
+
     def truth(
         self, stamp_ns: int, label: NDArray[np.int32], rays: NDArray[np.uint32]
     ) -> TargetTruth:
@@ -173,17 +182,27 @@ class Simulator:
             visible=hits > 0,
         )
 
-    def _ways(self, standing: SimScene, shapes: list[SimShape]) -> list[SimTrajectory]:
+    def _movers(
+        self, ways: list[SimTrajectory], labels: list[int]
+    ) -> list[tuple[SimShape, SimTrajectory, int]]:
+        seconds = times_of(self._seconds)
+        stamps = self._stamps(seconds)
+        return [
+            (surface, path, label)
+            for target, way, label in zip(self.scene.targets, ways, labels, strict=True)
+            for surface, path in movers_of(target.shape, way, stamps, seconds)
+        ]
+
+    def _ways(self, standing: SimScene, radii: list[float]) -> list[SimTrajectory]:
         ways: list[SimTrajectory] = []
         start_ns = self.scene.start_ns
-        for number, (target, shape) in enumerate(zip(self.scene.targets, shapes, strict=True)):
+        for number, (target, radius) in enumerate(zip(self.scene.targets, radii, strict=True)):
             motion = target.motion
             if not isinstance(motion, RandomMotion):
                 ways.append(self._trajectory(*motion.knots(self._seconds)))
                 continue
-            reach = motion.clearance + shape.radius
-            others = zip(ways, shapes, strict=False)
-            apart = [(way, reach + other.radius) for way, other in others]
+            reach = motion.clearance + radius
+            apart = [(way, reach + other) for way, other in zip(ways, radii, strict=False)]
             ways.append(
                 standing.random_motion(
                     motion.model_copy(update={"clearance": reach}),
@@ -198,8 +217,10 @@ class Simulator:
     def _trajectory(
         self, seconds: NDArray[np.float64], matrices: NDArray[np.float64]
     ) -> SimTrajectory:
-        stamps = self.scene.start_ns + np.round(seconds * 1e9).astype(np.int64)
-        return SimTrajectory(stamps, np.ascontiguousarray(matrices))
+        return SimTrajectory(self._stamps(seconds), np.ascontiguousarray(matrices))
+
+    def _stamps(self, seconds: NDArray[np.float64]) -> NDArray[np.int64]:
+        return self.scene.start_ns + np.round(seconds * 1e9).astype(np.int64)
 
 
 def simulate(
@@ -215,6 +236,22 @@ def simulate(
     (128, 1024, 3)
     """
     return iter(Simulator(scene, seed=seed, scans=scans, threads=threads))
+
+
+def sweeps(
+    scene: Scene, *, seed: int, scans: int | None = None, threads: int = 1
+) -> Iterator[SimulatedSweep]:
+    """Make scans of `scene` with its 2D LiDAR; parameters and errors as for `Simulator.sweep`.
+
+    Examples
+    --------
+    >>> import lidar_core.sim as sim
+    >>> scene = sim.Scene(lidar=sim.LidarModel.preset("utm-30lx"))
+    >>> next(sim.sweeps(scene, seed=0)).scan.ranges.shape
+    (1081,)
+    """
+    simulator = Simulator(scene, seed=seed, scans=scans, threads=threads)
+    return (simulator.sweep(number) for number in range(simulator.scans))
 
 
 def _bodies(

@@ -45,6 +45,11 @@ impl SimShape {
     }
 
     #[staticmethod]
+    fn elliptic_cylinder(half_axes: [f64; 2], height: f64) -> Result<Self, BorderError> {
+        Ok(Self(Shape::elliptic_cylinder(half_axes, height)?))
+    }
+
+    #[staticmethod]
     fn sphere(radius: f64) -> Result<Self, BorderError> {
         Ok(Self(Shape::sphere(radius)?))
     }
@@ -115,7 +120,7 @@ impl SimTrajectory {
     }
 }
 
-/// Points, directions, no return, label, time of every ray; unoccluded rays of every mover.
+/// Points, directions, no return, label, time of every ray; unoccluded rays of every object.
 type ScanArrays<'py> = (
     Rows<'py, f32>,
     Rows<'py, f32>,
@@ -124,6 +129,9 @@ type ScanArrays<'py> = (
     Array1<'py, i64>,
     Array1<'py, u32>,
 );
+
+/// Range and label of every ray; unoccluded rays of every object.
+type SweepArrays<'py> = (Array1<'py, f32>, Array1<'py, i32>, Array1<'py, u32>);
 
 #[pyclass(frozen, module = "lidar_core._core")]
 pub(crate) struct SimScene(Guarded<(Scene, ThreadPool)>);
@@ -193,6 +201,29 @@ impl SimScene {
             no_return.into_pyarray(py),
             made.labels.into_pyarray(py),
             time_ns.into_pyarray(py),
+            made.unoccluded.into_pyarray(py),
+        ))
+    }
+
+    #[pyo3(signature = (lidar, sensor, *, start_ns, scan, seed))]
+    fn sweep<'py>(
+        &self,
+        py: Python<'py>,
+        lidar: LidarConfig,
+        sensor: &Bound<'py, SimTrajectory>,
+        start_ns: i64,
+        scan: u64,
+        seed: u64,
+    ) -> Result<SweepArrays<'py>, BorderError> {
+        let (lidar, sensor) = (lidar.lidar()?, &sensor.get().0);
+        let made = self.0.with(py, |(scene, pool)| {
+            let task = Task { scene, lidar: &lidar, sensor, start_ns, scan, seed };
+            simulate::scan(pool, &task)
+        })?;
+        let ranges = made.ranges.iter().map(|&range| range as f32);
+        Ok((
+            ranges.collect::<Vec<f32>>().into_pyarray(py),
+            made.labels.into_pyarray(py),
             made.unoccluded.into_pyarray(py),
         ))
     }

@@ -5,7 +5,7 @@ use crate::errors::BorderError;
 use lidar_sim::air::Particles;
 use lidar_sim::motion::{Near, RandomMotion};
 use lidar_sim::scene::Bounds;
-use lidar_sim::sensors::{Lidar, Pattern};
+use lidar_sim::sensors::{Beam, Lidar, Pattern};
 use lidar_sim::trajectory::Trajectory;
 use pyo3::prelude::*;
 
@@ -20,6 +20,15 @@ pub(crate) struct LidarConfig {
     range_std: f64,
     dropout: f64,
     dropout_is_no_return: bool,
+    beam: Option<BeamConfig>,
+}
+
+/// The fields of `Beam` that the core reads.
+#[derive(FromPyObject)]
+struct BeamConfig {
+    half_width: f64,
+    lines: i64,
+    echo_length: f64,
 }
 
 #[derive(FromPyObject)]
@@ -37,6 +46,19 @@ enum PatternConfig {
         turn_rate: f64,
         swing_rate: f64,
     },
+    Planar {
+        beams: i64,
+        angle_min: f64,
+        angle_increment: f64,
+        time_increment_ns: i64,
+    },
+}
+
+impl BeamConfig {
+    fn beam(&self) -> Result<Beam, BorderError> {
+        let lines = arrays::count("lines", self.lines)?;
+        Ok(Beam { half_width: self.half_width, lines, echo_length: self.echo_length })
+    }
 }
 
 impl LidarConfig {
@@ -65,6 +87,10 @@ impl LidarConfig {
                 turn_rate,
                 swing_rate,
             },
+            PatternConfig::Planar { beams, angle_min, angle_increment, time_increment_ns } => {
+                let rays = arrays::count("beams", beams)?;
+                Pattern::Planar { rays, angle_min, angle_increment, time_increment_ns }
+            }
         };
         Ok(Lidar {
             pattern,
@@ -75,6 +101,7 @@ impl LidarConfig {
             range_std: self.range_std,
             dropout: self.dropout,
             dropout_is_no_return: self.dropout_is_no_return,
+            beam: self.beam.as_ref().map(BeamConfig::beam).transpose()?,
         })
     }
 }

@@ -44,7 +44,7 @@ pub struct Mover {
     pub shape: Shape,
     /// Where it is at which time.
     pub trajectory: Trajectory,
-    /// Name in the truth labels.
+    /// Name in the truth labels; successive movers that share it are one object.
     pub label: i32,
 }
 
@@ -71,6 +71,8 @@ pub struct Scene {
     bounded: Vec<u32>,
     tree: Tree,
     movers: Vec<Mover>,
+    /// Which object each mover belongs to.
+    objects: Vec<usize>,
     air: Vec<Particles>,
 }
 
@@ -118,7 +120,17 @@ impl Scene {
             |body: &Body| body.world_from_shape.rotation == Transform::IDENTITY.rotation;
         let upright = bodies.iter().map(is_upright).collect();
         let tree = Tree::new(&boxes);
-        Ok(Self { tree, bodies, shape_from_world, upright, wide, bounded, movers, air: Vec::new() })
+        Ok(Self {
+            objects: objects_of(&movers),
+            air: Vec::new(),
+            tree,
+            bodies,
+            shape_from_world,
+            upright,
+            wide,
+            bounded,
+            movers,
+        })
     }
 
     /// The same with particles in the air.
@@ -143,6 +155,12 @@ impl Scene {
     #[must_use]
     pub fn movers(&self) -> &[Mover] {
         &self.movers
+    }
+
+    /// Which object each mover belongs to, from 0: successive movers with one label are one.
+    #[must_use]
+    pub fn objects(&self) -> &[usize] {
+        &self.objects
     }
 
     /// First body that `ray` meets before `limit` [m], `seconds` after time 0.
@@ -188,6 +206,17 @@ impl Scene {
         let wide = self.wide.iter().map(|&index| of(index)).fold(limit, f64::min);
         self.tree.clearance(point, wide, |leaf| of(self.bounded[leaf as usize]))
     }
+}
+
+fn objects_of(movers: &[Mover]) -> Vec<usize> {
+    let mut objects: Vec<usize> = Vec::with_capacity(movers.len());
+    for (index, mover) in movers.iter().enumerate() {
+        let next = objects
+            .last()
+            .map_or(0, |&last| last + usize::from(movers[index - 1].label != mover.label));
+        objects.push(next);
+    }
+    objects
 }
 
 /// Move bodies that are at least half as wide as all together to `wide`, a few at most: in the tree

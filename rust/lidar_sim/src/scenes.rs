@@ -223,6 +223,7 @@ fn lidar() -> Lidar {
         range_std: 0.03,
         dropout: 0.0,
         dropout_is_no_return: false,
+        beam: None,
     }
 }
 

@@ -5,6 +5,9 @@ use crate::shape::refused;
 use lidar_core::{Error, budget};
 use std::f64::consts::TAU;
 
+/// Lines of a beam at most.
+const MOST_LINES: usize = 64;
+
 /// Directions of a scan and the times at which they are fired.
 #[derive(Clone, Debug)]
 pub enum Pattern {
@@ -32,9 +35,32 @@ pub enum Pattern {
         /// Swings (up and down) per second [Hz].
         swing_rate: f64,
     },
+    /// One ray after the other in the plane z = 0: a 2D LiDAR.
+    Planar {
+        /// Rays per scan.
+        rays: usize,
+        /// Bearing of the first ray [rad].
+        angle_min: f64,
+        /// From one ray to the next [rad], < 0 for clockwise.
+        angle_increment: f64,
+        /// From one ray to the next [ns].
+        time_increment_ns: i64,
+    },
 }
 
-/// A 3D LiDAR.
+/// Width of the light in azimuth: what a ray meets anywhere in it, it may return.
+#[derive(Clone, Copy, Debug)]
+pub struct Beam {
+    /// To either side of the ray [rad].
+    pub half_width: f64,
+    /// Lines that stand for the beam, evenly from one edge to the other.
+    pub lines: usize,
+    /// The range is the mean over the lines that end less than this behind the first [m]: 0 for
+    /// the first return, infinite for the mean of everything met.
+    pub echo_length: f64,
+}
+
+/// A LiDAR.
 #[derive(Clone, Debug)]
 pub struct Lidar {
     /// Its rays.
@@ -53,6 +79,8 @@ pub struct Lidar {
     pub dropout: f64,
     /// True: a lost return is reported as no return, as most drivers do; false: as no information.
     pub dropout_is_no_return: bool,
+    /// Width of its light; None for lines.
+    pub beam: Option<Beam>,
 }
 
 /// The rays of one scan in the LiDAR's frame.
@@ -88,6 +116,25 @@ impl Lidar {
         if !(0.0..=1.0).contains(&self.dropout) {
             return Err(refused("dropout", "0 to 1", &self.dropout));
         }
+        self.check_sweep()?;
+        self.beam.as_ref().map_or(Ok(()), Beam::check)
+    }
+
+    /// A planar scan is over before the next begins, and turns once at most.
+    fn check_sweep(&self) -> Result<(), Error> {
+        let Pattern::Planar { rays, angle_min, angle_increment, time_increment_ns } = self.pattern
+        else {
+            return Ok(());
+        };
+        let angle = angle_increment * rays.saturating_sub(1) as f64;
+        if !(angle_min.is_finite() && angle.abs() <= TAU + 1e-6) {
+            let got = [angle_min, angle_increment];
+            return Err(refused("angles", "finite, at most one turn in all", &got));
+        }
+        let last = i128::from(time_increment_ns) * rays as i128;
+        if !(0..=i128::from(self.period_ns)).contains(&last) {
+            return Err(refused("time_increment_ns", "rays within period_ns", &time_increment_ns));
+        }
         Ok(())
     }
 
@@ -98,7 +145,7 @@ impl Lidar {
             Pattern::Spinning { elevations, columns, .. } => {
                 elevations.len().saturating_mul(*columns)
             }
-            Pattern::Rosette { rays, .. } => *rays,
+            Pattern::Rosette { rays, .. } | Pattern::Planar { rays, .. } => *rays,
         }
     }
 
@@ -112,6 +159,10 @@ impl Lidar {
             }
             Pattern::Rosette { rays, elevation, turn_rate, swing_rate } => {
                 self.rosette(scan, *rays, *elevation, [*turn_rate, *swing_rate])
+            }
+            Pattern::Planar { rays, angle_min, angle_increment, time_increment_ns } => {
+                let step_ns = if self.snapshot { 0 } else { *time_increment_ns };
+                planar(*rays, [*angle_min, *angle_increment], step_ns)
             }
         }
     }
@@ -173,6 +224,61 @@ impl Lidar {
         if random::uniform(drawn[2]) < self.dropout {
             return if self.dropout_is_no_return { f64::INFINITY } else { f64::NAN };
         }
-        (distance + self.range_std * random::normal(drawn[0], drawn[1])).max(0.0)
+        let range = (distance + self.range_std * random::normal(drawn[0], drawn[1])).max(0.0);
+        match self.pattern {
+            Pattern::Planar { .. } => self.limited(range),
+            _ => range,
+        }
+    }
+
+    /// `range` as the driver of a 2D LiDAR reports it: nothing outside the limits, wherever noise
+    /// carried it.
+    fn limited(&self, range: f64) -> f64 {
+        if range >= self.range_max {
+            f64::INFINITY
+        } else if range < self.range_min {
+            f64::NAN
+        } else {
+            range
+        }
+    }
+}
+
+impl Beam {
+    /// # Errors
+    /// [`Error::Parameter`] if a value is outside the range that its field states.
+    pub fn check(&self) -> Result<(), Error> {
+        if !(self.half_width > 0.0 && self.half_width <= 0.1) {
+            return Err(refused("half_width", "> 0, <= 0.1", &self.half_width));
+        }
+        if !(2..=MOST_LINES).contains(&self.lines) {
+            return Err(refused("lines", "2 to 64", &self.lines));
+        }
+        if self.echo_length.is_nan() || self.echo_length < 0.0 {
+            return Err(refused("echo_length", ">= 0", &self.echo_length));
+        }
+        Ok(())
+    }
+
+    /// Cosine and sine of the angle of every line from the ray.
+    #[must_use]
+    pub fn turns(&self) -> Vec<[f64; 2]> {
+        let step = 2.0 * self.half_width / (self.lines - 1).max(1) as f64;
+        (0..self.lines)
+            .map(|line| step * line as f64 - self.half_width)
+            .map(|angle| [libm::cos(angle), libm::sin(angle)])
+            .collect()
+    }
+}
+
+fn planar(rays: usize, [start, step]: [f64; 2], step_ns: i64) -> Sweep {
+    let direction = |ray: usize| {
+        let bearing = start + step * ray as f64;
+        [libm::cos(bearing), libm::sin(bearing), 0.0]
+    };
+    Sweep {
+        directions: (0..rays).map(direction).collect(),
+        firings: (0..rays as u32).collect(),
+        offsets_ns: (0..rays as i64).map(|ray| ray * step_ns).collect(),
     }
 }

@@ -19,10 +19,17 @@ pub enum Shape {
         /// Half lengths along x, y and z [m].
         half_size: [f64; 3],
     },
-    /// Cylinder around the z axis, closed at both ends.
+    /// Cylinder around the z axis, closed at both ends; an infinite half length leaves no ends.
     Cylinder {
         /// Radius [m].
         radius: f64,
+        /// Half of its length along z [m].
+        half_height: f64,
+    },
+    /// The same on an ellipse.
+    EllipticCylinder {
+        /// Half axes along x and y [m].
+        half_axes: [f64; 2],
         /// Half of its length along z [m].
         half_height: f64,
     },
@@ -61,11 +68,21 @@ impl Shape {
     /// Cylinder of `radius` and `height` [m].
     ///
     /// # Errors
-    /// [`Error::Parameter`] unless both are finite and > 0.
+    /// [`Error::Parameter`] unless both are > 0 and the radius is finite.
     pub fn cylinder(radius: f64, height: f64) -> Result<Self, Error> {
         positive("radius", radius)?;
-        positive("height", height)?;
-        Ok(Self::Cylinder { radius, half_height: 0.5 * height })
+        Ok(Self::Cylinder { radius, half_height: half_of(height)? })
+    }
+
+    /// Cylinder on an ellipse of `half_axes`, of `height` [m].
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] unless all are > 0 and the half axes are finite.
+    pub fn elliptic_cylinder(half_axes: [f64; 2], height: f64) -> Result<Self, Error> {
+        for length in half_axes {
+            positive("half_axes", length)?;
+        }
+        Ok(Self::EllipticCylinder { half_axes, half_height: half_of(height)? })
     }
 
     /// Sphere of `radius` [m].
@@ -85,13 +102,17 @@ impl Shape {
             Self::Plane { half_size } => meet_plane(ray, *half_size),
             Self::Box { half_size } => meet_box(ray, *half_size),
             Self::Cylinder { radius, half_height } => meet_cylinder(ray, *radius, *half_height),
+            Self::EllipticCylinder { half_axes, half_height } => {
+                meet_elliptic_cylinder(ray, *half_axes, *half_height)
+            }
             Self::Sphere { radius } => meet_sphere(ray, *radius),
             Self::Mesh(mesh) => return mesh.meet(ray, limit),
         };
         found.filter(|&distance| distance < limit)
     }
 
-    /// Distance [m] of `point` (in the shape's frame): 0 inside a solid; of a mesh its surface counts.
+    /// Distance [m] of `point` (in the shape's frame): 0 inside a solid; of a mesh its surface
+    /// counts, of an elliptic cylinder the round one about it.
     #[must_use]
     pub fn clearance(&self, point: [f64; 3], limit: f64) -> f64 {
         let beyond = |value: f64, half: f64| (value.abs() - half).max(0.0);
@@ -106,6 +127,10 @@ impl Shape {
             Self::Cylinder { radius, half_height } => {
                 norm([(libm::hypot(x, y) - radius).max(0.0), beyond(z, *half_height), 0.0])
             }
+            Self::EllipticCylinder { half_axes: [a, b], half_height } => {
+                let out = libm::hypot(x, y) - a.max(*b);
+                norm([out.max(0.0), beyond(z, *half_height), 0.0])
+            }
             Self::Sphere { radius } => (norm(point) - radius).max(0.0),
             Self::Mesh(mesh) => mesh.clearance(point, limit),
         }
@@ -118,6 +143,9 @@ impl Shape {
             Self::Plane { half_size } => norm([half_size[0], half_size[1], 0.0]),
             Self::Box { half_size } => norm(*half_size),
             Self::Cylinder { radius, half_height } => libm::hypot(*radius, *half_height),
+            Self::EllipticCylinder { half_axes: [a, b], half_height } => {
+                libm::hypot(a.max(*b), *half_height)
+            }
             Self::Sphere { radius } => *radius,
             Self::Mesh(mesh) => mesh.radius(),
         }
@@ -129,9 +157,12 @@ impl Shape {
         let half = match self {
             Self::Plane { half_size: [x, y] } => extent_of_box(pose, [*x, *y, 0.0]),
             Self::Box { half_size } => extent_of_box(pose, *half_size),
-            Self::Cylinder { radius, half_height } => pose
-                .rotation
-                .map(|row| radius * libm::hypot(row[0], row[1]) + half_height * row[2].abs()),
+            Self::Cylinder { radius, half_height } => {
+                extent_of_cylinder(pose, [*radius; 2], *half_height)
+            }
+            Self::EllipticCylinder { half_axes, half_height } => {
+                extent_of_cylinder(pose, *half_axes, *half_height)
+            }
             Self::Sphere { radius } => [*radius; 3],
             Self::Mesh(mesh) => {
                 return Some(Bounds::around(mesh.vertices().iter().map(|&v| pose.apply(v))));
@@ -151,6 +182,14 @@ fn positive(name: &'static str, value: f64) -> Result<(), Error> {
     Err(refused(name, "finite and > 0", &value))
 }
 
+/// Half of a height, which may be infinite.
+fn half_of(height: f64) -> Result<f64, Error> {
+    if height > 0.0 {
+        return Ok(0.5 * height);
+    }
+    Err(refused("height", "> 0", &height))
+}
+
 pub(crate) fn refused(
     name: &'static str,
     expected: &'static str,
@@ -165,6 +204,13 @@ fn extent_of_box(pose: &Transform, half_size: [f64; 3]) -> [f64; 3] {
             .filter(|&axis| row[axis] != 0.0) // 0 * infinity
             .map(|axis| row[axis].abs() * half_size[axis])
             .sum()
+    })
+}
+
+fn extent_of_cylinder(pose: &Transform, [a, b]: [f64; 2], half_height: f64) -> [f64; 3] {
+    pose.rotation.map(|row| {
+        let along = if row[2] == 0.0 { 0.0 } else { half_height * row[2].abs() };
+        libm::hypot(a * row[0], b * row[1]) + along
     })
 }
 
@@ -231,6 +277,13 @@ fn meet_cylinder(ray: &Ray, radius: f64, half_height: f64) -> Option<f64> {
     first(both(round, slab(z, dz, half_height)))
 }
 
+/// On the ellipse's own scale it is a round one; distances along the ray stay what they are.
+fn meet_elliptic_cylinder(ray: &Ray, [a, b]: [f64; 2], half_height: f64) -> Option<f64> {
+    let scaled = |[x, y, z]: [f64; 3]| [x / a, y / b, z];
+    let ray = Ray { origin: scaled(ray.origin), direction: scaled(ray.direction) };
+    meet_cylinder(&ray, 1.0, half_height)
+}
+
 fn meet_sphere(ray: &Ray, radius: f64) -> Option<f64> {
     let middle = -dot(ray.origin, ray.direction);
     let near: [f64; 3] =
@@ -265,6 +318,12 @@ mod tests {
         assert_eq!(cylinder.meet(&along_x([-5.0, 0.0, 1.0]), 100.0), Some(4.0));
         let down = Ray { origin: [0.5, 0.0, 9.0], direction: [0.0, 0.0, -1.0] };
         assert_eq!(cylinder.meet(&down, 100.0), Some(8.0)); // the cap
+        let endless = Shape::cylinder(1.0, f64::INFINITY)?;
+        assert_eq!(endless.meet(&down, 100.0), None);
+        assert_eq!(endless.meet(&along_x([-5.0, 0.0, 1e9]), 100.0), Some(4.0));
+        let ellipse = Shape::elliptic_cylinder([2.0, 0.5], 2.0)?;
+        assert_eq!(ellipse.meet(&along_x([-5.0, 0.0, 1.0]), 100.0), Some(3.0));
+        assert_eq!(ellipse.meet(&along_x([-5.0, 0.6, 0.0]), 100.0), None);
         assert_eq!(Shape::plane([f64::INFINITY; 2])?.meet(&down, 100.0), Some(9.0));
         assert_eq!(Shape::plane([0.9, 1.0])?.meet(&down, 100.0), None);
         assert_eq!(Shape::plane([1.0, 1.0])?.meet(&along_x([0.0; 3]), 100.0), None);
@@ -285,7 +344,9 @@ mod tests {
         for value in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             assert!(Shape::sphere(value).is_err());
             assert!(Shape::cuboid([1.0, value, 1.0]).is_err());
-            assert!(Shape::cylinder(1.0, value).is_err());
+            assert!(Shape::cylinder(value, 1.0).is_err());
+            assert!(Shape::elliptic_cylinder([1.0, value], 1.0).is_err());
+            assert!(Shape::cylinder(1.0, value).is_err() || value.is_infinite());
         }
         assert!(Shape::plane([f64::INFINITY, f64::NAN]).is_err());
     }

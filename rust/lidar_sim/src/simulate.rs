@@ -2,7 +2,7 @@
 
 use crate::random::{self, Purpose};
 use crate::scene::{Hit, Ray, Scene, inverse, passes, within};
-use crate::sensors::{Lidar, Sweep};
+use crate::sensors::{Beam, Lidar, Sweep};
 use crate::trajectory::Trajectory;
 use lidar_core::Error;
 use lidar_core::geometry::transform::Transform;
@@ -43,7 +43,8 @@ pub struct Scan {
     pub ranges: Vec<f64>,
     /// What every ray met; [`NO_LABEL`] where there is no range.
     pub labels: Vec<i32>,
-    /// For every mover, rays that would meet it within range if nothing else were there.
+    /// For every object ([`Scene::objects`]), rays that would meet it within range if nothing else
+    /// were there.
     pub unoccluded: Vec<u32>,
 }
 
@@ -72,7 +73,7 @@ pub fn scan(pool: &ThreadPool, task: &Task<'_>) -> Result<Scan, Error> {
         let starts: Vec<usize> = (0..sweep.directions.len()).step_by(RAYS_PER_CHUNK).collect();
         starts.par_iter().map(|&start| task.part(&sweep, &moments, start)).collect()
     });
-    let mut unoccluded = vec![0; task.scene.movers().len()];
+    let mut unoccluded = vec![0; task.objects()];
     let (mut ranges, mut labels) = (Vec::new(), Vec::new());
     for part in parts {
         ranges.extend(part.ranges);
@@ -84,6 +85,16 @@ pub fn scan(pool: &ThreadPool, task: &Task<'_>) -> Result<Scan, Error> {
     Ok(Scan { sweep, ranges, labels, unoccluded })
 }
 
+impl Moment {
+    /// The ray in `direction` of the LiDAR's frame.
+    fn ray(&self, direction: [f64; 3]) -> Ray {
+        Ray {
+            origin: self.world_from_lidar.translation,
+            direction: self.world_from_lidar.rotate(direction),
+        }
+    }
+}
+
 struct Part {
     ranges: Vec<f64>,
     labels: Vec<i32>,
@@ -91,6 +102,10 @@ struct Part {
 }
 
 impl Task<'_> {
+    fn objects(&self) -> usize {
+        self.scene.objects().last().map_or(0, |last| last + 1)
+    }
+
     fn moment(&self, offset_ns: i64) -> Moment {
         let stamp_ns = self.start_ns.saturating_add(offset_ns);
         let movers = self.scene.movers().iter();
@@ -108,15 +123,21 @@ impl Task<'_> {
         let mut part = Part {
             ranges: Vec::with_capacity(end - start),
             labels: Vec::with_capacity(end - start),
-            unoccluded: vec![0; self.scene.movers().len()],
+            unoccluded: vec![0; self.objects()],
         };
+        let turns = self.lidar.beam.as_ref().map(Beam::turns);
+        let mut met = vec![false; part.unoccluded.len()];
         for index in start..end {
             let moment = &moments[sweep.firings[index] as usize];
-            let ray = Ray {
-                origin: moment.world_from_lidar.translation,
-                direction: moment.world_from_lidar.rotate(sweep.directions[index]),
+            let ray = moment.ray(sweep.directions[index]);
+            met.fill(false);
+            let hit = match &turns {
+                None => self.meet(&ray, moment, &mut met),
+                Some(turns) => self.echo(sweep.directions[index], turns, moment, &mut met),
             };
-            let hit = self.meet(&ray, moment, &mut part.unoccluded);
+            for (count, &met) in part.unoccluded.iter_mut().zip(&met) {
+                *count += u32::from(met);
+            }
             let hit = self.in_air(&ray, moment, hit, index as u32);
             let distance = hit.map_or(f64::INFINITY, |hit| hit.distance);
             let range = self.lidar.measured(distance, self.seed, self.scan, index as u32);
@@ -127,7 +148,28 @@ impl Task<'_> {
         part
     }
 
-    fn meet(&self, ray: &Ray, moment: &Moment, unoccluded: &mut [u32]) -> Option<Hit> {
+    /// What a beam returns whose lines are turned from `direction` about the z axis.
+    fn echo(
+        &self,
+        [x, y, z]: [f64; 3],
+        turns: &[[f64; 2]],
+        moment: &Moment,
+        met: &mut [bool],
+    ) -> Option<Hit> {
+        let line = |&[cosine, sine]: &[f64; 2]| {
+            moment.ray([cosine * x - sine * y, sine * x + cosine * y, z])
+        };
+        let hits: Vec<Hit> =
+            turns.iter().filter_map(|turn| self.meet(&line(turn), moment, met)).collect();
+        let first = hits.iter().min_by(|a, b| a.distance.total_cmp(&b.distance))?;
+        let last = first.distance + self.lidar.beam.map_or(0.0, |beam| beam.echo_length);
+        let merged = hits.iter().map(|hit| hit.distance).filter(|&distance| distance <= last);
+        let (count, sum) = merged.fold((0.0, 0.0), |(n, sum), value| (n + 1.0, sum + value));
+        Some(Hit { distance: sum / count, label: first.label })
+    }
+
+    /// First thing that `ray` meets; in `met` the objects that it meets or would meet.
+    fn meet(&self, ray: &Ray, moment: &Moment, met: &mut [bool]) -> Option<Hit> {
         let limit = self.lidar.range_max;
         let mut nearest = self.scene.meet(ray, limit, moment.seconds);
         for (index, mover) in self.scene.movers().iter().enumerate() {
@@ -136,7 +178,7 @@ impl Task<'_> {
                 continue;
             }
             let Some(distance) = mover.shape.meet(&local, limit) else { continue };
-            unoccluded[index] += 1;
+            met[self.scene.objects()[index]] = true;
             if nearest.is_none_or(|hit| distance < hit.distance) {
                 nearest = Some(Hit { distance, label: mover.label });
             }
