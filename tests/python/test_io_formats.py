@@ -17,7 +17,7 @@ from rosbags.rosbag2 import Writer as Writer2
 import lidar_core as lc
 import lidar_core.io
 from lidar_core.errors import FormatError, InputError, LimitError
-from lidar_core.messages import LaserScan, Pose, Scan
+from lidar_core.messages import Pose, Scan
 
 BASE_NS = 1_700_000_000_123_456_789
 CLOUD = np.dtype(
@@ -223,15 +223,6 @@ def test_ctrl_c_leaves_a_whole_mcap(tmp_path):
         written_until(path, [make_scan(), make_scan()], ZeroDivisionError)
     assert len(read_all(path)) == 1
     assert [file.name for file in tmp_path.iterdir()] == ["a.mcap"]
-
-
-@pytest.mark.parametrize("name", ["sweep.npz", "sweep.mcap"])
-def test_a_2d_scan_is_no_cloud(tmp_path, name):
-    sweep = LaserScan(0, np.ones(3, np.float32), -0.1, 0.1, 0.1, 10.0)
-    write = lc.io.write_npz if name.endswith("npz") else lc.io.write_mcap
-    with pytest.raises(InputError, match="got a 2D scan"):
-        write(tmp_path / name, [sweep])
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,7 @@ POSE = (
 )
 POINT_TIME = "Time of each point as field:unit:reference, auto or none."
 NO_RETURN = "What marks a ray without return: auto, zero, nan or none."
+MOUNTING = "Where a sensor sits: PARENT FRAME x y z roll pitch yaw [m, rad]; again for more."
 METADATA = "JSON file of an Ouster capture, if not beside it."
 SCAN_RATE = "Scans per second of a folder without times [Hz]."
 MAP = "Map to start from: map.lcvm of an earlier run in the same frame."
@@ -49,6 +50,7 @@ def command(
     odom: Annotated[str | None, typer.Option(help="Topic of the poses.")] = None,
     pose: Annotated[str | None, typer.Option(help=POSE)] = None,
     fixed_frame: Annotated[str | None, typer.Option(help="Frame of the map.")] = None,
+    mounting: Annotated[list[str], typer.Option(help=MOUNTING)] = [],  # noqa: B006
     point_time: Annotated[str | None, typer.Option(help=POINT_TIME)] = None,
     no_return: Annotated[str | None, typer.Option(help=NO_RETURN)] = None,
     metadata: Annotated[str | None, typer.Option(help=METADATA)] = None,
@@ -74,7 +76,7 @@ def command(
     from lidar_core.run_folder import RunFolder
 
     read = {"point_time": point_time, "no_return": no_return, "metadata": metadata}
-    poses = {"pose": pose, "fixed_frame": fixed_frame, "odom": odom}
+    poses = {"pose": pose, "fixed_frame": fixed_frame, "odom": odom, "mounting": mounting}
     job = DetectJob(
         recording=recording,
         folder=RunFolder(output, overwrite=overwrite),

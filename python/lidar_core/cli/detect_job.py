@@ -14,6 +14,7 @@ from lidar_core.cli.scan_source import ScanSource
 from lidar_core.errors import LidarCoreError
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 from lidar_core.io import PoseOptions, ReadOptions
+from lidar_core.messages import Scan
 from lidar_core.run_folder import RunFolder, fingerprint
 
 
@@ -52,7 +53,7 @@ def detect(job: DetectJob, console: Console) -> DetectResult:
     run = FlyingRun(FlyingObjectDetector(job.config, threads=job.threads))
     if job.known_map is not None:
         run.detector.load_map(job.known_map)
-    with ScanSource(job.recording, job.read, job.pose, job.clouds, job.repeat) as source:
+    with ScanSource(job.recording, job.read, job.pose, job.clouds, job.repeat, Scan) as source:
         end = _pass_through(job, source, run, console)
         if not run.n_received:
             job.folder.begin()
@@ -96,7 +97,7 @@ def _write_note(job: DetectJob, console: Console) -> None:
 
 
 def _pass_through(
-    job: DetectJob, source: ScanSource, run: FlyingRun, console: Console
+    job: DetectJob, source: ScanSource[Scan], run: FlyingRun, console: Console
 ) -> KeyboardInterrupt | LidarCoreError | None:
     """Every scan through the detector; returns what ended it early."""
     try:

@@ -18,7 +18,8 @@ def command(
         str | None, typer.Option(help="Time of each point as field:unit:reference, auto or none.")
     ] = None,
     no_return: Annotated[
-        str | None, typer.Option(help="What marks a ray without return: auto, zero, nan or none.")
+        str | None,
+        typer.Option(help="What marks a ray without return: auto, zero, nan, max or none."),
     ] = None,
     metadata: Annotated[
         str | None, typer.Option(help="JSON file of an Ouster capture, if not beside it.")

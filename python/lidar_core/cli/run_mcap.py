@@ -37,7 +37,7 @@ class RunMcap:
     ) -> None:
         self._writer.__exit__(kind, error, trace)
 
-    def write(self, item: PosedScan, frame: FlyingFrame) -> None:
+    def write(self, item: PosedScan[Scan], frame: FlyingFrame) -> None:
         """Append one scan and what the detector made of it."""
         if frame.rejected is not None:
             return

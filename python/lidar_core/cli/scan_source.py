@@ -4,29 +4,25 @@ import heapq
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import Generic, Self
 
 from lidar_core.errors import ConfigError
-from lidar_core.io import (
-    PosedScan,
-    PosedScans,
-    PoseOptions,
-    ReadOptions,
-    open_recording,
-    posed_scans,
-)
+from lidar_core.io import PosedScan, PosedScans, PoseOptions, ReadOptions, open_recording
+from lidar_core.io.posed import ScanT
 from lidar_core.io.recording import Recording
+from lidar_core.messages import Scan
 
 
-class _Lidar(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class _Lidar(Generic[ScanT]):
     recording: Recording
-    scans: PosedScans
+    scans: PosedScans[ScanT]
 
 
-class ScanSource:
+class ScanSource(Generic[ScanT]):
     """The posed scans of one recording, in time order; a context manager.
 
     Parameters
@@ -42,6 +38,8 @@ class ScanSource:
     repeat : int
         How often the recording is played, one after the other: opens the gate of the background
         on recordings that are too short for it.
+    sort : type
+        `Scan` or `LaserScan`: what is wanted of the recording.
 
     Raises
     ------
@@ -50,22 +48,29 @@ class ScanSource:
     """
 
     def __init__(
-        self, path: Path, read: ReadOptions, pose: PoseOptions, clouds: Sequence[str], repeat: int
+        self,
+        path: Path,
+        read: ReadOptions,
+        pose: PoseOptions,
+        clouds: Sequence[str],
+        repeat: int,
+        sort: type[ScanT],
     ) -> None:
-        if len(clouds) > 1 and pose.pose == "static":
+        if len(clouds) > 1 and pose.pose == "static" and not pose.mounting:
             raise ConfigError(
-                "pose: static puts several LiDARs at one place; leave it out, and name the frame"
-                " that they are mounted on with --fixed-frame"
+                "pose: static puts several LiDARs at one place; say where each sits with"
+                " --mounting, or leave it out, and name the frame that they are mounted on with"
+                " --fixed-frame"
             )
         self._read = read
         self._repeat = repeat
         self._stack = ExitStack()
-        self._lidars: list[_Lidar] = []
+        self._lidars: list[_Lidar[ScanT]] = []
         with ExitStack() as stack:
             for cloud in clouds or (None,):
                 recording = stack.enter_context(open_recording(path, read))
                 chosen = pose.model_copy(update={"cloud": cloud})
-                self._lidars.append(_Lidar(recording, posed_scans(recording, chosen)))
+                self._lidars.append(_Lidar(recording, PosedScans(recording, chosen, sort)))
             self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
@@ -79,7 +84,7 @@ class ScanSource:
     ) -> None:
         self._stack.close()
 
-    def __iter__(self) -> Iterator[PosedScan]:
+    def __iter__(self) -> Iterator[PosedScan[ScanT]]:
         first_ns = last_ns = 0
         count: Counter[str] = Counter()
         shift_ns = 0
@@ -143,21 +148,15 @@ class ScanSource:
         return dict(total)
 
 
-def _stamp_ns(item: PosedScan) -> int:
+def _stamp_ns(item: PosedScan[ScanT]) -> int:
     return item.scan.stamp_ns
 
 
-def _shifted(item: PosedScan, shift_ns: int) -> PosedScan:
+def _shifted(item: PosedScan[ScanT], shift_ns: int) -> PosedScan[ScanT]:
     """`item` as if recorded later."""
     if shift_ns == 0:
         return item
-    scan, times, stamps = item.scan, item.scan.point_time_ns, item.pose_stamps_ns
-    return PosedScan(
-        replace(
-            scan,
-            stamp_ns=scan.stamp_ns + shift_ns,
-            point_time_ns=None if times is None else times + shift_ns,
-        ),
-        item.world_from_lidar,
-        None if stamps is None else stamps + shift_ns,
-    )
+    scan, stamps = replace(item.scan, stamp_ns=item.scan.stamp_ns + shift_ns), item.pose_stamps_ns
+    if isinstance(scan, Scan) and scan.point_time_ns is not None:
+        scan = replace(scan, point_time_ns=scan.point_time_ns + shift_ns)
+    return PosedScan(scan, item.world_from_lidar, None if stamps is None else stamps + shift_ns)

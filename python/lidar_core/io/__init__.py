@@ -5,7 +5,7 @@ from lidar_core.io.info import RecordingInfo, TopicInfo
 from lidar_core.io.npz import write_npz
 from lidar_core.io.opening import open_recording
 from lidar_core.io.options import PoseOptions, ReadOptions
-from lidar_core.io.posed import PosedScan, PosedScans, posed_scans
+from lidar_core.io.posed import PosedScan, PosedScans, posed_laser_scans, posed_scans
 from lidar_core.io.recording import Recording, Topic
 from lidar_core.io.tf_buffer import NoTransformError, TransformBuffer
 from lidar_core.io.tracks import write_tracks_table, write_tum
@@ -24,6 +24,7 @@ __all__ = [
     "TopicInfo",
     "TransformBuffer",
     "open_recording",
+    "posed_laser_scans",
     "posed_scans",
     "read_columns",
     "write_mcap",

@@ -1,4 +1,4 @@
-"""Foxglove protobuf messages to scans and poses: PointCloud, FrameTransform, FrameTransforms."""
+"""Foxglove protobuf messages to scans and poses: PointCloud, LaserScan, FrameTransform(s)."""
 
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -10,19 +10,23 @@ from lidar_core.errors import FormatError
 from lidar_core.extras import require
 from lidar_core.io.cloud import CloudDecoder, Field, Layout, unpack
 from lidar_core.io.guard import check_size, reading
+from lidar_core.io.laser import LaserDecoder
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import Findings, Kind
 from lidar_core.io.rotations import pose_matrix, unit_quaternion
-from lidar_core.messages import Message, Pose, Scan
+from lidar_core.messages import LaserScan, Message, Pose, Scan
 
-CLOUD, TRANSFORM, TRANSFORMS = (
+CLOUD, LASER, TRANSFORM, TRANSFORMS = (
     "foxglove.PointCloud",
+    "foxglove.LaserScan",
     "foxglove.FrameTransform",
     "foxglove.FrameTransforms",
 )
 FOXGLOVE_TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
 OWN_HEIGHT = "lidar_core_height"
 """Key in the metadata of a channel that `write_mcap` wrote: rows of the organised cloud, or 1."""
+OWN_SCANNER = "lidar_core_scanner"
+"""Same for 2D scans: angle_increment, range_min, range_max, and time_increment [ns]."""
 OWN_VERDICT = "as lidar_core wrote it"
 
 
@@ -30,6 +34,8 @@ def foxglove_kind(type_name: str) -> Kind:
     """What a message of this schema is read as."""
     if type_name == CLOUD:
         return "scan"
+    if type_name == LASER:
+        return "planar"
     return "pose" if type_name in (TRANSFORM, TRANSFORMS) else "other"
 
 
@@ -41,6 +47,7 @@ class FoxgloveDecoder:
         self._findings = findings
         self._parsers: dict[int, Callable[[bytes], Any]] = {}
         self._clouds: dict[str, CloudDecoder] = {}
+        self._lasers: dict[str, LaserDecoder] = {}
         self._factory: Any = None
 
     def decode(
@@ -62,6 +69,8 @@ class FoxgloveDecoder:
         with reading(place):
             if schema.name == CLOUD:
                 return [self._cloud(topic, message, metadata, place)]
+            if schema.name == LASER:
+                return [self._laser(topic, message, metadata, place)]
             items = message.transforms if schema.name == TRANSFORMS else [message]
             return [_transform(topic, item, place) for item in items]
 
@@ -109,6 +118,39 @@ class FoxgloveDecoder:
         return self._clouds[topic].scan(
             rows, _stamp_ns(message.timestamp), message.frame_id, place=place
         )
+
+    def _laser(
+        self, topic: str, message: Any, metadata: Mapping[str, str], place: str
+    ) -> LaserScan:
+        ranges = np.array(message.ranges, np.float32)
+        steps = max(len(ranges) - 1, 1)
+        increment, nearest, farthest = (
+            (message.end_angle - message.start_angle) / steps,
+            0.0,
+            np.inf,
+        )
+        time_increment = "0"
+        if OWN_SCANNER in metadata:
+            *numbers, time_increment = metadata[OWN_SCANNER].split()
+            increment, nearest, farthest = (float(number) for number in numbers)
+        raw = LaserScan(
+            stamp_ns=_stamp_ns(message.timestamp),
+            ranges=ranges,
+            angle_min=message.start_angle,
+            angle_increment=increment,
+            range_min=nearest,
+            range_max=farthest,
+            frame_id=message.frame_id,
+            intensity=np.array(message.intensities, np.float32) if message.intensities else None,
+            time_increment_ns=int(time_increment),
+            topic=topic,
+        )
+        if OWN_SCANNER in metadata:
+            self._findings.point_time[topic] = self._findings.no_return[topic] = OWN_VERDICT
+            return raw
+        if topic not in self._lasers:
+            self._lasers[topic] = LaserDecoder(topic, self._options, self._findings)
+        return self._lasers[topic].scan(raw, place=place)
 
 
 def own_scan(rows: NDArray[Any], stamp_ns: int, frame_id: str, topic: str, height: int) -> Scan:

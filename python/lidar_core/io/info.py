@@ -6,11 +6,12 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lidar_core.io.recording import Record, Recording, Topic
-from lidar_core.messages import Message, Pose, Scan
+from lidar_core.io.recording import SCAN_KINDS, Record, Recording, Topic
+from lidar_core.messages import LaserScan, Message, Pose, Scan
 
-CLOUDS_DECODED = 10  # per topic: clouds are costly, and conventions show early
+SCANS_DECODED = 10  # per topic: clouds are costly, and conventions show early
 GAP_FACTOR, FEWEST_FOR_GAPS = 3.0, 5
 
 
@@ -27,9 +28,9 @@ class TopicInfo:
     rate_hz : float or None
         Messages per second [Hz].
     frames : tuple of str
-        Frames that its clouds or poses name.
+        Frames that its scans or poses name.
     rays, points : int or None
-        Most entries of a decoded cloud, and most of them that are points.
+        Most entries of a decoded scan, and most of them that are points.
     start_ns, end_ns : int or None
         First and last time [ns].
     """
@@ -62,7 +63,7 @@ class RecordingInfo:
     transforms : tuple of (parent, child, is_static)
         Edges of the transform tree, poses of odometry included.
     point_time, no_return : dict
-        Verdict per topic of clouds.
+        Verdict per topic of scans.
     defects : tuple of str
         What is wrong or missing, and what was assumed.
     """
@@ -104,10 +105,10 @@ class _Stream:
     def see(self, record: Record, messages: list[Message]) -> None:
         self.times.append(record.time_ns)
         for message in messages:
-            if isinstance(message, Scan):
-                rows = message.points.reshape(-1, 3)
-                points = int(np.isfinite(rows).all(axis=1).sum())
-                self.rays = max(self.rays or 0, len(rows))
+            if isinstance(message, Scan | LaserScan):
+                has_point = _has_point(message)
+                points = int(has_point.sum())
+                self.rays = max(self.rays or 0, len(has_point))
                 self.points = max(self.points or 0, points)
                 self.empty += points == 0
                 self.stamps.append(message.stamp_ns)
@@ -126,9 +127,9 @@ class _Stream:
         )  # fmt: skip
 
     def defects(self) -> list[str]:
-        """Times that jump, and empty clouds."""
+        """Times that jump, and empty scans."""
         name, found = self.topic.name, []
-        if self.topic.kind in ("packets", "other") and self.topic.note:
+        if self.topic.note and self.topic.kind != "scan":
             found.append(f"{name}: {self.topic.note}")
         if self.topic.count == 0:
             found.append(f"{name}: no messages")
@@ -141,11 +142,11 @@ class _Stream:
                 found.append(f"{name}: {sum(s == 0 for s in steps)} stamps repeat the one before")
         found += self._gaps()
         if self.empty:
-            found.append(f"{name}: {self.empty} clouds without points")
+            found.append(f"{name}: {self.empty} scans without points")
         return found
 
     def _gaps(self) -> list[str]:
-        if len(self.times) < FEWEST_FOR_GAPS or self.topic.kind not in ("scan", "scan+pose"):
+        if len(self.times) < FEWEST_FOR_GAPS or self.topic.kind not in SCAN_KINDS:
             return []
         ordered = sorted(self.times)
         steps = [b - a for a, b in pairwise(ordered)]
@@ -156,14 +157,21 @@ class _Stream:
         return [f"{self.topic.name}: {len(gaps)} gaps, the longest of {max(gaps) * 1e-9:.3g} s"]
 
 
+def _has_point(scan: Scan | LaserScan) -> NDArray[np.bool_]:
+    if isinstance(scan, LaserScan):
+        return np.isfinite(scan.ranges)
+    x, y, z = scan.points.reshape(-1, 3).T
+    return np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+
+
 def inspect(recording: Recording) -> RecordingInfo:
-    """Read a recording through, decoding its poses and the first clouds of each topic."""
+    """Read a recording through, decoding its poses and the first scans of each topic."""
     streams = {topic.name: _Stream(topic) for topic in recording.topics()}
     edges: dict[tuple[str, str], bool] = {}
     for record in recording.records():
         stream = streams.setdefault(record.topic.name, _Stream(record.topic))
         messages: list[Message] = []
-        if record.topic.kind == "pose" or len(stream.stamps) < CLOUDS_DECODED:
+        if record.topic.kind == "pose" or len(stream.stamps) < SCANS_DECODED:
             messages = record.decode()
         stream.see(record, messages)
         edges |= {
@@ -194,15 +202,15 @@ def _defects(
     noticed = recording.noticed()
     found += [f"{topic}: {count} messages rejected" for topic, count in noticed.rejected.items()]
     found += noticed.notes
-    clouds = [s for s in streams.values() if s.topic.kind in ("scan", "scan+pose")]
-    if not clouds:
-        found.append("no topic with clouds that can be read")
+    scans = [s for s in streams.values() if s.topic.kind in SCAN_KINDS]
+    if not scans:
+        found.append("no topic with scans that can be read")
     elif not any(not static for static in edges.values()):
         found.append("no poses: use --pose FILE, or --pose static for a sensor that does not move")
     children = {child for _, child in edges} | {parent for parent, _ in edges}
     found += [
         f"{stream.topic.name}: no transform names its frame {frame!r}"
-        for stream in clouds
+        for stream in scans
         for frame in stream.frames
         if edges and frame not in children and "" not in children
     ]

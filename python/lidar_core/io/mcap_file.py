@@ -13,9 +13,9 @@ from lidar_core.extras import require
 from lidar_core.io.foxglove_messages import FoxgloveDecoder, foxglove_kind
 from lidar_core.io.guard import check_size, reading
 from lidar_core.io.options import ReadOptions
-from lidar_core.io.recording import PACKETS, Kind, Record, Recording, Topic
+from lidar_core.io.recording import Kind, Record, Recording, Topic
 from lidar_core.io.ros import MAX_TOPICS, _complete
-from lidar_core.io.ros_messages import RosDecoder, kind_of
+from lidar_core.io.ros_messages import RosDecoder, kind_of, note_of
 from lidar_core.messages import Message
 
 _MAGIC_BYTES = 8
@@ -206,7 +206,7 @@ class McapRecording(Recording):
 def _kind(encoding: str, type_name: str) -> tuple[Kind, str]:
     if encoding in ("cdr", "ros1"):
         name = _ros_name(type_name)
-        return kind_of(name), PACKETS.get(name, "")
+        return kind_of(name), note_of(name)
     if encoding == "protobuf":
         return foxglove_kind(type_name), ""
     return "other", f"message encoding {encoding!r} is not read"

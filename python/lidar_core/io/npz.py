@@ -6,6 +6,9 @@ Layout (version 1), a zip of .npy members, nothing pickled:
 - `scan_stamp_ns` (S,), `scan_frame_id` (S,), `scan_topic` (S,)
 - `scan_000000_points` (N, 3) or (H, W, 3), and, where known, `scan_000000_no_return`,
   `_directions`, `_point_time_ns`, `_intensity`, `_ring`
+- with 2D scans, `laser_stamp_ns` (L,), `laser_frame_id` (L,), `laser_topic` (L,),
+  `laser_scanner` (L, 4): angle_min, angle_increment, range_min, range_max,
+  `laser_time_increment_ns` (L,), and `laser_000000_ranges` (B,), where known `_intensity` (B,)
 - `pose_stamp_ns` (P,), `pose_matrix` (P, 4, 4), `pose_frame_id`, `pose_child_frame_id`,
   `pose_topic` (P,), `pose_is_static` (P,), `pose_covariance` (P, 6, 6), NaN where unknown
 
@@ -16,6 +19,7 @@ import heapq
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -35,6 +39,7 @@ from lidar_core.messages import LaserScan, Message, Pose, Scan
 
 LAYOUT = 1
 OPTIONAL = ("no_return", "directions", "point_time_ns", "intensity", "ring")
+SCANNER = ("angle_min", "angle_increment", "range_min", "range_max")
 VERDICT = "as lidar_core wrote it"
 
 
@@ -53,16 +58,19 @@ class NpzRecording(Recording):
             raise FormatError(
                 f"{path}: neither 'layout' nor 'points' among {sorted(self._names)[:8]}"
             )
-        for topic in set(self._index.get("scan_topic", ["points"])):
+        scans = [*self._index.get("scan_topic", ["points"]), *self._index.get("laser_topic", [])]
+        for topic in set(scans):
             self.findings.no_return[str(topic)] = VERDICT
             self.findings.point_time[str(topic)] = VERDICT
 
     def topics(self) -> list[Topic]:
-        """Streams of scans and of poses."""
+        """Streams of scans, of 2D scans and of poses."""
         if not self._has_index:
             return [Topic("points", "array", "scan", 1)]
         result = []
-        for prefix, kind in (("scan", "scan"), ("pose", "pose")):
+        for prefix, kind in (("scan", "scan"), ("laser", "planar"), ("pose", "pose")):
+            if f"{prefix}_topic" not in self._index:
+                continue
             names, counts = np.unique(self._index[f"{prefix}_topic"], return_counts=True)
             result += [
                 Topic(str(name), f"npz {prefix}", kind, int(count))  # type: ignore[arg-type]
@@ -82,6 +90,8 @@ class NpzRecording(Recording):
                 parts.append(self._pose_records(topics))
             if kinds is None or "scan" in kinds:
                 parts.append(self._scan_records(archive, topics))
+            if "laser_topic" in self._index and (kinds is None or "planar" in kinds):
+                parts.append(self._laser_records(archive, topics))
             yield from heapq.merge(*parts, key=lambda record: record.time_ns)
 
     def _scan_records(self, archive: ZipFile, topics: Any) -> Iterator[Record]:
@@ -89,6 +99,12 @@ class NpzRecording(Recording):
         for number, stamp_ns in enumerate(self._index["scan_stamp_ns"].tolist()):
             topic = topics[str(names[number]), "scan"]
             yield Record(topic, stamp_ns, partial(self._scan, archive, number))
+
+    def _laser_records(self, archive: ZipFile, topics: Any) -> Iterator[Record]:
+        names = self._index["laser_topic"]
+        for number, stamp_ns in enumerate(self._index["laser_stamp_ns"].tolist()):
+            topic = topics[str(names[number]), "planar"]
+            yield Record(topic, stamp_ns, partial(self._laser, archive, number))
 
     def _pose_records(self, topics: Any) -> Iterator[Record]:
         index = self._index
@@ -124,6 +140,30 @@ class NpzRecording(Recording):
                 )
             ]
 
+    def _laser(self, archive: ZipFile, number: int) -> list[Message]:
+        prefix = f"laser_{number:06d}_"
+        place = f"{self.path}, 2D scan {number}"
+        with reading(place):
+            ranges = as_rows(self._member(archive, f"{prefix}ranges"), name="ranges", rows=None,
+                             shape=(), dtype=np.float32)  # fmt: skip
+            intensity = None
+            if f"{prefix}intensity" in self._names:
+                values = self._member(archive, f"{prefix}intensity")
+                intensity = as_rows(values, name="intensity", rows=len(ranges), shape=(),
+                                    dtype=np.float32)  # fmt: skip
+            index = self._index
+            return [
+                LaserScan(
+                    stamp_ns=int(index["laser_stamp_ns"][number]),
+                    ranges=ranges,
+                    frame_id=str(index["laser_frame_id"][number]),
+                    intensity=intensity,
+                    time_increment_ns=int(index["laser_time_increment_ns"][number]),
+                    topic=str(index["laser_topic"][number]),
+                    **dict(zip(SCANNER, index["laser_scanner"][number].tolist(), strict=True)),
+                )
+            ]
+
     def _bare(self, archive: ZipFile) -> list[Message]:
         with reading(str(self.path)):
             fields = {
@@ -140,10 +180,13 @@ class NpzRecording(Recording):
         names = ["scan_stamp_ns", "scan_frame_id", "scan_topic", "pose_stamp_ns", "pose_frame_id",
                  "pose_child_frame_id", "pose_topic", "pose_matrix", "pose_is_static",
                  "pose_covariance"]  # fmt: skip
+        if "laser_stamp_ns" in self._names:
+            names += ["laser_stamp_ns", "laser_frame_id", "laser_topic", "laser_scanner",
+                      "laser_time_increment_ns"]  # fmt: skip
         index = {name: self._member(archive, name) for name in names}
-        for prefix in ("scan", "pose"):
+        for prefix in ("scan", "laser", "pose"):
             lengths = {name: len(a) for name, a in index.items() if name.startswith(prefix)}
-            if len(set(lengths.values())) != 1:
+            if len(set(lengths.values())) > 1:
                 raise FormatError(f"{self.path}: arrays of unequal length: {lengths}")
         return index
 
@@ -172,25 +215,21 @@ class NpzRecording(Recording):
 
 
 def write_npz(path: str | Path, messages: Iterable[Message]) -> None:
-    """Write scans and poses to one .npz recording, whole or not at all.
+    """Write scans in 3D and 2D and poses to one .npz recording, whole or not at all.
 
     Parameters
     ----------
     path : str or Path
         File to write; an older one is replaced when the new one is complete.
-    messages : iterable of Scan and Pose
+    messages : iterable of Scan, LaserScan and Pose
         Written as they come: a generator is not gathered in memory.
-
-    Raises
-    ------
-    InputError
-        A message is a 2D scan.
 
     Examples
     --------
     >>> write_npz("scans.npz", [Scan(0, np.zeros((3, 3), np.float32))])  # doctest: +SKIP
     """
     scans: list[Scan] = []
+    lasers: list[LaserScan] = []
     poses: list[Pose] = []
     with written_whole(path) as temporary, ZipFile(temporary, "w") as archive:
         for message in messages:
@@ -198,7 +237,9 @@ def write_npz(path: str | Path, messages: Iterable[Message]) -> None:
                 poses.append(message)
                 continue
             if isinstance(message, LaserScan):
-                raise InputError("messages: expected 3D scans and poses, got a 2D scan")
+                _put_laser(archive, len(lasers), message)
+                lasers.append(replace(message, ranges=np.empty(0, np.float32), intensity=None))
+                continue
             prefix = f"scan_{len(scans):06d}_"
             for name in ("points", *OPTIONAL):
                 value = getattr(message, name)
@@ -210,7 +251,25 @@ def write_npz(path: str | Path, messages: Iterable[Message]) -> None:
         _put(archive, "scan_stamp_ns", np.array([s.stamp_ns for s in scans], np.int64))
         _put(archive, "scan_frame_id", np.array([s.frame_id for s in scans], np.str_))
         _put(archive, "scan_topic", np.array([s.topic for s in scans], np.str_))
+        if lasers:
+            _put_scanners(archive, lasers)
         _put_poses(archive, poses)
+
+
+def _put_laser(archive: ZipFile, number: int, scan: LaserScan) -> None:
+    _put(archive, f"laser_{number:06d}_ranges", scan.ranges)
+    if scan.intensity is not None:
+        _put(archive, f"laser_{number:06d}_intensity", scan.intensity)
+
+
+def _put_scanners(archive: ZipFile, scans: list[LaserScan]) -> None:
+    _put(archive, "laser_stamp_ns", np.array([s.stamp_ns for s in scans], np.int64))
+    _put(archive, "laser_frame_id", np.array([s.frame_id for s in scans], np.str_))
+    _put(archive, "laser_topic", np.array([s.topic for s in scans], np.str_))
+    limits = [[getattr(scan, name) for name in SCANNER] for scan in scans]
+    _put(archive, "laser_scanner", np.array(limits, np.float64))
+    steps = [scan.time_increment_ns for scan in scans]
+    _put(archive, "laser_time_increment_ns", np.array(steps, np.int64))
 
 
 def _put_poses(archive: ZipFile, poses: list[Pose]) -> None:

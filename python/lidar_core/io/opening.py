@@ -10,7 +10,7 @@ from lidar_core.io.recording import Recording
 
 KNOWN = (
     "ROS 1 .bag, ROS 2 folder or .db3, .mcap, Ouster .pcap with .json or .osf, Velodyne .pcap,"
-    " .pcd file or folder, KITTI .bin folder, .npz file or folder"
+    " .pcd file or folder, KITTI .bin folder, CARMEN .clf or .clf.bz2, .npz file or folder"
 )
 
 
@@ -65,9 +65,12 @@ def open_recording(
 
 def _open_file(path: Path, options: ReadOptions) -> Recording:
     suffix = path.suffix.lower()
+    if suffix == ".bz2" and Path(path.stem).suffix.lower() == ".clf":
+        suffix = ".clf"
     openers: dict[str, Callable[[Path, ReadOptions], Recording]] = {
         ".bag": _open_bag,
         ".bin": _open_scan,
+        ".clf": _open_log,
         ".db3": _open_database,
         ".mcap": _open_mcap,
         ".npz": _open_npz,
@@ -75,6 +78,10 @@ def _open_file(path: Path, options: ReadOptions) -> Recording:
         ".pcap": _open_pcap,
         ".pcd": _open_scan,
     }
+    if suffix == ".json":
+        raise FormatError(
+            f"{path}: JSON holds no scans; tables of measurements are for `lidar-core fuse`"
+        )
     if suffix not in openers:
         raise FormatError(f"{path}: unknown format {suffix!r}; readable are: {KNOWN}")
     return openers[suffix](path, options)
@@ -126,6 +133,12 @@ def _open_bag(path: Path, options: ReadOptions) -> Recording:
 
 def _open_database(path: Path, options: ReadOptions) -> Recording:
     return _open_ros2(path, [path], options)
+
+
+def _open_log(path: Path, options: ReadOptions) -> Recording:
+    from lidar_core.io.carmen import CarmenRecording
+
+    return CarmenRecording(path, options)
 
 
 def _open_mcap(path: Path, options: ReadOptions) -> Recording:

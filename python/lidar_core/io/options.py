@@ -2,25 +2,29 @@
 
 from typing import Literal
 
-from pydantic import Field
+import numpy as np
+from pydantic import Field, field_validator
 
 from lidar_core.config import Config
+from lidar_core.io.rotations import pose_matrix, quaternion_from_angles
+from lidar_core.messages import Pose
 
 
 class ReadOptions(Config):
     """Options of `open_recording`; each reader uses those that concern its format."""
 
-    no_return: Literal["auto", "zero", "nan", "none"] = Field(
+    no_return: Literal["auto", "zero", "nan", "max", "none"] = Field(
         "auto",
-        description="What marks a ray without return: rows of zeros, rows of NaN, or nothing;"
-        " auto decides by the first scan that shows either (no unit).",
+        description="What marks a ray without return, besides +inf in a 2D scan: zeros, NaN, in a"
+        " 2D scan ranges of range_max or more (max), or nothing; auto decides by the first scan"
+        " that shows a mark, and never takes NaN in a 2D scan for one (no unit).",
     )
     point_time: str = Field(
         "auto",
         pattern=r"^(auto|none|[^:]+:(s|ms|us|ns):(start|end|absolute))$",
-        description="Time of each point as field:unit:reference, unit s, ms, us or ns, reference"
-        " start, end (what the scan's own stamp marks) or absolute; auto detects it, none ignores"
-        " it (no unit).",
+        description="3D: time of each point as field:unit:reference, unit s, ms, us or ns,"
+        " reference start, end (what the scan's own stamp marks) or absolute; auto detects it,"
+        " none ignores it, in 2D scans too (no unit).",
     )
     metadata: str | None = Field(
         None, description="JSON file of an Ouster pcap, if not found beside it (no unit)."
@@ -46,7 +50,8 @@ class ReadOptions(Config):
     max_points: int = Field(
         4_000_000,
         gt=0,
-        description="Most points of one scan (no unit). Source: limits table of SECURITY.md.",
+        description="Most points or rays of one scan (no unit)."
+        " Source: limits table of SECURITY.md.",
     )
 
 
@@ -63,10 +68,16 @@ class PoseOptions(Config):
         None, description="Frame of the map; default: root of the transform tree (no unit)."
     )
     cloud: str | None = Field(
-        None, description="Topic of the clouds; default: the only one (no unit)."
+        None, description="Topic of the scans; default: the only one (no unit)."
     )
     odom: str | None = Field(
         None, description="Topic of the poses, instead of the transforms (no unit)."
+    )
+    mounting: tuple[str, ...] = Field(
+        (),
+        description="Where sensors sit, if the recording does not say, as texts PARENT FRAME x y z"
+        " roll pitch yaw: FRAME is that of the scans, PARENT the one whose poses are known; lengths"
+        " in metres, angles in radians (no unit).",
     )
     max_gap: float = Field(
         1.0, gt=0, description="Longest time between two poses to interpolate over [s]."
@@ -76,3 +87,34 @@ class PoseOptions(Config):
         ge=0,
         description="How long the first or last pose is held before or after its time [s].",
     )
+
+    @field_validator("mounting")
+    @classmethod
+    def _mountings_can_be_read(cls, texts: tuple[str, ...]) -> tuple[str, ...]:
+        for text in texts:
+            mounting_of(text)
+        return texts
+
+    def mountings(self) -> list[Pose]:
+        """The texts of `mounting` as static poses."""
+        return [mounting_of(text) for text in self.mounting]
+
+
+def mounting_of(text: str) -> Pose:
+    """Static pose that a text PARENT FRAME x y z roll pitch yaw states.
+
+    Raises
+    ------
+    ValueError
+        It is no such text.
+    """
+    words = text.split()
+    try:
+        x, y, z, *angles = (float(word) for word in words[2:])
+        roll, pitch, yaw = angles
+    except ValueError:
+        raise ValueError(f"expected PARENT FRAME x y z roll pitch yaw, got {text!r}") from None
+    if not np.isfinite([x, y, z, roll, pitch, yaw]).all():
+        raise ValueError(f"expected finite numbers, got {text!r}")
+    matrix = pose_matrix(np.array([x, y, z]), quaternion_from_angles(roll, pitch, yaw))
+    return Pose(0, words[0], words[1], matrix, is_static=True)

@@ -55,15 +55,16 @@ def _stamps(path: Path, count: int) -> NDArray[np.int64]:
     """First column as nanoseconds, exactly: a float64 holds epoch seconds only to 0.2 us."""
     lines = path.read_text("utf-8", "replace").splitlines()
     texts = [line.split()[0] for line in lines if line.strip() and not line.startswith("#")]
-    stamps = []
-    for text in texts[:count]:
-        whole, _, fraction = text.partition(".")
-        if whole.lstrip("-").isdigit() and (fraction.isdigit() or not fraction):
-            part = int(fraction.ljust(9, "0")[:9])
-            stamps.append(int(whole) * 1_000_000_000 + (-part if whole.startswith("-") else part))
-        else:
-            stamps.append(round(float(text) * 1e9))
-    return np.array(stamps, np.int64)
+    return np.array([stamp_from_text(text) for text in texts[:count]], np.int64)
+
+
+def stamp_from_text(text: str) -> int:
+    """Seconds in decimal as nanoseconds, without a detour through float where there is one."""
+    whole, _, fraction = text.partition(".")
+    if whole.lstrip("-").isdigit() and (fraction.isdigit() or not fraction):
+        part = int(fraction.ljust(9, "0")[:9])
+        return int(whole) * 1_000_000_000 + (-part if whole.startswith("-") else part)
+    return round(float(text) * 1e9)
 
 
 def _numbers(path: Path) -> NDArray[np.float64]:

@@ -1,10 +1,10 @@
-"""Scans with the sensor's pose, from transforms, odometry or a poses file."""
+"""Scans in 3D or 2D with the sensor's pose, from transforms, odometry or a poses file."""
 
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,19 +15,35 @@ from lidar_core.io.pose_files import read_poses
 from lidar_core.io.recording import Recording, Topic
 from lidar_core.io.ros_messages import POSE_TYPES
 from lidar_core.io.tf_buffer import NoTransformError, TransformBuffer
-from lidar_core.messages import Pose, Scan
+from lidar_core.messages import LaserScan, Pose, Scan
 
 WORLD_FRAME = "world"
 MOST_POSES_PER_SCAN = 64
 
+ScanT = TypeVar("ScanT", Scan, LaserScan)
+
+
+class _Words(NamedTuple):
+    """How one sort of scans is found, and spoken of."""
+
+    kinds: frozenset[str]
+    plural: str
+    option: str
+
+
+_WORDS = {
+    Scan: _Words(frozenset({"scan", "scan+pose"}), "clouds", "cloud"),
+    LaserScan: _Words(frozenset({"planar", "planar+pose"}), "2D scans", "scan"),
+}
+
 
 @dataclass(frozen=True, slots=True)
-class PosedScan:
+class PosedScan(Generic[ScanT]):
     """A scan and where the sensor was.
 
     Attributes
     ----------
-    scan : Scan
+    scan : Scan or LaserScan
         As recorded.
     world_from_lidar : ndarray, shape (4, 4) or (K, 4, 4), float64
         One pose, or poses over the scan.
@@ -35,18 +51,18 @@ class PosedScan:
         Times of the poses [ns].
     """
 
-    scan: Scan
+    scan: ScanT
     world_from_lidar: NDArray[np.float64]
     pose_stamps_ns: NDArray[np.int64] | None = None
 
 
-class PosedScans:
-    """Iterable of `PosedScan`; made by `posed_scans`.
+class PosedScans(Generic[ScanT]):
+    """Iterable of `PosedScan`; made by `posed_scans` and `posed_laser_scans`.
 
     Attributes
     ----------
     cloud : str
-        Topic of the clouds.
+        Topic of the scans.
     fixed_frame : str
         Frame that the poses are in.
     source : str
@@ -55,40 +71,58 @@ class PosedScans:
         Scans left out, per reason.
     """
 
-    def __init__(self, recording: Recording, options: PoseOptions) -> None:
+    def __init__(self, recording: Recording, options: PoseOptions, sort: type[ScanT]) -> None:
         self._recording = recording
         self._options = options
-        self._cloud = _cloud_topic(recording, options.cloud)
+        self._sort: type[ScanT] = sort
+        self._cloud = _scan_topic(recording, options.cloud, _WORDS[sort])
         self.cloud = self._cloud.name
         self.fixed_frame = options.fixed_frame or WORLD_FRAME
         self.source = options.pose
         self.without_pose: Counter[str] = Counter()
 
-    def __iter__(self) -> Iterator[PosedScan]:
+    def __iter__(self) -> Iterator[PosedScan[ScanT]]:
         self.without_pose.clear()
         if self._options.pose == "static":
-            self.source = "static: the sensor does not move"
-            for scan in self._scans():
-                yield PosedScan(scan, np.eye(4))
+            yield from self._standing()
             return
         if self._options.pose != "auto":
             yield from self._from_file(Path(self._options.pose))
             return
         yield from self._from_buffer()
 
-    def _scans(self) -> Iterator[Scan]:
-        for record in self._recording.records(frozenset({"scan", "scan+pose"})):
+    def _scans(self) -> Iterator[ScanT]:
+        for record in self._recording.records(_WORDS[self._sort].kinds):
             if record.topic.name == self._cloud.name:
-                yield from (item for item in record.decode() if isinstance(item, Scan))
+                yield from (item for item in record.decode() if isinstance(item, self._sort))
 
-    def _from_file(self, path: Path) -> Iterator[PosedScan]:
+    def _first_frame(self) -> str:
+        return next((scan.frame_id for scan in self._scans()), "")
+
+    def _standing(self) -> Iterator[PosedScan[ScanT]]:
+        """Every scan from one place: where the sensor is mounted, or the origin."""
+        self.source = "static: the sensor does not move"
+        buffer, frame = self._buffer(), ""
+        world_from_lidar = np.eye(4)
+        for scan in self._scans():
+            if scan.frame_id != frame:
+                frame = scan.frame_id
+                root = buffer.root_of(frame)
+                world_from_lidar = buffer.lookup(root, frame, [scan.stamp_ns])[0]
+                if root != frame and self._options.fixed_frame is None:
+                    self.fixed_frame = root
+            yield PosedScan(scan, world_from_lidar)
+
+    def _from_file(self, path: Path) -> Iterator[PosedScan[ScanT]]:
         stamps, matrices = read_poses(path)
         self.source = f"{path}, {len(matrices)} poses"
         if stamps is not None:
             buffer = self._buffer()
+            frame = self._first_frame() if self._options.mounting else ""
+            carrier = self._carrier(frame)
             for stamp, matrix in zip(stamps.tolist(), matrices, strict=True):
-                buffer.add(Pose(stamp, WORLD_FRAME, "", matrix))
-            yield from self._looked_up(buffer, WORLD_FRAME, "")
+                buffer.add(Pose(stamp, WORLD_FRAME, carrier, matrix))
+            yield from self._looked_up(buffer, WORLD_FRAME, frame)
             return
         count = 0
         for scan in self._scans():
@@ -99,12 +133,9 @@ class PosedScans:
         if count != len(matrices):
             raise FormatError(f"{path}: {len(matrices)} poses for {count} scans of the recording")
 
-    def _from_buffer(self) -> Iterator[PosedScan]:
-        first = next(self._scans(), None)
-        if first is None:
-            return
-        buffer = self._filled(first.frame_id)
-        frame = first.frame_id
+    def _from_buffer(self) -> Iterator[PosedScan[ScanT]]:
+        frame = self._first_frame()
+        buffer = self._filled(frame)
         root = self._options.fixed_frame or buffer.root_of(frame)
         try:
             is_static = root == frame or buffer.is_static(root, frame)
@@ -116,7 +147,9 @@ class PosedScans:
         self.source = f"transforms {root} -> {frame}"
         yield from self._looked_up(buffer, root, frame)
 
-    def _looked_up(self, buffer: TransformBuffer, root: str, frame: str) -> Iterator[PosedScan]:
+    def _looked_up(
+        self, buffer: TransformBuffer, root: str, frame: str
+    ) -> Iterator[PosedScan[ScanT]]:
         given = 0
         for scan in self._scans():
             stamps = _pose_stamps(scan, buffer, root, frame)
@@ -134,7 +167,17 @@ class PosedScans:
 
     def _buffer(self) -> TransformBuffer:
         options = self._options
-        return TransformBuffer(max_gap=options.max_gap, max_extrapolation=options.max_extrapolation)
+        buffer = TransformBuffer(
+            max_gap=options.max_gap, max_extrapolation=options.max_extrapolation
+        )
+        for mounting in options.mountings():
+            buffer.add(mounting)
+        return buffer
+
+    def _carrier(self, frame: str) -> str:
+        """Frame whose poses are known where a mounting of `frame` is stated, else `frame`."""
+        parents = {item.child_frame_id: item.frame_id for item in self._options.mountings()}
+        return parents.get(frame, frame)
 
     def _filled(self, frame: str) -> TransformBuffer:
         """Poses of the recording: transforms first; odometry where asked for, or without them."""
@@ -151,9 +194,9 @@ class PosedScans:
             if _moves(buffer, root, frame) or len(topics) != 1:
                 return buffer
             chosen = topics[0]
-        picked = [item for item in gathered if item[0].name == chosen]
-        static = [item for item in transforms if item[1].is_static]
-        return self._with([*static, *picked], frame, chosen)
+        fixed = [item for item in transforms if item[1].is_static]
+        moving = [item for item in gathered if item[0].name == chosen]
+        return self._with(fixed + moving, frame, chosen)
 
     def _with(
         self, items: list[tuple[Topic, Pose]], frame: str, chosen: str | None
@@ -162,7 +205,7 @@ class PosedScans:
         buffer = self._buffer()
         for topic, pose in items:
             nameless = not pose.child_frame_id and topic.name == chosen
-            child = frame if nameless else pose.child_frame_id
+            child = self._carrier(frame) if nameless else pose.child_frame_id
             buffer.add(
                 Pose(pose.stamp_ns, pose.frame_id, child, pose.matrix, is_static=pose.is_static)
             )
@@ -175,14 +218,15 @@ class PosedScans:
             f"{self._recording.path}: no pose for frame {frame!r} of topic {self._cloud.name!r}:"
             f" {reason}. Found transforms: {_listed(edges)}; odometry topics: {_listed(odometry)}."
             " Name a frame with --fixed-frame, a topic with --odom, a poses file with --pose FILE,"
-            " or --pose static for a sensor that does not move"
+            " where the sensor sits with --mounting, or --pose static for a sensor that does not"
+            " move"
         )
 
 
 def posed_scans(
     recording: Recording, options: PoseOptions | None = None, **values: Any
-) -> PosedScans:
-    """Scans of one topic with the sensor's poses.
+) -> PosedScans[Scan]:
+    """Clouds of one topic with the sensor's poses.
 
     Parameters
     ----------
@@ -205,26 +249,37 @@ def posed_scans(
     ConfigError
         No such topic, or several to choose from.
     """
+    return PosedScans(recording, _merged(options, values), Scan)
+
+
+def posed_laser_scans(
+    recording: Recording, options: PoseOptions | None = None, **values: Any
+) -> PosedScans[LaserScan]:
+    """2D scans of one topic with the sensor's poses; otherwise as `posed_scans`."""
+    return PosedScans(recording, _merged(options, values), LaserScan)
+
+
+def _merged(options: PoseOptions | None, values: dict[str, Any]) -> PoseOptions:
     given = options.model_dump() if options is not None else {}
-    return PosedScans(recording, PoseOptions(**(given | values)))
+    return PoseOptions(**(given | values))
 
 
-def _cloud_topic(recording: Recording, name: str | None) -> Topic:
+def _scan_topic(recording: Recording, name: str | None, words: _Words) -> Topic:
     topics = recording.topics()
-    clouds = [topic for topic in topics if topic.kind in ("scan", "scan+pose")]
-    chosen = [topic for topic in clouds if name in (None, topic.name)]
+    with_scans = [topic for topic in topics if topic.kind in words.kinds]
+    chosen = [topic for topic in with_scans if name in (None, topic.name)]
     if len(chosen) == 1:
         return chosen[0]
-    listed = _listed([topic.name for topic in clouds])
+    listed, option = _listed([topic.name for topic in with_scans]), words.option
     if name is not None:
         raise ConfigError(
-            f"cloud: no topic {name!r} with clouds in {recording.path}; found {listed}"
+            f"{option}: no topic {name!r} with {words.plural} in {recording.path}; found {listed}"
         )
     if chosen:
-        raise ConfigError(f"cloud: several topics with clouds in {recording.path}: {listed};"
-                          " name one with --cloud")  # fmt: skip
+        raise ConfigError(f"{option}: several topics with {words.plural} in {recording.path}:"
+                          f" {listed}; name one with --{option}")  # fmt: skip
     found = _listed([f"{t.name} ({t.type}{', ' + t.note if t.note else ''})" for t in topics])
-    raise FormatError(f"{recording.path}: no clouds to read; found {found}")
+    raise FormatError(f"{recording.path}: no {words.plural} to read; found {found}")
 
 
 def _moves(buffer: TransformBuffer, root: str, frame: str) -> bool:
@@ -234,12 +289,21 @@ def _moves(buffer: TransformBuffer, root: str, frame: str) -> bool:
         return False
 
 
-def _pose_stamps(scan: Scan, buffer: TransformBuffer, root: str, frame: str) -> NDArray[np.int64]:
-    """Times to ask poses for: the scan's span and what was recorded inside it."""
+def _span(scan: Scan | LaserScan) -> tuple[int, int]:
+    """Times of the first and the last ray [ns]."""
+    if isinstance(scan, LaserScan):
+        return scan.stamp_ns, scan.stamp_ns + scan.time_increment_ns * (len(scan.ranges) - 1)
     if scan.point_time_ns is None or scan.point_time_ns.size == 0:
-        return np.array([scan.stamp_ns], np.int64)
+        return scan.stamp_ns, scan.stamp_ns
     start = min(scan.stamp_ns, int(scan.point_time_ns.min()))
-    end = int(scan.point_time_ns.max())
+    return start, int(scan.point_time_ns.max())
+
+
+def _pose_stamps(
+    scan: Scan | LaserScan, buffer: TransformBuffer, root: str, frame: str
+) -> NDArray[np.int64]:
+    """Times to ask poses for: the scan's span and what was recorded inside it."""
+    start, end = _span(scan)
     if end <= start:
         return np.array([start], np.int64)
     inside = buffer.knots(root, frame, start, end)

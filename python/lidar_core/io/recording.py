@@ -11,7 +11,7 @@ from typing import Any, Literal, Self, TypeAlias
 from lidar_core.io.options import ReadOptions
 from lidar_core.messages import Message, Pose
 
-Kind: TypeAlias = Literal["scan", "pose", "scan+pose", "packets", "other"]
+Kind: TypeAlias = Literal["scan", "planar", "pose", "scan+pose", "planar+pose", "packets", "other"]
 
 PACKETS: dict[str, str] = {
     "velodyne_msgs/msg/VelodyneScan": "Velodyne packets",
@@ -24,6 +24,10 @@ PACKETS: dict[str, str] = {
     " driver's PointCloud2",
 }
 """Message types that hold raw sensor packets, and what to say about them."""
+
+POSE_KINDS = frozenset({"pose", "scan+pose", "planar+pose"})
+SCAN_KINDS = frozenset({"scan", "scan+pose", "planar", "planar+pose"})
+"""Kinds of topics that bring poses, and of those that bring scans: in 3D, or planar in 2D."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +93,7 @@ def decoded(*messages: Message) -> Callable[[], list[Message]]:
 
 
 class Recording(ABC):
-    """A recording that is open for reading; iterate it for `Scan` and `Pose` messages.
+    """A recording that is open for reading; iterate it for `Scan`, `LaserScan` and `Pose` messages.
 
     Attributes
     ----------
@@ -133,7 +137,7 @@ class Recording(ABC):
 
     def poses(self) -> Iterator[tuple[Topic, Pose]]:
         """Poses alone, with the topic each came from."""
-        for record in self.records(frozenset({"pose", "scan+pose"})):
+        for record in self.records(POSE_KINDS):
             for message in record.decode():
                 if isinstance(message, Pose):
                     yield record.topic, message

@@ -13,8 +13,8 @@ from lidar_core.errors import FormatError, LimitError
 from lidar_core.extras import require
 from lidar_core.io.guard import check_size, reading
 from lidar_core.io.options import ReadOptions
-from lidar_core.io.recording import PACKETS, Record, Recording, Topic
-from lidar_core.io.ros_messages import RosDecoder, kind_of
+from lidar_core.io.recording import Record, Recording, Topic
+from lidar_core.io.ros_messages import RosDecoder, kind_of, note_of
 
 MAX_TOPICS = 4096
 
@@ -97,7 +97,7 @@ class RosRecording(Recording):
             for item in reader.connections:
                 before = topics.get(item.topic)
                 count = int(item.msgcount) + (before.count or 0 if before else 0)
-                note = PACKETS.get(item.msgtype, "")
+                note = note_of(item.msgtype)
                 topics[item.topic] = Topic(
                     item.topic, item.msgtype, kind_of(item.msgtype), count, note
                 )

@@ -1,4 +1,4 @@
-"""ROS messages to scans and poses.
+"""ROS messages to scans in 3D and 2D, and to poses.
 
 Message definitions come from rosbags' own stores, never from the file: rosbags compiles
 definitions to Python code, and a file must not choose code.
@@ -15,12 +15,14 @@ from lidar_core.errors import FormatError
 from lidar_core.extras import require
 from lidar_core.io.cloud import ROS_TYPES, CloudDecoder, Field, Layout, unpack
 from lidar_core.io.guard import check_size, reading
+from lidar_core.io.laser import LaserDecoder, ros_laser_scan
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import PACKETS, Findings, Kind
 from lidar_core.io.rotations import pose_matrix, unit_quaternion
-from lidar_core.messages import Message, Pose, Scan
+from lidar_core.messages import LaserScan, Message, Pose, Scan
 
 SCAN_TYPES = ("sensor_msgs/msg/PointCloud2",)
+PLANAR_TYPES = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
 TRANSFORM_TYPES = (
     "tf2_msgs/msg/TFMessage",
     "tf/msg/tfMessage",
@@ -45,9 +47,18 @@ def kind_of(type_name: str) -> Kind:
     """What a message of this type is read as."""
     if type_name in SCAN_TYPES or type_name == VELODYNE_TYPE:
         return "scan"
+    if type_name in PLANAR_TYPES:
+        return "planar"
     if type_name in TRANSFORM_TYPES or type_name in POSE_TYPES:
         return "pose"
     return "packets" if type_name in PACKETS else "other"
+
+
+def note_of(type_name: str) -> str:
+    """What has to be said about messages of this type, if anything."""
+    if type_name == "sensor_msgs/msg/MultiEchoLaserScan":
+        return "the first echo of every ray is read"
+    return PACKETS.get(type_name, "")
 
 
 class RosDecoder:
@@ -67,6 +78,7 @@ class RosDecoder:
         self._options = options
         self._findings = findings
         self._clouds: dict[str, CloudDecoder] = {}
+        self._lasers: dict[str, LaserDecoder] = {}
         self._velodyne: dict[str, Any] = {}
 
     def decode(self, topic: str, type_name: str, raw: bytes, place: str) -> list[Message]:
@@ -81,7 +93,7 @@ class RosDecoder:
         """
         limit = self._options.max_record_bytes
         check_size(place, len(raw), limit=limit, key="max_record_bytes", what="a message of bytes")
-        if kind_of(type_name) not in ("scan", "pose"):
+        if kind_of(type_name) not in ("scan", "planar", "pose"):
             return []
         if raw.startswith(ZSTD_MAGIC):
             raise FormatError(
@@ -94,6 +106,8 @@ class RosDecoder:
         if type_name == VELODYNE_TYPE:
             return self._packets(topic, message, place)
         try:
+            if type_name in PLANAR_TYPES:
+                return [self._laser(topic, message, place)]
             return _poses(topic, type_name, message, place)
         except FormatError as error:
             self._findings.rejected[topic] += 1
@@ -118,6 +132,13 @@ class RosDecoder:
         return self._clouds[topic].scan(
             rows, _stamp_ns(header.stamp), _frame(header.frame_id), place=place
         )
+
+    def _laser(self, topic: str, message: Any, place: str) -> LaserScan:
+        if topic not in self._lasers:
+            self._lasers[topic] = LaserDecoder(topic, self._options, self._findings)
+        header = message.header
+        raw = ros_laser_scan(topic, message, _stamp_ns(header.stamp), _frame(header.frame_id))
+        return self._lasers[topic].scan(raw, place=place)
 
     def _packets(self, topic: str, message: Any, place: str) -> list[Message]:
         from lidar_core.io.velodyne import PacketDecoder

@@ -1,5 +1,7 @@
 """Rotations as quaternions (x, y, z, w) and matrices, vectorised over the first axis."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,6 +33,19 @@ def pose_matrix(
     matrix[..., :3, 3] = translation
     matrix[..., 3, 3] = 1
     return matrix
+
+
+def quaternion_from_angles(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
+    """Quaternion (x, y, z, w) of a turn by `roll`, then `pitch`, then `yaw` about fixed axes."""
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a / 2), math.sin(a / 2)) for a in (roll, pitch, yaw))
+    return np.array(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ]
+    )
 
 
 def matrix_from_quaternion(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -11,23 +11,25 @@ from numpy.typing import NDArray
 from lidar_core.errors import InputError
 from lidar_core.extras import require
 from lidar_core.io.atomic import commit, temporary_for
-from lidar_core.io.foxglove_messages import FOXGLOVE_TYPES, OWN_HEIGHT
+from lidar_core.io.foxglove_messages import FOXGLOVE_TYPES, OWN_HEIGHT, OWN_SCANNER
 from lidar_core.io.rotations import quaternion_from_matrix
 from lidar_core.io.tracks import TracksLike
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
-SCAN_TOPIC, TRACKS_TOPIC, POSE_TOPIC, STATIC_TOPIC = "/lidar/points", "/tracks", "/tf", "/tf_static"
+SCAN_TOPIC, LASER_TOPIC = "/lidar/points", "/laser/scan"
+TRACKS_TOPIC, POSE_TOPIC, STATIC_TOPIC = "/tracks", "/tf", "/tf_static"
 TRACK_LIFETIME_NS = 500_000_000  # a track that is no longer written disappears from the view
 SMALLEST_BOX = 0.1  # a track without extent stays visible [m]
 TRACK_COLOUR = (1.0, 0.35, 0.1, 0.8)
+NO_METADATA: Mapping[str, str] = {}
 
 
 class McapWriter:
     """Writes scans, poses and tracks as they come; the file appears when it is complete.
 
-    Scans become PointCloud, poses FrameTransform (their covariances are not kept), tracks
-    SceneUpdate. Leaving the `with` block completes the file, also on Ctrl-C; any other error
-    leaves nothing behind.
+    Scans become PointCloud, 2D scans LaserScan, poses FrameTransform (their covariances are not
+    kept), tracks SceneUpdate. Leaving the `with` block completes the file, also on Ctrl-C; any
+    other error leaves nothing behind.
 
     Parameters
     ----------
@@ -45,7 +47,7 @@ class McapWriter:
         self._temporary = temporary_for(self._path)
         self._tracks_frame = tracks_frame
         self._context = self._foxglove.Context()
-        self._channels: dict[tuple[str, int], Any] = {}
+        self._channels: dict[tuple[str, ...], Any] = {}
         self._writer = self._foxglove.open_mcap(
             self._temporary, allow_overwrite=True, context=self._context
         )
@@ -56,8 +58,7 @@ class McapWriter:
         Raises
         ------
         InputError
-            A time before 1970, point times more than two seconds from the scan's stamp, or a
-            2D scan.
+            A time before 1970, or point times more than two seconds from the scan's stamp.
         """
         if item.stamp_ns < 0:
             raise InputError(f"stamp_ns: MCAP holds no negative times, got {item.stamp_ns}")
@@ -66,7 +67,7 @@ class McapWriter:
         elif isinstance(item, Pose):
             self._write_pose(item)
         elif isinstance(item, LaserScan):
-            raise InputError("items: expected 3D scans, poses and tracks, got a 2D scan")
+            self._write_laser(item)
         else:
             self._write_tracks(item)
 
@@ -111,7 +112,25 @@ class McapWriter:
             fields=fields,
             data=rows.tobytes(),
         )
-        self._channel("PointCloudChannel", scan.topic or SCAN_TOPIC, height).log(
+        self._channel("PointCloudChannel", scan.topic or SCAN_TOPIC, {OWN_HEIGHT: str(height)}).log(
+            message, log_time=scan.stamp_ns
+        )
+
+    def _write_laser(self, scan: LaserScan) -> None:
+        m = self._messages
+        limits = (scan.angle_increment, scan.range_min, scan.range_max)
+        scanner = " ".join([*map(repr, map(float, limits)), str(scan.time_increment_ns)])
+        span = scan.angle_increment * (len(scan.ranges) - 1)
+        message = m.LaserScan(
+            timestamp=self._stamp(scan.stamp_ns),
+            frame_id=scan.frame_id,
+            pose=m.Pose(position=m.Vector3(), orientation=m.Quaternion(w=1.0)),
+            start_angle=scan.angle_min,
+            end_angle=scan.angle_min + span,
+            ranges=scan.ranges.astype(np.float64).tolist(),
+            intensities=[] if scan.intensity is None else scan.intensity.astype(float).tolist(),
+        )
+        self._channel("LaserScanChannel", scan.topic or LASER_TOPIC, {OWN_SCANNER: scanner}).log(
             message, log_time=scan.stamp_ns
         )
 
@@ -125,13 +144,13 @@ class McapWriter:
             rotation=self._quaternion(quaternion_from_matrix(pose.matrix[:3, :3])),
         )
         topic = STATIC_TOPIC if pose.is_static else POSE_TOPIC
-        self._channel("FrameTransformChannel", topic, 1).log(message, log_time=pose.stamp_ns)
+        self._channel("FrameTransformChannel", topic).log(message, log_time=pose.stamp_ns)
 
     def _write_tracks(self, tracks: TracksLike) -> None:
         m = self._messages
         stamp = self._stamp(tracks.stamp_ns)
         entities = [self._entity(tracks, row, stamp) for row in range(len(tracks.id))]
-        self._channel("SceneUpdateChannel", TRACKS_TOPIC, 1).log(
+        self._channel("SceneUpdateChannel", TRACKS_TOPIC).log(
             m.SceneUpdate(entities=entities), log_time=tracks.stamp_ns
         )
 
@@ -158,12 +177,12 @@ class McapWriter:
             texts=[label],
         )
 
-    def _channel(self, kind: str, topic: str, height: int) -> Any:
-        key = (topic, height)
+    def _channel(self, kind: str, topic: str, metadata: Mapping[str, str] = NO_METADATA) -> Any:
+        """Channel of a topic; one of its own for every metadata that its messages need."""
+        key = (topic, *metadata.values())
         if key not in self._channels:
             make = getattr(self._channel_types, kind)
-            metadata = {OWN_HEIGHT: str(height)} if kind == "PointCloudChannel" else {}
-            self._channels[key] = make(topic, metadata=metadata, context=self._context)
+            self._channels[key] = make(topic, metadata=dict(metadata), context=self._context)
         return self._channels[key]
 
     def _stamp(self, stamp_ns: int) -> Any:
@@ -188,7 +207,7 @@ def write_mcap(
     ----------
     path : str or Path
         File to write.
-    items : iterable of Scan, Pose and Tracks
+    items : iterable of Scan, LaserScan, Pose and Tracks
         Written as they come.
     tracks_frame : str
         Frame that tracks are given in.
