@@ -72,6 +72,27 @@ pub enum Error {
     Interrupted,
 }
 
+/// Refuse a parameter that is outside its documented range.
+///
+/// # Errors
+/// [`Error::Parameter`] unless `ok`.
+pub(crate) fn require(
+    ok: bool,
+    name: &'static str,
+    expected: &'static str,
+    got: impl fmt::Display,
+) -> Result<(), Error> {
+    if ok { Ok(()) } else { Err(Error::Parameter { name, expected, got: got.to_string() }) }
+}
+
+/// Refuse a length, time or rate that cannot be one.
+///
+/// # Errors
+/// [`Error::Parameter`] unless `value` is finite and > 0.
+pub(crate) fn require_positive(name: &'static str, value: f64) -> Result<(), Error> {
+    require(value.is_normal() && value > 0.0, name, "finite and > 0", value)
+}
+
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -8,6 +8,7 @@
 //! not small, the inner two integrals are one over the correlation, which is faster.
 
 use crate::Error;
+use crate::error::require;
 
 /// Standard deviations beyond which nothing counts: 3e-10 lies there.
 const REACH: f64 = 6.3;
@@ -47,13 +48,8 @@ pub fn box_probability(
     high: [f64; 3],
 ) -> Result<f64, Error> {
     check(covariance)?;
-    if low.iter().chain(&high).any(|bound| bound.is_nan()) {
-        return Err(Error::Parameter {
-            name: "low, high",
-            expected: "bounds of a box",
-            got: format!("{low:?}, {high:?}"),
-        });
-    }
+    let is_box = !low.iter().chain(&high).any(|bound| bound.is_nan());
+    require(is_box, "low, high", "bounds of a box", format_args!("{low:?}, {high:?}"))?;
     let mut share = 1.0;
     let (mut axes, mut count) = ([0; 3], 0);
     for axis in 0..3 {

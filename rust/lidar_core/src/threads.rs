@@ -1,6 +1,7 @@
 //! Thread pools with a stated number of threads. There is no global pool.
 
 use crate::Error;
+use crate::error::require;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// Largest number of threads a pool may have.
@@ -11,13 +12,7 @@ pub const MAX_THREADS: usize = 256;
 /// # Errors
 /// [`Error::Parameter`] if `threads` is outside that range, [`Error::Io`] if the system refuses.
 pub fn pool(threads: usize) -> Result<ThreadPool, Error> {
-    if !(1..=MAX_THREADS).contains(&threads) {
-        return Err(Error::Parameter {
-            name: "threads",
-            expected: "1 to 256",
-            got: threads.to_string(),
-        });
-    }
+    require((1..=MAX_THREADS).contains(&threads), "threads", "1 to 256", threads)?;
     ThreadPoolBuilder::new()
         .num_threads(threads)
         .thread_name(|index| format!("lidar_core-{index}"))

@@ -1,6 +1,7 @@
 //! Optimal one-to-one assignment over a sparse list of possible pairs.
 
 use crate::Error;
+use crate::error::require;
 
 /// One possible pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,10 +56,7 @@ fn check(rows: usize, columns: usize, pairs: &[Pair], unassigned: f64) -> Result
             });
         }
     }
-    if unassigned.is_finite() {
-        return Ok(());
-    }
-    Err(Error::Parameter { name: "unassigned", expected: "finite", got: unassigned.to_string() })
+    require(unassigned.is_finite(), "unassigned", "finite", unassigned)
 }
 
 /// Every row has, beside its pairs, a column of its own at `columns + row`: to stay unassigned.

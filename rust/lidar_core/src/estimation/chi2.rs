@@ -1,6 +1,7 @@
 //! Chi-square distribution: gates and consistency bounds.
 
 use crate::Error;
+use crate::error::require;
 
 /// Relative size of the last term of a series that is still added.
 const TERM: f64 = 1e-17;
@@ -31,16 +32,13 @@ pub fn cdf(x: f64, degrees: u32) -> f64 {
 /// # Errors
 /// [`Error::Parameter`] unless 0 < `probability` < 1 and `degrees` >= 1.
 pub fn quantile(probability: f64, degrees: u32) -> Result<f64, Error> {
-    if !(probability > 0.0 && probability < 1.0) {
-        return Err(Error::Parameter {
-            name: "probability",
-            expected: "more than 0 and less than 1",
-            got: probability.to_string(),
-        });
-    }
-    if degrees == 0 {
-        return Err(Error::Parameter { name: "degrees", expected: ">= 1", got: "0".into() });
-    }
+    require(
+        probability > 0.0 && probability < 1.0,
+        "probability",
+        "more than 0 and less than 1",
+        probability,
+    )?;
+    require(degrees >= 1, "degrees", ">= 1", degrees)?;
     let (mut low, mut high) = (0.0, f64::from(degrees));
     while cdf(high, degrees) < probability {
         (low, high) = (high, 2.0 * high);

@@ -2,6 +2,7 @@
 //! voxel is updated, probability that a target is met by a ray. Source: Vrba et al., sec. IV.
 
 use crate::budget::check_points;
+use crate::error::require;
 use crate::geometry::caps::{Cap, Directions};
 use crate::geometry::lattice::{Lattice, wide};
 use crate::geometry::transform::{Transform, cross, direction_of, minus, norm};
@@ -35,9 +36,8 @@ pub fn point_covariance(
     range_std: f64,
 ) -> Result<Vec<[[f64; 3]; 3]>, Error> {
     check_points(points_lidar.len())?;
-    if !(0.0..=LARGEST_RANGE_STD).contains(&range_std) {
-        return Err(parameter("range_std", "0 to 100 [m]", range_std));
-    }
+    let is_std = (0.0..=LARGEST_RANGE_STD).contains(&range_std);
+    require(is_std, "range_std", "0 to 100 [m]", range_std)?;
     let of_point = |&point: &[f32; 3]| {
         let jacobian = point_jacobian(world_from_lidar, wide(point));
         let mut covariance = propagated(&jacobian, pose_covariance);
@@ -137,9 +137,7 @@ pub fn detection_probability(
 ) -> Result<Vec<f64>, Error> {
     check_points(directions.len())?;
     let share = check_view(view)?;
-    if !(radius.is_finite() && radius > 0.0) {
-        return Err(parameter("radius", "finite and > 0 [m]", radius));
-    }
+    require(radius.is_finite() && radius > 0.0, "radius", "finite and > 0 [m]", radius)?;
     if let Some(index) = distances.iter().position(|d| !(d.is_finite() && *d >= 0.0)) {
         let (expected, got) = ("finite and >= 0 [m]", distances[index].to_string());
         return Err(Error::Value { name: "distance", expected, index, got });
@@ -185,14 +183,13 @@ fn cap_radius(radius: f64, distance: f64) -> f64 {
 fn check_view([low, high]: [f64; 2]) -> Result<f64, Error> {
     let share = 0.5 * (libm::sin(high) - libm::sin(low));
     let inside = |angle: f64| (-FRAC_PI_2..=FRAC_PI_2).contains(&angle);
-    if inside(low) && inside(high) && share >= LEAST_VIEW {
-        return Ok(share);
-    }
-    Err(Error::Parameter {
-        name: "field_of_view",
-        expected: "least and largest elevation, -pi/2 to pi/2 [rad]",
-        got: format!("({low}, {high})"),
-    })
+    require(
+        inside(low) && inside(high) && share >= LEAST_VIEW,
+        "field_of_view",
+        "least and largest elevation, -pi/2 to pi/2 [rad]",
+        format_args!("({low}, {high})"),
+    )?;
+    Ok(share)
 }
 
 /// The caps above and below a band of elevations.
@@ -200,10 +197,6 @@ fn outside([low, high]: [f64; 2]) -> Vec<Cap> {
     let above = Cap { center: [0.0, 0.0, 1.0], radius: FRAC_PI_2 - high };
     let below = Cap { center: [0.0, 0.0, -1.0], radius: FRAC_PI_2 + low };
     [above, below].into_iter().filter(|cap| cap.radius > 0.0).collect()
-}
-
-fn parameter(name: &'static str, expected: &'static str, got: f64) -> Error {
-    Error::Parameter { name, expected, got: got.to_string() }
 }
 
 /// An uncertain pose, and what follows for points in the frame of the map.

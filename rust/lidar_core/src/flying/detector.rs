@@ -111,43 +111,51 @@ impl FlyingObjectDetector {
             self.held = Some(Held { sensor: raw.sensor.to_owned(), world_from_lidar });
             return Ok(self.held_frame(raw, &scan, gate, timing));
         }
-        let labels = self.labels(&scan)?;
-        let clusters = Cluster::all(&scan.points, &labels);
-        timing.cluster = clock.lap();
-        if !keep_going() {
-            return Err(Error::Interrupted);
-        }
-
         let gate = self.parameters.seed.gate(self.scans, &self.map, self.needed());
-        let mut verdicts = self.verdicts(&scan, &clusters)?;
-        let mut class = point_classes(&scan, &labels, &verdicts);
-        let after_update = self.parameters.classify.after_update;
-        if after_update {
-            replace(&mut class, FLYING, UNKNOWN); // rule B is judged below
-        }
-        timing.classify = clock.lap();
-        if !keep_going() {
-            return Err(Error::Interrupted);
-        }
+        let mut judged = self.judge(&scan, &mut clock, &mut timing, keep_going)?;
+        self.tracker.check_room(count_of(&judged.verdicts, FLYING))?;
 
-        self.tracker.check_room(count_of(&verdicts, FLYING))?;
-        let stats = self.integrate(raw, &mut scan, &mut class)?; // the last stage that may refuse it
-        if after_update {
-            judge_again(&mut verdicts, self.verdicts(&scan, &clusters)?);
-            class = point_classes(&scan, &labels, &verdicts);
+        // The last stage that may refuse the scan.
+        let stats = self.integrate(raw, &mut scan, &mut judged.class)?;
+        if self.parameters.classify.after_update {
+            judge_again(&mut judged.verdicts, self.verdicts(&scan, &judged.clusters)?);
+            judged.class = point_classes(&scan, &judged.labels, &judged.verdicts);
         }
         self.accept(raw, &scan, sensor, gate);
-        self.fill_pockets(&verdicts, &scan);
+        self.fill_pockets(&judged.verdicts, &scan);
         self.keep_standing(&scan);
         timing.integrate = clock.lap();
         self.map.remove_separate_from_background(self.parameters.separation)?;
         timing.separate = clock.lap();
 
         let view = self.view(raw, &scan);
-        let found = self.detections(&view, &scan, &clusters, &verdicts);
+        let found = self.detections(&view, &scan, &judged.clusters, &judged.verdicts);
         self.track(&view, &scan, &found, stamp_ns)?;
         timing.track = clock.lap();
-        Ok(self.frame(raw, class, &scan, found, Some(stats), gate, timing))
+        Ok(self.frame(raw, judged.class, &scan, found, Some(stats), gate, timing))
+    }
+
+    /// Clusters of a scan, and what the map says that they are.
+    fn judge(
+        &self,
+        scan: &Prepared,
+        clock: &mut Clock,
+        timing: &mut Timing,
+        keep_going: &dyn Fn() -> bool,
+    ) -> Result<Judged, Error> {
+        let labels = self.labels(scan)?;
+        let clusters = Cluster::all(&scan.points, &labels);
+        timing.cluster = clock.lap();
+        go_on(keep_going)?;
+
+        let verdicts = self.verdicts(scan, &clusters)?;
+        let mut class = point_classes(scan, &labels, &verdicts);
+        if self.parameters.classify.after_update {
+            replace(&mut class, FLYING, UNKNOWN); // rule B is judged after the map update
+        }
+        timing.classify = clock.lap();
+        go_on(keep_going)?;
+        Ok(Judged { labels, clusters, verdicts, class })
     }
 
     /// Confirmed tracks predicted to `stamp_ns`, world frame: compensates latency.
@@ -355,6 +363,21 @@ impl FlyingObjectDetector {
             timing,
         }
     }
+}
+
+/// A scan in clusters.
+struct Judged {
+    /// Cluster of every row, -1 for none.
+    labels: Vec<i32>,
+    clusters: Vec<Cluster>,
+    /// What each cluster is.
+    verdicts: Vec<Verdict>,
+    /// Class of every row.
+    class: Vec<u8>,
+}
+
+fn go_on(keep_going: &dyn Fn() -> bool) -> Result<(), Error> {
+    if keep_going() { Ok(()) } else { Err(Error::Interrupted) }
 }
 
 fn count_of(verdicts: &[Verdict], class: u8) -> usize {

@@ -4,6 +4,7 @@ use super::blocks::Cursor;
 use super::shadow::Shadow;
 use super::voxel_map::VoxelMap;
 use crate::Error;
+use crate::error::require;
 use crate::geometry::lattice::{Voxel, wide};
 
 impl VoxelMap {
@@ -41,10 +42,8 @@ pub(crate) fn check_steps(
     voxel_size: f64,
 ) -> Result<f64, Error> {
     let steps = distance / voxel_size;
-    if !(steps > 0.0 && steps <= MOST_STEPS) {
-        let got = format!("{distance} m");
-        return Err(Error::Parameter { name, expected: "0 to 128 voxels", got });
-    }
+    let is_reachable = steps > 0.0 && steps <= MOST_STEPS;
+    require(is_reachable, name, "0 to 128 voxels", format_args!("{distance} m"))?;
     Ok(steps)
 }
 

@@ -7,6 +7,7 @@
 use super::blocks::{Bits, Block, Blocks, EDGE, EDGE_BITS, Place, Spread, VOLUME, has, offset_of};
 use super::voxel_map::{VoxelMap, filtered, two_to_minus};
 use crate::Error;
+use crate::error::require;
 use crate::geometry::lattice::Voxel;
 use std::collections::HashSet;
 use std::hash::BuildHasherDefault;
@@ -191,13 +192,8 @@ impl Neighbours {
     /// [`Error::Parameter`] unless 0 <= reach <= 64.
     fn within(reach: f64) -> Result<Self, Error> {
         const MOST: f64 = 64.0;
-        if !(0.0..=MOST).contains(&reach) {
-            return Err(Error::Parameter {
-                name: "max_gap",
-                expected: "a distance of 0 to 64 voxels",
-                got: format!("{reach} voxels"),
-            });
-        }
+        let got = format_args!("{reach} voxels");
+        require((0.0..=MOST).contains(&reach), "max_gap", "a distance of 0 to 64 voxels", got)?;
         let square = (reach * (1.0 + 1e-12)).powi(2); // 0.75 / 0.25 and the like stay inside
         let most = reach.ceil() as i32;
         let mut rows = Vec::new();

@@ -5,6 +5,7 @@
 use super::blocks::{Block, Blocks, Cursor, Place, assign, offset_of};
 use super::raycast::Accumulator;
 use super::separate::Changes;
+use crate::error::{require, require_positive};
 use crate::geometry::lattice::{Lattice, Voxel, wide};
 use crate::geometry::transform::minus;
 use crate::{Error, threads};
@@ -343,46 +344,29 @@ pub fn two_to_minus(n: f64) -> f64 {
 }
 
 fn check(p: &MapParameters) -> Result<(), Error> {
-    let positive = [("max_range", p.max_range), ("ray_gain", p.ray_gain)];
-    for (name, value) in positive {
-        if !(value.is_finite() && value > 0.0) {
-            return Err(Error::Parameter {
-                name,
-                expected: "finite and > 0",
-                got: value.to_string(),
-            });
-        }
-    }
-    if !(p.end_margin.is_finite() && p.end_margin >= 0.0) {
-        return Err(Error::Parameter {
-            name: "end_margin",
-            expected: "finite and >= 0",
-            got: p.end_margin.to_string(),
-        });
-    }
-    let [uncertain, tentative, confident] = p.thresholds;
-    if !(uncertain <= tentative && tentative <= confident) {
-        return Err(Error::Parameter {
-            name: "thresholds",
-            expected: "uncertain <= tentative <= confident",
-            got: format!("{:?}", p.thresholds),
-        });
-    }
-    if ![p.g_occ, p.g_unk, p.g_free, p.initial].iter().all(|g| g.is_finite()) {
-        return Err(Error::Parameter {
-            name: "g_occ, g_unk, g_free, initial",
-            expected: "finite",
-            got: format!("{:?}", [p.g_occ, p.g_unk, p.g_free, p.initial]),
-        });
-    }
-    if p.bounds.is_some_and(|[low, high]| !(0..3).all(|axis| low[axis] < high[axis])) {
-        return Err(Error::Parameter {
-            name: "bounds",
-            expected: "a lower corner, then an upper corner",
-            got: format!("{:?}", p.bounds),
-        });
-    }
-    Ok(())
+    require_positive("max_range", p.max_range)?;
+    require_positive("ray_gain", p.ray_gain)?;
+    let margin = p.end_margin;
+    require(margin.is_finite() && margin >= 0.0, "end_margin", "finite and >= 0", margin)?;
+    require(
+        p.thresholds.is_sorted(),
+        "thresholds",
+        "uncertain <= tentative <= confident",
+        format!("{:?}", p.thresholds),
+    )?;
+    let levels = [p.g_occ, p.g_unk, p.g_free, p.initial];
+    require(
+        levels.iter().all(|g| g.is_finite()),
+        "g_occ, g_unk, g_free, initial",
+        "finite",
+        format!("{levels:?}"),
+    )?;
+    require(
+        p.bounds.is_none_or(|[low, high]| (0..3).all(|axis| low[axis] < high[axis])),
+        "bounds",
+        "a lower corner, then an upper corner",
+        format!("{:?}", p.bounds),
+    )
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use super::detector::FlyingObjectDetector;
 use super::scan::RawScan;
 use super::voxel_map::VoxelMap;
 use crate::Error;
+use crate::error::require;
 use crate::geometry::transform::Transform;
 
 /// Places further from the world's origin cannot be told apart to a millimetre [m].
@@ -34,13 +35,9 @@ impl FlyingObjectDetector {
     /// # Errors
     /// [`Error::Parameter`] if its voxels differ in size from the configured ones.
     pub fn set_map(&mut self, map: VoxelMap) -> Result<(), Error> {
-        if map.parameters().voxel_size != self.parameters.map.voxel_size {
-            return Err(Error::Parameter {
-                name: "voxel_size",
-                expected: "a map with the configured size",
-                got: map.parameters().voxel_size.to_string(),
-            });
-        }
+        let voxel_size = map.parameters().voxel_size;
+        let fits = voxel_size == self.parameters.map.voxel_size;
+        require(fits, "voxel_size", "a map with the configured size", voxel_size)?;
         self.place_origin(map.parameters().origin);
         self.map = map;
         self.forget_motion();

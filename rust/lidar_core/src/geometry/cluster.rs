@@ -3,6 +3,7 @@
 use super::lattice::wide;
 use crate::Error;
 use crate::budget::check_points;
+use crate::error::{require, require_positive};
 
 /// Label of points that belong to no cluster.
 pub const NOISE: i32 = -1;
@@ -87,17 +88,8 @@ pub(super) fn linked(
 }
 
 pub(super) fn check(clustering: &Clustering) -> Result<(), Error> {
-    if !(clustering.max_distance.is_normal() && clustering.max_distance > 0.0) {
-        return Err(Error::Parameter {
-            name: "max_distance",
-            expected: "finite and > 0",
-            got: clustering.max_distance.to_string(),
-        });
-    }
-    if clustering.min_points == 0 {
-        return Err(Error::Parameter { name: "min_points", expected: ">= 1", got: "0".into() });
-    }
-    Ok(())
+    require_positive("max_distance", clustering.max_distance)?;
+    require(clustering.min_points >= 1, "min_points", ">= 1", clustering.min_points)
 }
 
 /// Cells of edge `max_distance`, each split into eight octants. Two points of one octant are

@@ -1,6 +1,7 @@
 //! Cubic lattice: point <-> voxel index.
 
 use crate::Error;
+use crate::error::{require, require_positive};
 
 /// Index of a voxel along x, y, z.
 pub type Voxel = [i32; 3];
@@ -22,20 +23,13 @@ impl Lattice {
     /// # Errors
     /// [`Error::Parameter`] unless `voxel_size` is finite and > 0 and `origin` is finite.
     pub fn new(voxel_size: f64, origin: [f64; 3]) -> Result<Self, Error> {
-        if !(voxel_size.is_normal() && voxel_size > 0.0) {
-            return Err(Error::Parameter {
-                name: "voxel_size",
-                expected: "finite and > 0",
-                got: voxel_size.to_string(),
-            });
-        }
-        if !origin.iter().all(|value| value.is_finite()) {
-            return Err(Error::Parameter {
-                name: "origin",
-                expected: "finite",
-                got: format!("{origin:?}"),
-            });
-        }
+        require_positive("voxel_size", voxel_size)?;
+        require(
+            origin.iter().all(|at| at.is_finite()),
+            "origin",
+            "finite",
+            format_args!("{origin:?}"),
+        )?;
         Ok(Self { voxel_size, origin })
     }
 

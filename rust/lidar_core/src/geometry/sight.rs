@@ -4,6 +4,7 @@ use super::cluster::{Clustering, Fixed, NO_GROUP, Reach, Sets, check, linked, nu
 use super::lattice::wide;
 use crate::Error;
 use crate::budget::check_points;
+use crate::error::require;
 
 /// Widest angle under which a gap is bridged [rad].
 pub const MAX_ANGLE: f64 = 0.5;
@@ -47,14 +48,14 @@ pub fn label_seen(
 
 impl Sight {
     fn check(&self) -> Result<(), Error> {
-        let refuse = |name, expected, got| Err(Error::Parameter { name, expected, got });
-        if !(0.0..=MAX_ANGLE).contains(&self.max_angle) {
-            return refuse("max_angle", "0 to 0.5", self.max_angle.to_string());
-        }
-        if !self.origin.iter().all(|value| value.is_finite()) {
-            return refuse("origin", "finite", format!("{:?}", self.origin));
-        }
-        Ok(())
+        let Self { origin, max_angle } = self;
+        require((0.0..=MAX_ANGLE).contains(max_angle), "max_angle", "0 to 0.5", max_angle)?;
+        require(
+            origin.iter().all(|at| at.is_finite()),
+            "origin",
+            "finite",
+            format_args!("{origin:?}"),
+        )
     }
 
     /// Square of the range of a point [m^2].

@@ -17,6 +17,7 @@ pub(crate) use sight::{Around, Hit, Ray, Region, Sight, SightSource};
 
 use crate::Error;
 use crate::budget::check_points;
+use crate::error::require;
 use crate::estimation::kalman::symmetrised;
 use crate::geometry::transform::norm;
 use frame::OpenFrame;
@@ -63,10 +64,8 @@ pub fn target_center(
     if points.is_empty() {
         return Err(Error::Length { name: "points_world", expected: 1, got: 0 });
     }
-    if !(range_std.is_finite() && range_std >= 0.0) {
-        let got = range_std.to_string();
-        return Err(Error::Parameter { name: "range_std", expected: "finite and >= 0", got });
-    }
+    let is_std = range_std.is_finite() && range_std >= 0.0;
+    require(is_std, "range_std", "finite and >= 0", range_std)?;
     check_finite("sensor_origin", &[origin], |_| true)?;
     check_finite("points_world", points, |_| true)?;
     check_finite("passing_directions", passing, |way| norm(way) > 0.0)?;

@@ -220,10 +220,21 @@ impl Updater {
             (y.norm() <= *reach)
                 .then(|| (y, position_block(&one.covariance) + position_block(&other.covariance)))
         })?;
+        Ok(self.feed(tracks, hypotheses, &track_of))
+    }
+
+    /// Give every hypothesis to its track; those that have none become tracks.
+    fn feed(
+        &self,
+        tracks: &mut Vec<TrackState>,
+        hypotheses: Vec<TrackState>,
+        track_of: &[Option<usize>],
+    ) -> Matches {
+        let known = tracks.len();
         let mut matches = Matches::default();
         for (hypothesis, track) in hypotheses.into_iter().zip(track_of) {
-            let Some(index) = track else {
-                if !self.is_seen_twice(&hypothesis, &tracks[..ahead.len()]) {
+            let Some(index) = *track else {
+                if !self.is_seen_twice(&hypothesis, &tracks[..known]) {
                     tracks.push(hypothesis);
                 }
                 continue;
@@ -236,7 +247,7 @@ impl Updater {
                 matches.rejected += 1;
             }
         }
-        Ok(matches)
+        matches
     }
 
     /// Whether the hypothesis is the target of a track once more: a rolling scan may meet a target

@@ -1,6 +1,7 @@
 //! Parameters of the tracker; `Paper` variants are the algorithm as published.
 
 use crate::Error;
+use crate::error::{require, require_positive};
 use crate::geometry::cluster::{self, Clustering};
 
 /// Most tracks, and most detections in one set.
@@ -113,6 +114,27 @@ pub struct Doubt {
     pub window: u32,
 }
 
+impl Confirmation {
+    fn check(self) -> Result<(), Error> {
+        let fits =
+            |hits, window| (1..=MAX_WINDOW).contains(&window) && (1..=window).contains(&hits);
+        let (hits, window) = (self.hits, self.window);
+        require(
+            fits(hits, window),
+            "confirm_hits",
+            "1 <= confirm_hits <= confirm_window <= 64",
+            format_args!("{hits} of {window}"),
+        )?;
+        let Some(Doubt { hits, window, .. }) = self.doubt else { return Ok(()) };
+        require(
+            fits(hits, window),
+            "confirm_still_hits",
+            "1 <= confirm_still_hits <= confirm_still_window <= 64",
+            format_args!("{hits} of {window}"),
+        )
+    }
+}
+
 /// Two tracks this close are one target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Merging {
@@ -181,52 +203,28 @@ impl TrackerParameters {
     /// # Errors
     /// [`Error::Parameter`] for the first value outside its range.
     pub(super) fn check(&self) -> Result<(), Error> {
-        let refuse = |name, expected, got: String| Err(Error::Parameter { name, expected, got });
         cluster::label(&[], &self.clustering)?;
-        if self.buffer_size == 0 {
-            return refuse("buffer_size", ">= 1", self.buffer_size.to_string());
-        }
-        let Confirmation { hits, window, doubt } = self.confirmation;
-        if let Some(Doubt { hits, window, .. }) = doubt
-            && !((1..=MAX_WINDOW).contains(&window) && (1..=window).contains(&hits))
-        {
-            return refuse(
-                "confirm_still_hits",
-                "1 <= confirm_still_hits <= confirm_still_window <= 64",
-                format!("{hits} of {window}"),
-            );
-        }
-        if !(1..=MAX_WINDOW).contains(&window) || !(1..=window).contains(&hits) {
-            return refuse(
-                "confirm_hits",
-                "1 <= confirm_hits <= confirm_window <= 64",
-                format!("{hits} of {window}"),
-            );
-        }
-        let Radius { scale, min, max, .. } = self.radius;
-        let positive = [
-            ("radius_scale", scale),
-            ("radius_min", min),
-            ("radius_max", max),
-            ("acceleration_time", self.motion.acceleration_time.unwrap_or(1.0)),
-            ("unseen_acceleration_time", self.motion.unseen_time.unwrap_or(1.0)),
-            ("size_time", self.hiding.map_or(1.0, |hiding| hiding.time)),
-            ("split_distance", self.split_distance.unwrap_or(1.0)),
+        require(self.buffer_size >= 1, "buffer_size", ">= 1", self.buffer_size)?;
+        self.confirmation.check()?;
+        require_positive("radius_scale", self.radius.scale)?;
+        require_positive("radius_min", self.radius.min)?;
+        require_positive("radius_max", self.radius.max)?;
+        let optional = [
+            ("acceleration_time", self.motion.acceleration_time),
+            ("unseen_acceleration_time", self.motion.unseen_time),
+            ("size_time", self.hiding.map(|hiding| hiding.time)),
+            ("split_distance", self.split_distance),
         ];
-        for (name, value) in positive {
-            if !(value.is_finite() && value > 0.0) {
-                return refuse(name, "finite and > 0", value.to_string());
-            }
+        for (name, value) in optional {
+            require_positive(name, value.unwrap_or(1.0))?;
         }
         let extent = self.max_extent.unwrap_or(0.0);
-        if !(extent.is_finite() && extent >= 0.0) {
-            return refuse("max_extent", "finite and >= 0", extent.to_string());
+        require(extent.is_finite() && extent >= 0.0, "max_extent", "finite and >= 0", extent)?;
+        match self.association {
+            Association::Paper => Ok(()),
+            Association::Global { clutter_density, .. } => {
+                require_positive("clutter_density", clutter_density)
+            }
         }
-        if let Association::Global { clutter_density, .. } = self.association
-            && !(clutter_density.is_finite() && clutter_density > 0.0)
-        {
-            return refuse("clutter_density", "finite and > 0", clutter_density.to_string());
-        }
-        Ok(())
     }
 }
