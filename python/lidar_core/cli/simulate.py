@@ -13,7 +13,8 @@ def command(
     scene: Annotated[
         str,
         typer.Argument(
-            help="Scene file (TOML), or a built-in: demo, performance-1, performance-2."
+            help="Scene file (TOML), or a built-in: demo, performance-1, performance-2,"
+            " circles, circles-room, circles-lab."
         ),
     ],
     *,
@@ -56,10 +57,14 @@ def command(
 
 
 def _scene(name: str, seed: int) -> "Scene":
-    from lidar_core.sim import Scene, scenes
+    from lidar_core.sim import Scene, circle_scenes, scenes
 
     if name == "demo":
         return scenes.demo(seed)
     if name in ("performance-1", "performance-2"):
         return scenes.performance(scene=int(name[-1]))
+    if name in ("circles", "circles-room"):
+        return circle_scenes.several(seed, walls=name == "circles-room")
+    if name == "circles-lab":
+        return circle_scenes.lab(seed)
     return Scene.read(name)

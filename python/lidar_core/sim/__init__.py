@@ -1,6 +1,6 @@
 """Simulated LiDAR scans, 3D and 2D, with the truth: scenes, sensors, motions, targets."""
 
-from lidar_core.sim import scenes
+from lidar_core.sim import circle_scenes, scenes
 from lidar_core.sim.air import Dust, Rain
 from lidar_core.sim.config import Body, Scene, Target
 from lidar_core.sim.insert import InsertedFlight, insert_target, with_target
@@ -78,6 +78,7 @@ __all__ = [
     "Tree",
     "Wandering",
     "Waypoints",
+    "circle_scenes",
     "hexacopter_mesh",
     "insert_target",
     "record",

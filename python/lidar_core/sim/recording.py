@@ -5,7 +5,7 @@ import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import tomli_w
@@ -14,13 +14,21 @@ from lidar_core._core import __version__
 from lidar_core.errors import ConfigError
 from lidar_core.messages import Message, Pose
 from lidar_core.sim.config import Scene
+from lidar_core.sim.lidar import Planar
 from lidar_core.sim.simulator import Simulator
-from lidar_core.sim.truth import SimulatedScan
+from lidar_core.sim.truth import SimulatedScan, SimulatedSweep, TargetTruth
+
+Made: TypeAlias = SimulatedScan | SimulatedSweep
+"""What a simulator makes, in 3D or in 2D."""
 
 WORLD_FRAME = "world"
 POSE_TOPIC = "tf"
 TRUTH_COLUMNS = (
     "scan", "t_ns", "target_id", "x", "y", "z", "vx", "vy", "vz", "radius", "hits", "rays",
+    "sensor_x", "sensor_y", "sensor_z",
+)  # fmt: skip
+SWEEP_TRUTH_COLUMNS = (
+    "scan", "t_ns", "target_id", "kind", "x", "y", "vx", "vy", "radius", "hits", "rays",
     "sensor_x", "sensor_y", "sensor_z",
 )  # fmt: skip
 
@@ -32,8 +40,8 @@ class Recorded:
     Attributes
     ----------
     recording, truth, scene, run : Path
-        Scans and poses; targets per scan (`TargetTruth`, and where the sensor was, as CSV); the
-        scene; version, seed, hash.
+        Scans and poses; targets per scan (`TargetTruth`, of a 2D LiDAR `ObjectTruth`, and where
+        the sensor was, as CSV); the scene; version, seed, hash.
     scans, points, target_hits : int
         Scans, points in all, points on targets.
     """
@@ -47,7 +55,7 @@ class Recorded:
     target_hits: int
 
 
-def messages(scans: Iterable[SimulatedScan]) -> Iterator[Message]:
+def messages(scans: Iterable[Made]) -> Iterator[Message]:
     """Put scans and poses in line as a recording holds them, in the order of their stamps."""
     last = -1
     for made in scans:
@@ -66,7 +74,7 @@ def record(
     seed: int,
     scans: int | None = None,
     threads: int = 1,
-    on_scan: Callable[[SimulatedScan], None] = lambda made: None,
+    on_scan: Callable[[Made], None] = lambda made: None,
 ) -> Recorded:
     """Simulate `scene` into the recording `path` (.npz or .mcap).
 
@@ -91,10 +99,13 @@ def record(
     simulator = Simulator(scene, seed=seed, scans=scans, threads=threads)
     rows: list[tuple[Any, ...]] = []
     points = 0
+    is_planar = isinstance(scene.lidar.pattern, Planar)
+    columns = SWEEP_TRUTH_COLUMNS if is_planar else TRUTH_COLUMNS
 
-    def watched() -> Iterator[SimulatedScan]:
+    def watched() -> Iterator[Made]:
         nonlocal points
-        for number, made in enumerate(simulator):
+        for number in range(simulator.scans):
+            made = simulator.sweep(number) if is_planar else simulator.scan(number)
             points += int(np.count_nonzero(made.label >= 0))
             rows.extend(truth_rows(number, made))
             on_scan(made)
@@ -105,11 +116,11 @@ def record(
         path.with_suffix(f".{name}") for name in ("truth.csv", "scene.toml", "run.toml")
     )
     with truth.open("w", newline="") as file:
-        csv.writer(file).writerows([TRUTH_COLUMNS, *rows])
+        csv.writer(file).writerows([columns, *rows])
     effective = scene.model_copy(update={"scans": simulator.scans})
     scene_file.write_text(effective.to_toml())
     run.write_text(_run(path, simulator))
-    hits = sum(row[TRUTH_COLUMNS.index("hits")] for row in rows)
+    hits = sum(row[columns.index("hits")] for row in rows)
     return Recorded(path, truth, scene_file, run, simulator.scans, points, hits)
 
 
@@ -125,15 +136,19 @@ def _writer(path: Path) -> Callable[[Path, Iterable[Message]], None]:
     raise ConfigError(f"{path}: expected a name that ends in .npz or .mcap")
 
 
-def truth_rows(number: int, made: SimulatedScan) -> Iterator[tuple[Any, ...]]:
-    """Rows of `TRUTH_COLUMNS` of one scan, one per target."""
+def truth_rows(number: int, made: Made) -> Iterator[tuple[Any, ...]]:
+    """Rows of `TRUTH_COLUMNS`, or of `SWEEP_TRUTH_COLUMNS`, of one scan, one per target."""
     truth = made.truth
     for target, name in enumerate(truth.id.tolist()):
+        if isinstance(truth, TargetTruth):
+            place = truth.position[target].tolist()
+        else:
+            place = [truth.kind[target], *truth.center[target].tolist()]
         yield (
             number,
             made.scan.stamp_ns,
             name,
-            *truth.position[target].tolist(),
+            *place,
             *truth.velocity[target].tolist(),
             float(truth.radius[target]),
             int(truth.hits[target]),

@@ -1,0 +1,264 @@
+"""Scenes for 2D scanners: round things on their ways, alone, together, hidden, in a room.
+
+World frame [m]; the sensor is near the origin, 1 m high, and looks along +x.
+"""
+
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from lidar_core.errors import ConfigError
+from lidar_core.sim.config import Body, Scene, Target
+from lidar_core.sim.lidar import LidarModel
+from lidar_core.sim.motions import Circle, Hover, Motion, Scripted, Shuttle, Waypoints
+from lidar_core.sim.paths import FigureEight, StopAndGo, Swinging, Wandering
+from lidar_core.sim.people import Barrel, Person
+from lidar_core.sim.shapes import Box, Cylinder, Plane
+from lidar_core.sim.types import Vector
+
+HEIGHT = 1.0
+"""Of the sensor [m]."""
+RATE = 20.0
+"""Scans per second [Hz]."""
+ENDLESS = 1000.0
+"""Height of walls that no tilted ray misses [m]."""
+LAB_VOLUME = ((-2.5, -3.0, 0.1), (2.5, 3.0, 5.0))
+"""Least and greatest corner of the operating volume of the lab [m]."""
+
+SensorMotion: TypeAlias = Literal["hovering", "swinging"]
+
+
+def scanner() -> LidarModel:
+    """1081 beams over 270 degrees within 18.75 ms, 20 Hz, 0.1 to 10 m, noise of 0.01 m."""
+    return LidarModel.preset("utm-30lx", scan_rate=RATE, range_max=10.0)
+
+
+def single(
+    radius: float,
+    trajectory: int,
+    *,
+    speed: float = 1.0,
+    sensor: SensorMotion = "hovering",
+    ground: bool = False,
+    seed: int = 0,
+) -> Scene:
+    """Make one cylinder on one of five ways: line, circle, eight, stop and go, wandering.
+
+    Parameters
+    ----------
+    radius : float
+        Of the cylinder [m].
+    trajectory : int
+        1 to 5.
+    speed : float
+        Greatest speed on it; its root mean square when wandering [m/s].
+    sensor : str
+        Whether it hovers, or moves along x, turns, pitches and rolls.
+    ground : bool
+        A floor and a cylinder of 3 m, in place of an endless one without a floor.
+    seed : int
+        Of the wandering.
+
+    Raises
+    ------
+    ConfigError
+        There is no such trajectory.
+    """
+    level = 1.5 if ground else HEIGHT
+    ways: dict[int, Motion] = {
+        1: Waypoints(times=(0, 10 / speed), positions=((4, -5, level), (4, 5, level))),
+        2: Circle(center=(4, 0, level), radius=2, speed=speed),
+        3: FigureEight(center=(4, 0, level), speed=speed),
+        4: StopAndGo(start=(4, -3 * speed, level), velocity=(0, speed, 0)),
+        5: Wandering(start=(4, 0, level), speed=speed, seed=seed),
+    }
+    if trajectory not in ways:
+        raise ConfigError(f"trajectory: expected 1 to 5, got {trajectory}")
+    seconds = min(60.0, 10 / speed) if trajectory == 1 else 60.0
+    return Scene(
+        bodies=(Body(shape=Plane()),) if ground else (),
+        targets=(_post(radius, ways[trajectory], height=3.0 if ground else None),),
+        lidar=scanner(),
+        sensor=_sensor(sensor),
+        scans=round(seconds * RATE),
+    )
+
+
+def several(
+    seed: int, *, walls: bool = False, sensor: SensorMotion = "swinging", scans: int = 6000
+) -> Scene:
+    """Make posts at rest and on their ways, which hide one another; `walls` close a room.
+
+    Radii, phases and speeds depend on the seed. Five minutes, unless `scans` says otherwise.
+    """
+    rng = np.random.default_rng([20240608, seed])
+    places = np.array(
+        [(1.8, 0.9), (1.7, -1.2), (5, 2.4), (5.1, -2.2), (7.4, 0.4), (-1.2, 4.9), (7.6, -4.4)]
+    ) + rng.uniform(-0.1, 0.1, (7, 2))
+    at_rest = [_post(rng.uniform(0.1, 0.4), _still(x, y)) for x, y in places.tolist()]
+    pace = rng.uniform(0.5, 1.2, 4)
+    lead = rng.uniform(0, 10, 4)
+    ways: list[Motion] = [
+        Circle(center=(0, 0, HEIGHT), radius=3.2, speed=float(pace[0]), phase=float(lead[0])),
+        _shuttle((6.2, -5.0), (6.2, 5.0), pace[1], lead[1]),
+        _shuttle((-2.0, -4.6), (4.4, -4.6), pace[2], lead[2]),
+        _shuttle((0.5, 4.0), (4.3, 4.0), pace[3], lead[3]),
+    ]
+    moving = [_post(rng.uniform(0.1, 0.35), way) for way in ways]
+    return Scene(
+        bodies=_room((-6.0, -6.5), (9.0, 6.5), ENDLESS) if walls else (),
+        targets=(*at_rest, *moving),
+        lidar=scanner(),
+        sensor=_sensor(sensor),
+        scans=scans,
+    )
+
+
+def lab(seed: int, *, scans: int = 1200) -> Scene:
+    """Make a person who walks and a barrel in a room wider than the operating volume `LAB_VOLUME`.
+
+    The seed gives pace and phase of the walk. The barrel hides the person now and then.
+    """
+    rng = np.random.default_rng([20240609, seed])
+    eight = FigureEight(
+        center=(1.2, 0.3 + rng.uniform(-0.2, 0.2), 0),
+        half_size=(0.6, 2.0),
+        speed=float(rng.uniform(0.5, 1.0)),
+    )
+    person = Person(rate=float(rng.uniform(0.7, 1.0)), height=float(rng.uniform(1.6, 1.9)))
+    barrel = Barrel(height=1.3)
+    sensor = Swinging(
+        position=(-2.0, 0, HEIGHT), reach=(0.2, 0, 0), yaw=0.2, pitch_deg=4, roll_deg=3
+    )
+    return Scene(
+        bodies=(Body(shape=Plane()), *_room((-3.5, -4.0), (4.0, 4.0), 4.0)),
+        targets=(
+            Target(shape=person, motion=eight),
+            Target(shape=barrel, motion=Hover(position=(-0.4, -0.9, 0))),
+        ),
+        lidar=scanner(),
+        sensor=sensor,
+        scans=scans,
+    )
+
+
+def hidden(seed: int, *, sensor: SensorMotion = "hovering", scans: int = 200) -> Scene:
+    """Make three posts, each 25 to 75 % hidden by another in front of it.
+
+    The targets come in pairs: what is hidden, and what hides it.
+    """
+    rng = np.random.default_rng([20240610, seed])
+    targets = []
+    for bearing in (-0.9, 0.0, 0.9):
+        radius, front = rng.uniform(0.15, 0.45), rng.uniform(0.1, 0.3)
+        distance = rng.uniform(3.0, 7.0)
+        nearer = min(rng.uniform(0.4, 0.7) * distance, distance - radius - front - 0.4)
+        half, half_front = np.arcsin(radius / distance), np.arcsin(front / nearer)
+        share = min(rng.uniform(0.25, 0.75), half_front / half)
+        # The front one covers this share of the angle, from one side.
+        offset = rng.choice([-1.0, 1.0]) * (half + half_front - 2 * share * half)
+        for length, angle, size in ((distance, bearing, radius), (nearer, bearing + offset, front)):
+            way = _still(length * float(np.cos(angle)), length * float(np.sin(angle)))
+            targets.append(_post(size, way))
+    return Scene(targets=tuple(targets), lidar=scanner(), sensor=_sensor(sensor), scans=scans)
+
+
+def neighbours(
+    seed: int,
+    *,
+    gap: float = 0.3,
+    distance: float = 5.0,
+    sensor: SensorMotion = "hovering",
+    scans: int = 100,
+) -> Scene:
+    """Make two posts side by side, `gap` apart from surface to surface, at `distance` [m]."""
+    rng = np.random.default_rng([20240611, seed])
+    first, second = rng.uniform(0.1, 0.45, 2)
+    bearing, turn = rng.uniform(-1.2, 1.2), rng.uniform(-0.3, 0.3)
+    middle = distance * np.array([np.cos(bearing), np.sin(bearing)])
+    beside = np.array([-np.sin(bearing + turn), np.cos(bearing + turn)])
+    a, b = middle + beside * (gap / 2 + first), middle - beside * (gap / 2 + second)
+    return Scene(
+        targets=(_post(first, _still(*a.tolist())), _post(second, _still(*b.tolist()))),
+        lidar=scanner(),
+        sensor=_sensor(sensor),
+        scans=scans,
+    )
+
+
+def occlusion(
+    seed: int,
+    *,
+    seconds: float = 2.0,
+    sensor: SensorMotion = "hovering",
+    scans: int = 240,
+) -> Scene:
+    """Make a post that passes behind another one, wholly hidden for about `seconds`.
+
+    The first target passes, the second hides it from 6 - `seconds` / 2 s on.
+    """
+    rng = np.random.default_rng([20240612, seed])
+    radius, distance = rng.uniform(0.1, 0.35), rng.uniform(5.0, 7.0)
+    speed, nearer = rng.uniform(0.3, 1.0), rng.uniform(1.5, 2.5)
+    # Half the shadow holds the half way and the post's own half angle.
+    half = np.arctan2(speed * seconds / 2, distance) + np.arcsin(radius / distance)
+    front = float(nearer * np.sin(half))
+    forwards = rng.choice([-1.0, 1.0]) * speed
+    way = Waypoints(
+        times=(0.0, 12.0),
+        positions=((distance, -6 * forwards, HEIGHT), (distance, 6 * forwards, HEIGHT)),
+    )
+    return Scene(
+        targets=(_post(radius, way), _post(front, _still(nearer, 0.0))),
+        lidar=scanner(),
+        sensor=_sensor(sensor),
+        scans=scans,
+    )
+
+
+def _sensor(kind: SensorMotion) -> Scripted:
+    place = (0.0, 0.0, HEIGHT)
+    if kind == "hovering":
+        return Hover(position=place)
+    if kind == "swinging":
+        return Swinging(position=place)
+    raise ConfigError(f"sensor: expected hovering or swinging, got {kind}")
+
+
+def _post(radius: float, motion: Motion, *, height: float | None = None) -> Target:
+    return Target(shape=Cylinder(radius=float(radius), height=height), motion=motion)
+
+
+def _still(x: float, y: float) -> Hover:
+    return Hover(position=(float(x), float(y), HEIGHT))
+
+
+def _shuttle(
+    start: tuple[float, float], end: tuple[float, float], speed: float, lead: float
+) -> Shuttle:
+    return Shuttle(
+        start=(*start, HEIGHT),
+        end=(*end, HEIGHT),
+        speed=float(speed),
+        acceleration=1.0,
+        pause=1.0,
+        lead=float(lead),
+    )
+
+
+def _room(low: tuple[float, float], high: tuple[float, float], height: float) -> tuple[Body, ...]:
+    """Four walls of 0.2 m around a rectangle."""
+    middle, size = np.add(low, high) / 2, np.subtract(high, low)
+    x, y = middle.tolist()
+    thick = 0.2
+
+    def wall(length_x: float, length_y: float, place: Vector) -> Body:
+        return Body(shape=Box(size=(length_x, length_y, height)), position=place)
+
+    level = height / 2 if height < ENDLESS else 0.0
+    return (
+        wall(thick, size[1], (low[0] - thick / 2, y, level)),
+        wall(thick, size[1], (high[0] + thick / 2, y, level)),
+        wall(size[0], thick, (x, low[1] - thick / 2, level)),
+        wall(size[0], thick, (x, high[1] + thick / 2, level)),
+    )
