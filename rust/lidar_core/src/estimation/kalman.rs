@@ -32,6 +32,8 @@ pub struct Update<const N: usize> {
     pub posterior: Gaussian<N>,
     /// Normalised innovation squared: chi-square with M degrees of freedom.
     pub nis: f64,
+    /// Natural logarithm of the determinant of the innovation covariance S.
+    pub log_determinant: f64,
 }
 
 /// Distance of a vector from zero in terms of a covariance.
@@ -76,6 +78,7 @@ pub fn update<const N: usize, const M: usize>(
     Ok(Update {
         posterior: Gaussian { mean: prior.mean + K * model.y, covariance: symmetrised(joseph) },
         nis: model.y.dot(&S_chol.solve(&model.y)),
+        log_determinant: log_determinant(&S_chol),
     })
 }
 
@@ -88,15 +91,18 @@ pub fn mahalanobis<const M: usize>(
     S: &SMatrix<f64, M, M>,
 ) -> Result<Mahalanobis, Error> {
     let S_chol = factor(*S)?;
-    let lower = S_chol.l_dirty(); // its diagonal is that of the factor
-    let log_determinant = (0..M).map(|index| 2.0 * libm::log(lower[(index, index)])).sum();
-    Ok(Mahalanobis { squared: y.dot(&S_chol.solve(y)), log_determinant })
+    Ok(Mahalanobis { squared: y.dot(&S_chol.solve(y)), log_determinant: log_determinant(&S_chol) })
 }
 
 /// The mean of a matrix and its transpose: bit for bit symmetric.
 #[must_use]
 pub fn symmetrised<const N: usize>(matrix: SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
     (matrix + matrix.transpose()) * 0.5
+}
+
+fn log_determinant<const M: usize>(S_chol: &Cholesky<f64, Const<M>>) -> f64 {
+    let lower = S_chol.l_dirty(); // its diagonal is that of the factor
+    2.0 * libm::log((0..M).map(|index| lower[(index, index)]).product())
 }
 
 fn factor<const M: usize>(S: SMatrix<f64, M, M>) -> Result<Cholesky<f64, Const<M>>, Error> {
@@ -131,6 +137,7 @@ mod tests {
         assert_eq!(update.posterior.mean, Vector2::new(2.5, 2.75));
         assert_eq!(update.posterior.covariance, Matrix2::new(1.0, 0.5, 0.5, 2.75));
         assert_eq!(update.nis, 2.25);
+        assert!((update.log_determinant - libm::log(4.0)).abs() < 1e-15);
         Ok(())
     }
 
