@@ -2,8 +2,8 @@
 //!
 //! Three capabilities stand on shared modules and never import one another:
 //! [`flying`] finds and tracks flying objects in 3D scans, [`circles`] maps round obstacles in 2D
-//! scans; fusion (LiDAR + radar) follows. [`geometry`], [`estimation`] and [`probability`] hold
-//! what they share.
+//! scans, [`fusion`] tracks a target that LiDAR and radar see. [`geometry`], [`estimation`] and
+//! [`probability`] hold what they share.
 //!
 //! SI units and radians; right-handed frames, x forward, y left, z up; stamps are `i64`
 //! nanoseconds; points are `f32`, poses and filter states `f64`.
@@ -13,6 +13,7 @@ pub mod circles;
 mod error;
 pub mod estimation;
 pub mod flying;
+pub mod fusion;
 pub mod geometry;
 pub mod probability;
 pub mod threads;

@@ -1,0 +1,263 @@
+//! Measurement models: what a sensor would say about a state, and how that changes with it.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::measurement::{Measurement, Sensor};
+use super::motion::{First, Motion};
+use super::platform::{Platform, SensorPose};
+use super::turn::{direction, rotated, wrapped};
+use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
+
+/// Noise of measurements that bring no covariance, and limits of the models.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sensing {
+    /// Variances of x and y of the LiDAR [m^2].
+    pub lidar: [f64; 2],
+    /// Variances of range [m^2], bearing [rad^2] and range rate [m^2/s^2] of the radar.
+    pub radar: [f64; 3],
+    /// Variance of the gyro's turn rate [rad^2/s^2].
+    pub gyro: f64,
+    /// Nearer than this [m] a radar's range and bearing are turned into a position.
+    pub range_min: f64,
+    /// Whether radar is always turned into a position, its range rate dropped.
+    pub convert_radar: bool,
+}
+
+/// A measurement in the form in which it corrects a state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Observation {
+    /// Position in the frame of the sensor.
+    Position {
+        /// Measured [m].
+        z: Vector2<f64>,
+        /// Its covariance.
+        R: Matrix2<f64>,
+    },
+    /// Range, bearing and range rate.
+    Polar {
+        /// Measured.
+        z: Vector3<f64>,
+        /// Its covariance.
+        R: Matrix3<f64>,
+    },
+    /// Turn rate of the platform.
+    Rate {
+        /// Measured [rad/s].
+        z: f64,
+        /// Its variance.
+        R: f64,
+    },
+}
+
+/// A state as the sensor sees it: position and relative velocity in its frame, with Jacobians.
+pub struct Sight<const N: usize> {
+    position: Vector2<f64>,
+    velocity: Vector2<f64>,
+    by_state: [SMatrix<f64, 2, N>; 2],
+}
+
+impl<const N: usize> Sight<N> {
+    /// `s` seen by a sensor in the world, or in its own frame where there is none.
+    pub fn new<M: Motion<N>>(
+        motion: &M,
+        s: &SVector<f64, N>,
+        platform: &Platform,
+        sensor: Option<&SensorPose>,
+    ) -> Self {
+        let (velocity, by_velocity) = motion.velocity(s, platform);
+        let mut by_position = SMatrix::<f64, 2, N>::zeros();
+        (by_position[(0, 0)], by_position[(1, 1)]) = (1.0, 1.0);
+        let position = Vector2::new(s[0], s[1]);
+        let Some(sensor) = sensor else {
+            return Self { position, velocity, by_state: [by_position, by_velocity] };
+        };
+        let [c, sine] = sensor.heading;
+        let back = Matrix2::new(c, sine, -sine, c); // world to sensor
+        Self {
+            position: back * (position - Vector2::from(sensor.position)),
+            velocity: back * (velocity - Vector2::from(sensor.velocity)),
+            by_state: [back * by_position, back * by_velocity],
+        }
+    }
+
+    /// Expected position and its Jacobian.
+    #[must_use]
+    pub fn place(&self) -> (Vector2<f64>, SMatrix<f64, 2, N>) {
+        (self.position, self.by_state[0])
+    }
+
+    /// Expected range, bearing and range rate. The range must not be zero.
+    #[must_use]
+    pub fn polar(&self) -> Vector3<f64> {
+        let (p, v) = (self.position, self.velocity);
+        let range = libm::sqrt(p.x * p.x + p.y * p.y);
+        Vector3::new(range, libm::atan2(p.y, p.x), (p.x * v.x + p.y * v.y) / range)
+    }
+
+    /// Jacobian of [`Self::polar`].
+    #[must_use]
+    pub fn polar_jacobian(&self) -> SMatrix<f64, 3, N> {
+        let (p, v) = (self.position, self.velocity);
+        let square = p.x * p.x + p.y * p.y;
+        let range = libm::sqrt(square);
+        let across = (p.x * v.y - p.y * v.x) / (square * range);
+        let by_position = SMatrix::<f64, 3, 2>::new(
+            p.x / range,
+            p.y / range, //
+            -p.y / square,
+            p.x / square, //
+            -p.y * across,
+            p.x * across,
+        );
+        let mut J = by_position * self.by_state[0];
+        let ahead = nalgebra::RowVector2::new(p.x / range, p.y / range);
+        let mut row = J.fixed_view_mut::<1, N>(2, 0);
+        row += ahead * self.by_state[1];
+        J
+    }
+
+    /// Distance from the sensor [m].
+    #[must_use]
+    pub fn range(&self) -> f64 {
+        self.position.norm()
+    }
+}
+
+impl Sensing {
+    /// `m` in the form in which it corrects a state `range` away [m]; none for a pose.
+    #[must_use]
+    pub fn observation(&self, m: &Measurement, range: f64) -> Option<Observation> {
+        let v = m.values();
+        match m.sensor() {
+            Sensor::Lidar => {
+                Some(Observation::Position { z: Vector2::new(v[0], v[1]), R: self.lidar_noise(m) })
+            }
+            Sensor::Radar if self.convert_radar || range < self.range_min => {
+                Some(converted(v, &self.radar_noise(m)))
+            }
+            Sensor::Radar => Some(Observation::Polar {
+                z: Vector3::new(v[0], v[1], v[2]),
+                R: self.radar_noise(m),
+            }),
+            Sensor::Gyro => Some(Observation::Rate { z: v[0], R: self.gyro_variance(m) }),
+            Sensor::Pose => None,
+        }
+    }
+
+    /// Variance of a gyro's turn rate [rad^2/s^2].
+    #[must_use]
+    pub fn gyro_variance(&self, m: &Measurement) -> f64 {
+        m.covariance().map_or(self.gyro, |rows| rows[0][0])
+    }
+
+    fn lidar_noise(&self, m: &Measurement) -> Matrix2<f64> {
+        m.matrix2().unwrap_or_else(|| Matrix2::from_diagonal(&self.lidar.into()))
+    }
+
+    fn radar_noise(&self, m: &Measurement) -> Matrix3<f64> {
+        m.matrix3().unwrap_or_else(|| Matrix3::from_diagonal(&self.radar.into()))
+    }
+}
+
+/// A radar's range and bearing as a position, its covariance turned along.
+fn converted(values: &[f64], R: &Matrix3<f64>) -> Observation {
+    let [cosine, sine] = direction(values[1]);
+    let range = values[0];
+    let T = Matrix2::new(cosine, -range * sine, sine, range * cosine);
+    let R = T * R.fixed_view::<2, 2>(0, 0) * T.transpose();
+    let R = (R + R.transpose()) * 0.5;
+    Observation::Position { z: Vector2::new(range * cosine, range * sine), R }
+}
+
+/// Innovation of a polar measurement: the bearing is an angle.
+#[must_use]
+pub fn polar_difference(z: &Vector3<f64>, expected: &Vector3<f64>) -> Vector3<f64> {
+    let y = z - expected;
+    Vector3::new(y[0], wrapped(y[1]), y[2])
+}
+
+/// Where a measurement sees a target first: its position, in the world where the sensor is.
+#[must_use]
+pub fn first_sight(m: &Measurement, sensor: Option<&SensorPose>) -> Option<First> {
+    let v = m.values();
+    let mut first = match m.sensor() {
+        Sensor::Lidar => First { position: [v[0], v[1]], speed: 0.0, heading: 0.0 },
+        Sensor::Radar => {
+            let [cosine, sine] = direction(v[1]);
+            First { position: [v[0] * cosine, v[0] * sine], speed: v[2], heading: v[1] }
+        }
+        Sensor::Gyro | Sensor::Pose => return None,
+    };
+    if let Some(sensor) = sensor {
+        let [x, y] = rotated(sensor.heading, first.position);
+        first.position = [x + sensor.position[0], y + sensor.position[1]];
+        let along = direction(first.heading);
+        let own = rotated([sensor.heading[0], -sensor.heading[1]], sensor.velocity);
+        first.heading += libm::atan2(sensor.heading[1], sensor.heading[0]);
+        if m.sensor() == Sensor::Radar {
+            first.speed += along[0] * own[0] + along[1] * own[1]; // over ground
+        }
+    }
+    Some(first)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::drone::{CtrvDrone, CtrvDroneRate};
+    use super::super::heading::Ctrv;
+    use super::super::motion::tests::difference;
+    use super::super::platform::Pose;
+    use super::*;
+    use nalgebra::{Vector5, Vector6};
+
+    fn check<const N: usize, M: Motion<N>>(motion: &M, s: &SVector<f64, N>, platform: &Platform) {
+        let sensor = platform.sensor_at(100_000_000);
+        let sight = |s: &SVector<f64, N>| Sight::new(motion, s, platform, sensor.as_ref());
+        let expected = difference(s, |s| sight(s).polar());
+        let J = sight(s).polar_jacobian();
+        assert!((J - expected).abs().max() < 1e-8, "{J} {expected}");
+        let (_, J) = sight(s).place();
+        assert!((J - difference(s, |s| sight(s).place().0)).abs().max() < 1e-8);
+    }
+
+    #[test]
+    fn jacobians_agree_with_differences() {
+        let lever = [0.3, -0.2];
+        let moving = Platform { rate: 0.8, velocity: [2.0, 1.0], lever, ..Platform::still() };
+        let s = Vector5::new(4.0, -2.0, 2.0, 2.5, 0.3);
+        check(&Ctrv, &s, &Platform::still());
+        check(&CtrvDrone, &s, &moving);
+        check(&CtrvDroneRate, &Vector6::new(4.0, -2.0, 2.0, 2.5, 0.3, 0.8), &moving);
+        let (position, velocity) = ([5.0, 1.0], [1.0, -2.0]);
+        let pose = Pose { stamp_ns: 0, position, yaw: 0.7, velocity, rate: 0.5 };
+        check(&Ctrv, &s, &Platform { pose: Some(pose), ..moving });
+    }
+
+    /// The range rate is the derivative of the range along the motion.
+    #[test]
+    fn range_rate_is_how_the_range_changes() {
+        let lever = [0.3, -0.2];
+        let moving = Platform { rate: 0.8, velocity: [2.0, 1.0], lever, ..Platform::still() };
+        let s = Vector5::new(4.0, -2.0, 2.0, 2.5, 0.3);
+        let range =
+            |dt| Sight::new(&CtrvDrone, &CtrvDrone.moved(&s, dt, &moving), &moving, None).range();
+        let rate = (range(1e-5) - range(-1e-5)) / 2e-5;
+        assert!((Sight::new(&CtrvDrone, &s, &moving, None).polar()[2] - rate).abs() < 1e-8);
+    }
+
+    #[test]
+    fn a_first_sight_is_what_the_sensor_would_measure() -> Result<(), crate::Error> {
+        let pose =
+            Pose { stamp_ns: 0, position: [5.0, 1.0], yaw: 0.7, velocity: [1.0, -2.0], rate: 0.0 };
+        let platform = Platform { pose: Some(pose), ..Platform::still() };
+        let sensor = platform.sensor_at(0);
+        let m = Measurement::new(0, Sensor::Radar, &[3.0, 0.4, 1.5], None)?;
+        let unknown = First { position: [0.0; 2], speed: 0.0, heading: 0.0 };
+        let first = first_sight(&m, sensor.as_ref()).unwrap_or(unknown);
+        let [x, y] = first.position;
+        let s = Vector5::new(x, y, first.speed, first.heading, 0.0);
+        let polar = Sight::new(&Ctrv, &s, &platform, sensor.as_ref()).polar();
+        assert!((polar - Vector3::new(3.0, 0.4, 1.5)).abs().max() < 1e-12);
+        Ok(())
+    }
+}

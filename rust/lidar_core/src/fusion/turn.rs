@@ -1,0 +1,149 @@
+//! Motion along an arc: exact integrals over a step, without cancellation at small turn rates.
+
+/// Turned angle up to which the series are used [rad].
+const SERIES_UP_TO: f64 = 0.5;
+/// Terms of the series: the first left out is below 1e-17 at `SERIES_UP_TO`.
+const TERMS: usize = 7;
+
+/// Integrals of t^k cos(w t) and t^k sin(w t) over a step, for k = 0, 1, 2.
+///
+/// (A, B) of the models is the moment 0 turned by the heading; derivatives by the turn rate are
+/// the moments 1 and 2, turned by a quarter more each.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Turn {
+    /// Along the start's heading [s^(k + 1)].
+    pub along: [f64; 3],
+    /// To its left [s^(k + 1)].
+    pub aside: [f64; 3],
+}
+
+impl Turn {
+    /// A step of `dt` [s] at the turn rate `rate` [rad/s].
+    #[must_use]
+    pub fn new(rate: f64, dt: f64) -> Self {
+        let angle = rate * dt;
+        let (along, aside) =
+            if angle.abs() < SERIES_UP_TO { by_series(angle) } else { closed(angle) };
+        let scale = [dt, dt * dt, dt * dt * dt];
+        let scaled = |unit: [f64; 3]| std::array::from_fn(|k| unit[k] * scale[k]);
+        Self { along: scaled(along), aside: scaled(aside) }
+    }
+
+    /// Moment `k` for a start with the heading whose cosine and sine are `heading`.
+    #[inline]
+    #[must_use]
+    pub fn turned(&self, k: usize, heading: [f64; 2]) -> [f64; 2] {
+        rotated(heading, [self.along[k], self.aside[k]])
+    }
+}
+
+/// `vector` turned by the angle whose cosine and sine are `heading`.
+#[inline]
+#[must_use]
+pub fn rotated([cosine, sine]: [f64; 2], [x, y]: [f64; 2]) -> [f64; 2] {
+    [x * cosine - y * sine, x * sine + y * cosine]
+}
+
+/// Cosine and sine of an angle.
+#[inline]
+#[must_use]
+pub fn direction(angle: f64) -> [f64; 2] {
+    let (sine, cosine) = libm::sincos(angle);
+    [cosine, sine]
+}
+
+/// `angle` moved by whole turns into -pi to pi [rad].
+#[inline]
+#[must_use]
+pub fn wrapped(angle: f64) -> f64 {
+    const TURN: f64 = std::f64::consts::TAU;
+    if angle.abs() <= std::f64::consts::PI { angle } else { angle - TURN * (angle / TURN).round() }
+}
+
+/// Coefficients of (-angle^2)^j in the unit integrals: 1 / ((2j)! (2j + k + 1)) for the cosine,
+/// 1 / ((2j + 1)! (2j + k + 2)) for the sine.
+const COEFFICIENTS: [[[f64; TERMS]; 3]; 2] = [
+    [coefficients(0, 1), coefficients(0, 2), coefficients(0, 3)],
+    [coefficients(1, 2), coefficients(1, 3), coefficients(1, 4)],
+];
+
+const fn coefficients(odd: usize, first: usize) -> [f64; TERMS] {
+    let mut values = [0.0; TERMS];
+    let (mut factorial, mut j) = (1.0, 0);
+    while j < TERMS {
+        values[j] = 1.0 / (factorial * (2 * j + first) as f64);
+        factorial *= ((2 * j + odd + 1) * (2 * j + odd + 2)) as f64;
+        j += 1;
+    }
+    values
+}
+
+fn by_series(angle: f64) -> ([f64; 3], [f64; 3]) {
+    let x = -angle * angle;
+    let sum = |values: &[f64; TERMS]| values.iter().rev().fold(0.0, |sum, value| sum * x + value);
+    let [cosine, sine] = &COEFFICIENTS;
+    (std::array::from_fn(|k| sum(&cosine[k])), std::array::from_fn(|k| angle * sum(&sine[k])))
+}
+
+/// By parts, from the moment before.
+fn closed(angle: f64) -> ([f64; 3], [f64; 3]) {
+    let (sine, cosine) = libm::sincos(angle);
+    let half = libm::sin(0.5 * angle);
+    let (c0, s0) = (sine / angle, 2.0 * half * half / angle);
+    let (c1, s1) = ((sine - s0) / angle, (c0 - cosine) / angle);
+    ([c0, c1, (sine - 2.0 * s1) / angle], [s0, s1, (2.0 * c1 - cosine) / angle])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Simpson's rule with many intervals.
+    fn integrated(rate: f64, dt: f64, k: i32) -> [f64; 2] {
+        let steps = 2000;
+        let mut sums = [0.0; 2];
+        for index in 0..=steps {
+            let t = dt * f64::from(index) / f64::from(steps);
+            let weight = match index {
+                0 => 1.0,
+                index if index == steps => 1.0,
+                index if index % 2 == 1 => 4.0,
+                _ => 2.0,
+            };
+            sums[0] += weight * t.powi(k) * (rate * t).cos();
+            sums[1] += weight * t.powi(k) * (rate * t).sin();
+        }
+        sums.map(|sum| sum * dt / f64::from(steps) / 3.0)
+    }
+
+    #[test]
+    fn moments_are_the_integrals() {
+        for rate in [0.0, 1e-9, -0.01, 0.3, 0.999, -1.001, 2.5, -8.0] {
+            for dt in [0.05, 0.5, 1.0] {
+                let turn = Turn::new(rate, dt);
+                for k in 0..3 {
+                    let [cosine, sine] = integrated(rate, dt, k as i32);
+                    assert!((turn.along[k] - cosine).abs() < 1e-12, "{rate} {dt} {k}");
+                    assert!((turn.aside[k] - sine).abs() < 1e-12, "{rate} {dt} {k}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn series_and_closed_form_meet() {
+        for angle in [SERIES_UP_TO, -SERIES_UP_TO] {
+            let ((c, s), (c2, s2)) = (by_series(angle), closed(angle));
+            for k in 0..3 {
+                assert!((c[k] - c2[k]).abs() < 4e-15 && (s[k] - s2[k]).abs() < 4e-15);
+            }
+        }
+    }
+
+    #[test]
+    fn angles_are_wrapped_into_half_a_turn() {
+        for (angle, expected) in [(0.5, 0.5), (4.0, 4.0 - std::f64::consts::TAU), (-7.0, -0.7168)] {
+            assert!((wrapped(angle) - expected).abs() < 1e-4);
+        }
+    }
+}
