@@ -11,6 +11,7 @@ USED_BY = {
     "evaluation": "`lidar-core demo`, `lidar_core.evaluation`",
     "flight": "`lidar_core.sim`: a target in a real scan",
     "flying": "`lidar-core detect --config`, `lidar_core.flying.FlyingObjectDetector`",
+    "fusion": "`lidar_core.fusion.TargetFilter`, `lidar_core.fusion.run`",
     "pose_noise": "`lidar_core.sim.NoisyPoses`, `lidar-core reproduce`",
     "poses": "`lidar-core detect`, `lidar_core.io.posed_scans`",
     "read": "`lidar-core info`, `lidar-core detect`, `lidar_core.io.open_recording`",

@@ -23,12 +23,13 @@ from lidar_core.geometry import cluster_points, traverse
 if TYPE_CHECKING:
     from lidar_core import estimation as estimation
     from lidar_core import evaluation as evaluation
+    from lidar_core import fusion as fusion
     from lidar_core import io as io
     from lidar_core import reproduce as reproduce
     from lidar_core import sim as sim
     from lidar_core import viz as viz
 
-_LAZY = ("estimation", "evaluation", "io", "reproduce", "sim", "viz")
+_LAZY = ("estimation", "evaluation", "fusion", "io", "reproduce", "sim", "viz")
 """Modules that are imported when they are first used."""
 
 __all__ = [

@@ -9,15 +9,20 @@ from numpy.typing import NDArray
 
 __all__ = [
     "FlyingObjectDetector",
+    "FusionStep",
+    "Measurement",
     "PointCloudTracker",
     "SimScene",
     "SimShape",
     "SimTrajectory",
+    "TargetFilter",
     "VoxelMap",
     "__version__",
     "chi2_quantile",
     "cluster_points",
     "detection_probability",
+    "fusion_outcomes",
+    "fusion_run",
     "hit_probability",
     "point_covariance",
     "target_center",
@@ -57,6 +62,17 @@ def point_covariance(
     pose_covariance: NDArray[np.float64],
     range_std: float,
 ) -> NDArray[np.float64]: ...
+def fusion_outcomes() -> list[str]: ...
+def fusion_run(
+    config: object, measurements: Sequence[Measurement]
+) -> tuple[
+    NDArray[np.int64],
+    NDArray[np.uint8],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+]: ...
 def hit_probability(
     points: NDArray[np.float64],
     covariance: NDArray[np.float64],
@@ -244,3 +260,37 @@ class FlyingObjectDetector:
     def map_size(self) -> tuple[int, int, int]: ...
     def reanchor(self) -> bool: ...
     def reset(self) -> None: ...
+
+@final
+class Measurement:
+    def __new__(
+        cls,
+        stamp_ns: int,
+        sensor: str,
+        values: NDArray[np.float64],
+        *,
+        covariance: NDArray[np.float64] | None,
+    ) -> Self: ...
+
+@final
+class FusionStep:
+    @property
+    def stamp_ns(self) -> int: ...
+    @property
+    def outcome(self) -> str: ...
+    @property
+    def accepted(self) -> bool: ...
+    @property
+    def state(self) -> NDArray[np.float64] | None: ...
+    @property
+    def covariance(self) -> NDArray[np.float64] | None: ...
+    @property
+    def innovation(self) -> NDArray[np.float64] | None: ...
+    @property
+    def nis(self) -> float | None: ...
+
+@final
+class TargetFilter:
+    def __new__(cls, config: object) -> Self: ...
+    def step(self, measurement: Measurement) -> FusionStep: ...
+    def state_at(self, stamp_ns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None: ...

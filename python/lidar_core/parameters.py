@@ -19,6 +19,7 @@ MODELS = {
     "evaluation": "lidar_core.evaluation:EvaluationConfig",
     "flight": "lidar_core.sim:InsertedFlight",
     "flying": "lidar_core.flying:FlyingConfig",
+    "fusion": "lidar_core.fusion:FusionConfig",
     "pose_noise": "lidar_core.sim:PoseNoise",
     "poses": "lidar_core.io:PoseOptions",
     "read": "lidar_core.io:ReadOptions",

@@ -7,6 +7,8 @@ mod errors;
 mod estimation;
 mod flying;
 mod flying_config;
+mod fusion;
+mod fusion_config;
 mod geometry;
 mod guard;
 mod sim;
@@ -24,6 +26,8 @@ mod _core {
     use super::estimation::chi2_quantile;
     #[pymodule_export]
     use super::flying::PyFlyingObjectDetector;
+    #[pymodule_export]
+    use super::fusion::{PyFusionStep, PyMeasurement, PyTargetFilter, fusion_outcomes, fusion_run};
     #[pymodule_export]
     use super::geometry::{cluster_points, traverse};
     #[pymodule_export]

@@ -1,0 +1,152 @@
+"""Configuration of the fusion filter: the only source of its defaults and ranges."""
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from lidar_core.config import Config
+
+Pair = tuple[float, float]
+Triple = tuple[float, float, float]
+
+
+class FusionConfig(Config):
+    """A filter of one target that LiDAR and radar measure.
+
+    Noise of the sensors is used for measurements that bring no covariance.
+
+    Source: Remote Sens. 2023, 15, 3396; Bar-Shalom, Li & Kirubarajan, "Estimation with
+    Applications to Tracking and Navigation", 2001.
+    """
+
+    model: Literal["cv", "ca", "ct", "ctrv", "ctra", "ctrv-drone"] = Field(
+        "ctrv",
+        description="How targets move (no unit): constant velocity [x, y, vx, vy]; constant"
+        " acceleration [x, y, vx, vy, ax, ay]; coordinated turn [x, y, vx, vy, w]; constant turn"
+        " rate and velocity [x, y, v, theta, w]; the same with acceleration"
+        " [x, y, v, theta, w, a]; CTRV in the frame of a sensor that moves.",
+    )
+    method: Literal["kf", "ekf"] = Field(
+        "ekf",
+        description="Linear Kalman filter, which takes radar as a position, of models cv and ca;"
+        " extended Kalman filter (no unit).",
+    )
+    process: Literal["continuous", "discrete"] = Field(
+        "continuous",
+        description="Process noise: white in continuous time, the same for any rate of"
+        " measurements; or constant over a step, as courses have it (no unit).",
+    )
+    acceleration_noise: float = Field(
+        1.0,
+        ge=0,
+        le=1e6,
+        description="Noise of the acceleration: root of its density [m/s^1.5], or discrete its"
+        " standard deviation [m/s^2].",
+    )
+    jerk_noise: float = Field(
+        2.0,
+        ge=0,
+        le=1e6,
+        description="Noise of the jerk, models ca and ctra: root of its density [m/s^2.5], or"
+        " discrete its standard deviation [m/s^3].",
+    )
+    turn_noise: float = Field(
+        0.5,
+        ge=0,
+        le=1e6,
+        description="Noise of the angular acceleration: root of its density [rad/s^1.5], or"
+        " discrete its standard deviation [rad/s^2].",
+    )
+    platform_noise: float = Field(
+        0.5,
+        ge=0,
+        le=1e6,
+        description="The same of the platform, where its turn rate is a state [rad/s^1.5], or"
+        " discrete [rad/s^2].",
+    )
+    start_noise: float = Field(
+        4.0,
+        gt=0,
+        le=1e6,
+        description="Acceleration of a target that starts, constant over a step [m/s^2].",
+    )
+    lidar_std: Pair = Field(
+        (0.15, 0.15), description="Standard deviations of x and y of the LiDAR [m], > 0."
+    )
+    radar_std: Triple = Field(
+        (0.3, 0.03, 0.3),
+        description="Standard deviations of range [m], bearing [rad] and range rate [m/s] of the"
+        " radar, > 0.",
+    )
+    gyro_std: float = Field(
+        0.01, gt=0, le=1e3, description="Standard deviation of the gyro's turn rate [rad/s]."
+    )
+    range_min: float = Field(
+        0.1,
+        gt=0,
+        description="Nearer to the sensor than this, range and bearing of the radar are taken as"
+        " a position [m].",
+    )
+    gyro: Literal["input", "measurement", "none"] = Field(
+        "input",
+        description="Use of the gyro by model ctrv-drone (no unit): its rate as it is; or as a"
+        " measurement of a sixth state w_d; or not at all, w_d being estimated.",
+    )
+    lever_arm: Pair = Field(
+        (0.0, 0.0), description="From the platform's origin to the sensor, platform axes [m]."
+    )
+    start_rows: int = Field(
+        6,
+        ge=1,
+        le=1000,
+        description="Measurements that a constant-velocity filter takes before the model does"
+        " (count, no unit); 1: the model at once, as always with cv and ctrv-drone.",
+    )
+    start_speed: Literal["range-rate", "zero"] = Field(
+        "range-rate",
+        description="Speed of a target that a radar sees first: its range rate along the bearing,"
+        " or zero (no unit).",
+    )
+    initial_position: float = Field(
+        0.7071, gt=0, le=1e6, description="Standard deviation of the first position [m]."
+    )
+    initial_speed: float = Field(
+        5.0, gt=0, le=1e6, description="Same of the speed, or of the velocity per axis [m/s]."
+    )
+    initial_heading: float = Field(1.732, gt=0, le=100, description="Same of the heading [rad].")
+    initial_turn_rate: float = Field(
+        1.0, gt=0, le=1e3, description="Same of the turn rate [rad/s]."
+    )
+    initial_acceleration: float = Field(
+        3.0, gt=0, le=1e6, description="Same of the acceleration [m/s^2]."
+    )
+    initial_platform_rate: float = Field(
+        1.0, gt=0, le=1e3, description="Same of the platform's turn rate [rad/s]."
+    )
+    gate_probability: float | None = Field(
+        0.9999,
+        gt=0,
+        lt=1,
+        description="Probability that a measurement of the target is believed (no unit); none: all"
+        " are.",
+    )
+    loss_ratio: float | None = Field(
+        4.0,
+        gt=1,
+        description="The filter starts anew when the NIS per value, averaged over `loss_window`,"
+        " is above this (ratio, no unit; 1 is expected); none: never.",
+    )
+    loss_window: float = Field(
+        10.0, ge=1, le=1e6, description="Measurements in that average (count, no unit)."
+    )
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        for name in ("lidar_std", "radar_std"):
+            if not all(0 < value <= 1e6 for value in getattr(self, name)):
+                raise ValueError(f"{name}: expected values > 0 and <= 1e6")
+        if not all(abs(value) <= 1e3 for value in self.lever_arm):
+            raise ValueError("lever_arm: expected at most 1000 m")
+        if self.method == "kf" and self.model not in ("cv", "ca"):
+            raise ValueError('expected model "cv" or "ca" with method "kf"')
+        return self

@@ -1,0 +1,76 @@
+"""A filter of one target, measurement by measurement."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core import _core
+from lidar_core.arrays import as_stamp
+from lidar_core.config import as_config
+from lidar_core.errors import InputError
+from lidar_core.fusion.config import FusionConfig
+from lidar_core.fusion.measurement import Measurement
+
+
+class TargetFilter:
+    """Position and motion of one target.
+
+    The state is in the frame of the sensor where that stands still or where the model moves it
+    (ctrv-drone), and in the world once a measurement "pose" has come.
+
+    Parameters
+    ----------
+    config : FusionConfig, optional
+
+    Raises
+    ------
+    ConfigError
+        A parameter is outside its range.
+
+    Examples
+    --------
+    >>> flt = TargetFilter(FusionConfig(model="cv"))
+    >>> for k in range(20):
+    ...     step = flt.step(Measurement(k * 50_000_000, "lidar", [0.1 * k, 2.0]))
+    >>> step.accepted, step.state.round(1).tolist()
+    (True, [1.9, 2.0, 2.0, 0.0])
+    """
+
+    def __init__(self, config: FusionConfig | None = None) -> None:
+        self.config = as_config(config, FusionConfig)
+        self._filter = _core.TargetFilter(self.config)
+
+    def step(self, measurement: Measurement) -> _core.FusionStep:
+        """Take in one measurement.
+
+        Parameters
+        ----------
+        measurement : Measurement
+
+        Returns
+        -------
+        step : FusionStep
+            `stamp_ns`, `state` (n,) and `covariance` (n, n) after it, None before the target has
+            been seen; `innovation` (k,) and `nis`, None where there was nothing to compare;
+            `accepted`; and `outcome`: "updated", "started", "restarted" (the filter was lost),
+            "told" (how the platform moves), "gated", "invalid" (values that cannot be used),
+            "late", "singular" (covariances without a factor). After the last three the filter is
+            as before, after "gated" it is predicted only.
+
+        Raises
+        ------
+        InputError
+            Not a `Measurement`.
+        """
+        if not isinstance(measurement, Measurement):
+            raise InputError(
+                f"measurement: expected a Measurement, got {type(measurement).__name__}"
+            )
+        return self._filter.step(measurement._core)
+
+    def state_at(self, stamp_ns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Mean (n,) and covariance (n, n), predicted to a time; nothing changes.
+
+        None before the target has been seen; a time before the last measurement gives the state
+        at that measurement.
+        """
+        return self._filter.state_at(as_stamp(stamp_ns))

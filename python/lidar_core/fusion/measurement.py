@@ -1,0 +1,84 @@
+"""Measurements, as a filter takes them."""
+
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidar_core import _core
+from lidar_core.arrays import as_real, as_stamp
+from lidar_core.errors import InputError
+
+SensorName: TypeAlias = Literal["lidar", "radar", "gyro", "pose"]
+VALUES: dict[str, tuple[int, ...]] = {"lidar": (2,), "radar": (3,), "gyro": (1, 3), "pose": (3, 6)}
+"""Numbers of values that each sensor may give."""
+NOISY = {"lidar": 2, "radar": 3, "gyro": 1, "pose": 0}
+"""Rows of each sensor's covariance."""
+
+
+class Measurement:
+    """One measurement of one sensor.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Time [ns].
+    sensor : {"lidar", "radar", "gyro", "pose"}
+        Where it comes from.
+    values : array_like
+        lidar: x, y [m]. radar: range [m], bearing counter-clockwise from x [rad], range rate
+        [m/s], positive when the range grows. gyro: turn rate of the platform [rad/s], or that
+        and the velocity of its origin in its own axes, vx, vy [m/s]. pose, of the platform in
+        the world: x, y [m], yaw [rad]; or these and vx, vy in the world [m/s] and the turn rate
+        [rad/s]. Values that are not finite are allowed: a filter refuses them and says so.
+    covariance : array_like, optional
+        Of a lidar's x and y (2, 2), of all values of a radar (3, 3), of a gyro's turn rate
+        (1, 1); without it the filter's configuration holds.
+
+    Raises
+    ------
+    InputError
+        Unknown sensor, wrong number of values, or a matrix that is no covariance.
+
+    Examples
+    --------
+    >>> Measurement(0, "radar", [5.0, 0.1, -1.2])
+    Measurement(0, 'radar', [5.0, 0.1, -1.2])
+    """
+
+    __slots__ = ("_core", "covariance", "sensor", "stamp_ns", "values")
+
+    def __init__(
+        self,
+        stamp_ns: int,
+        sensor: SensorName,
+        values: ArrayLike,
+        covariance: ArrayLike | None = None,
+    ) -> None:
+        if sensor not in VALUES:
+            raise InputError(f"sensor: expected one of {', '.join(VALUES)}, got {sensor!r}")
+        self.stamp_ns = as_stamp(stamp_ns)
+        self.sensor = sensor
+        self.values = as_real(values, name="values").astype(np.float64)
+        if self.values.shape not in [(count,) for count in VALUES[sensor]]:
+            expected = " or ".join(f"({count},)" for count in VALUES[sensor])
+            raise InputError(f"values: expected shape {expected}, got {self.values.shape}")
+        self.covariance = None if covariance is None else _covariance(covariance, sensor)
+        self._core = _core.Measurement(
+            self.stamp_ns,
+            sensor,
+            self.values,
+            covariance=None if self.covariance is None else self.covariance.reshape(-1),
+        )
+
+    def __repr__(self) -> str:
+        return f"Measurement({self.stamp_ns}, {self.sensor!r}, {self.values.tolist()})"
+
+
+def _covariance(covariance: ArrayLike, sensor: SensorName) -> NDArray[np.float64]:
+    size = NOISY[sensor]
+    matrix = as_real(covariance, name="covariance").astype(np.float64)
+    if matrix.shape != (size, size) or not size:
+        expected = f"({size}, {size})" if size else "none for a pose"
+        raise InputError(f"covariance: expected shape {expected}, got {matrix.shape}")
+    return np.ascontiguousarray(matrix)

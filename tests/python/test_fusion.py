@@ -1,0 +1,312 @@
+"""Fusion filters: oracle, published figures, bad input, life of a target."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lidar_core.errors import ConfigError, FormatError, InputError
+from lidar_core.fusion import FusionConfig, Measurement, TargetFilter, read_laser_radar, run
+from reference import fusion as reference
+
+SAMPLE_1 = "fusion/sample-laser-radar-measurement-data-1.txt"
+OBJ_POSE = "fusion/obj_pose-laser-radar-synthetic-input.txt"
+PUBLISHED = 1e-3  # the goal of the agreement with published figures
+ORACLE = 1e-7  # Jacobians by differences in the oracle, through hundreds of steps
+STEP_NS = 50_000_000
+OPEN = {"gate_probability": None, "loss_ratio": None}
+
+
+def rmse(result, truth, *, polar, skip=0):
+    s = result.states
+    v = s[:, 2:4]
+    if polar:
+        v = s[:, 2:3] * np.stack([np.cos(s[:, 3]), np.sin(s[:, 3])], axis=1)
+    errors = np.hstack([s[:, :2] - truth.position, v - truth.velocity])[skip:]
+    return np.sqrt((errors**2).mean(axis=0))
+
+
+def walk(rng, rows=200, *, rate=0.3, speed=1.5):
+    """Measurements of a target that goes round in a wide curve, LiDAR and radar in turn."""
+    t = np.arange(rows) * 0.05
+    heading = 0.3 + rate * t
+    p = np.stack([4 + speed / rate * np.sin(heading), 3 - speed / rate * np.cos(heading)], axis=1)
+    v = speed * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    seen = []
+    for k in range(rows):
+        if k % 2:
+            rho = np.hypot(*p[k])
+            z = np.array([rho, np.arctan2(*p[k][::-1]), p[k] @ v[k] / rho])
+            seen.append(
+                Measurement(k * STEP_NS, "radar", z + rng.normal(size=3) * [0.3, 0.03, 0.3])
+            )
+        else:
+            seen.append(Measurement(k * STEP_NS, "lidar", p[k] + rng.normal(size=2) * 0.15))
+    return seen, p
+
+
+# Figures of others
+
+
+@pytest.mark.parametrize(
+    ("file", "published"),
+    [
+        (SAMPLE_1, [0.0652, 0.0605, 0.5432, 0.5442]),
+        (OBJ_POSE, [0.0972, 0.0854, 0.4509, 0.4396]),
+    ],
+)
+def test_the_extended_filter_of_courses(recordings, file, published):
+    recording = read_laser_radar(recordings / file)
+    config = FusionConfig(
+        model="cv", process="discrete", acceleration_noise=3.0, start_speed="zero",
+        initial_position=1.0, initial_speed=1000**0.5, **OPEN,
+    )  # fmt: skip
+    got = rmse(run(recording.measurements, config), recording.truth, polar=False)
+    np.testing.assert_allclose(got, published, atol=PUBLISHED)
+
+
+@pytest.mark.parametrize(
+    ("file", "model", "noise", "expected"),
+    [
+        (SAMPLE_1, "cv", (5.0, 0.0), (0.042, 0.039)),
+        (SAMPLE_1, "ctrv", (5.0, 3.0), (0.033, 0.049)),
+        (OBJ_POSE, "cv", (3.0, 0.0), (0.098, 0.085)),
+        (OBJ_POSE, "ctrv", (0.5, 0.5), (0.066, 0.087)),
+    ],
+)
+def test_discrete_noise_gives_the_table_of_the_audit(recordings, file, model, noise, expected):
+    recording = read_laser_radar(recordings / file)
+    config = FusionConfig(
+        model=model, process="discrete", acceleration_noise=noise[0], turn_noise=noise[1], **OPEN
+    )
+    got = rmse(run(recording.measurements, config), recording.truth, polar=model == "ctrv")
+    np.testing.assert_allclose(got[:2], expected, atol=PUBLISHED)
+
+
+# Oracle
+
+
+@pytest.mark.parametrize("model", ["cv", "ca", "ct", "ctrv", "ctra"])
+def test_every_model_agrees_with_the_oracle(model):
+    seen, _ = walk(np.random.default_rng(3), rows=120)
+    config = FusionConfig(model=model, start_rows=1, **OPEN)
+    result = run(seen, config)
+    strengths = {"a": config.acceleration_noise, "j": config.jerk_noise, "t": config.turn_noise}
+    noise = {"lidar": np.diag(config.lidar_std) ** 2, "radar": np.diag(config.radar_std) ** 2}
+    s, P = result.states[0], result.covariances[0]
+    for k, m in enumerate(seen[1:], 1):
+        s, P, y, nis = reference.ekf_step(
+            model, s, P, 0.05, m.sensor, m.values, noise[m.sensor], strengths
+        )
+        expected = s.copy()
+        if model in ("ctrv", "ctra"):
+            expected[3] = reference.wrap(expected[3])
+        np.testing.assert_allclose(result.states[k], expected, atol=ORACLE)
+        np.testing.assert_allclose(result.covariances[k], P, atol=ORACLE)
+        np.testing.assert_allclose(result.innovations[k][: len(y)], y, atol=ORACLE)
+        assert result.nis[k] == pytest.approx(nis, abs=ORACLE)
+
+
+def test_a_filter_fed_step_by_step_gives_the_bits_of_a_run():
+    seen, _ = walk(np.random.default_rng(4))
+    result = run(seen)
+    flt = TargetFilter()
+    for k, m in enumerate(seen):
+        step = flt.step(m)
+        np.testing.assert_array_equal(step.state, result.states[k])
+        np.testing.assert_array_equal(step.covariance, result.covariances[k])
+        assert step.outcome == result.outcomes[k]
+        assert step.stamp_ns == result.stamps_ns[k]
+
+
+def test_measured_covariances_take_the_place_of_the_configured_ones():
+    seen, _ = walk(np.random.default_rng(5))
+    config = FusionConfig()
+    stds = {"lidar": config.lidar_std, "radar": config.radar_std}
+    told = [Measurement(m.stamp_ns, m.sensor, m.values, np.diag(stds[m.sensor]) ** 2) for m in seen]
+    blind = FusionConfig(lidar_std=(9.0, 9.0), radar_std=(9.0, 9.0, 9.0))
+    np.testing.assert_array_equal(run(told, blind).states, run(seen, config).states)
+
+
+# Moving sensors
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.3, 1.0])
+def test_a_turning_sensor_with_a_gyro_is_as_good_as_a_still_one(rate):
+    rng = np.random.default_rng(6)
+    seen, p = walk(rng, rows=300)
+    turned, errors = [], []
+    for k, m in enumerate(seen):
+        yaw = rate * k * 0.05
+        turned.append(Measurement(m.stamp_ns, "gyro", [rate + 0.01 * rng.normal()]))
+        if m.sensor == "lidar":
+            back = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+            turned.append(Measurement(m.stamp_ns, "lidar", back @ m.values))
+        else:
+            turned.append(Measurement(m.stamp_ns, "radar", m.values - [0, yaw, 0]))
+    for measurements in (seen, turned):
+        config = FusionConfig(model="ctrv-drone", turn_noise=0.3, acceleration_noise=0.3)
+        result = run(measurements, config)
+        wanted = np.isin([m.sensor for m in measurements], ["lidar", "radar"])
+        ranges = np.hypot(*result.states[wanted][:, :2].T)
+        errors.append(np.abs(ranges - np.hypot(*p.T))[20:].mean())
+    assert errors[1] < 1.1 * errors[0]
+
+
+def test_poses_put_the_state_into_the_world():
+    rng = np.random.default_rng(7)
+    _, p = walk(rng, rows=300)
+    v = np.gradient(p, 0.05, axis=0)
+    seen = []
+    for k in range(len(p)):
+        t = k * 0.05
+        own, yaw, u = np.array([0.8 * t, -1.0]), 0.5 * np.sin(t), np.array([0.8, 0.0])
+        back = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+        pose = [*own, yaw, *u, 0.5 * np.cos(t)]
+        seen.append(Measurement(k * STEP_NS, "pose", pose))
+        q, w = back @ (p[k] - own), back @ (v[k] - u)
+        z = [np.hypot(*q), np.arctan2(q[1], q[0]), q @ w / np.hypot(*q)]
+        seen.append(Measurement(k * STEP_NS, "radar", z + rng.normal(size=3) * [0.3, 0.03, 0.3]))
+    result = run(seen, FusionConfig(turn_noise=0.3, acceleration_noise=0.3))
+    errors = np.abs(result.states[1::2, :2] - p)[40:]
+    assert errors.mean() < 0.12
+    assert 2.5 < np.nanmean(result.nis) < 3.5
+
+
+# Life of a target
+
+
+def test_an_outlier_is_gated_and_changes_only_the_prediction():
+    seen, _ = walk(np.random.default_rng(8))
+    flt = TargetFilter()
+    for m in seen[:100]:
+        flt.step(m)
+    ahead = flt.state_at(seen[100].stamp_ns)
+    step = flt.step(Measurement(seen[100].stamp_ns, "lidar", [50.0, 50.0]))
+    assert (step.outcome, step.accepted) == ("gated", False)
+    assert step.nis > 1e3
+    np.testing.assert_array_equal(step.state, ahead[0])
+
+
+def test_a_lost_filter_starts_anew():
+    seen, p = walk(np.random.default_rng(9))
+    far = [
+        Measurement(m.stamp_ns, m.sensor, m.values + 30.0) if m.sensor == "lidar" else m
+        for m in seen
+    ]
+    measurements = [m for m in seen[:60] if m.sensor == "lidar"]
+    measurements += [m for m in far[60:] if m.sensor == "lidar"]
+    result = run(measurements)
+    assert (result.outcomes == "restarted").sum() == 1
+    np.testing.assert_allclose(result.states[-1, :2], p[-2] + 30.0, atol=0.4)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "values"),
+    [("lidar", [np.nan, 0.0]), ("radar", [0.0, 0.0, 0.0]), ("radar", [-1.0, 0, 0]),
+     ("radar", [np.inf, 0, 0]), ("gyro", [np.nan]), ("pose", [0, np.inf, 0])],
+)  # fmt: skip
+def test_values_that_cannot_be_used_change_nothing(sensor, values):
+    seen, _ = walk(np.random.default_rng(10))
+    flt = TargetFilter()
+    before = [flt.step(m) for m in seen[:30]][-1]
+    step = flt.step(Measurement(30 * STEP_NS, sensor, values))
+    assert (step.outcome, step.accepted, step.nis) == ("invalid", False, None)
+    np.testing.assert_array_equal(step.state, before.state)
+    np.testing.assert_array_equal(step.covariance, before.covariance)
+
+
+def test_a_target_at_the_sensor_breaks_nothing():
+    flt = TargetFilter(FusionConfig(model="ctrv", start_rows=1))
+    for k in range(40):
+        flt.step(Measurement(2 * k * STEP_NS, "lidar", [0.0, 0.0]))
+        step = flt.step(Measurement((2 * k + 1) * STEP_NS, "radar", [0.01, 2.0, 0.0]))
+    assert np.isfinite(step.state).all()
+    assert np.linalg.eigvalsh(step.covariance).min() > 0
+
+
+@given(st.lists(st.tuples(
+    st.sampled_from(["lidar", "radar"]), st.integers(0, 10**10),
+    st.tuples(*[st.floats(-1e6, 1e6)] * 3)), max_size=30),
+    st.sampled_from(["cv", "ca", "ct", "ctrv", "ctra", "ctrv-drone"]))  # fmt: skip
+def test_no_input_leads_to_nan(rows, model):
+    seen = [Measurement(t, s, z[: 2 if s == "lidar" else 3]) for s, t, z in rows]
+    result = run(seen, FusionConfig(model=model))
+    known = ~np.isnan(result.states).all(axis=1)
+    assert np.isfinite(result.states[known]).all()
+    assert np.isfinite(result.covariances[known]).all()
+
+
+# Bad input
+
+
+def test_wrong_arguments_are_named():
+    with pytest.raises(InputError, match="sensor: expected one of lidar, radar"):
+        Measurement(0, "sonar", [1.0, 2.0])
+    with pytest.raises(InputError, match=r"values: expected shape \(2,\), got \(3,\)"):
+        Measurement(0, "lidar", [1.0, 2.0, 3.0])
+    with pytest.raises(InputError, match=r"values: expected shape \(1,\) or \(3,\)"):
+        Measurement(0, "gyro", [1.0, 2.0])
+    with pytest.raises(InputError, match="positive definite"):
+        Measurement(0, "lidar", [1.0, 2.0], -np.eye(2))
+    with pytest.raises(InputError, match=r"covariance: expected shape \(3, 3\)"):
+        Measurement(0, "radar", [1.0, 2.0, 3.0], np.eye(2))
+    with pytest.raises(InputError, match=r"measurements\[0\]: expected a Measurement, got int"):
+        run([3])
+    with pytest.raises(InputError, match="expected a Measurement, got tuple"):
+        TargetFilter().step((0, "lidar", [1.0, 2.0]))
+    with pytest.raises(ConfigError, match='"cv" or "ca"'):
+        FusionConfig(model="ctrv", method="kf")
+    with pytest.raises(ConfigError, match="radar_std"):
+        FusionConfig(radar_std=(0.3, 0.0, 0.3))
+
+
+def test_nothing_gives_an_empty_run():
+    result = run([])
+    assert result.states.shape == (0, 0)
+    assert TargetFilter().state_at(0) is None
+
+
+# Reader
+
+
+def test_both_recordings_are_read_whole(recordings):
+    first = read_laser_radar(recordings / SAMPLE_1)
+    assert len(first.measurements) == 1224
+    assert first.truth.heading is None
+    second = read_laser_radar(recordings / OBJ_POSE)
+    assert len(second.measurements) == 500
+    assert second.measurements[0].sensor == "lidar"
+    assert second.truth.heading.shape == second.truth.turn_rate.shape == (500,)
+    lidar = np.array([m.sensor == "lidar" for m in second.measurements])
+    measured = np.array([m.values[:2] for m in second.measurements])[lidar]
+    errors = (measured - second.truth.position[lidar]).std(axis=0)
+    np.testing.assert_allclose(errors, [0.151, 0.146], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no rows"),
+        ("X\t1\t2\n", "line 1: expected L or R"),
+        ("L\t1\t2\t3\n", "line 1: expected L or R and, with it, 8 or 10 fields, got 4"),
+        ("L\t1\tx\t3\t0\t0\t0\t0\n", "line 1: expected numbers"),
+        ("L 1 2 3 0 0 0 0\nR 1 2 3 4 0 0 0 0 0 0\n", "same true values"),
+    ],
+)
+def test_a_broken_file_is_named_with_its_line(tmp_path, text, message):
+    path = tmp_path / "rows.txt"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(FormatError, match=message):
+        read_laser_radar(path)
+
+
+def test_a_file_that_starts_with_zeros_is_survived(tmp_path):
+    rows = ["L 0 0 0 0 0 0 0", "R 0 0 0 0 0 0 0 0"]
+    rows += [f"L {0.1 * k} 1 {k * 50000} {0.1 * k} 1 2 0" for k in range(1, 40)]
+    path = tmp_path / "rows.txt"
+    path.write_text("\n".join(rows), encoding="utf-8")
+    recording = read_laser_radar(path)
+    result = run(recording.measurements)
+    assert result.outcomes[1] == "invalid"
+    assert np.isfinite(result.states).all()

@@ -1,0 +1,116 @@
+"""Oracle of the fusion filters: the same equations, one measurement at a time, in plain numpy."""
+
+import numpy as np
+
+
+def wrap(angle):
+    return angle - 2 * np.pi * np.round(angle / (2 * np.pi))
+
+
+def integrals(theta, w, dt, k):
+    """Integrals of t^k cos(theta + w t) and t^k sin(theta + w t), by the rule of Gauss."""
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    t = dt * (nodes + 1) / 2
+    weights = weights * dt / 2
+    angle = theta + w * t
+    return (weights * t**k * np.cos(angle)).sum(), (weights * t**k * np.sin(angle)).sum()
+
+
+def cv(s, dt):
+    return np.array([s[0] + s[2] * dt, s[1] + s[3] * dt, s[2], s[3]])
+
+
+def ca(s, dt):
+    p, v, a = s[0:2], s[2:4], s[4:6]
+    return np.concatenate([p + v * dt + a * dt**2 / 2, v + a * dt, a])
+
+
+def ct(s, dt):
+    c, q = integrals(0.0, s[4], dt, 0)
+    turn = np.array(
+        [[np.cos(s[4] * dt), -np.sin(s[4] * dt)], [np.sin(s[4] * dt), np.cos(s[4] * dt)]]
+    )
+    p = s[0:2] + np.array([[c, -q], [q, c]]) @ s[2:4]
+    return np.concatenate([p, turn @ s[2:4], s[4:]])
+
+
+def ctrv(s, dt):
+    a, b = integrals(s[3], s[4], dt, 0)
+    return np.array([s[0] + s[2] * a, s[1] + s[2] * b, s[2], s[3] + s[4] * dt, s[4]])
+
+
+def ctra(s, dt):
+    a, b = integrals(s[3], s[4], dt, 0)
+    c, d = integrals(s[3], s[4], dt, 1)
+    return np.array([s[0] + s[2] * a + s[5] * c, s[1] + s[2] * b + s[5] * d, s[2] + s[5] * dt,
+                     s[3] + s[4] * dt, s[4], s[5]])  # fmt: skip
+
+
+def drone(s, dt, rate, u, lever):
+    """The target moves over ground, then the sensor's frame moves: position and angle of it."""
+    a, b = integrals(s[3], s[4], dt, 0)
+    ground = s[0:2] + lever + s[2] * np.array([a, b])
+    c, q = integrals(0.0, rate, dt, 0)
+    moved = np.array([[c, -q], [q, c]]) @ u
+    turn = rate * dt
+    back = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    p = back @ (ground - moved) - lever
+    return np.concatenate([p, [s[2], s[3] + (s[4] - rate) * dt, s[4]]])
+
+
+MODELS = {"cv": cv, "ca": ca, "ct": ct, "ctrv": ctrv, "ctra": ctra}
+NOISE = {  # states that white noise enters: a for acceleration, j for jerk, t for turn
+    "cv": [(2, "a"), (3, "a")], "ca": [(4, "j"), (5, "j")], "ct": [(2, "a"), (3, "a"), (4, "t")],
+    "ctrv": [(2, "a"), (4, "t")], "ctra": [(5, "j"), (4, "t")],
+}  # fmt: skip
+
+
+def jacobian(f, s):
+    columns = []
+    for k in range(len(s)):
+        step = np.zeros(len(s))
+        step[k] = 1e-5 * max(1.0, abs(s[k]))
+        columns.append((f(s + step) - f(s - step)) / (2 * step[k]))
+    return np.stack(columns, axis=1)
+
+
+def continuous_noise(model, s, dt, strengths):
+    f = MODELS[model]
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    total = np.zeros((len(s), len(s)))
+    for node, weight in zip(nodes, weights, strict=True):
+        t = dt * (node + 1) / 2
+        after = jacobian(lambda state: f(state, dt - t), f(s, t))  # noqa: B023
+        for state, name in NOISE[model]:
+            column = after[:, state] * strengths[name]
+            total += weight * dt / 2 * np.outer(column, column)
+    return total
+
+
+def velocity(model, s):
+    if model in ("ctrv", "ctra"):
+        return s[2] * np.array([np.cos(s[3]), np.sin(s[3])])
+    return s[2:4]
+
+
+def radar(model, s):
+    v = velocity(model, s)
+    rho = np.hypot(s[0], s[1])
+    return np.array([rho, np.arctan2(s[1], s[0]), (s[0] * v[0] + s[1] * v[1]) / rho])
+
+
+def ekf_step(model, s, P, dt, sensor, z, R, strengths):
+    """State, covariance, innovation and NIS after one measurement."""
+    f = MODELS[model]
+    F = jacobian(lambda state: f(state, dt), s)
+    P = F @ P @ F.T + continuous_noise(model, s, dt, strengths)
+    s = f(s, dt)
+    h = (lambda state: state[:2]) if sensor == "lidar" else (lambda state: radar(model, state))
+    H = jacobian(h, s)
+    y = z - h(s)
+    if sensor == "radar":
+        y[1] = wrap(y[1])
+    S = H @ P @ H.T + R
+    K = P @ H.T @ np.linalg.inv(S)
+    IKH = np.eye(len(s)) - K @ H
+    return s + K @ y, IKH @ P @ IKH.T + K @ R @ K.T, y, y @ np.linalg.solve(S, y)
