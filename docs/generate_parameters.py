@@ -14,9 +14,11 @@ USED_BY = {
     "fusion": "`lidar_core.fusion.TargetFilter`, `lidar_core.fusion.run`",
     "pose_noise": "`lidar_core.sim.NoisyPoses`, `lidar-core reproduce`",
     "poses": "`lidar-core detect`, `lidar_core.io.posed_scans`",
+    "preprocess": "`lidar_core.circles`: the operating volume, tilted scans",
     "read": "`lidar-core info`, `lidar-core detect`, `lidar_core.io.open_recording`",
     "scanner": "`lidar_core.circles`: the 2D LiDAR",
     "scene": "`lidar-core simulate`, `lidar_core.sim.simulate`",
+    "segment": "`lidar_core.circles.segment`",
     "steering": "`lidar_core.sim.SteeredSensor`, `lidar-core reproduce`",
 }
 INTRODUCTION = """\

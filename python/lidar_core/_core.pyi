@@ -24,7 +24,10 @@ __all__ = [
     "fusion_outcomes",
     "fusion_run",
     "hit_probability",
+    "limit_range",
     "point_covariance",
+    "project_horizontal",
+    "segment_scan",
     "target_center",
     "traverse",
 ]
@@ -54,6 +57,33 @@ def target_center(
     passing: NDArray[np.float64],
     range_std: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]: ...
+def limit_range(
+    ranges: NDArray[np.float64],
+    bearings: NDArray[np.float64],
+    world_from_lidar: NDArray[np.float64],
+    *,
+    planes: NDArray[np.float64],
+    stamp_ns: int,
+    ray_time_ns: NDArray[np.int64] | None,
+    pose_stamps_ns: NDArray[np.int64] | None,
+) -> NDArray[np.float64]: ...
+def project_horizontal(
+    ranges: NDArray[np.float64],
+    bearings: NDArray[np.float64],
+    world_from_lidar: NDArray[np.float64],
+    *,
+    mode: str,
+    stamp_ns: int,
+    ray_time_ns: NDArray[np.int64] | None,
+    pose_stamps_ns: NDArray[np.int64] | None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
+def segment_scan(
+    ranges: NDArray[np.float64],
+    bearings: NDArray[np.float64],
+    *,
+    config: object,
+    scanner: object,
+) -> tuple[NDArray[np.int32], NDArray[np.uint32], NDArray[np.int64], NDArray[np.uint8]]: ...
 def chi2_quantile(probability: float, *, degrees: int) -> float: ...
 def point_covariance(
     points: NDArray[np.float32],

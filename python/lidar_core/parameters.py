@@ -22,9 +22,11 @@ MODELS = {
     "fusion": "lidar_core.fusion:FusionConfig",
     "pose_noise": "lidar_core.sim:PoseNoise",
     "poses": "lidar_core.io:PoseOptions",
+    "preprocess": "lidar_core.circles:PreprocessConfig",
     "read": "lidar_core.io:ReadOptions",
     "scanner": "lidar_core.circles:Scanner",
     "scene": "lidar_core.sim:Scene",
+    "segment": "lidar_core.circles:SegmentConfig",
     "steering": "lidar_core.sim:Steering",
 }
 """Models that a file or a command line fills, by the name the command gives them."""

@@ -1,5 +1,17 @@
 """Round obstacles in 2D scans: from one sweep of ranges to a map of circles with identities."""
 
+from lidar_core.circles.preprocess import limit_range, project_horizontal
+from lidar_core.circles.scan_config import PreprocessConfig, SegmentConfig
 from lidar_core.circles.scanner import Scanner
+from lidar_core.circles.segmentation import Segments, Side, segment
 
-__all__ = ["Scanner"]
+__all__ = [
+    "PreprocessConfig",
+    "Scanner",
+    "SegmentConfig",
+    "Segments",
+    "Side",
+    "limit_range",
+    "project_horizontal",
+    "segment",
+]

@@ -16,6 +16,7 @@ pub mod flying;
 pub mod fusion;
 pub mod geometry;
 pub mod probability;
+mod spread;
 pub mod threads;
 
 pub use error::Error;

@@ -4,7 +4,7 @@ use crate::errors::BorderError;
 use lidar_core::Error;
 use numpy::{
     Element, IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1,
-    PyReadonlyArray2, PyUntypedArrayMethods, ndarray::Dimension,
+    PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods, ndarray::Dimension,
 };
 use pyo3::exceptions::PyOverflowError;
 use pyo3::prelude::*;
@@ -43,6 +43,18 @@ pub(crate) fn maybe_flat<'a, T: Element>(
     array: &'a Option<PyReadonlyArray1<'_, T>>,
 ) -> Result<Option<&'a [T]>, BorderError> {
     array.as_ref().map(|array| flat(name, array)).transpose()
+}
+
+/// Borrow a (K, 4, 4) array as matrices.
+pub(crate) fn matrices<'a>(
+    name: &'static str,
+    array: &'a PyReadonlyArray3<'_, f64>,
+) -> Result<&'a [[f64; 16]], BorderError> {
+    if array.shape()[1..] != [4, 4] {
+        let got = array.shape().to_vec();
+        return Err(BorderError::Shape { name, expected: "(K, 4, 4)", got });
+    }
+    Ok(flat(name, array)?.as_chunks::<16>().0)
 }
 
 /// A count that crossed as `i64`.

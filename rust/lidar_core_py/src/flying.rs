@@ -13,7 +13,7 @@ use lidar_core::flying::scan::RawScan;
 use lidar_core::flying::voxel_map::VoxelMap;
 use numpy::{
     IntoPyArray, PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
-    PyReadonlyArray3, PyUntypedArrayMethods,
+    PyReadonlyArray3,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -67,7 +67,7 @@ impl PyFlyingObjectDetector {
             no_return: arrays::maybe_flat("no_return", &no_return)?,
             directions: arrays::maybe_rows3("directions", &directions)?,
             point_time_ns: arrays::maybe_flat("point_time_ns", &point_time_ns)?,
-            poses: matrices(&world_from_lidar)?,
+            poses: arrays::matrices("world_from_lidar", &world_from_lidar)?,
             pose_stamps_ns: arrays::maybe_flat("pose_stamps_ns", &pose_stamps_ns)?,
             pose_covariance,
         };
@@ -164,15 +164,6 @@ impl PyFlyingObjectDetector {
     fn reset(&self, py: Python<'_>) -> Result<(), BorderError> {
         self.0.with(py, FlyingObjectDetector::reset)
     }
-}
-
-/// Borrow a (K, 4, 4) array as matrices.
-fn matrices<'a>(array: &'a PyReadonlyArray3<'_, f64>) -> Result<&'a [[f64; 16]], BorderError> {
-    if array.shape()[1..] != [4, 4] {
-        let got = array.shape().to_vec();
-        return Err(BorderError::Shape { name: "world_from_lidar", expected: "(K, 4, 4)", got });
-    }
-    Ok(arrays::flat("world_from_lidar", array)?.as_chunks::<16>().0)
 }
 
 fn frame_dict(py: Python<'_>, frame: Frame) -> Result<Bound<'_, PyDict>, BorderError> {

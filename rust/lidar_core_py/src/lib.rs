@@ -3,6 +3,8 @@
 mod analysis;
 mod arrays;
 mod center;
+mod circles;
+mod circles_config;
 mod errors;
 mod estimation;
 mod flying;
@@ -22,6 +24,8 @@ mod _core {
     use super::analysis::{detection_probability, hit_probability, point_covariance};
     #[pymodule_export]
     use super::center::target_center;
+    #[pymodule_export]
+    use super::circles::{limit_range, project_horizontal, segment_scan};
     #[pymodule_export]
     use super::estimation::chi2_quantile;
     #[pymodule_export]

@@ -5,5 +5,9 @@
 //! system for multirotor aerial robots using LIDAR", 2019. Equation numbers are the paper's.
 
 pub mod circle;
+mod merge;
 pub mod polar;
+pub mod preprocess;
+pub mod segment;
 pub mod segments;
+pub mod sweep;

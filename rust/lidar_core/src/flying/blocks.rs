@@ -2,6 +2,7 @@
 
 use crate::Error;
 use crate::geometry::lattice::Voxel;
+use crate::spread::Spread;
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hash, Hasher};
 
@@ -79,31 +80,6 @@ impl Hash for Place {
     fn hash<H: Hasher>(&self, state: &mut H) {
         let [x, y, z] = self.0.map(|index| u64::from(index.cast_unsigned()));
         state.write_u64(x ^ y.rotate_left(21) ^ z.rotate_left(42));
-    }
-}
-
-/// Multiplication by the golden ratio: the same on every platform and run.
-#[derive(Default)]
-pub(crate) struct Spread(u64);
-
-impl Hasher for Spread {
-    fn write(&mut self, bytes: &[u8]) {
-        for &byte in bytes {
-            self.write_u64(u64::from(byte));
-        }
-    }
-
-    fn write_i64(&mut self, value: i64) {
-        self.write_u64(value.cast_unsigned());
-    }
-
-    fn write_u64(&mut self, value: u64) {
-        let mixed = (self.0 ^ value).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-        self.0 = mixed ^ mixed >> 32;
-    }
-
-    fn finish(&self) -> u64 {
-        self.0
     }
 }
 

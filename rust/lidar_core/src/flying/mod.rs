@@ -17,7 +17,6 @@ pub mod gate;
 mod group;
 pub mod integrate;
 mod jump;
-mod motion;
 mod near;
 pub mod parameters;
 mod persist;

@@ -1,10 +1,10 @@
 //! A raw scan -> points, rays and masks in the frame of the map.
 
-use super::motion::Motion;
 use super::sensor::Sensor;
 use crate::Error;
 use crate::budget::check_points;
 use crate::geometry::lattice::wide;
+use crate::geometry::motion::Motion;
 use crate::geometry::transform::{Transform, norm};
 
 /// One scan as the sensor delivered it, in its own frame.
@@ -160,7 +160,8 @@ impl Poses {
     fn of(raw: &RawScan<'_>, motion: &Motion, map_from_world: &Transform) -> Result<Self, Error> {
         let (table, places) = match raw.point_time_ns {
             Some(times) if motion.is_stream() => {
-                let (table, places) = motion.per_point(times, |row| is_informative(raw, row))?;
+                let (table, places) =
+                    motion.per_point("point_time_ns", times, |row| is_informative(raw, row))?;
                 (table.iter().map(|pose| map_from_world.after(pose)).collect(), Some(places))
             }
             _ => (Vec::new(), None),

@@ -4,11 +4,12 @@
 //! its voxels changed its state, or one beside it ceased to be occupied; the look ends as soon
 //! as enough confident voxels are found. Cost follows the changes, not the size of the map.
 
-use super::blocks::{Bits, Block, Blocks, EDGE, EDGE_BITS, Place, Spread, VOLUME, has, offset_of};
+use super::blocks::{Bits, Block, Blocks, EDGE, EDGE_BITS, Place, VOLUME, has, offset_of};
 use super::voxel_map::{VoxelMap, filtered, two_to_minus};
 use crate::Error;
 use crate::error::require;
 use crate::geometry::lattice::Voxel;
+use crate::spread::Spread;
 use std::collections::HashSet;
 use std::hash::BuildHasherDefault;
 

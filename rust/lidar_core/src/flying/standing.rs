@@ -1,10 +1,11 @@
 //! What stands still during the burn-in: background, however small.
 
-use super::blocks::{Place, Spread};
+use super::blocks::Place;
 use super::detector::FlyingObjectDetector;
 use super::scan::Prepared;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
+use crate::spread::Spread;
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 

@@ -1,8 +1,9 @@
-//! Lattice, ray walk, clustering, rigid transforms and caps on the sphere.
+//! Lattice, ray walk, clustering, rigid transforms, motion and caps on the sphere.
 
 pub mod caps;
 pub mod cluster;
 pub mod lattice;
+pub mod motion;
 pub mod sight;
 pub mod transform;
 pub mod traverse;

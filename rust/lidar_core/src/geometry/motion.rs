@@ -1,8 +1,8 @@
 //! Where the sensor was at every moment of a scan.
 
-use super::blocks::Spread;
+use super::transform::Transform;
 use crate::Error;
-use crate::geometry::transform::Transform;
+use crate::spread::Spread;
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
@@ -11,7 +11,7 @@ const POSE_SLACK_NS: i64 = 20_000_000;
 
 /// Pose of a scan: one, or a stream of them.
 #[derive(Clone, Debug)]
-pub(crate) struct Motion {
+pub struct Motion {
     poses: Vec<Transform>,
     stamps_ns: Vec<i64>,
 }
@@ -20,7 +20,7 @@ impl Motion {
     /// # Errors
     /// [`Error::Value`] or [`Error::Length`] if poses are not finite, or stamps are missing or not
     /// increasing.
-    pub(crate) fn new(poses: &[[f64; 16]], stamps_ns: Option<&[i64]>) -> Result<Self, Error> {
+    pub fn new(poses: &[[f64; 16]], stamps_ns: Option<&[i64]>) -> Result<Self, Error> {
         if poses.is_empty() {
             return Err(Error::Length { name: "world_from_lidar", expected: 1, got: 0 });
         }
@@ -64,12 +64,14 @@ impl Motion {
     }
 
     /// Whether the sensor may move during the scan.
-    pub(crate) fn is_stream(&self) -> bool {
+    #[must_use]
+    pub fn is_stream(&self) -> bool {
         self.poses.len() > 1
     }
 
     /// Pose at `stamp_ns`; None more than 20 ms outside the stream.
-    pub(crate) fn at(&self, stamp_ns: i64) -> Option<Transform> {
+    #[must_use]
+    pub fn at(&self, stamp_ns: i64) -> Option<Transform> {
         let (first, last) = (*self.stamps_ns.first()?, *self.stamps_ns.last()?);
         if !self.is_stream() {
             return self.poses.first().copied();
@@ -87,12 +89,14 @@ impl Motion {
     }
 
     /// Pose of every point, as a table of distinct poses and every point's place in it: points
-    /// that share a time share the work. Rows that tell nothing may have any time.
+    /// that share a time share the work. Rows that tell nothing may have any time. Errors call
+    /// the times `name`.
     ///
     /// # Errors
     /// [`Error::Value`] for the first time outside the stream.
-    pub(crate) fn per_point(
+    pub fn per_point(
         &self,
+        name: &'static str,
         times_ns: &[i64],
         is_informative: impl Fn(usize) -> bool,
     ) -> Result<(Vec<Transform>, Vec<u32>), Error> {
@@ -104,7 +108,7 @@ impl Motion {
                 Some(place) => *place,
                 None => {
                     let place = poses.len() as u32; // at most one per point
-                    poses.push(self.at(time).ok_or_else(|| self.outside(time, index))?);
+                    poses.push(self.at(time).ok_or_else(|| self.outside(name, time, index))?);
                     known.insert(time, place);
                     place
                 }
@@ -114,11 +118,11 @@ impl Motion {
         Ok((poses, places))
     }
 
-    fn outside(&self, time: i64, index: usize) -> Error {
+    fn outside(&self, name: &'static str, time: i64, index: usize) -> Error {
         let end = |stamp: Option<&i64>| stamp.copied().unwrap_or_default();
         let (first, last) = (end(self.stamps_ns.first()), end(self.stamps_ns.last()));
         Error::Value {
-            name: "point_time_ns",
+            name,
             expected: "times within 20 ms of `pose_stamps_ns`",
             index,
             got: format!("{time}, outside {first} to {last}"),
@@ -141,7 +145,7 @@ mod tests {
         let x = |stamp| motion.at(stamp).map(|pose| pose.translation[0]);
         assert_eq!([x(-5), x(0), x(50), x(150), x(200)], [0.0, 0.0, 0.5, 2.0, 3.0].map(Some));
         assert_eq!(x(200 + POSE_SLACK_NS + 1), None);
-        assert!(motion.per_point(&[50, 1 << 40], |_| true).is_err());
+        assert!(motion.per_point("times", &[50, 1 << 40], |_| true).is_err());
         Ok(())
     }
 

@@ -1,0 +1,136 @@
+"""Configuration of what is done to a scan before circles are fitted."""
+
+import math
+from typing import Literal, Self
+
+from pydantic import Field
+
+from lidar_core.config import Config
+
+Plane = tuple[float, float, float, float]
+
+
+class PreprocessConfig(Config):
+    """Range limitation and horizontal projection. Source: Sanchez-Lopez et al., secs. III-A, B."""
+
+    planes: tuple[Plane, ...] = Field(
+        (),
+        max_length=64,
+        description="Operating volume: where a x + b y + c z <= d [m] for each (a, b, c, d), world"
+        " frame, eq. 4; empty: everywhere.",
+    )
+    projection: Literal["exact", "paper"] = Field(
+        "exact",
+        description="Tilted scans: every point as seen from above, which moves bearings as well,"
+        " or ranges by cos(pitch) cos(roll) as in eq. 5 (no unit).",
+    )
+
+    @classmethod
+    def paper(cls) -> Self:
+        """Eq. 5 as published."""
+        return cls(projection="paper")
+
+    @classmethod
+    def box(cls, lower: tuple[float, float, float], upper: tuple[float, float, float]) -> Self:
+        """An operating volume between two corners [m], world frame.
+
+        Examples
+        --------
+        >>> flight_arena = PreprocessConfig.box((-2.5, -3, 0.1), (2.5, 3, 5))  # the paper's
+        >>> len(flight_arena.planes)
+        6
+        """
+        planes: list[Plane] = []
+        for axis in range(3):
+            normal = [0.0, 0.0, 0.0]
+            normal[axis] = 1.0
+            x, y, z = normal
+            planes += [(x, y, z, upper[axis]), (-x, -y, -z, -lower[axis])]
+        return cls(planes=tuple(planes))
+
+
+class SegmentConfig(Config):
+    """Object segmentation: rays that ended on the same object.
+
+    Source: Sanchez-Lopez et al., sec. III-C, eq. 6; the adaptive bound is that of Borges & Aldon,
+    "Line Extraction in 2D Range Images for Mobile Robotics", 2004.
+    """
+
+    criterion: Literal["both", "cartesian", "polar"] = Field(
+        "both",
+        description="Where neighbours have to be close: in polar space (ranges alike, few rays"
+        " between), in Cartesian space, or in both, as published (no unit).",
+    )
+    bound: Literal["adaptive", "fixed"] = Field(
+        "adaptive",
+        description="How close: as far as the angle between rays allows on a surface, or"
+        " `distance` everywhere (no unit).",
+    )
+    incidence: float = Field(
+        math.radians(10.0),
+        ge=0.02,
+        le=1.5,
+        description="Smallest angle between a ray and a surface of one object, adaptive bound"
+        " [rad].",
+    )
+    range_std: float = Field(
+        0.03,
+        ge=0,
+        le=1,
+        description="Standard deviation of a range; three of them widen the adaptive bound [m].",
+    )
+    distance: float = Field(
+        0.2, gt=0, le=10, description="Distance of neighbours with the fixed bound [m]."
+    )
+    max_gap: int = Field(
+        2,
+        ge=0,
+        le=1000,
+        description="Rays without return that neighbours may have between them, polar space"
+        " (count, no unit).",
+    )
+    merge_distance: float = Field(
+        0.5,
+        ge=0,
+        le=10,
+        description="Parts of a surface that something nearer hides in part are one object if"
+        " their ends are closer than this [m]; 0: never.",
+    )
+    merge_deviation: float = Field(
+        0.03,
+        gt=0,
+        le=1,
+        description="Root mean square distance of merged parts from one circle or line, at most"
+        " [m].",
+    )
+    min_points: int = Field(
+        4, ge=1, le=100_000, description="Smaller segments are dropped (count, no unit)."
+    )
+    min_fraction: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="Segments with a smaller share of all rays are dropped (share, no unit);"
+        " paper: 0.003.",
+    )
+    near_margin: float = Field(
+        0.15,
+        ge=0,
+        le=10,
+        description="An object this close to the nearest range may go on below it unseen [m].",
+    )
+    far_margin: float = Field(
+        1.2,
+        ge=0,
+        le=100,
+        description="An object this close to the farthest range may go on beyond it unseen: the"
+        " diameter of the largest [m].",
+    )
+
+    @classmethod
+    def paper(cls) -> Self:
+        """As published: one distance in both spaces, 0.3 % of the rays, no second pass.
+
+        The distance is not given; the default splits 0.04 % of the paper's circles.
+        """
+        return cls(bound="fixed", max_gap=0, merge_distance=0.0, min_points=1, min_fraction=0.003)

@@ -1,0 +1,112 @@
+"""Which rays of a scan ended on the same object."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidar_core import _core
+from lidar_core.circles.preprocess import as_scan
+from lidar_core.circles.scan_config import SegmentConfig
+from lidar_core.circles.scanner import Scanner
+from lidar_core.config import as_config
+
+
+class Side(IntEnum):
+    """What lies beside a segment."""
+
+    FREE = 0
+    """The next ray went past: no return, or a hit farther away. The object ends before it."""
+    OCCLUDED = 1
+    """The next ray ended on something nearer, or tells nothing: the object may go on behind."""
+    FIELD_EDGE = 2
+    """There is no next ray: the object may go on outside the field of view."""
+    RANGE_CUT = 3
+    """The next ray returned nothing, but the surface may lie beyond the range limits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Segments:
+    """Groups of rays, one per object.
+
+    Attributes
+    ----------
+    labels : ndarray, shape (B,), int32
+        Per ray: 0 for none, else the number of its segment, from 1 (m of eq. 6).
+    sides : ndarray, shape (S, 2), uint8
+        What lies before the first and after the last ray of each segment: a `Side`.
+    rays : ndarray, shape (K,), uint32
+        Rays of all segments, one segment after the other, each in the order of its sweep: over
+        the seam of a full circle from the last ray to the first.
+    starts : ndarray, shape (S + 1,), int64
+        Where each segment begins in `rays`.
+    """
+
+    labels: NDArray[np.int32]
+    sides: NDArray[np.uint8]
+    rays: NDArray[np.uint32]
+    starts: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.sides)
+
+    def rays_of(self, number: int) -> NDArray[np.uint32]:
+        """Rays of the segment with this number, from 1, in the order of the sweep."""
+        if not 1 <= number <= len(self):
+            raise IndexError(f"segments are numbered 1 to {len(self)}, got {number}")
+        return self.rays[self.starts[number - 1] : self.starts[number]]
+
+
+def segment(
+    ranges: ArrayLike,
+    bearings: ArrayLike,
+    *,
+    config: SegmentConfig | None = None,
+    scanner: Scanner | None = None,
+) -> Segments:
+    """Group the rays of a scan by object.
+
+    Parameters
+    ----------
+    ranges : array_like, shape (B,), float
+        Range of every ray [m], level frame; +inf is a miss, NaN no information.
+    bearings : array_like, shape (B,), float
+        Their directions [rad] in the order of the sweep; need not be equally spaced. Where they
+        go all round, the first ray is the neighbour of the last.
+    config : SegmentConfig, optional
+        None: the defaults.
+    scanner : Scanner, optional
+        Whose range limits apply; none: the defaults.
+
+    Returns
+    -------
+    Segments
+        Numbered in the order of their first rays; over the seam of a full circle the last.
+
+    Raises
+    ------
+    InputError
+        Wrong shape, dtype or value.
+
+    Notes
+    -----
+    Source: Sanchez-Lopez et al., eq. 6. Deterministic; releases the GIL.
+
+    Examples
+    --------
+    >>> ranges = [np.inf, 2, 2.01, 2, 2.02, 5, 5, 5, 5]
+    >>> found = segment(ranges, np.radians(np.arange(9.0)))
+    >>> found.labels
+    array([0, 1, 1, 1, 1, 2, 2, 2, 2], dtype=int32)
+    >>> [[Side(side).name for side in sides] for sides in found.sides]
+    [['FREE', 'FREE'], ['OCCLUDED', 'FIELD_EDGE']]
+    """
+    scan, angles = as_scan(ranges, bearings)
+    labels, rays, starts, sides = _core.segment_scan(
+        scan,
+        angles,
+        config=as_config(config, SegmentConfig),
+        scanner=as_config(scanner, Scanner),
+    )
+    return Segments(labels=labels, sides=sides, rays=rays, starts=starts)

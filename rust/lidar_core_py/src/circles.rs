@@ -1,0 +1,139 @@
+//! Bindings of `lidar_core::circles`: what is done to a scan.
+
+use crate::arrays;
+use crate::circles_config::{ScannerConfig, SegmentConfig};
+use crate::errors::BorderError;
+use crate::guard::detached;
+use lidar_core::Error;
+use lidar_core::circles::polar::PolarScan;
+use lidar_core::circles::preprocess::{self, Projection};
+use lidar_core::circles::segment::segment;
+use lidar_core::circles::segments::{Segments, Side};
+use lidar_core::circles::sweep::Sweep;
+use lidar_core::geometry::motion::Motion;
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
+    PyReadonlyArray3, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+
+type Column<'py, T> = Bound<'py, PyArray1<T>>;
+
+/// Ranges, bearings, heights.
+type LevelArrays<'py> = (Column<'py, f64>, Column<'py, f64>, Column<'py, f64>);
+
+/// Labels, rays, starts, sides.
+type SegmentArrays<'py> =
+    (Column<'py, i32>, Column<'py, u32>, Column<'py, i64>, Bound<'py, PyArray2<u8>>);
+
+/// Names of the projections.
+const PROJECTIONS: [(&str, Projection); 2] =
+    [("exact", Projection::Exact), ("paper", Projection::Paper)];
+
+#[pyfunction]
+#[pyo3(signature = (ranges, bearings, world_from_lidar, *, planes, stamp_ns, ray_time_ns,
+                    pose_stamps_ns))]
+#[allow(clippy::too_many_arguments)] // one scan with its times
+pub(crate) fn limit_range<'py>(
+    py: Python<'py>,
+    ranges: PyReadonlyArray1<'py, f64>,
+    bearings: PyReadonlyArray1<'py, f64>,
+    world_from_lidar: PyReadonlyArray3<'py, f64>,
+    planes: PyReadonlyArray2<'py, f64>,
+    stamp_ns: i64,
+    ray_time_ns: Option<PyReadonlyArray1<'py, i64>>,
+    pose_stamps_ns: Option<PyReadonlyArray1<'py, i64>>,
+) -> Result<Column<'py, f64>, BorderError> {
+    let name = "planes";
+    if planes.shape()[1] != 4 {
+        let got = planes.shape().to_vec();
+        return Err(BorderError::Shape { name, expected: "(P, 4)", got });
+    }
+    let planes = arrays::flat(name, &planes)?.as_chunks::<4>().0;
+    let (ranges, bearings) = scan_slices(&ranges, &bearings)?;
+    let poses = arrays::matrices("world_from_lidar", &world_from_lidar)?;
+    let stamps = arrays::maybe_flat("pose_stamps_ns", &pose_stamps_ns)?;
+    let times = arrays::maybe_flat("ray_time_ns", &ray_time_ns)?;
+    let limited = detached(py, || {
+        let sweep = Sweep::new(&Motion::new(poses, stamps)?, stamp_ns, times)?;
+        preprocess::limit_range(ranges, &preprocess::directions(bearings), &sweep, planes)
+    })?;
+    Ok(limited.into_pyarray(py))
+}
+
+#[pyfunction]
+#[pyo3(signature = (ranges, bearings, world_from_lidar, *, mode, stamp_ns, ray_time_ns,
+                    pose_stamps_ns))]
+#[allow(clippy::too_many_arguments)] // one scan with its times
+pub(crate) fn project_horizontal<'py>(
+    py: Python<'py>,
+    ranges: PyReadonlyArray1<'py, f64>,
+    bearings: PyReadonlyArray1<'py, f64>,
+    world_from_lidar: PyReadonlyArray3<'py, f64>,
+    mode: &str,
+    stamp_ns: i64,
+    ray_time_ns: Option<PyReadonlyArray1<'py, i64>>,
+    pose_stamps_ns: Option<PyReadonlyArray1<'py, i64>>,
+) -> Result<LevelArrays<'py>, BorderError> {
+    let mode = arrays::choice("mode", mode, &PROJECTIONS)?;
+    let (ranges, bearings) = scan_slices(&ranges, &bearings)?;
+    let poses = arrays::matrices("world_from_lidar", &world_from_lidar)?;
+    let stamps = arrays::maybe_flat("pose_stamps_ns", &pose_stamps_ns)?;
+    let times = arrays::maybe_flat("ray_time_ns", &ray_time_ns)?;
+    let level = detached(py, || {
+        let sweep = Sweep::new(&Motion::new(poses, stamps)?, stamp_ns, times)?;
+        let raw = PolarScan { ranges: ranges.to_vec(), bearings: bearings.to_vec() };
+        preprocess::project(&raw, &preprocess::directions(bearings), &sweep, mode)
+    })?;
+    let PolarScan { ranges, bearings } = level.scan;
+    Ok((ranges.into_pyarray(py), bearings.into_pyarray(py), level.heights.into_pyarray(py)))
+}
+
+#[pyfunction]
+#[pyo3(signature = (ranges, bearings, *, config, scanner))]
+pub(crate) fn segment_scan<'py>(
+    py: Python<'py>,
+    ranges: PyReadonlyArray1<'py, f64>,
+    bearings: PyReadonlyArray1<'py, f64>,
+    config: SegmentConfig,
+    scanner: ScannerConfig,
+) -> Result<SegmentArrays<'py>, BorderError> {
+    let (ranges, bearings) = scan_slices(&ranges, &bearings)?;
+    let parameters = config.parameters(&scanner)?;
+    let segments = detached(py, || {
+        let scan = PolarScan { ranges: ranges.to_vec(), bearings: bearings.to_vec() };
+        segment(&scan, None, &parameters)
+    })?;
+    segment_arrays(py, segments)
+}
+
+/// Move segments out.
+fn segment_arrays(py: Python<'_>, segments: Segments) -> Result<SegmentArrays<'_>, BorderError> {
+    let count = segments.len();
+    let code = |side: &Side| match side {
+        Side::Free => 0,
+        Side::Occluded => 1,
+        Side::FieldEdge => 2,
+        Side::RangeCut => 3,
+    };
+    let sides: Vec<u8> = segments.sides.as_flattened().iter().map(code).collect();
+    let starts: Vec<i64> = segments.starts.iter().map(|&start| start as i64).collect();
+    Ok((
+        segments.labels.into_pyarray(py),
+        segments.rays.into_pyarray(py),
+        starts.into_pyarray(py),
+        sides.into_pyarray(py).reshape([count, 2])?,
+    ))
+}
+
+fn scan_slices<'a>(
+    ranges: &'a PyReadonlyArray1<'_, f64>,
+    bearings: &'a PyReadonlyArray1<'_, f64>,
+) -> Result<(&'a [f64], &'a [f64]), BorderError> {
+    let (ranges, bearings) = (arrays::flat("ranges", ranges)?, arrays::flat("bearings", bearings)?);
+    if ranges.len() != bearings.len() {
+        let (expected, got) = (bearings.len(), ranges.len());
+        return Err(Error::Length { name: "ranges", expected, got }.into());
+    }
+    Ok((ranges, bearings))
+}

@@ -1,0 +1,51 @@
+//! The fields of the configuration models of `circles` that the core reads, by name.
+
+use crate::arrays;
+use lidar_core::Error;
+use lidar_core::circles::segment::{Bound, Criterion, SegmentParameters};
+use pyo3::prelude::*;
+
+#[derive(FromPyObject)]
+pub(crate) struct ScannerConfig {
+    range_min: f64,
+    range_max: f64,
+}
+
+#[derive(FromPyObject)]
+pub(crate) struct SegmentConfig {
+    criterion: String,
+    bound: String,
+    incidence: f64,
+    range_std: f64,
+    distance: f64,
+    max_gap: usize,
+    merge_distance: f64,
+    merge_deviation: f64,
+    min_points: usize,
+    min_fraction: f64,
+    near_margin: f64,
+    far_margin: f64,
+}
+
+impl SegmentConfig {
+    pub(crate) fn parameters(&self, scanner: &ScannerConfig) -> Result<SegmentParameters, Error> {
+        let criteria = [
+            ("both", Criterion::Both),
+            ("cartesian", Criterion::Cartesian),
+            ("polar", Criterion::Polar),
+        ];
+        let adaptive = Bound::Adaptive { incidence: self.incidence, range_std: self.range_std };
+        let bounds = [("adaptive", adaptive), ("fixed", Bound::Fixed(self.distance))];
+        Ok(SegmentParameters {
+            criterion: arrays::choice("criterion", &self.criterion, &criteria)?,
+            bound: arrays::choice("bound", &self.bound, &bounds)?,
+            max_gap: self.max_gap,
+            merge_distance: self.merge_distance,
+            merge_deviation: self.merge_deviation,
+            min_points: self.min_points,
+            min_fraction: self.min_fraction,
+            range_limits: [scanner.range_min, scanner.range_max],
+            cut_margins: [self.near_margin, self.far_margin],
+        })
+    }
+}
