@@ -74,7 +74,7 @@ def test_parquet_table(tmp_path, tracks):
 
 @pytest.mark.parametrize("name", ["tracks.csv", "tracks.parquet"])
 def test_csv_table_on_request_or_without_pyarrow(tmp_path, tracks, monkeypatch, name):
-    monkeypatch.setattr(module, "find_spec", lambda _: None)
+    monkeypatch.setattr("lidar_core.io.long_table.find_spec", lambda _: None)
     path = lc.io.write_tracks_table(tmp_path / name, tracks, frame_id="map")
     assert path == tmp_path / "tracks.csv"
     with path.open(newline="") as file:

@@ -1,5 +1,6 @@
 """Recordings in and out: one iterator over every readable format, poses, and writers."""
 
+from lidar_core.io.circles import write_circles_table, write_circles_tum
 from lidar_core.io.columns import read_columns
 from lidar_core.io.info import RecordingInfo, TopicInfo
 from lidar_core.io.npz import write_npz
@@ -27,6 +28,8 @@ __all__ = [
     "posed_laser_scans",
     "posed_scans",
     "read_columns",
+    "write_circles_table",
+    "write_circles_tum",
     "write_mcap",
     "write_npz",
     "write_tracks_table",

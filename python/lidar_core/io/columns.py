@@ -140,9 +140,10 @@ def _read_mcap(path: Path) -> Columns:
     with McapRecording(path, ReadOptions()) as recording:
         for place, message in recording.foxglove(SCENE_UPDATE):
             for entity in message.entities:
-                if not entity.id.isdecimal() or len(entity.id) > 18 or not entity.cubes:
-                    raise FormatError(f"{place}: entity {entity.id!r} is no track with a box")
-                stamp, position = entity.timestamp, entity.cubes[0].pose.position
+                bodies = [*entity.cubes, *entity.cylinders]
+                if not entity.id.isdecimal() or len(entity.id) > 18 or not bodies:
+                    raise FormatError(f"{place}: entity {entity.id!r} is no track with a body")
+                stamp, position = entity.timestamp, bodies[0].pose.position
                 rows.append((stamp.seconds * 1_000_000_000 + stamp.nanos, int(entity.id)))
                 places.append((position.x, position.y, position.z))
     numbers = np.array(rows, np.int64).reshape(-1, 2)

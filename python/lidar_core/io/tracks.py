@@ -1,27 +1,25 @@
 """Tracks in tables and trajectory files."""
 
-import csv
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.extras import require
 from lidar_core.io.atomic import written_whole
+from lidar_core.io.long_table import write_long_table
 
 STATE = ("x", "y", "z", "vx", "vy", "vz")
 COVARIANCE = tuple(
     (row, column) for row in range(len(STATE)) for column in range(row, len(STATE))
 )  # upper triangle
-COLUMNS: tuple[str, ...] = (
-    "t_ns", "track_id", "frame_id", *STATE,
-    "extent_x", "extent_y", "extent_z", "n_detections", "age",
-    *(f"cov_{STATE[row]}_{STATE[column]}" for row, column in COVARIANCE),
-)  # fmt: skip
+COLUMNS: dict[str, type] = {
+    "t_ns": int, "track_id": int, "frame_id": str, **dict.fromkeys(STATE, float),
+    "extent_x": float, "extent_y": float, "extent_z": float, "n_detections": int, "age": float,
+    **{f"cov_{STATE[row]}_{STATE[column]}": float for row, column in COVARIANCE},
+}  # fmt: skip
 """Columns of the tracks table: SI units; covariance is of position and velocity."""
 
 
@@ -80,20 +78,7 @@ def write_tracks_table(
     path : Path
         File that was written.
     """
-    place = Path(path)
-    rows = list(_rows(tracks, frame_id))
-    if place.suffix == ".parquet" and find_spec("pyarrow") is not None:
-        _write_parquet(place, rows)
-        return place
-    place = place.with_suffix(".csv")
-    with (
-        written_whole(place) as temporary,
-        temporary.open("w", newline="", encoding="utf-8") as file,
-    ):
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        writer.writerows(rows)
-    return place
+    return write_long_table(path, COLUMNS, _rows(tracks, frame_id))
 
 
 def write_tum(folder: str | Path, tracks: Iterable[TracksLike]) -> list[Path]:
@@ -111,10 +96,18 @@ def write_tum(folder: str | Path, tracks: Iterable[TracksLike]) -> list[Path]:
     paths : list of Path
         Files that were written, by track.
     """
+    return write_trajectories(folder, ((step.stamp_ns, step.id, step.position) for step in tracks))
+
+
+def write_trajectories(
+    folder: str | Path,
+    steps: Iterable[tuple[int, NDArray[np.int64], NDArray[np.float64]]],
+) -> list[Path]:
+    """Write files track_ID.txt, from (stamp [ns], numbers (T,), positions (T, 3)) at each time."""
     lines: dict[int, list[str]] = defaultdict(list)
-    for state in tracks:
-        seconds, nanoseconds = divmod(int(state.stamp_ns), 1_000_000_000)
-        for number, position in zip(state.id.tolist(), state.position.tolist(), strict=True):
+    for stamp_ns, numbers, positions in steps:
+        seconds, nanoseconds = divmod(int(stamp_ns), 1_000_000_000)
+        for number, position in zip(numbers.tolist(), positions.tolist(), strict=True):
             x, y, z = (f"{value:.6f}" for value in position)
             lines[number].append(f"{seconds}.{nanoseconds:09d} {x} {y} {z} 0 0 0 1\n")
     place = Path(folder)
@@ -139,22 +132,3 @@ def _rows(tracks: Iterable[TracksLike], frame_id: str) -> Iterator[Sequence[Any]
                 *state.extent[row].tolist(), int(state.n_detections[row]), float(state.age[row]),
                 *(float(covariance[at]) for at in COVARIANCE),
             )  # fmt: skip
-
-
-def _write_parquet(place: Path, rows: list[Sequence[Any]]) -> None:
-    arrow = require("pyarrow", extra="tables", purpose="writing Parquet")
-    parquet = require("pyarrow.parquet", extra="tables", purpose="writing Parquet")
-    integers, texts = {"t_ns", "track_id", "n_detections"}, {"frame_id"}
-    schema = arrow.schema(
-        [
-            (name, arrow.int64() if name in integers else arrow.string() if name in texts
-             else arrow.float64())
-            for name in COLUMNS
-        ]
-    )  # fmt: skip
-    columns = list(zip(*rows, strict=True)) if rows else [()] * len(COLUMNS)
-    arrays = [
-        arrow.array(column, field.type) for column, field in zip(columns, schema, strict=True)
-    ]
-    with written_whole(place) as temporary:
-        parquet.write_table(arrow.table(arrays, schema=schema), temporary)

@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 from lidar_core.errors import InputError
 from lidar_core.extras import require
 from lidar_core.io.atomic import commit, temporary_for
+from lidar_core.io.circle_scene import CircleScene
+from lidar_core.io.circles import CirclesLike
 from lidar_core.io.foxglove_messages import FOXGLOVE_TYPES, OWN_HEIGHT, OWN_SCANNER
 from lidar_core.io.rotations import quaternion_from_matrix
 from lidar_core.io.tracks import TracksLike
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
 SCAN_TOPIC, LASER_TOPIC = "/lidar/points", "/laser/scan"
-TRACKS_TOPIC, POSE_TOPIC, STATIC_TOPIC = "/tracks", "/tf", "/tf_static"
+TRACKS_TOPIC, CIRCLES_TOPIC = "/tracks", "/circles"
+POSE_TOPIC, STATIC_TOPIC = "/tf", "/tf_static"
 TRACK_LIFETIME_NS = 500_000_000  # a track that is no longer written disappears from the view
 SMALLEST_BOX = 0.1  # a track without extent stays visible [m]
 TRACK_COLOUR = (1.0, 0.35, 0.1, 0.8)
@@ -28,8 +31,8 @@ class McapWriter:
     """Writes scans, poses and tracks as they come; the file appears when it is complete.
 
     Scans become PointCloud, 2D scans LaserScan, poses FrameTransform (their covariances are not
-    kept), tracks SceneUpdate. Leaving the `with` block completes the file, also on Ctrl-C; any
-    other error leaves nothing behind.
+    kept), tracks and circle maps SceneUpdate. Leaving the `with` block completes the file, also
+    on Ctrl-C; any other error leaves nothing behind.
 
     Parameters
     ----------
@@ -60,8 +63,7 @@ class McapWriter:
         InputError
             A time before 1970, or point times more than two seconds from the scan's stamp.
         """
-        if item.stamp_ns < 0:
-            raise InputError(f"stamp_ns: MCAP holds no negative times, got {item.stamp_ns}")
+        _check_stamp(item.stamp_ns)
         if isinstance(item, Scan):
             self._write_scan(item)
         elif isinstance(item, Pose):
@@ -154,6 +156,20 @@ class McapWriter:
             m.SceneUpdate(entities=entities), log_time=tracks.stamp_ns
         )
 
+    def write_circles(self, circles: CirclesLike) -> None:
+        """Append the elements of a circle map at one time: discs, 2 sigma ellipses, velocities.
+
+        Raises
+        ------
+        InputError
+            A time before 1970.
+        """
+        _check_stamp(circles.stamp_ns)
+        scene = CircleScene(self._messages, self._stamp(circles.stamp_ns), self._tracks_frame)
+        update = self._messages.SceneUpdate(entities=scene.entities(circles))
+        channel = self._channel("SceneUpdateChannel", CIRCLES_TOPIC)
+        channel.log(update, log_time=circles.stamp_ns)
+
     def _entity(self, tracks: TracksLike, row: int, stamp: Any) -> Any:
         m = self._messages
         number, size = int(tracks.id[row]), np.maximum(tracks.extent[row], SMALLEST_BOX)
@@ -220,6 +236,11 @@ def write_mcap(
     with McapWriter(path, tracks_frame=tracks_frame) as writer:
         for item in items:
             writer.write(item)
+
+
+def _check_stamp(stamp_ns: int) -> None:
+    if stamp_ns < 0:
+        raise InputError(f"stamp_ns: MCAP holds no negative times, got {stamp_ns}")
 
 
 def _packed(scan: Scan) -> NDArray[Any]:
