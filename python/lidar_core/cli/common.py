@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
     from rich.table import Table
-
-    from lidar_core.viz import FlyingView
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""
@@ -124,16 +122,21 @@ def _bar(share: float) -> str:
     return "▪" * round(share * 20)
 
 
-def draw(view: "FlyingView", path: Path, console: "Console") -> bool:
-    """Draw the picture; without matplotlib say which extra brings it. True if drawn."""
-    from lidar_core.viz import draw_flying
-
+def draw(pictures: Iterable[tuple[Path, Callable[[], object]]], console: "Console") -> list[str]:
+    """Draw pictures, and name those drawn; without matplotlib say which extra brings them."""
+    names = []
     try:
-        draw_flying(view, path)
+        for path, paint in pictures:
+            paint()
+            names.append(path.name)
     except MissingExtraError as error:
         console.print(f"no picture: {error}", markup=False, soft_wrap=True)
-        return False
-    return True
+    return names
+
+
+def given(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Those options that somebody gave."""
+    return {name: value for name, value in options.items() if value not in (None, [])}
 
 
 def write_json(result: Mapping[str, Any] | list[Any], json_file: Path | None) -> None:

@@ -32,7 +32,7 @@ def show(
 
     defaults, config = _defaults(model, "best"), _defaults(model, mode)
     if file is not None:
-        config = type(defaults).load(merged(config.model_dump(), file_values(file)))
+        config = type(defaults).load(merged(config.model_dump(), file_values(file, model)))
     if as_json:
         print(json.dumps(config.model_dump(mode="json"), indent=2))
         return

@@ -49,6 +49,7 @@ def command(
     from lidar_core.flying import FlyingConfig, FlyingObjectDetector
     from lidar_core.run_folder import RunFolder
     from lidar_core.sim import Simulator, scenes
+    from lidar_core.viz import draw_flying
 
     out, errors = consoles(json)
     folder = RunFolder(output, overwrite=True)
@@ -66,8 +67,9 @@ def command(
     folder.begin()
     files = [*run.write(folder), *_write_rest(folder, simulator, run, truth, summary)]
     view = _view(simulator, run, truth, report)
-    if picture and draw(view, output / "picture.png", errors):
-        files.append("picture.png")
+    if picture:
+        path = output / "picture.png"
+        files += draw([(path, lambda: draw_flying(view, path))], errors)
     out.print(_table(view.title, summary, report, truth.rule))
     out.print(f"{output}: {', '.join(sorted(files))}", highlight=False, soft_wrap=True)
     write_json(summary, json)

@@ -1,13 +1,12 @@
 """`lidar-core evaluate`: what a run reported, held against the truth."""
 
-from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.common import JsonFile, Row, consoles, result_table, write_json
+from lidar_core.cli.common import JsonFile, Row, consoles, given, result_table, write_json
 from lidar_core.cli.score_rows import (
     counted_caption,
     detail_rows,
@@ -56,7 +55,7 @@ def command(
                "burn_in_scans": burn_in}  # fmt: skip
     prediction = read_prediction(predicted)
     of_run = {"burn_in_scans": prediction.burn_in_scans}
-    chosen = with_assignments(_given(of_run), values) | _given(options)
+    chosen = with_assignments(given(of_run), values) | given(options)
     config = EvaluationConfig.load(chosen)
     truth = read_truth(true, config=config)
     report = evaluate(
@@ -83,10 +82,6 @@ def command(
         },
         json,
     )
-
-
-def _given(options: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in options.items() if value is not None}
 
 
 def _without_truth(

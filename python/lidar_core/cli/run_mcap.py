@@ -5,12 +5,12 @@ from typing import Self
 
 import numpy as np
 
+from lidar_core.cli.recording_job import MCAP
 from lidar_core.flying import FlyingFrame
 from lidar_core.io import McapWriter, PosedScan
 from lidar_core.messages import Pose, Scan
 from lidar_core.run_folder import RunFolder
 
-NAME = "run.mcap"
 CLASSES_TOPIC = "/classes"
 
 
@@ -23,7 +23,7 @@ class RunMcap:
 
     def __init__(self, folder: RunFolder, *, frame_id: str) -> None:
         self._frame_id = frame_id
-        self._writer = McapWriter(folder.path / NAME, tracks_frame=frame_id)
+        self._writer = McapWriter(folder.path / MCAP, tracks_frame=frame_id)
 
     def __enter__(self) -> Self:
         self._writer.__enter__()

@@ -4,33 +4,40 @@ import json
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
-from lidar_core.cli.config import Mode
+from lidar_core.config import Config
 from lidar_core.errors import ConfigError
 
-if TYPE_CHECKING:
-    from lidar_core.flying import FlyingConfig
+ConfigT = TypeVar("ConfigT", bound=Config)
 
 
-def flying_config(mode: Mode, file: Path | None, assignments: Iterable[str]) -> "FlyingConfig":
-    """Configuration of a run: that of `mode`, then the file's values, then `a.b=c` ones.
+def run_config(
+    base: ConfigT, section: str, file: Path | None, assignments: Iterable[str]
+) -> ConfigT:
+    """Configuration of a run: that of its mode, then the file's values, then `a.b=c` ones.
 
     A scan that cannot be used is counted, unless the file or an assignment says otherwise: one
     bad scan is no reason to give a recording up.
+
+    Parameters
+    ----------
+    base : Config
+        Configuration of a pipeline in the mode of the run.
+    section : str
+        Its name in a run.toml.
+    file, assignments
+        As the command line gives them.
 
     Raises
     ------
     ConfigError
         A file or assignment is no TOML, or a value is unknown or outside its range.
     """
-    from lidar_core.flying import FlyingConfig
-
-    base = FlyingConfig() if mode == "best" else FlyingConfig.paper()
     values = base.model_dump() | {"on_bad_scan": "count"}
     if file is not None:
-        values = merged(values, file_values(file))
-    return FlyingConfig.load(with_assignments(values, assignments))
+        values = merged(values, file_values(file, section))
+    return type(base).load(with_assignments(values, assignments))
 
 
 def with_assignments(values: dict[str, Any], assignments: Iterable[str]) -> dict[str, Any]:
@@ -56,14 +63,14 @@ def merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     return result
 
 
-def file_values(file: Path) -> dict[str, Any]:
-    """Values of a configuration file, or those that a run.toml says its run used."""
+def file_values(file: Path, section: str = "flying") -> dict[str, Any]:
+    """Values of a configuration file, or those that a run.toml has of its run, under `section`."""
     try:
         values = tomllib.loads(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: expected TOML: {error}") from error
     noted = values.get("config")
-    of_run = noted.get("flying") if isinstance(noted, dict) else None
+    of_run = noted.get(section) if isinstance(noted, dict) else None
     return of_run if isinstance(of_run, dict) else values
 
 
