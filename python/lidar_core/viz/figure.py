@@ -1,6 +1,7 @@
 """One style for all pictures, and how a figure becomes a file."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -32,16 +33,24 @@ def write_figure(
     MissingExtraError
         matplotlib is not installed.
     """
-    figures = require("matplotlib.figure", extra="plot", purpose=PURPOSE)
-    require("matplotlib.backends.backend_agg", extra="plot", purpose=PURPOSE)
-    style = require("matplotlib", extra="plot", purpose=PURPOSE)
     place = Path(path)
-    with style.rc_context({**_STYLE}):
-        figure = figures.Figure(figsize=size, dpi=dpi, facecolor="white")
+    with figure_with_style(size=size, dpi=dpi) as figure:
         draw(figure)
         with written_whole(place) as temporary:
             figure.savefig(temporary, format="png")
     return place
+
+
+@contextmanager
+def figure_with_style(*, size: tuple[float, float], dpi: int) -> Iterator[Any]:
+    """Empty matplotlib Figure; what is drawn into it in the block has the house's style."""
+    figures = require("matplotlib.figure", extra="plot", purpose=PURPOSE)
+    canvas = require("matplotlib.backends.backend_agg", extra="plot", purpose=PURPOSE)
+    style = require("matplotlib", extra="plot", purpose=PURPOSE)
+    with style.rc_context({**_STYLE}):
+        figure = figures.Figure(figsize=size, dpi=dpi, facecolor="white")
+        canvas.FigureCanvasAgg(figure)
+        yield figure
 
 
 _STYLE = {

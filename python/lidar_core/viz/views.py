@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.io.circles import CirclesLike
 from lidar_core.io.tracks import TracksLike
 
 
@@ -53,3 +54,35 @@ class FlyingView:
     recall: Mapping[str, tuple[NDArray[np.int64], NDArray[np.float64]]] = field(
         default_factory=dict
     )
+
+
+@dataclass(frozen=True, slots=True)
+class CirclesView:
+    """A run of the circle pipeline, world frame, from above.
+
+    Attributes
+    ----------
+    title : str
+        Headline.
+    points : sequence of ndarray, shape (N, 2), float64
+        Points of every scan that can be shown [m]; empty for a scan whose points were not kept.
+        The picture shows the last one and, pale, the others.
+    sensor : ndarray, shape (S, 2), float64
+        Positions of the sensor, one per scan [m].
+    stamp_ns : ndarray, shape (S,), int64
+        Times of the scans [ns].
+    maps : sequence of map states
+        Elements, one state per scan.
+    n_circles : ndarray, shape (S,), int64
+        Circles found per scan.
+    truth : mapping of int to ndarray, shape (S, 2), float64
+        True centres of every object [m]; NaN where unknown. Empty without truth.
+    """
+
+    title: str
+    points: Sequence[NDArray[np.float64]]
+    sensor: NDArray[np.float64]
+    stamp_ns: NDArray[np.int64]
+    maps: Sequence[CirclesLike]
+    n_circles: NDArray[np.int64]
+    truth: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)

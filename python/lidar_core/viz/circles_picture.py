@@ -1,0 +1,247 @@
+"""Pictures of a run of the circle pipeline, with matplotlib: one PNG, or an animation."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.extras import require
+from lidar_core.io.atomic import written_whole
+from lidar_core.io.circle_scene import ellipse
+from lidar_core.viz.figure import INK, PALE, PURPOSE, figure_with_style, write_figure
+from lidar_core.viz.views import CirclesView
+
+SIZE, DPI = (12.0, 7.0), 90
+FILM_SIZE, FILM_DPI = (7.0, 7.0), 70
+TALL = 1.0  # height of the map in the picture, in widths
+COLOURS = ("#0369a1", "#15803d", "#7e22ce", "#b45309", "#be185d", "#0f766e", "#4d7c0f")
+POINT, EARLIER = "#475569", "#dbe1e8"
+MARGIN = 1.0  # around elements and sensor [m]
+SMALLEST = 4.0  # least width and height of what is shown [m]
+REACH = 12.0  # from the sensor's way, at most: points further off only make the rest small [m]
+MOST_POINTS = 30_000  # of earlier scans
+SIGMAS, CORNERS = 2.0, 36
+SLOWEST = 0.05  # drawn with an arrow, as long as the way of one second [m/s]
+MOST_CURVES = 12  # radii over time: the elements seen longest
+
+
+def draw_circles(view: CirclesView, path: str | Path) -> Path:
+    """Draw the map at the end of a run, and its elements over time, into a PNG file.
+
+    Parameters
+    ----------
+    view : CirclesView
+        What to show.
+    path : str or Path
+        File to write, whole or not at all.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    return write_figure(path, lambda figure: _compose(figure, view), size=SIZE, dpi=DPI)
+
+
+def animate_circles(view: CirclesView, path: str | Path, *, frames: int, rate: float) -> Path:
+    """Draw the map over time into a GIF, whole or not at all.
+
+    Parameters
+    ----------
+    view : CirclesView
+        What to show; scans whose points were not kept are left out.
+    path : str or Path
+        File to write.
+    frames : int
+        Frames at most, evenly picked.
+    rate : float
+        Frames per second [Hz].
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    animation = require("matplotlib.animation", extra="plot", purpose=PURPOSE)
+    kept = [scan for scan, points in enumerate(view.points) if len(points)]
+    picked = kept[:: max(1, -(-len(kept) // frames))] or [len(view.maps) - 1]
+    limits = _limits(view, 1.0)
+    place = Path(path)
+    with figure_with_style(size=FILM_SIZE, dpi=FILM_DPI) as figure, written_whole(place) as file:
+        axes = figure.add_subplot()
+        movie = animation.PillowWriter(fps=rate)
+        movie.setup(figure, str(file.with_suffix(".gif")), dpi=FILM_DPI)
+        for scan in picked:
+            axes.clear()
+            _above(axes, view, scan, limits)
+            axes.set_title(f"{view.title}: {_seconds(view)[scan]:.1f} s" if scan >= 0 else "")
+            movie.grab_frame()
+        movie.finish()
+        file.with_suffix(".gif").replace(file)
+    return place
+
+
+def _compose(figure: Any, view: CirclesView) -> None:
+    grid = figure.add_gridspec(
+        2, 2, width_ratios=(1.35, 1.0), height_ratios=(1.3, 1.0),
+        left=0.06, right=0.985, top=0.9, bottom=0.08, wspace=0.16, hspace=0.36,
+    )  # fmt: skip
+    figure.suptitle(view.title, x=0.06, y=0.975, ha="left", fontsize=13, fontweight="bold")
+    above = figure.add_subplot(grid[:, 0])
+    _earlier(above, view)
+    _above(above, view, len(view.maps) - 1, _limits(view, TALL))
+    above.set_title("from above, at the end")
+    if view.maps:
+        above.legend(loc="upper left", fontsize=8, frameon=True, facecolor="white",
+                     framealpha=0.88, edgecolor="none")  # fmt: skip
+    _radii(figure.add_subplot(grid[0, 1]), view)
+    _counts(figure.add_subplot(grid[1, 1]), view)
+
+
+def _limits(view: CirclesView, tall: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners of what is shown, `tall` times as high as wide: sensor, elements, truth, a margin."""
+    centers = [state.center for state in view.maps]
+    focus = np.concatenate([np.empty((0, 2)), *centers, *view.truth.values()])
+    focus = focus[np.isfinite(focus).all(axis=1)]
+    if len(view.sensor):
+        low, high = view.sensor.min(axis=0) - REACH, view.sensor.max(axis=0) + REACH
+        focus = focus[((focus >= low) & (focus <= high)).all(axis=1)]
+        focus = np.concatenate([focus, view.sensor])
+    if not len(focus):
+        focus = np.zeros((1, 2))
+    low, high = focus.min(axis=0), focus.max(axis=0)
+    size = np.maximum(high - low + 2 * MARGIN, SMALLEST)
+    size = np.maximum(size, size[::-1] * np.array([1 / tall, tall]))  # fills the panel
+    middle = (low + high) / 2
+    return middle - size / 2, middle + size / 2
+
+
+def _earlier(axes: Any, view: CirclesView) -> None:
+    """Points of all scans, pale."""
+    rows = np.concatenate([np.empty((0, 2)), *view.points])
+    rows = rows[:: max(1, -(-len(rows) // MOST_POINTS))]
+    axes.scatter(rows[:, 0], rows[:, 1], s=0.4, c=EARLIER, linewidths=0, zorder=1, rasterized=True)
+
+
+def _above(
+    axes: Any,
+    view: CirclesView,
+    scan: int,
+    limits: tuple[NDArray[np.float64], NDArray[np.float64]],
+) -> None:
+    """Scan, sensor and map at one time, with the ways up to it."""
+    low, high = limits
+    if scan >= 0:
+        points = view.points[scan]
+        axes.scatter(points[:, 0], points[:, 1], s=3, c=POINT, linewidths=0, zorder=2,
+                     label="scan")  # fmt: skip
+        way = view.sensor[: scan + 1]
+        axes.plot(way[:, 0], way[:, 1], color=INK, lw=1.4, zorder=4, label="sensor")
+        axes.plot(*way[-1], marker="^", ms=8, color=INK, zorder=4)
+        for order, line in enumerate(view.truth.values()):
+            axes.plot(line[: scan + 1, 0], line[: scan + 1, 1], color="black", lw=1.1,
+                      ls=(0, (3, 2)), zorder=6, label=None if order else "truth")  # fmt: skip
+        _elements(axes, view, scan)
+    axes.set(aspect="equal", adjustable="box", xlim=(low[0], high[0]), ylim=(low[1], high[1]),
+             xlabel="x [m]", ylabel="y [m]")  # fmt: skip
+    axes.grid(visible=True)
+
+
+def _elements(axes: Any, view: CirclesView, scan: int) -> None:
+    """Elements at one time: disc, 2 sigma ellipse, velocity, number, way."""
+    patches = require("matplotlib.patches", extra="plot", purpose=PURPOSE)
+    state, ways = view.maps[scan], _ways(view, scan)
+    for row, number in enumerate(state.id.tolist()):
+        colour = colour_of(number)
+        center, seen = state.center[row], bool(state.visible[row])
+        disc = patches.Circle(center, state.radius[row])
+        disc.set(facecolor=(colour, 0.2 if seen else 0.05), edgecolor=colour, lw=1.5,
+                 ls="-" if seen else ":", zorder=5)  # fmt: skip
+        axes.add_patch(disc)
+        around = center + ellipse(state.covariance[row][:2, :2], SIGMAS, CORNERS)
+        outline = patches.Polygon(around, closed=True, fill=False, ec=colour, lw=0.8, zorder=5)
+        axes.add_patch(outline)
+        axes.plot(*ways[number].T, color=colour, lw=1.0, alpha=0.7, zorder=4.5)
+        _arrow(axes, center, state.velocity[row], colour)
+        axes.annotate(
+            str(number), center, xytext=(7, 7), textcoords="offset points", color="white",
+            fontsize=8, fontweight="bold", zorder=8, annotation_clip=True,
+            bbox={"boxstyle": "round,pad=0.2", "facecolor": colour, "edgecolor": "white"},
+        )  # fmt: skip
+    axes.scatter([], [], s=60, facecolor=(COLOURS[0], 0.2), edgecolor=COLOURS[0],
+                 label="element, 2σ ellipse, velocity")  # fmt: skip
+
+
+def _arrow(
+    axes: Any, center: NDArray[np.float64], velocity: NDArray[np.float64], colour: str
+) -> None:
+    if np.hypot(*velocity) > SLOWEST:
+        axes.annotate(
+            "", center + velocity, center, zorder=7,
+            arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.6}, annotation_clip=True,
+        )  # fmt: skip
+
+
+def colour_of(number: int) -> str:
+    """Colour of an element, the same in every picture."""
+    return COLOURS[number % len(COLOURS)]
+
+
+def _ways(view: CirclesView, scan: int) -> Mapping[int, NDArray[np.float64]]:
+    """Centres of every element up to `scan`."""
+    found: dict[int, list[NDArray[np.float64]]] = {}
+    for state in view.maps[: scan + 1]:
+        for row, number in enumerate(state.id.tolist()):
+            found.setdefault(number, []).append(state.center[row])
+    return {number: np.array(rows) for number, rows in found.items()}
+
+
+def _seconds(view: CirclesView) -> NDArray[np.float64]:
+    first = view.stamp_ns[0] if len(view.stamp_ns) else 0
+    seconds: NDArray[np.float64] = (view.stamp_ns - first) * 1e-9
+    return seconds
+
+
+def _radii(axes: Any, view: CirclesView) -> None:
+    """Radius of the elements over time, with its 2 sigma band."""
+    time, curves = _seconds(view), _curves(view)
+    longest = sorted(curves, key=lambda number: len(curves[number]), reverse=True)[:MOST_CURVES]
+    for number in sorted(longest):
+        scans, radius, spread = np.array(curves[number]).T
+        at = time[scans.astype(np.intp)]
+        axes.plot(at, radius, color=colour_of(number), lw=1.4, label=str(number))
+        axes.fill_between(at, radius - SIGMAS * spread, radius + SIGMAS * spread,
+                          color=colour_of(number), alpha=0.15, lw=0)  # fmt: skip
+    axes.set(title="radius, 2σ band" + (f": {MOST_CURVES} longest" if len(curves) > MOST_CURVES
+             else ""), ylabel="[m]", ylim=(0, None))  # fmt: skip
+    axes.grid(visible=True)
+    if longest:
+        axes.legend(fontsize=7, loc="upper right", ncols=6)
+    else:
+        axes.text(0.5, 0.5, "no elements", transform=axes.transAxes, ha="center", color=PALE)
+
+
+def _curves(view: CirclesView) -> dict[int, list[tuple[float, float, float]]]:
+    """Scan, radius and its standard deviation of every element."""
+    found: dict[int, list[tuple[float, float, float]]] = {}
+    for scan, state in enumerate(view.maps):
+        spread = np.sqrt(np.maximum(state.covariance[:, 4, 4], 0))
+        rows = zip(state.id.tolist(), state.radius.tolist(), spread.tolist(), strict=True)
+        for number, radius, deviation in rows:
+            found.setdefault(number, []).append((scan, radius, deviation))
+    return found
+
+
+def _counts(axes: Any, view: CirclesView) -> None:
+    time = _seconds(view)
+    elements = [len(state.id) for state in view.maps]
+    axes.plot(time, view.n_circles, color="#f59e0b", lw=1.2, label="circles found",
+              drawstyle="steps-mid")  # fmt: skip
+    axes.plot(time, elements, color=COLOURS[0], lw=1.8, label="elements", drawstyle="steps-mid")
+    top = max([1, *elements, *view.n_circles.tolist()])
+    axes.set(title="circles and elements per scan", xlabel="time [s]",
+             ylim=(-0.05 * top, 1.3 * top))  # fmt: skip
+    axes.grid(visible=True)
+    axes.legend(fontsize=8, loc="upper left", ncols=2)
