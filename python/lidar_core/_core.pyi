@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "CircleMap",
     "FlyingObjectDetector",
     "FusionStep",
     "Measurement",
@@ -154,6 +155,40 @@ class VoxelMap:
     def origin(self) -> list[float]: ...
     def parameters(self) -> dict[str, Any]: ...
     def size(self) -> tuple[int, int, int]: ...
+
+@final
+class CircleMap:
+    def __new__(cls, config: object) -> Self: ...
+    def update(
+        self,
+        circles: NDArray[np.float64],
+        covariance: NDArray[np.float64],
+        world_from_lidar: NDArray[np.float64],
+        stamp_ns: int,
+        *,
+        sensor: int,
+        pose_covariance: NDArray[np.float64] | None,
+        view: tuple[NDArray[np.float64], NDArray[np.float64], tuple[float, float]] | None,
+    ) -> tuple[
+        bool,
+        NDArray[np.int64],
+        NDArray[np.int64],
+        NDArray[np.int64],
+        NDArray[np.int64],
+        NDArray[np.int64],
+    ]: ...
+    def map_at(
+        self, stamp_ns: int
+    ) -> tuple[
+        NDArray[np.int64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.int64],
+        NDArray[np.bool_],
+        NDArray[np.bool_],
+    ]: ...
+    def reset(self) -> None: ...
 
 @final
 class SimShape:

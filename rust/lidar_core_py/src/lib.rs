@@ -3,6 +3,7 @@
 mod analysis;
 mod arrays;
 mod center;
+mod circle_map;
 mod circles;
 mod circles_config;
 mod errors;
@@ -24,6 +25,8 @@ mod _core {
     use super::analysis::{detection_probability, hit_probability, point_covariance};
     #[pymodule_export]
     use super::center::target_center;
+    #[pymodule_export]
+    use super::circle_map::PyCircleMap;
     #[pymodule_export]
     use super::circles::{limit_range, project_horizontal, segment_scan};
     #[pymodule_export]

@@ -1,0 +1,148 @@
+"""Configuration of the semantic map: the only source of its defaults and ranges."""
+
+from typing import Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from lidar_core.config import Config
+
+
+class CircleMapConfig(Config):
+    """Map of circles in the world, with identities, radii, velocities and covariances.
+
+    `CircleMapConfig()` is what works best; `CircleMapConfig.paper()` is the filter as published,
+    with values of ours where the paper gives none.
+
+    Source: Sanchez-Lopez et al., sec. V.
+    """
+
+    filter: Literal["paper", "independent"] = Field(
+        "independent",
+        description="What keeps the elements: one filter for the robot and all of them, eqs 8-33,"
+        " with nearest neighbours, new elements at once and one limit for all eigenvalues; or a"
+        " filter per element (no unit).",
+    )
+    gate_probability: float = Field(
+        0.999,
+        gt=0,
+        lt=1,
+        description="Probability that a circle passes the gate of its element, chi-square with 3"
+        " degrees of freedom (no unit); the paper gives no threshold.",
+    )
+    initial_speed: float = Field(
+        1.5,
+        gt=0,
+        description="Standard deviation of a new element's velocity, per axis, n_gv of eq. 19"
+        " [m/s]; the paper gives none.",
+    )
+    process_noise: tuple[float, ...] = Field(
+        (0.003, 0.5, 100.0),
+        min_length=1,
+        max_length=4,
+        description="Densities of the white acceleration of the modes between which an element"
+        ' switches [m^2/s^3]: steady, manoeuvring, sudden turn; `filter` "independent", as all'
+        " that follows up to `buffer_time`.",
+    )
+    mode_weight: tuple[float, ...] = Field(
+        (0.5, 0.48, 0.02),
+        min_length=1,
+        max_length=4,
+        description="Share of each mode among new elements and among those that change their mode"
+        " (no unit).",
+    )
+    mode_time: tuple[float, ...] = Field(
+        (2.0, 2.0, 0.1),
+        min_length=1,
+        max_length=4,
+        description="Mean time that each mode lasts [s].",
+    )
+    radius_noise: float = Field(
+        1e-6, ge=0, description="Density of the random walk of radii [m^2/s]; paper, eq. 15: 0."
+    )
+    birth_density: float = Field(
+        0.1,
+        gt=0,
+        description="Density of circles that belong to no element, per area and radius [1/m^3]: a"
+        " circle joins an element that explains it better.",
+    )
+    confirm_hits: int = Field(
+        3,
+        ge=1,
+        le=64,
+        description="Scans of the last `confirm_window` that must have measured an element before"
+        " it is reported (count, no unit).",
+    )
+    confirm_window: int = Field(
+        5, ge=1, le=64, description="Scans looked back on for that (count, no unit)."
+    )
+    max_position_std: float = Field(
+        1.0,
+        gt=0,
+        description="An element that is not hidden goes when the standard deviation of its centre"
+        " in its worst direction is larger, eq. 33 for a block of the covariance [m].",
+    )
+    max_velocity_std: float = Field(3.0, gt=0, description="Same of the velocity [m/s].")
+    max_radius_std: float = Field(0.3, gt=0, description="Same of the radius [m].")
+    absent_time: float = Field(
+        0.25,
+        ge=0,
+        description="An element goes when rays have passed wherever it may be for longer without"
+        " a measurement [s].",
+    )
+    unmatched_time: float = Field(
+        0.5,
+        ge=0,
+        description="An element goes when rays have ended at its place for longer, but no circle"
+        " was found there [s].",
+    )
+    max_coast: float | None = Field(
+        5.0,
+        ge=0,
+        description="An element goes when it has been hidden or out of view for longer without a"
+        " measurement [s]; none: never.",
+    )
+    see_margin: float = Field(
+        0.15,
+        ge=0,
+        description="A ray that ends nearer to the surface of an element than this belongs to it"
+        " [m].",
+    )
+    min_rays: int = Field(
+        4,
+        ge=1,
+        le=10_000,
+        description="An element that fewer rays meet is out of view (count, no unit).",
+    )
+    buffer_time: float = Field(
+        0.25,
+        ge=0,
+        le=60,
+        description="How late a scan may come: all scans since are taken in again after it [s].",
+    )
+    velocity_step: float = Field(
+        0.1,
+        ge=0,
+        description="Noise of the velocity per step, n_fv of eq. 14, as a standard deviation [m/s];"
+        ' `filter` "paper", which gives no value.',
+    )
+    max_eigenvalue: float = Field(
+        3.0,
+        gt=0,
+        description="An element goes when an eigenvalue of its covariance is larger, eq. 33 (no"
+        ' unit: it mixes metres and metres per second); `filter` "paper", which gives no value.',
+    )
+
+    @classmethod
+    def paper(cls, **changes: Any) -> Self:
+        """Return the filter as published, with given changes."""
+        return cls(**{"filter": "paper", **changes})
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.confirm_hits > self.confirm_window:
+            raise ValueError("expected confirm_hits <= confirm_window")
+        if not len(self.process_noise) == len(self.mode_weight) == len(self.mode_time):
+            raise ValueError("expected process_noise, mode_weight and mode_time of one length")
+        if min(self.process_noise) < 0 or min(*self.mode_weight, *self.mode_time) <= 0:
+            raise ValueError("expected process_noise >= 0, mode_weight > 0 and mode_time > 0")
+        return self

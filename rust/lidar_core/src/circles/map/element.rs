@@ -1,0 +1,143 @@
+//! Elements with a filter each: what they are, what a scan tells about them, when they go.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::modes::{Measurement, Modes, Motion};
+use super::parameters::{Independent, Limits};
+use super::visibility::Visibility;
+use crate::estimation::kalman::Gaussian;
+use nalgebra::SMatrix;
+
+/// What the last scan said about an element.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Seen {
+    Measured,
+    Unmeasured(Visibility),
+}
+
+/// One object.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Element {
+    pub(super) id: i64,
+    pub(super) modes: Modes,
+    pub(super) born_ns: i64,
+    /// Time of the last measurement.
+    pub(super) seen_ns: i64,
+    pub(super) n_measurements: u32,
+    /// The last scans, newest in the lowest bit: 1 where it was measured.
+    history: u64,
+    pub(super) confirmed: bool,
+    pub(super) seen: Seen,
+    /// Time without a measurement: seen through, with returns, hidden [s].
+    absent: f64,
+    unmatched: f64,
+    hidden: f64,
+}
+
+impl Element {
+    pub(super) fn new(
+        id: i64,
+        measurement: &Measurement,
+        stamp_ns: i64,
+        speed: f64,
+        motion: &Motion,
+    ) -> Self {
+        Self {
+            id,
+            modes: Modes::new(measurement, speed, motion),
+            born_ns: stamp_ns,
+            seen_ns: stamp_ns,
+            n_measurements: 1,
+            history: 1,
+            confirmed: false,
+            seen: Seen::Measured,
+            absent: 0.0,
+            unmatched: 0.0,
+            hidden: 0.0,
+        }
+    }
+
+    /// Count a scan that measured it.
+    pub(super) fn measured(&mut self, stamp_ns: i64) {
+        self.seen_ns = stamp_ns;
+        self.n_measurements = self.n_measurements.saturating_add(1);
+        self.history = self.history << 1 | 1;
+        self.seen = Seen::Measured;
+        (self.absent, self.unmatched, self.hidden) = (0.0, 0.0, 0.0);
+    }
+
+    /// Count a scan, `dt` seconds after the one before, that did not.
+    pub(super) fn unmeasured(&mut self, visibility: Visibility, dt: f64) {
+        self.history <<= 1;
+        self.seen = Seen::Unmeasured(visibility);
+        match visibility {
+            Visibility::SeenThrough => self.absent += dt,
+            Visibility::Returns => self.unmatched += dt,
+            Visibility::Occluded | Visibility::OutOfView => self.hidden += dt,
+        }
+    }
+
+    /// Whether the newest scan measured it or should have.
+    pub(super) fn is_visible(&self) -> bool {
+        let hidden = [Visibility::Occluded, Visibility::OutOfView];
+        !hidden.map(Seen::Unmeasured).contains(&self.seen)
+    }
+
+    /// Confirm it if enough scans speak for it.
+    pub(super) fn confirm(&mut self, parameters: &Independent) {
+        let hits = self.recent(parameters.confirmation.window).count_ones();
+        self.confirmed |= hits >= parameters.confirmation.hits;
+    }
+
+    /// Whether it goes: never confirmed, not there, or too uncertain, eq. 33 with a limit per block.
+    pub(super) fn is_over(&self, parameters: &Independent) -> bool {
+        if !self.confirmed && self.recent(parameters.confirmation.window) == 0 {
+            return true;
+        }
+        let patience = &parameters.patience;
+        self.absent > patience.absent
+            || self.unmatched > patience.unmatched
+            || patience.hidden.is_some_and(|most| self.hidden > most)
+            || self.is_visible() && is_vague(&self.modes.combined(), &parameters.limits)
+    }
+
+    /// Whether two elements are one: the centre of one lies inside the other.
+    pub(super) fn is_twin(&self, other: &Self) -> bool {
+        let (one, two) = (self.modes.combined().mean, other.modes.combined().mean);
+        let [x, y] = [one[0] - two[0], one[1] - two[1]];
+        let reach = one[4].max(two[4]);
+        self.is_visible() && other.is_visible() && x * x + y * y < reach * reach
+    }
+
+    /// Take in a twin: the state of the one measured last, else the one measured more often.
+    pub(super) fn absorb(&mut self, twin: Self) {
+        let rank = |element: &Self| (element.seen_ns, element.n_measurements);
+        if rank(&twin) > rank(self) {
+            self.modes = twin.modes;
+            self.seen = twin.seen;
+            self.seen_ns = twin.seen_ns;
+            (self.absent, self.unmatched) = (twin.absent, twin.unmatched);
+            self.hidden = twin.hidden;
+        }
+        self.n_measurements = self.n_measurements.max(twin.n_measurements);
+        self.history |= twin.history;
+    }
+
+    /// Of the last `window` scans those that measured it.
+    fn recent(&self, window: u32) -> u64 {
+        self.history & (u64::MAX >> (u64::BITS - window))
+    }
+}
+
+/// Whether an eigenvalue of a block of the covariance is above its limit.
+fn is_vague(state: &Gaussian<5>, limits: &Limits) -> bool {
+    let P = &state.covariance;
+    exceeds(&P.fixed_view::<2, 2>(0, 0).into_owned(), limits.position * limits.position)
+        || exceeds(&P.fixed_view::<2, 2>(2, 2).into_owned(), limits.velocity * limits.velocity)
+        || P[(4, 4)] > limits.radius * limits.radius
+}
+
+/// Whether the largest eigenvalue of `P` is `limit` or more: then `limit I - P` is not positive.
+pub(super) fn exceeds<const N: usize>(P: &SMatrix<f64, N, N>, limit: f64) -> bool {
+    (SMatrix::<f64, N, N>::identity() * limit - P).cholesky().is_none()
+}

@@ -1,0 +1,138 @@
+//! Scans that come late: the map goes back to before them and takes in all scans since again.
+
+use super::independent::{Elements, Rules, new_number};
+use super::scan::Placed;
+use super::{Outcome, seconds};
+use crate::Error;
+use std::collections::VecDeque;
+
+/// Most scans kept.
+const MAX_SCANS: usize = 1_000;
+
+/// A scan, and the elements before it.
+#[derive(Clone)]
+struct Entry {
+    before: Elements,
+    scan: Placed,
+}
+
+/// The elements, and how they came about lately.
+#[derive(Default)]
+pub(super) struct History {
+    pub(super) now: Elements,
+    entries: VecDeque<Entry>,
+    newest: Option<(i64, u32)>,
+}
+
+impl History {
+    /// Whether a scan comes after all others.
+    ///
+    /// # Errors
+    /// [`Error::Time`] if it was processed already, or comes too late.
+    pub(super) fn is_late(&self, key: (i64, u32)) -> Result<bool, Error> {
+        let Some(newest) = self.newest.filter(|&newest| key <= newest) else { return Ok(false) };
+        let refuse = |what| Err(Error::Time { what });
+        if key == newest || self.entries.iter().any(|entry| entry.scan.key() == key) {
+            let (stamp_ns, sensor) = key;
+            return refuse(format!("scan of {stamp_ns} ns from sensor {sensor}: it was processed"));
+        }
+        match self.entries.front() {
+            Some(oldest) if key > oldest.scan.key() => Ok(true),
+            _ => refuse(format!(
+                "scan of {} ns: it comes later than the map can go back from {} ns; raise `buffer_time`",
+                key.0, newest.0
+            )),
+        }
+    }
+
+    /// Take in a scan in its place in time.
+    ///
+    /// # Errors
+    /// As [`History::is_late`] and [`Rules::step`]; nothing changes then.
+    pub(super) fn push(
+        &mut self,
+        rules: &Rules,
+        mut scan: Placed,
+        next_id: &mut i64,
+    ) -> Result<Outcome, Error> {
+        if self.is_late(scan.key())? {
+            return self.insert(rules, scan, next_id);
+        }
+        let mut number = *next_id; // an error must not leave anything changed
+        let mut now = self.now.clone();
+        let merged = rules.step(&mut now, &mut scan, &mut number)?;
+        let before = std::mem::replace(&mut self.now, now);
+        let elements = scan.elements.iter().flatten().copied().collect();
+        self.newest = Some(scan.key());
+        self.entries.push_back(Entry { before, scan });
+        self.forget(rules.parameters().buffer_time);
+        *next_id = number;
+        Ok(Outcome { late: false, elements, merged })
+    }
+
+    /// Take in a scan that is late, and all after it again.
+    fn insert(
+        &mut self,
+        rules: &Rules,
+        mut scan: Placed,
+        next_id: &mut i64,
+    ) -> Result<Outcome, Error> {
+        let mut number = *next_id;
+        let place = self.entries.partition_point(|entry| entry.scan.key() < scan.key());
+        let mut after: Vec<Entry> = self.entries.range(place..).cloned().collect();
+        let mut now = after.first().map_or_else(Elements::default, |entry| entry.before.clone());
+        let before = now.clone();
+        let merged = rules.step(&mut now, &mut scan, &mut number)?;
+        let mut pairs = Vec::new();
+        for entry in &mut after {
+            let known = entry.scan.elements.clone();
+            entry.before = now.clone();
+            rules.step(&mut now, &mut entry.scan, &mut number)?;
+            pairs.extend(known.into_iter().zip(entry.scan.elements.iter().copied()));
+        }
+        let renamed = renamed(&pairs, &self.now, &now);
+        now.rename(&renamed);
+        after.insert(0, Entry { before, scan });
+        for entry in &mut after {
+            entry.before.rename(&renamed);
+            for element in entry.scan.elements.iter_mut().flatten() {
+                *element = new_number(*element, &renamed);
+            }
+        }
+        let elements = after[0].scan.elements.iter().flatten().copied().collect();
+        self.entries.truncate(place);
+        self.entries.extend(after);
+        (self.now, *next_id) = (now, number);
+        Ok(Outcome { late: true, elements, merged })
+    }
+
+    /// Drop scans older than `buffer_time` [s].
+    fn forget(&mut self, buffer_time: f64) {
+        let Some((newest_ns, _)) = self.newest else { return };
+        let is_old = |entry: &Entry| seconds(entry.scan.stamp_ns, newest_ns) > buffer_time;
+        while self.entries.len() > MAX_SCANS || self.entries.front().is_some_and(is_old) {
+            self.entries.pop_front();
+        }
+    }
+}
+
+/// Elements that only now have a number of their own, and the numbers that their circles' elements
+/// had before: these they keep.
+fn renamed(
+    pairs: &[(Option<i64>, Option<i64>)],
+    before: &Elements,
+    now: &Elements,
+) -> Vec<(i64, i64)> {
+    let holds = |elements: &Elements, id: i64| elements.all.iter().any(|element| element.id == id);
+    let mut renamed: Vec<(i64, i64)> = Vec::new();
+    for &pair in pairs {
+        let (Some(old), Some(new)) = pair else { continue };
+        let is_gone = holds(before, old) && !holds(now, old);
+        let is_fresh = holds(now, new) && !holds(before, new);
+        let is_known = renamed.iter().any(|&(from, to)| from == new || to == old);
+        if is_gone && is_fresh && !is_known {
+            renamed.push((new, old));
+        }
+    }
+    renamed
+}

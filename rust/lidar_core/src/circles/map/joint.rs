@@ -1,0 +1,472 @@
+//! The map as published: one error-state filter of the robot's pose and all elements.
+//!
+//! Source: Sanchez-Lopez et al., eqs 8-33. The sensor's level frame is the robot's here, so that
+//! `t_S^R` = 0 and `R_S^R` = I. Sums run in fixed loops: the same bits on every platform.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::element::exceeds;
+use super::modes::{Matrix5, transition};
+use super::parameters::{Joint, MAX_ELEMENTS};
+use super::scan::{CircleScan, LevelPose, check, matrix_of, too_many};
+use super::{MapElement, Outcome, seconds};
+use crate::Error;
+use crate::circles::circle::CircleEstimate;
+use crate::estimation::kalman::{Gaussian, mahalanobis, symmetrised};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+
+/// Errors of the robot: position x and y, angle.
+const ROBOT: usize = 3;
+/// Errors of an element, eq. 9: position, velocity, radius.
+const ELEMENT: usize = 5;
+
+type Matrix3x5 = SMatrix<f64, 3, 5>;
+type Matrix5x3 = SMatrix<f64, 5, 3>;
+
+/// Eq. 9, and what is told about it.
+#[derive(Clone, Debug)]
+struct Landmark {
+    id: i64,
+    x: SVector<f64, ELEMENT>,
+    born_ns: i64,
+    seen_ns: i64,
+    n_measurements: u32,
+}
+
+/// Covariance of all errors, row after row: the robot's first, then every element's.
+#[derive(Clone, Debug)]
+struct Covariance {
+    size: usize,
+    values: Vec<f64>,
+}
+
+/// State of the filter; the robot's pose is an input and needs no place here.
+#[derive(Clone, Debug)]
+struct State {
+    key: Option<(i64, u32)>,
+    landmarks: Vec<Landmark>,
+    P: Covariance,
+}
+
+/// The map.
+pub(super) struct JointMap {
+    parameters: Joint,
+    gate: f64,
+    speed: f64,
+    state: State,
+}
+
+impl JointMap {
+    pub(super) fn new(parameters: Joint, gate: f64, speed: f64) -> Self {
+        Self { parameters, gate, speed, state: State::empty() }
+    }
+
+    pub(super) fn reset(&mut self) {
+        self.state = State::empty();
+    }
+
+    pub(super) fn numbers(&self) -> impl Iterator<Item = i64> {
+        self.state.landmarks.iter().map(|landmark| landmark.id)
+    }
+
+    /// # Errors
+    /// [`Error::Time`] for a scan that is not newer than the last one.
+    pub(super) fn check_stamp(&self, key: (i64, u32)) -> Result<(), Error> {
+        match self.state.key {
+            Some(newest) if key <= newest => Err(Error::Time {
+                what: format!("scan of {} ns: expected one after {} ns", key.0, newest.0),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Predict, associate, correct, map, delete.
+    pub(super) fn update(
+        &mut self,
+        scan: &CircleScan<'_>,
+        next_id: &mut i64,
+    ) -> Result<Outcome, Error> {
+        self.check_stamp((scan.stamp_ns, scan.sensor))?;
+        let pose = check(scan)?;
+        let mut state = self.state.clone(); // an error must not leave it half updated
+        let mut number = *next_id;
+        state.predict(scan, self.parameters.velocity_step);
+        let matches = state.associate(&pose, scan.estimates, self.gate)?;
+        state.correct(&pose, scan, &matches)?;
+        let mut elements = Vec::new();
+        for (estimate, found) in scan.estimates.iter().zip(matches) {
+            let id = found.map_or(number, |index| state.landmarks[index].id);
+            if found.is_none() {
+                state.create(&pose, estimate, self.speed, id, scan.stamp_ns);
+                number += 1;
+            }
+            elements.push(id);
+        }
+        if state.landmarks.len() > MAX_ELEMENTS {
+            return Err(too_many(state.landmarks.len()));
+        }
+        state.delete(self.parameters.max_eigenvalue);
+        (self.state, *next_id) = (state, number);
+        Ok(Outcome { late: false, elements, merged: Vec::new() })
+    }
+
+    /// Every element, one prediction step later.
+    pub(super) fn at(&self, stamp_ns: i64) -> Vec<MapElement> {
+        let Some((newest_ns, _)) = self.state.key else { return Vec::new() };
+        let F = transition(seconds(newest_ns, stamp_ns));
+        let step = if stamp_ns == newest_ns { 0.0 } else { self.parameters.velocity_step };
+        let landmarks = self.state.landmarks.iter().enumerate();
+        landmarks
+            .map(|(index, landmark)| {
+                let P: Matrix5 = self.state.P.block(place(index), place(index));
+                let covariance = symmetrised(F * P * F.transpose() + noise(step));
+                MapElement {
+                    id: landmark.id,
+                    state: Gaussian { mean: F * landmark.x, covariance },
+                    age: seconds(landmark.born_ns, stamp_ns),
+                    seen_ns: landmark.seen_ns,
+                    n_measurements: landmark.n_measurements,
+                    visible: landmark.seen_ns == newest_ns,
+                    confirmed: true,
+                }
+            })
+            .collect()
+    }
+}
+
+impl State {
+    fn empty() -> Self {
+        let P = Covariance { size: ROBOT, values: vec![0.0; ROBOT * ROBOT] };
+        Self { key: None, landmarks: Vec::new(), P }
+    }
+
+    /// Eqs 12-15 and 21-22. The robot's pose is replaced by the input, and its covariance by that
+    /// of the input: what it shared with the elements is gone.
+    fn predict(&mut self, scan: &CircleScan<'_>, velocity_step: f64) {
+        let key = (scan.stamp_ns, scan.sensor);
+        let dt =
+            self.key.replace(key).map_or(0.0, |(stamp_ns, _)| seconds(stamp_ns, scan.stamp_ns));
+        let F = transition(dt);
+        for (row, landmark) in self.landmarks.iter_mut().enumerate() {
+            landmark.x = F * landmark.x;
+            self.P.set::<3, ELEMENT>(0, place(row), &SMatrix::zeros());
+            for column in 0..=row {
+                let mut block: Matrix5 = self.P.block(place(row), place(column));
+                block = F * block * F.transpose();
+                if row == column {
+                    block = symmetrised(block + noise(velocity_step));
+                }
+                self.P.set(place(row), place(column), &block);
+            }
+        }
+        self.P.set::<3, 3>(0, 0, &input_covariance(scan));
+    }
+
+    /// Eqs 23-26: the nearest element of every circle, if it is near enough. Two circles may take
+    /// one element.
+    fn associate(
+        &self,
+        pose: &LevelPose,
+        estimates: &[CircleEstimate],
+        gate: f64,
+    ) -> Result<Vec<Option<usize>>, Error> {
+        let mut matches = Vec::with_capacity(estimates.len());
+        for estimate in estimates {
+            let mut best = (gate, None);
+            for (index, landmark) in self.landmarks.iter().enumerate() {
+                let model = Model::of(pose, &landmark.x);
+                let y = measured(estimate) - model.z;
+                let S = model.innovation_covariance(&self.P, index) + matrix_of(estimate);
+                let distance = mahalanobis(&y, &symmetrised(S))?.squared;
+                if distance < best.0 {
+                    best = (distance, Some(index));
+                }
+            }
+            matches.push(best.1);
+        }
+        Ok(matches)
+    }
+
+    /// Eqs 27-30 for all pairs, one after the other, which equals all at once. The robot's pose
+    /// stays as the input has it.
+    fn correct(
+        &mut self,
+        pose: &LevelPose,
+        scan: &CircleScan<'_>,
+        matches: &[Option<usize>],
+    ) -> Result<(), Error> {
+        let predicted: Vec<Model> =
+            self.landmarks.iter().map(|landmark| Model::of(pose, &landmark.x)).collect();
+        let mut dx = vec![0.0; self.P.size];
+        for (estimate, index) in scan.estimates.iter().zip(matches) {
+            let Some(index) = *index else { continue };
+            let model = &predicted[index];
+            let PHt = model.cross_covariance(&self.P, index);
+            let S = model.innovation_covariance(&self.P, index) + matrix_of(estimate);
+            let factor =
+                symmetrised(S).cholesky().ok_or(Error::NotPositiveDefinite { matrix: "S" })?;
+            let y = measured(estimate) - model.z - model.expected(&dx, index);
+            let gains: Vec<Vector3<f64>> = PHt.iter().map(|row| factor.solve(row)).collect();
+            for (value, gain) in dx.iter_mut().zip(&gains) {
+                *value += gain.dot(&y);
+            }
+            self.P.reduce(&gains, &PHt);
+            let landmark = &mut self.landmarks[index];
+            landmark.seen_ns = scan.stamp_ns;
+            landmark.n_measurements = landmark.n_measurements.saturating_add(1);
+        }
+        for (index, landmark) in self.landmarks.iter_mut().enumerate() {
+            landmark.x += SVector::from_column_slice(&dx[place(index)..place(index) + ELEMENT]);
+        }
+        Ok(())
+    }
+
+    /// Eqs 18-20 and 31-32: a new element, and what its error shares with all others.
+    fn create(
+        &mut self,
+        pose: &LevelPose,
+        estimate: &CircleEstimate,
+        speed: f64,
+        id: i64,
+        stamp_ns: i64,
+    ) {
+        let (x, G_robot, G_z) = mapped(pose, &measured(estimate));
+        let mut own: Matrix5 = G_z * matrix_of(estimate) * G_z.transpose();
+        own[(2, 2)] += speed * speed;
+        own[(3, 3)] += speed * speed;
+        let robot: Matrix3<f64> = self.P.block(0, 0);
+        own += G_robot * robot * G_robot.transpose();
+        let shared_robot: Matrix5x3 = G_robot * robot;
+        let shared: Vec<Matrix5> = (0..self.landmarks.len())
+            .map(|index| G_robot * self.P.block::<3, ELEMENT>(0, place(index)))
+            .collect();
+        self.P.grow();
+        let row = place(self.landmarks.len());
+        self.P.set(row, 0, &shared_robot);
+        for (index, block) in shared.iter().enumerate() {
+            self.P.set(row, place(index), block);
+        }
+        self.P.set(row, row, &symmetrised(own));
+        self.landmarks.push(Landmark {
+            id,
+            x,
+            born_ns: stamp_ns,
+            seen_ns: stamp_ns,
+            n_measurements: 1,
+        });
+    }
+
+    /// Eq. 33: elements go whose covariance has an eigenvalue above the limit.
+    fn delete(&mut self, max_eigenvalue: f64) {
+        let is_sure = |index| {
+            let P: Matrix5 = self.P.block(place(index), place(index));
+            !exceeds(&P, max_eigenvalue)
+        };
+        let kept: Vec<usize> = (0..self.landmarks.len()).filter(|&index| is_sure(index)).collect();
+        if kept.len() < self.landmarks.len() {
+            self.P = self.P.of(&kept);
+            self.landmarks = kept.iter().map(|&index| self.landmarks[index].clone()).collect();
+        }
+    }
+}
+
+/// Measurement model of one element, eqs 16-17, and its Jacobians.
+struct Model {
+    z: Vector3<f64>,
+    H_robot: Matrix3<f64>,
+    H_element: Matrix3x5,
+}
+
+impl Model {
+    fn of(pose: &LevelPose, x: &SVector<f64, ELEMENT>) -> Self {
+        let [px, py] = pose.level([x[0], x[1]], x[4]).center;
+        let back = pose.rotation().transpose();
+        let mut H_robot = Matrix3::zeros();
+        H_robot.fixed_view_mut::<2, 2>(0, 0).copy_from(&-back);
+        H_robot[(0, 2)] = py; // an error of the angle turns what is seen the other way
+        H_robot[(1, 2)] = -px;
+        let mut H_element = Matrix3x5::zeros();
+        H_element.fixed_view_mut::<2, 2>(0, 0).copy_from(&back);
+        H_element[(2, 4)] = 1.0;
+        Self { z: Vector3::new(px, py, x[4]), H_robot, H_element }
+    }
+
+    /// P H': one row per error.
+    fn cross_covariance(&self, P: &Covariance, index: usize) -> Vec<Vector3<f64>> {
+        (0..P.size)
+            .map(|row| {
+                let robot = Vector3::from_fn(|column, _| P.at(row, column));
+                let element =
+                    SVector::<f64, ELEMENT>::from_fn(|column, _| P.at(row, place(index) + column));
+                self.H_robot * robot + self.H_element * element
+            })
+            .collect()
+    }
+
+    /// H P H' of eq. 25.
+    fn innovation_covariance(&self, P: &Covariance, index: usize) -> Matrix3<f64> {
+        let robot: Matrix3<f64> = P.block(0, 0);
+        let shared: Matrix3x5 = P.block(0, place(index));
+        let element: Matrix5 = P.block(place(index), place(index));
+        let mixed = self.H_robot * shared * self.H_element.transpose();
+        self.H_robot * robot * self.H_robot.transpose()
+            + mixed
+            + mixed.transpose()
+            + self.H_element * element * self.H_element.transpose()
+    }
+
+    /// H dx: how corrections made so far change what is expected.
+    fn expected(&self, dx: &[f64], index: usize) -> Vector3<f64> {
+        let element =
+            SVector::<f64, ELEMENT>::from_column_slice(&dx[place(index)..place(index) + ELEMENT]);
+        self.H_robot * Vector3::new(dx[0], dx[1], dx[2]) + self.H_element * element
+    }
+}
+
+impl Covariance {
+    fn at(&self, row: usize, column: usize) -> f64 {
+        self.values[row * self.size + column]
+    }
+
+    fn block<const R: usize, const C: usize>(
+        &self,
+        row: usize,
+        column: usize,
+    ) -> SMatrix<f64, R, C> {
+        SMatrix::from_fn(|i, j| self.at(row + i, column + j))
+    }
+
+    /// Write a block and its mirror image.
+    fn set<const R: usize, const C: usize>(
+        &mut self,
+        row: usize,
+        column: usize,
+        block: &SMatrix<f64, R, C>,
+    ) {
+        for i in 0..R {
+            for j in 0..C {
+                self.values[(row + i) * self.size + column + j] = block[(i, j)];
+                self.values[(column + j) * self.size + row + i] = block[(i, j)];
+            }
+        }
+    }
+
+    /// Eq. 30: (I - K H) P = P - K (P H')'.
+    fn reduce(&mut self, gains: &[Vector3<f64>], PHt: &[Vector3<f64>]) {
+        for (row, gain) in gains.iter().enumerate() {
+            for (column, shared) in PHt.iter().enumerate().take(row + 1) {
+                let value = self.at(row, column) - gain.dot(shared);
+                self.values[row * self.size + column] = value;
+                self.values[column * self.size + row] = value;
+            }
+        }
+    }
+
+    /// Room for one more element.
+    fn grow(&mut self) {
+        let size = self.size + ELEMENT;
+        let mut values = vec![0.0; size * size];
+        for row in 0..self.size {
+            for column in 0..self.size {
+                values[row * size + column] = self.at(row, column);
+            }
+        }
+        *self = Self { size, values };
+    }
+
+    /// The robot and some of the elements.
+    fn of(&self, elements: &[usize]) -> Self {
+        let kept: Vec<usize> = (0..ROBOT)
+            .chain(elements.iter().flat_map(|&index| place(index)..place(index) + ELEMENT))
+            .collect();
+        let values =
+            kept.iter().flat_map(|&row| kept.iter().map(move |&column| self.at(row, column)));
+        Self { size: kept.len(), values: values.collect() }
+    }
+}
+
+/// Where the errors of an element begin.
+fn place(index: usize) -> usize {
+    ROBOT + ELEMENT * index
+}
+
+fn measured(estimate: &CircleEstimate) -> Vector3<f64> {
+    let [x, y] = estimate.circle.center;
+    Vector3::new(x, y, estimate.circle.radius)
+}
+
+/// Q of eq. 22: n_fv of eq. 14, the same at every step.
+fn noise(velocity_step: f64) -> Matrix5 {
+    let mut Q = Matrix5::zeros();
+    Q[(2, 2)] = velocity_step * velocity_step;
+    Q[(3, 3)] = velocity_step * velocity_step;
+    Q
+}
+
+/// Q of the input: position and yaw.
+fn input_covariance(scan: &CircleScan<'_>) -> Matrix3<f64> {
+    const PLANAR: [usize; 3] = [0, 1, 5];
+    scan.pose_covariance
+        .map_or_else(Matrix3::zeros, |rows| Matrix3::from_fn(|i, j| rows[PLANAR[i]][PLANAR[j]]))
+}
+
+/// Eqs 18-20, with the Jacobians by the robot's error and by the measurement.
+fn mapped(pose: &LevelPose, z: &Vector3<f64>) -> (SVector<f64, ELEMENT>, Matrix5x3, Matrix5x3) {
+    let turn = pose.rotation();
+    let at = turn * z.xy();
+    let [x, y] = pose.origin();
+    let mut G_robot = Matrix5x3::zeros();
+    G_robot[(0, 0)] = 1.0;
+    G_robot[(1, 1)] = 1.0;
+    G_robot[(0, 2)] = -at[1];
+    G_robot[(1, 2)] = at[0];
+    let mut G_z = Matrix5x3::zeros();
+    G_z.fixed_view_mut::<2, 2>(0, 0).copy_from(&turn);
+    G_z[(4, 2)] = 1.0;
+    (SVector::from([x + at[0], y + at[1], 0.0, 0.0, z[2]]), G_robot, G_z)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::transform::Transform;
+
+    fn pose([x, y, angle]: [f64; 3]) -> LevelPose {
+        let (sin, cos) = (libm::sin(angle), libm::cos(angle));
+        LevelPose::of(&Transform {
+            rotation: [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]],
+            translation: [x, y, 0.0],
+        })
+    }
+
+    /// Central differences of `value` by each of `at`.
+    fn differences<const N: usize, const M: usize>(
+        at: [f64; M],
+        value: impl Fn([f64; M]) -> SVector<f64, N>,
+    ) -> SMatrix<f64, N, M> {
+        let columns: [SVector<f64, N>; M] = std::array::from_fn(|index| {
+            let moved = |by: f64| {
+                let mut near = at;
+                near[index] += by;
+                value(near)
+            };
+            (moved(1e-6) - moved(-1e-6)) / 2e-6
+        });
+        SMatrix::from_columns(&columns)
+    }
+
+    #[test]
+    fn jacobians_agree_with_differences() {
+        let (robot, x, z) = ([1.0, -2.0, 0.8], [4.0, 1.0, 0.3, -0.2, 0.25], [2.0, -1.0, 0.3]);
+        let model = Model::of(&pose(robot), &SVector::from(x));
+        let by_robot = differences(robot, |robot| Model::of(&pose(robot), &SVector::from(x)).z);
+        assert!((model.H_robot - by_robot).abs().max() < 1e-8);
+        let by_element = differences(x, |x| Model::of(&pose(robot), &SVector::from(x)).z);
+        assert!((model.H_element - by_element).abs().max() < 1e-8);
+        let (_, G_robot, G_z) = mapped(&pose(robot), &Vector3::from(z));
+        let by_robot = differences(robot, |robot| mapped(&pose(robot), &Vector3::from(z)).0);
+        assert!((G_robot - by_robot).abs().max() < 1e-8);
+        let by_z = differences(z, |z| mapped(&pose(robot), &Vector3::from(z)).0);
+        assert!((G_z - by_z).abs().max() < 1e-8);
+    }
+}

@@ -1,0 +1,177 @@
+//! The semantic map: circles with identities, radii, velocities and covariances.
+//!
+//! Source: Sanchez-Lopez et al., sec. V. Beside the joint filter of the paper there is a filter
+//! per element, which is told how certain every circle is, what the scan could see, and how
+//! objects move: see [`Independent`].
+
+mod element;
+mod history;
+mod independent;
+mod joint;
+mod modes;
+mod parameters;
+mod scan;
+mod visibility;
+
+#[cfg(test)]
+mod tests;
+
+pub use modes::MAX_MODES;
+pub use parameters::{
+    CircleMapParameters, Confirmation, Filter, Independent, Joint, Limits, Looking, MAX_ELEMENTS,
+    MAX_WINDOW, Mode, Patience,
+};
+pub use scan::{CircleScan, PoseCovariance};
+pub use visibility::{Sight, View, Visibility};
+
+use crate::Error;
+use crate::estimation::kalman::Gaussian;
+use history::History;
+use independent::Rules;
+use joint::JointMap;
+use scan::Placed;
+
+/// An element, predicted to one time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapElement {
+    /// Number, never reused.
+    pub id: i64,
+    /// Centre x and y [m], its velocity [m/s], radius [m]: the order of eq. 9.
+    pub state: Gaussian<5>,
+    /// Time since its first measurement [s].
+    pub age: f64,
+    /// Time of its last measurement [ns].
+    pub seen_ns: i64,
+    /// Scans that measured it.
+    pub n_measurements: u32,
+    /// The newest scan measured it, or should have.
+    pub visible: bool,
+    /// Enough scans speak for it.
+    pub confirmed: bool,
+}
+
+/// What a scan did to the map, by the numbers of the elements.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct MapStats {
+    /// The scan was older than the newest one.
+    pub late: bool,
+    /// Element of every circle of the scan, which may have been removed since.
+    pub elements: Vec<i64>,
+    /// New.
+    pub born: Vec<i64>,
+    /// Reported from now on.
+    pub confirmed: Vec<i64>,
+    /// No more; also those that went into others.
+    pub removed: Vec<i64>,
+    /// Pairs: the element that stays and the one that went into it.
+    pub merged: Vec<[i64; 2]>,
+}
+
+/// What a scan did that the elements do not show.
+struct Outcome {
+    late: bool,
+    elements: Vec<i64>,
+    merged: Vec<[i64; 2]>,
+}
+
+enum Engine {
+    Paper(JointMap),
+    Independent(Box<Rules>, History),
+}
+
+/// A map of circles in the world, fed by scans.
+pub struct CircleMap {
+    engine: Engine,
+    next_id: i64,
+}
+
+impl CircleMap {
+    /// An empty map.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for values that cannot work.
+    pub fn new(parameters: CircleMapParameters) -> Result<Self, Error> {
+        let (gate, speed) = (parameters.gate()?, parameters.initial_speed);
+        let engine = match parameters.filter {
+            Filter::Paper(joint) => Engine::Paper(JointMap::new(joint, gate, speed)),
+            Filter::Independent(independent) => {
+                let rules = Box::new(Rules::new(independent, gate, speed));
+                Engine::Independent(rules, History::default())
+            }
+        };
+        Ok(Self { engine, next_id: 0 })
+    }
+
+    /// Take in the circles of one scan, an empty set included.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for a pose, circle or covariance that cannot be used, [`Error::Time`] for
+    /// a scan that was processed or comes too late, [`Error::Limit`] above [`MAX_ELEMENTS`]. The
+    /// map is unchanged then.
+    pub fn update(&mut self, scan: &CircleScan<'_>) -> Result<MapStats, Error> {
+        let before = self.numbers();
+        let outcome = match &mut self.engine {
+            Engine::Paper(joint) => joint.update(scan, &mut self.next_id)?,
+            Engine::Independent(rules, history) => {
+                history.is_late((scan.stamp_ns, scan.sensor))?;
+                history.push(rules, Placed::new(scan)?, &mut self.next_id)?
+            }
+        };
+        let after = self.numbers();
+        let lacks = |list: &[(i64, bool)], id: i64| list.iter().all(|&(known, _)| known != id);
+        let reported = |list: &[(i64, bool)], id: i64| list.contains(&(id, true));
+        let confirmed = after.iter().filter(|&&(id, yes)| yes && !reported(&before, id));
+        Ok(MapStats {
+            late: outcome.late,
+            elements: outcome.elements,
+            merged: outcome.merged,
+            born: after.iter().map(|&(id, _)| id).filter(|&id| lacks(&before, id)).collect(),
+            confirmed: confirmed.map(|&(id, _)| id).collect(),
+            removed: before.iter().map(|&(id, _)| id).filter(|&id| lacks(&after, id)).collect(),
+        })
+    }
+
+    /// Every element, unconfirmed ones included, predicted to `stamp_ns`, by number. Changes
+    /// nothing, so that it does not matter how often it is asked.
+    #[must_use]
+    pub fn map_at(&self, stamp_ns: i64) -> Vec<MapElement> {
+        match &self.engine {
+            Engine::Paper(joint) => joint.at(stamp_ns),
+            Engine::Independent(rules, history) => rules.at(&history.now, stamp_ns),
+        }
+    }
+
+    /// Whether a scan would come at a time that can be used.
+    ///
+    /// # Errors
+    /// [`Error::Time`] as [`CircleMap::update`].
+    pub fn check_stamp(&self, stamp_ns: i64, sensor: u32) -> Result<(), Error> {
+        match &self.engine {
+            Engine::Paper(joint) => joint.check_stamp((stamp_ns, sensor)),
+            Engine::Independent(_, history) => history.is_late((stamp_ns, sensor)).map(drop),
+        }
+    }
+
+    /// Forget all elements and scans. Numbers go on where they were.
+    pub fn reset(&mut self) {
+        match &mut self.engine {
+            Engine::Paper(joint) => joint.reset(),
+            Engine::Independent(_, history) => *history = History::default(),
+        }
+    }
+
+    /// Numbers of all elements, and whether they are reported.
+    fn numbers(&self) -> Vec<(i64, bool)> {
+        match &self.engine {
+            Engine::Paper(joint) => joint.numbers().map(|id| (id, true)).collect(),
+            Engine::Independent(_, history) => {
+                history.now.all.iter().map(|element| (element.id, element.confirmed)).collect()
+            }
+        }
+    }
+}
+
+/// Time from one stamp to another [s].
+fn seconds(from_ns: i64, to_ns: i64) -> f64 {
+    (i128::from(to_ns) - i128::from(from_ns)) as f64 * 1e-9
+}

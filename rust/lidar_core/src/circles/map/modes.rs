@@ -1,0 +1,346 @@
+//! One element's motion: several modes at once, between which it switches.
+//!
+//! Source: Blom & Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian
+//! switching coefficients", IEEE T-AC 33(8), 1988; here the chain runs in continuous time.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::parameters::Mode;
+use crate::Error;
+use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised, update};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+
+/// Most modes.
+pub const MAX_MODES: usize = 4;
+/// Longest step between two mixings [s].
+const MAX_STEP: f64 = 0.1;
+/// Most steps of one prediction; they are longer beyond.
+const MAX_STEPS: f64 = 600.0;
+/// Largest product of rate and time for which the series of the exponential is summed.
+const SERIES: f64 = 1e-3;
+/// Least probability of a mode.
+const LEAST: f64 = 1e-30;
+const LN_2_PI: f64 = 1.837_877_066_409_345_3;
+
+pub(super) type Matrix5 = SMatrix<f64, 5, 5>;
+pub(super) type Matrix3x5 = SMatrix<f64, 3, 5>;
+/// Entry (i, j): probability of mode j after a time, if it was i before.
+type Switching = SMatrix<f64, MAX_MODES, MAX_MODES>;
+
+/// A circle in the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Measurement {
+    /// Centre and radius [m].
+    pub(super) z: Vector3<f64>,
+    /// Their covariance.
+    pub(super) R: Matrix3<f64>,
+}
+
+/// Measurement matrix of centre and radius: eqs 16-17 in the world.
+pub(super) fn measurement_matrix() -> Matrix3x5 {
+    let mut H = Matrix3x5::zeros();
+    H[(0, 0)] = 1.0;
+    H[(1, 1)] = 1.0;
+    H[(2, 4)] = 1.0;
+    H
+}
+
+/// State of eqs 18-20: a circle at rest, of unknown velocity.
+pub(super) fn new_state(measurement: &Measurement, speed: f64) -> Gaussian<5> {
+    let H = measurement_matrix();
+    let mut covariance = H.transpose() * measurement.R * H;
+    covariance[(2, 2)] = speed * speed;
+    covariance[(3, 3)] = speed * speed;
+    Gaussian { mean: H.transpose() * measurement.z, covariance }
+}
+
+/// Eqs 13 and 15.
+pub(super) fn transition(dt: f64) -> Matrix5 {
+    let mut F = Matrix5::identity();
+    F[(0, 2)] = dt;
+    F[(1, 3)] = dt;
+    F
+}
+
+/// Noise of white acceleration and of a radius that wanders, over `dt` >= 0 seconds: two short
+/// steps equal one long one.
+fn process_covariance(dt: f64, density: f64, radius_density: f64) -> Matrix5 {
+    let mut Q = Matrix5::zeros();
+    for axis in 0..2 {
+        Q[(axis, axis)] = density * dt * dt * dt / 3.0;
+        Q[(axis, axis + 2)] = density * dt * dt / 2.0;
+        Q[(axis + 2, axis)] = Q[(axis, axis + 2)];
+        Q[(axis + 2, axis + 2)] = density * dt;
+    }
+    Q[(4, 4)] = radius_density * dt;
+    Q
+}
+
+/// How elements move.
+#[derive(Clone, Debug)]
+pub(super) struct Motion {
+    modes: Vec<Mode>,
+    radius_density: f64,
+    /// Rates of the chain [1/s].
+    rates: Switching,
+}
+
+/// One prediction over a given time, the same for all elements.
+pub(super) struct Step {
+    count: usize,
+    F: Matrix5,
+    Q: Vec<Matrix5>,
+    switching: Switching,
+}
+
+impl Motion {
+    pub(super) fn new(modes: &[Mode], radius_density: f64) -> Self {
+        let total: f64 = modes.iter().map(|mode| mode.weight).sum();
+        let modes: Vec<Mode> =
+            modes.iter().map(|mode| Mode { weight: mode.weight / total, ..*mode }).collect();
+        let mut rates = Switching::zeros();
+        for (from, mode) in modes.iter().enumerate() {
+            for (to, other) in modes.iter().enumerate().filter(|&(to, _)| to != from) {
+                rates[(from, to)] = other.weight / (1.0 - mode.weight) / mode.duration;
+                rates[(from, from)] -= rates[(from, to)];
+            }
+        }
+        Self { modes, radius_density, rates }
+    }
+
+    /// The step over `dt` seconds.
+    pub(super) fn step(&self, dt: f64) -> Step {
+        let count = (dt.abs() / MAX_STEP).ceil().clamp(1.0, MAX_STEPS);
+        let part = dt / count;
+        let back = transition(part.min(0.0)); // noise that is looked back on comes before the move
+        let Q = self.modes.iter().map(|mode| {
+            let Q = process_covariance(part.abs(), mode.density, self.radius_density);
+            symmetrised(back * Q * back.transpose())
+        });
+        Step {
+            count: count as usize,
+            F: transition(part),
+            Q: Q.collect(),
+            switching: exponential(&self.rates, part.abs()),
+        }
+    }
+}
+
+/// e^(rates * time): scaled, summed as a series, squared.
+fn exponential(rates: &Switching, time: f64) -> Switching {
+    let mut squarings = 0;
+    let mut part = time;
+    while part * rates.abs().max() > SERIES && squarings < 64 {
+        part *= 0.5;
+        squarings += 1;
+    }
+    let A = rates * part;
+    let mut sum = Switching::identity();
+    let mut term = Switching::identity();
+    for order in 1..5 {
+        term = term * A / f64::from(order);
+        sum += term;
+    }
+    for _ in 0..squarings {
+        sum = sum * sum;
+    }
+    sum
+}
+
+/// Where an element is, in every mode.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Modes {
+    states: Vec<Gaussian<5>>,
+    probabilities: [f64; MAX_MODES],
+}
+
+impl Modes {
+    pub(super) fn new(measurement: &Measurement, speed: f64, motion: &Motion) -> Self {
+        let mut probabilities = [0.0; MAX_MODES];
+        for (probability, mode) in probabilities.iter_mut().zip(&motion.modes) {
+            *probability = mode.weight;
+        }
+        Self { states: vec![new_state(measurement, speed); motion.modes.len()], probabilities }
+    }
+
+    /// Move by `step`.
+    pub(super) fn predict(&mut self, step: &Step) {
+        for _ in 0..step.count {
+            self.mix(&step.switching);
+            for (state, Q) in self.states.iter_mut().zip(&step.Q) {
+                state.mean = step.F * state.mean;
+                let P = step.F * state.covariance * step.F.transpose();
+                state.covariance = symmetrised(P + Q);
+            }
+        }
+    }
+
+    /// Let elements switch between modes: every mode becomes the mean of what it may come from.
+    fn mix(&mut self, switching: &Switching) {
+        if self.states.len() == 1 {
+            return;
+        }
+        let before = self.clone();
+        for to in 0..self.states.len() {
+            let weights: [f64; MAX_MODES] =
+                std::array::from_fn(|from| before.probabilities[from] * switching[(from, to)]);
+            let total: f64 = weights.iter().sum();
+            self.probabilities[to] = total;
+            self.states[to] = mixture(&before.states, &weights.map(|weight| weight / total));
+        }
+    }
+
+    /// One state for all modes.
+    pub(super) fn combined(&self) -> Gaussian<5> {
+        mixture(&self.states, &self.probabilities)
+    }
+
+    /// -2 ln of the likelihood of `measurement`, with one mode d^2 + ln det S + 3 ln(2 pi); None
+    /// if it is outside the gate of every mode.
+    ///
+    /// # Errors
+    /// [`Error::NotPositiveDefinite`].
+    pub(super) fn cost(&self, measurement: &Measurement, gate: f64) -> Result<Option<f64>, Error> {
+        let H = measurement_matrix();
+        let mut best = f64::INFINITY;
+        let mut costs = [f64::INFINITY; MAX_MODES];
+        for (index, state) in self.states.iter().enumerate() {
+            let y = measurement.z - H * state.mean;
+            let S = symmetrised(H * state.covariance * H.transpose() + measurement.R);
+            if y.dot(&y) > gate * S.trace() {
+                continue; // no eigenvalue of S is larger than its trace
+            }
+            let distance = mahalanobis(&y, &S)?;
+            best = best.min(distance.squared);
+            costs[index] = distance.squared + distance.log_determinant + 3.0 * LN_2_PI
+                - 2.0 * libm::log(self.probabilities[index]);
+        }
+        Ok((best <= gate).then(|| -2.0 * log_sum(&costs)))
+    }
+
+    /// Correct with `measurement`.
+    ///
+    /// # Errors
+    /// [`Error::NotPositiveDefinite`]; the state is unchanged then.
+    pub(super) fn correct(&mut self, measurement: &Measurement) -> Result<(), Error> {
+        let H = measurement_matrix();
+        let mut costs = [f64::INFINITY; MAX_MODES];
+        let mut states = Vec::with_capacity(self.states.len());
+        for (index, state) in self.states.iter().enumerate() {
+            let y = measurement.z - H * state.mean;
+            let S = symmetrised(H * state.covariance * H.transpose() + measurement.R);
+            let distance = mahalanobis(&y, &S)?;
+            costs[index] = distance.squared + distance.log_determinant
+                - 2.0 * libm::log(self.probabilities[index]);
+            states.push(update(state, &Linearised { y, H, R: measurement.R })?.posterior);
+        }
+        let total = log_sum(&costs);
+        for (probability, cost) in self.probabilities.iter_mut().zip(costs).take(states.len()) {
+            *probability = libm::exp(-0.5 * cost - total).max(LEAST); // no mode is given up for good
+        }
+        self.states = states;
+        Ok(())
+    }
+}
+
+/// Logarithm of the sum of e^(-cost / 2).
+fn log_sum(costs: &[f64; MAX_MODES]) -> f64 {
+    let least = costs.iter().copied().fold(f64::INFINITY, f64::min);
+    let sum: f64 = costs.iter().map(|cost| libm::exp(-0.5 * (cost - least))).sum();
+    libm::log(sum) - 0.5 * least
+}
+
+/// Mean and covariance of a mixture; the weights sum to one.
+fn mixture(states: &[Gaussian<5>], weights: &[f64; MAX_MODES]) -> Gaussian<5> {
+    if let [state] = states {
+        return state.clone();
+    }
+    let mut mean = SVector::<f64, 5>::zeros();
+    for (state, &weight) in states.iter().zip(weights) {
+        mean += state.mean * weight;
+    }
+    let mut covariance = Matrix5::zeros();
+    for (state, &weight) in states.iter().zip(weights) {
+        let apart = state.mean - mean;
+        covariance += (state.covariance + apart * apart.transpose()) * weight;
+    }
+    Gaussian { mean, covariance: symmetrised(covariance) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn motion() -> Motion {
+        let mode = |density, weight, duration| Mode { density, weight, duration };
+        Motion::new(&[mode(0.01, 0.5, 2.0), mode(1.0, 0.45, 1.0), mode(50.0, 0.05, 0.1)], 1e-6)
+    }
+
+    fn measurement(x: f64) -> Measurement {
+        Measurement { z: Vector3::new(x, 1.0, 0.3), R: Matrix3::identity() * 1e-4 }
+    }
+
+    #[test]
+    fn chances_of_switching_sum_to_one_and_compose() {
+        let rates = motion().rates;
+        let (half, whole) = (exponential(&rates, 0.35), exponential(&rates, 0.7));
+        assert!((half * half - whole).abs().max() < 1e-12);
+        for row in 0..3 {
+            assert!((whole.row(row).sum() - 1.0).abs() < 1e-12);
+        }
+        assert!(
+            (exponential(&rates, 100.0).row(0) - exponential(&rates, 100.0).row(2)).abs().max()
+                < 1e-9
+        );
+    }
+
+    #[test]
+    fn noise_does_not_depend_on_how_a_step_is_split() {
+        let (short, long) = (process_covariance(0.3, 2.0, 0.1), process_covariance(0.6, 2.0, 0.1));
+        let F = transition(0.3);
+        assert!((F * short * F.transpose() + short - long).abs().max() < 1e-15);
+    }
+
+    #[test]
+    fn the_mixture_keeps_its_mean_when_nothing_is_measured() -> Result<(), Error> {
+        let motion = motion();
+        let mut modes = Modes::new(&measurement(0.0), 1.5, &motion);
+        for step in 1..5 {
+            modes.predict(&motion.step(0.05));
+            modes.correct(&measurement(0.05 * f64::from(step)))?;
+        }
+        let before = modes.combined();
+        modes.predict(&motion.step(0.4));
+        let after = modes.combined();
+        assert!((after.mean - transition(0.4) * before.mean).abs().max() < 1e-12);
+        assert!((modes.probabilities.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+        assert!(after.covariance.cholesky().is_some());
+        Ok(())
+    }
+
+    #[test]
+    fn a_jump_is_within_the_gate_and_followed() -> Result<(), Error> {
+        let motion = motion();
+        let mut modes = Modes::new(&measurement(0.0), 1.5, &motion);
+        for _ in 0..40 {
+            modes.predict(&motion.step(0.05));
+            modes.correct(&measurement(0.0))?;
+        }
+        modes.predict(&motion.step(0.05));
+        assert!(modes.cost(&measurement(0.1), 11.3)?.is_some());
+        assert!(modes.cost(&measurement(5.0), 11.3)?.is_none());
+        modes.correct(&measurement(0.1))?;
+        assert!((modes.combined().mean[0] - 0.1).abs() < 0.01);
+        Ok(())
+    }
+
+    #[test]
+    fn one_mode_costs_what_the_textbook_says() -> Result<(), Error> {
+        let motion = Motion::new(&[Mode { density: 1.0, weight: 3.0, duration: 1.0 }], 0.0);
+        let modes = Modes::new(&measurement(0.0), 1.0, &motion);
+        let got = modes.cost(&measurement(0.01), 11.3)?;
+        let expected = 0.5 + 3.0 * libm::log(2e-4) + 3.0 * LN_2_PI;
+        assert!(got.is_some_and(|cost| (cost - expected).abs() < 1e-9));
+        Ok(())
+    }
+}

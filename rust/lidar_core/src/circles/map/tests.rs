@@ -1,0 +1,205 @@
+use super::*;
+use crate::circles::circle::{Circle, CircleEstimate};
+use crate::circles::polar::PolarScan;
+use crate::geometry::transform::Transform;
+use std::f64::consts::PI;
+
+const STEP_NS: i64 = 50_000_000;
+
+fn best() -> Independent {
+    let mode = |density, weight, duration| Mode { density, weight, duration };
+    Independent {
+        modes: vec![mode(0.003, 0.5, 2.0), mode(0.5, 0.48, 2.0), mode(100.0, 0.02, 0.1)],
+        radius_density: 1e-6,
+        birth_density: 0.1,
+        confirmation: Confirmation { hits: 3, window: 5 },
+        limits: Limits { position: 1.0, velocity: 3.0, radius: 0.3 },
+        patience: Patience { absent: 0.25, unmatched: 0.5, hidden: Some(5.0) },
+        looking: Looking { margin: 0.1, min_rays: 4 },
+        buffer_time: 1.0,
+    }
+}
+
+fn map_of(filter: Filter) -> Result<CircleMap, Error> {
+    CircleMap::new(CircleMapParameters { filter, gate_probability: 0.999, initial_speed: 1.5 })
+}
+
+fn circle(x: f64, y: f64, radius: f64) -> CircleEstimate {
+    let mut covariance = [[0.0; 3]; 3];
+    for (axis, row) in covariance.iter_mut().enumerate() {
+        row[axis] = 1e-4;
+    }
+    CircleEstimate { circle: Circle { center: [x, y], radius }, covariance, n_hits: 20 }
+}
+
+fn scan(step: i64, estimates: &[CircleEstimate]) -> CircleScan<'_> {
+    const HERE: &Transform = &Transform::IDENTITY;
+    CircleScan {
+        stamp_ns: step * STEP_NS,
+        sensor: 0,
+        world_from_lidar: HERE,
+        pose_covariance: None,
+        estimates,
+        view: None,
+    }
+}
+
+/// A scan that sees everything up to 5 m in front.
+fn wall() -> PolarScan {
+    let bearings: Vec<f64> = (-540..=540).map(|ray| f64::from(ray) * PI / 720.0).collect();
+    PolarScan { ranges: vec![5.0; bearings.len()], bearings }
+}
+
+fn paper() -> Filter {
+    Filter::Paper(Joint { velocity_step: 0.1, max_eigenvalue: 3.0 })
+}
+
+#[test]
+fn an_element_is_confirmed_moves_and_goes() -> Result<(), Error> {
+    let mut map = map_of(Filter::Independent(best()))?;
+    let mut confirmed = Vec::new();
+    for step in 0..40 {
+        let stats = map.update(&scan(step, &[circle(3.0 + 0.05 * step as f64, 1.0, 0.3)]))?;
+        assert_eq!(stats.elements, [0]);
+        confirmed.extend(stats.confirmed.iter().map(|&id| (step, id)));
+    }
+    assert_eq!(confirmed, [(2, 0)]);
+    let now = map.map_at(39 * STEP_NS);
+    assert!((now[0].state.mean[2] - 1.0).abs() < 0.02 && (now[0].age - 1.95).abs() < 1e-9);
+    let gone: Vec<i64> = (40..46)
+        .map(|step| map.update(&scan(step, &[])).map(|stats| stats.removed))
+        .collect::<Result<Vec<_>, _>>()?
+        .concat();
+    assert_eq!(gone, [0]);
+    assert_eq!(map.update(&scan(46, &[circle(3.0, 1.0, 0.3)]))?.born, [1]); // numbers go on
+    Ok(())
+}
+
+#[test]
+fn hidden_elements_stay_and_absent_ones_go() -> Result<(), Error> {
+    for (distance, stays) in [(7.0, true), (3.0, false)] {
+        let mut map = map_of(Filter::Independent(best()))?;
+        for step in 0..20 {
+            map.update(&scan(step, &[circle(distance, 0.0, 0.3)]))?;
+        }
+        let wall = wall();
+        let view = Some(View { scan: &wall, range_min: 0.1, range_max: 10.0 });
+        for step in 20..60 {
+            map.update(&CircleScan { view, ..scan(step, &[]) })?;
+        }
+        let now = map.map_at(60 * STEP_NS);
+        assert_eq!(
+            now.iter().map(|element| element.visible).collect::<Vec<_>>(),
+            vec![false; usize::from(stays)]
+        );
+    }
+    Ok(())
+}
+
+#[test]
+fn scans_that_come_late_leave_the_same_map() -> Result<(), Error> {
+    let circles = |step: i64| {
+        let x = 0.05 * step as f64;
+        let mut all = vec![circle(3.0 + x, 1.0, 0.3), circle(5.0 - x, -1.0, 0.2)];
+        if step >= 5 {
+            all.push(circle(2.0, -3.0 + x, 0.25));
+        }
+        all
+    };
+    let (mut straight, mut mixed) =
+        (map_of(Filter::Independent(best()))?, map_of(Filter::Independent(best()))?);
+    for step in 0..12 {
+        straight.update(&scan(step, &circles(step)))?;
+    }
+    for step in [0, 1, 2, 4, 3, 7, 5, 6, 8, 9, 11, 10] {
+        let newest = mixed.map_at(0).len();
+        let stats = mixed.update(&scan(step, &circles(step)))?;
+        assert_eq!(stats.late, [3, 5, 6, 10].contains(&step), "{step} {newest}");
+    }
+    assert_eq!(straight.map_at(11 * STEP_NS), mixed.map_at(11 * STEP_NS));
+    assert!(matches!(mixed.update(&scan(11, &circles(11))), Err(Error::Time { .. })));
+    assert!(matches!(mixed.update(&scan(10, &circles(10))), Err(Error::Time { .. })));
+    assert!(matches!(mixed.update(&scan(-1, &circles(10))), Err(Error::Time { .. })));
+    assert_eq!(straight.map_at(11 * STEP_NS), mixed.map_at(11 * STEP_NS));
+    Ok(())
+}
+
+#[test]
+fn elements_of_one_object_become_one() -> Result<(), Error> {
+    let mut map = map_of(Filter::Independent(best()))?;
+    for step in 0..10 {
+        map.update(&scan(step, &[circle(3.0, 0.0, 0.3)]))?;
+    }
+    let stats = map.update(&scan(10, &[circle(3.0, 0.0, 0.3), circle(3.1, 0.1, 0.3)]))?;
+    assert_eq!(stats.merged, [[0, 1]]);
+    assert_eq!(map.map_at(10 * STEP_NS).len(), 1);
+    assert!((map.map_at(10 * STEP_NS)[0].state.mean[0] - 3.0).abs() < 1e-6);
+    Ok(())
+}
+
+#[test]
+fn bad_scans_change_nothing() -> Result<(), Error> {
+    for filter in [paper(), Filter::Independent(best())] {
+        let mut map = map_of(filter)?;
+        for step in 0..5 {
+            map.update(&scan(step, &[circle(3.0, 0.0, 0.3)]))?;
+        }
+        let before = map.map_at(5 * STEP_NS);
+        let mut bad = circle(3.0, 0.0, 0.3);
+        bad.covariance[0][0] = -1.0;
+        assert!(matches!(map.update(&scan(5, &[bad])), Err(Error::Value { .. })));
+        assert!(map.update(&scan(5, &[circle(f64::NAN, 0.0, 0.3)])).is_err());
+        assert!(map.update(&scan(5, &[circle(3.0, 0.0, 0.0)])).is_err());
+        assert!(matches!(map.update(&scan(4, &[])), Err(Error::Time { .. })));
+        let lost = Transform { translation: [f64::NAN; 3], ..Transform::IDENTITY };
+        assert!(map.update(&CircleScan { world_from_lidar: &lost, ..scan(5, &[]) }).is_err());
+        let mut doubt = [[0.0; 6]; 6];
+        doubt[2][2] = -1.0;
+        assert!(map.update(&CircleScan { pose_covariance: Some(&doubt), ..scan(5, &[]) }).is_err());
+        assert_eq!(map.map_at(5 * STEP_NS), before);
+        assert!(map.update(&scan(5, &[circle(3.0, 0.0, 0.3)])).is_ok());
+    }
+    Ok(())
+}
+
+#[test]
+fn the_joint_filter_keeps_numbers_and_forgets_what_is_vague() -> Result<(), Error> {
+    let mut map = map_of(paper())?;
+    let mut doubt = [[0.0; 6]; 6];
+    (doubt[0][0], doubt[1][1], doubt[5][5]) = (1e-4, 1e-4, 1e-5);
+    let pose_covariance = Some(&doubt);
+    for step in 0..30 {
+        let x = 0.02 * step as f64;
+        let circles = [circle(3.0 + x, 0.0, 0.3), circle(3.0, 2.0 - x, 0.2)];
+        let stats = map.update(&CircleScan { pose_covariance, ..scan(step, &circles) })?;
+        assert_eq!(stats.elements, [0, 1]);
+    }
+    let now = map.map_at(29 * STEP_NS);
+    assert!((now[0].state.mean[2] - 0.4).abs() < 0.05 && (now[1].state.mean[3] + 0.4).abs() < 0.05);
+    let mut step = 30;
+    while !map.map_at(step * STEP_NS).is_empty() {
+        map.update(&scan(step, &[]))?;
+        step += 1;
+        assert!(step < 300, "never deleted");
+    }
+    assert_eq!(map.update(&scan(step, &[circle(3.0, 0.0, 0.3)]))?.born, [2]);
+    Ok(())
+}
+
+#[test]
+fn parameters_outside_their_range_are_refused() {
+    let changes: [fn(&mut Independent); 5] = [
+        |p| p.modes.clear(),
+        |p| p.modes[0].duration = 0.0,
+        |p| p.birth_density = f64::NAN,
+        |p| p.confirmation.hits = 6,
+        |p| p.limits.radius = -1.0,
+    ];
+    for change in changes {
+        let mut parameters = best();
+        change(&mut parameters);
+        assert!(matches!(map_of(Filter::Independent(parameters)), Err(Error::Parameter { .. })));
+    }
+    let joint = Joint { velocity_step: -1.0, max_eigenvalue: 1.0 };
+    assert!(map_of(Filter::Paper(joint)).is_err());
+}

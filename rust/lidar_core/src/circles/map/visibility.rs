@@ -1,0 +1,199 @@
+//! What a scan says about a place: seen through, something there, or hidden.
+
+use crate::Error;
+use crate::circles::circle::Circle;
+use crate::circles::polar::PolarScan;
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use super::parameters::Looking;
+
+/// A scan in the level frame, and how far it looks.
+#[derive(Clone, Copy, Debug)]
+pub struct View<'a> {
+    /// The scan, range limits and projection applied: a miss means free up to `range_max`.
+    pub scan: &'a PolarScan,
+    /// Nearest range that is measured [m].
+    pub range_min: f64,
+    /// Farthest range that is measured [m].
+    pub range_max: f64,
+}
+
+/// What a scan says about a circle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Visibility {
+    /// Rays went past where it should be: it is not there.
+    SeenThrough,
+    /// Rays ended where it should be.
+    Returns,
+    /// Something nearer is in front of most of it.
+    Occluded,
+    /// Out of the field of view or the range, or too small for enough rays.
+    OutOfView,
+}
+
+/// A scan that can be asked: its rays by ascending bearing.
+#[derive(Clone, Debug)]
+pub struct Sight {
+    bearings: Vec<f64>,
+    ranges: Vec<f64>,
+    range_min: f64,
+    range_max: f64,
+}
+
+impl View<'_> {
+    /// The same, ready to be asked.
+    ///
+    /// # Errors
+    /// [`Error::Length`] or [`Error::Value`] if a ray has no bearing, [`Error::Parameter`] for range
+    /// limits that are none.
+    pub fn sight(&self) -> Result<Sight, Error> {
+        let (ranges, bearings) = (&self.scan.ranges, &self.scan.bearings);
+        if ranges.len() != bearings.len() {
+            let (expected, got) = (ranges.len(), bearings.len());
+            return Err(Error::Length { name: "bearings", expected, got });
+        }
+        if let Some(index) = bearings.iter().position(|bearing| !bearing.is_finite()) {
+            let (expected, got) = ("finite angles", bearings[index].to_string());
+            return Err(Error::Value { name: "bearings", expected, index, got });
+        }
+        if !(self.range_min >= 0.0 && self.range_min < self.range_max) {
+            let got = format!("{} to {}", self.range_min, self.range_max);
+            return Err(Error::Parameter { name: "range_max", expected: "> range_min >= 0", got });
+        }
+        let (bearings, ranges) = ascending(bearings, ranges);
+        Ok(Sight { bearings, ranges, range_min: self.range_min, range_max: self.range_max })
+    }
+}
+
+/// Rays by ascending bearing; a sweep mostly is in this order.
+fn ascending(bearings: &[f64], ranges: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    if bearings.is_sorted() {
+        return (bearings.to_vec(), ranges.to_vec());
+    }
+    let mut order: Vec<usize> = (0..bearings.len()).collect();
+    order.sort_by(|&one, &other| bearings[one].total_cmp(&bearings[other]));
+    let of = |values: &[f64]| order.iter().map(|&ray| values[ray]).collect();
+    (of(bearings), of(ranges))
+}
+
+/// Rays that met a circle, by what they say.
+#[derive(Clone, Copy, Debug, Default)]
+struct Votes {
+    through: usize,
+    on: usize,
+    before: usize,
+}
+
+impl Sight {
+    /// What the scan says about `circle` of its frame.
+    #[must_use]
+    pub fn of(&self, circle: &Circle, looking: &Looking) -> Visibility {
+        let [x, y] = circle.center;
+        let distance = (x * x + y * y).sqrt();
+        if distance <= circle.radius || distance - circle.radius < self.range_min {
+            return Visibility::OutOfView;
+        }
+        let votes = self.votes(libm::atan2(y, x), distance, circle.radius, looking.margin);
+        let Votes { through, on, before } = votes;
+        let (known, enough) = (through + on + before, looking.min_rays.max(1));
+        if known < enough {
+            Visibility::OutOfView
+        } else if through >= enough && 2 * through >= known {
+            Visibility::SeenThrough
+        } else if on >= enough && on >= before {
+            Visibility::Returns
+        } else {
+            Visibility::Occluded
+        }
+    }
+
+    fn votes(&self, bearing: f64, distance: f64, radius: f64, margin: f64) -> Votes {
+        let half = libm::asin(radius / distance).min(FRAC_PI_2);
+        let mut votes = Votes::default();
+        for turn in [-TAU, 0.0, TAU] {
+            let (low, high) = (bearing + turn - half, bearing + turn + half);
+            let first = self.bearings.partition_point(|&ray| ray <= low);
+            let last = self.bearings.partition_point(|&ray| ray < high);
+            for ray in first..last.max(first) {
+                let aside = distance * libm::sin(self.bearings[ray] - bearing - turn);
+                let depth = (radius * radius - aside * aside).max(0.0).sqrt();
+                let surface = (distance * distance - aside * aside).max(0.0).sqrt() - depth;
+                let range = self.ranges[ray];
+                if range.is_nan() || surface > self.range_max - margin {
+                    continue; // no information, or beyond what the ray could have met
+                }
+                if range > surface + margin {
+                    votes.through += 1;
+                } else if range >= surface - margin {
+                    votes.on += 1;
+                } else {
+                    votes.before += 1;
+                }
+            }
+        }
+        votes
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::PI;
+
+    const LOOKING: Looking = Looking { margin: 0.1, min_rays: 3 };
+
+    fn scan(range: impl Fn(f64) -> f64) -> PolarScan {
+        let bearings: Vec<f64> = (-540..=540).map(|ray| f64::from(ray) * PI / 720.0).collect();
+        PolarScan { ranges: bearings.iter().map(|&bearing| range(bearing)).collect(), bearings }
+    }
+
+    fn seen(scan: &PolarScan, x: f64, y: f64, radius: f64) -> Result<Visibility, Error> {
+        let sight = View { scan, range_min: 0.1, range_max: 10.0 }.sight()?;
+        Ok(sight.of(&Circle { center: [x, y], radius }, &LOOKING))
+    }
+
+    #[test]
+    fn a_wall_hides_what_is_behind_and_open_space_nothing() -> Result<(), Error> {
+        let wall = scan(|bearing| if bearing.abs() < 0.5 { 5.0 } else { f64::INFINITY });
+        assert_eq!(seen(&wall, 7.0, 0.0, 0.3)?, Visibility::Occluded);
+        assert_eq!(seen(&wall, 3.0, 0.0, 0.3)?, Visibility::SeenThrough);
+        assert_eq!(seen(&wall, 5.25, 0.0, 0.3)?, Visibility::Returns);
+        assert_eq!(seen(&wall, 0.0, 7.0, 0.3)?, Visibility::SeenThrough);
+        Ok(())
+    }
+
+    #[test]
+    fn where_no_ray_goes_nothing_is_known() -> Result<(), Error> {
+        let open = scan(|_| f64::INFINITY);
+        assert_eq!(seen(&open, -5.0, 0.0, 0.3)?, Visibility::OutOfView); // behind the sensor
+        assert_eq!(seen(&open, 12.0, 0.0, 0.3)?, Visibility::OutOfView); // too far
+        assert_eq!(seen(&open, 0.05, 0.0, 0.3)?, Visibility::OutOfView); // around the sensor
+        assert_eq!(seen(&open, 9.0, 0.0, 0.01)?, Visibility::OutOfView); // too small
+        assert_eq!(seen(&scan(|_| f64::NAN), 5.0, 0.0, 0.3)?, Visibility::OutOfView);
+        Ok(())
+    }
+
+    #[test]
+    fn a_full_circle_has_no_seam() -> Result<(), Error> {
+        let bearings: Vec<f64> = (0..720).map(|ray| f64::from(ray) * PI / 360.0).collect();
+        let ranges = vec![f64::INFINITY; 720];
+        let full = PolarScan { ranges, bearings };
+        assert_eq!(seen(&full, 4.0, 0.0, 0.2)?, Visibility::SeenThrough);
+        let turned = PolarScan {
+            bearings: full.bearings.iter().map(|bearing| libm::remainder(*bearing, TAU)).collect(),
+            ..full.clone()
+        };
+        assert_eq!(seen(&turned, -4.0, 0.0, 0.2)?, Visibility::SeenThrough);
+        Ok(())
+    }
+
+    #[test]
+    fn views_that_are_none_are_refused() {
+        let scan = PolarScan { ranges: vec![1.0], bearings: vec![f64::NAN] };
+        assert!(View { scan: &scan, range_min: 0.1, range_max: 10.0 }.sight().is_err());
+        let scan = PolarScan { ranges: vec![1.0], bearings: vec![0.0] };
+        assert!(View { scan: &scan, range_min: 0.1, range_max: 0.1 }.sight().is_err());
+        let scan = PolarScan { ranges: vec![1.0], bearings: vec![] };
+        assert!(View { scan: &scan, range_min: 0.1, range_max: 1.0 }.sight().is_err());
+    }
+}

@@ -1,0 +1,242 @@
+//! Bindings of `lidar_core::circles::map`.
+
+use crate::arrays;
+use crate::errors::BorderError;
+use crate::guard::{Guarded, detached};
+use lidar_core::Error;
+use lidar_core::circles::circle::{Circle, CircleEstimate};
+use lidar_core::circles::map::{
+    CircleMap, CircleMapParameters, CircleScan, Confirmation, Filter, Independent, Joint, Limits,
+    Looking, MapElement, MapStats, Mode, Patience, PoseCovariance, View,
+};
+use lidar_core::circles::polar::PolarScan;
+use lidar_core::geometry::transform::Transform;
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyUntypedArrayMethods};
+use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
+use pyo3::prelude::*;
+
+/// The fields of `CircleMapConfig`.
+#[derive(FromPyObject)]
+struct CircleMapConfig {
+    filter: String,
+    gate_probability: f64,
+    initial_speed: f64,
+    process_noise: Vec<f64>,
+    mode_weight: Vec<f64>,
+    mode_time: Vec<f64>,
+    radius_noise: f64,
+    birth_density: f64,
+    confirm_hits: u32,
+    confirm_window: u32,
+    max_position_std: f64,
+    max_velocity_std: f64,
+    max_radius_std: f64,
+    absent_time: f64,
+    unmatched_time: f64,
+    max_coast: Option<f64>,
+    see_margin: f64,
+    min_rays: usize,
+    buffer_time: f64,
+    velocity_step: f64,
+    max_eigenvalue: f64,
+}
+
+impl CircleMapConfig {
+    fn parameters(&self) -> Result<CircleMapParameters, Error> {
+        let joint =
+            Joint { velocity_step: self.velocity_step, max_eigenvalue: self.max_eigenvalue };
+        let filter = match arrays::choice("filter", &self.filter, &FILTERS)? {
+            Kind::Paper => Filter::Paper(joint),
+            Kind::Independent => Filter::Independent(self.independent()),
+        };
+        let Self { gate_probability, initial_speed, .. } = *self;
+        Ok(CircleMapParameters { filter, gate_probability, initial_speed })
+    }
+
+    fn independent(&self) -> Independent {
+        let modes = self.process_noise.iter().zip(&self.mode_weight).zip(&self.mode_time);
+        Independent {
+            modes: modes
+                .map(|((&density, &weight), &duration)| Mode { density, weight, duration })
+                .collect(),
+            radius_density: self.radius_noise,
+            birth_density: self.birth_density,
+            confirmation: Confirmation { hits: self.confirm_hits, window: self.confirm_window },
+            limits: Limits {
+                position: self.max_position_std,
+                velocity: self.max_velocity_std,
+                radius: self.max_radius_std,
+            },
+            patience: Patience {
+                absent: self.absent_time,
+                unmatched: self.unmatched_time,
+                hidden: self.max_coast,
+            },
+            looking: Looking { margin: self.see_margin, min_rays: self.min_rays },
+            buffer_time: self.buffer_time,
+        }
+    }
+}
+
+#[derive(Clone, Copy)]
+enum Kind {
+    Paper,
+    Independent,
+}
+
+const FILTERS: [(&str, Kind); 2] = [("paper", Kind::Paper), ("independent", Kind::Independent)];
+
+type Numbers<'py> = Bound<'py, PyArray1<i64>>;
+
+/// Whether the scan was late; the element of every circle; numbers of elements born, confirmed,
+/// removed; pairs merged.
+type Events<'py> =
+    (bool, Numbers<'py>, Numbers<'py>, Numbers<'py>, Numbers<'py>, Bound<'py, PyArray2<i64>>);
+
+/// Number, mean (M, 5), covariance (M, 5, 5), age, time of the last measurement, visible, confirmed.
+type Elements<'py> = (
+    Numbers<'py>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray1<f64>>,
+    Numbers<'py>,
+    Bound<'py, PyArray1<bool>>,
+    Bound<'py, PyArray1<bool>>,
+);
+
+/// Ranges, bearings, and the limits of the ranges.
+type ViewArrays<'py> = (PyReadonlyArray1<'py, f64>, PyReadonlyArray1<'py, f64>, (f64, f64));
+
+#[pyclass(frozen, name = "CircleMap", module = "lidar_core._core")]
+pub(crate) struct PyCircleMap(Guarded<CircleMap>);
+
+#[pymethods]
+impl PyCircleMap {
+    #[new]
+    fn new(py: Python<'_>, config: CircleMapConfig) -> Result<Self, BorderError> {
+        let map = detached(py, || CircleMap::new(config.parameters()?))?;
+        Ok(Self(Guarded::new(map)))
+    }
+
+    #[pyo3(signature = (circles, covariance, world_from_lidar, stamp_ns, *, sensor, pose_covariance, view))]
+    #[allow(clippy::too_many_arguments)] // one call per scan, as the public API has it
+    fn update<'py>(
+        &self,
+        py: Python<'py>,
+        circles: PyReadonlyArray2<'py, f64>,
+        covariance: PyReadonlyArray3<'py, f64>,
+        world_from_lidar: PyReadonlyArray2<'py, f64>,
+        stamp_ns: i64,
+        sensor: u32,
+        pose_covariance: Option<PyReadonlyArray2<'py, f64>>,
+        view: Option<ViewArrays<'py>>,
+    ) -> Result<Events<'py>, BorderError> {
+        let estimates = estimates(&circles, &covariance)?;
+        let pose: [f64; 16] = square("world_from_lidar", &world_from_lidar)?;
+        let doubt =
+            pose_covariance.map(|rows| square::<36>("pose_covariance", &rows)).transpose()?;
+        let doubt: Option<PoseCovariance> =
+            doubt.map(|values| std::array::from_fn(|i| std::array::from_fn(|j| values[6 * i + j])));
+        let scan = view.as_ref().map(polar_scan).transpose()?;
+        let stats = self.0.with(py, |map| {
+            map.update(&CircleScan {
+                stamp_ns,
+                sensor,
+                world_from_lidar: &Transform::from_matrix(&pose),
+                pose_covariance: doubt.as_ref(),
+                estimates: &estimates,
+                view: scan.as_ref().map(|(scan, (range_min, range_max))| View {
+                    scan,
+                    range_min: *range_min,
+                    range_max: *range_max,
+                }),
+            })
+        })?;
+        events(py, stats)
+    }
+
+    fn map_at<'py>(&self, py: Python<'py>, stamp_ns: i64) -> Result<Elements<'py>, BorderError> {
+        elements(py, &self.0.with(py, |map| Ok(map.map_at(stamp_ns)))?)
+    }
+
+    fn reset(&self, py: Python<'_>) -> Result<(), BorderError> {
+        self.0.with(py, |map| {
+            map.reset();
+            Ok(())
+        })
+    }
+}
+
+fn estimates(
+    circles: &PyReadonlyArray2<'_, f64>,
+    covariance: &PyReadonlyArray3<'_, f64>,
+) -> Result<Vec<CircleEstimate>, BorderError> {
+    let rows = arrays::rows3("circles", circles)?;
+    if covariance.shape() != [rows.len(), 3, 3] {
+        let got = covariance.shape().to_vec();
+        return Err(BorderError::Shape { name: "covariance", expected: "(C, 3, 3)", got });
+    }
+    let covariances = arrays::flat("covariance", covariance)?.as_chunks::<3>().0.as_chunks::<3>().0;
+    let both = rows.iter().zip(covariances);
+    Ok(both
+        .map(|(&[x, y, radius], &covariance)| CircleEstimate {
+            circle: Circle { center: [x, y], radius },
+            covariance,
+            n_hits: 0,
+        })
+        .collect())
+}
+
+fn square<const N: usize>(
+    name: &'static str,
+    array: &PyReadonlyArray2<'_, f64>,
+) -> Result<[f64; N], BorderError> {
+    let values = arrays::flat(name, array)?;
+    values.try_into().map_err(|_| BorderError::Shape {
+        name,
+        expected: "a square matrix",
+        got: array.shape().to_vec(),
+    })
+}
+
+fn polar_scan(
+    (ranges, bearings, limits): &ViewArrays<'_>,
+) -> Result<(PolarScan, (f64, f64)), BorderError> {
+    let scan = PolarScan {
+        ranges: arrays::flat("ranges", ranges)?.to_vec(),
+        bearings: arrays::flat("bearings", bearings)?.to_vec(),
+    };
+    Ok((scan, *limits))
+}
+
+fn events(py: Python<'_>, stats: MapStats) -> Result<Events<'_>, BorderError> {
+    let pairs = stats.merged.len();
+    Ok((
+        stats.late,
+        stats.elements.into_pyarray(py),
+        stats.born.into_pyarray(py),
+        stats.confirmed.into_pyarray(py),
+        stats.removed.into_pyarray(py),
+        stats.merged.into_flattened().into_pyarray(py).reshape([pairs, 2])?,
+    ))
+}
+
+fn elements<'py>(py: Python<'py>, all: &[MapElement]) -> Result<Elements<'py>, BorderError> {
+    let count = all.len();
+    let numbers = |value: fn(&MapElement) -> i64| all.iter().map(value).collect::<Vec<i64>>();
+    let flags = |value: fn(&MapElement) -> bool| all.iter().map(value).collect::<Vec<bool>>();
+    let means: Vec<f64> = all.iter().flat_map(|element| element.state.mean.data.0[0]).collect();
+    let covariances: Vec<f64> = all
+        .iter()
+        .flat_map(|element| element.state.covariance.data.0.into_iter().flatten()) // symmetric
+        .collect();
+    Ok((
+        numbers(|element| element.id).into_pyarray(py),
+        means.into_pyarray(py).reshape([count, 5])?,
+        covariances.into_pyarray(py).reshape([count, 5, 5])?,
+        all.iter().map(|element| element.age).collect::<Vec<f64>>().into_pyarray(py),
+        numbers(|element| element.seen_ns).into_pyarray(py),
+        flags(|element| element.visible).into_pyarray(py),
+        flags(|element| element.confirmed).into_pyarray(py),
+    ))
+}
