@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
     from lidar_core.evaluation import Evaluation, EvaluationConfig, Prediction, Truth
 
-PREDICTED = "Run folder of detect or demo, or a table of tracks: CSV, Parquet, .npz, TUM, MCAP."
+PREDICTED = (
+    "Run folder of detect, circles or demo, or a table of tracks: CSV, Parquet, .npz, TUM, MCAP."
+)
 TRUE = "NAME.truth.csv of simulate, the recording beside it, a demo's folder, or such a table."
 GATE = "An estimate further from every target is false \\[m]."
 MAX_DISTANCE = "Targets further from the sensor need not be found \\[m]."
@@ -57,7 +59,7 @@ def command(
     of_run = {"burn_in_scans": prediction.burn_in_scans}
     chosen = with_assignments(given(of_run), values) | given(options)
     config = EvaluationConfig.load(chosen)
-    truth = read_truth(true, config=config)
+    truth = read_truth(true, config=config, is_planar=prediction.is_planar)
     report = evaluate(
         truth,
         tracks=prediction.tracks,

@@ -60,6 +60,8 @@ def detail_rows(scores: "DetectionScores", what: str) -> list[Row | None]:
         _spread_row("  along the line of sight", scores.radial_error, " m"),
         _spread_row("  across it", scores.across_error, " m"),
         _spread_row("  velocity error", scores.velocity_error, " m/s"),
+        *([] if scores.radius_error is None else
+          [_spread_row("  radius error", scores.radius_error, " m")]),
         _consistency_row("  NEES of positions", scores.position_nees),
         *_set_rows(scores),
         Row("  lost and found again", str(scores.n_fragmentations), _gap(scores)),

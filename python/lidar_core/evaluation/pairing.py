@@ -172,10 +172,11 @@ def checked_truth(truth: Truth) -> Truth:
         id=names,
         position=as_finite_rows(truth.position, name="truth.position", rows=rows, shape=(3,)),
         is_eligible=as_mask(truth.is_eligible, name="truth.is_eligible", rows=rows),
-        velocity=_vectors(truth.velocity, "truth.velocity", rows),
+        velocity=_values(truth.velocity, "truth.velocity", rows, shape=(3,)),
         sensor=None
         if truth.sensor is None
         else as_rows(truth.sensor, name="truth.sensor", rows=rows, shape=(3,), dtype=np.float64),
+        radius=_values(truth.radius, "truth.radius", rows, shape=()),
     )
 
 
@@ -190,24 +191,25 @@ def checked_estimates(estimates: Estimates) -> Estimates:
         numbers = as_rows(numbers, name="id", rows=rows, shape=(), dtype=np.int64)
         _refuse_twice(stamps, numbers, name="id")
     if covariance is not None:
-        size = 6 if np.shape(covariance)[1:] == (6, 6) else 3
+        size = next((n for n in (6, 4, 2) if np.shape(covariance)[1:] == (n, n)), 3)
         covariance = as_finite_rows(covariance, name="covariance", rows=rows, shape=(size, size))
     return Estimates(
         stamp_ns=stamps,
         position=as_finite_rows(estimates.position, name="position", rows=rows, shape=(3,)),
         id=numbers,
-        velocity=_vectors(estimates.velocity, "velocity", rows),
+        velocity=_values(estimates.velocity, "velocity", rows, shape=(3,)),
         covariance=covariance,
         time_ns=times,
+        radius=_values(estimates.radius, "radius", rows, shape=()),
     )
 
 
-def _vectors(
-    values: NDArray[np.float64] | None, name: str, rows: int
+def _values(
+    values: NDArray[np.float64] | None, name: str, rows: int, *, shape: tuple[int, ...]
 ) -> NDArray[np.float64] | None:
     if values is None:
         return None
-    return as_finite_rows(values, name=name, rows=rows, shape=(3,))
+    return as_finite_rows(values, name=name, rows=rows, shape=shape)
 
 
 def _refuse_twice(stamps: Rows, names: Rows, *, name: str) -> None:

@@ -1,7 +1,7 @@
 """Estimates and truth from files: run folders, simulated recordings, tables of tracks."""
 
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,12 +36,15 @@ class Prediction:
         Time per scan, where it is known.
     burn_in_scans : int or None
         First scans in which the run reports nothing, where it says so.
+    is_planar : bool
+        The tracks are elements of a circle map: in the plane, with radii.
     """
 
     tracks: Estimates
     detections: Estimates | None = None
     latency: Latency | None = None
     burn_in_scans: int | None = None
+    is_planar: bool = False
 
 
 def read_prediction(path: str | Path) -> Prediction:
@@ -50,9 +53,10 @@ def read_prediction(path: str | Path) -> Prediction:
     Parameters
     ----------
     path : str or Path
-        Folder that `lidar-core detect` or `lidar-core demo` wrote, or whatever
+        Folder that `lidar-core detect`, `circles` or `demo` wrote, or whatever
         `lidar_core.io.read_columns` reads, with columns t_ns, track_id, x, y, z and, if known, vx,
-        vy, vz and the upper triangle of the covariance, cov_x_x to cov_vz_vz.
+        vy, vz and the upper triangle of the covariance, cov_x_x to cov_vz_vz; without z, vz and
+        with radius, the table of a circle map.
 
     Raises
     ------
@@ -61,22 +65,30 @@ def read_prediction(path: str | Path) -> Prediction:
     """
     place = Path(path)
     if not (place / RUN_FILE).is_file():
-        return Prediction(_estimates(place, read_columns(place), has_id=True))
-    tracks, detections = table_in(place, "tracks"), table_in(place, "detections")
-    timing = table_in(place, "timing")
-    if tracks is None:
+        return _of_table(place)
+    table = table_in(place, "tracks") or table_in(place, "circles")
+    detections, timing = table_in(place, "detections"), table_in(place, "timing")
+    if table is None:
         raise FormatError(f"{place}: the run folder holds no table of tracks; run it again")
-    return Prediction(
-        tracks=_estimates(tracks, read_columns(tracks), has_id=True),
+    found = _of_table(table)
+    return replace(
+        found,
         detections=None
         if detections is None
         else _estimates(detections, read_columns(detections), has_id=False),
         latency=None if timing is None else _latency(timing),
-        burn_in_scans=_burn_in(place / RUN_FILE),
+        burn_in_scans=0 if found.is_planar else _burn_in(place / RUN_FILE),
     )
 
 
-def read_truth(path: str | Path, *, config: EvaluationConfig | None = None) -> Truth:
+def _of_table(place: Path) -> Prediction:
+    columns = read_columns(place)
+    return Prediction(_estimates(place, columns, has_id=True), is_planar=_is_planar(columns))
+
+
+def read_truth(
+    path: str | Path, *, config: EvaluationConfig | None = None, is_planar: bool = False
+) -> Truth:
     """Read the targets of a recording, and say which of them had to be found.
 
     A target has to be found after the burn-in, within `max_distance` where the file has the
@@ -87,9 +99,12 @@ def read_truth(path: str | Path, *, config: EvaluationConfig | None = None) -> T
     path : str or Path
         NAME.truth.csv of `lidar-core simulate`, or the recording beside it; a folder of
         `lidar-core demo`; or whatever `lidar_core.io.read_columns` reads, with columns t_ns,
-        target_id or track_id, x, y, z and, if known, vx, vy, vz.
+        target_id or track_id, x, y, z and, if known, vx, vy, vz; without z and with radius, a
+        truth in the plane.
     config : EvaluationConfig, optional
         `max_distance`, `min_hits`, `burn_in_scans`.
+    is_planar : bool
+        Whether heights are left out, as what is scored has none.
 
     Raises
     ------
@@ -100,8 +115,12 @@ def read_truth(path: str | Path, *, config: EvaluationConfig | None = None) -> T
     place = _truth_file(Path(path))
     columns = read_columns(place)
     stamps = _integers(place, columns, "t_ns")
+    is_planar = is_planar or _is_planar(columns)
+    if is_planar:
+        columns = _flat(columns)
     position, velocity = _rows(place, columns, AXES), _rows_if_known(place, columns, RATES)
     sensor = _rows_if_known(place, columns, tuple(f"sensor_{axis}" for axis in AXES))
+    radius = _numbers(place, columns, "radius") if is_planar and "radius" in columns else None
     counts = _after_burn_in(stamps, config.burn_in_scans)
     if "hits" in columns:
         counts &= _integers(place, columns, "hits") >= config.min_hits
@@ -110,7 +129,7 @@ def read_truth(path: str | Path, *, config: EvaluationConfig | None = None) -> T
     name = "target_id" if "target_id" in columns else "track_id"
     numbers = _integers(place, columns, name)
     try:
-        return checked_truth(Truth(stamps, numbers, position, counts, velocity, sensor))
+        return checked_truth(Truth(stamps, numbers, position, counts, velocity, sensor, radius))
     except InputError as error:
         raise FormatError(f"{place}: {error}") from error
 
@@ -129,20 +148,36 @@ def _truth_file(place: Path) -> Path:
 
 
 def _estimates(place: Path, columns: Columns, *, has_id: bool) -> Estimates:
+    is_planar = _is_planar(columns)
+    if is_planar:
+        columns = _flat(columns)
     stamps, position = _integers(place, columns, "t_ns"), _rows(place, columns, AXES)
     numbers = _integers(place, columns, "track_id") if has_id else None
     velocity = _rows_if_known(place, columns, RATES)
-    covariance = _covariance(place, columns, (*AXES, *RATES))
+    axes, rates = (AXES[:2], RATES[:2]) if is_planar else (AXES, RATES)
+    covariance = _covariance(place, columns, (*axes, *rates))
     if covariance is None:
-        covariance = _covariance(place, columns, AXES)
+        covariance = _covariance(place, columns, axes)
+    radius = _numbers(place, columns, "radius") if is_planar else None
     # Tracks are states at the time of the scan, detections are measured during it.
     is_timed = not has_id and "time_ns" in columns
     times = _integers(place, columns, "time_ns") if is_timed else None
-    table = Estimates(stamps, position, numbers, velocity, covariance, times)
+    table = Estimates(stamps, position, numbers, velocity, covariance, times, radius)
     try:
         return checked_estimates(_last_rows(table))
     except InputError as error:
         raise FormatError(f"{place}: {error}") from error
+
+
+def _is_planar(columns: Columns) -> bool:
+    return "z" not in columns and "radius" in columns
+
+
+def _flat(columns: Columns) -> Columns:
+    """The same columns, all heights zero."""
+    zero = np.zeros(len(next(iter(columns.values()), [])))
+    heights = {"z": zero, "vz": zero} | ({"sensor_z": zero} if "sensor_x" in columns else {})
+    return columns | heights
 
 
 def _last_rows(table: Estimates) -> Estimates:

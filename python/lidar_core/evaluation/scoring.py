@@ -176,7 +176,7 @@ def _duration(stamps: NDArray[np.int64]) -> float:
 def _errors(estimates: Estimates, truth: Truth, pairing: Pairing) -> dict[str, Spread | None]:
     rows = pairing.found
     away = errors_of(estimates, truth, pairing)
-    radial = across = velocity = None
+    radial = across = velocity = radius = None
     if truth.sensor is not None:
         sight = truth.position[rows] - truth.sensor[rows]
         length = norms(sight)
@@ -187,11 +187,14 @@ def _errors(estimates: Estimates, truth: Truth, pairing: Pairing) -> dict[str, S
     if truth.velocity is not None and estimates.velocity is not None:
         change = estimates.velocity[pairing.estimate_of[rows]] - truth.velocity[rows]
         velocity = Spread.of(norms(change))
+    if truth.radius is not None and estimates.radius is not None:
+        radius = Spread.of(estimates.radius[pairing.estimate_of[rows]] - truth.radius[rows])
     return {
         "position_error": Spread.of(norms(away)),
         "radial_error": radial,
         "across_error": across,
         "velocity_error": velocity,
+        "radius_error": radius,
     }
 
 
@@ -251,15 +254,21 @@ def _position_nees(
         return None
     partners = pairing.estimate_of[pairing.found]
     away = errors_of(estimates, truth, pairing)
-    values = nees(away, estimates.covariance[partners][:, :3, :3])
-    return consistency(values, degrees=3, config=config)
+    axes = _axes(estimates.covariance)
+    values = nees(away[:, :axes], estimates.covariance[partners][:, :axes, :axes])
+    return consistency(values, degrees=axes, config=config)
+
+
+def _axes(covariance: NDArray[np.float64]) -> int:
+    """Axes of a position: two in a plane, else three."""
+    return 2 if covariance.shape[1] in (2, 4) else 3
 
 
 def _state_nees(
     tracks: Estimates, truth: Truth, pairing: Pairing, config: EvaluationConfig
 ) -> Consistency | None:
     covariance = tracks.covariance
-    if covariance is None or covariance.shape[1] != 6:
+    if covariance is None or covariance.shape[1] not in (4, 6):
         return None
     if tracks.velocity is None or truth.velocity is None:
         return None
@@ -267,8 +276,9 @@ def _state_nees(
     partners = pairing.estimate_of[rows]
     place = errors_of(tracks, truth, pairing)
     speed = tracks.velocity[partners] - truth.velocity[rows]
-    values = nees(np.concatenate([place, speed], axis=1), covariance[partners])
-    return consistency(values, degrees=6, config=config)
+    axes = _axes(covariance)
+    away = np.concatenate([place[:, :axes], speed[:, :axes]], axis=1)
+    return consistency(nees(away, covariance[partners]), degrees=2 * axes, config=config)
 
 
 def _ratio(part: int, whole: int) -> float | None:

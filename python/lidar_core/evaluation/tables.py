@@ -37,6 +37,7 @@ def joined(parts: Iterable[Truth]) -> Truth:
     tables = list(parts)
     velocity = [part.velocity for part in tables if part.velocity is not None]
     sensor = [part.sensor for part in tables if part.sensor is not None]
+    radius = [part.radius for part in tables if part.radius is not None]
     return Truth(
         stamp_ns=np.concatenate([np.empty(0, np.int64), *(part.stamp_ns for part in tables)]),
         id=np.concatenate([np.empty(0, np.int64), *(part.id for part in tables)]),
@@ -44,6 +45,7 @@ def joined(parts: Iterable[Truth]) -> Truth:
         is_eligible=np.concatenate([np.empty(0, bool), *(part.is_eligible for part in tables)]),
         velocity=_stacked(velocity) if len(velocity) == len(tables) else None,
         sensor=_stacked(sensor) if len(sensor) == len(tables) else None,
+        radius=np.concatenate([np.empty(0), *radius]) if len(radius) == len(tables) else None,
     )
 
 

@@ -28,6 +28,8 @@ class Truth:
         Its velocity [m/s], world frame.
     sensor : ndarray, shape (R, 3), float64, optional
         Where the sensor was [m], world frame; NaN where unknown.
+    radius : ndarray, shape (R,), float64, optional
+        Of a round object [m].
     """
 
     stamp_ns: NDArray[np.int64]
@@ -36,6 +38,7 @@ class Truth:
     is_eligible: NDArray[np.bool_]
     velocity: NDArray[np.float64] | None = None
     sensor: NDArray[np.float64] | None = None
+    radius: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +56,12 @@ class Estimates:
     velocity : ndarray, shape (E, 3), float64, optional
         Reported velocity [m/s].
     covariance : ndarray, shape (E, 3, 3) or (E, 6, 6), float64, optional
-        Of the position, or of position and velocity.
+        Of the position, or of position and velocity; (E, 2, 2) or (E, 4, 4) in a plane.
     time_ns : ndarray, shape (E,), int64, optional
         When each position was true [ns]; without it, at `stamp_ns`. A target is held against it
         where its velocity takes it by then, if the truth has velocities.
+    radius : ndarray, shape (E,), float64, optional
+        Reported radius [m].
     """
 
     stamp_ns: NDArray[np.int64]
@@ -65,6 +70,7 @@ class Estimates:
     velocity: NDArray[np.float64] | None = None
     covariance: NDArray[np.float64] | None = None
     time_ns: NDArray[np.int64] | None = None
+    radius: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,12 +150,14 @@ class DetectionScores:
         across the line [m]. None where the sensor's place is unknown.
     velocity_error : Spread or None
         Length of the difference of the velocities [m/s]; None where one is unknown.
+    radius_error : Spread or None
+        Reported minus true radius, signed [m]; None where one is unknown.
     over_distance : tuple of DistanceScores
         By distance from the sensor, groups with a target or an estimate.
     sets : SetScores or None
         OSPA and GOSPA; None if no scan counts.
     position_nees : Consistency or None
-        Of the position errors, 3 degrees of freedom; None without covariances.
+        Of the position errors, 3 degrees of freedom, 2 in a plane; None without covariances.
     first_delay : dict
         Per target that ever had to be found: time from the first such scan to its first estimate
         [s]; None if it never had one.
@@ -178,6 +186,7 @@ class DetectionScores:
     radial_error: Spread | None
     across_error: Spread | None
     velocity_error: Spread | None
+    radius_error: Spread | None
     over_distance: tuple[DistanceScores, ...]
     sets: SetScores | None
     position_nees: Consistency | None
@@ -235,7 +244,8 @@ class TrackScores(DetectionScores):
     n_switches : int
         How often a target was matched with another track than the last time.
     state_nees : Consistency or None
-        Of position and velocity together, 6 degrees of freedom; None where one is unknown.
+        Of position and velocity together, 6 degrees of freedom, 4 in a plane; None where one is
+        unknown.
     """
 
     track_ids: tuple[int, ...]
