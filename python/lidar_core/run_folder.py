@@ -25,8 +25,11 @@ from lidar_core.io.atomic import written_whole
 
 RUN_FILE = "run.toml"
 FILES = (
+    "circles.csv",
+    "circles.parquet",
     "detections.csv",
     "detections.parquet",
+    "film.gif",
     "map.lcvm",
     "picture.png",
     "run.mcap",

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.cli.scan_times import ScanTimes
 from lidar_core.evaluation import Latency
 from lidar_core.flying import FlyingFrame, FlyingObjectDetector, Tracks
 from lidar_core.io import write_tracks_table, write_tum
@@ -38,7 +39,7 @@ class FlyingRun:
         self.rejected: Counter[str] = Counter()
         self.frame_id = "world"
         self._class_counts = np.zeros(len(CLASSES), np.int64)
-        self._wall_ms: list[float] = []
+        self._times = ScanTimes()
         self.frames: list[FlyingFrame] = []
         self._sensors: list[str] = []
         self._path: list[NDArray[np.float64]] = []
@@ -70,7 +71,7 @@ class FlyingRun:
         if frame.rejected is not None:
             self.rejected[frame.rejected] += 1
             return frame
-        self._wall_ms.append(wall_ms)
+        self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms)
         self._keep(frame, sensor)
         poses = world_from_lidar.reshape(-1, 4, 4)
         self._path.append(poses[0, :3, 3])
@@ -104,20 +105,7 @@ class FlyingRun:
     @property
     def latency(self) -> Latency | None:
         """Time per processed scan, in all and per stage [ms]; None without scans."""
-        return Latency.of(self._wall_ms, self._stages_ms())
-
-    @property
-    def ms_per_scan(self) -> dict[str, float]:
-        """Mean time per scan, in all and per stage [ms]."""
-        latency = self.latency
-        if latency is None:
-            return {"total": 0.0}
-        stages = {name: spread.mean for name, spread in latency.stages.items()}
-        return {"total": latency.total.mean, **stages}
-
-    def _stages_ms(self) -> dict[str, list[float]]:
-        names = list(self.frames[0].timing_ms) if self.frames else []
-        return {name: [frame.timing_ms[name] for frame in self.frames] for name in names}
+        return self._times.latency
 
     @property
     def class_shares(self) -> dict[str, float]:
@@ -159,12 +147,6 @@ class FlyingRun:
             table[f"cov_{'xyz'[row]}_{'xyz'[column]}"] = covariance[:, row, column]
         return table
 
-    def _timing_table(self) -> dict[str, Any]:
-        """Times as columns, one row per processed scan [ms]."""
-        stages = {f"{name}_ms": np.array(times) for name, times in self._stages_ms().items()}
-        stamps = np.array([frame.stamp_ns for frame in self.frames], np.int64)
-        return {"t_ns": stamps, "total_ms": np.array(self._wall_ms, np.float64), **stages}
-
     def summary(self) -> dict[str, Any]:
         """What the run gave, as plain values."""
         health = self.detector.health()
@@ -185,7 +167,7 @@ class FlyingRun:
             "clears_sky": self.clears_sky,
             "detections": self.n_detections,
             "tracks": len(self.track_ids),
-            "ms_per_scan": self.ms_per_scan,
+            "ms_per_scan": self._times.ms_per_scan,
             "map": {
                 "observed_voxels": self.detector.n_observed,
                 "occupied_voxels": len(self.detector.occupied_points()),
@@ -199,7 +181,7 @@ class FlyingRun:
             folder.path / "tracks.parquet", self.tracks, frame_id=self.frame_id
         )
         table = folder.write_table("detections", self.detections_table())
-        timing = folder.write_table("timing", self._timing_table())
+        timing = folder.write_table("timing", self._times.table())
         write_tum(folder.path / TRACKS_FOLDER, self.tracks)
         self.detector.save_map(folder.path / "map.lcvm")
         return [tracks.name, table.name, timing.name, TRACKS_FOLDER, "map.lcvm"]

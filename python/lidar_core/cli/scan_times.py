@@ -1,0 +1,44 @@
+"""Time per scan, in all and per stage, as a run goes on."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from lidar_core.evaluation import Latency
+
+
+class ScanTimes:
+    """Times of the scans that were processed."""
+
+    def __init__(self) -> None:
+        self._stamps_ns: list[int] = []
+        self._wall_ms: list[float] = []
+        self._stages_ms: dict[str, list[float]] = {}
+
+    def add(self, stamp_ns: int, wall_ms: float, stages_ms: Mapping[str, float]) -> None:
+        """Append one scan; all of them have the same stages."""
+        self._stamps_ns.append(stamp_ns)
+        self._wall_ms.append(wall_ms)
+        for name, value in stages_ms.items():
+            self._stages_ms.setdefault(name, []).append(value)
+
+    @property
+    def latency(self) -> Latency | None:
+        """Time per scan [ms]; None without scans."""
+        return Latency.of(self._wall_ms, self._stages_ms)
+
+    @property
+    def ms_per_scan(self) -> dict[str, float]:
+        """Mean time per scan, in all and per stage [ms]."""
+        latency = self.latency
+        if latency is None:
+            return {"total": 0.0}
+        stages = {name: spread.mean for name, spread in latency.stages.items()}
+        return {"total": latency.total.mean, **stages}
+
+    def table(self) -> dict[str, Any]:
+        """Columns of the timing table, one row per processed scan [ms]."""
+        stages = {f"{name}_ms": np.array(values) for name, values in self._stages_ms.items()}
+        stamps = np.array(self._stamps_ns, np.int64)
+        return {"t_ns": stamps, "total_ms": np.array(self._wall_ms, np.float64), **stages}
