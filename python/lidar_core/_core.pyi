@@ -20,12 +20,16 @@ __all__ = [
     "VoxelMap",
     "__version__",
     "chi2_quantile",
+    "circle_lattice",
+    "circle_windows",
+    "circles_from_answers",
     "cluster_points",
     "detection_probability",
     "fusion_outcomes",
     "fusion_run",
     "hit_probability",
     "limit_range",
+    "make_circle_samples",
     "point_covariance",
     "project_horizontal",
     "segment_scan",
@@ -86,6 +90,14 @@ def segment_scan(
     scanner: object,
 ) -> tuple[NDArray[np.int32], NDArray[np.uint32], NDArray[np.int64], NDArray[np.uint8]]: ...
 def chi2_quantile(probability: float, *, degrees: int) -> float: ...
+def circle_lattice(
+    scanner: object,
+    *,
+    reach: float,
+    spacing: float,
+    radius_steps: tuple[int, int],
+    radius_step: float,
+) -> NDArray[np.float64]: ...
 def point_covariance(
     points: NDArray[np.float32],
     world_from_lidar: NDArray[np.float64],
@@ -112,6 +124,37 @@ def hit_probability(
     origin: NDArray[np.float64],
     threads: int,
 ) -> NDArray[np.float64]: ...
+def circle_windows(
+    bearings: NDArray[np.float64],
+    ranges: NDArray[np.float64],
+    starts: NDArray[np.int64],
+    sides: NDArray[np.uint8],
+    *,
+    gaps: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    range_limits: tuple[float, float],
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]: ...
+def circles_from_answers(
+    frames: NDArray[np.float64], answers: NDArray[np.float32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+def make_circle_samples(
+    config: object,
+    *,
+    circles: NDArray[np.float64] | None,
+    draws: int,
+    seed: int,
+    start: int,
+    count: int,
+    threads: int,
+) -> tuple[
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.uint32],
+    NDArray[np.uint32],
+    NDArray[np.uint8],
+    NDArray[np.float32],
+]: ...
 def detection_probability(
     directions: NDArray[np.float64],
     *,

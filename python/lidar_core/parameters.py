@@ -17,6 +17,7 @@ from lidar_core.errors import ConfigError
 
 MODELS = {
     "circle_map": "lidar_core.circles:CircleMapConfig",
+    "circle_dataset": "lidar_core.circles:DatasetConfig",
     "evaluation": "lidar_core.evaluation:EvaluationConfig",
     "flight": "lidar_core.sim:InsertedFlight",
     "flying": "lidar_core.flying:FlyingConfig",

@@ -4,6 +4,8 @@ mod analysis;
 mod arrays;
 mod center;
 mod circle_map;
+mod circle_samples;
+mod circle_windows;
 mod circles;
 mod circles_config;
 mod errors;
@@ -27,6 +29,9 @@ mod _core {
     use super::center::target_center;
     #[pymodule_export]
     use super::circle_map::PyCircleMap;
+    use super::circle_samples::{circle_lattice, make_circle_samples};
+    #[pymodule_export]
+    use super::circle_windows::{circle_windows, circles_from_answers};
     #[pymodule_export]
     use super::circles::{limit_range, project_horizontal, segment_scan};
     #[pymodule_export]

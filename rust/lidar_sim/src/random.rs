@@ -10,6 +10,10 @@ pub enum Purpose {
     Motion = 2,
     /// Particles that one ray may meet.
     Air = 3,
+    /// A circle, and what disturbs its view.
+    Circle = 4,
+    /// Range noise of the rays that meet a circle.
+    CircleNoise = 5,
 }
 
 /// Four random words at a place.

@@ -12,3 +12,4 @@ pub mod preprocess;
 pub mod segment;
 pub mod segments;
 pub mod sweep;
+pub mod window;

@@ -1,0 +1,228 @@
+"""Datasets of single circles on disk: shards with checksums, made in parts, read in parts."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core import _core
+from lidar_core.circles.dataset_config import DatasetConfig
+from lidar_core.circles.samples import Samples, joined, make_samples
+from lidar_core.errors import ConfigError, FormatError
+from lidar_core.io.atomic import written_whole
+
+Part: TypeAlias = Literal["train", "validation", "test", "all"]
+
+MANIFEST = "dataset.json"
+_FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class CircleDataset:
+    """A dataset in a folder.
+
+    Attributes
+    ----------
+    folder : Path
+        Where it is.
+    config : DatasetConfig
+        How it was made.
+    seed : int
+        Of circles, noise and split.
+    n_samples : int
+        Of all shards, those that are still to be made included.
+    shards : tuple of str
+        Files that are there, in order.
+    """
+
+    folder: Path
+    config: DatasetConfig
+    seed: int
+    n_samples: int
+    shards: tuple[str, ...]
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every shard was made."""
+        return len(self.shards) == -(-self.n_samples // self.config.shard_size)
+
+    def numbers(self, part: Part) -> NDArray[np.int64]:
+        """Numbers of the samples in one part, ascending; Table II."""
+        if part == "all":
+            return np.arange(self.n_samples)
+        together = self.config.draws if self.config.split_by == "circle" else 1
+        n_units = self.n_samples // together
+        order = np.random.default_rng(self.seed).permutation(n_units)
+        n_test = round(n_units * self.config.test_share)
+        n_validation = round(n_units * self.config.validation_share)
+        first, last = {
+            "test": (0, n_test),
+            "validation": (n_test, n_test + n_validation),
+            "train": (n_test + n_validation, n_units),
+        }[part]
+        units = np.sort(order[first:last])
+        return (units[:, None] * together + np.arange(together)).reshape(-1)
+
+    def read(self, part: Part = "all") -> Samples:
+        """All samples of one part, in memory.
+
+        Raises
+        ------
+        FormatError
+            The dataset is not complete, or a shard is damaged.
+        """
+        if not self.is_complete:
+            raise FormatError(f"{self.folder}: not complete; generate it again, that continues it")
+        numbers = self.numbers(part)
+        size = self.config.shard_size
+        parts = []
+        for index, name in enumerate(self.shards):
+            wanted = numbers[(numbers >= index * size) & (numbers < (index + 1) * size)]
+            shard = _read_shard(self.folder / name)
+            parts.append(shard.take(wanted - index * size))
+        return joined(parts)
+
+
+def lattice(config: DatasetConfig) -> NDArray[np.float64]:
+    """All circles of a lattice that the scanner sees, shape (N, 3): x, y, radius [m]."""
+    low, high = (round(radius / config.radius_step) for radius in config.radius)
+    return _core.circle_lattice(
+        config.scanner, reach=config.reach, spacing=config.spacing,
+        radius_steps=(low, high), radius_step=config.radius_step,
+    )  # fmt: skip
+
+
+def generate(
+    config: DatasetConfig,
+    folder: str | Path,
+    *,
+    seed: int,
+    threads: int = 1,
+    on_shard: Callable[[int, int], None] | None = None,
+) -> CircleDataset:
+    """Make a dataset in a folder, or what is missing of it.
+
+    Parameters
+    ----------
+    config : DatasetConfig
+        What is in it.
+    folder : str or Path
+        Where; made if missing. Shards that are there and whole are kept.
+    seed : int
+        Decides circles, noise and split.
+    threads : int
+        The result is the same.
+    on_shard : callable, optional
+        Called with shards done and all shards, after each.
+
+    Raises
+    ------
+    ConfigError
+        Another dataset is in the folder.
+    """
+    place = Path(folder)
+    place.mkdir(parents=True, exist_ok=True)
+    circles = lattice(config) if config.kind == "lattice" else None
+    n_samples = config.circles if circles is None else len(circles) * config.draws
+    sums = _known_shards(place, config, seed)
+    n_shards = -(-n_samples // config.shard_size)
+    for index in range(n_shards):
+        name = f"shard-{index:05d}.npz"
+        if sums.get(name) is None or _sum(place / name) != sums[name]:
+            start = index * config.shard_size
+            count = min(config.shard_size, n_samples - start)
+            samples = make_samples(
+                config, count=count, seed=seed, start=start, circles=circles, threads=threads
+            )
+            _write_shard(place / name, samples)
+            sums[name] = _sum(place / name)
+            _write_manifest(place, config, seed, n_samples, sums)
+        if on_shard is not None:
+            on_shard(index + 1, n_shards)
+    return open_dataset(place)
+
+
+def open_dataset(folder: str | Path, *, verify: bool = False) -> CircleDataset:
+    """Return the dataset in a folder.
+
+    Parameters
+    ----------
+    folder : str or Path
+        What `generate` made.
+    verify : bool
+        Compare the checksum of every shard.
+
+    Raises
+    ------
+    FormatError
+        The folder holds no dataset, or a shard is damaged.
+    """
+    place = Path(folder)
+    manifest = _read_manifest(place)
+    sums: dict[str, str] = manifest["shards"]
+    if verify:
+        for name, expected in sums.items():
+            if (got := _sum(place / name)) != expected:
+                raise FormatError(f"{place / name}: expected SHA-256 {expected}, got {got}")
+    config = DatasetConfig.load(manifest["config"])
+    return CircleDataset(place, config, manifest["seed"], manifest["samples"], tuple(sorted(sums)))
+
+
+def _known_shards(folder: Path, config: DatasetConfig, seed: int) -> dict[str, str]:
+    """Return checksums of the shards that were made before, by this configuration and seed."""
+    if not (folder / MANIFEST).exists():
+        return {}
+    manifest = _read_manifest(folder)
+    if (DatasetConfig.load(manifest["config"]), manifest["seed"]) != (config, seed):
+        raise ConfigError(f"{folder}: holds a dataset of another configuration or seed")
+    return dict(manifest["shards"])
+
+
+def _read_manifest(folder: Path) -> dict[str, Any]:
+    path = folder / MANIFEST
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        known = manifest["format"]
+    except FileNotFoundError as error:
+        raise FormatError(f"{path}: expected a dataset of circles, got no such file") from error
+    except (ValueError, TypeError, KeyError) as error:
+        raise FormatError(f"{path}: expected the note of a dataset: {error!r}") from error
+    if known != _FORMAT:
+        raise FormatError(f"{path}: expected format {_FORMAT}, got {known}")
+    return dict(manifest)
+
+
+def _write_manifest(
+    folder: Path, config: DatasetConfig, seed: int, n_samples: int, sums: dict[str, str]
+) -> None:
+    manifest = {
+        "format": _FORMAT,
+        "seed": seed,
+        "samples": n_samples,
+        "config": config.model_dump(mode="json"),
+        "shards": sums,
+    }
+    with written_whole(folder / MANIFEST) as temporary:
+        temporary.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
+
+
+def _write_shard(path: Path, samples: Samples) -> None:
+    with written_whole(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **{field.name: getattr(samples, field.name) for field in fields(Samples)})
+
+
+def _read_shard(path: Path) -> Samples:
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            return Samples(*(arrays[field.name] for field in fields(Samples)))
+    except (OSError, ValueError, KeyError) as error:
+        raise FormatError(f"{path}: expected a shard of a dataset: {error}") from error
+
+
+def _sum(path: Path) -> str:
+    return sha256(path.read_bytes()).hexdigest() if path.is_file() else ""

@@ -1,0 +1,137 @@
+"""Samples of single circles, each seen by one scan of which only the window is kept."""
+
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core import _core
+from lidar_core.circles.dataset_config import DatasetConfig
+from lidar_core.circles.scanner import Scanner
+
+SIDES = ("free", "occluded", "field_edge", "range_cut")
+"""What the numbers in `Samples.sides` say of what lies beside a window."""
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Circles, and the part of a scan that each of them fills.
+
+    Attributes
+    ----------
+    circles : ndarray, shape (N, 3), float32
+        Centre x, centre y, radius [m], in the frame of the scanner.
+    range_std : ndarray, shape (N,), float32
+        Standard deviation of the ranges [m].
+    beam_half_width : ndarray, shape (N,), float32
+        Half the width of the rays [rad].
+    first_ray, n_rays : ndarray, shape (N,), uint32
+        Rays of the window: from the first that met the circle to the last; it may run over the
+        end of the sweep and go on at ray 0.
+    sides : ndarray, shape (N, 2), uint8
+        What lies before and after the window: places in `SIDES`.
+    ranges : ndarray, shape (R,), float32
+        Ranges of all windows, one after the other [m]; +inf is a miss.
+    """
+
+    circles: NDArray[np.float32]
+    range_std: NDArray[np.float32]
+    beam_half_width: NDArray[np.float32]
+    first_ray: NDArray[np.uint32]
+    n_rays: NDArray[np.uint32]
+    sides: NDArray[np.uint8]
+    ranges: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.circles)
+
+    @property
+    def starts(self) -> NDArray[np.int64]:
+        """Where each window begins in `ranges`, and where the last one ends; shape (N + 1,)."""
+        ends = np.cumsum(self.n_rays, dtype=np.int64)
+        return np.concatenate([np.zeros(1, np.int64), ends])
+
+    @property
+    def n_hits(self) -> NDArray[np.int64]:
+        """Rays that returned, per sample."""
+        hits = np.concatenate([[0], np.cumsum(np.isfinite(self.ranges), dtype=np.int64)])
+        counts: NDArray[np.int64] = np.diff(hits[self.starts])
+        return counts
+
+    def take(self, numbers: NDArray[np.integer[Any]]) -> Self:
+        """The samples with these numbers, in this order."""
+        starts = self.starts
+        counts = self.n_rays[numbers].astype(np.int64)
+        within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        ranges = values.pop("ranges")[np.repeat(starts[numbers], counts) + within]
+        return type(self)(**{name: value[numbers] for name, value in values.items()}, ranges=ranges)
+
+    def scans(self, scanner: Scanner) -> NDArray[np.float32]:
+        """Whole scans, shape (N, n_beams): +inf but for the window, NaN beside hidden sides."""
+        rows = np.repeat(np.arange(len(self)), self.n_rays)
+        within = np.arange(len(rows)) - np.repeat(self.starts[:-1], self.n_rays)
+        first = self.first_ray.astype(np.int64)
+        scans = np.full((len(self), scanner.n_beams), np.inf, np.float32)
+        scans[rows, (first[rows] + within) % scanner.n_beams] = self.ranges
+        beside = np.stack([first - 1, first + self.n_rays], axis=1) % scanner.n_beams
+        sample, side = np.nonzero(self.sides == SIDES.index("occluded"))
+        scans[sample, beside[sample, side]] = np.nan
+        return scans
+
+
+def joined(parts: list[Samples]) -> Samples:
+    """All samples of several collections, one collection after the other."""
+    return Samples(
+        *(np.concatenate([getattr(part, field.name) for part in parts])
+          for field in fields(Samples))
+    )  # fmt: skip
+
+
+def make_samples(
+    config: DatasetConfig,
+    *,
+    count: int,
+    seed: int,
+    start: int = 0,
+    circles: NDArray[np.float64] | None = None,
+    threads: int = 1,
+) -> Samples:
+    """Samples `start` to `start + count` of a seed, in memory; no other number changes them.
+
+    Parameters
+    ----------
+    config : DatasetConfig
+        What disturbs the view; of continuous datasets also which circles there are.
+    count, start : int
+        Which samples.
+    seed : int
+        Decides circles and noise.
+    circles : ndarray, shape (N, 3), float64, optional
+        Look at these, `config.draws` times each, instead of drawing circles.
+    threads : int
+        The result is the same.
+
+    Returns
+    -------
+    samples : Samples
+
+    Raises
+    ------
+    InputError
+        The scanner does not see one of `circles`, or is inside of it.
+    LimitError
+        Circles as they are drawn are never seen.
+
+    Examples
+    --------
+    >>> samples = make_samples(DatasetConfig.continuous(circles=5), count=5, seed=1)
+    >>> len(samples), samples.scans(Scanner()).shape
+    (5, (5, 1081))
+    """
+    arrays = _core.make_circle_samples(
+        config, circles=circles, draws=config.draws, seed=seed,
+        start=start, count=count, threads=threads,
+    )  # fmt: skip
+    return Samples(*arrays)

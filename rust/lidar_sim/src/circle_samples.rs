@@ -1,0 +1,505 @@
+//! Samples of single circles seen by a 2D scanner: what the circle detectors learn from and are
+//! measured on.
+//!
+//! # Source
+//! Sanchez-Lopez et al., "Deep learning based semantic situation awareness system for multirotor
+//! aerial robots using LIDAR", 2019, sec. IV-B.
+
+use crate::random::{self, Purpose, Stream};
+use lidar_core::Error;
+use lidar_core::circles::segments::Side;
+use rayon::ThreadPool;
+use rayon::prelude::*;
+use std::f64::consts::TAU;
+use std::ops::{Range, RangeInclusive};
+
+/// Samples worked on together: fixed, so that the result cannot depend on the number of threads.
+const SAMPLES_PER_CHUNK: u64 = 4096;
+/// Circles that are drawn and not seen before the scanner counts as blind.
+const MOST_DRAWS: usize = 100_000;
+/// Places of a lattice.
+pub const MOST_CIRCLES: u64 = 100_000_000;
+
+/// Rays of a 2D scanner, all at once.
+#[derive(Clone, Copy, Debug)]
+pub struct Beams {
+    /// Bearing of the first ray [rad].
+    pub angle_min: f64,
+    /// Step from ray to ray [rad], not 0.
+    pub angle_increment: f64,
+    /// Number of rays.
+    pub n_beams: u32,
+    /// Nearest and farthest surface that is measured [m].
+    pub range_limits: [f64; 2],
+}
+
+/// Which circles a scanner is shown.
+#[derive(Clone, Copy, Debug)]
+pub enum Source<'a> {
+    /// These, as centre x, centre y, radius [m]; each so many times in a row.
+    Given(&'a [[f64; 3]], u64),
+    /// A new one for every sample: centre uniform in a square around the scanner, radius uniform.
+    Drawn {
+        /// Half the side of the square [m].
+        reach: f64,
+        /// Smallest and largest radius [m].
+        radius: [f64; 2],
+    },
+}
+
+/// What happens between the circle and the ranges. Pairs are ends of a uniform distribution, from
+/// which every sample draws its own value.
+#[derive(Clone, Copy, Debug)]
+pub struct Disturbance {
+    /// Standard deviation of a range [m].
+    pub range_std: [f64; 2],
+    /// Half the width of a ray [rad]: it returns when its edge meets the circle.
+    pub beam_half_width: [f64; 2],
+    /// Share of samples of which something nearer hides one side (of one in four of them: both).
+    pub occluded_share: f64,
+    /// Share of ends of circles where the last ray meets circle and background at once.
+    pub mixed_share: f64,
+    /// How far behind the circle such a ray ends at most [m].
+    pub mixed_depth: f64,
+    /// A side may be cut by the nearer or farther range limit if it ends this close to it [m].
+    pub cut_margins: [f64; 2],
+}
+
+/// Samples, one after the other. Of each scan only its window is kept: from the first ray that
+/// met the circle to the last one.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Samples {
+    /// Centre x, centre y, radius [m].
+    pub circles: Vec<[f32; 3]>,
+    /// Standard deviation of the ranges of the sample [m].
+    pub range_std: Vec<f32>,
+    /// Half the width of its rays [rad].
+    pub beam_half_width: Vec<f32>,
+    /// First ray of the window; it may run over the end of the sweep and go on at ray 0.
+    pub first_ray: Vec<u32>,
+    /// Rays in the window.
+    pub n_rays: Vec<u32>,
+    /// What lies beside the window: numbers of [`Side`] in its order.
+    pub sides: Vec<[u8; 2]>,
+    /// Ranges of all windows [m]; +inf is a miss between hits.
+    pub ranges: Vec<f32>,
+}
+
+/// The part of a scan that one circle fills.
+struct Window {
+    first_ray: u32,
+    ranges: Vec<f64>,
+}
+
+/// Circles on a lattice that the scanner sees: centres at multiples of `spacing` within `reach`
+/// of it along both axes, radii at multiples of `radius_step`. It is outside of them and at least
+/// one ray, without noise, returns. Sec. IV-B.
+///
+/// # Errors
+/// [`Error::Parameter`] if the beams sweep nothing or the lattice has no end, [`Error::Limit`]
+/// for more than [`MOST_CIRCLES`] places.
+pub fn lattice(
+    beams: &Beams,
+    reach: f64,
+    spacing: f64,
+    radii: RangeInclusive<u32>,
+    radius_step: f64,
+) -> Result<Vec<[f64; 3]>, Error> {
+    beams.check()?;
+    let steps = (reach / spacing).round();
+    if !(steps.is_finite() && steps >= 0.0) {
+        let got = format!("{reach} and {spacing}");
+        let expected = "reach >= 0 and spacing > 0";
+        return Err(Error::Parameter { name: "reach, spacing", expected, got });
+    }
+    let places = (2.0 * steps + 1.0).powi(2) * radii.clone().count() as f64;
+    if places > MOST_CIRCLES as f64 {
+        let what = format!("a lattice of {places} circles");
+        return Err(Error::Limit { what, limit: MOST_CIRCLES, key: "spacing" });
+    }
+    let steps = steps as i32;
+    let mut circles = Vec::new();
+    for radius in radii.map(|step| f64::from(step) * radius_step) {
+        for x in -steps..=steps {
+            for y in -steps..=steps {
+                let circle = [f64::from(x) * spacing, f64::from(y) * spacing, radius];
+                if beams.window(circle, 0.0).is_some() {
+                    circles.push(circle);
+                }
+            }
+        }
+    }
+    Ok(circles)
+}
+
+/// Make the samples with the numbers `numbers`. A sample depends on nothing but the seed and its
+/// number.
+///
+/// # Errors
+/// [`Error::Parameter`] if the beams sweep nothing, [`Error::Value`] for a given circle that the
+/// scanner cannot see, [`Error::Limit`] if no drawn circle is seen.
+pub fn make(
+    pool: &ThreadPool,
+    beams: &Beams,
+    source: Source<'_>,
+    disturbance: &Disturbance,
+    seed: u64,
+    numbers: Range<u64>,
+) -> Result<Samples, Error> {
+    beams.check()?;
+    let maker = Maker { beams, source, disturbance, seed };
+    let starts: Vec<u64> = numbers.clone().step_by(SAMPLES_PER_CHUNK as usize).collect();
+    let parts: Vec<Result<Samples, Error>> = pool.install(|| {
+        let part =
+            |&start: &u64| maker.samples(start..(start + SAMPLES_PER_CHUNK).min(numbers.end));
+        starts.par_iter().map(part).collect()
+    });
+    let mut samples = Samples::default();
+    for part in parts {
+        samples.append(part?);
+    }
+    Ok(samples)
+}
+
+impl Beams {
+    fn check(&self) -> Result<(), Error> {
+        let [near, far] = self.range_limits;
+        let turned = self.angle_increment.abs() * f64::from(self.n_beams);
+        if self.n_beams > 0 && turned > 0.0 && turned < 2.0 * TAU && near < far {
+            return Ok(());
+        }
+        let expected = "rays that turn once at most, and a nearer limit below the farther one";
+        Err(Error::Parameter { name: "beams", expected, got: format!("{self:?}") })
+    }
+
+    /// Direction of ray `ray` [rad].
+    fn bearing(&self, ray: u32) -> f64 {
+        self.angle_min + self.angle_increment * f64::from(ray)
+    }
+
+    /// Rays within `half_angle` of `bearing`: a first run of them, and one after the seam.
+    fn runs(&self, bearing: f64, half_angle: f64) -> [Range<u32>; 2] {
+        let mut runs = [0..0, 0..0];
+        let middle = (bearing - self.angle_min) / self.angle_increment;
+        let half = (half_angle / self.angle_increment).abs();
+        let turn = (TAU / self.angle_increment).abs();
+        let most = f64::from(self.n_beams - 1);
+        // The lowest place of the middle, counted in rays, from which the circle may reach ray 0.
+        let mut middle = middle - ((middle + half) / turn).floor() * turn;
+        let mut found = 0;
+        while middle - half <= most && found < 2 {
+            let (from, to) = ((middle - half).ceil().max(0.0), (middle + half).floor().min(most));
+            if from <= to {
+                runs[found] = from as u32..to as u32 + 1;
+                found += 1;
+            }
+            middle += turn;
+        }
+        if found == 2 {
+            runs.swap(0, 1); // over the seam: the later rays come first
+        }
+        runs
+    }
+
+    /// What a scan without noise sees of a circle; None if nothing, or from inside.
+    fn window(&self, [x, y, radius]: [f64; 3], half_width: f64) -> Option<Window> {
+        let (distance, bearing) = (libm::hypot(x, y), libm::atan2(y, x));
+        if distance <= radius {
+            return None;
+        }
+        let [near, far] = self.range_limits;
+        if distance - radius > far {
+            return None;
+        }
+        let half_angle = libm::asin(radius / distance);
+        let runs = self.runs(bearing, half_angle + half_width + 1e-9);
+        let mut ranges = Vec::with_capacity(runs.iter().map(ExactSizeIterator::len).sum());
+        let first_ray = runs[0].start;
+        for ray in runs.into_iter().flatten() {
+            let off = self.bearing(ray) - bearing;
+            let aside = distance * libm::sin(off);
+            let depth = radius * radius - aside * aside;
+            let range = if depth >= 0.0 {
+                distance * libm::cos(off) - depth.sqrt()
+            } else if half_width > 0.0 && turned(off) < half_angle + half_width {
+                (distance * distance - radius * radius).sqrt() // its edge meets the flank
+            } else {
+                f64::INFINITY
+            };
+            ranges.push(if (near..=far).contains(&range) { range } else { f64::INFINITY });
+        }
+        Window { first_ray, ranges }.trimmed(self.n_beams)
+    }
+
+    /// What lies beside the ends of a window.
+    fn sides(&self, window: &Window, cut_margins: [f64; 2]) -> [Side; 2] {
+        let last = (window.first_ray + window.ranges.len() as u32 - 1) % self.n_beams;
+        let turned = self.angle_increment.abs() * (f64::from(self.n_beams) - 0.5);
+        let closed = turned >= TAU - self.angle_increment.abs();
+        let ends = [(window.first_ray, 0, 0), (last, self.n_beams - 1, window.ranges.len() - 1)];
+        ends.map(|(ray, edge, place)| {
+            let range = window.ranges[place];
+            let cut = range < self.range_limits[0] + cut_margins[0]
+                || range > self.range_limits[1] - cut_margins[1];
+            match (ray == edge && !closed, cut) {
+                (true, _) => Side::FieldEdge,
+                (_, true) => Side::RangeCut,
+                _ => Side::Free,
+            }
+        })
+    }
+}
+
+/// How far `angle` turns, the shorter way [rad].
+fn turned(angle: f64) -> f64 {
+    (angle - (angle / TAU).round() * TAU).abs()
+}
+
+impl Window {
+    /// Without misses at its ends; None if there is nothing else.
+    fn trimmed(mut self, n_beams: u32) -> Option<Self> {
+        let from = self.ranges.iter().position(|range| range.is_finite())?;
+        let to = self.ranges.iter().rposition(|range| range.is_finite())?;
+        self.ranges.truncate(to + 1);
+        self.ranges.drain(..from);
+        self.first_ray = (self.first_ray + from as u32) % n_beams;
+        Some(self)
+    }
+}
+
+/// Everything that makes one sample of a number.
+struct Maker<'a> {
+    beams: &'a Beams,
+    source: Source<'a>,
+    disturbance: &'a Disturbance,
+    seed: u64,
+}
+
+impl Maker<'_> {
+    fn samples(&self, numbers: Range<u64>) -> Result<Samples, Error> {
+        let mut samples = Samples::default();
+        for number in numbers {
+            let mut stream = Stream::new(self.seed, Purpose::Circle, number);
+            let [noise, width, ..] = stream.uniforms();
+            let range_std = between(self.disturbance.range_std, noise);
+            let half_width = between(self.disturbance.beam_half_width, width);
+            let (circle, mut window) = self.seen(number, half_width, &mut stream)?;
+            let mut sides = self.beams.sides(&window, self.disturbance.cut_margins);
+            self.hide(&mut window, &mut sides, &mut stream);
+            self.mix(&mut window, &mut stream);
+            self.add_noise(&mut window, range_std, number);
+            samples.circles.push(circle.map(|value| value as f32));
+            samples.range_std.push(range_std as f32);
+            samples.beam_half_width.push(half_width as f32);
+            samples.first_ray.push(window.first_ray);
+            samples.n_rays.push(window.ranges.len() as u32);
+            samples.sides.push(sides.map(|side| side as u8));
+            samples.ranges.extend(window.ranges.iter().map(|&range| range as f32));
+        }
+        Ok(samples)
+    }
+
+    /// A circle and what the scanner sees of it.
+    fn seen(
+        &self,
+        number: u64,
+        half_width: f64,
+        stream: &mut Stream,
+    ) -> Result<([f64; 3], Window), Error> {
+        match self.source {
+            Source::Given(circles, times) => {
+                let index = (number / times.max(1)) as usize;
+                let circle = circles.get(index).copied().unwrap_or([f64::NAN; 3]);
+                let window = self.beams.window(circle, half_width);
+                let got = format!("{circle:?}");
+                let expected = "a circle that the scanner sees, from outside";
+                let refused = Error::Value { name: "circles", expected, index, got };
+                Ok((circle, window.ok_or(refused)?))
+            }
+            Source::Drawn { reach, radius } => {
+                for _ in 0..MOST_DRAWS {
+                    let [x, y, size, _] = stream.uniforms();
+                    let square = [-reach, reach];
+                    let circle = [between(square, x), between(square, y), between(radius, size)];
+                    if let Some(window) = self.beams.window(circle, half_width) {
+                        return Ok((circle, window));
+                    }
+                }
+                Err(Error::Limit {
+                    what: "circles drawn that the scanner does not see".into(),
+                    limit: MOST_DRAWS as u64,
+                    key: "choose circles within its range and field of view",
+                })
+            }
+        }
+    }
+
+    /// Let something nearer hide a part of the circle.
+    fn hide(&self, window: &mut Window, sides: &mut [Side; 2], stream: &mut Stream) {
+        let [whether, which, first, second] = stream.uniforms();
+        if whether >= self.disturbance.occluded_share || window.ranges.len() < 2 {
+            return;
+        }
+        let hidden = [which < 0.625, which >= 0.375]; // a quarter of them: both
+        let places = window.ranges.len() as f64 / if hidden == [true; 2] { 2.0 } else { 1.0 };
+        let mut ranges = window.ranges.clone();
+        let mut sides_left = *sides;
+        for (side, share) in [first, second].into_iter().enumerate() {
+            let rays = (share * places) as usize;
+            if !hidden[side] || rays == 0 {
+                continue;
+            }
+            let gone = if side == 0 { 0..rays } else { ranges.len() - rays..ranges.len() };
+            ranges[gone].fill(f64::INFINITY);
+            sides_left[side] = Side::Occluded;
+        }
+        let left = Window { first_ray: window.first_ray, ranges }.trimmed(self.beams.n_beams);
+        if let Some(left) = left {
+            (*window, *sides) = (left, sides_left);
+        }
+    }
+
+    /// Let rays at the ends meet circle and background at once.
+    fn mix(&self, window: &mut Window, stream: &mut Stream) {
+        let [first, second, near, far] = stream.uniforms();
+        let last = window.ranges.len() - 1;
+        for (whether, place, share) in [(first, 0, near), (second, last, far)] {
+            if whether < self.disturbance.mixed_share {
+                window.ranges[place] += share * self.disturbance.mixed_depth;
+            }
+        }
+    }
+
+    fn add_noise(&self, window: &mut Window, range_std: f64, number: u64) {
+        for (index, pair) in window.ranges.chunks_mut(2).enumerate() {
+            let place = random::place(Purpose::CircleNoise, number, index as u32);
+            let drawn = random::words(self.seed, place);
+            for (range, words) in pair.iter_mut().zip(drawn.chunks(2)) {
+                // A range is never below 0, whatever the noise.
+                *range = (*range + range_std * random::normal(words[0], words[1])).max(0.0);
+            }
+        }
+    }
+}
+
+/// Uniform between two ends.
+fn between([low, high]: [f64; 2], uniform: f64) -> f64 {
+    low + (high - low) * uniform
+}
+
+impl Samples {
+    fn append(&mut self, mut other: Self) {
+        self.circles.append(&mut other.circles);
+        self.range_std.append(&mut other.range_std);
+        self.beam_half_width.append(&mut other.beam_half_width);
+        self.first_ray.append(&mut other.first_ray);
+        self.n_rays.append(&mut other.n_rays);
+        self.sides.append(&mut other.sides);
+        self.ranges.append(&mut other.ranges);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lidar_core::threads::pool;
+
+    const QUIET: Disturbance = Disturbance {
+        range_std: [0.0; 2],
+        beam_half_width: [0.0; 2],
+        occluded_share: 0.0,
+        mixed_share: 0.0,
+        mixed_depth: 0.0,
+        cut_margins: [0.15, 1.0],
+    };
+
+    fn hokuyo() -> Beams {
+        let degree = f64::to_radians(1.0);
+        Beams {
+            angle_min: -135.0 * degree,
+            angle_increment: 0.25 * degree,
+            n_beams: 1081,
+            range_limits: [0.1, 10.0],
+        }
+    }
+
+    fn one(beams: &Beams, circle: [f64; 3], how: &Disturbance) -> Result<Samples, Error> {
+        make(&pool(1)?, beams, Source::Given(&[circle], 1), how, 1, 0..1)
+    }
+
+    #[test]
+    fn the_middle_ray_ends_at_distance_less_radius() -> Result<(), Error> {
+        let samples = one(&hokuyo(), [5.0, 0.0, 0.3], &QUIET)?;
+        // asin(0.3 / 5) is 3.44 degrees: 13 rays to each side of ray 540.
+        assert_eq!((samples.first_ray[0], samples.n_rays[0]), (527, 27));
+        assert!((samples.ranges[13] - 4.7).abs() < 1e-6);
+        assert_eq!(samples.sides[0], [Side::Free as u8; 2]);
+        Ok(())
+    }
+
+    #[test]
+    fn sides_tell_what_cuts_a_circle() -> Result<(), Error> {
+        let edge = f64::to_radians(135.0);
+        let circle = [3.0 * libm::cos(edge), 3.0 * libm::sin(edge), 0.5];
+        let at_edge = one(&hokuyo(), circle, &QUIET)?;
+        assert_eq!(at_edge.sides[0], [Side::Free as u8, Side::FieldEdge as u8]);
+        let far = one(&hokuyo(), [10.2, 0.0, 0.5], &QUIET)?;
+        assert_eq!(far.sides[0], [Side::RangeCut as u8; 2]);
+        let hidden = Disturbance { occluded_share: 1.0, ..QUIET };
+        let part = one(&hokuyo(), [5.0, 0.0, 0.3], &hidden)?;
+        assert!(part.sides[0].contains(&(Side::Occluded as u8)) && part.n_rays[0] < 27);
+        Ok(())
+    }
+
+    #[test]
+    fn a_full_circle_sees_over_its_seam() -> Result<(), Error> {
+        let mut beams = hokuyo();
+        (beams.angle_min, beams.n_beams) = (0.0, 1440);
+        let samples = one(&beams, [5.0, 0.0, 0.3], &QUIET)?;
+        assert_eq!((samples.first_ray[0], samples.n_rays[0]), (1440 - 13, 27));
+        assert_eq!(samples.sides[0], [Side::Free as u8; 2]);
+        beams.angle_increment = -beams.angle_increment;
+        assert_eq!(one(&beams, [5.0, 0.0, 0.3], &QUIET)?.n_rays, [27]);
+        Ok(())
+    }
+
+    #[test]
+    fn wide_rays_see_wider_circles() -> Result<(), Error> {
+        let wide = Disturbance { beam_half_width: [0.01; 2], ..QUIET };
+        let samples = one(&hokuyo(), [5.0, 0.0, 0.3], &wide)?;
+        assert_eq!(samples.n_rays, [33]); // 3.44 + 0.57 degrees to each side
+        assert!((samples.ranges[0] - (25.0f32 - 0.09).sqrt()).abs() < 1e-6);
+        Ok(())
+    }
+
+    #[test]
+    fn samples_depend_on_seed_and_number_only() -> Result<(), Error> {
+        let source = Source::Drawn { reach: 10.0, radius: [0.05, 0.5] };
+        let how = Disturbance { range_std: [0.01; 2], occluded_share: 0.3, ..QUIET };
+        let beams = hokuyo();
+        let all = make(&pool(1)?, &beams, source, &how, 3, 0..9000)?;
+        assert_eq!(all, make(&pool(3)?, &beams, source, &how, 3, 0..9000)?);
+        let late = make(&pool(1)?, &beams, source, &how, 3, 8000..9000)?;
+        assert_eq!(all.circles[8000..], late.circles);
+        assert!(all.ranges.ends_with(&late.ranges));
+        Ok(())
+    }
+
+    #[test]
+    fn what_cannot_be_seen_is_refused() -> Result<(), Error> {
+        assert!(one(&hokuyo(), [0.1, 0.0, 0.3], &QUIET).is_err());
+        assert!(one(&hokuyo(), [-5.0, 0.0, 0.3], &QUIET).is_err());
+        let far = Source::Drawn { reach: 0.0, radius: [0.5, 0.5] };
+        assert!(make(&pool(1)?, &hokuyo(), far, &QUIET, 1, 0..1).is_err());
+        Ok(())
+    }
+
+    /// Sec. IV-B: 2,011,494 measurements, two of every circle. Rounding of rays that touch a
+    /// circle decides about some tens of circles.
+    #[test]
+    fn the_lattice_has_as_many_circles_as_published() -> Result<(), Error> {
+        let circles = lattice(&hokuyo(), 10.0, 0.05, 1..=10, 0.05)?;
+        assert!(circles.len().abs_diff(1_005_747) <= 50, "{}", circles.len());
+        Ok(())
+    }
+}
