@@ -16,8 +16,8 @@ from lidar_core.config import NONE, Config
 from lidar_core.errors import ConfigError
 
 MODELS = {
-    "circle_map": "lidar_core.circles:CircleMapConfig",
     "circle_dataset": "lidar_core.circles:DatasetConfig",
+    "circle_map": "lidar_core.circles:CircleMapConfig",
     "evaluation": "lidar_core.evaluation:EvaluationConfig",
     "flight": "lidar_core.sim:InsertedFlight",
     "flying": "lidar_core.flying:FlyingConfig",
