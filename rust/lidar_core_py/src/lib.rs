@@ -29,6 +29,7 @@ mod _core {
     use super::center::target_center;
     #[pymodule_export]
     use super::circle_map::PyCircleMap;
+    #[pymodule_export]
     use super::circle_samples::{circle_lattice, make_circle_samples};
     #[pymodule_export]
     use super::circle_windows::{circle_windows, circles_from_answers};
