@@ -9,6 +9,7 @@ from lidar_core.parameters import MODELS, Parameter, model_named, models_within,
 PAGE = Path(__file__).parent / "parameters.md"
 USED_BY = {
     "circle_dataset": "`circles.dataset`, `circles.make_samples`",
+    "circle_fit": "`lidar_core.circles.CircleDetector`",
     "circle_map": "`lidar_core.circles.CircleMap`",
     "evaluation": "`lidar-core demo`, `lidar_core.evaluation`",
     "flight": "`lidar_core.sim`: a target in a real scan",

@@ -24,7 +24,9 @@ __all__ = [
     "circle_windows",
     "circles_from_answers",
     "cluster_points",
+    "detect_circles",
     "detection_probability",
+    "fit_circles",
     "fusion_outcomes",
     "fusion_run",
     "hit_probability",
@@ -89,6 +91,21 @@ def segment_scan(
     config: object,
     scanner: object,
 ) -> tuple[NDArray[np.int32], NDArray[np.uint32], NDArray[np.int64], NDArray[np.uint8]]: ...
+def detect_circles(
+    ranges: NDArray[np.float32],
+    bearings: NDArray[np.float64],
+    *,
+    config: object,
+    scanner: object,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]: ...
+def fit_circles(
+    ranges: NDArray[np.float64],
+    bearings: NDArray[np.float64],
+    segments: tuple[NDArray[np.uint32], NDArray[np.int64], NDArray[np.uint8]],
+    *,
+    config: object,
+    scanner: object,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]: ...
 def chi2_quantile(probability: float, *, degrees: int) -> float: ...
 def circle_lattice(
     scanner: object,

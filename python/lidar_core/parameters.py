@@ -17,6 +17,7 @@ from lidar_core.errors import ConfigError
 
 MODELS = {
     "circle_dataset": "lidar_core.circles:DatasetConfig",
+    "circle_fit": "lidar_core.circles:FitConfig",
     "circle_map": "lidar_core.circles:CircleMapConfig",
     "evaluation": "lidar_core.evaluation:EvaluationConfig",
     "flight": "lidar_core.sim:InsertedFlight",

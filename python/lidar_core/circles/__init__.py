@@ -1,6 +1,9 @@
 """Round obstacles in 2D scans: from one sweep of ranges to a map of circles with identities."""
 
 from lidar_core.circles.dataset_config import DatasetConfig
+from lidar_core.circles.detector import CircleDetector
+from lidar_core.circles.fit_config import FitConfig
+from lidar_core.circles.fitting import Circles, fit_circles
 from lidar_core.circles.map import CircleElements, CircleMap, MapEvents
 from lidar_core.circles.map_config import CircleMapConfig
 from lidar_core.circles.preprocess import limit_range, project_horizontal
@@ -10,10 +13,13 @@ from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments, Side, segment
 
 __all__ = [
+    "CircleDetector",
     "CircleElements",
     "CircleMap",
     "CircleMapConfig",
+    "Circles",
     "DatasetConfig",
+    "FitConfig",
     "MapEvents",
     "PreprocessConfig",
     "Samples",
@@ -21,6 +27,7 @@ __all__ = [
     "SegmentConfig",
     "Segments",
     "Side",
+    "fit_circles",
     "limit_range",
     "make_samples",
     "project_horizontal",

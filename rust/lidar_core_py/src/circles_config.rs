@@ -2,6 +2,7 @@
 
 use crate::arrays;
 use lidar_core::Error;
+use lidar_core::circles::fit::{FitParameters, Method};
 use lidar_core::circles::segment::{Bound, Criterion, SegmentParameters};
 use pyo3::prelude::*;
 
@@ -46,6 +47,36 @@ impl SegmentConfig {
             min_fraction: self.min_fraction,
             range_limits: [scanner.range_min, scanner.range_max],
             cut_margins: [self.near_margin, self.far_margin],
+        })
+    }
+}
+
+#[derive(FromPyObject)]
+pub(crate) struct FitConfig {
+    method: String,
+    range_std: f64,
+    beam_half_width: f64,
+    min_radius: f64,
+    max_radius: f64,
+    usual_radius: f64,
+}
+
+impl FitConfig {
+    pub(crate) fn parameters(&self, scanner: &ScannerConfig) -> Result<FitParameters, Error> {
+        let methods = [
+            ("ml", Method::Expected),
+            ("mode", Method::MostLikely),
+            ("taubin", Method::Taubin),
+            ("pratt", Method::Pratt),
+            ("kasa", Method::Kasa),
+        ];
+        Ok(FitParameters {
+            method: arrays::choice("method", &self.method, &methods)?,
+            range_std: self.range_std,
+            beam_half_width: self.beam_half_width,
+            radius: [self.min_radius, self.max_radius],
+            usual_radius: self.usual_radius,
+            range_limits: [scanner.range_min, scanner.range_max],
         })
     }
 }

@@ -3,6 +3,7 @@
 mod analysis;
 mod arrays;
 mod center;
+mod circle_fit;
 mod circle_map;
 mod circle_samples;
 mod circle_windows;
@@ -27,6 +28,8 @@ mod _core {
     use super::analysis::{detection_probability, hit_probability, point_covariance};
     #[pymodule_export]
     use super::center::target_center;
+    #[pymodule_export]
+    use super::circle_fit::{detect_circles, fit_circles};
     #[pymodule_export]
     use super::circle_map::PyCircleMap;
     #[pymodule_export]

@@ -1,0 +1,100 @@
+"""Circles from scans that show one object each, sec. IV."""
+
+from typing import get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lidar_core import _core
+from lidar_core.arrays import as_finite_rows, as_rows
+from lidar_core.circles.fit_config import FitConfig, FitMethod
+from lidar_core.circles.fitting import Circles
+from lidar_core.circles.scanner import Scanner
+from lidar_core.config import as_config
+from lidar_core.errors import ConfigError
+
+
+class CircleDetector:
+    """Estimate circles, each from a scan that shows nothing else.
+
+    Parameters
+    ----------
+    detector : str
+        "ml" (best), "mode", "taubin", "pratt" or "kasa": `FitConfig.method`.
+    config : FitConfig, optional
+        Everything else about the fit; its `method` gives way to `detector`.
+    scanner : Scanner, optional
+        Where the ranges come from; only its range limits count.
+
+    Raises
+    ------
+    ConfigError
+        There is no such detector.
+
+    Notes
+    -----
+    "ml" reports the expected circle, given the ranges, the rays that passed beside the object,
+    the edges of the field of view and the range limits, with centres and radii evenly
+    distributed beforehand. Its covariance is that of the same distribution.
+    """
+
+    def __init__(
+        self,
+        detector: str = "ml",
+        *,
+        config: FitConfig | None = None,
+        scanner: Scanner | None = None,
+    ) -> None:
+        if detector not in get_args(FitMethod):
+            known = ", ".join(get_args(FitMethod))
+            raise ConfigError(f"detector: expected one of {known}, got {detector!r}")
+        fit = as_config(config, FitConfig)
+        limits = as_config(scanner, Scanner)
+        self.config = FitConfig.load(fit.model_dump() | {"method": detector})
+        self.scanner = limits
+
+    def detect(self, ranges_batch: ArrayLike, bearings: ArrayLike) -> Circles:
+        """One circle per scan.
+
+        Parameters
+        ----------
+        ranges_batch : array_like, shape (B, n_beams), float32
+            Distances [m], one scan per row; +inf is a miss, NaN no information. Must not be
+            written to during the call.
+        bearings : array_like, shape (n_beams,)
+            Direction of every ray [rad], in the order of the sweep; any spacing.
+
+        Returns
+        -------
+        Circles
+            One per row; NaN, with 0 hits, where a row has no hit.
+
+        Raises
+        ------
+        InputError
+            Wrong shape or dtype, a bearing that is not finite, a range <= 0.
+
+        Notes
+        -----
+        Deterministic; releases the GIL.
+
+        Examples
+        --------
+        >>> bearings = np.radians(np.arange(-10, 10.25, 0.25))
+        >>> miss = np.sin(bearings) * 4.0  # a circle of 0.3 m at (4, 0)
+        >>> root = np.sqrt(np.maximum(0.3**2 - miss**2, 0))
+        >>> ranges = np.where(abs(miss) < 0.3, np.cos(bearings) * 4.0 - root, np.inf)
+        >>> circles = CircleDetector("ml").detect([ranges], bearings)
+        >>> np.asarray(circles).round(2) + 0.0
+        array([[4. , 0. , 0.3]])
+        """
+        angles = as_finite_rows(bearings, name="bearings", rows=None, shape=())
+        rows = as_rows(
+            ranges_batch,
+            name="ranges_batch",
+            rows=None,
+            shape=(len(angles),),
+            dtype=np.float32,
+        )
+        found = _core.detect_circles(rows, angles, config=self.config, scanner=self.scanner)
+        return Circles(*found)

@@ -1,0 +1,212 @@
+//! One segment in coordinates of its own, with what lies beside it.
+
+use super::FitParameters;
+use crate::Error;
+use crate::circles::polar::PolarScan;
+use crate::circles::segments::{Segments, Side};
+use std::f64::consts::TAU;
+
+/// More hits than this are joined to about as many, all but the outermost: their cost grows, what
+/// they tell does not.
+const MANY: usize = 64;
+/// Outermost hits that stay as they are: near the tangents the range is no straight line.
+const KEPT: usize = 8;
+
+/// One hit, or several that lie side by side. Bearings count from the middle of the arc.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Hit {
+    pub(super) bearing: f64,
+    pub(super) cosine: f64,
+    pub(super) sine: f64,
+    pub(super) range: f64,
+    /// Number of hits joined.
+    pub(super) weight: f64,
+}
+
+/// How far the object may reach beyond the outermost hit of one side.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Edge {
+    /// Bearing of the outermost hit.
+    pub(super) bearing: f64,
+    /// How far beyond it the tangent can lie at most [rad].
+    pub(super) reach: f64,
+    /// Bearings of rays within reach that returned nothing, which the object may cross only where
+    /// it lies outside the range limits.
+    pub(super) missed: Vec<f64>,
+}
+
+/// The hits of a segment in the order of their bearings.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Arc {
+    /// Direction of its middle in the scan's frame [rad].
+    pub(super) bearing: f64,
+    pub(super) hits: Vec<Hit>,
+    pub(super) n_hits: usize,
+    /// Smallest range of a hit [m].
+    pub(super) nearest: f64,
+    /// Sum of squared ranges [m^2].
+    pub(super) square: f64,
+    /// Sides of smaller and of larger bearings.
+    pub(super) edges: [Edge; 2],
+}
+
+/// Where one side of a segment is looked at.
+struct Outward<'a> {
+    scan: &'a PolarScan,
+    /// Outermost ray.
+    ray: usize,
+    /// Whether the rays beyond have larger numbers.
+    up: bool,
+}
+
+impl Outward<'_> {
+    /// Rays beyond the outermost one, each with how far beyond [rad], up to `reach`.
+    fn rays(&self, reach: f64) -> impl Iterator<Item = (usize, f64)> + '_ {
+        let (count, origin) = (self.scan.len(), self.scan.bearings[self.ray]);
+        let wraps = is_full_circle(self.scan);
+        let step = move |ray: usize| match (self.up, wraps) {
+            (true, true) => Some((ray + 1) % count),
+            (true, false) => Some(ray + 1).filter(|&next| next < count),
+            (false, true) => Some((ray + count - 1) % count),
+            (false, false) => ray.checked_sub(1),
+        };
+        std::iter::successors(step(self.ray), move |&ray| step(ray))
+            .take(count - 1)
+            .map(move |ray| (ray, turn(self.scan.bearings[ray] - origin).abs()))
+            .take_while(move |&(_, beyond)| beyond <= reach)
+    }
+}
+
+/// `angle` within -pi..pi.
+pub(super) fn turn(angle: f64) -> f64 {
+    angle - TAU * libm::round(angle / TAU)
+}
+
+/// Whether the ray after the last one is the first one.
+pub(super) fn is_full_circle(scan: &PolarScan) -> bool {
+    let count = scan.len();
+    if count < 3 {
+        return false;
+    }
+    let span = (scan.bearings[count - 1] - scan.bearings[0]).abs();
+    span + 1.5 * span / (count - 1) as f64 >= TAU
+}
+
+impl Arc {
+    /// Take over segment `number`.
+    ///
+    /// # Errors
+    /// [`Error::Value`] if it is empty, or holds a ray that did not end on anything.
+    pub(super) fn read(
+        &mut self,
+        scan: &PolarScan,
+        segments: &Segments,
+        number: usize,
+        parameters: &FitParameters,
+    ) -> Result<(), Error> {
+        let rays = segments.rays_of(number);
+        let (Some(&first), Some(&last)) = (rays.first(), rays.last()) else {
+            return Err(bad_segment(number, "no rays".into()));
+        };
+        self.read_hits(scan, rays).map_err(|got| bad_segment(number, got))?;
+        let ascends = rises(scan);
+        let mut sides = segments.sides.get(number).copied().unwrap_or([Side::Occluded; 2]);
+        let mut ends = [first as usize, last as usize];
+        if !ascends {
+            sides.reverse();
+            ends.reverse();
+        }
+        let bearings = [self.hits[0].bearing, self.hits[self.hits.len() - 1].bearing];
+        for side in 0..2 {
+            let outward = Outward { scan, ray: ends[side], up: (side == 1) == ascends };
+            self.edges[side].bearing = bearings[side];
+            self.read_edge(side, sides[side], &outward, parameters);
+        }
+        self.join_hits();
+        Ok(())
+    }
+
+    fn read_hits(&mut self, scan: &PolarScan, rays: &[u32]) -> Result<(), String> {
+        self.hits.clear();
+        let middle = scan.bearings.get(rays[rays.len() / 2] as usize).copied().unwrap_or(f64::NAN);
+        (self.bearing, self.n_hits) = (middle, rays.len());
+        (self.nearest, self.square) = (f64::INFINITY, 0.0);
+        for &ray in rays {
+            let ray = ray as usize;
+            let known = (scan.ranges.get(ray), scan.bearings.get(ray));
+            let (Some(&range), Some(&bearing)) = known else { return Err(format!("ray {ray}")) };
+            if !(range.is_finite() && range > 0.0 && bearing.is_finite()) {
+                return Err(format!("{range} [m] at {bearing} [rad] in ray {ray}"));
+            }
+            let bearing = turn(bearing - middle);
+            let (cosine, sine) = (libm::cos(bearing), libm::sin(bearing));
+            self.hits.push(Hit { bearing, cosine, sine, range, weight: 1.0 });
+            self.nearest = self.nearest.min(range);
+            self.square += range * range;
+        }
+        self.hits.sort_by(|a, b| a.bearing.total_cmp(&b.bearing));
+        Ok(())
+    }
+
+    /// How far the object may go on beyond one side, and which rays speak against it.
+    fn read_edge(&mut self, side: usize, kind: Side, outward: &Outward<'_>, p: &FitParameters) {
+        let most = p.radius[1];
+        let widest = 2.0 * libm::asin(most / (self.nearest + most)) + 2.0 * p.beam_half_width;
+        let behind = self.nearest + most + 5.0 * p.range_std; // no part of the circle is here
+        let edge = &mut self.edges[side];
+        edge.missed.clear();
+        edge.reach = widest;
+        let ranges = &outward.scan.ranges;
+        for (index, (ray, beyond)) in outward.rays(widest).enumerate() {
+            let range = ranges[ray];
+            let passes = range > behind && range.is_finite();
+            let missed = range == f64::INFINITY;
+            match kind {
+                Side::Free if index == 0 => edge.reach = beyond,
+                Side::RangeCut if missed => edge.missed.push(beyond),
+                Side::RangeCut | Side::Occluded if passes => edge.reach = beyond,
+                Side::Occluded if missed && behind < p.range_limits[1] => edge.reach = beyond,
+                Side::Occluded => {}
+                _ => break,
+            }
+            if edge.reach < widest {
+                break;
+            }
+        }
+    }
+
+    /// Join the hits of a large arc, all but the outermost.
+    fn join_hits(&mut self) {
+        let count = self.hits.len();
+        if count <= MANY {
+            return;
+        }
+        let joined = (count - 2 * KEPT).div_ceil(MANY - 2 * KEPT);
+        let (mut target, mut start) = (KEPT, KEPT);
+        while start < count - KEPT {
+            let end = (start + joined).min(count - KEPT);
+            let group = &self.hits[start..end];
+            let weight = group.len() as f64;
+            let bearing = group.iter().map(|hit| hit.bearing).sum::<f64>() / weight;
+            let range = group.iter().map(|hit| hit.range).sum::<f64>() / weight;
+            let (cosine, sine) = (libm::cos(bearing), libm::sin(bearing));
+            self.hits[target] = Hit { bearing, cosine, sine, range, weight };
+            (target, start) = (target + 1, end);
+        }
+        self.hits.copy_within(count - KEPT.., target);
+        self.hits.truncate(target + KEPT);
+        self.square = self.hits.iter().map(|hit| hit.weight * hit.range * hit.range).sum();
+    }
+}
+
+/// Whether bearings grow from ray to ray.
+fn rises(scan: &PolarScan) -> bool {
+    match scan.bearings.as_slice() {
+        [first, second, ..] => turn(second - first) >= 0.0,
+        _ => true,
+    }
+}
+
+fn bad_segment(number: usize, got: String) -> Error {
+    Error::Value { name: "segments", expected: "rays that ended on something", index: number, got }
+}

@@ -1,0 +1,225 @@
+//! How well a circle explains the ranges of an arc and the rays that passed beside it.
+//!
+//! A circle is given by the bearings of its two tangents from the sensor. With its centre at
+//! bearing b and distance d, and half the angle between the tangents a, the range of a ray is
+//! d g, g = cos e - sqrt(sin^2 a - sin^2 e), e its bearing from b: linear in d, so the best d has
+//! a closed form and only the tangents are searched. The rays that passed bound the tangents.
+
+use super::FitParameters;
+use super::arc::{Arc, Hit};
+use crate::circles::fit::mode::Normal;
+use std::f64::consts::FRAC_1_SQRT_2;
+
+/// Coordinates of the search: square roots of how far each tangent lies beyond its outermost hit
+/// [rad^(1/2)], in which the likelihood is smooth up to a tangent that is a hit.
+pub(super) type Roots = [f64; 2];
+
+/// Distances are known within so many standard deviations.
+const SPREAD: f64 = 4.0;
+/// Power with which circles of more than the usual radius become rare.
+const RARITY: i32 = 8;
+
+/// What the likelihood says about the best circle with given tangents.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Explained {
+    /// Centre x, y, radius [m].
+    pub(super) circle: [f64; 3],
+    /// How the circle changes with its distance.
+    pub(super) direction: [f64; 3],
+    /// Variance of the distance [m^2].
+    pub(super) variance: f64,
+    /// Logarithm of the likelihood at the best distance.
+    pub(super) log_likelihood: f64,
+    /// Logarithm of the likelihood integrated over the distance, of the prior that is uniform in
+    /// centre and radius, and of the measure of the roots.
+    pub(super) log_weight: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Likelihood<'a> {
+    pub(super) arc: &'a Arc,
+    pub(super) parameters: &'a FitParameters,
+}
+
+/// Middle and half width of the angle between two tangents, and their functions.
+#[derive(Clone, Copy)]
+struct View {
+    cosine: f64,
+    sine: f64,
+    half: [f64; 2], // sine, cosine
+}
+
+/// Ray and circle of unit distance.
+struct Met {
+    g: f64,
+    /// Sine and cosine of the angle to the centre.
+    angle: [f64; 2],
+    /// Root in g; 0 beside the circle.
+    root: f64,
+}
+
+impl View {
+    fn met(&self, cosine: f64, sine: f64) -> Met {
+        let across = sine * self.cosine - cosine * self.sine;
+        let along = cosine * self.cosine + sine * self.sine;
+        let root = (self.half[0] * self.half[0] - across * across).max(0.0).sqrt();
+        Met { g: along - root, angle: [across, along], root }
+    }
+}
+
+impl Likelihood<'_> {
+    /// Bearings of the tangents.
+    fn tangents(&self, roots: Roots) -> [f64; 2] {
+        let [low, high] = &self.arc.edges;
+        let width = self.parameters.beam_half_width;
+        let ends = [low.bearing + width, high.bearing - width];
+        [ends[0] - roots[0] * roots[0], ends[1] + roots[1] * roots[1]]
+    }
+
+    fn view(&self, roots: Roots) -> View {
+        let [low, high] = self.tangents(roots);
+        let (middle, half) = (0.5 * (low + high), (0.5 * (high - low)).clamp(1e-9, 1.57));
+        View {
+            cosine: libm::cos(middle),
+            sine: libm::sin(middle),
+            half: [libm::sin(half), libm::cos(half)],
+        }
+    }
+
+    /// The best distance without bounds, and sums of g^2 and g z.
+    fn distance(&self, view: &View) -> (f64, [f64; 2]) {
+        let mut sums = [0.0; 2];
+        for hit in &self.arc.hits {
+            let g = view.met(hit.cosine, hit.sine).g;
+            sums[0] += hit.weight * g * g;
+            sums[1] += hit.weight * g * hit.range;
+        }
+        (sums[1] / sums[0], sums)
+    }
+
+    /// Smallest and largest likely radius with these tangents, whether it is allowed or not [m].
+    pub(super) fn radius(&self, roots: Roots) -> [f64; 2] {
+        let view = self.view(roots);
+        let (distance, [gg, _]) = self.distance(&view);
+        let spread = SPREAD * self.parameters.range_std / gg.sqrt();
+        [distance - spread, distance + spread].map(|distance| distance * view.half[0])
+    }
+
+    /// About the same, without looking at the hits.
+    pub(super) fn rough_radius(&self, roots: Roots) -> f64 {
+        let [low, high] = self.tangents(roots);
+        let sine = libm::sin((0.5 * (high - low)).clamp(0.0, 1.5));
+        self.arc.nearest * sine / (1.0 - sine)
+    }
+
+    /// The most likely circle, without weight; None if its radius is outside the bounds.
+    pub(super) fn peak(&self, roots: Roots) -> Option<Explained> {
+        let found = self.at(roots, 0.0);
+        let [smallest, largest] = self.radius(roots);
+        let [least, most] = self.parameters.radius;
+        (smallest <= most && largest >= least).then_some(found)
+    }
+
+    pub(super) fn at(&self, roots: Roots, weight: f64) -> Explained {
+        let view = self.view(roots);
+        let (free, [gg, gz]) = self.distance(&view);
+        let [least, most] = self.parameters.radius.map(|radius| radius / view.half[0]);
+        let distance = free.clamp(least, most);
+        let noise = self.parameters.range_std * self.parameters.range_std;
+        let misfit = self.arc.square - distance * (2.0 * gz - distance * gg);
+        let log_likelihood = self.log_missed(roots, &view, distance) - 0.5 * misfit / noise;
+        let variance = noise / gg;
+        let prior = distance * distance * view.half[1] * variance.sqrt();
+        let usual = self.parameters.usual_radius;
+        let rarity = (usual / (distance * view.half[0])).min(1.0).powi(RARITY);
+        let measure = weight * rarity * prior * roots[0] * roots[1];
+        let direction = [view.cosine, view.sine, view.half[0]];
+        Explained {
+            circle: direction.map(|entry| distance * entry),
+            direction,
+            variance,
+            log_likelihood,
+            log_weight: log_likelihood + libm::log(measure),
+        }
+    }
+
+    /// Logarithm of the probability that rays which returned nothing cross the circle outside the
+    /// range limits.
+    fn log_missed(&self, roots: Roots, view: &View, distance: f64) -> f64 {
+        let std = self.parameters.range_std;
+        let [near, far] = self.parameters.range_limits;
+        let above = |z: f64| 0.5 * libm::erfc(z / std * FRAC_1_SQRT_2);
+        let mut sum = 0.0;
+        for (side, edge) in self.arc.edges.iter().enumerate() {
+            let sign = if side == 0 { -1.0 } else { 1.0 };
+            let reach = roots[side] * roots[side];
+            for beyond in edge.missed.iter().take_while(|&&beyond| beyond < reach) {
+                let bearing = edge.bearing + sign * beyond;
+                let range = distance * view.met(libm::cos(bearing), libm::sin(bearing)).g;
+                sum += libm::log((above(far - range) + above(range - near)).max(1e-300));
+            }
+        }
+        sum
+    }
+
+    /// Half the squared misfit of the ranges over their variance, and its derivatives by the
+    /// roots, the distance always at its best (Kaufman's approximation of the second ones).
+    pub(super) fn normal(&self, roots: Roots) -> Normal {
+        let view = self.view(roots);
+        let mut sums = Sums::default();
+        for hit in &self.arc.hits {
+            sums.add(hit, &view, roots);
+        }
+        let distance = sums.gz / sums.gg;
+        let slope = sums.ga.map(|ga| -distance * ga / sums.gg);
+        sums.normal(distance, slope, self.arc.square, self.parameters.range_std)
+    }
+}
+
+/// Sums over the hits: g and its derivatives a by the roots, ranges z.
+#[derive(Default)]
+struct Sums {
+    gg: f64,
+    gz: f64,
+    ga: [f64; 2],
+    za: [f64; 2],
+    aa: [f64; 3],
+}
+
+impl Sums {
+    fn add(&mut self, hit: &Hit, view: &View, roots: Roots) {
+        let Met { g, angle: [across, along], root } = view.met(hit.cosine, hit.sine);
+        let (by_middle, by_half) = if root > 0.0 {
+            (across - across * along / root, -view.half[0] * view.half[1] / root)
+        } else {
+            (across, 0.0)
+        };
+        let a = [roots[0] * (by_half - by_middle), roots[1] * (by_half + by_middle)];
+        let (w, z) = (hit.weight, hit.range);
+        self.gg += w * g * g;
+        self.gz += w * g * z;
+        for (side, a) in a.iter().enumerate() {
+            self.ga[side] += w * g * a;
+            self.za[side] += w * z * a;
+        }
+        self.aa[0] += w * a[0] * a[0];
+        self.aa[1] += w * a[0] * a[1];
+        self.aa[2] += w * a[1] * a[1];
+    }
+
+    /// The residual of a hit is z - d g: its derivatives are -d a - d' g.
+    fn normal(&self, distance: f64, slope: [f64; 2], square: f64, std: f64) -> Normal {
+        let weight = 1.0 / (std * std);
+        let misfit = square - distance * (2.0 * self.gz - distance * self.gg);
+        let gradient = |k: usize| -distance * (self.za[k] - distance * self.ga[k]);
+        let second = |k: usize, l: usize| {
+            let mixed = slope[k] * self.ga[l] + slope[l] * self.ga[k];
+            distance * distance * self.aa[k + l] + distance * mixed + slope[k] * slope[l] * self.gg
+        };
+        Normal {
+            misfit: 0.5 * weight * misfit,
+            gradient: [weight * gradient(0), weight * gradient(1)],
+            hessian: [weight * second(0, 0), weight * second(0, 1), weight * second(1, 1)],
+        }
+    }
+}

@@ -1,0 +1,172 @@
+//! Circles from the segments of a scan, eq. 3, each with a covariance.
+
+mod algebraic;
+mod arc;
+mod likelihood;
+mod mode;
+mod posterior;
+mod row;
+
+#[cfg(test)]
+mod tests;
+
+use super::circle::{Circle, CircleEstimate};
+use super::polar::PolarScan;
+use super::segments::Segments;
+use crate::Error;
+use arc::Arc;
+use likelihood::Likelihood;
+use posterior::Posterior;
+
+/// How a circle is fitted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Method {
+    /// Least squares of x^2 + y^2 + a x + b y + c.
+    Kasa,
+    /// The same over the squared diameter.
+    Pratt,
+    /// The same over the mean squared gradient.
+    Taubin,
+    /// The expected circle, given the ranges and the rays that passed beside it.
+    Expected,
+    /// The most likely circle, given the same.
+    MostLikely,
+}
+
+/// What a fit has to know.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FitParameters {
+    /// How circles are fitted.
+    pub method: Method,
+    /// Standard deviation of a range [m].
+    pub range_std: f64,
+    /// Half the width of a beam as far as a circle returns it [rad].
+    pub beam_half_width: f64,
+    /// Smallest and largest radius [m].
+    pub radius: [f64; 2],
+    /// Circles up to this radius are all as likely, larger ones are rarer [m].
+    pub usual_radius: f64,
+    /// Ranges that the scan can hold [m]; those outside look like misses.
+    pub range_limits: [f64; 2],
+}
+
+impl FitParameters {
+    fn check(&self) -> Result<(), Error> {
+        let ([least, most], [near, far]) = (self.radius, self.range_limits);
+        let refuse = |name, expected, got: String| Err(Error::Parameter { name, expected, got });
+        if !(self.range_std > 0.0 && self.range_std.is_finite()) {
+            return refuse("range_std", "a number > 0", self.range_std.to_string());
+        }
+        if !(0.0..0.1).contains(&self.beam_half_width) {
+            return refuse("beam_half_width", "0 to 0.1", self.beam_half_width.to_string());
+        }
+        if !(least > 0.0 && least < most && most.is_finite()) {
+            return refuse("radius", "0 < smallest < largest", format!("{:?}", self.radius));
+        }
+        if !(self.usual_radius > 0.0 && self.usual_radius.is_finite()) {
+            return refuse("usual_radius", "a number > 0", self.usual_radius.to_string());
+        }
+        if !(near >= 0.0 && near < far) {
+            return refuse("range_limits", "0 <= near < far", format!("{:?}", self.range_limits));
+        }
+        Ok(())
+    }
+}
+
+/// Fits circles; keeps its memory between scans.
+#[derive(Debug)]
+pub struct Fitter {
+    parameters: FitParameters,
+    arc: Arc,
+    posterior: Posterior,
+    row: Segments,
+}
+
+impl Fitter {
+    /// # Errors
+    /// [`Error::Parameter`] for one that is outside its range.
+    pub fn new(parameters: FitParameters) -> Result<Self, Error> {
+        parameters.check()?;
+        Ok(Self {
+            parameters,
+            arc: Arc::default(),
+            posterior: Posterior::default(),
+            row: Segments::default(),
+        })
+    }
+
+    /// Write one circle per segment of a scan to `circles`, in their order.
+    ///
+    /// # Errors
+    /// [`Error::Value`] if a segment is empty, or holds a ray that did not end on anything;
+    /// [`Error::Length`] if ranges and bearings differ in number.
+    pub fn fit(
+        &mut self,
+        scan: &PolarScan,
+        segments: &Segments,
+        circles: &mut Vec<CircleEstimate>,
+    ) -> Result<(), Error> {
+        circles.clear();
+        check_lengths(scan)?;
+        for number in 0..segments.len() {
+            self.arc.read(scan, segments, number, &self.parameters)?;
+            circles.push(self.circle_of_arc());
+        }
+        Ok(())
+    }
+
+    /// The circle that all hits of a scan belong to; None without a hit.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for a range <= 0; [`Error::Length`] if ranges and bearings differ in
+    /// number.
+    pub fn fit_row(&mut self, scan: &PolarScan) -> Result<Option<CircleEstimate>, Error> {
+        check_lengths(scan)?;
+        row::one_segment(scan, &self.parameters, &mut self.row);
+        if self.row.is_empty() {
+            return Ok(None);
+        }
+        self.arc.read(scan, &self.row, 0, &self.parameters)?;
+        Ok(Some(self.circle_of_arc()))
+    }
+
+    fn circle_of_arc(&mut self) -> CircleEstimate {
+        let (arc, parameters) = (&self.arc, &self.parameters);
+        let (circle, covariance) = match parameters.method {
+            Method::Kasa | Method::Pratt | Method::Taubin => algebraic::fit(arc, parameters),
+            Method::Expected | Method::MostLikely => {
+                let likelihood = Likelihood { arc, parameters };
+                let found = self.posterior.of(&likelihood);
+                found.unwrap_or_else(|| algebraic::fit(arc, parameters))
+            }
+        };
+        placed(arc, circle, covariance)
+    }
+}
+
+fn check_lengths(scan: &PolarScan) -> Result<(), Error> {
+    let (expected, got) = (scan.ranges.len(), scan.bearings.len());
+    if got == expected { Ok(()) } else { Err(Error::Length { name: "bearings", expected, got }) }
+}
+
+/// A circle of the arc's own frame in the frame of the scan.
+fn placed(arc: &Arc, [x, y, radius]: [f64; 3], covariance: [[f64; 3]; 3]) -> CircleEstimate {
+    let (sine, cosine) = (libm::sin(arc.bearing), libm::cos(arc.bearing));
+    let turn = [[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]];
+    let half = product(&turn, &covariance);
+    let back: [[f64; 3]; 3] = std::array::from_fn(|i| std::array::from_fn(|j| turn[j][i]));
+    let center = [cosine * x - sine * y, sine * x + cosine * y];
+    CircleEstimate {
+        circle: Circle { center, radius },
+        covariance: symmetric(&product(&half, &back)),
+        n_hits: arc.n_hits,
+    }
+}
+
+fn product(a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
+    a.map(|row| std::array::from_fn(|j| (0..3).map(|k| row[k] * b[k][j]).sum()))
+}
+
+fn symmetric(a: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
+    std::array::from_fn(|i| std::array::from_fn(|j| 0.5 * (a[i][j] + a[j][i])))
+}

@@ -1,0 +1,96 @@
+//! The least misfit within bounds of the roots.
+
+use super::likelihood::{Likelihood, Roots};
+
+/// Value, gradient and second derivatives (00, 01, 11).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Normal {
+    pub(super) misfit: f64,
+    pub(super) gradient: [f64; 2],
+    pub(super) hessian: [f64; 3],
+}
+
+/// Bounds of the two roots.
+pub(super) type Bounds = [[f64; 2]; 2];
+
+/// A minimum with what lies around it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Mode {
+    pub(super) roots: Roots,
+    pub(super) normal: Normal,
+}
+
+const MOST_STEPS: usize = 25;
+/// Steps end when the misfit falls by less.
+const ENOUGH: f64 = 1e-9;
+/// Starts per side, as shares of its bounds.
+const STARTS: [f64; 3] = [0.15, 0.5, 0.85];
+
+/// Roots stay this share of their range above its lower end: derivatives vanish at a tangent that
+/// is a hit.
+pub(super) const LEAST_SHARE: f64 = 0.01;
+
+/// The best of a few starts, taken downhill (Levenberg-Marquardt, projected on the bounds).
+pub(super) fn mode(likelihood: &Likelihood<'_>, bounds: &Bounds) -> Mode {
+    let bounds = &bounds.map(|[low, high]| [low + LEAST_SHARE * (high - low), high]);
+    let mut best = Mode { roots: [0.0; 2], normal: likelihood.normal(inside([0.5; 2], bounds)) };
+    best.normal.misfit = f64::INFINITY;
+    for low in STARTS {
+        for high in STARTS {
+            let roots = inside([low, high], bounds);
+            let normal = likelihood.normal(roots);
+            if normal.misfit < best.normal.misfit {
+                best = Mode { roots, normal };
+            }
+        }
+    }
+    let mut damping = 1e-3;
+    for _ in 0..MOST_STEPS {
+        let roots = step(&best, damping, bounds);
+        let normal = likelihood.normal(roots);
+        let fall = best.normal.misfit - normal.misfit;
+        if fall >= 0.0 {
+            best = Mode { roots, normal };
+            damping = (damping * 0.1).max(1e-9);
+            if fall < ENOUGH {
+                break;
+            }
+        } else {
+            damping *= 10.0;
+            if damping > 1e9 {
+                break;
+            }
+        }
+    }
+    best
+}
+
+fn inside(shares: [f64; 2], bounds: &Bounds) -> Roots {
+    [0, 1].map(|side| {
+        let [low, high] = bounds[side];
+        low + shares[side] * (high - low)
+    })
+}
+
+/// Whether a root stands at a bound and would go on beyond it.
+pub(super) fn is_held(mode: &Mode, side: usize, bounds: &Bounds) -> bool {
+    let ([low, high], root) = (bounds[side], mode.roots[side]);
+    let gradient = mode.normal.gradient[side];
+    (root <= low && gradient > 0.0) || (root >= high && gradient < 0.0)
+}
+
+fn step(from: &Mode, damping: f64, bounds: &Bounds) -> Roots {
+    let Normal { gradient: [g0, g1], hessian: [h00, h01, h11], .. } = from.normal;
+    let held = [is_held(from, 0, bounds), is_held(from, 1, bounds)];
+    let (d0, d1) = (h00 * (1.0 + damping) + 1e-12, h11 * (1.0 + damping) + 1e-12);
+    let cross = if held[0] || held[1] { 0.0 } else { h01 };
+    let determinant = d0 * d1 - cross * cross;
+    let mut move0 = -(d1 * g0 - cross * g1) / determinant;
+    let mut move1 = -(d0 * g1 - cross * g0) / determinant;
+    move0 = if held[0] { 0.0 } else { move0 };
+    move1 = if held[1] { 0.0 } else { move1 };
+    [
+        (from.roots[0] + move0).clamp(bounds[0][0], bounds[0][1]),
+        (from.roots[1] + move1).clamp(bounds[1][0], bounds[1][1]),
+    ]
+}

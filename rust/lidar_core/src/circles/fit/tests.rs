@@ -1,0 +1,94 @@
+use super::*;
+use crate::circles::segments::Side;
+
+fn parameters(method: Method) -> FitParameters {
+    FitParameters {
+        method,
+        range_std: 1e-4,
+        beam_half_width: 0.0,
+        radius: [0.02, 1.0],
+        usual_radius: 0.5,
+        range_limits: [0.1, 10.0],
+    }
+}
+
+/// A circle at (4, 0) with a radius of 0.3 m before nothing, one ray every 0.25 degrees.
+fn scan() -> PolarScan {
+    let bearings: Vec<f64> =
+        (-40..=40).map(|step| f64::from(step) * 0.25_f64.to_radians()).collect();
+    let range = |&bearing: &f64| {
+        let (sine, cosine) = (libm::sin(bearing), libm::cos(bearing));
+        let square = 0.09 - 16.0 * sine * sine;
+        if square >= 0.0 { 4.0 * cosine - square.sqrt() } else { f64::INFINITY }
+    };
+    PolarScan { ranges: bearings.iter().map(range).collect(), bearings }
+}
+
+/// The hits of `scan` from one ray to another as a segment.
+fn segment(rays: std::ops::Range<u32>, sides: [Side; 2]) -> Segments {
+    let rays: Vec<u32> = rays.collect();
+    Segments { labels: vec![], starts: vec![0, rays.len()], rays, sides: vec![sides] }
+}
+
+#[test]
+fn every_method_finds_a_circle() -> Result<(), Error> {
+    let methods =
+        [Method::Kasa, Method::Pratt, Method::Taubin, Method::Expected, Method::MostLikely];
+    let mut circles = Vec::new();
+    for method in methods {
+        let hits = segment(23..58, [Side::Free; 2]);
+        Fitter::new(parameters(method))?.fit(&scan(), &hits, &mut circles)?;
+        let found = circles[0];
+        assert!((found.circle.center[0] - 4.0).abs() < 1e-4, "{method:?}: {found:?}");
+        assert!(found.circle.center[1].abs() < 1e-4, "{method:?}: {found:?}");
+        assert!((found.circle.radius - 0.3).abs() < 1e-4, "{method:?}: {found:?}");
+        assert_eq!(found.n_hits, 35);
+    }
+    Ok(())
+}
+
+#[test]
+fn what_an_occluder_leaves_open_is_bounded_behind_it() -> Result<(), Error> {
+    let mut scan = scan();
+    for range in &mut scan.ranges[20..40] {
+        *range = 2.0; // something nearer
+    }
+    let mut fitter =
+        Fitter::new(FitParameters { range_std: 0.01, ..parameters(Method::Expected) })?;
+    let mut circles = Vec::new();
+    let half = segment(40..58, [Side::Occluded, Side::Free]);
+    fitter.fit(&scan, &half, &mut circles)?;
+    let bounded = circles[0];
+    for range in &mut scan.ranges[..20] {
+        *range = f64::NAN; // no rays pass on the far side of the occluder
+    }
+    fitter.fit(&scan, &half, &mut circles)?;
+    assert!(bounded.covariance[2][2] < circles[0].covariance[2][2]);
+    assert!((bounded.circle.radius - 0.3).abs() < 0.05, "{bounded:?}");
+    Ok(())
+}
+
+#[test]
+fn an_empty_segment_is_refused() -> Result<(), Error> {
+    let mut fitter = Fitter::new(parameters(Method::Expected))?;
+    let mut circles = Vec::new();
+    let none = segment(0..0, [Side::Free; 2]);
+    assert!(matches!(fitter.fit(&scan(), &none, &mut circles), Err(Error::Value { .. })));
+    let misses = segment(0..5, [Side::Free; 2]);
+    assert!(matches!(fitter.fit(&scan(), &misses, &mut circles), Err(Error::Value { .. })));
+    Ok(())
+}
+
+#[test]
+fn parameters_outside_their_range_are_refused() {
+    let good = parameters(Method::Kasa);
+    for bad in [
+        FitParameters { range_std: 0.0, ..good },
+        FitParameters { beam_half_width: -0.1, ..good },
+        FitParameters { radius: [1.0, 0.5], ..good },
+        FitParameters { usual_radius: f64::NAN, ..good },
+        FitParameters { range_limits: [5.0, 1.0], ..good },
+    ] {
+        assert!(matches!(Fitter::new(bad), Err(Error::Parameter { .. })));
+    }
+}

@@ -1,0 +1,129 @@
+//! Bindings of `lidar_core::circles::fit`.
+
+use crate::arrays::{self, Rows3};
+use crate::circles_config::{FitConfig, ScannerConfig};
+use crate::errors::BorderError;
+use crate::guard::{detached, keep_going};
+use lidar_core::Error;
+use lidar_core::circles::circle::CircleEstimate;
+use lidar_core::circles::fit::Fitter;
+use lidar_core::circles::polar::PolarScan;
+use lidar_core::circles::segments::{Segments, Side};
+use numpy::{
+    IntoPyArray, PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
+    PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+
+/// Parameters (C, 3), covariance (C, 3, 3), number of hits (C,).
+type CircleArrays<'py> = (Rows3<'py, f64>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray1<i64>>);
+
+/// Rays, starts and sides of `Segments`.
+type SegmentArrays<'py> =
+    (PyReadonlyArray1<'py, u32>, PyReadonlyArray1<'py, i64>, PyReadonlyArray2<'py, u8>);
+
+/// Rows between two looks at whether Python wants to stop.
+const ROWS_PER_LOOK: usize = 500;
+
+#[pyfunction]
+#[pyo3(signature = (ranges, bearings, *, config, scanner))]
+pub(crate) fn detect_circles<'py>(
+    py: Python<'py>,
+    ranges: PyReadonlyArray2<'py, f32>,
+    bearings: PyReadonlyArray1<'py, f64>,
+    config: FitConfig,
+    scanner: ScannerConfig,
+) -> Result<CircleArrays<'py>, BorderError> {
+    let beams = ranges.shape()[1];
+    let (ranges, bearings) =
+        (arrays::flat("ranges_batch", &ranges)?, arrays::flat("bearings", &bearings)?);
+    let found = detached(py, || {
+        let mut fitter = Fitter::new(config.parameters(&scanner)?)?;
+        let mut scan = PolarScan { ranges: Vec::new(), bearings: bearings.to_vec() };
+        let mut circles = Vec::with_capacity(ranges.len() / beams.max(1));
+        for (number, row) in ranges.chunks_exact(beams.max(1)).enumerate() {
+            if number % ROWS_PER_LOOK == ROWS_PER_LOOK - 1 && !keep_going() {
+                return Err(Error::Interrupted);
+            }
+            scan.ranges.clear();
+            scan.ranges.extend(row.iter().map(|&range| f64::from(range)));
+            circles.push(fitter.fit_row(&scan)?);
+        }
+        Ok(circles)
+    })?;
+    circle_arrays(py, &found)
+}
+
+#[pyfunction]
+#[pyo3(signature = (ranges, bearings, segments, *, config, scanner))]
+pub(crate) fn fit_circles<'py>(
+    py: Python<'py>,
+    ranges: PyReadonlyArray1<'py, f64>,
+    bearings: PyReadonlyArray1<'py, f64>,
+    segments: SegmentArrays<'py>,
+    config: FitConfig,
+    scanner: ScannerConfig,
+) -> Result<CircleArrays<'py>, BorderError> {
+    let (ranges, bearings) =
+        (arrays::flat("ranges", &ranges)?, arrays::flat("bearings", &bearings)?);
+    let segments = read_segments(&segments)?;
+    let found = detached(py, || {
+        let mut fitter = Fitter::new(config.parameters(&scanner)?)?;
+        let scan = PolarScan { ranges: ranges.to_vec(), bearings: bearings.to_vec() };
+        let mut circles = Vec::with_capacity(segments.len());
+        fitter.fit(&scan, &segments, &mut circles)?;
+        Ok(circles.into_iter().map(Some).collect::<Vec<_>>())
+    })?;
+    circle_arrays(py, &found)
+}
+
+/// Segments without their labels.
+fn read_segments((rays, starts, sides): &SegmentArrays<'_>) -> Result<Segments, BorderError> {
+    if sides.shape()[1] != 2 {
+        let got = sides.shape().to_vec();
+        return Err(BorderError::Shape { name: "segments.sides", expected: "(S, 2)", got });
+    }
+    let starts = arrays::flat("segments.starts", starts)?;
+    let codes = arrays::flat("segments.sides", sides)?;
+    let side = |&code: &u8| match code {
+        0 => Ok(Side::Free),
+        1 => Ok(Side::Occluded),
+        2 => Ok(Side::FieldEdge),
+        3 => Ok(Side::RangeCut),
+        _ => {
+            let (name, expected) = ("segments.sides", "0 to 3");
+            Err(Error::Value { name, expected, index: 0, got: code.to_string() })
+        }
+    };
+    let sides: Result<Vec<Side>, Error> = codes.iter().map(side).collect();
+    Ok(Segments {
+        labels: Vec::new(),
+        rays: arrays::flat("segments.rays", rays)?.to_vec(),
+        starts: starts.iter().map(|&start| usize::try_from(start).unwrap_or(usize::MAX)).collect(),
+        sides: sides?.as_chunks::<2>().0.to_vec(),
+    })
+}
+
+/// Circles as arrays; NaN where there is none.
+fn circle_arrays<'py>(
+    py: Python<'py>,
+    circles: &[Option<CircleEstimate>],
+) -> Result<CircleArrays<'py>, BorderError> {
+    let parameters = circles.iter().map(|known| match known {
+        Some(CircleEstimate { circle, .. }) => [circle.center[0], circle.center[1], circle.radius],
+        None => [f64::NAN; 3],
+    });
+    let covariance = circles.iter().flat_map(|known| {
+        known.map_or([f64::NAN; 9], |circle| {
+            let rows = circle.covariance;
+            std::array::from_fn(|index| rows[index / 3][index % 3])
+        })
+    });
+    let hits = circles.iter().map(|known| known.map_or(0, |circle| circle.n_hits as i64));
+    let covariance: Vec<f64> = covariance.collect();
+    Ok((
+        arrays::rows_into(py, parameters.collect())?,
+        covariance.into_pyarray(py).reshape([circles.len(), 3, 3])?,
+        hits.collect::<Vec<i64>>().into_pyarray(py),
+    ))
+}

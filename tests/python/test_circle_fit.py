@@ -1,0 +1,243 @@
+"""Circles from rays: oracle, accuracy, honesty, symmetries, bad input."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lidar_core.circles import CircleDetector, FitConfig, Scanner, Segments, fit_circles, segment
+from lidar_core.errors import ConfigError, InputError
+from reference import circle_fit as reference
+
+SCANNER = Scanner()
+BEARINGS = SCANNER.bearings()
+STD = 0.01
+METHODS = ["ml", "mode", "taubin", "pratt", "kasa"]
+ROUNDING = 1e-9  # of a covariance, the same steps from another direction [m^2]
+STEPS = 0.1  # the steps themselves depend on the direction: in standard deviations
+
+
+def scans(seed, count, low=0.05, high=0.5, std=STD):
+    """Circles (count, 3) and their scans, as of sec. IV-A, but off its lattice."""
+    rng = np.random.default_rng(seed)
+    circles, rows = [], []
+    while len(rows) < count:
+        circle = np.append(rng.uniform(-10, 10, 2), rng.uniform(low, high))
+        if math.hypot(*circle[:2]) <= circle[2]:
+            continue
+        ranges = reference.ranges_of(circle, BEARINGS)
+        ranges = ranges + std * rng.standard_normal(len(BEARINGS))
+        ranges[(ranges < SCANNER.range_min) | (ranges > SCANNER.range_max)] = np.inf
+        if np.isfinite(ranges).any():
+            circles.append(circle)
+            rows.append(ranges)
+    return np.array(circles), np.array(rows, np.float32)
+
+
+def one_scan(circle, std=0.0, seed=0):
+    ranges = reference.ranges_of(circle, BEARINGS)
+    return ranges + std * np.random.default_rng(seed).standard_normal(len(BEARINGS))
+
+
+@pytest.fixture(scope="module")
+def many():
+    """Circles as of the paper, and what "ml" says about them."""
+    circles, rows = scans(0, 8000)
+    return circles, rows, CircleDetector("ml").detect(rows, BEARINGS)
+
+
+def test_the_oracle_agrees():
+    _, rows = scans(1, 60)
+    found = CircleDetector("ml").detect(rows, BEARINGS)
+    config, step, compared = FitConfig(), SCANNER.angle_increment, 0
+    for row, mean, covariance in zip(rows, found.parameters, found.covariance, strict=True):
+        (hits,) = np.nonzero(np.isfinite(row))
+        nearest = row[hits].min()
+        if nearest + 1.1 > SCANNER.range_max or nearest < 0.3 or len(hits) > 40:
+            continue
+        wide = 2 * math.asin(config.max_radius / (nearest + config.max_radius))
+        low, high = BEARINGS[hits[[0, -1]]]
+        lows = (low - (step if hits[0] > 0 else wide), low)
+        highs = (high, high + (step if hits[-1] < len(BEARINGS) - 1 else wide))
+        expected, spread = reference.posterior(
+            row[hits].astype(float), BEARINGS[hits], lows, highs, std=STD,
+            radius=(config.min_radius, config.max_radius), usual=config.usual_radius,
+        )  # fmt: skip
+        std = np.sqrt(np.diag(spread))
+        assert (abs(mean - expected) < 0.2 * std).all()  # two grids
+        assert np.sqrt(np.diag(covariance)) == pytest.approx(std, rel=0.15)
+        compared += 1
+    assert compared > 20
+
+
+def test_accuracy_on_the_papers_distribution(many):
+    circles, _, found = many
+    error = (np.asarray(found) - circles)[found.n_hits >= 4]
+    assert np.mean(error**2) <= 9e-5
+    assert np.mean(abs(error)) <= 0.0042
+
+
+def test_the_covariance_is_honest(many):
+    circles, _, found = many
+    error = np.asarray(found) - circles
+    nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance), error)
+    assert np.mean(nees[found.n_hits >= 4]) == pytest.approx(3.0, rel=0.1)
+
+
+def test_misses_and_averages_help(many):
+    circles, rows, found = many
+    seen = found.n_hits >= 4
+    error = {"ml": np.mean((np.asarray(found) - circles)[seen] ** 2)}
+    for method in ["mode", "taubin"]:
+        other = np.asarray(CircleDetector(method).detect(rows, BEARINGS))
+        error[method] = np.mean((other - circles)[seen] ** 2)
+    assert error["ml"] < 0.6 * error["mode"] < 0.6 * error["taubin"]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_circles_without_noise(method):
+    circle = (3.0, -1.0, 0.3)
+    config = FitConfig(range_std=1e-4)
+    found = CircleDetector(method, config=config).detect([one_scan(circle)], BEARINGS)
+    np.testing.assert_allclose(np.asarray(found)[0], circle, atol=1e-4)
+    assert found.n_hits[0] == np.isfinite(one_scan(circle)).sum()
+    assert np.linalg.eigvalsh(found.covariance[0]).min() > 0
+
+
+def test_kasa_is_linear_least_squares():
+    ranges = one_scan((3.0, -1.0, 0.3), STD)
+    hit = np.isfinite(ranges)
+    points = ranges[hit] * np.array([np.cos(BEARINGS[hit]), np.sin(BEARINGS[hit])])
+    found = CircleDetector("kasa").detect([ranges], BEARINGS)
+    np.testing.assert_allclose(np.asarray(found)[0], reference.kasa(*points), atol=1e-6)
+
+
+@given(seed=st.integers(2000, 10**6), turn=st.floats(-3, 3), method=st.sampled_from(METHODS))
+def test_turned_and_mirrored_scans_turn_and_mirror_circles(seed, turn, method):
+    _, rows = scans(seed, 1)
+    detector = CircleDetector(method)
+    circle = detector.detect(rows, BEARINGS)
+    turned = detector.detect(rows, BEARINGS + turn)
+    clockwise = detector.detect(rows[:, ::-1], BEARINGS[::-1])
+    mirrored = detector.detect(rows, -BEARINGS)
+    (x, y, r), (c, s) = np.asarray(circle)[0], (math.cos(turn), math.sin(turn))
+    near = STEPS * np.sqrt(np.diag(circle.covariance[0])).min()
+    assert np.asarray(turned)[0] == pytest.approx([c * x - s * y, s * x + c * y, r], abs=near)
+    assert np.asarray(clockwise)[0] == pytest.approx([x, y, r], abs=near)
+    assert np.asarray(mirrored)[0] == pytest.approx([x, -y, r], abs=near)
+    assert clockwise.covariance == pytest.approx(circle.covariance, rel=1e-3, abs=ROUNDING)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_circle_per_segment_as_of_scans_of_one(method):
+    circles = [(4.0, 1.0, 0.3), (2.5, -1.0, 0.1), (6.0, 4.0, 0.5)]
+    rows = [one_scan(circle, STD, seed) for seed, circle in enumerate(circles)]
+    scan = np.min(rows, axis=0)
+    found = fit_circles(scan, BEARINGS, segment(scan, BEARINGS), method=method, range_std=STD)
+    alone = CircleDetector(method).detect(rows, BEARINGS)
+    order = np.argsort(np.asarray(alone)[:, 1] / np.asarray(alone)[:, 0])
+    np.testing.assert_allclose(np.asarray(found), np.asarray(alone)[order], atol=1e-6)
+    np.testing.assert_allclose(found.covariance, alone.covariance[order], rtol=1e-3, atol=1e-9)
+
+
+def test_segments_of_another_scan_are_refused():
+    scan = one_scan((4.0, 1.0, 0.3))
+    found = segment(scan, BEARINGS)
+    with pytest.raises(InputError, match=r"segments\[0\]: expected rays that ended on something"):
+        fit_circles(scan[:100], BEARINGS[:100], found)
+    starts = -found.starts - 5
+    broken = Segments(labels=found.labels, sides=found.sides, rays=found.rays, starts=starts)
+    with pytest.raises(InputError, match="segments"):
+        fit_circles(scan, BEARINGS, broken)
+    with pytest.raises(ConfigError, match="range_std"):
+        fit_circles(scan, BEARINGS, found, range_std=-1.0)
+
+
+def test_what_is_hidden_is_less_certain():
+    circle = (4.0, 0.5, 0.3)
+    ranges = one_scan(circle, STD)
+    (hits,) = np.nonzero(np.isfinite(ranges))
+    hidden = ranges.copy()
+    hidden[hits[0] - 40 : hits[len(hits) // 2]] = np.nan
+    found = CircleDetector().detect([ranges, hidden], BEARINGS)
+    std = np.sqrt(np.einsum("nii->ni", found.covariance))
+    assert (std[1] > 2 * std[0]).all()
+    assert (abs(np.asarray(found) - circle) < 4 * std).all()
+
+
+def test_wide_beams_do_not_widen_circles():
+    width, circle = 0.006, (4.0, 0.5, 0.3)
+    wide = one_scan(circle)
+    distance = math.hypot(*circle[:2])
+    beside = abs(BEARINGS - math.atan2(circle[1], circle[0]))
+    grazed = np.isinf(wide) & (beside < math.asin(circle[2] / distance) + width)
+    wide[grazed] = math.sqrt(distance**2 - circle[2] ** 2)
+    plain = CircleDetector().detect([wide], BEARINGS)
+    config = FitConfig(beam_half_width=width)
+    known = CircleDetector(config=config).detect([wide], BEARINGS)
+    assert abs(known.parameters[0, 2] - 0.3) < 0.5 * abs(plain.parameters[0, 2] - 0.3)
+
+
+def test_the_seam_of_a_full_circle_is_no_edge():
+    bearings = np.radians(np.arange(-180, 180, 0.5))
+    ranges = reference.ranges_of((-3.0, 0.02, 0.3), bearings)
+    assert np.isfinite(ranges[[0, -1]]).all()
+    found = CircleDetector().detect([ranges], bearings)
+    np.testing.assert_allclose(np.asarray(found)[0], (-3.0, 0.02, 0.3), atol=0.01)
+    assert np.sqrt(found.covariance[0, 2, 2]) < 0.01
+
+
+@given(
+    seed=st.integers(2000, 10**6),
+    method=st.sampled_from(METHODS),
+    share=st.sampled_from([0.02, 0.3, 1.0]),
+)
+def test_whatever_is_seen_a_circle_within_bounds_is_reported(seed, method, share):
+    rng = np.random.default_rng(seed)
+    bearings = np.sort(rng.uniform(-3, 3, rng.integers(1, 300)))
+    ranges = rng.choice([rng.uniform(0.01, 12), np.inf, np.nan], bearings.shape)
+    scattered = rng.random(bearings.shape) < share
+    ranges[scattered] = rng.uniform(0.5, 9, scattered.sum())
+    found = CircleDetector(method).detect([ranges], bearings)
+    if not np.isfinite(ranges).any():
+        assert np.isnan(np.asarray(found)).all()
+        assert found.n_hits[0] == 0
+        return
+    config = FitConfig()
+    assert np.isfinite(np.asarray(found)).all()
+    assert config.min_radius - 1e-6 <= found.parameters[0, 2] <= config.max_radius + 1e-6
+    assert np.linalg.eigvalsh(found.covariance[0]).min() > -1e-12
+    assert np.diag(found.covariance[0]).min() > 0
+
+
+@pytest.mark.parametrize(
+    ("ranges", "bearings", "text"),
+    [
+        (np.ones((2, 3)), np.zeros(2), r"ranges_batch: expected shape \(N, 2\), got \(2, 3\)"),
+        (np.ones(3), np.zeros(3), r"ranges_batch: expected shape \(N, 3\), got \(3,\)"),
+        (np.ones((1, 2)), [0, np.nan], "bearings: expected finite values, got nan in row 1"),
+        (
+            [[1.0, 0.0]],
+            [0, 0.1],
+            r"segments\[0\]: expected rays that ended on something, got 0 \[m\] at 0.1 ",
+        ),
+    ],
+)
+def test_bad_arrays_are_refused(ranges, bearings, text):
+    with pytest.raises(InputError, match=text):
+        CircleDetector().detect(ranges, bearings)
+
+
+def test_detectors_that_are_not_there_are_refused():
+    with pytest.raises(ConfigError, match=r"detector: expected one of ml, .*, got 'cnn'"):
+        CircleDetector("cnn")
+    with pytest.raises(ConfigError, match="min_radius < max_radius"):
+        FitConfig(min_radius=2.0)
+
+
+def test_no_scans_no_circles():
+    found = CircleDetector().detect(np.zeros((0, 5)), np.arange(5))
+    assert len(found) == 0
+    assert np.asarray(found, dtype=np.float32).shape == (0, 3)
