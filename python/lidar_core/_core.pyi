@@ -12,6 +12,7 @@ __all__ = [
     "FlyingObjectDetector",
     "FusionStep",
     "Measurement",
+    "Measurements",
     "PointCloudTracker",
     "SimScene",
     "SimShape",
@@ -27,8 +28,11 @@ __all__ = [
     "detect_circles",
     "detection_probability",
     "fit_circles",
+    "fusion_fit_noise",
     "fusion_outcomes",
     "fusion_run",
+    "fusion_run_batch",
+    "fusion_smooth",
     "hit_probability",
     "limit_range",
     "make_circle_samples",
@@ -123,16 +127,26 @@ def point_covariance(
     range_std: float,
 ) -> NDArray[np.float64]: ...
 def fusion_outcomes() -> list[str]: ...
-def fusion_run(
-    config: object, measurements: Sequence[Measurement]
-) -> tuple[
+
+_RunArrays: TypeAlias = tuple[
     NDArray[np.int64],
     NDArray[np.uint8],
     NDArray[np.float64],
     NDArray[np.float64],
     NDArray[np.float64],
     NDArray[np.float64],
-]: ...
+]
+
+def fusion_run(config: object, measurements: Measurements) -> _RunArrays: ...
+def fusion_smooth(
+    config: object, measurements: Measurements, *, lag_ns: int | None
+) -> _RunArrays: ...
+def fusion_run_batch(
+    config: object, targets: Sequence[Measurements], *, threads: int
+) -> list[_RunArrays]: ...
+def fusion_fit_noise(
+    config: object, targets: Sequence[Measurements], *, sensors: bool, evaluations: int
+) -> tuple[list[float], list[float], list[float], float]: ...
 def hit_probability(
     points: NDArray[np.float64],
     covariance: NDArray[np.float64],
@@ -396,6 +410,19 @@ class Measurement:
         *,
         covariance: NDArray[np.float64] | None,
     ) -> Self: ...
+
+@final
+class Measurements:
+    def __new__(cls, measurements: Sequence[Measurement]) -> Self: ...
+    @staticmethod
+    def from_arrays(
+        stamps_ns: NDArray[np.int64],
+        sensors: NDArray[np.uint8],
+        values: NDArray[np.float64],
+        *,
+        counts: NDArray[np.uint8],
+    ) -> Measurements: ...
+    def __len__(self) -> int: ...
 
 @final
 class FusionStep:

@@ -6,12 +6,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lidar_core.errors import ConfigError, FormatError, InputError
-from lidar_core.fusion import FusionConfig, Measurement, TargetFilter, read_laser_radar, run
+from lidar_core.fusion import (
+    FusionConfig,
+    Measurement,
+    Measurements,
+    TargetFilter,
+    fit_noise,
+    read_laser_radar,
+    run,
+    run_batch,
+    smooth,
+)
 from reference import fusion as reference
 
 SAMPLE_1 = "fusion/sample-laser-radar-measurement-data-1.txt"
 OBJ_POSE = "fusion/obj_pose-laser-radar-synthetic-input.txt"
 PUBLISHED = 1e-3  # the goal of the agreement with published figures
+SMOOTHED = 1e-6  # the same, and covariances inverted
 ORACLE = 1e-7  # Jacobians by differences in the oracle, through hundreds of steps
 STEP_NS = 50_000_000
 OPEN = {"gate_probability": None, "loss_ratio": None}
@@ -83,6 +94,30 @@ def test_discrete_noise_gives_the_table_of_the_audit(recordings, file, model, no
     np.testing.assert_allclose(got[:2], expected, atol=PUBLISHED)
 
 
+def test_the_unscented_filter_of_courses(recordings):
+    recording = read_laser_radar(recordings / OBJ_POSE)
+    config = FusionConfig(
+        model="ctrv", method="ukf", sigma_spread=3.0, sigma_points="carried",
+        process="discrete", acceleration_noise=0.5, turn_noise=0.5, start_rows=1,
+        start_speed="zero", initial_position=1.0, initial_speed=1.0, initial_heading=1.0,
+        initial_turn_rate=1.0, **OPEN,
+    )  # fmt: skip
+    got = rmse(run(recording.measurements, config), recording.truth, polar=True)
+    np.testing.assert_allclose(got, [0.0610, 0.0862, 0.3298, 0.2129], atol=PUBLISHED)
+
+
+def test_noise_is_found_from_measurements_alone(recordings):
+    recording = read_laser_radar(recordings / OBJ_POSE)
+    config = fit_noise(recording.measurements, FusionConfig())
+    # the true errors of the file: its readme
+    np.testing.assert_allclose(config.lidar_std, 0.148, rtol=0.1)
+    np.testing.assert_allclose(config.radar_std, [0.305, 0.0284, 0.288], rtol=0.1)
+    result = run(recording.measurements, config)
+    assert (rmse(result, recording.truth, polar=True)[:2] < [0.068, 0.087]).all()
+    lagged = smooth(recording.measurements, config, lag=0.5)
+    assert (rmse(lagged, recording.truth, polar=True, skip=20)[:2] <= [0.044, 0.055]).all()
+
+
 # Oracle
 
 
@@ -105,6 +140,68 @@ def test_every_model_agrees_with_the_oracle(model):
         np.testing.assert_allclose(result.covariances[k], P, atol=ORACLE)
         np.testing.assert_allclose(result.innovations[k][: len(y)], y, atol=ORACLE)
         assert result.nis[k] == pytest.approx(nis, abs=ORACLE)
+
+
+@pytest.mark.parametrize("model", ["cv", "ctrv", "ctra"])
+def test_smoothing_agrees_with_the_oracle(model):
+    seen, _ = walk(np.random.default_rng(20), rows=60)
+    config = FusionConfig(model=model, start_rows=1, **OPEN)
+    filtered, result = run(seen, config), smooth(seen, config)
+    strengths = {"a": config.acceleration_noise, "j": config.jerk_noise, "t": config.turn_noise}
+    means, covariances = reference.rts(
+        model, filtered.states, filtered.covariances, 0.05, strengths
+    )
+    if model != "cv":
+        means[:, 3] = reference.wrap(means[:, 3])
+    np.testing.assert_allclose(result.states, means, atol=SMOOTHED)
+    np.testing.assert_allclose(result.covariances, covariances, atol=SMOOTHED)
+
+
+def test_a_lag_of_everything_is_the_whole_and_none_the_filter():
+    seen, _ = walk(np.random.default_rng(21), rows=60)
+    whole = smooth(seen)
+    np.testing.assert_array_equal(smooth(seen, lag=1000.0).states, whole.states)
+    np.testing.assert_array_equal(smooth(seen, lag=0.0).states, run(seen).states)
+
+
+@pytest.mark.parametrize("method", ["ukf", "ckf"])
+def test_sigma_points_agree_with_the_linear_filter_where_all_is_linear(method):
+    seen, _ = walk(np.random.default_rng(22), rows=80)
+    seen = [m for m in seen if m.sensor == "lidar"]
+    for model in ("cv", "ca"):
+        expected = run(seen, FusionConfig(model=model, method="kf"))
+        got = run(seen, FusionConfig(model=model, method=method))
+        np.testing.assert_allclose(got.states, expected.states, atol=1e-9)
+        np.testing.assert_allclose(got.covariances, expected.covariances, atol=1e-9)
+        np.testing.assert_allclose(got.nis[1:], expected.nis[1:], atol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["ekf", "ukf", "ckf", "imm"])
+def test_every_method_follows_the_target(method):
+    seen, p = walk(np.random.default_rng(23), rows=300)
+    result = run(seen, FusionConfig(method=method, acceleration_noise=0.3, turn_noise=0.3))
+    errors = np.hypot(*(result.states[:, :2] - p)[20:].T)
+    assert np.sqrt((errors**2).mean()) < 0.11
+    assert 2.0 < np.nanmean(result.nis) < 3.0
+
+
+def test_interacting_copies_of_one_model_are_that_model():
+    seen, _ = walk(np.random.default_rng(24), rows=80)
+    alone = run(seen, FusionConfig(model="ca", start_rows=1))
+    mixed = run(seen, FusionConfig(method="imm", imm_models=("ca",), start_rows=2))
+    np.testing.assert_allclose(mixed.states[60:], alone.states[60:], atol=0.01)
+
+
+def test_the_model_of_the_paper_is_what_is_printed():
+    seen, _ = walk(np.random.default_rng(25), rows=60)
+    result = run(seen, FusionConfig.paper())
+    s, P = result.states[0], result.covariances[0]
+    for k, m in enumerate(seen[1:], 1):
+        s, P = reference.paper_step(s, P, 0.05, m.sensor, m.values, (3.0, 2.0, 0.5))
+        shown = s.copy()
+        shown[3] = reference.wrap(shown[3])
+        scale = max(1.0, np.abs(P).max())  # the printed covariances grow without sense
+        np.testing.assert_allclose(result.states[k], shown, atol=1e-6 * scale)
 
 
 def test_a_filter_fed_step_by_step_gives_the_bits_of_a_run():
@@ -237,6 +334,72 @@ def test_no_input_leads_to_nan(rows, model):
     assert np.isfinite(result.covariances[known]).all()
 
 
+@given(st.lists(st.tuples(
+    st.sampled_from(["lidar", "radar"]), st.integers(0, 10**10),
+    st.tuples(*[st.floats(-1e3, 1e3)] * 3)), max_size=30),
+    st.sampled_from(["ukf", "ckf", "imm"]))  # fmt: skip
+def test_no_method_needs_a_factor_that_is_not_there(rows, method):
+    seen = [Measurement(t, s, z[: 2 if s == "lidar" else 3]) for s, t, z in rows]
+    result = run(seen, FusionConfig(method=method, sigma_spread=3.0))
+    known = ~np.isnan(result.states).all(axis=1)
+    assert np.isfinite(result.states[known]).all()
+    assert (np.linalg.eigvalsh(result.covariances[known]) > -1e-6).all()
+    assert "singular" not in result.outcomes
+
+
+@pytest.mark.parametrize("model", ["cv", "ctrv", "ctrv-drone"])
+@pytest.mark.parametrize("method", ["ekf", "ukf"])
+def test_late_measurements_are_put_where_they_belong(model, method):
+    seen, _ = walk(np.random.default_rng(26), rows=80)
+    shuffled = list(seen)
+    for k in range(20, 70, 7):
+        shuffled.insert(k + 5, shuffled.pop(k))
+    config = FusionConfig(model=model, method=method, **OPEN)
+    flt = TargetFilter(config)
+    steps = [flt.step(m) for m in shuffled]
+    assert all(step.accepted for step in steps)
+    expected = run(seen, config)
+    np.testing.assert_array_equal(steps[-1].state, expected.states[-1])
+    np.testing.assert_array_equal(steps[-1].covariance, expected.covariances[-1])
+
+
+def test_what_is_too_late_or_there_already_changes_nothing():
+    seen, _ = walk(np.random.default_rng(27), rows=80)
+    flt = TargetFilter(FusionConfig(buffer_time=0.5))
+    for m in seen:
+        last = flt.step(m)
+    for m, outcome in [(seen[-1], "duplicate"), (seen[-4], "duplicate"), (seen[20], "late")]:
+        step = flt.step(m)
+        assert (step.outcome, step.accepted) == (outcome, False)
+        np.testing.assert_array_equal(step.state, last.state)
+
+
+def test_many_targets_do_not_depend_on_threads():
+    targets = [Measurements(walk(np.random.default_rng(100 + k), rows=60)[0]) for k in range(20)]
+    for method in ("ekf", "imm"):
+        config = FusionConfig(method=method)
+        expected = [run(target, config) for target in targets]
+        for threads in (1, 2, 3):
+            for got, one in zip(run_batch(targets, config, threads=threads), expected, strict=True):
+                np.testing.assert_array_equal(got.states, one.states)
+                np.testing.assert_array_equal(got.covariances, one.covariances)
+                np.testing.assert_array_equal(got.nis, one.nis)
+
+
+def test_arrays_make_the_same_measurements():
+    seen, _ = walk(np.random.default_rng(28), rows=60)
+    values = np.zeros((60, 3))
+    for k, m in enumerate(seen):
+        values[k, : len(m.values)] = m.values
+    made = Measurements.from_arrays([m.stamp_ns for m in seen], [m.sensor for m in seen], values)
+    assert len(made) == 60
+    np.testing.assert_array_equal(run(made).states, run(seen).states)
+    with pytest.raises(InputError, match="sensors: expected 1 of lidar"):
+        Measurements.from_arrays([0], ["sonar"], [[1.0, 2.0]])
+    with pytest.raises(InputError, match="values: expected 1 rows"):
+        Measurements.from_arrays([0], ["radar"], [[1.0, 2.0]])
+
+
 # Bad input
 
 
@@ -255,6 +418,17 @@ def test_wrong_arguments_are_named():
         run([3])
     with pytest.raises(InputError, match="expected a Measurement, got tuple"):
         TargetFilter().step((0, "lidar", [1.0, 2.0]))
+    for config in (FusionConfig.paper(), FusionConfig(method="imm")):
+        with pytest.raises(ConfigError, match="that can be smoothed"):
+            smooth([], config)
+    with pytest.raises(InputError, match="lag: expected 0 to"):
+        smooth([], lag=-1.0)
+    with pytest.raises(ConfigError, match="likelihood"):
+        fit_noise([], FusionConfig.paper())
+    with pytest.raises(InputError, match="at least ten per fitted value"):
+        fit_noise([])
+    with pytest.raises(ConfigError, match="threads"):
+        run_batch([], threads=0)
     with pytest.raises(ConfigError, match='"cv" or "ca"'):
         FusionConfig(model="ctrv", method="kf")
     with pytest.raises(ConfigError, match="radar_std"):

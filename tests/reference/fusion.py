@@ -114,3 +114,61 @@ def ekf_step(model, s, P, dt, sensor, z, R, strengths):
     K = P @ H.T @ np.linalg.inv(S)
     IKH = np.eye(len(s)) - K @ H
     return s + K @ y, IKH @ P @ IKH.T + K @ R @ K.T, y, y @ np.linalg.solve(S, y)
+
+
+def rts(model, states, covariances, dt, strengths):
+    """States given all measurements, from those of the filter."""
+    f = MODELS[model]
+    means, smoothed = [states[-1]], [covariances[-1]]
+    for s, P in zip(states[-2::-1], covariances[-2::-1], strict=True):
+        F = jacobian(lambda state: f(state, dt), s)
+        predicted = F @ P @ F.T + continuous_noise(model, s, dt, strengths)
+        G = P @ F.T @ np.linalg.inv(predicted)
+        change = means[0] - f(s, dt)
+        if model in ("ctrv", "ctra"):
+            change[3] = wrap(change[3])
+        means.insert(0, s + G @ change)
+        smoothed.insert(0, P + G @ (smoothed[0] - predicted) @ G.T)
+    return np.array(means), np.array(smoothed)
+
+
+def paper_step(s, P, dt, sensor, z, std):
+    """Eqs 8-28 of the paper, platform at rest, reading A of the radar, alpha as printed."""
+    v, theta, w = s[2:5]
+    sa, sw, sd = std
+    moved = s.copy()
+    phi = np.eye(6)
+    if abs(w) < 1e-4:
+        moved[:2] += v * dt * np.array([np.cos(theta), np.sin(theta)])
+        phi[0, 2:4] = np.cos(theta) * dt, -v * np.sin(theta) * dt
+        phi[1, 2:4] = np.sin(theta) * dt, v * np.cos(theta) * dt
+    else:
+        turned = theta + w * dt
+        moved[0] += v / w * (np.sin(turned) - np.sin(theta))
+        moved[1] += v / w * (np.cos(theta) - np.cos(turned))
+        moved[3] = turned
+        alpha = dt + theta
+        beta, chi = np.sin(alpha) - np.sin(theta), np.cos(alpha) - np.cos(theta)
+        phi[0, 2:5] = beta / w, v / w * chi, dt * v / w * (np.cos(alpha) - v / w**2 * beta)
+        phi[1, 2:5] = -chi / w, v / w * beta, dt * v / w * (np.sin(alpha) + v / w**2 * chi)
+        phi[2, 3] = dt
+    c, q = np.cos(theta), np.sin(theta)
+    Q = np.zeros((6, 6))
+    Q[0, :3] = (dt**2 / 2 * sa * c) ** 2 + (dt * sd * c) ** 2, dt**4 / 4 * sa**2 * q * c, (
+        dt**3 / 4 * sa**2 * q * c)  # fmt: skip
+    Q[1, :3] = (dt**2 / 2 * sa * q) ** 2, dt**4 / 4 * sa**2 * q * c, dt**3 / 2 * sa**2 * q
+    Q[2, :3] = dt**3 / 2 * sa**2 * c, dt**3 / 2 * sa**2 * q, dt**2 * sa**2
+    Q[4, 4] = dt**2 / 2 * sw
+    Q[0, 5] = Q[5, 0] = -((dt * sd) ** 2) * c
+    Q[5, 5] = -((dt * sd) ** 2)
+    M = phi @ P @ phi.T + Q
+    if sensor == "lidar":
+        H, R, measured = np.eye(6)[:2], 0.0222 * np.eye(2), z
+    else:
+        H, R = np.eye(6)[:5], np.diag([0.088, 0.00088, 0.088, 0.0088, 0.08])
+        measured = np.array([z[0] * np.cos(z[1]), z[0] * np.sin(z[1]), z[2], z[1], 0.0])
+    residual = measured - H @ moved
+    if sensor == "radar":
+        residual[3] = wrap(residual[3])
+    K = M @ H.T @ np.linalg.inv(H @ M @ H.T + R)
+    return moved + K @ residual, (np.eye(6) - K @ H) @ M

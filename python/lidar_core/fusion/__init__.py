@@ -1,18 +1,24 @@
 """One target, seen by LiDAR and radar from a platform that may move."""
 
-from lidar_core.fusion.config import FusionConfig
+from lidar_core.fusion.config import FusionConfig, PublishedModel
 from lidar_core.fusion.filter import TargetFilter
-from lidar_core.fusion.measurement import Measurement
+from lidar_core.fusion.measurement import Measurement, Measurements
 from lidar_core.fusion.reading import TargetRecording, TargetTruth, read_laser_radar
-from lidar_core.fusion.run import Run, run
+from lidar_core.fusion.run import Run, run, run_batch, smooth
+from lidar_core.fusion.tuning import fit_noise
 
 __all__ = [
     "FusionConfig",
     "Measurement",
+    "Measurements",
+    "PublishedModel",
     "Run",
     "TargetFilter",
     "TargetRecording",
     "TargetTruth",
+    "fit_noise",
     "read_laser_radar",
     "run",
+    "run_batch",
+    "smooth",
 ]

@@ -10,26 +10,74 @@ Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 
 
+class PublishedModel(Config):
+    """What the paper leaves open about its model.
+
+    Source: Remote Sens. 2023, 15, 3396, eqs 5-28.
+    """
+
+    reading: Literal["a", "b", "c", "d"] = Field(
+        "a",
+        description="What the radar measures besides x and y, eq. 26 (no unit): a: v is the range"
+        " rate, theta the bearing, w zero; b: as a, w is the range rate; c: v and theta are the"
+        " true ones, as fourth and fifth value of the measurement; d: nothing.",
+    )
+    alpha: Literal["literal", "fixed"] = Field(
+        "literal",
+        description="alpha of eq. 18: theta + dt as printed, or theta + w dt as in eq. 8 (no"
+        " unit).",
+    )
+    prediction: Literal["motion", "matrix"] = Field(
+        "motion", description="State predicted by eqs 8 and 9 or by Phi, eq. 15 (no unit)."
+    )
+    speed: float = Field(0.0, ge=0, le=1e3, description="Speed of the platform, V0 of eq. 7 [m/s].")
+    elevation: float = Field(
+        0.0, ge=-1.6, le=1.6, description="Elevation of the platform, phi of eq. 7 [rad]."
+    )
+
+
 class FusionConfig(Config):
     """A filter of one target that LiDAR and radar measure.
 
-    Noise of the sensors is used for measurements that bring no covariance.
+    `FusionConfig()` is what works; `FusionConfig.paper()` is the filter as published. Noise of
+    the sensors is used for measurements that bring no covariance.
 
     Source: Remote Sens. 2023, 15, 3396; Bar-Shalom, Li & Kirubarajan, "Estimation with
     Applications to Tracking and Navigation", 2001.
     """
 
-    model: Literal["cv", "ca", "ct", "ctrv", "ctra", "ctrv-drone"] = Field(
+    model: Literal["cv", "ca", "ct", "ctrv", "ctra", "ctrv-drone", "paper"] = Field(
         "ctrv",
         description="How targets move (no unit): constant velocity [x, y, vx, vy]; constant"
         " acceleration [x, y, vx, vy, ax, ay]; coordinated turn [x, y, vx, vy, w]; constant turn"
         " rate and velocity [x, y, v, theta, w]; the same with acceleration"
-        " [x, y, v, theta, w, a]; CTRV in the frame of a sensor that moves.",
+        " [x, y, v, theta, w, a]; CTRV in the frame of a sensor that moves; the model as published,"
+        " errors included [x, y, v, theta, w, w_d], whose method is its own.",
     )
-    method: Literal["kf", "ekf"] = Field(
+    method: Literal["kf", "ekf", "ukf", "ckf", "imm"] = Field(
         "ekf",
         description="Linear Kalman filter, which takes radar as a position, of models cv and ca;"
-        " extended Kalman filter (no unit).",
+        " extended; unscented and cubature, both in square-root form; interacting multiple models,"
+        " whose state is that of ca (no unit).",
+    )
+    sigma_spread: float | None = Field(
+        None,
+        gt=0,
+        le=1e3,
+        description="Square of the distance of sigma points of ukf, in standard deviations (no"
+        " unit); none: the number of states plus 2. Below the number of states a weight is"
+        " negative; courses have 3.",
+    )
+    sigma_points: Literal["redrawn", "carried"] = Field(
+        "redrawn",
+        description="Sigma points that ukf compares with a measurement: new ones, drawn from the"
+        " predicted covariance; or those of the prediction, as courses do (no unit).",
+    )
+    imm_models: tuple[Literal["cv", "ca", "ct", "ctrv", "ctra"], ...] = Field(
+        ("cv", "ctrv"), min_length=1, description="Models that imm mixes (no unit)."
+    )
+    imm_sojourn: float = Field(
+        2.0, gt=0, le=1e6, description="Mean time for which a target follows one of them [s]."
     )
     process: Literal["continuous", "discrete"] = Field(
         "continuous",
@@ -139,6 +187,27 @@ class FusionConfig(Config):
     loss_window: float = Field(
         10.0, ge=1, le=1e6, description="Measurements in that average (count, no unit)."
     )
+    buffer_time: float = Field(
+        0.5,
+        ge=0,
+        le=3600,
+        description="How long measurements are kept: late ones are put where they belong, what"
+        " came after them is filtered again, and duplicates are refused [s].",
+    )
+    published: PublishedModel = PublishedModel()
+
+    @classmethod
+    def paper(cls) -> Self:
+        """Return the filter as published; it does not give the deviations of eq. 23."""
+        return cls(
+            model="paper",
+            acceleration_noise=3.0,
+            turn_noise=2.0,
+            platform_noise=0.5,
+            start_rows=1,
+            gate_probability=None,
+            loss_ratio=None,
+        )
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -147,6 +216,8 @@ class FusionConfig(Config):
                 raise ValueError(f"{name}: expected values > 0 and <= 1e6")
         if not all(abs(value) <= 1e3 for value in self.lever_arm):
             raise ValueError("lever_arm: expected at most 1000 m")
+        if self.model == "paper" and self.method != "ekf":
+            raise ValueError('expected method "ekf" with model "paper"')
         if self.method == "kf" and self.model not in ("cv", "ca"):
             raise ValueError('expected model "cv" or "ca" with method "kf"')
         return self

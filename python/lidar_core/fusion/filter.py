@@ -53,8 +53,10 @@ class TargetFilter:
             been seen; `innovation` (k,) and `nis`, None where there was nothing to compare;
             `accepted`; and `outcome`: "updated", "started", "restarted" (the filter was lost),
             "told" (how the platform moves), "gated", "invalid" (values that cannot be used),
-            "late", "singular" (covariances without a factor). After the last three the filter is
-            as before, after "gated" it is predicted only.
+            "late" (older than `config.buffer_time` allows), "duplicate", "singular" (covariances
+            without a factor). After the last four the filter is as before, after "gated" it is
+            predicted only. A late measurement within the buffer is put where it belongs:
+            `innovation` is then of that time, the state of the newest.
 
         Raises
         ------

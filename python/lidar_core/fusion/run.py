@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +11,11 @@ from lidar_core import _core
 from lidar_core.config import as_config
 from lidar_core.errors import InputError
 from lidar_core.fusion.config import FusionConfig
-from lidar_core.fusion.measurement import Measurement
+from lidar_core.fusion.measurement import Measurement, Measurements, as_measurements
 
 _OUTCOMES = np.array(_core.fusion_outcomes())
+MAX_LAG = 1e6
+"""Longest lag of a smoother [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +51,14 @@ class Run:
         return np.isin(self.outcomes, ["updated", "started", "restarted", "told"])
 
 
-def run(measurements: Iterable[Measurement], config: FusionConfig | None = None) -> Run:
+def run(
+    measurements: Iterable[Measurement] | Measurements, config: FusionConfig | None = None
+) -> Run:
     """Filter measurements in the order of their stamps; those of one stamp keep their order.
 
     Parameters
     ----------
-    measurements : iterable of Measurement
+    measurements : iterable of Measurement, or Measurements
     config : FusionConfig, optional
 
     Returns
@@ -74,13 +79,86 @@ def run(measurements: Iterable[Measurement], config: FusionConfig | None = None)
     >>> result.states.shape, bool(result.accepted.all())
     ((20, 4), True)
     """
-    listed = list(measurements)
-    for number, measurement in enumerate(listed):
-        if not isinstance(measurement, Measurement):
-            raise InputError(
-                f"measurements[{number}]: expected a Measurement, got {type(measurement).__name__}"
-            )
     settings = as_config(config, FusionConfig)
-    arrays = _core.fusion_run(settings, [m._core for m in listed])
+    return _run_of(_core.fusion_run(settings, as_measurements(measurements)._core))
+
+
+def run_batch(
+    targets: Iterable[Iterable[Measurement] | Measurements],
+    config: FusionConfig | None = None,
+    *,
+    threads: int = 1,
+) -> list[Run]:
+    """As `run` for thousands of targets, or runs with other noise, in one call.
+
+    Parameters
+    ----------
+    targets : iterable of what `run` takes
+        `Measurements` are read in place.
+    config : FusionConfig, optional
+    threads : int
+        Threads used, >= 1; results do not depend on it.
+
+    Returns
+    -------
+    runs : list of Run
+        In the order of `targets`.
+
+    Raises
+    ------
+    ConfigError
+        A parameter is outside its range.
+    InputError
+        Something else than a `Measurement`.
+    """
+    settings = as_config(config, FusionConfig)
+    cores = [as_measurements(target)._core for target in targets]
+    return [_run_of(arrays) for arrays in _core.fusion_run_batch(settings, cores, threads=threads)]
+
+
+def smooth(
+    measurements: Iterable[Measurement] | Measurements,
+    config: FusionConfig | None = None,
+    *,
+    lag: float | None = None,
+) -> Run:
+    """As `run`, but every state also knows the measurements that came after it.
+
+    Parameters
+    ----------
+    measurements : iterable of Measurement, or Measurements
+    config : FusionConfig, optional
+        Any but model paper and method imm.
+    lag : float, optional
+        Measurements up to this much later count [s]: what a filter knows that may answer so
+        late. Without it all do.
+
+    Returns
+    -------
+    Run
+        `states` and `covariances` are smoothed, the rest is the filter's. States of the first
+        `start_rows` measurements are the filter's, too.
+
+    Raises
+    ------
+    ConfigError
+        A parameter is outside its range, or cannot be smoothed.
+    InputError
+        Something else than a `Measurement`, or a lag that is negative or not finite.
+
+    Notes
+    -----
+    Source: Rauch, Tung & Striebel, "Maximum likelihood estimates of linear dynamic systems",
+    1965.
+    """
+    if lag is not None and not 0 <= lag <= MAX_LAG:
+        raise InputError(f"lag: expected 0 to {MAX_LAG} s, got {lag}")
+    settings = as_config(config, FusionConfig)
+    lag_ns = None if lag is None else round(lag * 1e9)
+    core = as_measurements(measurements)._core
+    return _run_of(_core.fusion_smooth(settings, core, lag_ns=lag_ns))
+
+
+def _run_of(arrays: tuple[NDArray[Any], ...]) -> Run:
     stamps, outcomes, states, covariances, innovations, nis = arrays
     return Run(stamps, states, covariances, innovations, nis, _OUTCOMES[outcomes])

@@ -1,13 +1,17 @@
 //! Bindings of `lidar_core::fusion`.
 
-use crate::arrays;
+use crate::arrays::{self, Threads};
 use crate::errors::BorderError;
 use crate::fusion_config::FusionConfig;
 use crate::guard::{Guarded, detached};
+use lidar_core::estimation::minimise::Search;
 use lidar_core::fusion::engine::Output;
+use lidar_core::fusion::likelihood::{fit, quantities};
 use lidar_core::fusion::target::{Outcome, Step};
-use lidar_core::fusion::{Filter, Measurement, Sensor, run};
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1};
+use lidar_core::fusion::{Filter, Measurement, Record, Sensor, run, run_batch, smooth};
+use lidar_core::{Error, threads};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
+use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 
 const SENSORS: [(&str, Sensor); 4] = [
@@ -18,7 +22,7 @@ const SENSORS: [(&str, Sensor); 4] = [
 ];
 
 /// In the order of the numbers that arrays have for them.
-const OUTCOMES: [(&str, Outcome); 8] = [
+const OUTCOMES: [(&str, Outcome); 9] = [
     ("updated", Outcome::Updated),
     ("started", Outcome::Started),
     ("restarted", Outcome::Restarted),
@@ -26,6 +30,7 @@ const OUTCOMES: [(&str, Outcome); 8] = [
     ("gated", Outcome::Gated),
     ("invalid", Outcome::Invalid),
     ("late", Outcome::Late),
+    ("duplicate", Outcome::Duplicate),
     ("singular", Outcome::Singular),
 ];
 
@@ -90,7 +95,7 @@ impl PyFusionStep {
     #[getter]
     fn innovation<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
         let innovation = self.0.innovation?;
-        Some(PyArray1::from_slice(py, &innovation.values[..innovation.count]))
+        Some(PyArray1::from_slice(py, &innovation.values[..innovation.count.min(3)]))
     }
 
     #[getter]
@@ -161,49 +166,128 @@ type RunArrays<'py> = (
     Bound<'py, PyArray1<f64>>,
 );
 
+/// Measurements of one target.
+#[pyclass(frozen, name = "Measurements", module = "lidar_core._core")]
+pub(crate) struct PyMeasurements(Vec<Measurement>);
+
+#[pymethods]
+impl PyMeasurements {
+    #[new]
+    fn new(measurements: Vec<PyRef<'_, PyMeasurement>>) -> Self {
+        Self(measurements.iter().map(|m| m.0).collect())
+    }
+
+    /// From arrays; rows of values are cut to what the sensor of the row gives.
+    #[staticmethod]
+    #[pyo3(signature = (stamps_ns, sensors, values, *, counts))]
+    fn from_arrays(
+        stamps_ns: PyReadonlyArray1<'_, i64>,
+        sensors: PyReadonlyArray1<'_, u8>,
+        values: PyReadonlyArray2<'_, f64>,
+        counts: PyReadonlyArray1<'_, u8>,
+    ) -> Result<Self, BorderError> {
+        let stamps_ns = arrays::flat("stamps_ns", &stamps_ns)?;
+        let sensors = arrays::flat("sensors", &sensors)?;
+        let values = arrays::flat("values", &values)?;
+        let counts = arrays::flat("counts", &counts)?;
+        let width = values.len().checked_div(stamps_ns.len()).unwrap_or(1).max(1);
+        let rows = stamps_ns.iter().zip(sensors).zip(values.chunks_exact(width).zip(counts));
+        let made: Result<Vec<Measurement>, Error> = rows
+            .map(|((stamp_ns, sensor), (row, count))| {
+                let named = SENSORS.get(usize::from(*sensor)).ok_or_else(|| Error::Value {
+                    name: "sensors",
+                    expected: "numbers of sensors",
+                    index: 0,
+                    got: sensor.to_string(),
+                })?;
+                let count = usize::from(*count).min(width);
+                Measurement::new(*stamp_ns, named.1, &row[..count], None)
+            })
+            .collect();
+        Ok(Self(made?))
+    }
+
+    fn __len__(&self) -> usize {
+        self.0.len()
+    }
+}
+
 #[pyfunction]
 pub(crate) fn fusion_run<'py>(
     py: Python<'py>,
     config: FusionConfig,
-    measurements: Vec<PyRef<'py, PyMeasurement>>,
+    measurements: PyRef<'py, PyMeasurements>,
 ) -> Result<RunArrays<'py>, BorderError> {
-    let measurements: Vec<Measurement> = measurements.iter().map(|m| m.0).collect();
-    let steps = detached(py, || run(&config.parameters()?, &measurements))?;
-    run_arrays(py, &steps)
+    let measurements = &measurements.0;
+    run_arrays(py, detached(py, || run(&config.parameters()?, measurements))?)
 }
 
-fn run_arrays<'py>(py: Python<'py>, steps: &[Step]) -> Result<RunArrays<'py>, BorderError> {
-    let size = steps.iter().find_map(|step| step.output).map_or(0, |output| output.count);
-    let (rows, mut states, mut covariances) = (steps.len(), Vec::new(), Vec::new());
-    let (mut innovations, mut nis) = (Vec::new(), Vec::new());
-    for step in steps {
-        match &step.output {
-            None => {
-                states.resize(states.len() + size, f64::NAN);
-                covariances.resize(covariances.len() + size * size, f64::NAN);
-            }
-            Some(output) => {
-                states.extend_from_slice(&output.mean[..size]);
-                output.covariance[..size].iter().for_each(|r| covariances.extend(&r[..size]));
-            }
-        }
-        let mut values = [f64::NAN; 3];
-        if let Some(innovation) = step.innovation {
-            let count = innovation.count;
-            values[..count].copy_from_slice(&innovation.values[..count]);
-        }
-        innovations.extend(values);
-        nis.push(step.innovation.map_or(f64::NAN, |innovation| innovation.nis));
-    }
-    let stamps: Vec<i64> = steps.iter().map(|step| step.stamp_ns).collect();
-    let outcomes: Vec<u8> = steps.iter().map(|step| outcome_number(step.outcome) as u8).collect();
+#[pyfunction]
+#[pyo3(signature = (config, measurements, *, lag_ns))]
+pub(crate) fn fusion_smooth<'py>(
+    py: Python<'py>,
+    config: FusionConfig,
+    measurements: PyRef<'py, PyMeasurements>,
+    lag_ns: Option<i64>,
+) -> Result<RunArrays<'py>, BorderError> {
+    let measurements = &measurements.0;
+    run_arrays(py, detached(py, || smooth(&config.parameters()?, measurements, lag_ns))?)
+}
+
+#[pyfunction]
+#[pyo3(signature = (config, targets, *, threads))]
+pub(crate) fn fusion_run_batch<'py>(
+    py: Python<'py>,
+    config: FusionConfig,
+    targets: Vec<PyRef<'py, PyMeasurements>>,
+    threads: Threads,
+) -> Result<Vec<RunArrays<'py>>, BorderError> {
+    let targets: Vec<&[Measurement]> = targets.iter().map(|target| &target.0[..]).collect();
+    let records =
+        detached(py, || run_batch(&threads::pool(threads.0)?, &config.parameters()?, &targets))?;
+    records.into_iter().map(|record| run_arrays(py, record)).collect()
+}
+
+/// Noise that makes measurements most likely: acceleration, jerk, turn; standard deviations of
+/// LiDAR and radar; log likelihood.
+type Fitted = ([f64; 3], [f64; 2], [f64; 3], f64);
+
+#[pyfunction]
+#[pyo3(signature = (config, targets, *, sensors, evaluations))]
+pub(crate) fn fusion_fit_noise(
+    py: Python<'_>,
+    config: FusionConfig,
+    targets: Vec<PyRef<'_, PyMeasurements>>,
+    sensors: bool,
+    evaluations: i64,
+) -> Result<Fitted, BorderError> {
+    let targets: Vec<Vec<Measurement>> = targets.iter().map(|target| target.0.clone()).collect();
+    let evaluations = arrays::count("evaluations", evaluations)?;
+    let search = Search { step: 0.5, tolerance: 1e-6, evaluations };
+    let (best, likelihood) = detached(py, || {
+        let start = config.parameters()?;
+        fit(&start, &targets, &quantities(&start, &targets, sensors), &search)
+    })?;
+    let (noise, sensing) = (best.strengths, best.sensing);
     Ok((
-        stamps.into_pyarray(py),
+        [noise.acceleration, noise.jerk, noise.turn],
+        sensing.lidar.map(f64::sqrt),
+        sensing.radar.map(f64::sqrt),
+        likelihood,
+    ))
+}
+
+fn run_arrays(py: Python<'_>, record: Record) -> Result<RunArrays<'_>, BorderError> {
+    let (rows, size) = (record.stamps_ns.len(), record.states);
+    let numbers = record.outcomes.iter().map(|outcome| outcome_number(*outcome) as u8);
+    let outcomes: Vec<u8> = numbers.collect();
+    Ok((
+        record.stamps_ns.into_pyarray(py),
         outcomes.into_pyarray(py),
-        states.into_pyarray(py).reshape([rows, size])?,
-        covariances.into_pyarray(py).reshape([rows, size, size])?,
-        innovations.into_pyarray(py).reshape([rows, 3])?,
-        nis.into_pyarray(py),
+        record.means.into_pyarray(py).reshape([rows, size])?,
+        record.covariances.into_pyarray(py).reshape([rows, size, size])?,
+        record.innovations.into_pyarray(py).reshape([rows, 3])?,
+        record.nis.into_pyarray(py),
     ))
 }
 

@@ -2,7 +2,9 @@
 
 use crate::arrays::choice;
 use lidar_core::Error;
+use lidar_core::fusion::filter::MIXABLE;
 use lidar_core::fusion::motion::{NoiseForm, Prior};
+use lidar_core::fusion::paper::{Paper, Reading};
 use lidar_core::fusion::sensors::Sensing;
 use lidar_core::fusion::target::{GyroUse, Life, Loss};
 use lidar_core::fusion::{FusionParameters, Method, Model, Strengths};
@@ -36,6 +38,22 @@ pub(crate) struct FusionConfig {
     gate_probability: Option<f64>,
     loss_ratio: Option<f64>,
     loss_window: f64,
+    buffer_time: f64,
+    sigma_spread: Option<f64>,
+    sigma_points: String,
+    imm_models: Vec<String>,
+    imm_sojourn: f64,
+    published: PublishedModel,
+}
+
+/// The fields of `PublishedModel`.
+#[derive(FromPyObject)]
+struct PublishedModel {
+    reading: String,
+    alpha: String,
+    prediction: String,
+    speed: f64,
+    elevation: f64,
 }
 
 const MODELS: [(&str, Model); 6] = [
@@ -46,7 +64,11 @@ const MODELS: [(&str, Model); 6] = [
     ("ctra", Model::Ctra),
     ("ctrv-drone", Model::CtrvDrone),
 ];
-const METHODS: [(&str, Method); 2] = [("kf", Method::Linear), ("ekf", Method::Extended)];
+const READINGS: [(&str, Reading); 4] =
+    [("a", Reading::A), ("b", Reading::B), ("c", Reading::C), ("d", Reading::D)];
+const POINTS: [(&str, bool); 2] = [("redrawn", false), ("carried", true)];
+const ALPHAS: [(&str, bool); 2] = [("literal", false), ("fixed", true)];
+const PREDICTIONS: [(&str, bool); 2] = [("motion", false), ("matrix", true)];
 const FORMS: [(&str, NoiseForm); 2] =
     [("continuous", NoiseForm::Continuous), ("discrete", NoiseForm::Discrete)];
 const GYROS: [(&str, GyroUse); 3] =
@@ -55,9 +77,9 @@ const STARTS: [(&str, bool); 2] = [("range-rate", true), ("zero", false)];
 
 impl FusionConfig {
     pub(crate) fn parameters(&self) -> Result<FusionParameters, Error> {
-        let method = choice("method", &self.method, &METHODS)?;
+        let method = self.method()?;
         Ok(FusionParameters {
-            model: choice("model", &self.model, &MODELS)?,
+            model: self.model()?,
             method,
             strengths: Strengths {
                 form: choice("process", &self.process, &FORMS)?,
@@ -80,6 +102,38 @@ impl FusionConfig {
         })
     }
 
+    fn model(&self) -> Result<Model, Error> {
+        if self.model != "paper" {
+            return choice("model", &self.model, &MODELS);
+        }
+        Ok(Model::Paper(Paper {
+            reading: choice("published.reading", &self.published.reading, &READINGS)?,
+            fixed_alpha: choice("published.alpha", &self.published.alpha, &ALPHAS)?,
+            by_matrix: choice("published.prediction", &self.published.prediction, &PREDICTIONS)?,
+            speed: self.published.speed,
+            elevation: self.published.elevation,
+            std: [0.0; 3], // those of the strengths
+            prior: self.prior(),
+        }))
+    }
+
+    fn method(&self) -> Result<Method, Error> {
+        let carries = choice("sigma_points", &self.sigma_points, &POINTS)?;
+        let mut models = [false; 5];
+        for name in &self.imm_models {
+            let model = choice("imm_models", name, &MODELS)?;
+            MIXABLE.iter().zip(&mut models).for_each(|(known, used)| *used |= *known == model);
+        }
+        let known = [
+            ("kf", Method::Linear),
+            ("ekf", Method::Extended),
+            ("ukf", Method::Sigma { spread: self.sigma_spread, carries }),
+            ("ckf", Method::Cubature),
+            ("imm", Method::Interacting { models, sojourn: self.imm_sojourn }),
+        ];
+        choice("method", &self.method, &known)
+    }
+
     fn prior(&self) -> Prior {
         Prior {
             position: squared(self.initial_position),
@@ -98,6 +152,7 @@ impl FusionConfig {
             loss: self.loss_ratio.map(|ratio| Loss { ratio, window: self.loss_window }),
             radar_starts_speed: choice("start_speed", &self.start_speed, &STARTS)?,
             gyro: choice("gyro", &self.gyro, &GYROS)?,
+            buffer_ns: (self.buffer_time * 1e9).round() as i64,
         })
     }
 }

@@ -43,7 +43,10 @@ mod _core {
     #[pymodule_export]
     use super::flying::PyFlyingObjectDetector;
     #[pymodule_export]
-    use super::fusion::{PyFusionStep, PyMeasurement, PyTargetFilter, fusion_outcomes, fusion_run};
+    use super::fusion::{
+        PyFusionStep, PyMeasurement, PyMeasurements, PyTargetFilter, fusion_fit_noise,
+        fusion_outcomes, fusion_run, fusion_run_batch, fusion_smooth,
+    };
     #[pymodule_export]
     use super::geometry::{cluster_points, traverse};
     #[pymodule_export]

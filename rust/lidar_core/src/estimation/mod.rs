@@ -3,3 +3,5 @@
 pub mod association;
 pub mod chi2;
 pub mod kalman;
+pub mod minimise;
+pub mod unscented;

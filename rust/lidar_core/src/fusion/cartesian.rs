@@ -2,7 +2,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::motion::{First, INPUTS, Motion, Prior, extended};
+use super::motion::{First, INPUTS, Motion, Noise, Prior, extended};
 use super::platform::Platform;
 use super::turn::{Turn, direction, rotated};
 use crate::estimation::kalman::Gaussian;
@@ -37,6 +37,7 @@ fn velocity_of<const N: usize>(s: &SVector<f64, N>) -> (Vector2<f64>, SMatrix<f6
 }
 
 impl Motion<4> for ConstantVelocity {
+    const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Acceleration, Noise::Absent];
     const HEADING: Option<usize> = None;
 
     fn moved(&self, s: &Vector4<f64>, dt: f64, _: &Platform) -> Vector4<f64> {
@@ -78,6 +79,7 @@ impl Motion<4> for ConstantVelocity {
 }
 
 impl Motion<6> for ConstantAcceleration {
+    const NOISES: [Noise; INPUTS] = [Noise::Jerk, Noise::Jerk, Noise::Absent];
     const HEADING: Option<usize> = None;
 
     fn moved(&self, s: &Vector6<f64>, dt: f64, platform: &Platform) -> Vector6<f64> {
@@ -132,6 +134,7 @@ impl Motion<6> for ConstantAcceleration {
 }
 
 impl Motion<5> for CoordinatedTurn {
+    const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Acceleration, Noise::Turn];
     const HEADING: Option<usize> = None;
 
     fn moved(&self, s: &Vector5<f64>, dt: f64, _: &Platform) -> Vector5<f64> {

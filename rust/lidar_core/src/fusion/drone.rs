@@ -3,7 +3,7 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::heading::{Arc, polar_first, velocity_of};
-use super::motion::{First, INPUTS, Motion, Prior, extended};
+use super::motion::{First, INPUTS, Motion, Noise, Prior, extended};
 use super::platform::Platform;
 use super::turn::{Turn, direction, rotated};
 use crate::estimation::kalman::Gaussian;
@@ -89,6 +89,7 @@ fn relative<const N: usize>(
 }
 
 impl Motion<5> for CtrvDrone {
+    const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Turn, Noise::Absent];
     const HEADING: Option<usize> = Some(3);
 
     fn moved(&self, s: &Vector5<f64>, dt: f64, platform: &Platform) -> Vector5<f64> {
@@ -137,6 +138,7 @@ impl Motion<5> for CtrvDrone {
 }
 
 impl Motion<6> for CtrvDroneRate {
+    const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Turn, Noise::Platform];
     const HEADING: Option<usize> = Some(3);
     const PLATFORM_RATE: Option<usize> = Some(5);
 

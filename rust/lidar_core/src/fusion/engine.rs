@@ -9,7 +9,7 @@ use super::sensors::{Observation, Sensing, Sight, polar_difference};
 use super::turn::wrapped;
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, Linearised, Update, symmetrised, update};
-use nalgebra::{Matrix1, SMatrix, Vector1};
+use nalgebra::{Matrix1, Matrix6, SMatrix, Vector1, Vector6};
 
 /// Most states that a model has.
 pub const MAX_STATES: usize = 6;
@@ -17,7 +17,8 @@ pub const MAX_STATES: usize = 6;
 /// How far a measurement was from what was expected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Innovation {
-    /// Measured minus expected: position [m]; or range, bearing and range rate; or turn rate.
+    /// Measured minus expected: position [m]; or range, bearing and range rate; or turn rate; or
+    /// the first three states of the paper's five.
     pub values: [f64; 3],
     /// How many of them there are.
     pub count: usize,
@@ -39,9 +40,9 @@ pub struct Output {
 }
 
 /// A filter without memory: the state is handed in and out.
-pub trait Engine: Clone + Send + Sync {
+pub trait Engine: Clone + Send + Sync + 'static {
     /// What it estimates.
-    type State: Clone + Send + Sync;
+    type State: Clone + Send + Sync + 'static;
 
     /// State of a target that has been seen once.
     fn first(&self, first: &First) -> Self::State;
@@ -65,6 +66,35 @@ pub trait Engine: Clone + Send + Sync {
 
     /// Mean and covariance.
     fn output(&self, state: &Self::State) -> Output;
+
+    /// How the state after `dt` [s] hangs on the state before it; none for engines whose past
+    /// cannot be smoothed.
+    fn link(&self, _state: &Self::State, _dt: f64, _platform: &Platform) -> Option<Link> {
+        None
+    }
+}
+
+/// A prediction to be gone back over: x' = F x + noise of covariance Q. States that a model does
+/// not have keep to themselves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Link {
+    /// Jacobian of the prediction.
+    pub F: Matrix6<f64>,
+    /// Covariance of what is added.
+    pub Q: Matrix6<f64>,
+    /// Mean that was predicted, the heading not wrapped.
+    pub mean: Vector6<f64>,
+    /// Which state is a heading.
+    pub heading: Option<usize>,
+}
+
+impl Link {
+    /// The same where nothing happened: the state stays what it was.
+    #[must_use]
+    pub fn standing(&self, state: &Output) -> Self {
+        let (F, Q) = (Matrix6::identity(), Matrix6::zeros());
+        Self { F, Q, mean: Vector6::from(state.mean), heading: self.heading }
+    }
 }
 
 /// One motion model and how it is estimated.
@@ -142,6 +172,16 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
 
     fn output(&self, state: &Gaussian<N>) -> Output {
         output(state, M::HEADING)
+    }
+
+    fn link(&self, state: &Gaussian<N>, dt: f64, platform: &Platform) -> Option<Link> {
+        let (predicted, jacobian) = self.motion.transition(&state.mean, dt, platform);
+        let noise = self.noise.covariance(&self.motion, &state.mean, dt, platform);
+        let (mut F, mut Q, mut mean) = (Matrix6::identity(), Matrix6::zeros(), Vector6::zeros());
+        F.fixed_view_mut::<N, N>(0, 0).copy_from(&jacobian);
+        Q.fixed_view_mut::<N, N>(0, 0).copy_from(&noise);
+        mean.fixed_rows_mut::<N>(0).copy_from(&predicted);
+        Some(Link { F, Q, mean, heading: M::HEADING })
     }
 }
 

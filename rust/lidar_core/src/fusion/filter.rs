@@ -2,17 +2,24 @@
 
 use super::cartesian::{ConstantAcceleration, ConstantVelocity, CoordinatedTurn};
 use super::drone::{CtrvDrone, CtrvDroneRate};
-use super::engine::{Output, Single};
+use super::engine::{Engine, Link, Output, Single};
 use super::heading::{Ctra, Ctrv};
+use super::imm::{Imm, Mode, mode};
 use super::measurement::Measurement;
-use super::motion::{Motion, NoiseForm, Prior, ProcessNoise};
+use super::motion::{Motion, Noise, NoiseForm, Prior, ProcessNoise};
+use super::paper::Paper;
 use super::platform::Platform;
 use super::sensors::Sensing;
-use super::target::{GyroUse, Life, Step, Target};
+use super::sigma::Sigma;
+use super::smooth::{Row, smoothed};
+use super::target::{GyroUse, Life, Outcome, Step, Target};
 use crate::Error;
+use crate::error::require;
+use crate::estimation::unscented::Rule;
+use std::sync::Arc;
 
 /// How targets move.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Model {
     /// [x, y, vx, vy].
     ConstantVelocity,
@@ -26,6 +33,8 @@ pub enum Model {
     Ctra,
     /// [x, y, v, theta, w] in the frame of a sensor that moves; with w_d unless a gyro is an input.
     CtrvDrone,
+    /// [x, y, v, theta, w, w_d] as published; method, prior and deviations come from elsewhere.
+    Paper(Paper),
 }
 
 /// How the state is estimated.
@@ -35,7 +44,33 @@ pub enum Method {
     Linear,
     /// Linearised at the mean.
     Extended,
+    /// Unscented, in square-root form.
+    Sigma {
+        /// Square of the distance of the sigma points, in standard deviations; none: the number
+        /// of states plus 2, which keeps all weights positive.
+        spread: Option<f64>,
+        /// Whether the points of a prediction meet the measurement, instead of new ones.
+        carries: bool,
+    },
+    /// Cubature: unscented without a central point.
+    Cubature,
+    /// Interacting multiple models, each extended; the parameters' own model does not count.
+    Interacting {
+        /// Which of [`MIXABLE`].
+        models: [bool; 5],
+        /// Mean time for which a target follows one model [s].
+        sojourn: f64,
+    },
 }
+
+/// Order of the models that can be mixed.
+pub const MIXABLE: [Model; 5] = [
+    Model::ConstantVelocity,
+    Model::ConstantAcceleration,
+    Model::CoordinatedTurn,
+    Model::Ctrv,
+    Model::Ctra,
+];
 
 /// Strengths of process noise, in the units that `form` asks for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,33 +109,38 @@ pub struct FusionParameters {
 }
 
 /// A filter of one target.
-#[derive(Clone, Debug)]
-pub struct Filter(Kind);
+pub struct Filter(Box<dyn Tracked>);
 
-#[derive(Clone, Debug)]
-enum Kind {
-    ConstantVelocity(Target<Single<4, ConstantVelocity>>),
-    ConstantAcceleration(Target<Single<6, ConstantAcceleration>>),
-    CoordinatedTurn(Target<Single<5, CoordinatedTurn>>),
-    Ctrv(Target<Single<5, Ctrv>>),
-    Ctra(Target<Single<6, Ctra>>),
-    CtrvDrone(Target<Single<5, CtrvDrone>>),
-    CtrvDroneRate(Target<Single<6, CtrvDroneRate>>),
+/// A [`Target`], whatever its engine.
+trait Tracked: Send + Sync {
+    fn step(&mut self, m: &Measurement) -> Step;
+    fn output_at(&self, stamp_ns: i64) -> Option<Output>;
+    fn link(&self, stamp_ns: i64) -> Option<Link>;
+    fn boxed(&self) -> Box<dyn Tracked>;
 }
 
-/// The same call on whatever target there is.
-macro_rules! on_target {
-    ($filter:expr, $target:ident => $call:expr) => {
-        match $filter {
-            Kind::ConstantVelocity($target) => $call,
-            Kind::ConstantAcceleration($target) => $call,
-            Kind::CoordinatedTurn($target) => $call,
-            Kind::Ctrv($target) => $call,
-            Kind::Ctra($target) => $call,
-            Kind::CtrvDrone($target) => $call,
-            Kind::CtrvDroneRate($target) => $call,
-        }
-    };
+impl<E: Engine> Tracked for Target<E> {
+    fn step(&mut self, m: &Measurement) -> Step {
+        Target::step(self, m)
+    }
+
+    fn output_at(&self, stamp_ns: i64) -> Option<Output> {
+        Target::output_at(self, stamp_ns)
+    }
+
+    fn link(&self, stamp_ns: i64) -> Option<Link> {
+        Target::link(self, stamp_ns)
+    }
+
+    fn boxed(&self) -> Box<dyn Tracked> {
+        Box::new(self.clone())
+    }
+}
+
+impl Clone for Filter {
+    fn clone(&self) -> Self {
+        Self(self.0.boxed())
+    }
 }
 
 impl Filter {
@@ -111,84 +151,144 @@ impl Filter {
     pub fn new(parameters: &FusionParameters) -> Result<Self, Error> {
         let p = parameters;
         let linear = matches!(p.model, Model::ConstantVelocity | Model::ConstantAcceleration);
-        if p.method == Method::Linear && !linear {
-            let expected = "\"cv\" or \"ca\" with method \"kf\"";
-            return Err(Error::Parameter {
-                name: "model",
-                expected,
-                got: format!("{:?}", p.model),
-            });
+        let fits = p.method != Method::Linear || linear;
+        require(
+            fits,
+            "method",
+            "\"kf\" with model \"cv\" or \"ca\" only",
+            format!("{:?}", p.model),
+        )?;
+        if let Method::Interacting { models, sojourn } = p.method {
+            let named = MIXABLE.iter().zip(models).filter(|(_, wanted)| *wanted);
+            let modes: Vec<Arc<dyn Mode>> = named.filter_map(|(model, _)| p.mode(*model)).collect();
+            require(!modes.is_empty(), "imm_models", "at least one model", "none")?;
+            return Ok(Self(p.tracked(Imm::new(modes, sojourn))));
         }
-        let Strengths { acceleration, jerk, turn, platform, .. } = p.strengths;
         Ok(Self(match p.model {
-            Model::ConstantVelocity => Kind::ConstantVelocity(
-                p.target(ConstantVelocity, [acceleration, acceleration, 0.0]),
-            ),
-            Model::ConstantAcceleration => {
-                Kind::ConstantAcceleration(p.target(ConstantAcceleration, [jerk, jerk, 0.0]))
-            }
-            Model::CoordinatedTurn => {
-                Kind::CoordinatedTurn(p.target(CoordinatedTurn, [acceleration, acceleration, turn]))
-            }
-            Model::Ctrv => Kind::Ctrv(p.target(Ctrv, [acceleration, turn, 0.0])),
-            Model::Ctra => Kind::Ctra(p.target(Ctra, [jerk, turn, 0.0])),
-            Model::CtrvDrone if p.life.gyro == GyroUse::Input => {
-                Kind::CtrvDrone(p.target(CtrvDrone, [acceleration, turn, 0.0]))
-            }
-            Model::CtrvDrone => {
-                Kind::CtrvDroneRate(p.target(CtrvDroneRate, [acceleration, turn, platform]))
+            Model::ConstantVelocity => p.target(ConstantVelocity),
+            Model::ConstantAcceleration => p.target(ConstantAcceleration),
+            Model::CoordinatedTurn => p.target(CoordinatedTurn),
+            Model::Ctrv => p.target(Ctrv),
+            Model::Ctra => p.target(Ctra),
+            Model::CtrvDrone if p.life.gyro == GyroUse::Input => p.target(CtrvDrone),
+            Model::CtrvDrone => p.target(CtrvDroneRate),
+            Model::Paper(published) => {
+                let Strengths { acceleration, turn, platform, .. } = p.strengths;
+                let std = [acceleration, turn, platform];
+                p.tracked(Paper { std, prior: p.prior, ..published })
             }
         }))
     }
 
     /// Take in a measurement.
     pub fn step(&mut self, m: &Measurement) -> Step {
-        on_target!(&mut self.0, target => target.step(m))
+        self.0.step(m)
     }
 
-    /// State at the time of the last measurement.
-    #[must_use]
-    pub fn output(&self) -> Option<Output> {
-        on_target!(&self.0, target => target.output())
-    }
-
-    /// State carried on to `stamp_ns`; nothing changes.
+    /// State carried on to `stamp_ns`; nothing changes. A time before the last measurement gives
+    /// the state at that measurement.
     #[must_use]
     pub fn output_at(&self, stamp_ns: i64) -> Option<Output> {
-        on_target!(&self.0, target => target.output_at(stamp_ns))
+        self.0.output_at(stamp_ns)
     }
 }
 
-/// Filter measurements in the order of their stamps; those of one stamp keep their order.
+/// Hand out the steps of measurements that are in order, every state given the measurements up
+/// to `lag_ns` after it, or all.
 ///
 /// # Errors
-/// As [`Filter::new`].
-pub fn run(
+/// As [`Filter::new`], and for a model or method whose past cannot be smoothed.
+pub fn smooth_into(
     parameters: &FusionParameters,
     measurements: &[Measurement],
-) -> Result<Vec<Step>, Error> {
-    let mut filter = Filter::new(parameters)?;
-    let mut sorted = measurements.to_vec();
-    sorted.sort_by_key(Measurement::stamp_ns);
-    Ok(sorted.iter().map(|m| filter.step(m)).collect())
+    lag_ns: Option<i64>,
+    mut visit: impl FnMut(&Step),
+) -> Result<(), Error> {
+    let smooths = !matches!(parameters.model, Model::Paper(_));
+    require(smooths, "model", "one that can be smoothed", "\"paper\"")?;
+    let smooths = !matches!(parameters.method, Method::Interacting { .. });
+    require(smooths, "method", "one that can be smoothed", "\"imm\"")?;
+    let mut filter = Filter::new(&parameters.without_buffer())?;
+    let (mut rows, mut steps) = (Vec::new(), Vec::new());
+    for m in measurements {
+        let link = filter.0.link(m.stamp_ns());
+        let before = filter.output_at(i64::MIN);
+        let step = filter.step(m);
+        let link = match step.outcome {
+            Outcome::Started | Outcome::Restarted => None,
+            Outcome::Updated | Outcome::Gated | Outcome::Told => link,
+            _ => link.zip(before).map(|(link, before)| link.standing(&before)),
+        };
+        rows.push(Row { stamp_ns: step.stamp_ns, output: step.output, link });
+        steps.push(step);
+    }
+    for (step, output) in steps.iter().zip(smoothed(&rows, lag_ns)) {
+        visit(&Step { output, ..*step });
+    }
+    Ok(())
 }
 
 impl FusionParameters {
-    fn target<const N: usize, M: Motion<N>>(
-        &self,
-        motion: M,
-        strength: [f64; 3],
-    ) -> Target<Single<N, M>> {
-        let noise = ProcessNoise { form: self.strengths.form, strength };
-        let (prior, sensing) = (self.prior, self.sensing);
+    /// The same without a buffer, for measurements that come in order.
+    #[must_use]
+    pub fn without_buffer(&self) -> Self {
+        Self { life: Life { buffer_ns: 0, ..self.life }, ..*self }
+    }
+
+    fn tracked<E: Engine>(&self, engine: E) -> Box<dyn Tracked> {
         let start = self.strengths.start;
         let starter = Single {
             motion: ConstantVelocity,
             noise: ProcessNoise { form: NoiseForm::Discrete, strength: [start, start, 0.0] },
-            prior,
-            sensing,
+            prior: self.prior,
+            sensing: self.sensing,
         };
         let platform = Platform { lever: self.lever, ..Platform::still() };
-        Target::new(Single { motion, noise, prior, sensing }, starter, self.life, platform)
+        Box::new(Target::new(engine, starter, self.life, platform))
+    }
+
+    fn mode(&self, model: Model) -> Option<Arc<dyn Mode>> {
+        match model {
+            Model::ConstantVelocity => Some(mode(self.single(ConstantVelocity))),
+            Model::ConstantAcceleration => Some(mode(self.single(ConstantAcceleration))),
+            Model::CoordinatedTurn => Some(mode(self.single(CoordinatedTurn))),
+            Model::Ctrv => Some(mode(self.single(Ctrv))),
+            Model::Ctra => Some(mode(self.single(Ctra))),
+            Model::CtrvDrone | Model::Paper(_) => None,
+        }
+    }
+
+    fn single<const N: usize, M: Motion<N>>(&self, motion: M) -> Single<N, M> {
+        let noise = ProcessNoise {
+            form: self.strengths.form,
+            strength: M::NOISES.map(|noise| self.strengths.of(noise)),
+        };
+        Single { motion, noise, prior: self.prior, sensing: self.sensing }
+    }
+
+    fn target<const N: usize, M: Motion<N>>(&self, motion: M) -> Box<dyn Tracked> {
+        let base = self.single(motion);
+        match self.method {
+            Method::Sigma { spread, carries } => {
+                let rule = Rule::new(N, spread.unwrap_or((N + 2) as f64));
+                self.tracked(Sigma { base, rule, carries })
+            }
+            Method::Cubature => {
+                self.tracked(Sigma { base, rule: Rule::new(N, N as f64), carries: false })
+            }
+            _ => self.tracked(base),
+        }
+    }
+}
+
+impl Strengths {
+    fn of(&self, noise: Noise) -> f64 {
+        match noise {
+            Noise::Acceleration => self.acceleration,
+            Noise::Jerk => self.jerk,
+            Noise::Turn => self.turn,
+            Noise::Platform => self.platform,
+            Noise::Absent => 0.0,
+        }
     }
 }

@@ -2,7 +2,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::motion::{First, INPUTS, Motion, Prior, extended};
+use super::motion::{First, INPUTS, Motion, Noise, Prior, extended};
 use super::platform::Platform;
 use super::turn::{Turn, direction};
 use crate::estimation::kalman::Gaussian;
@@ -88,6 +88,7 @@ pub(super) fn velocity_of<const N: usize>(
 }
 
 impl Motion<5> for Ctrv {
+    const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Turn, Noise::Absent];
     const HEADING: Option<usize> = Some(3);
 
     fn moved(&self, s: &Vector5<f64>, dt: f64, _: &Platform) -> Vector5<f64> {
@@ -144,6 +145,7 @@ impl Motion<5> for Ctrv {
 }
 
 impl Motion<6> for Ctra {
+    const NOISES: [Noise; INPUTS] = [Noise::Jerk, Noise::Turn, Noise::Absent];
     const HEADING: Option<usize> = Some(3);
 
     fn moved(&self, s: &Vector6<f64>, dt: f64, _: &Platform) -> Vector6<f64> {

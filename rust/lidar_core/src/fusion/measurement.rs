@@ -12,7 +12,8 @@ pub enum Sensor {
     /// Position of the target: x, y [m].
     Lidar,
     /// Range [m], bearing counter-clockwise from x [rad], range rate [m/s], positive when the
-    /// range grows.
+    /// range grows; or these and the target's true speed [m/s] and heading [rad], which only
+    /// reading C of the paper's model uses.
     Radar,
     /// The platform: turn rate [rad/s]; or that and the velocity of its origin in its own axes
     /// [m/s].
@@ -46,7 +47,7 @@ impl Measurement {
     ) -> Result<Self, Error> {
         let allowed: [usize; 2] = match sensor {
             Sensor::Lidar => [2, 2],
-            Sensor::Radar => [3, 3],
+            Sensor::Radar => [3, 5],
             Sensor::Gyro => [1, 3],
             Sensor::Pose => [3, 6],
         };
@@ -157,7 +158,7 @@ mod tests {
         let of = |sensor, count: usize| Measurement::new(0, sensor, &[1.0; 6][..count], None);
         for (sensor, counts) in [
             (Sensor::Lidar, vec![2]),
-            (Sensor::Radar, vec![3]),
+            (Sensor::Radar, vec![3, 5]),
             (Sensor::Gyro, vec![1, 3]),
             (Sensor::Pose, vec![3, 6]),
         ] {

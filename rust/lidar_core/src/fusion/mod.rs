@@ -6,14 +6,22 @@
 pub mod cartesian;
 pub mod drone;
 pub mod engine;
+pub mod exchange;
 pub mod filter;
 pub mod heading;
+pub mod imm;
+pub mod likelihood;
 pub mod measurement;
 pub mod motion;
+pub mod paper;
 pub mod platform;
+pub mod record;
 pub mod sensors;
+pub mod sigma;
+pub mod smooth;
 pub mod target;
 pub mod turn;
 
-pub use filter::{Filter, FusionParameters, Method, Model, Strengths, run};
+pub use filter::{Filter, FusionParameters, Method, Model, Strengths};
 pub use measurement::{Measurement, Sensor};
+pub use record::{Record, run, run_batch, smooth};

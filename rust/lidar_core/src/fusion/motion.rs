@@ -9,6 +9,21 @@ use nalgebra::{SMatrix, SVector, Vector2};
 /// Independent noises that may drive a model.
 pub const INPUTS: usize = 3;
 
+/// A noise that drives a model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Noise {
+    /// Acceleration of the target.
+    Acceleration,
+    /// Jerk of the target.
+    Jerk,
+    /// Angular acceleration of the target.
+    Turn,
+    /// Angular acceleration of the platform.
+    Platform,
+    /// None.
+    Absent,
+}
+
 /// How uncertain a target is before it has been seen twice, as variances.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prior {
@@ -41,7 +56,9 @@ pub struct First {
 ///
 /// The frame of the state is the sensor's where the sensor stands still or the model moves it,
 /// else the world's.
-pub trait Motion<const N: usize>: Clone + Send + Sync {
+pub trait Motion<const N: usize>: Clone + Send + Sync + 'static {
+    /// What drives it, in the order of the columns of [`Self::impulses`].
+    const NOISES: [Noise; INPUTS];
     /// Which state is a heading: it is kept unwrapped and wrapped on output.
     const HEADING: Option<usize>;
     /// Which state is the turn rate of the platform.

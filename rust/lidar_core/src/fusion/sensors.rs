@@ -8,6 +8,9 @@ use super::platform::{Platform, SensorPose};
 use super::turn::{direction, rotated, wrapped};
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
+/// Ranges below this have no bearing [m].
+const NEAREST: f64 = 1e-9;
+
 /// Noise of measurements that bring no covariance, and limits of the models.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensing {
@@ -86,15 +89,15 @@ impl<const N: usize> Sight<N> {
         (self.position, self.by_state[0])
     }
 
-    /// Expected range, bearing and range rate. The range must not be zero.
+    /// Expected range, bearing and range rate.
     #[must_use]
     pub fn polar(&self) -> Vector3<f64> {
         let (p, v) = (self.position, self.velocity);
-        let range = libm::sqrt(p.x * p.x + p.y * p.y);
+        let range = libm::sqrt(p.x * p.x + p.y * p.y).max(NEAREST);
         Vector3::new(range, libm::atan2(p.y, p.x), (p.x * v.x + p.y * v.y) / range)
     }
 
-    /// Jacobian of [`Self::polar`].
+    /// Jacobian of [`Self::polar`]; the range must not be zero.
     #[must_use]
     pub fn polar_jacobian(&self) -> SMatrix<f64, 3, N> {
         let (p, v) = (self.position, self.velocity);

@@ -1,27 +1,33 @@
 //! One target over time: start, prediction, gate, correction, loss.
 
 use super::cartesian::ConstantVelocity;
-use super::engine::{Engine, Innovation, Output, Single};
+use super::engine::{Engine, Innovation, Link, Output, Single};
 use super::measurement::{Measurement, Sensor};
 use super::platform::{Platform, Pose};
 use super::sensors::first_sight;
 use crate::Error;
 use crate::estimation::chi2;
 use crate::estimation::kalman::Gaussian;
+use std::collections::VecDeque;
+
+/// Measurements kept for late ones, at most.
+const MOST_KEPT: usize = 10_000;
 
 /// Rules over a target's life.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Life {
     /// Measurements that a constant-velocity filter takes before the model does.
     pub start_rows: u32,
-    /// Largest NIS of 1, 2 and 3 values that is believed; infinite for all.
-    pub gate: [f64; 3],
+    /// Largest NIS of 1 to 5 values that is believed; infinite for all.
+    pub gate: [f64; 5],
     /// When a filter counts as lost; none for never.
     pub loss: Option<Loss>,
     /// Whether a radar that sees a target first gives its speed along the line of sight.
     pub radar_starts_speed: bool,
     /// How the turn rate of a gyro is used.
     pub gyro: GyroUse,
+    /// How long measurements are kept for late ones to be put before them [ns].
+    pub buffer_ns: i64,
 }
 
 /// A filter is lost when its NIS stays above what its covariances allow.
@@ -49,10 +55,14 @@ impl Life {
     ///
     /// # Errors
     /// [`Error::Parameter`] unless 0 < `probability` < 1.
-    pub fn gates(probability: Option<f64>) -> Result<[f64; 3], Error> {
-        let Some(probability) = probability else { return Ok([f64::INFINITY; 3]) };
-        let quantile = |degrees| chi2::quantile(probability, degrees);
-        Ok([quantile(1)?, quantile(2)?, quantile(3)?])
+    pub fn gates(probability: Option<f64>) -> Result<[f64; 5], Error> {
+        let mut gates = [f64::INFINITY; 5];
+        if let Some(probability) = probability {
+            for (degrees, gate) in (1..).zip(&mut gates) {
+                *gate = chi2::quantile(probability, degrees)?;
+            }
+        }
+        Ok(gates)
     }
 }
 
@@ -73,6 +83,8 @@ pub enum Outcome {
     Invalid,
     /// It is older than what the filter can go back to; nothing changed.
     Late,
+    /// It is there already: same stamp, sensor and values; nothing changed.
+    Duplicate,
     /// The covariance of its innovation has no factor; nothing changed.
     Singular,
 }
@@ -116,6 +128,8 @@ pub struct Target<E: Engine> {
     starter: Single<4, ConstantVelocity>,
     life: Life,
     now: Now<E::State>,
+    /// The last measurements, and what was known after each.
+    history: VecDeque<(Measurement, Now<E::State>)>,
 }
 
 type Corrected<S> = Option<(Phase<S>, Innovation)>;
@@ -129,22 +143,55 @@ impl<E: Engine> Target<E> {
         platform: Platform,
     ) -> Self {
         let now = Now { stamp_ns: i64::MIN, phase: Phase::Unseen, platform, ratio: 1.0 };
-        Self { engine, starter, life, now }
+        Self { engine, starter, life, now, history: VecDeque::new() }
     }
 
-    /// Take in a measurement.
+    /// Take in a measurement; a late one is put where it belongs, and what came after it is
+    /// filtered again.
     pub fn step(&mut self, m: &Measurement) -> Step {
-        let refused = if !m.is_usable() {
-            Some(Outcome::Invalid)
-        } else if m.stamp_ns() < self.now.stamp_ns {
-            Some(Outcome::Late)
-        } else {
-            None
-        };
-        if let Some(outcome) = refused {
-            return self.report(outcome, None);
+        if !m.is_usable() {
+            return self.report(Outcome::Invalid, None);
         }
-        self.advance(m)
+        let newer = |(known, _): &&(Measurement, _)| known.stamp_ns() >= m.stamp_ns();
+        if self.history.iter().rev().take_while(newer).any(|(known, _)| known == m) {
+            return self.report(Outcome::Duplicate, None);
+        }
+        if m.stamp_ns() < self.now.stamp_ns {
+            return self.step_late(m);
+        }
+        let step = self.advance(m);
+        self.remember(m);
+        step
+    }
+
+    fn remember(&mut self, m: &Measurement) {
+        if self.life.buffer_ns == 0 {
+            return;
+        }
+        self.history.push_back((*m, self.now.clone()));
+        let oldest = self.now.stamp_ns.saturating_sub(self.life.buffer_ns);
+        while self.history.len() > MOST_KEPT
+            || self.history.front().is_some_and(|(_, now)| now.stamp_ns < oldest)
+        {
+            self.history.pop_front();
+        }
+    }
+
+    /// Go back to the state before `m`, take it in, and everything after it again.
+    fn step_late(&mut self, m: &Measurement) -> Step {
+        let before = self.history.partition_point(|(known, _)| known.stamp_ns() <= m.stamp_ns());
+        let Some((_, now)) = before.checked_sub(1).and_then(|index| self.history.get(index)) else {
+            return self.report(Outcome::Late, None);
+        };
+        self.now = now.clone();
+        let after: Vec<Measurement> = self.history.drain(before..).map(|(m, _)| m).collect();
+        let Step { outcome, innovation, .. } = self.advance(m);
+        self.remember(m);
+        for later in &after {
+            self.advance(later);
+            self.remember(later);
+        }
+        self.report(outcome, innovation)
     }
 
     /// Take in a usable measurement that is not older than the state.
@@ -159,6 +206,13 @@ impl<E: Engine> Target<E> {
             Ok(None) => self.start(m, Outcome::Started, None),
             Ok(Some((phase, innovation))) => self.judged(predicted, phase, innovation, m),
         }
+    }
+
+    /// How the state at `stamp_ns` hangs on the present one; none while the target starts.
+    pub fn link(&self, stamp_ns: i64) -> Option<Link> {
+        let Phase::Running(state) = &self.now.phase else { return None };
+        let dt = stamp_ns.saturating_sub(self.now.stamp_ns).max(0) as f64 * 1e-9;
+        self.engine.link(state, dt, &self.now.platform)
     }
 
     fn predicted(&self, dt: f64) -> Phase<E::State> {
@@ -276,8 +330,7 @@ impl<E: Engine> Target<E> {
         Step { outcome, stamp_ns: self.now.stamp_ns, output: self.output(), innovation }
     }
 
-    /// State at the time of the last measurement.
-    pub fn output(&self) -> Option<Output> {
+    fn output(&self) -> Option<Output> {
         self.output_of(&self.now.phase)
     }
 

@@ -1,0 +1,76 @@
+"""Noise from measurements alone."""
+
+from collections.abc import Iterable
+
+from lidar_core import _core
+from lidar_core.config import as_config
+from lidar_core.fusion.config import FusionConfig
+from lidar_core.fusion.measurement import Measurement, Measurements, as_measurements
+
+EVALUATIONS = 2000
+"""Most runs over all measurements of one fit."""
+
+
+def fit_noise(
+    measurements: Iterable[Measurement] | Measurements | Iterable[Measurements],
+    config: FusionConfig | None = None,
+    *,
+    sensors: bool = True,
+) -> FusionConfig:
+    """Find the noise under which measurements are most likely; no truth is needed.
+
+    Parameters
+    ----------
+    measurements : iterable of Measurement, Measurements, or sequence of Measurements
+        Of one target, or of several that move alike.
+    config : FusionConfig, optional
+        Model and method, and where the search begins; values that are zero stay zero.
+    sensors : bool
+        Whether deviations of LiDAR and radar are found, too, for measurements that bring no
+        covariance; else only the process noise is.
+
+    Returns
+    -------
+    FusionConfig
+        `config` with that noise.
+
+    Raises
+    ------
+    ConfigError
+        Model paper, which has no likelihood.
+    InputError
+        Fewer than ten measurements per value that is sought, after the first ten of every
+        target.
+
+    Notes
+    -----
+    Maximum of the likelihood of the innovations, found by Nelder & Mead's method over the
+    logarithms of the values, each within a factor of 1000 of where it begins. Gates are open
+    meanwhile. Deterministic.
+    """
+    settings = as_config(config, FusionConfig)
+    targets = _targets(measurements)
+    (acceleration, jerk, turn), lidar, radar, _ = _core.fusion_fit_noise(
+        settings,
+        [target._core for target in targets],
+        sensors=sensors,
+        evaluations=EVALUATIONS,
+    )
+    noise = {"acceleration_noise": acceleration, "jerk_noise": jerk, "turn_noise": turn}
+    stds = {"lidar_std": tuple(lidar), "radar_std": tuple(radar)} if sensors else {}
+    return FusionConfig(**(settings.model_dump() | noise | stds))
+
+
+def _targets(
+    measurements: Iterable[Measurement] | Measurements | Iterable[Measurements],
+) -> list[Measurements]:
+    if isinstance(measurements, Measurements):
+        return [measurements]
+    several: list[Measurements] = []
+    one: list[Measurement] = []
+    for given in measurements:
+        if isinstance(given, Measurements):
+            several.append(given)
+        else:
+            one.append(given)
+    return several + ([as_measurements(one)] if one or not several else [])

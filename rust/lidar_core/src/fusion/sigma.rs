@@ -1,0 +1,209 @@
+//! Filters with sigma points, in square-root form: unscented and cubature.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::engine::{Engine, Innovation, Link, Output, Single, output};
+use super::measurement::{Measurement, Sensor};
+use super::motion::{First, Motion};
+use super::platform::Platform;
+use super::sensors::{Observation, Sight, polar_difference};
+use crate::Error;
+use crate::estimation::kalman::Gaussian;
+use crate::estimation::unscented::{Rooted, Rule, Triangle, stacked, transformed};
+use nalgebra::{Matrix1, SMatrix, SVector, Vector1};
+
+/// A filter that moves sigma points through the models of `base`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sigma<const N: usize, M> {
+    /// Models and noise.
+    pub base: Single<N, M>,
+    /// Where the points lie.
+    pub rule: Rule,
+    /// Whether the points of a prediction are compared with measurements, those of its noise
+    /// with them; else new ones are drawn from its covariance.
+    pub carries: bool,
+}
+
+/// A state, and the sigma points that its prediction left, where they are carried on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SigmaState<const N: usize> {
+    /// Mean and root of the covariance.
+    pub rooted: Rooted<N>,
+    points: Vec<Point<N>>,
+}
+
+/// A weight, and a state.
+type Point<const N: usize> = (f64, SVector<f64, N>);
+type Corrected<const N: usize> = Result<Option<(SigmaState<N>, Innovation)>, Error>;
+
+impl<const N: usize> SigmaState<N> {
+    fn new(rooted: Rooted<N>) -> Self {
+        Self { rooted, points: Vec::new() }
+    }
+
+    fn gaussian(&self) -> Gaussian<N> {
+        Gaussian { mean: self.rooted.mean, covariance: self.rooted.covariance() }
+    }
+
+    /// Points that stand for the state, the central one first.
+    fn points(&self, rule: &Rule) -> Vec<Point<N>> {
+        if !self.points.is_empty() {
+            return self.points.clone();
+        }
+        let (mean, reach) = (self.rooted.mean, libm::sqrt(rule.spread));
+        let mut points = Vec::with_capacity(1 + 2 * N);
+        points.push((rule.center, mean));
+        for axis in self.rooted.root.column_iter() {
+            points.push((rule.around, mean + axis * reach));
+            points.push((rule.around, mean - axis * reach));
+        }
+        points
+    }
+}
+
+impl<const N: usize, M: Motion<N>> Sigma<N, M> {
+    /// Correct `prior` by `z`, which `expected` says of a state; `minus` subtracts two such.
+    ///
+    /// Deviations of measurement and state are absorbed by one triangle: its upper left is the
+    /// root of S, below lie the gain times it, and the root of the posterior.
+    fn corrected<const K: usize>(
+        &self,
+        prior: &SigmaState<N>,
+        z: &SVector<f64, K>,
+        R: &SMatrix<f64, K, K>,
+        expected: impl Fn(&SVector<f64, N>) -> SVector<f64, K>,
+        minus: impl Fn(&SVector<f64, K>, &SVector<f64, K>) -> SVector<f64, K>,
+    ) -> Corrected<N> {
+        let (points, mean) = (prior.points(&self.rule), prior.rooted.mean);
+        let center = expected(&points[0].1);
+        let apart: Vec<SVector<f64, K>> =
+            points.iter().map(|(_, point)| minus(&expected(point), &center)).collect();
+        let shift: SVector<f64, K> =
+            points.iter().zip(&apart).map(|((weight, _), apart)| apart * *weight).sum();
+        let mut columns = points.iter().zip(&apart).map(|((weight, point), apart)| {
+            (*weight, stacked((apart - shift).as_slice(), (point - mean).as_slice()))
+        });
+        let central = columns.next(); // last: its weight may be negative
+        let empty = Triangle::zero(K + N);
+        let mut triangle =
+            columns.fold(empty, |sum, (weight, column)| sum.weighted(weight, column));
+        let noise = R.cholesky().ok_or(Error::NotPositiveDefinite { matrix: "R" })?.l();
+        noise.column_iter().for_each(|c| triangle.absorb(stacked(c.into_owned().as_slice(), &[])));
+        let triangle =
+            central.map_or(triangle, |(weight, column)| triangle.weighted(weight, column));
+        Ok(Some(posterior(&prior.rooted, &triangle, &minus(z, &(center + shift)))))
+    }
+
+    /// Points of a prediction: of the state and of its noise.
+    fn carried(
+        &self,
+        state: &Rooted<N>,
+        noise: &[SVector<f64, N>],
+        moved: impl Fn(&SVector<f64, N>) -> SVector<f64, N>,
+    ) -> Vec<Point<N>> {
+        let Rule { spread, around, .. } = self.rule;
+        let (center, reach) = (moved(&state.mean), libm::sqrt(spread));
+        let mut points = vec![(1.0 - (N + noise.len()) as f64 / spread, center)];
+        for axis in state.root.column_iter() {
+            points.push((around, moved(&(state.mean + axis * reach))));
+            points.push((around, moved(&(state.mean - axis * reach))));
+        }
+        for column in noise {
+            points.extend([(around, center + column * reach), (around, center - column * reach)]);
+        }
+        points
+    }
+}
+
+/// What a triangle over measurement and state makes of the innovation `y`.
+fn posterior<const N: usize, const K: usize>(
+    prior: &Rooted<N>,
+    triangle: &Triangle,
+    y: &SVector<f64, K>,
+) -> (SigmaState<N>, Innovation) {
+    let mut whitened = SVector::<f64, K>::zeros();
+    let mut determinant = 1.0;
+    for row in 0..K {
+        let known: f64 = (0..row).map(|k| triangle.at(row, k) * whitened[k]).sum();
+        whitened[row] = (y[row] - known) / triangle.at(row, row);
+        determinant *= triangle.at(row, row);
+    }
+    let gained = SVector::<f64, N>::from_fn(|row, _| {
+        (0..K).map(|k| triangle.at(K + row, k) * whitened[k]).sum()
+    });
+    let mut values = [0.0; 3];
+    values[..K].copy_from_slice(y.as_slice());
+    let innovation = Innovation {
+        values,
+        count: K,
+        nis: whitened.norm_squared(),
+        log_determinant: 2.0 * libm::log(determinant),
+    };
+    let rooted = Rooted { mean: prior.mean + gained, root: triangle.corner(K) };
+    (SigmaState::new(rooted), innovation)
+}
+
+impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
+    type State = SigmaState<N>;
+
+    fn first(&self, first: &First) -> SigmaState<N> {
+        let start = self.base.first(first);
+        SigmaState::new(Rooted::new(start.mean, &start.covariance))
+    }
+
+    fn after_velocity(&self, cv: &Gaussian<4>) -> Option<SigmaState<N>> {
+        let start = self.base.after_velocity(cv)?;
+        Some(SigmaState::new(Rooted::new(start.mean, &start.covariance)))
+    }
+
+    fn predict(&self, state: &SigmaState<N>, dt: f64, platform: &Platform) -> SigmaState<N> {
+        let (motion, state) = (&self.base.motion, &state.rooted);
+        let moved = |s: &SVector<f64, N>| motion.moved(s, dt, platform);
+        let (mean, mut triangle, shift) = transformed(state, &self.rule, moved);
+        let mut noise = Vec::new();
+        self.base.noise.columns(motion, &state.mean, dt, platform, |column| {
+            triangle.absorb(stacked(column.as_slice(), &[]));
+            if self.carries {
+                noise.push(*column);
+            }
+        });
+        let triangle = triangle.weighted(self.rule.center, stacked(shift.as_slice(), &[]));
+        let rooted = Rooted { mean, root: triangle.corner(0) };
+        let points = if self.carries { self.carried(state, &noise, moved) } else { Vec::new() };
+        SigmaState { rooted, points }
+    }
+
+    fn update(&self, state: &SigmaState<N>, m: &Measurement, platform: &Platform) -> Corrected<N> {
+        let motion = &self.base.motion;
+        if m.sensor() == Sensor::Gyro && M::PLATFORM_RATE.is_none() {
+            return Ok(None);
+        }
+        let sensor = platform.sensor_at(m.stamp_ns());
+        let sight = |s: &SVector<f64, N>| Sight::new(motion, s, platform, sensor.as_ref());
+        match self.base.sensing.observation(m, sight(&state.rooted.mean).range()) {
+            Some(Observation::Position { z, R }) => {
+                self.corrected(state, &z, &R, |s| sight(s).place().0, |a, b| a - b)
+            }
+            Some(Observation::Polar { z, R }) => {
+                self.corrected(state, &z, &R, |s| sight(s).polar(), polar_difference)
+            }
+            Some(Observation::Rate { z, R }) => {
+                let Some(index) = M::PLATFORM_RATE else { return Ok(None) };
+                let expected = |s: &SVector<f64, N>| Vector1::new(s[index]);
+                self.corrected(state, &Vector1::new(z), &Matrix1::new(R), expected, |a, b| a - b)
+            }
+            None => Ok(None),
+        }
+    }
+
+    fn output(&self, state: &SigmaState<N>) -> Output {
+        output(&state.gaussian(), M::HEADING)
+    }
+
+    /// By the Jacobian at the mean: what the smoother needs is the correlation of two states.
+    fn link(&self, state: &SigmaState<N>, dt: f64, platform: &Platform) -> Option<Link> {
+        let mut link = self.base.link(&state.gaussian(), dt, platform)?;
+        link.mean.fixed_rows_mut::<N>(0).copy_from(&self.predict(state, dt, platform).rooted.mean);
+        Some(link)
+    }
+}
