@@ -9,19 +9,15 @@ from lidar_core.parameters import MODELS, Parameter, model_named, models_within,
 PAGE = Path(__file__).parent / "parameters.md"
 USED_BY = {
     "circle_dataset": "`circles.dataset`, `circles.make_samples`",
-    "circle_fit": "`lidar_core.circles.CircleDetector`",
-    "circle_map": "`lidar_core.circles.CircleMap`",
+    "circles": "`lidar_core.circles.CirclePipeline` and its parts",
     "evaluation": "`lidar-core demo`, `lidar_core.evaluation`",
     "flight": "`lidar_core.sim`: a target in a real scan",
     "flying": "`lidar-core detect --config`, `lidar_core.flying.FlyingObjectDetector`",
     "fusion": "`lidar_core.fusion.TargetFilter`, `lidar_core.fusion.run`",
     "pose_noise": "`lidar_core.sim.NoisyPoses`, `lidar-core reproduce`",
     "poses": "`lidar-core detect`, `lidar_core.io.posed_scans`",
-    "preprocess": "`lidar_core.circles`: the operating volume, tilted scans",
     "read": "`lidar-core info`, `lidar-core detect`, `lidar_core.io.open_recording`",
-    "scanner": "`lidar_core.circles`: the 2D LiDAR",
     "scene": "`lidar-core simulate`, `lidar_core.sim.simulate`",
-    "segment": "`lidar_core.circles.segment`",
     "steering": "`lidar_core.sim.SteeredSensor`, `lidar-core reproduce`",
 }
 INTRODUCTION = """\

@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 
 __all__ = [
     "CircleMap",
+    "CirclePipeline",
     "FlyingObjectDetector",
     "FusionStep",
     "Measurement",
     "Measurements",
     "PointCloudTracker",
+    "PreparedSweep",
     "SimScene",
     "SimShape",
     "SimTrajectory",
@@ -242,6 +244,7 @@ class CircleMap:
         *,
         sensor: int,
         pose_covariance: NDArray[np.float64] | None,
+        delays: NDArray[np.float64] | None,
         view: tuple[NDArray[np.float64], NDArray[np.float64], tuple[float, float]] | None,
     ) -> tuple[
         bool,
@@ -251,6 +254,58 @@ class CircleMap:
         NDArray[np.int64],
         NDArray[np.int64],
     ]: ...
+    def map_at(
+        self, stamp_ns: int
+    ) -> tuple[
+        NDArray[np.int64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.int64],
+        NDArray[np.bool_],
+        NDArray[np.bool_],
+    ]: ...
+    def reset(self) -> None: ...
+
+@final
+class PreparedSweep:
+    def scan(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
+    def segments(
+        self,
+    ) -> tuple[NDArray[np.int32], NDArray[np.uint32], NDArray[np.int64], NDArray[np.uint8]]: ...
+
+@final
+class CirclePipeline:
+    def __new__(cls, config: object, *, fit: object) -> Self: ...
+    def process(
+        self,
+        ranges: NDArray[np.float32],
+        world_from_lidar: NDArray[np.float64],
+        *,
+        stamp_ns: int,
+        scanner: str,
+        pose_covariance: NDArray[np.float64] | None,
+        ray_time_ns: NDArray[np.int64] | None,
+        pose_stamps_ns: NDArray[np.int64] | None,
+    ) -> dict[str, Any]: ...
+    def prepare(
+        self,
+        ranges: NDArray[np.float32],
+        world_from_lidar: NDArray[np.float64],
+        *,
+        stamp_ns: int,
+        scanner: str,
+        pose_covariance: NDArray[np.float64] | None,
+        ray_time_ns: NDArray[np.int64] | None,
+        pose_stamps_ns: NDArray[np.int64] | None,
+    ) -> PreparedSweep: ...
+    def integrate(
+        self,
+        prepared: PreparedSweep,
+        circles: NDArray[np.float64],
+        covariance: NDArray[np.float64],
+        n_hits: NDArray[np.int64],
+    ) -> dict[str, Any]: ...
     def map_at(
         self, stamp_ns: int
     ) -> tuple[

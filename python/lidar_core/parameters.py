@@ -17,19 +17,15 @@ from lidar_core.errors import ConfigError
 
 MODELS = {
     "circle_dataset": "lidar_core.circles:DatasetConfig",
-    "circle_fit": "lidar_core.circles:FitConfig",
-    "circle_map": "lidar_core.circles:CircleMapConfig",
+    "circles": "lidar_core.circles:CirclesConfig",
     "evaluation": "lidar_core.evaluation:EvaluationConfig",
     "flight": "lidar_core.sim:InsertedFlight",
     "flying": "lidar_core.flying:FlyingConfig",
     "fusion": "lidar_core.fusion:FusionConfig",
     "pose_noise": "lidar_core.sim:PoseNoise",
     "poses": "lidar_core.io:PoseOptions",
-    "preprocess": "lidar_core.circles:PreprocessConfig",
     "read": "lidar_core.io:ReadOptions",
-    "scanner": "lidar_core.circles:Scanner",
     "scene": "lidar_core.sim:Scene",
-    "segment": "lidar_core.circles:SegmentConfig",
     "steering": "lidar_core.sim:Steering",
 }
 """Models that a file or a command line fills, by the name the command gives them."""

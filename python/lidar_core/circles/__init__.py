@@ -1,12 +1,15 @@
 """Round obstacles in 2D scans: from one sweep of ranges to a map of circles with identities."""
 
+from lidar_core.circles.config import CirclesConfig
 from lidar_core.circles.dataset_config import DatasetConfig
 from lidar_core.circles.detector import CircleDetector
 from lidar_core.circles.fit_config import FitConfig
 from lidar_core.circles.fitting import Circles, fit_circles
 from lidar_core.circles.map import CircleElements, CircleMap, MapEvents
 from lidar_core.circles.map_config import CircleMapConfig
+from lidar_core.circles.pipeline import CirclePipeline
 from lidar_core.circles.preprocess import limit_range, project_horizontal
+from lidar_core.circles.results import CircleFrame, CirclesHealth
 from lidar_core.circles.samples import Samples, make_samples
 from lidar_core.circles.scan_config import PreprocessConfig, SegmentConfig
 from lidar_core.circles.scanner import Scanner
@@ -15,9 +18,13 @@ from lidar_core.circles.segmentation import Segments, Side, segment
 __all__ = [
     "CircleDetector",
     "CircleElements",
+    "CircleFrame",
     "CircleMap",
     "CircleMapConfig",
+    "CirclePipeline",
     "Circles",
+    "CirclesConfig",
+    "CirclesHealth",
     "DatasetConfig",
     "FitConfig",
     "MapEvents",

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from operator import index
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -118,6 +119,7 @@ class CircleMap:
         stamp_ns: int,
         *,
         pose_covariance: ArrayLike | None = None,
+        delays: ArrayLike | None = None,
         scan: tuple[ArrayLike, ArrayLike] | None = None,
         range_limits: tuple[float, float] = (0.0, np.inf),
         sensor: int = 0,
@@ -138,6 +140,9 @@ class CircleMap:
         pose_covariance : array_like, shape (6, 6), optional
             Of the pose: translation [m], then the angles alpha, beta, gamma of
             Rz(gamma) Ry(beta) Rx(alpha) [rad].
+        delays : array_like, shape (C,), optional
+            When each circle was measured, after `stamp_ns` [s]; `filter` "paper" does not heed
+            it.
         scan : (ranges, bearings), each of shape (B,), optional
             The scan in the level frame, +inf for misses, NaN for no information: elements that it
             does not show wait where they are hidden. Without it all should have been measured.
@@ -168,6 +173,11 @@ class CircleMap:
             as_stamp(stamp_ns),
             sensor=_sensor(sensor),
             pose_covariance=doubt,
+            delays=(
+                None
+                if delays is None
+                else as_finite_rows(delays, name="delays", rows=len(rows), shape=())
+            ),
             view=None if scan is None else _view(scan, range_limits),
         )
         return MapEvents(*events)
@@ -175,23 +185,28 @@ class CircleMap:
     def map_at(self, stamp_ns: int) -> CircleElements:
         """Confirmed elements, predicted to any time; nothing changes."""
         stamp = as_stamp(stamp_ns)
-        number, mean, covariance, age, seen_ns, visible, confirmed = self._map.map_at(stamp)
-        mean = mean[confirmed]
-        return CircleElements(
-            id=number[confirmed],
-            center=mean[:, 0:2],
-            velocity=mean[:, 2:4],
-            radius=mean[:, 4],
-            covariance=covariance[confirmed],
-            age=age[confirmed],
-            seen_ns=seen_ns[confirmed],
-            visible=visible[confirmed],
-            stamp_ns=stamp,
-        )
+        return elements_of(self._map.map_at(stamp), stamp)
 
     def reset(self) -> None:
         """Forget all elements; numbers are still not reused."""
         self._map.reset()
+
+
+def elements_of(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> CircleElements:
+    """Confirmed elements of those that the core gives."""
+    number, mean, covariance, age, seen_ns, visible, confirmed = arrays
+    mean = mean[confirmed]
+    return CircleElements(
+        id=number[confirmed],
+        center=mean[:, 0:2],
+        velocity=mean[:, 2:4],
+        radius=mean[:, 4],
+        covariance=covariance[confirmed],
+        age=age[confirmed],
+        seen_ns=seen_ns[confirmed],
+        visible=visible[confirmed],
+        stamp_ns=stamp_ns,
+    )
 
 
 def _view(

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -103,10 +104,11 @@ def segment(
     [['FREE', 'FREE'], ['OCCLUDED', 'FIELD_EDGE']]
     """
     scan, angles = as_scan(ranges, bearings)
-    labels, rays, starts, sides = _core.segment_scan(
-        scan,
-        angles,
-        config=as_config(config, SegmentConfig),
-        scanner=as_config(scanner, Scanner),
-    )
+    options, limits = as_config(config, SegmentConfig), as_config(scanner, Scanner)
+    return segments_of(_core.segment_scan(scan, angles, config=options, scanner=limits))
+
+
+def segments_of(arrays: tuple[NDArray[Any], ...]) -> Segments:
+    """Segments as the core gives them."""
+    labels, rays, starts, sides = arrays
     return Segments(labels=labels, sides=sides, rays=rays, starts=starts)

@@ -10,6 +10,7 @@
 
 pub mod budget;
 pub mod circles;
+mod clock;
 mod error;
 pub mod estimation;
 pub mod flying;

@@ -16,7 +16,8 @@ use numpy::{
 use pyo3::prelude::*;
 
 /// Parameters (C, 3), covariance (C, 3, 3), number of hits (C,).
-type CircleArrays<'py> = (Rows3<'py, f64>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray1<i64>>);
+pub(crate) type CircleArrays<'py> =
+    (Rows3<'py, f64>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray1<i64>>);
 
 /// Rays, starts and sides of `Segments`.
 type SegmentArrays<'py> =
@@ -105,7 +106,7 @@ fn read_segments((rays, starts, sides): &SegmentArrays<'_>) -> Result<Segments, 
 }
 
 /// Circles as arrays; NaN where there is none.
-fn circle_arrays<'py>(
+pub(crate) fn circle_arrays<'py>(
     py: Python<'py>,
     circles: &[Option<CircleEstimate>],
 ) -> Result<CircleArrays<'py>, BorderError> {

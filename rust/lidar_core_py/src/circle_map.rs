@@ -17,7 +17,7 @@ use pyo3::prelude::*;
 
 /// The fields of `CircleMapConfig`.
 #[derive(FromPyObject)]
-struct CircleMapConfig {
+pub(crate) struct CircleMapConfig {
     filter: String,
     gate_probability: f64,
     initial_speed: f64,
@@ -42,7 +42,7 @@ struct CircleMapConfig {
 }
 
 impl CircleMapConfig {
-    fn parameters(&self) -> Result<CircleMapParameters, Error> {
+    pub(crate) fn parameters(&self) -> Result<CircleMapParameters, Error> {
         let joint =
             Joint { velocity_step: self.velocity_step, max_eigenvalue: self.max_eigenvalue };
         let filter = match arrays::choice("filter", &self.filter, &FILTERS)? {
@@ -86,15 +86,15 @@ enum Kind {
 
 const FILTERS: [(&str, Kind); 2] = [("paper", Kind::Paper), ("independent", Kind::Independent)];
 
-type Numbers<'py> = Bound<'py, PyArray1<i64>>;
+pub(crate) type Numbers<'py> = Bound<'py, PyArray1<i64>>;
 
 /// Whether the scan was late; the element of every circle; numbers of elements born, confirmed,
 /// removed; pairs merged.
-type Events<'py> =
+pub(crate) type Events<'py> =
     (bool, Numbers<'py>, Numbers<'py>, Numbers<'py>, Numbers<'py>, Bound<'py, PyArray2<i64>>);
 
 /// Number, mean (M, 5), covariance (M, 5, 5), age, time of the last measurement, visible, confirmed.
-type Elements<'py> = (
+pub(crate) type Elements<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray3<f64>>,
@@ -118,7 +118,8 @@ impl PyCircleMap {
         Ok(Self(Guarded::new(map)))
     }
 
-    #[pyo3(signature = (circles, covariance, world_from_lidar, stamp_ns, *, sensor, pose_covariance, view))]
+    #[pyo3(signature = (circles, covariance, world_from_lidar, stamp_ns, *, sensor, pose_covariance,
+                        delays, view))]
     #[allow(clippy::too_many_arguments)] // one call per scan, as the public API has it
     fn update<'py>(
         &self,
@@ -129,6 +130,7 @@ impl PyCircleMap {
         stamp_ns: i64,
         sensor: u32,
         pose_covariance: Option<PyReadonlyArray2<'py, f64>>,
+        delays: Option<PyReadonlyArray1<'py, f64>>,
         view: Option<ViewArrays<'py>>,
     ) -> Result<Events<'py>, BorderError> {
         let estimates = estimates(&circles, &covariance)?;
@@ -137,6 +139,7 @@ impl PyCircleMap {
             pose_covariance.map(|rows| square::<36>("pose_covariance", &rows)).transpose()?;
         let doubt: Option<PoseCovariance> =
             doubt.map(|values| std::array::from_fn(|i| std::array::from_fn(|j| values[6 * i + j])));
+        let delays = arrays::maybe_flat("delays", &delays)?;
         let scan = view.as_ref().map(polar_scan).transpose()?;
         let stats = self.0.with(py, |map| {
             map.update(&CircleScan {
@@ -145,6 +148,7 @@ impl PyCircleMap {
                 world_from_lidar: &Transform::from_matrix(&pose),
                 pose_covariance: doubt.as_ref(),
                 estimates: &estimates,
+                delays,
                 view: scan.as_ref().map(|(scan, (range_min, range_max))| View {
                     scan,
                     range_min: *range_min,
@@ -152,11 +156,11 @@ impl PyCircleMap {
                 }),
             })
         })?;
-        events(py, stats)
+        event_arrays(py, stats)
     }
 
     fn map_at<'py>(&self, py: Python<'py>, stamp_ns: i64) -> Result<Elements<'py>, BorderError> {
-        elements(py, &self.0.with(py, |map| Ok(map.map_at(stamp_ns)))?)
+        element_arrays(py, &self.0.with(py, |map| Ok(map.map_at(stamp_ns)))?)
     }
 
     fn reset(&self, py: Python<'_>) -> Result<(), BorderError> {
@@ -167,7 +171,7 @@ impl PyCircleMap {
     }
 }
 
-fn estimates(
+pub(crate) fn estimates(
     circles: &PyReadonlyArray2<'_, f64>,
     covariance: &PyReadonlyArray3<'_, f64>,
 ) -> Result<Vec<CircleEstimate>, BorderError> {
@@ -209,7 +213,7 @@ fn polar_scan(
     Ok((scan, *limits))
 }
 
-fn events(py: Python<'_>, stats: MapStats) -> Result<Events<'_>, BorderError> {
+pub(crate) fn event_arrays(py: Python<'_>, stats: MapStats) -> Result<Events<'_>, BorderError> {
     let pairs = stats.merged.len();
     Ok((
         stats.late,
@@ -221,7 +225,10 @@ fn events(py: Python<'_>, stats: MapStats) -> Result<Events<'_>, BorderError> {
     ))
 }
 
-fn elements<'py>(py: Python<'py>, all: &[MapElement]) -> Result<Elements<'py>, BorderError> {
+pub(crate) fn element_arrays<'py>(
+    py: Python<'py>,
+    all: &[MapElement],
+) -> Result<Elements<'py>, BorderError> {
     let count = all.len();
     let numbers = |value: fn(&MapElement) -> i64| all.iter().map(value).collect::<Vec<i64>>();
     let flags = |value: fn(&MapElement) -> bool| all.iter().map(value).collect::<Vec<bool>>();

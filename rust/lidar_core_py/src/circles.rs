@@ -20,14 +20,14 @@ use pyo3::prelude::*;
 type Column<'py, T> = Bound<'py, PyArray1<T>>;
 
 /// Ranges, bearings, heights.
-type LevelArrays<'py> = (Column<'py, f64>, Column<'py, f64>, Column<'py, f64>);
+pub(crate) type LevelArrays<'py> = (Column<'py, f64>, Column<'py, f64>, Column<'py, f64>);
 
 /// Labels, rays, starts, sides.
-type SegmentArrays<'py> =
+pub(crate) type SegmentArrays<'py> =
     (Column<'py, i32>, Column<'py, u32>, Column<'py, i64>, Bound<'py, PyArray2<u8>>);
 
 /// Names of the projections.
-const PROJECTIONS: [(&str, Projection); 2] =
+pub(crate) const PROJECTIONS: [(&str, Projection); 2] =
     [("exact", Projection::Exact), ("paper", Projection::Paper)];
 
 #[pyfunction]
@@ -108,7 +108,10 @@ pub(crate) fn segment_scan<'py>(
 }
 
 /// Move segments out.
-fn segment_arrays(py: Python<'_>, segments: Segments) -> Result<SegmentArrays<'_>, BorderError> {
+pub(crate) fn segment_arrays(
+    py: Python<'_>,
+    segments: Segments,
+) -> Result<SegmentArrays<'_>, BorderError> {
     let count = segments.len();
     let code = |side: &Side| match side {
         Side::Free => 0,

@@ -3,13 +3,28 @@
 use crate::arrays;
 use lidar_core::Error;
 use lidar_core::circles::fit::{FitParameters, Method};
+use lidar_core::circles::pipeline::ScannerParameters;
 use lidar_core::circles::segment::{Bound, Criterion, SegmentParameters};
 use pyo3::prelude::*;
 
 #[derive(FromPyObject)]
 pub(crate) struct ScannerConfig {
+    angle_min: f64,
+    angle_increment: f64,
+    n_beams: usize,
     range_min: f64,
     range_max: f64,
+}
+
+impl ScannerConfig {
+    pub(crate) fn parameters(&self) -> ScannerParameters {
+        ScannerParameters {
+            angle_min: self.angle_min,
+            angle_increment: self.angle_increment,
+            n_beams: self.n_beams,
+            range_limits: [self.range_min, self.range_max],
+        }
+    }
 }
 
 #[derive(FromPyObject)]

@@ -5,6 +5,7 @@ mod arrays;
 mod center;
 mod circle_fit;
 mod circle_map;
+mod circle_pipeline;
 mod circle_samples;
 mod circle_windows;
 mod circles;
@@ -32,6 +33,8 @@ mod _core {
     use super::circle_fit::{detect_circles, fit_circles};
     #[pymodule_export]
     use super::circle_map::PyCircleMap;
+    #[pymodule_export]
+    use super::circle_pipeline::{PyCirclePipeline, PyPreparedSweep};
     #[pymodule_export]
     use super::circle_samples::{circle_lattice, make_circle_samples};
     #[pymodule_export]

@@ -6,8 +6,10 @@
 
 pub mod circle;
 pub mod fit;
+pub mod frame;
 pub mod map;
 mod merge;
+pub mod pipeline;
 pub mod polar;
 pub mod preprocess;
 pub mod segment;

@@ -4,7 +4,7 @@ use super::classify::{Verdict, classify, judge_again};
 use super::clusters::Cluster;
 use super::flood::{check_steps, distinct, search_radius};
 use super::found::Found;
-use super::frame::{Clock, Frame, Teammate, Timing};
+use super::frame::{Frame, Teammate, Timing};
 use super::gate::Gate;
 use super::integrate::{
     BACKGROUND, ClassifiedScan, FLYING, INVALID, IntegrateStats, Origins, UNKNOWN,
@@ -18,6 +18,7 @@ use super::track::{Detections, PointCloudTracker, Track};
 use super::visibility::ScanView;
 use super::voxel_map::VoxelMap;
 use crate::Error;
+use crate::clock::Clock;
 use crate::geometry::lattice::{floor, wide};
 use crate::geometry::sight::{Sight, label_seen};
 use crate::geometry::transform::Transform;

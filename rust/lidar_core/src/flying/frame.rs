@@ -4,7 +4,6 @@ use super::detection::Detection;
 use super::gate::Gate;
 use super::integrate::IntegrateStats;
 use super::track::Track;
-use std::time::Instant;
 
 /// Milliseconds spent per stage.
 #[derive(Clone, Copy, Debug, Default)]
@@ -57,20 +56,4 @@ pub struct Teammate {
     pub position: [f64; 3],
     /// Detections this near are taken for it [m].
     pub radius: f64,
-}
-
-/// Stop watch for the stages.
-pub(crate) struct Clock(Instant);
-
-impl Clock {
-    pub(crate) fn start() -> Self {
-        Self(Instant::now())
-    }
-
-    /// Milliseconds since the last lap.
-    pub(crate) fn lap(&mut self) -> f64 {
-        let now = Instant::now();
-        let passed = now.duration_since(std::mem::replace(&mut self.0, now));
-        passed.as_secs_f64() * 1e3
-    }
 }

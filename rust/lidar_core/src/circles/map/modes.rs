@@ -34,23 +34,32 @@ pub(super) struct Measurement {
     pub(super) z: Vector3<f64>,
     /// Their covariance.
     pub(super) R: Matrix3<f64>,
+    /// When it was measured, after the stamp of the scan [s].
+    pub(super) delay: f64,
 }
 
-/// Measurement matrix of centre and radius: eqs 16-17 in the world.
-pub(super) fn measurement_matrix() -> Matrix3x5 {
-    let mut H = Matrix3x5::zeros();
-    H[(0, 0)] = 1.0;
-    H[(1, 1)] = 1.0;
-    H[(2, 4)] = 1.0;
-    H
+impl Measurement {
+    /// Measurement matrix of centre and radius: eqs 16-17 in the world, for a centre that moves on
+    /// between the stamp and the measurement.
+    fn matrix(&self) -> Matrix3x5 {
+        let mut H = Matrix3x5::zeros();
+        H[(0, 0)] = 1.0;
+        H[(1, 1)] = 1.0;
+        H[(0, 2)] = self.delay;
+        H[(1, 3)] = self.delay;
+        H[(2, 4)] = 1.0;
+        H
+    }
 }
 
 /// State of eqs 18-20: a circle at rest, of unknown velocity.
 pub(super) fn new_state(measurement: &Measurement, speed: f64) -> Gaussian<5> {
-    let H = measurement_matrix();
+    let H = Measurement { delay: 0.0, ..*measurement }.matrix();
     let mut covariance = H.transpose() * measurement.R * H;
     covariance[(2, 2)] = speed * speed;
     covariance[(3, 3)] = speed * speed;
+    let back = transition(-measurement.delay); // to the stamp
+    let covariance = symmetrised(back * covariance * back.transpose());
     Gaussian { mean: H.transpose() * measurement.z, covariance }
 }
 
@@ -201,7 +210,7 @@ impl Modes {
     /// # Errors
     /// [`Error::NotPositiveDefinite`].
     pub(super) fn cost(&self, measurement: &Measurement, gate: f64) -> Result<Option<f64>, Error> {
-        let H = measurement_matrix();
+        let H = measurement.matrix();
         let mut best = f64::INFINITY;
         let mut costs = [f64::INFINITY; MAX_MODES];
         for (index, state) in self.states.iter().enumerate() {
@@ -223,7 +232,7 @@ impl Modes {
     /// # Errors
     /// [`Error::NotPositiveDefinite`]; the state is unchanged then.
     pub(super) fn correct(&mut self, measurement: &Measurement) -> Result<(), Error> {
-        let H = measurement_matrix();
+        let H = measurement.matrix();
         let mut costs = [f64::INFINITY; MAX_MODES];
         let mut states = Vec::with_capacity(self.states.len());
         for (index, state) in self.states.iter().enumerate() {
@@ -277,7 +286,7 @@ mod tests {
     }
 
     fn measurement(x: f64) -> Measurement {
-        Measurement { z: Vector3::new(x, 1.0, 0.3), R: Matrix3::identity() * 1e-4 }
+        Measurement { z: Vector3::new(x, 1.0, 0.3), R: Matrix3::identity() * 1e-4, delay: 0.0 }
     }
 
     #[test]

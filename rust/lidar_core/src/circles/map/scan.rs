@@ -33,6 +33,9 @@ pub struct CircleScan<'a> {
     pub pose_covariance: Option<&'a PoseCovariance>,
     /// Circles found.
     pub estimates: &'a [CircleEstimate],
+    /// When each was measured, after the stamp [s]; None: all at the stamp. The filter of the
+    /// paper takes them all at the stamp.
+    pub delays: Option<&'a [f64]>,
     /// The scan itself; None: all elements should have been measured.
     pub view: Option<View<'a>>,
 }
@@ -65,8 +68,9 @@ impl Placed {
         let pose = check(scan)?;
         let R_pose =
             scan.pose_covariance.map(|rows| SMatrix::from_fn(|row, column| rows[row][column]));
-        let place = |estimate: &CircleEstimate| {
+        let place = |(index, estimate): (usize, &CircleEstimate)| {
             let mut measurement = pose.place(estimate);
+            measurement.delay = scan.delays.map_or(0.0, |delays| delays[index]);
             if let Some(R_pose) = R_pose {
                 let J = pose.by_pose(estimate.circle.center, scan.world_from_lidar);
                 let common = J * R_pose * J.transpose();
@@ -79,7 +83,7 @@ impl Placed {
             stamp_ns: scan.stamp_ns,
             sensor: scan.sensor,
             pose,
-            measurements: scan.estimates.iter().map(place).collect(),
+            measurements: scan.estimates.iter().enumerate().map(place).collect(),
             sight: scan.view.map(|view| view.sight()).transpose()?,
             elements: vec![None; scan.estimates.len()],
         })
@@ -115,7 +119,8 @@ impl LevelPose {
         let R = matrix_of(estimate);
         let R = turn * R * turn.transpose();
         let offset = Vector3::new(self.origin[0], self.origin[1], 0.0);
-        Measurement { z: turn * Vector3::new(x, y, radius) + offset, R: (R + R.transpose()) * 0.5 }
+        let z = turn * Vector3::new(x, y, radius) + offset;
+        Measurement { z, R: (R + R.transpose()) * 0.5, delay: 0.0 }
     }
 
     /// A circle of the world in the level frame.
@@ -182,7 +187,25 @@ pub(super) fn check(scan: &CircleScan<'_>) -> Result<LevelPose, Error> {
         }
     }
     check_estimates(scan.estimates)?;
+    check_delays(scan.delays, scan.estimates.len())?;
     Ok(LevelPose::of(pose))
+}
+
+fn check_delays(delays: Option<&[f64]>, expected: usize) -> Result<(), Error> {
+    let Some(delays) = delays else { return Ok(()) };
+    let (name, got) = ("delays", delays.len());
+    if got != expected {
+        return Err(Error::Length { name, expected, got });
+    }
+    match delays.iter().position(|delay| !delay.is_finite()) {
+        Some(index) => Err(Error::Value {
+            name,
+            expected: "finite values",
+            index,
+            got: delays[index].to_string(),
+        }),
+        None => Ok(()),
+    }
 }
 
 fn check_estimates(estimates: &[CircleEstimate]) -> Result<(), Error> {

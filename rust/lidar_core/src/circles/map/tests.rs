@@ -40,6 +40,7 @@ fn scan(step: i64, estimates: &[CircleEstimate]) -> CircleScan<'_> {
         world_from_lidar: HERE,
         pose_covariance: None,
         estimates,
+        delays: None,
         view: None,
     }
 }
@@ -202,4 +203,21 @@ fn parameters_outside_their_range_are_refused() {
     }
     let joint = Joint { velocity_step: -1.0, max_eigenvalue: 1.0 };
     assert!(map_of(Filter::Paper(joint)).is_err());
+}
+
+#[test]
+fn a_circle_measured_later_counts_at_its_own_time() -> Result<(), Error> {
+    let mut map = map_of(Filter::Independent(best()))?;
+    for step in 0..40 {
+        let circles = [circle(2.0 + 0.05 * step as f64 + 0.02, 0.0, 0.3)]; // 1 m/s, 20 ms later
+        let late = CircleScan { delays: Some(&[0.02]), ..scan(step, &circles) };
+        map.update(&late)?;
+    }
+    let found = map.map_at(39 * STEP_NS);
+    assert!((found[0].state.mean[0] - (2.0 + 0.05 * 39.0)).abs() < 2e-3);
+    let circles = [circle(4.0, 0.0, 0.3)];
+    for delays in [&[][..], &[f64::NAN]] {
+        assert!(map.update(&CircleScan { delays: Some(delays), ..scan(40, &circles) }).is_err());
+    }
+    Ok(())
 }

@@ -1,0 +1,206 @@
+//! Circles: ten objects in a sweep of 1081 rays, stage by stage and from ranges to the map.
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use lidar_core::Error;
+use lidar_core::circles::fit::{FitParameters, Fitter, Method};
+use lidar_core::circles::map::{
+    CircleMapParameters, Confirmation, Filter, Independent, Limits, Looking, Mode, Patience,
+};
+use lidar_core::circles::pipeline::{
+    CirclePipeline, PipelineParameters, RawSweep, ScannerParameters,
+};
+use lidar_core::circles::polar::PolarScan;
+use lidar_core::circles::preprocess::{self, Projection};
+use lidar_core::circles::segment::{Bound, Criterion as Closeness, SegmentParameters, segment};
+use lidar_core::circles::sweep::Sweep;
+use lidar_core::geometry::transform::Transform;
+use std::f64::consts::PI;
+use std::hint::black_box;
+
+const BEAMS: usize = 1081;
+const OBJECTS: usize = 10;
+const PERIOD_NS: i64 = 50_000_000;
+const RANGE_LIMITS: [f64; 2] = [0.1, 10.0];
+
+fn bearings() -> Vec<f64> {
+    (0..BEAMS).map(|ray| (ray as f64 * 0.25 - 135.0) * PI / 180.0).collect()
+}
+
+/// A sensor that is pitched by 0.1 rad.
+const POSE: [f64; 16] = [
+    0.995_004_165,
+    0.0,
+    0.099_833_417,
+    0.0,
+    0.0,
+    1.0,
+    0.0,
+    0.0,
+    -0.099_833_417,
+    0.0,
+    0.995_004_165,
+    1.0,
+    0.0,
+    0.0,
+    0.0,
+    1.0,
+];
+
+/// Ranges of the pitched sensor to upright cylinders around it, which move at 1 m/s, with noise of
+/// 0.01 m from a fixed sequence.
+fn ranges(scan: i64) -> Vec<f32> {
+    let moved = scan as f64 * 0.05 - 1.0;
+    let objects: Vec<[f64; 3]> = (0..OBJECTS)
+        .map(|k| {
+            let (bearing, range) = (-2.1 + 0.45 * k as f64, 3.0 + (k % 3) as f64 * 1.5);
+            let [x, y] = [range * bearing.cos(), range * bearing.sin()];
+            [x + 0.1 * moved, y, 0.1 + 0.04 * k as f64]
+        })
+        .collect();
+    let mut state = scan.cast_unsigned();
+    let mut noise = move || {
+        let uniform = (0..4).map(|_| {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+        });
+        0.01 * uniform.sum::<f64>() / (4.0_f64 / 12.0).sqrt()
+    };
+    let met = |bearing: f64| {
+        let [dx, dy] = [POSE[0] * bearing.cos(), bearing.sin()];
+        let square = dx * dx + dy * dy;
+        let hit = |&[x, y, radius]: &[f64; 3]| {
+            let along = dx * x + dy * y;
+            let root = along * along - square * (x * x + y * y - radius * radius);
+            if root < 0.0 || along < 0.0 { f64::INFINITY } else { (along - root.sqrt()) / square }
+        };
+        objects.iter().map(hit).fold(f64::INFINITY, f64::min)
+    };
+    bearings().into_iter().map(|bearing| (met(bearing) + noise()) as f32).collect()
+}
+
+fn parameters() -> PipelineParameters {
+    PipelineParameters {
+        scanner: ScannerParameters {
+            angle_min: -0.75 * PI,
+            angle_increment: PI / 720.0,
+            n_beams: BEAMS,
+            range_limits: RANGE_LIMITS,
+        },
+        scanners: Vec::new(),
+        planes: vec![[0.0, 0.0, 1.0, 3.0], [0.0, 0.0, -1.0, -0.1]],
+        projection: Projection::Exact,
+        segment: SegmentParameters {
+            criterion: Closeness::Both,
+            bound: Bound::Adaptive { incidence: PI / 18.0, range_std: 0.03 },
+            max_gap: 2,
+            merge_distance: 0.5,
+            merge_deviation: 0.03,
+            min_points: 4,
+            min_fraction: 0.0,
+            range_limits: RANGE_LIMITS,
+            cut_margins: [0.15, 1.2],
+        },
+        fit: FitParameters {
+            method: Method::Expected,
+            range_std: 0.01,
+            beam_half_width: 0.0,
+            radius: [0.02, 1.0],
+            usual_radius: 0.5,
+            range_limits: RANGE_LIMITS,
+        },
+        max_deviation: 0.08,
+        map: CircleMapParameters {
+            filter: Filter::Independent(independent()),
+            gate_probability: 0.999,
+            initial_speed: 1.5,
+        },
+    }
+}
+
+fn independent() -> Independent {
+    let mode = |density, weight, duration| Mode { density, weight, duration };
+    Independent {
+        modes: vec![mode(0.003, 0.5, 2.0), mode(0.5, 0.48, 2.0), mode(100.0, 0.02, 0.1)],
+        radius_density: 1e-6,
+        birth_density: 0.1,
+        confirmation: Confirmation { hits: 3, window: 5 },
+        limits: Limits { position: 1.0, velocity: 3.0, radius: 0.3 },
+        patience: Patience { absent: 0.25, unmatched: 0.5, hidden: Some(5.0) },
+        looking: Looking { margin: 0.15, min_rays: 4 },
+        buffer_time: 0.25,
+    }
+}
+
+fn stages(c: &mut Criterion) -> Result<(), Error> {
+    let parameters = parameters();
+    let bearings = bearings();
+    let directions = preprocess::directions(&bearings);
+    let ranges: Vec<f64> = ranges(0).into_iter().map(f64::from).collect();
+    let ranges = preprocess::within_reach(&ranges, RANGE_LIMITS[0], RANGE_LIMITS[1]);
+    let sweep = Sweep::still(Transform::from_matrix(&POSE));
+    let raw = PolarScan { ranges, bearings };
+    let level = preprocess::project(&raw, &directions, &sweep, Projection::Exact)?;
+    let segments = segment(&level.scan, None, &parameters.segment)?;
+    let mut fitter = Fitter::new(parameters.fit)?;
+    let mut circles = Vec::new();
+    let mut group = c.benchmark_group("circles/stage");
+    group.throughput(Throughput::Elements(BEAMS as u64));
+    group.bench_function("limit_range", |b| {
+        b.iter(|| preprocess::limit_range(&raw.ranges, &directions, &sweep, &parameters.planes));
+    });
+    group.bench_function("project_horizontal", |b| {
+        b.iter(|| preprocess::project(&raw, &directions, &sweep, Projection::Exact));
+    });
+    group.bench_function("segment", |b| {
+        b.iter(|| segment(&level.scan, None, &parameters.segment));
+    });
+    group.bench_function(format!("fit_{}_circles", segments.len()), |b| {
+        b.iter(|| fitter.fit(&level.scan, &segments, black_box(&mut circles)));
+    });
+    group.finish();
+    Ok(())
+}
+
+fn whole(c: &mut Criterion) -> Result<(), Error> {
+    let sweeps: Vec<Vec<f32>> = (0..40).map(ranges).collect();
+    let mut group = c.benchmark_group("circles");
+    for (name, method) in [("ml", Method::Expected), ("taubin", Method::Taubin)] {
+        let mut parameters = parameters();
+        parameters.fit.method = method;
+        let mut pipeline = CirclePipeline::new(parameters)?;
+        let mut stamp_ns = 0;
+        let mut process = |ranges: &[f32]| {
+            stamp_ns += PERIOD_NS;
+            pipeline.process(&RawSweep {
+                scanner: "lidar",
+                stamp_ns,
+                ranges,
+                poses: &[POSE],
+                pose_stamps_ns: None,
+                ray_time_ns: None,
+                pose_covariance: None,
+            })
+        };
+        for ranges in &sweeps {
+            process(ranges)?;
+        }
+        // back and forth: the objects never jump
+        let mut next = sweeps.iter().rev().chain(&sweeps).cycle();
+        group.bench_function(format!("scan_10_objects_1081_beams_{name}"), |b| {
+            b.iter(|| next.next().map(|ranges| process(ranges)));
+        });
+    }
+    group.finish();
+    Ok(())
+}
+
+fn run(c: &mut Criterion) {
+    if let Err(error) = stages(c).and_then(|()| whole(c)) {
+        std::process::exit(i32::from(!error.to_string().is_empty()));
+    }
+}
+
+criterion_group!(benches, run);
+criterion_main!(benches);

@@ -1,0 +1,59 @@
+"""Configuration of the circle pipeline: the only source of its defaults and ranges."""
+
+from typing import Any, Literal, Self
+
+from pydantic import Field
+
+from lidar_core.circles.fit_config import FitConfig, FitMethod
+from lidar_core.circles.map_config import CircleMapConfig
+from lidar_core.circles.scan_config import PreprocessConfig, SegmentConfig
+from lidar_core.circles.scanner import Scanner
+from lidar_core.config import Config
+
+
+class CirclesConfig(Config):
+    """From 2D scans to the map: `CirclesConfig()` is best mode, `.paper()` the paper.
+
+    Source: Sanchez-Lopez et al., "Deep learning based semantic situation awareness system for
+    multirotor aerial robots using LIDAR", 2019, secs. III-V.
+    """
+
+    scanner: Scanner = Field(
+        Scanner(), description="2D LiDARs that `scanners` does not name (no unit)."
+    )
+    scanners: dict[str, Scanner] = Field(
+        {}, description="2D LiDARs by the name that `process` is given (no unit)."
+    )
+    detector: FitMethod = Field(
+        "ml",
+        description="How a circle is estimated from a segment (no unit); it stands before"
+        " `fit.method`.",
+    )
+    preprocess: PreprocessConfig = PreprocessConfig()
+    segment: SegmentConfig = SegmentConfig()
+    fit: FitConfig = FitConfig()
+    max_deviation: float = Field(
+        0.08,
+        gt=0,
+        description="Segments with a larger root mean square distance of their hits from the"
+        " circle are no circles, and stay out of the map [m].",
+    )
+    map: CircleMapConfig = CircleMapConfig()
+    on_bad_scan: Literal["raise", "count"] = Field(
+        "raise", description="What to do with a scan that cannot be used (no unit)."
+    )
+
+    @classmethod
+    def paper(cls, **changes: Any) -> Self:
+        """The stages as published, with given changes.
+
+        The paper's circles come from its network; the default here is the algebraic fit.
+        """
+        paper = {
+            "detector": "taubin",
+            "preprocess": PreprocessConfig.paper(),
+            "segment": SegmentConfig.paper(),
+            "max_deviation": 1e6,
+            "map": CircleMapConfig.paper(),
+        }
+        return cls(**paper | changes)

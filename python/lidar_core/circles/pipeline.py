@@ -1,0 +1,245 @@
+"""The circle pipeline: 2D scans in, a map of circles with identities out."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from threading import Lock
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidar_core import _core
+from lidar_core.arrays import as_finite_rows, as_poses, as_rows, as_stamp
+from lidar_core.circles.config import CirclesConfig
+from lidar_core.circles.fitting import Circles
+from lidar_core.circles.map import CircleElements, MapEvents, elements_of
+from lidar_core.circles.preprocess import times
+from lidar_core.circles.results import CircleFrame, CirclesHealth
+from lidar_core.circles.segmentation import Segments, segments_of
+from lidar_core.config import as_config
+from lidar_core.errors import InputError
+
+Estimator: TypeAlias = Callable[[NDArray[np.float64], NDArray[np.float64], Segments], Circles]
+"""Ranges and bearings in the level frame and segments to one circle per segment."""
+
+
+class CirclePipeline:
+    """Maps round obstacles with one or several 2D LiDARs.
+
+    Every scan is limited to the operating volume, projected into the horizontal plane and
+    segmented; a circle is estimated per segment; and circles are taken into the map. Scans of
+    several LiDARs, told apart by name, go into one map.
+
+    Parameters
+    ----------
+    config : CirclesConfig
+        `CirclesConfig()` is best mode, `CirclesConfig.paper()` the paper.
+    estimator : callable, optional
+        In place of `config.detector`: is given ranges (B,), bearings (B,) and `Segments` in the
+        level frame, and returns `Circles`, one per segment.
+
+    Raises
+    ------
+    ConfigError
+        A parameter is outside its range.
+
+    Notes
+    -----
+    Source: Sanchez-Lopez et al., 2019. Calls from several threads take turns; the GIL is released.
+
+    Examples
+    --------
+    >>> from lidar_core.circles import CirclePipeline, CirclesConfig, Scanner
+    >>> scanner = Scanner(-0.5, 0.005, 201, 0.1, 10.0)
+    >>> miss = np.sin(scanner.bearings()) * 4.0  # a circle of 0.3 m at (4, 0)
+    >>> root = np.sqrt(np.maximum(0.3**2 - miss**2, 0))
+    >>> seen = np.where(abs(miss) < 0.3, np.cos(scanner.bearings()) * 4.0 - root, np.inf)
+    >>> pipeline = CirclePipeline(CirclesConfig(scanner=scanner))
+    >>> for k in range(5):
+    ...     frame = pipeline.process(seen, np.eye(4), k * 50_000_000)
+    >>> found = pipeline.map_at(200_000_000)
+    >>> found.id.tolist(), abs(found.center.round(2)).tolist(), found.radius.round(2).tolist()
+    ([0], [[4.0, 0.0]], [0.3])
+    """
+
+    def __init__(
+        self, config: CirclesConfig | None = None, *, estimator: Estimator | None = None
+    ) -> None:
+        self.config = as_config(config, CirclesConfig)
+        fit = self.config.fit.load(self.config.fit.model_dump() | {"method": self.config.detector})
+        self._pipeline = _core.CirclePipeline(self.config, fit=fit)
+        self._estimator = estimator
+        self._health = CirclesHealth()
+        self._counting = Lock()
+
+    def process(
+        self,
+        ranges: ArrayLike,
+        world_from_lidar: ArrayLike,
+        stamp_ns: int,
+        *,
+        ray_time_ns: ArrayLike | None = None,
+        pose_stamps_ns: ArrayLike | None = None,
+        pose_covariance: ArrayLike | None = None,
+        scanner: str = "lidar",
+    ) -> CircleFrame:
+        """Take in one scan.
+
+        Parameters
+        ----------
+        ranges : array_like, shape (n_beams,), float32
+            Range of every ray [m]; +inf is a miss, NaN no information. What is nearer than the
+            scanner's `range_min` is no information, what is farther than `range_max` a miss.
+        world_from_lidar : array_like, shape (4, 4) or (K, 4, 4), float64
+            Pose of the scanner, tilt included, or a stream of poses with `pose_stamps_ns`: with
+            `ray_time_ns` the motion during the sweep is taken out.
+        stamp_ns : int
+            Time of the scan [ns].
+        ray_time_ns : array_like, shape (n_beams,), int64, optional
+            Absolute time of every ray [ns].
+        pose_stamps_ns : array_like, shape (K,), int64, optional
+            Time of every pose [ns], increasing.
+        pose_covariance : array_like, shape (6, 6), float64, optional
+            Covariance of translation [m^2] and of the angles about x, y, z [rad^2].
+        scanner : str
+            Which of several LiDARs.
+
+        Returns
+        -------
+        CircleFrame
+
+        Raises
+        ------
+        InputError
+            Wrong shape, dtype or value, or a stamp that was processed or comes later than
+            `config.map.buffer_time`. The map is unchanged. With `on_bad_scan="count"` nothing is
+            raised: the frame says in `rejected` what was wrong.
+        LimitError
+            Too many objects; the map is unchanged.
+        """
+        self._count("received")
+        try:
+            frame = self._process(
+                ranges,
+                world_from_lidar,
+                stamp_ns,
+                ray_time_ns,
+                pose_stamps_ns,
+                pose_covariance,
+                scanner,
+            )
+        except InputError as error:
+            self._count("rejected")
+            if self.config.on_bad_scan == "raise":
+                raise
+            return self._rejected(stamp_ns, scanner, str(error))
+        except BaseException:
+            self._count("rejected")
+            raise
+        self._count("processed")
+        return frame
+
+    def map_at(self, stamp_ns: int) -> CircleElements:
+        """Confirmed elements, predicted to any time [ns]; nothing changes."""
+        stamp = as_stamp(stamp_ns)
+        return elements_of(self._pipeline.map_at(stamp), stamp)
+
+    def reset(self) -> None:
+        """Forget the map; numbers of elements are still not reused, health is kept."""
+        self._pipeline.reset()
+
+    def health(self) -> CirclesHealth:
+        """Scans counted since the start."""
+        return self._health
+
+    def _process(
+        self,
+        ranges: ArrayLike,
+        world_from_lidar: ArrayLike,
+        stamp_ns: int,
+        ray_time_ns: ArrayLike | None,
+        pose_stamps_ns: ArrayLike | None,
+        pose_covariance: ArrayLike | None,
+        scanner: str,
+    ) -> CircleFrame:
+        rays = as_rows(ranges, name="ranges", rows=None, shape=(), dtype=np.float32)
+        if not isinstance(scanner, str):
+            raise InputError(f"scanner: expected a name, got {type(scanner).__name__}")
+        stamp = as_stamp(stamp_ns)
+        doubt = None
+        if pose_covariance is not None:
+            doubt = as_finite_rows(pose_covariance, name="pose_covariance", rows=6, shape=(6,))
+        given = times(len(rays), stamp, ray_time_ns, pose_stamps_ns)
+        sweep = (rays, as_poses(world_from_lidar))
+        options = {"pose_covariance": doubt, "scanner": scanner, **given}
+        if self._estimator is None:
+            values = self._pipeline.process(*sweep, **options)
+        else:
+            prepared = self._pipeline.prepare(*sweep, **options)
+            segments = segments_of(prepared.segments())
+            found = self._estimator(*prepared.scan()[:2], segments)
+            values = self._pipeline.integrate(prepared, *_rows(found, len(segments)))
+        return _frame(stamp, scanner, values)
+
+    def _count(self, name: str) -> None:
+        with self._counting:
+            self._health = replace(self._health, **{name: getattr(self._health, name) + 1})
+
+    def _rejected(self, stamp_ns: Any, scanner: Any, reason: str) -> CircleFrame:
+        try:
+            stamp = as_stamp(stamp_ns)
+        except InputError:
+            stamp = 0
+        rays, numbers = np.empty(0), np.empty(0, np.int64)
+        nobody = Circles(np.empty((0, 3)), np.empty((0, 3, 3)), numbers)
+        segments = Segments(
+            labels=np.empty(0, np.int32),
+            sides=np.empty((0, 2), np.uint8),
+            rays=np.empty(0, np.uint32),
+            starts=np.zeros(1, np.int64),
+        )
+        return CircleFrame(
+            stamp_ns=stamp,
+            scanner=str(scanner),
+            ranges=rays,
+            bearings=rays,
+            heights=rays,
+            segments=segments,
+            circles=nobody,
+            circles_world=nobody,
+            element=numbers,
+            map=self.map_at(stamp),
+            events=MapEvents(False, numbers, numbers, numbers, numbers, np.empty((0, 2), np.int64)),
+            rejected=reason,
+        )
+
+
+def _frame(stamp_ns: int, scanner: str, values: dict[str, Any]) -> CircleFrame:
+    ranges, bearings, heights = values["level"]
+    return CircleFrame(
+        stamp_ns=stamp_ns,
+        scanner=scanner,
+        ranges=ranges,
+        bearings=bearings,
+        heights=heights,
+        segments=segments_of(values["segments"]),
+        circles=Circles(*values["circles"]),
+        circles_world=Circles(*values["circles_world"]),
+        element=values["element"],
+        map=elements_of(values["map"], stamp_ns),
+        events=MapEvents(*values["events"]),
+        timing_ms=values["timing_ms"],
+    )
+
+
+def _rows(
+    circles: Circles, count: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """What an estimator returned, checked."""
+    if not isinstance(circles, Circles):
+        raise InputError(f"estimator: expected Circles, got {type(circles).__name__}")
+    return (
+        as_finite_rows(circles.parameters, name="circles", rows=count, shape=(3,)),
+        as_finite_rows(circles.covariance, name="covariance", rows=count, shape=(3, 3)),
+        as_rows(circles.n_hits, name="n_hits", rows=count, shape=(), dtype=np.int64),
+    )

@@ -1,0 +1,73 @@
+"""What the circle pipeline says about one scan."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.circles.fitting import Circles
+from lidar_core.circles.map import CircleElements, MapEvents
+from lidar_core.circles.segmentation import Segments
+
+
+@dataclass(frozen=True, slots=True)
+class CircleFrame:
+    """Result of one scan.
+
+    The level frame has its origin at the scanner at the time of the scan, z up, and the scanner's
+    yaw.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Time of the scan [ns].
+    scanner : str
+        Which of several scanners.
+    ranges, bearings : ndarray, shape (B,), float64
+        The scan in the level frame [m], [rad], limited to the operating volume.
+    heights : ndarray, shape (B,), float64
+        Of the hits above the scanner [m]; NaN for others.
+    segments : Segments
+        Groups of rays, one per object.
+    circles, circles_world : Circles
+        One circle per segment, in the level frame and in the world.
+    element : ndarray, shape (C,), int64
+        Element of the map of every circle; -1 where the hits do not lie on the circle.
+    map : CircleElements
+        Confirmed elements at the time of the scan.
+    events : MapEvents
+        What the scan did to the map.
+    timing_ms : dict
+        Milliseconds per stage: prepare, segment, fit, map.
+    rejected : str, optional
+        Why the scan was not used; none if it was.
+    """
+
+    stamp_ns: int
+    scanner: str
+    ranges: NDArray[np.float64]
+    bearings: NDArray[np.float64]
+    heights: NDArray[np.float64]
+    segments: Segments
+    circles: Circles
+    circles_world: Circles
+    element: NDArray[np.int64]
+    map: CircleElements
+    events: MapEvents
+    timing_ms: dict[str, float] = field(default_factory=dict)
+    rejected: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CirclesHealth:
+    """Scans counted since the start.
+
+    Attributes
+    ----------
+    received, processed, rejected : int
+        received = processed + rejected.
+    """
+
+    received: int = 0
+    processed: int = 0
+    rejected: int = 0

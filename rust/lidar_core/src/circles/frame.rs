@@ -1,0 +1,60 @@
+//! What the pipeline says about one sweep.
+
+use super::circle::CircleEstimate;
+use super::map::{MapElement, MapStats, PoseCovariance};
+use super::preprocess::LevelScan;
+use super::segments::Segments;
+use crate::geometry::transform::Transform;
+
+/// A sweep ready for its circles to be estimated.
+#[derive(Clone, Debug)]
+pub struct PreparedSweep {
+    /// The scan in the level frame, limited to the volume.
+    pub level: LevelScan,
+    /// Its objects.
+    pub segments: Segments,
+    pub(super) world_from_lidar: Transform,
+    pub(super) world_from_level: Transform,
+    pub(super) pose_covariance: Option<PoseCovariance>,
+    pub(super) stamp_ns: i64,
+    pub(super) scanner: usize,
+    /// Time of every segment after the stamp [s]; None if all rays share the stamp.
+    pub(super) delays: Option<Vec<f64>>,
+    /// Horizontal reach of the scanner [m].
+    pub(super) range_limits: [f64; 2],
+    pub(super) timing: Timing,
+}
+
+/// Milliseconds spent per stage.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Timing {
+    /// Range limitation and projection.
+    pub prepare: f64,
+    /// Segmentation.
+    pub segment: f64,
+    /// Estimation of circles.
+    pub fit: f64,
+    /// The map.
+    pub map: f64,
+}
+
+/// What a sweep showed and did.
+#[derive(Clone, Debug)]
+pub struct CircleFrame {
+    /// The scan in the level frame.
+    pub level: LevelScan,
+    /// Its objects.
+    pub segments: Segments,
+    /// One circle per segment, level frame.
+    pub circles: Vec<CircleEstimate>,
+    /// The same in the world.
+    pub circles_world: Vec<CircleEstimate>,
+    /// Element of the map of every circle; None where the hits do not lie on the circle.
+    pub elements: Vec<Option<i64>>,
+    /// What the map did with them.
+    pub stats: MapStats,
+    /// Elements of the map at the time of the sweep.
+    pub map: Vec<MapElement>,
+    /// Time per stage.
+    pub timing: Timing,
+}

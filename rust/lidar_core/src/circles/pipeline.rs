@@ -1,0 +1,357 @@
+//! From one sweep of ranges to the map of circles: every stage in one call.
+
+use super::circle::CircleEstimate;
+use super::fit::{FitParameters, Fitter};
+use super::frame::{CircleFrame, PreparedSweep, Timing};
+use super::map::{
+    CircleMap, CircleMapParameters, CircleScan, MapElement, MapStats, PoseCovariance, View,
+};
+use super::polar::PolarScan;
+use super::preprocess::{self, LevelScan, Projection};
+use super::segment::{SegmentParameters, segment};
+use super::segments::Segments;
+use super::sweep::Sweep;
+use crate::Error;
+use crate::clock::Clock;
+use crate::geometry::motion::Motion;
+use crate::geometry::transform::Transform;
+
+/// Scanners of one pipeline.
+const MAX_SCANNERS: usize = 64;
+/// The times of rays lie this close to the stamp: others are of another clock [ns].
+const LONGEST_SWEEP_NS: u64 = 10_000_000_000;
+
+/// What a scanner measures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScannerParameters {
+    /// Bearing of the first ray [rad].
+    pub angle_min: f64,
+    /// Step from ray to ray [rad].
+    pub angle_increment: f64,
+    /// Rays of one sweep.
+    pub n_beams: usize,
+    /// Nearest and farthest surface that is measured [m].
+    pub range_limits: [f64; 2],
+}
+
+/// Everything the pipeline can be told. Range limits of the parts are those of the scanner.
+#[derive(Clone, Debug)]
+pub struct PipelineParameters {
+    /// Scanners that `scanners` does not name.
+    pub scanner: ScannerParameters,
+    /// Scanners by name.
+    pub scanners: Vec<(String, ScannerParameters)>,
+    /// Operating volume: inside is a x + b y + c z <= d, world frame.
+    pub planes: Vec<[f64; 4]>,
+    /// How tilted scans are projected.
+    pub projection: Projection,
+    /// What makes a segment.
+    pub segment: SegmentParameters,
+    /// How circles are fitted.
+    pub fit: FitParameters,
+    /// Largest root mean square distance of hits from their circle [m].
+    pub max_deviation: f64,
+    /// The map.
+    pub map: CircleMapParameters,
+}
+
+/// One sweep as the scanner delivered it.
+#[derive(Clone, Copy, Debug)]
+pub struct RawSweep<'a> {
+    /// Which of several scanners.
+    pub scanner: &'a str,
+    /// Start of the sweep [ns].
+    pub stamp_ns: i64,
+    /// Range of every ray [m]; +inf is a miss, NaN no information.
+    pub ranges: &'a [f32],
+    /// `world_from_lidar`, 4x4 row-major: one, or a stream.
+    pub poses: &'a [[f64; 16]],
+    /// Stamps of the stream [ns].
+    pub pose_stamps_ns: Option<&'a [i64]>,
+    /// Time of every ray [ns].
+    pub ray_time_ns: Option<&'a [i64]>,
+    /// Covariance of the pose: translation, then the angles about x, y, z.
+    pub pose_covariance: Option<PoseCovariance>,
+}
+
+/// One scanner, with what is the same in all its sweeps.
+struct Channel {
+    bearings: Vec<f64>,
+    directions: Vec<[f64; 2]>,
+    range_limits: [f64; 2],
+    fitter: Fitter,
+}
+
+/// Sweeps in, map of circles out.
+pub struct CirclePipeline {
+    parameters: PipelineParameters,
+    map: CircleMap,
+    /// By name, in the order in which they were first used.
+    channels: Vec<(String, Channel)>,
+}
+
+impl CirclePipeline {
+    /// A pipeline with an empty map.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for values that cannot work.
+    pub fn new(parameters: PipelineParameters) -> Result<Self, Error> {
+        let map = CircleMap::new(parameters.map.clone())?;
+        Channel::new(&parameters.scanner, &parameters)?;
+        let channels = parameters
+            .scanners
+            .iter()
+            .map(|(name, scanner)| Ok((name.clone(), Channel::new(scanner, &parameters)?)))
+            .collect::<Result<_, Error>>()?;
+        Ok(Self { parameters, map, channels })
+    }
+
+    /// Take in one sweep.
+    ///
+    /// # Errors
+    /// [`Error::Length`], [`Error::Value`], [`Error::Time`] for a sweep that cannot be used,
+    /// [`Error::Limit`] for too many objects. Nothing changes then.
+    pub fn process(&mut self, raw: &RawSweep<'_>) -> Result<CircleFrame, Error> {
+        let known = self.channels.len();
+        let frame = self.prepare(raw).and_then(|prepared| self.fit(prepared));
+        if frame.is_err() {
+            self.channels.truncate(known);
+        }
+        frame
+    }
+
+    /// The stages before circles are estimated: any estimator may follow, and `integrate` after it.
+    ///
+    /// # Errors
+    /// As [`CirclePipeline::process`].
+    pub fn prepare(&mut self, raw: &RawSweep<'_>) -> Result<PreparedSweep, Error> {
+        let known = self.channels.len();
+        let number = self.channel(raw.scanner)?;
+        let prepared = self.prepare_in(raw, number);
+        if prepared.is_err() {
+            self.channels.truncate(known);
+        }
+        prepared
+    }
+
+    fn prepare_in(&self, raw: &RawSweep<'_>, number: usize) -> Result<PreparedSweep, Error> {
+        let mut clock = Clock::start();
+        let (parameters, channel) = (&self.parameters, &self.channels[number].1);
+        check(raw, channel.bearings.len())?;
+        self.map.check_stamp(raw.stamp_ns, number as u32)?;
+        let motion = Motion::new(raw.poses, raw.pose_stamps_ns)?;
+        let sweep = Sweep::new(&motion, raw.stamp_ns, raw.ray_time_ns)?;
+        let (level, seen) = channel.level(raw, &sweep, parameters)?;
+        let prepare = clock.lap();
+        let upright = sweep.at_stamp().rotation[2][2].abs(); // horizontal share of the shortest ray
+        let [near, far] = channel.range_limits;
+        let range_limits = [near, (far * upright).max(2.0 * near)];
+        let segmenting = SegmentParameters { range_limits, ..parameters.segment };
+        let segments = segment(&level.scan, seen.as_deref(), &segmenting)?;
+        Ok(PreparedSweep {
+            delays: raw.ray_time_ns.map(|times| delays(&segments, times, raw.stamp_ns)),
+            level,
+            segments,
+            world_from_lidar: *sweep.at_stamp(),
+            world_from_level: sweep.world_from_level(),
+            pose_covariance: raw.pose_covariance,
+            stamp_ns: raw.stamp_ns,
+            scanner: number,
+            range_limits,
+            timing: Timing { prepare, segment: clock.lap(), ..Timing::default() },
+        })
+    }
+
+    fn fit(&mut self, mut prepared: PreparedSweep) -> Result<CircleFrame, Error> {
+        let mut clock = Clock::start();
+        let mut circles = Vec::with_capacity(prepared.segments.len());
+        let (_, channel) = &mut self.channels[prepared.scanner];
+        channel.fitter.fit(&prepared.level.scan, &prepared.segments, &mut circles)?;
+        prepared.timing.fit = clock.lap();
+        self.integrate(prepared, circles)
+    }
+
+    /// Take in the circles of a prepared sweep, one per segment.
+    ///
+    /// # Errors
+    /// [`Error::Length`] for another number of circles; as [`CirclePipeline::process`].
+    pub fn integrate(
+        &mut self,
+        prepared: PreparedSweep,
+        circles: Vec<CircleEstimate>,
+    ) -> Result<CircleFrame, Error> {
+        let mut clock = Clock::start();
+        let (expected, got) = (prepared.segments.len(), circles.len());
+        if expected != got {
+            return Err(Error::Length { name: "circles", expected, got });
+        }
+        let (elements, stats) = self.take_in(&prepared, &circles)?;
+        let map = self.map.map_at(prepared.stamp_ns);
+        Ok(CircleFrame {
+            circles_world: in_world(&circles, &prepared.world_from_level),
+            level: prepared.level,
+            segments: prepared.segments,
+            circles,
+            elements,
+            stats,
+            map,
+            timing: Timing { map: clock.lap(), ..prepared.timing },
+        })
+    }
+
+    /// Hand the circles that fit to the map; the element of every circle.
+    fn take_in(
+        &mut self,
+        prepared: &PreparedSweep,
+        circles: &[CircleEstimate],
+    ) -> Result<(Vec<Option<i64>>, MapStats), Error> {
+        let fits = |number: &usize| {
+            let deviation = deviation(prepared, *number, &circles[*number]);
+            deviation <= self.parameters.max_deviation
+        };
+        let kept: Vec<usize> = (0..circles.len()).filter(fits).collect();
+        let estimates: Vec<CircleEstimate> = kept.iter().map(|&number| circles[number]).collect();
+        let delays: Option<Vec<f64>> = prepared
+            .delays
+            .as_ref()
+            .map(|delays| kept.iter().map(|&number| delays[number]).collect());
+        let [range_min, range_max] = prepared.range_limits;
+        let stats = self.map.update(&CircleScan {
+            stamp_ns: prepared.stamp_ns,
+            sensor: prepared.scanner as u32,
+            world_from_lidar: &prepared.world_from_lidar,
+            pose_covariance: prepared.pose_covariance.as_ref(),
+            estimates: &estimates,
+            delays: delays.as_deref(),
+            view: Some(View { scan: &prepared.level.scan, range_min, range_max }),
+        })?;
+        let mut elements = vec![None; circles.len()];
+        for (number, &element) in kept.into_iter().zip(&stats.elements) {
+            elements[number] = Some(element);
+        }
+        Ok((elements, stats))
+    }
+
+    /// Elements of the map at any time [ns]; changes nothing.
+    #[must_use]
+    pub fn map_at(&self, stamp_ns: i64) -> Vec<MapElement> {
+        self.map.map_at(stamp_ns)
+    }
+
+    /// Forget the map; numbers go on.
+    pub fn reset(&mut self) {
+        self.map.reset();
+    }
+
+    /// Number of the scanner with this name, which may be new.
+    fn channel(&mut self, name: &str) -> Result<usize, Error> {
+        if let Some(number) = self.channels.iter().position(|(known, _)| known == name) {
+            return Ok(number);
+        }
+        if self.channels.len() >= MAX_SCANNERS {
+            return Err(Error::Limit {
+                what: format!("scanner {name:?}, one more"),
+                limit: MAX_SCANNERS as u64,
+                key: "use fewer names",
+            });
+        }
+        let channel = Channel::new(&self.parameters.scanner, &self.parameters)?;
+        self.channels.push((name.into(), channel));
+        Ok(self.channels.len() - 1)
+    }
+}
+
+impl Channel {
+    fn new(scanner: &ScannerParameters, parameters: &PipelineParameters) -> Result<Self, Error> {
+        crate::budget::check_points(scanner.n_beams)?;
+        let bearing = |ray: usize| scanner.angle_min + scanner.angle_increment * ray as f64;
+        let bearings: Vec<f64> = (0..scanner.n_beams).map(bearing).collect();
+        let range_limits = scanner.range_limits;
+        Ok(Self {
+            directions: preprocess::directions(&bearings),
+            bearings,
+            range_limits,
+            fitter: Fitter::new(FitParameters { range_limits, ..parameters.fit })?,
+        })
+    }
+
+    /// The scan in the level frame, limited to the volume; and the ranges before, if it was.
+    fn level(
+        &self,
+        raw: &RawSweep<'_>,
+        sweep: &Sweep,
+        parameters: &PipelineParameters,
+    ) -> Result<(LevelScan, Option<Vec<f64>>), Error> {
+        let [near, far] = self.range_limits;
+        let wide: Vec<f64> = raw.ranges.iter().map(|&range| f64::from(range)).collect();
+        let ranges = preprocess::within_reach(&wide, near, far);
+        let limited = match parameters.planes.as_slice() {
+            [] => None,
+            planes => Some(preprocess::limit_range(&ranges, &self.directions, sweep, planes)?),
+        };
+        let scan = PolarScan { ranges, bearings: self.bearings.clone() };
+        let mut level = preprocess::project(&scan, &self.directions, sweep, parameters.projection)?;
+        let Some(limited) = limited else { return Ok((level, None)) };
+        let seen = level.scan.ranges.clone();
+        for (ray, &range) in limited.iter().enumerate().filter(|(_, range)| !range.is_finite()) {
+            level.scan.ranges[ray] = range;
+            level.heights[ray] = f64::NAN;
+        }
+        Ok((level, Some(seen)))
+    }
+}
+
+fn check(raw: &RawSweep<'_>, expected: usize) -> Result<(), Error> {
+    let lengths =
+        [("ranges", Some(raw.ranges.len())), ("ray_time_ns", raw.ray_time_ns.map(<[_]>::len))];
+    for (name, got) in lengths {
+        if let Some(got) = got.filter(|&got| got != expected) {
+            return Err(Error::Length { name, expected, got });
+        }
+    }
+    let times = raw.ray_time_ns.unwrap_or_default();
+    match times.iter().position(|time| time.abs_diff(raw.stamp_ns) > LONGEST_SWEEP_NS) {
+        Some(index) => Err(Error::Value {
+            name: "ray_time_ns",
+            expected: "times within 10 s of `stamp_ns`",
+            index,
+            got: format!("{}, and {} as `stamp_ns`", times[index], raw.stamp_ns),
+        }),
+        None => Ok(()),
+    }
+}
+
+/// Mean time of the rays of every segment after the stamp [s].
+fn delays(segments: &Segments, ray_time_ns: &[i64], stamp_ns: i64) -> Vec<f64> {
+    let delay = |&ray: &u32| (ray_time_ns[ray as usize] - stamp_ns) as f64 * 1e-9;
+    let mean = |rays: &[u32]| rays.iter().map(delay).sum::<f64>() / rays.len() as f64;
+    (0..segments.len()).map(|number| mean(segments.rays_of(number))).collect()
+}
+
+/// Root mean square distance of the hits of a segment from a circle [m].
+fn deviation(prepared: &PreparedSweep, number: usize, estimate: &CircleEstimate) -> f64 {
+    let rays = prepared.segments.rays_of(number);
+    let [x, y] = estimate.circle.center;
+    let square: f64 = rays
+        .iter()
+        .filter_map(|&ray| prepared.level.scan.point(ray as usize))
+        .map(|point| {
+            let distance = libm::hypot(point[0] - x, point[1] - y) - estimate.circle.radius;
+            distance * distance
+        })
+        .sum();
+    (square / rays.len() as f64).sqrt()
+}
+
+/// Circles of the level frame in the world.
+fn in_world(circles: &[CircleEstimate], world_from_level: &Transform) -> Vec<CircleEstimate> {
+    let placed = |estimate: &CircleEstimate| {
+        let mut placed = *estimate;
+        let [x, y] = estimate.circle.center;
+        let [x, y, _] = world_from_level.apply([x, y, 0.0]);
+        placed.circle.center = [x, y];
+        placed.covariance = world_from_level.turn_covariance(&estimate.covariance);
+        placed
+    };
+    circles.iter().map(placed).collect()
+}
