@@ -10,6 +10,7 @@ from hypothesis.extra import numpy as hnp
 
 from lidar_core import ConfigError, InputError
 from lidar_core.circles import (
+    CirclesConfig,
     PreprocessConfig,
     Scanner,
     SegmentConfig,
@@ -309,6 +310,9 @@ def test_sides_at_the_limits_of_the_range():
     scanner = Scanner(0.0, 0.004, 6, 0.1, 30.0)
     wide = segment([np.inf, 9.8, 9.8, 9.8, 9.8, np.inf], scanner.bearings(), scanner=scanner)
     assert wide.sides.tolist() == [[Side.FREE] * 2]
+    config = CirclesConfig(scanner=scanner)
+    whole = segment([np.inf, 9.8, 9.8, 9.8, 9.8, np.inf], scanner.bearings(), config=config)
+    assert whole.sides.tolist() == [[Side.FREE] * 2]
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidar_core import _core
+from lidar_core.circles.config import CirclesConfig
 from lidar_core.circles.preprocess import as_scan
 from lidar_core.circles.scan_config import SegmentConfig
 from lidar_core.circles.scanner import Scanner
@@ -63,7 +64,7 @@ def segment(
     ranges: ArrayLike,
     bearings: ArrayLike,
     *,
-    config: SegmentConfig | None = None,
+    config: SegmentConfig | CirclesConfig | None = None,
     scanner: Scanner | None = None,
 ) -> Segments:
     """Group the rays of a scan by object.
@@ -75,8 +76,8 @@ def segment(
     bearings : array_like, shape (B,), float
         Their directions [rad] in the order of the sweep; need not be equally spaced. Where they
         go all round, the first ray is the neighbour of the last.
-    config : SegmentConfig, optional
-        None: the defaults.
+    config : SegmentConfig or CirclesConfig, optional
+        None: the defaults. A `CirclesConfig` brings its scanner along.
     scanner : Scanner, optional
         Whose range limits apply; none: the defaults.
 
@@ -104,6 +105,9 @@ def segment(
     [['FREE', 'FREE'], ['OCCLUDED', 'FIELD_EDGE']]
     """
     scan, angles = as_scan(ranges, bearings)
+    if isinstance(config, CirclesConfig):
+        scanner = scanner or config.scanner
+        config = config.segment
     options, limits = as_config(config, SegmentConfig), as_config(scanner, Scanner)
     return segments_of(_core.segment_scan(scan, angles, config=options, scanner=limits))
 
