@@ -23,7 +23,7 @@ class CircleMapConfig(Config):
         " filter per element (no unit).",
     )
     gate_probability: float = Field(
-        0.999,
+        0.9999,
         gt=0,
         lt=1,
         description="Probability that a circle passes the gate of its element, chi-square with 3"
@@ -36,7 +36,7 @@ class CircleMapConfig(Config):
         " [m/s]; the paper gives none.",
     )
     process_noise: tuple[float, ...] = Field(
-        (0.003, 0.5, 100.0),
+        (0.1, 0.5, 200.0),
         min_length=1,
         max_length=4,
         description="Densities of the white acceleration of the modes between which an element"
@@ -44,7 +44,7 @@ class CircleMapConfig(Config):
         " that follows up to `buffer_time`.",
     )
     mode_weight: tuple[float, ...] = Field(
-        (0.5, 0.48, 0.02),
+        (0.4, 0.599, 0.001),
         min_length=1,
         max_length=4,
         description="Share of each mode among new elements and among those that change their mode"
@@ -60,7 +60,7 @@ class CircleMapConfig(Config):
         1e-6, ge=0, description="Density of the random walk of radii [m^2/s]; paper, eq. 15: 0."
     )
     birth_density: float = Field(
-        0.1,
+        1e-4,
         gt=0,
         description="Density of circles that belong to no element, per area and radius [1/m^3]: a"
         " circle joins an element that explains it better.",

@@ -117,17 +117,13 @@ impl Rules {
             sight.of(&circle, &self.parameters.looking)
         };
         let here = ask([0.0, 0.0]);
-        let axes = axes(&state);
-        let is_elsewhere = || {
-            axes.iter()
-                .flat_map(|axis| LOOK.map(|reach| axis.map(|value| value * reach)))
-                .map(ask)
-                .find(|&there| there != Visibility::SeenThrough)
-        };
-        match here {
-            Visibility::SeenThrough => is_elsewhere().unwrap_or(here),
-            _ => here,
+        if here != Visibility::SeenThrough {
+            return here;
         }
+        let around = axes(&state)
+            .into_iter()
+            .flat_map(|axis| LOOK.map(|reach| axis.map(|value| value * reach)));
+        around.map(ask).fold(here, Visibility::max)
     }
 
     /// Eqs 18-20 for every circle that has no element.

@@ -18,8 +18,8 @@ pub struct View<'a> {
     pub range_max: f64,
 }
 
-/// What a scan says about a circle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// What a scan says about a circle; the more it leaves open, the greater.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Visibility {
     /// Rays went past where it should be: it is not there.
     SeenThrough,

@@ -1,0 +1,437 @@
+"""Semantic circle map in plain numpy: the joint filter of the paper, and a filter per element.
+
+Written from the paper (Sanchez-Lopez et al., sec. V) and the text of `CircleMapConfig`; slow and
+obvious. Stacked matrices over the whole state, matrix exponentials, full tables of distances.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.optimize import linear_sum_assignment
+from scipy.stats import chi2, multivariate_normal
+
+H = np.zeros((3, 5))
+H[0, 0] = H[1, 1] = H[2, 4] = 1.0
+LONGEST_STEP = 0.1
+ORDER = ["seen through", "returns", "occluded", "out of view"]
+
+
+def rotation(angle):
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def level_pose(pose):
+    """Position and yaw of the sensor."""
+    return pose[:2, 3], np.arctan2(pose[1, 0], pose[0, 0])
+
+
+def transition(t):
+    F = np.eye(5)
+    F[0, 2] = F[1, 3] = t
+    return F
+
+
+def white_noise(t, q, q_radius):
+    """Van Loan: the integral of F(s) diag(0, 0, q, q, q_r) F(s)' over the step."""
+    A = np.zeros((5, 5))
+    A[0, 2] = A[1, 3] = 1.0
+    block = np.zeros((10, 10))
+    block[:5, :5], block[5:, 5:] = -A, A.T
+    block[:5, 5:] = np.diag([0, 0, q, q, q_radius])
+    E = expm(block * t)
+    return E[5:, 5:].T @ E[:5, 5:]
+
+
+# --- the paper ------------------------------------------------------------------------------------
+
+
+class JointMap:
+    """Eqs 8-33 with the sensor's level frame as the robot's."""
+
+    def __init__(self, config):
+        self.config = config
+        self.gate = chi2.ppf(config.gate_probability, 3)
+        self.x, self.P = np.zeros(0), np.zeros((3, 3))
+        self.ids, self.next, self.stamp = [], 0, None
+
+    def update(self, circles, covariance, pose, stamp, doubt):
+        """Element of every circle."""
+        t, yaw = level_pose(pose)
+        self.predict(stamp, doubt)
+        z = [self.expected(k, t, yaw) for k in range(len(self.ids))]
+        chosen = []
+        for circle, R in zip(circles, covariance, strict=True):
+            S = [J @ self.P @ J.T + R for _, J in z]
+            d2 = [
+                (circle - h) @ np.linalg.solve(s, circle - h)
+                for (h, _), s in zip(z, S, strict=True)
+            ]
+            best = int(np.argmin(d2)) if d2 else -1
+            chosen.append(best if d2 and d2[best] < self.gate else -1)
+        pairs = [(i, k) for i, k in enumerate(chosen) if k >= 0]
+        if pairs:
+            J = np.vstack([z[k][1] for _, k in pairs])
+            y = np.concatenate([circles[i] - z[k][0] for i, k in pairs])
+            R = np.zeros((len(y), len(y)))
+            for row, (i, _) in enumerate(pairs):
+                R[3 * row : 3 * row + 3, 3 * row : 3 * row + 3] = covariance[i]
+            K = self.P @ J.T @ np.linalg.inv(J @ self.P @ J.T + R)
+            self.x = self.x + (K @ y)[3:]
+            self.P = (np.eye(len(self.P)) - K @ J) @ self.P
+        elements = [self.ids[k] if k >= 0 else None for k in chosen]
+        for i in np.flatnonzero(np.array(chosen, int) < 0):
+            self.create(circles[i], covariance[i], t, yaw)
+            elements[i] = self.ids[-1]
+        self.delete()
+        return elements
+
+    def predict(self, stamp, doubt):
+        dt = 0.0 if self.stamp is None else (stamp - self.stamp) * 1e-9
+        self.stamp = stamp
+        n = len(self.ids)
+        F = np.kron(np.eye(n), transition(dt))
+        Q = np.kron(np.eye(n), self.step_noise())
+        self.x = F @ self.x
+        P = np.zeros((3 + 5 * n, 3 + 5 * n))
+        P[3:, 3:] = F @ self.P[3:, 3:] @ F.T + Q
+        if doubt is not None:
+            P[:3, :3] = doubt[np.ix_([0, 1, 5], [0, 1, 5])]
+        self.P = P
+
+    def step_noise(self):
+        return np.diag([0, 0, 1, 1, 0]) * self.config.velocity_step**2
+
+    def expected(self, k, t, yaw):
+        """Eqs 16-17 and the Jacobian by all errors."""
+        element = self.x[5 * k : 5 * k + 5]
+        C = rotation(yaw)
+        p = C.T @ (element[:2] - t)
+        J = np.zeros((3, len(self.P)))
+        J[:2, :2] = -C.T
+        J[:2, 2] = [p[1], -p[0]]
+        J[:, 3 + 5 * k : 8 + 5 * k] = H
+        J[:2, 3 + 5 * k : 5 + 5 * k] = C.T
+        return np.r_[p, element[4]], J
+
+    def create(self, z, R, t, yaw):
+        """Eqs 18-20, 31-32."""
+        C, n = rotation(yaw), len(self.P)
+        at = C @ z[:2]
+        G = np.zeros((n + 5, n))
+        G[:n, :n] = np.eye(n)
+        G[n : n + 2, :2] = np.eye(2)
+        G[n : n + 2, 2] = [-at[1], at[0]]
+        G_z = np.zeros((n + 5, 3))
+        G_z[n : n + 2, :2] = C
+        G_z[n + 4, 2] = 1.0
+        self.P = G @ self.P @ G.T + G_z @ R @ G_z.T
+        for axis in (2, 3):
+            self.P[n + axis, n + axis] += self.config.initial_speed**2
+        self.x = np.r_[self.x, at + t, 0.0, 0.0, z[2]]
+        self.ids.append(self.next)
+        self.next += 1
+
+    def delete(self):
+        kept = [
+            k
+            for k in range(len(self.ids))
+            if np.linalg.eigvalsh(self.P[3 + 5 * k : 8 + 5 * k, 3 + 5 * k : 8 + 5 * k]).max()
+            < self.config.max_eigenvalue
+        ]
+        places = [5 * k + i for k in kept for i in range(5)]
+        self.x = self.x[places]
+        places = [0, 1, 2, *(3 + place for place in places)]
+        self.P = self.P[np.ix_(places, places)]
+        self.ids = [self.ids[k] for k in kept]
+
+    def at(self, stamp):
+        dt = (stamp - self.stamp) * 1e-9
+        F = transition(dt)
+        Q = self.step_noise() * (dt != 0)
+        return [
+            (i, F @ self.x[5 * k : 5 * k + 5],
+             F @ self.P[3 + 5 * k : 8 + 5 * k, 3 + 5 * k : 8 + 5 * k] @ F.T + Q)
+            for k, i in enumerate(self.ids)
+        ]  # fmt: skip
+
+
+# --- a filter per element -------------------------------------------------------------------------
+
+
+@dataclass
+class Element:
+    id: int
+    x: list
+    P: list
+    mu: np.ndarray
+    history: list = field(default_factory=lambda: [True])
+    confirmed: bool = False
+    seen: str = "measured"
+    absent: float = 0.0
+    unmatched: float = 0.0
+    hidden: float = 0.0
+    last: int = 0
+    count: int = 1
+
+    def combined(self):
+        x = sum(m * x for m, x in zip(self.mu, self.x, strict=True))
+        P = sum(
+            m * (P + np.outer(mode - x, mode - x))
+            for m, mode, P in zip(self.mu, self.x, self.P, strict=True)
+        )
+        return x, P
+
+    def visible(self):
+        return self.seen not in ("occluded", "out of view")
+
+
+class IndependentMap:
+    def __init__(self, config):
+        self.config = config
+        self.gate = chi2.ppf(config.gate_probability, 3)
+        weight = np.array(config.mode_weight) / sum(config.mode_weight)
+        self.weight = weight
+        self.rates = np.zeros((len(weight), len(weight)))
+        for i in range(len(weight)):
+            for j in range(len(weight)):
+                if i != j:
+                    self.rates[i, j] = weight[j] / (1 - weight[i]) / config.mode_time[i]
+            self.rates[i, i] = -self.rates[i].sum()
+        self.elements, self.next, self.stamp = [], 0, None
+
+    def predicted(self, element, dt):
+        x, P, mu = list(element.x), list(element.P), element.mu
+        steps = max(1, int(np.ceil(dt / LONGEST_STEP)))
+        part = dt / steps
+        M, F = expm(self.rates * part), transition(part)
+        for _ in range(steps):
+            after = mu @ M
+            mixed = []
+            for j in range(len(mu)):
+                w = mu * M[:, j] / after[j]
+                mean = sum(a * b for a, b in zip(w, x, strict=True))
+                spread = sum(
+                    a * (b + np.outer(c - mean, c - mean)) for a, b, c in zip(w, P, x, strict=True)
+                )
+                Q = white_noise(part, self.config.process_noise[j], self.config.radius_noise)
+                mixed.append((F @ mean, F @ spread @ F.T + Q))
+            x, P, mu = [m for m, _ in mixed], [c for _, c in mixed], after
+        return x, P, mu
+
+    def update(self, circles, covariance, pose, stamp, doubt, look):
+        """Element of every circle. `look` tells what the scan says about a circle in the world."""
+        dt = 0.0 if self.stamp is None else (stamp - self.stamp) * 1e-9
+        self.stamp = stamp
+        measurements = [
+            in_world(z, R, pose, doubt) for z, R in zip(circles, covariance, strict=True)
+        ]
+        for element in self.elements:
+            if dt:
+                element.x, element.P, element.mu = self.predicted(element, dt)
+        row_of = self.associate(measurements)
+        numbers = [None] * len(measurements)
+        for k, element in enumerate(self.elements):
+            if k in row_of:
+                numbers[row_of[k]] = element.id
+                self.correct(element, *measurements[row_of[k]])
+                element.history.append(True)
+                element.seen, element.last, element.count = "measured", stamp, element.count + 1
+                element.absent = element.unmatched = element.hidden = 0.0
+            else:
+                element.history.append(False)
+                element.seen = look(*element.combined())
+                where = {"seen through": "absent", "returns": "unmatched"}
+                name = where.get(element.seen, "hidden")
+                setattr(element, name, getattr(element, name) + dt)
+        for row, number in enumerate(numbers):
+            if number is None:
+                numbers[row] = self.create(*measurements[row], stamp)
+        self.tidy()
+        return numbers
+
+    def likelihood(self, element, z, R):
+        """Of a measurement, or 0 outside all gates."""
+        total, inside = 0.0, False
+        for x, P, m in zip(element.x, element.P, element.mu, strict=True):
+            S = H @ P @ H.T + R
+            y = z - H @ x
+            inside |= bool(y @ np.linalg.solve(S, y) <= self.gate)
+            total += m * multivariate_normal(np.zeros(3), S).pdf(y)
+        return total if inside else 0.0
+
+    def associate(self, measurements):
+        n, m = len(self.elements), len(measurements)
+        never = 1e9
+        cost = np.full((n, m + n), never)
+        for k, element in enumerate(self.elements):
+            for row, (z, R) in enumerate(measurements):
+                p = self.likelihood(element, z, R)
+                if p > 0:
+                    cost[k, row] = -2 * np.log(p)
+            cost[k, m + k] = -2 * np.log(self.config.birth_density)
+        chosen = zip(*linear_sum_assignment(cost), strict=True)
+        return {int(k): int(row) for k, row in chosen if row < m}
+
+    def correct(self, element, z, R):
+        scores = []
+        for j, (x, P) in enumerate(zip(element.x, element.P, strict=True)):
+            S = H @ P @ H.T + R
+            K = P @ H.T @ np.linalg.inv(S)
+            y = z - H @ x
+            scores.append(np.log(element.mu[j]) + multivariate_normal(np.zeros(3), S).logpdf(y))
+            element.x[j] = x + K @ y
+            element.P[j] = (np.eye(5) - K @ H) @ P
+        weight = np.exp(np.array(scores) - max(scores))
+        element.mu = weight / weight.sum()
+
+    def create(self, z, R, stamp):
+        P = H.T @ R @ H
+        P[2, 2] = P[3, 3] = self.config.initial_speed**2
+        modes = len(self.weight)
+        element = Element(self.next, [H.T @ z] * modes, [P] * modes, self.weight, last=stamp)
+        self.elements.append(element)
+        self.next += 1
+        return element.id
+
+    def tidy(self):
+        config = self.config
+        k = 0
+        while k < len(self.elements):
+            one = self.elements[k]
+            twins = [other for other in self.elements[k + 1 :] if is_twin(one, other)]
+            if not twins:
+                k += 1
+                continue
+            self.elements.remove(twins[0])
+            pair = [one, twins[0]]
+            if twins[0].confirmed and not one.confirmed:
+                pair.reverse()
+            self.elements[k] = united(*pair)
+        self.elements.sort(key=lambda element: element.id)
+        window, kept = config.confirm_window, []
+        for element in self.elements:
+            recent = sum(element.history[-window:])
+            element.confirmed |= recent >= config.confirm_hits
+            vague = False
+            if element.visible():
+                _, P = element.combined()
+                vague = (
+                    np.linalg.eigvalsh(P[:2, :2]).max() >= config.max_position_std**2
+                    or np.linalg.eigvalsh(P[2:4, 2:4]).max() >= config.max_velocity_std**2
+                    or P[4, 4] > config.max_radius_std**2
+                )
+            if not (
+                (not element.confirmed and not recent)
+                or element.absent > config.absent_time
+                or element.unmatched > config.unmatched_time
+                or (config.max_coast is not None and element.hidden > config.max_coast)
+                or vague
+            ):
+                kept.append(element)
+        self.elements = kept
+
+    def at(self, stamp):
+        """Confirmed elements at a time that is not before the newest scan."""
+        found = []
+        for element in self.elements:
+            if element.confirmed:
+                x, P, mu = self.predicted(element, (stamp - self.stamp) * 1e-9)
+                found.append((element.id, *Element(0, x, P, mu).combined()))
+        return found
+
+
+def is_twin(one, other):
+    a, b = one.combined()[0], other.combined()[0]
+    inside = np.hypot(*(a - b)[:2]) < max(a[4], b[4])
+    return one.visible() and other.visible() and inside
+
+
+def united(kept, dropped):
+    rank = [(element.last, element.count) for element in (kept, dropped)]
+    if rank[1] > rank[0]:
+        for name in ("x", "P", "mu", "seen", "last", "absent", "unmatched", "hidden"):
+            setattr(kept, name, getattr(dropped, name))
+    kept.count = max(kept.count, dropped.count)
+    longest = max(len(kept.history), len(dropped.history))
+    pad = [[False] * (longest - len(e.history)) + e.history for e in (kept, dropped)]
+    kept.history = [a or b for a, b in zip(*pad, strict=True)]
+    return kept
+
+
+def in_world(z, R, pose, doubt):
+    """A circle of the level frame in the world; the pose's covariance by differences."""
+    t, yaw = level_pose(pose)
+    C = np.eye(3)
+    C[:2, :2] = rotation(yaw)
+    at = C @ z + [*t, 0.0]
+    R = C @ R @ C.T
+    if doubt is not None:
+        J = pose_jacobian(pose, at[:2])
+        R[:2, :2] += J @ doubt @ J.T
+    return at, R
+
+
+def pose_jacobian(pose, at, step=1e-6):
+    """Derivative of the place, seen from above, of a point that the tilted scan saw there."""
+    angles = np.array([
+        np.arctan2(pose[2, 1], pose[2, 2]),
+        np.arcsin(-pose[2, 0]),
+        np.arctan2(pose[1, 0], pose[0, 0]),
+    ])  # fmt: skip
+    point = np.linalg.solve(pose[:2, :2], at - pose[:2, 3])  # in the plane of the scan
+    columns = []
+    for parameter in range(6):
+        moved = []
+        for sign in (1, -1):
+            values = np.r_[pose[:3, 3], angles]
+            values[parameter] += sign * step
+            moved.append(turn(*values[3:])[:2, :2] @ point + values[:2])
+        columns.append((moved[0] - moved[1]) / (2 * step))
+    return np.array(columns).T
+
+
+def turn(alpha, beta, gamma):
+    X, Y, Z = np.eye(3), np.eye(3), np.eye(3)
+    X[1:, 1:] = rotation(alpha)
+    Z[:2, :2] = rotation(gamma)
+    Y[np.ix_([0, 2], [0, 2])] = rotation(beta).T
+    return Z @ Y @ X
+
+
+def seen(ranges, bearings, limits, config, x, y, radius):
+    """What a scan says about a circle of its frame."""
+    d, beta = np.hypot(x, y), np.arctan2(y, x)
+    if d <= radius or d - radius < limits[0]:
+        return "out of view"
+    off = (bearings - beta + np.pi) % (2 * np.pi) - np.pi
+    meets = np.abs(off) < np.arcsin(radius / d)
+    across = d * np.sin(off[meets])
+    surface = d * np.cos(off[meets]) - np.sqrt(radius**2 - across**2)
+    known = ~np.isnan(ranges[meets]) & (surface <= limits[1] - config.see_margin)
+    gap = (ranges[meets] - surface)[known]
+    through, before = (gap > config.see_margin).sum(), (gap < -config.see_margin).sum()
+    on = len(gap) - through - before
+    if len(gap) < config.min_rays:
+        return "out of view"
+    if through >= config.min_rays and 2 * through >= len(gap):
+        return "seen through"
+    return "returns" if on >= config.min_rays and on >= before else "occluded"
+
+
+def looker(ranges, bearings, limits, config, pose):
+    """`look` of `IndependentMap.update`: seen through only if that holds wherever it may be."""
+    t, yaw = level_pose(pose)
+
+    def look(state, P):
+        values, vectors = np.linalg.eigh(P[:2, :2])
+        offsets = [np.zeros(2)]
+        for value, vector in zip(values, vectors.T, strict=True):
+            offsets += [reach * np.sqrt(value) * vector for reach in (-2, -1, 1, 2)]
+        places = [rotation(-yaw) @ (state[:2] + offset - t) for offset in offsets]
+        answers = [seen(ranges, bearings, limits, config, *place, state[4]) for place in places]
+        return answers[0] if answers[0] != "seen through" else max(answers, key=ORDER.index)
+
+    return look
