@@ -63,7 +63,7 @@ class DatasetConfig(Config):
         0.1, ge=0, description="How far behind the circle such a ray ends at most [m]."
     )
     cut_margins: tuple[NotNegative, NotNegative] = Field(
-        (0.15, 1.0),
+        (0.15, 1.2),
         description="An end may be cut by the nearer or farther range limit within this of it [m],"
         " >= 0.",
     )

@@ -59,9 +59,11 @@ class Samples:
         counts: NDArray[np.int64] = np.diff(hits[self.starts])
         return counts
 
-    def take(self, numbers: NDArray[np.integer[Any]]) -> Self:
-        """The samples with these numbers, in this order."""
-        starts = self.starts
+    def take(
+        self, numbers: NDArray[np.integer[Any]], *, starts: NDArray[np.int64] | None = None
+    ) -> Self:
+        """The samples with these numbers, in this order; faster with `starts` at hand."""
+        starts = self.starts if starts is None else starts
         counts = self.n_rays[numbers].astype(np.int64)
         within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
         values = {field.name: getattr(self, field.name) for field in fields(self)}

@@ -1,0 +1,59 @@
+"""Configuration of a training run: a TOML file, and nothing else, decides what comes out."""
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from lidar_core.circles import DatasetConfig
+from lidar_core.config import Config
+
+
+class TrainConfig(Config):
+    """Training of one network on datasets of circles; defaults: the paper's network.
+
+    Source: Sanchez-Lopez et al., sec. IV-C. The paper does not give the size of a batch.
+    """
+
+    network: Literal["paper-cnn", "cnn"] = Field(
+        "paper-cnn",
+        description="Table I on whole scans with the loss of eq. 7, or the network on windows"
+        " with the likelihood of circle and covariance (no unit).",
+    )
+    datasets: tuple[DatasetConfig, ...] = Field(
+        (DatasetConfig(),), min_length=1, description="What it learns from, all of them mixed."
+    )
+    epochs: int = Field(106, ge=1, description="Passes over the training data (count, no unit).")
+    batch_size: int = Field(
+        256, ge=1, description="Samples per step, of all processes together (count, no unit)."
+    )
+    learning_rate: float = Field(1e-4, gt=0, description="Of Adam, or its peak (no unit).")
+    schedule: Literal["constant", "one-cycle"] = Field(
+        "constant",
+        description="Learning rate: constant as published, or up to the peak and down to 0 along"
+        " a cosine (no unit).",
+    )
+    warmup_share: float = Field(
+        0.05, gt=0, lt=1, description="One-cycle: share of all steps on the way up (no unit)."
+    )
+    gradient_limit: float = Field(
+        0.0, ge=0, description="Longest gradient, longer ones are shortened; 0: any (no unit)."
+    )
+    square_weight: float = Field(
+        300.0, ge=0, description="cnn: weight of the squared error beside the likelihood [1/m^2]."
+    )
+    precision: Literal["float32", "mixed"] = Field(
+        "float32", description="Mixed: products in bfloat16, on a GPU only (no unit)."
+    )
+    device: Literal["auto", "cpu", "cuda"] = Field(
+        "auto", description="Where; auto takes a GPU if there is one (no unit)."
+    )
+    threads: int = Field(2, ge=1, le=256, description="Threads on a CPU (count, no unit).")
+    checkpoint_minutes: float = Field(5.0, gt=0, description="Time between checkpoints [min].")
+    seed: int = Field(0, ge=0, description="Of data, first weights and order (no unit).")
+
+    @model_validator(mode="after")
+    def _is_one_scanner(self) -> Self:
+        beams = {dataset.scanner.n_beams for dataset in self.datasets}
+        if self.network == "paper-cnn" and len(beams) > 1:
+            raise ValueError(f"paper-cnn: expected scanners with the same rays, got {beams}")
+        return self

@@ -1,0 +1,106 @@
+"""The networks: Table I of the paper on whole scans, and a small one on windows."""
+
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+
+SLOT_NUMBERS = 4
+CONTEXT = 21
+ANSWER = 9
+_LOG_NOISE = 12  # place in the context: log of the noise of a slot, in units of the window's frame
+_FEATURES = 6
+
+
+class PaperNet(nn.Module):
+    """The network of Table I: 1,826,350 weights for 1081 rays, no padding, no bias at the end.
+
+    Parameters
+    ----------
+    n_beams : int
+        Rays of a scan.
+    """
+
+    def __init__(self, n_beams: int = 1081) -> None:
+        super().__init__()
+        channels = (1, 50, 50, 100, 100, 100, 100)
+        layers: list[nn.Module] = []
+        length = n_beams
+        for number, (before, after) in enumerate(pairwise(channels)):
+            stride = 1 + number % 2
+            layers += [nn.Conv1d(before, after, 7, stride), nn.ReLU()]
+            length = (length - 7) // stride + 1
+        if length < 1:
+            raise ValueError(f"n_beams: expected enough for six convolutions, got {n_beams}")
+        self.features = nn.Sequential(*layers)
+        self.head = nn.Sequential(
+            nn.Linear(channels[-1] * length, 125), nn.ReLU(), nn.Linear(125, 3, bias=False)
+        )
+
+    def forward(self, scans: Tensor) -> Tensor:
+        """Circles (B, 3) of normalised scans (B, 1, n_beams)."""
+        answer: Tensor = self.head(self.features(scans).flatten(1))
+        return answer
+
+
+class WindowNet(nn.Module):
+    """A small network on windows: a sum over rays, then a few layers on the whole.
+
+    What a ray adds depends on where it is and on the context. One half of it is multiplied by the
+    ray's difference from the first guess, so that small differences count exactly.
+
+    Parameters
+    ----------
+    rays, trunk : int
+        Widths of the layers per ray and of those on the whole.
+    """
+
+    def __init__(self, rays: int = 64, trunk: int = 128) -> None:
+        super().__init__()
+        self.register_buffer("context_mean", torch.zeros(CONTEXT))
+        self.register_buffer("context_std", torch.ones(CONTEXT))
+        self.half = rays // 2
+        self.ray = nn.Linear(_FEATURES, rays)
+        self.ray_context = nn.Linear(CONTEXT, rays, bias=False)
+        self.ray_mix = nn.Linear(rays, rays)
+        self.enter = nn.Linear(2 * self.half + (rays - self.half) + CONTEXT, trunk)
+        self.first = nn.Linear(trunk, trunk)
+        self.second = nn.Linear(trunk, trunk)
+        self.leave = nn.Linear(trunk, ANSWER)
+        self.activation = nn.SiLU()
+        with torch.no_grad():
+            self.leave.weight.mul_(0.1)
+            self.leave.bias.zero_()
+            self.leave.bias[3:6] = -2.0  # first deviations: an eighth of the window's unit
+
+    def set_normalisation(self, context: Tensor) -> None:
+        """Take mean and deviation of the context from the training data."""
+        self.context_mean.copy_(context.mean(0))
+        self.context_std.copy_(context.std(0).clamp_min(0.2))
+
+    def forward(self, slots: Tensor, context: Tensor) -> Tensor:
+        """Answers (B, 9) to windows: slots (B, S, 4) and context (B, 21)."""
+        difference, aside = slots[:, :, 0:1], slots[:, :, 1:2]
+        depth, used = slots[:, :, 2:3], slots[:, :, 3:4]
+        scaled = (context - self.context_mean) / self.context_std
+        certainty = torch.exp(-context[:, _LOG_NOISE : _LOG_NOISE + 1])
+        whitened = torch.asinh(difference * certainty.unsqueeze(1))
+        features = torch.cat(
+            [4 * difference, whitened, aside, depth, aside * aside, whitened * aside], dim=2
+        )
+        hidden = self.ray(features) + self.ray_context(scaled).unsqueeze(1)
+        hidden = self.ray_mix(self.activation(hidden))
+        count = used.sum(1)
+        linear = (hidden[:, :, : self.half] * difference).sum(1) / count
+        general = (self.activation(hidden[:, :, self.half :]) * used).sum(1) / count
+        whole = torch.cat([linear, torch.asinh(linear * certainty), general, scaled], dim=1)
+        trunk = self.activation(self.enter(whole))
+        trunk = trunk + self.activation(self.first(trunk))
+        trunk = trunk + self.activation(self.second(trunk))
+        answer: Tensor = self.leave(trunk)
+        return answer
+
+
+def parameter_count(network: nn.Module) -> int:
+    """Weights that training changes."""
+    return sum(weight.numel() for weight in network.parameters())

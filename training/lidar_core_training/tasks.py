@@ -1,0 +1,156 @@
+"""What each network is shown, and what its answers mean: two tasks with the same face."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from lidar_core.circles import Samples, Scanner
+from lidar_core.circles.windows import normalised, windows_of_samples
+from lidar_core_training.config import TrainConfig
+from lidar_core_training.losses import four_points, gaussian, whitened
+from lidar_core_training.networks import PaperNet, WindowNet
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Inputs of a network, and what it should answer."""
+
+    inputs: tuple[Tensor, ...]
+    truth: Tensor
+    scale: Tensor
+
+    def to(self, device: torch.device) -> "Batch":
+        """The same on a device."""
+        inputs = tuple(array.to(device) for array in self.inputs)
+        return Batch(inputs, self.truth.to(device), self.scale.to(device))
+
+
+class Task(Protocol):
+    """One network and its data."""
+
+    normalisation: dict[str, float]
+
+    def network(self) -> nn.Module:
+        """Return a fresh network."""
+
+    def batch(self, data: "Data", numbers: NDArray[np.int64]) -> Batch:
+        """Return samples as the network sees them."""
+
+    def loss(self, answer: Tensor, batch: Batch) -> Tensor:
+        """Return what training makes small."""
+
+    def errors(self, answer: Tensor, batch: Batch) -> tuple[Tensor, Tensor | None]:
+        """Return errors of x, y, radius in metres, and squared errors in deviations."""
+
+
+@dataclass(frozen=True)
+class Data:
+    """Samples of several scanners, numbered through."""
+
+    parts: tuple[tuple[Scanner, Samples], ...]
+    starts: tuple[NDArray[np.int64], ...]
+    first: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, parts: list[tuple[Scanner, Samples]]) -> "Data":
+        """Number the samples of `parts`."""
+        counts = [len(samples) for _, samples in parts]
+        starts = tuple(samples.starts for _, samples in parts)
+        return cls(tuple(parts), starts, np.concatenate([[0], np.cumsum(counts)]))
+
+    def __len__(self) -> int:
+        return int(self.first[-1])
+
+    def chosen(self, numbers: NDArray[np.int64]) -> list[tuple[Scanner, Samples]]:
+        """Samples with these ascending numbers, by scanner."""
+        found = []
+        for index, (scanner, samples) in enumerate(self.parts):
+            low, high = np.searchsorted(numbers, self.first[index : index + 2])
+            if high > low:
+                inside = numbers[low:high] - self.first[index]
+                found.append((scanner, samples.take(inside, starts=self.starts[index])))
+        return found
+
+
+@dataclass
+class PaperTask:
+    """Whole scans, normalised to [0, 1], misses -1; sec. IV-A."""
+
+    n_beams: int
+    normalisation: dict[str, float]
+
+    def network(self) -> nn.Module:
+        """Table I."""
+        return PaperNet(self.n_beams)
+
+    def batch(self, data: Data, numbers: NDArray[np.int64]) -> Batch:
+        """Whole scans."""
+        chosen = data.chosen(numbers)
+        low, high = self.normalisation["range_low"], self.normalisation["range_high"]
+        scans = [normalised(samples.scans(scanner), low, high) for scanner, samples in chosen]
+        circles = np.concatenate([samples.circles for _, samples in chosen])
+        truth = torch.from_numpy(circles)
+        return Batch((torch.from_numpy(np.concatenate(scans)),), truth, torch.ones(len(truth)))
+
+    def loss(self, answer: Tensor, batch: Batch) -> Tensor:
+        """Eq. 7."""
+        return four_points(answer, batch.truth)
+
+    def errors(self, answer: Tensor, batch: Batch) -> tuple[Tensor, Tensor | None]:
+        """Answers are circles; how sure they are is not known."""
+        return answer - batch.truth, None
+
+
+@dataclass
+class WindowTask:
+    """Windows in their own frames; answers are circles and covariances."""
+
+    square_weight: float
+    normalisation: dict[str, float]
+
+    def network(self) -> nn.Module:
+        """A network on windows."""
+        return WindowNet()
+
+    def batch(self, data: Data, numbers: NDArray[np.int64]) -> Batch:
+        """Windows; what is missing from the first guess is the truth, in units of the frame."""
+        arrays = []
+        for scanner, samples in data.chosen(numbers):
+            slots, context, frames = windows_of_samples(samples, scanner)
+            bearing, scale, distance, radius = frames[:, :4].T
+            x, y, size = samples.circles.astype(np.float64).T
+            cosine, sine = np.cos(bearing), np.sin(bearing)
+            ahead, aside = cosine * x + sine * y, cosine * y - sine * x
+            truth = np.stack([ahead - distance, aside, size - radius], axis=1) / scale[:, None]
+            turn = np.stack([bearing, scale], axis=1)
+            arrays.append((slots, context, truth.astype(np.float32), turn.astype(np.float32)))
+        slots, context, truth, turn = (
+            torch.from_numpy(np.concatenate(parts)) for parts in zip(*arrays, strict=True)
+        )
+        return Batch((slots, context), truth, turn)
+
+    def loss(self, answer: Tensor, batch: Batch) -> Tensor:
+        """Gaussian likelihood."""
+        return gaussian(answer, batch.truth, batch.scale[:, 1], self.square_weight)
+
+    def errors(self, answer: Tensor, batch: Batch) -> tuple[Tensor, Tensor | None]:
+        """Back in the frame of the scanner."""
+        bearing, scale = batch.scale.unbind(1)
+        ahead, aside, size = ((answer[:, :3] - batch.truth) * scale[:, None]).unbind(1)
+        cosine, sine = torch.cos(bearing), torch.sin(bearing)
+        errors = torch.stack([cosine * ahead - sine * aside, sine * ahead + cosine * aside, size], 1)
+        return errors, whitened(answer, batch.truth)[0].square().sum(1)
+
+
+def task_of(config: TrainConfig, data: Data) -> Task:
+    """Return the task of a run; `data` is training and validation, of which it knows the limits."""
+    if config.network == "cnn":
+        return WindowTask(config.square_weight, {})
+    finite = [samples.ranges[np.isfinite(samples.ranges)] for _, samples in data.parts]
+    low, high = (float(end(np.concatenate(finite))) for end in (np.min, np.max))
+    beams = config.datasets[0].scanner.n_beams
+    return PaperTask(beams, {"range_low": low, "range_high": high})
