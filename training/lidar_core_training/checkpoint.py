@@ -55,9 +55,7 @@ def save(
                 old.unlink()
 
 
-def load(
-    folder: Path, network: nn.Module, optimiser: optim.Optimizer, key: str
-) -> Progress | None:
+def load(folder: Path, network: nn.Module, optimiser: optim.Optimizer, key: str) -> Progress | None:
     """Go back to the last checkpoint; None if there is none.
 
     Raises

@@ -142,7 +142,9 @@ class WindowTask:
         bearing, scale = batch.scale.unbind(1)
         ahead, aside, size = ((answer[:, :3] - batch.truth) * scale[:, None]).unbind(1)
         cosine, sine = torch.cos(bearing), torch.sin(bearing)
-        errors = torch.stack([cosine * ahead - sine * aside, sine * ahead + cosine * aside, size], 1)
+        errors = torch.stack(
+            [cosine * ahead - sine * aside, sine * ahead + cosine * aside, size], 1
+        )
         return errors, whitened(answer, batch.truth)[0].square().sum(1)
 
 

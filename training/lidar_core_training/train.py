@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import os
+import subprocess
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.nn.parallel import DistributedDataParallel
 
+from lidar_core import __version__
 from lidar_core.circles import dataset
 from lidar_core.io.atomic import written_whole
 from lidar_core_training import checkpoint
@@ -30,6 +32,7 @@ from lidar_core_training.tasks import Data, Task, task_of
 METRICS = "metrics.csv"
 TEST = "test.json"
 NOTE = "train.toml"
+ORIGIN = "origin.json"
 
 
 @dataclass(frozen=True)
@@ -96,11 +99,23 @@ def train(
     if group.rank == 0:
         with written_whole(folder / NOTE) as temporary:
             temporary.write_text(config.to_toml(), encoding="utf-8")
+        with written_whole(folder / ORIGIN) as temporary:
+            temporary.write_text(json.dumps(_origin(), indent=1) + "\n", encoding="utf-8")
         _datasets(config, folder, on_data)
     group.wait()
     run = Run(config, folder, group)
     run.go(on_step, on_epoch)
     return run.finish() if group.rank == 0 else {}
+
+
+def _origin() -> dict[str, str]:
+    """What trains: commit of the checkout ("unknown" outside of one) and versions."""
+    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
+    try:
+        commit = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        commit = "unknown"
+    return {"training_commit": commit, "torch": torch.__version__, "lidar_core": __version__}
 
 
 def _datasets(
@@ -261,9 +276,7 @@ class Run:
 
     def _measured(self, data: Data) -> dict[str, Any]:
         numbers = np.arange(len(data))
-        loss, errors, nees = errors_of(
-            self.network, self.task, data, numbers, self.group.device
-        )
+        loss, errors, nees = errors_of(self.network, self.task, data, numbers, self.group.device)
         return {"loss": loss, "errors": breakdown(errors, nees, *data.parts[0])}
 
 

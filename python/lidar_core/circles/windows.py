@@ -14,6 +14,7 @@ from lidar_core.circles.segmentation import Segments, Side
 
 MISSING = -1.0
 """What the paper's network is shown where there is no range, sec. IV-A."""
+_OUTWARD = np.array([-1, 1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +34,7 @@ class Spans:
     starts: NDArray[np.int64]
 
     @classmethod
-    def between(
-        cls, first: NDArray[np.int64], count: NDArray[np.int64], n_beams: int
-    ) -> "Spans":
+    def between(cls, first: NDArray[np.int64], count: NDArray[np.int64], n_beams: int) -> "Spans":
         """So many rays from each first one on, over the end of the sweep if it must be."""
         starts = np.concatenate([np.zeros(1, np.int64), np.cumsum(count)])
         owner = np.repeat(np.arange(len(first)), count)
@@ -108,8 +107,8 @@ def _windows(
 ) -> tuple[NDArray[Any], ...]:
     step = float(np.median(_turn(np.diff(bearings)))) if len(bearings) > 1 else 0.0
     ends = np.stack([spans.rays[spans.starts[:-1]], spans.rays[spans.starts[1:] - 1]], axis=1)
-    beside = (ends + [-1, 1]) % len(bearings)
-    gaps = _turn(bearings[beside] - bearings[ends]) * [-1, 1]
+    beside = (ends + _OUTWARD) % len(bearings)
+    gaps = _turn(bearings[beside] - bearings[ends]) * _OUTWARD
     gaps = np.where(sides == Side.FIELD_EDGE, step, gaps)
     return _core.circle_windows(
         bearings[spans.rays],
@@ -153,7 +152,7 @@ def _sides(
 ) -> NDArray[np.uint8]:
     """What lies beside the hits of scans that show one object each."""
     rows = np.arange(len(ranges))[:, None]
-    beside = (ends + [-1, 1]) % len(bearings)
+    beside = (ends + _OUTWARD) % len(bearings)
     near, far = DatasetConfig().cut_margins
     end_ranges = ranges[rows, ends]
     is_cut = (end_ranges < scanner.range_min + near) | (end_ranges > scanner.range_max - far)

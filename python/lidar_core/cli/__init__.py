@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lidar_core.cli import config
+from lidar_core.cli import config, train
 from lidar_core.errors import LidarCoreError
 
 app = typer.Typer(
@@ -16,9 +16,10 @@ app = typer.Typer(
     add_completion=True,
 )
 
-for _name in ("demo", "info", "simulate", "detect", "evaluate", "doctor", "reproduce"):
+for _name in ("demo", "info", "simulate", "detect", "evaluate", "export", "doctor", "reproduce"):
     app.command(_name)(import_module(f"lidar_core.cli.{_name}").command)
 app.add_typer(config.app, name="config")
+app.add_typer(train.app, name="train")
 
 
 def _print_version(wanted: bool) -> None:

@@ -27,6 +27,8 @@ const MOST_DIFFERENCE: f64 = 4.0;
 const MOST_HALF_ANGLE: f64 = 1.55;
 /// Distance to the farther limit from which on it does not matter [m], and to the nearer one.
 const LIMIT_REACH: [f64; 2] = [1.0, 0.3];
+/// Smallest radius of an answer [m].
+const SMALLEST_RADIUS: f64 = 1e-3;
 
 /// One segment of a scan: its rays from the first hit to the last.
 #[derive(Clone, Copy, Debug)]
@@ -118,6 +120,7 @@ pub fn circle_of(frame: &Frame, answer: &[f32; ANSWER]) -> CircleEstimate {
         std::array::from_fn(|j| columns.iter().map(|column| column[i] * column[j]).sum())
     });
     let [x, y, radius] = turned(local);
+    let radius = radius.max(SMALLEST_RADIUS);
     CircleEstimate { circle: Circle { center: [x, y], radius }, covariance, n_hits: frame.n_hits }
 }
 

@@ -1,0 +1,226 @@
+"""Circles by neural networks: ONNX models, run on the CPU by onnxruntime."""
+
+import json
+from ast import literal_eval
+from hashlib import sha256
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core import _core
+from lidar_core.circles.scanner import Scanner
+from lidar_core.circles.segmentation import Segments
+from lidar_core.circles.windows import normalised, windows_of_rows, windows_of_segments
+from lidar_core.errors import ConfigError, FormatError, InputError
+
+Kind: TypeAlias = Literal["windows", "scans"]
+Estimates: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
+"""Parameters (C, 3), covariance (C, 3, 3) and hits (C,)."""
+
+MODELS = Path(__file__).parent / "models"
+
+_SMALLEST_RADIUS = 1e-3
+_SHAPES: dict[Kind, tuple[dict[str, tuple[int | None, ...]], int]] = {
+    "windows": ({"slots": (None, 32, 4), "context": (None, 21)}, 9),
+    "scans": ({"scans": (None, 1, None)}, 3),
+}
+
+
+class CircleNetwork:
+    """A network that estimates circles: one call for any number of them.
+
+    Parameters
+    ----------
+    model : str or Path
+        Name of a model that comes with the package, or an ONNX file that `lidar-core export`
+        wrote. If a card lies beside it, the file must be the one that the card is about.
+    threads : int
+        Of onnxruntime, >= 1.
+
+    Raises
+    ------
+    ConfigError
+        There is no such model.
+    FormatError
+        The file is no ONNX model, not the one of its card, or its inputs and outputs are not
+        those of a circle detector.
+
+    Notes
+    -----
+    Networks on windows tell how sure they are. The paper's network, on whole scans, does not: the
+    covariance of its circles is NaN.
+    """
+
+    def __init__(self, model: str | Path, *, threads: int = 1) -> None:
+        self.path = _file_of(model)
+        content = self.path.read_bytes()
+        self.card = _card_of(self.path, content)
+        self._session = _session(self.path, content, threads)
+        metadata = self._session.get_modelmeta().custom_metadata_map
+        self.kind = _kind_of(self.path, self._session, metadata)
+        if self.kind == "scans":
+            self._scanner, self._limits = _trained_on(self.path, metadata)
+            beams = self._session.get_inputs()[0].shape[2]
+            if beams != self._scanner.n_beams:
+                raise FormatError(
+                    f"{self.path}: takes {beams} rays, but was trained on {self._scanner.n_beams}"
+                )
+
+    def of_rows(
+        self,
+        ranges: NDArray[np.float32],
+        bearings: NDArray[np.float64],
+        *,
+        scanner: Scanner,
+        range_std: float,
+        beam_half_width: float,
+    ) -> Estimates:
+        """One circle per scan (B, n_beams); NaN, with 0 hits, where a scan has no hit."""
+        hits = np.isfinite(ranges)
+        seen = np.flatnonzero(hits.any(axis=1))
+        parameters = np.full((len(ranges), 3), np.nan)
+        covariance = np.full((len(ranges), 3, 3), np.nan)
+        counts = hits.sum(axis=1, dtype=np.int64)
+        if len(seen) and self.kind == "scans":
+            scan, ray = np.nonzero(hits[seen])
+            parameters[seen] = self._of_hits(
+                ranges[seen[scan], ray], bearings[ray], scan, len(seen)
+            )
+        elif len(seen):
+            noise = (range_std, beam_half_width)
+            shown = windows_of_rows(ranges[seen], bearings, scanner=scanner, noise=noise)
+            parameters[seen], covariance[seen] = self._of_windows(*shown)
+        return parameters, covariance, counts
+
+    def of_segments(
+        self,
+        ranges: NDArray[np.float64],
+        bearings: NDArray[np.float64],
+        segments: Segments,
+        *,
+        scanner: Scanner,
+        range_std: float,
+        beam_half_width: float,
+    ) -> Estimates:
+        """One circle per segment of a scan, in one call of the network."""
+        counts = np.diff(segments.starts)
+        if not len(segments):
+            return np.zeros((0, 3)), np.zeros((0, 3, 3)), counts
+        if self.kind == "scans":
+            owner = np.repeat(np.arange(len(segments)), counts)
+            rays = segments.rays
+            parameters = self._of_hits(ranges[rays], bearings[rays], owner, len(segments))
+            return parameters, np.full((len(segments), 3, 3), np.nan), counts
+        noise = (range_std, beam_half_width)
+        shown = windows_of_segments(ranges, bearings, segments, scanner=scanner, noise=noise)
+        return (*self._of_windows(*shown), counts)
+
+    def _of_windows(
+        self, slots: NDArray[np.float32], context: NDArray[np.float32], frames: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        (answers,) = self._session.run(None, {"slots": slots, "context": context})
+        return _core.circles_from_answers(frames, answers)
+
+    def _of_hits(
+        self,
+        ranges: NDArray[np.floating[Any]],
+        bearings: NDArray[np.float64],
+        owner: NDArray[np.integer[Any]],
+        count: int,
+    ) -> NDArray[np.float64]:
+        """Circles of whole scans: every hit on the nearest ray the network knows."""
+        known = self._scanner
+        turn = 2 * np.pi / abs(known.angle_increment)
+        ray = (bearings - known.angle_min) / known.angle_increment
+        beam = np.rint(ray - np.floor((ray + 0.5) / turn) * turn).astype(np.int64)
+        inside = (beam >= 0) & (beam < known.n_beams)
+        if np.bincount(owner[inside], minlength=count).min(initial=1) == 0:
+            raise InputError(
+                f"bearings: {self.path.name} knows {np.degrees(known.field_of_view):.0f} degrees"
+                f" from {np.degrees(known.angle_min):.0f} on, an object lies outside of them"
+            )
+        scans = np.full((count, known.n_beams), np.inf, np.float32)
+        place = owner[inside], beam[inside]
+        np.minimum.at(scans, place, ranges[inside].astype(np.float32))
+        (answers,) = self._session.run(None, {"scans": normalised(scans, *self._limits)})
+        parameters = np.asarray(answers, dtype=np.float64)
+        parameters[:, 2] = np.maximum(parameters[:, 2], _SMALLEST_RADIUS)
+        return parameters
+
+
+def shipped() -> list[str]:
+    """Names of the models that come with the package."""
+    return sorted(path.stem for path in MODELS.glob("*.onnx"))
+
+
+def _file_of(model: str | Path) -> Path:
+    path = MODELS / f"{model}.onnx" if Path(model).suffix != ".onnx" else Path(model)
+    if not path.is_file():
+        known = ", ".join(shipped()) or "none"
+        raise ConfigError(
+            f"detector: expected a shipped model ({known}) or an .onnx file, got {str(model)!r}"
+        )
+    return path
+
+
+def _card_of(path: Path, content: bytes) -> dict[str, Any]:
+    """Return the card beside a model, whose checksum must be the file's; empty if there is none."""
+    card_path = path.with_suffix(".json")
+    if not card_path.is_file():
+        if path.parent == MODELS:
+            raise FormatError(f"{card_path}: the card of a shipped model is missing")
+        return {}
+    try:
+        card = dict(json.loads(card_path.read_text(encoding="utf-8")))
+        expected = card["sha256"]
+    except (ValueError, TypeError, KeyError) as error:
+        raise FormatError(f"{card_path}: expected the card of a model: {error!r}") from error
+    if (got := sha256(content).hexdigest()) != expected:
+        raise FormatError(f"{path}: expected SHA-256 {expected} of its card, got {got}")
+    return card
+
+
+def _session(path: Path, content: bytes, threads: int) -> Any:
+    onnxruntime = import_module("onnxruntime")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime has no common class of its own
+        raise FormatError(f"{path}: expected an ONNX model: {error}") from error
+
+
+def _kind_of(path: Path, session: Any, metadata: dict[str, str]) -> Kind:
+    """Return what a model is shown; its inputs and output must be those of that kind."""
+    inputs = {one.name: tuple(one.shape) for one in session.get_inputs()}
+    outputs = [tuple(one.shape) for one in session.get_outputs()]
+    for kind, (expected, size) in _SHAPES.items():
+        fits = inputs.keys() == expected.keys() and all(
+            len(inputs[name]) == len(shape)
+            and all(want in (None, got) for want, got in zip(shape, inputs[name], strict=True))
+            for name, shape in expected.items()
+        )
+        if fits and len(outputs) == 1 and outputs[0][1:] == (size,):
+            if metadata.get("kind") != kind:
+                raise FormatError(f"{path}: expected metadata kind = {kind}")
+            return kind
+    raise FormatError(
+        f"{path}: expected inputs slots (N, 32, 4) and context (N, 21) with output (N, 9), or"
+        f" scans (N, 1, n_beams) with output (N, 3); got {inputs} with {outputs}"
+    )
+
+
+def _trained_on(path: Path, metadata: dict[str, str]) -> tuple[Scanner, tuple[float, float]]:
+    """Return the scanner of a network on whole scans, and the ends of its normalisation."""
+    try:
+        scanner = Scanner.load(
+            {name: literal_eval(metadata[name]) for name in Scanner.model_fields}
+        )
+        low, high = (float(metadata[name]) for name in ("range_low", "range_high"))
+    except (KeyError, ValueError, SyntaxError) as error:
+        raise FormatError(f"{path}: expected scanner and normalisation in its metadata") from error
+    return scanner, (low, high)

@@ -1,0 +1,105 @@
+"""`lidar-core train`: networks, trained by the distribution lidar-core-training."""
+
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lidar_core.cli.common import INTERRUPTED
+from lidar_core.errors import MissingExtraError
+
+app = typer.Typer(name="train", no_args_is_help=True, help="Train neural networks.")
+
+_SHOWN_EPOCHS = 12
+
+
+def training(module: str) -> Any:
+    """Import a module of the training distribution.
+
+    Raises
+    ------
+    MissingExtraError
+        It, or torch, is not installed.
+    """
+    try:
+        return import_module(f"lidar_core_training.{module}")
+    except ImportError as error:
+        raise MissingExtraError(
+            f"training needs the distribution lidar-core-training, which brings torch ({error}):"
+            " in a checkout of lidar_core, pip install ./training"
+        ) from error
+
+
+@app.command("circles")
+def circles(
+    *,
+    config: Annotated[Path, typer.Option("--config", "-c", help="TOML file of the training.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the run.")],
+) -> None:
+    """Train a circle detector as CONFIG says; the same command goes on where a run stopped.
+
+    The folder gets data, checkpoints, metrics.csv after every epoch, curves.png, and test.json
+    at the end.
+    """
+    from rich.console import Console
+    from rich.live import Live
+
+    model = training("config").TrainConfig.read(config)
+    run = training("train")
+    errors = Console(stderr=True)
+    rows: list[dict[str, float]] = []
+    try:
+        with Live(console=errors, refresh_per_second=2) as live:
+
+            def show(status: str) -> None:
+                live.update(_table(rows, status))
+
+            def on_epoch(metrics: dict[str, float]) -> None:
+                rows.append(metrics)
+                show(f"epoch {metrics['epoch']:.0f} done")
+
+            results = run.train(
+                model,
+                output,
+                on_data=lambda done, total: show(f"data: {done} of {total} shards"),
+                on_step=lambda epoch, step, steps, loss: show(
+                    f"epoch {epoch + 1} of {model.epochs}, step {step} of {steps}, loss {loss:.4g}"
+                ),
+                on_epoch=on_epoch,
+            )
+    except KeyboardInterrupt:
+        errors.print("interrupted: the same command goes on from the last checkpoint")
+        raise typer.Exit(INTERRUPTED) from None
+    _draw(output, errors)
+    for part in ("validation", "test"):
+        for number, measured in enumerate(results.get(part, ())):
+            whole = measured["errors"]["all"]
+            print(
+                f"{part} of dataset {number}: loss {measured['loss']:.6g},"
+                f" MSE {whole['mse']:.4g} m^2, MAE {whole['mae']:.4g} m"
+            )
+
+
+def _table(rows: list[dict[str, float]], status: str) -> Any:
+    """The last epochs, and what goes on."""
+    from rich.table import Table
+
+    table = Table(caption=status, caption_justify="left")
+    names = list(rows[-1]) if rows else ["epoch"]
+    for name in names:
+        table.add_column(name.replace("_", " "), justify="right")
+    for row in rows[-_SHOWN_EPOCHS:]:
+        table.add_row(*(f"{row.get(name, float('nan')):.5g}" for name in names))
+    return table
+
+
+def _draw(output: Path, console: Any) -> None:
+    import csv
+
+    with (output / "metrics.csv").open(encoding="utf-8") as file:
+        metrics = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+    try:
+        training("curves").draw(metrics, output / "curves.png")
+    except MissingExtraError as error:
+        console.print(f"no curves: {error}", markup=False, soft_wrap=True)
