@@ -231,8 +231,8 @@ def test_bad_arrays_are_refused(ranges, bearings, text):
 
 
 def test_detectors_that_are_not_there_are_refused():
-    with pytest.raises(ConfigError, match=r"detector: expected one of ml, .*, got 'cnn'"):
-        CircleDetector("cnn")
+    with pytest.raises(ConfigError, match=r"detector: expected one of ml, .*, got 'moon'"):
+        CircleDetector("moon")
     with pytest.raises(ConfigError, match="min_radius < max_radius"):
         FitConfig(min_radius=2.0)
 

@@ -1,5 +1,6 @@
 """Circles from scans that show one object each, sec. IV."""
 
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -9,9 +10,10 @@ from lidar_core import _core
 from lidar_core.arrays import as_finite_rows, as_rows
 from lidar_core.circles.fit_config import FitConfig, FitMethod
 from lidar_core.circles.fitting import Circles
+from lidar_core.circles.network import CircleNetwork, shipped
 from lidar_core.circles.scanner import Scanner
 from lidar_core.config import as_config
-from lidar_core.errors import ConfigError
+from lidar_core.errors import ConfigError, InputError
 
 
 class CircleDetector:
@@ -20,38 +22,55 @@ class CircleDetector:
     Parameters
     ----------
     detector : str
-        "ml" (best), "mode", "taubin", "pratt" or "kasa": `FitConfig.method`.
+        "ml" (best), "mode", "taubin", "pratt" or "kasa": `FitConfig.method`; the name of a network
+        that comes with the package; or an ONNX file that `lidar-core export` wrote.
     config : FitConfig, optional
-        Everything else about the fit; its `method` gives way to `detector`.
+        Everything else about the fit; its `method` gives way to `detector`. A network heeds
+        `range_std` and `beam_half_width`.
     scanner : Scanner, optional
         Where the ranges come from; only its range limits count.
+    threads : int
+        Of a network, >= 1.
 
     Raises
     ------
     ConfigError
         There is no such detector.
+    FormatError
+        The file is no network for circles.
 
     Notes
     -----
     "ml" reports the expected circle, given the ranges, the rays that passed beside the object,
     the edges of the field of view and the range limits, with centres and radii evenly
     distributed beforehand. Its covariance is that of the same distribution.
+
+    Networks on the window of each object, in the window's own frame, answer with the covariance,
+    too. The paper's network (Table I) knows one scanner, and gives no covariance: NaN.
     """
 
     def __init__(
         self,
-        detector: str = "ml",
+        detector: str | Path = "ml",
         *,
         config: FitConfig | None = None,
         scanner: Scanner | None = None,
+        threads: int = 1,
     ) -> None:
-        if detector not in get_args(FitMethod):
-            known = ", ".join(get_args(FitMethod))
-            raise ConfigError(f"detector: expected one of {known}, got {detector!r}")
+        methods = get_args(FitMethod)
+        if str(detector) not in (*methods, *shipped()) and Path(detector).suffix != ".onnx":
+            known = ", ".join((*methods, *shipped()))
+            raise ConfigError(
+                f"detector: expected one of {known}, or an .onnx file, got {str(detector)!r}"
+            )
         fit = as_config(config, FitConfig)
-        limits = as_config(scanner, Scanner)
-        self.config = FitConfig.load(fit.model_dump() | {"method": detector})
-        self.scanner = limits
+        self.scanner = as_config(scanner, Scanner)
+        self.network: CircleNetwork | None = None
+        if detector in methods:
+            self.config = FitConfig.load(fit.model_dump() | {"method": detector})
+        else:
+            self.config = fit
+            self.network = CircleNetwork(detector, threads=threads)
 
     def detect(self, ranges_batch: ArrayLike, bearings: ArrayLike) -> Circles:
         """One circle per scan.
@@ -96,5 +115,9 @@ class CircleDetector:
             shape=(len(angles),),
             dtype=np.float32,
         )
-        found = _core.detect_circles(rows, angles, config=self.config, scanner=self.scanner)
-        return Circles(*found)
+        if self.network is None:
+            found = _core.detect_circles(rows, angles, config=self.config, scanner=self.scanner)
+            return Circles(*found)
+        if (low := rows.min(initial=np.inf, where=~np.isnan(rows))) <= 0:
+            raise InputError(f"ranges_batch: expected ranges > 0, got {low}")
+        return self.network.of_rows(rows, angles, config=self.config, scanner=self.scanner)

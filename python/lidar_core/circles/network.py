@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core import _core
+from lidar_core.circles.fit_config import FitConfig
+from lidar_core.circles.fitting import Circles
 from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments
 from lidar_core.circles.windows import normalised, windows_of_rows, windows_of_segments
 from lidar_core.errors import ConfigError, FormatError, InputError
 
 Kind: TypeAlias = Literal["windows", "scans"]
-Estimates: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
-"""Parameters (C, 3), covariance (C, 3, 3) and hits (C,)."""
 
 MODELS = Path(__file__).parent / "models"
 
@@ -74,10 +74,9 @@ class CircleNetwork:
         ranges: NDArray[np.float32],
         bearings: NDArray[np.float64],
         *,
+        config: FitConfig,
         scanner: Scanner,
-        range_std: float,
-        beam_half_width: float,
-    ) -> Estimates:
+    ) -> Circles:
         """One circle per scan (B, n_beams); NaN, with 0 hits, where a scan has no hit."""
         hits = np.isfinite(ranges)
         seen = np.flatnonzero(hits.any(axis=1))
@@ -90,10 +89,10 @@ class CircleNetwork:
                 ranges[seen[scan], ray], bearings[ray], scan, len(seen)
             )
         elif len(seen):
-            noise = (range_std, beam_half_width)
+            noise = (config.range_std, config.beam_half_width)
             shown = windows_of_rows(ranges[seen], bearings, scanner=scanner, noise=noise)
             parameters[seen], covariance[seen] = self._of_windows(*shown)
-        return parameters, covariance, counts
+        return Circles(parameters, covariance, counts)
 
     def of_segments(
         self,
@@ -101,22 +100,24 @@ class CircleNetwork:
         bearings: NDArray[np.float64],
         segments: Segments,
         *,
+        config: FitConfig,
         scanner: Scanner,
-        range_std: float,
-        beam_half_width: float,
-    ) -> Estimates:
-        """One circle per segment of a scan, in one call of the network."""
+    ) -> Circles:
+        """One circle per segment of a scan, in one call of the network.
+
+        `config` says how noisy the ranges are and how wide the rays.
+        """
         counts = np.diff(segments.starts)
         if not len(segments):
-            return np.zeros((0, 3)), np.zeros((0, 3, 3)), counts
+            return Circles(np.zeros((0, 3)), np.zeros((0, 3, 3)), counts)
         if self.kind == "scans":
             owner = np.repeat(np.arange(len(segments)), counts)
             rays = segments.rays
             parameters = self._of_hits(ranges[rays], bearings[rays], owner, len(segments))
-            return parameters, np.full((len(segments), 3, 3), np.nan), counts
-        noise = (range_std, beam_half_width)
+            return Circles(parameters, np.full((len(segments), 3, 3), np.nan), counts)
+        noise = (config.range_std, config.beam_half_width)
         shown = windows_of_segments(ranges, bearings, segments, scanner=scanner, noise=noise)
-        return (*self._of_windows(*shown), counts)
+        return Circles(*self._of_windows(*shown), counts)
 
     def _of_windows(
         self, slots: NDArray[np.float32], context: NDArray[np.float32], frames: NDArray[np.float64]

@@ -1,0 +1,76 @@
+"""Table I, eq. 7 and the likelihood."""
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+
+from lidar_core_training.losses import characteristic_points, four_points, gaussian, whitened
+from lidar_core_training.networks import PaperNet, WindowNet, parameter_count
+
+FLOAT32 = 1e-5  # relative rounding of sums over some tens of float32 numbers
+
+
+def test_table_1_has_the_published_number_of_weights():
+    assert parameter_count(PaperNet()) == 1_826_350
+
+
+def test_layers_of_table_1():
+    network = PaperNet()
+    scans = torch.zeros(2, 1, 1081)
+    lengths = []
+    for layer in network.features[::2]:
+        scans = layer(scans)
+        lengths.append(scans.shape[2])
+    assert lengths == [1075, 535, 529, 262, 256, 125]
+    assert network(torch.zeros(2, 1, 1081)).shape == (2, 3)
+    with pytest.raises(ValueError, match="n_beams"):
+        PaperNet(40)
+
+
+def test_the_small_network_is_small():
+    assert parameter_count(WindowNet()) <= 200_000
+
+
+def test_eq_7_is_three_times_the_mse():
+    random = np.random.default_rng(70)
+    first, second = torch.from_numpy(random.uniform(-5, 5, (2, 40, 3)).astype(np.float32))
+    expected = 3 * float((first - second).square().mean())
+    assert float(four_points(first, second)) == pytest.approx(expected, rel=FLOAT32)
+
+
+def test_characteristic_points_are_where_the_axes_cut_the_circle():
+    points = characteristic_points(torch.tensor([[2.0, 1.0, 0.5]]))
+    assert_allclose(points[0], [[2.5, 1.0], [2.0, 1.5], [1.5, 1.0], [2.0, 0.5]])
+
+
+def test_the_likelihood_is_that_of_the_normal_distribution():
+    random = np.random.default_rng(71)
+    answer = torch.from_numpy(random.uniform(-1, 1, (5, 9)))
+    true = torch.from_numpy(random.uniform(-1, 1, (5, 3)))
+    std = torch.exp(answer[:, 3:6])
+    lower = torch.diag_embed(std)
+    lower[:, 1, 0] = answer[:, 6] * std[:, 1]
+    lower[:, 2, 0], lower[:, 2, 1] = answer[:, 7] * std[:, 2], answer[:, 8] * std[:, 2]
+    normal = torch.distributions.MultivariateNormal(answer[:, :3], scale_tril=lower)
+    constant = 1.5 * np.log(2 * np.pi)
+    expected = -(normal.log_prob(true) + constant).mean()
+    found = gaussian(answer, true, torch.ones(5), 0.0)
+    assert float(found) == pytest.approx(float(expected), rel=1e-12)
+    assert_allclose(
+        whitened(answer, true)[0].square().sum(1),
+        normal.covariance_matrix.inverse().matmul((true - answer[:, :3])[:, :, None])[:, :, 0]
+        .mul(true - answer[:, :3]).sum(1),
+        rtol=1e-9,
+    )  # fmt: skip
+
+
+def test_slots_that_are_not_used_change_nothing():
+    random = np.random.default_rng(72)
+    network = WindowNet()
+    slots = torch.from_numpy(random.uniform(-1, 1, (4, 32, 4)).astype(np.float32))
+    slots[:, :, 3] = 1.0
+    slots[:, 10:] = 0.0
+    context = torch.from_numpy(random.uniform(-1, 1, (4, 21)).astype(np.float32))
+    with torch.no_grad():
+        assert_allclose(network(slots, context), network(slots[:, :10], context), atol=1e-6)
