@@ -132,7 +132,9 @@ def _metadata(config: TrainConfig, results: dict[str, Any]) -> dict[str, str]:
     if config.network == "cnn":
         return {"kind": "windows"}
     scanner = config.datasets[0].scanner
-    known = {**results["normalisation"], **scanner.model_dump(mode="json")}
+    errors = results["test"][0]["errors"]["all"]
+    variances = {f"variance_{name}": errors[f"mse_{name}"] for name in ("x", "y", "radius")}
+    known = {**results["normalisation"], **variances, **scanner.model_dump(mode="json")}
     return {"kind": "scans"} | {key: repr(value) for key, value in known.items()}
 
 

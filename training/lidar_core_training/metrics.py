@@ -38,11 +38,15 @@ def errors_of(
 def summary(errors: NDArray[np.float64], nees: NDArray[np.float64] | None) -> dict[str, float]:
     """MSE [m^2], MAE [m] and p99 [m] over the three outputs, and NEES of samples."""
     means = np.abs(errors).mean(axis=1)
+    squares = [float(value) for value in np.square(errors).mean(axis=0)]
     values = {
         "samples": len(errors),
         "mse": float(np.square(errors).mean()),
         "mae": float(means.mean()),
         "p99": float(np.quantile(means, 0.99)),
+        "mse_x": squares[0],
+        "mse_y": squares[1],
+        "mse_radius": squares[2],
     }
     return values if nees is None else values | {"nees": float(nees.mean())}
 

@@ -1,6 +1,6 @@
 """Configuration of the circle pipeline: the only source of its defaults and ranges."""
 
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import Field
 
@@ -9,6 +9,9 @@ from lidar_core.circles.map_config import CircleMapConfig
 from lidar_core.circles.scan_config import PreprocessConfig, SegmentConfig
 from lidar_core.circles.scanner import Scanner
 from lidar_core.config import Config
+
+NetworkName: TypeAlias = Annotated[str, Field(pattern=r"^(cnn|paper-cnn|.+\.onnx)$")]
+"""A network that comes with the package, or an ONNX file."""
 
 
 class CirclesConfig(Config):
@@ -24,10 +27,10 @@ class CirclesConfig(Config):
     scanners: dict[str, Scanner] = Field(
         {}, description="2D LiDARs by the name that `process` is given (no unit)."
     )
-    detector: FitMethod = Field(
+    detector: FitMethod | NetworkName = Field(
         "ml",
         description="How a circle is estimated from a segment (no unit); it stands before"
-        " `fit.method`.",
+        " `fit.method`. Also a network: one that comes with the package, or an .onnx file.",
     )
     preprocess: PreprocessConfig = PreprocessConfig()
     segment: SegmentConfig = SegmentConfig()

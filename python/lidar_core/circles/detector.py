@@ -46,7 +46,7 @@ class CircleDetector:
     distributed beforehand. Its covariance is that of the same distribution.
 
     Networks on the window of each object, in the window's own frame, answer with the covariance,
-    too. The paper's network (Table I) knows one scanner, and gives no covariance: NaN.
+    too. The paper's network (Table I) knows one scanner; its circles all have the same covariance.
     """
 
     def __init__(

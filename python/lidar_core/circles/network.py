@@ -23,6 +23,7 @@ Kind: TypeAlias = Literal["windows", "scans"]
 MODELS = Path(__file__).parent / "models"
 
 _SMALLEST_RADIUS = 1e-3
+_LEARNT = ("range_low", "range_high", "variance_x", "variance_y", "variance_radius")
 _SHAPES: dict[Kind, tuple[dict[str, tuple[int | None, ...]], int]] = {
     "windows": ({"slots": (None, 32, 4), "context": (None, 21)}, 9),
     "scans": ({"scans": (None, 1, None)}, 3),
@@ -50,8 +51,8 @@ class CircleNetwork:
 
     Notes
     -----
-    Networks on windows tell how sure they are. The paper's network, on whole scans, does not: the
-    covariance of its circles is NaN.
+    Networks on windows tell how sure they are. The paper's network, on whole scans, does not: all
+    its circles have the variances of its errors on its test data; the paper gives none.
     """
 
     def __init__(self, model: str | Path, *, threads: int = 1) -> None:
@@ -62,7 +63,7 @@ class CircleNetwork:
         metadata = self._session.get_modelmeta().custom_metadata_map
         self.kind = _kind_of(self.path, self._session, metadata)
         if self.kind == "scans":
-            self._scanner, self._limits = _trained_on(self.path, metadata)
+            self._scanner, self._limits, self._variance = _trained_on(self.path, metadata)
             beams = self._session.get_inputs()[0].shape[2]
             if beams != self._scanner.n_beams:
                 raise FormatError(
@@ -114,10 +115,13 @@ class CircleNetwork:
             owner = np.repeat(np.arange(len(segments)), counts)
             rays = segments.rays
             parameters = self._of_hits(ranges[rays], bearings[rays], owner, len(segments))
-            return Circles(parameters, np.full((len(segments), 3, 3), np.nan), counts)
+            return Circles(parameters, self._usual(len(segments)), counts)
         noise = (config.range_std, config.beam_half_width)
         shown = windows_of_segments(ranges, bearings, segments, scanner=scanner, noise=noise)
         return Circles(*self._of_windows(*shown), counts)
+
+    def _usual(self, count: int) -> NDArray[np.float64]:
+        return np.tile(np.diag(self._variance), (count, 1, 1))
 
     def _of_windows(
         self, slots: NDArray[np.float32], context: NDArray[np.float32], frames: NDArray[np.float64]
@@ -215,13 +219,15 @@ def _kind_of(path: Path, session: Any, metadata: dict[str, str]) -> Kind:
     )
 
 
-def _trained_on(path: Path, metadata: dict[str, str]) -> tuple[Scanner, tuple[float, float]]:
-    """Return the scanner of a network on whole scans, and the ends of its normalisation."""
+def _trained_on(
+    path: Path, metadata: dict[str, str]
+) -> tuple[Scanner, tuple[float, float], tuple[float, ...]]:
+    """Return scanner, ends of the normalisation and variances of a network on whole scans."""
     try:
         scanner = Scanner.load(
             {name: literal_eval(metadata[name]) for name in Scanner.model_fields}
         )
-        low, high = (float(metadata[name]) for name in ("range_low", "range_high"))
+        low, high, *variance = (float(metadata[name]) for name in _LEARNT)
     except (KeyError, ValueError, SyntaxError) as error:
         raise FormatError(f"{path}: expected scanner and normalisation in its metadata") from error
-    return scanner, (low, high)
+    return scanner, (low, high), tuple(variance)

@@ -2,8 +2,9 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from threading import Lock
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,8 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from lidar_core import _core
 from lidar_core.arrays import as_finite_rows, as_poses, as_rows, as_stamp
 from lidar_core.circles.config import CirclesConfig
+from lidar_core.circles.fit_config import FitMethod
 from lidar_core.circles.fitting import Circles
 from lidar_core.circles.map import CircleElements, MapEvents, elements_of
+from lidar_core.circles.network import CircleNetwork
 from lidar_core.circles.preprocess import times
 from lidar_core.circles.results import CircleFrame, CirclesHealth
 from lidar_core.circles.segmentation import Segments, segments_of
@@ -66,7 +69,12 @@ class CirclePipeline:
         self, config: CirclesConfig | None = None, *, estimator: Estimator | None = None
     ) -> None:
         self.config = as_config(config, CirclesConfig)
-        fit = self.config.fit.load(self.config.fit.model_dump() | {"method": self.config.detector})
+        fit, detector = self.config.fit, self.config.detector
+        self._network: CircleNetwork | None = None
+        if detector in get_args(FitMethod):
+            fit = fit.load(fit.model_dump() | {"method": detector})
+        elif estimator is None:
+            self._network = CircleNetwork(detector)
         self._pipeline = _core.CirclePipeline(self.config, fit=fit)
         self._estimator = estimator
         self._health = CirclesHealth()
@@ -172,14 +180,22 @@ class CirclePipeline:
         given = times(len(rays), stamp, ray_time_ns, pose_stamps_ns)
         sweep = (rays, as_poses(world_from_lidar))
         options = {"pose_covariance": doubt, "scanner": scanner, **given}
-        if self._estimator is None:
+        estimator = self._estimator or self._by_network(scanner)
+        if estimator is None:
             values = self._pipeline.process(*sweep, **options)
         else:
             prepared = self._pipeline.prepare(*sweep, **options)
             segments = segments_of(prepared.segments())
-            found = self._estimator(*prepared.scan()[:2], segments)
+            found = estimator(*prepared.scan()[:2], segments)
             values = self._pipeline.integrate(prepared, *_rows(found, len(segments)))
         return _frame(stamp, scanner, values)
+
+    def _by_network(self, scanner: str) -> Estimator | None:
+        """The network of `config.detector`, if it is one, for one of the LiDARs."""
+        if self._network is None:
+            return None
+        limits = self.config.scanners.get(scanner, self.config.scanner)
+        return partial(self._network.of_segments, config=self.config.fit, scanner=limits)
 
     def _count(self, name: str) -> None:
         with self._counting:
