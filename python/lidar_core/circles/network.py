@@ -89,6 +89,7 @@ class CircleNetwork:
             parameters[seen] = self._of_hits(
                 ranges[seen[scan], ray], bearings[ray], scan, len(seen)
             )
+            covariance[seen] = self._usual(len(seen))
         elif len(seen):
             noise = (config.range_std, config.beam_half_width)
             shown = windows_of_rows(ranges[seen], bearings, scanner=scanner, noise=noise)
