@@ -9,6 +9,7 @@ import pytest
 
 FOLDER = Path(__file__).parents[2] / "examples"
 TESTED = {
+    "circle_detectors.py": "here",
     "quickstart.py": "here",
     "real_scan_with_drone.py": "here",
     "score_seeds.py": "test_demo_scene.py",
@@ -41,6 +42,11 @@ def test_quickstart_prints_two_tracks():
     lines = output_of(sys.executable, "quickstart.py").splitlines()
     assert lines[-1].startswith("1.4 s: track 1 at [")
     assert {line.split()[3] for line in lines} == {"0", "1"}
+
+
+def test_both_detectors_of_circles_are_honest():
+    text = output_of(sys.executable, "circle_detectors.py")
+    assert all(2.6 < figure(text, f"NEES of {name}") < 3.4 for name in ("cnn", "ml"))
 
 
 @pytest.mark.parametrize("seed", [0, 1])
