@@ -138,7 +138,7 @@ impl Motion<5> for CoordinatedTurn {
     const HEADING: Option<usize> = None;
 
     fn moved(&self, s: &Vector5<f64>, dt: f64, _: &Platform) -> Vector5<f64> {
-        let turn = Turn::new(s[4], dt);
+        let turn = Turn::<1>::new(s[4], dt);
         let [x, y] = turn.turned(0, [s[2], s[3]]);
         let [vx, vy] = rotated(direction(s[4] * dt), [s[2], s[3]]);
         Vector5::new(s[0] + x, s[1] + y, vx, vy, s[4])
@@ -150,7 +150,7 @@ impl Motion<5> for CoordinatedTurn {
         dt: f64,
         platform: &Platform,
     ) -> (Vector5<f64>, SMatrix<f64, 5, 5>) {
-        let (turn, v) = (Turn::new(s[4], dt), [s[2], s[3]]);
+        let (turn, v) = (Turn::<2>::new(s[4], dt), [s[2], s[3]]);
         let [cosine, sine] = direction(s[4] * dt);
         let mut F = SMatrix::<f64, 5, 5>::identity();
         let displacement =

@@ -23,7 +23,7 @@ pub struct CtrvDroneRate;
 fn step(s: &Vector5<f64>, rate: f64, dt: f64, platform: &Platform) -> (Vector5<f64>, Columns) {
     let ([x, y, v, heading, w], lever) = (s.data.0[0], platform.lever);
     let arc = Arc::new(direction(heading), w, dt);
-    let own = Turn::new(rate, dt);
+    let own = Turn::<2>::new(rate, dt);
     let d = own.turned(0, platform.velocity);
     let [along, aside] = own.turned(1, platform.velocity);
     let [c, minus_s] = direction(-rate * dt);

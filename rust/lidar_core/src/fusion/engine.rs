@@ -135,7 +135,7 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
 
     fn predict(&self, state: &Gaussian<N>, dt: f64, platform: &Platform) -> Gaussian<N> {
         let (mean, F) = self.motion.transition(&state.mean, dt, platform);
-        let Q = self.noise.covariance(&self.motion, &state.mean, dt, platform);
+        let Q = self.noise.covariance(&self.motion, [&state.mean, &mean], dt, platform);
         Gaussian { mean, covariance: symmetrised(F * state.covariance * F.transpose() + Q) }
     }
 
@@ -176,7 +176,8 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
 
     fn link(&self, state: &Gaussian<N>, dt: f64, platform: &Platform) -> Option<Link> {
         let (predicted, jacobian) = self.motion.transition(&state.mean, dt, platform);
-        let noise = self.noise.covariance(&self.motion, &state.mean, dt, platform);
+        let ends = [&state.mean, &predicted];
+        let noise = self.noise.covariance(&self.motion, ends, dt, platform);
         let (mut F, mut Q, mut mean) = (Matrix6::identity(), Matrix6::zeros(), Vector6::zeros());
         F.fixed_view_mut::<N, N>(0, 0).copy_from(&jacobian);
         Q.fixed_view_mut::<N, N>(0, 0).copy_from(&noise);

@@ -31,7 +31,7 @@ pub(super) struct Arc {
 
 impl Arc {
     pub(super) fn new(heading: [f64; 2], rate: f64, dt: f64) -> Self {
-        let turn = Turn::new(rate, dt);
+        let turn = Turn::<2>::new(rate, dt);
         let [along, aside] = turn.turned(1, heading);
         Self { by_speed: turn.turned(0, heading), by_rate: [-aside, along] }
     }
@@ -92,7 +92,7 @@ impl Motion<5> for Ctrv {
     const HEADING: Option<usize> = Some(3);
 
     fn moved(&self, s: &Vector5<f64>, dt: f64, _: &Platform) -> Vector5<f64> {
-        let [A, B] = Turn::new(s[4], dt).turned(0, direction(s[3]));
+        let [A, B] = Turn::<1>::new(s[4], dt).turned(0, direction(s[3]));
         Vector5::new(s[0] + s[2] * A, s[1] + s[2] * B, s[2], s[3] + s[4] * dt, s[4])
     }
 
@@ -120,6 +120,25 @@ impl Motion<5> for Ctrv {
         columns.set_column(0, &Vector5::new(A, B, 1.0, 0.0, 0.0));
         columns.set_column(1, &Vector5::new(A1, B1, 0.0, dt, 1.0));
         columns
+    }
+
+    /// As seen from the end, whose heading is the same for all.
+    fn responses(
+        &self,
+        end: &Vector5<f64>,
+        rests: [f64; 3],
+        _: &Platform,
+    ) -> [SMatrix<f64, 5, INPUTS>; 3] {
+        let (heading, v) = (direction(end[3]), end[2]);
+        rests.map(|rest| {
+            let back = Turn::<2>::new(-end[4], rest);
+            let ([A, B], [C, D]) = (back.turned(0, heading), back.turned(1, heading));
+            let mut columns = SMatrix::<f64, 5, INPUTS>::zeros();
+            columns.set_column(0, &Vector5::new(A, B, 1.0, 0.0, 0.0));
+            let bent = [v * (D - rest * B), v * (rest * A - C)];
+            columns.set_column(1, &Vector5::new(bent[0], bent[1], 0.0, rest, 1.0));
+            columns
+        })
     }
 
     fn holds(&self, s: &Vector5<f64>, dt: f64) -> SMatrix<f64, 5, INPUTS> {
@@ -150,7 +169,7 @@ impl Motion<6> for Ctra {
 
     fn moved(&self, s: &Vector6<f64>, dt: f64, _: &Platform) -> Vector6<f64> {
         let (v, w, a) = (s[2], s[4], s[5]);
-        let (turn, heading) = (Turn::new(w, dt), direction(s[3]));
+        let (turn, heading) = (Turn::<2>::new(w, dt), direction(s[3]));
         let ([A, B], [C, D]) = (turn.turned(0, heading), turn.turned(1, heading));
         let (x, y) = (s[0] + v * A + a * C, s[1] + v * B + a * D);
         Vector6::new(x, y, v + a * dt, s[3] + w * dt, w, a)
@@ -163,7 +182,7 @@ impl Motion<6> for Ctra {
         platform: &Platform,
     ) -> (Vector6<f64>, SMatrix<f64, 6, 6>) {
         let (v, a) = (s[2], s[5]);
-        let (turn, heading) = (Turn::new(s[4], dt), direction(s[3]));
+        let (turn, heading) = (Turn::<3>::new(s[4], dt), direction(s[3]));
         let ([A, B], [C, D]) = (turn.turned(0, heading), turn.turned(1, heading));
         let [G, H] = turn.turned(2, heading);
         let mut F = SMatrix::<f64, 6, 6>::identity();
@@ -180,6 +199,29 @@ impl Motion<6> for Ctra {
         columns.set_column(0, &F.column(5));
         columns.set_column(1, &F.column(4));
         columns
+    }
+
+    /// As seen from the end, whose heading is the same for all.
+    fn responses(
+        &self,
+        end: &Vector6<f64>,
+        rests: [f64; 3],
+        _: &Platform,
+    ) -> [SMatrix<f64, 6, INPUTS>; 3] {
+        let (heading, v, a) = (direction(end[3]), end[2], end[5]);
+        rests.map(|rest| {
+            let back = Turn::<3>::new(-end[4], rest);
+            let ([A, B], [C, D]) = (back.turned(0, heading), back.turned(1, heading));
+            let [G, H] = back.turned(2, heading);
+            let mut columns = SMatrix::<f64, 6, INPUTS>::zeros();
+            let (x, y) = (rest * A - C, rest * B - D);
+            columns.set_column(0, &Vector6::new(x, y, rest, 0.0, 0.0, 1.0));
+            // speed at t before the end is v - a t, turned aside by (rest - t)
+            let along = v * x - a * (rest * C - G);
+            let aside = v * y - a * (rest * D - H);
+            columns.set_column(1, &Vector6::new(-aside, along, 0.0, rest, 1.0, 0.0));
+            columns
+        })
     }
 
     fn holds(&self, s: &Vector6<f64>, dt: f64) -> SMatrix<f64, 6, INPUTS> {

@@ -83,6 +83,16 @@ pub trait Motion<const N: usize>: Clone + Send + Sync + 'static {
         platform: &Platform,
     ) -> SMatrix<f64, N, INPUTS>;
 
+    /// Responses of the state `end` to unit impulses that came `rests` [s] before it.
+    fn responses(
+        &self,
+        end: &SVector<f64, N>,
+        rests: [f64; 3],
+        platform: &Platform,
+    ) -> [SMatrix<f64, N, INPUTS>; 3] {
+        rests.map(|rest| self.impulses(&self.moved(end, -rest, platform), rest, platform))
+    }
+
     /// Response to each noise when it keeps its unit value for `dt`, on a straight line.
     fn holds(&self, s: &SVector<f64, N>, dt: f64) -> SMatrix<f64, N, INPUTS>;
 
@@ -152,12 +162,12 @@ const NODES: [(f64, f64); 3] = [
 ];
 
 impl ProcessNoise {
-    /// Hand out columns c whose outer products sum to the covariance Q of the noise of a step:
-    /// Q is positive semidefinite by construction.
+    /// Hand out columns c whose outer products sum to the covariance Q of the noise of a step
+    /// from `s` to `end`: Q is positive semidefinite by construction.
     pub fn columns<const N: usize, M: Motion<N>>(
         &self,
         motion: &M,
-        s: &SVector<f64, N>,
+        [s, end]: [&SVector<f64, N>; 2],
         dt: f64,
         platform: &Platform,
         mut visit: impl FnMut(&SVector<f64, N>),
@@ -172,10 +182,10 @@ impl ProcessNoise {
         match self.form {
             NoiseForm::Discrete => visit_scaled(&motion.holds(s, dt), 1.0),
             NoiseForm::Continuous => {
-                for (node, weight) in NODES {
-                    let at = motion.moved(s, node * dt, platform);
-                    let columns = motion.impulses(&at, (1.0 - node) * dt, platform);
-                    visit_scaled(&columns, libm::sqrt(weight * dt));
+                let rests = NODES.map(|(node, _)| (1.0 - node) * dt);
+                let responses = motion.responses(end, rests, platform);
+                for (columns, (_, weight)) in responses.iter().zip(NODES) {
+                    visit_scaled(columns, libm::sqrt(weight * dt));
                 }
             }
         }
@@ -184,16 +194,16 @@ impl ProcessNoise {
         }
     }
 
-    /// Covariance of the noise of a step.
+    /// Covariance of the noise of a step from `ends[0]` to `ends[1]`.
     pub fn covariance<const N: usize, M: Motion<N>>(
         &self,
         motion: &M,
-        s: &SVector<f64, N>,
+        ends: [&SVector<f64, N>; 2],
         dt: f64,
         platform: &Platform,
     ) -> SMatrix<f64, N, N> {
         let mut Q = SMatrix::<f64, N, N>::zeros();
-        self.columns(motion, s, dt, platform, |column| Q.ger(1.0, column, column, 1.0));
+        self.columns(motion, ends, dt, platform, |column| Q.ger(1.0, column, column, 1.0));
         Q
     }
 }
@@ -235,6 +245,12 @@ pub(super) mod tests {
         let (_, J) = motion.velocity(s, platform);
         let expected = difference(s, |s| motion.velocity(s, platform).0);
         assert!((J - expected).abs().max() < 1e-8, "velocity: {J} {expected}");
+        let rests = [0.0, 0.3 * dt, dt];
+        for (rest, got) in rests.iter().zip(motion.responses(&after, rests, platform)) {
+            let at = motion.moved(s, dt - rest, platform);
+            let expected = motion.impulses(&at, *rest, platform);
+            assert!((got - expected).abs().max() < 1e-12, "{got} {expected}");
+        }
         check_noise(motion, s, dt, platform);
     }
 
@@ -245,7 +261,7 @@ pub(super) mod tests {
         platform: &Platform,
     ) {
         let noise = ProcessNoise { form: NoiseForm::Continuous, strength: [0.7, 0.4, 0.2] };
-        let Q = noise.covariance(motion, s, dt, platform);
+        let Q = noise.covariance(motion, [s, &motion.moved(s, dt, platform)], dt, platform);
         let mut expected = SMatrix::<f64, N, N>::zeros();
         let steps = 400;
         let h = dt / f64::from(steps);

@@ -161,7 +161,8 @@ impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
         let moved = |s: &SVector<f64, N>| motion.moved(s, dt, platform);
         let (mean, mut triangle, shift) = transformed(state, &self.rule, moved);
         let mut noise = Vec::new();
-        self.base.noise.columns(motion, &state.mean, dt, platform, |column| {
+        let ends = [&state.mean, &moved(&state.mean)];
+        self.base.noise.columns(motion, ends, dt, platform, |column| {
             triangle.absorb(stacked(column.as_slice(), &[]));
             if self.carries {
                 noise.push(*column);

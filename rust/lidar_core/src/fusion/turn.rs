@@ -4,28 +4,37 @@
 const SERIES_UP_TO: f64 = 0.5;
 /// Terms of the series: the first left out is below 1e-17 at `SERIES_UP_TO`.
 const TERMS: usize = 7;
+/// Terms below `SHORT_UP_TO` [rad], with the same error.
+const SHORT: usize = 4;
+const SHORT_UP_TO: f64 = 0.03;
 
-/// Integrals of t^k cos(w t) and t^k sin(w t) over a step, for k = 0, 1, 2.
+/// Integrals of t^k cos(w t) and t^k sin(w t) over a step, for k = 0 to K - 1, K at most 3.
 ///
 /// (A, B) of the models is the moment 0 turned by the heading; derivatives by the turn rate are
 /// the moments 1 and 2, turned by a quarter more each.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Turn {
+pub struct Turn<const K: usize> {
     /// Along the start's heading [s^(k + 1)].
-    pub along: [f64; 3],
+    pub along: [f64; K],
     /// To its left [s^(k + 1)].
-    pub aside: [f64; 3],
+    pub aside: [f64; K],
 }
 
-impl Turn {
+impl<const K: usize> Turn<K> {
     /// A step of `dt` [s] at the turn rate `rate` [rad/s].
     #[must_use]
     pub fn new(rate: f64, dt: f64) -> Self {
         let angle = rate * dt;
-        let (along, aside) =
-            if angle.abs() < SERIES_UP_TO { by_series(angle) } else { closed(angle) };
+        let (along, aside) = if angle.abs() < SHORT_UP_TO {
+            by_series::<K, SHORT>(angle)
+        } else if angle.abs() < SERIES_UP_TO {
+            by_series::<K, TERMS>(angle)
+        } else {
+            let (along, aside) = closed(angle);
+            (std::array::from_fn(|k| along[k]), std::array::from_fn(|k| aside[k]))
+        };
         let scale = [dt, dt * dt, dt * dt * dt];
-        let scaled = |unit: [f64; 3]| std::array::from_fn(|k| unit[k] * scale[k]);
+        let scaled = |unit: [f64; K]| std::array::from_fn(|k| unit[k] * scale[k]);
         Self { along: scaled(along), aside: scaled(aside) }
     }
 
@@ -78,9 +87,11 @@ const fn coefficients(odd: usize, first: usize) -> [f64; TERMS] {
     values
 }
 
-fn by_series(angle: f64) -> ([f64; 3], [f64; 3]) {
+fn by_series<const K: usize, const COUNT: usize>(angle: f64) -> ([f64; K], [f64; K]) {
     let x = -angle * angle;
-    let sum = |values: &[f64; TERMS]| values.iter().rev().fold(0.0, |sum, value| sum * x + value);
+    let sum = |values: &[f64; TERMS]| {
+        values[..COUNT].iter().rev().fold(0.0, |sum, value| sum * x + value)
+    };
     let [cosine, sine] = &COEFFICIENTS;
     (std::array::from_fn(|k| sum(&cosine[k])), std::array::from_fn(|k| angle * sum(&sine[k])))
 }
@@ -120,7 +131,7 @@ mod tests {
     fn moments_are_the_integrals() {
         for rate in [0.0, 1e-9, -0.01, 0.3, 0.999, -1.001, 2.5, -8.0] {
             for dt in [0.05, 0.5, 1.0] {
-                let turn = Turn::new(rate, dt);
+                let turn = Turn::<3>::new(rate, dt);
                 for k in 0..3 {
                     let [cosine, sine] = integrated(rate, dt, k as i32);
                     assert!((turn.along[k] - cosine).abs() < 1e-12, "{rate} {dt} {k}");
@@ -132,12 +143,13 @@ mod tests {
 
     #[test]
     fn series_and_closed_form_meet() {
+        let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 4e-15);
         for angle in [SERIES_UP_TO, -SERIES_UP_TO] {
-            let ((c, s), (c2, s2)) = (by_series(angle), closed(angle));
-            for k in 0..3 {
-                assert!((c[k] - c2[k]).abs() < 4e-15 && (s[k] - s2[k]).abs() < 4e-15);
-            }
+            let ((c, s), (c2, s2)) = (by_series::<3, TERMS>(angle), closed(angle));
+            assert!(near(c, c2) && near(s, s2));
         }
+        let (short, long) = (by_series::<3, SHORT>(0.03), by_series::<3, TERMS>(0.03));
+        assert!(near(short.0, long.0) && near(short.1, long.1));
     }
 
     #[test]
