@@ -35,6 +35,8 @@ FILES = (
     "run.mcap",
     RUN_FILE,
     "scene.toml",
+    "states.csv",
+    "states.parquet",
     "summary.json",
     "timing.csv",
     "timing.parquet",

@@ -16,7 +16,17 @@ app = typer.Typer(
     add_completion=True,
 )
 
-for _name in ("demo", "info", "simulate", "detect", "evaluate", "export", "doctor", "reproduce"):
+for _name in (
+    "demo",
+    "info",
+    "simulate",
+    "detect",
+    "fuse",
+    "evaluate",
+    "export",
+    "doctor",
+    "reproduce",
+):
     app.command(_name)(import_module(f"lidar_core.cli.{_name}").command)
 app.add_typer(config.app, name="config")
 app.add_typer(train.app, name="train")

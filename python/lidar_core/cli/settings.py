@@ -34,7 +34,9 @@ def run_config(
     ConfigError
         A file or assignment is no TOML, or a value is unknown or outside its range.
     """
-    values = base.model_dump() | {"on_bad_scan": "count"}
+    values = base.model_dump()
+    if "on_bad_scan" in values:
+        values["on_bad_scan"] = "count"
     if file is not None:
         values = merged(values, file_values(file, section))
     return type(base).load(with_assignments(values, assignments))

@@ -36,6 +36,16 @@ class TargetTruth:
     heading: NDArray[np.float64] | None
     turn_rate: NDArray[np.float64] | None
 
+    def rows(self, chosen: NDArray[np.int64]) -> "TargetTruth":
+        """Those rows, in that order."""
+        return TargetTruth(
+            self.stamps_ns[chosen],
+            self.position[chosen],
+            self.velocity[chosen],
+            None if self.heading is None else self.heading[chosen],
+            None if self.turn_rate is None else self.turn_rate[chosen],
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class TargetRecording:

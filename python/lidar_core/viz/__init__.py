@@ -2,6 +2,16 @@
 
 from lidar_core.viz.circles_picture import animate_circles, draw_circles
 from lidar_core.viz.flying_picture import draw_flying
-from lidar_core.viz.views import CirclesView, FlyingView
+from lidar_core.viz.fusion_picture import draw_fusion
+from lidar_core.viz.views import CirclesView, FlyingView, FusionView, PlanarLine
 
-__all__ = ["CirclesView", "FlyingView", "animate_circles", "draw_circles", "draw_flying"]
+__all__ = [
+    "CirclesView",
+    "FlyingView",
+    "FusionView",
+    "PlanarLine",
+    "animate_circles",
+    "draw_circles",
+    "draw_flying",
+    "draw_fusion",
+]

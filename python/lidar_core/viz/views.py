@@ -86,3 +86,47 @@ class CirclesView:
     maps: Sequence[CirclesLike]
     n_circles: NDArray[np.int64]
     truth: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanarLine:
+    """Where something was over time, in the plane.
+
+    Attributes
+    ----------
+    stamp_ns : ndarray, shape (K,), int64
+        Times, ascending [ns].
+    position : ndarray, shape (K, 2), float64
+        [m].
+    covariance : ndarray, shape (K, 2, 2), float64, or None
+        Of the position [m^2]; None for a truth.
+    """
+
+    stamp_ns: NDArray[np.int64]
+    position: NDArray[np.float64]
+    covariance: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FusionView:
+    """Targets fused from LiDAR and radar.
+
+    Attributes
+    ----------
+    title : str
+        Headline.
+    seen : mapping of str to ndarray, shape (M, 2), float64
+        Measured positions by sensor [m]; the radar's from range and bearing.
+    tracks : mapping of int to PlanarLine
+        Estimates by the number of the track.
+    truth : mapping of int to PlanarLine
+        True positions by target; empty without truth.
+    nis : mapping of str to pair of ndarray, shape (N,)
+        By sensor, times [ns] and NIS over its 95 % limit: one in twenty is above 1.
+    """
+
+    title: str
+    seen: Mapping[str, NDArray[np.float64]]
+    tracks: Mapping[int, PlanarLine]
+    truth: Mapping[int, PlanarLine]
+    nis: Mapping[str, tuple[NDArray[np.int64], NDArray[np.float64]]]

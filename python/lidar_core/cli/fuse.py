@@ -1,0 +1,124 @@
+"""`lidar-core fuse`: targets from the LiDAR and radar of a recording."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from lidar_core.cli.common import JsonFile, Row, consoles, given, number, result_table, write_json
+from lidar_core.cli.run_options import ChosenMode, ConfigFile, Output, Overwrite, Picture
+from lidar_core.cli.settings import run_config
+from lidar_core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from lidar_core.fusion import FusionConfig
+
+RECORDING = "L/R text, or a table (CSV, Parquet, .npz)."
+MODEL = "How targets move: cv, ca, ct, ctrv, ctra, ctrv-drone, paper."
+METHOD = "Filter: kf, ekf, ukf, ckf, imm."
+LAG = "Smooth: every state knows what came up to this much later \\[s]."
+COLUMN = "Name of a table's column, such as x=pos_x; again for more."
+TIME_UNIT = "Unit of a table's times: ns, us, ms or s."
+ANGLE_UNIT = "Unit of a table's angles: rad or deg."
+SET = "Single value, such as acceleration_noise=3; again for more."
+
+
+def command(
+    recording: Annotated[Path, typer.Argument(help=RECORDING)],
+    *,
+    output: Output,
+    model: Annotated[str | None, typer.Option(help=MODEL)] = None,
+    method: Annotated[str | None, typer.Option(help=METHOD)] = None,
+    lag: Annotated[float | None, typer.Option(help=LAG)] = None,
+    column: Annotated[list[str], typer.Option(help=COLUMN)] = [],  # noqa: B006
+    time_unit: Annotated[str | None, typer.Option(help=TIME_UNIT)] = None,
+    angle_unit: Annotated[str | None, typer.Option(help=ANGLE_UNIT)] = None,
+    mode: ChosenMode = "best",
+    config: ConfigFile = None,
+    values: Annotated[list[str], typer.Option("--set", help=SET)] = [],  # noqa: B006
+    picture: Picture = True,
+    overwrite: Overwrite = False,
+    json: JsonFile = None,
+) -> None:
+    """Track the target of RECORDING; write states, covariances, innovations, NIS and a picture.
+
+    With the truth in the recording, the table and the summary hold the RMSE.
+    """
+    from lidar_core.cli.fuse_run import TargetRun
+    from lidar_core.fusion import TableOptions, read_measurements
+    from lidar_core.run_folder import RunFolder, fingerprint
+
+    chosen = _filter_config(mode, config, values, {"model": model, "method": method})
+    units = {"time_unit": time_unit, "angle_unit": angle_unit}
+    table = TableOptions.load({"columns": _column_map(column), **given(units)})
+    folder = RunFolder(output, overwrite=overwrite)
+    target = TargetRun.of(read_measurements(recording, table), chosen, lag=lag)
+    out, errors = consoles(json)
+    folder.begin()
+    files = target.write(folder)
+    summary = {
+        "command": "fuse",
+        "recording": str(recording),
+        "format": target.log.format,
+        "model": chosen.model,
+        "method": chosen.method,
+        "lag": lag,
+        **target.summary(),
+    }
+    folder.write_summary(summary)
+    folder.write_note({"recording": fingerprint(recording)},
+                      {"fusion": chosen, "fusion_table": table})  # fmt: skip
+    if picture:
+        files += target.draw(folder, recording.name, errors)
+    files = sorted([*files, "run.toml", "summary.json"])
+    out.print(_table(summary, recording.name))
+    out.print(f"{folder.path}: {', '.join(files)}", highlight=False, soft_wrap=True)
+    write_json({**summary, "files": files}, json)
+
+
+def _filter_config(
+    mode: Literal["best", "paper"], file: Path | None, values: list[str], options: dict[str, Any]
+) -> "FusionConfig":
+    from lidar_core.fusion import FusionConfig
+
+    base = FusionConfig() if mode == "best" else FusionConfig.paper()
+    texts = [f'{name}="{value}"' for name, value in given(options).items()]
+    return run_config(base, "fusion", file, [*values, *texts])
+
+
+def _column_map(texts: list[str]) -> dict[str, str]:
+    pairs = [text.partition("=") for text in texts]
+    for text, (ours, equals, theirs) in zip(texts, pairs, strict=True):
+        if not (ours and equals and theirs):
+            raise ConfigError(f"--column {text}: expected OURS=THEIRS, such as x=pos_x")
+    return {ours: theirs for ours, _, theirs in pairs}
+
+
+def _table(summary: Mapping[str, Any], name: str) -> "Table":
+    counts = summary["measurements"]
+    outcomes = ", ".join(f"{count} {what}" for what, count in summary["outcomes"].items())
+    rows: list[Row | None] = [
+        Row("measurements", str(sum(counts.values())),
+            ", ".join(f"{count} {sensor}" for sensor, count in counts.items())),
+        Row("time", f"{summary['duration']:.1f} s", ""),
+        Row("what became of them", "", outcomes),
+    ]  # fmt: skip
+    rows += [
+        Row(f"NIS {sensor}", f"{values['mean']:.2f}",
+            f"{100 * values['share_below_limit']:.0f} % below the limit of 95 %")
+        for sensor, values in summary["nis"].items()
+    ]  # fmt: skip
+    rmse = summary["rmse"]
+    if rmse is not None:
+        rows += [
+            None,
+            *(Row(f"RMSE {axis}", number(rmse[axis], 4, " m" if axis in "xy" else " m/s"), "")
+              for axis in ("x", "y", "vx", "vy")),
+            Row("NEES of the position", number(rmse["position_nees"], 2), "2 is expected"),
+        ]  # fmt: skip
+    rows += [None, Row("time per measurement", f"{summary['us_per_measurement']:.1f} us", "")]
+    title = f"{name} ({summary['format']}): {summary['model']}, {summary['method']}"
+    return result_table(title, rows)

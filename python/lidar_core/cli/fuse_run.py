@@ -1,0 +1,237 @@
+"""The run of `lidar-core fuse` on one target: filter, summary, tables, picture."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from lidar_core.cli.common import draw
+from lidar_core.errors import InputError, NumericalError
+from lidar_core.estimation import chi2_quantile
+from lidar_core.evaluation import nees
+from lidar_core.fusion import FusionConfig, Measurement, MeasurementLog, Run, run, smooth
+from lidar_core.fusion.states import state_names, velocities
+from lidar_core.io.tracks import write_trajectories
+from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
+from lidar_core.viz import FusionView, PlanarLine, draw_fusion
+
+LIMIT = 0.95
+"""Share of the NIS of a consistent filter that is below its limit."""
+COORDINATES = ("x", "y", "vx", "vy")
+
+
+@dataclass(frozen=True, slots=True)
+class TargetRun:
+    """One target filtered, and what is told about it.
+
+    Attributes
+    ----------
+    log : MeasurementLog
+        Sorted by time, the truth along with it.
+    result : Run
+        Row for row as the log.
+    config : FusionConfig
+    seconds : float
+        Time that the filter took [s].
+    """
+
+    log: MeasurementLog
+    result: Run
+    config: FusionConfig
+    seconds: float
+
+    @classmethod
+    def of(cls, log: MeasurementLog, config: FusionConfig, *, lag: float | None) -> "TargetRun":
+        """Filter a log, or smooth it with a lag [s]."""
+        ordered = _in_order(log)
+        start = perf_counter()
+        if lag is None:
+            result = run(ordered.measurements, config)
+        else:
+            result = smooth(ordered.measurements, config, lag=lag)
+        return cls(ordered, result, config, perf_counter() - start)
+
+    @property
+    def sensors(self) -> NDArray[np.str_]:
+        """Sensor of every measurement."""
+        return np.array([m.sensor for m in self.log.measurements], np.str_)
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Rows with a state."""
+        states = self.result.states
+        known = states.shape[1] > 0
+        return np.array([known and bool(row.all()) for row in np.isfinite(states)], np.bool_)
+
+    @property
+    def states(self) -> NDArray[np.float64]:
+        """Those states."""
+        rows = self.seen
+        width = len(state_names(self.config))
+        return self.result.states[rows] if rows.any() else np.empty((0, width))
+
+    @property
+    def errors(self) -> NDArray[np.float64] | None:
+        """Estimate minus truth, (K, 4) of x, y, vx, vy, rows with a state; None without truth."""
+        truth, rows = self.log.truth, self.seen
+        if truth is None:
+            return None
+        states = self.states
+        return np.hstack([
+            states[:, :2] - truth.position[rows],
+            velocities(states, self.config) - truth.velocity[rows],
+        ])  # fmt: skip
+
+    def nis(self) -> dict[str, tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]]:
+        """By sensor: times [ns], NIS, and its limit, where something was compared."""
+        result, sensors = self.result, self.sensors
+        degrees = np.isfinite(result.innovations).sum(axis=1)
+        limit = np.array([np.inf, *(chi2_quantile(LIMIT, degrees=n) for n in (1, 2, 3))])[degrees]
+        compared = np.isfinite(result.nis) & (degrees > 0)
+        found = {}
+        for sensor in sorted(set(sensors[compared].tolist())):
+            rows = compared & (sensors == sensor)
+            found[sensor] = (result.stamps_ns[rows], result.nis[rows], limit[rows])
+        return found
+
+    def summary(self) -> dict[str, Any]:
+        """What the run gave, as plain values."""
+        sensors, stamps = self.sensors, self.result.stamps_ns
+        duration = float(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) else 0.0
+        errors = self.errors
+        nis = {
+            sensor: {
+                "mean": float(values.mean()),
+                "share_below_limit": float((values <= limit).mean()),
+            }
+            for sensor, (_, values, limit) in self.nis().items()
+        }
+        return {
+            "measurements": dict(Counter(sensors.tolist())),
+            "outcomes": dict(Counter(self.result.outcomes.tolist())),
+            "duration": duration,
+            "states": list(state_names(self.config)),
+            "nis": nis,
+            "rmse": None if errors is None else self._rmse(errors),
+            "us_per_measurement": 1e6 * self.seconds / max(1, len(stamps)),
+        }
+
+    def _rmse(self, errors: NDArray[np.float64]) -> dict[str, float | None] | None:
+        if not len(errors):
+            return None
+        rmse = np.sqrt((errors**2).mean(axis=0))
+        position = self.result.covariances[self.seen][:, :2, :2]
+        try:
+            consistency = float(nees(errors[:, :2], position).mean())
+        except (InputError, NumericalError):  # the published filter's are no covariances
+            consistency = None
+        return {
+            **dict(zip(COORDINATES, rmse.tolist(), strict=True)),
+            "position_2d": float(np.hypot(*rmse[:2])),
+            "position_nees": consistency,
+        }
+
+    def states_table(self) -> dict[str, Any]:
+        """A row per measurement: state, covariance, innovation, NIS, truth; SI units."""
+        result, names = self.result, state_names(self.config)
+        table: dict[str, Any] = {
+            "t_ns": result.stamps_ns,
+            "sensor": self.sensors.tolist(),
+            "outcome": result.outcomes.tolist(),
+        }
+        if result.states.shape[1]:
+            table |= {name: result.states[:, n] for n, name in enumerate(names)}
+            table |= {
+                f"cov_{names[row]}_{names[column]}": result.covariances[:, row, column]
+                for row in range(len(names)) for column in range(row, len(names))
+            }  # fmt: skip
+        table |= {f"innovation_{n + 1}": result.innovations[:, n] for n in range(3)}
+        table["nis"] = result.nis
+        truth = self.log.truth
+        if truth is not None:
+            values = np.hstack([truth.position, truth.velocity])
+            table |= {f"true_{name}": values[:, n] for n, name in enumerate(COORDINATES)}
+        return table
+
+    def write(self, folder: RunFolder) -> list[str]:
+        """Write tables and trajectory; return their names."""
+        rows, stamps = self.seen, self.result.stamps_ns
+        place, speed = self.states[:, :2], velocities(self.states, self.config)
+        files = [folder.write_table("states", self.states_table())]
+        files.append(folder.write_table("tracks", planar_table("track_id", stamps[rows], place,
+                                                               speed)))  # fmt: skip
+        truth = self.log.truth
+        if truth is not None:
+            last = np.append(np.diff(stamps) > 0, True)  # one place at a time
+            files.append(folder.write_table("truth", planar_table(
+                "target_id", stamps[last], truth.position[last], truth.velocity[last]
+            )))  # fmt: skip
+        steps = zip(stamps[rows].tolist(), place, strict=True)
+        write_trajectories(folder.path / TRACKS_FOLDER, (
+            (stamp, np.zeros(1, np.int64), np.append(at, 0.0)[None]) for stamp, at in steps
+        ))  # fmt: skip
+        return [*(file.name for file in files), TRACKS_FOLDER]
+
+    def draw(self, folder: RunFolder, name: str, console: Console) -> list[str]:
+        """Draw picture.png; return the names of what was drawn."""
+        path = folder.path / "picture.png"
+        return draw([(path, lambda: draw_fusion(self.view(name), path))], console)
+
+    def view(self, name: str) -> FusionView:
+        """What a picture shows."""
+        rows, truth, result = self.seen, self.log.truth, self.result
+        stamps = result.stamps_ns
+        line = PlanarLine(stamps[rows], self.states[:, :2],
+                          result.covariances[rows][:, :2, :2])  # fmt: skip
+        fixed = not any(m.sensor == "pose" for m in self.log.measurements)
+        return FusionView(
+            title=f"{name}: {self.config.model}, {self.config.method}",
+            seen=measured_places(self.log.measurements) if fixed else {},
+            tracks={0: line} if rows.any() else {},
+            truth={} if truth is None else {0: PlanarLine(stamps, truth.position)},
+            nis={s: (times, values / limit) for s, (times, values, limit) in self.nis().items()},
+        )
+
+
+def planar_table(
+    number_name: str,
+    stamps: NDArray[np.int64],
+    position: NDArray[np.float64],
+    velocity: NDArray[np.float64],
+    numbers: NDArray[np.int64] | None = None,
+) -> dict[str, Any]:
+    """Places in the plane as columns that `lidar-core evaluate` reads; heights are zero."""
+    zero = np.zeros(len(stamps))
+    return {
+        "t_ns": stamps,
+        number_name: np.zeros(len(stamps), np.int64) if numbers is None else numbers,
+        "x": position[:, 0], "y": position[:, 1], "z": zero,
+        "vx": velocity[:, 0], "vy": velocity[:, 1], "vz": zero,
+    }  # fmt: skip
+
+
+def measured_places(measurements: list[Measurement]) -> Mapping[str, NDArray[np.float64]]:
+    """Positions (M, 2) of LiDAR and radar in the frame of the sensor."""
+    found: dict[str, list[list[float]]] = {}
+    for m in measurements:
+        if m.sensor not in ("lidar", "radar") or not np.isfinite(m.values).all():
+            continue
+        x, y = m.values[:2].tolist()
+        if m.sensor == "radar":
+            x, y = x * np.cos(y), x * np.sin(y)
+        found.setdefault(m.sensor, []).append([x, y])
+    return {sensor: np.array(places) for sensor, places in found.items()}
+
+
+def _in_order(log: MeasurementLog) -> MeasurementLog:
+    """The log by time, as the filter takes it; rows of one time keep their order."""
+    stamps = np.array([m.stamp_ns for m in log.measurements], np.int64)
+    order = np.argsort(stamps, kind="stable")
+    measurements = [log.measurements[row] for row in order]
+    truth = None if log.truth is None else log.truth.rows(order)
+    return MeasurementLog(measurements, truth, log.format)

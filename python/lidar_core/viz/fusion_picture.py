@@ -1,0 +1,137 @@
+"""Picture of targets fused from LiDAR and radar, with matplotlib: one PNG."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.io.circle_scene import ellipse
+from lidar_core.viz.circles_picture import colour_of
+from lidar_core.viz.figure import PALE, write_figure
+from lidar_core.viz.views import FusionView, PlanarLine
+
+SIZE, DPI = (12.0, 7.0), 90
+SENSORS = {"lidar": "#64748b", "radar": "#f59e0b"}
+OTHER = "#94a3b8"
+SIGMAS, CORNERS = 2.0, 36
+ELLIPSES = 20  # along a track, at most
+NAMED = 12  # tracks with a number beside them, the longest
+BAND = 5.0  # standard deviations that a panel of errors shows, at the median
+
+
+def draw_fusion(view: FusionView, path: str | Path) -> Path:
+    """Draw tracks with their 2 sigma bands, measurements, truth and NIS into a PNG file.
+
+    With one track and its truth, the bands lie about the error; else about the position.
+
+    Parameters
+    ----------
+    view : FusionView
+        What to show.
+    path : str or Path
+        File to write, whole or not at all.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    return write_figure(path, lambda figure: _compose(figure, view), size=SIZE, dpi=DPI)
+
+
+def _compose(figure: Any, view: FusionView) -> None:
+    grid = figure.add_gridspec(
+        3, 2, width_ratios=(1.2, 1.0), left=0.06, right=0.985, top=0.9, bottom=0.08, wspace=0.16,
+        hspace=0.42,
+    )  # fmt: skip
+    figure.suptitle(view.title, x=0.06, y=0.975, ha="left", fontsize=13, fontweight="bold")
+    _above(figure.add_subplot(grid[:, 0]), view)
+    stamps = [line.stamp_ns for line in (*view.tracks.values(), *view.truth.values())]
+    stamps += [times for times, _ in view.nis.values()]
+    first = min((int(times[0]) for times in stamps if len(times)), default=0)
+    for axis, name in enumerate("xy"):
+        _over_time(figure.add_subplot(grid[axis, 1]), view, axis, name, first)
+    _consistency(figure.add_subplot(grid[2, 1]), view, first)
+
+
+def _above(axes: Any, view: FusionView) -> None:
+    for sensor, places in view.seen.items():
+        axes.scatter(places[:, 0], places[:, 1], s=4, c=SENSORS.get(sensor, OTHER), linewidths=0,
+                     alpha=0.5, zorder=2, label=sensor, rasterized=True)  # fmt: skip
+    for order, line in enumerate(view.truth.values()):
+        axes.plot(*line.position.T, color="black", lw=1.1, ls=(0, (3, 2)), zorder=5,
+                  label=None if order else "truth")  # fmt: skip
+    longest = sorted(view.tracks, key=lambda number: len(view.tracks[number].stamp_ns))[-NAMED:]
+    for order, (number, line) in enumerate(view.tracks.items()):
+        _track(axes, line, colour_of(number), None if order else "track, 2σ ellipses")
+        if number in longest and len(view.tracks) > 1 and len(line.position):
+            axes.annotate(str(number), line.position[-1], xytext=(5, 5), fontsize=8, zorder=7,
+                          textcoords="offset points", color=colour_of(number))  # fmt: skip
+    axes.set(aspect="equal", adjustable="datalim", title="from above", xlabel="x [m]",
+             ylabel="y [m]")  # fmt: skip
+    axes.grid(visible=True)
+    if view.seen or view.tracks:
+        axes.legend(loc="best", fontsize=8, frameon=True, facecolor="white", framealpha=0.88,
+                    edgecolor="none")  # fmt: skip
+
+
+def _track(axes: Any, line: PlanarLine, colour: str, label: str | None) -> None:
+    axes.plot(*line.position.T, color=colour, lw=1.4, zorder=4, label=label)
+    if line.covariance is None:
+        return
+    for row in range(0, len(line.position), max(1, -(-len(line.position) // ELLIPSES))):
+        outline = line.position[row] + ellipse(line.covariance[row], SIGMAS, CORNERS)
+        axes.plot(*np.vstack([outline, outline[:1]]).T, color=colour, lw=0.7, zorder=4)
+
+
+def _over_time(axes: Any, view: FusionView, axis: int, name: str, first: int) -> None:
+    """One coordinate of all tracks, or its error, with the 2 sigma band."""
+    of_error = len(view.tracks) == 1 and len(view.truth) == 1
+    for number, line in view.tracks.items():
+        time = (line.stamp_ns - first) * 1e-9
+        value = line.position[:, axis]
+        if of_error:
+            value = value - _at(next(iter(view.truth.values())), line.stamp_ns, axis)
+        axes.plot(time, value, color=colour_of(number), lw=1.2, zorder=4)
+        if line.covariance is not None:
+            spread = SIGMAS * np.sqrt(np.maximum(line.covariance[:, axis, axis], 0))
+            middle = np.zeros_like(value) if of_error else value
+            axes.fill_between(time, middle - spread, middle + spread, color=colour_of(number),
+                              alpha=0.18, lw=0, zorder=3)  # fmt: skip
+            if of_error and len(spread):
+                reach = max(BAND / SIGMAS * np.median(spread), np.percentile(np.abs(value), 99))
+                axes.set_ylim(-reach, reach)
+    if not of_error:
+        for line in view.truth.values():
+            axes.plot((line.stamp_ns - first) * 1e-9, line.position[:, axis], color="black",
+                      lw=0.9, ls=(0, (3, 2)), zorder=5)  # fmt: skip
+    title = f"error of {name}, 2σ band" if of_error else f"{name}, 2σ band"
+    axes.set(title=title, ylabel="[m]")
+    axes.grid(visible=True)
+    if not view.tracks:
+        axes.text(0.5, 0.5, "no tracks", transform=axes.transAxes, ha="center", color=PALE)
+
+
+def _at(line: PlanarLine, stamps: NDArray[np.int64], axis: int) -> NDArray[np.float64]:
+    if not len(line.stamp_ns):
+        return np.full(len(stamps), np.nan)
+    start = line.stamp_ns[0]
+    values: NDArray[np.float64] = np.interp(
+        stamps - start, line.stamp_ns - start, line.position[:, axis]
+    )
+    return values
+
+
+def _consistency(axes: Any, view: FusionView, first: int) -> None:
+    top = 2.0
+    for sensor, (stamps, ratio) in view.nis.items():
+        axes.plot((stamps - first) * 1e-9, ratio, ".", ms=2.5, color=SENSORS.get(sensor, OTHER),
+                  label=f"{sensor}: {100 * np.mean(ratio <= 1):.0f} % below" if len(ratio)
+                  else sensor)  # fmt: skip
+        top = max(top, 1.2 * float(np.percentile(ratio, 98))) if len(ratio) else top
+    axes.axhline(1.0, color="black", lw=0.9, ls=(0, (3, 2)))
+    axes.set(title="NIS over its 95 % limit", xlabel="time [s]", ylim=(0, top))
+    axes.grid(visible=True)
+    if view.nis:
+        axes.legend(fontsize=8, loc="upper right", ncols=2)

@@ -1,0 +1,247 @@
+"""`lidar-core fuse`: measurements in, run folders out."""
+
+import csv
+import json
+import sys
+import tomllib
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from typer.testing import CliRunner
+
+from lidar_core import ConfigError, FormatError, InputError
+from lidar_core.cli import app
+from lidar_core.fusion import (
+    FusionConfig,
+    TableOptions,
+    read_laser_radar,
+    read_measurements,
+    run,
+    smooth,
+)
+from lidar_core.fusion.states import STATES, state_names, velocities
+from lidar_core.io.columns import read_columns
+
+OBJ_POSE = "fusion/obj_pose-laser-radar-synthetic-input.txt"
+EXACT = 1e-12
+"""Decimal text and back."""
+SEED = 6200
+
+
+def command(*arguments):
+    return CliRunner().invoke(app, ["fuse", *map(str, arguments)])
+
+
+def result_of(*arguments):
+    out = command(*arguments, "--json", "-")
+    assert out.exit_code == 0, out.output or out.exception
+    return json.loads(out.stdout)
+
+
+def rows(count=60):
+    """A target that goes straight, LiDAR and radar in turn: dicts, as a table has them."""
+    rng = np.random.default_rng(SEED)
+    for k in range(count):
+        at, speed = np.array([5 + 0.05 * k, 2.0]), np.array([1.0, 0.0])
+        row = {"t_ns": 50_000_000 * k, "sensor": "RL"[k % 2]}
+        row |= dict(zip(("true_x", "true_y", "true_vx", "true_vy"), [*at, *speed], strict=True))
+        seen = at + rng.normal(0, 0.1, 2)
+        distance = np.hypot(*seen)
+        polar = [distance, np.arctan2(seen[1], seen[0]), seen @ speed / distance]
+        row |= dict.fromkeys(("x", "y", "range", "bearing", "range_rate"), "")
+        names = ("x", "y") if k % 2 else ("range", "bearing", "range_rate")
+        yield row | dict(zip(names, seen if k % 2 else polar, strict=True))
+
+
+def write(path, content):
+    content = list(content)
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(content[0]))
+        writer.writeheader()
+        writer.writerows(content)
+    return path
+
+
+@pytest.fixture
+def table(tmp_path):
+    return write(tmp_path / "table.csv", rows())
+
+
+def test_a_recording_becomes_a_run_folder(recordings, tmp_path):
+    folder = tmp_path / "run"
+    result = result_of(recordings / OBJ_POSE, "-o", folder)
+    recording = read_laser_radar(recordings / OBJ_POSE)
+    expected = run(recording.measurements)
+    error = expected.states[:, :2] - recording.truth.position
+    rmse = np.sqrt((error**2).mean(axis=0))
+    assert [result["rmse"]["x"], result["rmse"]["y"]] == pytest.approx(rmse.tolist())
+    assert result["measurements"] == {"lidar": 250, "radar": 250}
+    assert result["outcomes"] == {"started": 1, "updated": 499}
+    assert 0.9 < result["nis"]["radar"]["share_below_limit"] <= 1
+    assert result["nis"]["lidar"]["mean"] == pytest.approx(np.nanmean(expected.nis[0::2]))
+    assert set(result["files"]) <= {path.name for path in folder.iterdir()}
+    pytest.importorskip("pyarrow")
+    states = read_columns(folder / "states.parquet")
+    np.testing.assert_array_equal(states["theta"], expected.states[:, 3])
+    np.testing.assert_array_equal(states["cov_x_w"], expected.covariances[:, 0, 4])
+    np.testing.assert_array_equal(states["innovation_3"], expected.innovations[:, 2])
+    assert states["sensor"].tolist()[:2] == ["lidar", "radar"]
+    note = tomllib.loads((folder / "run.toml").read_text())
+    assert note["config"]["fusion"]["model"] == "ctrv"
+    assert note["input"]["recording"]["bytes"] == (recordings / OBJ_POSE).stat().st_size
+    lines = (folder / "tracks_tum" / "track_0.txt").read_text().splitlines()
+    assert len(lines) == len(expected.stamps_ns)
+    assert imread(folder / "picture.png").shape[:2] == (630, 1080)
+
+
+def test_a_run_is_scored_by_evaluate(recordings, tmp_path):
+    folder = tmp_path / "run"
+    result_of(recordings / OBJ_POSE, "-o", folder, "--no-picture")
+    scored = CliRunner().invoke(app, ["evaluate", str(folder), str(folder), "--json", "-"])
+    scores = json.loads(scored.stdout)["track_scores"]
+    assert scores["n_found"] == scores["n_eligible"] == 500
+    assert scores["n_matched"] == scores["n_estimates"]
+
+
+def test_smoothing_is_better_and_the_run_file_is_a_configuration(recordings, tmp_path):
+    arguments = (recordings / OBJ_POSE, "--no-picture", "--method", "ukf")
+    filtered = result_of(*arguments, "-o", tmp_path / "a", "--set", "turn_noise=0.4")
+    smoothed = result_of(*arguments, "-o", tmp_path / "b", "--lag", 0.5,
+                         "--config", tmp_path / "a" / "run.toml")  # fmt: skip
+    assert smoothed["rmse"]["position_2d"] < 0.8 * filtered["rmse"]["position_2d"]
+    recording = read_laser_radar(recordings / OBJ_POSE)
+    config = FusionConfig(method="ukf", turn_noise=0.4)
+    expected = smooth(recording.measurements, config, lag=0.5).states[:, 0]
+    error = expected - recording.truth.position[:, 0]
+    assert smoothed["rmse"]["x"] == pytest.approx(np.sqrt((error**2).mean()))
+
+
+def test_the_published_filter_runs(recordings, tmp_path):
+    result = result_of(recordings / OBJ_POSE, "-o", tmp_path / "run", "--mode", "paper")
+    assert result["model"] == "paper"
+    assert result["states"][-1] == "w_d"
+
+
+@pytest.mark.parametrize("model", list(STATES))
+@pytest.mark.parametrize("method", ["ekf", "imm"])
+def test_states_have_names(model, method, table):
+    if model == "paper" and method == "imm":
+        method = "ekf"
+    for gyro in ("input", "none"):
+        config = FusionConfig(model=model, method=method, gyro=gyro)
+        states = run(read_measurements(table).measurements, config).states
+        assert len(state_names(config)) == states.shape[1]
+        assert velocities(states, config).shape == (len(states), 2)
+
+
+# Tables
+
+
+def test_a_table_is_read(table, tmp_path):
+    log = read_measurements(table)
+    expected = list(rows())
+    assert [m.sensor for m in log.measurements[:3]] == ["radar", "lidar", "radar"]
+    for m, row in zip(log.measurements, expected, strict=True):
+        names = ("x", "y") if m.sensor == "lidar" else ("range", "bearing", "range_rate")
+        np.testing.assert_allclose(m.values, [row[name] for name in names], rtol=EXACT)
+        assert m.stamp_ns == row["t_ns"]
+    assert log.truth.position[-1].tolist() == [expected[-1]["true_x"], 2.0]
+    result = result_of(table, "-o", tmp_path / "run")
+    assert result["rmse"]["position_2d"] < 0.2
+    assert result["format"] == "table (csv)"
+
+
+def test_without_a_column_of_sensors_rows_give_what_they_hold(tmp_path):
+    content = [{name: value for name, value in row.items() if name != "sensor"} for row in rows()]
+    content[1] |= {"range": 5.4, "bearing": 0.3, "range_rate": 0.9}
+    log = read_measurements(write(tmp_path / "wide.csv", content))
+    assert [m.sensor for m in log.measurements[:4]] == ["radar", "lidar", "radar", "radar"]
+    assert len(log.measurements) == len(log.truth.stamps_ns) == len(content) + 1
+
+
+def test_columns_and_units_are_mapped(tmp_path):
+    content = []
+    for row in rows():
+        a, b, c = (row["x"], row["y"], "") if row["sensor"] == "L" else (
+            row["range"], np.degrees(row["bearing"]), row["range_rate"])  # fmt: skip
+        content.append({"time": f"{row['t_ns'] * 1e-9:.3f}", "kind": row["sensor"], "a": a,
+                        "b": b, "c": c})  # fmt: skip
+    path = write(tmp_path / "other.csv", content)
+    names = {"t_ns": "time", "sensor": "kind", "x": "a", "y": "b", "range": "a", "bearing": "b",
+             "range_rate": "c"}  # fmt: skip
+    log = read_measurements(path, TableOptions(columns=names, time_unit="s", angle_unit="deg"))
+    for m, row in zip(log.measurements, rows(), strict=True):
+        assert m.stamp_ns == row["t_ns"]
+        if m.sensor == "radar":
+            assert m.values[1] == pytest.approx(row["bearing"], rel=EXACT)
+    assert log.truth is None
+    options = [f"--column={ours}={theirs}" for ours, theirs in names.items()]
+    result = result_of(path, "-o", tmp_path / "run", *options, "--time-unit", "s",
+                       "--angle-unit", "deg")  # fmt: skip
+    assert result["rmse"] is None
+    assert result["measurements"] == {"radar": 30, "lidar": 30}
+
+
+def test_rows_may_come_in_any_order(table, tmp_path):
+    content = list(rows())
+    mixed = write(tmp_path / "mixed.csv", content[30:] + content[:30])
+    same = result_of(table, "-o", tmp_path / "a", "--no-picture")
+    other = result_of(mixed, "-o", tmp_path / "b", "--no-picture")
+    assert other["rmse"] == same["rmse"]
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda row: {"time": row["t_ns"]}, "no column t_ns among time"),
+        (lambda row: {"t_ns": row["t_ns"], "x": 1.0}, "no sensor has all its columns"),
+        (lambda row: row | {"sensor": "sonar"}, "row 0: column sensor: expected one of"),
+        (lambda row: row | {"x": "east"}, "row 0: column x: expected a number, got 'east'"),
+        (lambda row: row | {"t_ns": "nan"}, "row 0: expected a time"),
+        (lambda row: row | {"t_ns": 10**19}, "row 0: expected a time"),
+        (lambda row: row | {"true_x": "nan"}, "a true value is not finite"),
+        (lambda row: {"t_ns": row["t_ns"], "x": "", "y": ""}, "no row holds all values"),
+    ],
+)
+def test_broken_tables_are_told(tmp_path, change, text):
+    path = write(tmp_path / "broken.csv", map(change, rows(4)))
+    with pytest.raises(FormatError, match=text):
+        read_measurements(path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "text"),
+    [
+        (("--column", "x"), ConfigError, "expected OURS=THEIRS"),
+        (("--column", "z=x"), InputError, "expected names among t_ns"),
+        (("--column", "x=east"), FormatError, "no column 'east'"),
+        (("--time-unit", "day"), ConfigError, "time_unit"),
+        (("--model", "ballistic"), ConfigError, "model"),
+        (("--method", "kf"), ConfigError, 'expected model "cv" or "ca"'),
+        (("--lag", "-1"), InputError, "lag"),
+        (("--set", "on_bad_scan=count"), ConfigError, "on_bad_scan"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_before_anything_is_written(
+    table, tmp_path, arguments, error, text
+):
+    out = command(table, "-o", tmp_path / "run", *arguments)
+    assert isinstance(out.exception, error), out.exception
+    assert text in str(out.exception)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_without_matplotlib_says_what_brings_the_picture(table, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    out = command(table, "-o", tmp_path / "run")
+    assert out.exit_code == 0
+    assert "lidar-core[plot]" in out.stderr
+    assert not (tmp_path / "run" / "picture.png").exists()
+
+
+def test_a_target_that_is_never_seen_leaves_whole_files(tmp_path):
+    path = write(tmp_path / "gyro.csv", [{"t_ns": k, "turn_rate": 0.1} for k in range(5)])
+    result = result_of(path, "-o", tmp_path / "run")
+    assert result["outcomes"] == {"told": 5}
+    assert (tmp_path / "run" / "picture.png").exists()
