@@ -12,6 +12,7 @@ from lidar_core.errors import MissingExtraError
 app = typer.Typer(name="train", no_args_is_help=True, help="Train neural networks.")
 
 _SHOWN_EPOCHS = 12
+_COLUMNS = ("epoch", "train_loss", "validation_loss", "validation_mse", "validation_mae")
 
 
 def training(module: str) -> Any:
@@ -86,11 +87,10 @@ def _table(rows: list[dict[str, float]], status: str) -> Any:
     from rich.table import Table
 
     table = Table(caption=status, caption_justify="left")
-    names = list(rows[-1]) if rows else ["epoch"]
-    for name in names:
+    for name in _COLUMNS:
         table.add_column(name.replace("_", " "), justify="right")
     for row in rows[-_SHOWN_EPOCHS:]:
-        table.add_row(*(f"{row.get(name, float('nan')):.5g}" for name in names))
+        table.add_row(*(f"{row[name]:.5g}" if name in row else "-" for name in _COLUMNS))
     return table
 
 
