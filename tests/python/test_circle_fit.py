@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lidar_core.circles import CircleDetector, FitConfig, Scanner, Segments, fit_circles, segment
+from lidar_core.circles import (
+    CircleDetector,
+    FitConfig,
+    Scanner,
+    SegmentConfig,
+    Segments,
+    fit_circles,
+    segment,
+)
 from lidar_core.errors import ConfigError, InputError
 from reference import circle_fit as reference
 
@@ -235,6 +243,18 @@ def test_detectors_that_are_not_there_are_refused():
         CircleDetector("moon")
     with pytest.raises(ConfigError, match="min_radius < max_radius"):
         FitConfig(min_radius=2.0)
+
+
+def test_walls_have_covariances_that_can_be_factorised():
+    """The hits of a wall press the circle against the largest radius."""
+    rng = np.random.default_rng(20261121)
+    bearings = math.radians(0.25) * np.arange(-20, 20)
+    for _ in range(200):
+        tilt, distance, half = rng.uniform(-0.6, 0.6), rng.uniform(5, 8), rng.integers(8, 15)
+        ranges = distance * math.cos(tilt) / np.cos(bearings - tilt) + rng.normal(0, STD, 40)
+        ranges[: 20 - half] = ranges[20 + half :] = 3.0
+        found = fit_circles(ranges, bearings, segment(ranges, bearings, config=SegmentConfig()))
+        assert np.linalg.eigvalsh(found.covariance).min() > 0.9e-8
 
 
 def test_no_scans_no_circles():

@@ -11,6 +11,9 @@ pub(super) type Estimate = ([f64; 3], [[f64; 3]; 3]);
 const DROP: f64 = 10.0;
 /// Factor on the reach that the second derivatives promise: the peak is no parabola.
 const MARGIN: f64 = 1.2;
+/// No circle is better known than this along any axis [m^2]: hits of a wall can press the integral
+/// against the largest radius, so that one node has all the weight.
+const LEAST_VARIANCE: f64 = 1e-8;
 /// Halvings that find where the radius reaches a bound.
 const HALVINGS: usize = 8;
 /// Roughly known radii are this far from the exact ones at most, as a factor.
@@ -133,7 +136,8 @@ impl Posterior {
 
     /// Mean square of the distance from `about`.
     fn mean_square(&self, about: [f64; 3]) -> [[f64; 3]; 3] {
-        let mut sum = [[0.0; 3]; 3];
+        let mut sum =
+            [[LEAST_VARIANCE, 0.0, 0.0], [0.0, LEAST_VARIANCE, 0.0], [0.0, 0.0, LEAST_VARIANCE]];
         for node in &self.nodes {
             let apart: [f64; 3] = std::array::from_fn(|k| node.circle[k] - about[k]);
             for i in 0..3 {
