@@ -476,6 +476,7 @@ class Measurements:
         values: NDArray[np.float64],
         *,
         counts: NDArray[np.uint8],
+        covariances: NDArray[np.float64],
     ) -> Measurements: ...
     def __len__(self) -> int: ...
 

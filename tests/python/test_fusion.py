@@ -398,6 +398,19 @@ def test_arrays_make_the_same_measurements():
     made = Measurements.from_arrays([m.stamp_ns for m in seen], [m.sensor for m in seen], values)
     assert len(made) == 60
     np.testing.assert_array_equal(run(made).states, run(seen).states)
+    noise = np.tile(np.diag([0.09, 0.001, 0.09]), (60, 1, 1))
+    told = [Measurement(m.stamp_ns, m.sensor, m.values, noise[0, :n, :n])
+            for m in seen for n in [len(m.values)]]  # fmt: skip
+    made = Measurements.from_arrays(
+        [m.stamp_ns for m in seen], [m.sensor for m in seen], values, covariances=noise
+    )
+    np.testing.assert_array_equal(run(made).states, run(told).states)
+    with pytest.raises(InputError, match=r"covariances: expected shape \(60, 3, 3\)"):
+        Measurements.from_arrays(
+            [m.stamp_ns for m in seen], [m.sensor for m in seen], values, covariances=noise[:2]
+        )
+    with pytest.raises(InputError, match="positive definite"):
+        Measurements.from_arrays([0], ["lidar"], [[1.0, 2.0]], covariances=-noise[:1])
     with pytest.raises(InputError, match="sensors: expected 1 of lidar"):
         Measurements.from_arrays([0], ["sonar"], [[1.0, 2.0]])
     with pytest.raises(InputError, match="values: expected 1 rows"):

@@ -121,9 +121,14 @@ class Measurements:
 
     @classmethod
     def from_arrays(
-        cls, stamps_ns: ArrayLike, sensors: ArrayLike, values: ArrayLike
+        cls,
+        stamps_ns: ArrayLike,
+        sensors: ArrayLike,
+        values: ArrayLike,
+        *,
+        covariances: ArrayLike | None = None,
     ) -> "Measurements":
-        """Many measurements at once, whose noise is that of the filter's configuration.
+        """Many measurements at once.
 
         Parameters
         ----------
@@ -133,11 +138,14 @@ class Measurements:
             Names of sensors, as of `Measurement`.
         values : array_like, shape (K, W)
             A row holds as many values as its sensor has at least; the rest is not looked at.
+        covariances : array_like, shape (K, 3, 3), optional
+            As of `Measurement`, in the first rows and columns of each matrix; the rest is not
+            looked at. Without it the filter's configuration holds. There must be no pose.
 
         Raises
         ------
         InputError
-            Wrong shapes, or an unknown sensor.
+            Wrong shapes, an unknown sensor, or a matrix that is no covariance.
         """
         stamps = as_rows(stamps_ns, name="stamps_ns", rows=None, shape=(), dtype=np.int64)
         names = np.asarray(sensors, dtype=np.str_)
@@ -154,9 +162,14 @@ class Measurements:
                 f"values: expected {len(stamps)} rows with the values of their sensors,"
                 f" got shape {rows.shape}"
             )
+        noise = np.zeros((0, 9))
+        if covariances is not None:
+            noise = as_rows(
+                covariances, name="covariances", rows=len(stamps), shape=(3, 3), dtype=np.float64
+            ).reshape(-1, 9)
         made = cls.__new__(cls)
         made._core = _core.Measurements.from_arrays(
-            stamps, codes, np.ascontiguousarray(rows), counts=counts
+            stamps, codes, np.ascontiguousarray(rows), counts=counts, covariances=noise
         )
         return made
 

@@ -179,21 +179,25 @@ impl PyMeasurements {
 
     /// From arrays; rows of values are cut to what the sensor of the row gives.
     #[staticmethod]
-    #[pyo3(signature = (stamps_ns, sensors, values, *, counts))]
+    #[pyo3(signature = (stamps_ns, sensors, values, *, counts, covariances))]
     fn from_arrays(
         stamps_ns: PyReadonlyArray1<'_, i64>,
         sensors: PyReadonlyArray1<'_, u8>,
         values: PyReadonlyArray2<'_, f64>,
         counts: PyReadonlyArray1<'_, u8>,
+        covariances: PyReadonlyArray2<'_, f64>,
     ) -> Result<Self, BorderError> {
         let stamps_ns = arrays::flat("stamps_ns", &stamps_ns)?;
         let sensors = arrays::flat("sensors", &sensors)?;
         let values = arrays::flat("values", &values)?;
         let counts = arrays::flat("counts", &counts)?;
+        let covariances = arrays::flat("covariances", &covariances)?;
         let width = values.len().checked_div(stamps_ns.len()).unwrap_or(1).max(1);
+        let noise = covariances.chunks_exact(9).map(Some).chain(std::iter::repeat(None));
         let rows = stamps_ns.iter().zip(sensors).zip(values.chunks_exact(width).zip(counts));
         let made: Result<Vec<Measurement>, Error> = rows
-            .map(|((stamp_ns, sensor), (row, count))| {
+            .zip(noise)
+            .map(|(((stamp_ns, sensor), (row, count)), noise)| {
                 let named = SENSORS.get(usize::from(*sensor)).ok_or_else(|| Error::Value {
                     name: "sensors",
                     expected: "numbers of sensors",
@@ -201,7 +205,8 @@ impl PyMeasurements {
                     got: sensor.to_string(),
                 })?;
                 let count = usize::from(*count).min(width);
-                Measurement::new(*stamp_ns, named.1, &row[..count], None)
+                let noise = noise.map(|entries| leading(entries, named.1));
+                Measurement::new(*stamp_ns, named.1, &row[..count], noise.as_deref())
             })
             .collect();
         Ok(Self(made?))
@@ -210,6 +215,17 @@ impl PyMeasurements {
     fn __len__(&self) -> usize {
         self.0.len()
     }
+}
+
+/// The rows and columns that `sensor` has, of a matrix of three.
+fn leading(entries: &[f64], sensor: Sensor) -> Vec<f64> {
+    let size = match sensor {
+        Sensor::Lidar => 2,
+        Sensor::Radar => 3,
+        Sensor::Gyro => 1,
+        Sensor::Pose => 0,
+    };
+    entries.chunks_exact(3).take(size).flat_map(|row| &row[..size]).copied().collect()
 }
 
 #[pyfunction]
