@@ -60,6 +60,13 @@ SHORT = {
         range_max=36.0,
     ),
     "flying-false-tracks": Short(("false tracks, ideal", "false tracks per 1000 scans, dust")),
+    "fusion-rmse": Short(("2-D RMSE, linear KF", "2-D RMSE, EKF-CTRV"), scans=1),
+    "fusion-fig7": Short(("RMSE of x, filter", "RMSE of y, filter"), scans=1),
+    "fusion-fig8": Short(("2-D RMSE in the figure, filter",), scans=1),
+    "fusion-fig9": Short(("2-D RMSE, label 16 dB, filter",), scans=1),
+    "fusion-fig10": Short(("linear KF@-30dBW", "EKF-CTRV@5dBW"), scans=1),
+    "fusion-fig11": Short(("linear KF@0dBW",), scans=1),
+    "fusion-drone-yaw": Short(("RMSE of x@1rad/s", "2-D RMSE over that at rest@1rad/s"), scans=1),
 }
 
 
@@ -75,6 +82,13 @@ def coarse_sensor(request, monkeypatch):
         return full.model_copy(update={"pattern": pattern, "range_max": range_max})
 
     monkeypatch.setattr(sim.LidarModel, "preset", classmethod(coarse))
+
+
+@pytest.fixture
+def its_recordings(request, monkeypatch):
+    """Items find the recordings that they need."""
+    if items()[request.getfixturevalue("name")].data:
+        monkeypatch.setenv("LIDAR_CORE_DATA", str(request.getfixturevalue("recordings")))
 
 
 def run_command(*arguments):
@@ -115,7 +129,7 @@ def two_items(monkeypatch):
 
 
 @pytest.mark.parametrize("name", items())
-@pytest.mark.usefixtures("coarse_sensor")
+@pytest.mark.usefixtures("coarse_sensor", "its_recordings")
 def test_an_item_in_short_gives_a_table_a_picture_and_json(name, tmp_path):
     result = tmp_path / "result.json"
     short = SHORT[name]
@@ -196,6 +210,15 @@ def test_all_writes_a_list_and_says_beforehand_how_long_it_takes(tmp_path):
     }
 
 
+def test_all_leaves_out_what_has_no_recordings_and_says_so(tmp_path, two_items, monkeypatch):
+    monkeypatch.delenv("LIDAR_CORE_DATA", raising=False)
+    two_items(item("first", counted), item("second", counted, data=("fusion/a.txt",)))
+    out = run_command("all", "-o", tmp_path, "--json", "-")
+    assert out.exit_code == 0
+    assert [one["item"] for one in json.loads(out.stdout)] == ["first"]
+    assert "left out, LIDAR_CORE_DATA does not hold their recordings: second" in out.stderr
+
+
 def test_stopped_with_ctrl_c_the_files_of_what_was_finished_are_whole(tmp_path, two_items):
     two_items(item("first", counted), item("second", stopped))
     out = run_command("all", "-o", tmp_path / "a", "--json", tmp_path / "result.json")
@@ -214,6 +237,7 @@ class Enough(Exception):  # noqa: N818
 
 
 WITHOUT_JOBS = {"flying-fig3", "flying-fig5", "flying-consistency"}
+WITHOUT_JOBS |= {name for name in items() if name.startswith("fusion-")}
 
 
 @pytest.mark.parametrize("name", sorted(set(items()) - WITHOUT_JOBS))

@@ -8,6 +8,7 @@ import typer
 from lidar_core.cli.common import INTERRUPTED, JsonFile, Threads, consoles, write_json
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.table import Table
 
     from lidar_core.reproduce import Item, Result
@@ -44,7 +45,7 @@ def command(
     if item is None:
         out.print(_list(items()))
         return
-    chosen = list(items().values()) if item == ALL else [item_named(item)]
+    chosen = _all(errors) if item == ALL else [item_named(item)]
     for one in chosen:
         length = scans or one.scans
         text = f"{one.name}: {length:,} {one.counts}, about {one.duration(length)} on two cores"
@@ -66,6 +67,18 @@ def command(
     if str(json) == "-":
         write_json(done if item == ALL else done[0], json)
     out.print(f"{output}: {', '.join(job.files)}", highlight=False, soft_wrap=True)
+
+
+def _all(console: "Console") -> "list[Item]":
+    """Every item whose recordings are there; names the others."""
+    from lidar_core.reproduce import items
+    from lidar_core.reproduce.recordings import FOLDER, is_missing
+
+    missing = [one.name for one in items().values() if is_missing(one.data)]
+    if missing:
+        console.print(f"left out, {FOLDER} does not hold their recordings: {', '.join(missing)}",
+                      highlight=False, soft_wrap=True)  # fmt: skip
+    return [one for one in items().values() if one.name not in missing]
 
 
 def _list(items: "dict[str, Item]") -> "Table":

@@ -19,6 +19,13 @@ MODULES = (
     "flying_consistency",
     "flying_range",
     "flying_false_tracks",
+    "fusion_rmse",
+    "fusion_fig7",
+    "fusion_fig8",
+    "fusion_fig9",
+    "fusion_fig10",
+    "fusion_fig11",
+    "fusion_drone_yaw",
 )
 """Modules of this package that hold an `ITEM`, in the order in which `all` runs them."""
 

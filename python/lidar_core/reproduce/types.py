@@ -101,6 +101,8 @@ class Item:
         Runs it; imports what it needs.
     counts : str
         What `scans` counts.
+    data : tuple of str
+        Recordings that it needs, see `recordings.recording`.
     """
 
     name: str
@@ -109,6 +111,7 @@ class Item:
     minutes: float
     run: Callable[[Request], Result]
     counts: str = "scans"
+    data: tuple[str, ...] = ()
 
     def duration(self, scans: int) -> str:
         """Say how long `scans` take on two cores."""

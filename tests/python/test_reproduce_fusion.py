@@ -1,0 +1,146 @@
+"""Parts of the fusion items: noise that is added, forms of measurements, bound, recordings."""
+
+import numpy as np
+import pytest
+
+from lidar_core.errors import ConfigError
+from lidar_core.fusion import FusionConfig, run
+from lidar_core.fusion.reading import TargetTruth
+from lidar_core.reproduce.bounds import position_bound
+from lidar_core.reproduce.contenders import BEST, EKF, FIXED, LINEAR, OURS, ours, published
+from lidar_core.reproduce.fusion_drone_yaw import Ride
+from lidar_core.reproduce.laser_radar import (
+    SAMPLE_1,
+    Contender,
+    Course,
+    drawn,
+    draws_of,
+    estimates,
+    in_turn,
+    measured,
+    measurements,
+    places,
+    plane,
+)
+from lidar_core.reproduce.recordings import FOLDER, is_missing, recording
+
+
+def circle(rows=400):
+    """A target that goes round, measured by LiDAR and radar in turn."""
+    t = np.arange(rows) * 0.05
+    way = np.stack([8 + 3 * np.cos(0.5 * t), 2 + 3 * np.sin(0.5 * t)], axis=1)
+    velocity = 1.5 * np.stack([-np.sin(0.5 * t), np.cos(0.5 * t)], axis=1)
+    truth = TargetTruth(np.arange(rows) * 50_000_000, way, velocity, None, None)
+    values = measured(truth, OURS, np.random.default_rng(40))
+    return Course(in_turn(rows), values, truth)
+
+
+def test_noise_has_its_power_in_the_plane_and_leaves_range_rates():
+    of = circle(4000)
+    values = drawn(of, 0.2, np.random.default_rng(41))
+    added = places(values, of.is_lidar) - places(of.values, of.is_lidar)
+    np.testing.assert_allclose(added.std(axis=0), 0.2, rtol=0.05)
+    np.testing.assert_array_equal(values[~of.is_lidar, 2], of.values[~of.is_lidar, 2])
+
+
+def test_draws_hang_on_their_seed_number_and_level_alone():
+    of = circle(20)
+    draws = draws_of(of, -13, 3, seed=5)
+    np.testing.assert_array_equal(draws[2], draws_of(of, -13, 1, seed=5, first=2)[0])
+    assert not np.allclose(draws[0], draws[1])
+    assert not np.allclose(draws[0], draws_of(of, -13, 1, seed=6)[0])
+
+
+def test_a_position_and_a_range_rate_are_what_the_radar_said():
+    of, std = circle(), 0.2
+    values = drawn(of, std, np.random.default_rng(42))
+    config = FusionConfig(acceleration_noise=0.3, turn_noise=0.3)
+    found = [
+        estimates(run(measurements(of, values, form, OURS, std), config), of, form)
+        for form in ("polar", "position")
+    ]
+    assert np.abs(found[0] - found[1])[100:].max() < 0.1
+    assert np.hypot(*(found[1] - of.truth.position)[100:].T).mean() < 0.1
+
+
+def test_those_of_the_lidar_alone_leave_the_other_rows_open():
+    of = circle()
+    way = estimates(
+        run(measurements(of, of.values, "lidar", OURS, 0.0), FusionConfig(model="cv")), of, "lidar"
+    )
+    assert np.isnan(way[~of.is_lidar]).all()
+    assert np.abs(way - of.truth.position)[50:][of.is_lidar[50:]].max() < 0.1
+
+
+def test_the_bound_of_a_linear_filter_is_its_covariance():
+    of = circle(100)
+    noise = [0.15**2 * np.eye(2)] * 100
+    bound = position_bound(
+        of.truth.position, of.truth.velocity, of.truth.stamps_ns * 1e-9, noise,
+        acceleration_noise=2.0,
+    )  # fmt: skip
+    config = FusionConfig(
+        model="cv", method="kf", process="discrete", acceleration_noise=2.0, start_rows=1,
+        gate_probability=None, loss_ratio=None, initial_position=0.5**0.5,
+    )  # fmt: skip
+    lidar = Course(np.ones(100, bool), places(of.values, of.is_lidar), of.truth)
+    result = run(measurements(lidar, lidar.values, "fixed", FIXED, 0.0), config)
+    variances = result.covariances[20:, [0, 1], [0, 1]].mean(axis=0)
+    np.testing.assert_allclose(bound, np.sqrt(variances), rtol=1e-3)  # the start differs
+
+
+def test_the_bound_of_a_radar_takes_in_its_range_rate():
+    of = circle(200)
+    seconds = of.truth.stamps_ns * 1e-9
+
+    def bound(rate):
+        noise = [np.diag(np.square([*FIXED.radar[:2], rate]))] * 200
+        return position_bound(
+            of.truth.position, of.truth.velocity, seconds, noise, acceleration_noise=2.0
+        )
+
+    assert (bound(0.1) < 0.9 * bound(100.0)).all()
+
+
+def test_the_numbers_of_the_audit(recordings, monkeypatch):
+    monkeypatch.setenv(FOLDER, str(recordings))
+    from lidar_core.reproduce.laser_radar import course
+
+    of = course(SAMPLE_1)
+    draws = draws_of(of, -13, 6, seed=1000)
+    std = 10 ** (-13 / 20)
+
+    def error(one: Contender) -> float:
+        return plane(one.rmse(of, draws, std, threads=1))
+
+    assert error(published()[LINEAR]) == pytest.approx(0.209, abs=0.01)
+    assert error(published()[EKF]) == pytest.approx(0.162, abs=0.01)
+    assert error(ours()[BEST]) < 0.13
+
+
+def test_a_recording_that_is_not_there_is_named_with_the_cure(monkeypatch, tmp_path):
+    monkeypatch.delenv(FOLDER, raising=False)
+    with pytest.raises(ConfigError, match=r"LIDAR_CORE_DATA: expected .* got nothing; docs/"):
+        recording(SAMPLE_1)
+    monkeypatch.setenv(FOLDER, str(tmp_path))
+    assert is_missing((SAMPLE_1,))
+    assert not is_missing(())
+    (tmp_path / "fusion").mkdir()
+    (tmp_path / SAMPLE_1).touch()
+    assert recording(SAMPLE_1) == tmp_path / SAMPLE_1
+
+
+@pytest.mark.parametrize(("rate", "speed"), [(0.0, 2.0), (1.0, 0.0), (1.0, 3.0)])
+def test_what_a_moving_sensor_sees_moves_as_its_rates_say(rate, speed):
+    of = circle()
+    ride = Ride.of(of.truth.stamps_ns * 1e-9, rate, speed)
+    seen = ride.seen(of.truth)
+    np.testing.assert_allclose(np.diff(ride.yaw), ride.rate[:-1] * 0.05, atol=1e-12)
+    assert np.abs(ride.rate).max() <= rate + 1e-12
+    steps = np.linalg.norm(np.diff(ride.position, axis=0), axis=1)
+    np.testing.assert_allclose(steps, speed * 0.05, rtol=1e-3)
+    middle = (seen.position[2:] - seen.position[:-2]) / 0.1
+    turn = (ride.rate[1:-1] + ride.rate[:-2]) / 2  # about a row
+    x, y = seen.position[1:-1].T
+    apparent = seen.velocity[1:-1] - np.stack([-turn * y, turn * x], axis=1)
+    np.testing.assert_allclose(middle, apparent, atol=0.02)
