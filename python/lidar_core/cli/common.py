@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
     from rich.table import Table
 
+SLOW_MS = 10.0  # times below are printed with more digits
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""
 
@@ -103,10 +104,11 @@ def result_table(title: str, rows: Sequence[Row | None], *, caption: str = "") -
 def stage_rows(ms_per_scan: Mapping[str, float]) -> list[Row]:
     """Rows of the mean time per scan: the total, then every stage."""
     total = ms_per_scan["total"]
-    stages = [Row(f"  {name}", f"{value:.1f} ms", _bar(value / total))
+    digits = 0 if total >= SLOW_MS else 2
+    stages = [Row(f"  {name}", f"{value:.{digits + 1}f} ms", _bar(value / total))
               for name, value in ms_per_scan.items() if name != "total" and total > 0]  # fmt: skip
     rate = f"{1e3 / total:.1f} scans per second" if total > 0 else ""
-    return [Row("time per scan", f"{total:.0f} ms", rate), *stages]
+    return [Row("time per scan", f"{total:.{digits}f} ms", rate), *stages]
 
 
 def map_rows(size: Mapping[str, int]) -> list[Row]:

@@ -18,9 +18,10 @@ FILM_SIZE, FILM_DPI = (7.0, 7.0), 70
 TALL = 1.0  # height of the map in the picture, in widths
 COLOURS = ("#0369a1", "#15803d", "#7e22ce", "#b45309", "#be185d", "#0f766e", "#4d7c0f")
 POINT, EARLIER = "#475569", "#dbe1e8"
-MARGIN = 1.0  # around elements and sensor [m]
+MARGIN = 0.5  # around points and sensor [m]
 SMALLEST = 4.0  # least width and height of what is shown [m]
 REACH = 12.0  # from the sensor's way, at most: points further off only make the rest small [m]
+BULK = (0.01, 0.99)  # quantiles of the points that are shown at least
 MOST_POINTS = 30_000  # of earlier scans
 SIGMAS, CORNERS = 2.0, 36
 SLOWEST = 0.05  # drawn with an arrow, as long as the way of one second [m/s]
@@ -101,14 +102,15 @@ def _compose(figure: Any, view: CirclesView) -> None:
 
 
 def _limits(view: CirclesView, tall: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners of what is shown, `tall` times as high as wide: sensor, elements, truth, a margin."""
-    centers = [state.center for state in view.maps]
-    focus = np.concatenate([np.empty((0, 2)), *centers, *view.truth.values()])
-    focus = focus[np.isfinite(focus).all(axis=1)]
+    """Corners of what is shown, `tall` times as high as wide: points, sensor, truth."""
+    points = np.concatenate([np.empty((0, 2)), *view.points])
     if len(view.sensor):
         low, high = view.sensor.min(axis=0) - REACH, view.sensor.max(axis=0) + REACH
-        focus = focus[((focus >= low) & (focus <= high)).all(axis=1)]
-        focus = np.concatenate([focus, view.sensor])
+        points = points[((points >= low) & (points <= high)).all(axis=1)]
+    seen = np.quantile(points, BULK, axis=0) if len(points) else np.empty((0, 2))
+    ends = [state.center for state in view.maps[-1:]] if not len(points) else []
+    focus = np.concatenate([seen, *ends, view.sensor, *view.truth.values()])
+    focus = focus[np.isfinite(focus).all(axis=1)]
     if not len(focus):
         focus = np.zeros((1, 2))
     low, high = focus.min(axis=0), focus.max(axis=0)
@@ -214,8 +216,9 @@ def _radii(axes: Any, view: CirclesView) -> None:
         axes.plot(at, radius, color=colour_of(number), lw=1.4, label=str(number))
         axes.fill_between(at, radius - SIGMAS * spread, radius + SIGMAS * spread,
                           color=colour_of(number), alpha=0.15, lw=0)  # fmt: skip
-    axes.set(title="radius, 2σ band" + (f": {MOST_CURVES} longest" if len(curves) > MOST_CURVES
-             else ""), ylabel="[m]", ylim=(0, None))  # fmt: skip
+    top = max((radius for curve in curves.values() for _, radius, _ in curve), default=1.0)
+    more = f": {MOST_CURVES} longest" if len(curves) > MOST_CURVES else ""
+    axes.set(title="radius, 2σ band" + more, ylabel="[m]", ylim=(0, 1.3 * top))
     axes.grid(visible=True)
     if longest:
         axes.legend(fontsize=7, loc="upper right", ncols=6)
