@@ -10,6 +10,7 @@ import pytest
 FOLDER = Path(__file__).parents[2] / "examples"
 TESTED = {
     "circle_detectors.py": "here",
+    "motion_capture_truth.py": "test_cli_circles.py",
     "quickstart.py": "here",
     "real_scan_with_drone.py": "here",
     "score_seeds.py": "test_demo_scene.py",

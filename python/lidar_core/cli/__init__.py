@@ -21,6 +21,7 @@ for _name in (
     "info",
     "simulate",
     "detect",
+    "circles",
     "fuse",
     "evaluate",
     "export",

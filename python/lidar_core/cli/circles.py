@@ -1,0 +1,141 @@
+"""`lidar-core circles`: a map of the round obstacles in a recording of 2D scans."""
+
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lidar_core.cli.common import (
+    JsonFile,
+    Row,
+    consoles,
+    given,
+    result_table,
+    stage_rows,
+)
+from lidar_core.cli.run_options import (
+    ChosenMode,
+    ConfigFile,
+    FixedFrame,
+    Mcap,
+    Mountings,
+    Odom,
+    Output,
+    Overwrite,
+    Picture,
+    PoseSource,
+    RecordingPath,
+)
+from lidar_core.cli.settings import run_config
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from lidar_core.circles import CirclesConfig
+    from lidar_core.io import ReadOptions
+
+SCAN = "Topic of a 2D LiDAR; again for more."
+NO_RETURN = "What marks a ray without return, besides +inf: auto, zero, nan, max or none."
+SWEEP = "auto: rays have the times that the scans state; none: all rays at the stamp."
+SET = "Single value, such as scanner.range_max=20; again for more."
+FILM = "Draw film.gif beside the picture."
+
+
+def command(
+    recording: RecordingPath,
+    *,
+    output: Output,
+    scan: Annotated[list[str], typer.Option(help=SCAN)] = [],  # noqa: B006
+    odom: Odom = None,
+    pose: PoseSource = None,
+    fixed_frame: FixedFrame = None,
+    mounting: Mountings = [],  # noqa: B006
+    no_return: Annotated[str | None, typer.Option(help=NO_RETURN)] = None,
+    point_time: Annotated[str | None, typer.Option(help=SWEEP)] = None,
+    mode: ChosenMode = "best",
+    config: ConfigFile = None,
+    values: Annotated[list[str], typer.Option("--set", help=SET)] = [],  # noqa: B006
+    mcap: Mcap = None,
+    picture: Picture = True,
+    film: Annotated[bool, typer.Option(help=FILM)] = False,
+    overwrite: Overwrite = False,
+    json: JsonFile = None,
+) -> None:
+    """Map the round obstacles in RECORDING; write tables, trajectories and picture.
+
+    The scanners are those of the recording, within the range limits of the configuration's
+    `scanner`. Ctrl-C ends the run early and leaves whole files.
+    """
+    from lidar_core.circles import CirclePipeline, CirclesConfig
+    from lidar_core.cli.circles_run import CirclesRun
+    from lidar_core.cli.recording_job import RecordingJob, do, report
+    from lidar_core.io import PoseOptions, ReadOptions
+    from lidar_core.messages import LaserScan
+    from lidar_core.run_folder import RunFolder
+
+    folder = RunFolder(output, overwrite=overwrite)
+    read = ReadOptions.load(given({"no_return": no_return, "point_time": point_time}))
+    poses = {"pose": pose, "fixed_frame": fixed_frame, "odom": odom, "mounting": mounting}
+    base = CirclesConfig() if mode == "best" else CirclesConfig.paper()
+    chosen = _with_scanners(run_config(base, "circles", config, values), recording, read, scan)
+    job = RecordingJob(
+        command="circles",
+        sort=LaserScan,
+        recording=recording,
+        folder=folder,
+        config={"circles": chosen},
+        read=read,
+        pose=PoseOptions.load(given(poses)),
+        topics=tuple(scan),
+        repeat=1,
+        writes_mcap=find_spec("foxglove") is not None if mcap is None else mcap,
+        draws=picture,
+        note={"scans": scan},
+    )
+    out, errors = consoles(json)
+    result = do(job, CirclesRun(CirclePipeline(chosen), films=film), errors)
+    report(result, _table(result.summary, recording.name), folder, out, json)
+
+
+def _with_scanners(
+    config: "CirclesConfig", recording: Path, read: "ReadOptions", topics: Sequence[str]
+) -> "CirclesConfig":
+    """`config` with the scanners of the recording, where it does not name them itself.
+
+    Their ranges are limited to those of `config.scanner`.
+    """
+    from lidar_core.circles import Scanner
+    from lidar_core.cli.circles_run import scanner_name
+    from lidar_core.io import open_recording, posed_laser_scans
+
+    limits, found = config.scanner, dict(config.scanners)
+    for topic in topics or (None,):
+        with open_recording(recording, read) as opened:
+            scans = posed_laser_scans(opened, cloud=topic, pose="static")
+            first = next((item.scan for item in scans), None)
+        if first is not None and scanner_name(first) not in found:
+            found[scanner_name(first)] = Scanner(
+                angle_min=first.angle_min,
+                angle_increment=first.angle_increment,
+                n_beams=len(first.ranges),
+                range_min=max(first.range_min, limits.range_min),
+                range_max=min(first.range_max, limits.range_max),
+            )
+    return type(config).load(config.model_dump() | {"scanners": found})
+
+
+def _table(summary: Mapping[str, Any], name: str) -> "Table":
+    from lidar_core.cli.recording_job import left_out
+
+    scans = summary["scans"]
+    rows = (
+        Row("scans", str(scans["processed"]), ", ".join(left_out(summary))),
+        Row("poses", "", summary["poses"]),
+        Row("circles", str(summary["circles"]), "in all scans"),
+        Row("elements", str(summary["elements"]), f"{summary['elements_at_end']} at the end"),
+        None,
+        *stage_rows(summary["ms_per_scan"]),
+    )
+    return result_table(f"{name} ({summary['format']})", rows)

@@ -1,0 +1,213 @@
+"""A run of the circle pipeline: what it gave, scan by scan, and the files about it."""
+
+from collections import Counter
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from lidar_core.circles import CircleElements, CircleFrame, CirclePipeline
+from lidar_core.cli.common import draw
+from lidar_core.cli.recording_job import MCAP
+from lidar_core.cli.scan_times import ScanTimes
+from lidar_core.io import McapWriter, PosedScan, write_circles_table, write_circles_tum
+from lidar_core.messages import LaserScan, Pose
+from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
+from lidar_core.viz import CirclesView, animate_circles, draw_circles
+
+MOST_POINTS = 4_000_000  # kept for the pictures; beyond, points of every other scan are dropped
+FILM_FRAMES, FILM_RATE = 120, 10.0
+
+
+def scanner_name(scan: LaserScan) -> str:
+    """Name of a scan's LiDAR in the pipeline."""
+    return scan.topic or scan.frame_id
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """Circles of one scan that went into the map: all that tables need of a frame."""
+
+    scanner: str
+    circles: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    n_hits: NDArray[np.int64]
+    element: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, frame: CircleFrame) -> Self:
+        in_map, circles = frame.element >= 0, frame.circles_world
+        return cls(frame.scanner, circles.parameters[in_map], circles.covariance[in_map],
+                   circles.n_hits[in_map], frame.element[in_map])  # fmt: skip
+
+
+class CirclesRun:
+    """Passes 2D scans to a pipeline and keeps what a summary, tables and pictures need.
+
+    Parameters
+    ----------
+    pipeline : CirclePipeline
+        Gets every scan.
+    films : bool
+        Whether `draw` makes film.gif as well.
+    """
+
+    def __init__(self, pipeline: CirclePipeline, *, films: bool) -> None:
+        self.pipeline = pipeline
+        self.frame_id = "world"
+        self.maps: list[CircleElements] = []
+        self.rejected: Counter[str] = Counter()
+        self._films = films
+        self._times = ScanTimes()
+        self._mcap: McapWriter | None = None
+        self._found: list[_Found] = []
+        self._sensor: list[NDArray[np.float64]] = []
+        self._points: list[NDArray[np.float64]] = []
+        self._last_points = np.empty((0, 2))
+        self._kept, self._stride = 0, 1
+
+    @property
+    def n_received(self) -> int:
+        """Scans so far, rejected ones included."""
+        return len(self.maps) + self.rejected.total()
+
+    @property
+    def element_ids(self) -> list[int]:
+        """Numbers of the elements that were reported."""
+        return sorted({number for state in self.maps for number in state.id.tolist()})
+
+    def take(self, item: PosedScan[LaserScan]) -> None:
+        """Process one scan."""
+        scan, stamps = item.scan, item.pose_stamps_ns
+        rays = np.arange(len(scan.ranges), dtype=np.int64)
+        start = perf_counter()
+        frame = self.pipeline.process(
+            scan.ranges,
+            item.world_from_lidar,
+            scan.stamp_ns,
+            ray_time_ns=None if stamps is None else scan.stamp_ns + scan.time_increment_ns * rays,
+            pose_stamps_ns=stamps,
+            scanner=scanner_name(scan),
+        )
+        wall_ms = (perf_counter() - start) * 1e3
+        if frame.rejected is not None:
+            self.rejected[frame.rejected.split(", got")[0]] += 1
+            return
+        self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms)
+        self._keep(frame, item.world_from_lidar.reshape(-1, 4, 4)[0])
+        if self._mcap is not None:
+            self._write_mcap(self._mcap, item, frame)
+
+    def mcap(self, folder: RunFolder) -> AbstractContextManager[Any]:
+        """Open run.mcap for what `take` gives from here on."""
+        self._mcap = McapWriter(folder.path / MCAP, tracks_frame=self.frame_id)
+        return self._mcap
+
+    def summary(self) -> dict[str, Any]:
+        """What the run gave, as plain values."""
+        health = self.pipeline.health()
+        return {
+            "scans": {
+                "received": health.received,
+                "processed": health.processed,
+                "rejected": dict(self.rejected),
+            },
+            "circles": sum(len(item.element) for item in self._found),
+            "elements": len(self.element_ids),
+            "elements_at_end": len(self.maps[-1].id) if self.maps else 0,
+            "ms_per_scan": self._times.ms_per_scan,
+        }
+
+    def write(self, folder: RunFolder) -> list[str]:
+        """Write tables and trajectories; return their names."""
+        table = write_circles_table(
+            folder.path / "circles.parquet", self.maps, frame_id=self.frame_id
+        )
+        found = folder.write_table("detections", self._detections())
+        timing = folder.write_table("timing", self._times.table())
+        write_circles_tum(folder.path / TRACKS_FOLDER, self.maps)
+        return [table.name, found.name, timing.name, TRACKS_FOLDER]
+
+    def draw(self, folder: RunFolder, name: str, console: Console) -> list[str]:
+        """Draw picture.png and, where it is wanted, film.gif."""
+        view = self.view(f"{name}: {len(self.maps)} scans, {len(self.element_ids)} elements")
+        picture, film = folder.path / "picture.png", folder.path / "film.gif"
+        paint = [(picture, lambda: draw_circles(view, picture))]
+        if self._films:
+            paint.append((film, lambda: animate_circles(view, film, frames=FILM_FRAMES,
+                                                        rate=FILM_RATE)))  # fmt: skip
+        return draw(paint, console)
+
+    def view(self, title: str, **more: Any) -> CirclesView:
+        """What pictures of the run show; `more` are further fields of `CirclesView`."""
+        counts = [len(item.element) for item in self._found]
+        return CirclesView(
+            title=title,
+            points=[*self._points[:-1], self._last_points] if self._points else [],
+            sensor=np.array(self._sensor).reshape(-1, 2),
+            stamp_ns=np.array([state.stamp_ns for state in self.maps], np.int64),
+            maps=self.maps,
+            n_circles=np.array(counts, np.int64),
+            **more,
+        )
+
+    def _keep(self, frame: CircleFrame, pose: NDArray[np.float64]) -> None:
+        self.maps.append(frame.map)
+        self._found.append(_Found.of(frame))
+        self._sensor.append(pose[:2, 3])
+        self._last_points = _points_world(frame, pose)
+        is_kept = (len(self._points)) % self._stride == 0
+        self._points.append(self._last_points if is_kept else np.empty((0, 2)))
+        self._kept += len(self._points[-1])
+        if self._kept > MOST_POINTS:
+            self._stride *= 2
+            for number in range(len(self._points)):
+                if number % self._stride:
+                    self._points[number] = np.empty((0, 2))
+            self._kept = sum(map(len, self._points))
+
+    def _detections(self) -> dict[str, Any]:
+        """Circles of all scans that went into the map, as columns; SI units, world frame."""
+        found = self._found
+        circles = np.concatenate([np.empty((0, 3)), *(item.circles for item in found)])
+        covariance = np.concatenate([np.empty((0, 3, 3)), *(item.covariance for item in found)])
+        counts = [len(item.element) for item in found]
+        stamps = np.array([state.stamp_ns for state in self.maps], np.int64)
+        no_rows = np.empty(0, np.int64)
+        names = ("x", "y", "radius")
+        return {
+            "t_ns": np.repeat(stamps, counts),
+            "sensor": [item.scanner for item in found for _ in item.element],
+            "frame_id": [self.frame_id] * sum(counts),
+            **{name: circles[:, axis] for axis, name in enumerate(names)},
+            "n_points": np.concatenate([no_rows, *(item.n_hits for item in found)]),
+            "element": np.concatenate([no_rows, *(item.element for item in found)]),
+            **{
+                f"cov_{names[row]}_{names[column]}": covariance[:, row, column]
+                for row in range(3)
+                for column in range(row, 3)
+            },
+        }
+
+    def _write_mcap(
+        self, writer: McapWriter, item: PosedScan[LaserScan], frame: CircleFrame
+    ) -> None:
+        scan = item.scan
+        if scan.frame_id != self.frame_id:
+            pose = item.world_from_lidar.reshape(-1, 4, 4)[0]
+            writer.write(Pose(scan.stamp_ns, self.frame_id, scan.frame_id, pose))
+        writer.write(scan)
+        writer.write_circles(frame.map)
+
+
+def _points_world(frame: CircleFrame, pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points of the level frame, seen from above, in the world."""
+    hit = np.isfinite(frame.ranges)
+    angles = frame.bearings[hit] + np.arctan2(pose[1, 0], pose[0, 0])
+    away = frame.ranges[hit, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    points: NDArray[np.float64] = pose[:2, 3] + away
+    return points
