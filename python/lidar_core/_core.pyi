@@ -30,6 +30,7 @@ __all__ = [
     "detect_circles",
     "detection_probability",
     "fit_circles",
+    "fit_shapes",
     "fusion_fit_noise",
     "fusion_outcomes",
     "fusion_run",
@@ -112,6 +113,20 @@ def fit_circles(
     config: object,
     scanner: object,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]: ...
+def fit_shapes(
+    ranges: NDArray[np.float64],
+    bearings: NDArray[np.float64],
+    segments: tuple[NDArray[np.uint32], NDArray[np.int64], NDArray[np.uint8]],
+    *,
+    config: object,
+    scanner: object,
+) -> tuple[
+    NDArray[np.uint8],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.int64],
+]: ...
 def chi2_quantile(probability: float, *, degrees: int) -> float: ...
 def circle_lattice(
     scanner: object,

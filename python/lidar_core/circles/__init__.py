@@ -15,6 +15,7 @@ from lidar_core.circles.samples import Samples, make_samples
 from lidar_core.circles.scan_config import PreprocessConfig, SegmentConfig
 from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments, Side, segment
+from lidar_core.circles.shapes import ShapeKind, Shapes, fit_shapes
 
 __all__ = [
     "CircleDetector",
@@ -35,8 +36,11 @@ __all__ = [
     "Scanner",
     "SegmentConfig",
     "Segments",
+    "ShapeKind",
+    "Shapes",
     "Side",
     "fit_circles",
+    "fit_shapes",
     "limit_range",
     "make_samples",
     "project_horizontal",

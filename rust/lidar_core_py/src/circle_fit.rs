@@ -9,8 +9,9 @@ use lidar_core::circles::circle::CircleEstimate;
 use lidar_core::circles::fit::Fitter;
 use lidar_core::circles::polar::PolarScan;
 use lidar_core::circles::segments::{Segments, Side};
+use lidar_core::circles::shape::{ShapeEstimate, ShapeFitter, ShapeKind};
 use numpy::{
-    IntoPyArray, PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
@@ -76,6 +77,63 @@ pub(crate) fn fit_circles<'py>(
         Ok(circles.into_iter().map(Some).collect::<Vec<_>>())
     })?;
     circle_arrays(py, &found)
+}
+
+/// Kind (S,), parameters (S, 5), covariance (S, 5, 5), misfit (S,), number of hits (S,).
+type ShapeArrays<'py> = (
+    Bound<'py, PyArray1<u8>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<i64>>,
+);
+
+#[pyfunction]
+#[pyo3(signature = (ranges, bearings, segments, *, config, scanner))]
+pub(crate) fn fit_shapes<'py>(
+    py: Python<'py>,
+    ranges: PyReadonlyArray1<'py, f64>,
+    bearings: PyReadonlyArray1<'py, f64>,
+    segments: SegmentArrays<'py>,
+    config: FitConfig,
+    scanner: ScannerConfig,
+) -> Result<ShapeArrays<'py>, BorderError> {
+    let (ranges, bearings) =
+        (arrays::flat("ranges", &ranges)?, arrays::flat("bearings", &bearings)?);
+    let segments = read_segments(&segments)?;
+    let found = detached(py, || {
+        let mut fitter = ShapeFitter::new(config.parameters(&scanner)?)?;
+        let scan = PolarScan { ranges: ranges.to_vec(), bearings: bearings.to_vec() };
+        let mut shapes = Vec::with_capacity(segments.len());
+        fitter.fit(&scan, &segments, &mut shapes)?;
+        Ok(shapes)
+    })?;
+    shape_arrays(py, &found)
+}
+
+fn shape_arrays<'py>(
+    py: Python<'py>,
+    shapes: &[ShapeEstimate],
+) -> Result<ShapeArrays<'py>, BorderError> {
+    let count = shapes.len();
+    let kinds = shapes.iter().map(|shape| match shape.kind {
+        ShapeKind::Circle => 0_u8,
+        ShapeKind::Ellipse => 1,
+        ShapeKind::Rectangle => 2,
+        ShapeKind::Line => 3,
+    });
+    let parameters: Vec<f64> = shapes.iter().flat_map(|shape| shape.parameters).collect();
+    let covariance: Vec<f64> =
+        shapes.iter().flat_map(|shape| shape.covariance.into_iter().flatten()).collect();
+    let misfit: Vec<f64> = shapes.iter().map(|shape| shape.misfit).collect();
+    let hits: Vec<i64> = shapes.iter().map(|shape| shape.n_hits as i64).collect();
+    Ok((
+        kinds.collect::<Vec<u8>>().into_pyarray(py),
+        parameters.into_pyarray(py).reshape([count, 5])?,
+        covariance.into_pyarray(py).reshape([count, 5, 5])?,
+        misfit.into_pyarray(py),
+        hits.into_pyarray(py),
+    ))
 }
 
 /// Segments without their labels.

@@ -30,7 +30,7 @@ mod _core {
     #[pymodule_export]
     use super::center::target_center;
     #[pymodule_export]
-    use super::circle_fit::{detect_circles, fit_circles};
+    use super::circle_fit::{detect_circles, fit_circles, fit_shapes};
     #[pymodule_export]
     use super::circle_map::PyCircleMap;
     #[pymodule_export]

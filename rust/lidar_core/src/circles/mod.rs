@@ -14,5 +14,6 @@ pub mod polar;
 pub mod preprocess;
 pub mod segment;
 pub mod segments;
+pub mod shape;
 pub mod sweep;
 pub mod window;

@@ -1,5 +1,7 @@
 //! A 2D scan.
 
+use crate::Error;
+
 /// One sweep of a 2D LiDAR as ranges over bearings, eqs 1-2, one entry per ray in the order of
 /// measurement.
 ///
@@ -26,6 +28,17 @@ impl PolarScan {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.ranges.is_empty()
+    }
+
+    /// # Errors
+    /// [`Error::Length`] if ranges and bearings differ in number.
+    pub(super) fn check_lengths(&self) -> Result<(), Error> {
+        let (expected, got) = (self.ranges.len(), self.bearings.len());
+        if got == expected {
+            Ok(())
+        } else {
+            Err(Error::Length { name: "bearings", expected, got })
+        }
     }
 
     /// Where ray `ray` ended [m]; None for a miss and for no information.

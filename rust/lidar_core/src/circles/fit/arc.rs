@@ -14,40 +14,42 @@ const KEPT: usize = 8;
 
 /// One hit, or several that lie side by side. Bearings count from the middle of the arc.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Hit {
-    pub(super) bearing: f64,
-    pub(super) cosine: f64,
-    pub(super) sine: f64,
-    pub(super) range: f64,
+pub(in crate::circles) struct Hit {
+    pub(in crate::circles) bearing: f64,
+    pub(in crate::circles) cosine: f64,
+    pub(in crate::circles) sine: f64,
+    pub(in crate::circles) range: f64,
     /// Number of hits joined.
-    pub(super) weight: f64,
+    pub(in crate::circles) weight: f64,
 }
 
 /// How far the object may reach beyond the outermost hit of one side.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Edge {
+pub(in crate::circles) struct Edge {
     /// Bearing of the outermost hit.
-    pub(super) bearing: f64,
+    pub(in crate::circles) bearing: f64,
     /// How far beyond it the tangent can lie at most [rad].
-    pub(super) reach: f64,
+    pub(in crate::circles) reach: f64,
+    /// How far beyond it the next ray lies [rad], and its range [m]; NaN without one within reach.
+    pub(in crate::circles) next: [f64; 2],
     /// Bearings of rays within reach that returned nothing, which the object may cross only where
     /// it lies outside the range limits.
-    pub(super) missed: Vec<f64>,
+    pub(in crate::circles) missed: Vec<f64>,
 }
 
 /// The hits of a segment in the order of their bearings.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Arc {
+pub(in crate::circles) struct Arc {
     /// Direction of its middle in the scan's frame [rad].
-    pub(super) bearing: f64,
-    pub(super) hits: Vec<Hit>,
-    pub(super) n_hits: usize,
+    pub(in crate::circles) bearing: f64,
+    pub(in crate::circles) hits: Vec<Hit>,
+    pub(in crate::circles) n_hits: usize,
     /// Smallest range of a hit [m].
-    pub(super) nearest: f64,
+    pub(in crate::circles) nearest: f64,
     /// Sum of squared ranges [m^2].
-    pub(super) square: f64,
+    pub(in crate::circles) square: f64,
     /// Sides of smaller and of larger bearings.
-    pub(super) edges: [Edge; 2],
+    pub(in crate::circles) edges: [Edge; 2],
 }
 
 /// Where one side of a segment is looked at.
@@ -78,12 +80,12 @@ impl Outward<'_> {
 }
 
 /// `angle` within -pi..pi.
-pub(super) fn turn(angle: f64) -> f64 {
+pub(in crate::circles) fn turn(angle: f64) -> f64 {
     angle - TAU * libm::round(angle / TAU)
 }
 
 /// Whether the ray after the last one is the first one.
-pub(super) fn is_full_circle(scan: &PolarScan) -> bool {
+pub(in crate::circles) fn is_full_circle(scan: &PolarScan) -> bool {
     let count = scan.len();
     if count < 3 {
         return false;
@@ -97,7 +99,7 @@ impl Arc {
     ///
     /// # Errors
     /// [`Error::Value`] if it is empty, or holds a ray that did not end on anything.
-    pub(super) fn read(
+    pub(in crate::circles) fn read(
         &mut self,
         scan: &PolarScan,
         segments: &Segments,
@@ -156,9 +158,13 @@ impl Arc {
         let edge = &mut self.edges[side];
         edge.missed.clear();
         edge.reach = widest;
+        edge.next = [f64::NAN; 2];
         let ranges = &outward.scan.ranges;
         for (index, (ray, beyond)) in outward.rays(widest).enumerate() {
             let range = ranges[ray];
+            if index == 0 {
+                edge.next = [beyond, range];
+            }
             let passes = range > behind && range.is_finite();
             let missed = range == f64::INFINITY;
             match kind {

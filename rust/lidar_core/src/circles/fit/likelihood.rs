@@ -36,9 +36,9 @@ pub(super) struct Explained {
 }
 
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Likelihood<'a> {
-    pub(super) arc: &'a Arc,
-    pub(super) parameters: &'a FitParameters,
+pub(in crate::circles) struct Likelihood<'a> {
+    pub(in crate::circles) arc: &'a Arc,
+    pub(in crate::circles) parameters: &'a FitParameters,
 }
 
 /// Middle and half width of the angle between two tangents, and their functions.

@@ -1,10 +1,10 @@
 //! Circles from the segments of a scan, eq. 3, each with a covariance.
 
 mod algebraic;
-mod arc;
-mod likelihood;
+pub(super) mod arc;
+pub(super) mod likelihood;
 mod mode;
-mod posterior;
+pub(super) mod posterior;
 mod row;
 
 #[cfg(test)]
@@ -51,7 +51,7 @@ pub struct FitParameters {
 }
 
 impl FitParameters {
-    fn check(&self) -> Result<(), Error> {
+    pub(super) fn check(&self) -> Result<(), Error> {
         let ([least, most], [near, far]) = (self.radius, self.range_limits);
         let refuse = |name, expected, got: String| Err(Error::Parameter { name, expected, got });
         if !(self.range_std > 0.0 && self.range_std.is_finite()) {
@@ -107,7 +107,7 @@ impl Fitter {
         circles: &mut Vec<CircleEstimate>,
     ) -> Result<(), Error> {
         circles.clear();
-        check_lengths(scan)?;
+        scan.check_lengths()?;
         for number in 0..segments.len() {
             self.arc.read(scan, segments, number, &self.parameters)?;
             circles.push(self.circle_of_arc());
@@ -121,7 +121,7 @@ impl Fitter {
     /// [`Error::Value`] for a range <= 0; [`Error::Length`] if ranges and bearings differ in
     /// number.
     pub fn fit_row(&mut self, scan: &PolarScan) -> Result<Option<CircleEstimate>, Error> {
-        check_lengths(scan)?;
+        scan.check_lengths()?;
         row::one_segment(scan, &self.parameters, &mut self.row);
         if self.row.is_empty() {
             return Ok(None);
@@ -132,21 +132,24 @@ impl Fitter {
 
     fn circle_of_arc(&mut self) -> CircleEstimate {
         let (arc, parameters) = (&self.arc, &self.parameters);
-        let (circle, covariance) = match parameters.method {
-            Method::Kasa | Method::Pratt | Method::Taubin => algebraic::fit(arc, parameters),
+        let found = match parameters.method {
+            Method::Kasa | Method::Pratt | Method::Taubin => None,
             Method::Expected | Method::MostLikely => {
-                let likelihood = Likelihood { arc, parameters };
-                let found = self.posterior.of(&likelihood);
-                found.unwrap_or_else(|| algebraic::fit(arc, parameters))
+                self.posterior.of(&Likelihood { arc, parameters })
             }
         };
-        placed(arc, circle, covariance)
+        estimate(arc, parameters, found)
     }
 }
 
-fn check_lengths(scan: &PolarScan) -> Result<(), Error> {
-    let (expected, got) = (scan.ranges.len(), scan.bearings.len());
-    if got == expected { Ok(()) } else { Err(Error::Length { name: "bearings", expected, got }) }
+/// What was found in an arc, or else an algebraic fit, in the frame of the scan.
+pub(super) fn estimate(
+    arc: &Arc,
+    parameters: &FitParameters,
+    found: Option<posterior::Estimate>,
+) -> CircleEstimate {
+    let (circle, covariance) = found.unwrap_or_else(|| algebraic::fit(arc, parameters));
+    placed(arc, circle, covariance)
 }
 
 /// A circle of the arc's own frame in the frame of the scan.

@@ -5,7 +5,7 @@ use super::likelihood::{Explained, Likelihood, Roots};
 use super::mode::{Bounds, LEAST_SHARE, Mode, is_held, mode};
 
 /// A circle (x, y, radius) and its covariance.
-pub(super) type Estimate = ([f64; 3], [[f64; 3]; 3]);
+pub(in crate::circles) type Estimate = ([f64; 3], [[f64; 3]; 3]);
 
 /// Where the likelihood has fallen by this much below its peak [nepers], the integrals end.
 const DROP: f64 = 10.0;
@@ -67,14 +67,14 @@ fn gauss(span: Span) -> impl Iterator<Item = [f64; 2]> {
 
 /// Integrates; keeps its memory between arcs.
 #[derive(Debug, Default)]
-pub(super) struct Posterior {
+pub(in crate::circles) struct Posterior {
     nodes: Vec<Explained>,
 }
 
 impl Posterior {
     /// The expected circle, or the most likely one, each with the mean square of its error as
     /// covariance; None if no circle within the bounds of the radius explains the arc.
-    pub(super) fn of(&mut self, likelihood: &Likelihood<'_>) -> Option<Estimate> {
+    pub(in crate::circles) fn of(&mut self, likelihood: &Likelihood<'_>) -> Option<Estimate> {
         self.nodes.clear();
         let (low, high) = (pieces(likelihood, 0), pieces(likelihood, 1));
         for low in low.into_iter().flatten() {
@@ -129,9 +129,17 @@ impl Posterior {
     }
 
     fn most_likely(&self) -> Option<[f64; 3]> {
-        let by_likelihood =
-            |a: &&Explained, b: &&Explained| a.log_likelihood.total_cmp(&b.log_likelihood);
-        self.nodes.iter().max_by(by_likelihood).map(|node| node.circle)
+        self.best().map(|node| node.circle)
+    }
+
+    /// Of the circles looked at last.
+    fn best(&self) -> Option<&Explained> {
+        self.nodes.iter().max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood))
+    }
+
+    /// Largest logarithm of the likelihood of the arc that was looked at last.
+    pub(in crate::circles) fn log_likelihood(&self) -> Option<f64> {
+        self.best().map(|node| node.log_likelihood)
     }
 
     /// Mean square of the distance from `about`.

@@ -1,0 +1,123 @@
+"""Which shape a group of rays shows: circle, ellipse, rectangle or line."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidar_core import _core
+from lidar_core.circles.fit_config import FitConfig
+from lidar_core.circles.preprocess import as_scan
+from lidar_core.circles.scanner import Scanner
+from lidar_core.circles.segmentation import Segments
+from lidar_core.config import as_config
+
+
+class ShapeKind(IntEnum):
+    """What a segment is, and what its parameters mean."""
+
+    CIRCLE = 0
+    """Centre x, y, radius [m]."""
+    ELLIPSE = 1
+    """Centre x, y, longer and shorter semi-axis [m], bearing of the longer one [rad]."""
+    RECTANGLE = 2
+    """Centre x, y, longer and shorter side [m], bearing of the longer one [rad]. Two sides were
+    seen; of one alone nothing tells whether there is a box behind it: it is a line."""
+    LINE = 3
+    """Bearing of the normal [rad], distance from the origin [m], both ends as positions along the
+    line, counted counter-clockwise from the foot of the normal [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shapes:
+    """Shapes seen in one frame, one row per segment.
+
+    Attributes
+    ----------
+    kind : ndarray, shape (S,), uint8
+        A `ShapeKind`.
+    parameters : ndarray, shape (S, 5), float64
+        As listed at `ShapeKind`; those that a shape does not have are 0.
+    covariance : ndarray, shape (S, 5, 5), float64
+        Of the parameters, in their units; what was not seen has a standard deviation of 1 m.
+    misfit : ndarray, shape (S,), float64
+        Sum of squared residuals of the ranges over their variance (no unit).
+    n_hits : ndarray, shape (S,), int64
+        Rays that ended on the shape.
+    """
+
+    kind: NDArray[np.uint8]
+    parameters: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    misfit: NDArray[np.float64]
+    n_hits: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def ends(self) -> NDArray[np.float64]:
+        """Both ends of every line [m], shape (S, 2, 2); NaN for other shapes."""
+        angle, distance, *along = self.parameters[:, :4].T
+        normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        tangent = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+        found = np.stack([distance[:, None] * normal + s[:, None] * tangent for s in along], axis=1)
+        found[self.kind != ShapeKind.LINE] = np.nan
+        return found
+
+
+def fit_shapes(
+    ranges: ArrayLike,
+    bearings: ArrayLike,
+    segments: Segments,
+    *,
+    config: FitConfig | None = None,
+    scanner: Scanner | None = None,
+) -> Shapes:
+    """Tell which shape each segment of a scan has, and where it is.
+
+    Parameters
+    ----------
+    ranges : array_like, shape (B,), float
+        Range of every ray [m]; +inf is a miss, NaN no information.
+    bearings : array_like, shape (B,), float
+        Their directions [rad] in the order of the sweep; need not be equally spaced.
+    segments : Segments
+        What `segment` made of the same scan.
+    config : FitConfig, optional
+        None: the defaults. Its `method` does not count: circles are fitted with "ml".
+    scanner : Scanner, optional
+        Whose range limits apply; none: the defaults.
+
+    Returns
+    -------
+    Shapes
+
+    Raises
+    ------
+    InputError
+        Wrong shape, dtype or value; a segment with a ray that did not end on anything.
+
+    Notes
+    -----
+    Every shape is fitted to the ranges; the misfit plus the number of parameters times the
+    logarithm of the number of rays decides (Schwarz, "Estimating the dimension of a model", 1978).
+    Circles and ellipses have to end where the rays that passed say; ends of lines are parameters.
+    Segments of fewer than 6 rays are circles. Deterministic; releases the GIL.
+
+    Examples
+    --------
+    >>> from lidar_core.circles import segment
+    >>> bearings = np.radians(np.arange(-10, 10.25, 0.25))
+    >>> ranges = 3.0 / np.cos(bearings)  # a wall
+    >>> shapes = fit_shapes(ranges, bearings, segment(ranges, bearings))
+    >>> [ShapeKind(kind).name for kind in shapes.kind]
+    ['LINE']
+    >>> shapes.ends().round(1).tolist()
+    [[[3.0, -0.5], [3.0, 0.5]]]
+    """
+    scan, angles = as_scan(ranges, bearings)
+    arrays = (segments.rays, segments.starts, segments.sides)
+    known = as_config(config, FitConfig)
+    limits = as_config(scanner, Scanner)
+    return Shapes(*_core.fit_shapes(scan, angles, arrays, config=known, scanner=limits))

@@ -1,0 +1,121 @@
+//! Ellipses between two tangents from the sensor.
+//!
+//! In coordinates that are the distances from the two tangents, in units of those of the centre,
+//! every ellipse between the tangents has its centre at (1, 1) and the matrix [1 k; k 1]: two
+//! tangents, two distances and k are the five parameters. A ray that has w1 and w2 per metre in
+//! these coordinates meets it at (1 - k) (w1 + w2 - sqrt(2 (1 + k) w1 w2)) / (w1^2 + w2^2
+//! - 2 k w1 w2), smooth up to the tangents in the roots of how far these lie beyond the hits.
+
+use super::solve::{Shape, Solved, solve};
+use crate::circles::fit::arc::{Arc, Hit};
+use std::f64::consts::{FRAC_PI_2, PI};
+
+/// Differences of parameters that show the slope.
+const STEP: f64 = 1e-6;
+/// Smallest semi-axis [m].
+const LEAST_AXIS: f64 = 0.01;
+/// Starts: ratios of the distances, and inverse hyperbolic tangents of k beside that of a circle.
+const RATIOS: [f64; 5] = [0.4, 0.65, 1.0, 1.5, 2.5];
+const TURNS: [f64; 5] = [-1.6, -0.8, 0.0, 0.8, 1.6];
+/// Starts that are followed.
+const FOLLOWED: usize = 3;
+/// Where the tangents are at the start, as an angle over their reach.
+const START: f64 = 1.2;
+
+/// Ellipses that end where an arc ends. Parameters: an angle over the reach of either side,
+/// logarithms of the distances of the centre from the tangents [m], inverse hyperbolic tangent of
+/// k.
+pub(super) struct Ellipse<'a> {
+    pub(super) arc: &'a Arc,
+}
+
+impl Ellipse<'_> {
+    /// Bearings of the tangents.
+    fn tangents(&self, parameters: &[f64; 5]) -> [f64; 2] {
+        let [low, high] = &self.arc.edges;
+        let beyond = |reach: f64, angle: f64| 0.5 * reach * (1.0 - libm::cos(angle));
+        [
+            low.bearing - beyond(low.reach, parameters[0]),
+            high.bearing + beyond(high.reach, parameters[1]),
+        ]
+    }
+
+    /// Centre x, y, semi-axes [m], bearing of the first one [rad], not the shorter one.
+    pub(super) fn reported(&self, parameters: &[f64; 5]) -> [f64; 5] {
+        let [low, high] = self.tangents(parameters);
+        let scale = 1.0 / libm::sin(high - low);
+        let [first, second] = [parameters[2], parameters[3]].map(|log| scale * libm::exp(log));
+        let k = libm::tanh(parameters[4]);
+        // Vectors to the centre along one tangent each.
+        let a = [first * libm::cos(high), first * libm::sin(high)];
+        let b = [second * libm::cos(low), second * libm::sin(low)];
+        let entry =
+            |i: usize, j: usize| a[i] * a[j] + b[i] * b[j] + k * (a[i] * b[j] + a[j] * b[i]);
+        let (xx, xy, yy) = (entry(0, 0), entry(0, 1), entry(1, 1));
+        let (mean, apart) = (0.5 * (xx + yy), libm::hypot(0.5 * (xx - yy), xy));
+        [
+            a[0] + b[0],
+            a[1] + b[1],
+            (mean + apart).sqrt(),
+            (mean - apart).max(0.0).sqrt(),
+            0.5 * libm::atan2(2.0 * xy, xx - yy),
+        ]
+    }
+}
+
+impl Shape<5> for Ellipse<'_> {
+    fn ranges(&self, parameters: &[f64; 5], ranges: &mut Vec<f64>) {
+        let [low, high] = self.tangents(parameters);
+        let low = [libm::cos(low), libm::sin(low)];
+        let high = [libm::cos(high), libm::sin(high)];
+        let inverse = [parameters[2], parameters[3]].map(|log| libm::exp(-log));
+        let k = libm::tanh(parameters[4]);
+        ranges.extend(self.arc.hits.iter().map(|hit: &Hit| {
+            let first = inverse[0] * (hit.sine * low[0] - hit.cosine * low[1]).max(0.0);
+            let second = inverse[1] * (hit.cosine * high[1] - hit.sine * high[0]).max(0.0);
+            let root = (2.0 * (1.0 + k) * first * second).sqrt();
+            let square = first * first + second * second - 2.0 * k * first * second;
+            (1.0 - k) * (first + second - root) / square
+        }));
+    }
+}
+
+/// The ellipse that explains the arc best, from several starts, with semi-axes up to `largest`.
+pub(super) fn fit_ellipse(ellipse: &Ellipse<'_>, std: f64, largest: f64) -> Option<Solved<5>> {
+    let arc = ellipse.arc;
+    let span = arc.edges[1].bearing - arc.edges[0].bearing;
+    let reach = arc.edges[0].reach + arc.edges[1].reach;
+    if span + reach >= PI {
+        return None; // tangents that do not meet before the sensor
+    }
+    let mut starts: Vec<(f64, [f64; 5])> = Vec::with_capacity(RATIOS.len() * TURNS.len());
+    let mut ranges = Vec::new();
+    let round = libm::atanh(-libm::cos((span + 0.4 * reach).clamp(0.05, FRAC_PI_2)));
+    for ratio in RATIOS {
+        for turn in TURNS {
+            let mut start = [START, START, 0.0, libm::log(ratio), round + turn];
+            let misfit = scaled(ellipse, &mut start, &mut ranges);
+            starts.push((misfit, start));
+        }
+    }
+    starts.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let solved = starts.iter().take(FOLLOWED).map(|&(_, at)| solve(ellipse, arc, std, at, STEP));
+    let best = solved.min_by(|a, b| a.misfit.total_cmp(&b.misfit))?;
+    let [_, _, long, short, _] = ellipse.reported(&best.parameters);
+    (long <= largest && short >= LEAST_AXIS).then_some(best)
+}
+
+/// Bring `start` to the size that agrees best with the ranges, which grow with it; their misfit.
+fn scaled(ellipse: &Ellipse<'_>, start: &mut [f64; 5], ranges: &mut Vec<f64>) -> f64 {
+    ranges.clear();
+    ellipse.ranges(start, ranges);
+    let (mut gg, mut gz) = (0.0, 0.0);
+    for (hit, g) in ellipse.arc.hits.iter().zip(ranges.iter()) {
+        gg += hit.weight * g * g;
+        gz += hit.weight * g * hit.range;
+    }
+    let scale = gz / gg;
+    start[2] += libm::log(scale);
+    start[3] += libm::log(scale);
+    ellipse.arc.square - scale * gz
+}

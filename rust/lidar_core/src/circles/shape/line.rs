@@ -1,0 +1,140 @@
+//! Straight surfaces: one, and two that meet at a right angle.
+
+use super::solve::{Shape, Solved, solve};
+use crate::circles::fit::arc::{Arc, Hit};
+use std::f64::consts::{FRAC_PI_2, PI};
+
+/// Ranges beyond this are none [m].
+const FAR: f64 = 1e3;
+/// Differences of parameters that show the slope [m], [rad].
+const STEP: f64 = 1e-6;
+
+/// Range to the line with normal at bearing `angle`, `distance` from the sensor.
+fn range([angle, distance]: [f64; 2], hit: &Hit) -> f64 {
+    let along = hit.cosine * libm::cos(angle) + hit.sine * libm::sin(angle);
+    if along > distance / FAR { distance / along } else { FAR }
+}
+
+/// One line: bearing of its normal [rad], distance [m].
+struct Line<'a>(&'a Arc);
+
+impl Shape<2> for Line<'_> {
+    fn ranges(&self, parameters: &[f64; 2], ranges: &mut Vec<f64>) {
+        ranges.extend(self.0.hits.iter().map(|hit| range(*parameters, hit)));
+    }
+}
+
+/// Two faces of a box: bearing of the normal of the one with smaller bearings [rad], distances of
+/// that one and of the other [m].
+struct Corner<'a>(&'a Arc);
+
+impl Shape<3> for Corner<'_> {
+    fn ranges(&self, &[angle, first, second]: &[f64; 3], ranges: &mut Vec<f64>) {
+        // A ray is inside once it has passed both faces.
+        ranges.extend(
+            self.0
+                .hits
+                .iter()
+                .map(|hit| range([angle, first], hit).max(range([angle - FRAC_PI_2, second], hit))),
+        );
+    }
+}
+
+/// Number, sums and sums of squares of points.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    n: f64,
+    x: f64,
+    y: f64,
+    xx: f64,
+    xy: f64,
+    yy: f64,
+}
+
+impl Sums {
+    fn with(self, hit: &Hit) -> Self {
+        let (x, y, w) = (hit.range * hit.cosine, hit.range * hit.sine, hit.weight);
+        Self {
+            n: self.n + w,
+            x: self.x + w * x,
+            y: self.y + w * y,
+            xx: self.xx + w * x * x,
+            xy: self.xy + w * x * y,
+            yy: self.yy + w * y * y,
+        }
+    }
+
+    fn without(self, less: &Self) -> Self {
+        Self {
+            n: self.n - less.n,
+            x: self.x - less.x,
+            y: self.y - less.y,
+            xx: self.xx - less.xx,
+            xy: self.xy - less.xy,
+            yy: self.yy - less.yy,
+        }
+    }
+
+    /// Scatter about the mean: xx, xy, yy.
+    fn scatter(&self) -> [f64; 3] {
+        let n = self.n.max(1e-9);
+        [
+            self.xx - self.x * self.x / n,
+            self.xy - self.x * self.y / n,
+            self.yy - self.y * self.y / n,
+        ]
+    }
+
+    fn mean(&self) -> [f64; 2] {
+        [self.x / self.n, self.y / self.n]
+    }
+}
+
+/// Direction of least scatter, and the scatter there.
+fn least([xx, xy, yy]: [f64; 3]) -> (f64, f64) {
+    let angle = 0.5 * libm::atan2(2.0 * xy, xx - yy) + FRAC_PI_2;
+    let spread = libm::hypot(0.5 * (xx - yy), xy);
+    (angle, 0.5 * (xx + yy) - spread)
+}
+
+/// The line that explains the arc best.
+pub(super) fn fit_line(arc: &Arc, std: f64) -> Solved<2> {
+    let sums = arc.hits.iter().fold(Sums::default(), Sums::with);
+    let (angle, _) = least(sums.scatter());
+    let [x, y] = sums.mean();
+    let distance = x * libm::cos(angle) + y * libm::sin(angle);
+    let turned = if distance < 0.0 { PI } else { 0.0 };
+    solve(&Line(arc), arc, std, [angle + turned, distance.abs()], STEP)
+}
+
+/// The corner that explains the arc best; None if it has no two faces towards the sensor.
+pub(super) fn fit_corner(arc: &Arc, std: f64) -> Option<Solved<3>> {
+    let all = arc.hits.iter().fold(Sums::default(), Sums::with);
+    let mut before = Sums::default();
+    let mut best: Option<(f64, f64, Sums)> = None;
+    for (index, hit) in arc.hits.iter().enumerate() {
+        before = before.with(hit);
+        if index < 1 || index + 3 > arc.hits.len() {
+            continue;
+        }
+        let [xx, xy, yy] = before.scatter();
+        let [other_xx, other_xy, other_yy] = all.without(&before).scatter();
+        // The other face turned by a right angle lies along the first.
+        let (angle, scatter) = least([xx + other_yy, xy - other_xy, yy + other_xx]);
+        if best.is_none_or(|(least, ..)| scatter < least) {
+            best = Some((scatter, angle, before));
+        }
+    }
+    let (_, angle, first) = best?;
+    let (first, second) = (first.mean(), all.without(&first).mean());
+    // Of the four normals, those with both faces before the sensor and the first one first.
+    let starts = [0.0, FRAC_PI_2, PI, 3.0 * FRAC_PI_2].map(|turn| {
+        let (a, b) = (angle + turn, angle + turn - FRAC_PI_2);
+        let along = |p: [f64; 2], a: f64| p[0] * libm::cos(a) + p[1] * libm::sin(a);
+        [angle + turn, along(first, a), along(second, b)]
+    });
+    let start = starts.into_iter().find(|start| start[1] > 0.0 && start[2] > 0.0)?;
+    let solved = solve(&Corner(arc), arc, std, start, STEP);
+    let [_, first, second] = solved.parameters;
+    (first > 0.0 && second > 0.0).then_some(solved)
+}

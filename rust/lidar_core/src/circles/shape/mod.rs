@@ -1,0 +1,159 @@
+//! Which shape a segment of a scan has: circle, ellipse, rectangle or line, and where it is.
+//!
+//! The paper takes everything for a circle and leaves other shapes to future work (sec. VII).
+//! Here every shape is fitted to the ranges, and Schwarz's criterion chooses: misfit in variances
+//! plus the number of parameters times the logarithm of the number of rays. Circles and ellipses
+//! also have to end where the object ends; ends of lines and faces are parameters.
+
+mod ellipse;
+mod line;
+mod place;
+mod solve;
+
+#[cfg(test)]
+mod tests;
+
+use self::ellipse::Ellipse;
+use super::circle::Circle;
+use super::fit::arc::Arc;
+use super::fit::likelihood::Likelihood;
+use super::fit::posterior::Posterior;
+use super::fit::{FitParameters, Method, estimate};
+use super::polar::PolarScan;
+use super::segments::Segments;
+use crate::Error;
+
+/// What a segment is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ShapeKind {
+    /// Parameters: centre x, y, radius [m].
+    Circle,
+    /// Centre x, y, longer and shorter semi-axis [m], bearing of the longer one [rad].
+    Ellipse,
+    /// Centre x, y, longer and shorter side [m], bearing of the longer one [rad]. Two sides were
+    /// seen.
+    Rectangle,
+    /// Bearing of its normal [rad], distance from the origin [m], and its two ends as positions
+    /// along it, counted counter-clockwise from the foot of the normal [m].
+    Line,
+}
+
+/// The shape of one segment, in the frame of the scan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ShapeEstimate {
+    /// What it is.
+    pub kind: ShapeKind,
+    /// As listed there; those that the shape does not have are 0.
+    pub parameters: [f64; 5],
+    /// Of the parameters, in their units.
+    pub covariance: [[f64; 5]; 5],
+    /// Sum of squared residuals of the ranges over their variance.
+    pub misfit: f64,
+    /// Rays that ended on it.
+    pub n_hits: usize,
+}
+
+impl ShapeEstimate {
+    /// The circle, if it is one.
+    #[must_use]
+    pub fn circle(&self) -> Option<Circle> {
+        let [x, y, radius, ..] = self.parameters;
+        (self.kind == ShapeKind::Circle).then_some(Circle { center: [x, y], radius })
+    }
+
+    /// The ends of the line [m], if it is one.
+    #[must_use]
+    pub fn ends(&self) -> Option<[[f64; 2]; 2]> {
+        let [angle, distance, start, end, _] = self.parameters;
+        let (sine, cosine) = (libm::sin(angle), libm::cos(angle));
+        let at = |along: f64| [distance * cosine - along * sine, distance * sine + along * cosine];
+        (self.kind == ShapeKind::Line).then_some([at(start), at(end)])
+    }
+}
+
+/// Finds the shapes of segments; keeps its memory between scans.
+#[derive(Debug)]
+pub struct ShapeFitter {
+    parameters: FitParameters,
+    arc: Arc,
+    posterior: Posterior,
+}
+
+/// Rays that a shape other than a circle needs.
+const LEAST_HITS: usize = 6;
+/// A circle or straight surface whose misfit is below this share of its degrees of freedom leaves
+/// nothing to explain to an ellipse.
+const GOOD_SHARE: f64 = 0.8;
+
+impl ShapeFitter {
+    /// # Errors
+    /// [`Error::Parameter`] for one that is outside its range.
+    pub fn new(parameters: FitParameters) -> Result<Self, Error> {
+        parameters.check()?;
+        let parameters = FitParameters { method: Method::Expected, ..parameters };
+        Ok(Self { parameters, arc: Arc::default(), posterior: Posterior::default() })
+    }
+
+    /// Write one shape per segment of a scan to `shapes`, in their order.
+    ///
+    /// # Errors
+    /// As [`Fitter::fit`](super::fit::Fitter::fit).
+    pub fn fit(
+        &mut self,
+        scan: &PolarScan,
+        segments: &Segments,
+        shapes: &mut Vec<ShapeEstimate>,
+    ) -> Result<(), Error> {
+        shapes.clear();
+        scan.check_lengths()?;
+        for number in 0..segments.len() {
+            self.arc.read(scan, segments, number, &self.parameters)?;
+            shapes.push(self.shape_of_arc());
+        }
+        Ok(())
+    }
+
+    fn shape_of_arc(&mut self) -> ShapeEstimate {
+        let (arc, std) = (&self.arc, self.parameters.range_std);
+        let likelihood = Likelihood { arc, parameters: &self.parameters };
+        let estimated = self.posterior.of(&likelihood);
+        let log_likelihood = self.posterior.log_likelihood().filter(|_| estimated.is_some());
+        let misfit = log_likelihood.map_or(f64::INFINITY, |log| -2.0 * log);
+        let circle = || place::circle(arc, estimate(arc, &self.parameters, estimated), misfit);
+        if arc.n_hits < LEAST_HITS {
+            return circle();
+        }
+        let criterion =
+            |misfit: f64, parameters: f64| misfit + parameters * libm::log(arc.n_hits as f64);
+        let line = line::fit_line(arc, std);
+        let mut best = (criterion(misfit, 3.0), None);
+        let straight = criterion(line.misfit, 4.0);
+        if straight < best.0 {
+            best = (straight, Some(place::line(arc, &line)));
+        }
+        if let Some(corner) = line::fit_corner(arc, std).filter(|_| best.0 > self.good(4.0)) {
+            let bent = criterion(corner.misfit, 5.0);
+            if bent < best.0
+                && let Some(found) = place::rectangle(arc, &corner)
+            {
+                best = (bent, Some(found));
+            }
+        }
+        let ellipse = Ellipse { arc };
+        if best.0 > self.good(5.0)
+            && let Some(found) = ellipse::fit_ellipse(&ellipse, std, self.parameters.radius[1])
+        {
+            let round = criterion(found.misfit, 5.0);
+            if round < best.0 {
+                best = (round, Some(place::ellipse(&ellipse, &found)));
+            }
+        }
+        best.1.unwrap_or_else(circle)
+    }
+
+    /// Criterion below which a shape with more parameters has nothing to add.
+    fn good(&self, parameters: f64) -> f64 {
+        let hits = self.arc.n_hits as f64;
+        GOOD_SHARE * (hits - parameters) + (parameters - 1.0) * libm::log(hits)
+    }
+}

@@ -1,0 +1,120 @@
+//! Least squares of ranges for any shape.
+
+use crate::circles::fit::arc::Arc;
+use nalgebra::{SMatrix, SVector};
+
+/// Residuals of ranges are no larger than this [m]: a ray that passes a shape has no range.
+const LARGEST: f64 = 0.5;
+const MOST_STEPS: usize = 30;
+/// Steps end when the misfit falls by less.
+const ENOUGH: f64 = 1e-4;
+/// Standard deviation of what nothing was measured of [m], [rad].
+const UNKNOWN: f64 = 1.0;
+
+/// A shape of K parameters.
+pub(super) trait Shape<const K: usize> {
+    /// Add where the hits of its arc should be [m], one by one.
+    fn ranges(&self, parameters: &[f64; K], ranges: &mut Vec<f64>);
+}
+
+/// Parameters that explain an arc best.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Solved<const K: usize> {
+    pub(super) parameters: [f64; K],
+    pub(super) covariance: SMatrix<f64, K, K>,
+    /// Sum of squared residuals, in variances.
+    pub(super) misfit: f64,
+}
+
+struct Problem<'a, S> {
+    shape: &'a S,
+    arc: &'a Arc,
+    std: f64,
+}
+
+impl<S> Problem<'_, S> {
+    fn residuals<const K: usize>(&self, parameters: &[f64; K], into: &mut Vec<f64>)
+    where
+        S: Shape<K>,
+    {
+        into.clear();
+        self.shape.ranges(parameters, into);
+        for (value, hit) in into.iter_mut().zip(&self.arc.hits) {
+            let apart = hit.range - *value;
+            let apart = if apart.is_finite() { apart.clamp(-LARGEST, LARGEST) } else { LARGEST };
+            *value = hit.weight.sqrt() * apart / self.std;
+        }
+    }
+}
+
+fn square(residuals: &[f64]) -> f64 {
+    residuals.iter().map(|residual| residual * residual).sum()
+}
+
+/// Go downhill from `start` (Levenberg-Marquardt, derivatives by differences of `step`).
+pub(super) fn solve<const K: usize>(
+    shape: &impl Shape<K>,
+    arc: &Arc,
+    std: f64,
+    start: [f64; K],
+    step: f64,
+) -> Solved<K> {
+    let problem = Problem { shape, arc, std };
+    let (mut residuals, mut moved) = (Vec::new(), Vec::new());
+    problem.residuals(&start, &mut residuals);
+    let (mut at, mut misfit, mut damping) = (start, square(&residuals), 1e-2);
+    let mut normal = normal_equations(&problem, &at, &residuals, step, &mut moved);
+    for _ in 0..MOST_STEPS {
+        let (hessian, gradient) = normal;
+        let mut damped = hessian;
+        for k in 0..K {
+            damped[(k, k)] += damping * hessian[(k, k)] + 1e-9;
+        }
+        let Some(by) = damped.cholesky().map(|factor| factor.solve(&gradient)) else { break };
+        let next: [f64; K] = std::array::from_fn(|k| at[k] - by[k]);
+        problem.residuals(&next, &mut moved);
+        let fall = misfit - square(&moved);
+        if fall > 0.0 {
+            (at, misfit) = (next, misfit - fall);
+            std::mem::swap(&mut residuals, &mut moved);
+            if fall < ENOUGH {
+                break;
+            }
+            damping = (damping * 0.2).max(1e-9);
+            normal = normal_equations(&problem, &at, &residuals, step, &mut moved);
+        } else {
+            damping *= 8.0;
+            if damping > 1e7 {
+                break;
+            }
+        }
+    }
+    let (hessian, _) = normal_equations(&problem, &at, &residuals, step, &mut moved);
+    let known = hessian + SMatrix::identity() / (UNKNOWN * UNKNOWN);
+    let covariance = known.cholesky().map_or_else(SMatrix::identity, |factor| factor.inverse());
+    Solved { parameters: at, covariance, misfit }
+}
+
+type Normal<const K: usize> = (SMatrix<f64, K, K>, SVector<f64, K>);
+
+/// Half the second derivatives and half the gradient of the misfit.
+fn normal_equations<const K: usize, S: Shape<K>>(
+    problem: &Problem<'_, S>,
+    at: &[f64; K],
+    residuals: &[f64],
+    step: f64,
+    moved: &mut Vec<f64>,
+) -> Normal<K> {
+    let mut columns: [Vec<f64>; K] = std::array::from_fn(|_| Vec::new());
+    for (k, column) in columns.iter_mut().enumerate() {
+        let mut there = *at;
+        there[k] += step;
+        problem.residuals(&there, moved);
+        column.extend(moved.iter().zip(residuals).map(|(there, here)| (there - here) / step));
+    }
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    (
+        SMatrix::from_fn(|i, j| dot(&columns[i], &columns[j])),
+        SVector::from_fn(|i, _| dot(&columns[i], residuals)),
+    )
+}
