@@ -105,6 +105,8 @@ def commented_toml(config: Config) -> str:
 
 def toml_value(value: Any) -> str:
     """`value` as TOML writes it, on one line; "none" for None."""
+    if value == {}:
+        return "{}"
     text = tomli_w.dumps({"x": NONE if value is None else value}).strip().removeprefix("x = ")
     return _BREAK.sub(" ", _EDGE.sub("", text))  # strings hold no bare line break
 
