@@ -114,7 +114,9 @@ def _table(item: "Item", result: "Result") -> "Table":
 
 
 def _number(value: float | None) -> str:
-    """Counts as they are, other numbers to three decimals; a dash where there is none."""
+    """Counts as they are, others to three decimals, small ones to three digits; a dash for none."""
     if value is None:
         return "-"
-    return f"{value:,.0f}" if float(value).is_integer() else f"{value:.3f}"
+    if float(value).is_integer():
+        return f"{value:,.0f}"
+    return f"{value:.3f}" if abs(value) >= 0.1 else f"{value:.3g}"

@@ -1,0 +1,77 @@
+"""`circles-fig7`: place and radius of one cylinder over time, with their errors (Fig. 7)."""
+
+from typing import Any
+
+import numpy as np
+
+from lidar_core.reproduce.circles_runs import MapRun
+from lidar_core.reproduce.circles_single import LEAST_SCANS, rows, settled, single
+from lidar_core.reproduce.common import BLUE, GREY, RED, simulator_seed
+from lidar_core.reproduce.types import Item, Request, Result, Row
+
+RADIUS, TRAJECTORY, SPEED = 0.3, 2, 1.0
+PAPER = (7.5769e-6, 0.0081, 0.0013, 0.0691, 0.0015, 0.0711)
+
+
+def _run(request: Request) -> Result:
+    from lidar_core.circles import CirclesConfig
+
+    scans = max(LEAST_SCANS, request.scans)
+    part = single(
+        seed=simulator_seed(request.seed, 0),
+        radius=RADIUS,
+        trajectory=TRAJECTORY,
+        speed=SPEED,
+        sensor="swinging",
+        scans=scans,
+    )
+    request.advance(scans)
+    one = MapRun.of(part)
+    late = settled(one)
+    bias = late.mean(axis=0).tolist() if len(late) else [None] * 3
+    names = ("x", "y", "radius")
+    return Result(
+        rows=(
+            *rows("trajectory 2", [one], PAPER),
+            *(
+                Row(f"trajectory 2: {name}, mean error", "m", None, None, value)
+                for name, value in zip(names, bias, strict=True)
+            ),
+        ),
+        draw=lambda figure: _draw(figure, one),
+        scans=len(one.seconds),
+        note="Radius 0.3 m on a circle of 2 m at 1 m/s; the sensor moves and tilts.",
+        config={"best": CirclesConfig()},
+    )
+
+
+def _draw(figure: Any, one: MapRun) -> None:
+    """Truth and estimate above, errors below, as the paper does."""
+    panels = figure.subplots(2, 3, sharex=True)
+    figure.suptitle("A cylinder of 0.3 m on a circle", x=0.06, ha="left", fontweight="bold")
+    errors = one.errors(0)
+    center = one.part["center"][:, 0]
+    radius = np.full(len(center), one.part["radius"][0])
+    for column, name in enumerate(("x", "y", "radius")):
+        truth = radius if name == "radius" else center[:, column]
+        panels[0, column].plot(one.seconds, truth, color=BLUE, label="truth")
+        panels[0, column].plot(one.seconds, truth + errors[:, column], color=RED, ls=":",
+                               label="map")  # fmt: skip
+        panels[1, column].plot(one.seconds, 1e3 * errors[:, column], color=RED, lw=0.8)
+        panels[1, column].axhline(0, color=GREY, lw=0.8)
+        panels[0, column].set(title=f"{name} [m]")
+        panels[1, column].set(xlabel="time [s]")
+        for panel in panels[:, column]:
+            panel.grid(visible=True)
+    panels[0, 2].set_ylim(RADIUS - 0.02, RADIUS + 0.02)
+    panels[0, 0].legend()
+    panels[1, 0].set_ylabel("error [mm]")
+
+
+ITEM = Item(
+    name="circles-fig7",
+    title="place and radius of a cylinder over time (Fig. 7)",
+    scans=1200,
+    minutes=0.1,
+    run=_run,
+)
