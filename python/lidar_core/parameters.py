@@ -23,6 +23,7 @@ MODELS = {
     "flying": "lidar_core.flying:FlyingConfig",
     "fusion": "lidar_core.fusion:FusionConfig",
     "fusion_table": "lidar_core.fusion:TableOptions",
+    "overflight": "lidar_core.sim:Overflight",
     "pose_noise": "lidar_core.sim:PoseNoise",
     "poses": "lidar_core.io:PoseOptions",
     "read": "lidar_core.io:ReadOptions",

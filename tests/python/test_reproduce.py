@@ -69,6 +69,7 @@ SHORT = {
     ),
     "circles-lab": Short(("barrel: radius, RMS", "person is one element"), modes=("best_mode",)),
     "fusion-rmse": Short(("2-D RMSE, linear KF", "2-D RMSE, EKF-CTRV"), scans=1),
+    "fusion-fig4": Short(("walking: RMSE of z", "driving: 3-D RMSE"), scans=1),
     "fusion-fig7": Short(("RMSE of x, filter", "RMSE of y, filter"), scans=1),
     "fusion-fig8": Short(("2-D RMSE in the figure, filter",), scans=1),
     "fusion-fig9": Short(("2-D RMSE, label 16 dB, filter",), scans=1),

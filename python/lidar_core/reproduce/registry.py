@@ -25,6 +25,7 @@ MODULES = (
     "circles_fig8",
     "circles_lab",
     "fusion_rmse",
+    "fusion_fig4",
     "fusion_fig7",
     "fusion_fig8",
     "fusion_fig9",

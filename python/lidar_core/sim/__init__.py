@@ -16,6 +16,7 @@ from lidar_core.sim.motions import (
     Waypoints,
 )
 from lidar_core.sim.noise import NoisyPoses, PoseNoise
+from lidar_core.sim.overflight import Overflight, Overflown, overfly
 from lidar_core.sim.paths import FigureEight, StopAndGo, Swinging, Wandering
 from lidar_core.sim.people import Barrel, Person
 from lidar_core.sim.recording import Recorded, record
@@ -53,6 +54,8 @@ __all__ = [
     "Mesh",
     "NoisyPoses",
     "ObjectTruth",
+    "Overflight",
+    "Overflown",
     "Person",
     "Planar",
     "Plane",
@@ -81,6 +84,7 @@ __all__ = [
     "circle_scenes",
     "hexacopter_mesh",
     "insert_target",
+    "overfly",
     "record",
     "scenes",
     "simulate",

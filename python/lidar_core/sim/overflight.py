@@ -1,0 +1,200 @@
+"""A drone with a LiDAR and a radar above a target on the ground: what they measure, and the truth.
+
+Both sensors swivel so that their plane meets the target, and say by how much.
+"""
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from lidar_core.config import Config
+from lidar_core.io.atomic import written_whole
+
+COLUMNS = (
+    "t_ns", "x", "y", "z", "vx", "vy", "vz", "drone_x", "drone_y", "drone_z", "drone_yaw",
+    "drone_pitch",
+)  # fmt: skip
+
+
+class Overflight(Config):
+    """A drone that flies ahead and swings in yaw and pitch, and a target on level ground.
+
+    Source: Remote Sens. 2023, 15, 3396, Figs 3-5. Speeds and heights of the defaults: somebody
+    who walks.
+    """
+
+    seconds: float = Field(30.0, gt=0, le=3600, description="Duration [s].")
+    rate: float = Field(20.0, gt=0, le=1000, description="Rows per second, LiDAR and radar in"
+                        " turn [Hz].")  # fmt: skip
+    height: float = Field(6.0, gt=0, le=1000, description="Of the sensors above the target [m].")
+    speed: float = Field(1.2, ge=0, le=100, description="Of the drone, along x [m/s].")
+    yaw_rate: float = Field(0.5, ge=0, le=10, description="Greatest, to and fro [rad/s].")
+    yaw_period: float = Field(8.0, gt=0, description="From one turn to the next alike [s].")
+    pitch_deg: float = Field(5.0, ge=0, le=45, description="Greatest pitch, up and down [deg].")
+    pitch_period: float = Field(3.0, gt=0, description="Period of the pitch [s].")
+    target_start: float = Field(8.0, description="Of the target, ahead of the drone [m].")
+    target_speed: float = Field(1.4, ge=0, le=100, description="Of the target [m/s].")
+    target_turn_rate: float = Field(
+        0.3, ge=0, le=10, description="Of the target, greatest, to and fro [rad/s]."
+    )
+    target_turn_period: float = Field(
+        12.0, gt=0, description="From one of its turns to the next alike [s]."
+    )
+    lidar_std: float = Field(0.05, ge=0, description="Of x and y in the LiDAR's plane [m].")
+    radar_std: tuple[float, float, float] = Field(
+        (0.2, 0.02, 0.15), description="Of range [m], bearing [rad] and range rate [m/s]."
+    )
+    swivel_std: float = Field(0.01, ge=0, description="Of the angle of the swivel [rad].")
+    pitch_std: float = Field(0.005, ge=0, description="Of the pitch that is known [rad].")
+    gyro_std: float = Field(0.01, ge=0, description="Of the turn rate [rad/s].")
+
+
+@dataclass(frozen=True, slots=True)
+class Overflown:
+    """What was measured, and the truth; a row per measurement.
+
+    Attributes
+    ----------
+    stamps_ns : ndarray, shape (K,), int64
+        Times [ns].
+    is_lidar : ndarray, shape (K,), bool
+        Whether the row is of the LiDAR, else of the radar.
+    values : ndarray, shape (K, 3)
+        In the swivelled plane: x, y [m] and nothing; or range [m], bearing [rad], range rate
+        [m/s].
+    swivel, pitch : ndarray, shape (K,)
+        Measured: angle of the plane above that of the drone's body, and the body's pitch, nose
+        down [rad].
+    gyro : ndarray, shape (K,)
+        Measured turn rate [rad/s].
+    drone : ndarray, shape (K, 3)
+        True position of the sensors, world [m].
+    yaw, yaw_rate : ndarray, shape (K,)
+        True heading [rad] and turn rate [rad/s].
+    drone_velocity : ndarray, shape (K, 3)
+        World [m/s].
+    true_pitch : ndarray, shape (K,)
+        Nose down [rad].
+    position, velocity : ndarray, shape (K, 3)
+        Of the target, world [m], [m/s].
+    """
+
+    stamps_ns: NDArray[np.int64]
+    is_lidar: NDArray[np.bool_]
+    values: NDArray[np.float64]
+    swivel: NDArray[np.float64]
+    pitch: NDArray[np.float64]
+    gyro: NDArray[np.float64]
+    drone: NDArray[np.float64]
+    yaw: NDArray[np.float64]
+    yaw_rate: NDArray[np.float64]
+    drone_velocity: NDArray[np.float64]
+    true_pitch: NDArray[np.float64]
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+
+    def write_truth(self, path: str | Path) -> None:
+        """Write target and drone as CSV: t_ns, then m, m/s and rad, world."""
+        angles = np.stack([self.yaw, self.true_pitch], axis=1)
+        rows = np.hstack([self.position, self.velocity, self.drone, angles]).tolist()
+        with (
+            written_whole(Path(path)) as temporary,
+            temporary.open("w", newline="", encoding="utf-8") as file,
+        ):
+            writer = csv.writer(file)
+            writer.writerow(COLUMNS)
+            writer.writerows(
+                [stamp, *row] for stamp, row in zip(self.stamps_ns.tolist(), rows, strict=True)
+            )
+
+
+def overfly(config: Overflight, *, seed: int) -> Overflown:
+    """Simulate LiDAR and radar of a drone above a target.
+
+    Parameters
+    ----------
+    config : Overflight
+    seed : int
+        Of all errors, >= 0.
+
+    Returns
+    -------
+    Overflown
+
+    Examples
+    --------
+    >>> made = overfly(Overflight(seconds=1.0), seed=0)
+    >>> made.values.shape, made.position[0].tolist()
+    ((20, 3), [8.0, 0.0, 0.0])
+    """
+    rng = np.random.default_rng([20230703, seed])
+    seconds = np.arange(max(2, round(config.seconds * config.rate))) / config.rate
+    swings = 2 * np.pi / config.yaw_period
+    yaw = config.yaw_rate / swings * np.sin(swings * seconds)
+    yaw_rate = config.yaw_rate * np.cos(swings * seconds)
+    pitch = np.deg2rad(config.pitch_deg) * np.sin(2 * np.pi * seconds / config.pitch_period)
+    position, velocity = _walk(config, seconds)
+    own = np.array([config.speed, 0.0, 0.0])
+    drone = seconds[:, None] * own + np.array([0.0, 0.0, config.height])
+    polar, swivel = _swivelled(position - drone, velocity - own, yaw, pitch)
+    is_lidar = np.asarray(np.arange(len(seconds)) % 2 == 0)
+    return Overflown(
+        stamps_ns=np.round(seconds * 1e9).astype(np.int64),
+        is_lidar=is_lidar,
+        values=_measured(polar, is_lidar, config, rng),
+        swivel=swivel + config.swivel_std * rng.normal(size=len(yaw)),
+        pitch=pitch + config.pitch_std * rng.normal(size=len(yaw)),
+        gyro=yaw_rate + config.gyro_std * rng.normal(size=len(yaw)),
+        drone=drone,
+        yaw=yaw,
+        yaw_rate=yaw_rate,
+        drone_velocity=np.tile(own, (len(yaw), 1)),
+        true_pitch=pitch,
+        position=position,
+        velocity=velocity,
+    )
+
+
+def _walk(
+    config: Overflight, seconds: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Position and velocity (K, 3) of the target: arcs from row to row."""
+    swings = 2 * np.pi / config.target_turn_period
+    heading = config.target_turn_rate / swings * np.sin(swings * seconds)
+    flat = np.stack([np.cos(heading), np.sin(heading), 0 * heading], axis=1)
+    turns = np.diff(heading)
+    middle = heading[:-1] + turns / 2
+    chords = config.target_speed / config.rate * np.sinc(turns / 2 / np.pi)
+    steps = chords[:, None] * np.stack([np.cos(middle), np.sin(middle), 0 * middle], axis=1)
+    start = np.array([[config.target_start, 0.0, 0.0]])
+    return np.cumsum(np.vstack([start, steps]), axis=0), config.target_speed * flat
+
+
+def _swivelled(
+    sight: NDArray[np.float64],
+    relative: NDArray[np.float64],
+    yaw: NDArray[np.float64],
+    pitch: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Range, bearing and range rate (K, 3) in the plane that meets the target, and its angle."""
+    c, s, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
+    x, y, z = c * sight[:, 0] + s * sight[:, 1], c * sight[:, 1] - s * sight[:, 0], sight[:, 2]
+    ahead, up = cp * x - sp * z, sp * x + cp * z
+    far = np.linalg.norm(sight, axis=1)
+    rate = (sight * relative).sum(axis=1) / far
+    return np.stack([far, np.arctan2(y, ahead), rate], axis=1), np.arcsin(up / far)
+
+
+def _measured(
+    polar: NDArray[np.float64], is_lidar: NDArray[np.bool_], config: Overflight, rng: Any
+) -> NDArray[np.float64]:
+    far, bearing, _ = polar.T
+    radar = polar + rng.normal(size=polar.shape) * config.radar_std
+    lidar = np.stack([far * np.cos(bearing), far * np.sin(bearing), 0 * far], axis=1)
+    lidar[:, :2] += config.lidar_std * rng.normal(size=(len(far), 2))
+    return np.where(is_lidar[:, None], lidar, radar)
