@@ -15,6 +15,7 @@ USED_BY = {
     "flying": "`lidar-core detect --config`, `lidar_core.flying.FlyingObjectDetector`",
     "fusion": "`lidar-core fuse`, `lidar_core.fusion.TargetFilter`, `lidar_core.fusion.run`",
     "fusion_table": "`lidar-core fuse`, `lidar_core.fusion.read_measurements`",
+    "overflight": "`lidar_core.sim.overfly`, `lidar-core reproduce`",
     "pose_noise": "`lidar_core.sim.NoisyPoses`, `lidar-core reproduce`",
     "poses": "`lidar-core detect`, `lidar_core.io.posed_scans`",
     "read": "`lidar-core info`, `lidar-core detect`, `lidar_core.io.open_recording`",
