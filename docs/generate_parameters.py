@@ -14,6 +14,8 @@ USED_BY = {
     "flight": "`lidar_core.sim`: a target in a real scan",
     "flying": "`lidar-core detect --config`, `lidar_core.flying.FlyingObjectDetector`",
     "fusion": "`lidar-core fuse`, `lidar_core.fusion.TargetFilter`, `lidar_core.fusion.run`",
+    "fusion_autoferry": "`lidar-core fuse`, `lidar_core.fusion.read_autoferry`",
+    "fusion_many": "`lidar-core fuse`, `lidar_core.fusion.MultiTargetTracker`",
     "fusion_table": "`lidar-core fuse`, `lidar_core.fusion.read_measurements`",
     "overflight": "`lidar_core.sim.overfly`, `lidar-core reproduce`",
     "pose_noise": "`lidar_core.sim.NoisyPoses`, `lidar-core reproduce`",

@@ -14,6 +14,7 @@ __all__ = [
     "FusionStep",
     "Measurement",
     "Measurements",
+    "MultiTargetTracker",
     "PointCloudTracker",
     "PreparedSweep",
     "SimScene",
@@ -152,6 +153,16 @@ _RunArrays: TypeAlias = tuple[
     NDArray[np.float64],
     NDArray[np.float64],
     NDArray[np.float64],
+]
+
+_TargetArrays: TypeAlias = tuple[
+    NDArray[np.int64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.int64],
+    NDArray[np.int64],
+    NDArray[np.int64],
+    NDArray[np.bool_],
 ]
 
 def fusion_run(config: object, measurements: Measurements) -> _RunArrays: ...
@@ -511,6 +522,14 @@ class FusionStep:
     def innovation(self) -> NDArray[np.float64] | None: ...
     @property
     def nis(self) -> float | None: ...
+
+@final
+class MultiTargetTracker:
+    def __new__(cls, config: object) -> Self: ...
+    def process(
+        self, stamp_ns: int, source: int, measurements: Measurements
+    ) -> NDArray[np.int64]: ...
+    def tracks_at(self, stamp_ns: int) -> _TargetArrays: ...
 
 @final
 class TargetFilter:

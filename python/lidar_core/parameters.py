@@ -22,6 +22,8 @@ MODELS = {
     "flight": "lidar_core.sim:InsertedFlight",
     "flying": "lidar_core.flying:FlyingConfig",
     "fusion": "lidar_core.fusion:FusionConfig",
+    "fusion_autoferry": "lidar_core.fusion:AutoferryOptions",
+    "fusion_many": "lidar_core.fusion:MultiTargetConfig",
     "fusion_table": "lidar_core.fusion:TableOptions",
     "overflight": "lidar_core.sim:Overflight",
     "pose_noise": "lidar_core.sim:PoseNoise",

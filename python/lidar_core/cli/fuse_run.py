@@ -11,10 +11,19 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from lidar_core.cli.common import draw
+from lidar_core.config import Config
 from lidar_core.errors import InputError, NumericalError
 from lidar_core.estimation import chi2_quantile
 from lidar_core.evaluation import nees
-from lidar_core.fusion import FusionConfig, Measurement, MeasurementLog, Run, run, smooth
+from lidar_core.fusion import (
+    FusionConfig,
+    Measurement,
+    MeasurementLog,
+    Run,
+    TableOptions,
+    run,
+    smooth,
+)
 from lidar_core.fusion.states import state_names, velocities
 from lidar_core.io.tracks import write_trajectories
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
@@ -36,6 +45,10 @@ class TargetRun:
     result : Run
         Row for row as the log.
     config : FusionConfig
+    options : TableOptions
+        How it was read.
+    lag : float or None
+        Of the smoother [s].
     seconds : float
         Time that the filter took [s].
     """
@@ -43,10 +56,19 @@ class TargetRun:
     log: MeasurementLog
     result: Run
     config: FusionConfig
+    options: TableOptions
+    lag: float | None
     seconds: float
 
     @classmethod
-    def of(cls, log: MeasurementLog, config: FusionConfig, *, lag: float | None) -> "TargetRun":
+    def of(
+        cls,
+        log: MeasurementLog,
+        config: FusionConfig,
+        options: TableOptions,
+        *,
+        lag: float | None,
+    ) -> "TargetRun":
         """Filter a log, or smooth it with a lag [s]."""
         ordered = _in_order(log)
         start = perf_counter()
@@ -54,7 +76,12 @@ class TargetRun:
             result = run(ordered.measurements, config)
         else:
             result = smooth(ordered.measurements, config, lag=lag)
-        return cls(ordered, result, config, perf_counter() - start)
+        return cls(ordered, result, config, options, lag, perf_counter() - start)
+
+    @property
+    def configs(self) -> dict[str, Config]:
+        """What run.toml keeps."""
+        return {"fusion": self.config, "fusion_table": self.options}
 
     @property
     def sensors(self) -> NDArray[np.str_]:
@@ -112,6 +139,10 @@ class TargetRun:
             for sensor, (_, values, limit) in self.nis().items()
         }
         return {
+            "format": self.log.format,
+            "model": self.config.model,
+            "method": self.config.method,
+            "lag": self.lag,
             "measurements": dict(Counter(sensors.tolist())),
             "outcomes": dict(Counter(self.result.outcomes.tolist())),
             "duration": duration,

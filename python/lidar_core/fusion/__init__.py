@@ -1,7 +1,11 @@
-"""One target, seen by LiDAR and radar from a platform that may move."""
+"""Targets, one or many, seen by LiDAR and radar from a platform that may move."""
 
+from lidar_core.fusion.autoferry import DetectionScan, read_autoferry
 from lidar_core.fusion.config import FusionConfig, PublishedModel
+from lidar_core.fusion.coverage import TargetCoverage, mean_gospa, target_coverage
 from lidar_core.fusion.filter import TargetFilter
+from lidar_core.fusion.many import MultiTargetTracker, TargetTracks
+from lidar_core.fusion.many_config import AutoferryOptions, MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, Measurements
 from lidar_core.fusion.reading import TargetRecording, TargetTruth, read_laser_radar
 from lidar_core.fusion.run import Run, run, run_batch, smooth
@@ -10,24 +14,33 @@ from lidar_core.fusion.table import MeasurementLog, TableOptions, read_measureme
 from lidar_core.fusion.tuning import fit_noise
 
 __all__ = [
+    "AutoferryOptions",
+    "DetectionScan",
     "FusionConfig",
     "LevelSight",
     "Measurement",
     "MeasurementLog",
     "Measurements",
+    "MultiTargetConfig",
+    "MultiTargetTracker",
     "PublishedModel",
     "Run",
     "SpaceTrack",
     "TableOptions",
+    "TargetCoverage",
     "TargetFilter",
     "TargetRecording",
+    "TargetTracks",
     "TargetTruth",
     "fit_noise",
     "in_space",
     "level_sight",
+    "mean_gospa",
+    "read_autoferry",
     "read_laser_radar",
     "read_measurements",
     "run",
     "run_batch",
     "smooth",
+    "target_coverage",
 ]

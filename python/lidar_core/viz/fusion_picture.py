@@ -52,7 +52,8 @@ def _compose(figure: Any, view: FusionView) -> None:
     first = min((int(times[0]) for times in stamps if len(times)), default=0)
     for axis, name in enumerate("xy"):
         _over_time(figure.add_subplot(grid[axis, 1]), view, axis, name, first)
-    _consistency(figure.add_subplot(grid[2, 1]), view, first)
+    last = _consistency if view.nis or not view.tracks else _counts
+    last(figure.add_subplot(grid[2, 1]), view, first)
 
 
 def _above(axes: Any, view: FusionView) -> None:
@@ -135,3 +136,12 @@ def _consistency(axes: Any, view: FusionView, first: int) -> None:
     axes.grid(visible=True)
     if view.nis:
         axes.legend(fontsize=8, loc="upper right", ncols=2)
+
+
+def _counts(axes: Any, view: FusionView, first: int) -> None:
+    """Number of tracks over time."""
+    stamps = np.unique(np.concatenate([line.stamp_ns for line in view.tracks.values()]))
+    counts = sum(np.isin(stamps, line.stamp_ns).astype(int) for line in view.tracks.values())
+    axes.step((stamps - first) * 1e-9, counts, where="post", color=colour_of(0), lw=1.4)
+    axes.set(title="tracks", xlabel="time [s]", ylim=(0, None))
+    axes.grid(visible=True)

@@ -168,7 +168,7 @@ type RunArrays<'py> = (
 
 /// Measurements of one target.
 #[pyclass(frozen, name = "Measurements", module = "lidar_core._core")]
-pub(crate) struct PyMeasurements(Vec<Measurement>);
+pub(crate) struct PyMeasurements(pub(crate) Vec<Measurement>);
 
 #[pymethods]
 impl PyMeasurements {

@@ -16,6 +16,7 @@ mod flying;
 mod flying_config;
 mod fusion;
 mod fusion_config;
+mod fusion_many;
 mod geometry;
 mod guard;
 mod sim;
@@ -50,6 +51,8 @@ mod _core {
         PyFusionStep, PyMeasurement, PyMeasurements, PyTargetFilter, fusion_fit_noise,
         fusion_outcomes, fusion_run, fusion_run_batch, fusion_smooth,
     };
+    #[pymodule_export]
+    use super::fusion_many::PyMultiTargetTracker;
     #[pymodule_export]
     use super::geometry::{cluster_points, traverse};
     #[pymodule_export]

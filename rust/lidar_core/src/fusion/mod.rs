@@ -11,6 +11,7 @@ pub mod filter;
 pub mod heading;
 pub mod imm;
 pub mod likelihood;
+pub mod many;
 pub mod measurement;
 pub mod motion;
 pub mod paper;
@@ -23,5 +24,6 @@ pub mod target;
 pub mod turn;
 
 pub use filter::{Filter, FusionParameters, Method, Model, Strengths};
+pub use many::{ManyParameters, ManyTargets, TrackState};
 pub use measurement::{Measurement, Sensor};
 pub use record::{Record, run, run_batch, smooth};

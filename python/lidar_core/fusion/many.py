@@ -1,0 +1,150 @@
+"""Tracks of many targets, scan by scan."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core import _core
+from lidar_core.arrays import as_stamp
+from lidar_core.config import as_config
+from lidar_core.errors import LimitError
+from lidar_core.fusion.many_config import MultiTargetConfig
+from lidar_core.fusion.measurement import Measurement, as_measurements
+from lidar_core.fusion.states import state_names, velocities
+
+MAX_SOURCES = 64
+"""Scanners that one tracker tells apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class TargetTracks:
+    """Tracks at one time, a row per track.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Time of the states [ns].
+    id : ndarray, shape (T,), int64
+        Numbers, never given again.
+    states : ndarray, shape (T, n)
+        As the model has them.
+    covariances : ndarray, shape (T, n, n)
+    velocity : ndarray, shape (T, 2)
+        [m/s].
+    born_ns, seen_ns : ndarray, shape (T,), int64
+        Times of the first and the last measurement [ns].
+    hits : ndarray, shape (T,), int64
+        Measurements.
+    confirmed : ndarray, shape (T,), bool
+    """
+
+    stamp_ns: int
+    id: NDArray[np.int64]
+    states: NDArray[np.float64]
+    covariances: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    born_ns: NDArray[np.int64]
+    seen_ns: NDArray[np.int64]
+    hits: NDArray[np.int64]
+    confirmed: NDArray[np.bool_]
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Positions (T, 2) [m]."""
+        return self.states[:, :2]
+
+
+class MultiTargetTracker:
+    """Targets that LiDAR and radar see, any number of them.
+
+    Measurements are assigned by global nearest neighbours, first to the confirmed tracks; what is
+    left starts new ones. With measurements "pose" in a scan, tracks are in the world.
+
+    Parameters
+    ----------
+    config : MultiTargetConfig, optional
+
+    Raises
+    ------
+    ConfigError
+        A parameter is outside its range.
+
+    Examples
+    --------
+    >>> tracker = MultiTargetTracker()
+    >>> for k in range(5):
+    ...     scan = [Measurement(k * 100_000_000, "lidar", [x, 0.1 * k]) for x in (3.0, 8.0)]
+    ...     numbers = tracker.process(k * 100_000_000, scan, source="lidar")
+    >>> numbers.tolist(), tracker.tracks_at(400_000_000).id.tolist()
+    ([0, 1], [0, 1])
+    """
+
+    def __init__(self, config: MultiTargetConfig | None = None) -> None:
+        self.config = as_config(config, MultiTargetConfig)
+        self._tracker = _core.MultiTargetTracker(self.config)
+        self._sources: dict[str, int] = {}
+
+    def process(
+        self, stamp_ns: int, measurements: Iterable[Measurement], *, source: str
+    ) -> NDArray[np.int64]:
+        """Take in what one scanner saw at one time; an empty scan is information, too.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Time of the scan and its measurements [ns].
+        measurements : iterable of Measurement
+            Of targets, one each, and of the platform's motion.
+        source : str
+            Name of the scanner. Only scans of scanners that have measured a track count against
+            it while it waits for its confirmation.
+
+        Returns
+        -------
+        id : ndarray, shape (K,), int64
+            Track of every measurement, confirmed or not; -1 for none.
+
+        Raises
+        ------
+        InputError
+            An older scan than the last, a measurement of another time, something else.
+        LimitError
+            More than 2000 measurements or tracks, more than 64 scanners.
+        """
+        stamp = as_stamp(stamp_ns)
+        number = self._sources.get(source, len(self._sources))
+        if number >= MAX_SOURCES:
+            raise LimitError(f"source: {source!r} is one of more than {MAX_SOURCES} scanners")
+        numbers = self._tracker.process(stamp, number, as_measurements(measurements)._core)
+        self._sources[source] = number
+        return numbers
+
+    def tracks_at(self, stamp_ns: int, *, confirmed: bool = True) -> TargetTracks:
+        """Tracks, predicted to a time.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            A time before the last measurement of a track gives its state at that measurement [ns].
+        confirmed : bool
+            Whether tracks that still wait for their confirmation are left out.
+        """
+        stamp = as_stamp(stamp_ns)
+        ids, states, covariances, born, seen, hits, is_sure = self._tracker.tracks_at(stamp)
+        if not len(ids):
+            width = len(state_names(self.config.target))
+            states, covariances = np.empty((0, width)), np.empty((0, width, width))
+        rows = is_sure if confirmed else np.ones(len(ids), np.bool_)
+        return TargetTracks(
+            stamp_ns=stamp,
+            id=ids[rows],
+            states=states[rows],
+            covariances=covariances[rows],
+            velocity=velocities(states[rows], self.config.target),
+            born_ns=born[rows],
+            seen_ns=seen[rows],
+            hits=hits[rows],
+            confirmed=is_sure[rows],
+        )

@@ -1,0 +1,100 @@
+"""Configuration of the tracker of many targets, and of boats as a harbour ferry sees them."""
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from lidar_core.config import Config
+from lidar_core.fusion.config import FusionConfig
+
+
+class MultiTargetConfig(Config):
+    """Tracks of many targets from scans of LiDAR and radar.
+
+    Source: Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and
+    Navigation", 2001; Blackman & Popoli, "Design and Analysis of Modern Tracking Systems", 1999.
+    """
+
+    target: FusionConfig = Field(
+        FusionConfig(),
+        description="The filter of each target; its gate decides which measurements may be one's."
+        " `loss_ratio` and `buffer_time` are not used: scans come in order, and a lost track ends.",
+    )
+    confirm_hits: int = Field(
+        3,
+        ge=1,
+        le=64,
+        description="Scans of the last `confirm_window` that must have measured a track before it"
+        " is confirmed (count, no unit).",
+    )
+    confirm_window: int = Field(
+        5,
+        ge=1,
+        le=64,
+        description="Scans looked back on for that, of scanners that have measured the track"
+        " (count, no unit).",
+    )
+    max_coast: float = Field(
+        2.0,
+        gt=0,
+        le=1e6,
+        description="A track ends when it has not been measured for longer [s].",
+    )
+    max_position_std: float = Field(
+        5.0,
+        gt=0,
+        le=1e6,
+        description="A track ends when the standard deviation of its x or y is larger [m].",
+    )
+    birth_distance: float = Field(
+        0.0,
+        ge=0,
+        le=1e6,
+        description="No track starts nearer than this to one that the same scan measured: parts"
+        " of an object are no objects [m].",
+    )
+
+    @classmethod
+    def boats(cls) -> Self:
+        """Return what suits boats of 10 to 40 m, scanned every 0.5 to 2 s."""
+        return cls(
+            target=FusionConfig(
+                model="cv",
+                acceleration_noise=0.3,
+                initial_position=5.0,
+                initial_speed=6.0,
+                gate_probability=0.999,
+            ),
+            confirm_hits=3,
+            confirm_window=6,
+            max_coast=15.0,
+            max_position_std=12.0,
+            birth_distance=20.0,
+        )
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if self.confirm_hits > self.confirm_window:
+            raise ValueError("confirm_hits: expected at most confirm_window")
+        return self
+
+
+class AutoferryOptions(Config):
+    """Errors of the scanners of the Autoferry recordings, which do not tell any.
+
+    Source: differences from the truth in scenarios 2 and 13, antennas and hulls included.
+    """
+
+    lidar_std: float = Field(
+        3.0, gt=0, le=1e6, description="Standard deviation of the LiDAR's x and y [m]."
+    )
+    radar_std: float = Field(
+        5.0, gt=0, le=1e6, description="Standard deviation of the radar's x and y, near by [m]."
+    )
+    radar_bearing_std: float = Field(
+        0.02,
+        ge=0,
+        le=3,
+        description="Standard deviation of the radar's bearing, added across the line of sight"
+        " [rad].",
+    )

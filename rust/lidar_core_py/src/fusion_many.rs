@@ -1,0 +1,100 @@
+//! Bindings of `lidar_core::fusion::many`.
+
+use crate::errors::BorderError;
+use crate::fusion::PyMeasurements;
+use crate::fusion_config::FusionConfig;
+use crate::guard::{Guarded, detached};
+use lidar_core::Error;
+use lidar_core::fusion::many::MAX_SOURCES;
+use lidar_core::fusion::{ManyParameters, ManyTargets, TrackState};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
+use pyo3::prelude::*;
+
+/// The fields of `MultiTargetConfig`.
+#[derive(FromPyObject)]
+pub(crate) struct MultiTargetConfig {
+    target: FusionConfig,
+    confirm_hits: u32,
+    confirm_window: u32,
+    max_coast: f64,
+    max_position_std: f64,
+    birth_distance: f64,
+}
+
+impl MultiTargetConfig {
+    fn parameters(&self) -> Result<ManyParameters, Error> {
+        Ok(ManyParameters {
+            filter: self.target.parameters()?,
+            confirm_hits: self.confirm_hits,
+            confirm_window: self.confirm_window,
+            max_coast: self.max_coast,
+            max_position_std: self.max_position_std,
+            birth_distance: self.birth_distance,
+        })
+    }
+}
+
+#[pyclass(frozen, name = "MultiTargetTracker", module = "lidar_core._core")]
+pub(crate) struct PyMultiTargetTracker(Guarded<ManyTargets>);
+
+/// Numbers, states, covariances, times of birth and last measurement, measurements, confirmed.
+type TrackArrays<'py> = (
+    Bound<'py, PyArray1<i64>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray1<i64>>,
+    Bound<'py, PyArray1<i64>>,
+    Bound<'py, PyArray1<i64>>,
+    Bound<'py, PyArray1<bool>>,
+);
+
+#[pymethods]
+impl PyMultiTargetTracker {
+    #[new]
+    fn new(py: Python<'_>, config: MultiTargetConfig) -> Result<Self, BorderError> {
+        let tracker = detached(py, || ManyTargets::new(&config.parameters()?))?;
+        Ok(Self(Guarded::new(tracker)))
+    }
+
+    /// Track of every measurement, -1 for none.
+    fn process<'py>(
+        &self,
+        py: Python<'py>,
+        stamp_ns: i64,
+        source: i64,
+        measurements: PyRef<'py, PyMeasurements>,
+    ) -> Result<Bound<'py, PyArray1<i64>>, BorderError> {
+        let source = u8::try_from(source).unwrap_or(MAX_SOURCES);
+        let scan = &measurements.0;
+        let numbers = self.0.with(py, |tracker| tracker.process(stamp_ns, source, scan))?;
+        let numbers: Vec<i64> = numbers.into_iter().map(|number| number.unwrap_or(-1)).collect();
+        Ok(numbers.into_pyarray(py))
+    }
+
+    fn tracks_at<'py>(
+        &self,
+        py: Python<'py>,
+        stamp_ns: i64,
+    ) -> Result<TrackArrays<'py>, BorderError> {
+        arrays(py, &self.0.with(py, |tracker| Ok(tracker.tracks_at(stamp_ns)))?)
+    }
+}
+
+fn arrays<'py>(py: Python<'py>, tracks: &[TrackState]) -> Result<TrackArrays<'py>, BorderError> {
+    let (count, size) = (tracks.len(), tracks.first().map_or(0, |track| track.output.count));
+    let numbers = |value: fn(&TrackState) -> i64| {
+        tracks.iter().map(value).collect::<Vec<i64>>().into_pyarray(py)
+    };
+    let means = tracks.iter().flat_map(|track| &track.output.mean[..size]);
+    let rows = tracks.iter().flat_map(|track| &track.output.covariance[..size]);
+    let entries = rows.flat_map(|row| &row[..size]);
+    Ok((
+        numbers(|track| track.id),
+        means.copied().collect::<Vec<f64>>().into_pyarray(py).reshape([count, size])?,
+        entries.copied().collect::<Vec<f64>>().into_pyarray(py).reshape([count, size, size])?,
+        numbers(|track| track.born_ns),
+        numbers(|track| track.seen_ns),
+        numbers(|track| i64::from(track.hits)),
+        tracks.iter().map(|track| track.confirmed).collect::<Vec<bool>>().into_pyarray(py),
+    ))
+}

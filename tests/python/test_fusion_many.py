@@ -1,0 +1,336 @@
+"""Many targets: oracle, life of tracks, bad input, the Autoferry recordings."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from lidar_core.cli import app
+from lidar_core.errors import ConfigError, FormatError, InputError, LimitError
+from lidar_core.estimation import chi2_quantile
+from lidar_core.fusion import (
+    AutoferryOptions,
+    FusionConfig,
+    Measurement,
+    MultiTargetConfig,
+    MultiTargetTracker,
+    mean_gospa,
+    read_autoferry,
+    target_coverage,
+)
+from reference.fusion_many import ManyTargets
+
+STEP_NS = 500_000_000
+ORACLE = 1e-9
+"""Inverses instead of factors, over tens of scans, relative to metres."""
+GATE = 0.99
+SMALL = MultiTargetConfig(
+    target=FusionConfig(model="cv", method="kf", lidar_std=(0.5, 0.4), acceleration_noise=0.7,
+                        gate_probability=GATE),
+    confirm_hits=2, confirm_window=3, max_coast=1.6, max_position_std=8.0, birth_distance=1.5,
+)  # fmt: skip
+SCENARIOS = (2, 3, 4, 5, 13, 17)
+COVERED = 0.85
+"""The goal: share of the time for which a target has a track."""
+
+
+def lidar(stamp_ns, places):
+    return [Measurement(stamp_ns, "lidar", place) for place in places]
+
+
+def feed(tracker, scans, source="lidar"):
+    return [tracker.process(k * STEP_NS, lidar(k * STEP_NS, scan), source=source).tolist()
+            for k, scan in enumerate(scans)]  # fmt: skip
+
+
+@given(st.integers(6300, 6999))
+def test_the_tracker_agrees_with_the_oracle(seed):
+    rng = np.random.default_rng(seed)
+    tracker = MultiTargetTracker(SMALL)
+    oracle = ManyTargets(SMALL, gate=chi2_quantile(GATE, degrees=2))
+    place, speed = rng.uniform(-5, 5, (3, 2)), rng.normal(0, 1.5, (3, 2))
+    stamp = 0
+    for _ in range(14):
+        stamp += int(rng.integers(1, 8)) * 100_000_000
+        source = str(rng.choice(["left", "right"]))
+        seen = (place + speed * stamp * 1e-9)[rng.random(3) < 0.75]
+        seen = seen + rng.normal(0, 0.45, seen.shape)
+        seen = np.vstack([seen, rng.uniform(-12, 12, (int(rng.random() < 0.3), 2))])
+        got = tracker.process(stamp, lidar(stamp, seen), source=source)
+        assert got.tolist() == oracle.process(stamp, seen, source)
+        tracks = tracker.tracks_at(stamp, confirmed=False)
+        assert tracks.id.tolist() == [track["id"] for track in oracle.tracks]
+        assert tracks.confirmed.tolist() == [track["confirmed"] for track in oracle.tracks]
+        assert tracks.hits.tolist() == [track["hits"] for track in oracle.tracks]
+        for row, track in enumerate(oracle.tracks):
+            np.testing.assert_allclose(tracks.states[row], track["mean"], atol=ORACLE)
+            np.testing.assert_allclose(tracks.covariances[row], track["cov"], atol=ORACLE)
+
+
+def test_crossing_targets_keep_their_numbers():
+    config = MultiTargetConfig(target=FusionConfig(model="cv"))
+    time = np.arange(0, 10, 0.1)
+    rng = np.random.default_rng(6200)
+    tracker = MultiTargetTracker(config)
+    for t in time:
+        places = np.array([[-5 + t, -2 + 0.4 * t], [-5 + t, 2 - 0.4 * t]])
+        stamp = round(t * 1e9)
+        tracker.process(stamp, lidar(stamp, places + rng.normal(0, 0.1, (2, 2))), source="l")
+    tracks = tracker.tracks_at(round(time[-1] * 1e9))
+    assert tracks.id.tolist() == [0, 1]
+    np.testing.assert_allclose(tracks.position, places, atol=0.5)
+    np.testing.assert_allclose(tracks.velocity, [[1, 0.4], [1, -0.4]], atol=0.5)
+
+
+def test_radar_and_lidar_make_one_track_of_any_model():
+    rng = np.random.default_rng(6201)
+    for model, method in (("ctrv", "ukf"), ("ca", "imm"), ("ct", "ekf")):
+        tracker = MultiTargetTracker(
+            MultiTargetConfig(target=FusionConfig(model=model, method=method))
+        )
+        for k in range(60):
+            stamp, x = k * 50_000_000, 5 + 0.1 * k
+            polar = np.array([np.hypot(x, 2), np.arctan2(2, x), 2 * x / np.hypot(x, 2)])
+            if k % 2:
+                scan = [Measurement(stamp, "radar", polar + rng.normal(0, [0.2, 0.02, 0.2]))]
+            else:
+                scan = lidar(stamp, [np.array([x, 2]) + rng.normal(0, 0.1, 2)])
+            tracker.process(stamp, scan, source="radar" if k % 2 else "lidar")
+        tracks = tracker.tracks_at(stamp)
+        assert tracks.id.tolist() == [0]
+        np.testing.assert_allclose(tracks.position[0], [x, 2], atol=0.4)
+        np.testing.assert_allclose(tracks.velocity[0], [2, 0], atol=0.6)
+
+
+def test_a_track_is_confirmed_carried_on_and_ends():
+    tracker = MultiTargetTracker(SMALL)
+    assert feed(tracker, [[[0, 0]]]) == [[0]]
+    assert tracker.tracks_at(0).id.size == 0
+    assert tracker.tracks_at(0, confirmed=False).id.tolist() == [0]
+    tracker.process(STEP_NS, lidar(STEP_NS, [[0.1, 0]]), source="lidar")
+    assert tracker.tracks_at(STEP_NS).id.tolist() == [0]
+    for k in (2, 3, 4):
+        tracker.process(k * STEP_NS, [], source="lidar")
+        assert tracker.tracks_at(k * STEP_NS).id.tolist() == [0]
+    tracker.process(5 * STEP_NS, [], source="lidar")
+    assert tracker.tracks_at(5 * STEP_NS, confirmed=False).id.size == 0
+    later = tracker.process(6 * STEP_NS, lidar(6 * STEP_NS, [[0, 0]]), source="lidar")
+    assert later.tolist() == [1]
+
+
+def test_clutter_makes_no_confirmed_track():
+    tracker = MultiTargetTracker(SMALL)
+    feed(tracker, [[[10.0 * k, 0]] for k in range(8)])
+    assert tracker.tracks_at(8 * STEP_NS).id.size == 0
+
+
+def test_scans_of_a_scanner_that_never_saw_a_track_do_not_count_against_it():
+    for other, alive in (("radar", True), ("lidar", False)):
+        tracker = MultiTargetTracker(SMALL)
+        feed(tracker, [[[0, 0]]])
+        for k in (1, 2):
+            tracker.process(k * STEP_NS, [], source=other)
+        tracks = tracker.tracks_at(2 * STEP_NS, confirmed=False)
+        assert (tracks.id.size == 1) is alive
+
+
+def test_parts_of_a_measured_target_start_nothing():
+    tracker = MultiTargetTracker(SMALL)
+    numbers = feed(tracker, [[[0, 0]], [[0, 0], [1.2, 0]], [[0, 0], [3, 0]]])
+    assert numbers == [[0], [0, -1], [0, 1]]
+
+
+def test_poses_put_tracks_into_the_world():
+    tracker = MultiTargetTracker(SMALL)
+    for k in range(6):
+        stamp, x = k * STEP_NS, 0.4 * k
+        scan = [Measurement(stamp, "pose", [x, 0.0, np.pi / 2]), *lidar(stamp, [[3.0, x]])]
+        numbers = tracker.process(stamp, scan, source="lidar")
+        assert numbers.tolist() == [-1, 0]
+    np.testing.assert_allclose(tracker.tracks_at(stamp).position, [[0, 3]], atol=1e-6)
+
+
+def test_measurements_that_cannot_be_used_have_no_track():
+    tracker = MultiTargetTracker(SMALL)
+    assert feed(tracker, [[[np.nan, 0], [1, 1]]]) == [[-1, 0]]
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("stamp", "scan", "source", "error", "text"),
+    [
+        (0, [], "lidar", InputError, "the last one was of 1000000000 ns"),
+        (2 * STEP_NS, lidar(STEP_NS, [[0, 0]]), "lidar", InputError, "the stamp of the scan"),
+        (2 * STEP_NS, [3], "lidar", InputError, "Measurement"),
+        (
+            2 * STEP_NS,
+            lidar(2 * STEP_NS, np.zeros((2001, 2))),
+            "lidar",
+            LimitError,
+            "limit is 2000",
+        ),
+        (1.5, [], "lidar", InputError, "stamp"),
+    ],
+)
+def test_a_bad_scan_is_refused_and_changes_nothing(stamp, scan, source, error, text):
+    tracker, same = MultiTargetTracker(SMALL), MultiTargetTracker(SMALL)
+    for each in (tracker, same):
+        feed(each, [[[0, 0]], [[0.1, 0]], [[0.2, 0], [5, 5]]])
+    with pytest.raises(error, match=text):
+        tracker.process(stamp, scan, source=source)
+    for each in (tracker, same):
+        each.process(3 * STEP_NS, lidar(3 * STEP_NS, [[0.3, 0]]), source="lidar")
+    one, other = (each.tracks_at(3 * STEP_NS, confirmed=False) for each in (tracker, same))
+    np.testing.assert_array_equal(one.id, other.id)
+    np.testing.assert_array_equal(one.states, other.states)
+
+
+def test_too_many_scanners_are_refused():
+    tracker = MultiTargetTracker(SMALL)
+    for number in range(64):
+        tracker.process(0, [], source=str(number))
+    with pytest.raises(LimitError, match="more than 64"):
+        tracker.process(0, [], source="64")
+    tracker.process(0, [], source="3")
+
+
+def test_impossible_settings_are_refused():
+    with pytest.raises(ConfigError, match="confirm_hits"):
+        MultiTargetConfig(confirm_hits=4, confirm_window=3)
+    with pytest.raises(ConfigError, match="MultiTargetConfig"):
+        MultiTargetTracker(FusionConfig())
+
+
+# Autoferry
+
+
+def entry(sensor=1, time=10.0, measurement=(), own=(2.0, 1.0)):
+    return {"sensorID": sensor, "time": time, "measurement": measurement,
+            "ownshipPosition": list(own)}  # fmt: skip
+
+
+def scenario(folder, entries, truth=None):
+    path = folder / "scenario1_detections.json"
+    path.write_text(json.dumps(entries))
+    if truth is not None:
+        (folder / "scenario1_groundTruth.json").write_text(json.dumps(truth))
+    return path
+
+
+def test_north_and_east_become_y_and_x(tmp_path):
+    entries = [
+        entry(2, 11.5, [[4.0, 0.0], [10.0, -100.0]]), entry(4, 11.0, 0.3),
+        entry(1, 10.25, [3.0, 5.0]), entry(1, 12.0, []),
+    ]  # fmt: skip
+    truth = [[{"targetID": 7, "position": [20.0, 30.0, 0.0], "time": 11.4}], [], [], []]
+    scans = read_autoferry(
+        scenario(tmp_path, entries, truth), AutoferryOptions(radar_std=4.0, radar_bearing_std=0.1)
+    )
+    order = [(scan.source, scan.stamp_ns) for scan in scans]
+    assert order == [
+        ("lidar", 10_250_000_000),
+        ("radar", 11_500_000_000),
+        ("lidar", 12_000_000_000),
+    ]
+    assert scans[0].measurements[0].values.tolist() == [6.0, 5.0]
+    first, second = scans[1].measurements
+    assert first.values.tolist() == [11.0, 6.0]
+    assert second.values.tolist() == [-99.0, 2.0]
+    np.testing.assert_allclose(second.covariance, [[16, 0], [0, 16 + 100]], atol=1e-9)
+    assert scans[1].truth[7].tolist() == [30.0, 20.0]
+    assert scans[2].measurements == []
+    assert scans[2].sensor.tolist() == [1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        ({"a": 1}, "expected a list"),
+        ([{"sensorID": 1}], "entry 0: cannot be read: KeyError"),
+        ([entry(time=1e12)], "expected a time"),
+        ([entry(measurement=[1.0, 2.0, 3.0])], "entry 0"),
+        ([entry(own=[1.0])], "expected finite positions"),
+        ([entry(measurement=[float("nan"), 0.0])], "expected finite positions"),
+        ([5], "entry 0"),
+    ],
+)
+def test_broken_scenarios_are_told(tmp_path, content, text):
+    with pytest.raises(FormatError, match=text):
+        read_autoferry(scenario(tmp_path, content))
+
+
+def test_a_truth_of_another_length_is_refused(tmp_path):
+    with pytest.raises(FormatError, match="expected 1 entries"):
+        read_autoferry(scenario(tmp_path, [entry()], []))
+
+
+def test_coverage_leaves_detection_gaps_out(tmp_path):
+    places = [0.0, 1.0, 2.0, 10.0, 11.0]
+    truth = [[{"targetID": 1, "position": [0.0, 0.0]}]] * 5
+    entries = [entry(1, time, [0.0, 0.0], own=(0, 0)) for time in places]
+    scans = read_autoferry(scenario(tmp_path, entries, truth))
+    tracker = MultiTargetTracker(MultiTargetConfig(confirm_hits=1, confirm_window=1))
+    tracks = []
+    for scan in scans[:3]:
+        tracker.process(scan.stamp_ns, scan.measurements, source=scan.source)
+        tracks.append(tracker.tracks_at(scan.stamp_ns))
+    empty = MultiTargetTracker().tracks_at(0)
+    found = target_coverage(scans, [*tracks, empty, tracks[-1]], reach=1.0, gap=5.0)[1]
+    assert found.n_scans == 5
+    assert found.share == pytest.approx(4 / 5)
+    assert (found.n_ids, found.n_switches) == (1, 0)
+    assert found.rmse == pytest.approx(0, abs=1e-6)
+    fewer = target_coverage(scans[:4], [*tracks, empty], reach=1.0, gap=5.0)[1]
+    assert (fewer.n_scans, fewer.share) == (3, 1.0)
+    distance = mean_gospa(scans, [*tracks, empty, tracks[-1]], cutoff=2.0)["distance"]
+    assert distance == pytest.approx(np.sqrt(2) / 5, abs=1e-6)
+
+
+@pytest.mark.parametrize("number", SCENARIOS)
+def test_boats_are_tracked(recordings, number):
+    folder = recordings / "2d" / "autoferry" / f"scenario{number}"
+    scans = read_autoferry(folder / f"scenario{number}_detections.json")
+    tracker, tracks = MultiTargetTracker(MultiTargetConfig.boats()), []
+    for scan in scans:
+        tracker.process(scan.stamp_ns, scan.measurements, source=scan.source)
+        tracks.append(tracker.tracks_at(scan.stamp_ns))
+    for item in target_coverage(scans, tracks, reach=15.0, gap=5.0).values():
+        assert item.share >= COVERED
+
+
+def test_fuse_tracks_many(recordings, tmp_path):
+    path = recordings / "2d" / "autoferry" / "scenario13" / "scenario13_detections.json"
+    folder = tmp_path / "run"
+    arguments = ["fuse", str(path), "-o", str(folder), "--json", "-", "--model", "ct"]
+    out = CliRunner().invoke(app, arguments)
+    assert out.exit_code == 0, out.output or out.exception
+    result = json.loads(out.stdout)
+    assert result["model"] == "ct"
+    assert set(result["targets"]) == {"1", "2"}
+    assert result["gospa"]["distance"] > 0
+    assert set(result["files"]) <= {file.name for file in folder.iterdir()}
+    pytest.importorskip("pyarrow")
+    scored = CliRunner().invoke(app, ["evaluate", str(folder), str(folder), "--gate", "15",
+                                      "--max-distance", "500", "--json", "-"])  # fmt: skip
+    scores = json.loads(scored.stdout)["track_scores"]
+    assert scores["n_found"] > 0.5 * scores["n_eligible"]
+
+
+def test_fuse_refuses_what_is_for_one_target(tmp_path):
+    path = scenario(tmp_path, [entry()])
+    for more in (["--lag", "1"], ["--mode", "paper"]):
+        out = CliRunner().invoke(app, ["fuse", str(path), "-o", str(tmp_path / "run"), *more])
+        assert isinstance(out.exception, ConfigError)
+        assert "many targets" in str(out.exception)
+
+
+def test_fuse_of_empty_scans_leaves_whole_files(tmp_path):
+    path = scenario(tmp_path, [entry()])
+    out = CliRunner().invoke(app, ["fuse", str(path), "-o", str(tmp_path / "run"), "--json", "-"])
+    assert out.exit_code == 0, out.output or out.exception
+    assert json.loads(out.stdout)["tracks"] == 0

@@ -1,0 +1,103 @@
+"""Oracle of the tracker of many targets: constant velocity, positions only, brute force."""
+
+from itertools import permutations
+
+import numpy as np
+
+
+def gaussian_step(mean, covariance, dt, density):
+    """Constant velocity [x, y, vx, vy] under white acceleration."""
+    move = np.eye(4)
+    move[0, 2] = move[1, 3] = dt
+    noise = np.zeros((4, 4))
+    for axis in range(2):
+        rows = [axis, axis + 2]
+        noise[np.ix_(rows, rows)] = density * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    return move @ mean, move @ covariance @ move.T + noise
+
+
+def cheapest(cost):
+    """Column of every row, or -1: as many pairs as possible, of those the cheapest sum."""
+    rows, columns = cost.shape
+    padded = np.hstack([cost, np.full((rows, rows), 1e6)])
+    best, least = [], np.inf
+    for chosen in permutations(range(columns + rows), rows):
+        total = sum(padded[row, column] for row, column in enumerate(chosen))
+        if total < least:
+            best, least = chosen, total
+    return [column if column < columns else -1 for column in best]
+
+
+class ManyTargets:
+    """As `lidar_core.fusion.MultiTargetTracker`, with `kf`, `cv` and LiDAR measurements."""
+
+    def __init__(self, config, *, gate):
+        self.config, self.gate = config, gate
+        self.tracks, self.next_id, self.stamp = [], 0, None
+
+    def process(self, stamp, places, source):
+        target = self.config.target
+        numbers = [-1] * len(places)
+        for track in self.tracks:
+            dt = (stamp - track["stamp"]) * 1e-9
+            track["mean"], track["cov"] = gaussian_step(
+                track["mean"], track["cov"], dt, target.acceleration_noise**2
+            )
+            track["stamp"] = stamp
+            if source in track["sources"]:
+                track["history"].append(0)
+        for confirmed in (True, False):
+            self.associate([t for t in self.tracks if t["confirmed"] is confirmed], stamp, places,
+                           source, numbers)  # fmt: skip
+        measured = [track["mean"][:2] for track in self.tracks if track["seen"] == stamp]
+        for track in self.tracks:
+            self.judge(track)
+        self.tracks = [track for track in self.tracks if self.stays(track, stamp)]
+        for column, place in enumerate(places):
+            near = any(np.hypot(*(at - place)) < self.config.birth_distance for at in measured)
+            if numbers[column] >= 0 or near:
+                continue
+            spread = np.repeat([target.initial_position**2, target.initial_speed**2], 2)
+            track = {"id": self.next_id, "mean": np.array([*place, 0.0, 0.0]),
+                     "cov": np.diag(spread), "history": [1], "sources": {source}, "seen": stamp,
+                     "stamp": stamp, "confirmed": False, "hits": 1}  # fmt: skip
+            self.judge(track)
+            self.tracks.append(track)
+            numbers[column] = self.next_id
+            self.next_id += 1
+        return numbers
+
+    def associate(self, tracks, stamp, places, source, numbers):
+        noise = np.diag(np.square(self.config.target.lidar_std))
+        cost = np.full((len(tracks), len(places)), 2e6)
+        for row, track in enumerate(tracks):
+            spread = track["cov"][:2, :2] + noise
+            for column, place in enumerate(places):
+                error = place - track["mean"][:2]
+                nis = error @ np.linalg.inv(spread) @ error
+                if numbers[column] < 0 and nis <= self.gate:
+                    cost[row, column] = nis + np.log(np.linalg.det(spread))
+        for track, column in zip(tracks, cheapest(cost), strict=True):
+            if column < 0:
+                continue
+            gain = track["cov"][:, :2] @ np.linalg.inv(track["cov"][:2, :2] + noise)
+            track["mean"] = track["mean"] + gain @ (places[column] - track["mean"][:2])
+            track["cov"] = track["cov"] - gain @ track["cov"][:2]
+            if source not in track["sources"]:
+                track["history"].append(0)
+            track["history"][-1] = 1
+            track["sources"].add(source)
+            track["seen"], track["hits"] = stamp, track["hits"] + 1
+            numbers[column] = track["id"]
+
+    def judge(self, track):
+        recent = track["history"][-self.config.confirm_window :]
+        track["confirmed"] = track["confirmed"] or sum(recent) >= self.config.confirm_hits
+
+    def stays(self, track, stamp):
+        recent = track["history"][-self.config.confirm_window :]
+        misses = self.config.confirm_window - self.config.confirm_hits
+        alive = track["confirmed"] or len(recent) - sum(recent) <= misses
+        spread = np.sqrt(np.diag(track["cov"])[:2].max())
+        return (alive and (stamp - track["seen"]) * 1e-9 <= self.config.max_coast
+                and spread <= self.config.max_position_std)  # fmt: skip
