@@ -1,6 +1,8 @@
 """Circles from rays: oracle, accuracy, honesty, symmetries, bad input."""
 
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -112,6 +114,14 @@ def test_circles_without_noise(method):
     np.testing.assert_allclose(np.asarray(found)[0], circle, atol=1e-4)
     assert found.n_hits[0] == np.isfinite(one_scan(circle)).sum()
     assert np.linalg.eigvalsh(found.covariance[0]).min() > 0
+
+
+@pytest.mark.parametrize("method", ["taubin", "pratt"])
+def test_algebraic_fits_agree_with_an_independent_package(method):
+    path = Path(__file__).parents[1] / "golden" / "circle_fits.json"
+    for case in json.loads(path.read_text(encoding="utf-8")):
+        found = CircleDetector(method).detect([case["ranges"]], case["bearings"])
+        np.testing.assert_allclose(np.asarray(found)[0], case[method], atol=1e-9)
 
 
 def test_kasa_is_linear_least_squares():

@@ -124,7 +124,9 @@ impl Arc {
             self.edges[side].bearing = bearings[side];
             self.read_edge(side, sides[side], &outward, parameters);
         }
-        self.join_hits();
+        if !parameters.method.is_algebraic() {
+            self.join_hits();
+        }
         Ok(())
     }
 

@@ -33,6 +33,13 @@ pub enum Method {
     MostLikely,
 }
 
+impl Method {
+    /// Whether only the points count, not what lies beside them.
+    fn is_algebraic(self) -> bool {
+        matches!(self, Self::Kasa | Self::Pratt | Self::Taubin)
+    }
+}
+
 /// What a fit has to know.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FitParameters {
@@ -132,11 +139,10 @@ impl Fitter {
 
     fn circle_of_arc(&mut self) -> CircleEstimate {
         let (arc, parameters) = (&self.arc, &self.parameters);
-        let found = match parameters.method {
-            Method::Kasa | Method::Pratt | Method::Taubin => None,
-            Method::Expected | Method::MostLikely => {
-                self.posterior.of(&Likelihood { arc, parameters })
-            }
+        let found = if parameters.method.is_algebraic() {
+            None
+        } else {
+            self.posterior.of(&Likelihood { arc, parameters })
         };
         estimate(arc, parameters, found)
     }
