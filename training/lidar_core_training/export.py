@@ -12,19 +12,19 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
+from lidar_core.circles.architecture import ANSWERS, CONTEXT, SLOT_NUMBERS, SLOTS
 from lidar_core.config import Config
 from lidar_core.errors import FormatError, NumericalError
 from lidar_core.io.atomic import written_whole
 from lidar_core_training import checkpoint
 from lidar_core_training.config import TrainConfig
-from lidar_core_training.networks import ANSWER, CONTEXT, SLOT_NUMBERS, PaperNet, WindowNet
+from lidar_core_training.networks import PaperNet, WindowNet
 from lidar_core_training.train import METRICS, NOTE, ORIGIN, TEST
 
 OPSET = 17
 IR_VERSION = 8
 PARITY = 1e-5
 """Largest difference between torch and onnxruntime, relative where answers are above 1."""
-_SLOTS = 32
 _EXAMPLES = 64
 
 
@@ -103,8 +103,8 @@ def parity(network: nn.Module, model: Path) -> float:
     """Largest difference between torch and onnxruntime on random inputs."""
     random = np.random.default_rng(0)
     if isinstance(network, WindowNet):
-        slots = random.uniform(-1, 1, (_EXAMPLES, _SLOTS, SLOT_NUMBERS)).astype(np.float32)
-        slots[:, :, 3] = random.uniform(size=(_EXAMPLES, _SLOTS)) < 0.7
+        slots = random.uniform(-1, 1, (_EXAMPLES, SLOTS, SLOT_NUMBERS)).astype(np.float32)
+        slots[:, :, 3] = random.uniform(size=(_EXAMPLES, SLOTS)) < 0.7
         slots[:, 0, 3] = 1.0
         spread = random.normal(size=(_EXAMPLES, CONTEXT)).astype(np.float32)
         scale, mean = network.context_std.numpy(), network.context_mean.numpy()
@@ -141,9 +141,9 @@ def _metadata(config: TrainConfig, results: dict[str, Any]) -> dict[str, str]:
 def _model(network: nn.Module, metadata: dict[str, str]) -> onnx.ModelProto:
     graph = Graph()
     if isinstance(network, WindowNet):
-        answer, size = _windows(network, graph), ANSWER
+        answer, size = _windows(network, graph), ANSWERS
         shapes: dict[str, list[Any]] = {
-            "slots": ["batch", _SLOTS, SLOT_NUMBERS], "context": ["batch", CONTEXT]
+            "slots": ["batch", SLOTS, SLOT_NUMBERS], "context": ["batch", CONTEXT]
         }  # fmt: skip
     else:
         answer, size = _scans(network, graph), 3

@@ -1,15 +1,11 @@
 """The networks: Table I of the paper on whole scans, and a small one on windows."""
 
-from itertools import pairwise
-
 import torch
 from torch import Tensor, nn
 
-SLOT_NUMBERS = 4
-CONTEXT = 21
-ANSWER = 9
+from lidar_core.circles.architecture import ANSWERS, CONTEXT, CONVOLUTIONS, NEURONS, SLOT_FEATURES
+
 _LOG_NOISE = 12  # place in the context: log of the noise of a slot, in units of the window's frame
-_FEATURES = 6
 
 
 class PaperNet(nn.Module):
@@ -23,18 +19,17 @@ class PaperNet(nn.Module):
 
     def __init__(self, n_beams: int = 1081) -> None:
         super().__init__()
-        channels = (1, 50, 50, 100, 100, 100, 100)
         layers: list[nn.Module] = []
-        length = n_beams
-        for number, (before, after) in enumerate(pairwise(channels)):
-            stride = 1 + number % 2
-            layers += [nn.Conv1d(before, after, 7, stride), nn.ReLU()]
-            length = (length - 7) // stride + 1
+        length, channels = n_beams, 1
+        for filters, kernel, stride in CONVOLUTIONS:
+            layers += [nn.Conv1d(channels, filters, kernel, stride), nn.ReLU()]
+            length, channels = (length - kernel) // stride + 1, filters
         if length < 1:
             raise ValueError(f"n_beams: expected enough for six convolutions, got {n_beams}")
         self.features = nn.Sequential(*layers)
+        hidden, outputs = NEURONS
         self.head = nn.Sequential(
-            nn.Linear(channels[-1] * length, 125), nn.ReLU(), nn.Linear(125, 3, bias=False)
+            nn.Linear(channels * length, hidden), nn.ReLU(), nn.Linear(hidden, outputs, bias=False)
         )
 
     def forward(self, scans: Tensor) -> Tensor:
@@ -60,13 +55,13 @@ class WindowNet(nn.Module):
         self.register_buffer("context_mean", torch.zeros(CONTEXT))
         self.register_buffer("context_std", torch.ones(CONTEXT))
         self.half = rays // 2
-        self.ray = nn.Linear(_FEATURES, rays)
+        self.ray = nn.Linear(SLOT_FEATURES, rays)
         self.ray_context = nn.Linear(CONTEXT, rays, bias=False)
         self.ray_mix = nn.Linear(rays, rays)
         self.enter = nn.Linear(2 * self.half + (rays - self.half) + CONTEXT, trunk)
         self.first = nn.Linear(trunk, trunk)
         self.second = nn.Linear(trunk, trunk)
-        self.leave = nn.Linear(trunk, ANSWER)
+        self.leave = nn.Linear(trunk, ANSWERS)
         self.activation = nn.SiLU()
         with torch.no_grad():
             self.leave.weight.mul_(0.1)

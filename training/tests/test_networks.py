@@ -5,6 +5,7 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
+from lidar_core.circles.architecture import paper_layers, window_layers
 from lidar_core_training.losses import characteristic_points, four_points, gaussian, whitened
 from lidar_core_training.networks import PaperNet, WindowNet, parameter_count
 
@@ -26,6 +27,20 @@ def test_layers_of_table_1():
     assert network(torch.zeros(2, 1, 1081)).shape == (2, 3)
     with pytest.raises(ValueError, match="n_beams"):
         PaperNet(40)
+
+
+def test_the_layers_that_are_told_are_those_of_the_networks():
+    paper = PaperNet()
+    modules = [*paper.features[::2], *paper.head[::2]]
+    for layer, module in zip(paper_layers(1081), modules, strict=True):
+        assert layer.parameters == parameter_count(module), layer
+    network = WindowNet()
+    layers = window_layers(network.ray.out_features, network.enter.out_features)
+    assert {layer.name: layer.parameters for layer in layers} == {
+        name: parameter_count(module)
+        for name, module in network.named_children() if parameter_count(module)
+    }  # fmt: skip
+    assert [layer.length for layer in paper_layers(1081)][:6] == [1075, 535, 529, 262, 256, 125]
 
 
 def test_the_small_network_is_small():
