@@ -15,12 +15,7 @@ def main(count: int) -> None:
     scanner = config.scanner
     samples = make_samples(config, count=count, seed=SEED)
     scans = samples.scans(scanner)
-    x, y, radius = samples.circles.astype(float).T
-    distance = np.hypot(x, y)
-    edge = np.abs(np.arctan2(y, x)) + np.arcsin(radius / distance)
-    tangent = np.sqrt(distance**2 - radius**2)
-    whole = (edge <= scanner.field_of_view / 2) & (tangent <= scanner.range_max)
-    whole &= distance - radius >= scanner.range_min
+    whole = samples.is_whole(scanner)
     groups = {
         "all": np.ones(count, bool),
         "wholly visible, 4 hits or more": whole & (samples.n_hits >= 4),

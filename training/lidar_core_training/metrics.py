@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from torch import nn
 
 from lidar_core.circles import Samples, Scanner
+from lidar_core.circles.samples import HITS
 from lidar_core_training.tasks import Data, Task
 
-HITS = ((1, 1), (2, 2), (3, 3), (4, 4), (5, 6), (7, 9), (10, 14), (15, 19), (20, 39), (40, None))
 _BATCH = 2048
 
 
@@ -51,20 +51,6 @@ def summary(errors: NDArray[np.float64], nees: NDArray[np.float64] | None) -> di
     return values if nees is None else values | {"nees": float(nees.mean())}
 
 
-def is_visible(samples: Samples, scanner: Scanner) -> NDArray[np.bool_]:
-    """Circles of which neither the field of view nor a range limit cuts the near side."""
-    x, y, radius = samples.circles.astype(np.float64).T
-    distance = np.hypot(x, y)
-    half = np.arcsin(np.minimum(radius / distance, 1.0))
-    middle = scanner.angle_min + 0.5 * scanner.angle_increment * (scanner.n_beams - 1)
-    off = np.abs((np.arctan2(y, x) - middle + np.pi) % (2 * np.pi) - np.pi)
-    edge = np.pi if scanner.field_of_view > 2 * np.pi - 0.1 else scanner.field_of_view / 2
-    tangent = np.sqrt(np.maximum(distance**2 - radius**2, 0.0))
-    in_range = (tangent <= scanner.range_max) & (distance - radius >= scanner.range_min)
-    free = (samples.sides != 1).all(axis=1)
-    return np.asarray(in_range & free & ((off + half <= edge) | (edge == np.pi)))
-
-
 def breakdown(
     errors: NDArray[np.float64],
     nees: NDArray[np.float64] | None,
@@ -72,7 +58,7 @@ def breakdown(
     samples: Samples,
 ) -> dict[str, Any]:
     """Summaries of all samples, by number of hits, and of whole and cut circles."""
-    hits, whole = samples.n_hits, is_visible(samples, scanner)
+    hits, whole = samples.n_hits, samples.is_whole(scanner)
     groups = {"all": np.ones(len(samples), np.bool_), "whole": whole, "cut": ~whole,
               "whole, 4 hits or more": whole & (hits >= 4)}  # fmt: skip
     groups |= dict(_by_hits(hits))

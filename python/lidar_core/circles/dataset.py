@@ -53,20 +53,7 @@ class CircleDataset:
 
     def numbers(self, part: Part) -> NDArray[np.int64]:
         """Numbers of the samples in one part, ascending; Table II."""
-        if part == "all":
-            return np.arange(self.n_samples)
-        together = self.config.draws if self.config.split_by == "circle" else 1
-        n_units = self.n_samples // together
-        order = np.random.default_rng(self.seed).permutation(n_units)
-        n_test = round(n_units * self.config.test_share)
-        n_validation = round(n_units * self.config.validation_share)
-        first, last = {
-            "test": (0, n_test),
-            "validation": (n_test, n_test + n_validation),
-            "train": (n_test + n_validation, n_units),
-        }[part]
-        units = np.sort(order[first:last])
-        return (units[:, None] * together + np.arange(together)).reshape(-1)
+        return split(self.config, self.n_samples, part, seed=self.seed)
 
     def read(self, part: Part = "all") -> Samples:
         """All samples of one part, in memory.
@@ -95,6 +82,24 @@ def lattice(config: DatasetConfig) -> NDArray[np.float64]:
         config.scanner, reach=config.reach, spacing=config.spacing,
         radius_steps=(low, high), radius_step=config.radius_step,
     )  # fmt: skip
+
+
+def split(config: DatasetConfig, n_samples: int, part: Part, *, seed: int) -> NDArray[np.int64]:
+    """Numbers of the samples in one part of a dataset of so many, ascending; Table II."""
+    if part == "all":
+        return np.arange(n_samples)
+    together = config.draws if config.split_by == "circle" else 1
+    n_units = n_samples // together
+    order = np.random.default_rng(seed).permutation(n_units)
+    n_test = round(n_units * config.test_share)
+    n_validation = round(n_units * config.validation_share)
+    first, last = {
+        "test": (0, n_test),
+        "validation": (n_test, n_test + n_validation),
+        "train": (n_test + n_validation, n_units),
+    }[part]
+    units = np.sort(order[first:last])
+    return (units[:, None] * together + np.arange(together)).reshape(-1)
 
 
 def generate(

@@ -12,6 +12,8 @@ from lidar_core.circles.scanner import Scanner
 
 SIDES = ("free", "occluded", "field_edge", "range_cut")
 """What the numbers in `Samples.sides` say of what lies beside a window."""
+HITS = ((1, 1), (2, 2), (3, 3), (4, 4), (5, 6), (7, 9), (10, 14), (15, 19), (20, 39), (40, None))
+"""Numbers of hits, from and to, by which errors are told apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,20 @@ class Samples:
         hits = np.concatenate([[0], np.cumsum(np.isfinite(self.ranges), dtype=np.int64)])
         counts: NDArray[np.int64] = np.diff(hits[self.starts])
         return counts
+
+    def is_whole(self, scanner: Scanner) -> NDArray[np.bool_]:
+        """Circles of which nothing hides or cuts the near side: object, field of view, range."""
+        x, y, radius = self.circles.astype(np.float64).T
+        distance = np.hypot(x, y)
+        half = np.arcsin(np.minimum(radius / distance, 1.0))
+        middle = scanner.angle_min + 0.5 * scanner.angle_increment * (scanner.n_beams - 1)
+        off = np.abs((np.arctan2(y, x) - middle + np.pi) % (2 * np.pi) - np.pi)
+        is_round = scanner.field_of_view > 2 * np.pi - 0.1
+        edge = np.inf if is_round else scanner.field_of_view / 2
+        tangent = np.sqrt(np.maximum(distance**2 - radius**2, 0.0))
+        in_range = (tangent <= scanner.range_max) & (distance - radius >= scanner.range_min)
+        is_free = (self.sides != SIDES.index("occluded")).all(axis=1)
+        return np.asarray(in_range & is_free & (off + half <= edge))
 
     def take(
         self, numbers: NDArray[np.integer[Any]], *, starts: NDArray[np.int64] | None = None
