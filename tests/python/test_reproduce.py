@@ -27,6 +27,13 @@ class Short(NamedTuple):
 
 
 SHORT = {
+    "circles-detectors": Short(
+        ("all, cnn: MSE", "all, ml: p99", "all, triangle: MAE", "cnn: time per object"),
+        modes=("best_mode",),
+    ),
+    "circles-table1": Short(("parameters", "multiply-adds per object")),
+    "circles-table2": Short(("circles", "train", "validation", "test", "all")),
+    "circles-table3": Short(("test: MSE", "test, ml: MAE"), modes=("best_mode",)),
     "flying-fig3": Short(
         ("scans taken for occupied, log-odds", "time until free again, G(v)"), scans=70
     ),
@@ -247,7 +254,8 @@ class Enough(Exception):  # noqa: N818
     """The jobs of an item are known."""
 
 
-WITHOUT_JOBS = {"circles-fig7", "flying-fig3", "flying-fig5", "flying-consistency"}
+WITHOUT_JOBS = {"circles-fig7", "circles-table1", "circles-table2"}
+WITHOUT_JOBS |= {"flying-fig3", "flying-fig5", "flying-consistency"}
 WITHOUT_JOBS |= {name for name in items() if name.startswith("fusion-")}
 
 

@@ -1,0 +1,87 @@
+"""`circles-table1`: the paper's network layer by layer, beside the small one."""
+
+from typing import Any
+
+from lidar_core.circles import CircleNetwork, Scanner
+from lidar_core.circles.architecture import CONVOLUTIONS, Layer, paper_layers, window_layers
+from lidar_core.reproduce.common import BLUE, RED
+from lidar_core.reproduce.types import Item, Request, Result, Row
+
+PARAMETERS = 1_826_350
+"""Sec. IV-A."""
+INPUT, NEURONS = 1081, (125, 3)
+"""Table I."""
+FILTERS = (50, 50, 100, 100, 100, 100)
+"""Table I."""
+WIDTHS = (64, 128)
+"""Of the small network that comes with the package: per ray, and on the whole."""
+
+
+def _run(request: Request) -> Result:
+    scanner = Scanner()
+    paper, small = paper_layers(scanner.n_beams), window_layers(*WIDTHS)
+    card = CircleNetwork("cnn").card
+    request.advance(request.scans)
+    totals = (
+        Row("parameters", "count", PARAMETERS, _sum(paper), card["parameters"]),
+        Row("multiply-adds per object", "count", None, _multiply_adds(paper),
+            _multiply_adds(small)),
+        Row("size of the file", "byte", None, None, card["bytes"]),
+    )  # fmt: skip
+    return Result(
+        rows=(*totals, Row("input", "count", INPUT, scanner.n_beams), *_layers(paper, small)),
+        draw=lambda figure: _draw(figure, paper, small),
+        scans=ITEM.scans,
+        note="Paper mode: Table I without padding and without bias in the last layer, the only way"
+        " to the published sum. Best mode: the network on windows, cnn.",
+        config={"scanner": scanner},
+    )
+
+
+def _sum(layers: list[Layer]) -> int:
+    return sum(layer.parameters for layer in layers)
+
+
+def _multiply_adds(layers: list[Layer]) -> int:
+    return sum(layer.multiply_adds for layer in layers)
+
+
+def _layers(paper: list[Layer], small: list[Layer]) -> list[Row]:
+    """Rows of single layers; what the paper says of them is in Table I."""
+    rows = []
+    for layer, channels in zip(paper, (*FILTERS, *NEURONS), strict=True):
+        rows.append(Row(f"{layer.name}: channels", "count", channels, layer.channels))
+        if layer.name.startswith("C"):
+            rows.append(Row(f"{layer.name}: length", "count", None, layer.length))
+        rows.append(Row(f"{layer.name}: parameters", "count", None, layer.parameters))
+    named = (Row(f"cnn, {layer.name}: parameters", "count", None, None, layer.parameters)
+             for layer in small)  # fmt: skip
+    return [*rows, *named]
+
+
+def _draw(figure: Any, paper: list[Layer], small: list[Layer]) -> None:
+    """Parameters and multiply-adds of every layer."""
+    panels = figure.subplots(1, 2, sharey=True)
+    figure.suptitle("Layers of the networks", x=0.06, ha="left", fontweight="bold")
+    for axes, what in zip(panels, ("parameters", "multiply_adds"), strict=True):
+        start = 0
+        for layers, colour, name in ((paper, RED, "Table I"), (small, BLUE, "cnn")):
+            places = range(start, start + len(layers))
+            sizes = [getattr(layer, what) for layer in layers]
+            axes.barh(places, sizes, color=colour, label=f"{name}: {sum(sizes):,}")
+            start += len(layers)
+        axes.set(xscale="log", xlabel=what.replace("_", "-"))
+        axes.set_yticks(range(start), [layer.name for layer in (*paper, *small)])
+        axes.grid(visible=True, axis="x")
+        axes.legend(fontsize=8)
+    panels[0].invert_yaxis()
+
+
+ITEM = Item(
+    name="circles-table1",
+    title="the network layer by layer: lengths, parameters, multiply-adds (Table I)",
+    scans=len(CONVOLUTIONS) + len(NEURONS),
+    minutes=0.05,
+    run=_run,
+    counts="layers",
+)

@@ -1,0 +1,79 @@
+"""`circles-table2`: how many circles the lattice has, and how they are dealt out."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from lidar_core.circles import CircleNetwork, DatasetConfig
+from lidar_core.circles.dataset import Part, lattice, split
+from lidar_core.reproduce.common import BLUE, GREY, RED
+from lidar_core.reproduce.types import Item, Request, Result, Row
+
+PAPER = {"train": 1_287_356, "validation": 321_839, "test": 402_299, "all": 2_011_494}
+"""Samples, Table II."""
+PARTS: tuple[Part, ...] = ("train", "validation", "test", "all")
+
+
+def _run(request: Request) -> Result:
+    config = DatasetConfig()
+    circles = len(lattice(config))
+    paper = _counts([(config, circles * config.draws)], request.seed)
+    learnt = [DatasetConfig.load(one)
+              for one in CircleNetwork("cnn").card["training"]["datasets"]]  # fmt: skip
+    best = _counts([(one, one.circles) for one in learnt], request.seed)
+    request.advance(request.scans)
+    rows = [Row("circles", "count", PAPER["all"] / 2, circles, sum(one.circles for one in learnt))]
+    rows += [Row(part, "count", PAPER[part], paper[part], best[part]) for part in PARTS]
+    rows.append(Row("share of the test whose twin is in train", "1", None, paper["twins"],
+                    best["twins"]))  # fmt: skip
+    return Result(
+        rows=tuple(rows),
+        draw=lambda figure: _draw(figure, paper, best),
+        scans=ITEM.scans,
+        note="Paper mode: the lattice of sec. IV-B, kept when a ray of the paper's scanner meets"
+        " the circle in range; two measurements of each. Circles that rays just touch decide the"
+        " last 50. Best mode: what the small network, cnn, learnt from; each circle once.",
+        config={"lattice": config},
+    )
+
+
+def _counts(datasets: list[tuple[DatasetConfig, int]], seed: int) -> dict[str, float]:
+    """Samples per part, and the share of the test samples whose twin is in train."""
+    counts: dict[str, float] = dict.fromkeys(PARTS, 0.0)
+    with_twin = 0
+    for config, samples in datasets:
+        numbers = {part: split(config, samples, part, seed=seed) for part in PARTS}
+        for part in PARTS:
+            counts[part] += len(numbers[part])
+        tested, learnt = numbers["test"] // config.draws, numbers["train"] // config.draws
+        with_twin += int(np.isin(tested, learnt).sum())
+    return counts | {"twins": with_twin / counts["test"]}
+
+
+def _draw(figure: Any, paper: dict[str, float], best: dict[str, float]) -> None:
+    """Samples per part."""
+    axes = figure.subplots()
+    figure.suptitle("Samples", x=0.06, ha="left", fontweight="bold")
+    columns: tuple[tuple[str, Mapping[Any, float], str], ...] = (
+        ("paper", PAPER, GREY),
+        ("paper mode", paper, RED),
+        ("best mode", best, BLUE),
+    )
+    for offset, (name, counts, colour) in zip((-0.25, 0, 0.25), columns, strict=True):
+        bars = axes.bar(np.arange(len(PARTS)) + offset, [counts[part] for part in PARTS], 0.24,
+                        color=colour, label=name)  # fmt: skip
+        axes.bar_label(bars, fmt="{:,.0f}", fontsize=6)
+    axes.set_xticks(range(len(PARTS)), PARTS)
+    axes.grid(visible=True, axis="y")
+    axes.legend()
+
+
+ITEM = Item(
+    name="circles-table2",
+    title="circles of the lattice, dealt out to train, validation and test (Table II)",
+    scans=1,
+    minutes=0.1,
+    run=_run,
+    counts="dataset",
+)

@@ -1,0 +1,114 @@
+"""The items about networks: what their rows are made of."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from lidar_core.circles import CircleNetwork, DatasetConfig, Scanner, make_samples
+from lidar_core.circles.architecture import paper_layers, window_layers
+from lidar_core.reproduce import Request, circles_detectors, circles_table1, circles_table3
+from lidar_core.reproduce.chord_circles import chord_circles
+from lidar_core.reproduce.circle_errors import groups, measures
+from reference import chord_circle
+
+EXACT = 1e-9  # rounding of sums over some hundred numbers
+
+
+def test_layers_are_those_of_table_1():
+    layers = paper_layers(1081)
+    assert [layer.length for layer in layers] == [1075, 535, 529, 262, 256, 125, 1, 1]
+    assert [layer.parameters for layer in layers] == [
+        400, 17_550, 35_100, 70_100, 70_100, 70_100, 1_562_625, 375
+    ]  # fmt: skip
+    assert sum(layer.parameters for layer in layers) == 1_826_350
+
+
+def test_layers_of_the_small_network_are_those_of_its_card():
+    layers = window_layers(*circles_table1.WIDTHS)
+    assert sum(layer.parameters for layer in layers) == CircleNetwork("cnn").card["parameters"]
+
+
+def test_chord_circles_are_those_of_the_oracle():
+    config = DatasetConfig.continuous(circles=300)
+    samples = make_samples(config, count=300, seed=1060)
+    bearings = config.scanner.bearings()
+    scans = samples.scans(config.scanner)
+    expected = [chord_circle.circle(scan.astype(float), bearings) for scan in scans]
+    assert_allclose(chord_circles(scans, bearings), expected, atol=1e-7)
+
+
+def test_the_chord_circle_of_two_hits_goes_through_them_away_from_the_scanner():
+    bearings = np.radians([-3.0, 0.0, 3.0])
+    distance = 2 / math.cos(bearings[2])
+    (circle,) = chord_circles(np.array([[distance, np.inf, distance]]), bearings)
+    half = 2 * math.tan(bearings[2])
+    expected = [2 + half / math.sqrt(3), 0, 2 * half / math.sqrt(3)]
+    assert_allclose(circle, expected, atol=EXACT)
+
+
+def test_measures_are_over_all_numbers_and_p99_over_circles():
+    errors = np.array([[0.1, -0.1, 0.0], [0.0, 0.0, 0.4]])
+    mse, mae, p99 = measures(errors)
+    assert mse == pytest.approx(0.18 / 6)
+    assert mae == pytest.approx(0.6 / 6)
+    assert p99 == pytest.approx(0.2 / 3 + 0.99 * 0.2 / 3)
+    assert measures(np.zeros((0, 3))) == [None, None, None]
+
+
+def test_every_circle_is_in_one_group_by_hits():
+    hits = np.array([1, 2, 3, 4, 6, 9, 12, 19, 30, 40, 500])
+    is_whole = np.arange(len(hits)) % 2 == 0
+    found = groups(hits, is_whole)
+    assert (sum(found[name] for name in circles_detectors.BY_HITS) == 1).all()
+    assert found["40 or more hits"].tolist() == [False] * 9 + [True] * 2
+    assert found["whole, 4 hits or more"].sum() == 4
+    assert not (found["cut"] & is_whole).any()
+
+
+def test_whole_circles_are_inside_of_view_and_range():
+    scanner = Scanner()
+    samples = make_samples(DatasetConfig.continuous(circles=400), count=400, seed=1061)
+    turn = np.linspace(0, 2 * np.pi, 720)
+    circles = samples.circles.astype(float)
+    x = circles[:, [0]] + circles[:, [2]] * np.cos(turn)
+    y = circles[:, [1]] + circles[:, [2]] * np.sin(turn)
+    edge = scanner.field_of_view / 2
+    is_inside = (np.abs(np.arctan2(y, x)) <= edge).all(axis=1)
+    tangent = np.sqrt((circles[:, :2] ** 2).sum(axis=1) - circles[:, 2] ** 2)
+    is_near = (tangent <= scanner.range_max) & (np.hypot(x, y).min(axis=1) >= scanner.range_min)
+    wrong = samples.is_whole(scanner) != (is_inside & is_near)
+    assert wrong.sum() <= 1  # a circle of 720 points is a little too small
+
+
+def test_the_loss_of_table_3_is_that_of_the_four_points():
+    rng = np.random.default_rng(1062)
+    errors = rng.normal(size=(50, 3))
+    x, y, radius = errors.T
+    ends = [(x + radius, y), (x, y + radius), (x - radius, y), (x, y - radius)]
+    loss = np.mean([np.square(one).sum(axis=0) for one in ends])
+    parts = [
+        {"test": np.array([len(some)]),
+         "cnn, test": np.array([np.square(some).sum(), np.abs(some).sum()])}
+        for some in (errors[:20], errors[20:])
+    ]  # fmt: skip
+    found = circles_table3._quantities(parts, "cnn", "test")
+    assert_allclose(found, [loss, np.square(errors).mean(), np.abs(errors).mean()], rtol=EXACT)
+
+
+def test_a_network_that_is_not_shipped_leaves_its_column_empty(monkeypatch):
+    for module in (circles_detectors, circles_table3):
+        monkeypatch.setattr(module, "checksums", dict)
+    request = Request(seed=1063, scans=8, threads=1)
+    for item in (circles_detectors.ITEM, circles_table3.ITEM):
+        rows = item.run(request).rows
+        assert all(row.paper_mode is None for row in rows)
+        assert any(row.best_mode is not None for row in rows)
+
+
+def test_the_network_is_ahead_of_the_paper_on_the_lattice():
+    rows = {row.name: row for row in circles_table3.ITEM.run(
+        Request(seed=1064, scans=2000, threads=1)).rows}  # fmt: skip
+    assert rows["test: MSE"].best_mode < 3e-4 < rows["test: MSE"].paper
+    assert rows["test: MAE"].best_mode < 0.006 < rows["test: MAE"].paper
