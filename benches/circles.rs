@@ -2,6 +2,7 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
+use lidar_core::circles::bodies::ShapeParameters;
 use lidar_core::circles::fit::{FitParameters, Fitter, Method};
 use lidar_core::circles::map::{
     CircleMapParameters, Confirmation, Filter, Independent, Limits, Looking, Mode, Patience,
@@ -111,6 +112,12 @@ fn parameters() -> PipelineParameters {
             range_limits: RANGE_LIMITS,
         },
         max_deviation: 0.08,
+        shapes: Some(ShapeParameters {
+            ellipses: true,
+            rectangles: true,
+            max_size: 0.5,
+            model_std: 0.03,
+        }),
         map: CircleMapParameters {
             filter: Filter::Independent(independent()),
             gate_probability: 0.999,

@@ -15,6 +15,7 @@ from lidar_core.circles.samples import Samples, make_samples
 from lidar_core.circles.scan_config import PreprocessConfig, SegmentConfig
 from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments, Side, segment
+from lidar_core.circles.shape_config import ShapeConfig
 from lidar_core.circles.shapes import ShapeKind, Shapes, fit_shapes
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "Segments",
     "ShapeKind",
     "Shapes",
+    "ShapeConfig",
     "Side",
     "fit_circles",
     "fit_shapes",

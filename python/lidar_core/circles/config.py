@@ -8,6 +8,7 @@ from lidar_core.circles.fit_config import FitConfig, FitMethod
 from lidar_core.circles.map_config import CircleMapConfig
 from lidar_core.circles.scan_config import PreprocessConfig, SegmentConfig
 from lidar_core.circles.scanner import Scanner
+from lidar_core.circles.shape_config import ShapeConfig
 from lidar_core.config import Config
 
 NetworkName: TypeAlias = Annotated[str, Field(pattern=r"^(cnn|paper-cnn|.+\.onnx)$")]
@@ -39,8 +40,9 @@ class CirclesConfig(Config):
         0.08,
         gt=0,
         description="Segments with a larger root mean square distance of their hits from the"
-        " circle are no circles, and stay out of the map [m].",
+        " circle, or from the shape that they have, stay out of the map [m].",
     )
+    shapes: ShapeConfig = ShapeConfig()
     map: CircleMapConfig = CircleMapConfig()
     on_bad_scan: Literal["raise", "count"] = Field(
         "raise", description="What to do with a scan that cannot be used (no unit)."
@@ -57,6 +59,7 @@ class CirclesConfig(Config):
             "preprocess": PreprocessConfig.paper(),
             "segment": SegmentConfig.paper(),
             "max_deviation": 1e6,
+            "shapes": ShapeConfig(enabled=False),
             "map": CircleMapConfig.paper(),
         }
         return cls(**paper | changes)

@@ -19,6 +19,7 @@ from lidar_core.circles.network import CircleNetwork
 from lidar_core.circles.preprocess import times
 from lidar_core.circles.results import CircleFrame, CirclesHealth
 from lidar_core.circles.segmentation import Segments, segments_of
+from lidar_core.circles.shapes import Shapes
 from lidar_core.config import as_config
 from lidar_core.errors import InputError
 
@@ -30,7 +31,8 @@ class CirclePipeline:
     """Maps round obstacles with one or several 2D LiDARs.
 
     Every scan is limited to the operating volume, projected into the horizontal plane and
-    segmented; a circle is estimated per segment; and circles are taken into the map. Scans of
+    segmented; a circle and the shape are estimated per segment; what is round or nearly so is
+    taken into the map. Scans of
     several LiDARs, told apart by name, go into one map.
 
     Parameters
@@ -223,6 +225,9 @@ class CirclePipeline:
             segments=segments,
             circles=nobody,
             circles_world=nobody,
+            shapes=Shapes(
+                np.empty(0, np.uint8), np.empty((0, 5)), np.empty((0, 5, 5)), rays, numbers
+            ),
             element=numbers,
             map=self.map_at(stamp),
             events=MapEvents(False, numbers, numbers, numbers, numbers, np.empty((0, 2), np.int64)),
@@ -241,6 +246,7 @@ def _frame(stamp_ns: int, scanner: str, values: dict[str, Any]) -> CircleFrame:
         segments=segments_of(values["segments"]),
         circles=Circles(*values["circles"]),
         circles_world=Circles(*values["circles_world"]),
+        shapes=Shapes(*values["shapes"]),
         element=values["element"],
         map=elements_of(values["map"], stamp_ns),
         events=MapEvents(*values["events"]),

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from lidar_core.circles.fitting import Circles
 from lidar_core.circles.map import CircleElements, MapEvents
 from lidar_core.circles.segmentation import Segments
+from lidar_core.circles.shapes import Shapes
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +32,11 @@ class CircleFrame:
         Groups of rays, one per object.
     circles, circles_world : Circles
         One circle per segment, in the level frame and in the world.
+    shapes : Shapes
+        One shape per segment, in the level frame; empty if `shapes` of the configuration is off.
     element : ndarray, shape (C,), int64
-        Element of the map of every circle; -1 where the hits do not lie on the circle.
+        Element of the map of every segment; -1 for what is not taken into it: it has another
+        shape, or its hits do not lie on the circle.
     map : CircleElements
         Confirmed elements at the time of the scan.
     events : MapEvents
@@ -51,6 +55,7 @@ class CircleFrame:
     segments: Segments
     circles: Circles
     circles_world: Circles
+    shapes: Shapes
     element: NDArray[np.int64]
     map: CircleElements
     events: MapEvents

@@ -80,7 +80,7 @@ pub(crate) fn fit_circles<'py>(
 }
 
 /// Kind (S,), parameters (S, 5), covariance (S, 5, 5), misfit (S,), number of hits (S,).
-type ShapeArrays<'py> = (
+pub(crate) type ShapeArrays<'py> = (
     Bound<'py, PyArray1<u8>>,
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray3<f64>>,
@@ -111,7 +111,7 @@ pub(crate) fn fit_shapes<'py>(
     shape_arrays(py, &found)
 }
 
-fn shape_arrays<'py>(
+pub(crate) fn shape_arrays<'py>(
     py: Python<'py>,
     shapes: &[ShapeEstimate],
 ) -> Result<ShapeArrays<'py>, BorderError> {

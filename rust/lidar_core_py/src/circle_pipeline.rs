@@ -1,10 +1,10 @@
 //! Bindings of `lidar_core::circles::pipeline`.
 
 use crate::arrays;
-use crate::circle_fit::{CircleArrays, circle_arrays};
+use crate::circle_fit::{CircleArrays, circle_arrays, shape_arrays};
 use crate::circle_map::{CircleMapConfig, Elements, element_arrays, estimates, event_arrays};
 use crate::circles::{LevelArrays, PROJECTIONS, SegmentArrays, segment_arrays};
-use crate::circles_config::{FitConfig, ScannerConfig, SegmentConfig};
+use crate::circles_config::{FitConfig, ScannerConfig, SegmentConfig, ShapeConfig};
 use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
@@ -27,6 +27,7 @@ struct CirclesConfig {
     preprocess: PreprocessConfig,
     segment: SegmentConfig,
     max_deviation: f64,
+    shapes: ShapeConfig,
     map: CircleMapConfig,
 }
 
@@ -47,6 +48,7 @@ impl CirclesConfig {
             segment: self.segment.parameters(&self.scanner)?,
             fit: fit.parameters(&self.scanner)?,
             max_deviation: self.max_deviation,
+            shapes: self.shapes.parameters(),
             map: self.map.parameters()?,
         })
     }
@@ -184,6 +186,7 @@ fn frame_dict(py: Python<'_>, frame: CircleFrame) -> Result<Bound<'_, PyDict>, B
     values.set_item("segments", segment_arrays(py, frame.segments)?)?;
     values.set_item("circles", all_circles(py, &frame.circles)?)?;
     values.set_item("circles_world", all_circles(py, &frame.circles_world)?)?;
+    values.set_item("shapes", shape_arrays(py, &frame.shapes)?)?;
     values.set_item("element", elements.into_pyarray(py))?;
     values.set_item("map", element_arrays(py, &frame.map)?)?;
     values.set_item("events", event_arrays(py, frame.stats)?)?;

@@ -2,6 +2,7 @@
 
 use crate::arrays;
 use lidar_core::Error;
+use lidar_core::circles::bodies::ShapeParameters;
 use lidar_core::circles::fit::{FitParameters, Method};
 use lidar_core::circles::pipeline::ScannerParameters;
 use lidar_core::circles::segment::{Bound, Criterion, SegmentParameters};
@@ -93,5 +94,21 @@ impl FitConfig {
             usual_radius: self.usual_radius,
             range_limits: [scanner.range_min, scanner.range_max],
         })
+    }
+}
+
+#[derive(FromPyObject)]
+pub(crate) struct ShapeConfig {
+    enabled: bool,
+    ellipses: bool,
+    rectangles: bool,
+    max_size: f64,
+    model_std: f64,
+}
+
+impl ShapeConfig {
+    pub(crate) fn parameters(&self) -> Option<ShapeParameters> {
+        let Self { enabled, ellipses, rectangles, max_size, model_std } = *self;
+        enabled.then_some(ShapeParameters { ellipses, rectangles, max_size, model_std })
     }
 }

@@ -4,6 +4,7 @@ use super::circle::CircleEstimate;
 use super::map::{MapElement, MapStats, PoseCovariance};
 use super::preprocess::LevelScan;
 use super::segments::Segments;
+use super::shape::ShapeEstimate;
 use crate::geometry::transform::Transform;
 
 /// A sweep ready for its circles to be estimated.
@@ -49,7 +50,10 @@ pub struct CircleFrame {
     pub circles: Vec<CircleEstimate>,
     /// The same in the world.
     pub circles_world: Vec<CircleEstimate>,
-    /// Element of the map of every circle; None where the hits do not lie on the circle.
+    /// One shape per segment, level frame; empty where shapes are not told apart.
+    pub shapes: Vec<ShapeEstimate>,
+    /// Element of the map of every segment; None for what is not taken into it: it has another
+    /// shape, or the hits do not lie on the circle.
     pub elements: Vec<Option<i64>>,
     /// What the map did with them.
     pub stats: MapStats,

@@ -4,6 +4,7 @@
 //! Sanchez-Lopez, Sampedro, Cazzato & Voos, "Deep learning based semantic situation awareness
 //! system for multirotor aerial robots using LIDAR", 2019. Equation numbers are the paper's.
 
+pub mod bodies;
 pub mod circle;
 pub mod fit;
 pub mod frame;

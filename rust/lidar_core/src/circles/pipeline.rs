@@ -1,7 +1,8 @@
 //! From one sweep of ranges to the map of circles: every stage in one call.
 
+use super::bodies::{ShapeParameters, body};
 use super::circle::CircleEstimate;
-use super::fit::{FitParameters, Fitter};
+use super::fit::{FitParameters, Fitter, Method};
 use super::frame::{CircleFrame, PreparedSweep, Timing};
 use super::map::{
     CircleMap, CircleMapParameters, CircleScan, MapElement, MapStats, PoseCovariance, View,
@@ -10,6 +11,7 @@ use super::polar::PolarScan;
 use super::preprocess::{self, LevelScan, Projection};
 use super::segment::{SegmentParameters, segment};
 use super::segments::Segments;
+use super::shape::{ShapeEstimate, ShapeFitter};
 use super::sweep::Sweep;
 use crate::Error;
 use crate::clock::Clock;
@@ -49,8 +51,10 @@ pub struct PipelineParameters {
     pub segment: SegmentParameters,
     /// How circles are fitted.
     pub fit: FitParameters,
-    /// Largest root mean square distance of hits from their circle [m].
+    /// Largest root mean square distance of hits from their circle, or other shape [m].
     pub max_deviation: f64,
+    /// What becomes of other shapes; None: all segments are taken for circles.
+    pub shapes: Option<ShapeParameters>,
     /// The map.
     pub map: CircleMapParameters,
 }
@@ -80,6 +84,7 @@ struct Channel {
     directions: Vec<[f64; 2]>,
     range_limits: [f64; 2],
     fitter: Fitter,
+    shaper: ShapeFitter,
 }
 
 /// Sweeps in, map of circles out.
@@ -97,6 +102,7 @@ impl CirclePipeline {
     /// [`Error::Parameter`] for values that cannot work.
     pub fn new(parameters: PipelineParameters) -> Result<Self, Error> {
         let map = CircleMap::new(parameters.map.clone())?;
+        parameters.shapes.iter().try_for_each(ShapeParameters::check)?;
         Channel::new(&parameters.scanner, &parameters)?;
         let channels = parameters
             .scanners
@@ -165,10 +171,32 @@ impl CirclePipeline {
     fn fit(&mut self, mut prepared: PreparedSweep) -> Result<CircleFrame, Error> {
         let mut clock = Clock::start();
         let mut circles = Vec::with_capacity(prepared.segments.len());
+        let (scan, segments) = (&prepared.level.scan, &prepared.segments);
         let (_, channel) = &mut self.channels[prepared.scanner];
-        channel.fitter.fit(&prepared.level.scan, &prepared.segments, &mut circles)?;
+        let is_done =
+            self.parameters.shapes.is_some() && self.parameters.fit.method == Method::Expected;
+        let mut shapes = Vec::new();
+        if is_done {
+            channel.shaper.fit_both(scan, segments, &mut circles, &mut shapes)?;
+        } else {
+            channel.fitter.fit(scan, segments, &mut circles)?;
+            self.find_shapes(&prepared, &mut shapes)?;
+        }
         prepared.timing.fit = clock.lap();
-        self.integrate(prepared, circles)
+        self.take_in(prepared, circles, shapes)
+    }
+
+    /// Shapes of the segments, if they are wanted.
+    fn find_shapes(
+        &mut self,
+        prepared: &PreparedSweep,
+        shapes: &mut Vec<ShapeEstimate>,
+    ) -> Result<(), Error> {
+        let (_, channel) = &mut self.channels[prepared.scanner];
+        match self.parameters.shapes {
+            Some(_) => channel.shaper.fit(&prepared.level.scan, &prepared.segments, shapes),
+            None => Ok(()),
+        }
     }
 
     /// Take in the circles of a prepared sweep, one per segment.
@@ -180,18 +208,31 @@ impl CirclePipeline {
         prepared: PreparedSweep,
         circles: Vec<CircleEstimate>,
     ) -> Result<CircleFrame, Error> {
-        let mut clock = Clock::start();
         let (expected, got) = (prepared.segments.len(), circles.len());
         if expected != got {
             return Err(Error::Length { name: "circles", expected, got });
         }
-        let (elements, stats) = self.take_in(&prepared, &circles)?;
+        let mut shapes = Vec::new();
+        self.find_shapes(&prepared, &mut shapes)?;
+        self.take_in(prepared, circles, shapes)
+    }
+
+    /// Hand what is round to the map.
+    fn take_in(
+        &mut self,
+        prepared: PreparedSweep,
+        circles: Vec<CircleEstimate>,
+        shapes: Vec<ShapeEstimate>,
+    ) -> Result<CircleFrame, Error> {
+        let mut clock = Clock::start();
+        let (elements, stats) = self.update(&prepared, &circles, &shapes)?;
         let map = self.map.map_at(prepared.stamp_ns);
         Ok(CircleFrame {
             circles_world: in_world(&circles, &prepared.world_from_level),
             level: prepared.level,
             segments: prepared.segments,
             circles,
+            shapes,
             elements,
             stats,
             map,
@@ -199,18 +240,20 @@ impl CirclePipeline {
         })
     }
 
-    /// Hand the circles that fit to the map; the element of every circle.
-    fn take_in(
+    /// Correct the map; the element of every segment.
+    fn update(
         &mut self,
         prepared: &PreparedSweep,
         circles: &[CircleEstimate],
+        shapes: &[ShapeEstimate],
     ) -> Result<(Vec<Option<i64>>, MapStats), Error> {
-        let fits = |number: &usize| {
-            let deviation = deviation(prepared, *number, &circles[*number]);
-            deviation <= self.parameters.max_deviation
+        let limits = [self.parameters.fit.range_std, self.parameters.max_deviation];
+        let of = |(number, circle): (usize, &CircleEstimate)| {
+            let shape = shapes.get(number).zip(self.parameters.shapes.as_ref());
+            Some((number, body(prepared, number, circle, shape, limits)?))
         };
-        let kept: Vec<usize> = (0..circles.len()).filter(fits).collect();
-        let estimates: Vec<CircleEstimate> = kept.iter().map(|&number| circles[number]).collect();
+        let (kept, estimates): (Vec<usize>, Vec<CircleEstimate>) =
+            circles.iter().enumerate().filter_map(of).unzip();
         let delays: Option<Vec<f64>> = prepared
             .delays
             .as_ref()
@@ -272,6 +315,7 @@ impl Channel {
             bearings,
             range_limits,
             fitter: Fitter::new(FitParameters { range_limits, ..parameters.fit })?,
+            shaper: ShapeFitter::new(FitParameters { range_limits, ..parameters.fit })?,
         })
     }
 
@@ -326,21 +370,6 @@ fn delays(segments: &Segments, ray_time_ns: &[i64], stamp_ns: i64) -> Vec<f64> {
     let delay = |&ray: &u32| (ray_time_ns[ray as usize] - stamp_ns) as f64 * 1e-9;
     let mean = |rays: &[u32]| rays.iter().map(delay).sum::<f64>() / rays.len() as f64;
     (0..segments.len()).map(|number| mean(segments.rays_of(number))).collect()
-}
-
-/// Root mean square distance of the hits of a segment from a circle [m].
-fn deviation(prepared: &PreparedSweep, number: usize, estimate: &CircleEstimate) -> f64 {
-    let rays = prepared.segments.rays_of(number);
-    let [x, y] = estimate.circle.center;
-    let square: f64 = rays
-        .iter()
-        .filter_map(|&ray| prepared.level.scan.point(ray as usize))
-        .map(|point| {
-            let distance = libm::hypot(point[0] - x, point[1] - y) - estimate.circle.radius;
-            distance * distance
-        })
-        .sum();
-    (square / rays.len() as f64).sqrt()
 }
 
 /// Circles of the level frame in the world.

@@ -14,7 +14,7 @@ mod solve;
 mod tests;
 
 use self::ellipse::Ellipse;
-use super::circle::Circle;
+use super::circle::{Circle, CircleEstimate};
 use super::fit::arc::Arc;
 use super::fit::likelihood::Likelihood;
 use super::fit::posterior::Posterior;
@@ -104,24 +104,42 @@ impl ShapeFitter {
         segments: &Segments,
         shapes: &mut Vec<ShapeEstimate>,
     ) -> Result<(), Error> {
+        self.fit_both(scan, segments, &mut Vec::new(), shapes)
+    }
+
+    /// The same, and also write the circle that explains each segment best to `circles`.
+    ///
+    /// # Errors
+    /// As [`ShapeFitter::fit`].
+    pub fn fit_both(
+        &mut self,
+        scan: &PolarScan,
+        segments: &Segments,
+        circles: &mut Vec<CircleEstimate>,
+        shapes: &mut Vec<ShapeEstimate>,
+    ) -> Result<(), Error> {
+        circles.clear();
         shapes.clear();
         scan.check_lengths()?;
         for number in 0..segments.len() {
             self.arc.read(scan, segments, number, &self.parameters)?;
-            shapes.push(self.shape_of_arc());
+            let (circle, shape) = self.shape_of_arc();
+            circles.push(circle);
+            shapes.push(shape);
         }
         Ok(())
     }
 
-    fn shape_of_arc(&mut self) -> ShapeEstimate {
+    fn shape_of_arc(&mut self) -> (CircleEstimate, ShapeEstimate) {
         let (arc, std) = (&self.arc, self.parameters.range_std);
         let likelihood = Likelihood { arc, parameters: &self.parameters };
         let estimated = self.posterior.of(&likelihood);
         let log_likelihood = self.posterior.log_likelihood().filter(|_| estimated.is_some());
         let misfit = log_likelihood.map_or(f64::INFINITY, |log| -2.0 * log);
-        let circle = || place::circle(arc, estimate(arc, &self.parameters, estimated), misfit);
+        let circle = estimate(arc, &self.parameters, estimated);
+        let round = place::circle(arc, circle, misfit);
         if arc.n_hits < LEAST_HITS {
-            return circle();
+            return (circle, round);
         }
         let criterion =
             |misfit: f64, parameters: f64| misfit + parameters * libm::log(arc.n_hits as f64);
@@ -148,7 +166,7 @@ impl ShapeFitter {
                 best = (round, Some(place::ellipse(&ellipse, &found)));
             }
         }
-        best.1.unwrap_or_else(circle)
+        (circle, best.1.unwrap_or(round))
     }
 
     /// Criterion below which a shape with more parameters has nothing to add.

@@ -1,0 +1,36 @@
+"""What becomes of segments that are no circles."""
+
+from pydantic import Field
+
+from lidar_core.config import Config
+
+
+class ShapeConfig(Config):
+    """Which shape each segment has, and which shapes go into the map of circles.
+
+    Sources: the shapes are future work of the paper, sec. VII; the values are ours.
+    """
+
+    enabled: bool = Field(
+        True,
+        description="Tell lines, rectangles and ellipses from circles: lines, and what is too"
+        " large, stay out of the map. Off: every segment is taken for a circle, as in the paper"
+        " (no unit).",
+    )
+    ellipses: bool = Field(
+        True,
+        description="Ellipses up to `max_size` go into the map as the circle of the same area: a"
+        " person stays one object (no unit).",
+    )
+    rectangles: bool = Field(True, description="Same of rectangles (no unit).")
+    max_size: float = Field(
+        0.5,
+        gt=0,
+        description="Largest half length of an ellipse or rectangle that goes into the map [m].",
+    )
+    model_std: float = Field(
+        0.03,
+        gt=0,
+        description="Standard deviation of how far the outline of such an object departs from the"
+        " circle that stands for it, added to its covariance [m].",
+    )

@@ -1,0 +1,143 @@
+//! Which segments go into the map of circles: what is round, and small things that are nearly so.
+
+use super::circle::{Circle, CircleEstimate};
+use super::frame::PreparedSweep;
+use super::shape::{ShapeEstimate, ShapeKind};
+use crate::Error;
+use crate::error::require_positive;
+use std::f64::consts::PI;
+
+/// What becomes of the shapes of segments.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ShapeParameters {
+    /// Ellipses up to `max_size` go into the map.
+    pub ellipses: bool,
+    /// So do rectangles.
+    pub rectangles: bool,
+    /// Largest half length of those [m].
+    pub max_size: f64,
+    /// How far their outlines depart from a fixed shape, as a standard deviation [m].
+    pub model_std: f64,
+}
+
+impl ShapeParameters {
+    /// # Errors
+    /// [`Error::Parameter`] for one that is outside its range.
+    pub(super) fn check(&self) -> Result<(), Error> {
+        require_positive("max_size", self.max_size)?;
+        require_positive("model_std", self.model_std)
+    }
+
+    fn takes(&self, kind: ShapeKind) -> bool {
+        match kind {
+            ShapeKind::Circle => true,
+            ShapeKind::Ellipse => self.ellipses,
+            ShapeKind::Rectangle => self.rectangles,
+            ShapeKind::Line => false,
+        }
+    }
+
+    /// The circle of the same area, if the shape is small enough to go into the map.
+    fn equivalent(&self, shape: &ShapeEstimate) -> Option<CircleEstimate> {
+        let [x, y, long, short, _] = shape.parameters;
+        // Rectangles have sides, ellipses semi-axes.
+        let (area, half) = match shape.kind {
+            ShapeKind::Rectangle => (long * short, 0.5 * long),
+            _ => (PI * long * short, long),
+        };
+        let radius = (area / PI).sqrt();
+        let is_usable = self.takes(shape.kind) && half <= self.max_size && radius > 0.0;
+        let slope = [0.5 * radius / long, 0.5 * radius / short];
+        let c = &shape.covariance;
+        let with_radius = |i: usize| c[i][2] * slope[0] + c[i][3] * slope[1];
+        let of_radius = slope[0] * with_radius(2) + slope[1] * with_radius(3);
+        let spread = self.model_std * self.model_std;
+        let covariance = [
+            [c[0][0] + spread, c[0][1], with_radius(0)],
+            [c[0][1], c[1][1] + spread, with_radius(1)],
+            [with_radius(0), with_radius(1), of_radius + spread],
+        ];
+        let is_finite = covariance.iter().flatten().all(|value| value.is_finite());
+        (is_usable && is_finite).then_some(CircleEstimate {
+            circle: Circle { center: [x, y], radius },
+            covariance,
+            n_hits: shape.n_hits,
+        })
+    }
+}
+
+/// What segment `number` is for the map of circles: None where its hits do not lie on the circle,
+/// or it has another shape. Its own estimate stands for a circle, the circle of the same area for
+/// other shapes.
+pub(super) fn body(
+    prepared: &PreparedSweep,
+    number: usize,
+    circle: &CircleEstimate,
+    shape: Option<(&ShapeEstimate, &ShapeParameters)>,
+    [range_std, max_deviation]: [f64; 2],
+) -> Option<CircleEstimate> {
+    match shape {
+        Some((shape, parameters)) if shape.kind != ShapeKind::Circle => {
+            let deviation = range_std * (shape.misfit / shape.n_hits as f64).sqrt();
+            parameters.equivalent(shape).filter(|_| deviation <= max_deviation)
+        }
+        _ => Some(*circle).filter(|_| deviation(prepared, number, circle) <= max_deviation),
+    }
+}
+
+/// Root mean square distance of the hits of a segment from a circle [m].
+fn deviation(prepared: &PreparedSweep, number: usize, estimate: &CircleEstimate) -> f64 {
+    let rays = prepared.segments.rays_of(number);
+    let [x, y] = estimate.circle.center;
+    let square: f64 = rays
+        .iter()
+        .filter_map(|&ray| prepared.level.scan.point(ray as usize))
+        .map(|point| {
+            let distance = libm::hypot(point[0] - x, point[1] - y) - estimate.circle.radius;
+            distance * distance
+        })
+        .sum();
+    (square / rays.len() as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RULES: ShapeParameters =
+        ShapeParameters { ellipses: true, rectangles: true, max_size: 0.5, model_std: 0.02 };
+
+    fn shape(kind: ShapeKind, long: f64, short: f64) -> ShapeEstimate {
+        let mut covariance = [[0.0; 5]; 5];
+        for (axis, row) in covariance.iter_mut().enumerate() {
+            row[axis] = 1e-4 * (axis + 1) as f64;
+        }
+        let parameters = [3.0, 1.0, long, short, 0.4];
+        ShapeEstimate { kind, parameters, covariance, misfit: 10.0, n_hits: 10 }
+    }
+
+    #[test]
+    fn the_circle_has_the_same_area_and_its_variance_agrees_with_differences() {
+        for (kind, factor) in [(ShapeKind::Ellipse, 1.0), (ShapeKind::Rectangle, 1.0 / PI)] {
+            let found = RULES.equivalent(&shape(kind, 0.4, 0.1));
+            let radius = |long: f64, short: f64| (factor * long * short).sqrt();
+            let by_long = (radius(0.4 + 1e-6, 0.1) - radius(0.4 - 1e-6, 0.1)) / 2e-6;
+            let by_short = (radius(0.4, 0.1 + 1e-6) - radius(0.4, 0.1 - 1e-6)) / 2e-6;
+            let expected = 3e-4 * by_long * by_long + 4e-4 * by_short * by_short + 4e-4;
+            assert!(found.is_some_and(|found| {
+                (found.circle.radius - radius(0.4, 0.1)).abs() < 1e-12
+                    && (found.covariance[2][2] - expected).abs() < 1e-9
+            }));
+        }
+    }
+
+    #[test]
+    fn what_is_large_straight_or_not_wanted_stays_out() {
+        let few = ShapeParameters { rectangles: false, ..RULES };
+        assert!(RULES.equivalent(&shape(ShapeKind::Ellipse, 0.6, 0.1)).is_none());
+        assert!(RULES.equivalent(&shape(ShapeKind::Line, 0.4, 0.1)).is_none());
+        assert!(few.equivalent(&shape(ShapeKind::Rectangle, 0.4, 0.1)).is_none());
+        assert!(few.equivalent(&shape(ShapeKind::Ellipse, 0.4, 0.0)).is_none());
+        assert!(ShapeParameters { max_size: 0.0, ..RULES }.check().is_err());
+    }
+}
