@@ -115,8 +115,10 @@ fn parameters() -> PipelineParameters {
         shapes: Some(ShapeParameters {
             ellipses: true,
             rectangles: true,
+            faces: true,
             max_size: 0.5,
             model_std: 0.03,
+            min_hits: 6,
         }),
         map: CircleMapParameters {
             filter: Filter::Independent(independent()),
@@ -132,6 +134,7 @@ fn independent() -> Independent {
         modes: vec![mode(0.003, 0.5, 2.0), mode(0.5, 0.48, 2.0), mode(100.0, 0.02, 0.1)],
         radius_density: 1e-6,
         birth_density: 0.1,
+        merge_gap: 0.1,
         confirmation: Confirmation { hits: 3, window: 5 },
         limits: Limits { position: 1.0, velocity: 3.0, radius: 0.3 },
         patience: Patience { absent: 0.25, unmatched: 0.5, hidden: Some(5.0) },

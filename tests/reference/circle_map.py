@@ -301,7 +301,8 @@ class IndependentMap:
         k = 0
         while k < len(self.elements):
             one = self.elements[k]
-            twins = [other for other in self.elements[k + 1 :] if is_twin(one, other)]
+            others, gap = self.elements[k + 1 :], config.merge_gap
+            twins = [other for other in others if is_twin(one, other, gap)]
             if not twins:
                 k += 1
                 continue
@@ -343,10 +344,12 @@ class IndependentMap:
         return found
 
 
-def is_twin(one, other):
+def is_twin(one, other, gap):
     a, b = one.combined()[0], other.combined()[0]
-    inside = np.hypot(*(a - b)[:2]) < max(a[4], b[4])
-    return one.visible() and other.visible() and inside
+    apart = np.hypot(*(a - b)[:2])
+    inside = apart < max(a[4], b[4])
+    touching = gap > 0 and apart < a[4] + b[4] + gap
+    return one.visible() and other.visible() and (inside or touching)
 
 
 def united(kept, dropped):

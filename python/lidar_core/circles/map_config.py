@@ -65,6 +65,12 @@ class CircleMapConfig(Config):
         description="Density of circles that belong to no element, per area and radius [1/m^3]: a"
         " circle joins an element that explains it better.",
     )
+    merge_gap: float = Field(
+        0.1,
+        ge=0,
+        description="Elements with a smaller gap between their surfaces are one object, as arms"
+        " and trunk of a person are [m]; 0: only those whose centre lies inside another.",
+    )
     confirm_hits: int = Field(
         3,
         ge=1,

@@ -23,14 +23,25 @@ class ShapeConfig(Config):
         " person stays one object (no unit).",
     )
     rectangles: bool = Field(True, description="Same of rectangles (no unit).")
+    faces: bool = Field(
+        True,
+        description="Lines up to that half length that stand free at both ends go into the map as"
+        " a circle behind them: one side of a box (no unit).",
+    )
     max_size: float = Field(
         0.5,
         gt=0,
-        description="Largest half length of an ellipse or rectangle that goes into the map [m].",
+        description="Largest half length of an ellipse, rectangle or line in the map [m].",
     )
     model_std: float = Field(
         0.03,
         gt=0,
         description="Standard deviation of how far the outline of such an object departs from the"
         " circle that stands for it, added to its covariance [m].",
+    )
+    min_hits: int = Field(
+        6,
+        ge=1,
+        description="A segment of fewer rays that ends at something nearer is an object only if"
+        " nothing is behind its other end: else it is a piece of a wall (count, no unit).",
     )

@@ -26,6 +26,7 @@ pub(crate) struct CircleMapConfig {
     mode_time: Vec<f64>,
     radius_noise: f64,
     birth_density: f64,
+    merge_gap: f64,
     confirm_hits: u32,
     confirm_window: u32,
     max_position_std: f64,
@@ -61,6 +62,7 @@ impl CircleMapConfig {
                 .collect(),
             radius_density: self.radius_noise,
             birth_density: self.birth_density,
+            merge_gap: self.merge_gap,
             confirmation: Confirmation { hits: self.confirm_hits, window: self.confirm_window },
             limits: Limits {
                 position: self.max_position_std,

@@ -102,13 +102,21 @@ pub(crate) struct ShapeConfig {
     enabled: bool,
     ellipses: bool,
     rectangles: bool,
+    faces: bool,
     max_size: f64,
     model_std: f64,
+    min_hits: usize,
 }
 
 impl ShapeConfig {
     pub(crate) fn parameters(&self) -> Option<ShapeParameters> {
-        let Self { enabled, ellipses, rectangles, max_size, model_std } = *self;
-        enabled.then_some(ShapeParameters { ellipses, rectangles, max_size, model_std })
+        self.enabled.then_some(ShapeParameters {
+            ellipses: self.ellipses,
+            rectangles: self.rectangles,
+            faces: self.faces,
+            max_size: self.max_size,
+            model_std: self.model_std,
+            min_hits: self.min_hits,
+        })
     }
 }

@@ -2,9 +2,11 @@
 
 use super::circle::{Circle, CircleEstimate};
 use super::frame::PreparedSweep;
+use super::segments::Side;
 use super::shape::{ShapeEstimate, ShapeKind};
 use crate::Error;
 use crate::error::require_positive;
+use nalgebra::Matrix3;
 use std::f64::consts::PI;
 
 /// What becomes of the shapes of segments.
@@ -14,10 +16,15 @@ pub struct ShapeParameters {
     pub ellipses: bool,
     /// So do rectangles.
     pub rectangles: bool,
-    /// Largest half length of those [m].
+    /// Lines that stand free go into it, as circles behind them.
+    pub faces: bool,
+    /// Largest half length of all those [m].
     pub max_size: f64,
     /// How far their outlines depart from a fixed shape, as a standard deviation [m].
     pub model_std: f64,
+    /// A segment of fewer rays that ends at something nearer is an object only if nothing is
+    /// behind its other end.
+    pub min_hits: usize,
 }
 
 impl ShapeParameters {
@@ -33,8 +40,29 @@ impl ShapeParameters {
             ShapeKind::Circle => true,
             ShapeKind::Ellipse => self.ellipses,
             ShapeKind::Rectangle => self.rectangles,
-            ShapeKind::Line => false,
+            ShapeKind::Line => self.faces,
         }
+    }
+
+    /// What a line that stands free is taken for: a circle whose middle lies behind it.
+    fn behind(&self, shape: &ShapeEstimate) -> Option<CircleEstimate> {
+        let [start, end] = shape.ends()?;
+        let half = 0.5 * libm::hypot(end[0] - start[0], end[1] - start[1]);
+        let depth = 0.5 * half; // nobody knows: between none and its length
+        let normal = [libm::cos(shape.parameters[0]), libm::sin(shape.parameters[0])];
+        let spread = depth * depth + self.model_std * self.model_std;
+        let mut covariance = [[0.0; 3]; 3];
+        for (axis, row) in covariance.iter_mut().enumerate() {
+            row[axis] = spread;
+        }
+        (self.faces && half > 0.0 && half <= self.max_size).then_some(CircleEstimate {
+            circle: Circle {
+                center: [0, 1].map(|i| 0.5 * (start[i] + end[i]) + depth * normal[i]),
+                radius: half,
+            },
+            covariance,
+            n_hits: shape.n_hits,
+        })
     }
 
     /// The circle of the same area, if the shape is small enough to go into the map.
@@ -76,13 +104,31 @@ pub(super) fn body(
     shape: Option<(&ShapeEstimate, &ShapeParameters)>,
     [range_std, max_deviation]: [f64; 2],
 ) -> Option<CircleEstimate> {
-    match shape {
-        Some((shape, parameters)) if shape.kind != ShapeKind::Circle => {
-            let deviation = range_std * (shape.misfit / shape.n_hits as f64).sqrt();
-            parameters.equivalent(shape).filter(|_| deviation <= max_deviation)
-        }
-        _ => Some(*circle).filter(|_| deviation(prepared, number, circle) <= max_deviation),
+    let round = || Some(*circle).filter(|_| deviation(prepared, number, circle) <= max_deviation);
+    let Some((shape, parameters)) = shape else { return round() };
+    let sides = prepared.segments.sides[number];
+    if is_piece(sides, shape.n_hits, parameters.min_hits) {
+        return None;
     }
+    let off = range_std * (shape.misfit / shape.n_hits as f64).sqrt();
+    match shape.kind {
+        ShapeKind::Circle => round().filter(is_certain),
+        _ if off > max_deviation => None,
+        ShapeKind::Line if sides != [Side::Free; 2] => None,
+        ShapeKind::Line => parameters.behind(shape),
+        ShapeKind::Ellipse | ShapeKind::Rectangle => parameters.equivalent(shape),
+    }
+}
+
+/// Whether a few rays show no more than a piece of something: it ends where something nearer is,
+/// and nothing shows that it ends at the other side.
+fn is_piece(sides: [Side; 2], n_hits: usize, min_hits: usize) -> bool {
+    n_hits < min_hits && sides.contains(&Side::Occluded) && !sides.contains(&Side::Free)
+}
+
+/// Whether the covariance can be used: that of a circle fitted to a wall may be singular.
+fn is_certain(estimate: &CircleEstimate) -> bool {
+    Matrix3::from_fn(|i, j| estimate.covariance[i][j]).cholesky().is_some()
 }
 
 /// Root mean square distance of the hits of a segment from a circle [m].
@@ -104,8 +150,14 @@ fn deviation(prepared: &PreparedSweep, number: usize, estimate: &CircleEstimate)
 mod tests {
     use super::*;
 
-    const RULES: ShapeParameters =
-        ShapeParameters { ellipses: true, rectangles: true, max_size: 0.5, model_std: 0.02 };
+    const RULES: ShapeParameters = ShapeParameters {
+        ellipses: true,
+        rectangles: true,
+        faces: true,
+        max_size: 0.5,
+        model_std: 0.02,
+        min_hits: 6,
+    };
 
     fn shape(kind: ShapeKind, long: f64, short: f64) -> ShapeEstimate {
         let mut covariance = [[0.0; 5]; 5];
@@ -139,5 +191,26 @@ mod tests {
         assert!(few.equivalent(&shape(ShapeKind::Rectangle, 0.4, 0.1)).is_none());
         assert!(few.equivalent(&shape(ShapeKind::Ellipse, 0.4, 0.0)).is_none());
         assert!(ShapeParameters { max_size: 0.0, ..RULES }.check().is_err());
+    }
+
+    #[test]
+    fn a_short_face_has_its_middle_behind_it() {
+        let mut face = shape(ShapeKind::Line, 0.0, 0.0);
+        face.parameters = [0.0, 2.0, -0.2, 0.2, 0.0];
+        let found = RULES.behind(&face);
+        assert!(found.is_some_and(|found| {
+            let [x, y] = found.circle.center;
+            (x - 2.1).abs() < 1e-12 && y.abs() < 1e-12 && (found.circle.radius - 0.2).abs() < 1e-12
+        }));
+        face.parameters[3] = 2.0;
+        assert!(RULES.behind(&face).is_none());
+    }
+
+    #[test]
+    fn a_few_rays_between_two_other_things_are_a_piece() {
+        use Side::{FieldEdge, Free, Occluded, RangeCut};
+        assert!(is_piece([RangeCut, Occluded], 5, 6) && is_piece([Occluded, FieldEdge], 4, 6));
+        assert!(!is_piece([RangeCut, Occluded], 6, 6));
+        assert!(!is_piece([Free, Occluded], 4, 6) && !is_piece([RangeCut; 2], 4, 6));
     }
 }

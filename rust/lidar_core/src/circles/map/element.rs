@@ -101,11 +101,13 @@ impl Element {
             || self.is_visible() && is_vague(&self.modes.combined(), &parameters.limits)
     }
 
-    /// Whether two elements are one: the centre of one lies inside the other.
-    pub(super) fn is_twin(&self, other: &Self) -> bool {
+    /// Whether two elements are one: the centre of one lies inside the other, or there is less
+    /// than `gap` between them.
+    pub(super) fn is_twin(&self, other: &Self, gap: f64) -> bool {
         let (one, two) = (self.modes.combined().mean, other.modes.combined().mean);
         let [x, y] = [one[0] - two[0], one[1] - two[1]];
-        let reach = one[4].max(two[4]);
+        let touching = if gap > 0.0 { one[4] + two[4] + gap } else { 0.0 };
+        let reach = one[4].max(two[4]).max(touching);
         self.is_visible() && other.is_visible() && x * x + y * y < reach * reach
     }
 

@@ -151,7 +151,7 @@ impl Rules {
 
     /// Confirm, merge and remove.
     fn tidy(&self, elements: &mut Elements) -> Vec<[i64; 2]> {
-        let merged = merge(&mut elements.all);
+        let merged = merge(&mut elements.all, self.parameters.merge_gap);
         for element in &mut elements.all {
             element.confirm(&self.parameters);
         }
@@ -184,11 +184,11 @@ impl Rules {
 
 /// Merge elements of one object; pairs of the number that stays and the one that goes. A confirmed
 /// element stays before any other, then the elder.
-fn merge(all: &mut Vec<Element>) -> Vec<[i64; 2]> {
+fn merge(all: &mut Vec<Element>, gap: f64) -> Vec<[i64; 2]> {
     let mut merged = Vec::new();
     let mut index = 0;
     while index < all.len() {
-        let twin = (index + 1..all.len()).find(|&other| all[index].is_twin(&all[other]));
+        let twin = (index + 1..all.len()).find(|&other| all[index].is_twin(&all[other], gap));
         let Some(twin) = twin else {
             index += 1;
             continue;

@@ -70,6 +70,8 @@ pub struct Independent {
     pub radius_density: f64,
     /// Density of circles that belong to no element [1/m^3]: per area and per radius.
     pub birth_density: f64,
+    /// Elements with a smaller gap between their surfaces are one [m].
+    pub merge_gap: f64,
     /// When elements are reported.
     pub confirmation: Confirmation,
     /// When elements are too uncertain.
@@ -140,6 +142,7 @@ impl Independent {
         }
         not_negative("radius_noise", self.radius_density)?;
         require_positive("birth_density", self.birth_density)?;
+        not_negative("merge_gap", self.merge_gap)?;
         let Confirmation { hits, window } = self.confirmation;
         require(
             (1..=MAX_WINDOW).contains(&window) && (1..=window).contains(&hits),

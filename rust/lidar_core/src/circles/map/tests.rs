@@ -12,6 +12,7 @@ fn best() -> Independent {
         modes: vec![mode(0.003, 0.5, 2.0), mode(0.5, 0.48, 2.0), mode(100.0, 0.02, 0.1)],
         radius_density: 1e-6,
         birth_density: 0.1,
+        merge_gap: 0.1,
         confirmation: Confirmation { hits: 3, window: 5 },
         limits: Limits { position: 1.0, velocity: 3.0, radius: 0.3 },
         patience: Patience { absent: 0.25, unmatched: 0.5, hidden: Some(5.0) },
@@ -126,6 +127,20 @@ fn scans_that_come_late_leave_the_same_map() -> Result<(), Error> {
 }
 
 #[test]
+fn what_nearly_touches_becomes_one() -> Result<(), Error> {
+    for (gap, count) in [(0.05, 1), (0.2, 2)] {
+        let mut map = map_of(Filter::Independent(best()))?;
+        for step in 0..10 {
+            map.update(&scan(step, &[circle(3.0, 0.0, 0.3), circle(3.0, 0.4 + gap, 0.1)]))?;
+        }
+        let now = map.map_at(9 * STEP_NS);
+        assert_eq!(now.len(), count);
+        assert!((now[0].state.mean[1]).abs() < 1e-6 && now[0].id == 0);
+    }
+    Ok(())
+}
+
+#[test]
 fn elements_of_one_object_become_one() -> Result<(), Error> {
     let mut map = map_of(Filter::Independent(best()))?;
     for step in 0..10 {
@@ -189,10 +204,11 @@ fn the_joint_filter_keeps_numbers_and_forgets_what_is_vague() -> Result<(), Erro
 
 #[test]
 fn parameters_outside_their_range_are_refused() {
-    let changes: [fn(&mut Independent); 5] = [
+    let changes: [fn(&mut Independent); 6] = [
         |p| p.modes.clear(),
         |p| p.modes[0].duration = 0.0,
         |p| p.birth_density = f64::NAN,
+        |p| p.merge_gap = -0.1,
         |p| p.confirmation.hits = 6,
         |p| p.limits.radius = -1.0,
     ];

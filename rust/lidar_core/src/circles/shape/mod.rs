@@ -15,7 +15,7 @@ mod tests;
 
 use self::ellipse::Ellipse;
 use super::circle::{Circle, CircleEstimate};
-use super::fit::arc::Arc;
+use super::fit::arc::{Arc, Hit};
 use super::fit::likelihood::Likelihood;
 use super::fit::posterior::Posterior;
 use super::fit::{FitParameters, Method, estimate};
@@ -159,6 +159,7 @@ impl ShapeFitter {
         }
         let ellipse = Ellipse { arc };
         if best.0 > self.good(5.0)
+            && self.width() <= 2.0 * self.parameters.radius[1]
             && let Some(found) = ellipse::fit_ellipse(&ellipse, std, self.parameters.radius[1])
         {
             let round = criterion(found.misfit, 5.0);
@@ -167,6 +168,16 @@ impl ShapeFitter {
             }
         }
         (circle, best.1.unwrap_or(round))
+    }
+
+    /// From the first hit to the last one [m].
+    fn width(&self) -> f64 {
+        let (Some(first), Some(last)) = (self.arc.hits.first(), self.arc.hits.last()) else {
+            return 0.0;
+        };
+        let at = |hit: &Hit| [hit.range * hit.cosine, hit.range * hit.sine];
+        let ([x, y], [to_x, to_y]) = (at(first), at(last));
+        libm::hypot(to_x - x, to_y - y)
     }
 
     /// Criterion below which a shape with more parameters has nothing to add.
