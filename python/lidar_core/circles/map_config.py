@@ -66,7 +66,7 @@ class CircleMapConfig(Config):
         " circle joins an element that explains it better.",
     )
     merge_gap: float = Field(
-        0.1,
+        0.15,
         ge=0,
         description="Elements with a smaller gap between their surfaces are one object, as arms"
         " and trunk of a person are [m]; 0: only those whose centre lies inside another.",

@@ -19,8 +19,8 @@ class ShapeConfig(Config):
     )
     ellipses: bool = Field(
         True,
-        description="Ellipses up to `max_size` go into the map as the circle of the same area: a"
-        " person stays one object (no unit).",
+        description="Ellipses up to `max_size` go into the map as the circle of the mean half"
+        " length: a person stays one object (no unit).",
     )
     rectangles: bool = Field(True, description="Same of rectangles (no unit).")
     faces: bool = Field(

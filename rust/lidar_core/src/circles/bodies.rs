@@ -7,7 +7,6 @@ use super::shape::{ShapeEstimate, ShapeKind};
 use crate::Error;
 use crate::error::require_positive;
 use nalgebra::Matrix3;
-use std::f64::consts::PI;
 
 /// What becomes of the shapes of segments.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,7 +39,7 @@ impl ShapeParameters {
             ShapeKind::Circle => true,
             ShapeKind::Ellipse => self.ellipses,
             ShapeKind::Rectangle => self.rectangles,
-            ShapeKind::Line => self.faces,
+            ShapeKind::Line => false, // of unknown depth: see `behind`
         }
     }
 
@@ -65,20 +64,17 @@ impl ShapeParameters {
         })
     }
 
-    /// The circle of the same area, if the shape is small enough to go into the map.
+    /// The circle of the mean half length, if the shape is small enough to go into the map.
     fn equivalent(&self, shape: &ShapeEstimate) -> Option<CircleEstimate> {
         let [x, y, long, short, _] = shape.parameters;
         // Rectangles have sides, ellipses semi-axes.
-        let (area, half) = match shape.kind {
-            ShapeKind::Rectangle => (long * short, 0.5 * long),
-            _ => (PI * long * short, long),
-        };
-        let radius = (area / PI).sqrt();
-        let is_usable = self.takes(shape.kind) && half <= self.max_size && radius > 0.0;
-        let slope = [0.5 * radius / long, 0.5 * radius / short];
+        let scale = if shape.kind == ShapeKind::Rectangle { 0.5 } else { 1.0 };
+        let radius = 0.5 * scale * (long + short);
+        let is_usable = self.takes(shape.kind) && scale * long <= self.max_size && radius > 0.0;
+        let slope = 0.5 * scale;
         let c = &shape.covariance;
-        let with_radius = |i: usize| c[i][2] * slope[0] + c[i][3] * slope[1];
-        let of_radius = slope[0] * with_radius(2) + slope[1] * with_radius(3);
+        let with_radius = |i: usize| slope * (c[i][2] + c[i][3]);
+        let of_radius = slope * (with_radius(2) + with_radius(3));
         let spread = self.model_std * self.model_std;
         let covariance = [
             [c[0][0] + spread, c[0][1], with_radius(0)],
@@ -95,7 +91,7 @@ impl ShapeParameters {
 }
 
 /// What segment `number` is for the map of circles: None where its hits do not lie on the circle,
-/// or it has another shape. Its own estimate stands for a circle, the circle of the same area for
+/// or it has another shape. Its own estimate stands for a circle, one of the mean half length for
 /// other shapes.
 pub(super) fn body(
     prepared: &PreparedSweep,
@@ -169,16 +165,13 @@ mod tests {
     }
 
     #[test]
-    fn the_circle_has_the_same_area_and_its_variance_agrees_with_differences() {
-        for (kind, factor) in [(ShapeKind::Ellipse, 1.0), (ShapeKind::Rectangle, 1.0 / PI)] {
+    fn the_circle_has_the_mean_half_length_and_its_variance() {
+        for (kind, scale) in [(ShapeKind::Ellipse, 1.0), (ShapeKind::Rectangle, 0.5)] {
             let found = RULES.equivalent(&shape(kind, 0.4, 0.1));
-            let radius = |long: f64, short: f64| (factor * long * short).sqrt();
-            let by_long = (radius(0.4 + 1e-6, 0.1) - radius(0.4 - 1e-6, 0.1)) / 2e-6;
-            let by_short = (radius(0.4, 0.1 + 1e-6) - radius(0.4, 0.1 - 1e-6)) / 2e-6;
-            let expected = 3e-4 * by_long * by_long + 4e-4 * by_short * by_short + 4e-4;
+            let expected = 0.25 * scale * scale * (3e-4 + 4e-4) + 4e-4;
             assert!(found.is_some_and(|found| {
-                (found.circle.radius - radius(0.4, 0.1)).abs() < 1e-12
-                    && (found.covariance[2][2] - expected).abs() < 1e-9
+                (found.circle.radius - 0.25 * scale).abs() < 1e-12
+                    && (found.covariance[2][2] - expected).abs() < 1e-12
             }));
         }
     }
@@ -189,7 +182,7 @@ mod tests {
         assert!(RULES.equivalent(&shape(ShapeKind::Ellipse, 0.6, 0.1)).is_none());
         assert!(RULES.equivalent(&shape(ShapeKind::Line, 0.4, 0.1)).is_none());
         assert!(few.equivalent(&shape(ShapeKind::Rectangle, 0.4, 0.1)).is_none());
-        assert!(few.equivalent(&shape(ShapeKind::Ellipse, 0.4, 0.0)).is_none());
+        assert!(RULES.equivalent(&shape(ShapeKind::Ellipse, 0.0, 0.0)).is_none());
         assert!(ShapeParameters { max_size: 0.0, ..RULES }.check().is_err());
     }
 
