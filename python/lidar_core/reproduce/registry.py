@@ -28,6 +28,7 @@ MODULES = (
     "circles_fig7",
     "circles_fig8",
     "circles_lab",
+    "circles_shapes",
     "fusion_rmse",
     "fusion_fig4",
     "fusion_fig7",
