@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from lidar_core import InputError
+from lidar_core import ConfigError, InputError
 from lidar_core.circles import (
     CirclePipeline,
     Circles,
@@ -249,6 +249,35 @@ BAD = {
         r"pose_covariance\[0\]: expected a symmetric matrix without negative eigenvalues",
     ),
 }
+
+
+def test_a_failing_estimator_leaves_no_trace():
+    def estimator(ranges, bearings, segments):
+        if failing:
+            raise RuntimeError("broken")
+        return Circles(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0, np.int64))
+
+    pipeline = CirclePipeline(estimator=estimator)
+    nothing = np.full(1081, np.inf, np.float32)
+    failing = True
+    for number in range(100):  # more names than a pipeline takes
+        with pytest.raises(RuntimeError, match="broken"):
+            pipeline.process(nothing, np.eye(4), 0, scanner=f"name {number}")
+    failing = False
+    assert pipeline.process(nothing, np.eye(4), 0, scanner="good").rejected is None
+
+
+def test_an_estimator_is_a_function():
+    with pytest.raises(ConfigError, match="estimator: expected a function of"):
+        CirclePipeline(estimator=5)
+
+
+@pytest.mark.parametrize("pitch", [89.0, 90.0, 91.0])
+def test_a_vertical_scan_plane_is_told(pitch):
+    ranges = scan_of((4.0, 0.0, 0.3), np.eye(4))
+    where = oracle.pose((0.0, 0.0, 1.0), yaw=0.3, pitch=math.radians(pitch), roll=0.0)
+    with pytest.raises(InputError, match=r"not nearly vertical, got a tilt of (89|90)\.0 deg"):
+        CirclePipeline().process(ranges, where, 0)
 
 
 @pytest.mark.parametrize("name", BAD)

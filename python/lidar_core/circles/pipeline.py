@@ -21,7 +21,7 @@ from lidar_core.circles.results import CircleFrame, CirclesHealth
 from lidar_core.circles.segmentation import Segments, segments_of
 from lidar_core.circles.shapes import Shapes
 from lidar_core.config import as_config
-from lidar_core.errors import InputError
+from lidar_core.errors import ConfigError, InputError
 
 Estimator: TypeAlias = Callable[[NDArray[np.float64], NDArray[np.float64], Segments], Circles]
 """Ranges and bearings in the level frame and segments to one circle per segment."""
@@ -46,7 +46,7 @@ class CirclePipeline:
     Raises
     ------
     ConfigError
-        A parameter is outside its range.
+        A parameter is outside its range, or `estimator` cannot be called.
 
     Notes
     -----
@@ -71,6 +71,11 @@ class CirclePipeline:
         self, config: CirclesConfig | None = None, *, estimator: Estimator | None = None
     ) -> None:
         self.config = as_config(config, CirclesConfig)
+        if estimator is not None and not callable(estimator):
+            raise ConfigError(
+                "estimator: expected a function of ranges, bearings and segments, got"
+                f" {type(estimator).__name__}"
+            )
         fit, detector = self.config.fit, self.config.detector
         self._network: CircleNetwork | None = None
         if detector in get_args(FitMethod):
@@ -121,9 +126,10 @@ class CirclePipeline:
         Raises
         ------
         InputError
-            Wrong shape, dtype or value, or a stamp that was processed or comes later than
-            `config.map.buffer_time`. The map is unchanged. With `on_bad_scan="count"` nothing is
-            raised: the frame says in `rejected` what was wrong.
+            Wrong shape, dtype or value, a scan plane within 1.1 degrees of the vertical, or a
+            stamp that was processed or comes later than `config.map.buffer_time`. The map is
+            unchanged. With `on_bad_scan="count"` nothing is raised: the frame says in `rejected`
+            what was wrong.
         LimitError
             Too many objects; the map is unchanged.
         """

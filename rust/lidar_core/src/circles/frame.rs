@@ -18,7 +18,9 @@ pub struct PreparedSweep {
     pub(super) world_from_level: Transform,
     pub(super) pose_covariance: Option<PoseCovariance>,
     pub(super) stamp_ns: i64,
-    pub(super) scanner: usize,
+    pub(super) scanner: String,
+    /// Place of the scanner, once `integrate` has taken the sweep.
+    pub(super) number: usize,
     /// Time of every segment after the stamp [s]; None if all rays share the stamp.
     pub(super) delays: Option<Vec<f64>>,
     /// Horizontal reach of the scanner [m].

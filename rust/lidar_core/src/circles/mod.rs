@@ -5,6 +5,7 @@
 //! system for multirotor aerial robots using LIDAR", 2019. Equation numbers are the paper's.
 
 pub mod bodies;
+mod channel;
 pub mod circle;
 pub mod fit;
 pub mod frame;

@@ -1,17 +1,17 @@
 //! From one sweep of ranges to the map of circles: every stage in one call.
 
 use super::bodies::{ShapeParameters, body};
+use super::channel::Channel;
 use super::circle::CircleEstimate;
-use super::fit::{FitParameters, Fitter, Method};
+use super::fit::{FitParameters, Method};
 use super::frame::{CircleFrame, PreparedSweep, Timing};
 use super::map::{
     CircleMap, CircleMapParameters, CircleScan, MapElement, MapStats, PoseCovariance, View,
 };
-use super::polar::PolarScan;
-use super::preprocess::{self, LevelScan, Projection};
+use super::preprocess::{self, Projection};
 use super::segment::{SegmentParameters, segment};
 use super::segments::Segments;
-use super::shape::{ShapeEstimate, ShapeFitter};
+use super::shape::ShapeEstimate;
 use super::sweep::Sweep;
 use crate::Error;
 use crate::clock::Clock;
@@ -20,6 +20,8 @@ use crate::geometry::transform::Transform;
 
 /// Scanners of one pipeline.
 const MAX_SCANNERS: usize = 64;
+/// Cosine of the tilt of a scan plane that is too steep to be seen from above: 88.9 degrees.
+const STEEPEST: f64 = 0.02;
 /// The times of rays lie this close to the stamp: others are of another clock [ns].
 const LONGEST_SWEEP_NS: u64 = 10_000_000_000;
 
@@ -78,15 +80,6 @@ pub struct RawSweep<'a> {
     pub pose_covariance: Option<PoseCovariance>,
 }
 
-/// One scanner, with what is the same in all its sweeps.
-struct Channel {
-    bearings: Vec<f64>,
-    directions: Vec<[f64; 2]>,
-    range_limits: [f64; 2],
-    fitter: Fitter,
-    shaper: ShapeFitter,
-}
-
 /// Sweeps in, map of circles out.
 pub struct CirclePipeline {
     parameters: PipelineParameters,
@@ -102,6 +95,7 @@ impl CirclePipeline {
     /// [`Error::Parameter`] for values that cannot work.
     pub fn new(parameters: PipelineParameters) -> Result<Self, Error> {
         let map = CircleMap::new(parameters.map.clone())?;
+        preprocess::check_planes(&parameters.planes)?;
         parameters.shapes.iter().try_for_each(ShapeParameters::check)?;
         Channel::new(&parameters.scanner, &parameters)?;
         let channels = parameters
@@ -118,38 +112,39 @@ impl CirclePipeline {
     /// [`Error::Length`], [`Error::Value`], [`Error::Time`] for a sweep that cannot be used,
     /// [`Error::Limit`] for too many objects. Nothing changes then.
     pub fn process(&mut self, raw: &RawSweep<'_>) -> Result<CircleFrame, Error> {
-        let known = self.channels.len();
-        let frame = self.prepare(raw).and_then(|prepared| self.fit(prepared));
-        if frame.is_err() {
-            self.channels.truncate(known);
-        }
-        frame
+        self.unless_refused(raw.scanner, |pipeline, number| {
+            let prepared = pipeline.prepare_in(raw, number, &pipeline.channels[number].1)?;
+            pipeline.fit(prepared)
+        })
     }
 
-    /// The stages before circles are estimated: any estimator may follow, and `integrate` after it.
+    /// The stages before circles are estimated: any estimator may follow, and `integrate` after
+    /// it. Changes nothing.
     ///
     /// # Errors
     /// As [`CirclePipeline::process`].
-    pub fn prepare(&mut self, raw: &RawSweep<'_>) -> Result<PreparedSweep, Error> {
-        let known = self.channels.len();
-        let number = self.channel(raw.scanner)?;
-        let prepared = self.prepare_in(raw, number);
-        if prepared.is_err() {
-            self.channels.truncate(known);
+    pub fn prepare(&self, raw: &RawSweep<'_>) -> Result<PreparedSweep, Error> {
+        match self.number(raw.scanner) {
+            Some(number) => self.prepare_in(raw, number, &self.channels[number].1),
+            None => self.prepare_in(raw, self.channels.len(), &self.new_channel(raw.scanner)?),
         }
-        prepared
     }
 
-    fn prepare_in(&self, raw: &RawSweep<'_>, number: usize) -> Result<PreparedSweep, Error> {
+    fn prepare_in(
+        &self,
+        raw: &RawSweep<'_>,
+        number: usize,
+        channel: &Channel,
+    ) -> Result<PreparedSweep, Error> {
         let mut clock = Clock::start();
-        let (parameters, channel) = (&self.parameters, &self.channels[number].1);
+        let parameters = &self.parameters;
         check(raw, channel.bearings.len())?;
         self.map.check_stamp(raw.stamp_ns, number as u32)?;
         let motion = Motion::new(raw.poses, raw.pose_stamps_ns)?;
         let sweep = Sweep::new(&motion, raw.stamp_ns, raw.ray_time_ns)?;
+        let upright = upright(&sweep)?;
         let (level, seen) = channel.level(raw, &sweep, parameters)?;
         let prepare = clock.lap();
-        let upright = sweep.at_stamp().rotation[2][2].abs(); // horizontal share of the shortest ray
         let [near, far] = channel.range_limits;
         let range_limits = [near, (far * upright).max(2.0 * near)];
         let segmenting = SegmentParameters { range_limits, ..parameters.segment };
@@ -162,7 +157,8 @@ impl CirclePipeline {
             world_from_level: sweep.world_from_level(),
             pose_covariance: raw.pose_covariance,
             stamp_ns: raw.stamp_ns,
-            scanner: number,
+            scanner: raw.scanner.into(),
+            number,
             range_limits,
             timing: Timing { prepare, segment: clock.lap(), ..Timing::default() },
         })
@@ -172,7 +168,7 @@ impl CirclePipeline {
         let mut clock = Clock::start();
         let mut circles = Vec::with_capacity(prepared.segments.len());
         let (scan, segments) = (&prepared.level.scan, &prepared.segments);
-        let (_, channel) = &mut self.channels[prepared.scanner];
+        let (_, channel) = &mut self.channels[prepared.number];
         let is_done =
             self.parameters.shapes.is_some() && self.parameters.fit.method == Method::Expected;
         let mut shapes = Vec::new();
@@ -192,7 +188,7 @@ impl CirclePipeline {
         prepared: &PreparedSweep,
         shapes: &mut Vec<ShapeEstimate>,
     ) -> Result<(), Error> {
-        let (_, channel) = &mut self.channels[prepared.scanner];
+        let (_, channel) = &mut self.channels[prepared.number];
         match self.parameters.shapes {
             Some(_) => channel.shaper.fit(&prepared.level.scan, &prepared.segments, shapes),
             None => Ok(()),
@@ -205,16 +201,20 @@ impl CirclePipeline {
     /// [`Error::Length`] for another number of circles; as [`CirclePipeline::process`].
     pub fn integrate(
         &mut self,
-        prepared: PreparedSweep,
+        mut prepared: PreparedSweep,
         circles: Vec<CircleEstimate>,
     ) -> Result<CircleFrame, Error> {
         let (expected, got) = (prepared.segments.len(), circles.len());
         if expected != got {
             return Err(Error::Length { name: "circles", expected, got });
         }
-        let mut shapes = Vec::new();
-        self.find_shapes(&prepared, &mut shapes)?;
-        self.take_in(prepared, circles, shapes)
+        let scanner = prepared.scanner.clone();
+        self.unless_refused(&scanner, |pipeline, number| {
+            prepared.number = number;
+            let mut shapes = Vec::new();
+            pipeline.find_shapes(&prepared, &mut shapes)?;
+            pipeline.take_in(prepared, circles, shapes)
+        })
     }
 
     /// Hand what is round to the map.
@@ -261,7 +261,7 @@ impl CirclePipeline {
         let [range_min, range_max] = prepared.range_limits;
         let stats = self.map.update(&CircleScan {
             stamp_ns: prepared.stamp_ns,
-            sensor: prepared.scanner as u32,
+            sensor: prepared.number as u32,
             world_from_lidar: &prepared.world_from_lidar,
             pose_covariance: prepared.pose_covariance.as_ref(),
             estimates: &estimates,
@@ -286,11 +286,13 @@ impl CirclePipeline {
         self.map.reset();
     }
 
-    /// Number of the scanner with this name, which may be new.
-    fn channel(&mut self, name: &str) -> Result<usize, Error> {
-        if let Some(number) = self.channels.iter().position(|(known, _)| known == name) {
-            return Ok(number);
-        }
+    /// Number of the scanner with this name, if it was used before.
+    fn number(&self, name: &str) -> Option<usize> {
+        self.channels.iter().position(|(known, _)| known == name)
+    }
+
+    /// What a scanner with a new name needs.
+    fn new_channel(&self, name: &str) -> Result<Channel, Error> {
         if self.channels.len() >= MAX_SCANNERS {
             return Err(Error::Limit {
                 what: format!("scanner {name:?}, one more"),
@@ -298,51 +300,40 @@ impl CirclePipeline {
                 key: "use fewer names",
             });
         }
-        let channel = Channel::new(&self.parameters.scanner, &self.parameters)?;
-        self.channels.push((name.into(), channel));
-        Ok(self.channels.len() - 1)
+        Channel::new(&self.parameters.scanner, &self.parameters)
+    }
+
+    /// What `take` does with a sweep of this scanner; an error leaves a new scanner unknown.
+    fn unless_refused(
+        &mut self,
+        scanner: &str,
+        take: impl FnOnce(&mut Self, usize) -> Result<CircleFrame, Error>,
+    ) -> Result<CircleFrame, Error> {
+        let known = self.channels.len();
+        let number = self.number(scanner).unwrap_or(known);
+        if number == known {
+            self.channels.push((scanner.into(), self.new_channel(scanner)?));
+        }
+        let frame = take(self, number);
+        if frame.is_err() {
+            self.channels.truncate(known);
+        }
+        frame
     }
 }
 
-impl Channel {
-    fn new(scanner: &ScannerParameters, parameters: &PipelineParameters) -> Result<Self, Error> {
-        crate::budget::check_points(scanner.n_beams)?;
-        let bearing = |ray: usize| scanner.angle_min + scanner.angle_increment * ray as f64;
-        let bearings: Vec<f64> = (0..scanner.n_beams).map(bearing).collect();
-        let range_limits = scanner.range_limits;
-        Ok(Self {
-            directions: preprocess::directions(&bearings),
-            bearings,
-            range_limits,
-            fitter: Fitter::new(FitParameters { range_limits, ..parameters.fit })?,
-            shaper: ShapeFitter::new(FitParameters { range_limits, ..parameters.fit })?,
-        })
+/// Horizontal share of the shortest ray.
+fn upright(sweep: &Sweep) -> Result<f64, Error> {
+    let cosine = sweep.at_stamp().rotation[2][2].abs();
+    if cosine < STEEPEST {
+        return Err(Error::Value {
+            name: "world_from_lidar",
+            expected: "a scan plane that is not nearly vertical",
+            index: 0,
+            got: format!("a tilt of {:.1} deg", libm::acos(cosine).to_degrees()),
+        });
     }
-
-    /// The scan in the level frame, limited to the volume; and the ranges before, if it was.
-    fn level(
-        &self,
-        raw: &RawSweep<'_>,
-        sweep: &Sweep,
-        parameters: &PipelineParameters,
-    ) -> Result<(LevelScan, Option<Vec<f64>>), Error> {
-        let [near, far] = self.range_limits;
-        let wide: Vec<f64> = raw.ranges.iter().map(|&range| f64::from(range)).collect();
-        let ranges = preprocess::within_reach(&wide, near, far);
-        let limited = match parameters.planes.as_slice() {
-            [] => None,
-            planes => Some(preprocess::limit_range(&ranges, &self.directions, sweep, planes)?),
-        };
-        let scan = PolarScan { ranges, bearings: self.bearings.clone() };
-        let mut level = preprocess::project(&scan, &self.directions, sweep, parameters.projection)?;
-        let Some(limited) = limited else { return Ok((level, None)) };
-        let seen = level.scan.ranges.clone();
-        for (ray, &range) in limited.iter().enumerate().filter(|(_, range)| !range.is_finite()) {
-            level.scan.ranges[ray] = range;
-            level.heights[ray] = f64::NAN;
-        }
-        Ok((level, Some(seen)))
-    }
+    Ok(cosine)
 }
 
 fn check(raw: &RawSweep<'_>, expected: usize) -> Result<(), Error> {

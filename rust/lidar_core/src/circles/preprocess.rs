@@ -49,7 +49,7 @@ pub fn within_reach(ranges: &[f64], range_min: f64, range_max: f64) -> Vec<f64> 
 /// (NaN), where it hides the volume.
 ///
 /// # Errors
-/// [`Error::Length`] if the arrays differ in length, [`Error::Value`] if a plane is not finite.
+/// [`Error::Length`] if the arrays differ in length, [`Error::Value`] for a plane that is none.
 pub fn limit_range(
     ranges: &[f64],
     directions: &[[f64; 2]],
@@ -57,10 +57,7 @@ pub fn limit_range(
     planes: &[[f64; 4]],
 ) -> Result<Vec<f64>, Error> {
     check(ranges, directions.len(), sweep)?;
-    if let Some(index) = planes.iter().position(|plane| !plane.iter().all(|v| v.is_finite())) {
-        let got = format!("{:?}", planes[index]);
-        return Err(Error::Value { name: "planes", expected: "finite values", index, got });
-    }
+    check_planes(planes)?;
     let limited = |(ray, (&range, &[cosine, sine])): (usize, (&f64, &[f64; 2]))| {
         if !range.is_finite() {
             return range;
@@ -76,6 +73,24 @@ pub fn limit_range(
         }
     };
     Ok(ranges.iter().zip(directions).enumerate().map(limited).collect())
+}
+
+/// Every plane is one.
+///
+/// # Errors
+/// [`Error::Value`] for values that are not finite, or no direction.
+pub(super) fn check_planes(planes: &[[f64; 4]]) -> Result<(), Error> {
+    let is_plane = |plane: &[f64; 4]| {
+        plane.iter().all(|value| value.is_finite()) && plane[..3].iter().any(|&value| value != 0.0)
+    };
+    let expected = "finite values, and (a, b, c) not all 0";
+    match planes.iter().position(|plane| !is_plane(plane)) {
+        Some(index) => {
+            let got = format!("{:?}", planes[index]);
+            Err(Error::Value { name: "planes", expected, index, got })
+        }
+        None => Ok(()),
+    }
 }
 
 /// From where to where a ray runs inside all planes [m]; the first is larger where it never does.
