@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -49,6 +49,7 @@ def circle_through(ranges, bearings):
 def test_limits_equal_a_walk_along_the_ray(ranges, planes, angles):
     bearings = np.linspace(-2, 2, 12)
     where = oracle.pose((0.13, -0.27, 1.09), *angles)
+    assume(planes[:, :3].any(axis=1).all())
     limited = limit_range(ranges, bearings, where, planes=planes)
     expected = oracle.limit_range(ranges, bearings, where, planes)
     # The walk has steps of 2.5 mm: what it cannot tell apart is left out.
@@ -361,3 +362,17 @@ def test_bad_poses_times_and_planes_are_refused():
 def test_a_range_too_close_to_be_measured_is_no_information():
     ranges, _, _ = project_horizontal([-np.inf, 1.0], [0.0, 0.1], np.eye(4))
     np.testing.assert_array_equal(ranges, [np.nan, 1.0])
+
+
+@pytest.mark.parametrize("bound", [-1.0, 1.0])
+def test_a_plane_without_normal_is_refused(bound):
+    with pytest.raises(InputError, match=r"planes\[1\]: expected finite values, and \(a, b, c\)"):
+        limit_range([1.0], [0.0], np.eye(4), planes=[[1, 0, 0, 3], [0, 0, 0, bound]])
+    with pytest.raises(ConfigError, match=r"\(a, b, c\) not all 0, got planes.1"):
+        PreprocessConfig(planes=((1, 0, 0, 3), (0, 0, 0, bound)))
+
+
+@pytest.mark.parametrize("lower", [(-1.0, 2.0, 0.0), (-1.0, 3.0, 0.0), (0.0, 0.0)])
+def test_a_box_has_an_inside(lower):
+    with pytest.raises(ConfigError, match="box: expected three values each, lower < upper"):
+        PreprocessConfig.box(lower, (2.0, 2.0, 2.0))

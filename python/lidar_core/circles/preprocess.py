@@ -33,7 +33,8 @@ def limit_range(
     world_from_lidar : array_like, shape (4, 4) or (K, 4, 4), float64
         Pose of the scanner, or a stream of poses with `pose_stamps_ns` and `ray_time_ns`.
     planes : array_like, shape (P, 4), float64
-        (a, b, c, d) each: inside is where a x + b y + c z <= d [m], world frame.
+        (a, b, c, d) each: inside is where a x + b y + c z <= d [m], world frame; (a, b, c) is
+        not 0.
     stamp_ns : int, optional
         Time of the scan [ns]; none: that of the first ray.
     ray_time_ns : array_like, shape (B,), int64, optional

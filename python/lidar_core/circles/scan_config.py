@@ -3,9 +3,10 @@
 import math
 from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from lidar_core.config import Config
+from lidar_core.errors import ConfigError
 
 Plane = tuple[float, float, float, float]
 
@@ -30,9 +31,21 @@ class PreprocessConfig(Config):
         """Eq. 5 as published."""
         return cls(projection="paper")
 
+    @model_validator(mode="after")
+    def _has_normals(self) -> Self:
+        for number, plane in enumerate(self.planes):
+            if not any(plane[:3]):
+                raise ValueError(f"expected planes with (a, b, c) not all 0, got planes.{number}")
+        return self
+
     @classmethod
     def box(cls, lower: tuple[float, float, float], upper: tuple[float, float, float]) -> Self:
         """An operating volume between two corners [m], world frame.
+
+        Raises
+        ------
+        ConfigError
+            A corner has not three values, or `lower` is not below `upper` along all axes.
 
         Examples
         --------
@@ -40,6 +53,12 @@ class PreprocessConfig(Config):
         >>> len(flight_arena.planes)
         6
         """
+        is_box = len(lower) == len(upper) == 3
+        if not (is_box and all(low < high for low, high in zip(lower, upper, strict=True))):
+            raise ConfigError(
+                "box: expected three values each, lower < upper along every axis, got lower"
+                f" {tuple(lower)} and upper {tuple(upper)}"
+            )
         planes: list[Plane] = []
         for axis in range(3):
             normal = [0.0, 0.0, 0.0]
