@@ -350,10 +350,21 @@ def test_newer_scans_state_their_scanner(tmp_path):
         ("FLASER 2 1 2 0 0 0 0 0 0 inf h 1\n", "line 4: FLASER has no time"),
     ],
 )
-def test_broken_lines_are_named(tmp_path, line, text):
-    path = log(tmp_path, HEADER + flaser([2.0] * 180) + line)
-    with pytest.raises(FormatError, match=text):
-        read(path)
+def test_broken_lines_are_counted_and_named(tmp_path, line, text):
+    good = flaser([2.0] * 180)
+    path = log(tmp_path, HEADER + good + line + good.replace("100.0", "101.0"))
+    with lc.io.open_recording(path) as recording:
+        for _ in range(2):  # told once, however often it is read
+            scans = [item for item in recording if isinstance(item, LaserScan)]
+            assert [scan.stamp_ns for scan in scans] == [100_000_000_001, 101_000_000_001]
+            assert recording.findings.rejected == {line.split()[0]: 1}
+            (note,) = recording.findings.notes
+            assert text in note
+
+
+def test_a_log_with_nothing_but_broken_lines_is_refused(tmp_path):
+    with pytest.raises(FormatError, match="line 3: FLASER states '180' readings"):
+        read(log(tmp_path, HEADER + "FLASER 180 1 2\n" * 3))
 
 
 def test_other_texts_and_long_lines_are_refused(tmp_path):

@@ -97,6 +97,7 @@ class CarmenRecording(Recording):
         self._range_max = LARGEST_RANGE
         self._first_ns = 0
         self._lasers: dict[str, LaserDecoder] = {}
+        self._rejected: set[str] = set()
         self._survey()
 
     def topics(self) -> list[Topic]:
@@ -118,12 +119,31 @@ class CarmenRecording(Recording):
                 continue
             decode: Callable[[], list[Message]] = decoded()
             if topic.kind != "other":
-                parts = _parts(line)
-                last_ns = line.stamp_ns(parts.end)
+                try:
+                    parts = _parts(line)
+                    last_ns = line.stamp_ns(parts.end)
+                except FormatError:  # counted by the survey
+                    continue
                 decode = partial(self._decode, line, parts, last_ns)
             yield Record(topic, last_ns, decode)
 
+    def _reject(self, line: _Line, error: FormatError) -> None:
+        """Count a line that cannot be read, once; the first of its name is told."""
+        if line.place in self._rejected:
+            return
+        self._rejected.add(line.place)
+        self.findings.rejected[line.name] += 1
+        if self.findings.rejected[line.name] == 1:
+            self.findings.note(f"left out: {error}")
+
     def _decode(self, line: _Line, parts: "_Parts", stamp_ns: int) -> list[Message]:
+        try:
+            return self._messages(line, parts, stamp_ns)
+        except FormatError as error:
+            self._reject(line, error)
+            return []
+
+    def _messages(self, line: _Line, parts: "_Parts", stamp_ns: int) -> list[Message]:
         messages: list[Message] = []
         if parts.pose_at is not None:
             x, y, angle = line.numbers(parts.pose_at, 3)
@@ -157,23 +177,36 @@ class CarmenRecording(Recording):
         readings: Counter[float] = Counter()
         stated: list[float] = []
         for number, line in enumerate(self._lines()):
-            if line.name in KINDS and not self._counts.keys() & KINDS.keys():
-                self._first_ns = line.stamp_ns(_parts(line).end)
-            if line.name in KINDS or line.name in OTHER:
-                self._counts[line.name] += 1
-            if number == LINES_TO_RECOGNISE and not self._counts:
+            try:
+                self._count(line, readings, stated)
+            except FormatError as error:
+                self._reject(line, error)
+            if number == LINES_TO_RECOGNISE and not self._counts and not self._rejected:
                 break
-            if line.name == "PARAM" and line.words[:1] and line.words[0] in RANGE_PARAMETERS:
-                stated.append(float(line.numbers(1, 1)[0]))
-            if line.name in OLD_SCANS:
-                values = line.numbers(1, line.count(0))
-                readings.update(values[values == values.max(initial=0.0)].tolist())
         if not self._counts.keys() & KINDS.keys():
-            raise FormatError(f"{self.path}: no CARMEN log: found none of {', '.join(KINDS)}")
+            found = f"found none of {', '.join(KINDS)}"
+            raise FormatError(
+                "; ".join(self.findings.notes) or f"{self.path}: no CARMEN log: {found}"
+            )
         greatest = max(readings, default=0.0)
         if greatest >= NEAREST_LIMIT and readings[greatest] >= FEWEST_AT_LIMIT:
             stated.append(greatest)
         self._range_max = min([value for value in stated if value > 0] + [LARGEST_RANGE])
+
+    def _count(self, line: _Line, readings: Counter[float], stated: list[float]) -> None:
+        """Count a message, and what it says of the limit of the readings."""
+        values = np.empty(0)
+        if line.name in OLD_SCANS:
+            values = line.numbers(1, line.count(0))
+        if line.name in KINDS:
+            stamp_ns = line.stamp_ns(_parts(line).end)
+            if not self._counts.keys() & KINDS.keys():
+                self._first_ns = stamp_ns
+        if line.name == "PARAM" and line.words[:1] and line.words[0] in RANGE_PARAMETERS:
+            stated.append(float(line.numbers(1, 1)[0]))
+        if line.name in KINDS or line.name in OTHER:
+            self._counts[line.name] += 1
+        readings.update(values[values == values.max(initial=0.0)].tolist())
 
     def _lines(self) -> Iterator[_Line]:
         """Messages with the numbers of their lines; comments and empty lines left out."""
