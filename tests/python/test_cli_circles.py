@@ -19,6 +19,7 @@ from lidar_core import ConfigError, FormatError, InputError, sim
 from lidar_core.circles import CirclePipeline, CirclesConfig
 from lidar_core.cli import app
 from lidar_core.cli.circles_run import CirclesRun
+from lidar_core.cli.scan_times import ScanTimes
 from lidar_core.io import PosedScan, open_recording, posed_laser_scans, read_columns, write_npz
 from lidar_core.messages import LaserScan, Pose
 
@@ -128,6 +129,7 @@ def test_limits_and_values_come_from_the_configuration(recording, tmp_path):
         (["--scan", "/none"], ConfigError, "scan: no topic '/none' with 2D scans"),
         (["--mounting", "a b c"], ConfigError, "PARENT FRAME x y z"),
         (["--pose", "nowhere.txt"], FileNotFoundError, "nowhere.txt"),
+        (["--set", "scanner.n_beams=5"], ConfigError, "scanner.n_beams: expected no value"),
     ],
 )
 def test_what_cannot_be_meant_is_refused_before_anything_is_written(
@@ -187,6 +189,92 @@ def test_a_scan_that_cannot_be_used_is_counted(recording, tmp_path):
     assert isinstance(out.exception, InputError)
     summary = json.loads((tmp_path / "b" / "summary.json").read_text())
     assert summary["scans"]["processed"] == 5
+
+
+def log_of(path, lengths):
+    """A CARMEN log with a scan of each of these numbers of readings."""
+    lines = [f"FLASER {rays} {'2.0 ' * rays}0 0 0 0 0 0 {number}.0 host 0\n"
+             for number, rays in enumerate(lengths)]  # fmt: skip
+    path.write_text("".join(lines))
+    return path
+
+
+QUICK = ("--no-picture", "--no-mcap")
+
+
+def test_scans_of_two_lengths_are_two_scanners(tmp_path):
+    log = log_of(tmp_path / "a.clf", [180] * 5 + [181] * 15)
+    result = result_of(log, "-o", tmp_path / "run", *QUICK)
+    assert result["scans"] == {"received": 20, "processed": 20, "rejected": {}}
+    config = tomllib.loads((tmp_path / "run" / "run.toml").read_text())["config"]["circles"]
+    assert config["scanners"]["FLASER"]["n_beams"] == 181
+    assert config["scanners"]["FLASER, 180 rays"]["n_beams"] == 180
+    again = result_of(log, "-o", tmp_path / "b", "--config", tmp_path / "run" / "run.toml", *QUICK)
+    assert again["scans"] == result["scans"]
+
+
+def test_a_run_that_rejects_most_scans_fails_and_says_why(tmp_path):
+    log = log_of(tmp_path / "a.clf", [180] * 5 + [181] * 15)
+    arguments = ["--set", "scanners.FLASER.n_beams=180", "--set",
+                 "scanners.FLASER.angle_increment=0.017", *QUICK]  # fmt: skip
+    out = run_command(log, "-o", tmp_path / "run", *arguments)
+    assert "15 of 20 scans were rejected" in str(out.exception)
+    reason = "ranges: expected 180 rows"
+    assert reason in str(out.exception)
+    assert f"15 rejected: 15 x {reason}" in " ".join(out.output.replace("│", " ").split())
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["scans"]["rejected"] == {reason: 15}
+
+
+def test_late_scans_have_one_reason(tmp_path):
+    scan = LaserScan(0, np.full(181, 2.0, np.float32), -1.5, 0.017, 0.1, 30.0, "laser")
+    scanner = lidar_core.circles.Scanner(-1.5, 0.017, 181, 0.1, 10.0)
+    run = CirclesRun(
+        CirclePipeline(CirclesConfig(scanner=scanner, on_bad_scan="count")), films=False
+    )
+    for stamp in (10**12, 1, 2, 3):
+        run.take(PosedScan(replace(scan, stamp_ns=stamp), np.eye(4)))
+    ((reason, count),) = run.rejected.items()
+    assert count == 3
+    assert "later than the map can go back" in reason
+
+
+def test_a_topic_is_named_once(recording, tmp_path):
+    with open_recording(recording) as opened:
+        topic = next(item.topic for item in opened if isinstance(item, LaserScan))
+    out = run_command(recording, "-o", tmp_path / "run", "--scan", topic, "--scan", topic)
+    assert "expected once, it is given 2 times" in str(out.exception)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_scanner_of_one_ray_is_named_with_its_recording(tmp_path):
+    out = run_command(log_of(tmp_path / "onebeam.clf", [1]), "-o", tmp_path / "run")
+    assert isinstance(out.exception, FormatError)
+    assert "onebeam.clf: FLASER: scans that cannot be used: " in str(out.exception)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("max_deviation = -1", "a.toml: max_deviation"),
+        ("[circles]\nmax_deviation = 1.0", "a.toml: circles: expected its values without"),
+    ],
+)
+def test_problems_of_a_configuration_file_name_it(recording, tmp_path, text, problem):
+    (tmp_path / "a.toml").write_text(text)
+    out = run_command(recording, "-o", tmp_path / "run", "--config", tmp_path / "a.toml")
+    assert isinstance(out.exception, ConfigError)
+    assert problem in str(out.exception)
+
+
+def test_the_first_scan_does_not_count_for_the_time_per_scan():
+    times = ScanTimes()
+    times.add(0, 500.0, {"fit": 1.0})
+    assert times.ms_per_scan == {"total": 500.0, "fit": 1.0}
+    times.add(1, 2.0, {"fit": 1.5})
+    times.add(2, 4.0, {"fit": 2.5})
+    assert times.ms_per_scan == {"total": 3.0, "fit": 2.0}
+    assert times.table()["total_ms"].tolist() == [500.0, 2.0, 4.0]
 
 
 def test_points_of_long_runs_are_thinned(recording, monkeypatch):

@@ -1,6 +1,7 @@
 """`lidar-core circles`: a map of the round obstacles in a recording of 2D scans."""
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -29,13 +30,16 @@ from lidar_core.cli.run_options import (
     RecordingPath,
 )
 from lidar_core.cli.settings import run_config
+from lidar_core.errors import ConfigError, FormatError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from lidar_core.circles import CirclesConfig
+    from lidar_core.circles import CirclesConfig, Scanner
     from lidar_core.io import ReadOptions
+    from lidar_core.messages import LaserScan
 
+SHARE = 0.05  # of a LiDAR's scans that have a length which is no defect
 SCAN = "Topic of a 2D LiDAR; again for more."
 NO_RETURN = "What marks a ray without return, besides +inf: auto, zero, nan, max or none."
 SWEEP = "auto: rays have the times that the scans state; none: all rays at the stamp."
@@ -66,7 +70,9 @@ def command(
     """Map the round obstacles in RECORDING; write tables, trajectories and picture.
 
     The scanners are those of the recording, within the range limits of the configuration's
-    `scanner`. Ctrl-C ends the run early and leaves whole files.
+    `scanner`; scans of one length that less than one in twenty have are rejected. The command
+    fails if more than half of the scans were rejected. Ctrl-C ends the run early and leaves
+    whole files.
     """
     from lidar_core.circles import CirclePipeline, CirclesConfig
     from lidar_core.cli.circles_run import CirclesRun
@@ -106,24 +112,60 @@ def _with_scanners(
 
     Their ranges are limited to those of `config.scanner`.
     """
-    from lidar_core.circles import Scanner
-    from lidar_core.cli.circles_run import scanner_name
+    from lidar_core.cli.circles_run import layout_name
     from lidar_core.io import open_recording, posed_laser_scans
 
-    limits, found = config.scanner, dict(config.scanners)
+    _check_unused(config)
+    found = dict(config.scanners)
     for topic in topics or (None,):
         with open_recording(recording, read) as opened:
             scans = posed_laser_scans(opened, cloud=topic, pose="static")
-            first = next((item.scan for item in scans), None)
-        if first is not None and scanner_name(first) not in found:
-            found[scanner_name(first)] = Scanner(
-                angle_min=first.angle_min,
-                angle_increment=first.angle_increment,
-                n_beams=len(first.ranges),
-                range_min=max(first.range_min, limits.range_min),
-                range_max=min(first.range_max, limits.range_max),
-            )
+            if scans.cloud in config.scanners:
+                continue
+            layouts = _layouts(item.scan for item in scans)
+        for number, scan in enumerate(layouts):
+            name = scan.topic or scan.frame_id
+            scanner = _scanner(scan, config, f"{recording}: {name}")
+            found.setdefault(layout_name(name, len(scan.ranges)) if number else name, scanner)
     return type(config).load(config.model_dump() | {"scanners": found})
+
+
+def _layouts(scans: Iterable["LaserScan"]) -> list["LaserScan"]:
+    """A scan of every length that is no exception, the most frequent length first."""
+    first: dict[int, LaserScan] = {}
+    counts: Counter[int] = Counter()
+    for scan in scans:
+        first.setdefault(len(scan.ranges), scan)
+        counts[len(scan.ranges)] += 1
+    usual = [rays for rays, count in counts.most_common() if count >= SHARE * counts.total()]
+    return [first[rays] for rays in usual]
+
+
+def _scanner(scan: "LaserScan", config: "CirclesConfig", place: str) -> "Scanner":
+    from lidar_core.circles import Scanner
+
+    limits = config.scanner
+    try:
+        return Scanner(
+            angle_min=scan.angle_min,
+            angle_increment=scan.angle_increment,
+            n_beams=len(scan.ranges),
+            range_min=max(scan.range_min, limits.range_min),
+            range_max=min(scan.range_max, limits.range_max),
+        )
+    except ConfigError as error:
+        raise FormatError(f"{place}: scans that cannot be used: {error}") from error
+
+
+def _check_unused(config: "CirclesConfig") -> None:
+    """Refuse rays that the recording would override."""
+    usual = type(config.scanner)()
+    for name in ("n_beams", "angle_min", "angle_increment"):
+        if getattr(config.scanner, name) != getattr(usual, name) and not config.scanners:
+            raise ConfigError(
+                f"scanner.{name}: expected no value, since the recording states it; to have"
+                f' another, name the scanner: --set scanners."TOPIC".{name}=...'
+            )
 
 
 def _table(summary: Mapping[str, Any], name: str) -> "Table":

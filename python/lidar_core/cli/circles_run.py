@@ -1,6 +1,8 @@
 """A run of the circle pipeline: what it gave, scan by scan, and the files about it."""
 
+import re
 from collections import Counter
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from time import perf_counter
@@ -10,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from lidar_core.circles import CircleElements, CircleFrame, CirclePipeline
+from lidar_core.circles import CircleElements, CircleFrame, CirclePipeline, Scanner
 from lidar_core.cli.common import draw
 from lidar_core.cli.recording_job import MCAP
 from lidar_core.cli.scan_times import ScanTimes
@@ -23,9 +25,24 @@ MOST_POINTS = 4_000_000  # kept for the pictures; beyond, points of every other 
 FILM_FRAMES, FILM_RATE = 120, 10.0
 
 
-def scanner_name(scan: LaserScan) -> str:
-    """Name of a scan's LiDAR in the pipeline."""
-    return scan.topic or scan.frame_id
+def scanner_name(scan: LaserScan, scanners: Mapping[str, Scanner]) -> str:
+    """Name of a scan's LiDAR among the `scanners` of the pipeline.
+
+    One that delivers scans of several lengths is several LiDARs to the pipeline.
+    """
+    name = scan.topic or scan.frame_id
+    other = layout_name(name, len(scan.ranges))
+    return other if other in scanners else name
+
+
+def layout_name(name: str, rays: int) -> str:
+    """Name of the scans of LiDAR `name` that have another number of rays than most."""
+    return f"{name}, {rays} rays"
+
+
+def _reason(rejected: str) -> str:
+    """Why a scan was rejected, without what differs from scan to scan."""
+    return re.sub(r"-?\d+ ns", "... ns", rejected.split(", got", maxsplit=1)[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +108,11 @@ class CirclesRun:
             scan.stamp_ns,
             ray_time_ns=None if stamps is None else scan.stamp_ns + scan.time_increment_ns * rays,
             pose_stamps_ns=stamps,
-            scanner=scanner_name(scan),
+            scanner=scanner_name(scan, self.pipeline.config.scanners),
         )
         wall_ms = (perf_counter() - start) * 1e3
         if frame.rejected is not None:
-            self.rejected[frame.rejected.split(", got")[0]] += 1
+            self.rejected[_reason(frame.rejected)] += 1
             return
         self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms)
         self._keep(frame, item.world_from_lidar.reshape(-1, 4, 4)[0])

@@ -1,5 +1,6 @@
 """The work that commands on recordings share: scans through a pipeline, into a run folder."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
@@ -13,12 +14,13 @@ from rich.table import Table
 from lidar_core.cli.common import INTERRUPTED, consoles, progress_on, write_json
 from lidar_core.cli.scan_source import ScanSource
 from lidar_core.config import Config
-from lidar_core.errors import LidarCoreError
+from lidar_core.errors import FormatError, LidarCoreError
 from lidar_core.io import PosedScan, PoseOptions, ReadOptions
 from lidar_core.io.posed import ScanT
 from lidar_core.run_folder import RunFolder, fingerprint
 
 MCAP = "run.mcap"
+REASONS = 3  # that a summary tells for rejected scans
 
 
 class RecordingRun(Protocol[ScanT]):
@@ -125,7 +127,13 @@ def do(job: RecordingJob[ScanT], run: RecordingRun[ScanT], console: Console) -> 
 def report(
     result: JobResult, table: Table, folder: RunFolder, out: Console, json: Path | None
 ) -> None:
-    """Print what came out, and end the command as the job ended."""
+    """Print what came out, and end the command as the job ended.
+
+    Raises
+    ------
+    FormatError
+        More than half of the scans were rejected.
+    """
     out.print(table)
     for note in result.summary["notes"]:
         out.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
@@ -136,6 +144,13 @@ def report(
         raise typer.Exit(INTERRUPTED)
     if result.end is not None:
         raise result.end
+    scans = result.summary["scans"]
+    rejected = Counter(scans["rejected"])
+    if 2 * rejected.total() > scans["received"]:
+        raise FormatError(
+            f"{rejected.total()} of {scans['received']} scans were rejected, most of them:"
+            f" {rejected.most_common(1)[0][0]}; the files hold the others"
+        )
 
 
 def left_out(summary: Mapping[str, Any]) -> Iterator[str]:
@@ -144,10 +159,14 @@ def left_out(summary: Mapping[str, Any]) -> Iterator[str]:
     for count, what in (
         (sum(summary["without_pose"].values()), "without pose"),
         (scans.get("held", 0), "held for their pose"),
-        (sum(scans["rejected"].values()), "rejected"),
     ):
         if count:
             yield f"{count} {what}"
+    rejected = Counter(scans["rejected"])
+    if rejected:
+        told = [f"{count} x {reason}" for reason, count in rejected.most_common(REASONS)]
+        more = [f"{len(rejected) - REASONS} more reasons"] if len(rejected) > REASONS else []
+        yield f"{rejected.total()} rejected: {'; '.join(told + more)}"
 
 
 def _write_note(job: RecordingJob[ScanT], console: Console) -> None:

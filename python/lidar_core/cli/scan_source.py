@@ -44,7 +44,7 @@ class ScanSource(Generic[ScanT]):
     Raises
     ------
     ConfigError
-        Several LiDARs and no poses to tell their mountings by, or no such topic.
+        Several LiDARs and no poses to tell their mountings by, a topic twice, or no such topic.
     """
 
     def __init__(
@@ -56,6 +56,10 @@ class ScanSource(Generic[ScanT]):
         repeat: int,
         sort: type[ScanT],
     ) -> None:
+        if twice := [topic for topic, count in Counter(clouds).items() if count > 1]:
+            raise ConfigError(
+                f"topic {twice[0]!r}: expected once, it is given {clouds.count(twice[0])} times"
+            )
         if len(clouds) > 1 and pose.pose == "static" and not pose.mounting:
             raise ConfigError(
                 "pose: static puts several LiDARs at one place; say where each sits with"

@@ -30,8 +30,14 @@ class ScanTimes:
 
     @property
     def ms_per_scan(self) -> dict[str, float]:
-        """Mean time per scan, in all and per stage [ms]."""
-        latency = self.latency
+        """Mean time per scan, in all and per stage [ms].
+
+        The first scan is left out, if there are more: what is loaded and set up on the first
+        call is no time per scan.
+        """
+        later = slice(1 if len(self._wall_ms) > 1 else 0, None)
+        stages_ms = {name: values[later] for name, values in self._stages_ms.items()}
+        latency = Latency.of(self._wall_ms[later], stages_ms)
         if latency is None:
             return {"total": 0.0}
         stages = {name: spread.mean for name, spread in latency.stages.items()}

@@ -39,6 +39,15 @@ def run_config(
         values["on_bad_scan"] = "count"
     if file is not None:
         values = merged(values, file_values(file, section))
+        if section in values.keys() - type(base).model_fields.keys():
+            raise ConfigError(
+                f"{file}: {section}: expected its values without this table around them, or as"
+                f" [config.{section}], as a run.toml has them"
+            )
+        try:
+            type(base).load(values)
+        except ConfigError as error:
+            raise ConfigError(f"{file}: {error}") from error
     return type(base).load(with_assignments(values, assignments))
 
 
