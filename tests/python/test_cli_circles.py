@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 import lidar_core.io
 from lidar_core import ConfigError, FormatError, InputError, sim
 from lidar_core.circles import CirclePipeline, CirclesConfig
-from lidar_core.cli import app
+from lidar_core.cli import app, main
 from lidar_core.cli.circles_run import CirclesRun
 from lidar_core.cli.scan_times import ScanTimes
 from lidar_core.io import PosedScan, open_recording, posed_laser_scans, read_columns, write_npz
@@ -251,6 +251,14 @@ def test_a_scanner_of_one_ray_is_named_with_its_recording(tmp_path):
     out = run_command(log_of(tmp_path / "onebeam.clf", [1]), "-o", tmp_path / "run")
     assert isinstance(out.exception, FormatError)
     assert "onebeam.clf: FLASER: scans that cannot be used: " in str(out.exception)
+
+
+def test_a_missing_file_is_told_without_the_number_of_the_error(tmp_path, monkeypatch, capsys):
+    arguments = ["circles", str(tmp_path / "no.bag"), "-o", str(tmp_path), "--config", "no.toml"]
+    monkeypatch.setattr(sys, "argv", ["lidar-core", *arguments])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    assert capsys.readouterr().err == "error: no.toml: No such file or directory\n"
 
 
 @pytest.mark.parametrize(

@@ -58,5 +58,12 @@ def main() -> None:
     try:
         app()
     except (LidarCoreError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {_text(error)}", file=sys.stderr)
         sys.exit(2)
+
+
+def _text(error: Exception) -> str:
+    """What went wrong, with the file before it, where the system says so."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
