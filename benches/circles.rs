@@ -137,7 +137,7 @@ fn independent() -> Independent {
         merge_gap: 0.1,
         confirmation: Confirmation { hits: 3, window: 5 },
         limits: Limits { position: 1.0, velocity: 3.0, radius: 0.3 },
-        patience: Patience { absent: 0.25, unmatched: 0.5, hidden: Some(5.0) },
+        patience: Patience { scans: 3, absent: 0.25, unmatched: 0.5, hidden: Some(5.0) },
         looking: Looking { margin: 0.15, min_rays: 4 },
         buffer_time: 0.25,
     }

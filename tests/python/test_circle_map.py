@@ -128,6 +128,25 @@ def test_two_scanners_may_share_a_stamp():
         feed(circles, 5, sensor=1)
 
 
+@pytest.mark.parametrize("config", [BEST, PAPER])
+def test_an_element_without_a_radius_goes(config):
+    circles, loose = CircleMap(config), 1e-2 * np.eye(3)
+    bound = loose.copy()
+    bound[0, 2] = bound[2, 0] = 9e-3  # what is nearer looks smaller
+    circles.update([[3.0, 0.0, 0.01]], [loose], HERE, 0)
+    events = circles.update([[3.2, 0.0, 0.01]], [bound], HERE, STEP_NS)
+    assert (events.elements.tolist(), events.removed.tolist()) == ([0], [0])
+
+
+def test_modes_at_the_ends_of_their_ranges_keep_the_map_sound():
+    for weights, times in [((1e6, 1e-6), (1e-3, 1e6)), ((1e-6, 1e6), (1e-3, 1e-3))]:
+        config = CircleMapConfig(process_noise=(0.0, 10.0), mode_weight=weights, mode_time=times)
+        circles = CircleMap(config)
+        for step in range(40):
+            feed(circles, step, [3.0, 0.01 * step, 0.3])
+        np.testing.assert_allclose(circles.map_at(39 * STEP_NS).center, [[3.0, 0.39]], atol=0.05)
+
+
 # --- scans that come late -------------------------------------------------------------------------
 
 
@@ -146,6 +165,18 @@ def test_the_order_of_arrival_does_not_matter(data):
     assert one.id.tolist() == other.id.tolist() == [0, 1, 2]
     assert (one.center == other.center).all()
     assert (one.covariance == other.covariance).all()
+
+
+def test_merges_that_a_late_scan_brings_are_told():
+    circles = CircleMap(CircleMapConfig(merge_gap=0.1, buffer_time=1.0))
+    for step in range(5):
+        feed(circles, step, [3.0, 0.0, 0.3], [3.0, 0.8, 0.3])
+    feed(circles, 7)
+    events = feed(circles, 5, [3.0, 0.04, 0.3], [3.0, 0.76, 0.3])  # they touch at step 7
+    assert events.is_late
+    assert events.elements.tolist() == [0, 1]
+    assert (events.merged.tolist(), events.removed.tolist()) == ([[0, 1]], [1])
+    assert feed(circles, 8).merged.tolist() == []
 
 
 # --- bad input ------------------------------------------------------------------------------------
@@ -169,6 +200,10 @@ def test_the_order_of_arrival_does_not_matter(data):
         ({"scan": ([1.0, 2.0], [0.0])}, "bearings"),
         ({"scan": ([1.0], [np.nan])}, "bearings"),
         ({"scan": ([1.0], [0.0]), "range_limits": (2.0, 1.0)}, "range_limits"),
+        ({"scan": ([1.0],)}, "scan: expected"),
+        ({"scan": ([-1.0], [0.0])}, "ranges: expected none < 0"),
+        ({"scan": ([1.0], [0.0]), "range_limits": "ab"}, "range_limits: expected two numbers"),
+        ({"delays": [1e300]}, "delays"),
         ({"sensor": -1}, "sensor"),
     ],
 )  # fmt: skip
@@ -195,6 +230,11 @@ def test_refused_calls_change_nothing(config, change, text):
         {"confirm_hits": 6},
         {"process_noise": (1.0,)},
         {"mode_time": (0.0, 1.0, 1.0)},
+        {"mode_time": (1e-300, 1.0, 1.0)},
+        {"mode_weight": (1.0, 1.0, 1e-17)},
+        {"mode_weight": (1e308, 1e308, 1.0)},
+        {"process_noise": (0.1, -1.0, 1.0)},
+        {"filter": "paper", "velocity_step": 1e200},
         {"filter": "joint"},
         {"gate_probability": 1.0},
     ],

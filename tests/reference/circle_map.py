@@ -140,6 +140,7 @@ class JointMap:
             for k in range(len(self.ids))
             if np.linalg.eigvalsh(self.P[3 + 5 * k : 8 + 5 * k, 3 + 5 * k : 8 + 5 * k]).max()
             < self.config.max_eigenvalue
+            and self.x[5 * k + 4] > 0
         ]
         places = [5 * k + i for k in kept for i in range(5)]
         self.x = self.x[places]
@@ -173,6 +174,7 @@ class Element:
     absent: float = 0.0
     unmatched: float = 0.0
     hidden: float = 0.0
+    misses: dict = field(default_factory=dict)
     last: int = 0
     count: int = 1
 
@@ -183,6 +185,10 @@ class Element:
             for m, mode, P in zip(self.mu, self.x, self.P, strict=True)
         )
         return x, P
+
+    def is_long(self, name, most, config):
+        enough = self.misses.get(name, 0) >= config.min_misses
+        return most is not None and enough and getattr(self, name) > most
 
     def visible(self):
         return self.seen not in ("occluded", "out of view")
@@ -240,12 +246,14 @@ class IndependentMap:
                 element.history.append(True)
                 element.seen, element.last, element.count = "measured", stamp, element.count + 1
                 element.absent = element.unmatched = element.hidden = 0.0
+                element.misses = {}
             else:
                 element.history.append(False)
                 element.seen = look(*element.combined())
                 where = {"seen through": "absent", "returns": "unmatched"}
                 name = where.get(element.seen, "hidden")
                 setattr(element, name, getattr(element, name) + dt)
+                element.misses[name] = element.misses.get(name, 0) + 1
         for row, number in enumerate(numbers):
             if number is None:
                 numbers[row] = self.create(*measurements[row], stamp)
@@ -318,17 +326,18 @@ class IndependentMap:
             element.confirmed |= recent >= config.confirm_hits
             vague = False
             if element.visible():
-                _, P = element.combined()
+                x, P = element.combined()
                 vague = (
-                    np.linalg.eigvalsh(P[:2, :2]).max() >= config.max_position_std**2
+                    x[4] <= 0
+                    or np.linalg.eigvalsh(P[:2, :2]).max() >= config.max_position_std**2
                     or np.linalg.eigvalsh(P[2:4, 2:4]).max() >= config.max_velocity_std**2
                     or P[4, 4] > config.max_radius_std**2
                 )
             if not (
                 (not element.confirmed and not recent)
-                or element.absent > config.absent_time
-                or element.unmatched > config.unmatched_time
-                or (config.max_coast is not None and element.hidden > config.max_coast)
+                or element.is_long("absent", config.absent_time, config)
+                or element.is_long("unmatched", config.unmatched_time, config)
+                or element.is_long("hidden", config.max_coast, config)
                 or vague
             ):
                 kept.append(element)
@@ -355,7 +364,7 @@ def is_twin(one, other, gap):
 def united(kept, dropped):
     rank = [(element.last, element.count) for element in (kept, dropped)]
     if rank[1] > rank[0]:
-        for name in ("x", "P", "mu", "seen", "last", "absent", "unmatched", "hidden"):
+        for name in ("x", "P", "mu", "seen", "last", "absent", "unmatched", "hidden", "misses"):
             setattr(kept, name, getattr(dropped, name))
     kept.count = max(kept.count, dropped.count)
     longest = max(len(kept.history), len(dropped.history))

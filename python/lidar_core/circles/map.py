@@ -23,7 +23,8 @@ class CircleElements:
     Attributes
     ----------
     id : ndarray, shape (M,), int64
-        Number of the element, never reused.
+        Number of the element, never reused: one that was removed comes back, if a late scan
+        shows it, with another.
     center, velocity : ndarray, shape (M, 2), float64
         [m], [m/s].
     radius : ndarray, shape (M,), float64
@@ -35,7 +36,7 @@ class CircleElements:
     seen_ns : ndarray, shape (M,), int64
         Time of its last measurement [ns].
     visible : ndarray, shape (M,), bool
-        The newest scan measured it, or should have: it is neither hidden nor out of view.
+        A sensor's newest scan measured it, or should have: it is neither hidden nor out of view.
     stamp_ns : int
         Time of the states [ns].
     """
@@ -67,7 +68,8 @@ class MapEvents:
     born, confirmed, removed : ndarray, shape (K,), int64
         New elements; reported from now on; no more.
     merged : ndarray, shape (K, 2), int64
-        The element that stays and the one that went into it.
+        The element that stays and the one that went into it; of scans taken in again those that
+        are new.
     """
 
     is_late: bool
@@ -141,8 +143,8 @@ class CircleMap:
             Of the pose: translation [m], then the angles alpha, beta, gamma of
             Rz(gamma) Ry(beta) Rx(alpha) [rad].
         delays : array_like, shape (C,), optional
-            When each circle was measured, after `stamp_ns` [s]; `filter` "paper" does not heed
-            it.
+            When each circle was measured, after `stamp_ns`, -10 to 10 [s]; `filter` "paper" does
+            not heed it.
         scan : (ranges, bearings), each of shape (B,), optional
             The scan in the level frame, +inf for misses, NaN for no information: elements that it
             does not show wait where they are hidden. Without it all should have been measured.
@@ -212,9 +214,16 @@ def elements_of(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> CircleElemen
 def _view(
     scan: tuple[ArrayLike, ArrayLike], limits: tuple[float, float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[float, float]]:
+    if not isinstance(scan, tuple | list) or len(scan) != 2:
+        raise InputError("scan: expected (ranges, bearings)")
     ranges = as_rows(scan[0], name="ranges", rows=None, shape=(), dtype=np.float64)
+    if (ranges < 0).any():
+        raise InputError(f"ranges: expected none < 0, got {ranges[ranges < 0][0]}")
     bearings = as_finite_rows(scan[1], name="bearings", rows=len(ranges), shape=())
-    near, far = (float(limit) for limit in limits)
+    try:
+        near, far = (float(limit) for limit in limits)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"range_limits: expected two numbers, got {limits!r}") from error
     if not 0 <= near < far:
         raise InputError(f"range_limits: expected 0 <= nearest < farthest, got ({near}, {far})")
     return ranges, bearings, (near, far)

@@ -1,6 +1,6 @@
 """Configuration of the semantic map: the only source of its defaults and ranges."""
 
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -20,7 +20,7 @@ class CircleMapConfig(Config):
         "independent",
         description="What keeps the elements: one filter for the robot and all of them, eqs 8-33,"
         " with nearest neighbours, new elements at once and one limit for all eigenvalues; or a"
-        " filter per element (no unit).",
+        " filter per element (no unit). In both an element goes whose radius is no more positive.",
     )
     gate_probability: float = Field(
         0.9999,
@@ -31,11 +31,12 @@ class CircleMapConfig(Config):
     )
     initial_speed: float = Field(
         1.5,
-        gt=0,
+        ge=1e-6,
+        le=1e6,
         description="Standard deviation of a new element's velocity, per axis, n_gv of eq. 19"
         " [m/s]; the paper gives none.",
     )
-    process_noise: tuple[float, ...] = Field(
+    process_noise: tuple[Annotated[float, Field(ge=0, le=1e6)], ...] = Field(
         (0.1, 0.5, 200.0),
         min_length=1,
         max_length=4,
@@ -43,21 +44,24 @@ class CircleMapConfig(Config):
         ' switches [m^2/s^3]: steady, manoeuvring, sudden turn; `filter` "independent", as all'
         " that follows up to `buffer_time`.",
     )
-    mode_weight: tuple[float, ...] = Field(
+    mode_weight: tuple[Annotated[float, Field(ge=1e-6, le=1e6)], ...] = Field(
         (0.4, 0.599, 0.001),
         min_length=1,
         max_length=4,
         description="Share of each mode among new elements and among those that change their mode"
         " (no unit).",
     )
-    mode_time: tuple[float, ...] = Field(
+    mode_time: tuple[Annotated[float, Field(ge=1e-3, le=1e6)], ...] = Field(
         (2.0, 2.0, 0.1),
         min_length=1,
         max_length=4,
         description="Mean time that each mode lasts [s].",
     )
     radius_noise: float = Field(
-        1e-6, ge=0, description="Density of the random walk of radii [m^2/s]; paper, eq. 15: 0."
+        1e-6,
+        ge=0,
+        le=1e3,
+        description="Density of the random walk of radii [m^2/s]; paper, eq. 15: 0.",
     )
     birth_density: float = Field(
         1e-4,
@@ -89,6 +93,13 @@ class CircleMapConfig(Config):
     )
     max_velocity_std: float = Field(3.0, gt=0, description="Same of the velocity [m/s].")
     max_radius_std: float = Field(0.3, gt=0, description="Same of the radius [m].")
+    min_misses: int = Field(
+        3,
+        ge=1,
+        le=1_000,
+        description="Scans in a row that must miss an element before one of the times that follow"
+        " lets it go: a slow scanner may miss one (count, no unit).",
+    )
     absent_time: float = Field(
         0.25,
         ge=0,
@@ -123,11 +134,13 @@ class CircleMapConfig(Config):
         0.25,
         ge=0,
         le=60,
-        description="How late a scan may come: all scans since are taken in again after it [s].",
+        description="How late a scan may come: all scans since are taken in again after it, of"
+        " which the last 1000 are kept [s].",
     )
     velocity_step: float = Field(
         0.1,
         ge=0,
+        le=1e3,
         description="Noise of the velocity per step, n_fv of eq. 14, as a standard deviation [m/s];"
         ' `filter` "paper", which gives no value.',
     )
@@ -149,6 +162,4 @@ class CircleMapConfig(Config):
             raise ValueError("expected confirm_hits <= confirm_window")
         if not len(self.process_noise) == len(self.mode_weight) == len(self.mode_time):
             raise ValueError("expected process_noise, mode_weight and mode_time of one length")
-        if min(self.process_noise) < 0 or min(*self.mode_weight, *self.mode_time) <= 0:
-            raise ValueError("expected process_noise >= 0, mode_weight > 0 and mode_time > 0")
         return self

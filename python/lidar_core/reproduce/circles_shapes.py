@@ -97,7 +97,9 @@ def _shows_two_faces(
     """Whether enough rays ended on each of two faces of a box."""
     along = np.array([np.cos(heading), np.sin(heading)])
     away = ends - np.array(place[:2])
-    inside = np.array([away @ along, away @ (-along[1], along[0])]) / np.array(body.size[:2])[:, None]
+    inside = (
+        np.array([away @ along, away @ (-along[1], along[0])]) / np.array(body.size[:2])[:, None]
+    )
     on_long = np.abs(inside[1]) > np.abs(inside[0])
     return min(np.count_nonzero(on_long), np.count_nonzero(~on_long)) >= FACE_HITS
 
@@ -127,9 +129,7 @@ def _run(request: Request) -> Result:
     )
 
 
-def _rows(
-    table: NDArray[np.int64], true: NDArray[np.int64], taken: NDArray[np.int64]
-) -> list[Row]:
+def _rows(table: NDArray[np.int64], true: NDArray[np.int64], taken: NDArray[np.int64]) -> list[Row]:
     rows = [Row("right", "1", None, None, float(np.mean(true == taken)))]
     for kind, name in enumerate(NAMES):
         of_kind = max(1, int(np.sum(true == kind)))

@@ -32,6 +32,7 @@ pub(crate) struct CircleMapConfig {
     max_position_std: f64,
     max_velocity_std: f64,
     max_radius_std: f64,
+    min_misses: u32,
     absent_time: f64,
     unmatched_time: f64,
     max_coast: Option<f64>,
@@ -70,6 +71,7 @@ impl CircleMapConfig {
                 radius: self.max_radius_std,
             },
             patience: Patience {
+                scans: self.min_misses,
                 absent: self.absent_time,
                 unmatched: self.unmatched_time,
                 hidden: self.max_coast,

@@ -10,9 +10,31 @@ use nalgebra::SMatrix;
 
 /// What the last scan said about an element.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Seen {
+enum Seen {
     Measured,
     Unmeasured(Visibility),
+}
+
+impl Seen {
+    fn is_visible(self) -> bool {
+        let hidden = [Visibility::Occluded, Visibility::OutOfView];
+        !hidden.map(Self::Unmeasured).contains(&self)
+    }
+}
+
+/// Scans in a row that gave one reason to let an element go.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Misses {
+    scans: u32,
+    /// Time that they cover [s].
+    time: f64,
+}
+
+impl Misses {
+    fn add(&mut self, dt: f64) {
+        self.scans = self.scans.saturating_add(1);
+        self.time += dt;
+    }
 }
 
 /// One object.
@@ -27,18 +49,21 @@ pub(super) struct Element {
     /// The last scans, newest in the lowest bit: 1 where it was measured.
     history: u64,
     pub(super) confirmed: bool,
-    pub(super) seen: Seen,
-    /// Time without a measurement: seen through, with returns, hidden [s].
-    absent: f64,
-    unmatched: f64,
-    hidden: f64,
+    /// What the newest scan of `watcher` said.
+    seen: Seen,
+    /// The sensor that last measured it or should have.
+    watcher: u32,
+    /// Without a measurement: seen through, with returns, hidden.
+    absent: Misses,
+    unmatched: Misses,
+    hidden: Misses,
 }
 
 impl Element {
     pub(super) fn new(
         id: i64,
         measurement: &Measurement,
-        stamp_ns: i64,
+        (stamp_ns, sensor): (i64, u32),
         speed: f64,
         motion: &Motion,
     ) -> Self {
@@ -51,36 +76,40 @@ impl Element {
             history: 1,
             confirmed: false,
             seen: Seen::Measured,
-            absent: 0.0,
-            unmatched: 0.0,
-            hidden: 0.0,
+            watcher: sensor,
+            absent: Misses::default(),
+            unmatched: Misses::default(),
+            hidden: Misses::default(),
         }
     }
 
     /// Count a scan that measured it.
-    pub(super) fn measured(&mut self, stamp_ns: i64) {
+    pub(super) fn measured(&mut self, (stamp_ns, sensor): (i64, u32)) {
         self.seen_ns = stamp_ns;
         self.n_measurements = self.n_measurements.saturating_add(1);
         self.history = self.history << 1 | 1;
-        self.seen = Seen::Measured;
-        (self.absent, self.unmatched, self.hidden) = (0.0, 0.0, 0.0);
+        (self.seen, self.watcher) = (Seen::Measured, sensor);
+        (self.absent, self.unmatched, self.hidden) = Default::default();
     }
 
-    /// Count a scan, `dt` seconds after the one before, that did not.
-    pub(super) fn unmeasured(&mut self, visibility: Visibility, dt: f64) {
-        self.history <<= 1;
-        self.seen = Seen::Unmeasured(visibility);
+    /// Count a scan, `dt` seconds after the one before, that did not. A sensor from which it is
+    /// hidden has no say in what another one sees.
+    pub(super) fn unmeasured(&mut self, visibility: Visibility, sensor: u32, dt: f64) {
         match visibility {
-            Visibility::SeenThrough => self.absent += dt,
-            Visibility::Returns => self.unmatched += dt,
-            Visibility::Occluded | Visibility::OutOfView => self.hidden += dt,
+            Visibility::SeenThrough => self.absent.add(dt),
+            Visibility::Returns => self.unmatched.add(dt),
+            Visibility::Occluded | Visibility::OutOfView => self.hidden.add(dt),
+        }
+        let seen = Seen::Unmeasured(visibility);
+        if seen.is_visible() || sensor == self.watcher {
+            self.history <<= 1;
+            (self.seen, self.watcher) = (seen, sensor);
         }
     }
 
-    /// Whether the newest scan measured it or should have.
+    /// Whether a sensor's newest scan measured it or should have.
     pub(super) fn is_visible(&self) -> bool {
-        let hidden = [Visibility::Occluded, Visibility::OutOfView];
-        !hidden.map(Seen::Unmeasured).contains(&self.seen)
+        self.seen.is_visible()
     }
 
     /// Confirm it if enough scans speak for it.
@@ -95,9 +124,10 @@ impl Element {
             return true;
         }
         let patience = &parameters.patience;
-        self.absent > patience.absent
-            || self.unmatched > patience.unmatched
-            || patience.hidden.is_some_and(|most| self.hidden > most)
+        let is_long = |misses: Misses, most| misses.scans >= patience.scans && misses.time > most;
+        is_long(self.absent, patience.absent)
+            || is_long(self.unmatched, patience.unmatched)
+            || patience.hidden.is_some_and(|most| is_long(self.hidden, most))
             || self.is_visible() && is_vague(&self.modes.combined(), &parameters.limits)
     }
 
@@ -116,7 +146,7 @@ impl Element {
         let rank = |element: &Self| (element.seen_ns, element.n_measurements);
         if rank(&twin) > rank(self) {
             self.modes = twin.modes;
-            self.seen = twin.seen;
+            (self.seen, self.watcher) = (twin.seen, twin.watcher);
             self.seen_ns = twin.seen_ns;
             (self.absent, self.unmatched) = (twin.absent, twin.unmatched);
             self.hidden = twin.hidden;
@@ -131,11 +161,12 @@ impl Element {
     }
 }
 
-/// Whether an eigenvalue of a block of the covariance is above its limit.
+/// Whether an eigenvalue of a block of the covariance is above its limit, or no radius is left.
 fn is_vague(state: &Gaussian<5>, limits: &Limits) -> bool {
     let P = &state.covariance;
     exceeds(&P.fixed_view::<2, 2>(0, 0).into_owned(), limits.position * limits.position)
         || exceeds(&P.fixed_view::<2, 2>(2, 2).into_owned(), limits.velocity * limits.velocity)
+        || state.mean[4] <= 0.0
         || P[(4, 4)] > limits.radius * limits.radius
 }
 

@@ -6,7 +6,7 @@ use super::{Outcome, seconds};
 use crate::Error;
 use std::collections::VecDeque;
 
-/// Most scans kept.
+/// Most scans kept, whatever their time.
 const MAX_SCANS: usize = 1_000;
 
 /// A scan, and the elements before it.
@@ -37,12 +37,22 @@ impl History {
             return refuse(format!("scan of {stamp_ns} ns from sensor {sensor}: it was processed"));
         }
         match self.entries.front() {
-            Some(oldest) if key > oldest.scan.key() => Ok(true),
+            Some(oldest) if key.0 >= oldest.scan.stamp_ns => Ok(true),
             _ => refuse(format!(
-                "scan of {} ns: it comes later than the map can go back from {} ns; raise `buffer_time`",
-                key.0, newest.0
+                "scan of {} ns: it comes later than the map can go back from {} ns; {}",
+                key.0,
+                newest.0,
+                self.cure()
             )),
         }
+    }
+
+    /// What lets later scans come.
+    fn cure(&self) -> String {
+        if self.entries.len() < MAX_SCANS {
+            return "raise `buffer_time`".into();
+        }
+        format!("it keeps the last {MAX_SCANS} scans at most, whatever `buffer_time`")
     }
 
     /// Take in a scan in its place in time.
@@ -82,27 +92,26 @@ impl History {
         let mut after: Vec<Entry> = self.entries.range(place..).cloned().collect();
         let mut now = after.first().map_or_else(Elements::default, |entry| entry.before.clone());
         let before = now.clone();
-        let merged = rules.step(&mut now, &mut scan, &mut number)?;
+        let mut merged = rules.step(&mut now, &mut scan, &mut number)?;
         let mut pairs = Vec::new();
         for entry in &mut after {
             let known = entry.scan.elements.clone();
             entry.before = now.clone();
-            rules.step(&mut now, &mut entry.scan, &mut number)?;
+            let again = rules.step(&mut now, &mut entry.scan, &mut number)?;
+            merged.extend(again.into_iter().filter(|&[_, gone]| self.now.holds(gone)));
             pairs.extend(known.into_iter().zip(entry.scan.elements.iter().copied()));
         }
         let renamed = renamed(&pairs, &self.now, &now);
-        now.rename(&renamed);
         after.insert(0, Entry { before, scan });
-        for entry in &mut after {
-            entry.before.rename(&renamed);
-            for element in entry.scan.elements.iter_mut().flatten() {
-                *element = new_number(*element, &renamed);
-            }
-        }
-        let elements = after[0].scan.elements.iter().flatten().copied().collect();
+        rename(&mut now, &mut after, &mut merged, &renamed);
         self.entries.truncate(place);
         self.entries.extend(after);
+        let fresh = fresh_numbers(&self.now, &now, *next_id, &mut number);
+        rename(&mut now, self.entries.make_contiguous(), &mut merged, &fresh);
+        merged.retain(|&[_, gone]| !now.holds(gone));
+        let elements = self.entries[place].scan.elements.iter().flatten().copied().collect();
         (self.now, *next_id) = (now, number);
+        self.forget(rules.parameters().buffer_time);
         Ok(Outcome { late: true, elements, merged })
     }
 
@@ -123,16 +132,53 @@ fn renamed(
     before: &Elements,
     now: &Elements,
 ) -> Vec<(i64, i64)> {
-    let holds = |elements: &Elements, id: i64| elements.all.iter().any(|element| element.id == id);
     let mut renamed: Vec<(i64, i64)> = Vec::new();
     for &pair in pairs {
         let (Some(old), Some(new)) = pair else { continue };
-        let is_gone = holds(before, old) && !holds(now, old);
-        let is_fresh = holds(now, new) && !holds(before, new);
+        let is_gone = before.holds(old) && !now.holds(old);
+        let is_fresh = now.holds(new) && !before.holds(new);
         let is_known = renamed.iter().any(|&(from, to)| from == new || to == old);
         if is_gone && is_fresh && !is_known {
             renamed.push((new, old));
         }
     }
     renamed
+}
+
+/// New numbers for elements that came back: theirs were reported as removed, or never at all.
+fn fresh_numbers(
+    before: &Elements,
+    now: &Elements,
+    first_new: i64,
+    next_id: &mut i64,
+) -> Vec<(i64, i64)> {
+    let is_back = |id: &i64| *id < first_new && !before.holds(*id);
+    let back = now.all.iter().map(|element| element.id).filter(is_back);
+    back.map(|id| {
+        *next_id += 1;
+        (id, *next_id - 1)
+    })
+    .collect()
+}
+
+/// Give elements other numbers wherever they are named.
+fn rename(
+    now: &mut Elements,
+    entries: &mut [Entry],
+    merged: &mut [[i64; 2]],
+    numbers: &[(i64, i64)],
+) {
+    if numbers.is_empty() {
+        return;
+    }
+    now.rename(numbers);
+    for entry in entries {
+        entry.before.rename(numbers);
+        for element in entry.scan.elements.iter_mut().flatten() {
+            *element = new_number(*element, numbers);
+        }
+    }
+    for id in merged.iter_mut().flatten() {
+        *id = new_number(*id, numbers);
+    }
 }

@@ -32,6 +32,10 @@ pub(super) struct Elements {
 }
 
 impl Elements {
+    pub(super) fn holds(&self, id: i64) -> bool {
+        self.all.iter().any(|element| element.id == id)
+    }
+
     /// Give elements other numbers: pairs of the one they have and the one they get.
     pub(super) fn rename(&mut self, numbers: &[(i64, i64)]) {
         for element in &mut self.all {
@@ -75,10 +79,10 @@ impl Rules {
         for (element, column) in elements.all.iter_mut().zip(column_of) {
             if let Some(column) = column {
                 element.modes.correct(&scan.measurements[column])?;
-                element.measured(scan.stamp_ns);
+                element.measured(scan.key());
                 numbers[column] = Some(element.id);
             } else {
-                element.unmeasured(self.look(element, scan), dt);
+                element.unmeasured(self.look(element, scan), scan.sensor, dt);
             }
         }
         self.create(elements, scan, &mut numbers, next_id);
@@ -143,7 +147,7 @@ impl Rules {
             });
             *number = Some(id);
             let measurement = &scan.measurements[index];
-            let element = Element::new(id, measurement, scan.stamp_ns, self.speed, &self.motion);
+            let element = Element::new(id, measurement, scan.key(), self.speed, &self.motion);
             elements.all.push(element);
         }
         elements.all.sort_by_key(|element| element.id);

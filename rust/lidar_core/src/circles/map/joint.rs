@@ -5,6 +5,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
+use super::covariance::{Covariance, ELEMENT, place};
 use super::element::exceeds;
 use super::modes::{Matrix5, transition};
 use super::parameters::{Joint, MAX_ELEMENTS};
@@ -14,11 +15,6 @@ use crate::Error;
 use crate::circles::circle::CircleEstimate;
 use crate::estimation::kalman::{Gaussian, mahalanobis, symmetrised};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
-
-/// Errors of the robot: position x and y, angle.
-const ROBOT: usize = 3;
-/// Errors of an element, eq. 9: position, velocity, radius.
-const ELEMENT: usize = 5;
 
 type Matrix3x5 = SMatrix<f64, 3, 5>;
 type Matrix5x3 = SMatrix<f64, 5, 3>;
@@ -33,17 +29,12 @@ struct Landmark {
     n_measurements: u32,
 }
 
-/// Covariance of all errors, row after row: the robot's first, then every element's.
-#[derive(Clone, Debug)]
-struct Covariance {
-    size: usize,
-    values: Vec<f64>,
-}
-
 /// State of the filter; the robot's pose is an input and needs no place here.
 #[derive(Clone, Debug)]
 struct State {
-    key: Option<(i64, u32)>,
+    stamp_ns: Option<i64>,
+    /// Sensors that had a scan at that stamp.
+    sensors: Vec<u32>,
     landmarks: Vec<Landmark>,
     P: Covariance,
 }
@@ -70,14 +61,20 @@ impl JointMap {
     }
 
     /// # Errors
-    /// [`Error::Time`] for a scan that is not newer than the last one.
-    pub(super) fn check_stamp(&self, key: (i64, u32)) -> Result<(), Error> {
-        match self.state.key {
-            Some(newest) if key <= newest => Err(Error::Time {
-                what: format!("scan of {} ns: expected one after {} ns", key.0, newest.0),
-            }),
-            _ => Ok(()),
+    /// [`Error::Time`] for a scan that is older than the last one, or the sensor's second of one
+    /// stamp.
+    pub(super) fn check_stamp(&self, (stamp_ns, sensor): (i64, u32)) -> Result<(), Error> {
+        let Some(newest_ns) = self.state.stamp_ns else { return Ok(()) };
+        let what = format!("scan of {stamp_ns} ns from sensor {sensor}");
+        if stamp_ns < newest_ns {
+            return Err(Error::Time {
+                what: format!("{what}: expected none before {newest_ns} ns"),
+            });
         }
+        if stamp_ns == newest_ns && self.state.sensors.contains(&sensor) {
+            return Err(Error::Time { what: format!("{what}: it was processed") });
+        }
+        Ok(())
     }
 
     /// Predict, associate, correct, map, delete.
@@ -112,7 +109,7 @@ impl JointMap {
 
     /// Every element, one prediction step later.
     pub(super) fn at(&self, stamp_ns: i64) -> Vec<MapElement> {
-        let Some((newest_ns, _)) = self.state.key else { return Vec::new() };
+        let Some(newest_ns) = self.state.stamp_ns else { return Vec::new() };
         let F = transition(seconds(newest_ns, stamp_ns));
         let step = if stamp_ns == newest_ns { 0.0 } else { self.parameters.velocity_step };
         let landmarks = self.state.landmarks.iter().enumerate();
@@ -136,16 +133,18 @@ impl JointMap {
 
 impl State {
     fn empty() -> Self {
-        let P = Covariance { size: ROBOT, values: vec![0.0; ROBOT * ROBOT] };
-        Self { key: None, landmarks: Vec::new(), P }
+        Self { stamp_ns: None, sensors: Vec::new(), landmarks: Vec::new(), P: Covariance::empty() }
     }
 
     /// Eqs 12-15 and 21-22. The robot's pose is replaced by the input, and its covariance by that
     /// of the input: what it shared with the elements is gone.
     fn predict(&mut self, scan: &CircleScan<'_>, velocity_step: f64) {
-        let key = (scan.stamp_ns, scan.sensor);
-        let dt =
-            self.key.replace(key).map_or(0.0, |(stamp_ns, _)| seconds(stamp_ns, scan.stamp_ns));
+        let before = self.stamp_ns.replace(scan.stamp_ns);
+        if before != self.stamp_ns {
+            self.sensors.clear();
+        }
+        self.sensors.push(scan.sensor);
+        let dt = before.map_or(0.0, |stamp_ns| seconds(stamp_ns, scan.stamp_ns));
         let F = transition(dt);
         for (row, landmark) in self.landmarks.iter_mut().enumerate() {
             landmark.x = F * landmark.x;
@@ -197,7 +196,7 @@ impl State {
     ) -> Result<(), Error> {
         let predicted: Vec<Model> =
             self.landmarks.iter().map(|landmark| Model::of(pose, &landmark.x)).collect();
-        let mut dx = vec![0.0; self.P.size];
+        let mut dx = vec![0.0; self.P.size()];
         for (estimate, index) in scan.estimates.iter().zip(matches) {
             let Some(index) = *index else { continue };
             let model = &predicted[index];
@@ -256,13 +255,14 @@ impl State {
         });
     }
 
-    /// Eq. 33: elements go whose covariance has an eigenvalue above the limit.
+    /// Eq. 33: elements go whose covariance has an eigenvalue above the limit, and those whose
+    /// radius was corrected to nothing, of which the paper says nothing.
     fn delete(&mut self, max_eigenvalue: f64) {
-        let is_sure = |index| {
+        let stays = |index: usize| {
             let P: Matrix5 = self.P.block(place(index), place(index));
-            !exceeds(&P, max_eigenvalue)
+            self.landmarks[index].x[4] > 0.0 && !exceeds(&P, max_eigenvalue)
         };
-        let kept: Vec<usize> = (0..self.landmarks.len()).filter(|&index| is_sure(index)).collect();
+        let kept: Vec<usize> = (0..self.landmarks.len()).filter(|&index| stays(index)).collect();
         if kept.len() < self.landmarks.len() {
             self.P = self.P.of(&kept);
             self.landmarks = kept.iter().map(|&index| self.landmarks[index].clone()).collect();
@@ -293,7 +293,7 @@ impl Model {
 
     /// P H': one row per error.
     fn cross_covariance(&self, P: &Covariance, index: usize) -> Vec<Vector3<f64>> {
-        (0..P.size)
+        (0..P.size())
             .map(|row| {
                 let robot = Vector3::from_fn(|column, _| P.at(row, column));
                 let element =
@@ -321,73 +321,6 @@ impl Model {
             SVector::<f64, ELEMENT>::from_column_slice(&dx[place(index)..place(index) + ELEMENT]);
         self.H_robot * Vector3::new(dx[0], dx[1], dx[2]) + self.H_element * element
     }
-}
-
-impl Covariance {
-    fn at(&self, row: usize, column: usize) -> f64 {
-        self.values[row * self.size + column]
-    }
-
-    fn block<const R: usize, const C: usize>(
-        &self,
-        row: usize,
-        column: usize,
-    ) -> SMatrix<f64, R, C> {
-        SMatrix::from_fn(|i, j| self.at(row + i, column + j))
-    }
-
-    /// Write a block and its mirror image.
-    fn set<const R: usize, const C: usize>(
-        &mut self,
-        row: usize,
-        column: usize,
-        block: &SMatrix<f64, R, C>,
-    ) {
-        for i in 0..R {
-            for j in 0..C {
-                self.values[(row + i) * self.size + column + j] = block[(i, j)];
-                self.values[(column + j) * self.size + row + i] = block[(i, j)];
-            }
-        }
-    }
-
-    /// Eq. 30: (I - K H) P = P - K (P H')'.
-    fn reduce(&mut self, gains: &[Vector3<f64>], PHt: &[Vector3<f64>]) {
-        for (row, gain) in gains.iter().enumerate() {
-            for (column, shared) in PHt.iter().enumerate().take(row + 1) {
-                let value = self.at(row, column) - gain.dot(shared);
-                self.values[row * self.size + column] = value;
-                self.values[column * self.size + row] = value;
-            }
-        }
-    }
-
-    /// Room for one more element.
-    fn grow(&mut self) {
-        let size = self.size + ELEMENT;
-        let mut values = vec![0.0; size * size];
-        for row in 0..self.size {
-            for column in 0..self.size {
-                values[row * size + column] = self.at(row, column);
-            }
-        }
-        *self = Self { size, values };
-    }
-
-    /// The robot and some of the elements.
-    fn of(&self, elements: &[usize]) -> Self {
-        let kept: Vec<usize> = (0..ROBOT)
-            .chain(elements.iter().flat_map(|&index| place(index)..place(index) + ELEMENT))
-            .collect();
-        let values =
-            kept.iter().flat_map(|&row| kept.iter().map(move |&column| self.at(row, column)));
-        Self { size: kept.len(), values: values.collect() }
-    }
-}
-
-/// Where the errors of an element begin.
-fn place(index: usize) -> usize {
-    ROBOT + ELEMENT * index
 }
 
 fn measured(estimate: &CircleEstimate) -> Vector3<f64> {

@@ -4,6 +4,7 @@
 //! per element, which is told how certain every circle is, what the scan could see, and how
 //! objects move: see [`Independent`].
 
+mod covariance;
 mod element;
 mod history;
 mod independent;
@@ -44,7 +45,7 @@ pub struct MapElement {
     pub seen_ns: i64,
     /// Scans that measured it.
     pub n_measurements: u32,
-    /// The newest scan measured it, or should have.
+    /// A sensor's newest scan measured it, or should have.
     pub visible: bool,
     /// Enough scans speak for it.
     pub confirmed: bool,

@@ -109,8 +109,9 @@ impl Motion {
             modes.iter().map(|mode| Mode { weight: mode.weight / total, ..*mode }).collect();
         let mut rates = Switching::zeros();
         for (from, mode) in modes.iter().enumerate() {
-            for (to, other) in modes.iter().enumerate().filter(|&(to, _)| to != from) {
-                rates[(from, to)] = other.weight / (1.0 - mode.weight) / mode.duration;
+            let elsewhere = others(&modes, from).map(|(_, other)| other.weight).sum::<f64>();
+            for (to, other) in others(&modes, from) {
+                rates[(from, to)] = other.weight / elsewhere / mode.duration;
                 rates[(from, from)] -= rates[(from, to)];
             }
         }
@@ -133,6 +134,11 @@ impl Motion {
             switching: exponential(&self.rates, part.abs()),
         }
     }
+}
+
+/// All modes but one, with their numbers.
+fn others(modes: &[Mode], but: usize) -> impl Iterator<Item = (usize, &Mode)> {
+    modes.iter().enumerate().filter(move |&(index, _)| index != but)
 }
 
 /// e^(rates * time): scaled, summed as a series, squared.

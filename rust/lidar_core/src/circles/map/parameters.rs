@@ -4,6 +4,7 @@ use super::modes::MAX_MODES;
 use crate::Error;
 use crate::error::{require, require_positive};
 use crate::estimation::chi2;
+use std::ops::RangeInclusive;
 
 /// Most elements, and most circles in one scan.
 pub const MAX_ELEMENTS: usize = 2_000;
@@ -35,6 +36,8 @@ pub struct Limits {
 /// How long an element stays without a measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Patience {
+    /// Scans in a row that must miss it, however long the times between them.
+    pub scans: u32,
     /// While rays pass through its place [s].
     pub absent: f64,
     /// While rays end at its place, but no circle is found there [s].
@@ -119,10 +122,10 @@ impl CircleMapParameters {
     /// # Errors
     /// [`Error::Parameter`] for the first value outside its range.
     pub(super) fn gate(&self) -> Result<f64, Error> {
-        require_positive("initial_speed", self.initial_speed)?;
+        within("initial_speed", self.initial_speed, 1e-6..=1e6, "1e-6 to 1e6")?;
         match &self.filter {
             Filter::Paper(joint) => {
-                not_negative("velocity_step", joint.velocity_step)?;
+                within("velocity_step", joint.velocity_step, 0.0..=1e3, "0 to 1000")?;
                 require_positive("max_eigenvalue", joint.max_eigenvalue)?;
             }
             Filter::Independent(independent) => independent.check()?,
@@ -136,11 +139,11 @@ impl Independent {
         let count = self.modes.len();
         require((1..=MAX_MODES).contains(&count), "modes", "1 to 4 modes", count)?;
         for mode in &self.modes {
-            not_negative("process_noise", mode.density)?;
-            require_positive("mode_weight", mode.weight)?;
-            require_positive("mode_time", mode.duration)?;
+            within("process_noise", mode.density, 0.0..=1e6, "0 to 1e6")?;
+            within("mode_weight", mode.weight, 1e-6..=1e6, "1e-6 to 1e6")?;
+            within("mode_time", mode.duration, 1e-3..=1e6, "0.001 to 1e6")?;
         }
-        not_negative("radius_noise", self.radius_density)?;
+        within("radius_noise", self.radius_density, 0.0..=1e3, "0 to 1000")?;
         require_positive("birth_density", self.birth_density)?;
         not_negative("merge_gap", self.merge_gap)?;
         let Confirmation { hits, window } = self.confirmation;
@@ -163,4 +166,13 @@ impl Independent {
 
 fn not_negative(name: &'static str, value: f64) -> Result<(), Error> {
     require(value.is_finite() && value >= 0.0, name, "finite and >= 0", value)
+}
+
+fn within(
+    name: &'static str,
+    value: f64,
+    range: RangeInclusive<f64>,
+    expected: &'static str,
+) -> Result<(), Error> {
+    require(range.contains(&value), name, expected, value)
 }

@@ -15,6 +15,9 @@ const UPRIGHT: f64 = 0.05;
 /// Relative size of what a covariance may lack to be symmetric or positive.
 const ROUNDING: f64 = 1e-9;
 
+/// Longest time between a scan's stamp and one of its circles [s].
+const MAX_DELAY: f64 = 10.0;
+
 /// Covariance of a pose: of the translation [m] and of the angles alpha, beta, gamma of
 /// `R = Rz(gamma) Ry(beta) Rx(alpha)` [rad].
 pub type PoseCovariance = [[f64; 6]; 6];
@@ -33,7 +36,7 @@ pub struct CircleScan<'a> {
     pub pose_covariance: Option<&'a PoseCovariance>,
     /// Circles found.
     pub estimates: &'a [CircleEstimate],
-    /// When each was measured, after the stamp [s]; None: all at the stamp. The filter of the
+    /// When each was measured, after the stamp, -10 to 10 [s]; None: all at the stamp. The filter of the
     /// paper takes them all at the stamp.
     pub delays: Option<&'a [f64]>,
     /// The scan itself; None: all elements should have been measured.
@@ -197,10 +200,10 @@ fn check_delays(delays: Option<&[f64]>, expected: usize) -> Result<(), Error> {
     if got != expected {
         return Err(Error::Length { name, expected, got });
     }
-    match delays.iter().position(|delay| !delay.is_finite()) {
+    match delays.iter().position(|delay| delay.is_nan() || delay.abs() > MAX_DELAY) {
         Some(index) => Err(Error::Value {
             name,
-            expected: "finite values",
+            expected: "-10 to 10 s",
             index,
             got: delays[index].to_string(),
         }),

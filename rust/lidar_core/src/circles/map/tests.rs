@@ -15,7 +15,7 @@ fn best() -> Independent {
         merge_gap: 0.1,
         confirmation: Confirmation { hits: 3, window: 5 },
         limits: Limits { position: 1.0, velocity: 3.0, radius: 0.3 },
-        patience: Patience { absent: 0.25, unmatched: 0.5, hidden: Some(5.0) },
+        patience: Patience { scans: 3, absent: 0.25, unmatched: 0.5, hidden: Some(5.0) },
         looking: Looking { margin: 0.1, min_rays: 4 },
         buffer_time: 1.0,
     }
@@ -204,7 +204,9 @@ fn the_joint_filter_keeps_numbers_and_forgets_what_is_vague() -> Result<(), Erro
 
 #[test]
 fn parameters_outside_their_range_are_refused() {
-    let changes: [fn(&mut Independent); 6] = [
+    let changes: [fn(&mut Independent); 8] = [
+        |p| p.modes[1].weight = 1e-17,
+        |p| p.modes[1].duration = 1e-300,
         |p| p.modes.clear(),
         |p| p.modes[0].duration = 0.0,
         |p| p.birth_density = f64::NAN,
@@ -232,8 +234,108 @@ fn a_circle_measured_later_counts_at_its_own_time() -> Result<(), Error> {
     let found = map.map_at(39 * STEP_NS);
     assert!((found[0].state.mean[0] - (2.0 + 0.05 * 39.0)).abs() < 2e-3);
     let circles = [circle(4.0, 0.0, 0.3)];
-    for delays in [&[][..], &[f64::NAN]] {
+    for delays in [&[][..], &[f64::NAN], &[1e300]] {
         assert!(map.update(&CircleScan { delays: Some(delays), ..scan(40, &circles) }).is_err());
     }
+    Ok(())
+}
+
+/// What a sensor sees that looks the other way.
+fn blind() -> PolarScan {
+    PolarScan { ranges: vec![f64::NAN; 3], bearings: vec![-0.1, 0.0, 0.1] }
+}
+
+#[test]
+fn one_of_three_sensors_is_enough() -> Result<(), Error> {
+    let (mut map, blind) = (map_of(Filter::Independent(best()))?, blind());
+    let view = Some(View { scan: &blind, range_min: 0.1, range_max: 10.0 });
+    for step in 0..60 {
+        let (here, sensor) = ([circle(3.0, 0.0, 0.3)], (step % 3) as u32);
+        let circles = if sensor == 0 { &here[..] } else { &[] };
+        map.update(&CircleScan { view, sensor, ..scan(step, circles) })?;
+        let now = map.map_at(step * STEP_NS);
+        assert_eq!((now.len(), now[0].id, now[0].visible), (1, 0, true), "{step}");
+        assert_eq!(now[0].confirmed, step >= 6, "{step}");
+    }
+    for step in 60..75 {
+        map.update(&CircleScan { view, sensor: (step % 3) as u32, ..scan(step, &[]) })?;
+    }
+    assert!(!map.map_at(75 * STEP_NS)[0].visible);
+    Ok(())
+}
+
+#[test]
+fn what_no_sensor_sees_again_is_never_reported() -> Result<(), Error> {
+    let (mut map, blind) = (map_of(Filter::Independent(best()))?, blind());
+    let view = Some(View { scan: &blind, range_min: 0.1, range_max: 10.0 });
+    map.update(&scan(0, &[circle(3.0, 0.0, 0.3)]))?;
+    for step in 1..16 {
+        map.update(&CircleScan { view, sensor: (step % 3) as u32, ..scan(step, &[]) })?;
+    }
+    assert!(map.map_at(15 * STEP_NS).is_empty());
+    Ok(())
+}
+
+#[test]
+fn a_slow_scanner_may_miss_a_scan() -> Result<(), Error> {
+    let mut map = map_of(Filter::Independent(best()))?;
+    for step in 0..59 {
+        let here = [circle(3.0, 0.0, 0.3)];
+        let circles = if step % 10 == 9 { &[] } else { &here[..] };
+        map.update(&scan(10 * step, circles))?; // 2 Hz
+        assert_eq!(map.map_at(10 * step * STEP_NS)[0].id, 0);
+    }
+    let removed = (59..62).map(|step| map.update(&scan(10 * step, &[])).map(|stats| stats.removed));
+    assert_eq!(removed.collect::<Result<Vec<_>, _>>()?, [vec![], vec![], vec![0]]);
+    Ok(())
+}
+
+#[test]
+fn a_number_that_was_removed_never_comes_back() -> Result<(), Error> {
+    let mut map = map_of(Filter::Independent(best()))?;
+    let here = [circle(3.0, 0.0, 0.3)];
+    for step in 0..5 {
+        map.update(&scan(step, &here))?;
+    }
+    let gone: Vec<i64> = (6..12)
+        .map(|step| map.update(&scan(step, &[])).map(|stats| stats.removed))
+        .collect::<Result<Vec<_>, _>>()?
+        .concat();
+    assert_eq!(gone, [0]);
+    for late in [5 * STEP_NS, 8 * STEP_NS + 1] {
+        let stats = map.update(&CircleScan { stamp_ns: late, ..scan(0, &here) })?;
+        assert!(stats.late && !stats.born.contains(&0));
+    }
+    let now = map.map_at(11 * STEP_NS);
+    assert_eq!((now.len(), now[0].confirmed), (1, true));
+    let stats = map.update(&scan(12, &here))?;
+    assert_eq!((stats.elements, stats.born), (vec![now[0].id], vec![]));
+    Ok(())
+}
+
+#[test]
+fn sensors_of_one_stamp_come_in_any_order() -> Result<(), Error> {
+    for filter in [paper(), Filter::Independent(best())] {
+        let mut map = map_of(filter)?;
+        for step in 0..5 {
+            for sensor in [2, 0, 1] {
+                map.update(&CircleScan { sensor, ..scan(step, &[circle(3.0, 0.0, 0.3)]) })?;
+            }
+            let again = map.update(&CircleScan { sensor: 0, ..scan(step, &[]) });
+            assert!(again.is_err_and(|error| error.to_string().contains("from sensor 0")));
+        }
+        assert_eq!(map.map_at(5 * STEP_NS)[0].id, 0);
+    }
+    Ok(())
+}
+
+#[test]
+fn a_full_buffer_names_its_limit() -> Result<(), Error> {
+    let mut map = map_of(Filter::Independent(Independent { buffer_time: 60.0, ..best() }))?;
+    for step in 0..1_010 {
+        map.update(&CircleScan { stamp_ns: step * 1_000_000, ..scan(0, &[]) })?;
+    }
+    let late = map.update(&CircleScan { stamp_ns: 1, ..scan(0, &[]) });
+    assert!(late.is_err_and(|error| error.to_string().contains("the last 1000 scans")));
     Ok(())
 }
