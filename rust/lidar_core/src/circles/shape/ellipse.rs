@@ -6,8 +6,9 @@
 //! these coordinates meets it at (1 - k) (w1 + w2 - sqrt(2 (1 + k) w1 w2)) / (w1^2 + w2^2
 //! - 2 k w1 w2), smooth up to the tangents in the roots of how far these lie beyond the hits.
 
-use super::solve::{Shape, Solved, solve};
-use crate::circles::fit::arc::{Arc, Hit};
+use super::solve::{Shape, Solved, gain, solve};
+use crate::circles::circle::Circle;
+use crate::circles::fit::arc::{Arc, Edge, Hit, turn};
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Differences of parameters that show the slope.
@@ -19,6 +20,10 @@ const RATIOS: [f64; 5] = [0.4, 0.65, 1.0, 1.5, 2.5];
 const TURNS: [f64; 5] = [-1.6, -0.8, 0.0, 0.8, 1.6];
 /// Starts that are followed.
 const FOLLOWED: usize = 3;
+/// Circles do not look smaller than this [rad].
+const ROUNDEST: f64 = 1e-4;
+/// Cosine of angles where the slope still shows.
+const INNER: f64 = 0.98;
 /// Where the tangents are at the start, as an angle over their reach.
 const START: f64 = 1.2;
 
@@ -38,6 +43,22 @@ impl Ellipse<'_> {
             low.bearing - beyond(low.reach, parameters[0]),
             high.bearing + beyond(high.reach, parameters[1]),
         ]
+    }
+
+    /// By how much an ellipse would have less misfit than the circle that explains the arc best, to
+    /// first order.
+    pub(super) fn gain(&self, circle: &Circle, std: f64) -> f64 {
+        let [x, y] = circle.center;
+        let half = libm::asin((circle.radius / libm::hypot(x, y)).min(1.0));
+        let bearing = turn(libm::atan2(y, x) - self.arc.bearing);
+        let [low, high] = &self.arc.edges;
+        let size = libm::log(circle.radius);
+        let squeeze = libm::atanh(-libm::cos((2.0 * half).clamp(ROUNDEST, PI - ROUNDEST)));
+        let angles = [
+            angle_of(low, low.bearing - (bearing - half)),
+            angle_of(high, bearing + half - high.bearing),
+        ];
+        gain(self, self.arc, std, &[angles[0], angles[1], size, size, squeeze], STEP)
     }
 
     /// Centre x, y, semi-axes [m], bearing of the first one [rad], not the shorter one.
@@ -78,6 +99,11 @@ impl Shape<5> for Ellipse<'_> {
             (1.0 - k) * (first + second - root) / square
         }));
     }
+}
+
+/// The angle over the reach of a side that stands for a tangent `beyond` its last hit [rad].
+fn angle_of(edge: &Edge, beyond: f64) -> f64 {
+    libm::acos((1.0 - 2.0 * beyond / edge.reach).clamp(-INNER, INNER))
 }
 
 /// The ellipse that explains the arc best, from several starts, with semi-axes up to `largest`.

@@ -9,18 +9,21 @@ const FAR: f64 = 1e3;
 /// Differences of parameters that show the slope [m], [rad].
 const STEP: f64 = 1e-6;
 
-/// Range to the line with normal at bearing `angle`, `distance` from the sensor.
-fn range([angle, distance]: [f64; 2], hit: &Hit) -> f64 {
-    let along = hit.cosine * libm::cos(angle) + hit.sine * libm::sin(angle);
-    if along > distance / FAR { distance / along } else { FAR }
+/// Range along every ray to the line with normal at bearing `angle`, `distance` from the sensor.
+fn range_to(angle: f64, distance: f64) -> impl Fn(&Hit) -> f64 {
+    let (sine, cosine) = (libm::sin(angle), libm::cos(angle));
+    move |hit| {
+        let along = hit.cosine * cosine + hit.sine * sine;
+        if along > distance / FAR { distance / along } else { FAR }
+    }
 }
 
 /// One line: bearing of its normal [rad], distance [m].
 struct Line<'a>(&'a Arc);
 
 impl Shape<2> for Line<'_> {
-    fn ranges(&self, parameters: &[f64; 2], ranges: &mut Vec<f64>) {
-        ranges.extend(self.0.hits.iter().map(|hit| range(*parameters, hit)));
+    fn ranges(&self, &[angle, distance]: &[f64; 2], ranges: &mut Vec<f64>) {
+        ranges.extend(self.0.hits.iter().map(range_to(angle, distance)));
     }
 }
 
@@ -30,13 +33,9 @@ struct Corner<'a>(&'a Arc);
 
 impl Shape<3> for Corner<'_> {
     fn ranges(&self, &[angle, first, second]: &[f64; 3], ranges: &mut Vec<f64>) {
+        let (first, second) = (range_to(angle, first), range_to(angle - FRAC_PI_2, second));
         // A ray is inside once it has passed both faces.
-        ranges.extend(
-            self.0
-                .hits
-                .iter()
-                .map(|hit| range([angle, first], hit).max(range([angle - FRAC_PI_2, second], hit))),
-        );
+        ranges.extend(self.0.hits.iter().map(|hit| first(hit).max(second(hit))));
     }
 }
 
@@ -97,18 +96,23 @@ fn least([xx, xy, yy]: [f64; 3]) -> (f64, f64) {
     (angle, 0.5 * (xx + yy) - spread)
 }
 
-/// The line that explains the arc best.
-pub(super) fn fit_line(arc: &Arc, std: f64) -> Solved<2> {
+/// The line that explains the arc best; None if its misfit is more than `most`, which the scatter
+/// across tells before any fit: no hit is farther off across a line than along its ray.
+pub(super) fn fit_line(arc: &Arc, std: f64, most: f64) -> Option<Solved<2>> {
     let sums = arc.hits.iter().fold(Sums::default(), Sums::with);
-    let (angle, _) = least(sums.scatter());
+    let (angle, scatter) = least(sums.scatter());
+    if scatter > most * std * std {
+        return None;
+    }
     let [x, y] = sums.mean();
     let distance = x * libm::cos(angle) + y * libm::sin(angle);
     let turned = if distance < 0.0 { PI } else { 0.0 };
-    solve(&Line(arc), arc, std, [angle + turned, distance.abs()], STEP)
+    Some(solve(&Line(arc), arc, std, [angle + turned, distance.abs()], STEP))
 }
 
-/// The corner that explains the arc best; None if it has no two faces towards the sensor.
-pub(super) fn fit_corner(arc: &Arc, std: f64) -> Option<Solved<3>> {
+/// The corner that explains the arc best; None if it has no two faces towards the sensor, or, as
+/// for a line, if its misfit is more than `most`.
+pub(super) fn fit_corner(arc: &Arc, std: f64, most: f64) -> Option<Solved<3>> {
     let all = arc.hits.iter().fold(Sums::default(), Sums::with);
     let mut before = Sums::default();
     let mut best: Option<(f64, f64, Sums)> = None;
@@ -125,7 +129,7 @@ pub(super) fn fit_corner(arc: &Arc, std: f64) -> Option<Solved<3>> {
             best = Some((scatter, angle, before));
         }
     }
-    let (_, angle, first) = best?;
+    let (_, angle, first) = best.filter(|(scatter, ..)| *scatter <= most * std * std)?;
     let (first, second) = (first.mean(), all.without(&first).mean());
     // Of the four normals, those with both faces before the sensor and the first one first.
     let starts = [0.0, FRAC_PI_2, PI, 3.0 * FRAC_PI_2].map(|turn| {

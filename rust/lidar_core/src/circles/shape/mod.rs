@@ -81,9 +81,9 @@ pub struct ShapeFitter {
 
 /// Rays that a shape other than a circle needs.
 const LEAST_HITS: usize = 6;
-/// A circle or straight surface whose misfit is below this share of its degrees of freedom leaves
-/// nothing to explain to an ellipse.
-const GOOD_SHARE: f64 = 0.8;
+/// An ellipse is fitted if its misfit is less than that of the circle by this much, to first
+/// order, in logarithms of the number of rays: 2 is what its two parameters more have to bring.
+const LEAST_GAIN: f64 = 1.8;
 
 impl ShapeFitter {
     /// # Errors
@@ -141,31 +141,26 @@ impl ShapeFitter {
         if arc.n_hits < LEAST_HITS {
             return (circle, round);
         }
-        let criterion =
-            |misfit: f64, parameters: f64| misfit + parameters * libm::log(arc.n_hits as f64);
-        let line = line::fit_line(arc, std);
-        let mut best = (criterion(misfit, 3.0), None);
-        let straight = criterion(line.misfit, 4.0);
-        if straight < best.0 {
-            best = (straight, Some(place::line(arc, &line)));
+        let price = libm::log(arc.n_hits as f64);
+        let mut best = (misfit + 3.0 * price, None);
+        if let Some(line) = line::fit_line(arc, std, best.0 - 4.0 * price)
+            && line.misfit + 4.0 * price < best.0
+        {
+            best = (line.misfit + 4.0 * price, Some(place::line(arc, &line)));
         }
-        if let Some(corner) = line::fit_corner(arc, std).filter(|_| best.0 > self.good(4.0)) {
-            let bent = criterion(corner.misfit, 5.0);
-            if bent < best.0
-                && let Some(found) = place::rectangle(arc, &corner)
-            {
-                best = (bent, Some(found));
-            }
+        if let Some(corner) = line::fit_corner(arc, std, best.0 - 5.0 * price)
+            && corner.misfit + 5.0 * price < best.0
+            && let Some(found) = place::rectangle(arc, &corner)
+        {
+            best = (corner.misfit + 5.0 * price, Some(found));
         }
         let ellipse = Ellipse { arc };
-        if best.0 > self.good(5.0)
-            && self.width() <= 2.0 * self.parameters.radius[1]
+        if self.width() <= 2.0 * self.parameters.radius[1]
+            && (best.1.is_some() || ellipse.gain(&circle.circle, std) > LEAST_GAIN * price)
             && let Some(found) = ellipse::fit_ellipse(&ellipse, std, self.parameters.radius[1])
+            && found.misfit + 5.0 * price < best.0
         {
-            let round = criterion(found.misfit, 5.0);
-            if round < best.0 {
-                best = (round, Some(place::ellipse(&ellipse, &found)));
-            }
+            best = (found.misfit + 5.0 * price, Some(place::ellipse(&ellipse, &found)));
         }
         (circle, best.1.unwrap_or(round))
     }
@@ -178,11 +173,5 @@ impl ShapeFitter {
         let at = |hit: &Hit| [hit.range * hit.cosine, hit.range * hit.sine];
         let ([x, y], [to_x, to_y]) = (at(first), at(last));
         libm::hypot(to_x - x, to_y - y)
-    }
-
-    /// Criterion below which a shape with more parameters has nothing to add.
-    fn good(&self, parameters: f64) -> f64 {
-        let hits = self.arc.n_hits as f64;
-        GOOD_SHARE * (hits - parameters) + (parameters - 1.0) * libm::log(hits)
     }
 }

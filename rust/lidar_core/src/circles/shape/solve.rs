@@ -95,6 +95,22 @@ pub(super) fn solve<const K: usize>(
     Solved { parameters: at, covariance, misfit }
 }
 
+/// By how much the misfit would fall from `at` to the least one, to first order.
+pub(super) fn gain<const K: usize>(
+    shape: &impl Shape<K>,
+    arc: &Arc,
+    std: f64,
+    at: &[f64; K],
+    step: f64,
+) -> f64 {
+    let problem = Problem { shape, arc, std };
+    let (mut residuals, mut moved) = (Vec::new(), Vec::new());
+    problem.residuals(at, &mut residuals);
+    let (hessian, gradient) = normal_equations(&problem, at, &residuals, step, &mut moved);
+    let known = hessian + SMatrix::identity();
+    known.cholesky().map_or(f64::INFINITY, |factor| gradient.dot(&factor.solve(&gradient)))
+}
+
 type Normal<const K: usize> = (SMatrix<f64, K, K>, SVector<f64, K>);
 
 /// Half the second derivatives and half the gradient of the misfit.
