@@ -101,7 +101,7 @@ def _shows_two_faces(
         np.array([away @ along, away @ (-along[1], along[0])]) / np.array(body.size[:2])[:, None]
     )
     on_long = np.abs(inside[1]) > np.abs(inside[0])
-    return min(np.count_nonzero(on_long), np.count_nonzero(~on_long)) >= FACE_HITS
+    return bool(min(np.sum(on_long), np.sum(~on_long)) >= FACE_HITS)
 
 
 def _run(request: Request) -> Result:
