@@ -1,6 +1,7 @@
 //! A 2D scan.
 
 use crate::Error;
+use std::f64::consts::TAU;
 
 /// One sweep of a 2D LiDAR as ranges over bearings, eqs 1-2, one entry per ray in the order of
 /// measurement.
@@ -41,6 +42,14 @@ impl PolarScan {
         }
     }
 
+    /// Whether the bearings go once round, so that the first ray is the neighbour of the last.
+    pub(super) fn is_full_circle(&self) -> bool {
+        let steps = self.bearings.windows(2).map(|pair| turn(pair[1] - pair[0]));
+        let turned = steps.sum::<f64>().abs();
+        let count = self.bearings.len();
+        count > 2 && TAU - turned <= 1.5 * turned / (count - 1) as f64
+    }
+
     /// Where ray `ray` ended [m]; None for a miss and for no information.
     #[must_use]
     pub fn point(&self, ray: usize) -> Option<[f64; 2]> {
@@ -49,9 +58,28 @@ impl PolarScan {
     }
 }
 
+/// `angle` plus full turns, within -pi..pi.
+#[must_use]
+#[inline]
+pub(super) fn turn(angle: f64) -> f64 {
+    if angle.abs() <= TAU / 2.0 { angle } else { angle - TAU * libm::round(angle / TAU) }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::PolarScan;
+    use super::{PolarScan, TAU};
+
+    #[test]
+    fn a_full_circle_may_begin_anywhere() {
+        let scan = |first: f64, count: i32| {
+            let bearing = |ray: i32| (first + f64::from(ray) * TAU / 100.0 + 3.0) % TAU - 3.0;
+            PolarScan { ranges: Vec::new(), bearings: (0..count).map(bearing).collect() }
+        };
+        for first in [0.0, 1.0, 3.0] {
+            assert!(scan(first, 100).is_full_circle());
+            assert!(!scan(first, 90).is_full_circle());
+        }
+    }
 
     #[test]
     fn only_hits_have_a_point() {

@@ -1,10 +1,9 @@
 //! Range limitation and horizontal projection, secs. III-A and III-B.
 
-use super::polar::PolarScan;
+use super::polar::{PolarScan, turn};
 use super::sweep::Sweep;
 use crate::Error;
 use crate::geometry::transform::{Transform, dot};
-use std::f64::consts::TAU;
 
 /// How a tilted scan is projected into the horizontal plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -162,13 +161,6 @@ fn shrunk(raw: &PolarScan, level_from_lidar: &Transform) -> LevelScan {
     LevelScan { scan, heights: Vec::new() }
 }
 
-/// `angle` plus full turns, within -pi..pi.
-#[must_use]
-#[inline]
-pub(super) fn turn(angle: f64) -> f64 {
-    if angle.abs() <= TAU / 2.0 { angle } else { angle - TAU * libm::round(angle / TAU) }
-}
-
 /// Range of the hit nearest to every ray, in numbers of rays; far away where there is none.
 fn nearest_hits(ranges: &[f64]) -> Vec<f64> {
     const NOTHING_HIT: f64 = 1e6; // [m]: the direction alone
@@ -204,6 +196,7 @@ fn check(ranges: &[f64], got: usize, sweep: &Sweep) -> Result<(), Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::f64::consts::TAU;
 
     const LEVEL: Transform = Transform::IDENTITY;
 

@@ -6,9 +6,10 @@
 //! is, whatever the scanner's field of view, number of rays and resolution.
 
 use super::circle::{Circle, CircleEstimate};
+use super::polar::turn;
 use super::segments::Side;
 use crate::Error;
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::FRAC_PI_2;
 
 /// Places for rays; windows with more hits share them, so many rays to a place.
 pub const SLOTS: usize = 32;
@@ -161,11 +162,6 @@ impl Hits {
         let rays = rays.map(|(&ray, &range)| [way * turn(ray - bearing), range]).collect();
         Ok(Self { rays, half_angle: half_angle.clamp(1e-6, MOST_HALF_ANGLE), bearing })
     }
-}
-
-/// The same angle between -pi and pi [rad].
-fn turn(angle: f64) -> f64 {
-    angle - libm::round(angle / TAU) * TAU
 }
 
 /// Range of a circle at distance 1 whose half angle has the sine `sine`, `off` its middle; beside

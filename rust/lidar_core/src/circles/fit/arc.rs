@@ -2,9 +2,8 @@
 
 use super::FitParameters;
 use crate::Error;
-use crate::circles::polar::PolarScan;
+use crate::circles::polar::{PolarScan, turn};
 use crate::circles::segments::{Segments, Side};
-use std::f64::consts::TAU;
 
 /// More hits than this are joined to about as many, all but the outermost: their cost grows, what
 /// they tell does not.
@@ -59,14 +58,16 @@ struct Outward<'a> {
     ray: usize,
     /// Whether the rays beyond have larger numbers.
     up: bool,
+    /// Whether the first ray is the neighbour of the last.
+    wraps: bool,
 }
 
 impl Outward<'_> {
     /// Rays beyond the outermost one, each with how far beyond [rad], up to `reach`.
     fn rays(&self, reach: f64) -> impl Iterator<Item = (usize, f64)> + '_ {
         let (count, origin) = (self.scan.len(), self.scan.bearings[self.ray]);
-        let wraps = is_full_circle(self.scan);
-        let step = move |ray: usize| match (self.up, wraps) {
+        let (up, wraps) = (self.up, self.wraps);
+        let step = move |ray: usize| match (up, wraps) {
             (true, true) => Some((ray + 1) % count),
             (true, false) => Some(ray + 1).filter(|&next| next < count),
             (false, true) => Some((ray + count - 1) % count),
@@ -79,29 +80,14 @@ impl Outward<'_> {
     }
 }
 
-/// `angle` within -pi..pi.
-pub(in crate::circles) fn turn(angle: f64) -> f64 {
-    angle - TAU * libm::round(angle / TAU)
-}
-
-/// Whether the ray after the last one is the first one.
-pub(in crate::circles) fn is_full_circle(scan: &PolarScan) -> bool {
-    let count = scan.len();
-    if count < 3 {
-        return false;
-    }
-    let span = (scan.bearings[count - 1] - scan.bearings[0]).abs();
-    span + 1.5 * span / (count - 1) as f64 >= TAU
-}
-
 impl Arc {
-    /// Take over segment `number`.
+    /// Take over segment `number` of a scan, and whether its first ray is the neighbour of the last.
     ///
     /// # Errors
     /// [`Error::Value`] if it is empty, or holds a ray that did not end on anything.
     pub(in crate::circles) fn read(
         &mut self,
-        scan: &PolarScan,
+        (scan, wraps): (&PolarScan, bool),
         segments: &Segments,
         number: usize,
         parameters: &FitParameters,
@@ -120,7 +106,7 @@ impl Arc {
         }
         let bearings = [self.hits[0].bearing, self.hits[self.hits.len() - 1].bearing];
         for side in 0..2 {
-            let outward = Outward { scan, ray: ends[side], up: (side == 1) == ascends };
+            let outward = Outward { scan, ray: ends[side], up: (side == 1) == ascends, wraps };
             self.edges[side].bearing = bearings[side];
             self.read_edge(side, sides[side], &outward, parameters);
         }

@@ -1,12 +1,15 @@
 //! A scan that shows one object: all its hits are one segment.
 
 use super::FitParameters;
-use super::arc::is_full_circle;
 use crate::circles::polar::PolarScan;
 use crate::circles::segments::{Segments, Side};
 
-/// Take all hits of `scan` for one segment; none if there is no hit.
-pub(super) fn one_segment(scan: &PolarScan, parameters: &FitParameters, into: &mut Segments) {
+/// Take all hits of a scan, which may be a full circle, for one segment; none if there is no hit.
+pub(super) fn one_segment(
+    (scan, full): (&PolarScan, bool),
+    parameters: &FitParameters,
+    into: &mut Segments,
+) {
     into.labels.clear();
     into.labels.extend(scan.ranges.iter().map(|range| i32::from(range.is_finite())));
     into.rays.clear();
@@ -14,7 +17,7 @@ pub(super) fn one_segment(scan: &PolarScan, parameters: &FitParameters, into: &m
     into.starts.clear();
     into.starts.push(0);
     let count = scan.len();
-    let begin = if is_full_circle(scan) { after_longest_gap(&scan.ranges) } else { 0 };
+    let begin = if full { after_longest_gap(&scan.ranges) } else { 0 };
     let order = (begin..count).chain(0..begin);
     into.rays.extend(order.filter(|&ray| scan.ranges[ray].is_finite()).map(|ray| ray as u32));
     let (Some(&first), Some(&last)) = (into.rays.first(), into.rays.last()) else { return };
@@ -23,7 +26,6 @@ pub(super) fn one_segment(scan: &PolarScan, parameters: &FitParameters, into: &m
     let [near, far] = parameters.range_limits;
     let reach = parameters.radius[1] + 5.0 * parameters.range_std;
     let is_cut = nearest + reach > far || nearest < near + CLOSE;
-    let full = is_full_circle(scan);
     let beside = |ray: Option<usize>| match ray.map(|ray| scan.ranges[ray]) {
         None => Side::FieldEdge,
         Some(f64::INFINITY) if is_cut => Side::RangeCut,

@@ -121,8 +121,9 @@ impl ShapeFitter {
         circles.clear();
         shapes.clear();
         scan.check_lengths()?;
+        let wraps = scan.is_full_circle();
         for number in 0..segments.len() {
-            self.arc.read(scan, segments, number, &self.parameters)?;
+            self.arc.read((scan, wraps), segments, number, &self.parameters)?;
             let (circle, shape) = self.shape_of_arc();
             circles.push(circle);
             shapes.push(shape);

@@ -4,7 +4,8 @@ use super::ellipse::Ellipse;
 use super::solve::Solved;
 use super::{ShapeEstimate, ShapeKind};
 use crate::circles::circle::CircleEstimate;
-use crate::circles::fit::arc::{Arc, turn};
+use crate::circles::fit::arc::Arc;
+use crate::circles::polar::turn;
 use nalgebra::{SMatrix, SVector};
 use std::f64::consts::{FRAC_PI_2, PI};
 
