@@ -94,7 +94,7 @@ fn parameters() -> PipelineParameters {
         projection: Projection::Exact,
         segment: SegmentParameters {
             criterion: Closeness::Both,
-            bound: Bound::Adaptive { incidence: PI / 18.0, range_std: 0.03 },
+            bound: Bound::Adaptive { incidence: PI / 18.0, slack: 0.09 },
             max_gap: 2,
             merge_distance: 0.5,
             merge_deviation: 0.03,

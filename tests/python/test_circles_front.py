@@ -175,7 +175,7 @@ def assert_like_the_oracle(ranges, bearings):
     config = SegmentConfig(merge_distance=0.0, min_points=2, max_gap=1)
     found = segment(ranges, bearings, config=config)
     groups, sides = oracle.segment(
-        ranges, bearings, incidence=config.incidence, range_std=config.range_std, max_gap=1,
+        ranges, bearings, incidence=config.incidence, slack=config.slack, max_gap=1,
         min_points=2, limits=(0.1, 10.0), margins=(config.near_margin, config.far_margin),
     )  # fmt: skip
     got = {tuple(found.rays_of(number)): found.sides[number - 1].tolist()

@@ -71,7 +71,7 @@ def project(ranges: Array, bearings: Array, world_from_lidar: Array) -> tuple[Ar
     )
 
 
-def segment(ranges, bearings, *, incidence, range_std, max_gap, min_points, limits, margins):
+def segment(ranges, bearings, *, incidence, slack, max_gap, min_points, limits, margins):
     """Eq. 6 with the adaptive bound in both spaces, without the second pass, by plain loops.
 
     Returns labels and the sides of every segment.
@@ -90,7 +90,7 @@ def segment(ranges, bearings, *, incidence, range_std, max_gap, min_points, limi
         bent = min(step, incidence / 4)
         bound = near * np.sin(bent) / np.sin(incidence - bent) + near * (angle - step)
         points = [ranges[i] * np.exp(1j * bearings[i]) for i in (a, b)]
-        return steps <= max_gap + 1 and abs(points[1] - points[0]) <= bound + 3 * range_std
+        return steps <= max_gap + 1 and abs(points[1] - points[0]) <= bound + slack
 
     groups: list[list[int]] = []
     for previous, ray in zip([None, *hits], hits, strict=False):

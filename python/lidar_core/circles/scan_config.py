@@ -92,11 +92,12 @@ class SegmentConfig(Config):
         description="Smallest angle between a ray and a surface of one object, adaptive bound"
         " [rad].",
     )
-    range_std: float = Field(
-        0.03,
+    slack: float = Field(
+        0.09,
         ge=0,
-        le=1,
-        description="Standard deviation of a range; three of them widen the adaptive bound [m].",
+        le=3,
+        description="What the adaptive bound has more for the noise of the ranges, at least three"
+        " of their standard deviations [m].",
     )
     distance: float = Field(
         0.2, gt=0, le=10, description="Distance of neighbours with the fixed bound [m]."

@@ -33,7 +33,7 @@ pub(crate) struct SegmentConfig {
     criterion: String,
     bound: String,
     incidence: f64,
-    range_std: f64,
+    slack: f64,
     distance: f64,
     max_gap: usize,
     merge_distance: f64,
@@ -51,7 +51,7 @@ impl SegmentConfig {
             ("cartesian", Criterion::Cartesian),
             ("polar", Criterion::Polar),
         ];
-        let adaptive = Bound::Adaptive { incidence: self.incidence, range_std: self.range_std };
+        let adaptive = Bound::Adaptive { incidence: self.incidence, slack: self.slack };
         let bounds = [("adaptive", adaptive), ("fixed", Bound::Fixed(self.distance))];
         Ok(SegmentParameters {
             criterion: arrays::choice("criterion", &self.criterion, &criteria)?,

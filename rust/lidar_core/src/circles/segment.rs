@@ -1,12 +1,10 @@
 //! Object segmentation, sec. III-C: which rays of a scan ended on the same object.
 
 use super::merge::{self, Run};
-use super::polar::PolarScan;
-use super::preprocess::turn;
+use super::polar::{PolarScan, turn};
 use super::segments::{Segments, Side};
 use crate::Error;
 use crate::budget::check_points;
-use std::f64::consts::TAU;
 
 /// In which space neighbours have to be close.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,12 +21,12 @@ pub enum Criterion {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Bound {
     /// As far as neighbours on a surface can be that is met at an angle of at least `incidence`
-    /// [rad], and three times `range_std` [m] more: the adaptive breakpoint detector.
+    /// [rad], and `slack` [m] more: the adaptive breakpoint detector.
     Adaptive {
         /// Smallest angle between a ray and a surface.
         incidence: f64,
-        /// Standard deviation of a range.
-        range_std: f64,
+        /// For the noise of the ranges.
+        slack: f64,
     },
     /// The same distance everywhere [m].
     Fixed(f64),
@@ -91,18 +89,10 @@ pub fn segment(
     let hits: Vec<u32> =
         (0..scan.len()).filter(|&ray| scan.ranges[ray].is_finite()).map(|ray| ray as u32).collect();
     let seen = seen.unwrap_or(&scan.ranges);
-    let mut sweep = Sweep { scan, seen, hits, wraps: is_full_circle(&scan.bearings) };
+    let mut sweep = Sweep { scan, seen, hits, wraps: scan.is_full_circle() };
     let runs = sweep.runs(parameters);
     let roots = merge::merged(&sweep, &runs, parameters);
     Ok(sweep.segments(&runs, &roots, parameters))
-}
-
-/// Whether the bearings go once round, so that the first ray is the neighbour of the last.
-#[must_use]
-pub fn is_full_circle(bearings: &[f64]) -> bool {
-    let steps = bearings.windows(2).map(|pair| turn(pair[1] - pair[0]));
-    let turned = steps.sum::<f64>().abs();
-    bearings.len() > 2 && TAU - turned <= 1.5 * turned / (bearings.len() - 1) as f64
 }
 
 fn check(scan: &PolarScan, seen: Option<&[f64]>) -> Result<(), Error> {
@@ -260,9 +250,9 @@ fn are_close([a, b]: [f64; 2], angle: f64, steps: usize, parameters: &SegmentPar
     let (near, jump) = (a.min(b), (a - b).abs());
     let bound = match parameters.bound {
         Bound::Fixed(distance) => distance,
-        Bound::Adaptive { incidence, range_std } => {
+        Bound::Adaptive { incidence, slack } => {
             let step = angle / steps as f64;
-            adaptive(near, step, incidence) + near * (angle - step) + 3.0 * range_std
+            adaptive(near, step, incidence) + near * (angle - step) + slack
         }
     };
     if parameters.criterion == Criterion::Polar || jump > bound {
@@ -281,6 +271,7 @@ fn adaptive(range: f64, step: f64, incidence: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::f64::consts::TAU;
 
     const INF: f64 = f64::INFINITY;
     const PARAMETERS: SegmentParameters = SegmentParameters {
