@@ -66,11 +66,8 @@ pub(super) fn solve<const K: usize>(
     let mut normal = normal_equations(&problem, &at, &residuals, step, &mut moved);
     for _ in 0..MOST_STEPS {
         let (hessian, gradient) = normal;
-        let mut damped = hessian;
-        for k in 0..K {
-            damped[(k, k)] += damping * hessian[(k, k)] + 1e-9;
-        }
-        let Some(by) = damped.cholesky().map(|factor| factor.solve(&gradient)) else { break };
+        let factor = damped(&hessian, damping).cholesky();
+        let Some(by) = factor.map(|factor| factor.solve(&gradient)) else { break };
         let next: [f64; K] = std::array::from_fn(|k| at[k] - by[k]);
         problem.residuals(&next, &mut moved);
         let fall = misfit - square(&moved);
@@ -90,9 +87,22 @@ pub(super) fn solve<const K: usize>(
         }
     }
     let (hessian, _) = normal_equations(&problem, &at, &residuals, step, &mut moved);
+    Solved { parameters: at, covariance: spread(hessian), misfit }
+}
+
+/// Covariance of parameters with these second derivatives.
+fn spread<const K: usize>(hessian: SMatrix<f64, K, K>) -> SMatrix<f64, K, K> {
     let known = hessian + SMatrix::identity() / (UNKNOWN * UNKNOWN);
-    let covariance = known.cholesky().map_or_else(SMatrix::identity, |factor| factor.inverse());
-    Solved { parameters: at, covariance, misfit }
+    known.cholesky().map_or_else(SMatrix::identity, |factor| factor.inverse())
+}
+
+/// `hessian` with a diagonal larger by the share `damping`.
+fn damped<const K: usize>(hessian: &SMatrix<f64, K, K>, damping: f64) -> SMatrix<f64, K, K> {
+    let mut damped = *hessian;
+    for k in 0..K {
+        damped[(k, k)] += damping * hessian[(k, k)] + 1e-9;
+    }
+    damped
 }
 
 /// By how much the misfit would fall from `at` to the least one, to first order.
