@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,13 @@ from hypothesis import strategies as st
 
 from lidar_core.circles import (
     CircleDetector,
+    CirclesConfig,
     FitConfig,
     Scanner,
     SegmentConfig,
     Segments,
     fit_circles,
+    fit_shapes,
     segment,
 )
 from lidar_core.errors import ConfigError, InputError
@@ -94,6 +97,42 @@ def test_the_covariance_is_honest(many):
     error = np.asarray(found) - circles
     nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance), error)
     assert np.mean(nees[found.n_hits >= 4]) == pytest.approx(3.0, rel=0.1)
+
+
+@pytest.mark.parametrize("method", ["taubin", "pratt"])
+def test_the_covariance_of_algebraic_fits_is_honest(many, method):
+    circles, rows, _ = many
+    found = CircleDetector(method).detect(rows, BEARINGS)
+    error = np.asarray(found) - circles
+    nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance), error)
+    assert np.mean(nees) == pytest.approx(3.0, rel=0.2)
+    for hits in range(1, 7):
+        assert np.mean(nees[found.n_hits == hits]) < 9.0
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_circles_larger_than_allowed_are_no_exact_ones(method):
+    rng = np.random.default_rng(710)
+    for radius in (1.02, 1.2, 2.0):
+        circle = (6.0, 0.5, radius)
+        ranges = reference.ranges_of(circle, BEARINGS) + STD * rng.standard_normal(len(BEARINGS))
+        found = CircleDetector(method).detect([np.float32(ranges)], BEARINGS)
+        error = np.asarray(found)[0] - circle
+        assert error @ np.linalg.solve(found.covariance[0], error) < 30.0
+        assert math.sqrt(found.covariance[0, 2, 2]) > 0.3 * (radius - 1.0)
+
+
+def test_the_far_limit_moves_no_circles():
+    """Over all places between the rays, not at one of them."""
+    rng = np.random.default_rng(711)
+    circles = [(9.9 * math.cos(a), 9.9 * math.sin(a), 0.3) for a in rng.uniform(-1, 1, 600)]
+    rows = np.array([reference.ranges_of(circle, BEARINGS) for circle in circles])
+    rows += STD * rng.standard_normal(rows.shape)
+    rows[rows > SCANNER.range_max] = np.inf
+    found = CircleDetector("ml").detect(np.float32(rows), BEARINGS)
+    away = np.linalg.norm(np.asarray(found)[:, :2], axis=1) - 9.9
+    assert abs(np.mean(away)) < 0.001
+    assert abs(np.mean(np.asarray(found)[:, 2] - 0.3)) < 0.001
 
 
 def test_misses_and_averages_help(many):
@@ -239,13 +278,34 @@ def test_whatever_is_seen_a_circle_within_bounds_is_reported(seed, method, share
         (
             [[1.0, 0.0]],
             [0, 0.1],
-            r"segments\[0\]: expected rays that ended on something, got 0 \[m\] at 0.1 ",
+            r"ranges_batch: expected ranges > 0, got 0.0 in row 0, ray 1",
         ),
     ],
 )
 def test_bad_arrays_are_refused(ranges, bearings, text):
     with pytest.raises(InputError, match=text):
         CircleDetector().detect(ranges, bearings)
+
+
+def test_segments_that_are_none_are_refused():
+    scan = one_scan((4.0, 1.0, 0.3))
+    found = segment(scan, BEARINGS)
+    for fit in (fit_circles, fit_shapes):
+        with pytest.raises(InputError, match="segments: expected Segments, got NoneType"):
+            fit(scan, BEARINGS, None)
+        with pytest.raises(InputError, match=r"segments\.rays: expected"):
+            fit(scan, BEARINGS, replace(found, rays=None))
+
+
+@pytest.mark.parametrize("name", [None, 5, "moon", "paper-cnn", ""])
+def test_names_of_detectors_have_one_rule(name):
+    text = r"expected one of ml, .*, cnn, or an \.onnx file, got "
+    with pytest.raises(ConfigError, match=rf"detector: {text}"):
+        CircleDetector(name)
+    with pytest.raises(ConfigError, match=text) as refused:
+        CirclesConfig(detector=name)
+    assert len(str(refused.value).splitlines()) == 1
+    assert (name == "paper-cnn") == ("not shipped" in str(refused.value))
 
 
 def test_detectors_that_are_not_there_are_refused():

@@ -13,16 +13,107 @@ use nalgebra::{Matrix3, Vector3};
 const MOST_STEPS: usize = 60;
 /// Determinants below this, of points scaled to unit size, tell nothing about the circle.
 const FLAT: f64 = 1e-12;
+/// Fewer hits tell no radius.
+const FEW: usize = 3;
+/// Circles of more than this share of the largest radius may be held by it.
+const HELD: f64 = 0.95;
+/// Of the noise along a ray, a surface shows at least this share of the variance: near the tangent
+/// the range is no straight line. Chosen for honest covariances of the algebraic fits.
+const LEAST_SLANT: f64 = 0.1;
 
 /// Fit a circle to the hits of an arc. Where they leave it open, it lies behind their middle.
 pub(super) fn fit(arc: &Arc, parameters: &FitParameters) -> Estimate {
     let bounds = parameters.radius;
-    let free = Moments::of(&arc.hits).and_then(|moments| moments.circle(parameters.method));
+    let free = free(arc, parameters.method);
     let circle = match free {
         Some(circle) => bounded(arc, circle, bounds),
         None => behind(arc, bounds),
     };
-    (circle, covariance(arc, circle, parameters))
+    let mut covariance = covariance(arc, circle, parameters);
+    if arc.hits.len() < FEW {
+        let wide = variance_within(bounds);
+        (0..3).for_each(|k| covariance[k][k] += wide);
+    } else {
+        let skewed = skewness(arc, circle, covariance[2][2], bounds);
+        add_square(&mut covariance, skewed);
+        add_square(&mut covariance, beyond(arc, free, circle, bounds));
+    }
+    (circle, covariance)
+}
+
+/// A circle found otherwise, which the largest radius may hold: the distance to the circle without
+/// bounds is part of its error then.
+pub(super) fn held(
+    arc: &Arc,
+    parameters: &FitParameters,
+    (circle, mut covariance): Estimate,
+) -> Estimate {
+    if circle[2] > HELD * parameters.radius[1] && arc.hits.len() >= FEW {
+        let free = free(arc, Method::Taubin);
+        add_square(&mut covariance, beyond(arc, free, circle, parameters.radius));
+    }
+    (circle, covariance)
+}
+
+/// The circle of the hits without bounds; None if they lie on a line.
+fn free(arc: &Arc, method: Method) -> Option<[f64; 3]> {
+    Moments::of(&arc.hits).and_then(|moments| moments.circle(method))
+}
+
+fn add_square(covariance: &mut [[f64; 3]; 3], by: [f64; 3]) {
+    for (row, left) in covariance.iter_mut().zip(by) {
+        for (entry, right) in row.iter_mut().zip(by) {
+            *entry += left * right;
+        }
+    }
+}
+
+/// How far the circle without bounds lies from the one within them, no farther than the largest
+/// radius.
+fn beyond(arc: &Arc, free: Option<[f64; 3]>, circle: [f64; 3], bounds: [f64; 2]) -> [f64; 3] {
+    let [least, most] = bounds;
+    let ahead = away(arc, circle);
+    let farthest = [most * ahead[0], most * ahead[1], most];
+    let Some(free) = free else { return farthest };
+    let bent = bends_inwards(arc, free);
+    if !bent && (least..=most).contains(&free[2]) {
+        return [0.0; 3];
+    }
+    let apart: [f64; 3] = std::array::from_fn(|k| free[k] - circle[k]);
+    if bent || !free[2].is_finite() {
+        return farthest;
+    }
+    let scale = (most / apart[2].abs()).min(1.0);
+    apart.map(|entry| scale * entry)
+}
+
+/// What a standard deviation of the curvature means for the radius beyond what it means near the
+/// circle: large circles are harder to exclude than small ones.
+fn skewness(arc: &Arc, circle: [f64; 3], variance: f64, [_, most]: [f64; 2]) -> [f64; 3] {
+    let std = variance.sqrt();
+    let reach = if std < circle[2] { (std / (1.0 - std / circle[2])).min(most) } else { most };
+    let size = (reach * reach - variance).max(0.0).sqrt();
+    let ahead = away(arc, circle);
+    [size * ahead[0], size * ahead[1], size]
+}
+
+/// Direction from the middle of the hits to the centre, in which it moves as the radius grows.
+fn away(arc: &Arc, [x, y, _]: [f64; 3]) -> [f64; 2] {
+    let middle = centroid(&arc.hits);
+    let (dx, dy) = (x - middle[0], y - middle[1]);
+    let length = libm::hypot(dx, dy).max(1e-9);
+    [dx / length, dy / length]
+}
+
+/// Whether the centre lies before the hits.
+fn bends_inwards(arc: &Arc, circle: [f64; 3]) -> bool {
+    let (middle, ahead) = (centroid(&arc.hits), away(arc, circle));
+    ahead[0] * middle[0] + ahead[1] * middle[1] < 0.0
+}
+
+/// Variance of a uniform distribution.
+fn variance_within([least, most]: [f64; 2]) -> f64 {
+    (most - least) * (most - least) / 12.0
 }
 
 fn point(hit: &Hit) -> [f64; 2] {
@@ -58,7 +149,7 @@ impl Moments {
         });
         let square: f64 = centred.clone().map(|(x, y, w)| w * (x * x + y * y)).sum();
         let scale = square.sqrt();
-        if hits.len() < 3 || scale <= 0.0 {
+        if hits.len() < FEW || scale <= 0.0 {
             return None;
         }
         let mut found =
@@ -157,9 +248,8 @@ fn behind(arc: &Arc, [least, most]: [f64; 2]) -> [f64; 3] {
 /// ranges with equal noise, of which a slanting surface shows the cosine; joined with what the
 /// bounds of the radius say.
 fn covariance(arc: &Arc, [x, y, radius]: [f64; 3], parameters: &FitParameters) -> [[f64; 3]; 3] {
-    let [least, most] = parameters.radius;
     let variance = parameters.range_std * parameters.range_std;
-    let wide = (most - least) * (most - least) / 12.0; // of a uniform distribution
+    let wide = variance_within(parameters.radius);
     // The bounds count as one measurement of the radius, and one of the centre about the hits.
     let mut information = Matrix3::from_diagonal(&Vector3::repeat(1.0 / wide));
     let mut noise = information;
@@ -168,7 +258,7 @@ fn covariance(arc: &Arc, [x, y, radius]: [f64; 3], parameters: &FitParameters) -
         let (dx, dy) = (px - x, py - y);
         let length = libm::hypot(dx, dy).max(1e-9);
         let row = Vector3::new(dx / length, dy / length, 1.0);
-        let slant = (hit.cosine * row.x + hit.sine * row.y).powi(2).max(1e-3);
+        let slant = (hit.cosine * row.x + hit.sine * row.y).powi(2).max(LEAST_SLANT);
         let outer = row * row.transpose() * (hit.weight / variance);
         information += outer;
         noise += outer * slant;

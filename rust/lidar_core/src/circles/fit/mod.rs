@@ -115,8 +115,9 @@ impl Fitter {
     ) -> Result<(), Error> {
         circles.clear();
         scan.check_lengths()?;
+        let wraps = scan.is_full_circle();
         for number in 0..segments.len() {
-            self.arc.read(scan, segments, number, &self.parameters)?;
+            self.arc.read((scan, wraps), segments, number, &self.parameters)?;
             circles.push(self.circle_of_arc());
         }
         Ok(())
@@ -129,11 +130,12 @@ impl Fitter {
     /// number.
     pub fn fit_row(&mut self, scan: &PolarScan) -> Result<Option<CircleEstimate>, Error> {
         scan.check_lengths()?;
-        row::one_segment(scan, &self.parameters, &mut self.row);
+        let wraps = scan.is_full_circle();
+        row::one_segment((scan, wraps), &self.parameters, &mut self.row);
         if self.row.is_empty() {
             return Ok(None);
         }
-        self.arc.read(scan, &self.row, 0, &self.parameters)?;
+        self.arc.read((scan, wraps), &self.row, 0, &self.parameters)?;
         Ok(Some(self.circle_of_arc()))
     }
 
@@ -148,13 +150,17 @@ impl Fitter {
     }
 }
 
-/// What was found in an arc, or else an algebraic fit, in the frame of the scan.
+/// What was found in an arc, or else an algebraic fit, in the frame of the scan; as uncertain as
+/// the largest radius makes it, if that holds it.
 pub(super) fn estimate(
     arc: &Arc,
     parameters: &FitParameters,
     found: Option<posterior::Estimate>,
 ) -> CircleEstimate {
-    let (circle, covariance) = found.unwrap_or_else(|| algebraic::fit(arc, parameters));
+    let (circle, covariance) = match found {
+        Some(found) => algebraic::held(arc, parameters, found),
+        None => algebraic::fit(arc, parameters),
+    };
     placed(arc, circle, covariance)
 }
 

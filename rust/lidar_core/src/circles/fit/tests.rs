@@ -69,6 +69,33 @@ fn what_an_occluder_leaves_open_is_bounded_behind_it() -> Result<(), Error> {
 }
 
 #[test]
+fn a_circle_held_by_the_largest_radius_is_uncertain_by_what_is_beyond() -> Result<(), Error> {
+    let methods =
+        [Method::Kasa, Method::Pratt, Method::Taubin, Method::Expected, Method::MostLikely];
+    for method in methods {
+        let held = FitParameters { radius: [0.02, 0.25], range_std: 0.01, ..parameters(method) };
+        let mut circles = Vec::new();
+        let hits = segment(23..58, [Side::Free; 2]);
+        Fitter::new(held)?.fit(&scan(), &hits, &mut circles)?;
+        let CircleEstimate { circle, covariance, .. } = circles[0];
+        assert!(circle.radius <= 0.251, "{method:?}: {circle:?}");
+        assert!(covariance[2][2] > 0.04 * 0.04, "{method:?}: {covariance:?}");
+        assert!(covariance[0][0] > 0.03 * 0.03, "{method:?}: {covariance:?}");
+    }
+    Ok(())
+}
+
+#[test]
+fn two_hits_tell_no_radius() -> Result<(), Error> {
+    let mut circles = Vec::new();
+    let two = segment(40..42, [Side::Free; 2]);
+    let known = FitParameters { range_std: 0.01, ..parameters(Method::Taubin) };
+    Fitter::new(known)?.fit(&scan(), &two, &mut circles)?;
+    assert!(circles[0].covariance[2][2] > 0.28 * 0.28, "{circles:?}");
+    Ok(())
+}
+
+#[test]
 fn an_empty_segment_is_refused() -> Result<(), Error> {
     let mut fitter = Fitter::new(parameters(Method::Expected))?;
     let mut circles = Vec::new();
