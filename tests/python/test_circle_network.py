@@ -18,9 +18,9 @@ from lidar_core.circles import (
     FitConfig,
     Scanner,
     make_samples,
-    network,
     segment,
 )
+from lidar_core.circles.detector_name import MODELS, shipped
 from lidar_core.circles.windows import windows_of_samples
 from lidar_core.errors import ConfigError, FormatError, InputError
 from reference import circle_window as reference
@@ -162,12 +162,12 @@ def test_the_model_is_small_and_has_its_card():
     assert cnn.path.stat().st_size <= 1_000_000
     assert cnn.card["parameters"] <= 200_000
     assert cnn.card["training"]["network"] == "cnn"
-    assert "cnn" in network.shipped()
+    assert "cnn" in shipped()
 
 
 def test_a_model_that_is_not_the_one_of_its_card_is_refused(tmp_path):
     for suffix in (".onnx", ".json"):
-        shutil.copy(network.MODELS / f"cnn{suffix}", tmp_path / f"mine{suffix}")
+        shutil.copy(MODELS / f"cnn{suffix}", tmp_path / f"mine{suffix}")
     CircleNetwork(tmp_path / "mine.onnx")
     card = json.loads((tmp_path / "mine.json").read_text()) | {"sha256": "0" * 64}
     (tmp_path / "mine.json").write_text(json.dumps(card))
@@ -188,7 +188,13 @@ def test_models_that_are_none_are_refused(tmp_path):
     path.write_bytes(base64.b64decode(IDENTITY))
     with pytest.raises(FormatError, match=r"expected inputs slots .* got {'x': \('n', 3\)}"):
         CircleDetector(path)
-    with pytest.raises(ConfigError, match="expected a shipped model"):
+    with pytest.raises(ConfigError, match=r"detector: there is no file '.*b\.onnx'"):
         CircleDetector(tmp_path / "b.onnx")
     with pytest.raises(ConfigError, match="detector"):
         CirclePipeline(CirclesConfig(detector="moon"))
+
+
+@pytest.mark.parametrize("threads", ["x", 0, -1, 1.5, True, None])
+def test_a_network_needs_a_number_of_threads(threads):
+    with pytest.raises(ConfigError, match="threads: expected a whole number >= 1, got"):
+        CircleDetector("cnn", threads=threads)

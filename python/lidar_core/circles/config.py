@@ -2,8 +2,9 @@
 
 from typing import Annotated, Any, Literal, Self, TypeAlias
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
+from lidar_core.circles.detector_name import checked
 from lidar_core.circles.fit_config import FitConfig, FitMethod
 from lidar_core.circles.map_config import CircleMapConfig
 from lidar_core.circles.scan_config import PreprocessConfig, SegmentConfig
@@ -28,7 +29,7 @@ class CirclesConfig(Config):
     scanners: dict[str, Scanner] = Field(
         {}, description="2D LiDARs by the name that `process` is given (no unit)."
     )
-    detector: FitMethod | NetworkName = Field(
+    detector: Annotated[FitMethod | NetworkName, BeforeValidator(checked)] = Field(
         "ml",
         description="How a circle is estimated from a segment (no unit); it stands before"
         " `fit.method`. Also a network: one that comes with the package, or an .onnx file.",

@@ -8,9 +8,10 @@ from numpy.typing import ArrayLike
 
 from lidar_core import _core
 from lidar_core.arrays import as_finite_rows, as_rows
+from lidar_core.circles.detector_name import checked
 from lidar_core.circles.fit_config import FitConfig, FitMethod
 from lidar_core.circles.fitting import Circles
-from lidar_core.circles.network import CircleNetwork, shipped
+from lidar_core.circles.network import CircleNetwork
 from lidar_core.circles.scanner import Scanner
 from lidar_core.config import as_config
 from lidar_core.errors import ConfigError, InputError
@@ -35,7 +36,7 @@ class CircleDetector:
     Raises
     ------
     ConfigError
-        There is no such detector.
+        There is no such detector, or `threads` is not >= 1.
     FormatError
         The file is no network for circles.
 
@@ -57,16 +58,14 @@ class CircleDetector:
         scanner: Scanner | None = None,
         threads: int = 1,
     ) -> None:
-        methods = get_args(FitMethod)
-        if str(detector) not in (*methods, *shipped()) and Path(detector).suffix != ".onnx":
-            known = ", ".join((*methods, *shipped()))
-            raise ConfigError(
-                f"detector: expected one of {known}, or an .onnx file, got {str(detector)!r}"
-            )
+        try:
+            checked(detector)
+        except ValueError as error:
+            raise ConfigError(f"detector: {error}") from error
         fit = as_config(config, FitConfig)
         self.scanner = as_config(scanner, Scanner)
         self.network: CircleNetwork | None = None
-        if detector in methods:
+        if detector in get_args(FitMethod):
             self.config = FitConfig.load(fit.model_dump() | {"method": detector})
         else:
             self.config = fit
@@ -115,9 +114,13 @@ class CircleDetector:
             shape=(len(angles),),
             dtype=np.float32,
         )
+        wrong = np.argwhere(rows <= 0)
+        if len(wrong):
+            row, ray = wrong[0]
+            raise InputError(
+                f"ranges_batch: expected ranges > 0, got {rows[row, ray]} in row {row}, ray {ray}"
+            )
         if self.network is None:
             found = _core.detect_circles(rows, angles, config=self.config, scanner=self.scanner)
             return Circles(*found)
-        if (low := rows.min(initial=np.inf, where=~np.isnan(rows))) <= 0:
-            raise InputError(f"ranges_batch: expected ranges > 0, got {low}")
         return self.network.of_rows(rows, angles, config=self.config, scanner=self.scanner)

@@ -10,7 +10,7 @@ from lidar_core import _core
 from lidar_core.circles.fit_config import FitConfig, FitMethod
 from lidar_core.circles.preprocess import as_scan
 from lidar_core.circles.scanner import Scanner
-from lidar_core.circles.segmentation import Segments
+from lidar_core.circles.segmentation import Segments, arrays_of
 from lidar_core.config import as_config
 
 
@@ -102,6 +102,6 @@ def fit_circles(
     given = {"method": method, "range_std": range_std}
     known = {name: value for name, value in given.items() if value is not None}
     fit = FitConfig.load(as_config(config, FitConfig).model_dump() | known)
-    arrays = (segments.rays, segments.starts, segments.sides)
+    arrays = arrays_of(segments)
     limits = as_config(scanner, Scanner)
     return Circles(*_core.fit_circles(scan, angles, arrays, config=fit, scanner=limits))

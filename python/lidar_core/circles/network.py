@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core import _core
+from lidar_core.circles.detector_name import MODELS, shipped
 from lidar_core.circles.fit_config import FitConfig
 from lidar_core.circles.fitting import Circles
 from lidar_core.circles.scanner import Scanner
@@ -19,8 +20,6 @@ from lidar_core.circles.windows import normalised, windows_of_rows, windows_of_s
 from lidar_core.errors import ConfigError, FormatError, InputError
 
 Kind: TypeAlias = Literal["windows", "scans"]
-
-MODELS = Path(__file__).parent / "models"
 
 _SMALLEST_RADIUS = 1e-3
 _LEARNT = ("range_low", "range_high", "variance_x", "variance_y", "variance_radius")
@@ -44,7 +43,7 @@ class CircleNetwork:
     Raises
     ------
     ConfigError
-        There is no such model.
+        There is no such model, or `threads` is not >= 1.
     FormatError
         The file is no ONNX model, not the one of its card, or its inputs and outputs are not
         those of a circle detector.
@@ -157,13 +156,12 @@ class CircleNetwork:
         return parameters
 
 
-def shipped() -> list[str]:
-    """Names of the models that come with the package."""
-    return sorted(path.stem for path in MODELS.glob("*.onnx"))
-
-
 def _file_of(model: str | Path) -> Path:
-    path = MODELS / f"{model}.onnx" if Path(model).suffix != ".onnx" else Path(model)
+    if Path(model).suffix == ".onnx":
+        if not Path(model).is_file():
+            raise ConfigError(f"detector: there is no file {str(model)!r}")
+        return Path(model)
+    path = MODELS / f"{model}.onnx"
     if not path.is_file():
         known = ", ".join(shipped()) or "none"
         raise ConfigError(
@@ -190,6 +188,8 @@ def _card_of(path: Path, content: bytes) -> dict[str, Any]:
 
 
 def _session(path: Path, content: bytes, threads: int) -> Any:
+    if not isinstance(threads, int) or isinstance(threads, bool) or threads < 1:
+        raise ConfigError(f"threads: expected a whole number >= 1, got {threads!r}")
     onnxruntime = import_module("onnxruntime")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads

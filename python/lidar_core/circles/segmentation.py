@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidar_core import _core
+from lidar_core.arrays import as_rows
 from lidar_core.circles.config import CirclesConfig
 from lidar_core.circles.preprocess import as_scan
 from lidar_core.circles.scan_config import SegmentConfig
 from lidar_core.circles.scanner import Scanner
 from lidar_core.config import as_config
+from lidar_core.errors import InputError
 
 
 class Side(IntEnum):
@@ -116,3 +118,23 @@ def segments_of(arrays: tuple[NDArray[Any], ...]) -> Segments:
     """Segments as the core gives them."""
     labels, rays, starts, sides = arrays
     return Segments(labels=labels, sides=sides, rays=rays, starts=starts)
+
+
+def arrays_of(
+    segments: Segments,
+) -> tuple[NDArray[np.uint32], NDArray[np.int64], NDArray[np.uint8]]:
+    """Rays, starts and sides as the core takes them.
+
+    Raises
+    ------
+    InputError
+        These are no segments, or their arrays are none of the right kind.
+    """
+    if not isinstance(segments, Segments):
+        raise InputError(f"segments: expected Segments, got {type(segments).__name__}")
+    name = "segments."
+    return (
+        as_rows(segments.rays, name=name + "rays", rows=None, shape=(), dtype=np.uint32),
+        as_rows(segments.starts, name=name + "starts", rows=None, shape=(), dtype=np.int64),
+        as_rows(segments.sides, name=name + "sides", rows=None, shape=(2,), dtype=np.uint8),
+    )

@@ -10,7 +10,7 @@ from lidar_core import _core
 from lidar_core.circles.fit_config import FitConfig
 from lidar_core.circles.preprocess import as_scan
 from lidar_core.circles.scanner import Scanner
-from lidar_core.circles.segmentation import Segments
+from lidar_core.circles.segmentation import Segments, arrays_of
 from lidar_core.config import as_config
 
 
@@ -117,7 +117,7 @@ def fit_shapes(
     [[[3.0, -0.5], [3.0, 0.5]]]
     """
     scan, angles = as_scan(ranges, bearings)
-    arrays = (segments.rays, segments.starts, segments.sides)
+    arrays = arrays_of(segments)
     known = as_config(config, FitConfig)
     limits = as_config(scanner, Scanner)
     return Shapes(*_core.fit_shapes(scan, angles, arrays, config=known, scanner=limits))
