@@ -61,7 +61,7 @@ class CircleDetector:
         try:
             checked(detector)
         except ValueError as error:
-            raise ConfigError(f"detector: {error}") from error
+            raise ConfigError(f"detector: {error}, got {detector!r}") from error
         fit = as_config(config, FitConfig)
         self.scanner = as_config(scanner, Scanner)
         self.network: CircleNetwork | None = None

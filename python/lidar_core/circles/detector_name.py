@@ -19,7 +19,7 @@ def checked(detector: object) -> object:
     Raises
     ------
     ValueError
-        It is none of these: what was expected, and what was received.
+        It is none of these: what was expected.
     """
     known = (*get_args(FitMethod), *shipped())
     if isinstance(detector, str | Path) and (
@@ -28,7 +28,5 @@ def checked(detector: object) -> object:
         return detector
     hint = ""
     if detector == "paper-cnn":
-        hint = "; the paper's network is not shipped: train it and give its .onnx file"
-    raise ValueError(
-        f"expected one of {', '.join(known)}, or an .onnx file, got {detector!r}{hint}"
-    )
+        hint = " (the network of the paper is not shipped: train it and give its file)"
+    raise ValueError(f"expected one of {', '.join(known)}, or an .onnx file{hint}")
