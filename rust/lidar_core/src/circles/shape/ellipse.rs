@@ -8,7 +8,8 @@
 
 use super::solve::{Shape, Solved, gain, solve};
 use crate::circles::circle::Circle;
-use crate::circles::fit::arc::{Arc, Edge, Hit, turn};
+use crate::circles::fit::arc::{Arc, Edge, Hit};
+use crate::circles::polar::turn;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Differences of parameters that show the slope.
