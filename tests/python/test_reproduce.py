@@ -75,6 +75,7 @@ SHORT = {
         ("room, swinging: ghosts", "25-75 % hidden: radius, RMS"), modes=("best_mode",)
     ),
     "circles-lab": Short(("barrel: radius, RMS", "person is one element"), modes=("best_mode",)),
+    "circles-shapes": Short(("right", "circle: right"), modes=("best_mode",), scans=40),
     "fusion-rmse": Short(("2-D RMSE, linear KF", "2-D RMSE, EKF-CTRV"), scans=1),
     "fusion-fig4": Short(("walking: RMSE of z", "driving: 3-D RMSE"), scans=1),
     "fusion-fig7": Short(("RMSE of x, filter", "RMSE of y, filter"), scans=1),
