@@ -84,6 +84,9 @@ SHORT = {
     "fusion-fig10": Short(("linear KF@-30dBW", "EKF-CTRV@5dBW"), scans=1),
     "fusion-fig11": Short(("linear KF@0dBW",), scans=1),
     "fusion-drone-yaw": Short(("RMSE of x@1rad/s", "2-D RMSE over that at rest@1rad/s"), scans=1),
+    "fusion-consistency": Short(
+        ("ctrv, ekf: steps inside the band",), modes=("best_mode",), scans=10
+    ),
 }
 
 

@@ -68,14 +68,15 @@ class Ride:
         """Position in the sensor's frame, and velocity relative to it in the same axes."""
         ahead = np.stack([np.cos(self.yaw), np.sin(self.yaw)], axis=1)
         own = self.speed[:, None] * ahead
-        place = _turned_back(truth.position - self.position, ahead)
-        return TargetTruth(truth.stamps_ns, place, _turned_back(truth.velocity - own, ahead),
+        place = turned_back(truth.position - self.position, ahead)
+        return TargetTruth(truth.stamps_ns, place, turned_back(truth.velocity - own, ahead),
                            None, None)  # fmt: skip
 
 
-def _turned_back(vectors: NDArray[np.float64], ahead: NDArray[np.float64]) -> NDArray[np.float64]:
-    (x, y), (c, s) = vectors.T, ahead.T
-    return np.stack([c * x + s * y, c * y - s * x], axis=1)
+def turned_back(vectors: NDArray[np.float64], ahead: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors (..., 2) in axes whose first points along `ahead`, unit vectors."""
+    x, y, c, s = vectors[..., 0], vectors[..., 1], ahead[..., 0], ahead[..., 1]
+    return np.stack([c * x + s * y, c * y - s * x], axis=-1)
 
 
 def configs() -> dict[str, FusionConfig]:

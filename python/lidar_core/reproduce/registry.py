@@ -37,6 +37,7 @@ MODULES = (
     "fusion_fig10",
     "fusion_fig11",
     "fusion_drone_yaw",
+    "fusion_consistency",
 )
 """Modules of this package that hold an `ITEM`, in the order in which `all` runs them."""
 
