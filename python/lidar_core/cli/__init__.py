@@ -19,6 +19,7 @@ app = typer.Typer(
 for _name in (
     "demo",
     "info",
+    "convert",
     "simulate",
     "detect",
     "circles",

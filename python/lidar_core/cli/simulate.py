@@ -19,7 +19,8 @@ def command(
     ],
     *,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Recording to write: .npz or .mcap.")
+        Path,
+        typer.Option("--output", "-o", help="Recording to write: .npz, .mcap, .bag, or a folder."),
     ],
     seed: Annotated[int, typer.Option(min=0, help="Seed of noise and random motions.")] = 0,
     scans: Annotated[

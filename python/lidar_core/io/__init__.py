@@ -11,6 +11,8 @@ from lidar_core.io.recording import Recording, Topic
 from lidar_core.io.tf_buffer import NoTransformError, TransformBuffer
 from lidar_core.io.tracks import write_tracks_table, write_tum
 from lidar_core.io.write_mcap import McapWriter, write_mcap
+from lidar_core.io.write_ros import RosWriter, write_ros
+from lidar_core.io.writing import write_recording
 
 __all__ = [
     "McapWriter",
@@ -21,6 +23,7 @@ __all__ = [
     "ReadOptions",
     "Recording",
     "RecordingInfo",
+    "RosWriter",
     "Topic",
     "TopicInfo",
     "TransformBuffer",
@@ -32,6 +35,8 @@ __all__ = [
     "write_circles_tum",
     "write_mcap",
     "write_npz",
+    "write_recording",
+    "write_ros",
     "write_tracks_table",
     "write_tum",
 ]

@@ -10,6 +10,7 @@ from lidar_core.errors import FormatError
 from lidar_core.io.conventions import NoReturnRule, PointTimeRule
 from lidar_core.io.guard import check_size
 from lidar_core.io.options import ReadOptions
+from lidar_core.io.own_cloud import OWN_FIELD, OWN_VERDICT, own_scan
 from lidar_core.io.recording import Findings
 from lidar_core.messages import Scan
 
@@ -112,6 +113,13 @@ class CloudDecoder:
         organised = rows.ndim == 2 and rows.shape[0] > 1
         flat = rows.reshape(-1)
         fields = {name: flat[name] for name in flat.dtype.names or () if flat[name].ndim == 1}
+        if OWN_FIELD in fields:
+            self._findings.point_time[self._topic] = self._findings.no_return[self._topic] = (
+                OWN_VERDICT
+            )
+            return own_scan(
+                flat, stamp_ns, frame_id, self._topic, rows.shape[0] if organised else 1
+            )
         points = _coordinates(fields, place)
         no_return = self._no_return.apply(points, organised=organised)
         times = self._point_time.apply(fields, stamp_ns, place)

@@ -1,10 +1,9 @@
 """Foxglove protobuf messages to scans and poses: PointCloud, LaserScan, FrameTransform(s)."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
 from lidar_core.extras import require
@@ -12,6 +11,7 @@ from lidar_core.io.cloud import CloudDecoder, Field, Layout, unpack
 from lidar_core.io.guard import check_size, reading
 from lidar_core.io.laser import LaserDecoder
 from lidar_core.io.options import ReadOptions
+from lidar_core.io.own_cloud import OWN_VERDICT, own_scan
 from lidar_core.io.recording import Findings, Kind
 from lidar_core.io.rotations import pose_matrix, unit_quaternion
 from lidar_core.messages import LaserScan, Message, Pose, Scan
@@ -27,7 +27,6 @@ OWN_HEIGHT = "lidar_core_height"
 """Key in the metadata of a channel that `write_mcap` wrote: rows of the organised cloud, or 1."""
 OWN_SCANNER = "lidar_core_scanner"
 """Same for 2D scans: angle_increment, range_min, range_max, and time_increment [ns]."""
-OWN_VERDICT = "as lidar_core wrote it"
 
 
 def foxglove_kind(type_name: str) -> Kind:
@@ -151,29 +150,6 @@ class FoxgloveDecoder:
         if topic not in self._lasers:
             self._lasers[topic] = LaserDecoder(topic, self._options, self._findings)
         return self._lasers[topic].scan(raw, place=place)
-
-
-def own_scan(rows: NDArray[Any], stamp_ns: int, frame_id: str, topic: str, height: int) -> Scan:
-    """Scan from the fields that `write_mcap` writes; nothing needs to be detected."""
-    names = rows.dtype.names or ()
-    points = _columns(rows, "xyz")
-    if height > 1 and len(points) % height == 0:
-        points = points.reshape(height, -1, 3)
-    return Scan(
-        stamp_ns=stamp_ns,
-        points=points,
-        frame_id=frame_id,
-        no_return=rows["no_return"] != 0 if "no_return" in names else None,
-        directions=_columns(rows, ("dx", "dy", "dz")) if "dx" in names else None,
-        point_time_ns=rows["t"].astype(np.int64) + stamp_ns if "t" in names else None,
-        intensity=np.ascontiguousarray(rows["intensity"]) if "intensity" in names else None,
-        ring=np.ascontiguousarray(rows["ring"]) if "ring" in names else None,
-        topic=topic,
-    )
-
-
-def _columns(rows: NDArray[Any], names: Iterable[str]) -> NDArray[np.float32]:
-    return np.stack([rows[name] for name in names], axis=1).astype(np.float32, copy=False)
 
 
 def _transform(topic: str, item: Any, place: str) -> Pose:

@@ -34,13 +34,13 @@ from lidar_core.errors import FormatError, InputError
 from lidar_core.io.atomic import written_whole
 from lidar_core.io.guard import check_size, reading
 from lidar_core.io.options import ReadOptions
+from lidar_core.io.own_cloud import OWN_VERDICT
 from lidar_core.io.recording import Record, Recording, Topic, decoded
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
 LAYOUT = 1
 OPTIONAL = ("no_return", "directions", "point_time_ns", "intensity", "ring")
 SCANNER = ("angle_min", "angle_increment", "range_min", "range_max")
-VERDICT = "as lidar_core wrote it"
 
 
 class NpzRecording(Recording):
@@ -60,8 +60,8 @@ class NpzRecording(Recording):
             )
         scans = [*self._index.get("scan_topic", ["points"]), *self._index.get("laser_topic", [])]
         for topic in set(scans):
-            self.findings.no_return[str(topic)] = VERDICT
-            self.findings.point_time[str(topic)] = VERDICT
+            self.findings.no_return[str(topic)] = OWN_VERDICT
+            self.findings.point_time[str(topic)] = OWN_VERDICT
 
     def topics(self) -> list[Topic]:
         """Streams of scans, of 2D scans and of poses."""

@@ -71,7 +71,7 @@ class RosDecoder:
     """
 
     def __init__(self, version: int, options: ReadOptions, findings: Findings) -> None:
-        self._store = _typestore(version)
+        self._store = ros_store(version)
         self._parse: Callable[[bytes, str], Any] = (
             self._store.deserialize_ros1 if version == 1 else self._store.deserialize_cdr
         )
@@ -153,9 +153,9 @@ class RosDecoder:
 
 
 @cache
-def _typestore(version: int) -> Any:
+def ros_store(version: int) -> Any:
     """Messages that every ROS 1 or ROS 2 distribution knows; building them takes 30 ms."""
-    typesys = require("rosbags.typesys", extra="io", purpose="reading ROS messages")
+    typesys = require("rosbags.typesys", extra="io", purpose="ROS messages")
     store = typesys.Stores.ROS1_NOETIC if version == 1 else typesys.Stores.ROS2_HUMBLE
     types = typesys.get_typestore(store)
     for name, text in EXTRA_DEFINITIONS.items():

@@ -14,13 +14,13 @@ from lidar_core.io.atomic import commit, temporary_for
 from lidar_core.io.circle_scene import CircleScene
 from lidar_core.io.circles import CirclesLike
 from lidar_core.io.foxglove_messages import FOXGLOVE_TYPES, OWN_HEIGHT, OWN_SCANNER
+from lidar_core.io.own_cloud import packed
 from lidar_core.io.rotations import quaternion_from_matrix
+from lidar_core.io.topics import LASER_TOPIC, POSE_TOPIC, SCAN_TOPIC, STATIC_TOPIC
 from lidar_core.io.tracks import TracksLike
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
-SCAN_TOPIC, LASER_TOPIC = "/lidar/points", "/laser/scan"
 TRACKS_TOPIC, CIRCLES_TOPIC = "/tracks", "/circles"
-POSE_TOPIC, STATIC_TOPIC = "/tf", "/tf_static"
 TRACK_LIFETIME_NS = 500_000_000  # a track that is no longer written disappears from the view
 SMALLEST_BOX = 0.1  # a track without extent stays visible [m]
 TRACK_COLOUR = (1.0, 0.35, 0.1, 0.8)
@@ -95,7 +95,7 @@ class McapWriter:
 
     def _write_scan(self, scan: Scan) -> None:
         m = self._messages
-        rows = _packed(scan)
+        rows = packed(scan)
         codes = {code: number for number, code in FOXGLOVE_TYPES.items()}
         numeric = {int(t): t for t in _numeric_types(m.PackedElementFieldNumericType)}
         offsets: Mapping[str, Any] = rows.dtype.fields or {}
@@ -241,31 +241,6 @@ def write_mcap(
 def _check_stamp(stamp_ns: int) -> None:
     if stamp_ns < 0:
         raise InputError(f"stamp_ns: MCAP holds no negative times, got {stamp_ns}")
-
-
-def _packed(scan: Scan) -> NDArray[Any]:
-    """Rows of a scan as one structured array; point times as int32 [ns] from its stamp."""
-    columns: dict[str, NDArray[Any]] = {}
-    points = scan.points.reshape(-1, 3)
-    columns |= {name: points[:, axis] for axis, name in enumerate("xyz")}
-    if scan.intensity is not None:
-        columns["intensity"] = scan.intensity
-    if scan.ring is not None:
-        columns["ring"] = scan.ring
-    if scan.point_time_ns is not None:
-        offset = scan.point_time_ns - scan.stamp_ns
-        if offset.size and np.abs(offset).max() > np.iinfo(np.int32).max:
-            raise InputError("point_time_ns: expected times within 2.1 s of the scan's stamp")
-        columns["t"] = offset.astype(np.int32)
-    if scan.no_return is not None:
-        columns["no_return"] = scan.no_return.astype(np.uint8)
-    if scan.directions is not None:
-        columns |= {name: scan.directions[:, axis] for axis, name in enumerate(("dx", "dy", "dz"))}
-    little = [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()]
-    rows = np.empty(len(points), little)
-    for name, column in columns.items():
-        rows[name] = column
-    return rows
 
 
 def _numeric_types(enum: Any) -> list[Any]:

@@ -11,7 +11,7 @@ import numpy as np
 import tomli_w
 
 from lidar_core._core import __version__
-from lidar_core.errors import ConfigError
+from lidar_core.io.writing import writer_of
 from lidar_core.messages import Message, Pose
 from lidar_core.sim.config import Scene
 from lidar_core.sim.lidar import Planar
@@ -76,7 +76,7 @@ def record(
     threads: int = 1,
     on_scan: Callable[[Made], None] = lambda made: None,
 ) -> Recorded:
-    """Simulate `scene` into the recording `path` (.npz or .mcap).
+    """Simulate `scene` into the recording `path`.
 
     Beside it: NAME.truth.csv, NAME.scene.toml, NAME.run.toml.
 
@@ -85,7 +85,7 @@ def record(
     scene, seed, scans, threads
         As for `Simulator`.
     path : str or Path
-        Recording to write; its ending chooses the format.
+        Recording to write; its ending chooses the format, as for `write_recording`.
     on_scan : callable
         Called after every scan, for a progress display.
 
@@ -95,7 +95,7 @@ def record(
         Another ending, or as for `Simulator`.
     """
     path = Path(path)
-    write = _writer(path)
+    write = writer_of(path)
     simulator = Simulator(scene, seed=seed, scans=scans, threads=threads)
     rows: list[tuple[Any, ...]] = []
     points = 0
@@ -124,18 +124,6 @@ def record(
     return Recorded(path, truth, scene_file, run, simulator.scans, points, hits)
 
 
-def _writer(path: Path) -> Callable[[Path, Iterable[Message]], None]:
-    if path.suffix == ".npz":
-        from lidar_core.io import write_npz
-
-        return write_npz
-    if path.suffix == ".mcap":
-        from lidar_core.io import write_mcap
-
-        return write_mcap
-    raise ConfigError(f"{path}: expected a name that ends in .npz or .mcap")
-
-
 def truth_rows(number: int, made: Made) -> Iterator[tuple[Any, ...]]:
     """Rows of `TRUTH_COLUMNS`, or of `SWEEP_TRUTH_COLUMNS`, of one scan, one per target."""
     truth = made.truth
@@ -158,7 +146,7 @@ def truth_rows(number: int, made: Made) -> Iterator[tuple[Any, ...]]:
 
 
 def _run(path: Path, simulator: Simulator) -> str:
-    with path.open("rb") as file:
+    with (path / f"{path.name}.mcap" if path.is_dir() else path).open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     return tomli_w.dumps(
         {

@@ -1,0 +1,112 @@
+"""`lidar-core convert`: a recording in another format."""
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lidar_core.cli.common import JsonFile, consoles, given, progress_on, write_json
+
+if TYPE_CHECKING:
+    from lidar_core.io import Recording
+    from lidar_core.messages import Message
+
+NS = 1_000_000_000
+
+
+def command(
+    recording: Annotated[Path, typer.Argument(help="Recording to read: file or folder.")],
+    output: Annotated[
+        Path,
+        typer.Argument(
+            help="Recording to write: NAME.npz, NAME.mcap (Foxglove), NAME.bag (ROS 1), or a new"
+            " folder (ROS 2)."
+        ),
+    ],
+    *,
+    topic: Annotated[
+        list[str] | None, typer.Option(help="Scans of this topic alone; may be repeated.")
+    ] = None,
+    start: Annotated[
+        float, typer.Option(min=0, help="Leave out what comes before, from the first stamp \\[s].")
+    ] = 0.0,
+    end: Annotated[
+        float | None, typer.Option(min=0, help="Leave out what comes after, likewise \\[s].")
+    ] = None,
+    point_time: Annotated[
+        str | None, typer.Option(help="Time of each point as field:unit:reference, auto or none.")
+    ] = None,
+    no_return: Annotated[
+        str | None,
+        typer.Option(help="What marks a ray without return: auto, zero, nan, max or none."),
+    ] = None,
+    metadata: Annotated[
+        str | None, typer.Option(help="JSON file of an Ouster capture, if not beside it.")
+    ] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Write scans and poses of RECORDING to OUTPUT; the ending of its name chooses the format."""
+    from lidar_core.errors import InputError
+    from lidar_core.io import ReadOptions, open_recording, write_recording
+
+    if output.exists() and output.resolve() == recording.resolve():
+        raise InputError(f"{output}: expected another file than the one to read")
+    values = given({"point_time": point_time, "no_return": no_return, "metadata": metadata})
+    console, errors = consoles(json_file)
+    written: Counter[str] = Counter()
+    with (
+        open_recording(recording, ReadOptions.load(values)) as opened,
+        progress_on(errors, counts="messages") as progress,
+    ):
+        _check_topics(opened, topic)
+        task = progress.add_task("convert", total=None)
+
+        def counted() -> Iterator["Message"]:
+            for message in _chosen(opened, topic, start, end):
+                written[message.topic or "(no topic)"] += 1
+                progress.advance(task)
+                yield message
+
+        write_recording(output, counted())
+        left_out = {**opened.skipped, **opened.noticed().rejected}
+    result = {"input": str(recording), "output": str(output), "written": dict(written),
+              "left_out": left_out}  # fmt: skip
+    write_json(result, json_file)
+    for name, count in written.items():
+        console.print(f"{name}: {count}", markup=False)
+    for name, count in left_out.items():
+        console.print(f"{name}: {count} messages left out, no scans or poses", markup=False)
+    console.print(f"{sum(written.values())} messages in {output}", markup=False, soft_wrap=True)
+
+
+def _check_topics(recording: "Recording", wanted: list[str] | None) -> None:
+    from lidar_core.errors import ConfigError
+    from lidar_core.io.recording import SCAN_KINDS
+
+    known = [topic.name for topic in recording.topics() if topic.kind in SCAN_KINDS]
+    for name in wanted or []:
+        if name not in known:
+            listed = ", ".join(known) or "none"
+            raise ConfigError(f"topic: no scans on {name!r} in {recording.path}; found {listed}")
+
+
+def _chosen(
+    recording: "Recording", topics: list[str] | None, start: float, end: float | None
+) -> Iterator["Message"]:
+    """Messages of the span, by their stamps; mountings count as of all times."""
+    from lidar_core.messages import Pose
+
+    first: int | None = None
+    for message in recording:
+        is_pose = isinstance(message, Pose)
+        if topics and not is_pose and message.topic not in topics:
+            continue
+        if isinstance(message, Pose) and message.is_static:
+            yield message
+            continue
+        first = message.stamp_ns if first is None else first
+        since = message.stamp_ns - first
+        if since >= start * NS and (end is None or since <= end * NS):
+            yield message
