@@ -45,6 +45,10 @@ def command(
     metadata: Annotated[
         str | None, typer.Option(help="JSON file of an Ouster capture, if not beside it.")
     ] = None,
+    recover: Annotated[
+        bool,
+        typer.Option("--recover", help="Read what is whole in an MCAP that was cut or not closed."),
+    ] = False,
     json_file: JsonFile = None,
 ) -> None:
     """Write scans and poses of RECORDING to OUTPUT; the ending of its name chooses the format."""
@@ -53,7 +57,8 @@ def command(
 
     if output.exists() and output.resolve() == recording.resolve():
         raise InputError(f"{output}: expected another file than the one to read")
-    values = given({"point_time": point_time, "no_return": no_return, "metadata": metadata})
+    values = given({"point_time": point_time, "no_return": no_return, "metadata": metadata,
+                    "recover": recover or None})  # fmt: skip
     console, errors = consoles(json_file)
     written: Counter[str] = Counter()
     with (

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lidar_core.cli.common import given
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -24,13 +26,19 @@ def command(
     metadata: Annotated[
         str | None, typer.Option(help="JSON file of an Ouster capture, if not beside it.")
     ] = None,
+    recover: Annotated[
+        bool,
+        typer.Option("--recover", help="Read what is whole in an MCAP that was cut or not closed."),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
 ) -> None:
     """Topics, rates, frames, time span and defects of a recording."""
     from lidar_core.io import ReadOptions, open_recording
 
-    given = {"point_time": point_time, "no_return": no_return, "metadata": metadata}
-    options = ReadOptions.load({name: text for name, text in given.items() if text is not None})
+    options = ReadOptions.load(
+        given({"point_time": point_time, "no_return": no_return, "metadata": metadata,
+               "recover": recover or None})
+    )  # fmt: skip
     with open_recording(recording, options) as opened:
         info = opened.info()
     if as_json:

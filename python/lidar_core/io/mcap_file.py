@@ -8,10 +8,11 @@ from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
-from lidar_core.errors import FormatError, LimitError
+from lidar_core.errors import FormatError, LidarCoreError, LimitError
 from lidar_core.extras import require
 from lidar_core.io.foxglove_messages import FoxgloveDecoder, foxglove_kind
 from lidar_core.io.guard import check_size, reading
+from lidar_core.io.mcap_salvage import Salvage
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import Kind, Record, Recording, Topic
 from lidar_core.io.ros import MAX_TOPICS, _complete
@@ -112,13 +113,43 @@ class McapRecording(Recording):
         reader = require("mcap.reader", extra="io", purpose="reading MCAP")
         limit = self.options.max_record_bytes
         place = f"{self.path}: MCAP summary"
-        with self._reading(f"{place} (a file that was not closed has none)"):
+        if self.options.recover:
+            return self._salvaged()
+        with self._reading(f"{place} (a file that was not closed has none; recover reads it)"):
             summary = reader.SeekingReader(self._file, record_size_limit=limit).get_summary()
         if summary is None or (not summary.chunk_indexes and not summary.channels):
             summary = self._scan_for_channels()
         check_size(place, len(summary.channels), limit=MAX_TOPICS, key="nothing",
                    what="a number of topics")  # fmt: skip
         return summary
+
+    def _salvaged(self) -> Any:
+        """Index of what is whole in the file, read from its start to where it breaks."""
+        summary = require("mcap.summary", extra="io", purpose="reading MCAP").Summary()
+        salvage = Salvage(summary, self._records)
+        self._file.seek(0)
+        stored = iter(self._stream(emit_chunks=True).records)
+        while True:
+            try:
+                with self._reading(f"{self.path}: MCAP data"):
+                    record = next(stored, None)
+            except LidarCoreError as error:
+                salvage.end = str(error)
+                break
+            if record is None or isinstance(record, self._records.DataEnd):
+                break
+            salvage.see(record, self._file.tell(), self._whole_chunk)
+        lost = self.path.stat().st_size - salvage.known_bytes if salvage.end else 0
+        self.findings.notes.extend(salvage.notes(lost))
+        return summary
+
+    def _whole_chunk(self, offset: int) -> list[Any]:
+        """Records of the chunk at byte `offset`; the file stays where it is."""
+        position = self._file.tell()
+        try:
+            return self._chunk_records(offset)
+        finally:
+            self._file.seek(position)
 
     def _scan_for_channels(self) -> Any:
         """Channels and schemas of a file whose summary repeats none."""
@@ -157,7 +188,11 @@ class McapRecording(Recording):
         )
 
     def _chunk_messages(self, offset: int) -> list[Any]:
-        """Messages of the chunk at byte `offset`, its checksum and its size checked."""
+        records = self._chunk_records(offset)
+        return [record for record in records if isinstance(record, self._records.Message)]
+
+    def _chunk_records(self, offset: int) -> list[Any]:
+        """Records of the chunk at byte `offset`, its checksum and its size checked."""
         place = f"{self.path}, chunk at byte {offset}"
         with self._reading(place):
             self._file.seek(offset)
@@ -169,17 +204,19 @@ class McapRecording(Recording):
                        what="a chunk of bytes")  # fmt: skip
             chunk.data = _decompressed(chunk, place, limit)
             chunk.compression = ""
-            records = self._mcap.breakup_chunk(chunk, validate_crc=True)
-        return [record for record in records if isinstance(record, self._records.Message)]
+            return list(self._mcap.breakup_chunk(chunk, validate_crc=True))
 
     def _unchunked(self, wanted: set[int]) -> Iterator[tuple[int, Any]]:
         self._file.seek(0)
-        with self._reading(f"{self.path}: MCAP data"):
-            messages = [
-                (record.log_time, order, record)
-                for order, record in enumerate(self._stream(emit_chunks=False).records)
-                if isinstance(record, self._records.Message) and record.channel_id in wanted
-            ]
+        messages = []
+        try:
+            with self._reading(f"{self.path}: MCAP data"):
+                for order, record in enumerate(self._stream(emit_chunks=False).records):
+                    if isinstance(record, self._records.Message) and record.channel_id in wanted:
+                        messages.append((record.log_time, order, record))
+        except LidarCoreError:
+            if not self.options.recover:
+                raise
         for _, number, message in sorted(messages, key=lambda item: item[:2]):
             yield number, message
 

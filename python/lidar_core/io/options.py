@@ -41,6 +41,11 @@ class ReadOptions(Config):
         gt=0,
         description="Scans per second of a folder of files that carries no times [Hz].",
     )
+    recover: bool = Field(
+        False,
+        description="MCAP: read what is whole in a file that was not closed, was cut, or has broken"
+        " chunks, and say what is lost (no unit).",
+    )
     max_record_bytes: int = Field(
         64 * 2**20,
         gt=0,
