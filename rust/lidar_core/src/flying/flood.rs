@@ -47,7 +47,8 @@ pub(crate) fn check_steps(
     Ok(steps)
 }
 
-/// Algorithm 1: breadth-first search over uncertain voxels, nodes marked when pushed.
+/// Algorithm 1: search over uncertain voxels, nodes marked when pushed. Whether there is a way out
+/// does not depend on the order: outward first finds it sooner than breadth first.
 pub(crate) struct Flood<'a> {
     map: &'a VoxelMap,
     cursor: Cursor<'a>,
@@ -58,7 +59,8 @@ pub(crate) struct Flood<'a> {
     /// Number of the search that last met a voxel of the cube around the start.
     met: Vec<u16>,
     search: u16,
-    queue: Vec<Voxel>,
+    /// Voxels that this search has met and not looked at.
+    pending: Vec<Voxel>,
     explored: Vec<Voxel>,
 }
 
@@ -73,7 +75,7 @@ impl<'a> Flood<'a> {
             expand_own,
             met: vec![0; edge * edge * edge],
             search: 0,
-            queue: Vec::new(),
+            pending: Vec::new(),
             explored: Vec::new(),
         }
     }
@@ -103,9 +105,7 @@ impl<'a> Flood<'a> {
     fn finds_a_way_out(&mut self, start: Voxel, shadow: Option<&Shadow>) -> bool {
         self.begin();
         self.push(start, start);
-        let mut next = 0;
-        while let Some(&voxel) = self.queue.get(next) {
-            next += 1;
+        while let Some(voxel) = self.pending.pop() {
             let stored = self.cursor.stored(voxel);
             let value = self.map.known(stored);
             if value >= self.map.tentative_from() {
@@ -124,7 +124,7 @@ impl<'a> Flood<'a> {
                 return true; // A1:21
             }
             self.explored.push(voxel);
-            for beside in neighbours(voxel) {
+            for beside in outward_last(voxel, start) {
                 if self.map.admits(beside) {
                     self.push(beside, start);
                 } else if self.open_border {
@@ -136,7 +136,7 @@ impl<'a> Flood<'a> {
     }
 
     fn begin(&mut self) {
-        self.queue.clear();
+        self.pending.clear();
         self.search = self.search.wrapping_add(1);
         if self.search == 0 {
             self.met.fill(0);
@@ -152,7 +152,7 @@ impl<'a> Flood<'a> {
         let met = &mut self.met[((z * edge + y) * edge + x) as usize];
         if *met != self.search {
             *met = self.search;
-            self.queue.push(voxel);
+            self.pending.push(voxel);
         }
     }
 }
@@ -163,6 +163,18 @@ fn steps(a: Voxel, b: Voxel) -> i32 {
 
 pub(crate) fn neighbours([x, y, z]: Voxel) -> [Voxel; 6] {
     [[x - 1, y, z], [x + 1, y, z], [x, y - 1, z], [x, y + 1, z], [x, y, z - 1], [x, y, z + 1]]
+}
+
+/// Neighbours of a voxel, those further from `start` after the others.
+fn outward_last(voxel: Voxel, start: Voxel) -> [Voxel; 6] {
+    let mut ordered = neighbours(voxel);
+    for axis in 0..3 {
+        if voxel[axis] < start[axis] {
+            ordered.swap(2 * axis, 2 * axis + 1); // the last one is further away
+        }
+    }
+    let [a, b, c, d, e, f] = ordered;
+    [a, c, e, b, d, f]
 }
 
 pub(crate) fn distinct(mut voxels: Vec<Voxel>) -> Vec<Voxel> {
