@@ -8,7 +8,7 @@ OUSTER_VENV := .venv-ouster
 # A built wheel to test; without it `make test` builds one from the working tree.
 WHEEL ?=
 
-EXTRAS := eval,io,velodyne,tables,plot,viz
+EXTRAS := eval,io,velodyne,tables,plot,rerun,viz
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 BIN := $(VENV)/bin
 

@@ -28,6 +28,7 @@ for _name in (
     "export",
     "doctor",
     "reproduce",
+    "view",
 ):
     app.command(_name)(import_module(f"lidar_core.cli.{_name}").command)
 app.add_typer(config.app, name="config")

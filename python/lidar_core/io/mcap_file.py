@@ -72,6 +72,12 @@ class McapRecording(Recording):
             schema = self._summary.schemas[channel.schema_id]
             yield place, self._foxglove.message(schema, message.data, place)
 
+    def stored(self) -> Iterator[tuple[Any, Any, Any]]:
+        """Every message as it is stored, with its channel and schema, in order of log time."""
+        for _, message in self._messages(set(self._topics)):
+            channel = self._summary.channels[message.channel_id]
+            yield channel, self._summary.schemas.get(channel.schema_id), message
+
     def _messages(self, wanted: set[int]) -> Iterator[tuple[int, Any]]:
         """Stored messages of these channels with their order in the file, by log time."""
         chunks = sorted(

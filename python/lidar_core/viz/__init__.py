@@ -3,15 +3,22 @@
 from lidar_core.viz.circles_picture import animate_circles, draw_circles
 from lidar_core.viz.flying_picture import draw_flying
 from lidar_core.viz.fusion_picture import draw_fusion
+from lidar_core.viz.playback import Moment, Objects, Playback
+from lidar_core.viz.playback_picture import draw_film, draw_moment
 from lidar_core.viz.views import CirclesView, FlyingView, FusionView, PlanarLine
 
 __all__ = [
     "CirclesView",
     "FlyingView",
     "FusionView",
+    "Moment",
+    "Objects",
     "PlanarLine",
+    "Playback",
     "animate_circles",
     "draw_circles",
+    "draw_film",
     "draw_flying",
     "draw_fusion",
+    "draw_moment",
 ]

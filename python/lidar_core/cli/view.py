@@ -1,0 +1,91 @@
+"""`lidar-core view`: a run in a viewer, as a picture, or as a film."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from lidar_core.viz.playback import Playback
+
+RERUN_FILE = "run.rrd"
+
+
+def command(
+    run: Annotated[Path, typer.Argument(help="Folder that detect, circles, fuse or demo wrote.")],
+    *,
+    rerun: Annotated[
+        bool, typer.Option("--rerun", help="In rerun's window (extra rerun); the default.")
+    ] = False,
+    web: Annotated[
+        bool, typer.Option("--web", help="In rerun's page in the browser, served on 127.0.0.1.")
+    ] = False,
+    rrd: Annotated[
+        Path | None, typer.Option(help="Write rerun's recording to this file, show nothing.")
+    ] = None,
+    foxglove: Annotated[
+        bool, typer.Option("--foxglove", help="Play it to Foxglove on 127.0.0.1, again and again.")
+    ] = False,
+    port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Of --web (9090) or --foxglove (8765).")
+    ] = None,
+    png: Annotated[
+        Path | None, typer.Option(help="Draw one time into this file; needs no display.")
+    ] = None,
+    at: Annotated[
+        float | None,
+        typer.Option(min=0, help="Time of --png from the start on \\[s]."),
+    ] = None,
+    film: Annotated[
+        Path | None, typer.Option(help="Draw the run into this .gif, or .mp4 with ffmpeg.")
+    ] = None,
+) -> None:
+    """Show RUN: scans by class, objects with numbers, 2 sigma ellipses, velocities and trails."""
+    from lidar_core.errors import ConfigError
+    from lidar_core.viz.playback import Playback
+    from lidar_core.viz.playback_picture import draw_film, draw_moment
+
+    chosen = [name for name, value in (("rerun", rerun), ("web", web), ("rrd", rrd),
+              ("foxglove", foxglove), ("png", png), ("film", film)) if value]  # fmt: skip
+    if len(chosen) > 1:
+        named = ", ".join(f"--{name}" for name in chosen)
+        raise ConfigError(f"view: expected one way to look at it, got {named}")
+    if at is not None and png is None:
+        raise ConfigError("at: says which time --png draws, got no --png")
+    played = Playback(run)
+    if png is not None:
+        print(draw_moment(played, png, at=at))
+    elif film is not None:
+        print(draw_film(played, film))
+    elif foxglove:
+        _serve(played, 8765 if port is None else port)
+    else:
+        _show_rerun(played, rrd, where_web=web, port=port)
+
+
+def _serve(played: "Playback", port: int) -> None:
+    from lidar_core.errors import FormatError
+    from lidar_core.viz.foxglove_server import serve_foxglove
+
+    if played.recording is None:
+        raise FormatError(f"{played.folder}: no run.mcap; the extra viz makes runs write it")
+
+    def told(port: int) -> None:
+        print(f"ws://127.0.0.1:{port}: open it in Foxglove; Ctrl-C ends", flush=True)
+
+    serve_foxglove(played.recording, port=port, on_ready=told)
+
+
+def _show_rerun(played: "Playback", rrd: Path | None, *, where_web: bool, port: int | None) -> None:
+    from tempfile import TemporaryDirectory
+
+    from lidar_core.viz.rerun_log import show_rerun, write_rerun
+
+    if rrd is not None:
+        print(write_rerun(played, rrd))
+        return
+    with TemporaryDirectory(prefix="lidar-core-view-") as folder:
+        recording = write_rerun(played, Path(folder) / RERUN_FILE)
+        status = show_rerun(recording, where="web" if where_web else "window", port=port)
+    if status != 0:
+        raise typer.Exit(status)

@@ -1,0 +1,224 @@
+"""What a run shows over time, from the files it left: scans in the world and what was found."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import FormatError
+from lidar_core.io.columns import Columns, read_columns
+from lidar_core.io.opening import open_recording
+from lidar_core.io.posed import posed_laser_scans, posed_scans
+from lidar_core.io.recording import SCAN_KINDS, Recording
+from lidar_core.messages import LaserScan, Scan
+from lidar_core.run_folder import RUN_FILE
+
+Capability: TypeAlias = Literal["flying", "circles", "fusion"]
+
+RECORDING, MAP = "run.mcap", "map.lcvm"
+CORNERS = 36  # of a circle
+SMALLEST = 0.1  # side of an object whose extent nobody knows [m]
+
+
+@dataclass(frozen=True, slots=True)
+class Objects:
+    """Tracks, or elements of a map, at one time; world frame.
+
+    Attributes
+    ----------
+    id : ndarray, shape (K,), int64
+        Numbers.
+    position, velocity : ndarray, shape (K, 3), float64
+        [m], [m/s]; heights are zero in the plane.
+    covariance : ndarray, shape (K, 3, 3), float64
+        Of the position [m^2]; zero where unknown.
+    size : ndarray, shape (K, 3), float64
+        Sides of the bounding boxes [m]; circles have no height.
+    """
+
+    id: NDArray[np.int64]
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    size: NDArray[np.float64]
+
+    def outline(self, row: int) -> NDArray[np.float64]:
+        """Closed line (V, 3) around object `row`, seen from above: a circle or a rectangle [m]."""
+        if self.size[row, 2] == 0:
+            angles = np.linspace(0, 2 * np.pi, CORNERS + 1)
+            around = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
+        else:
+            around = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [-1, -1, 0]], float)
+        line: NDArray[np.float64] = self.position[row] + around * self.size[row] / 2
+        return line
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """One time of a run.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        [ns].
+    points : ndarray, shape (N, 3), float32
+        Points of the scan, world frame [m]; none between scans.
+    point_class : ndarray, shape (N,), uint8
+        1 background, 2 flying, 3 unknown; 0 where points have no class.
+    objects : Objects
+        What was found.
+    """
+
+    stamp_ns: int
+    points: NDArray[np.float32]
+    point_class: NDArray[np.uint8]
+    objects: Objects
+
+
+class Playback:
+    """The folder that `detect`, `circles`, `fuse` or `demo` wrote.
+
+    Attributes
+    ----------
+    folder : Path
+        Where it is.
+    capability : str
+        flying, circles or fusion.
+
+    Raises
+    ------
+    FileNotFoundError
+        No such folder.
+    FormatError
+        No run of these commands.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+        if not self.folder.is_dir():
+            raise FileNotFoundError(f"{self.folder}: no such folder")
+        if not (self.folder / RUN_FILE).is_file():
+            raise FormatError(f"{self.folder}: expected the folder of a run, with {RUN_FILE}")
+        tables = [
+            (name, path) for name in ("circles", "tracks")
+            for path in (self.folder / f"{name}.parquet", self.folder / f"{name}.csv")
+            if path.is_file()
+        ]  # fmt: skip
+        if not tables:
+            raise FormatError(
+                f"{self.folder}: neither tracks nor circles in it, but"
+                f" {', '.join(sorted(item.name for item in self.folder.iterdir()))}"
+            )
+        name, path = tables[0]
+        self._columns = read_columns(path)
+        is_flying = any(self.folder.glob("detections.*"))
+        self.capability: Capability = (
+            "circles" if name == "circles" else "flying" if is_flying else "fusion"
+        )
+        self._rows = _rows_by_time(self._columns)
+
+    @property
+    def recording(self) -> Path | None:
+        """MCAP file with the scans; None where the run wrote none."""
+        path = self.folder / RECORDING
+        return path if path.is_file() else None
+
+    @property
+    def voxel_map(self) -> Path | None:
+        """The map; None where the run left none."""
+        path = self.folder / MAP
+        return path if path.is_file() else None
+
+    def moments(self) -> Iterator[Moment]:
+        """Times of scans and of estimates, ascending; no scans where the run kept none."""
+        last = -1
+        for stamp_ns, points, classes in self._scans():
+            for between in self._stamps(last, stamp_ns):
+                yield self._moment(between, _NO_POINTS, _NO_CLASSES)
+            yield self._moment(stamp_ns, points, classes)
+            last = stamp_ns
+        for after in self._stamps(last, None):
+            yield self._moment(after, _NO_POINTS, _NO_CLASSES)
+
+    def _stamps(self, after: int, before: int | None) -> list[int]:
+        """Times of estimates between two scans."""
+        return [
+            stamp for stamp in self._rows if stamp > after and (before is None or stamp < before)
+        ]
+
+    def _moment(
+        self, stamp_ns: int, points: NDArray[np.float32], classes: NDArray[np.uint8]
+    ) -> Moment:
+        rows = self._rows.get(stamp_ns, np.empty(0, np.int64))
+        return Moment(stamp_ns, points, classes, _objects(self._columns, rows))
+
+    def _scans(self) -> Iterator[tuple[int, NDArray[np.float32], NDArray[np.uint8]]]:
+        if self.recording is None:
+            return
+        with open_recording(self.recording) as recording:
+            topics = [topic for topic in recording.topics() if topic.kind in SCAN_KINDS]
+            for topic in topics[:1]:
+                yield from _in_world(recording, topic.name, is_planar=topic.kind == "planar")
+
+
+def _in_world(
+    recording: Recording, topic: str, *, is_planar: bool
+) -> Iterator[tuple[int, NDArray[np.float32], NDArray[np.uint8]]]:
+    read = posed_laser_scans if is_planar else posed_scans
+    for posed in read(recording, cloud=topic):
+        scan = posed.scan
+        pose = posed.world_from_lidar.reshape(-1, 4, 4)[0]
+        local = _swept(scan) if isinstance(scan, LaserScan) else scan.points.reshape(-1, 3)
+        is_point = np.asarray(np.isfinite(local).all(axis=1), np.bool_)
+        points = (local[is_point] @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32)
+        yield scan.stamp_ns, points, _classes(scan, is_point)
+
+
+def _swept(scan: LaserScan) -> NDArray[np.float64]:
+    bearings = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
+    with np.errstate(invalid="ignore"):
+        x, y = scan.ranges * np.cos(bearings), scan.ranges * np.sin(bearings)
+    return np.stack([x, y, np.where(np.isfinite(scan.ranges), 0.0, np.nan)], axis=1)
+
+
+def _classes(scan: Scan | LaserScan, is_point: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Classes that `detect` stored as intensities."""
+    if isinstance(scan, Scan) and scan.intensity is not None:
+        return scan.intensity[is_point].astype(np.uint8)
+    return np.zeros(int(is_point.sum()), np.uint8)
+
+
+def _rows_by_time(columns: Columns) -> dict[int, NDArray[np.int64]]:
+    stamps, starts = np.unique(columns["t_ns"], return_index=True)
+    order = np.argsort(columns["t_ns"], kind="stable")
+    parts = np.split(order, np.searchsorted(columns["t_ns"][order], stamps)[1:])
+    return dict(zip(stamps.tolist(), parts, strict=True)) if len(starts) else {}
+
+
+def _objects(columns: Columns, rows: NDArray[np.int64]) -> Objects:
+    def of(name: str) -> NDArray[np.float64]:
+        return np.asarray(columns[name][rows], float) if name in columns else np.zeros(len(rows))
+
+    axes = ("x", "y", "z")
+    covariance = np.zeros((len(rows), 3, 3))
+    for row, first in enumerate(axes):
+        for column, second in enumerate(axes[row:], start=row):
+            covariance[:, row, column] = covariance[:, column, row] = of(f"cov_{first}_{second}")
+    if "radius" in columns:
+        size = np.stack([2 * of("radius"), 2 * of("radius"), np.zeros(len(rows))], axis=1)
+    else:
+        size = np.maximum(np.stack([of(f"extent_{axis}") for axis in axes], axis=1), SMALLEST)
+    return Objects(
+        id=columns["track_id"][rows].astype(np.int64),
+        position=np.stack([of(axis) for axis in axes], axis=1),
+        velocity=np.stack([of(f"v{axis}") for axis in axes], axis=1),
+        covariance=np.nan_to_num(covariance),
+        size=size,
+    )
+
+
+_NO_POINTS = np.empty((0, 3), np.float32)
+_NO_CLASSES = np.empty(0, np.uint8)

@@ -1,0 +1,156 @@
+"""A run for the rerun viewer: as a file, and shown in a window or in the browser."""
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections import defaultdict
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.extras import require
+from lidar_core.io.atomic import written_whole
+from lidar_core.viz.playback import Objects, Playback
+
+PURPOSE = "the rerun viewer"
+CLASS_COLOURS = np.array(
+    [[140, 150, 160], [140, 150, 160], [225, 60, 40], [230, 180, 60]], np.uint8
+)
+"""Of points without a class, of background, flying and unknown ones."""
+OBJECT_COLOUR, ELLIPSE_COLOUR, VOXEL_COLOUR = (255, 90, 25), (60, 130, 240), (95, 110, 125, 90)
+SIGMAS = 2.0
+TRAIL = 50  # positions of an object that stay in view
+POINT_RADIUS, VOXEL_RADIUS = 0.02, 0.05
+LOCAL = "127.0.0.1"
+
+
+def write_rerun(run: Playback, path: str | Path) -> Path:
+    """Write what a run shows as rerun's recording (.rrd), whole or not at all.
+
+    Clouds by class under world/points, boxes with numbers under world/objects, their 2 sigma
+    ellipsoids, velocities (a second long) and trails beside them, occupied voxels under world/map.
+
+    Raises
+    ------
+    MissingExtraError
+        rerun-sdk is not installed.
+    """
+    rr = require("rerun", extra="rerun", purpose=PURPOSE)
+    place = Path(path)
+    with written_whole(place) as temporary:
+        stream = rr.RecordingStream("lidar_core", recording_id=str(run.folder.resolve()))
+        stream.save(str(temporary))
+        stream.log("world", rr.ViewCoordinates.FLU, static=True)
+        _log_map(rr, stream, run)
+        trails: dict[int, list[NDArray[np.float64]]] = defaultdict(list)
+        for moment in run.moments():
+            stream.set_time("time", timestamp=np.datetime64(moment.stamp_ns, "ns"))
+            if len(moment.points):
+                colours = CLASS_COLOURS[moment.point_class]
+                stream.log(
+                    "world/points",
+                    rr.Points3D(moment.points, colors=colours, radii=POINT_RADIUS),
+                )
+            _log_objects(rr, stream, moment.objects, trails)
+        stream.flush()
+        stream.disconnect()
+    return place
+
+
+def show_rerun(
+    recording: str | Path, *, where: Literal["window", "web"], port: int | None = None
+) -> int:
+    """Open rerun's viewer on a recording and wait until it is closed; returns its exit status.
+
+    It listens on 127.0.0.1 alone and collects no usage data: its settings are those of an empty
+    folder in which that was switched off, not the user's.
+
+    Parameters
+    ----------
+    recording : str or Path
+        As `write_rerun` wrote it.
+    where : str
+        window, or web: served for a browser.
+    port : int, optional
+        Of the page; without it rerun's own, 9090.
+    """
+    require("rerun", extra="rerun", purpose=PURPOSE)
+    viewer = [sys.executable, "-m", "rerun"]
+    with tempfile.TemporaryDirectory(prefix="lidar-core-rerun-") as settings:
+        surroundings = {**os.environ, "XDG_CONFIG_HOME": settings, "XDG_DATA_HOME": settings}
+        subprocess.run([*viewer, "analytics", "disable"], env=surroundings, check=True,
+                       capture_output=True)  # fmt: skip
+        options = ["--bind", LOCAL]
+        if where == "web":
+            options += ["--web-viewer"] if _has_display() else ["--serve-web"]
+            options += ["--web-viewer-port", str(port)] if port is not None else []
+        process = subprocess.Popen([*viewer, str(recording), *options], env=surroundings)
+        try:
+            return process.wait()
+        except KeyboardInterrupt:
+            process.terminate()
+            process.wait()
+            return 0
+
+
+def _has_display() -> bool:
+    on_server = sys.platform.startswith("linux") and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    )
+    return not on_server
+
+
+def _log_map(rr: Any, stream: Any, run: Playback) -> None:
+    if run.voxel_map is None:
+        return
+    from lidar_core import VoxelMap
+
+    centres = VoxelMap.load(run.voxel_map).occupied_points()
+    if len(centres):
+        voxels = rr.Points3D(centres, colors=VOXEL_COLOUR, radii=VOXEL_RADIUS)
+        stream.log("world/map", voxels, static=True)
+
+
+def _log_objects(
+    rr: Any, stream: Any, objects: Objects, trails: dict[int, list[NDArray[np.float64]]]
+) -> None:
+    names = objects.id.tolist()
+    for name, position in zip(names, objects.position, strict=True):
+        trails[name] = [*trails[name][1 - TRAIL :], position]
+    for name in set(trails) - set(names):
+        del trails[name]
+    labels = [f"{name}: {speed:.1f} m/s" for name, speed in
+              zip(names, np.linalg.norm(objects.velocity, axis=1), strict=True)]  # fmt: skip
+    if (objects.size[:, 2] > 0).all():
+        stream.log("world/objects/boxes", rr.Boxes3D(
+            centers=objects.position, sizes=objects.size, labels=labels, colors=OBJECT_COLOUR,
+            show_labels=True,
+        ))  # fmt: skip
+    else:
+        outlines = [objects.outline(row) for row in range(len(names))]
+        stream.log("world/objects/outlines", rr.LineStrips3D(
+            outlines, labels=labels, colors=OBJECT_COLOUR, show_labels=True,
+        ))  # fmt: skip
+    half, turns = _axes(objects.covariance)
+    stream.log("world/objects/covariance", rr.Ellipsoids3D(
+        centers=objects.position, half_sizes=half, quaternions=turns, colors=ELLIPSE_COLOUR,
+    ))  # fmt: skip
+    stream.log("world/objects/velocity", rr.Arrows3D(
+        origins=objects.position, vectors=objects.velocity, colors=OBJECT_COLOUR,
+    ))  # fmt: skip
+    stream.log("world/objects/trails", rr.LineStrips3D(
+        [np.array(trails[name]) for name in names], colors=OBJECT_COLOUR,
+    ))  # fmt: skip
+
+
+def _axes(covariance: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Half axes (K, 3) and rotations (K, 4) of the ellipsoids of `SIGMAS` deviations."""
+    from lidar_core.io.rotations import quaternion_from_matrix
+
+    values, vectors = np.linalg.eigh(covariance)
+    vectors[:, :, 2] *= np.sign(np.linalg.det(vectors))[:, None]
+    turns = [quaternion_from_matrix(matrix) for matrix in vectors]
+    return SIGMAS * np.sqrt(np.maximum(values, 0.0)), np.reshape(turns, (-1, 4))

@@ -1,0 +1,214 @@
+"""A run looked at: what playback gives, pictures, films, rerun's file, Foxglove's stream."""
+
+import os
+import subprocess
+import sys
+import threading
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from PIL import Image
+from typer.testing import CliRunner
+
+import lidar_core as lc
+import lidar_core.io
+from lidar_core.cli import app
+from lidar_core.errors import ConfigError, FormatError
+from lidar_core.viz import Objects, Playback, draw_film, draw_moment
+
+SCANS = 15
+needs_rerun = pytest.mark.skipif(
+    find_spec("rerun") is None and not os.environ.get("CI"), reason="rerun-sdk is not installed"
+)
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, list(map(str, arguments)))
+
+
+def run_of(folder, scene, command):
+    source, output = folder / f"{command}.npz", folder / command
+    assert invoke("simulate", scene, "-o", source, "--scans", SCANS).exit_code == 0
+    done = invoke(command, source, "-o", output)
+    assert done.exit_code == 0, done.output
+    return output
+
+
+@pytest.fixture(scope="module")
+def circles(tmp_path_factory):
+    return run_of(tmp_path_factory.mktemp("runs"), "circles", "circles")
+
+
+@pytest.fixture(scope="module")
+def flying(tmp_path_factory):
+    return run_of(tmp_path_factory.mktemp("runs"), "demo", "detect")
+
+
+def columns_of(folder, name):
+    (path,) = folder.glob(f"{name}.*")
+    return lc.io.read_columns(path)
+
+
+def test_circles_are_played_as_the_table_says(circles):
+    run = Playback(circles)
+    assert run.capability == "circles"
+    assert run.voxel_map is None
+    table = columns_of(circles, "circles")
+    moments = list(run.moments())
+    assert [moment.stamp_ns for moment in moments] == sorted(
+        {moment.stamp_ns for moment in moments}
+    )
+    assert len([moment for moment in moments if len(moment.points)]) == SCANS
+    assert sum(len(moment.objects.id) for moment in moments) == len(table["t_ns"]) > 0
+    for moment in moments:
+        rows = table["t_ns"] == moment.stamp_ns
+        np.testing.assert_array_equal(moment.objects.id, table["track_id"][rows])
+        np.testing.assert_array_equal(moment.objects.position[:, 0], table["x"][rows])
+        np.testing.assert_array_equal(moment.objects.size[:, 0], 2 * table["radius"][rows])
+        np.testing.assert_array_equal(moment.objects.covariance[:, 0, 1], table["cov_x_y"][rows])
+        np.testing.assert_array_equal(moment.objects.covariance[:, 1, 0], table["cov_x_y"][rows])
+
+
+def test_points_lie_in_the_world_and_carry_their_class(flying):
+    run = Playback(flying)
+    assert run.capability == "flying"
+    assert run.voxel_map == flying / "map.lcvm"
+    moments = [moment for moment in run.moments() if len(moment.points)]
+    assert len(moments) == SCANS
+    ground = moments[-1].points[:, 2]
+    assert np.quantile(ground, 0.05) == pytest.approx(0.0, abs=0.15)
+    assert set(np.unique(moments[-1].point_class)) <= {1, 2, 3}
+    assert np.isfinite(moments[-1].points).all()
+
+
+def test_a_run_without_a_recording_still_plays(circles, tmp_path):
+    for path in circles.iterdir():
+        if path.is_file() and path.suffix != ".mcap":
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    moments = list(Playback(tmp_path).moments())
+    assert all(len(moment.points) == 0 for moment in moments)
+    assert len(moments) == len(np.unique(columns_of(tmp_path, "circles")["t_ns"]))
+    refused = invoke("view", tmp_path, "--foxglove")
+    assert isinstance(refused.exception, FormatError)
+    assert "no run.mcap; the extra viz makes runs write it" in str(refused.exception)
+
+
+def test_outlines_are_circles_and_boxes():
+    objects = Objects(
+        id=np.array([1, 2]),
+        position=np.array([[1.0, 2, 0], [3, 4, 5]]),
+        velocity=np.zeros((2, 3)),
+        covariance=np.zeros((2, 3, 3)),
+        size=np.array([[2.0, 2, 0], [1, 2, 3]]),
+    )
+    around = objects.outline(0)
+    np.testing.assert_allclose(np.linalg.norm(around - [1, 2, 0], axis=1), 1.0)
+    np.testing.assert_allclose(around[0], around[-1], atol=1e-12)
+    np.testing.assert_array_equal(objects.outline(1).min(axis=0), [2.5, 3, 5])
+    np.testing.assert_array_equal(objects.outline(1).max(axis=0), [3.5, 5, 5])
+
+
+def test_other_folders_are_refused_in_words(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no such folder"):
+        Playback(tmp_path / "none")
+    with pytest.raises(FormatError, match=r"expected the folder of a run, with run\.toml"):
+        Playback(tmp_path)
+    (tmp_path / "run.toml").touch()
+    with pytest.raises(FormatError, match=r"neither tracks nor circles in it, but run\.toml"):
+        Playback(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["circles", "flying"])
+def test_pictures_show_points_and_objects(kind, request, tmp_path):
+    folder = request.getfixturevalue(kind)
+    done = invoke("view", folder, "--png", tmp_path / "a.png", "--at", "0.5")
+    assert done.exit_code == 0, done.output
+    early = np.asarray(Image.open(tmp_path / "a.png").convert("RGB")).astype(int)
+    late = np.asarray(Image.open(draw_moment(Playback(folder), tmp_path / "b.png")).convert("RGB"))
+    assert (early != late).any()
+    grey = (np.abs(early - [148, 163, 184]).max(axis=2) < 30).sum()
+    assert grey > 200
+    if kind == "circles":  # outlines in the colour of objects
+        assert (np.abs(early - [194, 65, 12]).max(axis=2) < 40).sum() > 100
+
+
+def test_films_have_a_frame_per_scan_or_fewer(circles, tmp_path):
+    path = draw_film(Playback(circles), tmp_path / "a.gif", frames=5)
+    with Image.open(path) as film:
+        assert film.n_frames == 5
+    with pytest.raises(ConfigError, match=r"expected a film that ends in \.gif or \.mp4"):
+        draw_film(Playback(circles), tmp_path / "a.avi")
+    assert [item.name for item in tmp_path.iterdir()] == ["a.gif"]
+
+
+def test_one_way_to_look_at_a_time(circles, tmp_path):
+    refused = invoke("view", circles, "--web", "--png", tmp_path / "a.png")
+    assert "expected one way to look at it, got --web, --png" in str(refused.exception)
+    refused = invoke("view", circles, "--at", "1")
+    assert "says which time --png draws" in str(refused.exception)
+
+
+def test_foxglove_gets_every_message_as_it_is_stored(circles, monkeypatch):
+    """A client over the WebSocket is the viewer's part; here every channel is watched."""
+    import foxglove
+
+    from lidar_core.viz import foxglove_server
+
+    sent, real = [], foxglove.Channel
+
+    class Watched:
+        def __init__(self, topic, **more):
+            self.topic, self.channel = topic, real(topic, **more)
+
+        def log(self, data, **more):
+            sent.append((self.topic, more["log_time"], bytes(data)))
+            self.channel.log(data, **more)
+
+    monkeypatch.setattr(foxglove, "Channel", Watched)
+    ports = []
+    foxglove_server.serve_foxglove(
+        circles / "run.mcap", port=0, speed=1000.0, repeat=False, on_ready=ports.append
+    )
+    assert ports[0] > 0
+    with (circles / "run.mcap").open("rb") as file:
+        stored = [(channel.topic, message.log_time, message.data)
+                  for _, channel, message in make_reader(file).iter_messages()]  # fmt: skip
+    assert sorted(sent) == sorted(stored)
+    assert [time for _, time, _ in sent] == sorted(time for _, time, _ in sent)
+
+
+def test_ctrl_c_ends_the_server(circles):
+    program = "from lidar_core.cli import main; main()"
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, "view", str(circles), "--foxglove", "--port", "0"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    killer = threading.Timer(60, process.kill)
+    killer.start()
+    try:
+        assert process.stdout.readline().startswith("ws://127.0.0.1:")
+        process.send_signal(2)
+        _, errors = process.communicate()
+    finally:
+        killer.cancel()
+    assert process.returncode == 0, errors
+
+
+@needs_rerun
+@pytest.mark.parametrize("kind", ["circles", "flying"])
+def test_rerun_files_hold_everything_that_is_played(kind, request, tmp_path):
+    folder = request.getfixturevalue(kind)
+    path = tmp_path / "run.rrd"
+    done = invoke("view", folder, "--rrd", path)
+    assert done.exit_code == 0, done.output
+    check = subprocess.run([sys.executable, "-m", "rerun", "rrd", "verify", str(path)],
+                           capture_output=True, text=True, check=False)  # fmt: skip
+    assert check.returncode == 0, check.stderr
+    shown = subprocess.run([sys.executable, "-m", "rerun", "rrd", "print", "-v", str(path)],
+                           capture_output=True, text=True, check=True).stdout  # fmt: skip
+    wanted = {"circles": ["/world/objects/outlines"], "flying": ["/world/objects/boxes",
+              "/world/map"]}  # fmt: skip
+    for entity in ["/world/points", "/world/objects/covariance", *wanted[kind]]:
+        assert entity in shown
