@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import nn, optim
+from torch import nn
 
 from lidar_core.errors import FormatError
 from lidar_core.io.atomic import written_whole
+from lidar_core_training.optimiser import Optimiser
 
 STATE = "state.json"
 BEST = "best.pt"
@@ -39,7 +40,7 @@ class Progress:
 
 
 def save(
-    folder: Path, progress: Progress, network: nn.Module, optimiser: optim.Optimizer, key: str
+    folder: Path, progress: Progress, network: nn.Module, optimiser: Optimiser, key: str
 ) -> None:
     """Write weights, optimiser and, last, the note that names both; then drop the ones before."""
     mark = f"{progress.epoch:05d}-{progress.step:07d}"
@@ -55,7 +56,7 @@ def save(
                 old.unlink()
 
 
-def load(folder: Path, network: nn.Module, optimiser: optim.Optimizer, key: str) -> Progress | None:
+def load(folder: Path, network: nn.Module, optimiser: Optimiser, key: str) -> Progress | None:
     """Go back to the last checkpoint; None if there is none.
 
     Raises

@@ -22,9 +22,29 @@ class TrainConfig(Config):
     datasets: tuple[DatasetConfig, ...] = Field(
         (DatasetConfig(),), min_length=1, description="What it learns from, all of them mixed."
     )
-    epochs: int = Field(106, ge=1, description="Passes over the training data (count, no unit).")
+    epochs: int = Field(
+        106, ge=1, description="Passes over the training data, or parts of it (count, no unit)."
+    )
+    parts: int = Field(
+        1,
+        ge=1,
+        le=10_000,
+        description="Into how many epochs a pass over the training data is divided; each of them"
+        " ends with a validation (count, no unit).",
+    )
+    validation_samples: int = Field(
+        0,
+        ge=0,
+        description="How many samples of the validation data an epoch ends with, at even"
+        " distances; 0: all (count, no unit).",
+    )
     batch_size: int = Field(
         256, ge=1, description="Samples per step, of all processes together (count, no unit)."
+    )
+    optimiser: Literal["adam", "muon"] = Field(
+        "adam",
+        description="Adam as published, or Muon for the hidden layers, which learns the same from"
+        " fewer samples (no unit).",
     )
     learning_rate: float = Field(1e-4, gt=0, description="Of Adam, or its peak (no unit).")
     schedule: Literal["constant", "one-cycle"] = Field(

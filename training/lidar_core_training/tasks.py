@@ -1,12 +1,12 @@
 """What each network is shown, and what its answers mean: two tasks with the same face."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
 from lidar_core.circles import Samples, Scanner
 from lidar_core.circles.windows import normalised, windows_of_samples
@@ -29,12 +29,15 @@ class Batch:
         return Batch(inputs, self.truth.to(device), self.scale.to(device))
 
 
+Network: TypeAlias = PaperNet | WindowNet
+
+
 class Task(Protocol):
     """One network and its data."""
 
     normalisation: dict[str, float]
 
-    def network(self) -> nn.Module:
+    def network(self) -> Network:
         """Return a fresh network."""
 
     def batch(self, data: "Data", numbers: NDArray[np.int64]) -> Batch:
@@ -83,7 +86,7 @@ class PaperTask:
     n_beams: int
     normalisation: dict[str, float]
 
-    def network(self) -> nn.Module:
+    def network(self) -> PaperNet:
         """Table I."""
         return PaperNet(self.n_beams)
 
@@ -112,7 +115,7 @@ class WindowTask:
     square_weight: float
     normalisation: dict[str, float]
 
-    def network(self) -> nn.Module:
+    def network(self) -> WindowNet:
         """A network on windows."""
         return WindowNet()
 

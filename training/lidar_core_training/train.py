@@ -27,6 +27,7 @@ from lidar_core_training import checkpoint
 from lidar_core_training.checkpoint import Progress
 from lidar_core_training.config import TrainConfig
 from lidar_core_training.metrics import breakdown, errors_of, summary
+from lidar_core_training.optimiser import Optimiser
 from lidar_core_training.tasks import Data, Task, task_of
 
 METRICS = "metrics.csv"
@@ -154,7 +155,11 @@ class Run:
         self.network = self.task.network()
         self._normalise()
         self.network.to(group.device)
-        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
+        self.optimiser = Optimiser(
+            self.network,
+            self.network.hidden() if config.optimiser == "muon" else [],
+            config.learning_rate,
+        )
         self.key = key_of(config)
         self.progress = (
             checkpoint.load(folder, self.network, self.optimiser, self.key) or Progress()
@@ -172,8 +177,9 @@ class Run:
 
     @property
     def steps(self) -> int:
-        """Steps of one epoch; the last samples that fill no batch are left for another epoch."""
-        return max(len(self.data["train"]) // self.config.batch_size, 1)
+        """Steps of one epoch; the last samples that fill no batch are left for another pass."""
+        samples = self.config.batch_size * self.config.parts
+        return max(len(self.data["train"]) // samples, 1)
 
     def rate(self, step: int) -> float:
         """Learning rate of the step with this number, counted over all epochs."""
@@ -207,8 +213,12 @@ class Run:
                 on_epoch(metrics)
 
     def _order(self, epoch: int) -> NDArray[np.int64]:
-        random = np.random.default_rng([self.config.seed, epoch])
-        return random.permutation(len(self.data["train"]))
+        """Samples of an epoch: of its part of a pass."""
+        number, part = divmod(epoch, self.config.parts)
+        order = np.random.default_rng([self.config.seed, number]).permutation(
+            len(self.data["train"])
+        )
+        return order[part * self.steps * self.config.batch_size :]
 
     def _step(self, order: NDArray[np.int64]) -> float:
         """One step on this process's share of a batch."""
@@ -216,9 +226,6 @@ class Run:
         chosen = order[progress.step * size : (progress.step + 1) * size]
         batch = self.task.batch(self.data["train"], np.sort(chosen[group.rank :: group.size]))
         batch = batch.to(group.device)
-        rate = self.rate(progress.epoch * self.steps + progress.step)
-        for parameters in self.optimiser.param_groups:
-            parameters["lr"] = rate
         mixed = self.config.precision == "mixed" and group.device.type == "cuda"
         with torch.autocast("cuda", torch.bfloat16) if mixed else nullcontext():
             answer = self.model(*batch.inputs)
@@ -227,7 +234,7 @@ class Run:
         loss.backward()
         if self.config.gradient_limit:
             nn.utils.clip_grad_norm_(self.network.parameters(), self.config.gradient_limit)
-        self.optimiser.step()
+        self.optimiser.step(self.rate(progress.epoch * self.steps + progress.step))
         progress.step += 1
         value = float(loss.detach())
         progress.sums[0] += value * len(answer)
@@ -240,9 +247,9 @@ class Run:
         metrics = {"epoch": float(progress.epoch + 1), "train_loss": loss / samples}
         validation = self.data["validation"]
         if len(validation) and group.rank == 0:
-            value, errors, nees = errors_of(
-                self.network, self.task, validation, np.arange(len(validation)), group.device
-            )
+            count = min(self.config.validation_samples or len(validation), len(validation))
+            some = np.arange(count) * len(validation) // count
+            value, errors, nees = errors_of(self.network, self.task, validation, some, group.device)
             metrics |= {"validation_loss": value}
             metrics |= {f"validation_{k}": v for k, v in summary(errors, nees).items()}
         metrics["rate"] = self.rate(progress.epoch * self.steps)

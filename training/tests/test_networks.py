@@ -6,6 +6,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from lidar_core.circles.architecture import paper_layers, window_layers
+from lidar_core.circles.windows import MISSING
 from lidar_core_training.losses import characteristic_points, four_points, gaussian, whitened
 from lidar_core_training.networks import PaperNet, WindowNet, parameter_count
 
@@ -27,6 +28,28 @@ def test_layers_of_table_1():
     assert network(torch.zeros(2, 1, 1081)).shape == (2, 3)
     with pytest.raises(ValueError, match="n_beams"):
         PaperNet(40)
+
+
+@pytest.mark.parametrize("n_beams", [1081, 360])
+def test_skipping_misses_changes_nothing(n_beams):
+    random = np.random.default_rng(75)
+    scans = np.full((40, 1, n_beams), MISSING, np.float32)
+    for scan, width in zip(scans[:, 0], random.integers(1, 120, 40), strict=True):
+        first = random.integers(0, n_beams - width)
+        scan[first : first + width] = random.uniform(size=width)
+    scans[0, 0, :5], scans[1, 0, -3:] = 0.5, 0.5  # at the ends of the field of view
+    scans[2], scans[3] = random.uniform(size=n_beams), MISSING
+    shown = torch.from_numpy(scans).double()
+    network = PaperNet(n_beams).double()
+    with torch.no_grad():
+        for layer in network.features[::2]:
+            layer.bias.uniform_(-0.1, 0.1)
+    found, expected = network(shown), network.head(network.features(shown).flatten(1))
+    assert_allclose(found.detach(), expected.detach(), rtol=1e-9, atol=1e-12)
+    weights = list(network.parameters())
+    slopes = (torch.autograd.grad(answer.square().sum(), weights) for answer in (found, expected))
+    for first, second in zip(*slopes, strict=True):
+        assert_allclose(first, second, rtol=1e-7, atol=1e-9)
 
 
 def test_the_layers_that_are_told_are_those_of_the_networks():
