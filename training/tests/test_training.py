@@ -19,7 +19,7 @@ from lidar_core_training import checkpoint
 from lidar_core_training.config import TrainConfig
 from lidar_core_training.curves import draw
 from lidar_core_training.export import PARITY, export
-from lidar_core_training.train import train
+from lidar_core_training.train import Group, Run, train
 
 CIRCLES = {"kind": "continuous", "draws": 1, "split_by": "circle", "circles": 400}
 SMALL = {"threads": 1, "batch_size": 32, "epochs": 2, "seed": 73, "datasets": [CIRCLES]}
@@ -28,7 +28,15 @@ CONFIGS = {
         {**SMALL, "network": "cnn", "schedule": "one-cycle", "gradient_limit": 5.0}
     ),
     "paper-cnn": TrainConfig.load(
-        {**SMALL, "network": "paper-cnn", "epochs": 1, "datasets": [CIRCLES | {"circles": 150}]}
+        {
+            **SMALL,
+            "network": "paper-cnn",
+            "optimiser": "muon",
+            "parts": 2,
+            "batch_size": 16,
+            "validation_samples": 20,
+            "datasets": [CIRCLES | {"circles": 150}],
+        }
     ),
 }
 STEPS_TO_STOP = 5
@@ -65,6 +73,8 @@ def test_a_run_leaves_metrics_and_a_test(run):
     with (folder / "metrics.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == CONFIGS[name].epochs
+    if name == "paper-cnn":
+        assert {row["validation_samples"] for row in rows} == {"20"}
     assert {"train_loss", "validation_loss", "validation_mse", "validation_mae"} <= rows[0].keys()
     assert json.loads((folder / "test.json").read_text()) == results
     assert results["test"][0]["errors"]["all"]["mse"] > 0
@@ -156,10 +166,21 @@ def test_only_finished_runs_are_exported(tmp_path):
         export(tmp_path, tmp_path / "m.onnx")
 
 
-@pytest.mark.parametrize("name", ["cnn", "paper"])
+@pytest.mark.parametrize("name", ["cnn", "paper", "paper-short"])
 def test_configurations_that_come_with_the_package_are_valid(name):
     path = Path(lidar_core_training.__file__).parent / "configs" / f"{name}.toml"
-    assert TrainConfig.read(path).network.startswith(name)
+    assert TrainConfig.read(path).network.startswith(name.removesuffix("-short"))
+
+
+def test_parts_of_a_pass_show_every_sample_once(tmp_path):
+    config = TrainConfig.load({**SMALL, "network": "cnn", "parts": 3, "epochs": 6})
+    train(config, tmp_path)
+    run = Run(config, tmp_path, Group.joined(config))
+    size = run.steps * config.batch_size
+    shown = [run._order(epoch)[:size] for epoch in range(6)]
+    for number in (0, 3):
+        assert len(np.unique(np.concatenate(shown[number : number + 3]))) == 3 * size
+    assert not np.array_equal(shown[0], shown[3])
 
 
 def test_a_wrong_value_is_named():
