@@ -99,13 +99,18 @@ def segment_scan(
     config: object,
     scanner: object,
 ) -> tuple[NDArray[np.int32], NDArray[np.uint32], NDArray[np.int64], NDArray[np.uint8]]: ...
+
+_CircleArrays: TypeAlias = tuple[
+    NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]
+]
+
 def detect_circles(
     ranges: NDArray[np.float32],
     bearings: NDArray[np.float64],
     *,
     config: object,
     scanner: object,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]: ...
+) -> _CircleArrays: ...
 def fit_circles(
     ranges: NDArray[np.float64],
     bearings: NDArray[np.float64],
@@ -113,7 +118,7 @@ def fit_circles(
     *,
     config: object,
     scanner: object,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]: ...
+) -> _CircleArrays: ...
 def fit_shapes(
     ranges: NDArray[np.float64],
     bearings: NDArray[np.float64],
@@ -331,6 +336,7 @@ class CirclePipeline:
         circles: NDArray[np.float64],
         covariance: NDArray[np.float64],
         n_hits: NDArray[np.int64],
+        is_fallback: NDArray[np.bool_],
     ) -> dict[str, Any]: ...
     def map_at(
         self, stamp_ns: int

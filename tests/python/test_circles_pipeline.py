@@ -6,13 +6,14 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from lidar_core import ConfigError, InputError
+from lidar_core import ConfigError, InputError, NumericalError
 from lidar_core.circles import (
     CirclePipeline,
     Circles,
     CirclesConfig,
     PreprocessConfig,
     Scanner,
+    fit_circles,
     limit_range,
     project_horizontal,
     segment,
@@ -303,6 +304,42 @@ def test_a_bad_scan_is_refused_and_changes_nothing(name):
     health = met.health()
     assert (health.received, health.processed, health.rejected) == (9, 8, 1)
     assert counting.health() == health
+
+
+def test_every_error_of_a_scan_is_counted_by_its_reason():
+    def estimator(ranges, bearings, segments):
+        raise NumericalError("S is not positive definite")
+
+    scan, limit = scan_of((4, 0, 0.3), np.eye(4)), 64
+    broken = CirclePipeline(CirclesConfig(on_bad_scan="count"), estimator=estimator)
+    for k in range(3):
+        assert broken.process(scan, np.eye(4), k * PERIOD_NS).rejected is not None
+    assert broken.health().reasons == {"S is not positive definite": 3}
+    with pytest.raises(NumericalError):
+        CirclePipeline(estimator=estimator).process(scan, np.eye(4), 0)
+    pipeline = CirclePipeline(CirclesConfig(on_bad_scan="count"))
+    for k in range(limit + 2):
+        frame = pipeline.process(scan, np.eye(4), k * PERIOD_NS, scanner=f"name {k}")
+    assert "more" in frame.rejected
+    for _ in range(2):
+        pipeline.process(scan[:50], np.eye(4), 0, scanner="name 0")
+    health = pipeline.health()
+    assert (health.received, health.rejected) == (limit + 4, 4)
+    assert sum(health.reasons.values()) == 4
+
+
+@pytest.mark.parametrize("config", [CirclesConfig(), CirclesConfig.paper()])
+def test_errors_name_the_scanner(config):
+    scan = scan_of((4, 0, 0.3), np.eye(4))
+    pipeline = CirclePipeline(config, estimator=usual)
+    for name in ("left", "right"):
+        pipeline.process(scan, np.eye(4), 0, scanner=name)
+    with pytest.raises(InputError, match='from scanner "right": it was processed'):
+        pipeline.process(scan, np.eye(4), 0, scanner="right")
+
+
+def usual(ranges, bearings, segments):
+    return fit_circles(ranges, bearings, segments)
 
 
 def test_late_scans_are_taken_in_where_they_belong():

@@ -234,7 +234,7 @@ def test_late_scans_have_one_reason(tmp_path):
     )
     for stamp in (10**12, 1, 2, 3):
         run.take(PosedScan(replace(scan, stamp_ns=stamp), np.eye(4)))
-    ((reason, count),) = run.rejected.items()
+    ((reason, count),) = run.pipeline.health().reasons.items()
     assert count == 3
     assert "later than the map can go back" in reason
 

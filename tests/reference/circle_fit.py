@@ -10,7 +10,12 @@ RARITY = 8  # power with which circles of more than the usual radius become rare
 REACH = 4.0  # of the grid of distances, in standard deviations
 
 
-above = np.vectorize(lambda z: 0.5 * math.erfc(z / math.sqrt(2)))
+def above(z):
+    """Probability that a standard normal variable is above z, (...)."""
+    chance = np.where(z > 0, 0.0, 1.0)
+    near = abs(z) < 8.0  # the rest is certain
+    chance[near] = [0.5 * math.erfc(one / math.sqrt(2)) for one in z[near].tolist()]
+    return chance
 
 
 def ranges_of(circles, bearings):

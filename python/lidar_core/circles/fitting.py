@@ -1,6 +1,6 @@
 """Circles fitted to groups of rays."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -26,11 +26,19 @@ class Circles:
         Of the parameters [m^2].
     n_hits : ndarray, shape (C,), int64
         Rays that ended on the circle.
+    is_fallback : ndarray, shape (C,), bool
+        Whether no circle within the bounds of the radius explains the rays: then it is the
+        algebraic fit, with a rough covariance. None is, if not given.
     """
 
     parameters: NDArray[np.float64]
     covariance: NDArray[np.float64]
     n_hits: NDArray[np.int64]
+    is_fallback: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+
+    def __post_init__(self) -> None:
+        if not len(self.is_fallback):
+            object.__setattr__(self, "is_fallback", np.zeros(len(self.parameters), np.bool_))
 
     def __len__(self) -> int:
         return len(self.parameters)

@@ -1,7 +1,6 @@
 """The circle pipeline: 2D scans in, a map of circles with identities out."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from threading import Lock
 from typing import Any, TypeAlias, get_args
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidar_core import _core
-from lidar_core.arrays import as_finite_rows, as_poses, as_rows, as_stamp
+from lidar_core.arrays import as_finite_rows, as_mask, as_poses, as_rows, as_stamp
 from lidar_core.circles.config import CirclesConfig
 from lidar_core.circles.fit_config import FitMethod
 from lidar_core.circles.fitting import Circles
@@ -21,7 +20,7 @@ from lidar_core.circles.results import CircleFrame, CirclesHealth
 from lidar_core.circles.segmentation import Segments, segments_of
 from lidar_core.circles.shapes import Shapes
 from lidar_core.config import as_config
-from lidar_core.errors import ConfigError, InputError
+from lidar_core.errors import ConfigError, InputError, LimitError, NumericalError
 
 Estimator: TypeAlias = Callable[[NDArray[np.float64], NDArray[np.float64], Segments], Circles]
 """Ranges and bearings in the level frame and segments to one circle per segment."""
@@ -128,10 +127,14 @@ class CirclePipeline:
         InputError
             Wrong shape, dtype or value, a scan plane within 1.1 degrees of the vertical, or a
             stamp that was processed or comes later than `config.map.buffer_time`. The map is
-            unchanged. With `on_bad_scan="count"` nothing is raised: the frame says in `rejected`
-            what was wrong.
+            unchanged.
         LimitError
             Too many objects; the map is unchanged.
+        NumericalError
+            A covariance that cannot be used; the map is unchanged.
+
+        With `on_bad_scan="count"` none of these is raised: the frame says in `rejected` what was
+        wrong, and `health` counts it.
         """
         self._count("received")
         try:
@@ -144,13 +147,14 @@ class CirclePipeline:
                 pose_covariance,
                 scanner,
             )
-        except InputError as error:
-            self._count("rejected")
+        except (InputError, LimitError, NumericalError) as error:
+            reason = str(error)
+            self._count("rejected", reason)
             if self.config.on_bad_scan == "raise":
                 raise
-            return self._rejected(stamp_ns, scanner, str(error))
-        except BaseException:
-            self._count("rejected")
+            return self._rejected(stamp_ns, scanner, reason)
+        except BaseException as error:
+            self._count("rejected", type(error).__name__)
             raise
         self._count("processed")
         return frame
@@ -205,9 +209,9 @@ class CirclePipeline:
         limits = self.config.scanners.get(scanner, self.config.scanner)
         return partial(self._network.of_segments, config=self.config.fit, scanner=limits)
 
-    def _count(self, name: str) -> None:
+    def _count(self, name: str, reason: str | None = None) -> None:
         with self._counting:
-            self._health = replace(self._health, **{name: getattr(self._health, name) + 1})
+            self._health = self._health.one_more(name, reason)
 
     def _rejected(self, stamp_ns: Any, scanner: Any, reason: str) -> CircleFrame:
         try:
@@ -262,7 +266,7 @@ def _frame(stamp_ns: int, scanner: str, values: dict[str, Any]) -> CircleFrame:
 
 def _rows(
     circles: Circles, count: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
     """What an estimator returned, checked."""
     if not isinstance(circles, Circles):
         raise InputError(f"estimator: expected Circles, got {type(circles).__name__}")
@@ -270,4 +274,5 @@ def _rows(
         as_finite_rows(circles.parameters, name="circles", rows=count, shape=(3,)),
         as_finite_rows(circles.covariance, name="covariance", rows=count, shape=(3, 3)),
         as_rows(circles.n_hits, name="n_hits", rows=count, shape=(), dtype=np.int64),
+        as_mask(circles.is_fallback, name="is_fallback", rows=count),
     )

@@ -1,6 +1,9 @@
 """What the circle pipeline says about one scan."""
 
-from dataclasses import dataclass, field
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,8 +74,19 @@ class CirclesHealth:
     ----------
     received, processed, rejected : int
         received = processed + rejected.
+    reasons : mapping of str to int
+        Rejected scans by what was wrong, without the values of the single scan.
     """
 
     received: int = 0
     processed: int = 0
     rejected: int = 0
+    reasons: Mapping[str, int] = field(default_factory=dict)
+
+    def one_more(self, name: str, reason: str | None = None) -> Self:
+        """Count one more scan as `name`, for a reason if it is rejected."""
+        reasons = dict(self.reasons)
+        if reason is not None:
+            kind = re.sub(r"-?\d+ ns", "... ns", reason.split(", got", maxsplit=1)[0])
+            reasons[kind] = reasons.get(kind, 0) + 1
+        return replace(self, **{name: getattr(self, name) + 1}, reasons=reasons)

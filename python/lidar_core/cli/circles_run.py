@@ -1,7 +1,5 @@
 """A run of the circle pipeline: what it gave, scan by scan, and the files about it."""
 
-import re
-from collections import Counter
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -40,11 +38,6 @@ def layout_name(name: str, rays: int) -> str:
     return f"{name}, {rays} rays"
 
 
-def _reason(rejected: str) -> str:
-    """Why a scan was rejected, without what differs from scan to scan."""
-    return re.sub(r"-?\d+ ns", "... ns", rejected.split(", got", maxsplit=1)[0])
-
-
 @dataclass(frozen=True, slots=True)
 class _Found:
     """Circles of one scan that went into the map: all that tables need of a frame."""
@@ -53,13 +46,20 @@ class _Found:
     circles: NDArray[np.float64]
     covariance: NDArray[np.float64]
     n_hits: NDArray[np.int64]
+    is_fallback: NDArray[np.bool_]
     element: NDArray[np.int64]
 
     @classmethod
     def of(cls, frame: CircleFrame) -> Self:
         in_map, circles = frame.element >= 0, frame.circles_world
-        return cls(frame.scanner, circles.parameters[in_map], circles.covariance[in_map],
-                   circles.n_hits[in_map], frame.element[in_map])  # fmt: skip
+        return cls(
+            frame.scanner,
+            circles.parameters[in_map],
+            circles.covariance[in_map],
+            circles.n_hits[in_map],
+            circles.is_fallback[in_map],
+            frame.element[in_map],
+        )
 
 
 class CirclesRun:
@@ -77,7 +77,6 @@ class CirclesRun:
         self.pipeline = pipeline
         self.frame_id = "world"
         self.maps: list[CircleElements] = []
-        self.rejected: Counter[str] = Counter()
         self._films = films
         self._times = ScanTimes()
         self._mcap: McapWriter | None = None
@@ -90,7 +89,7 @@ class CirclesRun:
     @property
     def n_received(self) -> int:
         """Scans so far, rejected ones included."""
-        return len(self.maps) + self.rejected.total()
+        return self.pipeline.health().received
 
     @property
     def element_ids(self) -> list[int]:
@@ -112,7 +111,6 @@ class CirclesRun:
         )
         wall_ms = (perf_counter() - start) * 1e3
         if frame.rejected is not None:
-            self.rejected[_reason(frame.rejected)] += 1
             return
         self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms)
         self._keep(frame, item.world_from_lidar.reshape(-1, 4, 4)[0])
@@ -131,7 +129,7 @@ class CirclesRun:
             "scans": {
                 "received": health.received,
                 "processed": health.processed,
-                "rejected": dict(self.rejected),
+                "rejected": dict(health.reasons),
             },
             "circles": sum(len(item.element) for item in self._found),
             "elements": len(self.element_ids),
@@ -202,6 +200,9 @@ class CirclesRun:
             "frame_id": [self.frame_id] * sum(counts),
             **{name: circles[:, axis] for axis, name in enumerate(names)},
             "n_points": np.concatenate([no_rows, *(item.n_hits for item in found)]),
+            "is_fallback": np.concatenate(
+                [np.empty(0, np.bool_), *(item.is_fallback for item in found)]
+            ),
             "element": np.concatenate([no_rows, *(item.element for item in found)]),
             **{
                 f"cov_{names[row]}_{names[column]}": covariance[:, row, column]

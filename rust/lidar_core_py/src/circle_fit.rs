@@ -16,9 +16,13 @@ use numpy::{
 };
 use pyo3::prelude::*;
 
-/// Parameters (C, 3), covariance (C, 3, 3), number of hits (C,).
-pub(crate) type CircleArrays<'py> =
-    (Rows3<'py, f64>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray1<i64>>);
+/// Parameters (C, 3), covariance (C, 3, 3), number of hits (C,), whether it is a fallback (C,).
+pub(crate) type CircleArrays<'py> = (
+    Rows3<'py, f64>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray1<i64>>,
+    Bound<'py, PyArray1<bool>>,
+);
 
 /// Rays, starts and sides of `Segments`.
 type SegmentArrays<'py> =
@@ -66,12 +70,9 @@ pub(crate) fn fit_circles<'py>(
     config: FitConfig,
     scanner: ScannerConfig,
 ) -> Result<CircleArrays<'py>, BorderError> {
-    let (ranges, bearings) =
-        (arrays::flat("ranges", &ranges)?, arrays::flat("bearings", &bearings)?);
-    let segments = read_segments(&segments)?;
+    let (scan, segments) = read_scan(&ranges, &bearings, &segments)?;
     let found = detached(py, || {
         let mut fitter = Fitter::new(config.parameters(&scanner)?)?;
-        let scan = PolarScan { ranges: ranges.to_vec(), bearings: bearings.to_vec() };
         let mut circles = Vec::with_capacity(segments.len());
         fitter.fit(&scan, &segments, &mut circles)?;
         Ok(circles.into_iter().map(Some).collect::<Vec<_>>())
@@ -98,12 +99,9 @@ pub(crate) fn fit_shapes<'py>(
     config: FitConfig,
     scanner: ScannerConfig,
 ) -> Result<ShapeArrays<'py>, BorderError> {
-    let (ranges, bearings) =
-        (arrays::flat("ranges", &ranges)?, arrays::flat("bearings", &bearings)?);
-    let segments = read_segments(&segments)?;
+    let (scan, segments) = read_scan(&ranges, &bearings, &segments)?;
     let found = detached(py, || {
         let mut fitter = ShapeFitter::new(config.parameters(&scanner)?)?;
-        let scan = PolarScan { ranges: ranges.to_vec(), bearings: bearings.to_vec() };
         let mut shapes = Vec::with_capacity(segments.len());
         fitter.fit(&scan, &segments, &mut shapes)?;
         Ok(shapes)
@@ -134,6 +132,17 @@ pub(crate) fn shape_arrays<'py>(
         misfit.into_pyarray(py),
         hits.into_pyarray(py),
     ))
+}
+
+/// A scan, and its segments without their labels.
+fn read_scan(
+    ranges: &PyReadonlyArray1<'_, f64>,
+    bearings: &PyReadonlyArray1<'_, f64>,
+    segments: &SegmentArrays<'_>,
+) -> Result<(PolarScan, Segments), BorderError> {
+    let ranges = arrays::flat("ranges", ranges)?.to_vec();
+    let bearings = arrays::flat("bearings", bearings)?.to_vec();
+    Ok((PolarScan { ranges, bearings }, read_segments(segments)?))
 }
 
 /// Segments without their labels.
@@ -179,10 +188,12 @@ pub(crate) fn circle_arrays<'py>(
         })
     });
     let hits = circles.iter().map(|known| known.map_or(0, |circle| circle.n_hits as i64));
+    let flags = circles.iter().map(|known| known.is_some_and(|circle| circle.is_fallback));
     let covariance: Vec<f64> = covariance.collect();
     Ok((
         arrays::rows_into(py, parameters.collect())?,
         covariance.into_pyarray(py).reshape([circles.len(), 3, 3])?,
         hits.collect::<Vec<i64>>().into_pyarray(py),
+        flags.collect::<Vec<bool>>().into_pyarray(py),
     ))
 }

@@ -191,6 +191,7 @@ pub(crate) fn estimates(
             circle: Circle { center: [x, y], radius },
             covariance,
             n_hits: 0,
+            is_fallback: false,
         })
         .collect())
 }

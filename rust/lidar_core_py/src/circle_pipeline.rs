@@ -153,14 +153,20 @@ impl PyCirclePipeline {
         circles: PyReadonlyArray2<'py, f64>,
         covariance: PyReadonlyArray3<'py, f64>,
         n_hits: PyReadonlyArray1<'py, i64>,
+        is_fallback: PyReadonlyArray1<'py, bool>,
     ) -> Result<Bound<'py, PyDict>, BorderError> {
         let mut circles = estimates(&circles, &covariance)?;
-        if n_hits.len() != circles.len() {
-            let (expected, got) = (circles.len(), n_hits.len());
-            return Err(Error::Length { name: "n_hits", expected, got }.into());
+        let expected = circles.len();
+        for (name, got) in [("n_hits", n_hits.len()), ("is_fallback", is_fallback.len())] {
+            if got != expected {
+                return Err(Error::Length { name, expected, got }.into());
+            }
         }
-        for (circle, &hits) in circles.iter_mut().zip(arrays::flat("n_hits", &n_hits)?) {
+        let hits = arrays::flat("n_hits", &n_hits)?.iter();
+        let flags = arrays::flat("is_fallback", &is_fallback)?.iter();
+        for ((circle, &hits), &is_fallback) in circles.iter_mut().zip(hits).zip(flags) {
             circle.n_hits = arrays::count("n_hits", hits)?;
+            circle.is_fallback = is_fallback;
         }
         let prepared = prepared.0.clone();
         let frame = self.0.with(py, |pipeline| pipeline.integrate(prepared, circles))?;

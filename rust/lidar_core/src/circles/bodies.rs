@@ -61,6 +61,7 @@ impl ShapeParameters {
             },
             covariance,
             n_hits: shape.n_hits,
+            is_fallback: false,
         })
     }
 
@@ -86,6 +87,7 @@ impl ShapeParameters {
             circle: Circle { center: [x, y], radius },
             covariance,
             n_hits: shape.n_hits,
+            is_fallback: false,
         })
     }
 }

@@ -18,4 +18,7 @@ pub struct CircleEstimate {
     pub covariance: [[f64; 3]; 3],
     /// Rays that ended on it.
     pub n_hits: usize,
+    /// Whether no circle within the bounds of the radius explains the rays: then it is the
+    /// algebraic fit, with a rough covariance.
+    pub is_fallback: bool,
 }

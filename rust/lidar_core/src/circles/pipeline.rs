@@ -139,7 +139,9 @@ impl CirclePipeline {
         let mut clock = Clock::start();
         let parameters = &self.parameters;
         check(raw, channel.bearings.len())?;
-        self.map.check_stamp(raw.stamp_ns, number as u32)?;
+        self.map
+            .check_stamp(raw.stamp_ns, number as u32)
+            .map_err(|error| with_name(error, number, raw.scanner))?;
         let motion = Motion::new(raw.poses, raw.pose_stamps_ns)?;
         let sweep = Sweep::new(&motion, raw.stamp_ns, raw.ray_time_ns)?;
         let upright = upright(&sweep)?;
@@ -259,7 +261,7 @@ impl CirclePipeline {
             .as_ref()
             .map(|delays| kept.iter().map(|&number| delays[number]).collect());
         let [range_min, range_max] = prepared.range_limits;
-        let stats = self.map.update(&CircleScan {
+        let updated = self.map.update(&CircleScan {
             stamp_ns: prepared.stamp_ns,
             sensor: prepared.number as u32,
             world_from_lidar: &prepared.world_from_lidar,
@@ -267,7 +269,9 @@ impl CirclePipeline {
             estimates: &estimates,
             delays: delays.as_deref(),
             view: Some(View { scan: &prepared.level.scan, range_min, range_max }),
-        })?;
+        });
+        let stats =
+            updated.map_err(|error| with_name(error, prepared.number, &prepared.scanner))?;
         let mut elements = vec![None; circles.len()];
         for (number, &element) in kept.into_iter().zip(&stats.elements) {
             elements[number] = Some(element);
@@ -320,6 +324,13 @@ impl CirclePipeline {
         }
         frame
     }
+}
+
+/// An error of the map, which knows scanners by number, for somebody who knows them by name.
+fn with_name(error: Error, number: usize, name: &str) -> Error {
+    let Error::Time { what } = error else { return error };
+    let named = format!("from scanner {name:?}");
+    Error::Time { what: what.replace(&format!("from sensor {number}"), &named) }
 }
 
 /// Horizontal share of the shortest ray.

@@ -122,7 +122,12 @@ pub fn circle_of(frame: &Frame, answer: &[f32; ANSWER]) -> CircleEstimate {
     });
     let [x, y, radius] = turned(local);
     let radius = radius.max(SMALLEST_RADIUS);
-    CircleEstimate { circle: Circle { center: [x, y], radius }, covariance, n_hits: frame.n_hits }
+    CircleEstimate {
+        circle: Circle { center: [x, y], radius },
+        covariance,
+        n_hits: frame.n_hits,
+        is_fallback: false,
+    }
 }
 
 fn check(window: &Window<'_>, slots: &[f32], context: &[f32]) -> Result<(), Error> {

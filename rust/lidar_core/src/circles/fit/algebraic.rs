@@ -17,11 +17,9 @@ const FLAT: f64 = 1e-12;
 const FEW: usize = 3;
 /// Circles of more than this share of the largest radius may be held by it.
 const HELD: f64 = 0.95;
-/// Of the noise along a ray, a surface shows at least this share of the variance: near the tangent
-/// the range is no straight line. Chosen for honest covariances of the algebraic fits.
-const LEAST_SLANT: f64 = 0.1;
 
-/// Fit a circle to the hits of an arc. Where they leave it open, it lies behind their middle.
+/// Fit a circle to the hits of an arc. Where they leave it open, it lies behind their middle. Its
+/// covariance is a rough one.
 pub(super) fn fit(arc: &Arc, parameters: &FitParameters) -> Estimate {
     let bounds = parameters.radius;
     let free = free(arc, parameters.method);
@@ -30,19 +28,14 @@ pub(super) fn fit(arc: &Arc, parameters: &FitParameters) -> Estimate {
         None => behind(arc, bounds),
     };
     let mut covariance = covariance(arc, circle, parameters);
-    if arc.hits.len() < FEW {
-        let wide = variance_within(bounds);
-        (0..3).for_each(|k| covariance[k][k] += wide);
-    } else {
-        let skewed = skewness(arc, circle, covariance[2][2], bounds);
-        add_square(&mut covariance, skewed);
+    if arc.hits.len() >= FEW {
         add_square(&mut covariance, beyond(arc, free, circle, bounds));
     }
     (circle, covariance)
 }
 
-/// A circle found otherwise, which the largest radius may hold: the distance to the circle without
-/// bounds is part of its error then.
+/// A circle that the largest radius may hold: the distance to the circle without bounds is part of
+/// its error then.
 pub(super) fn held(
     arc: &Arc,
     parameters: &FitParameters,
@@ -85,16 +78,6 @@ fn beyond(arc: &Arc, free: Option<[f64; 3]>, circle: [f64; 3], bounds: [f64; 2])
     }
     let scale = (most / apart[2].abs()).min(1.0);
     apart.map(|entry| scale * entry)
-}
-
-/// What a standard deviation of the curvature means for the radius beyond what it means near the
-/// circle: large circles are harder to exclude than small ones.
-fn skewness(arc: &Arc, circle: [f64; 3], variance: f64, [_, most]: [f64; 2]) -> [f64; 3] {
-    let std = variance.sqrt();
-    let reach = if std < circle[2] { (std / (1.0 - std / circle[2])).min(most) } else { most };
-    let size = (reach * reach - variance).max(0.0).sqrt();
-    let ahead = away(arc, circle);
-    [size * ahead[0], size * ahead[1], size]
 }
 
 /// Direction from the middle of the hits to the centre, in which it moves as the radius grows.
@@ -244,27 +227,22 @@ fn behind(arc: &Arc, [least, most]: [f64; 2]) -> [f64; 3] {
     [factor * middle[0], factor * middle[1], radius]
 }
 
-/// Covariance to first order: of the unweighted geometric fit, which the algebraic ones follow, to
-/// ranges with equal noise, of which a slanting surface shows the cosine; joined with what the
+/// Covariance to first order: of the geometric fit to ranges with equal noise, joined with what the
 /// bounds of the radius say.
 fn covariance(arc: &Arc, [x, y, radius]: [f64; 3], parameters: &FitParameters) -> [[f64; 3]; 3] {
     let variance = parameters.range_std * parameters.range_std;
     let wide = variance_within(parameters.radius);
     // The bounds count as one measurement of the radius, and one of the centre about the hits.
     let mut information = Matrix3::from_diagonal(&Vector3::repeat(1.0 / wide));
-    let mut noise = information;
     for hit in &arc.hits {
         let [px, py] = point(hit);
         let (dx, dy) = (px - x, py - y);
         let length = libm::hypot(dx, dy).max(1e-9);
         let row = Vector3::new(dx / length, dy / length, 1.0);
-        let slant = (hit.cosine * row.x + hit.sine * row.y).powi(2).max(LEAST_SLANT);
-        let outer = row * row.transpose() * (hit.weight / variance);
-        information += outer;
-        noise += outer * slant;
+        information += row * row.transpose() * (hit.weight / variance);
     }
     let floor = 1e-12 * radius * radius;
     let inverse = information.try_inverse().unwrap_or_else(|| Matrix3::identity() * wide);
-    let spread = inverse * noise * inverse + Matrix3::identity() * floor;
+    let spread = inverse + Matrix3::identity() * floor;
     std::array::from_fn(|i| std::array::from_fn(|j| spread[(i, j)]))
 }

@@ -11,6 +11,9 @@ const MANY: usize = 64;
 /// Outermost hits that stay as they are: near the tangents the range is no straight line.
 const KEPT: usize = 8;
 
+/// Rays that return nothing between two hits of an object, at most.
+const MOST_BETWEEN: usize = 50;
+
 /// One hit, or several that lie side by side. Bearings count from the middle of the arc.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::circles) struct Hit {
@@ -49,6 +52,9 @@ pub(in crate::circles) struct Arc {
     pub(in crate::circles) square: f64,
     /// Sides of smaller and of larger bearings.
     pub(in crate::circles) edges: [Edge; 2],
+    /// Bearings of rays between the hits that returned nothing, if the range limits cut a side:
+    /// they may cut here, too.
+    pub(in crate::circles) missed: Vec<f64>,
 }
 
 /// Where one side of a segment is looked at.
@@ -110,6 +116,10 @@ impl Arc {
             self.edges[side].bearing = bearings[side];
             self.read_edge(side, sides[side], &outward, parameters);
         }
+        self.missed.clear();
+        if sides.contains(&Side::RangeCut) {
+            self.read_missed(scan, rays);
+        }
         if !parameters.method.is_algebraic() {
             self.join_hits();
         }
@@ -169,8 +179,19 @@ impl Arc {
         }
     }
 
+    fn read_missed(&mut self, scan: &PolarScan, rays: &[u32]) {
+        for pair in rays.windows(2) {
+            let between = (pair[0].min(pair[1]) + 1) as usize..pair[0].max(pair[1]) as usize;
+            if between.len() > MOST_BETWEEN {
+                continue; // the seam of a full circle
+            }
+            let missed = between.filter(|&ray| scan.ranges[ray] == f64::INFINITY);
+            self.missed.extend(missed.map(|ray| turn(scan.bearings[ray] - self.bearing)));
+        }
+    }
+
     /// Join the hits of a large arc, all but the outermost.
-    fn join_hits(&mut self) {
+    pub(super) fn join_hits(&mut self) {
         let count = self.hits.len();
         if count <= MANY {
             return;

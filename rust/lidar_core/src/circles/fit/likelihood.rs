@@ -8,7 +8,7 @@
 use super::FitParameters;
 use super::arc::{Arc, Hit};
 use crate::circles::fit::mode::Normal;
-use std::f64::consts::FRAC_1_SQRT_2;
+use std::f64::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI};
 
 /// Coordinates of the search: square roots of how far each tangent lies beyond its outermost hit
 /// [rad^(1/2)], in which the likelihood is smooth up to a tangent that is a hit.
@@ -18,6 +18,15 @@ pub(super) type Roots = [f64; 2];
 const SPREAD: f64 = 4.0;
 /// Power with which circles of more than the usual radius become rare.
 const RARITY: i32 = 8;
+/// Steps to the best distance, and the squared step, over its variance, that is not worth another.
+const MOST_STEPS: usize = 4;
+const ENOUGH: f64 = 0.01;
+/// Share of rays on an object that return nothing though it is within the range limits.
+const DROPPED: f64 = 1e-3;
+/// Probabilities below this tell no more.
+const SMALLEST: f64 = 1e-300;
+/// Of the normal distribution at zero.
+const DENSITY: f64 = FRAC_2_SQRT_PI * 0.5 * FRAC_1_SQRT_2;
 
 /// What the likelihood says about the best circle with given tangents.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -124,11 +133,11 @@ impl Likelihood<'_> {
         let view = self.view(roots);
         let (free, [gg, gz]) = self.distance(&view);
         let [least, most] = self.parameters.radius.map(|radius| radius / view.half[0]);
-        let distance = free.clamp(least, most);
         let noise = self.parameters.range_std * self.parameters.range_std;
+        let (known, variance, missed) = self.with_misses(roots, &view, [free, noise / gg]);
+        let distance = known.clamp(least, most);
         let misfit = self.arc.square - distance * (2.0 * gz - distance * gg);
-        let log_likelihood = self.log_missed(roots, &view, distance) - 0.5 * misfit / noise;
-        let variance = noise / gg;
+        let log_likelihood = missed - 0.5 * misfit / noise;
         let prior = distance * distance * view.half[1] * variance.sqrt();
         let usual = self.parameters.usual_radius;
         let rarity = (usual / (distance * view.half[0])).min(1.0).powi(RARITY);
@@ -143,23 +152,68 @@ impl Likelihood<'_> {
         }
     }
 
+    /// Distance and its variance, given those of the hits, and the rays that returned nothing:
+    /// their likelihood is log-concave, so Newton's steps lead to the best distance, and its
+    /// curvature there tells the variance (Laplace's method). Also the logarithm of that
+    /// likelihood.
+    fn with_misses(
+        &self,
+        roots: Roots,
+        view: &View,
+        [free, variance]: [f64; 2],
+    ) -> (f64, f64, f64) {
+        let mut distance = free;
+        let mut missed = self.missed(roots, view, distance);
+        for _ in 0..MOST_STEPS {
+            let information = 1.0 / variance - missed[2];
+            let step = (missed[1] - (distance - free) / variance) / information;
+            if step * step * information < ENOUGH {
+                break;
+            }
+            distance += step;
+            missed = self.missed(roots, view, distance);
+        }
+        (distance, 1.0 / (1.0 / variance - missed[2]), missed[0])
+    }
+
     /// Logarithm of the probability that rays which returned nothing cross the circle outside the
-    /// range limits.
-    fn log_missed(&self, roots: Roots, view: &View, distance: f64) -> f64 {
-        let std = self.parameters.range_std;
-        let [near, far] = self.parameters.range_limits;
-        let above = |z: f64| 0.5 * libm::erfc(z / std * FRAC_1_SQRT_2);
-        let mut sum = 0.0;
+    /// range limits, and its two derivatives by the distance.
+    fn missed(&self, roots: Roots, view: &View, distance: f64) -> [f64; 3] {
+        let mut sums = [0.0; 3];
+        let mut add = |bearing: f64, least: f64| {
+            let g = view.met(libm::cos(bearing), libm::sin(bearing)).g;
+            for (sum, term) in sums.iter_mut().zip(self.miss(g, distance, least)) {
+                *sum += term;
+            }
+        };
         for (side, edge) in self.arc.edges.iter().enumerate() {
             let sign = if side == 0 { -1.0 } else { 1.0 };
             let reach = roots[side] * roots[side];
             for beyond in edge.missed.iter().take_while(|&&beyond| beyond < reach) {
-                let bearing = edge.bearing + sign * beyond;
-                let range = distance * view.met(libm::cos(bearing), libm::sin(bearing)).g;
-                sum += libm::log((above(far - range) + above(range - near)).max(1e-300));
+                add(edge.bearing + sign * beyond, 0.0);
             }
         }
-        sum
+        for &bearing in &self.arc.missed {
+            add(bearing, DROPPED);
+        }
+        sums
+    }
+
+    /// The same of one ray: where it returns nothing for other reasons, with the probability
+    /// `least`, it tells nothing.
+    fn miss(&self, g: f64, distance: f64, least: f64) -> [f64; 3] {
+        let ([near, far], std) = (self.parameters.range_limits, self.parameters.range_std);
+        let over = [(distance * g - far) / std, (near - distance * g) / std];
+        let [above, below] = over.map(|z| 0.5 * libm::erfc(-z * FRAC_1_SQRT_2));
+        let chance = above + below;
+        if chance <= least.max(SMALLEST) {
+            return [libm::log(least.max(SMALLEST)), 0.0, 0.0];
+        }
+        let [high, low] = over.map(|z| DENSITY * libm::exp(-0.5 * z * z));
+        let slope = (high - low) / chance;
+        let bend = -(over[0] * high + over[1] * low) / chance - slope * slope;
+        let scale = g / std;
+        [libm::log(chance), scale * slope, scale * scale * bend.min(0.0)]
     }
 
     /// Half the squared misfit of the ranges over their variance, and its derivatives by the

@@ -140,13 +140,18 @@ impl Fitter {
     }
 
     fn circle_of_arc(&mut self) -> CircleEstimate {
-        let (arc, parameters) = (&self.arc, &self.parameters);
-        let found = if parameters.method.is_algebraic() {
-            None
-        } else {
-            self.posterior.of(&Likelihood { arc, parameters })
-        };
-        estimate(arc, parameters, found)
+        let parameters = &self.parameters;
+        if !parameters.method.is_algebraic() {
+            let found = self.posterior.of(&Likelihood { arc: &self.arc, parameters });
+            return estimate(&self.arc, parameters, found);
+        }
+        let (circle, roughly) = algebraic::fit(&self.arc, parameters);
+        self.arc.join_hits();
+        let arc = &self.arc;
+        match self.posterior.error_of(circle, &Likelihood { arc, parameters }) {
+            Some(error) => placed(arc, algebraic::held(arc, parameters, (circle, error)), false),
+            None => placed(arc, (circle, roughly), true),
+        }
     }
 }
 
@@ -157,15 +162,18 @@ pub(super) fn estimate(
     parameters: &FitParameters,
     found: Option<posterior::Estimate>,
 ) -> CircleEstimate {
-    let (circle, covariance) = match found {
-        Some(found) => algebraic::held(arc, parameters, found),
-        None => algebraic::fit(arc, parameters),
-    };
-    placed(arc, circle, covariance)
+    match found {
+        Some(found) => placed(arc, algebraic::held(arc, parameters, found), false),
+        None => placed(arc, algebraic::fit(arc, parameters), true),
+    }
 }
 
 /// A circle of the arc's own frame in the frame of the scan.
-fn placed(arc: &Arc, [x, y, radius]: [f64; 3], covariance: [[f64; 3]; 3]) -> CircleEstimate {
+fn placed(
+    arc: &Arc,
+    ([x, y, radius], covariance): posterior::Estimate,
+    is_fallback: bool,
+) -> CircleEstimate {
     let (sine, cosine) = (libm::sin(arc.bearing), libm::cos(arc.bearing));
     let turn = [[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]];
     let half = product(&turn, &covariance);
@@ -175,6 +183,7 @@ fn placed(arc: &Arc, [x, y, radius]: [f64; 3], covariance: [[f64; 3]; 3]) -> Cir
         circle: Circle { center, radius },
         covariance: symmetric(&product(&half, &back)),
         n_hits: arc.n_hits,
+        is_fallback,
     }
 }
 

@@ -75,21 +75,22 @@ impl Posterior {
     /// The expected circle, or the most likely one, each with the mean square of its error as
     /// covariance; None if no circle within the bounds of the radius explains the arc.
     pub(in crate::circles) fn of(&mut self, likelihood: &Likelihood<'_>) -> Option<Estimate> {
-        self.nodes.clear();
-        let (low, high) = (pieces(likelihood, 0), pieces(likelihood, 1));
-        for low in low.into_iter().flatten() {
-            for high in high.into_iter().flatten() {
-                let bounds = [low, high];
-                let mode = mode(likelihood, &bounds);
-                self.integrate(likelihood, &bounds, &mode);
-            }
-        }
-        let mean = self.mean()?;
+        let mean = self.mean(likelihood)?;
         let about = match likelihood.parameters.method {
             Method::MostLikely => self.most_likely()?,
             _ => mean,
         };
         Some((about, self.mean_square(about)))
+    }
+
+    /// Mean square of the error of a circle that was found otherwise; None as of `of`.
+    pub(super) fn error_of(
+        &mut self,
+        circle: [f64; 3],
+        likelihood: &Likelihood<'_>,
+    ) -> Option<[[f64; 3]; 3]> {
+        self.mean(likelihood)?;
+        Some(self.mean_square(circle))
     }
 
     /// Add the nodes of one piece of the plane of roots.
@@ -107,8 +108,22 @@ impl Posterior {
         }
     }
 
+    /// The expected circle.
+    fn mean(&mut self, likelihood: &Likelihood<'_>) -> Option<[f64; 3]> {
+        self.nodes.clear();
+        let (low, high) = (pieces(likelihood, 0), pieces(likelihood, 1));
+        for low in low.into_iter().flatten() {
+            for high in high.into_iter().flatten() {
+                let bounds = [low, high];
+                let mode = mode(likelihood, &bounds);
+                self.integrate(likelihood, &bounds, &mode);
+            }
+        }
+        self.average()
+    }
+
     /// Turn logarithms into shares, and average.
-    fn mean(&mut self) -> Option<[f64; 3]> {
+    fn average(&mut self) -> Option<[f64; 3]> {
         let peak = self.nodes.iter().map(|node| node.log_weight).fold(f64::NEG_INFINITY, f64::max);
         if !peak.is_finite() {
             return None;

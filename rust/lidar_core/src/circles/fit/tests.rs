@@ -86,12 +86,24 @@ fn a_circle_held_by_the_largest_radius_is_uncertain_by_what_is_beyond() -> Resul
 }
 
 #[test]
-fn two_hits_tell_no_radius() -> Result<(), Error> {
+fn two_hits_tell_no_radius_where_something_hides_the_rest() -> Result<(), Error> {
     let mut circles = Vec::new();
-    let two = segment(40..42, [Side::Free; 2]);
-    let known = FitParameters { range_std: 0.01, ..parameters(Method::Taubin) };
-    Fitter::new(known)?.fit(&scan(), &two, &mut circles)?;
-    assert!(circles[0].covariance[2][2] > 0.28 * 0.28, "{circles:?}");
+    for (sides, least, most) in [([Side::Occluded; 2], 0.15, 0.5), ([Side::Free; 2], 0.0, 0.02)] {
+        let two = segment(40..42, sides);
+        let mut scan = scan();
+        for (ray, range) in scan.ranges.iter_mut().enumerate() {
+            *range = match sides[0] {
+                _ if (40..42).contains(&ray) => *range,
+                Side::Occluded => f64::NAN,
+                _ => f64::INFINITY,
+            };
+        }
+        let known = FitParameters { range_std: 0.01, ..parameters(Method::Expected) };
+        Fitter::new(known)?.fit(&scan, &two, &mut circles)?;
+        let std = circles[0].covariance[2][2].sqrt();
+        assert!((least..most).contains(&std), "{circles:?}");
+        assert!(!circles[0].is_fallback);
+    }
     Ok(())
 }
 

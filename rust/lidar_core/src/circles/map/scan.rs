@@ -298,7 +298,8 @@ mod tests {
         let level = LevelPose::of(&pose([4.0, 5.0, 0.0, 0.1, 0.2, 2.0]));
         let circle = Circle { center: [1.0, 0.5], radius: 0.3 };
         let covariance = [[2e-4, 0.0, 0.0], [0.0, 1e-4, 1e-5], [0.0, 1e-5, 1e-4]];
-        let placed = level.place(&CircleEstimate { circle, covariance, n_hits: 9 });
+        let placed =
+            level.place(&CircleEstimate { circle, covariance, n_hits: 9, is_fallback: false });
         let back = level.level([placed.z[0], placed.z[1]], placed.z[2]);
         assert!((back.center[0] - 1.0).abs() + (back.center[1] - 0.5).abs() < 1e-12);
         assert!((placed.R.trace() - 4e-4).abs() < 1e-12);

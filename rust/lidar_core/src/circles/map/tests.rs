@@ -30,7 +30,12 @@ fn circle(x: f64, y: f64, radius: f64) -> CircleEstimate {
     for (axis, row) in covariance.iter_mut().enumerate() {
         row[axis] = 1e-4;
     }
-    CircleEstimate { circle: Circle { center: [x, y], radius }, covariance, n_hits: 20 }
+    CircleEstimate {
+        circle: Circle { center: [x, y], radius },
+        covariance,
+        n_hits: 20,
+        is_fallback: false,
+    }
 }
 
 fn scan(step: i64, estimates: &[CircleEstimate]) -> CircleScan<'_> {
