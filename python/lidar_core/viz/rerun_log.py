@@ -1,6 +1,7 @@
 """A run for the rerun viewer: as a file, and shown in a window or in the browser."""
 
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -83,17 +84,27 @@ def show_rerun(
         surroundings = {**os.environ, "XDG_CONFIG_HOME": settings, "XDG_DATA_HOME": settings}
         subprocess.run([*viewer, "analytics", "disable"], env=surroundings, check=True,
                        capture_output=True)  # fmt: skip
-        options = ["--bind", LOCAL]
+        options = ["--bind", LOCAL, "--port", "auto"]
         if where == "web":
             options += ["--web-viewer"] if _has_display() else ["--serve-web"]
             options += ["--web-viewer-port", str(port)] if port is not None else []
-        process = subprocess.Popen([*viewer, str(recording), *options], env=surroundings)
+        process = subprocess.Popen(
+            [*viewer, str(recording), *options], env=surroundings, start_new_session=True
+        )
         try:
             return process.wait()
         except KeyboardInterrupt:
-            process.terminate()
-            process.wait()
+            _end(process)
             return 0
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    """End the viewer, which is a child of the process that rerun's package starts."""
+    if os.name == "posix":
+        os.killpg(process.pid, signal.SIGTERM)
+    else:
+        process.terminate()
+    process.wait()
 
 
 def _has_display() -> bool:
