@@ -10,6 +10,7 @@ import pytest
 FOLDER = Path(__file__).parents[2] / "examples"
 TESTED = {
     "circle_detectors.py": "here",
+    "circle_map_consistency.py": "here",
     "motion_capture_truth.py": "test_cli_circles.py",
     "quickstart.py": "here",
     "real_scan_with_drone.py": "here",
@@ -48,6 +49,12 @@ def test_quickstart_prints_two_tracks():
 def test_both_detectors_of_circles_are_honest():
     text = output_of(sys.executable, "circle_detectors.py")
     assert all(2.6 < figure(text, f"NEES of {name}") < 3.4 for name in ("cnn", "ml"))
+
+
+def test_elements_of_the_map_are_honest():
+    text = output_of(sys.executable, "circle_map_consistency.py", 40)
+    assert figure(text, "steps in the 95 % band") >= 0.85
+    assert 4.5 < figure(text, "mean") < 5.5
 
 
 @pytest.mark.parametrize("seed", [0, 1])
