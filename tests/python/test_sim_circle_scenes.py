@@ -22,12 +22,6 @@ def test_a_single_post_is_seen_within_range(trajectory, sensor):
     assert all(truth.visible_share[0] in (0, 1) for truth in seen)
 
 
-def test_with_a_ground_tilted_rays_end_on_it():
-    scene = scenes.single(0.3, 2, sensor="swinging", ground=True)
-    made = sim.Simulator(scene, seed=0).sweep(20)
-    assert (made.label == 0).sum() > 100
-
-
 def test_there_is_no_sixth_trajectory():
     with pytest.raises(ConfigError, match="expected 1 to 5, got 6"):
         scenes.single(0.3, 6)

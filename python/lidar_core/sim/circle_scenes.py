@@ -39,7 +39,6 @@ def single(
     *,
     speed: float = 1.0,
     sensor: SensorMotion = "hovering",
-    ground: bool = False,
     seed: int = 0,
 ) -> Scene:
     """Make one cylinder on one of five ways: line, circle, eight, stop and go, wandering.
@@ -54,8 +53,6 @@ def single(
         Greatest speed on it; its root mean square when wandering [m/s].
     sensor : str
         Whether it hovers, or moves along x, turns, pitches and rolls.
-    ground : bool
-        A floor and a cylinder of 3 m, in place of an endless one without a floor.
     seed : int
         Of the wandering.
 
@@ -64,20 +61,18 @@ def single(
     ConfigError
         There is no such trajectory.
     """
-    level = 1.5 if ground else HEIGHT
     ways: dict[int, Motion] = {
-        1: Waypoints(times=(0, 10 / speed), positions=((4, -5, level), (4, 5, level))),
-        2: Circle(center=(4, 0, level), radius=2, speed=speed),
-        3: FigureEight(center=(4, 0, level), speed=speed),
-        4: StopAndGo(start=(4, -3 * speed, level), velocity=(0, speed, 0)),
-        5: Wandering(start=(4, 0, level), speed=speed, seed=seed),
+        1: Waypoints(times=(0, 10 / speed), positions=((4, -5, HEIGHT), (4, 5, HEIGHT))),
+        2: Circle(center=(4, 0, HEIGHT), radius=2, speed=speed),
+        3: FigureEight(center=(4, 0, HEIGHT), speed=speed),
+        4: StopAndGo(start=(4, -3 * speed, HEIGHT), velocity=(0, speed, 0)),
+        5: Wandering(start=(4, 0, HEIGHT), speed=speed, seed=seed),
     }
     if trajectory not in ways:
         raise ConfigError(f"trajectory: expected 1 to 5, got {trajectory}")
     seconds = min(60.0, 10 / speed) if trajectory == 1 else 60.0
     return Scene(
-        bodies=(Body(shape=Plane()),) if ground else (),
-        targets=(_post(radius, ways[trajectory], height=3.0 if ground else None),),
+        targets=(_post(radius, ways[trajectory]),),
         lidar=scanner(),
         sensor=_sensor(sensor),
         scans=round(seconds * RATE),
@@ -225,8 +220,8 @@ def _sensor(kind: SensorMotion) -> Scripted:
     raise ConfigError(f"sensor: expected hovering or swinging, got {kind}")
 
 
-def _post(radius: float, motion: Motion, *, height: float | None = None) -> Target:
-    return Target(shape=Cylinder(radius=float(radius), height=height), motion=motion)
+def _post(radius: float, motion: Motion) -> Target:
+    return Target(shape=Cylinder(radius=float(radius)), motion=motion)
 
 
 def _still(x: float, y: float) -> Hover:

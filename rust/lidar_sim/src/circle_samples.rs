@@ -204,11 +204,8 @@ impl Beams {
     /// What a scan without noise sees of a circle; None if nothing, or from inside.
     fn window(&self, [x, y, radius]: [f64; 3], half_width: f64) -> Option<Window> {
         let (distance, bearing) = (libm::hypot(x, y), libm::atan2(y, x));
-        if distance <= radius {
-            return None;
-        }
         let [near, far] = self.range_limits;
-        if distance - radius > far {
+        if distance <= radius || distance - radius > far {
             return None;
         }
         let half_angle = libm::asin(radius / distance);
