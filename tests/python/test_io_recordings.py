@@ -137,10 +137,9 @@ def test_every_3d_recording_opens_or_names_its_extra(recordings):
         assert all(topic.count > 0 for topic in info.topics)
 
 
-@pytest.mark.parametrize("name", ["LICENSE", "OS-1-128_v2.3.0_1024x10_lb_n3_map-000.ply"])
-def test_other_files_are_refused_with_the_readable_formats(recordings, name):
+def test_other_files_are_refused_with_the_readable_formats(recordings):
     with pytest.raises(FormatError, match=r"unknown format.*readable are: ROS 1 \.bag"):
-        lc.io.open_recording(recordings / "3d/ouster" / name)
+        lc.io.open_recording(recordings / "3d/ouster/LICENSE")
 
 
 def test_info_command_prints_json(recordings):

@@ -10,7 +10,7 @@ import typer
 from lidar_core.cli.common import JsonFile, consoles, given, progress_on, write_json
 
 if TYPE_CHECKING:
-    from lidar_core.io import Recording
+    from lidar_core.io import ReadOptions, Recording
     from lidar_core.messages import Message
 
 NS = 1_000_000_000
@@ -22,7 +22,8 @@ def command(
         Path,
         typer.Argument(
             help="Recording to write: NAME.npz, NAME.mcap (Foxglove), NAME.bag (ROS 1), or a new"
-            " folder (ROS 2)."
+            " folder (ROS 2). From one cloud or map (map.lcvm, .pcd, .ply, .las, .bt, meshes):"
+            " NAME.pcd, NAME.ply or NAME.bt (OctoMap)."
         ),
     ],
     *,
@@ -49,17 +50,27 @@ def command(
         bool,
         typer.Option("--recover", help="Read what is whole in an MCAP that was cut or not closed."),
     ] = False,
+    resolution: Annotated[
+        float | None,
+        typer.Option(help="Edge of the voxels of NAME.bt \\[m]; else that of the map read."),
+    ] = None,
     json_file: JsonFile = None,
 ) -> None:
     """Write scans and poses of RECORDING to OUTPUT; the ending of its name chooses the format."""
     from lidar_core.errors import InputError
     from lidar_core.io import ReadOptions, open_recording, write_recording
+    from lidar_core.io.cloud_files import WRITABLE
 
     if output.exists() and output.resolve() == recording.resolve():
         raise InputError(f"{output}: expected another file than the one to read")
     values = given({"point_time": point_time, "no_return": no_return, "metadata": metadata,
                     "recover": recover or None})  # fmt: skip
     console, errors = consoles(json_file)
+    if output.suffix.lower() in WRITABLE:
+        count = _write_cloud(recording, output, ReadOptions.load(values), resolution)
+        write_json({"input": str(recording), "output": str(output), "points": count}, json_file)
+        console.print(f"{count} points in {output}", markup=False, soft_wrap=True)
+        return
     written: Counter[str] = Counter()
     with (
         open_recording(recording, ReadOptions.load(values)) as opened,
@@ -84,6 +95,17 @@ def command(
     for name, count in left_out.items():
         console.print(f"{name}: {count} messages left out, no scans or poses", markup=False)
     console.print(f"{sum(written.values())} messages in {output}", markup=False, soft_wrap=True)
+
+
+def _write_cloud(
+    source: Path, output: Path, options: "ReadOptions", resolution: float | None
+) -> int:
+    """Write the points of one file; returns how many."""
+    from lidar_core.io import read_cloud, write_cloud
+
+    cloud = read_cloud(source, options=options)
+    write_cloud(output, cloud.points, resolution=resolution or cloud.resolution)
+    return len(cloud.points)
 
 
 def _check_topics(recording: "Recording", wanted: list[str] | None) -> None:

@@ -35,11 +35,16 @@ from lidar_core.cli.settings import run_config
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from lidar_core.flying import FlyingObjectDetector
+
 POINT_TIME = "Time of each point as field:unit:reference, auto or none."
 NO_RETURN = "What marks a ray without return: auto, zero, nan or none."
 METADATA = "JSON file of an Ouster capture, if not beside it."
 SCAN_RATE = "Scans per second of a folder without times [Hz]."
-MAP = "Map to start from: map.lcvm of an earlier run in the same frame."
+MAP = (
+    "What is known beforehand, in the fixed frame: map.lcvm of an earlier run, or a cloud, mesh or"
+    " OctoMap as .pcd, .ply, .las, .laz, .bt, .stl, .obj."
+)
 REPEAT = "Play the recording this often: lets a short one open the gate of the background."
 SET = "Single value, such as voxel_map.voxel_size=0.5; again for more."
 
@@ -101,10 +106,22 @@ def command(
     )
     run = DetectRun(FlyingObjectDetector(chosen, threads=threads))
     if known_map is not None:
-        run.detector.load_map(known_map)
+        _know(run.detector, known_map)
     out, errors = consoles(json)
     result = do(job, run, errors)
     report(result, _table(result.summary, recording.name), job.folder, out, json)
+
+
+def _know(detector: "FlyingObjectDetector", known_map: Path) -> None:
+    """Load our own map, or make occupied for good what another file holds."""
+    if known_map.suffix.lower() == ".lcvm":
+        detector.load_map(known_map)
+        return
+    from lidar_core.io import read_cloud
+
+    detector.set_occupied(
+        read_cloud(known_map, spacing=detector.config.voxel_map.voxel_size / 2).points
+    )
 
 
 def _table(summary: Mapping[str, Any], name: str) -> "Table":

@@ -1,6 +1,7 @@
 """Recordings in and out: one iterator over every readable format, poses, and writers."""
 
 from lidar_core.io.circles import write_circles_table, write_circles_tum
+from lidar_core.io.cloud_files import Cloud, read_cloud, write_cloud
 from lidar_core.io.columns import read_columns
 from lidar_core.io.info import RecordingInfo, TopicInfo
 from lidar_core.io.npz import write_npz
@@ -15,6 +16,7 @@ from lidar_core.io.write_ros import RosWriter, write_ros
 from lidar_core.io.writing import write_recording
 
 __all__ = [
+    "Cloud",
     "McapWriter",
     "NoTransformError",
     "PoseOptions",
@@ -30,9 +32,11 @@ __all__ = [
     "open_recording",
     "posed_laser_scans",
     "posed_scans",
+    "read_cloud",
     "read_columns",
     "write_circles_table",
     "write_circles_tum",
+    "write_cloud",
     "write_mcap",
     "write_npz",
     "write_recording",

@@ -10,8 +10,23 @@ from lidar_core.io.recording import Recording
 
 KNOWN = (
     "ROS 1 .bag, ROS 2 folder or .db3, .mcap, Ouster .pcap with .json or .osf, Velodyne .pcap,"
-    " .pcd file or folder, KITTI .bin folder, CARMEN .clf or .clf.bz2, .npz file or folder"
+    " .pcd, .ply, .las or .laz file or folder, KITTI .bin folder, CARMEN .clf or .clf.bz2, .npz"
+    " file or folder"
 )
+
+HINTS = {
+    ".bt": "a map, not a recording: `lidar-core detect --map`, `lidar_core.io.read_cloud`",
+    ".csv": "a table holds no scans; measurements are for `lidar-core fuse`",
+    ".json": "JSON holds no scans; tables of measurements are for `lidar-core fuse`, the metadata"
+    " of an Ouster capture is found beside its .pcap or named with --metadata",
+    ".lcvm": "a map, not a recording: `lidar-core detect --map`, `lidar_core.io.read_cloud`",
+    ".mat": "MATLAB files are not read; save its tables as CSV for `lidar-core fuse`",
+    ".parquet": "a table holds no scans; measurements are for `lidar-core fuse`",
+    ".txt": "text holds no scans; poses are for --pose, measurements of LiDAR and radar (L/R) for"
+    " `lidar-core fuse`",
+    ".yaml": "not a recording; of a ROS 2 recording open the folder",
+}
+"""What to do with files that are no recordings."""
 
 
 def open_recording(
@@ -70,6 +85,9 @@ def _open_file(path: Path, options: ReadOptions) -> Recording:
     openers: dict[str, Callable[[Path, ReadOptions], Recording]] = {
         ".bag": _open_bag,
         ".bin": _open_scan,
+        ".las": _open_scan,
+        ".laz": _open_scan,
+        ".ply": _open_scan,
         ".clf": _open_log,
         ".db3": _open_database,
         ".mcap": _open_mcap,
@@ -78,10 +96,8 @@ def _open_file(path: Path, options: ReadOptions) -> Recording:
         ".pcap": _open_pcap,
         ".pcd": _open_scan,
     }
-    if suffix == ".json":
-        raise FormatError(
-            f"{path}: JSON holds no scans; tables of measurements are for `lidar-core fuse`"
-        )
+    if suffix in HINTS:
+        raise FormatError(f"{path}: {HINTS[suffix]}")
     if suffix not in openers:
         raise FormatError(f"{path}: unknown format {suffix!r}; readable are: {KNOWN}")
     return openers[suffix](path, options)
@@ -91,7 +107,7 @@ def _open_folder(path: Path, options: ReadOptions) -> Recording:
     files = sorted(file for file in path.iterdir() if file.is_file())
     by_suffix = {
         suffix: [file for file in files if file.suffix.lower() == suffix]
-        for suffix in (".db3", ".mcap", ".pcd", ".npz", ".bin")
+        for suffix in (".db3", ".mcap", ".pcd", ".npz", ".bin", ".las", ".laz", ".ply")
     }
     if by_suffix[".db3"]:
         return _open_ros2(path, by_suffix[".db3"], options)
@@ -105,8 +121,9 @@ def _open_folder(path: Path, options: ReadOptions) -> Recording:
         from lidar_core.io.chain import ChainedRecording
 
         return ChainedRecording(path, options, by_suffix[".npz"])
-    if by_suffix[".pcd"]:
-        return _open_sequence(path, by_suffix[".pcd"], ".pcd", options)
+    for suffix in (".pcd", ".las", ".laz", ".ply"):
+        if by_suffix[suffix]:
+            return _open_sequence(path, by_suffix[suffix], suffix, options)
     for inner in ("", "velodyne", "velodyne_points/data", "data"):
         scans = sorted((path / inner).glob("*.bin"))
         if scans:
@@ -170,10 +187,16 @@ def _open_ros2(path: Path, files: list[Path], options: ReadOptions) -> Recording
 
 
 def _open_sequence(path: Path, files: list[Path], suffix: str, options: ReadOptions) -> Recording:
-    from lidar_core.io.sequence import KittiRecording, PcdRecording
+    from lidar_core.io import sequence
 
-    reader = PcdRecording if suffix == ".pcd" else KittiRecording
-    return reader(path, options, files)
+    readers: dict[str, type[sequence.SequenceRecording]] = {
+        ".bin": sequence.KittiRecording,
+        ".las": sequence.LasRecording,
+        ".laz": sequence.LasRecording,
+        ".pcd": sequence.PcdRecording,
+        ".ply": sequence.PlyRecording,
+    }
+    return readers[suffix](path, options, files)
 
 
 def _open_pcap(path: Path, options: ReadOptions) -> Recording:

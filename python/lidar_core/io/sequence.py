@@ -1,4 +1,4 @@
-"""Folders of one file per scan: PCD and KITTI .bin."""
+"""Files of one scan, and folders of them: PCD, PLY, LAS and KITTI .bin."""
 
 import re
 from abc import abstractmethod
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lidar_core.errors import FormatError
 from lidar_core.extras import require
 from lidar_core.io.cloud import CloudDecoder
+from lidar_core.io.cloud_files import read_las, read_ply
 from lidar_core.io.guard import check_size, reading
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.pose_files import read_matrices
@@ -21,6 +22,7 @@ from lidar_core.messages import Message, Pose, Scan
 
 FRAME, WORLD_FRAME = "lidar", "world"
 MAX_COLUMNS = 4096
+FAR = 1000.0  # coordinates beyond are given from a nearer corner [m]
 KITTI_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
 _NANOSECONDS = re.compile(r"^\d{18,19}$")
 _SECONDS = re.compile(r"^(\d{9,10})[._](\d{1,9})$")
@@ -153,6 +155,51 @@ class PcdRecording(SequenceRecording):
         limit = self.options.max_record_bytes
         check_size(str(file), size, limit=limit, key="max_record_bytes", what="points of bytes")
         return header
+
+
+class LasRecording(SequenceRecording):
+    """LAS and LAZ files, through laspy: coordinates from a corner near the cloud, which is a pose.
+
+    Coordinates of a country's grid have more digits than float32 holds.
+    """
+
+    format = "LAS"
+
+    def _rows(self, file: Path) -> NDArray[Any]:
+        points, intensity = read_las(file, self.options)
+        corner = self._corner(points)
+        rows = np.empty(len(points), KITTI_POINT)
+        for axis, name in enumerate("xyz"):
+            rows[name] = points[:, axis] - corner[axis]
+        rows["intensity"] = intensity
+        return rows
+
+    def _find_poses(self) -> NDArray[np.float64]:
+        corners = [self._corner(read_las(file, self.options)[0]) for file in self._files]
+        if not np.any(corners):
+            return np.empty((0, 4, 4))
+        poses = np.tile(np.eye(4), (len(corners), 1, 1))
+        poses[:, :3, 3] = corners
+        return poses
+
+    def _corner(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where the scan's origin is put: zero, or full kilometres near a cloud that is far."""
+        lowest = points.min(axis=0) if len(points) else np.zeros(3)
+        far = np.abs(lowest) > FAR
+        return np.asarray(np.where(far, np.floor(lowest / FAR) * FAR, 0.0))
+
+
+class PlyRecording(SequenceRecording):
+    """PLY files, through trimesh: their vertices."""
+
+    format = "PLY"
+
+    def _rows(self, file: Path) -> NDArray[Any]:
+        vertices = np.asarray(read_ply(file, self.options).vertices, np.float32)
+        rows = np.empty(len(vertices), [(name, "<f4") for name in "xyz"])
+        for axis, name in enumerate("xyz"):
+            rows[name] = vertices[:, axis]
+        return rows
 
 
 class KittiRecording(SequenceRecording):
