@@ -102,7 +102,9 @@ def test_pcd_and_ply_give_the_points_back(tmp_path_factory, points):
     folder = tmp_path_factory.mktemp("clouds")
     single = points.astype(np.float32)
     lc.io.write_cloud(folder / "a.pcd", points)
-    np.testing.assert_array_equal(lc.io.read_cloud(folder / "a.pcd").points, single)
+    is_point = single.any(axis=1)  # zeros are what drivers write where there is none
+    found = lc.io.read_cloud(folder / "a.pcd").points
+    np.testing.assert_array_equal(found, single[is_point])
     lc.io.write_cloud(folder / "a.ply", points)
     np.testing.assert_array_equal(lc.io.read_cloud(folder / "a.ply").points, points)
     loaded = trimesh.load(folder / "a.ply")

@@ -58,7 +58,7 @@ def read_cloud(
     Returns
     -------
     cloud : Cloud
-        Points that are finite.
+        Points that are finite; rows of zeros in PCD and KITTI files are no points.
 
     Raises
     ------
