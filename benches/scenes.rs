@@ -169,6 +169,7 @@ pub fn classify_parameters() -> ClassifyParameters {
         max_distance: Some(20.0),
         group_distance: Some(0.7),
         min_clearance: 0.625,
+        follow_tracks: true,
         fill_pockets: false,
     }
 }
@@ -238,6 +239,7 @@ pub fn tracker_parameters() -> TrackerParameters {
         measurement_std: 0.07,
         hiding: Some(Hiding { share: 0.75, time: 2.0 }),
         association: Association::Global { gate_probability: 0.9999, clutter_density: 1e-5 },
+        rejoin_acceleration: Some(2.0),
         split_distance: Some(0.8),
         confirmation: Confirmation { hits: 3, window: 10, doubt: None },
         merging: Some(Merging { distance: 0.3, speed: 1.0 }),

@@ -53,8 +53,6 @@ class RememberingMap(VoxelMap):
 class SeeingTracker(Tracker):
     """A tracker that knows which places a scan could see."""
 
-    view = None
-
     def update(self, tracks, stamp, points, occupied, delays=None):
         due = {id(track): track.aged for track in tracks if track.stamp < stamp}
         corrected = super().update(tracks, stamp, points, occupied, delays)
@@ -117,6 +115,9 @@ class Detector:
         self.remove_separate()
         self.scans += 1
         self.track(cloud, places, delays, found, stamp)
+        more = self.followed(cloud, labels, verdicts, origin)
+        found += self.detections(cloud, labels, more, origin, delays, is_judged=False)
+        point_class[np.isin(labels, np.flatnonzero(np.array(more) == FLYING))] = FLYING
         return self.frame(point_class, found, stamp, gate)
 
     def motion(self, poses, pose_stamps, times, stamp, rows):
@@ -192,7 +193,7 @@ class Detector:
         found = center.target_center(own, origins, near.those(past), self.c.range_std)
         return *found, is_cut
 
-    def detections(self, cloud, labels, verdicts, origin, delays):
+    def detections(self, cloud, labels, verdicts, origin, delays, is_judged=True):
         found = []
         for label in np.flatnonzero(np.array(verdicts) == FLYING):
             own = cloud[labels == label].astype(float)
@@ -213,7 +214,7 @@ class Detector:
                     "radius": radius,
                     "extent": np.ptp(own, axis=0),
                     "n_points": len(own),
-                    "confidence": clearance(self.map, own) * sure,
+                    "confidence": clearance(self.map, own) * sure * is_judged,
                     "delay": delays[labels == label].astype(float).mean(),
                 }
             )
@@ -259,6 +260,27 @@ class Detector:
         columns = ([one[name] for one in found] for name in names)
         position, *others = columns
         self.tracker.new_detections(position, occupied, stamp, *others)
+
+    def followed(self, cloud, labels, verdicts, origin):
+        """Verdicts on the unknown clusters that confirmed tracks follow: flying."""
+        rules, more = self.c.classify, [BACKGROUND] * len(verdicts)
+        newest = self.tracker.buffer[-1][0]
+        tracks = [track for track in self.tracker.tracks if track.confirmed]
+        for track in tracks if rules.follow_tracks else []:
+            if track.seen != newest or track.points is None:
+                continue
+            rows = np.flatnonzero((cloud.astype(float) == track.points[0]).all(axis=1))
+            label = labels[rows[0]]
+            own = cloud[labels == label].astype(float)
+            if (
+                label >= 0
+                and verdicts[label] == UNKNOWN
+                and len(own) >= rules.min_points
+                and np.linalg.norm(own.mean(axis=0) - origin) <= rules.max_distance
+                and diagonal(own) <= rules.max_extent
+            ):
+                more[label] = FLYING
+        return more
 
     def frame(self, point_class, found, stamp, gate) -> Frame:
         tracks = []

@@ -38,6 +38,8 @@ class Track:
     sure: list[bool] = field(default_factory=lambda: [True])
     place: np.ndarray = None
     confirmed: bool = False
+    left: bool = False  # nothing is where it began
+    points: np.ndarray = None  # of its last cluster
 
     @property
     def r(self):
@@ -55,6 +57,7 @@ class Events:
 
 
 class Tracker:
+    view = None  # whether a scan could see a place
     center = None  # centre of a target, its covariance, whether it is cut; from its points
 
     def __init__(self, config):
@@ -160,7 +163,7 @@ class Tracker:
                 centroid, R, is_cut = self.center(own)
             timed = delays is not None and self.c.measurement != "paper"
             delay = delays[rows].mean() if timed else 0.0
-            found.append((centroid, R, extent, delay, is_cut))
+            found.append((centroid, R, extent, delay, is_cut, own))
         return found
 
     def parts(self, rows, points, delays, tracks):
@@ -226,12 +229,18 @@ class Tracker:
             found = [self.nearest(track, points, occupied, delays) for track in due]
         else:
             found = self.one_to_one(due, points, occupied, delays)
+        for track in due:
+            far = np.linalg.norm(track.r - track.place) > self.c.confirm_distance
+            gaps = np.linalg.norm(points - track.place, axis=1)
+            nothing = (gaps > self.c.confirm_cleared).all()
+            is_seen = self.view is None or self.view(track.place, self.c.confirm_cleared)
+            track.left = not track.confirmed and far and nothing and is_seen
         for track, cluster, dt in zip(due, found, elapsed, strict=True):
             if cluster is None:
                 A, Q = self.model(dt)
                 track.aged = A @ track.aged @ A.T + Q
             else:
-                z, R, extent, delay, is_cut = cluster
+                z, R, extent, delay, is_cut, track.points = cluster
                 self.correct(track, z, self.widened(R, extent, is_cut, track), extent, delay)
                 if self.c.hidden_share is not None:
                     track.size = extent + np.exp(-dt / self.c.size_time) * (track.size - extent)
@@ -255,7 +264,7 @@ class Tracker:
         )
 
         def offset(row, column):
-            z, R, extent, delay, is_cut = found[column]
+            z, R, extent, delay, is_cut, _ = found[column]
             y = z - (tracks[row].r + delay * tracks[row].x[3:6])
             if np.linalg.norm(y) > self.reach(tracks[row]):
                 return None
@@ -340,9 +349,9 @@ class Tracker:
         def offset(row, column):
             new, track = fresh[row], self.tracks[column]
             stamp = max(new.stamp, track.stamp)
-            (x, P), (x2, P2) = self.at(new, stamp), self.at(track, stamp)
-            y = (x - x2)[:3]
-            return (y, (P + P2)[:3, :3]) if np.linalg.norm(y) <= self.reach(track) else None
+            (x, P), (other, reach) = self.at(new, stamp), self.waiting(track, stamp, new.stamp)
+            y = (x - other.x)[:3]
+            return (y, (P + other.P)[:3, :3]) if np.linalg.norm(y) <= reach else None
 
         fed, known = [], list(self.tracks)
         track_of = self.assign(len(fresh), len(self.tracks), offset)
@@ -356,10 +365,24 @@ class Tracker:
             fed.append((index, new.sure[0]))
             if track.seen < new.born:
                 stamp = max(new.stamp, track.stamp)
-                self.move(track, stamp)
+                wide, _ = self.waiting(track, stamp, new.stamp)
+                track.x, track.P, track.stamp = wide.x, wide.P, stamp
                 self.move(new, stamp)
                 self.correct(track, new.r, new.P[:3, :3], new.extent)
         return fed
+
+    def waiting(self, track, stamp, now):
+        """A track as it waits for detections of `now`, and how far it looks for them."""
+        x, P = self.at(track, stamp)
+        waiting = replace(track, x=x, P=P, stamp=stamp)
+        acceleration = self.c.rejoin_acceleration
+        if acceleration is None or not track.confirmed or track.seen >= now:
+            return waiting, self.reach(track)
+        dt = (stamp - track.seen) * 1e-9
+        strayed = np.kron([dt**2 / 2, dt, 1.0], EYE) * acceleration
+        waiting.P = P + strayed.T @ strayed
+        waiting.P[:3, :3] += self.c.initial_position**2 * EYE
+        return waiting, self.c.radius_max
 
     def is_seen_twice(self, new, known):
         late = new.delay if new.stamp == new.born else 0.0
@@ -396,8 +419,8 @@ class Tracker:
         if self.c.confirm_confidence is None:
             return sum(track.history[-window:]) >= hits
         std = np.sqrt(np.trace(track.P[:3, :3]) / 3)
-        has_moved = np.linalg.norm(track.r - track.place) > self.c.confirm_distance + 2 * std
-        counted = track.history if has_moved else track.sure
+        away = np.linalg.norm(track.r - track.place) > self.c.confirm_distance + 2 * std
+        counted = track.history if track.left and away else track.sure
         many = sum(track.history[-self.c.confirm_still_window :]) >= self.c.confirm_still_hits
         return many or sum(counted[-window:]) >= hits
 

@@ -109,6 +109,7 @@ fn classify() -> ClassifyParameters {
         min_clearance: 0.0,
         max_distance: None,
         group_distance: Some(0.7),
+        follow_tracks: true,
         fill_pockets: true,
     }
 }
@@ -132,6 +133,7 @@ fn tracker() -> TrackerParameters {
         measurement_std: 0.07,
         hiding: Some(Hiding { share: 0.75, time: 2.0 }),
         association: Association::Global { gate_probability: 0.9999, clutter_density: 1e-5 },
+        rejoin_acceleration: Some(2.0),
         split_distance: Some(0.8),
         confirmation: Confirmation { hits: 2, window: 10, doubt: None },
         merging: Some(Merging { distance: 0.3, speed: 1.0 }),

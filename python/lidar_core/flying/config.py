@@ -173,6 +173,11 @@ class ClassifyConfig(Config):
         description="A flying object has at least this share of free voxels among the neighbours"
         " of its own: those behind it may be hidden, not the others (share, no unit).",
     )
+    follow_tracks: bool = Field(
+        True,
+        description="Unknown clusters that a confirmed track follows are flying objects, however"
+        " little is known of what is around them (no unit).",
+    )
     fill_pockets: bool = Field(
         False,
         description="Enclosed uncertain voxels around a flying cluster become free (no unit).",
@@ -191,6 +196,7 @@ class ClassifyConfig(Config):
             max_distance=None,
             group_distance=None,
             min_clearance=0.0,
+            follow_tracks=False,
         )
 
 

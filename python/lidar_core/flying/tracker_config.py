@@ -146,6 +146,13 @@ class TrackerConfig(Config):
         gt=0,
         description="Density of clusters that belong to no track [1/m^3]; global association.",
     )
+    rejoin_acceleration: float | None = Field(
+        2.0,
+        gt=0,
+        description="A confirmed track that has lost its target is given detections as if the"
+        " target had accelerated by this all the time, as a standard deviation [m/s^2]; none, as in"
+        " the paper: only where it was predicted; global association.",
+    )
     split_distance: float | None = Field(
         0.8,
         gt=0,
@@ -172,10 +179,17 @@ class TrackerConfig(Config):
         " into view (share, no unit); none, as in the paper: all count.",
     )
     confirm_distance: float = Field(
-        1.0,
+        0.5,
         ge=0,
         description="A track this far from where it began has moved, with two standard deviations"
         " of its position on top [m].",
+    )
+    confirm_cleared: float = Field(
+        0.3,
+        ge=0,
+        description="But only while the newest scan shows that nothing is this near to where it"
+        " began: what leaps along the leaves of a tree, or shows itself in a gap that glides along,"
+        " has moved as well [m].",
     )
     confirm_still_hits: int = Field(
         10,
@@ -242,6 +256,7 @@ class TrackerConfig(Config):
             measurement_std=1.0,
             hidden_share=None,
             association="paper",
+            rejoin_acceleration=None,
             split_distance=None,
             confirm_hits=1,
             confirm_window=1,

@@ -45,6 +45,9 @@ pub struct ClassifyParameters {
     pub group_distance: Option<f64>,
     /// A flying object has at least this share of free voxels among the neighbours of its own.
     pub min_clearance: f64,
+    /// Unknown clusters that a confirmed track follows are flying objects, however little is known
+    /// of what is around them.
+    pub follow_tracks: bool,
     /// Enclosed uncertain voxels around a flying cluster are made free.
     pub fill_pockets: bool,
 }

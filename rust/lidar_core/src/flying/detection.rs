@@ -23,7 +23,8 @@ pub struct Detection {
     pub delay: f64,
     /// Points in the scan.
     pub n_points: usize,
-    /// 0 to 1: share of free voxels around it, less for few points.
+    /// 0 to 1: share of free voxels around it, less for few points; 0 if only a track tells that it
+    /// flies.
     pub confidence: f64,
 }
 

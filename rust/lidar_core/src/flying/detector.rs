@@ -14,7 +14,7 @@ use super::parameters::FlyingParameters;
 use super::scan::{Prepared, RawScan};
 use super::sensor::Sensor;
 use super::standing::Standing;
-use super::track::{Detections, PointCloudTracker, Track};
+use super::track::{PointCloudTracker, Track};
 use super::visibility::ScanView;
 use super::voxel_map::VoxelMap;
 use crate::Error;
@@ -22,7 +22,6 @@ use crate::clock::Clock;
 use crate::geometry::lattice::{floor, wide};
 use crate::geometry::sight::{Sight, label_seen};
 use crate::geometry::transform::Transform;
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 /// Detection and tracking of flying objects in scans of one or several LiDARs.
@@ -117,11 +116,7 @@ impl FlyingObjectDetector {
         self.tracker.check_room(count_of(&judged.verdicts, FLYING))?;
 
         // The last stage that may refuse the scan.
-        let stats = self.integrate(raw, &mut scan, &mut judged.class)?;
-        if self.parameters.classify.after_update {
-            judge_again(&mut judged.verdicts, self.verdicts(&scan, &judged.clusters)?);
-            judged.class = point_classes(&scan, &judged.labels, &judged.verdicts);
-        }
+        let stats = self.update_map(raw, &mut scan, &mut judged)?;
         self.accept(raw, &scan, sensor, gate);
         self.fill_pockets(&judged.verdicts, &scan);
         self.keep_standing(&scan);
@@ -130,10 +125,26 @@ impl FlyingObjectDetector {
         timing.separate = clock.lap();
 
         let view = self.view(raw, &scan);
-        let found = self.detections(&view, &scan, &judged.clusters, &judged.verdicts);
-        self.track(&view, &scan, &found, stamp_ns)?;
+        let mut found = self.detections(&view, &scan, &judged.clusters, &judged.verdicts);
+        let followed = self.track(&view, &scan, &found, stamp_ns)?;
+        self.add_followed(&mut judged, &mut found, &followed, &view, &scan);
         timing.track = clock.lap();
         Ok(self.frame(raw, judged.class, &scan, found, Some(stats), gate, timing))
+    }
+
+    /// The map after the scan; what flies is judged on it where that is asked for.
+    fn update_map(
+        &mut self,
+        raw: &RawScan<'_>,
+        scan: &mut Prepared,
+        judged: &mut Judged,
+    ) -> Result<IntegrateStats, Error> {
+        let stats = self.integrate(raw, scan, &mut judged.class)?;
+        if self.parameters.classify.after_update {
+            judge_again(&mut judged.verdicts, self.verdicts(scan, &judged.clusters)?);
+            judged.class = point_classes(scan, &judged.labels, &judged.verdicts);
+        }
+        Ok(stats)
     }
 
     /// Clusters of a scan, and what the map says that they are.
@@ -290,41 +301,6 @@ impl FlyingObjectDetector {
         ScanView::new(scan, target_radius, range_std, self.pose_spread(raw, scan))
     }
 
-    fn track(
-        &mut self,
-        view: &ScanView<'_>,
-        scan: &Prepared,
-        found: &Found,
-        stamp_ns: i64,
-    ) -> Result<(), Error> {
-        let mut points = Cow::from(&scan.points);
-        for &row in &found.hidden {
-            points.to_mut()[row as usize] = [f32::NAN; 3]; // no track follows a teammate
-        }
-        self.tracker.new_point_cloud(
-            &points,
-            scan.delays.as_deref(),
-            &self.map,
-            Some(view),
-            stamp_ns,
-        )?;
-        let positions: Vec<_> = found.detections.iter().map(|found| found.position).collect();
-        let covariance: Vec<_> = found.detections.iter().map(|found| found.covariance).collect();
-        let extent: Vec<_> = found.detections.iter().map(|found| found.extent).collect();
-        let delay: Vec<_> = found.detections.iter().map(|found| found.delay).collect();
-        let confidence: Vec<_> = found.detections.iter().map(|found| found.confidence).collect();
-        let detections = Detections {
-            stamp_ns,
-            delay: Some(&delay),
-            confidence: Some(&confidence),
-            positions: &positions,
-            covariance: Some(&covariance),
-            extent: Some(&extent),
-        };
-        self.tracker.new_detections(&detections, &self.map)?;
-        Ok(())
-    }
-
     fn held_frame(&self, raw: &RawScan<'_>, scan: &Prepared, gate: Gate, timing: Timing) -> Frame {
         let class = point_classes(scan, &vec![-1; scan.rows], &[]);
         self.frame(raw, class, scan, Found::default(), None, gate, timing)
@@ -367,14 +343,14 @@ impl FlyingObjectDetector {
 }
 
 /// A scan in clusters.
-struct Judged {
+pub(super) struct Judged {
     /// Cluster of every row, -1 for none.
-    labels: Vec<i32>,
-    clusters: Vec<Cluster>,
+    pub(super) labels: Vec<i32>,
+    pub(super) clusters: Vec<Cluster>,
     /// What each cluster is.
-    verdicts: Vec<Verdict>,
+    pub(super) verdicts: Vec<Verdict>,
     /// Class of every row.
-    class: Vec<u8>,
+    pub(super) class: Vec<u8>,
 }
 
 fn go_on(keep_going: &dyn Fn() -> bool) -> Result<(), Error> {
@@ -386,7 +362,7 @@ fn count_of(verdicts: &[Verdict], class: u8) -> usize {
 }
 
 /// Class of every row: that of its cluster; unknown for points in no cluster.
-fn point_classes(scan: &Prepared, labels: &[i32], verdicts: &[Verdict]) -> Vec<u8> {
+pub(super) fn point_classes(scan: &Prepared, labels: &[i32], verdicts: &[Verdict]) -> Vec<u8> {
     let class = |(point, &label): (&[f32; 3], &i32)| match usize::try_from(label) {
         Ok(cluster) => verdicts[cluster].class,
         Err(_) if point.iter().all(|value| value.is_finite()) => UNKNOWN,

@@ -11,6 +11,7 @@ mod clusters;
 pub mod detection;
 pub mod detector;
 mod flood;
+mod follow;
 mod found;
 pub mod frame;
 pub mod gate;

@@ -16,6 +16,8 @@ pub(super) struct Measurement {
     pub(super) extent: [f64; 3],
     /// Whether a part of the target may be hidden.
     pub(super) is_cut: bool,
+    /// Row of one of its points in the cloud.
+    pub(super) row: Option<u32>,
 }
 
 /// Clusters of the points in `rows`, given by their `labels`, that are small enough and far enough
@@ -129,6 +131,13 @@ impl Cluster {
             let scatter: Matrix3<f64> = offsets.map(|offset| offset * offset.transpose()).sum();
             covariance += scatter / (count * count);
         }
-        Measurement { position, covariance, delay, extent: self.extent(), is_cut: true }
+        Measurement {
+            position,
+            covariance,
+            delay,
+            extent: self.extent(),
+            is_cut: true,
+            row: self.rows.first().copied(),
+        }
     }
 }

@@ -8,7 +8,6 @@ use super::parameters::{Association, MAX_TRACKS, MeasurementForm, TrackerParamet
 use super::state::TrackState;
 use super::update::{Scan, Updater};
 use crate::Error;
-use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix3, Vector3};
 
 /// No scan takes longer [s].
@@ -105,7 +104,7 @@ impl Detections<'_> {
             return bad("covariance", "a symmetric positive definite matrix", got);
         }
         let position = Vector3::from(position);
-        Ok(Measurement { position, covariance, delay, extent, is_cut: false })
+        Ok(Measurement { position, covariance, delay, extent, is_cut: false, row: None })
     }
 }
 
@@ -203,30 +202,43 @@ impl Updater {
         hypotheses: Vec<TrackState>,
     ) -> Result<Matches, Error> {
         let model = &self.parameters.motion;
-        // All hypotheses have one time; tracks behind it are brought there, once each.
+        // All hypotheses have one time; tracks behind it are brought there.
         let Some(now_ns) = hypotheses.first().map(|hypothesis| hypothesis.stamp_ns) else {
             return Ok(Matches::default());
         };
-        let ahead: Vec<(Gaussian<9>, f64)> = tracks
-            .iter()
-            .map(|track| (track.at(track.stamp_ns.max(now_ns), model), self.search_radius(track)))
-            .collect();
+        let waiting: Vec<(TrackState, f64)> =
+            tracks.iter().map(|track| self.waiting(track, now_ns)).collect();
         let track_of = self.assign(hypotheses.len(), tracks.len(), |row, column| {
-            let (hypothesis, track) = (&hypotheses[row], &tracks[column]);
+            let (hypothesis, (track, reach)) = (&hypotheses[row], &waiting[column]);
             let reached = (track.stamp_ns > now_ns).then(|| hypothesis.at(track.stamp_ns, model));
             let one = reached.as_ref().unwrap_or(&hypothesis.estimate);
-            let (other, reach) = &ahead[column];
-            let y = position(one) - position(other);
-            (y.norm() <= *reach)
-                .then(|| (y, position_block(&one.covariance) + position_block(&other.covariance)))
+            let y = position(one) - track.position();
+            (y.norm() <= *reach).then(|| {
+                let other = position_block(&track.estimate.covariance);
+                (y, position_block(&one.covariance) + other)
+            })
         })?;
-        Ok(self.feed(tracks, hypotheses, &track_of))
+        Ok(self.feed(tracks, &waiting, hypotheses, &track_of))
+    }
+
+    /// A track as it waits for detections of `now_ns`, and how far it looks for them [m].
+    fn waiting(&self, track: &TrackState, now_ns: i64) -> (TrackState, f64) {
+        let mut waiting = track.clone();
+        waiting.predict(track.stamp_ns.max(now_ns), &self.parameters.motion);
+        match self.parameters.rejoin_acceleration {
+            Some(acceleration) if track.confirmed && track.seen_ns < now_ns => {
+                waiting.widen(acceleration, self.parameters.initial_std[0]);
+                (waiting, self.parameters.radius.max)
+            }
+            _ => (waiting, self.search_radius(track)),
+        }
     }
 
     /// Give every hypothesis to its track; those that have none become tracks.
     fn feed(
         &self,
         tracks: &mut Vec<TrackState>,
+        waiting: &[(TrackState, f64)],
         hypotheses: Vec<TrackState>,
         track_of: &[Option<usize>],
     ) -> Matches {
@@ -239,13 +251,14 @@ impl Updater {
                 }
                 continue;
             };
-            let track = &mut tracks[index];
-            track.n_detections = track.n_detections.saturating_add(1);
             matches.fed.push((index, hypothesis.sure == 1));
             // What the track has not seen itself, it learns from the hypothesis.
-            if track.seen_ns < hypothesis.born_ns && !self.learn(track, hypothesis) {
-                matches.rejected += 1;
+            if tracks[index].seen_ns < hypothesis.born_ns {
+                tracks[index] = waiting[index].0.clone();
+                matches.rejected += usize::from(!self.learn(&mut tracks[index], hypothesis));
             }
+            let track = &mut tracks[index];
+            track.n_detections = track.n_detections.saturating_add(1);
         }
         matches
     }
@@ -274,6 +287,7 @@ impl Updater {
             delay: 0.0,
             extent: hypothesis.extent,
             is_cut: false,
+            row: None,
         };
         track.correct(&measurement).is_ok()
     }

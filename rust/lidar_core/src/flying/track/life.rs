@@ -57,10 +57,8 @@ fn is_certain(track: &TrackState, confirmation: &Confirmation) -> bool {
     let Some(doubt) = doubt else { return enough(track.history, hits, window) };
     let spread = position_block(&track.estimate.covariance).trace() / 3.0;
     let reach = doubt.distance + 2.0 * spread.max(0.0).sqrt();
-    let counted = match (track.position() - track.born_at).norm() > reach {
-        true => track.history,
-        false => track.sure,
-    };
+    let has_moved = track.left && (track.position() - track.born_at).norm() > reach;
+    let counted = if has_moved { track.history } else { track.sure };
     enough(counted, hits, window) || enough(track.history, doubt.hits, doubt.window)
 }
 

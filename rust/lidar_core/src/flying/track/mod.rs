@@ -66,6 +66,8 @@ pub struct Stats {
     pub late: bool,
     /// Corrected by a cluster.
     pub corrected: Vec<i64>,
+    /// For each of these the row of a point of its cluster.
+    pub rows: Vec<u32>,
     /// New.
     pub born: Vec<i64>,
     /// Reported from now on.
@@ -149,7 +151,7 @@ impl PointCloudTracker {
             let delays = cloud.delays.as_deref();
             let scan = Scan { points: &cloud.points, delays, stamp_ns, occupied, visibility };
             let outcome = self.updater.update(&mut tracks, &scan)?;
-            stats.corrected = outcome.corrected;
+            (stats.corrected, stats.rows) = (outcome.corrected, outcome.rows);
             stats.rejected = outcome.rejected;
             stats.removed = life::remove_uncertain(&mut tracks, self.parameters(), stamp_ns);
             stats.merged = self.merge(&mut tracks);
@@ -226,6 +228,11 @@ impl PointCloudTracker {
     pub(crate) fn check_room(&self, count: usize) -> Result<(), Error> {
         let count = self.tracks.len() + count;
         if count > MAX_TRACKS { Err(detections::too_many(count)) } else { Ok(()) }
+    }
+
+    /// Whether track `id` is there and confirmed.
+    pub(crate) fn is_confirmed(&self, id: i64) -> bool {
+        self.tracks.iter().any(|track| track.id == id && track.confirmed)
     }
 
     /// Whether a cloud of this time would be taken.

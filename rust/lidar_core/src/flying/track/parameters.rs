@@ -108,6 +108,8 @@ pub struct Doubt {
     pub confidence: f64,
     /// A track this far from where it began has moved, with two standard deviations on top [m].
     pub distance: f64,
+    /// But only while the newest cloud shows that nothing is this near to where it began [m].
+    pub cleared: f64,
     /// So many sets confirm a track in any case, of the last `window`.
     pub hits: u32,
     /// Sets looked back on for that, `hits` to [`MAX_WINDOW`].
@@ -186,6 +188,10 @@ pub struct TrackerParameters {
     pub hiding: Option<Hiding>,
     /// Association.
     pub association: Association,
+    /// A confirmed track that has lost its target may find it again by a detection: as if the
+    /// target had accelerated by this all the time, as a standard deviation [m/s^2]; None: only
+    /// where it was predicted. Global association only.
+    pub rejoin_acceleration: Option<f64>,
     /// A cluster this near to several tracks, which are further apart from each other, is divided
     /// among them [m]; None: clusters stay whole. Global association only.
     pub split_distance: Option<f64>,
@@ -214,6 +220,7 @@ impl TrackerParameters {
             ("unseen_acceleration_time", self.motion.unseen_time),
             ("size_time", self.hiding.map(|hiding| hiding.time)),
             ("split_distance", self.split_distance),
+            ("rejoin_acceleration", self.rejoin_acceleration),
         ];
         for (name, value) in optional {
             require_positive(name, value.unwrap_or(1.0))?;

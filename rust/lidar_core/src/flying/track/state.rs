@@ -33,6 +33,8 @@ pub(super) struct TrackState {
     /// The same for those of them that were sure.
     pub(super) sure: u64,
     pub(super) confirmed: bool,
+    /// Whether the newest cloud shows that nothing is left where it began.
+    pub(super) left: bool,
 }
 
 impl TrackState {
@@ -71,6 +73,7 @@ impl TrackState {
             history: 1,
             sure: 1,
             confirmed: false,
+            left: false,
         }
     }
 
@@ -101,6 +104,22 @@ impl TrackState {
     pub(super) fn predict(&mut self, stamp_ns: i64, model: &Motion) {
         self.estimate = self.at(stamp_ns, model);
         self.stamp_ns = stamp_ns;
+    }
+
+    /// Widen the estimate of a target that has been out of sight since `seen_ns` and may be found
+    /// again: it may have accelerated by `acceleration` [m/s^2] all the time, and its position is
+    /// not known better than that of a new track, `position_std` [m].
+    pub(super) fn widen(&mut self, acceleration: f64, position_std: f64) {
+        let dt = seconds(self.seen_ns, self.stamp_ns);
+        let strayed = [0.5 * dt * dt, dt, 1.0].map(|share| share * acceleration);
+        for axis in 0..3 {
+            for (row, one) in strayed.into_iter().enumerate() {
+                for (column, other) in strayed.into_iter().enumerate() {
+                    self.estimate.covariance[(axis + 3 * row, axis + 3 * column)] += one * other;
+                }
+            }
+            self.estimate.covariance[(axis, axis)] += position_std * position_std;
+        }
     }
 
     /// Let `dt` seconds without a measurement count.

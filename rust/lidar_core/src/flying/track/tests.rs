@@ -25,6 +25,7 @@ fn paper() -> TrackerParameters {
         measurement_std: 1.0,
         hiding: None,
         association: Association::Paper,
+        rejoin_acceleration: None,
         split_distance: None,
         confirmation: Confirmation { hits: 1, window: 1, doubt: None },
         merging: None,
@@ -119,14 +120,17 @@ fn one_cluster_corrects_one_track_only() -> Result<(), Error> {
     Ok(())
 }
 
-/// The set, counted from 1, that confirms a target which is seen with `confidence` at `speed`.
-fn confirming_set(confidence: f64, speed: f64) -> Result<Option<i64>, Error> {
-    let doubt = Some(Doubt { confidence: 0.8, distance: 1.0, hits: 12, window: 20 });
+/// The set, counted from 1, that confirms a target which is seen with `confidence` at `speed`,
+/// where points at `left` [m] stay.
+fn confirming_set(confidence: f64, speed: f64, left: &[f32]) -> Result<Option<i64>, Error> {
+    let doubt = Some(Doubt { confidence: 0.8, distance: 1.0, cleared: 0.3, hits: 12, window: 20 });
     let confirmation = Confirmation { hits: 3, window: 10, doubt };
     let mut tracker = PointCloudTracker::new(TrackerParameters { confirmation, ..best() }, 1)?;
     for set in 1..=30 {
         let at = speed * set as f64 * 0.1;
-        tracker.new_point_cloud(&[[at as f32, 0.0, 0.0]], None, &free(), None, set * STEP_NS)?;
+        let mut points: Vec<[f32; 3]> = left.iter().map(|&x| [x, 0.0, 0.0]).collect();
+        points.push([at as f32, 0.0, 0.0]);
+        tracker.new_point_cloud(&points, None, &free(), None, set * STEP_NS)?;
         let found = Detections {
             stamp_ns: set * STEP_NS,
             positions: &[[at, 0.0, 0.0]],
@@ -144,10 +148,42 @@ fn confirming_set(confidence: f64, speed: f64) -> Result<Option<i64>, Error> {
 
 #[test]
 fn weak_detections_confirm_what_moves_or_stays_long() -> Result<(), Error> {
-    assert_eq!(confirming_set(0.9, 0.0)?, Some(3));
-    assert_eq!(confirming_set(0.5, 0.0)?, Some(12));
-    let moving = confirming_set(0.5, 4.0)?;
+    assert_eq!(confirming_set(0.9, 0.0, &[])?, Some(3));
+    assert_eq!(confirming_set(0.5, 0.0, &[])?, Some(12));
+    let moving = confirming_set(0.5, 4.0, &[])?;
     assert!(moving.is_some_and(|set| (3..9).contains(&set)), "{moving:?}");
+    assert!(confirming_set(0.5, 4.0, &[0.3])? > moving); // something is left where it began
+    Ok(())
+}
+
+/// Numbers of the tracks that are born when a target which was hidden for 0.8 s comes back `aside`
+/// [m] of its straight way.
+fn born_behind_cover(acceleration: Option<f64>, aside: f64) -> Result<Vec<i64>, Error> {
+    let motion = Motion { form: NoiseForm::Continuous, std: [0.0, 0.1, 1.0], ..paper().motion };
+    let parameters = TrackerParameters { rejoin_acceleration: acceleration, motion, ..best() };
+    let mut tracker = PointCloudTracker::new(parameters, 1)?;
+    for set in (0..10).chain(18..19) {
+        let at = [0.2 * set as f64, if set < 10 { 0.0 } else { aside }, 0.0];
+        tracker.new_point_cloud(
+            &[at.map(|value| value as f32)],
+            None,
+            &free(),
+            None,
+            set * STEP_NS,
+        )?;
+        let stats = detect(&mut tracker, &[at], set * STEP_NS)?;
+        if set == 18 {
+            return Ok(stats.born);
+        }
+    }
+    Ok(Vec::new())
+}
+
+#[test]
+fn a_lost_track_finds_a_target_that_has_turned() -> Result<(), Error> {
+    assert_eq!(born_behind_cover(None, 2.0)?, [1]);
+    assert!(born_behind_cover(Some(2.0), 2.0)?.is_empty());
+    assert_eq!(born_behind_cover(Some(2.0), 5.0)?, [1]); // too far for any target
     Ok(())
 }
 

@@ -3,7 +3,7 @@
 use super::candidates::{Measurement, candidates};
 use super::motion::position_block;
 use super::occupancy::{Occupancy, Visibility};
-use super::parameters::{Ageing, Association, Hiding, TrackerParameters};
+use super::parameters::{Ageing, Association, Doubt, Hiding, TrackerParameters};
 use super::select::{Ball, hits};
 use super::split::Division;
 use super::state::{TrackState, seconds};
@@ -42,6 +42,8 @@ impl Scan<'_> {
 #[derive(Debug, Default)]
 pub(super) struct Outcome {
     pub(super) corrected: Vec<i64>,
+    /// A row of the cluster of each of these.
+    pub(super) rows: Vec<u32>,
     /// Measurements whose innovation covariance could not be factorised.
     pub(super) rejected: usize,
 }
@@ -113,14 +115,19 @@ impl Updater {
             Association::Paper => self.nearest(&seekers, scan)?,
             Association::Global { .. } => self.one_to_one(&seekers, scan)?,
         };
+        for (_, track) in &mut due {
+            track.left = self.has_left(track, scan);
+        }
         let mut outcome = Outcome::default();
         for (((dt, track), seeker), measurement) in due.into_iter().zip(&seekers).zip(found) {
+            let row = measurement.as_ref().and_then(|measurement| measurement.row);
             match measurement.map(|measurement| track.correct(&measurement)) {
                 Some(Ok(())) => {
                     if let Some(hiding) = &self.parameters.hiding {
                         track.remember_size(dt, hiding);
                     }
                     outcome.corrected.push(track.id);
+                    outcome.rows.extend(row);
                     continue;
                 }
                 Some(Err(_)) => outcome.rejected += 1,
@@ -174,6 +181,22 @@ impl Updater {
             size: track.size,
             confirmed: track.confirmed,
         }
+    }
+
+    /// Whether an unconfirmed track is away from where it began, and the scan shows that nothing is
+    /// left there. A track that leaps along the leaves of a tree leaves some behind, and one that
+    /// follows a gap along what lies behind it leaves a place that nobody sees any more.
+    fn has_left(&self, track: &TrackState, scan: &Scan<'_>) -> bool {
+        let Some(Doubt { distance, cleared, .. }) = self.parameters.confirmation.doubt else {
+            return false;
+        };
+        let holds = |point: &[f32; 3]| {
+            (Vector3::from(point.map(f64::from)) - track.born_at).norm() <= cleared
+        };
+        !track.confirmed
+            && (track.position() - track.born_at).norm() > distance
+            && !scan.points.iter().any(holds)
+            && scan.visibility.is_none_or(|view| view.expected(track.born_at.into(), cleared))
     }
 
     fn should_be_seen(&self, seeker: &Seeker, visibility: Option<&dyn Visibility>) -> bool {
