@@ -6,6 +6,7 @@ import pytest
 from lidar_core import evaluation, sim
 from lidar_core.flying import Tracks
 from lidar_core.reproduce import flying_fig8, street_flights
+from lidar_core.reproduce.common import GATE, evaluation_config
 from lidar_core.reproduce.flights import tables, truth_columns
 from lidar_core.reproduce.pursuit import ATTACK_TO, FOLLOW_DISTANCE, Interceptor, Quarry, follow
 from lidar_core.reproduce.sightings import sightings
@@ -27,7 +28,7 @@ def test_a_walk_through_the_ways_keeps_speeds_accelerations_ranges_and_distances
         places = np.array(places)
         for one, other in np.array(np.triu_indices(4, 1)).T:
             apart = np.linalg.norm(places[one] - places[other], axis=1)
-            assert apart.min() > street_flights.GATE + 2 * street_flights.RADII[1]
+            assert apart.min() > GATE + 2 * street_flights.RADII[1]
         ranges.append(np.linalg.norm(places[..., :2], axis=-1).ravel())
     ranges = np.concatenate(ranges)
     share, _ = np.histogram(ranges, np.linspace(5, 20, 6))
@@ -141,6 +142,6 @@ def test_the_follower_of_a_short_flight_finds_its_target():
     sensor = part["sensor"]
     assert (sensor[:12] == flying_fig8.START).all()
     assert np.linalg.norm(sensor[-1] - sensor[0]) > 2
-    seen = sightings([part], "best", "tracks", target=0, config=flying_fig8._evaluation())
+    seen = sightings([part], "best", "tracks", target=0, config=evaluation_config())
     assert seen.is_found[-10:].all()
     assert seen.error[-10:].max() < 1.0

@@ -1,8 +1,13 @@
-"""What the items share: the two modes, how they are drawn, and the seeds of flights."""
+"""What the items share: modes, what counts, how it is drawn, and the seeds of flights."""
+
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lidar_core.reproduce.flights import Kind
+
+if TYPE_CHECKING:
+    from lidar_core.evaluation import EvaluationConfig
 
 MODES = ("paper", "best")
 KINDS: tuple[Kind, Kind] = ("detections", "tracks")
@@ -11,6 +16,15 @@ COLOURS = {"paper": RED, "best": BLUE}
 """Colour of each mode."""
 GATE = 2.0
 """Estimates further from every target are false: simulated and real flights alike [m]."""
+
+
+def evaluation_config(**given: Any) -> "EvaluationConfig":
+    """What counts: after the burn-in, with a gate that a lagging track passes, else as `given`."""
+    from lidar_core.evaluation import EvaluationConfig
+    from lidar_core.flying import FlyingConfig
+
+    burn_in = FlyingConfig().seed.burn_in_scans
+    return EvaluationConfig(**{"gate": GATE, "burn_in_scans": burn_in, **given})
 
 
 def simulator_seed(seed: int, number: int) -> int:

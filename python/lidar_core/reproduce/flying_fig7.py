@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.reproduce.common import COLOURS, KINDS, MODES
+from lidar_core.reproduce.common import COLOURS, KINDS, MODES, evaluation_config
 from lidar_core.reproduce.flights import Kind, both_modes
 from lidar_core.reproduce.jobs import Part, run
 from lidar_core.reproduce.sightings import Sightings
-from lidar_core.reproduce.street_flights import evaluation_config, jobs, sample
+from lidar_core.reproduce.street_flights import jobs, sample
 from lidar_core.reproduce.types import Item, Request, Result, Row
 
 SHAPES = ("sphere", "mesh")

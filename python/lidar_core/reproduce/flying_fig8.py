@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.reproduce.common import KINDS, MODES, evaluation_config
 from lidar_core.reproduce.flights import Kind, both_modes, fly
 from lidar_core.reproduce.jobs import Job, Part, run
 from lidar_core.reproduce.pursuit import FOLLOW_DISTANCE, Interceptor, follow, pursue
@@ -13,16 +14,12 @@ from lidar_core.reproduce.sightings import Sightings, sightings
 from lidar_core.reproduce.types import Item, Request, Result, Row
 
 if TYPE_CHECKING:
-    from lidar_core.evaluation import EvaluationConfig
     from lidar_core.sim import PoseNoise, Scene
 
 SCANS_PER_FLIGHT = 200
 FLIGHTS = ("manual", "following", "interception")
-MODES = ("paper", "best")
-KINDS: tuple[Kind, Kind] = ("detections", "tracks")
 PAPER = {"detections": (0.92, 0.98), "tracks": (0.91, 0.76)}
 """Mean and standard deviation of the position error [m], Table III, real world."""
-GATE = 2.0
 FIELD = 12.0
 """Half the side of the open field in the street [m]."""
 START = (-8.0, 0.0, 4.0)
@@ -55,7 +52,7 @@ def _run(request: Request) -> Result:
         f" per axis, forgotten in {noise.time_constant:g} s. Following and interception are closed"
         " loops: each mode flies by its own tracks. The paper's numbers are those of real flights,"
         " all three together.",
-        config={**both_modes(), "pose_noise": noise, "evaluation": _evaluation()},
+        config={**both_modes(), "pose_noise": noise, "evaluation": evaluation_config()},
     )
 
 
@@ -121,14 +118,6 @@ def _noise() -> "PoseNoise":
     return PoseNoise(time_constant=1.0)
 
 
-def _evaluation() -> "EvaluationConfig":
-    """What counts: after the burn-in, and with a gate that a lagging track passes."""
-    from lidar_core.evaluation import EvaluationConfig
-    from lidar_core.flying import FlyingConfig
-
-    return EvaluationConfig(gate=GATE, burn_in_scans=FlyingConfig().seed.burn_in_scans)
-
-
 def _rows(parts: Parts) -> list[Row]:
     rows: list[Row] = []
     for kinds, what in ((FLIGHTS, "all flights"), *(((one,), one) for one in FLIGHTS)):
@@ -149,7 +138,7 @@ QUANTITIES = (("mean error", "m"), ("std of the error", "m"), ("recall", "1"))
 
 def _seen(parts: Parts, kinds: Sequence[str], mode: str, kind: Kind) -> Sightings:
     flights = [part for one in kinds for part in parts[one, mode]]
-    return sightings(flights, mode, kind, target=0, config=_evaluation())
+    return sightings(flights, mode, kind, target=0, config=evaluation_config())
 
 
 def _numbers(seen: Sightings) -> list[float | None]:
@@ -169,7 +158,7 @@ def _distance_error(parts: Sequence[Part]) -> float | None:
     for part in parts:
         error = np.abs(_distances(part) - FOLLOW_DISTANCE)
         reached = np.flatnonzero(
-            (error < 1) & (np.arange(len(error)) >= _evaluation().burn_in_scans)
+            (error < 1) & (np.arange(len(error)) >= evaluation_config().burn_in_scans)
         )
         errors += error[reached[0] :].tolist() if len(reached) else []
     return float(np.mean(errors)) if errors else None
@@ -205,7 +194,7 @@ def _draw(figure: Any, parts: Parts) -> None:
 
 def _errors_over_time(part: Part, mode: str, kind: Kind) -> NDArray[np.float64]:
     """Error per scan; NaN where there is none, or the drone need not be found."""
-    seen = sightings([part], mode, kind, target=0, config=_evaluation())
+    seen = sightings([part], mode, kind, target=0, config=evaluation_config())
     error = np.full(len(part["stamp_ns"]), np.nan)
     error[seen.scan.astype(int)] = seen.error
     return error

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.flying import FlyingConfig, PoseConfig
-from lidar_core.reproduce.common import BLUE, RED, scene_rng, simulator_seed
+from lidar_core.reproduce.common import BLUE, RED, evaluation_config, scene_rng, simulator_seed
 from lidar_core.reproduce.flights import both_modes, fly, tables
 from lidar_core.reproduce.jobs import Job, Part, run
 from lidar_core.reproduce.types import Item, Request, Result, Row
@@ -151,15 +151,8 @@ def _counts(parts: Sequence[Part], name: str) -> tuple[int, int, float, float]:
 
 
 def _evaluation() -> "EvaluationConfig":
-    """Sightings that count: after the burn-in, near enough, with enough rays."""
-    from lidar_core.evaluation import EvaluationConfig
-
-    return EvaluationConfig(
-        gate=GATE,
-        max_distance=SEEN_RANGE,
-        min_hits=SEEN_HITS,
-        burn_in_scans=FlyingConfig().seed.burn_in_scans,
-    )
+    """Sightings that count: near enough, with enough rays."""
+    return evaluation_config(gate=GATE, max_distance=SEEN_RANGE, min_hits=SEEN_HITS)
 
 
 def _draw(figure: Any, parts: Sequence[Part], scans: int) -> None:

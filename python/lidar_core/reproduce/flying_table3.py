@@ -5,17 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from lidar_core.reproduce.common import MODES, evaluation_config
 from lidar_core.reproduce.flights import Kind, both_modes, tables
 from lidar_core.reproduce.jobs import Part, run
 from lidar_core.reproduce.sightings import Sightings
-from lidar_core.reproduce.street_flights import (
-    RADII,
-    SHAPES,
-    WAYS,
-    evaluation_config,
-    jobs,
-    sample,
-)
+from lidar_core.reproduce.street_flights import RADII, SHAPES, WAYS, jobs, sample
 from lidar_core.reproduce.types import Item, Request, Result, Row
 
 IDEAL_SHARE = 2 / 3
@@ -24,7 +18,6 @@ PAPER = {"detections": (0.17, 0.10), "tracks": (0.24, 0.24)}
 """Mean and standard deviation of the position error [m], Table III, simulation."""
 SLOW = 4.5
 """Limit of the rows on moments of up to 4 m/s^2; what differences of speeds tell of it swings."""
-MODES = ("paper", "best")
 
 
 def _run(request: Request) -> Result:

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lidar_core.reproduce.common import evaluation_config
 from lidar_core.reproduce.flights import Kind, both_modes, fly
 from lidar_core.reproduce.jobs import Job, Part
 from lidar_core.reproduce.sightings import Sightings, sightings
 from lidar_core.reproduce.types import Request
 
 if TYPE_CHECKING:
-    from lidar_core.evaluation import EvaluationConfig
     from lidar_core.sim import Scene
     from lidar_core.sim.motions import Scripted
 
@@ -28,8 +28,6 @@ RANGES = (5.0, 20.0)
 """Ranges that the drones cover evenly [m]."""
 HEIGHTS = (3.0, 5.0)
 SENSOR_HEIGHT = 4.0
-GATE = 2.0
-"""Estimates further from every target are false [m]; the drones stay further apart."""
 SHAPES = ("sphere", "mesh", "any sphere", "any mesh")
 """The drones of a flight, in the order of the truth; "any" is of unknown size."""
 
@@ -174,14 +172,6 @@ def _observer(number: int) -> "Scripted":
             acceleration=2.0,
         ),
     )[number % 3]
-
-
-def evaluation_config() -> "EvaluationConfig":
-    """What counts: after the burn-in, and with a gate that a lagging track passes."""
-    from lidar_core.evaluation import EvaluationConfig
-    from lidar_core.flying import FlyingConfig
-
-    return EvaluationConfig(gate=GATE, burn_in_scans=FlyingConfig().seed.burn_in_scans)
 
 
 def sample(parts: Sequence[Part], name: str, kind: Kind, shape: str) -> Sightings:
