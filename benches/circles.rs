@@ -3,9 +3,11 @@
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
 use lidar_core::circles::bodies::ShapeParameters;
+use lidar_core::circles::corner::CornerParameters;
 use lidar_core::circles::fit::{FitParameters, Fitter, Method};
 use lidar_core::circles::map::{
-    CircleMapParameters, Confirmation, Filter, Independent, Limits, Looking, Mode, Patience,
+    CircleMapParameters, Confirmation, Filter, Independent, Limits, LineRules, Looking, Mode,
+    Patience,
 };
 use lidar_core::circles::pipeline::{
     CirclePipeline, PipelineParameters, RawSweep, ScannerParameters,
@@ -98,6 +100,7 @@ fn parameters() -> PipelineParameters {
             max_gap: 2,
             merge_distance: 0.5,
             merge_deviation: 0.03,
+            corner: CornerParameters { depth: 0.15, width: 1.2 },
             min_points: 4,
             min_fraction: 0.0,
             range_limits: RANGE_LIMITS,
@@ -140,6 +143,14 @@ fn independent() -> Independent {
         patience: Patience { scans: 3, absent: 0.25, unmatched: 0.5, hidden: Some(5.0) },
         looking: Looking { margin: 0.15, min_rays: 4 },
         buffer_time: 0.25,
+        lines: LineRules {
+            density: 1e-6,
+            std: 0.01,
+            gap: 0.5,
+            length: 0.5,
+            reach: 3.0,
+            coast: Some(60.0),
+        },
     }
 }
 

@@ -349,6 +349,19 @@ class CirclePipeline:
         NDArray[np.bool_],
         NDArray[np.bool_],
     ]: ...
+    def shapes_at(
+        self, stamp_ns: int
+    ) -> tuple[
+        NDArray[np.int64],
+        NDArray[np.uint8],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.int64],
+        NDArray[np.bool_],
+        NDArray[np.bool_],
+    ]: ...
     def reset(self) -> None: ...
 
 @final

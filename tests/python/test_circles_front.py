@@ -1,5 +1,6 @@
 """Range limitation, horizontal projection and segmentation of 2D scans."""
 
+import itertools
 import math
 
 import numpy as np
@@ -171,12 +172,13 @@ def test_an_upside_down_scanner_turns_the_other_way():
 # Segmentation
 
 
-def assert_like_the_oracle(ranges, bearings):
-    config = SegmentConfig(merge_distance=0.0, min_points=2, max_gap=1)
+def assert_like_the_oracle(ranges, bearings, corner_depth=0.0):
+    config = SegmentConfig(merge_distance=0.0, min_points=2, max_gap=1, corner_depth=corner_depth)
     found = segment(ranges, bearings, config=config)
     groups, sides = oracle.segment(
         ranges, bearings, incidence=config.incidence, slack=config.slack, max_gap=1,
-        min_points=2, limits=(0.1, 10.0), margins=(config.near_margin, config.far_margin),
+        corner=(config.corner_depth, config.corner_width), min_points=2, limits=(0.1, 10.0),
+        margins=(config.near_margin, config.far_margin),
     )  # fmt: skip
     got = {tuple(found.rays_of(number)): found.sides[number - 1].tolist()
            for number in range(1, len(found) + 1)}  # fmt: skip
@@ -200,6 +202,24 @@ def test_segments_equal_plain_loops(ranges, step):
 @given(ranges=ranges_of_steps.filter(lambda ranges: len(ranges) > 2))
 def test_segments_all_round_equal_plain_loops(ranges):
     assert_like_the_oracle(ranges, 2 * math.pi / len(ranges) * np.arange(len(ranges)))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_surfaces_that_meet_in_corners_equal_plain_loops(seed):
+    rng = np.random.default_rng(5900 + seed)
+    corners = np.sort(rng.uniform(-2.3, 2.3, 7))
+    corners = corners[np.append(True, np.diff(corners) > 0.3)]
+    points = rng.uniform(2, 8, len(corners)) * np.exp(1j * corners)
+    bearings = np.radians(np.arange(-130, 130, 0.5))
+    ranges = np.full(len(bearings), np.inf)
+    for start, end in itertools.pairwise(points):
+        direction, way = np.exp(1j * bearings), end - start
+        cross = (direction * np.conj(way)).imag
+        met = (start * np.conj(way)).imag / cross
+        along = ((met * direction - start) / way).real
+        ranges = np.where((along >= 0) & (along <= 1) & (met > 0), met, ranges)
+    ranges += rng.normal(0, 0.01, len(ranges))
+    assert_like_the_oracle(ranges, bearings, corner_depth=0.15)
 
 
 @given(ranges=ranges_of_steps, shift=st.floats(-7, 7), jitter=st.randoms(use_true_random=False))

@@ -60,8 +60,9 @@ def test_the_folder_is_complete_and_noted(recording, run):
     folder, result = run
     names = {path.name for path in folder.iterdir()}
     assert names == set(result["files"])
-    assert {"circles.parquet", "detections.parquet", "timing.parquet", "tracks_tum", "run.toml",
-            "run.mcap", "picture.png", "film.gif", "summary.json"} == names  # fmt: skip
+    assert {"circles.parquet", "detections.parquet", "shapes.parquet", "timing.parquet",
+            "tracks_tum", "run.toml", "run.mcap", "picture.png", "film.gif",
+            "summary.json"} == names  # fmt: skip
     note = tomllib.loads((folder / "run.toml").read_text())
     assert note["input"]["recording"]["path"] == str(recording)
     (scanner,) = note["config"]["circles"]["scanners"].values()
@@ -96,7 +97,7 @@ def test_the_mcap_file_holds_scans_poses_and_elements(run):
     folder, _ = run
     with open_recording(folder / "run.mcap") as recording:
         messages = list(recording)
-        assert recording.skipped == {"/circles": SCANS}
+        assert recording.skipped == {"/circles": SCANS, "/shapes": SCANS}
     assert sum(isinstance(item, LaserScan) for item in messages) == SCANS
     assert sum(isinstance(item, Pose) for item in messages) == SCANS
 

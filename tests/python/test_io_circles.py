@@ -11,9 +11,11 @@ from mcap_protobuf.decoder import DecoderFactory
 
 import lidar_core as lc
 import lidar_core.io
+from lidar_core.circles import ShapeKind
 from lidar_core.errors import InputError
 from lidar_core.io.circle_scene import ellipse
 from lidar_core.io.circles import COLUMNS, STATE
+from lidar_core.io.shapes import COLUMNS as SHAPE_COLUMNS
 
 BASE_NS = 1_700_000_000_000_000_001
 
@@ -117,6 +119,72 @@ def test_elements_in_mcap_are_scene_entities(tmp_path, maps):
     positions = lc.io.read_columns(tmp_path / "a.mcap")
     assert positions["track_id"].tolist() == [4, 9, 9]
     np.testing.assert_array_equal(positions["x"][:2], state.center[:, 0])
+
+
+@dataclass
+class Shapes:
+    """Elements that are no circles at one time, as the pipeline gives them."""
+
+    id: np.ndarray
+    kind: np.ndarray
+    center: np.ndarray
+    velocity: np.ndarray
+    heading: np.ndarray
+    half_size: np.ndarray
+    ends: np.ndarray
+    covariance: np.ndarray
+    age: np.ndarray
+    visible: np.ndarray
+    stamp_ns: int
+
+
+def make_shapes(stamp_ns):
+    """A line, an ellipse and a rectangle."""
+    rng = np.random.default_rng(1950)
+    root = rng.normal(size=(3, 7, 7))
+    return Shapes(
+        id=np.array([2, 5, 6]),
+        kind=np.array([ShapeKind.LINE, ShapeKind.ELLIPSE, ShapeKind.RECTANGLE], np.uint8),
+        center=np.array([[0.0, 1.0], [3.0, 0.0], [4.0, 4.0]]),
+        velocity=np.array([[0.0, 0.0], [0.3, 0.4], [0.0, 0.0]]),
+        heading=np.array([0.0, np.pi / 2, np.pi / 4]),
+        half_size=np.array([[2.0, 0.0], [0.5, 0.2], [2**0.5, 2**0.5]]),
+        ends=np.array(
+            [[[-2.0, 1.0], [2.0, 1.0]], np.full((2, 2), np.nan), np.full((2, 2), np.nan)]
+        ),
+        covariance=root @ root.transpose(0, 2, 1),
+        age=np.ones(3),
+        visible=np.array([True, False, True]),
+        stamp_ns=stamp_ns,
+    )
+
+
+@pytest.mark.parametrize("name", ["shapes.parquet", "shapes.csv"])
+def test_a_table_has_a_row_per_shape_and_time(tmp_path, name):
+    shapes = make_shapes(BASE_NS)
+    table = lc.io.read_columns(lc.io.write_shapes_table(tmp_path / name, [shapes, shapes]))
+    assert list(table) == list(SHAPE_COLUMNS)
+    assert table["kind"].tolist() == 2 * ["line", "ellipse", "rectangle"]
+    assert table["track_id"].tolist() == 2 * [2, 5, 6]
+    assert (table["x2"][0], table["half_width"][1], table["heading"][2]) == (2, 0.2, np.pi / 4)
+    assert np.isnan(np.array(table["x1"][1:3], float)).all()
+    assert table["cov_heading_half_width"][1] == shapes.covariance[1, 4, 6]
+
+
+def test_outlines_in_mcap_are_scene_entities(tmp_path):
+    shapes = make_shapes(BASE_NS)
+    with lc.io.McapWriter(tmp_path / "a.mcap", tracks_frame="map") as writer:
+        writer.write_shapes(shapes)
+        with pytest.raises(InputError, match="no negative times"):
+            writer.write_shapes(make_shapes(-1))
+    line, oval, box = scene(tmp_path / "a.mcap")[0].entities
+    assert [item.id for item in (line, oval, box)] == ["2", "5", "6"]
+    assert [(p.x, p.y) for p in line.lines[0].points] == [(-2, 1), (2, 1)]
+    around = np.array([(p.x, p.y) for p in oval.lines[0].points]) - (3, 0)
+    np.testing.assert_allclose((around[:, 0] / 0.2) ** 2 + (around[:, 1] / 0.5) ** 2, 1)
+    corners = np.array([(p.x, p.y) for p in box.lines[0].points])
+    np.testing.assert_allclose(corners, [(4, 6), (2, 4), (4, 2), (6, 4)])
+    assert (len(line.arrows), len(oval.arrows)) == (0, 1)
 
 
 @given(st.integers(0, 500))

@@ -71,7 +71,7 @@ def project(ranges: Array, bearings: Array, world_from_lidar: Array) -> tuple[Ar
     )
 
 
-def segment(ranges, bearings, *, incidence, slack, max_gap, min_points, limits, margins):
+def segment(ranges, bearings, *, incidence, slack, max_gap, corner, min_points, limits, margins):
     """Eq. 6 with the adaptive bound in both spaces, without the second pass, by plain loops.
 
     Returns labels and the sides of every segment.
@@ -100,10 +100,16 @@ def segment(ranges, bearings, *, incidence, slack, max_gap, min_points, limits, 
             groups.append([ray])
     if wraps and len(groups) > 1 and joins(hits[-1], hits[0]):
         groups.append(groups.pop() + groups.pop(0))
-    groups = [group for group in groups if len(group) >= min_points]
+    points = np.where(np.isfinite(ranges), ranges, 0) * np.exp(1j * bearings)
+    surfaces = [surface for group in groups for surface in _surfaces(points, group, corner)]
+    firsts = {group[0] for group in groups}
+    lasts = {group[-1] for group in groups}
+    groups = [surface for surface in surfaces if len(surface) >= min_points]
 
     def side(ray, step):
         beyond = ray + step
+        if ray not in (firsts if step < 0 else lasts):
+            return OCCLUDED  # another surface begins in a corner
         if not wraps and not 0 <= beyond < count:
             return FIELD_EDGE
         beyond_range = ranges[beyond % count]
@@ -113,6 +119,29 @@ def segment(ranges, bearings, *, incidence, slack, max_gap, min_points, limits, 
         return RANGE_CUT if cut and np.isinf(beyond_range) else FREE
 
     return groups, [[side(group[0], -1), side(group[-1], 1)] for group in groups]
+
+
+def _surfaces(points, group, corner):
+    """Cut a group at the hit deepest behind the chord, or round the sensor at the farthest one."""
+    depth, width = corner
+    if depth == 0 or len(group) < 2:
+        return [group] if group else []
+    chord = points[group[-1]] - points[group[0]]
+    turned = abs(np.angle(points[group[1:]] / points[group[:-1]]).sum())
+    if turned >= 0.9 * np.pi:
+        quarter = len(group) // 4
+        middle = group[quarter : len(group) - quarter]
+        cut = quarter + len(middle) - 1 - int(np.argmax(abs(points[middle])[::-1]))
+    elif abs(chord) < width:
+        return [group]
+    else:
+        across = ((points[group] - points[group[0]]) / chord).imag * abs(chord)
+        across *= np.sign((-points[group[0]] / chord).imag) * -1
+        cut = len(group) - 1 - int(np.argmax(across[::-1]))
+        if across[cut] < depth or cut + 1 == len(group):
+            return [group]
+    parts = group[: max(cut - 1, 0)], group[cut + 2 :]  # what is next to the corner is unclear
+    return [surface for part in parts for surface in _surfaces(points, part, corner)]
 
 
 def _wrapped(angle):

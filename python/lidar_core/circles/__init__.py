@@ -7,6 +7,7 @@ from lidar_core.circles.fit_config import FitConfig
 from lidar_core.circles.fitting import Circles, fit_circles
 from lidar_core.circles.map import CircleElements, CircleMap, MapEvents
 from lidar_core.circles.map_config import CircleMapConfig
+from lidar_core.circles.map_shapes import ShapeElements
 from lidar_core.circles.network import CircleNetwork
 from lidar_core.circles.pipeline import CirclePipeline
 from lidar_core.circles.preprocess import limit_range, project_horizontal
@@ -38,6 +39,7 @@ __all__ = [
     "SegmentConfig",
     "Segments",
     "ShapeConfig",
+    "ShapeElements",
     "ShapeKind",
     "Shapes",
     "Side",

@@ -42,7 +42,7 @@ class CircleMapConfig(Config):
         max_length=4,
         description="Densities of the white acceleration of the modes between which an element"
         ' switches [m^2/s^3]: steady, manoeuvring, sudden turn; `filter` "independent", as all'
-        " that follows up to `buffer_time`.",
+        " that follows up to `line_coast`.",
     )
     mode_weight: tuple[Annotated[float, Field(ge=1e-6, le=1e6)], ...] = Field(
         (0.4, 0.599, 0.001),
@@ -136,6 +136,39 @@ class CircleMapConfig(Config):
         le=60,
         description="How late a scan may come: all scans since are taken in again after it, of"
         " which the last 1000 are kept [s].",
+    )
+    line_noise: float = Field(
+        1e-6,
+        ge=0,
+        description="Density of the random walk of the ends of a line, across it [m^2/s]: it lets"
+        " lines follow a pose that drifts; ours, as all that follows up to `line_coast`.",
+    )
+    line_std: float = Field(
+        0.01,
+        ge=0,
+        description="Standard deviation of how far surfaces depart from a straight line [m].",
+    )
+    line_gap: float = Field(
+        0.5,
+        ge=0,
+        description="Stretches of one line with a longer gap between them are two [m].",
+    )
+    line_length: float = Field(
+        0.5,
+        ge=0,
+        description="Shorter stretches make no new line: they may be parts of anything [m].",
+    )
+    line_reach: float = Field(
+        3.0,
+        ge=0,
+        description="Hits that lie off a line of the map by less, as root mean square, are its own:"
+        " they are no circle (standard deviations, no unit).",
+    )
+    line_coast: float | None = Field(
+        60.0,
+        ge=0,
+        description="A line goes when it has been hidden or out of view for longer [s]; none:"
+        " never.",
     )
     velocity_step: float = Field(
         0.1,

@@ -14,6 +14,7 @@ from lidar_core.circles.config import CirclesConfig
 from lidar_core.circles.fit_config import FitMethod
 from lidar_core.circles.fitting import Circles
 from lidar_core.circles.map import CircleElements, MapEvents, elements_of
+from lidar_core.circles.map_shapes import ShapeElements, shape_elements_of
 from lidar_core.circles.network import CircleNetwork
 from lidar_core.circles.preprocess import times
 from lidar_core.circles.results import CircleFrame, CirclesHealth
@@ -164,6 +165,11 @@ class CirclePipeline:
         stamp = as_stamp(stamp_ns)
         return elements_of(self._pipeline.map_at(stamp), stamp)
 
+    def shapes_at(self, stamp_ns: int) -> ShapeElements:
+        """Confirmed elements that are no circles, predicted to any time [ns]; nothing changes."""
+        stamp = as_stamp(stamp_ns)
+        return shape_elements_of(self._pipeline.shapes_at(stamp), stamp)
+
     def reset(self) -> None:
         """Forget the map; numbers of elements are still not reused, health is kept."""
         self._pipeline.reset()
@@ -239,7 +245,9 @@ class CirclePipeline:
                 np.empty(0, np.uint8), np.empty((0, 5)), np.empty((0, 5, 5)), rays, numbers
             ),
             element=numbers,
+            line=numbers,
             map=self.map_at(stamp),
+            map_shapes=self.shapes_at(stamp),
             events=MapEvents(False, numbers, numbers, numbers, numbers, np.empty((0, 2), np.int64)),
             rejected=reason,
         )
@@ -258,7 +266,9 @@ def _frame(stamp_ns: int, scanner: str, values: dict[str, Any]) -> CircleFrame:
         circles_world=Circles(*values["circles_world"]),
         shapes=Shapes(*values["shapes"]),
         element=values["element"],
+        line=values["line"],
         map=elements_of(values["map"], stamp_ns),
+        map_shapes=shape_elements_of(values["map_shapes"], stamp_ns),
         events=MapEvents(*values["events"]),
         timing_ms=values["timing_ms"],
     )

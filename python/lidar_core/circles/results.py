@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lidar_core.circles.fitting import Circles
 from lidar_core.circles.map import CircleElements, MapEvents
+from lidar_core.circles.map_shapes import ShapeElements
 from lidar_core.circles.segmentation import Segments
 from lidar_core.circles.shapes import Shapes
 
@@ -40,8 +41,12 @@ class CircleFrame:
     element : ndarray, shape (C,), int64
         Element of the map of every segment; -1 for what is not taken into it: it has another
         shape, or its hits do not lie on the circle.
+    line : ndarray, shape (C,), int64
+        Line of the map of every segment; -1 for what is no line, or too short to be a new one.
     map : CircleElements
         Confirmed elements at the time of the scan.
+    map_shapes : ShapeElements
+        Those that are no circles.
     events : MapEvents
         What the scan did to the map.
     timing_ms : dict
@@ -60,7 +65,9 @@ class CircleFrame:
     circles_world: Circles
     shapes: Shapes
     element: NDArray[np.int64]
+    line: NDArray[np.int64]
     map: CircleElements
+    map_shapes: ShapeElements
     events: MapEvents
     timing_ms: dict[str, float] = field(default_factory=dict)
     rejected: str | None = None

@@ -123,6 +123,19 @@ class SegmentConfig(Config):
         description="Root mean square distance of merged parts from one circle or line, at most"
         " [m].",
     )
+    corner_depth: float = Field(
+        0.15,
+        ge=0,
+        le=10,
+        description="Surfaces that meet in a corner are segments of their own if it lies this deep"
+        " behind the line between their other ends [m]; 0: never, as in the paper.",
+    )
+    corner_width: float = Field(
+        1.2,
+        gt=0,
+        le=100,
+        description="Only if those ends are so far apart [m]: smaller things are one object.",
+    )
     min_points: int = Field(
         4, ge=1, le=100_000, description="Smaller segments are dropped (count, no unit)."
     )
@@ -153,4 +166,11 @@ class SegmentConfig(Config):
 
         The distance is not given; the default splits 0.04 % of the paper's circles.
         """
-        return cls(bound="fixed", max_gap=0, merge_distance=0.0, min_points=1, min_fraction=0.003)
+        return cls(
+            bound="fixed",
+            max_gap=0,
+            merge_distance=0.0,
+            corner_depth=0.0,
+            min_points=1,
+            min_fraction=0.003,
+        )

@@ -42,6 +42,7 @@ class ShapeConfig(Config):
     min_hits: int = Field(
         6,
         ge=1,
-        description="A segment of fewer rays that ends at something nearer is an object only if"
-        " nothing is behind its other end: else it is a piece of a wall (count, no unit).",
+        description="A circle of fewer rays that ends at something nearer is an object only if"
+        " nothing is behind its other end: else it is a piece of a wall, as other shapes are with"
+        " any number (count, no unit).",
     )

@@ -177,6 +177,11 @@ def _table(summary: Mapping[str, Any], name: str) -> "Table":
         Row("poses", "", summary["poses"]),
         Row("circles", str(summary["circles"]), "in all scans"),
         Row("elements", str(summary["elements"]), f"{summary['elements_at_end']} at the end"),
+        Row(
+            "walls and other shapes",
+            str(summary["shapes"]),
+            f"{summary['shapes_at_end']} at the end",
+        ),
         None,
         *stage_rows(summary["ms_per_scan"]),
     )

@@ -10,11 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from lidar_core.circles import CircleElements, CircleFrame, CirclePipeline, Scanner
+from lidar_core.circles import (
+    CircleElements,
+    CircleFrame,
+    CirclePipeline,
+    Scanner,
+    ShapeElements,
+)
 from lidar_core.cli.common import draw
 from lidar_core.cli.recording_job import MCAP
 from lidar_core.cli.scan_times import ScanTimes
-from lidar_core.io import McapWriter, PosedScan, write_circles_table, write_circles_tum
+from lidar_core.io import (
+    McapWriter,
+    PosedScan,
+    write_circles_table,
+    write_circles_tum,
+    write_shapes_table,
+)
 from lidar_core.messages import LaserScan, Pose
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.viz import CirclesView, animate_circles, draw_circles
@@ -77,6 +89,7 @@ class CirclesRun:
         self.pipeline = pipeline
         self.frame_id = "world"
         self.maps: list[CircleElements] = []
+        self.shapes: list[ShapeElements] = []
         self._films = films
         self._times = ScanTimes()
         self._mcap: McapWriter | None = None
@@ -134,6 +147,8 @@ class CirclesRun:
             "circles": sum(len(item.element) for item in self._found),
             "elements": len(self.element_ids),
             "elements_at_end": len(self.maps[-1].id) if self.maps else 0,
+            "shapes": len({number for state in self.shapes for number in state.id.tolist()}),
+            "shapes_at_end": len(self.shapes[-1].id) if self.shapes else 0,
             "ms_per_scan": self._times.ms_per_scan,
         }
 
@@ -142,10 +157,13 @@ class CirclesRun:
         table = write_circles_table(
             folder.path / "circles.parquet", self.maps, frame_id=self.frame_id
         )
+        shapes = write_shapes_table(
+            folder.path / "shapes.parquet", self.shapes, frame_id=self.frame_id
+        )
         found = folder.write_table("detections", self._detections())
         timing = folder.write_table("timing", self._times.table())
         write_circles_tum(folder.path / TRACKS_FOLDER, self.maps)
-        return [table.name, found.name, timing.name, TRACKS_FOLDER]
+        return [table.name, shapes.name, found.name, timing.name, TRACKS_FOLDER]
 
     def draw(self, folder: RunFolder, name: str, console: Console) -> list[str]:
         """Draw picture.png and, where it is wanted, film.gif."""
@@ -166,12 +184,14 @@ class CirclesRun:
             sensor=np.array(self._sensor).reshape(-1, 2),
             stamp_ns=np.array([state.stamp_ns for state in self.maps], np.int64),
             maps=self.maps,
+            shapes=self.shapes,
             n_circles=np.array(counts, np.int64),
             **more,
         )
 
     def _keep(self, frame: CircleFrame, pose: NDArray[np.float64]) -> None:
         self.maps.append(frame.map)
+        self.shapes.append(frame.map_shapes)
         self._found.append(_Found.of(frame))
         self._sensor.append(pose[:2, 3])
         self._last_points = _points_world(frame, pose)
@@ -220,6 +240,7 @@ class CirclesRun:
             writer.write(Pose(scan.stamp_ns, self.frame_id, scan.frame_id, pose))
         writer.write(scan)
         writer.write_circles(frame.map)
+        writer.write_shapes(frame.map_shapes)
 
 
 def _points_world(frame: CircleFrame, pose: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ from lidar_core.io.opening import open_recording
 from lidar_core.io.options import PoseOptions, ReadOptions
 from lidar_core.io.posed import PosedScan, PosedScans, posed_laser_scans, posed_scans
 from lidar_core.io.recording import Recording, Topic
+from lidar_core.io.shapes import write_shapes_table
 from lidar_core.io.tf_buffer import NoTransformError, TransformBuffer
 from lidar_core.io.tracks import write_tracks_table, write_tum
 from lidar_core.io.write_mcap import McapWriter, write_mcap
@@ -41,6 +42,7 @@ __all__ = [
     "write_npz",
     "write_recording",
     "write_ros",
+    "write_shapes_table",
     "write_tracks_table",
     "write_tum",
 ]

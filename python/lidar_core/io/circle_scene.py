@@ -1,4 +1,4 @@
-"""Elements of a circle map as Foxglove's scene entities."""
+"""Elements of a map of circles and other shapes as Foxglove's scene entities."""
 
 import math
 from typing import Any
@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.io.circles import CirclesLike
+from lidar_core.io.shapes import ShapesLike, outline
 
 LIFETIME_NS = 500_000_000  # an element that is no longer written disappears from the view
 HEIGHT = 0.02  # of a disc [m]
@@ -14,6 +15,7 @@ SIGMAS = 2.0
 CORNERS = 24  # of an ellipse
 SLOWEST = 0.05  # shown with an arrow, as long as the way of one second [m/s]
 SEEN, HIDDEN = (0.1, 0.55, 0.9, 0.6), (0.5, 0.5, 0.5, 0.4)
+WALL = (0.85, 0.45, 0.1, 0.9)
 
 
 class CircleScene:
@@ -38,6 +40,30 @@ class CircleScene:
         """One entity per element, named by its number."""
         return [self._entity(circles, row) for row in range(len(circles.id))]
 
+    def outlines(self, shapes: ShapesLike) -> list[Any]:
+        """One entity per line, ellipse or rectangle, named by its number."""
+        return [self._outline(shapes, row) for row in range(len(shapes.id))]
+
+    def _outline(self, shapes: ShapesLike, row: int) -> Any:
+        m, number = self._m, str(int(shapes.id[row]))
+        colour = self._colour(WALL if shapes.visible[row] else HIDDEN)
+        speed = float(np.linalg.norm(shapes.velocity[row]))
+        label = m.TextPrimitive(
+            pose=self._pose(shapes.center[row], height=2 * HEIGHT), billboard=True, font_size=12.0,
+            scale_invariant=True, color=colour, text=number,
+        )  # fmt: skip
+        return m.SceneEntity(
+            timestamp=self._stamp,
+            frame_id=self._frame_id,
+            id=number,
+            lifetime=m.Duration(sec=0, nsec=LIFETIME_NS),
+            lines=[self._loop(outline(shapes, row, CORNERS), colour, 3.0)],
+            arrows=[self._arrow(shapes.center[row], shapes.velocity[row], speed)]
+            if speed > SLOWEST
+            else [],
+            texts=[label],
+        )
+
     def _entity(self, circles: CirclesLike, row: int) -> Any:
         m, center = self._m, circles.center[row]
         colour = self._colour(SEEN if circles.visible[row] else HIDDEN)
@@ -57,20 +83,21 @@ class CircleScene:
             id=str(int(circles.id[row])),
             lifetime=m.Duration(sec=0, nsec=LIFETIME_NS),
             cylinders=[disc],
-            lines=[self._ellipse(center, circles.covariance[row][:2, :2], colour)],
+            lines=[
+                self._loop(
+                    center + ellipse(circles.covariance[row][:2, :2], SIGMAS, CORNERS), colour, 2.0
+                )
+            ],
             arrows=[self._arrow(center, circles.velocity[row], speed)] if speed > SLOWEST else [],
             texts=[label],
         )
 
-    def _ellipse(
-        self, center: NDArray[np.float64], covariance: NDArray[np.float64], colour: Any
-    ) -> Any:
+    def _loop(self, around: NDArray[np.float64], colour: Any, thickness: float) -> Any:
         m = self._m
-        corners = [m.Point3(x=float(x), y=float(y), z=2 * HEIGHT)
-                   for x, y in center + ellipse(covariance, SIGMAS, CORNERS)]  # fmt: skip
+        corners = [m.Point3(x=float(x), y=float(y), z=2 * HEIGHT) for x, y in around]
         return m.LinePrimitive(
-            type=m.LinePrimitiveLineType.LineLoop, pose=self._pose(np.zeros(2)), thickness=2.0,
-            scale_invariant=True, points=corners, color=colour,
+            type=m.LinePrimitiveLineType.LineLoop, pose=self._pose(np.zeros(2)),
+            thickness=thickness, scale_invariant=True, points=corners, color=colour,
         )  # fmt: skip
 
     def _arrow(

@@ -16,11 +16,12 @@ from lidar_core.io.circles import CirclesLike
 from lidar_core.io.foxglove_messages import FOXGLOVE_TYPES, OWN_HEIGHT, OWN_SCANNER
 from lidar_core.io.own_cloud import packed
 from lidar_core.io.rotations import quaternion_from_matrix
+from lidar_core.io.shapes import ShapesLike
 from lidar_core.io.topics import LASER_TOPIC, POSE_TOPIC, SCAN_TOPIC, STATIC_TOPIC
 from lidar_core.io.tracks import TracksLike
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
-TRACKS_TOPIC, CIRCLES_TOPIC = "/tracks", "/circles"
+TRACKS_TOPIC, CIRCLES_TOPIC, SHAPES_TOPIC = "/tracks", "/circles", "/shapes"
 TRACK_LIFETIME_NS = 500_000_000  # a track that is no longer written disappears from the view
 SMALLEST_BOX = 0.1  # a track without extent stays visible [m]
 TRACK_COLOUR = (1.0, 0.35, 0.1, 0.8)
@@ -164,11 +165,27 @@ class McapWriter:
         InputError
             A time before 1970.
         """
-        _check_stamp(circles.stamp_ns)
-        scene = CircleScene(self._messages, self._stamp(circles.stamp_ns), self._tracks_frame)
-        update = self._messages.SceneUpdate(entities=scene.entities(circles))
-        channel = self._channel("SceneUpdateChannel", CIRCLES_TOPIC)
-        channel.log(update, log_time=circles.stamp_ns)
+        scene = self._scene(circles.stamp_ns)
+        self._write_scene(CIRCLES_TOPIC, scene.entities(circles), circles.stamp_ns)
+
+    def write_shapes(self, shapes: ShapesLike) -> None:
+        """Append the lines, ellipses and rectangles of a map at one time.
+
+        Raises
+        ------
+        InputError
+            A time before 1970.
+        """
+        scene = self._scene(shapes.stamp_ns)
+        self._write_scene(SHAPES_TOPIC, scene.outlines(shapes), shapes.stamp_ns)
+
+    def _scene(self, stamp_ns: int) -> CircleScene:
+        _check_stamp(stamp_ns)
+        return CircleScene(self._messages, self._stamp(stamp_ns), self._tracks_frame)
+
+    def _write_scene(self, topic: str, entities: list[Any], stamp_ns: int) -> None:
+        update = self._messages.SceneUpdate(entities=entities)
+        self._channel("SceneUpdateChannel", topic).log(update, log_time=stamp_ns)
 
     def _entity(self, tracks: TracksLike, row: int, stamp: Any) -> Any:
         m = self._messages

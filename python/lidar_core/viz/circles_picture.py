@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lidar_core.extras import require
 from lidar_core.io.atomic import written_whole
 from lidar_core.io.circle_scene import ellipse
+from lidar_core.io.shapes import ShapesLike, outline
 from lidar_core.viz.figure import INK, PALE, PURPOSE, figure_with_style, write_figure
 from lidar_core.viz.views import CirclesView
 
@@ -17,7 +18,7 @@ SIZE, DPI = (12.0, 7.0), 90
 FILM_SIZE, FILM_DPI = (7.0, 7.0), 70
 TALL = 1.0  # height of the map in the picture, in widths
 COLOURS = ("#0369a1", "#15803d", "#7e22ce", "#b45309", "#be185d", "#0f766e", "#4d7c0f")
-POINT, EARLIER = "#475569", "#dbe1e8"
+POINT, EARLIER, WALL = "#475569", "#dbe1e8", "#c2410c"
 MARGIN = 0.5  # around points and sensor [m]
 SMALLEST = 4.0  # least width and height of what is shown [m]
 REACH = 12.0  # from the sensor's way, at most: points further off only make the rest small [m]
@@ -146,6 +147,8 @@ def _above(
             axes.plot(line[: scan + 1, 0], line[: scan + 1, 1], color="black", lw=1.1,
                       ls=(0, (3, 2)), zorder=6, label=None if order else "truth")  # fmt: skip
         _elements(axes, view, scan)
+        if view.shapes:
+            _shapes(axes, view.shapes[scan])
     axes.set(aspect="equal", adjustable="box", xlim=(low[0], high[0]), ylim=(low[1], high[1]),
              xlabel="x [m]", ylabel="y [m]")  # fmt: skip
     axes.grid(visible=True)
@@ -174,6 +177,15 @@ def _elements(axes: Any, view: CirclesView, scan: int) -> None:
         )  # fmt: skip
     axes.scatter([], [], s=60, facecolor=(COLOURS[0], 0.2), edgecolor=COLOURS[0],
                  label="element, 2σ ellipse, velocity")  # fmt: skip
+
+
+def _shapes(axes: Any, shapes: ShapesLike) -> None:
+    """Outlines of lines, ellipses and rectangles, dotted where they are out of sight."""
+    for row in range(len(shapes.id)):
+        around = outline(shapes, row, CORNERS)
+        closed = around if len(around) == 2 else np.vstack([around, around[:1]])
+        axes.plot(*closed.T, color=WALL, lw=2.2, ls="-" if shapes.visible[row] else ":",
+                  alpha=0.85, zorder=3, label=None if row else "wall or other shape")  # fmt: skip
 
 
 def _arrow(

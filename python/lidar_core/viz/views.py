@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.io.circles import CirclesLike
+from lidar_core.io.shapes import ShapesLike
 from lidar_core.io.tracks import TracksLike
 
 
@@ -75,6 +76,8 @@ class CirclesView:
         Elements, one state per scan.
     n_circles : ndarray, shape (S,), int64
         Circles found per scan.
+    shapes : sequence of map states
+        Lines, ellipses and rectangles, one state per scan; empty: none are shown.
     truth : mapping of int to ndarray, shape (S, 2), float64
         True centres of every object [m]; NaN where unknown. Empty without truth.
     """
@@ -85,6 +88,7 @@ class CirclesView:
     stamp_ns: NDArray[np.int64]
     maps: Sequence[CirclesLike]
     n_circles: NDArray[np.int64]
+    shapes: Sequence[ShapesLike] = ()
     truth: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
 
 

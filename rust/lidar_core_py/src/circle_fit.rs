@@ -109,17 +109,22 @@ pub(crate) fn fit_shapes<'py>(
     shape_arrays(py, &found)
 }
 
+/// `ShapeKind` of Python.
+pub(crate) fn kind_number(kind: ShapeKind) -> u8 {
+    match kind {
+        ShapeKind::Circle => 0,
+        ShapeKind::Ellipse => 1,
+        ShapeKind::Rectangle => 2,
+        ShapeKind::Line => 3,
+    }
+}
+
 pub(crate) fn shape_arrays<'py>(
     py: Python<'py>,
     shapes: &[ShapeEstimate],
 ) -> Result<ShapeArrays<'py>, BorderError> {
     let count = shapes.len();
-    let kinds = shapes.iter().map(|shape| match shape.kind {
-        ShapeKind::Circle => 0_u8,
-        ShapeKind::Ellipse => 1,
-        ShapeKind::Rectangle => 2,
-        ShapeKind::Line => 3,
-    });
+    let kinds = shapes.iter().map(|shape| kind_number(shape.kind));
     let parameters: Vec<f64> = shapes.iter().flat_map(|shape| shape.parameters).collect();
     let covariance: Vec<f64> =
         shapes.iter().flat_map(|shape| shape.covariance.into_iter().flatten()).collect();

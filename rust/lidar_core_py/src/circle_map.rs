@@ -1,13 +1,14 @@
 //! Bindings of `lidar_core::circles::map`.
 
 use crate::arrays;
+use crate::circle_fit::kind_number;
 use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
 use lidar_core::circles::circle::{Circle, CircleEstimate};
 use lidar_core::circles::map::{
     CircleMap, CircleMapParameters, CircleScan, Confirmation, Filter, Independent, Joint, Limits,
-    Looking, MapElement, MapStats, Mode, Patience, PoseCovariance, View,
+    LineRules, Looking, MapElement, MapShape, MapStats, Mode, Patience, PoseCovariance, View,
 };
 use lidar_core::circles::polar::PolarScan;
 use lidar_core::geometry::transform::Transform;
@@ -39,6 +40,12 @@ pub(crate) struct CircleMapConfig {
     see_margin: f64,
     min_rays: usize,
     buffer_time: f64,
+    line_noise: f64,
+    line_std: f64,
+    line_gap: f64,
+    line_length: f64,
+    line_reach: f64,
+    line_coast: Option<f64>,
     velocity_step: f64,
     max_eigenvalue: f64,
 }
@@ -78,6 +85,14 @@ impl CircleMapConfig {
             },
             looking: Looking { margin: self.see_margin, min_rays: self.min_rays },
             buffer_time: self.buffer_time,
+            lines: LineRules {
+                density: self.line_noise,
+                std: self.line_std,
+                gap: self.line_gap,
+                length: self.line_length,
+                reach: self.line_reach,
+                coast: self.line_coast,
+            },
         }
     }
 }
@@ -101,6 +116,20 @@ pub(crate) type Events<'py> =
 pub(crate) type Elements<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray1<f64>>,
+    Numbers<'py>,
+    Bound<'py, PyArray1<bool>>,
+    Bound<'py, PyArray1<bool>>,
+);
+
+/// Number, kind, mean (K, 7), covariance (K, 7, 7), ends (K, 2, 2), age, time of the last
+/// measurement, visible, confirmed.
+pub(crate) type MapShapes<'py> = (
+    Numbers<'py>,
+    Bound<'py, PyArray1<u8>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray3<f64>>,
     Bound<'py, PyArray3<f64>>,
     Bound<'py, PyArray1<f64>>,
     Numbers<'py>,
@@ -153,6 +182,7 @@ impl PyCircleMap {
                 pose_covariance: doubt.as_ref(),
                 estimates: &estimates,
                 delays,
+                lines: &[],
                 view: scan.as_ref().map(|(scan, (range_min, range_max))| View {
                     scan,
                     range_min: *range_min,
@@ -250,5 +280,34 @@ pub(crate) fn element_arrays<'py>(
         numbers(|element| element.seen_ns).into_pyarray(py),
         flags(|element| element.visible).into_pyarray(py),
         flags(|element| element.confirmed).into_pyarray(py),
+    ))
+}
+
+pub(crate) fn map_shape_arrays<'py>(
+    py: Python<'py>,
+    all: &[MapShape],
+) -> Result<MapShapes<'py>, BorderError> {
+    let count = all.len();
+    let numbers = |value: fn(&MapShape) -> i64| all.iter().map(value).collect::<Vec<i64>>();
+    let flags = |value: fn(&MapShape) -> bool| all.iter().map(value).collect::<Vec<bool>>();
+    let kinds: Vec<u8> = all.iter().map(|shape| kind_number(shape.kind)).collect();
+    let means: Vec<f64> = all.iter().flat_map(|shape| shape.state.mean.data.0[0]).collect();
+    let covariances: Vec<f64> = all
+        .iter()
+        .flat_map(|shape| shape.state.covariance.data.0.into_iter().flatten()) // symmetric
+        .collect();
+    let none = [[f64::NAN; 2]; 2];
+    let ends: Vec<f64> =
+        all.iter().flat_map(|shape| shape.ends.unwrap_or(none).into_iter().flatten()).collect();
+    Ok((
+        numbers(|shape| shape.id).into_pyarray(py),
+        kinds.into_pyarray(py),
+        means.into_pyarray(py).reshape([count, 7])?,
+        covariances.into_pyarray(py).reshape([count, 7, 7])?,
+        ends.into_pyarray(py).reshape([count, 2, 2])?,
+        all.iter().map(|shape| shape.age).collect::<Vec<f64>>().into_pyarray(py),
+        numbers(|shape| shape.seen_ns).into_pyarray(py),
+        flags(|shape| shape.visible).into_pyarray(py),
+        flags(|shape| shape.confirmed).into_pyarray(py),
     ))
 }

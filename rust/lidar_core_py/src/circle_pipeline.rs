@@ -2,7 +2,9 @@
 
 use crate::arrays;
 use crate::circle_fit::{CircleArrays, circle_arrays, shape_arrays};
-use crate::circle_map::{CircleMapConfig, Elements, element_arrays, estimates, event_arrays};
+use crate::circle_map::{
+    CircleMapConfig, Elements, MapShapes, element_arrays, estimates, event_arrays, map_shape_arrays,
+};
 use crate::circles::{LevelArrays, PROJECTIONS, SegmentArrays, segment_arrays};
 use crate::circles_config::{FitConfig, ScannerConfig, SegmentConfig, ShapeConfig};
 use crate::errors::BorderError;
@@ -177,6 +179,14 @@ impl PyCirclePipeline {
         element_arrays(py, &self.0.with(py, |pipeline| Ok(pipeline.map_at(stamp_ns)))?)
     }
 
+    fn shapes_at<'py>(
+        &self,
+        py: Python<'py>,
+        stamp_ns: i64,
+    ) -> Result<MapShapes<'py>, BorderError> {
+        map_shape_arrays(py, &self.0.with(py, |pipeline| Ok(pipeline.shapes_at(stamp_ns)))?)
+    }
+
     fn reset(&self, py: Python<'_>) -> Result<(), BorderError> {
         self.0.with(py, |pipeline| {
             pipeline.reset();
@@ -187,14 +197,18 @@ impl PyCirclePipeline {
 
 fn frame_dict(py: Python<'_>, frame: CircleFrame) -> Result<Bound<'_, PyDict>, BorderError> {
     let values = PyDict::new(py);
-    let elements: Vec<i64> = frame.elements.iter().map(|element| element.unwrap_or(-1)).collect();
+    let numbers = |elements: &[Option<i64>]| -> Vec<i64> {
+        elements.iter().map(|element| element.unwrap_or(-1)).collect()
+    };
     values.set_item("level", level_arrays(py, frame.level))?;
     values.set_item("segments", segment_arrays(py, frame.segments)?)?;
     values.set_item("circles", all_circles(py, &frame.circles)?)?;
     values.set_item("circles_world", all_circles(py, &frame.circles_world)?)?;
     values.set_item("shapes", shape_arrays(py, &frame.shapes)?)?;
-    values.set_item("element", elements.into_pyarray(py))?;
+    values.set_item("element", numbers(&frame.elements).into_pyarray(py))?;
+    values.set_item("line", numbers(&frame.lines).into_pyarray(py))?;
     values.set_item("map", element_arrays(py, &frame.map)?)?;
+    values.set_item("map_shapes", map_shape_arrays(py, &frame.map_shapes)?)?;
     values.set_item("events", event_arrays(py, frame.stats)?)?;
     let timing_ms = PyDict::new(py);
     let timing = frame.timing;

@@ -3,6 +3,7 @@
 use crate::arrays;
 use lidar_core::Error;
 use lidar_core::circles::bodies::ShapeParameters;
+use lidar_core::circles::corner::CornerParameters;
 use lidar_core::circles::fit::{FitParameters, Method};
 use lidar_core::circles::pipeline::ScannerParameters;
 use lidar_core::circles::segment::{Bound, Criterion, SegmentParameters};
@@ -38,6 +39,8 @@ pub(crate) struct SegmentConfig {
     max_gap: usize,
     merge_distance: f64,
     merge_deviation: f64,
+    corner_depth: f64,
+    corner_width: f64,
     min_points: usize,
     min_fraction: f64,
     near_margin: f64,
@@ -59,6 +62,7 @@ impl SegmentConfig {
             max_gap: self.max_gap,
             merge_distance: self.merge_distance,
             merge_deviation: self.merge_deviation,
+            corner: CornerParameters { depth: self.corner_depth, width: self.corner_width },
             min_points: self.min_points,
             min_fraction: self.min_fraction,
             range_limits: [scanner.range_min, scanner.range_max],

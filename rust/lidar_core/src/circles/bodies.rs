@@ -21,8 +21,8 @@ pub struct ShapeParameters {
     pub max_size: f64,
     /// How far their outlines depart from a fixed shape, as a standard deviation [m].
     pub model_std: f64,
-    /// A segment of fewer rays that ends at something nearer is an object only if nothing is
-    /// behind its other end.
+    /// A circle of fewer rays that ends at something nearer is an object only if nothing is behind
+    /// its other end; other shapes always.
     pub min_hits: usize,
 }
 
@@ -92,36 +92,53 @@ impl ShapeParameters {
     }
 }
 
-/// What segment `number` is for the map of circles: None where its hits do not lie on the circle,
-/// or it has another shape. Its own estimate stands for a circle, one of the mean half length for
-/// other shapes.
-pub(super) fn body(
+/// What a segment is for the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Part {
+    /// Something round, or small and nearly so.
+    Body(CircleEstimate),
+    /// A line, as its shape says.
+    Line,
+    /// Nothing.
+    Nothing,
+}
+
+/// What segment `number` is for the map: nothing where its hits do not lie on its circle or other
+/// shape. Its own estimate stands for a circle, one of the mean half length for other shapes.
+pub(super) fn part(
     prepared: &PreparedSweep,
     number: usize,
     circle: &CircleEstimate,
     shape: Option<(&ShapeEstimate, &ShapeParameters)>,
     [range_std, max_deviation]: [f64; 2],
-) -> Option<CircleEstimate> {
+) -> Part {
     let round = || Some(*circle).filter(|_| deviation(prepared, number, circle) <= max_deviation);
-    let Some((shape, parameters)) = shape else { return round() };
-    let sides = prepared.segments.sides[number];
-    if is_piece(sides, shape.n_hits, parameters.min_hits) {
-        return None;
-    }
+    let Some((shape, parameters)) = shape else { return Part::of(round()) };
     let off = range_std * (shape.misfit / shape.n_hits as f64).sqrt();
+    let sides = prepared.segments.sides[number];
     match shape.kind {
-        ShapeKind::Circle => round().filter(is_certain),
-        _ if off > max_deviation => None,
-        ShapeKind::Line if sides != [Side::Free; 2] => None,
-        ShapeKind::Line => parameters.behind(shape),
-        ShapeKind::Ellipse | ShapeKind::Rectangle => parameters.equivalent(shape),
+        ShapeKind::Circle if is_piece(sides) && shape.n_hits < parameters.min_hits => Part::Nothing,
+        ShapeKind::Circle => Part::of(round().filter(is_certain)),
+        _ if off > max_deviation => Part::Nothing,
+        ShapeKind::Line => {
+            let is_face = sides == [Side::Free; 2];
+            parameters.behind(shape).filter(|_| is_face).map_or(Part::Line, Part::Body)
+        }
+        _ if is_piece(sides) => Part::Nothing,
+        ShapeKind::Ellipse | ShapeKind::Rectangle => Part::of(parameters.equivalent(shape)),
     }
 }
 
-/// Whether a few rays show no more than a piece of something: it ends where something nearer is,
-/// and nothing shows that it ends at the other side.
-fn is_piece(sides: [Side; 2], n_hits: usize, min_hits: usize) -> bool {
-    n_hits < min_hits && sides.contains(&Side::Occluded) && !sides.contains(&Side::Free)
+impl Part {
+    fn of(body: Option<CircleEstimate>) -> Self {
+        body.map_or(Self::Nothing, Self::Body)
+    }
+}
+
+/// Whether rays may show no more than a piece of something: it ends where something nearer is, and
+/// nothing shows that it ends at the other side.
+fn is_piece(sides: [Side; 2]) -> bool {
+    sides.contains(&Side::Occluded) && !sides.contains(&Side::Free)
 }
 
 /// Whether the covariance can be used: that of a circle fitted to a wall may be singular.
@@ -202,10 +219,9 @@ mod tests {
     }
 
     #[test]
-    fn a_few_rays_between_two_other_things_are_a_piece() {
+    fn what_nothing_free_is_beside_is_a_piece() {
         use Side::{FieldEdge, Free, Occluded, RangeCut};
-        assert!(is_piece([RangeCut, Occluded], 5, 6) && is_piece([Occluded, FieldEdge], 4, 6));
-        assert!(!is_piece([RangeCut, Occluded], 6, 6));
-        assert!(!is_piece([Free, Occluded], 4, 6) && !is_piece([RangeCut; 2], 4, 6));
+        assert!(is_piece([RangeCut, Occluded]) && is_piece([Occluded, FieldEdge]));
+        assert!(!is_piece([Free, Occluded]) && !is_piece([RangeCut; 2]));
     }
 }

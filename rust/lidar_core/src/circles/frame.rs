@@ -1,7 +1,7 @@
 //! What the pipeline says about one sweep.
 
 use super::circle::CircleEstimate;
-use super::map::{MapElement, MapStats, PoseCovariance};
+use super::map::{MapElement, MapShape, MapStats, PoseCovariance};
 use super::preprocess::LevelScan;
 use super::segments::Segments;
 use super::shape::ShapeEstimate;
@@ -26,6 +26,20 @@ pub struct PreparedSweep {
     /// Horizontal reach of the scanner [m].
     pub(super) range_limits: [f64; 2],
     pub(super) timing: Timing,
+}
+
+impl PreparedSweep {
+    /// Where the rays of a segment ended, from above [m].
+    pub(super) fn points_world(&self, number: usize) -> Vec<[f64; 2]> {
+        let rays = self.segments.rays_of(number).iter();
+        let points = rays.filter_map(|&ray| self.level.scan.point(ray as usize));
+        points
+            .map(|[x, y]| {
+                let [x, y, _] = self.world_from_level.apply([x, y, 0.0]);
+                [x, y]
+            })
+            .collect()
+    }
 }
 
 /// Milliseconds spent per stage.
@@ -57,10 +71,14 @@ pub struct CircleFrame {
     /// Element of the map of every segment; None for what is not taken into it: it has another
     /// shape, or the hits do not lie on the circle.
     pub elements: Vec<Option<i64>>,
+    /// Line of the map of every segment; None for what is no line, or too short to be a new one.
+    pub lines: Vec<Option<i64>>,
     /// What the map did with them.
     pub stats: MapStats,
     /// Elements of the map at the time of the sweep.
     pub map: Vec<MapElement>,
+    /// Its elements that are no circles.
+    pub map_shapes: Vec<MapShape>,
     /// Time per stage.
     pub timing: Timing,
 }

@@ -7,10 +7,12 @@
 pub mod bodies;
 mod channel;
 pub mod circle;
+pub mod corner;
 pub mod fit;
 pub mod frame;
 pub mod map;
 mod merge;
+mod parts;
 pub mod pipeline;
 pub mod polar;
 pub mod preprocess;

@@ -1,13 +1,15 @@
 //! From one sweep of ranges to the map of circles: every stage in one call.
 
-use super::bodies::{ShapeParameters, body};
+use super::bodies::ShapeParameters;
 use super::channel::Channel;
 use super::circle::CircleEstimate;
 use super::fit::{FitParameters, Method};
 use super::frame::{CircleFrame, PreparedSweep, Timing};
 use super::map::{
-    CircleMap, CircleMapParameters, CircleScan, MapElement, MapStats, PoseCovariance, View,
+    CircleMap, CircleMapParameters, CircleScan, MapElement, MapShape, MapStats, PoseCovariance,
+    View,
 };
+use super::parts::{ByKind, Parts};
 use super::preprocess::{self, Projection};
 use super::segment::{SegmentParameters, segment};
 use super::segments::Segments;
@@ -227,8 +229,10 @@ impl CirclePipeline {
         shapes: Vec<ShapeEstimate>,
     ) -> Result<CircleFrame, Error> {
         let mut clock = Clock::start();
-        let (elements, stats) = self.update(&prepared, &circles, &shapes)?;
+        let (ByKind { bodies: elements, lines }, stats) =
+            self.update(&prepared, &circles, &shapes)?;
         let map = self.map.map_at(prepared.stamp_ns);
+        let map_shapes = self.map.shapes_at(prepared.stamp_ns);
         Ok(CircleFrame {
             circles_world: in_world(&circles, &prepared.world_from_level),
             level: prepared.level,
@@ -236,46 +240,40 @@ impl CirclePipeline {
             circles,
             shapes,
             elements,
+            lines,
             stats,
             map,
+            map_shapes,
             timing: Timing { map: clock.lap(), ..prepared.timing },
         })
     }
 
-    /// Correct the map; the element of every segment.
+    /// Correct the map; the element of every segment that is a body, and of every line.
     fn update(
         &mut self,
         prepared: &PreparedSweep,
         circles: &[CircleEstimate],
         shapes: &[ShapeEstimate],
-    ) -> Result<(Vec<Option<i64>>, MapStats), Error> {
-        let limits = [self.parameters.fit.range_std, self.parameters.max_deviation];
-        let of = |(number, circle): (usize, &CircleEstimate)| {
-            let shape = shapes.get(number).zip(self.parameters.shapes.as_ref());
-            Some((number, body(prepared, number, circle, shape, limits)?))
-        };
-        let (kept, estimates): (Vec<usize>, Vec<CircleEstimate>) =
-            circles.iter().enumerate().filter_map(of).unzip();
+    ) -> Result<(ByKind, MapStats), Error> {
+        let parts = Parts::of(prepared, circles, shapes, &self.parameters, &self.map);
         let delays: Option<Vec<f64>> = prepared
             .delays
             .as_ref()
-            .map(|delays| kept.iter().map(|&number| delays[number]).collect());
+            .map(|delays| parts.bodies.iter().map(|&number| delays[number]).collect());
         let [range_min, range_max] = prepared.range_limits;
         let updated = self.map.update(&CircleScan {
             stamp_ns: prepared.stamp_ns,
             sensor: prepared.number as u32,
             world_from_lidar: &prepared.world_from_lidar,
             pose_covariance: prepared.pose_covariance.as_ref(),
-            estimates: &estimates,
+            estimates: &parts.circles,
             delays: delays.as_deref(),
+            lines: &parts.shapes,
             view: Some(View { scan: &prepared.level.scan, range_min, range_max }),
         });
         let stats =
             updated.map_err(|error| with_name(error, prepared.number, &prepared.scanner))?;
-        let mut elements = vec![None; circles.len()];
-        for (number, &element) in kept.into_iter().zip(&stats.elements) {
-            elements[number] = Some(element);
-        }
+        let elements = parts.elements(circles.len(), &stats);
         Ok((elements, stats))
     }
 
@@ -283,6 +281,12 @@ impl CirclePipeline {
     #[must_use]
     pub fn map_at(&self, stamp_ns: i64) -> Vec<MapElement> {
         self.map.map_at(stamp_ns)
+    }
+
+    /// Elements that are no circles, at any time [ns]; changes nothing.
+    #[must_use]
+    pub fn shapes_at(&self, stamp_ns: i64) -> Vec<MapShape> {
+        self.map.shapes_at(stamp_ns)
     }
 
     /// Forget the map; numbers go on.

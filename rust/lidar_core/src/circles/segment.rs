@@ -1,10 +1,12 @@
 //! Object segmentation, sec. III-C: which rays of a scan ended on the same object.
 
+use super::corner::{self, CornerParameters};
 use super::merge::{self, Run};
 use super::polar::{PolarScan, turn};
 use super::segments::{Segments, Side};
 use crate::Error;
 use crate::budget::check_points;
+use std::ops::Range;
 
 /// In which space neighbours have to be close.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,6 +48,8 @@ pub struct SegmentParameters {
     pub merge_distance: f64,
     /// Largest root mean square of the distances of merged parts from one circle or line [m].
     pub merge_deviation: f64,
+    /// When surfaces that meet in a corner are segments of their own.
+    pub corner: CornerParameters,
     /// Smallest number of rays.
     pub min_points: usize,
     /// Smallest share of all rays of the scan.
@@ -176,34 +180,35 @@ impl Sweep<'_> {
 
     /// Segments from runs and, per run, the first run of its object.
     fn segments(&self, runs: &[Run], roots: &[usize], parameters: &SegmentParameters) -> Segments {
-        let mut sizes = vec![0; runs.len()];
-        for (run, &root) in runs.iter().zip(roots) {
-            sizes[root] += run.end - run.start;
-        }
         let fewest = parameters.min_fraction * self.scan.len() as f64;
         let mut segments =
             Segments { labels: vec![0; self.scan.len()], starts: vec![0], ..Segments::default() };
-        for (root, &size) in sizes.iter().enumerate() {
-            if size == 0 || size < parameters.min_points || (size as f64) < fewest {
-                continue;
+        let (mut rays, mut surfaces) = (Vec::new(), Vec::new());
+        for root in (0..runs.len()).filter(|&run| roots[run] == run) {
+            rays.clear();
+            for run in (root..runs.len()).filter(|&run| roots[run] == root) {
+                rays.extend(&self.hits[runs[run].start..runs[run].end]);
             }
-            let members = (root..runs.len()).filter(|&run| roots[run] == root);
-            let start = segments.rays.len();
-            for run in members {
-                segments.rays.extend(&self.hits[runs[run].start..runs[run].end]);
+            surfaces.clear();
+            corner::surfaces(self.scan, &rays, &parameters.corner, &mut surfaces);
+            for surface in &surfaces {
+                let Range { start, end } = *surface;
+                let size = end - start;
+                if size >= parameters.min_points.max(1) && size as f64 >= fewest {
+                    let sides = [
+                        self.side_at(rays[start], start > 0, false, parameters),
+                        self.side_at(rays[end - 1], end < rays.len(), true, parameters),
+                    ];
+                    segments.push(&rays[start..end], sides);
+                }
             }
-            let label = segments.sides.len() as i32 + 1;
-            for &ray in &segments.rays[start..] {
-                segments.labels[ray as usize] = label;
-            }
-            let ends = [segments.rays[start], segments.rays[segments.rays.len() - 1]];
-            segments.starts.push(segments.rays.len());
-            segments.sides.push([
-                self.side(ends[0], false, parameters),
-                self.side(ends[1], true, parameters),
-            ]);
         }
         segments
+    }
+
+    /// What lies beyond the outermost ray of a surface: another one, if it ends in a corner.
+    fn side_at(&self, ray: u32, corner: bool, after: bool, parameters: &SegmentParameters) -> Side {
+        if corner { Side::Occluded } else { self.side(ray, after, parameters) }
     }
 
     /// The ray after `ray`, or the one before it.
@@ -280,6 +285,7 @@ mod tests {
         max_gap: 1,
         merge_distance: 0.5,
         merge_deviation: 0.02,
+        corner: CornerParameters { depth: 0.15, width: 1.2 },
         min_points: 2,
         min_fraction: 0.0,
         range_limits: [0.1, 10.0],

@@ -5,7 +5,8 @@
 pub enum Side {
     /// The next ray went past: no return, or a hit farther away. The object ends before it.
     Free,
-    /// The next ray ended on something nearer, or tells nothing: the object may go on behind.
+    /// The next ray ended on something nearer, on another surface in a corner, or tells nothing:
+    /// the object may go on behind.
     Occluded,
     /// There is no next ray: the object may go on outside the field of view.
     FieldEdge,
@@ -38,6 +39,17 @@ impl Segments {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.sides.is_empty()
+    }
+
+    /// Add a segment.
+    pub(super) fn push(&mut self, rays: &[u32], sides: [Side; 2]) {
+        self.sides.push(sides);
+        let label = self.sides.len() as i32;
+        for &ray in rays {
+            self.labels[ray as usize] = label;
+        }
+        self.rays.extend(rays);
+        self.starts.push(self.rays.len());
     }
 
     /// Rays of segment `number`, which ended on its object; there may be others between them.

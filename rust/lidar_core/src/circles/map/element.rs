@@ -2,11 +2,61 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::modes::{Measurement, Modes, Motion};
-use super::parameters::{Independent, Limits};
+use super::independent::Rules;
+use super::modes::Step;
+use super::parameters::{Independent, Patience};
+use super::scan::Viewpoint;
 use super::visibility::Visibility;
-use crate::estimation::kalman::Gaussian;
+use crate::Error;
 use nalgebra::SMatrix;
+
+/// Where an object is, and what scans tell about that: what differs from kind to kind.
+pub(super) trait State: Clone {
+    /// What a scan shows of one.
+    type Measurement;
+
+    /// As the first measurement shows it.
+    fn new(seen: &Self::Measurement, rules: &Rules) -> Self;
+
+    /// Whether a measurement that belongs to no element makes one.
+    fn is_born(_: &Self::Measurement, _: &Rules) -> bool {
+        true
+    }
+
+    /// Move on.
+    fn predict(&mut self, step: &Step);
+
+    /// # Errors
+    /// [`Error::NotPositiveDefinite`]; nothing changes then.
+    fn correct(&mut self, seen: &Self::Measurement, rules: &Rules) -> Result<(), Error>;
+
+    /// The object, by its place among `all`, that each measurement shows.
+    ///
+    /// # Errors
+    /// [`Error::NotPositiveDefinite`].
+    fn associate<'a>(
+        all: impl ExactSizeIterator<Item = &'a Self> + Clone,
+        seen: &[Self::Measurement],
+        rules: &Rules,
+    ) -> Result<Vec<Option<usize>>, Error>
+    where
+        Self: 'a;
+
+    /// What a scan that did not measure it says about it.
+    fn look(&self, from: &Viewpoint, rules: &Rules) -> Visibility;
+
+    /// Whether too little is known about it.
+    fn is_vague(&self, rules: &Rules) -> bool;
+
+    /// Whether the two are one object.
+    fn is_twin(&self, other: &Self, rules: &Rules) -> bool;
+
+    /// Take in a twin.
+    fn absorb(&mut self, twin: Self, is_newer: bool);
+
+    /// How long it stays without a measurement.
+    fn patience(rules: &Rules) -> Patience;
+}
 
 /// What the last scan said about an element.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,9 +89,9 @@ impl Misses {
 
 /// One object.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Element {
+pub(super) struct Element<S> {
     pub(super) id: i64,
-    pub(super) modes: Modes,
+    pub(super) state: S,
     pub(super) born_ns: i64,
     /// Time of the last measurement.
     pub(super) seen_ns: i64,
@@ -59,17 +109,11 @@ pub(super) struct Element {
     hidden: Misses,
 }
 
-impl Element {
-    pub(super) fn new(
-        id: i64,
-        measurement: &Measurement,
-        (stamp_ns, sensor): (i64, u32),
-        speed: f64,
-        motion: &Motion,
-    ) -> Self {
+impl<S: State> Element<S> {
+    pub(super) fn new(id: i64, state: S, (stamp_ns, sensor): (i64, u32)) -> Self {
         Self {
             id,
-            modes: Modes::new(measurement, speed, motion),
+            state,
             born_ns: stamp_ns,
             seen_ns: stamp_ns,
             n_measurements: 1,
@@ -119,38 +163,34 @@ impl Element {
     }
 
     /// Whether it goes: never confirmed, not there, or too uncertain, eq. 33 with a limit per block.
-    pub(super) fn is_over(&self, parameters: &Independent) -> bool {
-        if !self.confirmed && self.recent(parameters.confirmation.window) == 0 {
+    pub(super) fn is_over(&self, rules: &Rules) -> bool {
+        if !self.confirmed && self.recent(rules.parameters().confirmation.window) == 0 {
             return true;
         }
-        let patience = &parameters.patience;
+        let patience = S::patience(rules);
         let is_long = |misses: Misses, most| misses.scans >= patience.scans && misses.time > most;
         is_long(self.absent, patience.absent)
             || is_long(self.unmatched, patience.unmatched)
             || patience.hidden.is_some_and(|most| is_long(self.hidden, most))
-            || self.is_visible() && is_vague(&self.modes.combined(), &parameters.limits)
+            || self.is_visible() && self.state.is_vague(rules)
     }
 
-    /// Whether two elements are one: the centre of one lies inside the other, or there is less
-    /// than `gap` between them.
-    pub(super) fn is_twin(&self, other: &Self, gap: f64) -> bool {
-        let (one, two) = (self.modes.combined().mean, other.modes.combined().mean);
-        let [x, y] = [one[0] - two[0], one[1] - two[1]];
-        let touching = if gap > 0.0 { one[4] + two[4] + gap } else { 0.0 };
-        let reach = one[4].max(two[4]).max(touching);
-        self.is_visible() && other.is_visible() && x * x + y * y < reach * reach
+    /// Whether two elements that are in sight are one object.
+    pub(super) fn is_twin(&self, other: &Self, rules: &Rules) -> bool {
+        self.is_visible() && other.is_visible() && self.state.is_twin(&other.state, rules)
     }
 
     /// Take in a twin: the state of the one measured last, else the one measured more often.
     pub(super) fn absorb(&mut self, twin: Self) {
         let rank = |element: &Self| (element.seen_ns, element.n_measurements);
-        if rank(&twin) > rank(self) {
-            self.modes = twin.modes;
+        let is_newer = rank(&twin) > rank(self);
+        if is_newer {
             (self.seen, self.watcher) = (twin.seen, twin.watcher);
             self.seen_ns = twin.seen_ns;
             (self.absent, self.unmatched) = (twin.absent, twin.unmatched);
             self.hidden = twin.hidden;
         }
+        self.state.absorb(twin.state, is_newer);
         self.n_measurements = self.n_measurements.max(twin.n_measurements);
         self.history |= twin.history;
     }
@@ -159,15 +199,6 @@ impl Element {
     fn recent(&self, window: u32) -> u64 {
         self.history & (u64::MAX >> (u64::BITS - window))
     }
-}
-
-/// Whether an eigenvalue of a block of the covariance is above its limit, or no radius is left.
-fn is_vague(state: &Gaussian<5>, limits: &Limits) -> bool {
-    let P = &state.covariance;
-    exceeds(&P.fixed_view::<2, 2>(0, 0).into_owned(), limits.position * limits.position)
-        || exceeds(&P.fixed_view::<2, 2>(2, 2).into_owned(), limits.velocity * limits.velocity)
-        || state.mean[4] <= 0.0
-        || P[(4, 4)] > limits.radius * limits.radius
 }
 
 /// Whether the largest eigenvalue of `P` is `limit` or more: then `limit I - P` is not positive.

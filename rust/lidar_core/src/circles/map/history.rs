@@ -37,7 +37,7 @@ impl History {
             return refuse(format!("scan of {stamp_ns} ns from sensor {sensor}: it was processed"));
         }
         match self.entries.front() {
-            Some(oldest) if key.0 >= oldest.scan.stamp_ns => Ok(true),
+            Some(oldest) if key.0 >= oldest.scan.from.stamp_ns => Ok(true),
             _ => refuse(format!(
                 "scan of {} ns: it comes later than the map can go back from {} ns; {}",
                 key.0,
@@ -72,12 +72,12 @@ impl History {
         let mut now = self.now.clone();
         let merged = rules.step(&mut now, &mut scan, &mut number)?;
         let before = std::mem::replace(&mut self.now, now);
-        let elements = scan.elements.iter().flatten().copied().collect();
+        let found = scan.found();
         self.newest = Some(scan.key());
         self.entries.push_back(Entry { before, scan });
         self.forget(rules.parameters().buffer_time);
         *next_id = number;
-        Ok(Outcome { late: false, elements, merged })
+        Ok(Outcome { late: false, found, merged })
     }
 
     /// Take in a scan that is late, and all after it again.
@@ -95,11 +95,11 @@ impl History {
         let mut merged = rules.step(&mut now, &mut scan, &mut number)?;
         let mut pairs = Vec::new();
         for entry in &mut after {
-            let known = entry.scan.elements.clone();
+            let known: Vec<_> = entry.scan.elements().copied().collect();
             entry.before = now.clone();
             let again = rules.step(&mut now, &mut entry.scan, &mut number)?;
             merged.extend(again.into_iter().filter(|&[_, gone]| self.now.holds(gone)));
-            pairs.extend(known.into_iter().zip(entry.scan.elements.iter().copied()));
+            pairs.extend(known.into_iter().zip(entry.scan.elements().copied()));
         }
         let renamed = renamed(&pairs, &self.now, &now);
         after.insert(0, Entry { before, scan });
@@ -109,16 +109,16 @@ impl History {
         let fresh = fresh_numbers(&self.now, &now, *next_id, &mut number);
         rename(&mut now, self.entries.make_contiguous(), &mut merged, &fresh);
         merged.retain(|&[_, gone]| !now.holds(gone));
-        let elements = self.entries[place].scan.elements.iter().flatten().copied().collect();
+        let found = self.entries[place].scan.found();
         (self.now, *next_id) = (now, number);
         self.forget(rules.parameters().buffer_time);
-        Ok(Outcome { late: true, elements, merged })
+        Ok(Outcome { late: true, found, merged })
     }
 
     /// Drop scans older than `buffer_time` [s].
     fn forget(&mut self, buffer_time: f64) {
         let Some((newest_ns, _)) = self.newest else { return };
-        let is_old = |entry: &Entry| seconds(entry.scan.stamp_ns, newest_ns) > buffer_time;
+        let is_old = |entry: &Entry| seconds(entry.scan.from.stamp_ns, newest_ns) > buffer_time;
         while self.entries.len() > MAX_SCANS || self.entries.front().is_some_and(is_old) {
             self.entries.pop_front();
         }
@@ -153,7 +153,7 @@ fn fresh_numbers(
     next_id: &mut i64,
 ) -> Vec<(i64, i64)> {
     let is_back = |id: &i64| *id < first_new && !before.holds(*id);
-    let back = now.all.iter().map(|element| element.id).filter(is_back);
+    let back = now.numbers().map(|(id, _)| id).filter(is_back);
     back.map(|id| {
         *next_id += 1;
         (id, *next_id - 1)
@@ -174,7 +174,7 @@ fn rename(
     now.rename(numbers);
     for entry in entries {
         entry.before.rename(numbers);
-        for element in entry.scan.elements.iter_mut().flatten() {
+        for element in entry.scan.elements_mut().flatten() {
             *element = new_number(*element, numbers);
         }
     }

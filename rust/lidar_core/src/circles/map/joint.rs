@@ -9,7 +9,7 @@ use super::covariance::{Covariance, ELEMENT, place};
 use super::element::exceeds;
 use super::modes::{Matrix5, transition};
 use super::parameters::{Joint, MAX_ELEMENTS};
-use super::scan::{CircleScan, LevelPose, check, matrix_of, too_many};
+use super::scan::{CircleScan, Found, LevelPose, check, matrix_of, too_many};
 use super::{MapElement, Outcome, seconds};
 use crate::Error;
 use crate::circles::circle::CircleEstimate;
@@ -104,7 +104,8 @@ impl JointMap {
         }
         state.delete(self.parameters.max_eigenvalue);
         (self.state, *next_id) = (state, number);
-        Ok(Outcome { late: false, elements, merged: Vec::new() })
+        let found = Found { circles: elements, lines: Vec::new() };
+        Ok(Outcome { late: false, found, merged: Vec::new() })
     }
 
     /// Every element, one prediction step later.

@@ -4,11 +4,13 @@
 //! per element, which is told how certain every circle is, what the scan could see, and how
 //! objects move: see [`Independent`].
 
+mod body;
 mod covariance;
 mod element;
 mod history;
 mod independent;
 mod joint;
+mod line;
 mod modes;
 mod parameters;
 mod scan;
@@ -19,18 +21,19 @@ mod tests;
 
 pub use modes::MAX_MODES;
 pub use parameters::{
-    CircleMapParameters, Confirmation, Filter, Independent, Joint, Limits, Looking, MAX_ELEMENTS,
-    MAX_WINDOW, Mode, Patience,
+    CircleMapParameters, Confirmation, Filter, Independent, Joint, Limits, LineRules, Looking,
+    MAX_ELEMENTS, MAX_WINDOW, Mode, Patience,
 };
 pub use scan::{CircleScan, PoseCovariance};
 pub use visibility::{Sight, View, Visibility};
 
+use super::shape::ShapeKind;
 use crate::Error;
 use crate::estimation::kalman::Gaussian;
 use history::History;
 use independent::Rules;
 use joint::JointMap;
-use scan::Placed;
+use scan::{Found, Placed};
 
 /// An element, predicted to one time.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,6 +54,28 @@ pub struct MapElement {
     pub confirmed: bool,
 }
 
+/// An element that is no circle, predicted to one time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapShape {
+    /// Number, never reused; those of circles are others.
+    pub id: i64,
+    /// What it is.
+    pub kind: ShapeKind,
+    /// Centre x and y [m], its velocity [m/s], bearing of the longer half length [rad], longer and
+    /// shorter half length [m]. Of a line the covariance knows what lies across it, and the bearing.
+    pub state: Gaussian<7>,
+    /// Ends of a line [m]: on the way from one to the other its face is on the left.
+    pub ends: Option<[[f64; 2]; 2]>,
+    /// Time since its first measurement [s].
+    pub age: f64,
+    /// Time of its last measurement [ns].
+    pub seen_ns: i64,
+    /// A sensor's newest scan measured it, or should have.
+    pub visible: bool,
+    /// Enough scans speak for it.
+    pub confirmed: bool,
+}
+
 /// What a scan did to the map, by the numbers of the elements.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MapStats {
@@ -58,6 +83,8 @@ pub struct MapStats {
     pub late: bool,
     /// Element of every circle of the scan, which may have been removed since.
     pub elements: Vec<i64>,
+    /// Element of every line of the scan; None for one that is too short to be new.
+    pub lines: Vec<Option<i64>>,
     /// New.
     pub born: Vec<i64>,
     /// Reported from now on.
@@ -71,7 +98,7 @@ pub struct MapStats {
 /// What a scan did that the elements do not show.
 struct Outcome {
     late: bool,
-    elements: Vec<i64>,
+    found: Found,
     merged: Vec<[i64; 2]>,
 }
 
@@ -96,8 +123,8 @@ impl CircleMap {
         let engine = match parameters.filter {
             Filter::Paper(joint) => Engine::Paper(JointMap::new(joint, gate, speed)),
             Filter::Independent(independent) => {
-                let rules = Box::new(Rules::new(independent, gate, speed));
-                Engine::Independent(rules, History::default())
+                let rules = Rules::new(independent, parameters.gate_probability, speed)?;
+                Engine::Independent(Box::new(rules), History::default())
             }
         };
         Ok(Self { engine, next_id: 0 })
@@ -124,7 +151,8 @@ impl CircleMap {
         let confirmed = after.iter().filter(|&&(id, yes)| yes && !reported(&before, id));
         Ok(MapStats {
             late: outcome.late,
-            elements: outcome.elements,
+            elements: outcome.found.circles,
+            lines: outcome.found.lines,
             merged: outcome.merged,
             born: after.iter().map(|&(id, _)| id).filter(|&id| lacks(&before, id)).collect(),
             confirmed: confirmed.map(|&(id, _)| id).collect(),
@@ -139,6 +167,28 @@ impl CircleMap {
         match &self.engine {
             Engine::Paper(joint) => joint.at(stamp_ns),
             Engine::Independent(rules, history) => rules.at(&history.now, stamp_ns),
+        }
+    }
+
+    /// Every element that is no circle, unconfirmed ones included, predicted to `stamp_ns`, by
+    /// number; none with the filter of the paper. Changes nothing.
+    #[must_use]
+    pub fn shapes_at(&self, stamp_ns: i64) -> Vec<MapShape> {
+        match &self.engine {
+            Engine::Paper(_) => Vec::new(),
+            Engine::Independent(rules, history) => rules.shapes_at(&history.now, stamp_ns),
+        }
+    }
+
+    /// Whether points of the world all lie on a reported line of at least `length` [m], as ranges of
+    /// deviation `std` [m] would.
+    #[must_use]
+    pub fn is_on_line(&self, points: &[[f64; 2]], std: f64, length: f64) -> bool {
+        match &self.engine {
+            Engine::Paper(_) => false,
+            Engine::Independent(rules, history) => {
+                rules.is_on_line(&history.now, points, std, length)
+            }
         }
     }
 
@@ -165,9 +215,7 @@ impl CircleMap {
     fn numbers(&self) -> Vec<(i64, bool)> {
         match &self.engine {
             Engine::Paper(joint) => joint.numbers().map(|id| (id, true)).collect(),
-            Engine::Independent(_, history) => {
-                history.now.all.iter().map(|element| (element.id, element.confirmed)).collect()
-            }
+            Engine::Independent(_, history) => history.now.numbers().collect(),
         }
     }
 }

@@ -90,6 +90,7 @@ fn process_covariance(dt: f64, density: f64, radius_density: f64) -> Matrix5 {
 pub(super) struct Motion {
     modes: Vec<Mode>,
     radius_density: f64,
+    line_density: f64,
     /// Rates of the chain [1/s].
     rates: Switching,
 }
@@ -100,10 +101,18 @@ pub(super) struct Step {
     F: Matrix5,
     Q: Vec<Matrix5>,
     switching: Switching,
+    line_variance: f64,
+}
+
+impl Step {
+    /// Of what lines wander over the whole step [m^2].
+    pub(super) fn line_variance(&self) -> f64 {
+        self.line_variance
+    }
 }
 
 impl Motion {
-    pub(super) fn new(modes: &[Mode], radius_density: f64) -> Self {
+    pub(super) fn new(modes: &[Mode], radius_density: f64, line_density: f64) -> Self {
         let total: f64 = modes.iter().map(|mode| mode.weight).sum();
         let modes: Vec<Mode> =
             modes.iter().map(|mode| Mode { weight: mode.weight / total, ..*mode }).collect();
@@ -115,7 +124,7 @@ impl Motion {
                 rates[(from, from)] -= rates[(from, to)];
             }
         }
-        Self { modes, radius_density, rates }
+        Self { modes, radius_density, line_density, rates }
     }
 
     /// The step over `dt` seconds.
@@ -132,6 +141,7 @@ impl Motion {
             F: transition(part),
             Q: Q.collect(),
             switching: exponential(&self.rates, part.abs()),
+            line_variance: self.line_density * dt.abs(),
         }
     }
 }
@@ -288,7 +298,7 @@ mod tests {
 
     fn motion() -> Motion {
         let mode = |density, weight, duration| Mode { density, weight, duration };
-        Motion::new(&[mode(0.01, 0.5, 2.0), mode(1.0, 0.45, 1.0), mode(50.0, 0.05, 0.1)], 1e-6)
+        Motion::new(&[mode(0.01, 0.5, 2.0), mode(1.0, 0.45, 1.0), mode(50.0, 0.05, 0.1)], 1e-6, 0.0)
     }
 
     fn measurement(x: f64) -> Measurement {
@@ -351,7 +361,7 @@ mod tests {
 
     #[test]
     fn one_mode_costs_what_the_textbook_says() -> Result<(), Error> {
-        let motion = Motion::new(&[Mode { density: 1.0, weight: 3.0, duration: 1.0 }], 0.0);
+        let motion = Motion::new(&[Mode { density: 1.0, weight: 3.0, duration: 1.0 }], 0.0, 0.0);
         let modes = Modes::new(&measurement(0.0), 1.0, &motion);
         let got = modes.cost(&measurement(0.01), 11.3)?;
         let expected = 0.5 + 3.0 * libm::log(2e-4) + 3.0 * LN_2_PI;

@@ -64,6 +64,23 @@ pub struct Confirmation {
     pub window: u32,
 }
 
+/// What lines are like.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LineRules {
+    /// Density of the random walk of their ends, across them [m^2/s].
+    pub density: f64,
+    /// Standard deviation of how far they depart from straight [m].
+    pub std: f64,
+    /// Stretches of one surface with more between them are two lines [m].
+    pub gap: f64,
+    /// Shorter stretches make no line [m].
+    pub length: f64,
+    /// Standard deviations that rays on a line may lie off it, root mean square.
+    pub reach: f64,
+    /// How long they stay hidden or out of view [s]; None: for ever.
+    pub coast: Option<f64>,
+}
+
 /// A filter per element.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Independent {
@@ -85,6 +102,8 @@ pub struct Independent {
     pub looking: Looking,
     /// How late a scan may come [s].
     pub buffer_time: f64,
+    /// How lines are treated.
+    pub lines: LineRules,
 }
 
 /// The joint filter of eqs 8-33.
@@ -160,7 +179,19 @@ impl Independent {
         not_negative("unmatched_time", self.patience.unmatched)?;
         not_negative("max_coast", self.patience.hidden.unwrap_or(0.0))?;
         not_negative("see_margin", self.looking.margin)?;
-        not_negative("buffer_time", self.buffer_time)
+        not_negative("buffer_time", self.buffer_time)?;
+        self.lines.check()
+    }
+}
+
+impl LineRules {
+    fn check(&self) -> Result<(), Error> {
+        not_negative("line_noise", self.density)?;
+        not_negative("line_std", self.std)?;
+        not_negative("line_gap", self.gap)?;
+        not_negative("line_length", self.length)?;
+        not_negative("line_reach", self.reach)?;
+        not_negative("line_coast", self.coast.unwrap_or(0.0))
     }
 }
 

@@ -2,13 +2,16 @@
 
 #![allow(non_snake_case)] // textbook letters
 
+use super::line::LineMeasurement;
 use super::modes::Measurement;
 use super::parameters::MAX_ELEMENTS;
 use super::visibility::{Sight, View};
 use crate::Error;
 use crate::circles::circle::{Circle, CircleEstimate};
+use crate::circles::polar::turn;
+use crate::circles::shape::ShapeEstimate;
 use crate::geometry::transform::Transform;
-use nalgebra::{Matrix2, Matrix3, SMatrix, Vector3};
+use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
 
 /// Below this share of its normal that points up, a scan has no heights: it is nearly upright.
 const UPRIGHT: f64 = 0.05;
@@ -39,6 +42,8 @@ pub struct CircleScan<'a> {
     /// When each was measured, after the stamp, -10 to 10 [s]; None: all at the stamp. The filter of the
     /// paper takes them all at the stamp.
     pub delays: Option<&'a [f64]>,
+    /// Lines found. The filter of the paper knows none.
+    pub lines: &'a [ShapeEstimate],
     /// The scan itself; None: all elements should have been measured.
     pub view: Option<View<'a>>,
 }
@@ -51,22 +56,47 @@ pub(super) struct LevelPose {
     sin: f64,
 }
 
-/// A scan as the map keeps it.
+/// Where and when a scan was made, and what it can be asked.
 #[derive(Clone, Debug)]
-pub(super) struct Placed {
+pub(super) struct Viewpoint {
     pub(super) stamp_ns: i64,
     pub(super) sensor: u32,
     pub(super) pose: LevelPose,
-    /// Circles in the world.
-    pub(super) measurements: Vec<Measurement>,
     pub(super) sight: Option<Sight>,
-    /// Element of each circle, once the map has taken the scan in.
+}
+
+impl Viewpoint {
+    /// Place in the order of scans.
+    pub(super) fn key(&self) -> (i64, u32) {
+        (self.stamp_ns, self.sensor)
+    }
+}
+
+/// Objects of one kind, in the world.
+#[derive(Clone, Debug)]
+pub(super) struct Seen<M> {
+    pub(super) measurements: Vec<M>,
+    /// Element of each, once the map has taken the scan in.
     pub(super) elements: Vec<Option<i64>>,
+}
+
+impl<M> Seen<M> {
+    fn new(measurements: Vec<M>) -> Self {
+        Self { elements: vec![None; measurements.len()], measurements }
+    }
+}
+
+/// A scan as the map keeps it.
+#[derive(Clone, Debug)]
+pub(super) struct Placed {
+    pub(super) from: Viewpoint,
+    pub(super) circles: Seen<Measurement>,
+    pub(super) lines: Seen<LineMeasurement>,
 }
 
 impl Placed {
     /// # Errors
-    /// [`Error::Value`] for a pose or a circle that cannot be used, [`Error::Limit`] for too many.
+    /// [`Error::Value`] for a pose or an object that cannot be used, [`Error::Limit`] for too many.
     pub(super) fn new(scan: &CircleScan<'_>) -> Result<Self, Error> {
         let pose = check(scan)?;
         let R_pose =
@@ -82,20 +112,47 @@ impl Placed {
             }
             measurement
         };
+        let circles = scan.estimates.iter().enumerate().map(place).collect();
+        let lines =
+            scan.lines.iter().map(|line| pose.place_line(line, scan.world_from_lidar, R_pose));
         Ok(Self {
-            stamp_ns: scan.stamp_ns,
-            sensor: scan.sensor,
-            pose,
-            measurements: scan.estimates.iter().enumerate().map(place).collect(),
-            sight: scan.view.map(|view| view.sight()).transpose()?,
-            elements: vec![None; scan.estimates.len()],
+            from: Viewpoint {
+                stamp_ns: scan.stamp_ns,
+                sensor: scan.sensor,
+                pose,
+                sight: scan.view.map(|view| view.sight()).transpose()?,
+            },
+            circles: Seen::new(circles),
+            lines: Seen::new(lines.flatten().collect()),
         })
     }
 
     /// Place in the order of scans.
     pub(super) fn key(&self) -> (i64, u32) {
-        (self.stamp_ns, self.sensor)
+        self.from.key()
     }
+
+    /// Elements of everything seen.
+    pub(super) fn elements(&self) -> impl Iterator<Item = &Option<i64>> {
+        self.circles.elements.iter().chain(&self.lines.elements)
+    }
+
+    pub(super) fn elements_mut(&mut self) -> impl Iterator<Item = &mut Option<i64>> {
+        self.circles.elements.iter_mut().chain(&mut self.lines.elements)
+    }
+
+    /// Element of every circle, and of every line that has one.
+    pub(super) fn found(&self) -> Found {
+        let circles = self.circles.elements.iter().flatten().copied().collect();
+        Found { circles, lines: self.lines.elements.clone() }
+    }
+}
+
+/// Elements of what a scan showed.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Found {
+    pub(super) circles: Vec<i64>,
+    pub(super) lines: Vec<Option<i64>>,
 }
 
 impl LevelPose {
@@ -130,6 +187,43 @@ impl LevelPose {
     pub(super) fn level(&self, center: [f64; 2], radius: f64) -> Circle {
         let [x, y] = [center[0] - self.origin[0], center[1] - self.origin[1]];
         Circle { center: [self.cos * x + self.sin * y, self.cos * y - self.sin * x], radius }
+    }
+
+    /// A point of the level frame in the world.
+    fn world_point(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let [from_x, from_y] = self.origin;
+        [from_x + self.cos * x - self.sin * y, from_y + self.sin * x + self.cos * y]
+    }
+
+    /// A line of the level frame in the world; None for another shape. A wrong pose moves its
+    /// middle, and a wrong yaw turns it.
+    fn place_line(
+        &self,
+        shape: &ShapeEstimate,
+        pose: &Transform,
+        R_pose: Option<SMatrix<f64, 6, 6>>,
+    ) -> Option<LineMeasurement> {
+        let ends = shape.ends()?;
+        let [angle, _, start, end, _] = shape.parameters;
+        let c = &shape.covariance;
+        // From the angle and the distance to the angle and the place across the middle.
+        let J = Matrix2::new(1.0, 0.0, -0.5 * (start + end), 1.0);
+        let mut R = J * Matrix2::new(c[0][0], c[0][1], c[1][0], c[1][1]) * J.transpose();
+        let middle = [0, 1].map(|axis| 0.5 * (ends[0][axis] + ends[1][axis]));
+        let yaw = libm::atan2(self.sin, self.cos);
+        let normal = Vector2::new(libm::cos(angle + yaw), libm::sin(angle + yaw));
+        if let Some(R_pose) = R_pose {
+            let mut J = SMatrix::<f64, 2, 6>::zeros();
+            J[(0, 5)] = 1.0;
+            J.set_row(1, &(normal.transpose() * self.by_pose(middle, pose)));
+            R += J * R_pose * J.transpose();
+        }
+        Some(LineMeasurement {
+            middle: self.world_point(middle),
+            angle: turn(angle + yaw),
+            half: 0.5 * (end - start),
+            R: (R + R.transpose()) * 0.5,
+        })
     }
 
     /// Derivative of a centre in the world by the sensor's pose. A wrong tilt moves what lies
@@ -190,6 +284,7 @@ pub(super) fn check(scan: &CircleScan<'_>) -> Result<LevelPose, Error> {
         }
     }
     check_estimates(scan.estimates)?;
+    check_lines(scan.lines)?;
     check_delays(scan.delays, scan.estimates.len())?;
     Ok(LevelPose::of(pose))
 }
@@ -229,6 +324,28 @@ fn check_estimates(estimates: &[CircleEstimate]) -> Result<(), Error> {
         }
     }
     Ok(())
+}
+
+fn check_lines(lines: &[ShapeEstimate]) -> Result<(), Error> {
+    if lines.len() > MAX_ELEMENTS {
+        return Err(too_many(lines.len()));
+    }
+    let is_usable = |line: &ShapeEstimate| {
+        let [_, _, start, end, _] = line.parameters;
+        let C = Matrix2::from_fn(|row, column| line.covariance[row][column]);
+        line.parameters.iter().all(|value| value.is_finite())
+            && start <= end
+            && is_covariance(&C, 0.0)
+    };
+    match lines.iter().position(|line| line.ends().is_none() || !is_usable(line)) {
+        Some(index) => Err(Error::Value {
+            name: "lines",
+            expected: "lines with a finite place and a positive definite covariance",
+            index,
+            got: format!("{:?}", lines[index]),
+        }),
+        None => Ok(()),
+    }
 }
 
 /// Whether a matrix is symmetric and no eigenvalue is below `-slack` of its trace; without slack

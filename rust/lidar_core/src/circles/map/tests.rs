@@ -1,6 +1,7 @@
 use super::*;
 use crate::circles::circle::{Circle, CircleEstimate};
 use crate::circles::polar::PolarScan;
+use crate::circles::shape::{ShapeEstimate, ShapeKind};
 use crate::geometry::transform::Transform;
 use std::f64::consts::PI;
 
@@ -18,6 +19,14 @@ fn best() -> Independent {
         patience: Patience { scans: 3, absent: 0.25, unmatched: 0.5, hidden: Some(5.0) },
         looking: Looking { margin: 0.1, min_rays: 4 },
         buffer_time: 1.0,
+        lines: LineRules {
+            density: 1e-6,
+            std: 0.01,
+            gap: 0.5,
+            length: 0.5,
+            reach: 3.0,
+            coast: Some(60.0),
+        },
     }
 }
 
@@ -47,6 +56,7 @@ fn scan(step: i64, estimates: &[CircleEstimate]) -> CircleScan<'_> {
         pose_covariance: None,
         estimates,
         delays: None,
+        lines: &[],
         view: None,
     }
 }
@@ -342,5 +352,138 @@ fn a_full_buffer_names_its_limit() -> Result<(), Error> {
     }
     let late = map.update(&CircleScan { stamp_ns: 1, ..scan(0, &[]) });
     assert!(late.is_err_and(|error| error.to_string().contains("the last 1000 scans")));
+    Ok(())
+}
+
+/// A line of the level frame: bearing of its normal, distance, ends along it.
+fn line(angle: f64, distance: f64, ends: [f64; 2]) -> ShapeEstimate {
+    let mut covariance = [[0.0; 5]; 5];
+    (covariance[0][0], covariance[1][1]) = (1e-5, 1e-5);
+    let parameters = [angle, distance, ends[0], ends[1], 0.0];
+    ShapeEstimate { kind: ShapeKind::Line, parameters, covariance, misfit: 10.0, n_hits: 30 }
+}
+
+fn walls(step: i64, lines: &[ShapeEstimate]) -> CircleScan<'_> {
+    CircleScan { lines, ..scan(step, &[]) }
+}
+
+#[test]
+fn a_line_grows_with_what_is_seen_of_it_and_waits_while_it_is_hidden() -> Result<(), Error> {
+    let mut map = map_of(Filter::Independent(best()))?;
+    for step in 0..5 {
+        let right = 1.0 + 0.2 * step as f64;
+        let stats = map.update(&walls(step, &[line(0.0, 6.0, [-1.0, right])]))?;
+        assert_eq!(stats.lines, [Some(0)]);
+    }
+    let now = map.shapes_at(5 * STEP_NS);
+    assert_eq!((now.len(), now[0].kind, now[0].confirmed), (1, ShapeKind::Line, true));
+    let [[x, y], [to_x, to_y]] = now[0].ends.unwrap_or_default();
+    assert!((x - 6.0).abs() + (y + 1.0).abs() + (to_x - 6.0).abs() + (to_y - 1.8).abs() < 1e-9);
+    assert!((now[0].state.mean[4] - 0.5 * PI).abs() < 1e-9 && map.map_at(0).is_empty());
+    let wall = wall(); // 5 m away, before it
+    let view = Some(View { scan: &wall, range_min: 0.1, range_max: 10.0 });
+    for step in 5..305 {
+        map.update(&CircleScan { view, ..scan(step, &[]) })?;
+    }
+    let now = map.shapes_at(305 * STEP_NS);
+    assert!(now.len() == 1 && !now[0].visible);
+    let open = PolarScan { ranges: vec![f64::INFINITY; wall.len()], bearings: wall.bearings };
+    let view = Some(View { scan: &open, range_min: 0.1, range_max: 10.0 });
+    let gone = (305..315).map(|step| map.update(&CircleScan { view, ..scan(step, &[]) }));
+    let gone = gone.map(|stats| stats.map(|stats| stats.removed));
+    assert_eq!(gone.collect::<Result<Vec<_>, _>>()?.concat(), [0]);
+    Ok(())
+}
+
+#[test]
+fn pieces_of_one_surface_are_one_line_and_its_other_side_is_another() -> Result<(), Error> {
+    let mut map = map_of(Filter::Independent(best()))?;
+    let pieces = [line(0.0, 4.0, [-2.0, -0.3]), line(0.0, 4.0, [0.1, 2.0])];
+    for step in 0..6 {
+        map.update(&walls(step, &pieces))?;
+    }
+    assert_eq!(map.shapes_at(0).len(), 1);
+    let far = line(0.0, 4.0, [3.0, 4.0]); // a door between
+    let behind = Transform { translation: [8.0, 0.0, 0.0], ..Transform::IDENTITY };
+    let back = [line(PI, 4.0, [-2.0, 2.0])];
+    for step in 6..12 {
+        map.update(&walls(step, &[pieces[0], pieces[1], far]))?;
+        map.update(&CircleScan { world_from_lidar: &behind, sensor: 1, ..walls(step, &back) })?;
+    }
+    let ends: Vec<_> = map.shapes_at(0).iter().filter_map(|line| line.ends).collect();
+    assert_eq!(ends.len(), 3, "{ends:?}");
+    let short = line(0.5 * PI, 3.0, [0.0, 0.2]);
+    assert_eq!(map.update(&walls(12, &[short]))?.lines, [None]);
+    Ok(())
+}
+
+#[test]
+fn what_lies_on_a_reported_line_is_known() -> Result<(), Error> {
+    let mut map = map_of(Filter::Independent(best()))?;
+    let here = [[4.0, 0.0], [4.01, 0.1], [3.99, 0.2]];
+    for step in 0..6 {
+        assert_eq!(map.is_on_line(&here, 0.01, 1.0), step >= 3);
+        map.update(&walls(step, &[line(0.0, 4.0, [-2.0, 2.0])]))?;
+    }
+    let before = here.map(|[x, y]| [x - 0.1, y]);
+    let beside = here.map(|[x, y]| [x, y + 2.5]);
+    assert!(!map.is_on_line(&before, 0.01, 1.0) && !map.is_on_line(&beside, 0.01, 1.0));
+    assert!(!map.is_on_line(&here, 0.01, 5.0));
+    Ok(())
+}
+
+#[test]
+fn lines_and_circles_share_their_numbers_and_late_scans_change_nothing() -> Result<(), Error> {
+    let lines = [line(0.0, 6.0, [-1.0, 1.0]), line(0.5 * PI, 4.0, [-1.0, 2.0])];
+    let posts = [circle(3.0, 0.0, 0.3), circle(2.0, -2.0, 0.2)];
+    let of = |order: &[i64]| -> Result<_, Error> {
+        let mut map = map_of(Filter::Independent(best()))?;
+        for &step in order {
+            map.update(&CircleScan { lines: &lines, ..scan(step, &posts) })?;
+        }
+        Ok((map.map_at(10 * STEP_NS), map.shapes_at(10 * STEP_NS)))
+    };
+    let usual = of(&[0, 1, 2, 3, 4, 5])?;
+    assert_eq!(usual, of(&[0, 1, 2, 4, 5, 3])?);
+    let mut numbers: Vec<i64> = usual.0.iter().map(|one| one.id).collect();
+    numbers.extend(usual.1.iter().map(|one| one.id));
+    numbers.sort_unstable();
+    assert_eq!(numbers, [0, 1, 2, 3]);
+    Ok(())
+}
+
+#[test]
+fn lines_that_are_none_are_refused() -> Result<(), Error> {
+    let mut map = map_of(Filter::Independent(best()))?;
+    map.update(&walls(0, &[line(0.0, 4.0, [-2.0, 2.0])]))?;
+    let before = map.shapes_at(0);
+    let good = line(0.0, 4.0, [-2.0, 2.0]);
+    let bad = [
+        ShapeEstimate { kind: ShapeKind::Ellipse, ..good },
+        line(f64::NAN, 4.0, [-2.0, 2.0]),
+        line(0.0, 4.0, [2.0, -2.0]),
+        ShapeEstimate { covariance: [[0.0; 5]; 5], ..good },
+    ];
+    for one in bad {
+        assert!(matches!(map.update(&walls(1, &[one])), Err(Error::Value { .. })));
+        assert_eq!(map.shapes_at(0), before);
+    }
+    assert!(map.update(&walls(1, &[good])).is_ok());
+    Ok(())
+}
+
+#[test]
+fn a_wrong_yaw_turns_a_line_about_the_sensor() -> Result<(), Error> {
+    let mut doubt = [[0.0; 6]; 6];
+    doubt[5][5] = 1e-4;
+    let mut rules = best();
+    rules.lines.std = 0.0;
+    let mut map = map_of(Filter::Independent(rules))?;
+    let lines = [line(0.0, 4.0, [1.0, 3.0])];
+    map.update(&CircleScan { pose_covariance: Some(&doubt), ..walls(0, &lines) })?;
+    let known = map.shapes_at(0)[0].state.covariance;
+    assert!((known[(4, 4)] - 1.1e-4).abs() < 1e-9); // of the bearing
+    assert!((known[(0, 0)] - (1e-5 + 4.0 * 1e-5 + 4.0 * 1e-4)).abs() < 1e-9); // 2 m along it
+    assert!(known[(1, 1)].abs() < 1e-12);
     Ok(())
 }

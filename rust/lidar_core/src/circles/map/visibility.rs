@@ -2,10 +2,13 @@
 
 use crate::Error;
 use crate::circles::circle::Circle;
-use crate::circles::polar::PolarScan;
+use crate::circles::polar::{PolarScan, turn};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use super::parameters::Looking;
+
+/// Rays that meet a line at a smaller cosine do not tell whether it is there.
+const GRAZING: f64 = 0.2;
 
 /// A scan in the level frame, and how far it looks.
 #[derive(Clone, Copy, Debug)]
@@ -88,36 +91,54 @@ impl Sight {
     /// What the scan says about `circle` of its frame.
     #[must_use]
     pub fn of(&self, circle: &Circle, looking: &Looking) -> Visibility {
-        let [x, y] = circle.center;
+        let Circle { center: [x, y], radius } = *circle;
         let distance = (x * x + y * y).sqrt();
-        if distance <= circle.radius || distance - circle.radius < self.range_min {
+        if distance <= radius || distance - radius < self.range_min {
             return Visibility::OutOfView;
         }
-        let votes = self.votes(libm::atan2(y, x), distance, circle.radius, looking.margin);
-        let Votes { through, on, before } = votes;
-        let (known, enough) = (through + on + before, looking.min_rays.max(1));
-        if known < enough {
-            Visibility::OutOfView
-        } else if through >= enough && 2 * through >= known {
-            Visibility::SeenThrough
-        } else if on >= enough && on >= before {
-            Visibility::Returns
-        } else {
-            Visibility::Occluded
-        }
+        let bearing = libm::atan2(y, x);
+        let half = libm::asin(radius / distance).min(FRAC_PI_2);
+        let votes = self.votes([bearing - half, bearing + half], |ray| {
+            let aside = distance * libm::sin(ray - bearing);
+            let depth = (radius * radius - aside * aside).max(0.0).sqrt();
+            let surface = (distance * distance - aside * aside).max(0.0).sqrt() - depth;
+            (surface, looking.margin)
+        });
+        votes.verdict(looking)
     }
 
-    fn votes(&self, bearing: f64, distance: f64, radius: f64, margin: f64) -> Votes {
-        let half = libm::asin(radius / distance).min(FRAC_PI_2);
+    /// What the scan says about a line of its frame, of which it sees the front: what is left on
+    /// the way from one end to the other.
+    #[must_use]
+    pub fn of_line(&self, ends: [[f64; 2]; 2], looking: &Looking) -> Visibility {
+        let [[x, y], [to_x, to_y]] = ends;
+        let length = libm::hypot(to_x - x, to_y - y);
+        let distance = (x * to_y - y * to_x) / length; // from the sensor to the line
+        if distance.is_nan() || distance <= self.range_min {
+            return Visibility::OutOfView;
+        }
+        let bearings = [libm::atan2(y, x), libm::atan2(to_y, to_x)];
+        let last = bearings[0] + turn(bearings[1] - bearings[0]);
+        let normal = libm::atan2(x - to_x, to_y - y);
+        let votes = self.votes([bearings[0], last], |ray| {
+            let cosine = libm::cos(ray - normal);
+            if cosine < GRAZING {
+                return (f64::INFINITY, 0.0); // too slanting to tell
+            }
+            (distance / cosine, looking.margin / cosine)
+        });
+        votes.verdict(looking)
+    }
+
+    /// What rays say about a surface between two bearings, of which `surface` tells the range and
+    /// how much of it may be missing.
+    fn votes(&self, [low, high]: [f64; 2], surface: impl Fn(f64) -> (f64, f64)) -> Votes {
         let mut votes = Votes::default();
         for turn in [-TAU, 0.0, TAU] {
-            let (low, high) = (bearing + turn - half, bearing + turn + half);
-            let first = self.bearings.partition_point(|&ray| ray <= low);
-            let last = self.bearings.partition_point(|&ray| ray < high);
+            let first = self.bearings.partition_point(|&ray| ray <= low + turn);
+            let last = self.bearings.partition_point(|&ray| ray < high + turn);
             for ray in first..last.max(first) {
-                let aside = distance * libm::sin(self.bearings[ray] - bearing - turn);
-                let depth = (radius * radius - aside * aside).max(0.0).sqrt();
-                let surface = (distance * distance - aside * aside).max(0.0).sqrt() - depth;
+                let (surface, margin) = surface(self.bearings[ray]);
                 let range = self.ranges[ray];
                 if range.is_nan() || surface > self.range_max - margin {
                     continue; // no information, or beyond what the ray could have met
@@ -132,6 +153,22 @@ impl Sight {
             }
         }
         votes
+    }
+}
+
+impl Votes {
+    fn verdict(&self, looking: &Looking) -> Visibility {
+        let Self { through, on, before } = *self;
+        let (known, enough) = (through + on + before, looking.min_rays.max(1));
+        if known < enough {
+            Visibility::OutOfView
+        } else if through >= enough && 2 * through >= known {
+            Visibility::SeenThrough
+        } else if on >= enough && on >= before {
+            Visibility::Returns
+        } else {
+            Visibility::Occluded
+        }
     }
 }
 

@@ -1,0 +1,126 @@
+"""Elements of a map that are no circles: tables and outlines."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.circles.shapes import ShapeKind
+from lidar_core.io.long_table import write_long_table
+
+STATE = ("x", "y", "vx", "vy", "heading", "half_length", "half_width")
+ENDS = ("x1", "y1", "x2", "y2")
+COVARIANCE = tuple(
+    (row, column) for row in range(len(STATE)) for column in range(row, len(STATE))
+)  # upper triangle
+COLUMNS: dict[str, type] = {
+    "t_ns": int, "track_id": int, "frame_id": str, "kind": str,
+    **dict.fromkeys((*STATE, *ENDS), float),
+    "age": float, "visible": int,
+    **{f"cov_{STATE[row]}_{STATE[column]}": float for row, column in COVARIANCE},
+}  # fmt: skip
+"""Columns of the shapes table: SI units, world frame; ends of lines only, NaN for others."""
+
+
+class ShapesLike(Protocol):
+    """Elements at one time, one row per element, as `CirclePipeline.shapes_at` gives them."""
+
+    @property
+    def id(self) -> NDArray[np.int64]:
+        """Numbers of the elements, shape (K,)."""
+
+    @property
+    def kind(self) -> NDArray[np.uint8]:
+        """A `ShapeKind` each, shape (K,)."""
+
+    @property
+    def center(self) -> NDArray[np.float64]:
+        """Centres [m], world frame, shape (K, 2)."""
+
+    @property
+    def velocity(self) -> NDArray[np.float64]:
+        """Velocities [m/s], shape (K, 2)."""
+
+    @property
+    def heading(self) -> NDArray[np.float64]:
+        """Bearings of the longer half length [rad], shape (K,)."""
+
+    @property
+    def half_size(self) -> NDArray[np.float64]:
+        """Longer and shorter half length [m], shape (K, 2)."""
+
+    @property
+    def ends(self) -> NDArray[np.float64]:
+        """Both ends of lines [m], NaN for other kinds, shape (K, 2, 2)."""
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Covariances of centre, velocity, heading, half lengths, shape (K, 7, 7)."""
+
+    @property
+    def age(self) -> NDArray[np.float64]:
+        """Time since the first measurement [s], shape (K,)."""
+
+    @property
+    def visible(self) -> NDArray[np.bool_]:
+        """Whether the sensor can see each element, shape (K,)."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Time of the states [ns]."""
+
+
+def write_shapes_table(
+    path: str | Path, shapes: Iterable[ShapesLike], *, frame_id: str = "world"
+) -> Path:
+    """Write the lines, ellipses and rectangles of successive times as one long table.
+
+    Parameters
+    ----------
+    path : str or Path
+        Parquet, if it ends in .parquet and pyarrow is installed; otherwise CSV, ending in .csv.
+        Whole or not at all.
+    shapes : iterable of map states
+        As `CirclePipeline.shapes_at` gives them.
+    frame_id : str
+        Frame of the states.
+
+    Returns
+    -------
+    path : Path
+        File that was written; `read_columns` reads it.
+    """
+    return write_long_table(path, COLUMNS, _rows(shapes, frame_id))
+
+
+def outline(shapes: ShapesLike, row: int, corners: int) -> NDArray[np.float64]:
+    """Points of an outline [m]: two of a line, four of a rectangle, `corners` of an ellipse."""
+    kind = ShapeKind(int(shapes.kind[row]))
+    if kind is ShapeKind.LINE:
+        ends: NDArray[np.float64] = shapes.ends[row]
+        return ends
+    if kind is ShapeKind.RECTANGLE:
+        unit = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)], np.float64)
+    else:
+        angles = np.linspace(0, 2 * np.pi, corners, endpoint=False)
+        unit = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    cos, sin = np.cos(shapes.heading[row]), np.sin(shapes.heading[row])
+    turn = np.array([[cos, sin], [-sin, cos]])
+    points: NDArray[np.float64] = shapes.center[row] + unit * shapes.half_size[row] @ turn
+    return points
+
+
+def _rows(shapes: Iterable[ShapesLike], frame_id: str) -> Iterator[Sequence[Any]]:
+    for state in shapes:
+        for row, number in enumerate(state.id.tolist()):
+            covariance = state.covariance[row]
+            yield (
+                int(state.stamp_ns), number, frame_id, ShapeKind(int(state.kind[row])).name.lower(),
+                *state.center[row].tolist(), *state.velocity[row].tolist(),
+                float(state.heading[row]), *state.half_size[row].tolist(),
+                *state.ends[row].ravel().tolist(),
+                float(state.age[row]), int(state.visible[row]),
+                *(float(covariance[at]) for at in COVARIANCE),
+            )  # fmt: skip

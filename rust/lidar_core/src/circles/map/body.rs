@@ -1,0 +1,118 @@
+//! Bodies: round objects, and small ones that are nearly so, which move.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::element::{State, exceeds};
+use super::independent::Rules;
+use super::modes::{Measurement, Modes, Step};
+use super::parameters::Patience;
+use super::scan::Viewpoint;
+use super::visibility::Visibility;
+use crate::Error;
+use crate::estimation::association::{Pair, assign};
+use crate::estimation::kalman::Gaussian;
+use nalgebra::Matrix2;
+
+/// Standard deviations from its centre at which a body is looked for, along each axis.
+const LOOK: [f64; 4] = [-2.0, -1.0, 1.0, 2.0];
+
+impl State for Modes {
+    type Measurement = Measurement;
+
+    fn new(seen: &Measurement, rules: &Rules) -> Self {
+        Self::new(seen, rules.speed(), rules.motion())
+    }
+
+    fn predict(&mut self, step: &Step) {
+        Self::predict(self, step);
+    }
+
+    fn correct(&mut self, seen: &Measurement, _: &Rules) -> Result<(), Error> {
+        Self::correct(self, seen)
+    }
+
+    /// At most one measurement per body: the assignment that explains all of them best.
+    fn associate<'a>(
+        all: impl ExactSizeIterator<Item = &'a Self> + Clone,
+        seen: &[Measurement],
+        rules: &Rules,
+    ) -> Result<Vec<Option<usize>>, Error> {
+        let unassigned = -2.0 * libm::log(rules.parameters().birth_density);
+        let count = all.len();
+        let mut pairs = Vec::new();
+        for (row, body) in all.enumerate() {
+            for (column, measurement) in seen.iter().enumerate() {
+                if let Some(cost) = body.cost(measurement, rules.gate())? {
+                    pairs.push(Pair { row, column, cost });
+                }
+            }
+        }
+        let mut owners = vec![None; seen.len()];
+        let columns = assign(count, seen.len(), &pairs, unassigned)?;
+        for (row, column) in columns.into_iter().enumerate() {
+            if let Some(column) = column {
+                owners[column] = Some(row);
+            }
+        }
+        Ok(owners)
+    }
+
+    /// It is seen through only if rays pass wherever it may be.
+    fn look(&self, from: &Viewpoint, rules: &Rules) -> Visibility {
+        let Some(sight) = &from.sight else { return Visibility::SeenThrough };
+        let state = self.combined();
+        let ask = |[x, y]: [f64; 2]| {
+            let circle = from.pose.level([state.mean[0] + x, state.mean[1] + y], state.mean[4]);
+            sight.of(&circle, rules.looking())
+        };
+        let here = ask([0.0, 0.0]);
+        if here != Visibility::SeenThrough {
+            return here;
+        }
+        let around = axes(&state)
+            .into_iter()
+            .flat_map(|axis| LOOK.map(|reach| axis.map(|value| value * reach)));
+        around.map(ask).fold(here, Visibility::max)
+    }
+
+    /// An eigenvalue of a block of the covariance is above its limit, or no radius is left.
+    fn is_vague(&self, rules: &Rules) -> bool {
+        let (state, limits) = (self.combined(), &rules.parameters().limits);
+        let P = &state.covariance;
+        exceeds(&P.fixed_view::<2, 2>(0, 0).into_owned(), limits.position * limits.position)
+            || exceeds(&P.fixed_view::<2, 2>(2, 2).into_owned(), limits.velocity * limits.velocity)
+            || state.mean[4] <= 0.0
+            || P[(4, 4)] > limits.radius * limits.radius
+    }
+
+    /// The centre of one lies inside the other, or there is little between them.
+    fn is_twin(&self, other: &Self, rules: &Rules) -> bool {
+        let gap = rules.parameters().merge_gap;
+        let (one, two) = (self.combined().mean, other.combined().mean);
+        let [x, y] = [one[0] - two[0], one[1] - two[1]];
+        let touching = if gap > 0.0 { one[4] + two[4] + gap } else { 0.0 };
+        let reach = one[4].max(two[4]).max(touching);
+        x * x + y * y < reach * reach
+    }
+
+    fn absorb(&mut self, twin: Self, is_newer: bool) {
+        if is_newer {
+            *self = twin;
+        }
+    }
+
+    fn patience(rules: &Rules) -> Patience {
+        rules.parameters().patience
+    }
+}
+
+/// The two axes of the ellipse of one standard deviation of the centre [m].
+fn axes(state: &Gaussian<5>) -> [[f64; 2]; 2] {
+    let P: Matrix2<f64> = state.covariance.fixed_view::<2, 2>(0, 0).into_owned();
+    let (mean, half) = (0.5 * (P[(0, 0)] + P[(1, 1)]), 0.5 * (P[(0, 0)] - P[(1, 1)]));
+    let root = (half * half + P[(0, 1)] * P[(0, 1)]).sqrt();
+    let [long, short] = [mean + root, mean - root].map(|value| value.max(0.0).sqrt());
+    let angle = 0.5 * libm::atan2(P[(0, 1)], half);
+    let (sin, cos) = (libm::sin(angle), libm::cos(angle));
+    [[long * cos, long * sin], [-short * sin, short * cos]]
+}

@@ -1,0 +1,271 @@
+//! Lines: walls and other straight surfaces, which stay where they are.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::element::State;
+use super::independent::Rules;
+use super::modes::Step;
+use super::parameters::{LineRules, Patience};
+use super::scan::Viewpoint;
+use super::visibility::Visibility;
+use crate::Error;
+use crate::circles::polar::turn;
+use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised, update};
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+use std::f64::consts::FRAC_PI_2;
+
+/// Half length that a line is turned about at least, when its ends wander [m].
+const LEAST_HALF: f64 = 0.25;
+/// Normals that differ by more are those of different surfaces [rad]: no gate is wider.
+const WIDEST: f64 = 0.5;
+
+/// A line in the world, as one segment of one scan shows it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct LineMeasurement {
+    /// Its middle [m].
+    pub(super) middle: [f64; 2],
+    /// Bearing of its normal, away from the sensor [rad].
+    pub(super) angle: f64,
+    /// Half its length [m].
+    pub(super) half: f64,
+    /// Covariance of the angle and of where it is across its middle.
+    pub(super) R: Matrix2<f64>,
+}
+
+impl LineMeasurement {
+    /// What a surface that is not quite straight adds to the covariance.
+    fn bent(&self, rules: &LineRules) -> Matrix2<f64> {
+        let (variance, half) = (rules.std * rules.std, self.half.max(LEAST_HALF));
+        Matrix2::new(variance / (half * half), 0.0, 0.0, variance)
+    }
+}
+
+/// A line, given by its normal and by its distance from a point near it, which never moves.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Line {
+    anchor: [f64; 2],
+    /// Bearing of the normal [rad], distance from the anchor along it [m].
+    state: Gaussian<2>,
+    /// From where to where it was seen, counter-clockwise from the foot of the anchor [m].
+    extent: [f64; 2],
+}
+
+/// Unit vector.
+fn direction(angle: f64) -> Vector2<f64> {
+    Vector2::new(libm::cos(angle), libm::sin(angle))
+}
+
+impl Line {
+    /// As it is in the first measurement.
+    fn new(seen: &LineMeasurement, rules: &LineRules) -> Self {
+        let covariance = seen.R + seen.bent(rules);
+        Self {
+            anchor: seen.middle,
+            state: Gaussian { mean: Vector2::new(seen.angle, 0.0), covariance },
+            extent: [-seen.half, seen.half],
+        }
+    }
+
+    fn normal(&self) -> Vector2<f64> {
+        direction(self.state.mean[0])
+    }
+
+    /// Along the line, counter-clockwise as seen from its front.
+    fn tangent(&self) -> Vector2<f64> {
+        let normal = self.normal();
+        Vector2::new(-normal[1], normal[0])
+    }
+
+    fn offset(&self, [x, y]: [f64; 2]) -> Vector2<f64> {
+        Vector2::new(x - self.anchor[0], y - self.anchor[1])
+    }
+
+    /// The measurement that would be certain of a point `at` of the line; its model.
+    fn model(&self, at: [f64; 2], angle: f64, R: Matrix2<f64>) -> Linearised<2, 2> {
+        let away = self.offset(at);
+        let across = self.normal().dot(&away) - self.state.mean[1];
+        let slope = -self.tangent().dot(&away);
+        Linearised {
+            y: Vector2::new(turn(angle - self.state.mean[0]), across),
+            H: Matrix2::new(1.0, 0.0, slope, 1.0),
+            R,
+        }
+    }
+
+    /// How far a stretch of points about `middle` is from what was seen of the line [m].
+    fn gap(&self, middle: [f64; 2], half: f64) -> f64 {
+        let along = self.tangent().dot(&self.offset(middle));
+        (self.extent[0] - along - half).max(along - half - self.extent[1])
+    }
+
+    /// Take in a stretch.
+    fn extend(&mut self, middle: [f64; 2], half: f64) {
+        let along = self.tangent().dot(&self.offset(middle));
+        self.extent = [self.extent[0].min(along - half), self.extent[1].max(along + half)];
+    }
+
+    /// Length of what was seen [m].
+    pub(super) fn length(&self) -> f64 {
+        self.extent[1] - self.extent[0]
+    }
+
+    /// Its two ends [m], counter-clockwise as seen from its front.
+    pub(super) fn ends(&self) -> [[f64; 2]; 2] {
+        let (normal, tangent) = (self.normal() * self.state.mean[1], self.tangent());
+        self.extent.map(|along| {
+            let at = normal + tangent * along;
+            [self.anchor[0] + at[0], self.anchor[1] + at[1]]
+        })
+    }
+
+    fn middle(&self) -> [f64; 2] {
+        let [start, end] = self.ends();
+        [0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1])]
+    }
+
+    /// Bearing of the normal [rad] and position across the middle, and their covariance.
+    pub(super) fn about_middle(&self) -> (f64, Matrix2<f64>) {
+        let H = self.model(self.middle(), 0.0, Matrix2::zeros()).H;
+        (turn(self.state.mean[0]), symmetrised(H * self.state.covariance * H.transpose()))
+    }
+
+    /// Its middle, at rest, its bearing and half its length; of the covariance what lies across it.
+    pub(super) fn reported(&self) -> Gaussian<7> {
+        let ([x, y], (angle, P)) = (self.middle(), self.about_middle());
+        let heading = turn(angle + FRAC_PI_2);
+        let mean = SVector::from([x, y, 0.0, 0.0, heading, 0.5 * self.length(), 0.0]);
+        let mut J = SMatrix::<f64, 7, 2>::zeros();
+        J[(4, 0)] = 1.0;
+        J.fixed_view_mut::<2, 1>(0, 1).copy_from(&self.normal());
+        Gaussian { mean, covariance: symmetrised(J * P * J.transpose()) }
+    }
+
+    /// Whether all of `points` lie on it, as ranges of deviation `std` would.
+    pub(super) fn holds(&self, points: &[[f64; 2]], std: f64, rules: &LineRules) -> bool {
+        let mut square = 0.0;
+        let mut variance = 0.0;
+        for &point in points {
+            let model = self.model(point, self.state.mean[0], Matrix2::zeros());
+            if self.gap(point, 0.0) > rules.gap {
+                return false;
+            }
+            let own = (model.H * self.state.covariance * model.H.transpose())[(1, 1)];
+            square += model.y[1] * model.y[1];
+            variance += own + std * std + rules.std * rules.std;
+        }
+        square <= rules.reach * rules.reach * variance
+    }
+
+    /// A measurement, of a surface that is not quite straight, and its squared distance.
+    fn compared(
+        &self,
+        seen: &LineMeasurement,
+        rules: &Rules,
+    ) -> Result<(Linearised<2, 2>, f64), Error> {
+        let model = self.model(seen.middle, seen.angle, seen.R + seen.bent(rules.lines()));
+        let S = symmetrised(model.H * self.state.covariance * model.H.transpose() + model.R);
+        let squared = mahalanobis(&model.y, &S)?.squared;
+        Ok((model, squared))
+    }
+
+    /// Squared distance of a measurement of the same surface; None for another one. A surface lies
+    /// where the gate says, or nowhere farther off than rays that belong to it.
+    fn distance(&self, seen: &LineMeasurement, rules: &Rules) -> Result<Option<f64>, Error> {
+        let turned = turn(seen.angle - self.state.mean[0]).abs();
+        if turned > WIDEST || self.gap(seen.middle, seen.half) > rules.lines().gap {
+            return Ok(None);
+        }
+        let (Linearised { y, .. }, squared) = self.compared(seen, rules)?;
+        let farthest = y[1].abs() + seen.half * libm::sin(y[0]).abs();
+        let is_same = squared <= rules.line_gate() || farthest <= rules.looking().margin;
+        Ok(is_same.then_some(squared))
+    }
+
+    /// What it would be as a measurement.
+    fn as_measurement(&self) -> LineMeasurement {
+        let (angle, R) = self.about_middle();
+        LineMeasurement { middle: self.middle(), angle, half: 0.5 * self.length(), R }
+    }
+}
+
+impl State for Line {
+    type Measurement = LineMeasurement;
+
+    fn new(seen: &LineMeasurement, rules: &Rules) -> Self {
+        Self::new(seen, rules.lines())
+    }
+
+    /// Short ones may be pieces of anything.
+    fn is_born(seen: &LineMeasurement, rules: &Rules) -> bool {
+        2.0 * seen.half >= rules.lines().length
+    }
+
+    /// Its ends wander.
+    fn predict(&mut self, step: &Step) {
+        let half = (0.5 * self.length()).max(LEAST_HALF);
+        let wander = step.line_variance();
+        self.state.covariance += Matrix2::new(wander / (half * half), 0.0, 0.0, wander);
+    }
+
+    /// A measurement outside of the gate counts for so much less that it would be inside.
+    fn correct(&mut self, seen: &LineMeasurement, rules: &Rules) -> Result<(), Error> {
+        let (mut model, squared) = self.compared(seen, rules)?;
+        model.R *= (squared / rules.line_gate()).max(1.0);
+        self.state = update(&self.state, &model)?.posterior;
+        self.extend(seen.middle, seen.half);
+        Ok(())
+    }
+
+    /// Every measurement goes to the line that it fits best: a line may be seen in pieces.
+    fn associate<'a>(
+        all: impl ExactSizeIterator<Item = &'a Self> + Clone,
+        seen: &[LineMeasurement],
+        rules: &Rules,
+    ) -> Result<Vec<Option<usize>>, Error> {
+        let mut owners = Vec::with_capacity(seen.len());
+        for measurement in seen {
+            let mut best: Option<(f64, usize)> = None;
+            for (row, line) in all.clone().enumerate() {
+                let squared = line.distance(measurement, rules)?;
+                if let Some(squared) = squared.filter(|&one| best.is_none_or(|(so, _)| one < so)) {
+                    best = Some((squared, row));
+                }
+            }
+            owners.push(best.map(|(_, row)| row));
+        }
+        Ok(owners)
+    }
+
+    fn look(&self, from: &Viewpoint, rules: &Rules) -> Visibility {
+        let Some(sight) = &from.sight else { return Visibility::SeenThrough };
+        let ends = self.ends().map(|end| from.pose.level(end, 0.0).center);
+        sight.of_line(ends, rules.looking())
+    }
+
+    fn is_vague(&self, rules: &Rules) -> bool {
+        let most = rules.parameters().limits.position;
+        self.about_middle().1[(1, 1)] > most * most
+    }
+
+    /// The shorter one is a piece of the longer one.
+    fn is_twin(&self, other: &Self, rules: &Rules) -> bool {
+        let (long, short) =
+            if self.length() < other.length() { (other, self) } else { (self, other) };
+        let squared = long.distance(&short.as_measurement(), rules);
+        squared.is_ok_and(|squared| squared.is_some())
+    }
+
+    /// The longer one stays, and reaches as far as both.
+    fn absorb(&mut self, mut twin: Self, _: bool) {
+        if twin.length() > self.length() {
+            std::mem::swap(self, &mut twin);
+        }
+        self.extend(twin.middle(), 0.5 * twin.length());
+    }
+
+    /// What ends at it shows that it is there.
+    fn patience(rules: &Rules) -> Patience {
+        let patience = rules.parameters().patience;
+        Patience { unmatched: f64::INFINITY, hidden: rules.lines().coast, ..patience }
+    }
+}
