@@ -1,7 +1,7 @@
 //! Clustering against all pairs and a union-find without any grid.
 
 use lidar_core::geometry::cluster::{Clustering, NOISE, label};
-use lidar_core::geometry::sight::{Sight, label_seen};
+use lidar_core::geometry::gaps::{AngularGap, label_seen};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -39,23 +39,23 @@ fn clustering() -> impl Strategy<Value = Clustering> {
     )
 }
 
-fn sight() -> impl Strategy<Value = Sight> {
+fn gap() -> impl Strategy<Value = AngularGap> {
     let angles = vec![0.0, 0.01, 0.125, 0.25, 0.5];
     let place = prop::array::uniform3((-40..40_i16).prop_map(|eighths| f64::from(eighths) / 8.0));
     (place, prop::sample::select(angles))
-        .prop_map(|(origin, max_angle)| Sight { origin, max_angle })
+        .prop_map(|(origin, max_angle)| AngularGap { origin, max_angle })
 }
 
 /// Every point takes the smallest root among those it is linked to, until nothing changes.
-fn slow(points: &[[f32; 3]], sight: &Sight, clustering: &Clustering) -> Vec<i32> {
+fn slow(points: &[[f32; 3]], gap: &AngularGap, clustering: &Clustering) -> Vec<i32> {
     let finite = |p: &[f32; 3]| p.iter().all(|value| value.is_finite());
     let linked = |p: &[f32; 3], q: &[f32; 3]| {
         let square: f64 =
             (0..3).map(|axis| (f64::from(p[axis]) - f64::from(q[axis])).powi(2)).sum();
         let range = |point: &[f32; 3]| -> f64 {
-            (0..3).map(|axis| (f64::from(point[axis]) - sight.origin[axis]).powi(2)).sum()
+            (0..3).map(|axis| (f64::from(point[axis]) - gap.origin[axis]).powi(2)).sum()
         };
-        let seen = sight.max_angle * sight.max_angle * range(p).min(range(q));
+        let seen = gap.max_angle * gap.max_angle * range(p).min(range(q));
         let reach = (clustering.max_distance * clustering.max_distance).max(seen);
         finite(p) && finite(q) && square <= reach
     };
@@ -88,7 +88,7 @@ fn slow(points: &[[f32; 3]], sight: &Sight, clustering: &Clustering) -> Vec<i32>
         .collect()
 }
 
-const NOWHERE: Sight = Sight { origin: [0.0; 3], max_angle: 0.0 };
+const NOWHERE: AngularGap = AngularGap { origin: [0.0; 3], max_angle: 0.0 };
 
 proptest! {
     #![proptest_config(seeded())]
@@ -101,14 +101,14 @@ proptest! {
     }
 
     #[test]
-    fn labels_of_a_sight_equal_those_of_all_pairs(
+    fn labels_by_angle_equal_those_of_all_pairs(
         points in cloud(),
-        sight in sight(),
+        gap in gap(),
         clustering in clustering(),
     ) {
-        let labels = label_seen(&points, &sight, &clustering)
+        let labels = label_seen(&points, &gap, &clustering)
             .map_err(|error| TestCaseError::fail(error.to_string()))?;
-        prop_assert_eq!(labels, slow(&points, &sight, &clustering));
+        prop_assert_eq!(labels, slow(&points, &gap, &clustering));
     }
 
     #[test]

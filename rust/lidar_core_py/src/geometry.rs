@@ -4,8 +4,8 @@ use crate::arrays;
 use crate::errors::BorderError;
 use crate::guard::detached;
 use lidar_core::geometry::cluster::Clustering;
+use lidar_core::geometry::gaps::{AngularGap, label_seen};
 use lidar_core::geometry::lattice::Lattice;
-use lidar_core::geometry::sight::{Sight, label_seen};
 use lidar_core::geometry::traverse as core_traverse;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
@@ -50,6 +50,7 @@ pub(crate) fn cluster_points<'py>(
     let min_points = arrays::count("min_points", min_points)?;
     let max_points = max_points.map(|most| arrays::count("max_points", most)).transpose()?;
     let clustering = Clustering { max_distance, min_points, max_points };
-    let labels = detached(py, || label_seen(points, &Sight { origin, max_angle }, &clustering))?;
+    let labels =
+        detached(py, || label_seen(points, &AngularGap { origin, max_angle }, &clustering))?;
     Ok(labels.into_pyarray(py))
 }

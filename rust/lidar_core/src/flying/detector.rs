@@ -19,8 +19,8 @@ use super::visibility::ScanView;
 use super::voxel_map::VoxelMap;
 use crate::Error;
 use crate::clock::Clock;
+use crate::geometry::gaps::{AngularGap, label_seen};
 use crate::geometry::lattice::{floor, wide};
-use crate::geometry::sight::{Sight, label_seen};
 use crate::geometry::transform::Transform;
 use std::collections::BTreeMap;
 
@@ -51,8 +51,8 @@ impl FlyingObjectDetector {
         parameters.separation.check(voxel_size)?;
         search_radius(parameters.classify.search_distance, voxel_size)?;
         check_steps("close_distance", parameters.classify.close_distance, voxel_size)?;
-        let sight = Sight { origin: [0.0; 3], max_angle: parameters.cluster_angle };
-        label_seen(&[], &sight, &parameters.clustering)?;
+        let gap = AngularGap { origin: [0.0; 3], max_angle: parameters.cluster_angle };
+        label_seen(&[], &gap, &parameters.clustering)?;
         Ok(Self {
             map: VoxelMap::new(parameters.map.relative_to([0.0; 3]), threads)?,
             tracker: PointCloudTracker::new(parameters.tracker, threads)?,
@@ -207,10 +207,10 @@ impl FlyingObjectDetector {
     }
 
     fn labels(&self, scan: &Prepared) -> Result<Vec<i32>, Error> {
-        let sight =
-            Sight { origin: scan.pose.translation, max_angle: self.parameters.cluster_angle };
+        let gap =
+            AngularGap { origin: scan.pose.translation, max_angle: self.parameters.cluster_angle };
         if !self.parameters.cluster_voxels {
-            return label_seen(&scan.points, &sight, &self.parameters.clustering);
+            return label_seen(&scan.points, &gap, &self.parameters.clustering);
         }
         let lattice = self.map.lattice();
         let center = |&point: &[f32; 3]| match floor(lattice.scaled(wide(point))) {
@@ -218,7 +218,7 @@ impl FlyingObjectDetector {
             None => [f32::NAN; 3],
         };
         let centers: Vec<[f32; 3]> = scan.points.iter().map(center).collect();
-        label_seen(&centers, &sight, &self.parameters.clustering)
+        label_seen(&centers, &gap, &self.parameters.clustering)
     }
 
     fn needed(&self) -> usize {

@@ -5,7 +5,7 @@
 use super::measurement::{Measurement, Sensor};
 use super::motion::{First, Motion, Prior, ProcessNoise};
 use super::platform::Platform;
-use super::sensors::{Observation, Sensing, Sight, polar_difference};
+use super::sensors::{LineOfSight, Observation, Sensing, polar_difference};
 use super::turn::wrapped;
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, Linearised, Update, symmetrised, update};
@@ -149,7 +149,7 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
             return Ok(None);
         }
         let sensor = platform.sensor_at(m.stamp_ns());
-        let sight = Sight::new(&self.motion, &state.mean, platform, sensor.as_ref());
+        let sight = LineOfSight::new(&self.motion, &state.mean, platform, sensor.as_ref());
         match self.sensing.observation(m, sight.range()) {
             Some(Observation::Position { z, R }) => {
                 let (expected, H) = sight.place();

@@ -53,13 +53,13 @@ pub enum Observation {
 }
 
 /// A state as the sensor sees it: position and relative velocity in its frame, with Jacobians.
-pub struct Sight<const N: usize> {
+pub struct LineOfSight<const N: usize> {
     position: Vector2<f64>,
     velocity: Vector2<f64>,
     by_state: [SMatrix<f64, 2, N>; 2],
 }
 
-impl<const N: usize> Sight<N> {
+impl<const N: usize> LineOfSight<N> {
     /// `s` seen by a sensor in the world, or in its own frame where there is none.
     pub fn new<M: Motion<N>>(
         motion: &M,
@@ -215,7 +215,7 @@ mod tests {
 
     fn check<const N: usize, M: Motion<N>>(motion: &M, s: &SVector<f64, N>, platform: &Platform) {
         let sensor = platform.sensor_at(100_000_000);
-        let sight = |s: &SVector<f64, N>| Sight::new(motion, s, platform, sensor.as_ref());
+        let sight = |s: &SVector<f64, N>| LineOfSight::new(motion, s, platform, sensor.as_ref());
         let expected = difference(s, |s| sight(s).polar());
         let J = sight(s).polar_jacobian();
         assert!((J - expected).abs().max() < 1e-8, "{J} {expected}");
@@ -242,10 +242,11 @@ mod tests {
         let lever = [0.3, -0.2];
         let moving = Platform { rate: 0.8, velocity: [2.0, 1.0], lever, ..Platform::still() };
         let s = Vector5::new(4.0, -2.0, 2.0, 2.5, 0.3);
-        let range =
-            |dt| Sight::new(&CtrvDrone, &CtrvDrone.moved(&s, dt, &moving), &moving, None).range();
+        let range = |dt| {
+            LineOfSight::new(&CtrvDrone, &CtrvDrone.moved(&s, dt, &moving), &moving, None).range()
+        };
         let rate = (range(1e-5) - range(-1e-5)) / 2e-5;
-        assert!((Sight::new(&CtrvDrone, &s, &moving, None).polar()[2] - rate).abs() < 1e-8);
+        assert!((LineOfSight::new(&CtrvDrone, &s, &moving, None).polar()[2] - rate).abs() < 1e-8);
     }
 
     #[test]
@@ -259,7 +260,7 @@ mod tests {
         let first = first_sight(&m, sensor.as_ref()).unwrap_or(unknown);
         let [x, y] = first.position;
         let s = Vector5::new(x, y, first.speed, first.heading, 0.0);
-        let polar = Sight::new(&Ctrv, &s, &platform, sensor.as_ref()).polar();
+        let polar = LineOfSight::new(&Ctrv, &s, &platform, sensor.as_ref()).polar();
         assert!((polar - Vector3::new(3.0, 0.4, 1.5)).abs().max() < 1e-12);
         Ok(())
     }

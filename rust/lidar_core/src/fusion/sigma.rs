@@ -6,7 +6,7 @@ use super::engine::{Engine, Innovation, Link, Output, Single, output};
 use super::measurement::{Measurement, Sensor};
 use super::motion::{First, Motion};
 use super::platform::Platform;
-use super::sensors::{Observation, Sight, polar_difference};
+use super::sensors::{LineOfSight, Observation, polar_difference};
 use crate::Error;
 use crate::estimation::kalman::Gaussian;
 use crate::estimation::unscented::{Rooted, Rule, Triangle, stacked, transformed};
@@ -180,7 +180,7 @@ impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
             return Ok(None);
         }
         let sensor = platform.sensor_at(m.stamp_ns());
-        let sight = |s: &SVector<f64, N>| Sight::new(motion, s, platform, sensor.as_ref());
+        let sight = |s: &SVector<f64, N>| LineOfSight::new(motion, s, platform, sensor.as_ref());
         match self.base.sensing.observation(m, sight(&state.rooted.mean).range()) {
             Some(Observation::Position { z, R }) => {
                 self.corrected(state, &z, &R, |s| sight(s).place().0, |a, b| a - b)

@@ -2,8 +2,8 @@
 
 pub mod caps;
 pub mod cluster;
+pub mod gaps;
 pub mod lattice;
 pub mod motion;
-pub mod sight;
 pub mod transform;
 pub mod traverse;

@@ -59,11 +59,11 @@ impl State for Modes {
 
     /// It is seen through only if rays pass wherever it may be.
     fn look(&self, from: &Viewpoint, rules: &Rules) -> Visibility {
-        let Some(sight) = &from.sight else { return Visibility::SeenThrough };
+        let Some(view) = &from.view else { return Visibility::SeenThrough };
         let state = self.combined();
         let ask = |[x, y]: [f64; 2]| {
             let circle = from.pose.level([state.mean[0] + x, state.mean[1] + y], state.mean[4]);
-            sight.of(&circle, rules.looking())
+            view.of(&circle, rules.looking())
         };
         let here = ask([0.0, 0.0]);
         if here != Visibility::SeenThrough {

@@ -237,9 +237,9 @@ impl State for Line {
     }
 
     fn look(&self, from: &Viewpoint, rules: &Rules) -> Visibility {
-        let Some(sight) = &from.sight else { return Visibility::SeenThrough };
+        let Some(view) = &from.view else { return Visibility::SeenThrough };
         let ends = self.ends().map(|end| from.pose.level(end, 0.0).center);
-        sight.of_line(ends, rules.looking())
+        view.of_line(ends, rules.looking())
     }
 
     fn is_vague(&self, rules: &Rules) -> bool {

@@ -25,7 +25,7 @@ pub use parameters::{
     MAX_ELEMENTS, MAX_WINDOW, Mode, Patience,
 };
 pub use scan::{CircleScan, PoseCovariance};
-pub use visibility::{Sight, View, Visibility};
+pub use visibility::{SortedView, View, Visibility};
 
 use super::shape::ShapeKind;
 use crate::Error;

@@ -5,7 +5,7 @@
 use super::line::LineMeasurement;
 use super::modes::Measurement;
 use super::parameters::MAX_ELEMENTS;
-use super::visibility::{Sight, View};
+use super::visibility::{SortedView, View};
 use crate::Error;
 use crate::circles::circle::{Circle, CircleEstimate};
 use crate::circles::polar::turn;
@@ -62,7 +62,7 @@ pub(super) struct Viewpoint {
     pub(super) stamp_ns: i64,
     pub(super) sensor: u32,
     pub(super) pose: LevelPose,
-    pub(super) sight: Option<Sight>,
+    pub(super) view: Option<SortedView>,
 }
 
 impl Viewpoint {
@@ -120,7 +120,7 @@ impl Placed {
                 stamp_ns: scan.stamp_ns,
                 sensor: scan.sensor,
                 pose,
-                sight: scan.view.map(|view| view.sight()).transpose()?,
+                view: scan.view.map(|view| view.sorted()).transpose()?,
             },
             circles: Seen::new(circles),
             lines: Seen::new(lines.flatten().collect()),

@@ -36,7 +36,7 @@ pub enum Visibility {
 
 /// A scan that can be asked: its rays by ascending bearing.
 #[derive(Clone, Debug)]
-pub struct Sight {
+pub struct SortedView {
     bearings: Vec<f64>,
     ranges: Vec<f64>,
     range_min: f64,
@@ -49,7 +49,7 @@ impl View<'_> {
     /// # Errors
     /// [`Error::Length`] or [`Error::Value`] if a ray has no bearing, [`Error::Parameter`] for range
     /// limits that are none.
-    pub fn sight(&self) -> Result<Sight, Error> {
+    pub fn sorted(&self) -> Result<SortedView, Error> {
         let (ranges, bearings) = (&self.scan.ranges, &self.scan.bearings);
         if ranges.len() != bearings.len() {
             let (expected, got) = (ranges.len(), bearings.len());
@@ -64,7 +64,7 @@ impl View<'_> {
             return Err(Error::Parameter { name: "range_max", expected: "> range_min >= 0", got });
         }
         let (bearings, ranges) = ascending(bearings, ranges);
-        Ok(Sight { bearings, ranges, range_min: self.range_min, range_max: self.range_max })
+        Ok(SortedView { bearings, ranges, range_min: self.range_min, range_max: self.range_max })
     }
 }
 
@@ -87,7 +87,7 @@ struct Votes {
     before: usize,
 }
 
-impl Sight {
+impl SortedView {
     /// What the scan says about `circle` of its frame.
     #[must_use]
     pub fn of(&self, circle: &Circle, looking: &Looking) -> Visibility {
@@ -185,8 +185,8 @@ mod tests {
     }
 
     fn seen(scan: &PolarScan, x: f64, y: f64, radius: f64) -> Result<Visibility, Error> {
-        let sight = View { scan, range_min: 0.1, range_max: 10.0 }.sight()?;
-        Ok(sight.of(&Circle { center: [x, y], radius }, &LOOKING))
+        let view = View { scan, range_min: 0.1, range_max: 10.0 }.sorted()?;
+        Ok(view.of(&Circle { center: [x, y], radius }, &LOOKING))
     }
 
     #[test]
@@ -227,10 +227,10 @@ mod tests {
     #[test]
     fn views_that_are_none_are_refused() {
         let scan = PolarScan { ranges: vec![1.0], bearings: vec![f64::NAN] };
-        assert!(View { scan: &scan, range_min: 0.1, range_max: 10.0 }.sight().is_err());
+        assert!(View { scan: &scan, range_min: 0.1, range_max: 10.0 }.sorted().is_err());
         let scan = PolarScan { ranges: vec![1.0], bearings: vec![0.0] };
-        assert!(View { scan: &scan, range_min: 0.1, range_max: 0.1 }.sight().is_err());
+        assert!(View { scan: &scan, range_min: 0.1, range_max: 0.1 }.sorted().is_err());
         let scan = PolarScan { ranges: vec![1.0], bearings: vec![] };
-        assert!(View { scan: &scan, range_min: 0.1, range_max: 1.0 }.sight().is_err());
+        assert!(View { scan: &scan, range_min: 0.1, range_max: 1.0 }.sorted().is_err());
     }
 }

@@ -13,9 +13,9 @@ const BAND: f64 = 1.15;
 /// Room for rounding.
 const MARGIN: f64 = 1e-6;
 
-/// Where a cloud was seen from, and how coarsely.
+/// Gaps that are bridged as they are seen from the sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sight {
+pub struct AngularGap {
     /// The sensor [m].
     pub origin: [f64; 3],
     /// Gaps seen under this angle are inside a cluster too [rad], 0 to [`MAX_ANGLE`].
@@ -32,21 +32,21 @@ pub struct Sight {
 /// or an origin that is not finite.
 pub fn label_seen(
     points: &[[f32; 3]],
-    sight: &Sight,
+    gap: &AngularGap,
     clustering: &Clustering,
 ) -> Result<Vec<i32>, Error> {
     check(clustering)?;
-    sight.check()?;
+    gap.check()?;
     check_points(points.len())?;
     let fixed = Fixed::new(clustering.max_distance);
     let mut group_of = linked(points, clustering.max_distance, &fixed)?;
-    if sight.max_angle > 0.0 {
-        widen(points, sight, clustering.max_distance, &mut group_of)?;
+    if gap.max_angle > 0.0 {
+        widen(points, gap, clustering.max_distance, &mut group_of)?;
     }
     Ok(numbered(&group_of, clustering))
 }
 
-impl Sight {
+impl AngularGap {
     fn check(&self) -> Result<(), Error> {
         let Self { origin, max_angle } = self;
         require((0.0..=MAX_ANGLE).contains(max_angle), "max_angle", "0 to 0.5", max_angle)?;
@@ -65,9 +65,9 @@ impl Sight {
     }
 }
 
-/// Reach of a sight whose points lie in one band of ranges.
+/// Reach among points that lie in one band of ranges.
 struct InBand<'a> {
-    sight: &'a Sight,
+    gap: &'a AngularGap,
     /// Squares of the fixed distance and of the largest reach that counts [m^2].
     fixed: f64,
     most: f64,
@@ -79,8 +79,8 @@ impl Reach for InBand<'_> {
     }
 
     fn of(&self, one: [f64; 3], other: [f64; 3]) -> f64 {
-        let nearer = self.sight.square(one).min(self.sight.square(other));
-        self.fixed.max(self.sight.max_angle * self.sight.max_angle * nearer)
+        let nearer = self.gap.square(one).min(self.gap.square(other));
+        self.fixed.max(self.gap.max_angle * self.gap.max_angle * nearer)
     }
 }
 
@@ -88,20 +88,20 @@ impl Reach for InBand<'_> {
 /// one after the other: within one, all reaches are nearly equal.
 fn widen(
     points: &[[f32; 3]],
-    sight: &Sight,
+    gap: &AngularGap,
     fixed: f64,
     group_of: &mut [u32],
 ) -> Result<(), Error> {
-    let bands = Bands::of(points, sight, fixed / sight.max_angle * (1.0 - MARGIN), group_of);
+    let bands = Bands::of(points, gap, fixed / gap.max_angle * (1.0 - MARGIN), group_of);
     let mut sets = Sets::new(points.len());
     for (band, &next) in bands.ends.iter().enumerate() {
         if bands.rows[band].is_empty() {
             continue;
         }
-        let rows = bands.reached_from(band, next * (1.0 + sight.max_angle) * (1.0 + MARGIN));
+        let rows = bands.reached_from(band, next * (1.0 + gap.max_angle) * (1.0 + MARGIN));
         let cloud: Vec<[f32; 3]> = rows.iter().map(|&row| points[row as usize]).collect();
-        let largest = sight.max_angle * next;
-        let reach = InBand { sight, fixed: fixed * fixed, most: largest * largest };
+        let largest = gap.max_angle * next;
+        let reach = InBand { gap, fixed: fixed * fixed, most: largest * largest };
         join(&rows, &linked(&cloud, largest, &reach)?, group_of, &mut sets);
     }
     for group in group_of.iter_mut().filter(|group| **group != NO_GROUP) {
@@ -119,10 +119,10 @@ struct Bands {
 
 impl Bands {
     /// Points further away than `least` [m], with the squares of their ranges.
-    fn of(points: &[[f32; 3]], sight: &Sight, least: f64, group_of: &[u32]) -> Self {
+    fn of(points: &[[f32; 3]], gap: &AngularGap, least: f64, group_of: &[u32]) -> Self {
         let mut far: Vec<(f64, u32)> = Vec::new();
         for (row, (&point, &group)) in points.iter().zip(group_of).enumerate() {
-            let square = sight.square(wide(point));
+            let square = gap.square(wide(point));
             if group != NO_GROUP && square >= least * least {
                 far.push((square, row as u32)); // at most MAX_POINTS
             }
@@ -177,19 +177,19 @@ mod tests {
     #[test]
     fn the_nearer_point_decides() -> Result<(), Error> {
         let clustering = Clustering { max_distance: 0.25, min_points: 1, max_points: None };
-        let sight = Sight { origin: [0.0; 3], max_angle: 0.015625 };
+        let gap = AngularGap { origin: [0.0; 3], max_angle: 0.015625 };
         let points = [[32.0, 0.0, 0.0], [32.5, 0.0, 0.0], [33.25, 0.0, 0.0], [16.0, 0.0, 0.0]];
-        assert_eq!(label_seen(&points, &sight, &clustering)?, [0, 0, 1, 2]);
-        let nearer = Sight { origin: [0.125, 0.0, 0.0], ..sight };
+        assert_eq!(label_seen(&points, &gap, &clustering)?, [0, 0, 1, 2]);
+        let nearer = AngularGap { origin: [0.125, 0.0, 0.0], ..gap };
         assert_eq!(label_seen(&points, &nearer, &clustering)?, [0, 1, 2, 3]);
         Ok(())
     }
 
     #[test]
-    fn bad_sights_are_refused() {
+    fn bad_gaps_are_refused() {
         let clustering = Clustering { max_distance: 0.25, min_points: 1, max_points: None };
         for (origin, max_angle) in [([0.0; 3], -0.1), ([0.0; 3], 0.6), ([f64::NAN; 3], 0.1)] {
-            assert!(label_seen(&[], &Sight { origin, max_angle }, &clustering).is_err());
+            assert!(label_seen(&[], &AngularGap { origin, max_angle }, &clustering).is_err());
         }
     }
 }
