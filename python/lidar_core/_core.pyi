@@ -23,6 +23,7 @@ __all__ = [
     "TargetFilter",
     "VoxelMap",
     "__version__",
+    "assign_columns",
     "chi2_quantile",
     "circle_lattice",
     "circle_windows",
@@ -133,6 +134,9 @@ def fit_shapes(
     NDArray[np.float64],
     NDArray[np.int64],
 ]: ...
+def assign_columns(
+    cost: NDArray[np.float64], *, gate: float, unassigned: float
+) -> NDArray[np.int64]: ...
 def chi2_quantile(probability: float, *, degrees: int) -> float: ...
 def circle_lattice(
     scanner: object,

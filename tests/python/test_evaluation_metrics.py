@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
 from lidar_core import ConfigError, InputError, MissingExtraError, NumericalError, evaluation
@@ -94,6 +95,16 @@ def test_ospa_of_order_one_is_that_of_stonesoup(stonesoup, seed):
     assert evaluation.ospa(found, true, cutoff=1.0, order=1) == pytest.approx(expected, abs=PARITY)
     other = metric(p=2, c=1.0).compute_OSPA_distance(states(found), states(true)).value
     assert evaluation.ospa(found, true, cutoff=1.0, order=2) <= other + PARITY
+
+
+@pytest.mark.parametrize("box", [10.0, 100.0])
+def test_gospa_of_a_thousand_objects_is_that_of_scipy(box):
+    rng = np.random.default_rng(4711)
+    found, true = rng.uniform(0, box, (1000, 3)), rng.uniform(0, box, (900, 3))
+    apart = np.linalg.norm(found[:, None] - true[None], axis=-1)
+    cost = np.minimum(apart, 3.0) ** 2
+    total = cost[linear_sum_assignment(cost)].sum() + 100 * 9 / 2
+    assert evaluation.gospa(found, true, cutoff=3.0, order=2).distance ** 2 == pytest.approx(total)
 
 
 @pytest.mark.parametrize("name", ["ospa", "gospa"])

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidar_core.errors import ConfigError
-from lidar_core.evaluation.assignment import assign, distances
+from lidar_core.evaluation.assignment import cheapest, distances
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +55,6 @@ def ospa(estimates: ArrayLike, targets: ArrayLike, *, cutoff: float, order: floa
 
     Notes
     -----
-    For the objects of a scan: where more than 500 are within the cutoff of another it takes
-    seconds, and the time grows with the cube of their number.
-
     Source: Schuhmacher, Vo & Vo, "A Consistent Metric for Performance Evaluation of Multi-Object
     Filters", IEEE Trans. Signal Processing 56, 2008, eq. 3.
 
@@ -92,11 +89,10 @@ def set_distances(
     distance_of: NDArray[np.float64], *, cutoff: float, order: float
 ) -> tuple[float, Gospa]:
     """OSPA and GOSPA of a table of distances: both have the same best assignment."""
-    cost, is_near = _costs(distance_of, cutoff, order), distance_of < cutoff
-    # What is near nothing costs the same with any partner, and is left out of the search.
-    some = np.ix_(is_near.any(axis=1), is_near.any(axis=0))
-    pairs = assign(cost[some], gate=2 * cutoff**order)
-    inside, size = cost[some][pairs][is_near[some][pairs]], max(cost.shape)
+    cost, size = _costs(distance_of, cutoff, order), max(distance_of.shape)
+    near = np.where(distance_of < cutoff, cost, np.inf)  # others cost what no pair costs
+    pairs = cheapest(near, gate=cutoff**order, alone=cutoff**order)
+    inside = cost[pairs]
     single, localisation = cutoff**order / 2, float(inside.sum())
     together = localisation + (size - len(inside)) * cutoff**order
     missed, false = (single * (count - len(inside)) for count in reversed(cost.shape))

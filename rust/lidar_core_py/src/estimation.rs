@@ -1,10 +1,35 @@
 //! Bindings of `lidar_core::estimation`.
 
+use crate::arrays;
 use crate::errors::BorderError;
 use crate::guard::detached;
 use lidar_core::Error;
+use lidar_core::estimation::association::{Pair, assign};
 use lidar_core::estimation::chi2;
+use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
+
+/// Column of every row of a table of costs, -1 for none; pairs dearer than `gate` are forbidden.
+#[pyfunction]
+#[pyo3(signature = (cost, *, gate, unassigned))]
+pub(crate) fn assign_columns<'py>(
+    py: Python<'py>,
+    cost: PyReadonlyArray2<'py, f64>,
+    gate: f64,
+    unassigned: f64,
+) -> Result<Bound<'py, PyArray1<i64>>, BorderError> {
+    let [rows, columns] = [cost.shape()[0], cost.shape()[1]];
+    let costs = arrays::flat("cost", &cost)?;
+    let found = detached(py, || {
+        let near = costs.iter().enumerate().filter(|(_, cost)| **cost <= gate);
+        let pairs: Vec<Pair> = near
+            .map(|(at, &cost)| Pair { row: at / columns, column: at % columns, cost })
+            .collect();
+        assign(rows, columns, &pairs, unassigned)
+    })?;
+    let found = found.into_iter().map(|column| column.map_or(-1, |column| column as i64));
+    Ok(found.collect::<Vec<i64>>().into_pyarray(py))
+}
 
 #[pyfunction]
 #[pyo3(signature = (probability, *, degrees))]

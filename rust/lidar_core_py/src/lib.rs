@@ -43,7 +43,7 @@ mod _core {
     #[pymodule_export]
     use super::circles::{limit_range, project_horizontal, segment_scan};
     #[pymodule_export]
-    use super::estimation::chi2_quantile;
+    use super::estimation::{assign_columns, chi2_quantile};
     #[pymodule_export]
     use super::flying::PyFlyingObjectDetector;
     #[pymodule_export]
