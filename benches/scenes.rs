@@ -188,6 +188,8 @@ pub fn flying_parameters() -> FlyingParameters {
             burn_in_scans: 4,
             burn_in_extent: 1.0,
             standing_scans: 0,
+            standing_shift: 0.04,
+            standing_track_distance: 0.5,
             ground_height: None,
             take_off_height: None,
         },

@@ -45,6 +45,8 @@ fn parameters() -> FlyingParameters {
             burn_in_scans: 3,
             burn_in_extent: 1.0,
             standing_scans: 0,
+            standing_shift: 0.04,
+            standing_track_distance: 0.5,
             ground_height: Some(-1.4),
             take_off_height: None,
         },

@@ -248,6 +248,17 @@ class SeedConfig(Config):
         description="What holds its place in so many scans of the burn-in is background, however"
         " small; 0 for none (count, no unit).",
     )
+    standing_shift: float = Field(
+        0.04,
+        ge=0,
+        description="Its points move this much at most between the halves of the burn-in; those"
+        " of a target that flies through a voxel move across it [m].",
+    )
+    standing_track_distance: float = Field(
+        0.5,
+        ge=0,
+        description="A track this far from where it began follows no such thing [m].",
+    )
     ground_height: float | None = Field(
         None, description="Clusters that reach below this height are background, world frame [m]."
     )

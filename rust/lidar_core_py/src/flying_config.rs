@@ -74,6 +74,8 @@ struct SeedConfig {
     burn_in_scans: u32,
     burn_in_extent: f64,
     standing_scans: u32,
+    standing_shift: f64,
+    standing_track_distance: f64,
     ground_height: Option<f64>,
     take_off_height: Option<f64>,
 }
@@ -102,11 +104,7 @@ impl FlyingConfig {
                 max_range: self.voxel_map.max_range + self.range_margin,
                 ..self.voxel_map.parameters([0.0; 3])?
             },
-            clustering: Clustering {
-                max_distance: self.cluster.max_distance,
-                min_points: self.cluster.min_points,
-                max_points: self.cluster.max_points,
-            },
+            clustering: self.cluster.clustering(),
             cluster_angle: self.cluster.max_angle,
             cluster_voxels: self.cluster.of == "voxels",
             classify: self.classify.parameters(),
@@ -115,13 +113,7 @@ impl FlyingConfig {
                 min_confident: self.separate.min_confident,
                 dilate: self.separate.dilate,
             },
-            seed: SeedParameters {
-                burn_in_scans: self.seed.burn_in_scans,
-                burn_in_extent: self.seed.burn_in_extent,
-                standing_scans: self.seed.standing_scans,
-                ground_height: self.seed.ground_height,
-                take_off_height: self.seed.take_off_height,
-            },
+            seed: self.seed.parameters(),
             sensors: self
                 .sensors
                 .into_iter()
@@ -136,6 +128,30 @@ impl FlyingConfig {
             mismatch_share: self.mismatch_share,
             forget_distance: self.forget_distance,
         })
+    }
+}
+
+impl ClusterConfig {
+    fn clustering(&self) -> Clustering {
+        Clustering {
+            max_distance: self.max_distance,
+            min_points: self.min_points,
+            max_points: self.max_points,
+        }
+    }
+}
+
+impl SeedConfig {
+    fn parameters(&self) -> SeedParameters {
+        SeedParameters {
+            burn_in_scans: self.burn_in_scans,
+            burn_in_extent: self.burn_in_extent,
+            standing_scans: self.standing_scans,
+            standing_shift: self.standing_shift,
+            standing_track_distance: self.standing_track_distance,
+            ground_height: self.ground_height,
+            take_off_height: self.take_off_height,
+        }
     }
 }
 

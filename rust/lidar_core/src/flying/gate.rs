@@ -15,6 +15,10 @@ pub struct SeedParameters {
     pub burn_in_extent: f64,
     /// Voxels that held points in so many scans of the burn-in are background, 0 for none.
     pub standing_scans: u32,
+    /// But only if their points moved at most this much between its halves [m].
+    pub standing_shift: f64,
+    /// And only away from tracks this far from where they began [m].
+    pub standing_track_distance: f64,
     /// Clusters that reach down to this height are background, world frame [m].
     pub ground_height: Option<f64>,
     /// Height of the sensor above ground in the first scan: the voxel there is seeded [m].

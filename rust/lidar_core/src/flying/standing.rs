@@ -9,11 +9,6 @@ use crate::spread::Spread;
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
-/// The points of a voxel may move this much between the halves of the burn-in [m]; those of a
-/// target that flies through move across the voxel.
-const MAX_SHIFT: f64 = 0.04;
-/// A track that is this far from where it began follows no standing thing [m].
-const MOVED: f64 = 0.5;
 /// Coordinates are summed up as integers, so that the order of the points cannot matter.
 const UNITS_PER_METRE: f64 = 65_536.0;
 
@@ -53,9 +48,10 @@ impl Standing {
         }
     }
 
-    /// Voxels that held points in at least `scans` scans, in the same place, in ascending order.
-    pub(crate) fn voxels(&self, scans: u32) -> Vec<Voxel> {
-        let stands = |held: &Held| held.scans >= scans && held.shift() <= MAX_SHIFT;
+    /// Voxels that held points in at least `scans` scans, which moved by at most `shift` [m]
+    /// between the halves of the burn-in, in ascending order.
+    pub(crate) fn voxels(&self, scans: u32, shift: f64) -> Vec<Voxel> {
+        let stands = |held: &Held| held.scans >= scans && held.shift() <= shift;
         let mut voxels: Vec<Voxel> =
             self.voxels.iter().filter(|(_, held)| stands(held)).map(|(place, _)| place.0).collect();
         voxels.sort_unstable();
@@ -78,8 +74,9 @@ impl FlyingObjectDetector {
         self.standing.add(self.map.lattice(), &scan.points, self.scans, of);
         if self.scans == of {
             let distance = self.parameters.classify.close_distance;
-            let (lattice, moving) = (*self.map.lattice(), self.tracker.moved_by(MOVED));
-            let mut standing = self.standing.voxels(seed.standing_scans);
+            let lattice = *self.map.lattice();
+            let moving = self.tracker.moved_by(seed.standing_track_distance);
+            let mut standing = self.standing.voxels(seed.standing_scans, seed.standing_shift);
             standing.retain(|&voxel| {
                 let center = lattice.center(voxel);
                 moving.iter().all(|&position| norm(minus(position, center)) > distance)
@@ -122,8 +119,9 @@ mod tests {
                 10,
             );
         }
-        assert_eq!(standing.voxels(6), [[0, 0, 0]]);
-        assert_eq!(standing.voxels(3), [[0, 0, 0], [8, 0, 0]]);
+        assert_eq!(standing.voxels(6, 0.04), [[0, 0, 0]]);
+        assert_eq!(standing.voxels(3, 0.04), [[0, 0, 0], [8, 0, 0]]);
+        assert_eq!(standing.voxels(6, 0.25), [[0, 0, 0], [0, 4, 0]]);
         Ok(())
     }
 }
