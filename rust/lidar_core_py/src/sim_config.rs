@@ -61,21 +61,18 @@ impl BeamConfig {
     }
 }
 
-impl LidarConfig {
-    pub(crate) fn lidar(self) -> Result<Lidar, BorderError> {
-        let pattern = match self.pattern {
-            PatternConfig::Spinning {
-                elevations_deg,
-                columns,
-                azimuth_start,
-                azimuth_per_scan,
-            } => Pattern::Spinning {
-                elevations: elevations_deg.into_iter().map(f64::to_radians).collect(),
-                columns: arrays::count("columns", columns)?,
-                azimuth_start,
-                azimuth_per_scan,
-            },
-            PatternConfig::Rosette {
+impl PatternConfig {
+    fn pattern(self) -> Result<Pattern, BorderError> {
+        Ok(match self {
+            Self::Spinning { elevations_deg, columns, azimuth_start, azimuth_per_scan } => {
+                Pattern::Spinning {
+                    elevations: elevations_deg.into_iter().map(f64::to_radians).collect(),
+                    columns: arrays::count("columns", columns)?,
+                    azimuth_start,
+                    azimuth_per_scan,
+                }
+            }
+            Self::Rosette {
                 rays,
                 elevation_min_deg: min,
                 elevation_max_deg: max,
@@ -87,13 +84,18 @@ impl LidarConfig {
                 turn_rate,
                 swing_rate,
             },
-            PatternConfig::Planar { beams, angle_min, angle_increment, time_increment_ns } => {
+            Self::Planar { beams, angle_min, angle_increment, time_increment_ns } => {
                 let rays = arrays::count("beams", beams)?;
                 Pattern::Planar { rays, angle_min, angle_increment, time_increment_ns }
             }
-        };
+        })
+    }
+}
+
+impl LidarConfig {
+    pub(crate) fn lidar(self) -> Result<Lidar, BorderError> {
         Ok(Lidar {
-            pattern,
+            pattern: self.pattern.pattern()?,
             period_ns: (1e9 / self.scan_rate).round() as i64,
             snapshot: self.snapshot,
             range_min: self.range_min,

@@ -71,6 +71,38 @@ const MEASUREMENT_FORMS: [(&str, MeasurementForm); 3] = [
 ];
 
 impl TrackerConfig {
+    fn radius(&self) -> Result<Radius, Error> {
+        Ok(Radius {
+            form: arrays::choice("radius", &self.radius, &RADIUS_FORMS)?,
+            scale: self.radius_scale,
+            min: self.radius_min,
+            max: self.radius_max,
+        })
+    }
+
+    fn motion(&self) -> Result<Motion, Error> {
+        Ok(Motion {
+            acceleration_time: self.acceleration_time,
+            unseen_time: self.unseen_acceleration_time,
+            form: arrays::choice("process_noise", &self.process_noise, &NOISE_FORMS)?,
+            std: [self.process_position, self.process_velocity, self.process_acceleration],
+        })
+    }
+
+    fn confirmation(&self) -> Confirmation {
+        Confirmation {
+            hits: self.confirm_hits,
+            window: self.confirm_window,
+            doubt: self.confirm_confidence.map(|confidence| Doubt {
+                confidence,
+                distance: self.confirm_distance,
+                cleared: self.confirm_cleared,
+                hits: self.confirm_still_hits,
+                window: self.confirm_still_window,
+            }),
+        }
+    }
+
     fn association(&self) -> Result<Association, Error> {
         let Self { gate_probability, clutter_density, .. } = *self;
         let global = Association::Global { gate_probability, clutter_density };
@@ -95,18 +127,8 @@ impl TrackerConfig {
             max_extent: self.max_extent,
             occupied_distance: self.occupied_distance,
             occupied_adds_extent: self.occupied_adds_extent,
-            radius: Radius {
-                form: arrays::choice("radius", &self.radius, &RADIUS_FORMS)?,
-                scale: self.radius_scale,
-                min: self.radius_min,
-                max: self.radius_max,
-            },
-            motion: Motion {
-                acceleration_time: self.acceleration_time,
-                unseen_time: self.unseen_acceleration_time,
-                form: arrays::choice("process_noise", &self.process_noise, &NOISE_FORMS)?,
-                std: [self.process_position, self.process_velocity, self.process_acceleration],
-            },
+            radius: self.radius()?,
+            motion: self.motion()?,
             initial_std: [self.initial_position, self.initial_velocity, self.initial_acceleration],
             measurement: arrays::choice("measurement", &self.measurement, &MEASUREMENT_FORMS)?,
             measurement_std: self.measurement_std,
@@ -114,17 +136,7 @@ impl TrackerConfig {
             association: self.association()?,
             rejoin_acceleration: self.rejoin_acceleration,
             split_distance: self.split_distance,
-            confirmation: Confirmation {
-                hits: self.confirm_hits,
-                window: self.confirm_window,
-                doubt: self.confirm_confidence.map(|confidence| Doubt {
-                    confidence,
-                    distance: self.confirm_distance,
-                    cleared: self.confirm_cleared,
-                    hits: self.confirm_still_hits,
-                    window: self.confirm_still_window,
-                }),
-            },
+            confirmation: self.confirmation(),
             merging: self
                 .merge_distance
                 .map(|distance| Merging { distance, speed: self.merge_speed }),

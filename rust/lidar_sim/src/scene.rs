@@ -88,26 +88,37 @@ impl Sway {
     }
 }
 
+impl Body {
+    fn is_finite(&self) -> bool {
+        let pose = &self.world_from_shape;
+        let mut values = pose.rotation.iter().flatten().chain(&pose.translation);
+        values.all(|value| value.is_finite()) && self.sway.is_none_or(|sway| sway.is_finite())
+    }
+
+    /// Box around all that it may sway to; None without an end.
+    fn bounds(&self) -> Option<Bounds> {
+        let mut bounds = self.shape.bounds(&self.world_from_shape)?;
+        let reach = self.sway.map_or([0.0; 3], |sway| sway.reach.map(f64::abs));
+        for (axis, reach) in reach.into_iter().enumerate() {
+            bounds.min[axis] -= reach;
+            bounds.max[axis] += reach;
+        }
+        Some(bounds)
+    }
+}
+
 impl Scene {
     /// # Errors
     /// [`Error::Value`] if a pose or a sway is not finite.
     pub fn new(bodies: Vec<Body>, movers: Vec<Mover>) -> Result<Self, Error> {
         let (mut wide, mut bounded, mut boxes) = (Vec::new(), Vec::new(), Vec::new());
         for (index, body) in bodies.iter().enumerate() {
-            let pose = &body.world_from_shape;
-            let mut values = pose.rotation.iter().flatten().chain(&pose.translation);
-            let sways = body.sway.is_none_or(|sway| sway.is_finite());
-            if !(values.all(|value| value.is_finite()) && sways) {
-                let got = format!("{pose:?}");
+            if !body.is_finite() {
+                let got = format!("{:?}", body.world_from_shape);
                 return Err(Error::Value { name: "bodies", expected: "finite", index, got });
             }
-            match body.shape.bounds(pose) {
-                Some(mut bounds) => {
-                    let reach = body.sway.map_or([0.0; 3], |sway| sway.reach.map(f64::abs));
-                    for (axis, reach) in reach.into_iter().enumerate() {
-                        bounds.min[axis] -= reach;
-                        bounds.max[axis] += reach;
-                    }
+            match body.bounds() {
+                Some(bounds) => {
                     bounded.push(index as u32);
                     boxes.push(bounds);
                 }

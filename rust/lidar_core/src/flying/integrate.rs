@@ -178,25 +178,16 @@ impl Plan {
         for index in 0..len {
             let origin = scan.origins.at(index);
             if scan.no_return.is_some_and(|flags| flags[index]) {
-                match scan.directions.and_then(|directions| unit(directions[index])) {
-                    Some(direction) => {
-                        plan.stats.no_return_rays += 1;
-                        let end = ahead(origin, direction, parameters.max_range);
-                        plan.add_ray(lattice, origin, end)?;
-                    }
-                    None => plan.stats.skipped += 1,
-                }
+                let direction = scan.directions.and_then(|directions| unit(directions[index]));
+                plan.add_no_return(lattice, origin, direction, parameters.max_range)?;
                 continue;
             }
             let point = wide(scan.points[index]);
-            let Some(class) = content_of(scan.class[index]) else {
+            let class = content_of(scan.class[index]);
+            let Some(class) = class.filter(|_| point.iter().all(|value| value.is_finite())) else {
                 plan.stats.skipped += 1;
                 continue;
             };
-            if !point.iter().all(|value| value.is_finite()) {
-                plan.stats.skipped += 1;
-                continue;
-            }
             plan.add_point(lattice, point, class)?;
             if !scan.no_ray.is_some_and(|flags| flags[index]) {
                 plan.add_ray(lattice, origin, hit_end(origin, point, parameters, scan.pose_error))?;
@@ -204,6 +195,21 @@ impl Plan {
         }
         plan.stats.rays = plan.rays.len();
         Ok(plan)
+    }
+
+    fn add_no_return(
+        &mut self,
+        lattice: &Lattice,
+        origin: [f64; 3],
+        direction: Option<[f64; 3]>,
+        range: f64,
+    ) -> Result<(), Error> {
+        let Some(direction) = direction else {
+            self.stats.skipped += 1;
+            return Ok(());
+        };
+        self.stats.no_return_rays += 1;
+        self.add_ray(lattice, origin, ahead(origin, direction, range))
     }
 
     fn add_point(

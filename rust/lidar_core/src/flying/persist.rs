@@ -164,17 +164,7 @@ impl Reader<'_> {
         let origin = [self.f64()?, self.f64()?, self.f64()?];
         let [g_occ, g_unk, g_free, initial] = [self.f32()?, self.f32()?, self.f32()?, self.f32()?];
         let thresholds = [self.f32()?, self.f32()?, self.f32()?];
-        let ray_unit = match self.take::<1>()? {
-            [0] => RayUnit::Edges,
-            [1] => RayUnit::Metres,
-            [2] => RayUnit::Diagonals,
-            [other] => {
-                return Err(format_error(
-                    self.at - 1,
-                    &format!("expected a ray unit of 0 to 2, got {other}"),
-                ));
-            }
-        };
+        let ray_unit = self.ray_unit()?;
         let max_voxels = u64::from_le_bytes(self.take()?);
         let bounds = if self.take::<1>()? == [0] {
             None
@@ -199,6 +189,18 @@ impl Reader<'_> {
             bounds,
             max_voxels,
         })
+    }
+
+    fn ray_unit(&mut self) -> Result<RayUnit, Error> {
+        match self.take::<1>()? {
+            [0] => Ok(RayUnit::Edges),
+            [1] => Ok(RayUnit::Metres),
+            [2] => Ok(RayUnit::Diagonals),
+            [other] => {
+                let problem = format!("expected a ray unit of 0 to 2, got {other}");
+                Err(format_error(self.at - 1, &problem))
+            }
+        }
     }
 
     fn block_into(&mut self, map: &mut VoxelMap) -> Result<(), Error> {

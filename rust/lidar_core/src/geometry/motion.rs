@@ -34,24 +34,15 @@ impl Motion {
                 got: format!("{:?}", poses[index]),
             });
         }
-        let stamps_ns = match stamps_ns {
-            None if poses.len() == 1 => vec![0],
-            None => {
-                return Err(Error::Length {
-                    name: "pose_stamps_ns",
-                    expected: poses.len(),
-                    got: 0,
-                });
-            }
-            Some(stamps) if stamps.len() == poses.len() => stamps.to_vec(),
-            Some(stamps) => {
-                return Err(Error::Length {
-                    name: "pose_stamps_ns",
-                    expected: poses.len(),
-                    got: stamps.len(),
-                });
-            }
+        let stamps_ns: &[i64] = match stamps_ns {
+            None if poses.len() == 1 => &[0],
+            None => &[],
+            Some(stamps) => stamps,
         };
+        if stamps_ns.len() != poses.len() {
+            let (expected, got) = (poses.len(), stamps_ns.len());
+            return Err(Error::Length { name: "pose_stamps_ns", expected, got });
+        }
         if let Some(index) = stamps_ns.windows(2).position(|pair| pair[0] >= pair[1]) {
             return Err(Error::Value {
                 name: "pose_stamps_ns",
@@ -60,7 +51,8 @@ impl Motion {
                 got: stamps_ns[index + 1].to_string(),
             });
         }
-        Ok(Self { poses: poses.iter().map(Transform::from_matrix).collect(), stamps_ns })
+        let poses = poses.iter().map(Transform::from_matrix).collect();
+        Ok(Self { poses, stamps_ns: stamps_ns.to_vec() })
     }
 
     /// Whether the sensor may move during the scan.

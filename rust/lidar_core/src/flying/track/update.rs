@@ -3,7 +3,7 @@
 use super::candidates::{Measurement, candidates};
 use super::motion::position_block;
 use super::occupancy::{Occupancy, Visibility};
-use super::parameters::{Ageing, Association, Doubt, Hiding, TrackerParameters};
+use super::parameters::{Ageing, Association, Doubt, Hiding, Motion, TrackerParameters};
 use super::select::{Ball, hits};
 use super::split::Division;
 use super::state::{TrackState, seconds};
@@ -102,14 +102,7 @@ impl Updater {
         scan: &Scan<'_>,
     ) -> Result<Outcome, Error> {
         let model = &self.parameters.motion;
-        let mut due: Vec<(f64, &mut TrackState)> = tracks
-            .iter_mut()
-            .filter(|track| track.stamp_ns < scan.stamp_ns)
-            .map(|track| (seconds(track.stamp_ns, scan.stamp_ns), track))
-            .collect();
-        for (_, track) in &mut due {
-            track.predict(scan.stamp_ns, model);
-        }
+        let mut due = predicted(tracks, scan.stamp_ns, model);
         let seekers: Vec<Seeker> = due.iter().map(|(_, track)| self.seeker(track)).collect();
         let found = match self.parameters.association {
             Association::Paper => self.nearest(&seekers, scan)?,
@@ -271,6 +264,20 @@ impl Updater {
         };
         Ok(cluster_of.into_iter().zip(seekers).map(measured).collect())
     }
+}
+
+/// Tracks that are older than `stamp_ns`, brought to it, each with the time that took [s].
+fn predicted<'a>(
+    tracks: &'a mut [TrackState],
+    stamp_ns: i64,
+    model: &Motion,
+) -> Vec<(f64, &'a mut TrackState)> {
+    let older = tracks.iter_mut().filter(|track| track.stamp_ns < stamp_ns);
+    let mut due: Vec<_> = older.map(|track| (seconds(track.stamp_ns, stamp_ns), track)).collect();
+    for (_, track) in &mut due {
+        track.predict(stamp_ns, model);
+    }
+    due
 }
 
 fn balls(seekers: &[Seeker], margin: f64) -> Vec<Ball> {
