@@ -8,7 +8,13 @@ from numpy.testing import assert_allclose
 
 from lidar_core.circles import CircleNetwork, DatasetConfig, Scanner, make_samples
 from lidar_core.circles.architecture import paper_layers, window_layers
-from lidar_core.reproduce import Request, circles_detectors, circles_table1, circles_table3
+from lidar_core.reproduce import (
+    Request,
+    circles_detectors,
+    circles_fig5,
+    circles_table1,
+    circles_table3,
+)
 from lidar_core.reproduce.chord_circles import chord_circles
 from lidar_core.reproduce.circle_errors import groups, measures
 from reference import chord_circle
@@ -88,27 +94,44 @@ def test_the_loss_of_table_3_is_that_of_the_four_points():
     x, y, radius = errors.T
     ends = [(x + radius, y), (x, y + radius), (x - radius, y), (x, y - radius)]
     loss = np.mean([np.square(one).sum(axis=0) for one in ends])
-    parts = [
-        {"test": np.array([len(some)]),
-         "cnn, test": np.array([np.square(some).sum(), np.abs(some).sum()])}
-        for some in (errors[:20], errors[20:])
-    ]  # fmt: skip
+    parts = [{}, {}]
+    circles_table3._add(parts[0], "cnn, test", errors[:15])
+    circles_table3._add(parts[0], "cnn, test", errors[15:20])
+    circles_table3._add(parts[1], "cnn, test", errors[20:])
     found = circles_table3._quantities(parts, "cnn", "test")
     assert_allclose(found, [loss, np.square(errors).mean(), np.abs(errors).mean()], rtol=EXACT)
+    circles_table3._add(parts[0], "cnn, 1 hits", errors[:0])
+    assert circles_table3._quantities(parts[:1], "cnn", "1 hits") is None
 
 
-def test_a_network_that_is_not_shipped_leaves_its_column_empty(monkeypatch):
-    for module in (circles_detectors, circles_table3):
-        monkeypatch.setattr(module, "checksums", dict)
-    request = Request(seed=1063, scans=8, threads=1)
-    for item in (circles_detectors.ITEM, circles_table3.ITEM):
-        rows = item.run(request).rows
-        assert all(row.paper_mode is None for row in rows)
-        assert any(row.best_mode is not None for row in rows)
+def test_each_network_has_its_column():
+    rows = circles_detectors.ITEM.run(Request(seed=1063, scans=8, threads=1)).rows
+    assert all((row.paper_mode is None) or "paper-cnn" in row.name for row in rows)
+    assert next(row for row in rows if row.name == "all, paper-cnn: MSE").paper_mode > 0
 
 
-def test_the_network_is_ahead_of_the_paper_on_the_lattice():
+def test_curves_are_those_of_the_cards():
+    card = {
+        "training": {"parts": 4},
+        "metrics": [{"epoch": 1.0, "a": 3.0}, {"epoch": 2.0, "a": 2.0}],
+    }
+    assert circles_fig5.curve(card, "a") == {0.25: 3.0, 0.5: 2.0}
+    rows = {
+        row.name: row for row in circles_fig5.ITEM.run(Request(seed=0, scans=1, threads=1)).rows
+    }
+    small = CircleNetwork("cnn").card["metrics"][-1]["validation_mse"]
+    assert rows["loss at the end, validation"].best_mode == pytest.approx(3 * small)
+    last = CircleNetwork("paper-cnn").card["metrics"][-1]
+    assert rows["loss at the end, training"].paper_mode == last["train_loss"]
+
+
+def test_errors_of_groups_add_up_to_those_of_the_test():
     rows = {row.name: row for row in circles_table3.ITEM.run(
         Request(seed=1064, scans=2000, threads=1)).rows}  # fmt: skip
+    by_hits = [row for name, row in rows.items() if name.endswith("hits: MSE") and "ml" not in name]
+    for mode in ("paper_mode", "best_mode"):
+        values = [getattr(row, mode) for row in by_hits]
+        known = [value for value in values if value is not None]
+        assert min(known) <= getattr(rows["test: MSE"], mode) <= max(known)
     assert rows["test: MSE"].best_mode < 3e-4 < rows["test: MSE"].paper
     assert rows["test: MAE"].best_mode < 0.006 < rows["test: MAE"].paper

@@ -1,5 +1,6 @@
 """A trained network as an ONNX file with a card that says what it is and where it comes from."""
 
+import csv
 import json
 from hashlib import sha256
 from pathlib import Path
@@ -206,7 +207,10 @@ def _card(
     config: Config, results: dict[str, Any], run: Path, model: Path, network: nn.Module,
     difference: float, name: str,
 ) -> dict[str, Any]:  # fmt: skip
-    metrics = (run / METRICS).read_text(encoding="utf-8").splitlines()
+    with (run / METRICS).open(newline="", encoding="utf-8") as file:
+        metrics = [
+            {key: float(value) for key, value in row.items()} for row in csv.DictReader(file)
+        ]
     return {
         "name": name,
         "sha256": sha256(model.read_bytes()).hexdigest(),
@@ -214,7 +218,8 @@ def _card(
         "parameters": sum(weight.numel() for weight in network.parameters()),
         "opset": OPSET,
         **json.loads((run / ORIGIN).read_text(encoding="utf-8")),
-        "epochs": len(metrics) - 1,
+        "epochs": len(metrics),
+        "metrics": metrics,
         "largest_difference_from_torch": difference,
         "training": config.model_dump(mode="json"),
         **results,

@@ -53,7 +53,8 @@ class CirclesConfig(Config):
     def paper(cls, **changes: Any) -> Self:
         """The stages as published, with given changes.
 
-        The paper's circles come from its network; the default here is the algebraic fit.
+        The paper's circles come from its network, `detector="paper-cnn"`, which knows one scanner;
+        the default here is an algebraic fit, for any.
         """
         paper = {
             "detector": "taubin",

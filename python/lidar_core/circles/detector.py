@@ -24,7 +24,8 @@ class CircleDetector:
     ----------
     detector : str
         "ml" (best), "mode", "taubin", "pratt" or "kasa": `FitConfig.method`; the name of a network
-        that comes with the package, "cnn"; or an ONNX file that `lidar-core export` wrote.
+        that comes with the package, "cnn" or "paper-cnn"; or an ONNX file that `lidar-core export`
+        wrote.
     config : FitConfig, optional
         Everything else about the fit; its `method` gives way to `detector`. A network heeds
         `range_std` and `beam_half_width`.

@@ -26,7 +26,4 @@ def checked(detector: object) -> object:
         str(detector) in known or Path(detector).suffix == ".onnx"
     ):
         return detector
-    hint = ""
-    if detector == "paper-cnn":
-        hint = " (the network of the paper is not shipped: train it and give its file)"
-    raise ValueError(f"expected one of {', '.join(known)}, or an .onnx file{hint}")
+    raise ValueError(f"expected one of {', '.join(known)}, or an .onnx file")

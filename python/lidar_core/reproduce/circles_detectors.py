@@ -43,8 +43,8 @@ def _run(request: Request) -> Result:
         rows=tuple(_rows(joined, chosen)),
         draw=lambda figure: _draw(figure, joined, chosen),
         scans=len(joined["hits"]),
-        note="The paper's scanner, ranges with 0.01 m, circles anywhere. Paper mode: its network,"
-        " if it comes with the package; best mode: each of the others. triangle: the circle around"
+        note="The paper's scanner, ranges with 0.01 m, circles anywhere. Paper mode: its network;"
+        " best mode: each of the others. triangle: the circle around"
         " an equilateral triangle on the chord. Times: this computer, one thread,"
         f" {OBJECTS} scans of one object each in a call, median.",
         config={"dataset": DatasetConfig.continuous(circles=request.scans), "fit": FitConfig()},
@@ -69,13 +69,11 @@ def estimated(seed: int, start: int, count: int, models: tuple[tuple[str, str], 
     samples = make_samples(config, count=count, seed=seed, start=start)
     bearings = config.scanner.bearings()
     part: Part = {"hits": samples.n_hits, "is_whole": samples.is_whole(config.scanner)}
-    known = dict(models)
     for name in DETECTORS:
-        if name != PAPER_NETWORK or name in known:
-            estimate = _estimate(name, bearings)
-            part[name] = _errors(estimate, samples, config)
-            if name != CHORD:  # numpy here: its time would say nothing
-                part[f"{name}, seconds"] = _seconds(estimate, samples, config)
+        estimate = _estimate(name, bearings)
+        part[name] = _errors(estimate, samples, config)
+        if name != CHORD:  # numpy here: its time would say nothing
+            part[f"{name}, seconds"] = _seconds(estimate, samples, config)
     return part
 
 
@@ -109,15 +107,13 @@ def _seconds(estimate: Estimate, samples: Samples, config: DatasetConfig) -> NDA
 def _rows(joined: Part, chosen: dict[str, NDArray[np.bool_]]) -> Iterator[Row]:
     """Rows by group, measure and detector, at last the times."""
     for group, is_in in chosen.items():
-        columns = {name: measures(joined[name][is_in]) for name in DETECTORS if name in joined}
+        columns = {name: measures(joined[name][is_in]) for name in DETECTORS}
         told = [one for one in MEASURES.items() if one[0] != "p99" or group not in BY_HITS]
         for place, (measure, unit) in enumerate(told):
             for name in DETECTORS:
-                value = columns[name][place] if name in columns else None
-                yield _row(f"{group}, {name}: {measure}", unit, name, value)
+                yield _row(f"{group}, {name}: {measure}", unit, name, columns[name][place])
     for name in DETECTORS[: DETECTORS.index(CHORD)]:
-        times = joined.get(f"{name}, seconds")
-        value = None if times is None else float(np.median(times)) * 1e6
+        value = float(np.median(joined[f"{name}, seconds"])) * 1e6
         yield _row(f"{name}: time per object", "us", name, value)
 
 
@@ -131,7 +127,7 @@ def _draw(figure: Any, joined: Part, chosen: dict[str, NDArray[np.bool_]]) -> No
     panels = figure.subplots(1, 2)
     figure.suptitle("Ways to estimate a circle", x=0.06, ha="left", fontweight="bold")
     for place, (axes, measure) in enumerate(zip(panels, ("MSE", "MAE"), strict=True)):
-        for number, name in enumerate(one for one in DETECTORS if one in joined):
+        for number, name in enumerate(DETECTORS):
             values = [measures(joined[name][chosen[group]])[place] for group in BY_HITS]
             colour = RED if name == PAPER_NETWORK else f"C{number}"
             line = [np.nan if value is None else value for value in values]

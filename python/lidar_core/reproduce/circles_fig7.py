@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from lidar_core.reproduce.circles_runs import MapRun
+from lidar_core.reproduce.circle_errors import PAPER_NETWORK
+from lidar_core.reproduce.circles_runs import MODES, MapRun, Mode, network_of
 from lidar_core.reproduce.circles_single import LEAST_SCANS, rows, settled, single
 from lidar_core.reproduce.common import BLUE, GREY, RED, simulator_seed
 from lidar_core.reproduce.types import Item, Request, Result, Row
@@ -17,32 +18,40 @@ def _run(request: Request) -> Result:
     from lidar_core.circles import CirclesConfig
 
     scans = max(LEAST_SCANS, request.scans)
+    made = {mode: _made(mode, request.seed, scans) for mode in MODES}
+    request.advance(scans)
+    one = made["best"]
+    table = zip(("x", "y", "radius"), *(_bias(made[mode]) for mode in MODES), strict=True)
+    return Result(
+        rows=(
+            *rows("trajectory 2", {mode: [made[mode]] for mode in MODES}, PAPER),
+            *(Row(f"trajectory 2: {name}, mean error", "m", None, *both) for name, *both in table),
+        ),
+        draw=lambda figure: _draw(figure, one),
+        scans=len(one.seconds),
+        note="Radius 0.3 m on a circle of 2 m at 1 m/s; the sensor moves and tilts."
+        " Paper mode: the network paper-cnn and all stages as published. The picture: best mode.",
+        config={"paper": CirclesConfig.paper(detector=PAPER_NETWORK), "best": CirclesConfig()},
+    )
+
+
+def _made(mode: Mode, seed: int, scans: int) -> MapRun:
     part = single(
-        seed=simulator_seed(request.seed, 0),
+        seed=simulator_seed(seed, 0),
         radius=RADIUS,
         trajectory=TRAJECTORY,
         speed=SPEED,
         sensor="swinging",
         scans=scans,
+        network=network_of(mode),
     )
-    request.advance(scans)
-    one = MapRun.of(part)
+    return MapRun.of(part)
+
+
+def _bias(one: MapRun) -> list[float | None]:
+    """Mean errors of x, y and radius [m]."""
     late = settled(one)
-    bias = late.mean(axis=0).tolist() if len(late) else [None] * 3
-    names = ("x", "y", "radius")
-    return Result(
-        rows=(
-            *rows("trajectory 2", [one], PAPER),
-            *(
-                Row(f"trajectory 2: {name}, mean error", "m", None, None, value)
-                for name, value in zip(names, bias, strict=True)
-            ),
-        ),
-        draw=lambda figure: _draw(figure, one),
-        scans=len(one.seconds),
-        note="Radius 0.3 m on a circle of 2 m at 1 m/s; the sensor moves and tilts.",
-        config={"best": CirclesConfig()},
-    )
+    return late.mean(axis=0).tolist() if len(late) else [None] * 3
 
 
 def _draw(figure: Any, one: MapRun) -> None:

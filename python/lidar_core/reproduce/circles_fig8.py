@@ -6,11 +6,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.reproduce.circles_runs import CONFIRM_TIME, MapRun, config_of, lasting, mapped
+from lidar_core.reproduce.circle_errors import PAPER_NETWORK
+from lidar_core.reproduce.circles_runs import (
+    CONFIRM_TIME,
+    MODES,
+    MapRun,
+    Measure,
+    Mode,
+    both,
+    config_of,
+    lasting,
+    mapped,
+    network_of,
+)
 from lidar_core.reproduce.circles_single import share_of
 from lidar_core.reproduce.common import BLUE, GREY, RED, simulator_seed
 from lidar_core.reproduce.jobs import Job, Part, run
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.types import Item, Request, Result
 
 if TYPE_CHECKING:
     from lidar_core.sim import Scene
@@ -26,20 +38,23 @@ APART_GATE = 0.25
 """Neighbours are kept apart if each has an element so near [m]."""
 
 
-def several(*, seed: int, world: str, scans: int) -> Part:
-    """Simulate and map eleven posts, in the open or in a room."""
+def several(*, seed: int, world: str, scans: int, network: str) -> Part:
+    """Simulate and map eleven posts, in the open or in a room.
+
+    `network` is that of `config_of`, here and in `case`.
+    """
     from lidar_core.sim import circle_scenes
 
     place, motion = world.split(", ")
     sensor: SensorMotion = "hovering" if motion == "hovering" else "swinging"
     scene = circle_scenes.several(seed, walls=place == "room", sensor=sensor, scans=scans)
-    return mapped(scene, config_of(scene), seed=seed, scans=scans)
+    return mapped(scene, config_of(scene, network), seed=seed, scans=scans)
 
 
-def case(*, seed: int, kind: str, number: int, scans: int) -> Part:
+def case(*, seed: int, kind: str, number: int, scans: int, network: str) -> Part:
     """Simulate and map one occlusion, pair of neighbours, or set of hidden posts."""
     scene = _case_scene(kind, seed, "swinging" if number % 2 else "hovering")
-    return mapped(scene, config_of(scene), seed=seed, scans=scans)
+    return mapped(scene, config_of(scene, network), seed=seed, scans=scans)
 
 
 def _case_scene(kind: str, seed: int, sensor: "SensorMotion") -> "Scene":
@@ -57,61 +72,74 @@ def _run(request: Request) -> Result:
     from lidar_core.circles import CirclesConfig
 
     share = min(1.0, request.scans / ITEM.scans)
-    jobs = _world_jobs(request, share) + _case_jobs(request, share)
-    parts = [MapRun.of(part) for part in run(jobs, request)]
-    worlds = dict(zip(WORLDS, parts, strict=False))
-    cases = {
-        kind: [part for job, part in zip(jobs, parts, strict=True) if f"-{kind}-" in job.name]
-        for kind in CASES
-    }
-    table = [row for name, one in worlds.items() for row in world_rows(name, one)]
+    jobs = {mode: [*_world_jobs(request, share, mode), *_case_jobs(request, share, mode)]
+            for mode in MODES}  # fmt: skip
+    parts = iter(run([job for some in jobs.values() for job in some], request))
+    made = {mode: {job.name: MapRun.of(next(parts)) for job in some}
+            for mode, some in jobs.items()}  # fmt: skip
     return Result(
-        rows=(*table, *_case_rows(cases)),
-        draw=lambda figure: _draw(figure, worlds),
-        scans=sum(job.scans for job in jobs),
+        rows=both(_measures(made["paper"]), _measures(made["best"])),
+        draw=lambda figure: _draw(figure, _worlds(made["best"])),
+        scans=sum(len(one.seconds) for one in made["best"].values()),
         note="Seven posts at rest, four on their ways. A ghost has no post within 0.5 m for more"
         " than 0.5 s, in sight of the scanner; a post is visible with 5 rays and a quarter of its"
-        " rays; errors are those of visible posts; the room has four walls.",
-        config={"best": CirclesConfig()},
+        " rays; errors are those of visible posts; the room has four walls. Paper"
+        " mode: the network paper-cnn and all stages as published. The picture: best mode.",
+        config={"paper": CirclesConfig.paper(detector=PAPER_NETWORK), "best": CirclesConfig()},
     )
 
 
-def _world_jobs(request: Request, share: float) -> list[Job]:
+def _world_jobs(request: Request, share: float, mode: Mode) -> list[Job]:
     scans = max(60, round(share * SCANS["world"]))
     return [
         Job(
-            name=f"circles-fig8-{request.seed}-{number}",
+            name=f"circles-fig8-{request.seed}-{mode}-{number}",
             function=several,
             arguments={
                 "seed": simulator_seed(request.seed, number // 2),
                 "world": world,
                 "scans": scans,
+                "network": network_of(mode),
             },
-            scans=scans,
+            scans=scans // len(MODES),
         )
         for number, world in enumerate(WORLDS)
     ]
 
 
-def _case_jobs(request: Request, share: float) -> list[Job]:
+def _case_jobs(request: Request, share: float, mode: Mode) -> list[Job]:
     return [
         Job(
-            name=f"circles-fig8-{request.seed}-{kind}-{number}",
+            name=f"circles-fig8-{request.seed}-{mode}-{kind}-{number}",
             function=case,
             arguments={
                 "seed": simulator_seed(request.seed, number),
                 "kind": kind,
                 "number": number,
                 "scans": SCANS[kind],
+                "network": network_of(mode),
             },
-            scans=SCANS[kind],
+            scans=SCANS[kind] // len(MODES),
         )
         for kind, count in CASES.items()
         for number in range(max(1, round(share * count)))
     ]
 
 
-def world_rows(name: str, one: MapRun) -> list[Row]:
+def _worlds(made: dict[str, MapRun]) -> dict[str, MapRun]:
+    return dict(zip(WORLDS, made.values(), strict=False))
+
+
+def _measures(made: dict[str, MapRun]) -> list[Measure]:
+    """What the maps of one mode show, by the names of their jobs."""
+    cases = {kind: [one for name, one in made.items() if f"-{kind}-" in name] for kind in CASES}
+    found = [
+        measure for name, one in _worlds(made).items() for measure in world_measures(name, one)
+    ]
+    return [*found, *_case_measures(cases)]
+
+
+def world_measures(name: str, one: MapRun) -> list[Measure]:
     """What the map shows of a scene of several posts."""
     ghosts = one.ghosts()
     reported, due = one.presence()
@@ -120,7 +148,7 @@ def world_rows(name: str, one: MapRun) -> list[Row]:
     )
     errors = errors[np.isfinite(errors).all(axis=1)]
     rms = np.sqrt((errors**2).mean(axis=0)).tolist() if len(errors) else [None] * 3
-    values: list[tuple[str, str, float | None]] = [
+    values: list[Measure] = [
         ("ghosts", "count", lasting(ghosts)),
         ("longest ghost", "s", float(ghosts.max(initial=0))),
         ("ghosts, also while hidden", "count", lasting(one.ghosts(hidden=True))),
@@ -131,10 +159,10 @@ def world_rows(name: str, one: MapRun) -> list[Row]:
         ("y, RMS", "m", rms[1]),
         ("radius, RMS", "m", rms[2]),
     ]
-    return [Row(f"{name}: {what}", unit, None, None, value) for what, unit, value in values]
+    return [(f"{name}: {what}", unit, value) for what, unit, value in values]
 
 
-def _case_rows(cases: dict[str, list[MapRun]]) -> list[Row]:
+def _case_measures(cases: dict[str, list[MapRun]]) -> list[Measure]:
     kept = np.array([is_kept(one) for one in cases["occlusion"]])
     apart = np.concatenate([are_apart(one) for one in cases["neighbours"]])
     errors = np.concatenate([hidden_errors(one) for one in cases["hidden"]])
@@ -142,11 +170,11 @@ def _case_rows(cases: dict[str, list[MapRun]]) -> list[Row]:
     center = np.sqrt((errors[known, :2] ** 2).sum(axis=1).mean()) if known.any() else None
     radius = np.sqrt((errors[known, 2] ** 2).mean()) if known.any() else None
     return [
-        Row("identity kept through 2 s behind another post", "1", None, None, share_of(kept)),
-        Row("neighbours 0.3 m apart at 5 m kept apart", "1", None, None, share_of(apart)),
-        Row("25-75 % hidden: centre, RMS", "m", None, None, center),
-        Row("25-75 % hidden: radius, RMS", "m", None, None, radius),
-        Row("25-75 % hidden: present", "1", None, None, share_of(known)),
+        ("identity kept through 2 s behind another post", "1", share_of(kept)),
+        ("neighbours 0.3 m apart at 5 m kept apart", "1", share_of(apart)),
+        ("25-75 % hidden: centre, RMS", "m", center),
+        ("25-75 % hidden: radius, RMS", "m", radius),
+        ("25-75 % hidden: present", "1", share_of(known)),
     ]
 
 

@@ -4,25 +4,37 @@ from typing import Any
 
 import numpy as np
 
-from lidar_core.reproduce.circles_fig8 import world_rows
-from lidar_core.reproduce.circles_runs import GATE, MapRun, config_of, mapped
+from lidar_core.reproduce.circle_errors import PAPER_NETWORK
+from lidar_core.reproduce.circles_runs import (
+    GATE,
+    MODES,
+    MapRun,
+    Measure,
+    both,
+    config_of,
+    lasting,
+    mapped,
+    network_of,
+)
 from lidar_core.reproduce.circles_single import share_of
 from lidar_core.reproduce.common import BLUE, GREY, RED, simulator_seed
 from lidar_core.reproduce.jobs import Job, Part, run
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.types import Item, Request, Result
 
 WALKS = 10
 PERSON, BARREL = 0, 1
 
 
-def walk(*, seed: int, scans: int) -> Part:
-    """Simulate and map one walk."""
+def walk(*, seed: int, scans: int, network: str) -> Part:
+    """Simulate and map one walk; `network` is that of `config_of`."""
     from lidar_core import circles
     from lidar_core.sim import circle_scenes
 
     scene = circle_scenes.lab(seed, scans=scans)
-    volume = circles.PreprocessConfig.box(*circle_scenes.LAB_VOLUME)
-    config = config_of(scene).model_copy(update={"preprocess": volume})
+    box = circles.PreprocessConfig.box(*circle_scenes.LAB_VOLUME)
+    config = config_of(scene, network)
+    volume = config.preprocess.model_copy(update={"planes": box.planes})
+    config = config.model_copy(update={"preprocess": volume})
     return mapped(scene, config, seed=seed, scans=scans)
 
 
@@ -30,47 +42,49 @@ def _run(request: Request) -> Result:
     from lidar_core.circles import CirclesConfig
 
     scans = max(60, request.scans // WALKS)
+    count = max(1, min(WALKS, request.scans // scans))
     jobs = [
         Job(
-            name=f"circles-lab-{request.seed}-{number}",
+            name=f"circles-lab-{request.seed}-{mode}-{number}",
             function=walk,
-            arguments={"seed": simulator_seed(request.seed, number), "scans": scans},
-            scans=scans,
+            arguments={
+                "seed": simulator_seed(request.seed, number),
+                "scans": scans,
+                "network": network_of(mode),
+            },
+            scans=scans // len(MODES),
         )
-        for number in range(max(1, min(WALKS, request.scans // scans)))
+        for mode in MODES
+        for number in range(count)
     ]
     walks = [MapRun.of(part) for part in run(jobs, request)]
+    paper, best = walks[:count], walks[count:]
     return Result(
-        rows=tuple(_rows(walks)),
-        draw=lambda figure: _draw(figure, walks[0]),
-        scans=scans * len(walks),
+        rows=both(_measures(paper), _measures(best)),
+        draw=lambda figure: _draw(figure, best[0]),
+        scans=scans * count,
         note="The paper shows its experiment without numbers; its person became two or three"
-        " circles at times. Volume 5 x 6 x 4.9 m; the walls lie outside.",
-        config={"best": CirclesConfig()},
+        " circles at times. Volume 5 x 6 x 4.9 m; the walls lie outside."
+        " Paper mode: the network paper-cnn and all stages as published. The picture: best mode.",
+        config={"paper": CirclesConfig.paper(detector=PAPER_NETWORK), "best": CirclesConfig()},
     )
 
 
-def _rows(walks: list[MapRun]) -> list[Row]:
-    tables = [world_rows("", one) for one in walks]
-    sums = {
-        what: sum(_value(table, what) for table in tables)
-        for what in ("ghosts", "changes of identity")
-    }
+def _measures(walks: list[MapRun]) -> list[Measure]:
     reported, due = np.sum([one.presence() for one in walks], axis=0).tolist()
     person = np.concatenate([one.errors(PERSON)[:, :2] for one in walks])
     barrel = np.concatenate([one.errors(BARREL) for one in walks])
     parts = np.concatenate([elements_near(one, PERSON) for one in walks])
-    values: list[tuple[str, str, float | None]] = [
+    return [
         ("person is one element", "1", share_of(parts == 1)),
         ("person is several elements", "1", share_of(parts > 1)),
         ("person: centre, RMS", "m", _rms(person)),
         ("barrel: centre, RMS", "m", _rms(barrel[:, :2])),
         ("barrel: radius, RMS", "m", _rms(barrel[:, 2:])),
         ("present while visible", "1", reported / due if due else None),
-        ("changes of identity", "count", sums["changes of identity"]),
-        ("ghosts", "count", sums["ghosts"]),
+        ("changes of identity", "count", sum(one.switches() for one in walks)),
+        ("ghosts", "count", sum(lasting(one.ghosts()) for one in walks)),
     ]
-    return [Row(name, unit, None, None, value) for name, unit, value in values]
 
 
 def elements_near(one: MapRun, target: int) -> np.ndarray[Any, np.dtype[np.int64]]:
@@ -79,11 +93,6 @@ def elements_near(one: MapRun, target: int) -> np.ndarray[Any, np.dtype[np.int64
     near = one.part["element_scan"][np.hypot(*way.T) <= GATE]
     counts = np.bincount(near, minlength=len(one.seconds))
     return counts[one.is_visible[:, target] & (one.seconds >= 0.5)]
-
-
-def _value(table: list[Row], what: str) -> int:
-    (value,) = (row.best_mode for row in table if row.name == f": {what}")
-    return int(value or 0)
 
 
 def _rms(errors: np.ndarray[Any, np.dtype[np.float64]]) -> float | None:

@@ -1,18 +1,25 @@
 """Simulated 2D scans through the circle pipeline: what is kept of them, and what it says."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.reproduce.circle_errors import PAPER_NETWORK, checksums
 from lidar_core.reproduce.jobs import Part
+from lidar_core.reproduce.types import Row
 
 if TYPE_CHECKING:
     from lidar_core.circles import CircleFrame, CirclePipeline, CirclesConfig
     from lidar_core.sim import Scene, SimulatedSweep
+
+Mode: TypeAlias = Literal["paper", "best"]
+MODES: tuple[Mode, Mode] = ("paper", "best")
+Measure: TypeAlias = tuple[str, str, float | None]
+"""Name, unit and value."""
 
 GATE = 0.5
 """Elements further from every object are ghosts [m]."""
@@ -26,8 +33,13 @@ LEAST_HITS, LEAST_SHARE = 5, 0.25
 """An object is visible with so many rays on it, and so much of what would meet it."""
 
 
-def config_of(scene: "Scene") -> "CirclesConfig":
-    """Best mode for the scanner of a scene."""
+def network_of(mode: Mode) -> str:
+    """SHA-256 of the network that a mode estimates circles with; empty if it takes a fit."""
+    return checksums()[PAPER_NETWORK] if mode == "paper" else ""
+
+
+def config_of(scene: "Scene", network: str) -> "CirclesConfig":
+    """Best mode for the scanner of a scene; with a network all stages as published."""
     from lidar_core import circles, sim
 
     lidar = scene.lidar
@@ -40,6 +52,8 @@ def config_of(scene: "Scene") -> "CirclesConfig":
         range_min=lidar.range_min,
         range_max=lidar.range_max,
     )
+    if network:
+        return circles.CirclesConfig.paper(scanner=scanner, detector=PAPER_NETWORK)
     return circles.CirclesConfig(scanner=scanner)
 
 
@@ -202,3 +216,11 @@ class MapRun:
 def lasting(ghosts: NDArray[np.float64]) -> int:
     """Ghosts that count."""
     return int(np.count_nonzero(ghosts > GHOST_TIME + 1e-6))
+
+
+def both(paper_mode: Sequence[Measure], best_mode: Sequence[Measure]) -> tuple[Row, ...]:
+    """Rows of the same measures in both modes."""
+    return tuple(
+        Row(name, unit, None, paper, best)
+        for (name, unit, paper), (_, _, best) in zip(paper_mode, best_mode, strict=True)
+    )

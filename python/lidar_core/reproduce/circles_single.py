@@ -1,18 +1,23 @@
 """Single cylinders on their ways, in front of a sensor that hovers or swings: Tables IV and V."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.reproduce.circles_runs import (
     CONFIRM_TIME,
+    MODES,
     SETTLED,
     MapRun,
+    Measure,
+    Mode,
+    both,
     config_of,
     lasting,
     mapped,
+    network_of,
 )
 from lidar_core.reproduce.common import BLUE, GREY, RED, simulator_seed
 from lidar_core.reproduce.jobs import Job, Part, run
@@ -21,6 +26,8 @@ from lidar_core.reproduce.types import Request, Row
 if TYPE_CHECKING:
     from lidar_core.sim.circle_scenes import SensorMotion
 
+Case: TypeAlias = tuple[float, int, float, str]
+"""Radius [m], trajectory, speed [m/s], sensor."""
 SENSORS: "tuple[SensorMotion, SensorMotion]" = ("hovering", "swinging")
 SPEEDS = (1.0, 0.3, 1.5)
 """[m/s]; the first is that of the rows without a speed."""
@@ -39,19 +46,27 @@ COLUMNS = (2, 0, 1)
 
 
 def single(
-    *, seed: int, radius: float, trajectory: int, speed: float, sensor: "SensorMotion", scans: int
+    *,
+    seed: int,
+    radius: float,
+    trajectory: int,
+    speed: float,
+    sensor: "SensorMotion",
+    scans: int,
+    network: str,
 ) -> Part:
-    """Simulate and map one cylinder."""
+    """Simulate and map one cylinder; `network` is that of `config_of`."""
     from lidar_core.sim import circle_scenes
 
     scene = circle_scenes.single(radius, trajectory, speed=speed, sensor=sensor, seed=seed)
-    return mapped(scene, config_of(scene), seed=seed, scans=min(scans, scene.scans))
+    config = config_of(scene, network)
+    return mapped(scene, config, seed=seed, scans=min(scans, scene.scans))
 
 
 def runs(
     name: str, cases: Sequence[tuple[float, int]], request: Request
-) -> dict[tuple[float, int, float, str], MapRun]:
-    """All speeds and both sensors for cases of radius and trajectory."""
+) -> dict[Mode, dict[Case, MapRun]]:
+    """All speeds and both sensors for cases of radius and trajectory, in both modes."""
     keys = [
         (radius, trajectory, speed, sensor)
         for radius, trajectory in cases
@@ -61,7 +76,7 @@ def runs(
     scans = max(LEAST_SCANS, request.scans // len(keys))
     jobs = [
         Job(
-            name=f"{name}-{request.seed}-{radius:g}-{trajectory}-{speed:g}-{sensor}",
+            name=f"{name}-{request.seed}-{mode}-{radius:g}-{trajectory}-{speed:g}-{sensor}",
             function=single,
             arguments={
                 "seed": simulator_seed(request.seed, number),
@@ -70,12 +85,15 @@ def runs(
                 "speed": speed,
                 "sensor": sensor,
                 "scans": scans,
+                "network": network_of(mode),
             },
-            scans=scans,
+            scans=scans // len(MODES),
         )
+        for mode in MODES
         for number, (radius, trajectory, speed, sensor) in enumerate(keys)
     ]
-    return {key: MapRun.of(part) for key, part in zip(keys, run(jobs, request), strict=True)}
+    parts = iter(run(jobs, request))
+    return {mode: {key: MapRun.of(next(parts)) for key in keys} for mode in MODES}
 
 
 def settled(one: MapRun) -> NDArray[np.float64]:
@@ -102,30 +120,37 @@ def numbers(some: Sequence[MapRun]) -> list[float | None]:
 
 
 def rows(
-    name: str, some: Sequence[MapRun], paper: Sequence[float | None] = (None,) * 6
+    name: str,
+    some: Mapping[Mode, Sequence[MapRun]],
+    paper: Sequence[float | None] = (None,) * 6,
 ) -> list[Row]:
     """Rows of `QUANTITIES` over runs, beside those of the paper."""
+    columns = (paper, *(numbers(some[mode]) for mode in MODES))
     return [
-        Row(f"{name}: {what}", unit, published, None, value)
-        for (what, unit), published, value in zip(QUANTITIES, paper, numbers(some), strict=True)
+        Row(f"{name}: {what}", unit, *values)
+        for (what, unit), *values in zip(QUANTITIES, *columns, strict=True)
     ]
 
 
-def worst_rows(some: Sequence[MapRun]) -> list[Row]:
+def worst_rows(some: Mapping[Mode, Sequence[MapRun]]) -> tuple[Row, ...]:
     """Over all runs: the largest of each number, and what the map lost or made up."""
+    return both(_worst(some["paper"]), _worst(some["best"]))
+
+
+def _worst(some: Sequence[MapRun]) -> list[Measure]:
     table = np.array([numbers([one]) for one in some], np.float64).T
-    worst = [
-        Row(f"worst of {len(some)} runs: {what}", unit, None, None, _largest(column))
+    worst: list[Measure] = [
+        (f"worst of {len(some)} runs: {what}", unit, _largest(column))
         for (what, unit), column in zip(QUANTITIES, table, strict=True)
     ]
     reported, due = np.sum([one.presence() for one in some], axis=0).tolist()
     delays = np.concatenate([one.delays() for one in some])
     return [
         *worst,
-        Row("present while visible", "1", None, None, reported / due if due else None),
-        Row("reported within 0.5 s", "1", None, None, share_of(delays <= CONFIRM_TIME)),
-        Row("changes of identity", "count", None, None, sum(one.switches() for one in some)),
-        Row("ghosts", "count", None, None, sum(lasting(one.ghosts()) for one in some)),
+        ("present while visible", "1", reported / due if due else None),
+        ("reported within 0.5 s", "1", share_of(delays <= CONFIRM_TIME)),
+        ("changes of identity", "count", sum(one.switches() for one in some)),
+        ("ghosts", "count", sum(lasting(one.ghosts()) for one in some)),
     ]
 
 

@@ -9,17 +9,29 @@ from numpy.typing import NDArray
 
 from lidar_core.circles import CircleDetector, DatasetConfig, FitConfig, make_samples
 from lidar_core.circles.dataset import lattice, split
-from lidar_core.reproduce.circle_errors import PAPER_NETWORK, checksums, errors_of
+from lidar_core.circles.samples import HITS
+from lidar_core.reproduce.circle_errors import (
+    PAPER_NETWORK,
+    checksums,
+    errors_of,
+    groups,
+    hits_name,
+)
 from lidar_core.reproduce.common import BLUE, GREY, RED
 from lidar_core.reproduce.jobs import Job, Part, run
 from lidar_core.reproduce.types import Item, Request, Result, Row
 
 Errors: TypeAlias = tuple[float, float, float]
+Table: TypeAlias = dict[tuple[str, str], Errors | None]
+NOTHING = (None, None, None)
 PAPER: dict[str, Errors] = {
     "test": (0.025035, 0.008345, 0.014296),
     "train + validation": (0.023907, 0.007969, 0.014166),
 }
 """Loss [m^2], MSE [m^2], MAE [m], Table III."""
+DETECTORS = (PAPER_NETWORK, "cnn", "ml")
+GROUPS = ("whole, 4 hits or more", "cut", *(hits_name(low, high) for low, high in HITS))
+"""Of test samples, see `groups`."""
 QUANTITIES = (("loss", "m^2"), ("MSE", "m^2"), ("MAE", "m"))
 BLOCK, BLOCKS_PER_JOB = 4096, 4
 """Neighbouring samples that are made together; blocks are taken in random order."""
@@ -29,18 +41,18 @@ OTHERS = 4
 
 def _run(request: Request) -> Result:
     models = tuple(checksums().items())
-    detectors = _detectors(models)
     parts = run(list(_jobs(request, models)), request)
     errors = {
-        (name, where): _quantities(parts, name, where) for name in detectors for where in PAPER
-    }
+        (name, where): _quantities(parts, name, where)
+        for name in DETECTORS for where in (*PAPER, *GROUPS)
+    }  # fmt: skip
     return Result(
         rows=tuple(_rows(errors)),
         draw=lambda figure: _draw(figure, errors),
-        scans=int(sum(part["test"][0] for part in parts)),
-        note="Paper mode: Table I trained as published, if it comes with the package. Best mode:"
-        " cnn and the likelihood fit, ml. Neither learnt from the lattice; train + validation, of"
-        f" which every {OTHERS}th sample is taken, is as new to them as the test. Loss: eq. 7.",
+        scans=int(sum(part["cnn, test"][0] for part in parts)),
+        note="Paper mode: the network of Table I, paper-cnn. Best mode: cnn and the likelihood fit,"
+        " ml. Neither of these learnt from the lattice; train + validation, of which every"
+        f" {OTHERS}th sample is taken, is as new to them as the test. Loss: eq. 7.",
         config={"lattice": DatasetConfig(), "fit": FitConfig()},
     )
 
@@ -58,10 +70,6 @@ def _is_test(seed: int) -> NDArray[np.bool_]:
     is_test = np.zeros(count, np.bool_)
     is_test[split(config, count, "test", seed=seed)] = True
     return is_test
-
-
-def _detectors(models: tuple[tuple[str, str], ...]) -> tuple[str, ...]:
-    return (*(name for name, _ in models if name == PAPER_NETWORK), "cnn", "ml")
 
 
 def _jobs(request: Request, models: tuple[tuple[str, str], ...]) -> Iterator[Job]:
@@ -82,12 +90,13 @@ def _jobs(request: Request, models: tuple[tuple[str, str], ...]) -> Iterator[Job
 def sums(seed: int, starts: tuple[int, ...], models: tuple[tuple[str, str], ...]) -> Part:
     """Sums over blocks of the lattice: samples; squared and absolute errors of each detector.
 
+    Of `PAPER` and, of the test alone, of `GROUPS`.
     `models` are the checksums of the networks: another network, another part.
     """
     config = DatasetConfig()
     is_test = _is_test(seed)
-    found: Part = {where: np.zeros(1) for where in PAPER}
-    known = {name: CircleDetector(name) for name in _detectors(models)}
+    found: Part = {}
+    known = {name: CircleDetector(name) for name in DETECTORS}
     for start in starts:
         count = min(BLOCK, len(is_test) - start)
         samples = make_samples(config, count=count, seed=seed, start=start, circles=_circles())
@@ -95,39 +104,49 @@ def sums(seed: int, starts: tuple[int, ...], models: tuple[tuple[str, str], ...]
         chosen = {"test": np.flatnonzero(here),
                   "train + validation": np.flatnonzero(~here)[::OTHERS]}  # fmt: skip
         for where, numbers in chosen.items():
-            found[where] += len(numbers)
+            some = samples.take(numbers)
+            places = groups(some.n_hits, some.is_whole(config.scanner)) if where == "test" else {}
             for name, detector in known.items():
-                errors = errors_of(detector, samples.take(numbers), config.scanner)
-                value = np.array([np.square(errors).sum(), np.abs(errors).sum()])
-                found[f"{name}, {where}"] = found.get(f"{name}, {where}", 0.0) + value
+                errors = errors_of(detector, some, config.scanner)
+                _add(found, f"{name}, {where}", errors)
+                for group in GROUPS if places else ():
+                    _add(found, f"{name}, {group}", errors[places[group]])
     return found
 
 
-def _quantities(parts: Sequence[Part], name: str, where: str) -> Errors:
+def _add(found: Part, name: str, errors: NDArray[np.float64]) -> None:
+    value = np.array([len(errors), np.square(errors).sum(), np.abs(errors).sum()])
+    found[name] = found.get(name, 0.0) + value
+
+
+def _quantities(parts: Sequence[Part], name: str, where: str) -> Errors | None:
     """Values of `QUANTITIES`. Eq. 7 sums the squared errors of x, y and radius: 3 MSE."""
-    count = sum(float(part[where][0]) for part in parts)
-    squares, absolutes = np.sum([part[f"{name}, {where}"] for part in parts], axis=0) / count
-    return (float(squares), float(squares) / 3, float(absolutes) / 3)
+    count, squares, absolutes = np.sum([part[f"{name}, {where}"] for part in parts], axis=0)
+    if not count:
+        return None
+    return (float(squares / count), float(squares / count) / 3, float(absolutes / count) / 3)
 
 
-def _rows(errors: dict[tuple[str, str], Errors]) -> Iterator[Row]:
+def _rows(errors: Table) -> Iterator[Row]:
     for where, published in PAPER.items():
+        paper, small, fit = (errors[name, where] or NOTHING for name in DETECTORS)
         for place, (quantity, unit) in enumerate(QUANTITIES):
-            paper = errors.get((PAPER_NETWORK, where))
-            yield Row(f"{where}: {quantity}", unit, published[place],
-                      None if paper is None else paper[place],
-                      errors["cnn", where][place])  # fmt: skip
-            yield Row(f"{where}, ml: {quantity}", unit, published[place], None,
-                      errors["ml", where][place])  # fmt: skip
+            yield Row(f"{where}: {quantity}", unit, published[place], paper[place], small[place])
+            yield Row(f"{where}, ml: {quantity}", unit, published[place], None, fit[place])
+    for group in GROUPS:
+        paper, small, fit = (errors[name, group] or NOTHING for name in DETECTORS)
+        for place, (quantity, unit) in enumerate(QUANTITIES[1:], start=1):
+            yield Row(f"test, {group}: {quantity}", unit, None, paper[place], small[place])
+            yield Row(f"test, {group}, ml: {quantity}", unit, None, None, fit[place])
 
 
-def _draw(figure: Any, errors: dict[tuple[str, str], Errors]) -> None:
+def _draw(figure: Any, errors: Table) -> None:
     """MSE and MAE on the test samples."""
     panels = figure.subplots(1, 2)
     figure.suptitle("Circles of the lattice: test samples", x=0.06, ha="left", fontweight="bold")
     colours = {"paper": GREY, PAPER_NETWORK: RED}
     values = {"paper": PAPER["test"]}
-    values |= {name: found for (name, where), found in errors.items() if where == "test"}
+    values |= {name: found for name in DETECTORS if (found := errors[name, "test"]) is not None}
     for axes, place, scale in zip(panels, (1, 2), ("log", "linear"), strict=True):
         bars = axes.bar(list(values), [found[place] for found in values.values()],
                         color=[colours.get(name, BLUE) for name in values])  # fmt: skip

@@ -1,5 +1,6 @@
 """`circles-table4`: one cylinder on a circle, for five radii (Table IV)."""
 
+from lidar_core.reproduce.circle_errors import PAPER_NETWORK
 from lidar_core.reproduce.circles_single import draw_errors, rows, runs, worst_rows
 from lidar_core.reproduce.types import Item, Request, Result
 
@@ -20,17 +21,19 @@ def _run(request: Request) -> Result:
     found = runs("circles-table4", [(radius, TRAJECTORY) for radius in PAPER], request)
     table = []
     for radius, paper in PAPER.items():
-        some = [one for key, one in found.items() if (key[0], key[2]) == (radius, 1.0)]
+        some = {mode: [one for key, one in made.items() if (key[0], key[2]) == (radius, 1.0)]
+                for mode, made in found.items()}  # fmt: skip
         table += rows(f"r = {radius:g} m", some, paper)
-    shown = {f"r = {key[0]:g} m": one for key, one in found.items() if key[2:] == (1.0, "swinging")}
+    best = found["best"]
+    shown = {f"r = {key[0]:g} m": one for key, one in best.items() if key[2:] == (1.0, "swinging")}
     return Result(
-        rows=(*table, *worst_rows(list(found.values()))),
+        rows=(*table, *worst_rows({mode: list(made.values()) for mode, made in found.items()})),
         draw=lambda figure: draw_errors(figure, shown, "A cylinder on a circle, tilting sensor"),
-        scans=sum(len(one.seconds) for one in found.values()),
+        scans=sum(len(one.seconds) for one in best.values()),
         note="On a circle of 2 m, 4 m ahead; rows at 1 m/s, hovering and swinging sensor together;"
         " the worst of 0.3, 1 and 1.5 m/s below. Largest errors from 2 s after the first report"
-        " on. Paper mode needs the network of the paper.",
-        config={"best": CirclesConfig()},
+        " on. Paper mode: the network paper-cnn and all stages as published.",
+        config={"paper": CirclesConfig.paper(detector=PAPER_NETWORK), "best": CirclesConfig()},
     )
 
 

@@ -1,5 +1,6 @@
 """`circles-table5`: one cylinder of 0.3 m on five ways (Table V)."""
 
+from lidar_core.reproduce.circle_errors import PAPER_NETWORK
 from lidar_core.reproduce.circles_single import draw_errors, rows, runs, worst_rows
 from lidar_core.reproduce.types import Item, Request, Result
 
@@ -22,17 +23,20 @@ def _run(request: Request) -> Result:
     found = runs("circles-table5", [(RADIUS, number) for number in PAPER], request)
     table = []
     for number, paper in PAPER.items():
-        some = [one for key, one in found.items() if key[1:3] == (number, 1.0)]
+        some = {mode: [one for key, one in made.items() if key[1:3] == (number, 1.0)]
+                for mode, made in found.items()}  # fmt: skip
         table += rows(f"{number} {NAMES[number]}", some, paper)
-    shown = {NAMES[key[1]]: one for key, one in found.items() if key[2:] == (1.0, "swinging")}
+    best = found["best"]
+    shown = {NAMES[key[1]]: one for key, one in best.items() if key[2:] == (1.0, "swinging")}
     return Result(
-        rows=(*table, *worst_rows(list(found.values()))),
+        rows=(*table, *worst_rows({mode: list(made.values()) for mode, made in found.items()})),
         draw=lambda figure: draw_errors(figure, shown, "A cylinder of 0.3 m, tilting sensor"),
-        scans=sum(len(one.seconds) for one in found.values()),
+        scans=sum(len(one.seconds) for one in best.values()),
         note="Radius 0.3 m; rows at 1 m/s, hovering and swinging sensor together; the worst of"
         " 0.3, 1 and 1.5 m/s below. Largest errors from 2 s after the first report on. The paper"
-        " does not define its trajectories. Paper mode needs the network of the paper.",
-        config={"best": CirclesConfig()},
+        " does not define its trajectories. Paper mode: the network paper-cnn and all stages as"
+        " published.",
+        config={"paper": CirclesConfig.paper(detector=PAPER_NETWORK), "best": CirclesConfig()},
     )
 
 

@@ -21,6 +21,7 @@ MODULES = (
     "flying_false_tracks",
     "circles_table1",
     "circles_table2",
+    "circles_fig5",
     "circles_table3",
     "circles_detectors",
     "circles_table4",
