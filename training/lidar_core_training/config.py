@@ -14,14 +14,19 @@ class TrainConfig(Config):
     Source: Sanchez-Lopez et al., sec. IV-C. The paper does not give the size of a batch.
     """
 
-    network: Literal["paper-cnn", "cnn"] = Field(
+    network: Literal["paper-cnn", "cnn", "one-step"] = Field(
         "paper-cnn",
         description="Table I on whole scans with the loss of eq. 7, or the network on windows"
-        " with the likelihood of circle and covariance (no unit).",
+        " with the likelihood of circle and covariance, or the experiment that finds all circles"
+        " of a scan (no unit).",
     )
     datasets: tuple[DatasetConfig, ...] = Field(
         (DatasetConfig(),), min_length=1, description="What it learns from, all of them mixed."
     )
+    per_scan: int = Field(
+        8, ge=1, description="one-step: circles that share a scan (count, no unit)."
+    )
+    walls: int = Field(3, ge=0, description="one-step: walls in a scan (count, no unit).")
     epochs: int = Field(
         106, ge=1, description="Passes over the training data, or parts of it (count, no unit)."
     )
@@ -73,6 +78,8 @@ class TrainConfig(Config):
 
     @model_validator(mode="after")
     def _is_one_scanner(self) -> Self:
+        if self.network == "one-step" and len(self.datasets) > 1:
+            raise ValueError("one-step: expected one dataset, whose circles share scans")
         beams = {dataset.scanner.n_beams for dataset in self.datasets}
         if self.network == "paper-cnn" and len(beams) > 1:
             raise ValueError(f"paper-cnn: expected scanners with the same rays, got {beams}")

@@ -84,6 +84,8 @@ def export(run: Path, target: Path, *, name: str | None = None) -> dict[str, Any
         onnxruntime does not answer as torch does.
     """
     config, results = _finished(run)
+    if config.network == "one-step":
+        raise FormatError(f"{run}: expected a network that the package runs, got the experiment")
     beams = config.datasets[0].scanner.n_beams
     network = WindowNet() if config.network == "cnn" else PaperNet(beams)
     network.load_state_dict(checkpoint.read_torch(run / checkpoint.BEST))

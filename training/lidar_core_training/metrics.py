@@ -21,18 +21,19 @@ def errors_of(
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64] | None]:
     """Mean loss, errors of x, y, radius (N, 3) [m], squared errors in deviations (N,)."""
     network.eval()
-    losses, errors, squares = [], [], []
+    losses, weights, errors, squares = [], [], [], []
     for start in range(0, len(numbers), _BATCH):
         batch = task.batch(data, numbers[start : start + _BATCH]).to(device)
         answer = network(*batch.inputs)
-        losses.append(float(task.loss(answer, batch)) * len(answer))
+        losses.append(float(task.loss(answer, batch)))
+        weights.append(len(answer))
         found, surprise = task.errors(answer, batch)
         errors.append(found.cpu().numpy().astype(np.float64))
         if surprise is not None:
             squares.append(surprise.cpu().numpy().astype(np.float64))
     network.train()
     nees = np.concatenate(squares) if squares else None
-    return sum(losses) / len(numbers), np.concatenate(errors), nees
+    return float(np.average(losses, weights=weights)), np.concatenate(errors), nees
 
 
 def summary(errors: NDArray[np.float64], nees: NDArray[np.float64] | None) -> dict[str, float]:

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lidar_core.circles import Samples, Scanner
+from lidar_core.circles.crowds import Crowds, crowds
 from lidar_core.circles.windows import normalised, windows_of_samples
 from lidar_core_training.config import TrainConfig
 from lidar_core_training.losses import four_points, gaussian, whitened
 from lidar_core_training.networks import PaperNet, WindowNet
+from lidar_core_training.one_step import OneStepNet, loss_of, shown, truth_of
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class Batch:
         return Batch(inputs, self.truth.to(device), self.scale.to(device))
 
 
-Network: TypeAlias = PaperNet | WindowNet
+Network: TypeAlias = PaperNet | WindowNet | OneStepNet
 
 
 class Task(Protocol):
@@ -151,10 +153,50 @@ class WindowTask:
         return errors, whitened(answer, batch.truth)[0].square().sum(1)
 
 
+@dataclass
+class OneStepTask:
+    """Scans of several circles and walls; `truth` and `scale` (hits) are per ray."""
+
+    per_scan: int
+    walls: int
+    normalisation: dict[str, float]
+
+    def network(self) -> OneStepNet:
+        """A network from rays to votes."""
+        return OneStepNet()
+
+    def crowds(self, data: Data, numbers: NDArray[np.int64]) -> list[tuple[Scanner, Crowds]]:
+        """Scans that these circles share, by scanner."""
+        return [
+            (scanner, crowds(samples, scanner, per_scan=self.per_scan, walls=self.walls,
+                             seed=int(numbers[0])))
+            for scanner, samples in data.chosen(numbers)
+        ]  # fmt: skip
+
+    def batch(self, data: Data, numbers: NDArray[np.int64]) -> Batch:
+        """Scans, and what their rays met."""
+        made = self.crowds(data, numbers)
+        scans = np.concatenate([shown(one.scans, scanner) for scanner, one in made])
+        truth = np.concatenate([truth_of(one, scanner) for scanner, one in made])
+        inputs = torch.from_numpy(scans)
+        return Batch((inputs,), torch.from_numpy(truth), inputs[:, 0])
+
+    def loss(self, answer: Tensor, batch: Batch) -> Tensor:
+        """Votes."""
+        return loss_of(answer, batch.truth, batch.scale)
+
+    def errors(self, answer: Tensor, batch: Batch) -> tuple[Tensor, Tensor | None]:
+        """Of the votes of rays that met circles, along and across the ray."""
+        is_circle = batch.truth[:, 0] > 0
+        return (answer - batch.truth)[:, 1:].transpose(1, 2)[is_circle], None
+
+
 def task_of(config: TrainConfig, data: Data) -> Task:
     """Return the task of a run; `data` is training and validation, of which it knows the limits."""
     if config.network == "cnn":
         return WindowTask(config.square_weight, {})
+    if config.network == "one-step":
+        return OneStepTask(config.per_scan, config.walls, {})
     finite = [samples.ranges[np.isfinite(samples.ranges)] for _, samples in data.parts]
     low, high = (float(end(np.concatenate(finite))) for end in (np.min, np.max))
     beams = config.datasets[0].scanner.n_beams

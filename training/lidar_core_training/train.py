@@ -27,13 +27,15 @@ from lidar_core_training import checkpoint
 from lidar_core_training.checkpoint import Progress
 from lidar_core_training.config import TrainConfig
 from lidar_core_training.metrics import breakdown, errors_of, summary
+from lidar_core_training.one_step import compared
 from lidar_core_training.optimiser import Optimiser
-from lidar_core_training.tasks import Data, Task, task_of
+from lidar_core_training.tasks import Data, OneStepTask, Task, task_of
 
 METRICS = "metrics.csv"
 TEST = "test.json"
 NOTE = "train.toml"
 ORIGIN = "origin.json"
+_DETECTED = 8_000  # circles, at most, among which the one-step network has to find all
 
 
 @dataclass(frozen=True)
@@ -284,6 +286,10 @@ class Run:
     def _measured(self, data: Data) -> dict[str, Any]:
         numbers = np.arange(len(data))
         loss, errors, nees = errors_of(self.network, self.task, data, numbers, self.group.device)
+        if isinstance(self.task, OneStepTask):
+            ((scanner, made),) = self.task.crowds(data, numbers[:_DETECTED])
+            return {"loss": loss, "rays": summary(errors, nees),
+                    "circles": compared(self.network, made, scanner)}  # fmt: skip
         return {"loss": loss, "errors": breakdown(errors, nees, *data.parts[0])}
 
 

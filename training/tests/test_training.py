@@ -166,7 +166,7 @@ def test_only_finished_runs_are_exported(tmp_path):
         export(tmp_path, tmp_path / "m.onnx")
 
 
-@pytest.mark.parametrize("name", ["cnn", "paper", "paper-short"])
+@pytest.mark.parametrize("name", ["cnn", "one-step", "paper", "paper-short"])
 def test_configurations_that_come_with_the_package_are_valid(name):
     path = Path(lidar_core_training.__file__).parent / "configs" / f"{name}.toml"
     assert TrainConfig.read(path).network.startswith(name.removesuffix("-short"))
