@@ -20,6 +20,11 @@ class TrainConfig(Config):
         " with the likelihood of circle and covariance, or the experiment that finds all circles"
         " of a scan (no unit).",
     )
+    start: str | None = Field(
+        None,
+        description="Weights to begin with: a network that comes with the package, or an .onnx"
+        " file that `lidar-core export` wrote; none: random ones (no unit).",
+    )
     datasets: tuple[DatasetConfig, ...] = Field(
         (DatasetConfig(),), min_length=1, description="What it learns from, all of them mixed."
     )

@@ -21,6 +21,7 @@ from lidar_core_training import checkpoint
 from lidar_core_training.config import TrainConfig
 from lidar_core_training.networks import PaperNet, WindowNet
 from lidar_core_training.train import METRICS, NOTE, ORIGIN, TEST
+from lidar_core_training.weights import TURNED
 
 OPSET = 17
 IR_VERSION = 8
@@ -30,16 +31,25 @@ _EXAMPLES = 64
 
 
 class Graph:
-    """An ONNX graph that grows node by node."""
+    """An ONNX graph that grows node by node; weights keep the names that they have in torch."""
 
-    def __init__(self) -> None:
+    def __init__(self, network: nn.Module) -> None:
         self.nodes: list[onnx.NodeProto] = []
         self.weights: list[onnx.TensorProto] = []
+        tensors = (*network.named_parameters(), *network.named_buffers())
+        self.names = {id(tensor): name for name, tensor in tensors}
 
     def constant(self, value: Any, kind: type[Any] = np.float32) -> str:
         """Add numbers, and return their name."""
         name = f"constant_{len(self.weights)}"
         self.weights.append(numpy_helper.from_array(np.asarray(value, dtype=kind), name))
+        return name
+
+    def weight(self, tensor: torch.Tensor, *, turned: bool = False) -> str:
+        """Add weights of the network, or their transpose."""
+        name = self.names[id(tensor)] + (TURNED if turned else "")
+        value = tensor.detach().numpy()
+        self.weights.append(numpy_helper.from_array(value.T if turned else value, name))
         return name
 
     def add(self, operator: str, *inputs: str, **attributes: Any) -> str:
@@ -50,10 +60,10 @@ class Graph:
 
     def linear(self, layer: nn.Linear, value: str) -> str:
         """Add a linear layer on the last axis."""
-        product = self.add("MatMul", value, self.constant(layer.weight.detach().numpy().T))
+        product = self.add("MatMul", value, self.weight(layer.weight, turned=True))
         if layer.bias is None:
             return product
-        return self.add("Add", product, self.constant(layer.bias.detach().numpy()))
+        return self.add("Add", product, self.weight(layer.bias))
 
     def silu(self, value: str) -> str:
         """Add x * sigmoid(x)."""
@@ -142,7 +152,7 @@ def _metadata(config: TrainConfig, results: dict[str, Any]) -> dict[str, str]:
 
 
 def _model(network: nn.Module, metadata: dict[str, str]) -> onnx.ModelProto:
-    graph = Graph()
+    graph = Graph(network)
     if isinstance(network, WindowNet):
         answer, size = _windows(network, graph), ANSWERS
         shapes: dict[str, list[Any]] = {
@@ -167,8 +177,7 @@ def _scans(network: nn.Module, graph: Graph) -> str:
     value = "scans"
     for layer in network.features:
         if isinstance(layer, nn.Conv1d):
-            weights = [graph.constant(array.detach().numpy()) for array in
-                       (layer.weight, layer.bias)]  # fmt: skip
+            weights = graph.weight(layer.weight), graph.weight(layer.bias)
             value = graph.add("Conv", value, *weights, strides=list(layer.stride))
         else:
             value = graph.add("Relu", value)
@@ -179,8 +188,7 @@ def _scans(network: nn.Module, graph: Graph) -> str:
 def _windows(network: WindowNet, graph: Graph) -> str:
     """Follow `WindowNet.forward`, line by line."""
     difference, aside, depth, used = (graph.part("slots", 2, k, k + 1) for k in range(4))
-    mean, std = (graph.constant(array.numpy()) for array in
-                 (network.context_mean, network.context_std))  # fmt: skip
+    mean, std = graph.weight(network.context_mean), graph.weight(network.context_std)
     scaled = graph.add("Div", graph.add("Sub", "context", mean), std)
     certainty = graph.add("Exp", graph.add("Neg", graph.part("context", 1, 12, 13)))
     whitened = graph.add("Asinh", graph.add("Mul", difference, graph.wider(certainty, 1)))

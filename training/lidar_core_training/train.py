@@ -30,6 +30,7 @@ from lidar_core_training.metrics import breakdown, errors_of, summary
 from lidar_core_training.one_step import compared
 from lidar_core_training.optimiser import Optimiser
 from lidar_core_training.tasks import Data, OneStepTask, Task, task_of
+from lidar_core_training.weights import take_weights
 
 METRICS = "metrics.csv"
 TEST = "test.json"
@@ -156,6 +157,8 @@ class Run:
         self.task: Task = task_of(config, known)
         self.network = self.task.network()
         self._normalise()
+        if config.start is not None:
+            take_weights(self.network, config.start)
         self.network.to(group.device)
         self.optimiser = Optimiser(
             self.network,
@@ -217,9 +220,9 @@ class Run:
     def _order(self, epoch: int) -> NDArray[np.int64]:
         """Samples of an epoch: of its part of a pass."""
         number, part = divmod(epoch, self.config.parts)
-        order = np.random.default_rng([self.config.seed, number]).permutation(
-            len(self.data["train"])
-        )
+        again = [] if self.config.start is None else [1]  # not what the start has seen first
+        random = np.random.default_rng([self.config.seed, number, *again])
+        order = random.permutation(len(self.data["train"]))
         return order[part * self.steps * self.config.batch_size :]
 
     def _step(self, order: NDArray[np.int64]) -> float:

@@ -161,15 +161,39 @@ def test_a_model_that_is_not_its_cards_is_refused(run, tmp_path):
         CircleDetector(str(target))
 
 
+def test_a_run_begins_with_an_exported_network(run, tmp_path):
+    name, folder, results = run
+    target = tmp_path / "m.onnx"
+    export(folder, target)
+    config = CONFIGS[name].model_copy(update={"start": str(target), "learning_rate": 1e-12})
+    again = train(config, tmp_path / "again")
+    for key, value in weights(folder).items():
+        assert torch.allclose(weights(tmp_path / "again")[key], value, atol=1e-6), key
+    error = again["test"][0]["errors"]["all"]["mse"]
+    assert error == pytest.approx(results["test"][0]["errors"]["all"]["mse"], rel=1e-3)
+
+
+def test_a_run_does_not_begin_with_another_network(run, tmp_path):
+    name, folder, _ = run
+    target = tmp_path / "m.onnx"
+    export(folder, target)
+    (other,) = CONFIGS.keys() - {name}
+    config = CONFIGS[other].model_copy(update={"start": str(target)})
+    with pytest.raises(FormatError, match=r"expected .* of shape"):
+        train(config, tmp_path / "run")
+
+
 def test_only_finished_runs_are_exported(tmp_path):
     with pytest.raises(FormatError, match="expected a finished run"):
         export(tmp_path, tmp_path / "m.onnx")
 
 
-@pytest.mark.parametrize("name", ["cnn", "one-step", "paper", "paper-short"])
+@pytest.mark.parametrize("name", ["cnn", "one-step", "paper", "paper-more", "paper-short"])
 def test_configurations_that_come_with_the_package_are_valid(name):
     path = Path(lidar_core_training.__file__).parent / "configs" / f"{name}.toml"
-    assert TrainConfig.read(path).network.startswith(name.removesuffix("-short"))
+    assert TrainConfig.read(path).network.startswith(
+        name.removesuffix("-short").removesuffix("-more")
+    )
 
 
 def test_parts_of_a_pass_show_every_sample_once(tmp_path):
