@@ -221,6 +221,7 @@ def _card(
         metrics = [
             {key: float(value) for key, value in row.items()} for row in csv.DictReader(file)
         ]
+    best = min(metrics, key=lambda row: row.get("validation_loss", row["train_loss"]))
     return {
         "name": name,
         "sha256": sha256(model.read_bytes()).hexdigest(),
@@ -229,6 +230,7 @@ def _card(
         "opset": OPSET,
         **json.loads((run / ORIGIN).read_text(encoding="utf-8")),
         "epochs": len(metrics),
+        "best_epoch": best["epoch"],
         "metrics": metrics,
         "largest_difference_from_torch": difference,
         "training": config.model_dump(mode="json"),
