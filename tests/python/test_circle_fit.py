@@ -340,7 +340,7 @@ def test_segments_that_are_none_are_refused():
 
 @pytest.mark.parametrize("name", [None, 5, "moon", ""])
 def test_names_of_detectors_have_one_rule(name):
-    text = r"expected one of ml, .*, cnn, or an \.onnx file.*, got "
+    text = r"expected one of ml, .*, cnn, paper-cnn, or an \.onnx file.*, got "
     with pytest.raises(ConfigError, match=rf"detector: {text}"):
         CircleDetector(name)
     with pytest.raises(ConfigError, match=text) as refused:

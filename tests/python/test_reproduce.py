@@ -33,7 +33,7 @@ SHORT = {
     ),
     "circles-table1": Short(("parameters", "multiply-adds per object")),
     "circles-table2": Short(("circles", "train", "validation", "test", "all")),
-    "circles-fig5": Short(("loss at the end, validation",)),
+    "circles-fig5": Short(("loss of the shipped weights, validation",)),
     "circles-table3": Short(("test: MSE", "train + validation: MAE")),
     "flying-fig3": Short(
         ("scans taken for occupied, log-odds", "time until free again, G(v)"), scans=70

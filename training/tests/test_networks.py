@@ -30,6 +30,15 @@ def test_layers_of_table_1():
         PaperNet(40)
 
 
+def test_the_strides_of_table_1_leave_out_the_last_four_rays():
+    scans = torch.rand(1, 1, 1081, requires_grad=True)
+    network = PaperNet()
+    answer = network.head(network.features(scans).flatten(1))
+    (slope,) = torch.autograd.grad(answer.square().sum(), scans)
+    assert not slope[0, 0, -4:].any()
+    assert slope[0, 0, -5] != 0
+
+
 @pytest.mark.parametrize("n_beams", [1081, 360])
 def test_skipping_misses_changes_nothing(n_beams):
     random = np.random.default_rng(75)

@@ -144,7 +144,7 @@ ITEM = Item(
     name="circles-detectors",
     title="networks, fits and a rule of thumb on circles anywhere: errors and times",
     scans=50_000,
-    minutes=0.5,
+    minutes=2,
     run=_run,
     counts="circles",
 )

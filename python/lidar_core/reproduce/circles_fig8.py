@@ -232,6 +232,6 @@ ITEM = Item(
     name="circles-fig8",
     title="several posts, occlusions, ghosts on walls, neighbours, hidden ones (Fig. 8)",
     scans=4 * SCANS["world"] + sum(SCANS[kind] * count for kind, count in CASES.items()),
-    minutes=3,
+    minutes=18,
     run=_run,
 )

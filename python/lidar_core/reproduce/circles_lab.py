@@ -118,6 +118,6 @@ ITEM = Item(
     name="circles-lab",
     title="a person with swinging arms and a barrel in a volume (Figs 9, 10)",
     scans=12_000,
-    minutes=1,
+    minutes=2,
     run=_run,
 )

@@ -159,7 +159,7 @@ ITEM = Item(
     name="circles-table3",
     title="errors of networks on the test samples of the lattice (Table III)",
     scans=402_308,
-    minutes=3,
+    minutes=17,
     run=_run,
     counts="test samples",
 )

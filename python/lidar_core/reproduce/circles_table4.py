@@ -41,6 +41,6 @@ ITEM = Item(
     name="circles-table4",
     title="single cylinders of five radii: errors of radius and centre (Table IV)",
     scans=36_000,
-    minutes=1,
+    minutes=2,
     run=_run,
 )
