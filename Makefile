@@ -5,6 +5,7 @@ PYTHON ?= python3
 VENV ?= .venv
 TEST_VENV := .venv-test
 OUSTER_VENV := .venv-ouster
+PEERS_VENV := .venv-peers
 # A built wheel to test; without it `make test` builds one from the working tree.
 WHEEL ?=
 
@@ -15,7 +16,7 @@ BIN := $(VENV)/bin
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 export LIDAR_CORE_OUSTER_PYTHON ?= $(CURDIR)/$(OUSTER_VENV)/bin/python
 
-.PHONY: help demo dev fmt lint lint-rust lint-python test test-env bench docs golden wheel ci clean
+.PHONY: help demo dev fmt lint lint-rust lint-python test test-env bench peers docs golden wheel ci clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list.
@@ -74,6 +75,11 @@ test-env:
 bench: ## Measure every stage (criterion); needs no Python.
 	cargo bench --locked
 
+peers: ## Measure filters beside numpy, FilterPy and Stone Soup, in an environment of their own.
+	$(PYTHON) -m venv $(PEERS_VENV)
+	$(PEERS_VENV)/bin/python $(PIP_INSTALL) -r benches/peers/requirements.txt .
+	$(PEERS_VENV)/bin/python -W ignore benches/peers/fusion.py
+
 docs: ## Build the guide with the parameter reference into site/.
 	$(BIN)/python docs/generate_parameters.py
 	$(BIN)/mkdocs build --strict
@@ -92,4 +98,4 @@ ci: ## Everything that has to pass, from a clean checkout.
 	.ci/run
 
 clean: ## Remove what the commands above made, except .venv.
-	rm -rf target dist site runs docs/parameters.md $(TEST_VENV) $(OUSTER_VENV) python/lidar_core/*.so
+	rm -rf target dist site runs docs/parameters.md $(TEST_VENV) $(OUSTER_VENV) $(PEERS_VENV) python/lidar_core/*.so
