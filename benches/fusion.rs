@@ -100,14 +100,14 @@ fn fusion(c: &mut Criterion) -> Result<(), Error> {
     });
     group.throughput(Throughput::Elements((TARGETS * STEPS) as u64));
     let (pool, targets) = (threads::pool(1)?, vec![&target[..]; TARGETS]);
-    let settings = FusionParameters {
-        strengths: Strengths { form: NoiseForm::Discrete, ..settings.strengths },
-        ..settings
-    };
     group.sample_size(20);
-    group.bench_function("ctra_ekf_batch_discrete_noise", |b| {
-        b.iter(|| run_batch(&pool, &settings, &targets))
-    });
+    for (name, form) in [("", NoiseForm::Continuous), ("_discrete_noise", NoiseForm::Discrete)] {
+        let strengths = Strengths { form, ..settings.strengths };
+        let settings = FusionParameters { strengths, ..settings };
+        group.bench_function(format!("ctra_ekf_batch{name}"), |b| {
+            b.iter(|| run_batch(&pool, &settings, &targets))
+        });
+    }
     group.finish();
     Ok(())
 }

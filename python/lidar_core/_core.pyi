@@ -182,7 +182,12 @@ def fusion_run_batch(
     config: object, targets: Sequence[Measurements], *, threads: int
 ) -> list[_RunArrays]: ...
 def fusion_fit_noise(
-    config: object, targets: Sequence[Measurements], *, sensors: bool, evaluations: int
+    config: object,
+    targets: Sequence[Measurements],
+    *,
+    sensors: bool,
+    least_rate: float,
+    evaluations: int,
 ) -> tuple[list[float], list[float], list[float], float]: ...
 def hit_probability(
     points: NDArray[np.float64],

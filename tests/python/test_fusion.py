@@ -119,6 +119,13 @@ def test_noise_is_found_from_measurements_alone(recordings):
     assert (rmse(lagged, recording.truth, polar=True, skip=20)[:2] <= [0.044, 0.055]).all()
 
 
+def test_range_rates_are_believed_no_more_than_asked_for():
+    seen, _ = walk(np.random.default_rng(7410), rows=120)
+    free, bound = fit_noise(seen), fit_noise(seen, least_range_rate_std=0.6)
+    assert free.radar_std[2] < 0.6
+    assert bound.radar_std[2] == pytest.approx(0.6, rel=1e-9)
+
+
 # Oracle
 
 
@@ -444,6 +451,8 @@ def test_wrong_arguments_are_named():
         fit_noise([], FusionConfig.paper())
     with pytest.raises(InputError, match="at least ten per fitted value"):
         fit_noise([])
+    with pytest.raises(InputError, match="least_range_rate_std: expected 0 to"):
+        fit_noise([], least_range_rate_std=-1.0)
     with pytest.raises(ConfigError, match="threads"):
         run_batch([], threads=0)
     with pytest.raises(ConfigError, match='"cv" or "ca"'):

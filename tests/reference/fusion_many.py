@@ -1,6 +1,6 @@
 """Oracle of the tracker of many targets: constant velocity, positions only, brute force."""
 
-from itertools import permutations
+from itertools import permutations, product
 
 import numpy as np
 
@@ -83,12 +83,15 @@ class ManyTargets:
             gain = track["cov"][:, :2] @ np.linalg.inv(track["cov"][:2, :2] + noise)
             track["mean"] = track["mean"] + gain @ (places[column] - track["mean"][:2])
             track["cov"] = track["cov"] - gain @ track["cov"][:2]
-            if source not in track["sources"]:
-                track["history"].append(0)
-            track["history"][-1] = 1
-            track["sources"].add(source)
-            track["seen"], track["hits"] = stamp, track["hits"] + 1
+            self.see(track, stamp, source)
             numbers[column] = track["id"]
+
+    def see(self, track, stamp, source):
+        if source not in track["sources"]:
+            track["history"].append(0)
+        track["history"][-1] = 1
+        track["sources"].add(source)
+        track["seen"], track["hits"] = stamp, track["hits"] + 1
 
     def judge(self, track):
         recent = track["history"][-self.config.confirm_window :]
@@ -101,3 +104,50 @@ class ManyTargets:
         spread = np.sqrt(np.diag(track["cov"])[:2].max())
         return (alive and (stamp - track["seen"]) * 1e-9 <= self.config.max_coast
                 and spread <= self.config.max_position_std)  # fmt: skip
+
+
+class JointTargets(ManyTargets):
+    """The same with `association="joint"`: every joint event, one by one."""
+
+    def associate(self, tracks, stamp, places, source, numbers):
+        config, noise = self.config, np.diag(np.square(self.config.target.lidar_std))
+        free = [column for column, number in enumerate(numbers) if number < 0]
+        options = []
+        for track in tracks:
+            spread, inside = track["cov"][:2, :2] + noise, {}
+            for column in free:
+                error = places[column] - track["mean"][:2]
+                nis = error @ np.linalg.inv(spread) @ error
+                if nis <= self.gate:
+                    density = np.exp(-nis / 2) / np.sqrt(np.linalg.det(2 * np.pi * spread))
+                    inside[column] = config.detection_probability * density / config.lidar_clutter
+            options.append({-1: 1 - config.detection_probability, **inside})
+        weights = np.zeros((len(tracks), len(places)))
+        total = 0.0
+        for event in product(*options):
+            used = [column for column in event if column >= 0]
+            if len(used) > len(set(used)):
+                continue
+            weight = np.prod([some[column] for some, column in zip(options, event, strict=True)])
+            total += weight
+            for row, column in enumerate(event):
+                if column >= 0:
+                    weights[row, column] += weight
+        weights /= total
+        for column in free:
+            if tracks and weights[:, column].sum() > 0.5:
+                numbers[column] = tracks[int(np.argmax(weights[:, column]))]["id"]
+        for track, shares, inside in zip(tracks, weights, options, strict=True):
+            if len(inside) > 1:
+                self.absorb(track, shares, places, noise)
+            if shares.sum() > 0.5:
+                self.see(track, stamp, source)
+
+    def absorb(self, track, shares, places, noise):
+        spread = track["cov"][:2, :2] + noise
+        gain = track["cov"][:, :2] @ np.linalg.inv(spread)
+        errors = np.array(places) - track["mean"][:2]
+        mean = shares @ errors
+        apart = (errors.T * shares) @ errors - np.outer(mean, mean)
+        track["mean"] = track["mean"] + gain @ mean
+        track["cov"] = track["cov"] + gain @ (apart - shares.sum() * spread) @ gain.T

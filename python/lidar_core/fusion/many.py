@@ -59,8 +59,9 @@ class TargetTracks:
 class MultiTargetTracker:
     """Targets that LiDAR and radar see, any number of them.
 
-    Measurements are assigned by global nearest neighbours, first to the confirmed tracks; what is
-    left starts new ones. With measurements "pose" in a scan, tracks are in the world.
+    Measurements are assigned by global nearest neighbours, or by joint probabilities, first to the
+    confirmed tracks; what is left starts new ones. With measurements "pose" in a scan, tracks are
+    in the world.
 
     Parameters
     ----------
@@ -104,7 +105,8 @@ class MultiTargetTracker:
         Returns
         -------
         id : ndarray, shape (K,), int64
-            Track of every measurement, confirmed or not; -1 for none.
+            Track of every measurement, confirmed or not; -1 for none. By joint probabilities it is
+            that which the measurement is of with more than one half.
 
         Raises
         ------

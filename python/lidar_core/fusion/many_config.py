@@ -1,6 +1,6 @@
 """Configuration of the tracker of many targets, and of boats as a harbour ferry sees them."""
 
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -12,7 +12,9 @@ class MultiTargetConfig(Config):
     """Tracks of many targets from scans of LiDAR and radar.
 
     Source: Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and
-    Navigation", 2001; Blackman & Popoli, "Design and Analysis of Modern Tracking Systems", 1999.
+    Navigation", 2001; Blackman & Popoli, "Design and Analysis of Modern Tracking Systems", 1999;
+    Fortmann, Bar-Shalom & Scheffe, "Sonar tracking of multiple targets using joint probabilistic
+    data association", 1983.
     """
 
     target: FusionConfig = Field(
@@ -52,6 +54,28 @@ class MultiTargetConfig(Config):
         le=1e6,
         description="No track starts nearer than this to one that the same scan measured: parts"
         " of an object are no objects [m].",
+    )
+
+    association: Literal["nearest", "joint"] = Field(
+        "nearest",
+        description="Measurements within gates are of the nearest track, all distances together"
+        " (global nearest neighbours); or of all near ones, each with its probability (JPDA)"
+        " (no unit).",
+    )
+    detection_probability: float = Field(
+        0.9,
+        gt=0,
+        lt=1,
+        description="Probability that a scan measures a target, for association joint (no unit).",
+    )
+    lidar_clutter: float = Field(
+        1e-3, gt=0, le=1e6, description="Density of clutter of the LiDAR, for the same [1/m^2]."
+    )
+    radar_clutter: float = Field(
+        1e-3,
+        gt=0,
+        le=1e6,
+        description="Density of clutter of the radar, for the same [1/(m rad m/s)].",
     )
 
     @classmethod

@@ -4,11 +4,14 @@ from collections.abc import Iterable
 
 from lidar_core import _core
 from lidar_core.config import as_config
+from lidar_core.errors import InputError
 from lidar_core.fusion.config import FusionConfig
 from lidar_core.fusion.measurement import Measurement, Measurements, as_measurements
 
 EVALUATIONS = 2000
 """Most runs over all measurements of one fit."""
+MAX_STD = 1e6
+"""Largest deviation that may be asked for at least [m/s]."""
 
 
 def fit_noise(
@@ -16,6 +19,7 @@ def fit_noise(
     config: FusionConfig | None = None,
     *,
     sensors: bool = True,
+    least_range_rate_std: float = 0.0,
 ) -> FusionConfig:
     """Find the noise under which measurements are most likely; no truth is needed.
 
@@ -28,6 +32,9 @@ def fit_noise(
     sensors : bool
         Whether deviations of LiDAR and radar are found, too, for measurements that bring no
         covariance; else only the process noise is.
+    least_range_rate_std : float
+        Least deviation of the radar's range rate, if it is sought [m/s], >= 0. A target whose speed
+        jumps has range rates that no model follows, though the radar is exact.
 
     Returns
     -------
@@ -40,7 +47,7 @@ def fit_noise(
         Model paper, which has no likelihood.
     InputError
         Fewer than ten measurements per value that is sought, after the first ten of every
-        target.
+        target; or a deviation that is negative or not finite.
 
     Notes
     -----
@@ -48,12 +55,17 @@ def fit_noise(
     logarithms of the values, each within a factor of 1000 of where it begins. Gates are open
     meanwhile. Deterministic.
     """
+    if not 0 <= least_range_rate_std <= MAX_STD:
+        raise InputError(
+            f"least_range_rate_std: expected 0 to {MAX_STD} m/s, got {least_range_rate_std}"
+        )
     settings = as_config(config, FusionConfig)
     targets = _targets(measurements)
     (acceleration, jerk, turn), lidar, radar, _ = _core.fusion_fit_noise(
         settings,
         [target._core for target in targets],
         sensors=sensors,
+        least_rate=least_range_rate_std,
         evaluations=EVALUATIONS,
     )
     noise = {"acceleration_noise": acceleration, "jerk_noise": jerk, "turn_noise": turn}

@@ -269,12 +269,13 @@ pub(crate) fn fusion_run_batch<'py>(
 type Fitted = ([f64; 3], [f64; 2], [f64; 3], f64);
 
 #[pyfunction]
-#[pyo3(signature = (config, targets, *, sensors, evaluations))]
+#[pyo3(signature = (config, targets, *, sensors, least_rate, evaluations))]
 pub(crate) fn fusion_fit_noise(
     py: Python<'_>,
     config: FusionConfig,
     targets: Vec<PyRef<'_, PyMeasurements>>,
     sensors: bool,
+    least_rate: f64,
     evaluations: i64,
 ) -> Result<Fitted, BorderError> {
     let targets: Vec<Vec<Measurement>> = targets.iter().map(|target| target.0.clone()).collect();
@@ -282,7 +283,7 @@ pub(crate) fn fusion_fit_noise(
     let search = Search { step: 0.5, tolerance: 1e-6, evaluations };
     let (best, likelihood) = detached(py, || {
         let start = config.parameters()?;
-        fit(&start, &targets, &quantities(&start, &targets, sensors), &search)
+        fit(&start, &targets, &quantities(&start, &targets, sensors), least_rate, &search)
     })?;
     let (noise, sensing) = (best.strengths, best.sensing);
     Ok((

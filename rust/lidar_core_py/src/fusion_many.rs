@@ -1,12 +1,13 @@
 //! Bindings of `lidar_core::fusion::many`.
 
+use crate::arrays;
 use crate::errors::BorderError;
 use crate::fusion::PyMeasurements;
 use crate::fusion_config::FusionConfig;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
 use lidar_core::fusion::many::MAX_SOURCES;
-use lidar_core::fusion::{ManyParameters, ManyTargets, TrackState};
+use lidar_core::fusion::{Association, ManyParameters, ManyTargets, TrackState};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 
@@ -19,10 +20,17 @@ pub(crate) struct MultiTargetConfig {
     max_coast: f64,
     max_position_std: f64,
     birth_distance: f64,
+    association: String,
+    detection_probability: f64,
+    lidar_clutter: f64,
+    radar_clutter: f64,
 }
 
 impl MultiTargetConfig {
     fn parameters(&self) -> Result<ManyParameters, Error> {
+        let clutter = [self.lidar_clutter, self.radar_clutter];
+        let joint = Association::Joint { detection: self.detection_probability, clutter };
+        let associations = [("nearest", Association::Nearest), ("joint", joint)];
         Ok(ManyParameters {
             filter: self.target.parameters()?,
             confirm_hits: self.confirm_hits,
@@ -30,6 +38,7 @@ impl MultiTargetConfig {
             max_coast: self.max_coast,
             max_position_std: self.max_position_std,
             birth_distance: self.birth_distance,
+            association: arrays::choice("association", &self.association, &associations)?,
         })
     }
 }
@@ -76,11 +85,14 @@ impl PyMultiTargetTracker {
         py: Python<'py>,
         stamp_ns: i64,
     ) -> Result<TrackArrays<'py>, BorderError> {
-        arrays(py, &self.0.with(py, |tracker| Ok(tracker.tracks_at(stamp_ns)))?)
+        track_arrays(py, &self.0.with(py, |tracker| Ok(tracker.tracks_at(stamp_ns)))?)
     }
 }
 
-fn arrays<'py>(py: Python<'py>, tracks: &[TrackState]) -> Result<TrackArrays<'py>, BorderError> {
+fn track_arrays<'py>(
+    py: Python<'py>,
+    tracks: &[TrackState],
+) -> Result<TrackArrays<'py>, BorderError> {
     let (count, size) = (tracks.len(), tracks.first().map_or(0, |track| track.output.count));
     let numbers = |value: fn(&TrackState) -> i64| {
         tracks.iter().map(value).collect::<Vec<i64>>().into_pyarray(py)

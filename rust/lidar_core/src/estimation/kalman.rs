@@ -1,9 +1,10 @@
 //! Kalman filter with sizes in types: predict, update (Joseph form), normalised innovation.
 
 #![allow(non_snake_case)] // textbook letters
+#![allow(clippy::needless_range_loop)] // plain loops are inlined and unrolled
 
 use crate::Error;
-use nalgebra::{Cholesky, Const, SMatrix, SVector};
+use nalgebra::{SMatrix, SVector};
 
 /// A normal distribution.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,9 +53,40 @@ pub fn predict<const N: usize>(
     F: &SMatrix<f64, N, N>,
     Q: &SMatrix<f64, N, N>,
 ) -> Gaussian<N> {
-    Gaussian {
-        mean: F * prior.mean,
-        covariance: symmetrised(F * prior.covariance * F.transpose() + Q),
+    let mut covariance = prior.covariance;
+    carry(&mut covariance, F);
+    Gaussian { mean: F * prior.mean, covariance: symmetrised(covariance + Q) }
+}
+
+/// P becomes F P F', of which only what is not zero in `F` is computed; it has to be symmetric.
+pub fn carry<const N: usize>(P: &mut SMatrix<f64, N, N>, F: &SMatrix<f64, N, N>) {
+    let (P, F) = (&mut P.data.0, &F.data.0);
+    let mut half = [[0.0; N]; N]; // columns of F P
+    for row in 0..N {
+        let mut sum = [0.0; N];
+        for k in 0..N {
+            add_scaled(&mut sum, F[k][row], &P[k]);
+        }
+        for k in 0..N {
+            half[k][row] = sum[k];
+        }
+    }
+    for row in 0..N {
+        let mut sum = [0.0; N];
+        for k in 0..N {
+            add_scaled(&mut sum, F[k][row], &half[k]);
+        }
+        P[row] = sum;
+    }
+}
+
+/// `sum` += `factor` * `vector`, skipped for zero.
+#[inline(always)]
+pub(crate) fn add_scaled<const N: usize>(sum: &mut [f64; N], factor: f64, vector: &[f64; N]) {
+    if factor != 0.0 {
+        for k in 0..N {
+            sum[k] += factor * vector[k];
+        }
     }
 }
 
@@ -69,17 +101,164 @@ pub fn update<const N: usize, const M: usize>(
     prior: &Gaussian<N>,
     model: &Linearised<N, M>,
 ) -> Result<Update<N>, Error> {
-    let (P, H, R) = (&prior.covariance, &model.H, &model.R);
-    let PHt = P * H.transpose();
-    let S_chol = factor(H * PHt + R)?;
-    let K = S_chol.solve(&PHt.transpose()).transpose(); // S Kt = H P: solved, never inverted
-    let IKH = SMatrix::<f64, N, N>::identity() - K * H;
-    let joseph = IKH * P * IKH.transpose() + K * R * K.transpose();
-    Ok(Update {
-        posterior: Gaussian { mean: prior.mean + K * model.y, covariance: symmetrised(joseph) },
-        nis: model.y.dot(&S_chol.solve(&model.y)),
-        log_determinant: log_determinant(&S_chol),
-    })
+    let mut posterior = prior.clone();
+    let far = correct(&mut posterior, model, |_| true)?;
+    Ok(Update { posterior, nis: far.squared, log_determinant: far.log_determinant })
+}
+
+/// As [`update`] in place, if `believe` says so of the innovation's distance; else nothing changes.
+///
+/// # Errors
+/// As [`update`]; nothing has changed then.
+pub fn correct<const N: usize, const M: usize>(
+    state: &mut Gaussian<N>,
+    model: &Linearised<N, M>,
+    believe: impl FnOnce(&Mahalanobis) -> bool,
+) -> Result<Mahalanobis, Error> {
+    let (P, H) = (&state.covariance.data.0, &model.H.data.0);
+    let mut A = [[0.0; N]; M]; // rows of H P
+    for k in 0..N {
+        for m in 0..M {
+            add_scaled(&mut A[m], H[k][m], &P[k]);
+        }
+    }
+    let mut S = model.R.data.0;
+    for k in 0..N {
+        for m in 0..M {
+            add_scaled(&mut S[m], A[m][k], &H[k]);
+        }
+    }
+    let root = Root::new(&S)?;
+    let mut y = [[0.0; 1]; M];
+    let mut squared = 0.0;
+    for m in 0..M {
+        y[m] = [model.y[m]];
+    }
+    root.solve_lower(&mut y);
+    for [entry] in &y {
+        squared += entry * entry;
+    }
+    let far = Mahalanobis { squared, log_determinant: root.log_determinant() };
+    if !believe(&far) {
+        return Ok(far);
+    }
+    root.solve_upper(&mut y); // S^-1 y
+    for m in 0..M {
+        add_scaled(&mut state.mean.data.0[0], y[m][0], &A[m]);
+    }
+    let mut gain = A; // rows of K': S Kt = H P is solved, nothing inverted
+    root.solve_lower(&mut gain);
+    root.solve_upper(&mut gain);
+    joseph(&mut state.covariance, &A, &gain, model);
+    Ok(far)
+}
+
+/// P = (I - K H) P (I - K H)' + K R K', `A` being H P and `gain` K'.
+#[inline(always)]
+fn joseph<const N: usize, const M: usize>(
+    P: &mut SMatrix<f64, N, N>,
+    A: &[[f64; N]; M],
+    gain: &[[f64; N]; M],
+    model: &Linearised<N, M>,
+) {
+    let mut G = [[0.0; N]; N]; // columns of (I - K H) P
+    for k in 0..N {
+        let mut sum = P.data.0[k];
+        for m in 0..M {
+            add_scaled(&mut sum, -A[m][k], &gain[m]);
+        }
+        G[k] = sum;
+    }
+    let mut noisy = [[0.0; N]; M]; // rows of R K'
+    for m in 0..M {
+        for l in 0..M {
+            add_scaled(&mut noisy[m], model.R.data.0[m][l], &gain[l]);
+        }
+    }
+    let mut left = [[0.0; N]; N]; // columns of I - K H
+    for k in 0..N {
+        left[k][k] = 1.0;
+        for m in 0..M {
+            add_scaled(&mut left[k], -model.H.data.0[k][m], &gain[m]);
+        }
+    }
+    for row in 0..N {
+        let mut sum = [0.0; N];
+        for k in 0..N {
+            add_scaled(&mut sum, left[k][row], &G[k]);
+        }
+        for m in 0..M {
+            add_scaled(&mut sum, gain[m][row], &noisy[m]);
+        }
+        P.data.0[row] = sum;
+    }
+    symmetrise(P);
+}
+
+/// Root of a covariance of M numbers: a lower triangle, with the inverses of its diagonal.
+struct Root<const M: usize> {
+    lower: [[f64; M]; M],
+    inverse: [f64; M],
+}
+
+impl<const M: usize> Root<M> {
+    #[inline(always)]
+    fn new(S: &[[f64; M]; M]) -> Result<Self, Error> {
+        let (mut lower, mut inverse) = ([[0.0; M]; M], [0.0; M]);
+        for row in 0..M {
+            for column in 0..=row {
+                let mut left = S[row][column];
+                for k in 0..column {
+                    left -= lower[row][k] * lower[column][k];
+                }
+                if column < row {
+                    lower[row][column] = left * inverse[column];
+                } else if left > 0.0 {
+                    lower[row][row] = libm::sqrt(left);
+                    inverse[row] = 1.0 / lower[row][row];
+                } else {
+                    return Err(Error::NotPositiveDefinite { matrix: "S" });
+                }
+            }
+        }
+        Ok(Self { lower, inverse })
+    }
+
+    fn log_determinant(&self) -> f64 {
+        let mut product = 1.0;
+        for index in 0..M {
+            product *= self.lower[index][index];
+        }
+        2.0 * libm::log(product)
+    }
+
+    /// L^-1 X, in place.
+    #[inline(always)]
+    fn solve_lower<const N: usize>(&self, X: &mut [[f64; N]; M]) {
+        for row in 0..M {
+            for k in 0..row {
+                let known = X[k];
+                add_scaled(&mut X[row], -self.lower[row][k], &known);
+            }
+            for k in 0..N {
+                X[row][k] *= self.inverse[row];
+            }
+        }
+    }
+
+    /// L'^-1 X, in place.
+    #[inline(always)]
+    fn solve_upper<const N: usize>(&self, X: &mut [[f64; N]; M]) {
+        for row in (0..M).rev() {
+            for k in row + 1..M {
+                let known = X[k];
+                add_scaled(&mut X[row], -self.lower[k][row], &known);
+            }
+            for k in 0..N {
+                X[row][k] *= self.inverse[row];
+            }
+        }
+    }
 }
 
 /// Distance of `y` from zero, whose covariance is `S`.
@@ -90,23 +269,31 @@ pub fn mahalanobis<const M: usize>(
     y: &SVector<f64, M>,
     S: &SMatrix<f64, M, M>,
 ) -> Result<Mahalanobis, Error> {
-    let S_chol = factor(*S)?;
-    Ok(Mahalanobis { squared: y.dot(&S_chol.solve(y)), log_determinant: log_determinant(&S_chol) })
+    let root = Root::new(&S.data.0)?;
+    let mut white: [[f64; 1]; M] = std::array::from_fn(|m| [y[m]]);
+    root.solve_lower(&mut white);
+    let squared = white.iter().map(|[entry]| entry * entry).sum();
+    Ok(Mahalanobis { squared, log_determinant: root.log_determinant() })
 }
 
 /// The mean of a matrix and its transpose: bit for bit symmetric.
 #[must_use]
 pub fn symmetrised<const N: usize>(matrix: SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
-    (matrix + matrix.transpose()) * 0.5
+    let mut mean = matrix;
+    symmetrise(&mut mean);
+    mean
 }
 
-fn log_determinant<const M: usize>(S_chol: &Cholesky<f64, Const<M>>) -> f64 {
-    let lower = S_chol.l_dirty(); // its diagonal is that of the factor
-    2.0 * libm::log((0..M).map(|index| lower[(index, index)]).product())
-}
-
-fn factor<const M: usize>(S: SMatrix<f64, M, M>) -> Result<Cholesky<f64, Const<M>>, Error> {
-    S.cholesky().ok_or(Error::NotPositiveDefinite { matrix: "S" })
+/// The same in place.
+#[inline]
+pub fn symmetrise<const N: usize>(matrix: &mut SMatrix<f64, N, N>) {
+    let entries = &mut matrix.data.0;
+    for row in 0..N {
+        for column in 0..row {
+            let value = (entries[row][column] + entries[column][row]) * 0.5;
+            (entries[row][column], entries[column][row]) = (value, value);
+        }
+    }
 }
 
 #[cfg(test)]

@@ -8,8 +8,8 @@ use super::platform::Platform;
 use super::sensors::{LineOfSight, Observation, Sensing, polar_difference};
 use super::turn::wrapped;
 use crate::Error;
-use crate::estimation::kalman::{Gaussian, Linearised, Update, symmetrised, update};
-use nalgebra::{Matrix1, Matrix6, SMatrix, Vector1, Vector6};
+use crate::estimation::kalman::{Gaussian, Linearised, Mahalanobis, carry, correct, symmetrise};
+use nalgebra::{Matrix1, Matrix6, SMatrix, SVector, Vector1, Vector6};
 
 /// Most states that a model has.
 pub const MAX_STATES: usize = 6;
@@ -28,6 +28,17 @@ pub struct Innovation {
     pub log_determinant: f64,
 }
 
+impl Innovation {
+    /// The difference `y`, `far` from zero.
+    #[must_use]
+    pub fn new(y: &[f64], far: &Mahalanobis) -> Self {
+        let mut values = [0.0; 3];
+        values.iter_mut().zip(y).for_each(|(value, entry)| *value = *entry);
+        let Mahalanobis { squared: nis, log_determinant } = *far;
+        Self { values, count: y.len(), nis, log_determinant }
+    }
+}
+
 /// Mean and covariance of a state, with room for the largest model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Output {
@@ -39,7 +50,10 @@ pub struct Output {
     pub covariance: [[f64; MAX_STATES]; MAX_STATES],
 }
 
-/// A filter without memory: the state is handed in and out.
+/// Whether a measurement may correct a state.
+pub type Believe<'a> = &'a mut dyn FnMut(&Innovation) -> bool;
+
+/// A filter without memory: the state is handed in.
 pub trait Engine: Clone + Send + Sync + 'static {
     /// What it estimates.
     type State: Clone + Send + Sync + 'static;
@@ -50,22 +64,28 @@ pub trait Engine: Clone + Send + Sync + 'static {
     /// State of a target whose position and velocity are known, where the model can use them.
     fn after_velocity(&self, cv: &Gaussian<4>) -> Option<Self::State>;
 
-    /// State after `dt` [s].
-    fn predict(&self, state: &Self::State, dt: f64, platform: &Platform) -> Self::State;
+    /// Carry the state on by `dt` [s].
+    fn predict(&self, state: &mut Self::State, dt: f64, platform: &Platform);
 
-    /// State corrected by a measurement; none where it corrects nothing of the state.
+    /// Correct the state by a measurement, if `believe` says so of its innovation; none where it
+    /// says nothing about the state.
     ///
     /// # Errors
-    /// [`Error::NotPositiveDefinite`] if the covariance of the innovation cannot be factorised.
+    /// [`Error::NotPositiveDefinite`] if the covariance of the innovation cannot be factorised;
+    /// nothing has changed then.
     fn update(
         &self,
-        state: &Self::State,
+        state: &mut Self::State,
         m: &Measurement,
         platform: &Platform,
-    ) -> Result<Option<(Self::State, Innovation)>, Error>;
+        believe: Believe<'_>,
+    ) -> Result<Option<Innovation>, Error>;
 
     /// Mean and covariance.
     fn output(&self, state: &Self::State) -> Output;
+
+    /// One state for weighted ones that have the same past; weights sum to 1.
+    fn blended(&self, parts: &[(f64, &Self::State)]) -> Self::State;
 
     /// How the state after `dt` [s] hangs on the state before it; none for engines whose past
     /// cannot be smoothed.
@@ -112,13 +132,13 @@ pub struct Single<const N: usize, M> {
 
 impl<const N: usize, M: Motion<N>> Single<N, M> {
     fn corrected<const K: usize>(
-        state: &Gaussian<N>,
+        state: &mut Gaussian<N>,
         model: &Linearised<N, K>,
-    ) -> Result<Option<(Gaussian<N>, Innovation)>, Error> {
-        let Update { posterior, nis, log_determinant } = update(state, model)?;
-        let mut values = [0.0; 3];
-        values[..K].copy_from_slice(model.y.as_slice());
-        Ok(Some((posterior, Innovation { values, count: K, nis, log_determinant })))
+        believe: Believe<'_>,
+    ) -> Result<Option<Innovation>, Error> {
+        let of = |far: &Mahalanobis| Innovation::new(model.y.as_slice(), far);
+        let far = correct(state, model, |far| believe(&of(far)))?;
+        Ok(Some(of(&far)))
     }
 }
 
@@ -133,18 +153,22 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
         self.motion.after_velocity(cv, &self.prior)
     }
 
-    fn predict(&self, state: &Gaussian<N>, dt: f64, platform: &Platform) -> Gaussian<N> {
+    fn predict(&self, state: &mut Gaussian<N>, dt: f64, platform: &Platform) {
         let (mean, F) = self.motion.transition(&state.mean, dt, platform);
-        let Q = self.noise.covariance(&self.motion, [&state.mean, &mean], dt, platform);
-        Gaussian { mean, covariance: symmetrised(F * state.covariance * F.transpose() + Q) }
+        carry(&mut state.covariance, &F);
+        let ends = [&state.mean, &mean];
+        self.noise.add(&self.motion, ends, dt, platform, &mut state.covariance);
+        symmetrise(&mut state.covariance);
+        state.mean = mean;
     }
 
     fn update(
         &self,
-        state: &Gaussian<N>,
+        state: &mut Gaussian<N>,
         m: &Measurement,
         platform: &Platform,
-    ) -> Result<Option<(Gaussian<N>, Innovation)>, Error> {
+        believe: Believe<'_>,
+    ) -> Result<Option<Innovation>, Error> {
         if m.sensor() == Sensor::Gyro && M::PLATFORM_RATE.is_none() {
             return Ok(None);
         }
@@ -153,18 +177,19 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
         match self.sensing.observation(m, sight.range()) {
             Some(Observation::Position { z, R }) => {
                 let (expected, H) = sight.place();
-                Self::corrected(state, &Linearised { y: z - expected, H, R })
+                Self::corrected(state, &Linearised { y: z - expected, H, R }, believe)
             }
             Some(Observation::Polar { z, R }) => {
-                let y = polar_difference(&z, &sight.polar());
-                Self::corrected(state, &Linearised { y, H: sight.polar_jacobian(), R })
+                let (expected, H) = sight.polar_jacobian();
+                let y = polar_difference(&z, &expected);
+                Self::corrected(state, &Linearised { y, H, R }, believe)
             }
             Some(Observation::Rate { z, R }) => {
                 let Some(index) = M::PLATFORM_RATE else { return Ok(None) };
                 let mut H = SMatrix::<f64, 1, N>::zeros();
                 H[index] = 1.0;
                 let y = Vector1::new(z - state.mean[index]);
-                Self::corrected(state, &Linearised { y, H, R: Matrix1::new(R) })
+                Self::corrected(state, &Linearised { y, H, R: Matrix1::new(R) }, believe)
             }
             None => Ok(None),
         }
@@ -174,16 +199,35 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
         output(state, M::HEADING)
     }
 
+    fn blended(&self, parts: &[(f64, &Gaussian<N>)]) -> Gaussian<N> {
+        mixed(parts)
+    }
+
     fn link(&self, state: &Gaussian<N>, dt: f64, platform: &Platform) -> Option<Link> {
         let (predicted, jacobian) = self.motion.transition(&state.mean, dt, platform);
         let ends = [&state.mean, &predicted];
-        let noise = self.noise.covariance(&self.motion, ends, dt, platform);
+        let mut noise = SMatrix::<f64, N, N>::zeros();
+        self.noise.add(&self.motion, ends, dt, platform, &mut noise);
         let (mut F, mut Q, mut mean) = (Matrix6::identity(), Matrix6::zeros(), Vector6::zeros());
         F.fixed_view_mut::<N, N>(0, 0).copy_from(&jacobian);
         Q.fixed_view_mut::<N, N>(0, 0).copy_from(&noise);
         mean.fixed_rows_mut::<N>(0).copy_from(&predicted);
         Some(Link { F, Q, mean, heading: M::HEADING })
     }
+}
+
+/// Mean and covariance of weighted normal distributions, whose weights sum to 1.
+#[must_use]
+pub fn mixed<const N: usize>(parts: &[(f64, &Gaussian<N>)]) -> Gaussian<N> {
+    let mut mean = SVector::zeros();
+    parts.iter().for_each(|(weight, part)| mean += part.mean * *weight);
+    let mut covariance = SMatrix::zeros();
+    for (weight, part) in parts {
+        let apart = part.mean - mean;
+        covariance += (part.covariance + apart * apart.transpose()) * *weight;
+    }
+    symmetrise(&mut covariance);
+    Gaussian { mean, covariance }
 }
 
 /// `state` with its heading wrapped.

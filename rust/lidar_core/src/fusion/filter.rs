@@ -12,7 +12,7 @@ use super::platform::Platform;
 use super::sensors::Sensing;
 use super::sigma::Sigma;
 use super::smooth::{Row, smoothed};
-use super::target::{GyroUse, Life, Outcome, Step, Target};
+use super::target::{GyroUse, Life, Outcome, Step, Taken, Target};
 use crate::Error;
 use crate::error::require;
 use crate::estimation::unscented::Rule;
@@ -114,6 +114,10 @@ pub struct Filter(Box<dyn Tracked>);
 /// A [`Target`], whatever its engine.
 trait Tracked: Send + Sync {
     fn step(&mut self, m: &Measurement) -> Step;
+    fn take(&mut self, m: &Measurement) -> Taken;
+    fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]);
+    fn stamp_ns(&self) -> i64;
+    fn output(&self) -> Option<Output>;
     fn output_at(&self, stamp_ns: i64) -> Option<Output>;
     fn link(&self, stamp_ns: i64) -> Option<Link>;
     fn boxed(&self) -> Box<dyn Tracked>;
@@ -122,6 +126,22 @@ trait Tracked: Send + Sync {
 impl<E: Engine> Tracked for Target<E> {
     fn step(&mut self, m: &Measurement) -> Step {
         Target::step(self, m)
+    }
+
+    fn take(&mut self, m: &Measurement) -> Taken {
+        Target::take(self, m)
+    }
+
+    fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]) {
+        Target::absorb(self, stamp_ns, weighted);
+    }
+
+    fn stamp_ns(&self) -> i64 {
+        Target::stamp_ns(self)
+    }
+
+    fn output(&self) -> Option<Output> {
+        Target::output(self)
     }
 
     fn output_at(&self, stamp_ns: i64) -> Option<Output> {
@@ -185,6 +205,29 @@ impl Filter {
         self.0.step(m)
     }
 
+    /// As [`Self::step`], of which only this is new.
+    pub fn take(&mut self, m: &Measurement) -> Taken {
+        self.0.take(m)
+    }
+
+    /// Take in measurements of one time, not older than the state, that are of the target with
+    /// given probabilities, which sum to 1 at most; no gate and no loss.
+    pub fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]) {
+        self.0.absorb(stamp_ns, weighted);
+    }
+
+    /// Time of the state [ns]; the smallest before anything has come.
+    #[must_use]
+    pub fn stamp_ns(&self) -> i64 {
+        self.0.stamp_ns()
+    }
+
+    /// The state; none before the target has been seen.
+    #[must_use]
+    pub fn output(&self) -> Option<Output> {
+        self.0.output()
+    }
+
     /// State carried on to `stamp_ns`; nothing changes. A time before the last measurement gives
     /// the state at that measurement.
     #[must_use]
@@ -212,7 +255,7 @@ pub fn smooth_into(
     let (mut rows, mut steps) = (Vec::new(), Vec::new());
     for m in measurements {
         let link = filter.0.link(m.stamp_ns());
-        let before = filter.output_at(i64::MIN);
+        let before = filter.output();
         let step = filter.step(m);
         let link = match step.outcome {
             Outcome::Started | Outcome::Restarted => None,

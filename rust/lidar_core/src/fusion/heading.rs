@@ -128,17 +128,18 @@ impl Motion<5> for Ctrv {
         end: &Vector5<f64>,
         rests: [f64; 3],
         _: &Platform,
-    ) -> [SMatrix<f64, 5, INPUTS>; 3] {
+        mut visit: impl FnMut(&SMatrix<f64, 5, INPUTS>),
+    ) {
         let (heading, v) = (direction(end[3]), end[2]);
-        rests.map(|rest| {
+        for rest in rests {
             let back = Turn::<2>::new(-end[4], rest);
             let ([A, B], [C, D]) = (back.turned(0, heading), back.turned(1, heading));
             let mut columns = SMatrix::<f64, 5, INPUTS>::zeros();
             columns.set_column(0, &Vector5::new(A, B, 1.0, 0.0, 0.0));
             let bent = [v * (D - rest * B), v * (rest * A - C)];
             columns.set_column(1, &Vector5::new(bent[0], bent[1], 0.0, rest, 1.0));
-            columns
-        })
+            visit(&columns);
+        }
     }
 
     fn holds(&self, s: &Vector5<f64>, dt: f64) -> SMatrix<f64, 5, INPUTS> {
@@ -179,10 +180,10 @@ impl Motion<6> for Ctra {
         &self,
         s: &Vector6<f64>,
         dt: f64,
-        platform: &Platform,
+        _: &Platform,
     ) -> (Vector6<f64>, SMatrix<f64, 6, 6>) {
-        let (v, a) = (s[2], s[5]);
-        let (turn, heading) = (Turn::<3>::new(s[4], dt), direction(s[3]));
+        let (v, w, a) = (s[2], s[4], s[5]);
+        let (turn, heading) = (Turn::<3>::new(w, dt), direction(s[3]));
         let ([A, B], [C, D]) = (turn.turned(0, heading), turn.turned(1, heading));
         let [G, H] = turn.turned(2, heading);
         let mut F = SMatrix::<f64, 6, 6>::identity();
@@ -190,7 +191,8 @@ impl Motion<6> for Ctra {
         (F[(0, 3)], F[(1, 3)]) = (-v * B - a * D, v * A + a * C);
         (F[(0, 4)], F[(1, 4)], F[(3, 4)]) = (-v * D - a * H, v * C + a * G, dt);
         (F[(0, 5)], F[(1, 5)], F[(2, 5)]) = (C, D, dt);
-        (self.moved(s, dt, platform), F)
+        let (x, y) = (s[0] + v * A + a * C, s[1] + v * B + a * D);
+        (Vector6::new(x, y, v + a * dt, s[3] + w * dt, w, a), F)
     }
 
     fn impulses(&self, s: &Vector6<f64>, dt: f64, platform: &Platform) -> SMatrix<f64, 6, INPUTS> {
@@ -207,9 +209,10 @@ impl Motion<6> for Ctra {
         end: &Vector6<f64>,
         rests: [f64; 3],
         _: &Platform,
-    ) -> [SMatrix<f64, 6, INPUTS>; 3] {
+        mut visit: impl FnMut(&SMatrix<f64, 6, INPUTS>),
+    ) {
         let (heading, v, a) = (direction(end[3]), end[2], end[5]);
-        rests.map(|rest| {
+        for rest in rests {
             let back = Turn::<3>::new(-end[4], rest);
             let ([A, B], [C, D]) = (back.turned(0, heading), back.turned(1, heading));
             let [G, H] = back.turned(2, heading);
@@ -220,8 +223,8 @@ impl Motion<6> for Ctra {
             let along = v * x - a * (rest * C - G);
             let aside = v * y - a * (rest * D - H);
             columns.set_column(1, &Vector6::new(-aside, along, 0.0, rest, 1.0, 0.0));
-            columns
-        })
+            visit(&columns);
+        }
     }
 
     fn holds(&self, s: &Vector6<f64>, dt: f64) -> SMatrix<f64, 6, INPUTS> {

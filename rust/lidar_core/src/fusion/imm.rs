@@ -2,14 +2,14 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::engine::{Engine, Innovation, Output, Single, output};
+use super::engine::{Believe, Engine, Innovation, Output, Single, mixed, output};
 use super::exchange::Exchange;
 use super::measurement::Measurement;
 use super::motion::First;
 use super::platform::Platform;
 use crate::Error;
-use crate::estimation::kalman::{Gaussian, symmetrised};
-use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
+use crate::estimation::kalman::Gaussian;
+use nalgebra::{SMatrix, SVector};
 use std::sync::Arc;
 
 /// Least weight of a model: none is ever ruled out for good.
@@ -86,12 +86,15 @@ impl<const N: usize, M: Exchange<N>> Mode for Member<N, M> {
     }
 
     fn predicted(&self, dt: f64, platform: &Platform) -> Arc<dyn Mode> {
-        self.with(self.engine.predict(&self.state, dt, platform))
+        let mut state = self.state.clone();
+        self.engine.predict(&mut state, dt, platform);
+        self.with(state)
     }
 
     fn updated(&self, m: &Measurement, platform: &Platform) -> Corrected {
-        let update = self.engine.update(&self.state, m, platform)?;
-        Ok(update.map(|(state, innovation)| (self.with(state), innovation)))
+        let mut state = self.state.clone();
+        let update = self.engine.update(&mut state, m, platform, &mut |_| true)?;
+        Ok(update.map(|innovation| (self.with(state), innovation)))
     }
 
     fn cartesian(&self, other: Option<&Gaussian<6>>) -> Gaussian<6> {
@@ -103,15 +106,9 @@ impl<const N: usize, M: Exchange<N>> Mode for Member<N, M> {
     }
 }
 
-/// Mean and covariance of weighted normal distributions.
-fn mixed(parts: &[(f64, Gaussian<6>)]) -> Gaussian<6> {
-    let mean: Vector6<f64> = parts.iter().map(|(weight, part)| part.mean * *weight).sum();
-    let mut covariance = Matrix6::zeros();
-    for (weight, part) in parts {
-        let apart = part.mean - mean;
-        covariance += (part.covariance + apart * apart.transpose()) * *weight;
-    }
-    Gaussian { mean, covariance: symmetrised(covariance) }
+/// As [`mixed`].
+fn mixture(parts: &[(f64, Gaussian<6>)]) -> Gaussian<6> {
+    mixed(&parts.iter().map(|(weight, part)| (*weight, part)).collect::<Vec<_>>())
 }
 
 impl Imm {
@@ -141,7 +138,7 @@ impl Imm {
             let parts: Vec<(f64, Gaussian<6>)> = (0..count)
                 .map(|from| (share(from) / weight, modes[from].1.cartesian(Some(&own))))
                 .collect();
-            (weight, modes[to].1.adopted(&mixed(&parts)))
+            (weight, modes[to].1.adopted(&mixture(&parts)))
         };
         (0..count).map(into).collect()
     }
@@ -158,19 +155,21 @@ impl Engine for Imm {
         Some(self.equal(|mode| mode.after_velocity(cv)))
     }
 
-    fn predict(&self, state: &Modes, dt: f64, platform: &Platform) -> Modes {
+    fn predict(&self, state: &mut Modes, dt: f64, platform: &Platform) {
         let modes = self.interacted(state, dt);
-        modes.into_iter().map(|(weight, mode)| (weight, mode.predicted(dt, platform))).collect()
+        let predicted = modes.iter().map(|(weight, mode)| (*weight, mode.predicted(dt, platform)));
+        *state = predicted.collect();
     }
 
     fn update(
         &self,
-        state: &Modes,
+        state: &mut Modes,
         m: &Measurement,
         platform: &Platform,
-    ) -> Result<Option<(Modes, Innovation)>, Error> {
+        believe: Believe<'_>,
+    ) -> Result<Option<Innovation>, Error> {
         let mut updated = Vec::with_capacity(state.len());
-        for (weight, mode) in state {
+        for (weight, mode) in &*state {
             let Some((mode, innovation)) = mode.updated(m, platform)? else { return Ok(None) };
             let likelihood = -0.5 * (innovation.nis + innovation.log_determinant);
             updated.push((libm::log(*weight) + likelihood, mode, innovation));
@@ -183,15 +182,33 @@ impl Engine for Imm {
         // the innovation of the likeliest model, its determinant such that the likelihood of the
         // measurement is that of all models together
         innovation.log_determinant = -2.0 * (most + libm::log(total)) - innovation.nis;
-        let weight = |log: f64| (libm::exp(log - most) / total).max(LEAST_WEIGHT);
-        let sum: f64 = updated.iter().map(|(log, ..)| weight(*log)).sum();
-        let modes = updated.into_iter().map(|(log, mode, _)| (weight(log) / sum, mode)).collect();
-        Ok(Some((modes, innovation)))
+        if believe(&innovation) {
+            let weight = |log: f64| (libm::exp(log - most) / total).max(LEAST_WEIGHT);
+            let sum: f64 = updated.iter().map(|(log, ..)| weight(*log)).sum();
+            let one = |(log, mode, _)| (weight(log) / sum, mode);
+            *state = updated.into_iter().map(one).collect();
+        }
+        Ok(Some(innovation))
+    }
+
+    /// Model by model, through the Cartesian form.
+    fn blended(&self, parts: &[(f64, &Modes)]) -> Modes {
+        let models = 0..self.modes.len();
+        let blended = models.map(|model| {
+            let share = |(weight, modes): &(f64, &Modes)| weight * modes[model].0;
+            let total: f64 = parts.iter().map(share).sum();
+            let wide: Vec<(f64, Gaussian<6>)> = parts
+                .iter()
+                .map(|part| (share(part) / total, part.1[model].1.cartesian(None)))
+                .collect();
+            (total, self.modes[model].adopted(&mixture(&wide)))
+        });
+        blended.collect()
     }
 
     fn output(&self, state: &Modes) -> Output {
         let wide = |mode: &Arc<dyn Mode>| mode.cartesian(None);
         let parts: Vec<_> = state.iter().map(|(weight, mode)| (*weight, wide(mode))).collect();
-        output(&mixed(&parts), None)
+        output(&mixture(&parts), None)
     }
 }

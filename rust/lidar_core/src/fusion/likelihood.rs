@@ -84,7 +84,8 @@ pub fn quantities(
 }
 
 /// `start` with the `fitted` quantities that make the measurements of all targets most likely,
-/// and their log likelihood.
+/// and their log likelihood. A range rate that is fitted has `least_rate` [m/s] as its smallest
+/// deviation.
 ///
 /// # Errors
 /// As [`Filter::new`]; [`Error::Value`] if there are too few measurements.
@@ -92,6 +93,7 @@ pub fn fit(
     start: &FusionParameters,
     targets: &[Vec<Measurement>],
     fitted: &[Quantity],
+    least_rate: f64,
     search: &Search,
 ) -> Result<(FusionParameters, f64), Error> {
     require(
@@ -100,7 +102,8 @@ pub fn fit(
         "one with a likelihood",
         "\"paper\"",
     )?;
-    let targets: Vec<Vec<Measurement>> = targets.iter().map(|target| in_order(target)).collect();
+    let targets: Vec<Vec<Measurement>> =
+        targets.iter().map(|target| in_order(target).into_owned()).collect();
     let count = targets.iter().map(|target| target.len().saturating_sub(SETTLED)).sum::<usize>();
     if count < SETTLED * (1 + fitted.len()) {
         let (name, got) = ("measurements", count.to_string());
@@ -112,6 +115,10 @@ pub fn fit(
         for (quantity, log) in fitted.iter().zip(logs) {
             let widest = libm::log(WIDEST);
             quantity.scale(&mut parameters, libm::exp(log.clamp(-widest, widest)));
+        }
+        if fitted.contains(&Quantity::Radar(2)) {
+            let variance = &mut parameters.sensing.radar[2];
+            *variance = variance.max(least_rate * least_rate);
         }
         parameters
     };

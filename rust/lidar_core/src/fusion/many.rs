@@ -2,6 +2,7 @@
 
 use super::engine::Output;
 use super::filter::{Filter, FusionParameters};
+use super::joint::probabilities;
 use super::measurement::{Measurement, Sensor};
 use super::target::{Life, Outcome};
 use crate::Error;
@@ -31,6 +32,22 @@ pub struct ManyParameters {
     pub max_position_std: f64,
     /// No track starts nearer than this [m] to one that the same scan measured.
     pub birth_distance: f64,
+    /// Which measurements are of which track.
+    pub association: Association,
+}
+
+/// How measurements are shared out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Association {
+    /// Global nearest neighbours: each is of one track or of none.
+    Nearest,
+    /// By the probabilities of all ways of sharing them out: [`probabilities`].
+    Joint {
+        /// Probability that a scan measures a target.
+        detection: f64,
+        /// Density of clutter of LiDAR [1/m^2] and of radar [1/(m rad m/s)].
+        clutter: [f64; 2],
+    },
 }
 
 /// A track at one time.
@@ -48,6 +65,25 @@ pub struct TrackState {
     pub hits: u32,
     /// Whether enough scans speak for it.
     pub confirmed: bool,
+}
+
+impl Association {
+    /// The filter of `track` after a measurement within its gate, and what the pair costs.
+    fn corrected(&self, track: &Track, m: &Measurement) -> Option<(Filter, f64)> {
+        let mut filter = track.filter.clone();
+        let (outcome, innovation) = filter.take(m);
+        let innovation = innovation.filter(|_| outcome == Outcome::Updated)?;
+        let distance = innovation.nis + innovation.log_determinant;
+        let cost = match self {
+            Self::Nearest => distance,
+            Self::Joint { detection, clutter } => {
+                let constant = innovation.count as f64 * libm::log(std::f64::consts::TAU);
+                let density = clutter[usize::from(m.sensor() == Sensor::Radar)];
+                0.5 * (distance + constant) + libm::log(density * (1.0 - detection) / detection)
+            }
+        };
+        cost.is_finite().then_some((filter, cost))
+    }
 }
 
 #[derive(Clone)]
@@ -180,8 +216,8 @@ impl ManyTargets {
         Ok(numbers)
     }
 
-    /// Global nearest neighbours, by the likelihood of the innovation, among measurements that
-    /// have no track yet.
+    /// Share out measurements that have no track yet among tracks; by global nearest neighbours
+    /// the likelihood of the innovation counts.
     ///
     /// # Source
     /// Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
@@ -199,11 +235,15 @@ impl ManyTargets {
                 if track.confirmed != confirmed || numbers[column].is_some() || is_of_platform(m) {
                     continue;
                 }
-                if let Some((filter, cost)) = corrected(&track.filter, m) {
+                if let Some((filter, cost)) = self.parameters.association.corrected(track, m) {
                     pairs.push(Pair { row, column, cost });
                     updated.push(filter);
                 }
             }
+        }
+        if let Association::Joint { .. } = self.parameters.association {
+            self.associate_jointly(scan, seen, numbers, &pairs);
+            return Ok(());
         }
         let column_of = assign(self.tracks.len(), scan.len(), &pairs, UNASSIGNED)?;
         for (Pair { row, column, .. }, filter) in pairs.iter().zip(updated) {
@@ -215,6 +255,36 @@ impl ManyTargets {
             }
         }
         Ok(())
+    }
+
+    /// Joint probabilistic data association among measurements that have no track yet. One that
+    /// is more likely of some track than of none has the likeliest.
+    fn associate_jointly(
+        &mut self,
+        scan: &[Measurement],
+        seen: u64,
+        numbers: &mut [Option<i64>],
+        pairs: &[Pair],
+    ) {
+        let weights = probabilities(self.tracks.len(), scan.len(), pairs);
+        let mut of_track = vec![Vec::new(); self.tracks.len()];
+        let mut of_any = vec![(0.0, 0.0, 0); scan.len()]; // sum, largest, its track
+        for (Pair { row, column, .. }, weight) in pairs.iter().zip(weights) {
+            of_track[*row].push((weight, scan[*column]));
+            let (sum, most, best) = &mut of_any[*column];
+            *sum += weight;
+            if weight > *most {
+                (*most, *best) = (weight, self.tracks[*row].id);
+            }
+        }
+        for (number, (sum, _, best)) in numbers.iter_mut().zip(of_any) {
+            if sum > 0.5 {
+                *number = Some(best);
+            }
+        }
+        for (track, weighted) in self.tracks.iter_mut().zip(of_track) {
+            track.absorb(&weighted, seen);
+        }
     }
 
     /// Positions of the tracks that were measured at `stamp_ns`.
@@ -277,6 +347,15 @@ impl Track {
         self.hits += 1;
     }
 
+    /// Take in measurements that are of this track with some probability.
+    fn absorb(&mut self, weighted: &[(f64, Measurement)], seen: u64) {
+        let Some((_, first)) = weighted.first() else { return };
+        self.filter.absorb(first.stamp_ns(), weighted);
+        if weighted.iter().map(|(weight, _)| weight).sum::<f64>() > 0.5 {
+            self.see(first.stamp_ns(), seen);
+        }
+    }
+
     /// Measured scans among the last ones that count, and how many these are.
     fn recent(&self, window: u32) -> (u32, u32) {
         let mask = u64::MAX >> (u64::BITS - window);
@@ -298,15 +377,6 @@ impl Track {
             && unseen <= parameters.max_coast
             && variance <= parameters.max_position_std * parameters.max_position_std
     }
-}
-
-/// `filter` after a measurement within its gate, and what the pair costs.
-fn corrected(filter: &Filter, m: &Measurement) -> Option<(Filter, f64)> {
-    let mut filter = filter.clone();
-    let step = filter.step(m);
-    let innovation = step.innovation.filter(|_| step.outcome == Outcome::Updated)?;
-    let cost = innovation.nis + innovation.log_determinant;
-    cost.is_finite().then_some((filter, cost))
 }
 
 fn is_of_platform(m: &Measurement) -> bool {
@@ -374,6 +444,7 @@ mod tests {
             max_coast: 2.0,
             max_position_std: 20.0,
             birth_distance: 0.0,
+            association: Association::Nearest,
         })
     }
 

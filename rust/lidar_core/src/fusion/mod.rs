@@ -10,6 +10,7 @@ pub mod exchange;
 pub mod filter;
 pub mod heading;
 pub mod imm;
+pub mod joint;
 pub mod likelihood;
 pub mod many;
 pub mod measurement;
@@ -24,6 +25,6 @@ pub mod target;
 pub mod turn;
 
 pub use filter::{Filter, FusionParameters, Method, Model, Strengths};
-pub use many::{ManyParameters, ManyTargets, TrackState};
+pub use many::{Association, ManyParameters, ManyTargets, TrackState};
 pub use measurement::{Measurement, Sensor};
 pub use record::{Record, run, run_batch, smooth};

@@ -3,7 +3,7 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::platform::Platform;
-use crate::estimation::kalman::Gaussian;
+use crate::estimation::kalman::{Gaussian, add_scaled};
 use nalgebra::{SMatrix, SVector, Vector2};
 
 /// Independent noises that may drive a model.
@@ -83,14 +83,17 @@ pub trait Motion<const N: usize>: Clone + Send + Sync + 'static {
         platform: &Platform,
     ) -> SMatrix<f64, N, INPUTS>;
 
-    /// Responses of the state `end` to unit impulses that came `rests` [s] before it.
+    /// Hand out responses of the state `end` to unit impulses that came `rests` [s] before it.
     fn responses(
         &self,
         end: &SVector<f64, N>,
         rests: [f64; 3],
         platform: &Platform,
-    ) -> [SMatrix<f64, N, INPUTS>; 3] {
-        rests.map(|rest| self.impulses(&self.moved(end, -rest, platform), rest, platform))
+        mut visit: impl FnMut(&SMatrix<f64, N, INPUTS>),
+    ) {
+        for rest in rests {
+            visit(&self.impulses(&self.moved(end, -rest, platform), rest, platform));
+        }
     }
 
     /// Response to each noise when it keeps its unit value for `dt`, on a straight line.
@@ -173,9 +176,9 @@ impl ProcessNoise {
         mut visit: impl FnMut(&SVector<f64, N>),
     ) {
         let mut visit_scaled = |columns: &SMatrix<f64, N, INPUTS>, scale: f64| {
-            for (column, strength) in columns.column_iter().zip(self.strength) {
+            for (column, strength) in columns.data.0.iter().zip(self.strength) {
                 if strength != 0.0 {
-                    visit(&(column * (strength * scale)));
+                    visit(&(SVector::from(*column) * (strength * scale)));
                 }
             }
         };
@@ -183,10 +186,10 @@ impl ProcessNoise {
             NoiseForm::Discrete => visit_scaled(&motion.holds(s, dt), 1.0),
             NoiseForm::Continuous => {
                 let rests = NODES.map(|(node, _)| (1.0 - node) * dt);
-                let responses = motion.responses(end, rests, platform);
-                for (columns, (_, weight)) in responses.iter().zip(NODES) {
-                    visit_scaled(columns, libm::sqrt(weight * dt));
-                }
+                let mut weights = NODES.iter().map(|(_, weight)| libm::sqrt(weight * dt));
+                motion.responses(end, rests, platform, |columns| {
+                    weights.next().into_iter().for_each(|weight| visit_scaled(columns, weight));
+                });
             }
         }
         if let Some(column) = motion.told(s, dt, platform) {
@@ -194,17 +197,21 @@ impl ProcessNoise {
         }
     }
 
-    /// Covariance of the noise of a step from `ends[0]` to `ends[1]`.
-    pub fn covariance<const N: usize, M: Motion<N>>(
+    /// Add the covariance of the noise of a step from `ends[0]` to `ends[1]`.
+    pub fn add<const N: usize, M: Motion<N>>(
         &self,
         motion: &M,
         ends: [&SVector<f64, N>; 2],
         dt: f64,
         platform: &Platform,
-    ) -> SMatrix<f64, N, N> {
-        let mut Q = SMatrix::<f64, N, N>::zeros();
-        self.columns(motion, ends, dt, platform, |column| Q.ger(1.0, column, column, 1.0));
-        Q
+        sum: &mut SMatrix<f64, N, N>,
+    ) {
+        self.columns(motion, ends, dt, platform, |column| {
+            let [entries] = &column.data.0;
+            for row in 0..N {
+                add_scaled(&mut sum.data.0[row], entries[row], entries);
+            }
+        });
     }
 }
 
@@ -246,11 +253,14 @@ pub(super) mod tests {
         let expected = difference(s, |s| motion.velocity(s, platform).0);
         assert!((J - expected).abs().max() < 1e-8, "velocity: {J} {expected}");
         let rests = [0.0, 0.3 * dt, dt];
-        for (rest, got) in rests.iter().zip(motion.responses(&after, rests, platform)) {
+        let mut left = rests.iter();
+        motion.responses(&after, rests, platform, |got| {
+            let rest = left.next().copied().unwrap_or(f64::NAN);
             let at = motion.moved(s, dt - rest, platform);
-            let expected = motion.impulses(&at, *rest, platform);
+            let expected = motion.impulses(&at, rest, platform);
             assert!((got - expected).abs().max() < 1e-12, "{got} {expected}");
-        }
+        });
+        assert_eq!(left.next(), None);
         check_noise(motion, s, dt, platform);
     }
 
@@ -261,7 +271,8 @@ pub(super) mod tests {
         platform: &Platform,
     ) {
         let noise = ProcessNoise { form: NoiseForm::Continuous, strength: [0.7, 0.4, 0.2] };
-        let Q = noise.covariance(motion, [s, &motion.moved(s, dt, platform)], dt, platform);
+        let mut Q = SMatrix::<f64, N, N>::zeros();
+        noise.add(motion, [s, &motion.moved(s, dt, platform)], dt, platform, &mut Q);
         let mut expected = SMatrix::<f64, N, N>::zeros();
         let steps = 400;
         let h = dt / f64::from(steps);

@@ -6,13 +6,13 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::engine::{Engine, Innovation, Output, output};
+use super::engine::{Believe, Engine, Innovation, Output, mixed, output};
 use super::measurement::{Measurement, Sensor};
 use super::motion::{First, Prior};
 use super::platform::Platform;
 use super::turn::wrapped;
 use crate::Error;
-use crate::estimation::kalman::Gaussian;
+use crate::estimation::kalman::{Gaussian, Mahalanobis};
 use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
 
 /// Turn rates below this [rad/s] use eqs 9 and 19; the paper switches at exactly 0.
@@ -131,10 +131,11 @@ impl Paper {
 
     /// Eqs 12, 13 and 15 with the first K states measured.
     fn corrected<const K: usize>(
-        state: &Gaussian<6>,
+        state: &mut Gaussian<6>,
         z: &SVector<f64, K>,
         variances: &[f64],
-    ) -> Result<Option<(Gaussian<6>, Innovation)>, Error> {
+        believe: Believe<'_>,
+    ) -> Result<Option<Innovation>, Error> {
         let singular = || Error::NotPositiveDefinite { matrix: "S" };
         let M = &state.covariance;
         let mut y = z - state.mean.fixed_rows::<K>(0);
@@ -154,10 +155,13 @@ impl Paper {
         if !posterior.mean.iter().chain(&posterior.covariance).all(|value| value.is_finite()) {
             return Err(singular());
         }
-        let mut values = [0.0; 3];
-        values.iter_mut().zip(y.iter()).for_each(|(value, entry)| *value = *entry);
-        let (nis, log_determinant) = (y.dot(&(inverse * y)), libm::log(determinant.abs()));
-        Ok(Some((posterior, Innovation { values, count: K, nis, log_determinant })))
+        let log_determinant = libm::log(determinant.abs());
+        let far = Mahalanobis { squared: y.dot(&(inverse * y)), log_determinant };
+        let innovation = Innovation::new(y.as_slice(), &far);
+        if believe(&innovation) {
+            *state = posterior;
+        }
+        Ok(Some(innovation))
     }
 }
 
@@ -205,22 +209,26 @@ impl Engine for Paper {
         None
     }
 
-    fn predict(&self, state: &Gaussian<6>, dt: f64, _: &Platform) -> Gaussian<6> {
+    fn predict(&self, state: &mut Gaussian<6>, dt: f64, _: &Platform) {
         let Phi = self.matrix(&state.mean, dt);
         let mean = if self.by_matrix { Phi * state.mean } else { self.moved(&state.mean, dt) };
         let Q = self.noise(state.mean[3], dt);
-        Gaussian { mean, covariance: Phi * state.covariance * Phi.transpose() + Q } // eq. 11
+        let covariance = Phi * state.covariance * Phi.transpose() + Q; // eq. 11
+        *state = Gaussian { mean, covariance };
     }
 
     fn update(
         &self,
-        state: &Gaussian<6>,
+        state: &mut Gaussian<6>,
         m: &Measurement,
         _: &Platform,
-    ) -> Result<Option<(Gaussian<6>, Innovation)>, Error> {
+        believe: Believe<'_>,
+    ) -> Result<Option<Innovation>, Error> {
         let v = m.values();
         match m.sensor() {
-            Sensor::Lidar => Self::corrected::<2>(state, &SVector::from([v[0], v[1]]), &[LIDAR; 2]),
+            Sensor::Lidar => {
+                Self::corrected::<2>(state, &SVector::from([v[0], v[1]]), &[LIDAR; 2], believe)
+            }
             Sensor::Radar => {
                 let (sine, cosine) = libm::sincos(v[1]);
                 let [x, y, rate] = [v[0] * cosine, v[0] * sine, v[2]];
@@ -230,13 +238,17 @@ impl Engine for Paper {
                     Reading::B => [x, y, rate, v[1], rate],
                     Reading::C => [x, y, truth[0], truth[1], 0.0],
                     Reading::D => {
-                        return Self::corrected::<2>(state, &SVector::from([x, y]), &RADAR);
+                        return Self::corrected::<2>(state, &[x, y].into(), &RADAR, believe);
                     }
                 };
-                Self::corrected::<5>(state, &SVector::from(z), &RADAR)
+                Self::corrected::<5>(state, &SVector::from(z), &RADAR, believe)
             }
             Sensor::Gyro | Sensor::Pose => Ok(None),
         }
+    }
+
+    fn blended(&self, parts: &[(f64, &Gaussian<6>)]) -> Gaussian<6> {
+        mixed(parts)
     }
 
     fn output(&self, state: &Gaussian<6>) -> Output {

@@ -3,10 +3,11 @@
 use super::engine::Output;
 use super::filter::{Filter, FusionParameters, smooth_into};
 use super::measurement::Measurement;
-use super::target::{Outcome, Step};
+use super::target::{Outcome, Taken};
 use crate::Error;
 use rayon::ThreadPool;
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// What a filter said: one row per measurement.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -41,20 +42,20 @@ impl Record {
     }
 
     /// Add a row.
-    pub fn push(&mut self, step: &Step) {
-        if let (0, Some(output)) = (self.states, &step.output) {
+    pub fn push(&mut self, stamp_ns: i64, (outcome, innovation): Taken, output: Option<&Output>) {
+        if let (0, Some(output)) = (self.states, output) {
             self.see(output.count);
         }
-        self.stamps_ns.push(step.stamp_ns);
-        self.outcomes.push(step.outcome);
-        self.push_state(step.output.as_ref());
+        self.stamps_ns.push(stamp_ns);
+        self.outcomes.push(outcome);
+        self.push_state(output);
         let mut values = [f64::NAN; 3];
-        if let Some(innovation) = &step.innovation {
+        if let Some(innovation) = &innovation {
             let count = innovation.count.min(3);
             values[..count].copy_from_slice(&innovation.values[..count]);
         }
         self.innovations.extend_from_slice(&values);
-        self.nis.push(step.innovation.map_or(f64::NAN, |innovation| innovation.nis));
+        self.nis.push(innovation.map_or(f64::NAN, |innovation| innovation.nis));
     }
 
     /// Now that the number of states is known: rows that came before have no state.
@@ -89,7 +90,10 @@ impl Record {
 pub fn run(parameters: &FusionParameters, measurements: &[Measurement]) -> Result<Record, Error> {
     let mut filter = Filter::new(&parameters.without_buffer())?;
     let mut record = Record::with_capacity(measurements.len());
-    in_order(measurements).iter().for_each(|m| record.push(&filter.step(m)));
+    for m in in_order(measurements).iter() {
+        let taken = filter.take(m);
+        record.push(filter.stamp_ns(), taken, filter.output().as_ref());
+    }
     Ok(record)
 }
 
@@ -119,14 +123,19 @@ pub fn smooth(
 ) -> Result<Record, Error> {
     let mut record = Record::with_capacity(measurements.len());
     let sorted = in_order(measurements);
-    smooth_into(parameters, &sorted, lag_ns, |step| record.push(step))?;
+    smooth_into(parameters, &sorted, lag_ns, |step| {
+        record.push(step.stamp_ns, (step.outcome, step.innovation), step.output.as_ref());
+    })?;
     Ok(record)
 }
 
 /// Measurements by their stamps; those of one stamp keep their order.
 #[must_use]
-pub fn in_order(measurements: &[Measurement]) -> Vec<Measurement> {
+pub fn in_order(measurements: &[Measurement]) -> Cow<'_, [Measurement]> {
+    if measurements.is_sorted_by_key(Measurement::stamp_ns) {
+        return Cow::Borrowed(measurements);
+    }
     let mut sorted = measurements.to_vec();
     sorted.sort_by_key(Measurement::stamp_ns);
-    sorted
+    Cow::Owned(sorted)
 }

@@ -52,71 +52,83 @@ pub enum Observation {
     },
 }
 
-/// A state as the sensor sees it: position and relative velocity in its frame, with Jacobians.
-pub struct LineOfSight<const N: usize> {
+/// A state as the sensor sees it.
+pub struct LineOfSight<'a, const N: usize, M> {
+    motion: &'a M,
+    state: &'a SVector<f64, N>,
+    platform: &'a Platform,
+    sensor: Option<&'a SensorPose>,
+    /// In the frame of the sensor [m].
     position: Vector2<f64>,
-    velocity: Vector2<f64>,
-    by_state: [SMatrix<f64, 2, N>; 2],
 }
 
-impl<const N: usize> LineOfSight<N> {
+impl<'a, const N: usize, M: Motion<N>> LineOfSight<'a, N, M> {
     /// `s` seen by a sensor in the world, or in its own frame where there is none.
-    pub fn new<M: Motion<N>>(
-        motion: &M,
-        s: &SVector<f64, N>,
-        platform: &Platform,
-        sensor: Option<&SensorPose>,
+    pub fn new(
+        motion: &'a M,
+        state: &'a SVector<f64, N>,
+        platform: &'a Platform,
+        sensor: Option<&'a SensorPose>,
     ) -> Self {
-        let (velocity, by_velocity) = motion.velocity(s, platform);
-        let mut by_position = SMatrix::<f64, 2, N>::zeros();
-        (by_position[(0, 0)], by_position[(1, 1)]) = (1.0, 1.0);
-        let position = Vector2::new(s[0], s[1]);
-        let Some(sensor) = sensor else {
-            return Self { position, velocity, by_state: [by_position, by_velocity] };
-        };
-        let [c, sine] = sensor.heading;
-        let back = Matrix2::new(c, sine, -sine, c); // world to sensor
-        Self {
-            position: back * (position - Vector2::from(sensor.position)),
-            velocity: back * (velocity - Vector2::from(sensor.velocity)),
-            by_state: [back * by_position, back * by_velocity],
-        }
+        let position = Vector2::new(state[0], state[1]);
+        let position = sensor.map_or(position, |sensor| {
+            into_sensor(sensor) * (position - Vector2::from(sensor.position))
+        });
+        Self { motion, state, platform, sensor, position }
     }
 
     /// Expected position and its Jacobian.
+    #[inline]
     #[must_use]
     pub fn place(&self) -> (Vector2<f64>, SMatrix<f64, 2, N>) {
-        (self.position, self.by_state[0])
+        let mut by_position = SMatrix::<f64, 2, N>::zeros();
+        let back = self.sensor.map_or_else(Matrix2::identity, into_sensor);
+        by_position.fixed_view_mut::<2, 2>(0, 0).copy_from(&back);
+        (self.position, by_position)
+    }
+
+    /// Velocity relative to the sensor in its frame, and its Jacobian.
+    #[inline]
+    fn velocity(&self) -> (Vector2<f64>, SMatrix<f64, 2, N>) {
+        let (velocity, by_state) = self.motion.velocity(self.state, self.platform);
+        let Some(sensor) = self.sensor else { return (velocity, by_state) };
+        let back = into_sensor(sensor);
+        (back * (velocity - Vector2::from(sensor.velocity)), back * by_state)
     }
 
     /// Expected range, bearing and range rate.
+    #[inline]
     #[must_use]
     pub fn polar(&self) -> Vector3<f64> {
-        let (p, v) = (self.position, self.velocity);
-        let range = libm::sqrt(p.x * p.x + p.y * p.y).max(NEAREST);
-        Vector3::new(range, libm::atan2(p.y, p.x), (p.x * v.x + p.y * v.y) / range)
+        polar_of(self.position, self.velocity().0)
     }
 
-    /// Jacobian of [`Self::polar`]; the range must not be zero.
+    /// The same with its Jacobian; the range must not be zero.
+    #[inline]
     #[must_use]
-    pub fn polar_jacobian(&self) -> SMatrix<f64, 3, N> {
-        let (p, v) = (self.position, self.velocity);
+    pub fn polar_jacobian(&self) -> (Vector3<f64>, SMatrix<f64, 3, N>) {
+        let (p, (v, by_velocity)) = (self.position, self.velocity());
         let square = p.x * p.x + p.y * p.y;
         let range = libm::sqrt(square);
         let across = (p.x * v.y - p.y * v.x) / (square * range);
-        let by_position = SMatrix::<f64, 3, 2>::new(
-            p.x / range,
-            p.y / range, //
+        let ahead = [p.x / range, p.y / range];
+        let mut by_position = SMatrix::<f64, 3, 2>::new(
+            ahead[0],
+            ahead[1], //
             -p.y / square,
             p.x / square, //
             -p.y * across,
             p.x * across,
         );
-        let mut J = by_position * self.by_state[0];
-        let ahead = nalgebra::RowVector2::new(p.x / range, p.y / range);
-        let mut row = J.fixed_view_mut::<1, N>(2, 0);
-        row += ahead * self.by_state[1];
-        J
+        if let Some(sensor) = self.sensor {
+            by_position *= into_sensor(sensor);
+        }
+        let mut J = SMatrix::<f64, 3, N>::zeros();
+        J.fixed_view_mut::<3, 2>(0, 0).copy_from(&by_position);
+        for (column, by) in J.data.0.iter_mut().zip(&by_velocity.data.0) {
+            column[2] += ahead[0] * by[0] + ahead[1] * by[1];
+        }
+        (polar_of(p, v), J)
     }
 
     /// Distance from the sensor [m].
@@ -124,6 +136,18 @@ impl<const N: usize> LineOfSight<N> {
     pub fn range(&self) -> f64 {
         self.position.norm()
     }
+}
+
+/// Turns vectors of the world into the axes of the sensor.
+fn into_sensor(sensor: &SensorPose) -> Matrix2<f64> {
+    let [c, sine] = sensor.heading;
+    Matrix2::new(c, sine, -sine, c)
+}
+
+/// Range, bearing and range rate of a position and a velocity.
+fn polar_of(p: Vector2<f64>, v: Vector2<f64>) -> Vector3<f64> {
+    let range = libm::sqrt(p.x * p.x + p.y * p.y).max(NEAREST);
+    Vector3::new(range, libm::atan2(p.y, p.x), (p.x * v.x + p.y * v.y) / range)
 }
 
 impl Sensing {
@@ -215,12 +239,14 @@ mod tests {
 
     fn check<const N: usize, M: Motion<N>>(motion: &M, s: &SVector<f64, N>, platform: &Platform) {
         let sensor = platform.sensor_at(100_000_000);
-        let sight = |s: &SVector<f64, N>| LineOfSight::new(motion, s, platform, sensor.as_ref());
-        let expected = difference(s, |s| sight(s).polar());
-        let J = sight(s).polar_jacobian();
+        let sensor = sensor.as_ref();
+        let expected = difference(s, |s| LineOfSight::new(motion, s, platform, sensor).polar());
+        let sight = LineOfSight::new(motion, s, platform, sensor);
+        let (_, J) = sight.polar_jacobian();
         assert!((J - expected).abs().max() < 1e-8, "{J} {expected}");
-        let (_, J) = sight(s).place();
-        assert!((J - difference(s, |s| sight(s).place().0)).abs().max() < 1e-8);
+        let (_, J) = sight.place();
+        let expected = difference(s, |s| LineOfSight::new(motion, s, platform, sensor).place().0);
+        assert!((J - expected).abs().max() < 1e-8);
     }
 
     #[test]

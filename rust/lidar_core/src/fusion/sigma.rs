@@ -2,13 +2,13 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::engine::{Engine, Innovation, Link, Output, Single, output};
+use super::engine::{Believe, Engine, Innovation, Link, Output, Single, mixed, output};
 use super::measurement::{Measurement, Sensor};
 use super::motion::{First, Motion};
 use super::platform::Platform;
 use super::sensors::{LineOfSight, Observation, polar_difference};
 use crate::Error;
-use crate::estimation::kalman::Gaussian;
+use crate::estimation::kalman::{Gaussian, Mahalanobis};
 use crate::estimation::unscented::{Rooted, Rule, Triangle, stacked, transformed};
 use nalgebra::{Matrix1, SMatrix, SVector, Vector1};
 
@@ -34,7 +34,7 @@ pub struct SigmaState<const N: usize> {
 
 /// A weight, and a state.
 type Point<const N: usize> = (f64, SVector<f64, N>);
-type Corrected<const N: usize> = Result<Option<(SigmaState<N>, Innovation)>, Error>;
+type Corrected = Result<Option<Innovation>, Error>;
 
 impl<const N: usize> SigmaState<N> {
     fn new(rooted: Rooted<N>) -> Self {
@@ -68,12 +68,13 @@ impl<const N: usize, M: Motion<N>> Sigma<N, M> {
     /// root of S, below lie the gain times it, and the root of the posterior.
     fn corrected<const K: usize>(
         &self,
-        prior: &SigmaState<N>,
+        prior: &mut SigmaState<N>,
         z: &SVector<f64, K>,
         R: &SMatrix<f64, K, K>,
         expected: impl Fn(&SVector<f64, N>) -> SVector<f64, K>,
         minus: impl Fn(&SVector<f64, K>, &SVector<f64, K>) -> SVector<f64, K>,
-    ) -> Corrected<N> {
+        believe: Believe<'_>,
+    ) -> Corrected {
         let (points, mean) = (prior.points(&self.rule), prior.rooted.mean);
         let center = expected(&points[0].1);
         let apart: Vec<SVector<f64, K>> =
@@ -91,7 +92,12 @@ impl<const N: usize, M: Motion<N>> Sigma<N, M> {
         noise.column_iter().for_each(|c| triangle.absorb(stacked(c.into_owned().as_slice(), &[])));
         let triangle =
             central.map_or(triangle, |(weight, column)| triangle.weighted(weight, column));
-        Ok(Some(posterior(&prior.rooted, &triangle, &minus(z, &(center + shift)))))
+        let y = minus(z, &(center + shift));
+        let (state, innovation) = posterior(&prior.rooted, &triangle, &y);
+        if believe(&innovation) {
+            *prior = state;
+        }
+        Ok(Some(innovation))
     }
 
     /// Points of a prediction: of the state and of its noise.
@@ -131,14 +137,9 @@ fn posterior<const N: usize, const K: usize>(
     let gained = SVector::<f64, N>::from_fn(|row, _| {
         (0..K).map(|k| triangle.at(K + row, k) * whitened[k]).sum()
     });
-    let mut values = [0.0; 3];
-    values[..K].copy_from_slice(y.as_slice());
-    let innovation = Innovation {
-        values,
-        count: K,
-        nis: whitened.norm_squared(),
-        log_determinant: 2.0 * libm::log(determinant),
-    };
+    let squared = whitened.norm_squared();
+    let far = Mahalanobis { squared, log_determinant: 2.0 * libm::log(determinant) };
+    let innovation = Innovation::new(y.as_slice(), &far);
     let rooted = Rooted { mean: prior.mean + gained, root: triangle.corner(K) };
     (SigmaState::new(rooted), innovation)
 }
@@ -156,12 +157,12 @@ impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
         Some(SigmaState::new(Rooted::new(start.mean, &start.covariance)))
     }
 
-    fn predict(&self, state: &SigmaState<N>, dt: f64, platform: &Platform) -> SigmaState<N> {
-        let (motion, state) = (&self.base.motion, &state.rooted);
+    fn predict(&self, state: &mut SigmaState<N>, dt: f64, platform: &Platform) {
+        let (motion, before) = (&self.base.motion, state.rooted);
         let moved = |s: &SVector<f64, N>| motion.moved(s, dt, platform);
-        let (mean, mut triangle, shift) = transformed(state, &self.rule, moved);
+        let (mean, mut triangle, shift) = transformed(&before, &self.rule, moved);
         let mut noise = Vec::new();
-        let ends = [&state.mean, &moved(&state.mean)];
+        let ends = [&before.mean, &moved(&before.mean)];
         self.base.noise.columns(motion, ends, dt, platform, |column| {
             triangle.absorb(stacked(column.as_slice(), &[]));
             if self.carries {
@@ -169,32 +170,47 @@ impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
             }
         });
         let triangle = triangle.weighted(self.rule.center, stacked(shift.as_slice(), &[]));
-        let rooted = Rooted { mean, root: triangle.corner(0) };
-        let points = if self.carries { self.carried(state, &noise, moved) } else { Vec::new() };
-        SigmaState { rooted, points }
+        state.rooted = Rooted { mean, root: triangle.corner(0) };
+        state.points = if self.carries { self.carried(&before, &noise, moved) } else { Vec::new() };
     }
 
-    fn update(&self, state: &SigmaState<N>, m: &Measurement, platform: &Platform) -> Corrected<N> {
+    fn update(
+        &self,
+        state: &mut SigmaState<N>,
+        m: &Measurement,
+        platform: &Platform,
+        believe: Believe<'_>,
+    ) -> Corrected {
         let motion = &self.base.motion;
         if m.sensor() == Sensor::Gyro && M::PLATFORM_RATE.is_none() {
             return Ok(None);
         }
         let sensor = platform.sensor_at(m.stamp_ns());
-        let sight = |s: &SVector<f64, N>| LineOfSight::new(motion, s, platform, sensor.as_ref());
-        match self.base.sensing.observation(m, sight(&state.rooted.mean).range()) {
+        let sensor = sensor.as_ref();
+        let place = |s: &SVector<f64, N>| LineOfSight::new(motion, s, platform, sensor).place().0;
+        let polar = |s: &SVector<f64, N>| LineOfSight::new(motion, s, platform, sensor).polar();
+        match self.base.sensing.observation(m, place(&state.rooted.mean).norm()) {
             Some(Observation::Position { z, R }) => {
-                self.corrected(state, &z, &R, |s| sight(s).place().0, |a, b| a - b)
+                self.corrected(state, &z, &R, place, |a, b| a - b, believe)
             }
             Some(Observation::Polar { z, R }) => {
-                self.corrected(state, &z, &R, |s| sight(s).polar(), polar_difference)
+                self.corrected(state, &z, &R, polar, polar_difference, believe)
             }
             Some(Observation::Rate { z, R }) => {
                 let Some(index) = M::PLATFORM_RATE else { return Ok(None) };
                 let expected = |s: &SVector<f64, N>| Vector1::new(s[index]);
-                self.corrected(state, &Vector1::new(z), &Matrix1::new(R), expected, |a, b| a - b)
+                let (z, R) = (Vector1::new(z), Matrix1::new(R));
+                self.corrected(state, &z, &R, expected, |a, b| a - b, believe)
             }
             None => Ok(None),
         }
+    }
+
+    fn blended(&self, parts: &[(f64, &SigmaState<N>)]) -> SigmaState<N> {
+        let plain: Vec<_> = parts.iter().map(|(weight, part)| (*weight, part.gaussian())).collect();
+        let Gaussian { mean, covariance } =
+            mixed(&plain.iter().map(|(weight, part)| (*weight, part)).collect::<Vec<_>>());
+        SigmaState::new(Rooted::new(mean, &covariance))
     }
 
     fn output(&self, state: &SigmaState<N>) -> Output {
@@ -204,7 +220,9 @@ impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
     /// By the Jacobian at the mean: what the smoother needs is the correlation of two states.
     fn link(&self, state: &SigmaState<N>, dt: f64, platform: &Platform) -> Option<Link> {
         let mut link = self.base.link(&state.gaussian(), dt, platform)?;
-        link.mean.fixed_rows_mut::<N>(0).copy_from(&self.predict(state, dt, platform).rooted.mean);
+        let mut predicted = SigmaState::new(state.rooted);
+        self.predict(&mut predicted, dt, platform);
+        link.mean.fixed_rows_mut::<N>(0).copy_from(&predicted.rooted.mean);
         Some(link)
     }
 }

@@ -1,7 +1,7 @@
 //! One target over time: start, prediction, gate, correction, loss.
 
 use super::cartesian::ConstantVelocity;
-use super::engine::{Engine, Innovation, Link, Output, Single};
+use super::engine::{Believe, Engine, Innovation, Link, Output, Single};
 use super::measurement::{Measurement, Sensor};
 use super::platform::{Platform, Pose};
 use super::sensors::first_sight;
@@ -64,6 +64,20 @@ impl Life {
         }
         Ok(gates)
     }
+
+    /// Believe an innovation, or not, or that the filter is lost; `average` is the NIS per value.
+    fn judged(&self, average: &mut f64, innovation: &Innovation) -> Outcome {
+        if let Some(Loss { window, ratio }) = self.loss {
+            let share = innovation.nis / innovation.count as f64;
+            let share = share.min(ratio * window / 3.0); // one outlier alone is no loss
+            *average += (share - *average) / window;
+            if *average > ratio {
+                return Outcome::Restarted;
+            }
+        }
+        let is_believed = innovation.nis <= self.gate[innovation.count - 1];
+        if is_believed { Outcome::Updated } else { Outcome::Gated }
+    }
 }
 
 /// What became of a measurement.
@@ -102,6 +116,9 @@ pub struct Step {
     pub innovation: Option<Innovation>,
 }
 
+/// What became of a measurement, and how far it was from what was expected.
+pub type Taken = (Outcome, Option<Innovation>);
+
 /// What is estimated at the moment.
 #[derive(Clone, Debug)]
 enum Phase<S> {
@@ -121,18 +138,84 @@ struct Now<S> {
     ratio: f64,
 }
 
-/// A filter of one target.
+/// What measurements do not change.
 #[derive(Clone, Debug)]
-pub struct Target<E: Engine> {
+struct Rules<E> {
     engine: E,
     starter: Single<4, ConstantVelocity>,
     life: Life,
+}
+
+/// A filter of one target.
+#[derive(Clone, Debug)]
+pub struct Target<E: Engine> {
+    rules: Rules<E>,
     now: Now<E::State>,
     /// The last measurements, and what was known after each.
     history: VecDeque<(Measurement, Now<E::State>)>,
 }
 
-type Corrected<S> = Option<(Phase<S>, Innovation)>;
+impl<E: Engine> Rules<E> {
+    fn predict(&self, phase: &mut Phase<E::State>, dt: f64, platform: &Platform) {
+        match phase {
+            Phase::Unseen => {}
+            Phase::Starting(cv, _) => self.starter.predict(cv, dt, platform),
+            Phase::Running(state) => self.engine.predict(state, dt, platform),
+        }
+    }
+
+    /// Correct a state, if `believe` says so; the model takes over after enough measurements.
+    fn correct(
+        &self,
+        phase: &mut Phase<E::State>,
+        m: &Measurement,
+        platform: &Platform,
+        believe: Believe<'_>,
+    ) -> Result<Option<Innovation>, Error> {
+        match phase {
+            Phase::Unseen => Ok(None),
+            Phase::Running(state) => self.engine.update(state, m, platform, believe),
+            Phase::Starting(cv, rows) => {
+                let mut is_believed = false;
+                let update = self.starter.update(cv, m, platform, &mut |innovation| {
+                    is_believed = believe(innovation);
+                    is_believed
+                })?;
+                *rows += u32::from(is_believed);
+                if let Some(state) = self.after_start(cv, *rows) {
+                    *phase = Phase::Running(state);
+                }
+                Ok(update)
+            }
+        }
+    }
+
+    /// State of the model after enough measurements.
+    fn after_start(&self, cv: &Gaussian<4>, rows: u32) -> Option<E::State> {
+        let is_enough = rows >= self.life.start_rows;
+        is_enough.then(|| self.engine.after_velocity(cv)).flatten()
+    }
+}
+
+/// `predicted`, corrected by measurements with their probabilities or by none.
+fn blended<E: Engine>(
+    engine: &E,
+    predicted: &E::State,
+    weighted: &[(f64, Measurement)],
+    platform: &Platform,
+) -> E::State {
+    let (mut left, mut corrected) = (1.0, Vec::with_capacity(weighted.len()));
+    for (weight, m) in weighted {
+        let mut state = predicted.clone();
+        if let Ok(Some(_)) = engine.update(&mut state, m, platform, &mut |_| true) {
+            left -= weight;
+            corrected.push((*weight, state));
+        }
+    }
+    let parts = corrected.iter().map(|(weight, state)| (*weight, state));
+    let parts: Vec<_> = std::iter::once((left.max(0.0), predicted)).chain(parts).collect();
+    engine.blended(&parts)
+}
 
 impl<E: Engine> Target<E> {
     /// A filter that has seen nothing; `starter` takes the first measurements.
@@ -143,33 +226,39 @@ impl<E: Engine> Target<E> {
         platform: Platform,
     ) -> Self {
         let now = Now { stamp_ns: i64::MIN, phase: Phase::Unseen, platform, ratio: 1.0 };
-        Self { engine, starter, life, now, history: VecDeque::new() }
+        Self { rules: Rules { engine, starter, life }, now, history: VecDeque::new() }
     }
 
     /// Take in a measurement; a late one is put where it belongs, and what came after it is
     /// filtered again.
     pub fn step(&mut self, m: &Measurement) -> Step {
+        let (outcome, innovation) = self.take(m);
+        Step { outcome, stamp_ns: self.stamp_ns(), output: self.output(), innovation }
+    }
+
+    /// As [`Self::step`], of which only this is new.
+    pub fn take(&mut self, m: &Measurement) -> Taken {
         if !m.is_usable() {
-            return self.report(Outcome::Invalid, None);
+            return (Outcome::Invalid, None);
         }
         let newer = |(known, _): &&(Measurement, _)| known.stamp_ns() >= m.stamp_ns();
         if self.history.iter().rev().take_while(newer).any(|(known, _)| known == m) {
-            return self.report(Outcome::Duplicate, None);
+            return (Outcome::Duplicate, None);
         }
         if m.stamp_ns() < self.now.stamp_ns {
-            return self.step_late(m);
+            return self.take_late(m);
         }
-        let step = self.advance(m);
+        let taken = self.advance(m);
         self.remember(m);
-        step
+        taken
     }
 
     fn remember(&mut self, m: &Measurement) {
-        if self.life.buffer_ns == 0 {
+        if self.rules.life.buffer_ns == 0 {
             return;
         }
         self.history.push_back((*m, self.now.clone()));
-        let oldest = self.now.stamp_ns.saturating_sub(self.life.buffer_ns);
+        let oldest = self.now.stamp_ns.saturating_sub(self.rules.life.buffer_ns);
         while self.history.len() > MOST_KEPT
             || self.history.front().is_some_and(|(_, now)| now.stamp_ns < oldest)
         {
@@ -177,34 +266,82 @@ impl<E: Engine> Target<E> {
         }
     }
 
+    /// Take in measurements of one time that are of the target with given probabilities, which
+    /// sum to 1 at most.
+    ///
+    /// # Source
+    /// Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+    /// 2001, sec. 11: the update of probabilistic data association, as a mixture of its cases.
+    pub fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]) {
+        let Self { rules, now, .. } = self;
+        let dt = stamp_ns.saturating_sub(now.stamp_ns) as f64 * 1e-9;
+        rules.predict(&mut now.phase, dt, &now.platform);
+        now.stamp_ns = stamp_ns;
+        match &mut now.phase {
+            Phase::Unseen => {}
+            Phase::Running(state) => {
+                *state = blended(&rules.engine, state, weighted, &now.platform);
+            }
+            Phase::Starting(cv, rows) => {
+                *cv = blended(&rules.starter, cv, weighted, &now.platform);
+                *rows += u32::from(weighted.iter().map(|(weight, _)| weight).sum::<f64>() > 0.5);
+                if let Some(state) = rules.after_start(cv, *rows) {
+                    now.phase = Phase::Running(state);
+                }
+            }
+        }
+    }
+
     /// Go back to the state before `m`, take it in, and everything after it again.
-    fn step_late(&mut self, m: &Measurement) -> Step {
+    fn take_late(&mut self, m: &Measurement) -> Taken {
         let before = self.history.partition_point(|(known, _)| known.stamp_ns() <= m.stamp_ns());
         let Some((_, now)) = before.checked_sub(1).and_then(|index| self.history.get(index)) else {
-            return self.report(Outcome::Late, None);
+            return (Outcome::Late, None);
         };
         self.now = now.clone();
         let after: Vec<Measurement> = self.history.drain(before..).map(|(m, _)| m).collect();
-        let Step { outcome, innovation, .. } = self.advance(m);
+        let taken = self.advance(m);
         self.remember(m);
         for later in &after {
             self.advance(later);
             self.remember(later);
         }
-        self.report(outcome, innovation)
+        taken
     }
 
     /// Take in a usable measurement that is not older than the state.
-    fn advance(&mut self, m: &Measurement) -> Step {
+    fn advance(&mut self, m: &Measurement) -> Taken {
         let dt = m.stamp_ns().saturating_sub(self.now.stamp_ns) as f64 * 1e-9;
-        let predicted = self.predicted(dt);
-        if matches!(m.sensor(), Sensor::Pose | Sensor::Gyro) {
-            return self.told(predicted, m);
+        let before = self.now.phase.clone();
+        let Now { phase, platform, .. } = &mut self.now;
+        self.rules.predict(phase, dt, platform);
+        let taken = if matches!(m.sensor(), Sensor::Pose | Sensor::Gyro) {
+            self.told(m)
+        } else {
+            self.seen(m)
+        };
+        if taken.0 == Outcome::Singular {
+            self.now.phase = before;
         }
-        match self.corrected(&predicted, m) {
-            Err(_) => self.report(Outcome::Singular, None),
+        taken
+    }
+
+    /// Correct the predicted state by a measurement of the target.
+    fn seen(&mut self, m: &Measurement) -> Taken {
+        let Self { rules, now, .. } = self;
+        let (mut outcome, mut ratio) = (Outcome::Updated, now.ratio);
+        let update = rules.correct(&mut now.phase, m, &now.platform, &mut |innovation| {
+            outcome = rules.life.judged(&mut ratio, innovation);
+            outcome == Outcome::Updated
+        });
+        match update {
+            Err(_) => (Outcome::Singular, None),
             Ok(None) => self.start(m, Outcome::Started, None),
-            Ok(Some((phase, innovation))) => self.judged(predicted, phase, innovation, m),
+            Ok(lost) if outcome == Outcome::Restarted => self.start(m, outcome, lost),
+            Ok(innovation) => {
+                (now.stamp_ns, now.ratio) = (m.stamp_ns(), ratio);
+                (outcome, innovation)
+            }
         }
     }
 
@@ -212,93 +349,31 @@ impl<E: Engine> Target<E> {
     pub fn link(&self, stamp_ns: i64) -> Option<Link> {
         let Phase::Running(state) = &self.now.phase else { return None };
         let dt = stamp_ns.saturating_sub(self.now.stamp_ns).max(0) as f64 * 1e-9;
-        self.engine.link(state, dt, &self.now.platform)
+        self.rules.engine.link(state, dt, &self.now.platform)
     }
 
-    fn predicted(&self, dt: f64) -> Phase<E::State> {
-        let platform = &self.now.platform;
-        match &self.now.phase {
-            Phase::Unseen => Phase::Unseen,
-            Phase::Starting(cv, rows) => {
-                Phase::Starting(self.starter.predict(cv, dt, platform), *rows)
-            }
-            Phase::Running(state) => Phase::Running(self.engine.predict(state, dt, platform)),
-        }
-    }
-
-    fn corrected(
-        &self,
-        predicted: &Phase<E::State>,
-        m: &Measurement,
-    ) -> Result<Corrected<E::State>, Error> {
-        let platform = &self.now.platform;
-        Ok(match predicted {
-            Phase::Unseen => None,
-            Phase::Starting(cv, rows) => {
-                let update = self.starter.update(cv, m, platform)?;
-                update.map(|(cv, innovation)| (self.started(cv, rows + 1), innovation))
-            }
-            Phase::Running(state) => {
-                let update = self.engine.update(state, m, platform)?;
-                update.map(|(state, innovation)| (Phase::Running(state), innovation))
-            }
-        })
-    }
-
-    /// The model takes over after enough measurements.
-    fn started(&self, cv: Gaussian<4>, rows: u32) -> Phase<E::State> {
-        if rows < self.life.start_rows {
-            return Phase::Starting(cv, rows);
-        }
-        match self.engine.after_velocity(&cv) {
-            Some(state) => Phase::Running(state),
-            None => Phase::Starting(cv, rows),
-        }
-    }
-
-    fn start(&mut self, m: &Measurement, outcome: Outcome, lost: Option<Innovation>) -> Step {
+    fn start(&mut self, m: &Measurement, outcome: Outcome, lost: Option<Innovation>) -> Taken {
         let sensor = self.now.platform.sensor_at(m.stamp_ns());
         let Some(mut first) = first_sight(m, sensor.as_ref()) else {
-            return self.report(Outcome::Invalid, None);
+            return (Outcome::Invalid, None);
         };
-        if !self.life.radar_starts_speed {
+        if !self.rules.life.radar_starts_speed {
             (first.speed, first.heading) = (0.0, 0.0);
         }
-        let state = self.engine.first(&first);
-        let cv = self.starter.first(&first);
-        self.now.phase = if self.life.start_rows > 1 && self.engine.after_velocity(&cv).is_some() {
-            Phase::Starting(cv, 1)
-        } else {
-            Phase::Running(state)
-        };
+        let state = self.rules.engine.first(&first);
+        let cv = self.rules.starter.first(&first);
+        self.now.phase =
+            if self.rules.life.start_rows > 1 && self.rules.engine.after_velocity(&cv).is_some() {
+                Phase::Starting(cv, 1)
+            } else {
+                Phase::Running(state)
+            };
         (self.now.stamp_ns, self.now.ratio) = (m.stamp_ns(), 1.0);
-        self.report(outcome, lost)
-    }
-
-    /// Believe an innovation, or not, or that the filter is lost.
-    fn judged(
-        &mut self,
-        predicted: Phase<E::State>,
-        corrected: Phase<E::State>,
-        innovation: Innovation,
-        m: &Measurement,
-    ) -> Step {
-        if let Some(Loss { window, ratio }) = self.life.loss {
-            let share = innovation.nis / innovation.count as f64;
-            let share = share.min(ratio * window / 3.0); // one outlier alone is no loss
-            self.now.ratio += (share - self.now.ratio) / window;
-            if self.now.ratio > ratio {
-                return self.start(m, Outcome::Restarted, Some(innovation));
-            }
-        }
-        let believed = innovation.nis <= self.life.gate[innovation.count - 1];
-        self.now.stamp_ns = m.stamp_ns();
-        self.now.phase = if believed { corrected } else { predicted };
-        self.report(if believed { Outcome::Updated } else { Outcome::Gated }, Some(innovation))
+        (outcome, lost)
     }
 
     /// Note how the platform moves from here on.
-    fn told(&mut self, predicted: Phase<E::State>, m: &Measurement) -> Step {
+    fn told(&mut self, m: &Measurement) -> Taken {
         let values = m.values();
         let mut platform = self.now.platform;
         if m.sensor() == Sensor::Pose {
@@ -307,30 +382,28 @@ impl<E: Engine> Target<E> {
             platform.velocity = [vx, vy];
         }
         let mut innovation = None;
-        let mut phase = predicted;
-        if m.sensor() == Sensor::Gyro && self.life.gyro == GyroUse::Input {
+        if m.sensor() == Sensor::Gyro && self.rules.life.gyro == GyroUse::Input {
             platform.rate = values[0];
-            platform.rate_variance = self.starter.sensing.gyro_variance(m);
+            platform.rate_variance = self.rules.starter.sensing.gyro_variance(m);
         }
-        if m.sensor() == Sensor::Gyro && self.life.gyro == GyroUse::Measurement {
-            match self.corrected(&phase, m) {
-                Err(_) => return self.report(Outcome::Singular, None),
-                Ok(None) => {}
-                Ok(Some((corrected, of_rate))) => {
-                    phase = corrected;
-                    innovation = Some(of_rate);
-                }
+        if m.sensor() == Sensor::Gyro && self.rules.life.gyro == GyroUse::Measurement {
+            let Self { rules, now, .. } = self;
+            match rules.correct(&mut now.phase, m, &now.platform, &mut |_| true) {
+                Err(_) => return (Outcome::Singular, None),
+                Ok(of_rate) => innovation = of_rate,
             }
         }
-        self.now = Now { stamp_ns: m.stamp_ns(), phase, platform, ratio: self.now.ratio };
-        self.report(Outcome::Told, innovation)
+        (self.now.stamp_ns, self.now.platform) = (m.stamp_ns(), platform);
+        (Outcome::Told, innovation)
     }
 
-    fn report(&self, outcome: Outcome, innovation: Option<Innovation>) -> Step {
-        Step { outcome, stamp_ns: self.now.stamp_ns, output: self.output(), innovation }
+    /// Time of the state [ns].
+    pub fn stamp_ns(&self) -> i64 {
+        self.now.stamp_ns
     }
 
-    fn output(&self) -> Option<Output> {
+    /// The state; none before the target has been seen.
+    pub fn output(&self) -> Option<Output> {
         self.output_of(&self.now.phase)
     }
 
@@ -338,16 +411,18 @@ impl<E: Engine> Target<E> {
     /// the state at that measurement.
     pub fn output_at(&self, stamp_ns: i64) -> Option<Output> {
         let dt = stamp_ns.saturating_sub(self.now.stamp_ns).max(0) as f64 * 1e-9;
-        self.output_of(&self.predicted(dt))
+        let mut phase = self.now.phase.clone();
+        self.rules.predict(&mut phase, dt, &self.now.platform);
+        self.output_of(&phase)
     }
 
     fn output_of(&self, phase: &Phase<E::State>) -> Option<Output> {
         match phase {
             Phase::Unseen => None,
             Phase::Starting(cv, _) => {
-                self.engine.after_velocity(cv).map(|state| self.engine.output(&state))
+                self.rules.engine.after_velocity(cv).map(|state| self.rules.engine.output(&state))
             }
-            Phase::Running(state) => Some(self.engine.output(state)),
+            Phase::Running(state) => Some(self.rules.engine.output(state)),
         }
     }
 }

@@ -53,12 +53,57 @@ pub fn rotated([cosine, sine]: [f64; 2], [x, y]: [f64; 2]) -> [f64; 2] {
     [x * cosine - y * sine, x * sine + y * cosine]
 }
 
-/// Cosine and sine of an angle.
+/// Cosine and sine of an angle, to 2e-16.
 #[inline]
 #[must_use]
 pub fn direction(angle: f64) -> [f64; 2] {
+    if angle.abs() < PARTS_UP_TO {
+        return direction_by_parts(angle);
+    }
     let (sine, cosine) = libm::sincos(angle);
     [cosine, sine]
+}
+
+/// Angles up to which the number of quarter turns times each part is exact [rad].
+const PARTS_UP_TO: f64 = 1e6;
+/// A quarter turn: its first 28 bits, those that a double has after them, and what comes then.
+const QUARTER: [f64; 3] = {
+    let whole = std::f64::consts::FRAC_PI_2;
+    let first = f64::from_bits(whole.to_bits() & !0x1ff_ffff);
+    [first, whole - first, 6.123_233_995_736_766e-17]
+};
+/// Added to a number, its unit is that of the last bit: the number is rounded.
+const ROUNDS: f64 = 6_755_399_441_055_744.0;
+
+/// The nearest quarter turn, and a series for the rest.
+#[inline]
+fn direction_by_parts(angle: f64) -> [f64; 2] {
+    let rounded = angle * std::f64::consts::FRAC_2_PI + ROUNDS;
+    let quarters = rounded - ROUNDS;
+    let rest = QUARTER.iter().fold(angle, |rest, part| rest - quarters * part);
+    let square = rest * rest;
+    let sum = |values: &[f64; 8]| values.iter().rev().fold(0.0, |sum, value| sum * square + value);
+    let [even, odd] = &POWERS;
+    let (cosine, sine) = (1.0 + square * sum(even), rest + rest * square * sum(odd));
+    match rounded.to_bits() & 3 {
+        0 => [cosine, sine],
+        1 => [-sine, cosine],
+        2 => [-cosine, -sine],
+        _ => [sine, -cosine],
+    }
+}
+
+/// Coefficients of cosine and sine after the first: (-1)^k / (2k)! and (-1)^k / (2k + 1)!.
+const POWERS: [[f64; 8]; 2] = [powers(0), powers(1)];
+
+const fn powers(odd: usize) -> [f64; 8] {
+    let (mut values, mut value, mut k) = ([0.0; 8], 1.0, 0);
+    while k < 8 {
+        value /= -(((2 * k + odd + 1) * (2 * k + odd + 2)) as f64);
+        values[k] = value;
+        k += 1;
+    }
+    values
 }
 
 /// `angle` moved by whole turns into -pi to pi [rad].
@@ -150,6 +195,18 @@ mod tests {
         }
         let (short, long) = (by_series::<3, SHORT>(0.03), by_series::<3, TERMS>(0.03));
         assert!(near(short.0, long.0) && near(short.1, long.1));
+    }
+
+    #[test]
+    fn directions_are_cosines_and_sines() {
+        for step in -40_000..40_000 {
+            let turned = f64::from(step) * 0.001_7;
+            for angle in [turned, 1e4 * turned, 1e9 * turned] {
+                let ([cosine, sine], (sin, cos)) = (direction(angle), libm::sincos(angle));
+                assert!((cosine - cos).abs() < 2.3e-16 && (sine - sin).abs() < 2.3e-16, "{angle}");
+            }
+        }
+        assert!(direction(f64::NAN).iter().chain(&direction(f64::INFINITY)).all(|v| v.is_nan()));
     }
 
     #[test]
