@@ -136,6 +136,7 @@ fn independent() -> Independent {
     Independent {
         modes: vec![mode(0.003, 0.5, 2.0), mode(0.5, 0.48, 2.0), mode(100.0, 0.02, 0.1)],
         radius_density: 1e-6,
+        turn_density: 0.01,
         birth_density: 0.1,
         merge_gap: 0.1,
         confirmation: Confirmation { hits: 3, window: 5 },

@@ -7,6 +7,7 @@ import lidar_core as lc
 from lidar_core.circles import CircleMapConfig, CirclePipeline, CirclesConfig, ShapeKind
 from lidar_core.errors import InputError
 from reference import circle_lines as oracle
+from reference.circles_front import cylinder_ranges
 
 SCANNER = lc.circles.Scanner(-np.pi * 0.75, np.pi / 180, 271, 0.1, 10.0)
 PERIOD_NS = 50_000_000
@@ -133,3 +134,83 @@ def test_the_paper_has_no_lines():
     )
     assert len(frame.map_shapes) == 0
     assert (frame.line == -1).all()
+
+
+def box_ranges(pose, center, heading, half):
+    """Noise-free ranges to a box, by the slabs between its faces."""
+    yaw = np.arctan2(pose[1, 0], pose[0, 0])
+    angle = SCANNER.bearings() + yaw - heading
+    offset = pose[:2, 3] - center
+    cos, sin = np.cos(heading), np.sin(heading)
+    start = np.array([cos * offset[0] + sin * offset[1], cos * offset[1] - sin * offset[0]])
+    ways = np.stack([np.cos(angle), np.sin(angle)])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        enter = (-np.sign(ways) * np.array(half)[:, None] - start[:, None]) / ways
+        leave = (np.sign(ways) * np.array(half)[:, None] - start[:, None]) / ways
+    near, far = enter.max(axis=0), leave.min(axis=0)
+    return np.where((near < far) & (near > 0), near, np.inf)
+
+
+FINE = lc.circles.Scanner(-np.pi * 0.75, np.pi / 720, 1081, 0.1, 10.0)
+
+
+@pytest.fixture
+def fine(monkeypatch):
+    monkeypatch.setitem(globals(), "SCANNER", FINE)
+    return CirclesConfig(scanner=FINE, map=CircleMapConfig(process_noise=(1e-6,),
+                         mode_weight=(1.0,), mode_time=(1.0,), turn_noise=0.0))  # fmt: skip
+
+
+def test_boxes_keep_their_place_heading_and_size(fine):
+    squared, missing = [], 0
+    for seed in range(5700, 5740):
+        rng = np.random.default_rng(seed)
+        half = rng.uniform(0.4, 1.2) * np.array([1.0, rng.uniform(0.4, 0.8)])
+        heading = rng.choice([-1, 1]) * rng.uniform(0.5, 1.1)  # two faces are seen
+        center = np.array([4.0, 0.0]) + rng.uniform(-0.5, 0.5, 2)
+        pipeline = CirclePipeline(fine)
+        for step in range(12):
+            ranges = box_ranges(walk(step), center, heading, half)
+            noisy = ranges + rng.normal(0, STD, len(ranges))
+            frame = pipeline.process(noisy, walk(step), step * PERIOD_NS)
+        found = frame.map_shapes
+        rows = np.flatnonzero(found.kind == ShapeKind.RECTANGLE)
+        if len(rows) != 1:
+            missing += 1
+            continue
+        (row,) = rows
+        mean = [*found.center[row], found.heading[row], *found.half_size[row]]
+        P = np.delete(np.delete(found.covariance[row], (2, 3), 0), (2, 3), 1)
+        error = mean - np.array([*center, heading, *half])
+        error[2] -= np.pi * np.round(error[2] / np.pi)
+        squared.append(error @ np.linalg.solve(P, error))
+        assert np.hypot(*error[:2]) < 0.1
+    squared = np.array(squared)
+    assert missing <= 2
+    assert 2.5 < np.median(squared) < 7  # 5 degrees of freedom: 4.35
+    assert (squared < 11.07).mean() >= 0.7  # single fits: 0.86
+
+
+def test_a_number_stays_whatever_its_object_is_taken_for(fine):
+    rng = np.random.default_rng(5800)
+    pipeline = CirclePipeline(CirclesConfig(scanner=FINE))
+    kinds, center = [], np.array([3.0, 0.5])
+    for step in range(90):
+        pose = walk(0)
+        if step // 30 == 1:
+            ranges = oracle_circle(pose, center, 0.25)
+        else:
+            ranges = box_ranges(pose, center, 0.6, (0.3, 0.22))
+        noisy = ranges + rng.normal(0, STD, len(ranges))
+        frame = pipeline.process(noisy, pose, step * PERIOD_NS)
+        if step >= 4:
+            assert frame.map.id.tolist() == [0]
+            assert set(frame.map_shapes.id.tolist()) <= {0}
+        kinds.append(frame.map_shapes.kind.tolist())
+    assert kinds[25] == [ShapeKind.RECTANGLE]
+    assert kinds[55] == []
+    assert kinds[85] == [ShapeKind.RECTANGLE]
+
+
+def oracle_circle(pose, center, radius):
+    return cylinder_ranges(SCANNER.bearings(), pose, np.array([[*center, radius]]))

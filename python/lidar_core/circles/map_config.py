@@ -63,6 +63,13 @@ class CircleMapConfig(Config):
         le=1e3,
         description="Density of the random walk of radii [m^2/s]; paper, eq. 15: 0.",
     )
+    turn_noise: float = Field(
+        0.01,
+        ge=0,
+        le=1e3,
+        description="Density of the random walk of the headings of ellipses and rectangles"
+        " [rad^2/s]; their half lengths wander as radii do.",
+    )
     birth_density: float = Field(
         1e-4,
         gt=0,

@@ -9,19 +9,21 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class ShapeElements:
-    """Lines of the map at one time, by ascending number, in the world frame.
+    """Lines, ellipses and rectangles of the map at one time, by number, in the world frame.
 
     Attributes
     ----------
     id : ndarray, shape (K,), int64
-        Number of the element, never reused; those of circles are others.
+        Number of the element, never reused. An ellipse or rectangle that is not large is a circle
+        of the map, too, with the same number, which it keeps whatever it is taken for.
     kind : ndarray, shape (K,), uint8
         A `ShapeKind`.
     center, velocity : ndarray, shape (K, 2), float64
-        [m], [m/s]; lines are at rest.
+        [m], [m/s]; lines are at rest. The centre of an ellipse or rectangle is its own, not that
+        of the circle.
     heading : ndarray, shape (K,), float64
-        Bearing of the longer half length [rad]. Of a line that of the way from its first to its
-        second end, on the left of which it was seen.
+        Bearing of the longer half length [rad], -pi/2 to pi/2. Of a line that of the way from its
+        first to its second end, on the left of which it was seen.
     half_size : ndarray, shape (K, 2), float64
         Longer and shorter half length [m]; of a line half of what was seen of it, and 0.
     ends : ndarray, shape (K, 2, 2), float64

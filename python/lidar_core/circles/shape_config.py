@@ -13,13 +13,12 @@ class ShapeConfig(Config):
 
     enabled: bool = Field(
         True,
-        description="Tell lines, rectangles and ellipses from circles: lines, and what is too"
-        " large, stay out of the map. Off: every segment is taken for a circle, as in the paper"
-        " (no unit).",
+        description="Tell lines, rectangles and ellipses from circles, and keep them in the map as"
+        " such. Off: every segment is taken for a circle, as in the paper (no unit).",
     )
     ellipses: bool = Field(
         True,
-        description="Ellipses up to `max_size` go into the map as the circle of the mean half"
+        description="Ellipses go into the map; up to `max_size` also as the circle of the mean half"
         " length: a person stays one object (no unit).",
     )
     rectangles: bool = Field(True, description="Same of rectangles (no unit).")
@@ -31,7 +30,8 @@ class ShapeConfig(Config):
     max_size: float = Field(
         0.5,
         gt=0,
-        description="Largest half length of an ellipse, rectangle or line in the map [m].",
+        description="Largest half length of an ellipse, rectangle or free standing line that is a"
+        " circle of the map [m].",
     )
     model_std: float = Field(
         0.03,

@@ -26,6 +26,7 @@ pub(crate) struct CircleMapConfig {
     mode_weight: Vec<f64>,
     mode_time: Vec<f64>,
     radius_noise: f64,
+    turn_noise: f64,
     birth_density: f64,
     merge_gap: f64,
     confirm_hits: u32,
@@ -69,6 +70,7 @@ impl CircleMapConfig {
                 .map(|((&density, &weight), &duration)| Mode { density, weight, duration })
                 .collect(),
             radius_density: self.radius_noise,
+            turn_density: self.turn_noise,
             birth_density: self.birth_density,
             merge_gap: self.merge_gap,
             confirmation: Confirmation { hits: self.confirm_hits, window: self.confirm_window },
@@ -182,6 +184,7 @@ impl PyCircleMap {
                 pose_covariance: doubt.as_ref(),
                 estimates: &estimates,
                 delays,
+                outlines: &[],
                 lines: &[],
                 view: scan.as_ref().map(|(scan, (range_min, range_max))| View {
                     scan,

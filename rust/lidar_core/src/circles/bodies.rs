@@ -2,22 +2,24 @@
 
 use super::circle::{Circle, CircleEstimate};
 use super::frame::PreparedSweep;
+use super::map::OutlineEstimate;
 use super::segments::Side;
 use super::shape::{ShapeEstimate, ShapeKind};
 use crate::Error;
 use crate::error::require_positive;
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Matrix5};
 
 /// What becomes of the shapes of segments.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShapeParameters {
-    /// Ellipses up to `max_size` go into the map.
+    /// Ellipses go into the map.
     pub ellipses: bool,
     /// So do rectangles.
     pub rectangles: bool,
     /// Lines that stand free go into it, as circles behind them.
     pub faces: bool,
-    /// Largest half length of all those [m].
+    /// Largest half length of a line that goes into the map as a circle, and of everything that is
+    /// reported as one [m].
     pub max_size: f64,
     /// How far their outlines depart from a fixed shape, as a standard deviation [m].
     pub model_std: f64,
@@ -65,13 +67,23 @@ impl ShapeParameters {
         })
     }
 
-    /// The circle of the mean half length, if the shape is small enough to go into the map.
+    /// What a circle stands for: None where it is one, or nothing is known of its outline.
+    pub(super) fn outline(&self, shape: &ShapeEstimate) -> Option<OutlineEstimate> {
+        if shape.kind == ShapeKind::Line {
+            return Some(OutlineEstimate { shape: *shape, is_large: false });
+        }
+        let longest = shape.kind.half_length()? * shape.parameters[2];
+        let covariance = Matrix5::from_fn(|row, column| shape.covariance[row][column]);
+        let is_known = covariance.cholesky().is_some() && shape.parameters[3] > 0.0;
+        is_known.then_some(OutlineEstimate { shape: *shape, is_large: longest > self.max_size })
+    }
+
+    /// The circle of the mean half length.
     fn equivalent(&self, shape: &ShapeEstimate) -> Option<CircleEstimate> {
         let [x, y, long, short, _] = shape.parameters;
-        // Rectangles have sides, ellipses semi-axes.
-        let scale = if shape.kind == ShapeKind::Rectangle { 0.5 } else { 1.0 };
+        let scale = shape.kind.half_length().unwrap_or(1.0);
         let radius = 0.5 * scale * (long + short);
-        let is_usable = self.takes(shape.kind) && scale * long <= self.max_size && radius > 0.0;
+        let is_usable = self.takes(shape.kind) && radius > 0.0;
         let slope = 0.5 * scale;
         let c = &shape.covariance;
         let with_radius = |i: usize| slope * (c[i][2] + c[i][3]);
@@ -137,7 +149,7 @@ impl Part {
 
 /// Whether rays may show no more than a piece of something: it ends where something nearer is, and
 /// nothing shows that it ends at the other side.
-fn is_piece(sides: [Side; 2]) -> bool {
+pub(super) fn is_piece(sides: [Side; 2]) -> bool {
     sides.contains(&Side::Occluded) && !sides.contains(&Side::Free)
 }
 
@@ -196,9 +208,11 @@ mod tests {
     }
 
     #[test]
-    fn what_is_large_straight_or_not_wanted_stays_out() {
+    fn what_is_straight_or_not_wanted_stays_out_and_what_is_large_is_told() {
         let few = ShapeParameters { rectangles: false, ..RULES };
-        assert!(RULES.equivalent(&shape(ShapeKind::Ellipse, 0.6, 0.1)).is_none());
+        let large = |long| RULES.outline(&shape(ShapeKind::Ellipse, long, 0.1));
+        assert!(large(0.6).is_some_and(|outline| outline.is_large));
+        assert!(large(0.4).is_some_and(|outline| !outline.is_large));
         assert!(RULES.equivalent(&shape(ShapeKind::Line, 0.4, 0.1)).is_none());
         assert!(few.equivalent(&shape(ShapeKind::Rectangle, 0.4, 0.1)).is_none());
         assert!(RULES.equivalent(&shape(ShapeKind::Ellipse, 0.0, 0.0)).is_none());

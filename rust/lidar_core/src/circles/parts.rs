@@ -1,9 +1,9 @@
 //! What the segments of a sweep are for the map: bodies, lines, or nothing.
 
-use super::bodies::{Part, part};
+use super::bodies::{Part, is_piece, part};
 use super::circle::CircleEstimate;
 use super::frame::PreparedSweep;
-use super::map::{CircleMap, MapStats};
+use super::map::{CircleMap, MapStats, OutlineEstimate};
 use super::pipeline::PipelineParameters;
 use super::shape::{ShapeEstimate, ShapeKind};
 
@@ -12,6 +12,8 @@ use super::shape::{ShapeEstimate, ShapeKind};
 pub(super) struct Parts {
     pub(super) bodies: Vec<usize>,
     pub(super) circles: Vec<CircleEstimate>,
+    /// What the circles stand for.
+    pub(super) outlines: Vec<Option<OutlineEstimate>>,
     lines: Vec<usize>,
     pub(super) shapes: Vec<ShapeEstimate>,
 }
@@ -23,7 +25,8 @@ pub(super) struct ByKind {
 }
 
 impl Parts {
-    /// Bodies that lie on a line of the map, longer than any of them, are pieces of it.
+    /// Bodies that lie on a line of the map are pieces of it, if it is longer than any of them or
+    /// nothing free is beside them.
     pub(super) fn of(
         prepared: &PreparedSweep,
         circles: &[CircleEstimate],
@@ -38,14 +41,17 @@ impl Parts {
             let part = part(prepared, number, circle, shape, limits);
             let is_on_wall = matches!(part, Part::Body(_))
                 && shape.is_some_and(|(_, rules)| {
-                    let points = prepared.points_world(number);
-                    map.is_on_line(&points, limits[0], 2.0 * rules.max_size)
+                    let is_piece = is_piece(prepared.segments.sides[number]);
+                    let least = if is_piece { 0.0 } else { 2.0 * rules.max_size };
+                    map.is_on_line(&prepared.points_world(number), limits[0], least)
                 });
             let straight = shape.filter(|(found, _)| found.kind == ShapeKind::Line);
             match (part, straight) {
                 (Part::Body(body), _) if !is_on_wall => {
                     parts.bodies.push(number);
                     parts.circles.push(body);
+                    let outline = shape.and_then(|(found, rules)| rules.outline(found));
+                    parts.outlines.push(outline);
                 }
                 (Part::Body(_) | Part::Line, Some((found, _))) => {
                     parts.lines.push(number);

@@ -268,6 +268,7 @@ impl CirclePipeline {
             pose_covariance: prepared.pose_covariance.as_ref(),
             estimates: &parts.circles,
             delays: delays.as_deref(),
+            outlines: &parts.outlines,
             lines: &parts.shapes,
             view: Some(View { scan: &prepared.level.scan, range_min, range_max }),
         });

@@ -1,10 +1,11 @@
-//! Bodies: round objects, and small ones that are nearly so, which move.
+//! Bodies: round objects, ellipses and rectangles, which move.
 
 #![allow(non_snake_case)] // textbook letters
 
 use super::element::{State, exceeds};
 use super::independent::Rules;
-use super::modes::{Measurement, Modes, Step};
+use super::modes::{Measurement, Modes, Step, new_state};
+use super::outline::{Outline, OutlineMeasurement};
 use super::parameters::Patience;
 use super::scan::Viewpoint;
 use super::visibility::Visibility;
@@ -16,25 +17,68 @@ use nalgebra::Matrix2;
 /// Standard deviations from its centre at which a body is looked for, along each axis.
 const LOOK: [f64; 4] = [-2.0, -1.0, 1.0, 2.0];
 
-impl State for Modes {
-    type Measurement = Measurement;
+/// Least ratio of radii of two things of which one is large, if they are one.
+const LEAST_RATIO: f64 = 0.5;
 
-    fn new(seen: &Measurement, rules: &Rules) -> Self {
-        Self::new(seen, rules.speed(), rules.motion())
+/// A body as one segment of one scan shows it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct BodyMeasurement {
+    /// It, or what stands for it.
+    pub(super) circle: Measurement,
+    /// Its outline, if it is no circle.
+    pub(super) outline: Option<OutlineMeasurement>,
+    /// One face of it was seen: nothing tells what it is.
+    pub(super) is_face: bool,
+}
+
+/// A body: the circle that it is, or that stands for it, and its outline.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Body {
+    circle: Modes<5>,
+    pub(super) outline: Outline,
+}
+
+impl Body {
+    pub(super) fn circle(&self) -> Gaussian<5> {
+        self.circle.combined()
+    }
+
+    /// Whether a measurement may be of it, by size: what is large and what lies inside are two.
+    fn is_alike(&self, seen: &BodyMeasurement) -> bool {
+        if !self.outline.is_large() && !seen.outline.is_some_and(|outline| outline.is_large) {
+            return true;
+        }
+        let (one, other) = (self.circle().mean[4], seen.circle.z[2]);
+        one.min(other) >= LEAST_RATIO * one.max(other)
+    }
+}
+
+impl State for Body {
+    type Measurement = BodyMeasurement;
+
+    fn new(seen: &BodyMeasurement, rules: &Rules) -> Self {
+        Self {
+            circle: Modes::new(new_state(&seen.circle, rules.speed()), rules.motion()),
+            outline: Outline::new(seen.outline.as_ref(), rules),
+        }
     }
 
     fn predict(&mut self, step: &Step) {
-        Self::predict(self, step);
+        self.circle.predict(&step.circles);
+        self.outline.predict(step);
     }
 
-    fn correct(&mut self, seen: &Measurement, _: &Rules) -> Result<(), Error> {
-        Self::correct(self, seen)
+    fn correct(&mut self, seen: &BodyMeasurement, rules: &Rules) -> Result<(), Error> {
+        if !seen.is_face {
+            self.outline.correct(seen.outline.as_ref(), rules)?;
+        }
+        self.circle.correct(&seen.circle)
     }
 
     /// At most one measurement per body: the assignment that explains all of them best.
     fn associate<'a>(
         all: impl ExactSizeIterator<Item = &'a Self> + Clone,
-        seen: &[Measurement],
+        seen: &[BodyMeasurement],
         rules: &Rules,
     ) -> Result<Vec<Option<usize>>, Error> {
         let unassigned = -2.0 * libm::log(rules.parameters().birth_density);
@@ -42,7 +86,9 @@ impl State for Modes {
         let mut pairs = Vec::new();
         for (row, body) in all.enumerate() {
             for (column, measurement) in seen.iter().enumerate() {
-                if let Some(cost) = body.cost(measurement, rules.gate())? {
+                if let Some(cost) = body.circle.cost(&measurement.circle, rules.gate())?
+                    && body.is_alike(measurement)
+                {
                     pairs.push(Pair { row, column, cost });
                 }
             }
@@ -60,7 +106,7 @@ impl State for Modes {
     /// It is seen through only if rays pass wherever it may be.
     fn look(&self, from: &Viewpoint, rules: &Rules) -> Visibility {
         let Some(view) = &from.view else { return Visibility::SeenThrough };
-        let state = self.combined();
+        let state = self.circle();
         let ask = |[x, y]: [f64; 2]| {
             let circle = from.pose.level([state.mean[0] + x, state.mean[1] + y], state.mean[4]);
             view.of(&circle, rules.looking())
@@ -77,7 +123,7 @@ impl State for Modes {
 
     /// An eigenvalue of a block of the covariance is above its limit, or no radius is left.
     fn is_vague(&self, rules: &Rules) -> bool {
-        let (state, limits) = (self.combined(), &rules.parameters().limits);
+        let (state, limits) = (self.circle(), &rules.parameters().limits);
         let P = &state.covariance;
         exceeds(&P.fixed_view::<2, 2>(0, 0).into_owned(), limits.position * limits.position)
             || exceeds(&P.fixed_view::<2, 2>(2, 2).into_owned(), limits.velocity * limits.velocity)
@@ -85,10 +131,14 @@ impl State for Modes {
             || P[(4, 4)] > limits.radius * limits.radius
     }
 
-    /// The centre of one lies inside the other, or there is little between them.
+    /// The centre of one lies inside the other, or there is little between them; large ones have
+    /// corners, between which there may be others.
     fn is_twin(&self, other: &Self, rules: &Rules) -> bool {
         let gap = rules.parameters().merge_gap;
-        let (one, two) = (self.combined().mean, other.combined().mean);
+        if self.outline.is_large() || other.outline.is_large() {
+            return false;
+        }
+        let (one, two) = (self.circle().mean, other.circle().mean);
         let [x, y] = [one[0] - two[0], one[1] - two[1]];
         let touching = if gap > 0.0 { one[4] + two[4] + gap } else { 0.0 };
         let reach = one[4].max(two[4]).max(touching);

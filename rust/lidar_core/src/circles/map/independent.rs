@@ -1,14 +1,16 @@
 //! The map with a filter per element: one scan after the other.
 
+use super::body::Body;
 use super::element::{Element, State};
 use super::line::Line;
-use super::modes::{Modes, Motion};
+use super::modes::Motion;
 use super::parameters::{Independent, LineRules, Looking, MAX_ELEMENTS};
 use super::scan::{Placed, Seen, Viewpoint, too_many};
 use super::{MapElement, MapShape, seconds};
 use crate::Error;
 use crate::circles::shape::ShapeKind;
 use crate::estimation::chi2;
+use crate::estimation::kalman::Gaussian;
 
 /// How elements are treated.
 pub(super) struct Rules {
@@ -16,6 +18,7 @@ pub(super) struct Rules {
     motion: Motion,
     gate: f64,
     line_gate: f64,
+    outline_gate: f64,
     speed: f64,
 }
 
@@ -23,7 +26,7 @@ pub(super) struct Rules {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Elements {
     stamp_ns: Option<i64>,
-    bodies: Vec<Element<Modes>>,
+    bodies: Vec<Element<Body>>,
     lines: Vec<Element<Line>>,
 }
 
@@ -64,10 +67,11 @@ impl Rules {
         probability: f64,
         speed: f64,
     ) -> Result<Self, Error> {
-        let motion =
-            Motion::new(&parameters.modes, parameters.radius_density, parameters.lines.density);
-        let [gate, line_gate] = [3, 2].map(|freedom| chi2::quantile(probability, freedom));
-        Ok(Self { parameters, motion, gate: gate?, line_gate: line_gate?, speed })
+        let Independent { radius_density, turn_density, lines, .. } = parameters;
+        let motion = Motion::new(&parameters.modes, [radius_density, turn_density, lines.density]);
+        let gate = |freedom| chi2::quantile(probability, freedom);
+        let (gate, line_gate, outline_gate) = (gate(3)?, gate(2)?, gate(5)?);
+        Ok(Self { parameters, motion, gate, line_gate, outline_gate, speed })
     }
 
     pub(super) fn parameters(&self) -> &Independent {
@@ -96,6 +100,11 @@ impl Rules {
         self.line_gate
     }
 
+    /// Of ellipses and rectangles: 5 degrees of freedom.
+    pub(super) fn outline_gate(&self) -> f64 {
+        self.outline_gate
+    }
+
     /// Standard deviation of the velocity of a new body [m/s].
     pub(super) fn speed(&self) -> f64 {
         self.speed
@@ -112,7 +121,7 @@ impl Rules {
         scan: &mut Placed,
         next_id: &mut i64,
     ) -> Result<Vec<[i64; 2]>, Error> {
-        let Placed { from, circles, lines } = scan;
+        let Placed { from, bodies, lines } = scan;
         let dt = elements.stamp_ns.map_or(0.0, |stamp_ns| seconds(stamp_ns, from.stamp_ns));
         elements.stamp_ns = Some(from.stamp_ns);
         let mut taken: Vec<i64> = elements.numbers().map(|(id, _)| id).collect();
@@ -124,7 +133,7 @@ impl Rules {
             taken.push(id);
             id
         };
-        self.take_in(&mut elements.bodies, circles, (from, dt), &mut fresh)?;
+        self.take_in(&mut elements.bodies, bodies, (from, dt), &mut fresh)?;
         self.take_in(&mut elements.lines, lines, (from, dt), &mut fresh)?;
         if elements.len() > MAX_ELEMENTS {
             return Err(too_many(elements.len()));
@@ -206,15 +215,15 @@ impl Rules {
         merged
     }
 
-    /// Every body, predicted to `stamp_ns`.
+    /// Every body that is not large, predicted to `stamp_ns`.
     pub(super) fn at(&self, elements: &Elements, stamp_ns: i64) -> Vec<MapElement> {
         let step = self.motion.step(seconds(elements.stamp_ns.unwrap_or(stamp_ns), stamp_ns));
-        let predicted = |body: &Element<Modes>| {
-            let mut modes = body.state.clone();
-            modes.predict(&step);
+        let predicted = |body: &Element<Body>| {
+            let mut state = body.state.clone();
+            state.predict(&step);
             MapElement {
                 id: body.id,
-                state: modes.combined(),
+                state: state.circle(),
                 age: seconds(body.born_ns, stamp_ns),
                 seen_ns: body.seen_ns,
                 n_measurements: body.n_measurements,
@@ -222,27 +231,32 @@ impl Rules {
                 confirmed: body.confirmed,
             }
         };
-        elements.bodies.iter().map(predicted).collect()
+        elements
+            .bodies
+            .iter()
+            .filter(|body| !body.state.outline.is_large())
+            .map(predicted)
+            .collect()
     }
 
     /// Everything that is no circle, predicted to `stamp_ns`.
     pub(super) fn shapes_at(&self, elements: &Elements, stamp_ns: i64) -> Vec<MapShape> {
         let step = self.motion.step(seconds(elements.stamp_ns.unwrap_or(stamp_ns), stamp_ns));
-        let predicted = |line: &Element<Line>| {
+        let bodies = elements.bodies.iter().filter_map(|body| {
+            let mut outline = body.state.outline.clone();
+            outline.predict(&step);
+            let (kind, state) = outline.reported()?;
+            Some(shape_of(body, stamp_ns, (kind, state, None)))
+        });
+        let lines = elements.lines.iter().map(|line| {
             let mut state = line.state.clone();
             state.predict(&step);
-            MapShape {
-                id: line.id,
-                kind: ShapeKind::Line,
-                state: state.reported(),
-                ends: Some(state.ends()),
-                age: seconds(line.born_ns, stamp_ns),
-                seen_ns: line.seen_ns,
-                visible: line.is_visible(),
-                confirmed: line.confirmed,
-            }
-        };
-        elements.lines.iter().map(predicted).collect()
+            let shown = (ShapeKind::Line, state.reported(), Some(state.ends()));
+            shape_of(line, stamp_ns, shown)
+        });
+        let mut shapes: Vec<MapShape> = bodies.chain(lines).collect();
+        shapes.sort_by_key(|shape| shape.id);
+        shapes
     }
 
     /// Whether all points lie on a reported line of at least this length, as ranges of deviation
@@ -259,6 +273,24 @@ impl Rules {
                 && line.state.length() >= length
                 && line.state.holds(points, std, self.lines())
         })
+    }
+}
+
+/// What is reported of an element that is no circle: kind, state, ends.
+fn shape_of<S: State>(
+    element: &Element<S>,
+    stamp_ns: i64,
+    (kind, state, ends): (ShapeKind, Gaussian<7>, Option<[[f64; 2]; 2]>),
+) -> MapShape {
+    MapShape {
+        id: element.id,
+        kind,
+        state,
+        ends,
+        age: seconds(element.born_ns, stamp_ns),
+        seen_ns: element.seen_ns,
+        visible: element.is_visible(),
+        confirmed: element.confirmed,
     }
 }
 

@@ -12,6 +12,7 @@ mod independent;
 mod joint;
 mod line;
 mod modes;
+mod outline;
 mod parameters;
 mod scan;
 mod visibility;
@@ -24,7 +25,7 @@ pub use parameters::{
     CircleMapParameters, Confirmation, Filter, Independent, Joint, Limits, LineRules, Looking,
     MAX_ELEMENTS, MAX_WINDOW, Mode, Patience,
 };
-pub use scan::{CircleScan, PoseCovariance};
+pub use scan::{CircleScan, OutlineEstimate, PoseCovariance};
 pub use visibility::{SortedView, View, Visibility};
 
 use super::shape::ShapeKind;
@@ -57,7 +58,8 @@ pub struct MapElement {
 /// An element that is no circle, predicted to one time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapShape {
-    /// Number, never reused; those of circles are others.
+    /// Number, never reused; an ellipse or rectangle that is not large has it in the map of circles,
+    /// too.
     pub id: i64,
     /// What it is.
     pub kind: ShapeKind,

@@ -23,9 +23,16 @@ const LEAST: f64 = 1e-30;
 const LN_2_PI: f64 = 1.837_877_066_409_345_3;
 
 pub(super) type Matrix5 = SMatrix<f64, 5, 5>;
-pub(super) type Matrix3x5 = SMatrix<f64, 3, 5>;
+type Square<const N: usize> = SMatrix<f64, N, N>;
 /// Entry (i, j): probability of mode j after a time, if it was i before.
 type Switching = SMatrix<f64, MAX_MODES, MAX_MODES>;
+
+/// What a measurement of M numbers says about a state of N: centre x and y, their velocities, then
+/// what wanders.
+pub(super) trait Measures<const N: usize, const M: usize> {
+    /// The measurement against one state.
+    fn against(&self, state: &SVector<f64, N>) -> Linearised<N, M>;
+}
 
 /// A circle in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,50 +45,69 @@ pub(super) struct Measurement {
     pub(super) delay: f64,
 }
 
-impl Measurement {
-    /// Measurement matrix of centre and radius: eqs 16-17 in the world, for a centre that moves on
-    /// between the stamp and the measurement.
-    fn matrix(&self) -> Matrix3x5 {
-        let mut H = Matrix3x5::zeros();
-        H[(0, 0)] = 1.0;
-        H[(1, 1)] = 1.0;
-        H[(0, 2)] = self.delay;
-        H[(1, 3)] = self.delay;
-        H[(2, 4)] = 1.0;
-        H
+impl Measures<5, 3> for Measurement {
+    fn against(&self, state: &SVector<f64, 5>) -> Linearised<5, 3> {
+        let H = centre_matrix(self.delay);
+        Linearised { y: self.z - H * state, H, R: self.R }
     }
+}
+
+/// Measurement matrix of a centre and everything that wanders: eqs 16-17 in the world, for a centre
+/// that moves on for `delay` seconds between the stamp and the measurement.
+pub(super) fn centre_matrix<const N: usize, const M: usize>(delay: f64) -> SMatrix<f64, M, N> {
+    let mut H = SMatrix::<f64, M, N>::zeros();
+    for axis in 0..2 {
+        H[(axis, axis)] = 1.0;
+        H[(axis, axis + 2)] = delay;
+    }
+    for (row, column) in (2..M).zip(4..N) {
+        H[(row, column)] = 1.0;
+    }
+    H
 }
 
 /// State of eqs 18-20: a circle at rest, of unknown velocity.
 pub(super) fn new_state(measurement: &Measurement, speed: f64) -> Gaussian<5> {
-    let H = Measurement { delay: 0.0, ..*measurement }.matrix();
-    let mut covariance = H.transpose() * measurement.R * H;
+    at_rest(measurement.z, measurement.R, measurement.delay, speed)
+}
+
+/// Something measured for the first time: at rest, of unknown velocity.
+pub(super) fn at_rest<const N: usize, const M: usize>(
+    z: SVector<f64, M>,
+    R: Square<M>,
+    delay: f64,
+    speed: f64,
+) -> Gaussian<N> {
+    let H = centre_matrix::<N, M>(0.0);
+    let mut covariance = H.transpose() * R * H;
     covariance[(2, 2)] = speed * speed;
     covariance[(3, 3)] = speed * speed;
-    let back = transition(-measurement.delay); // to the stamp
+    let back = transition(-delay); // to the stamp
     let covariance = symmetrised(back * covariance * back.transpose());
-    Gaussian { mean: H.transpose() * measurement.z, covariance }
+    Gaussian { mean: H.transpose() * z, covariance }
 }
 
 /// Eqs 13 and 15.
-pub(super) fn transition(dt: f64) -> Matrix5 {
-    let mut F = Matrix5::identity();
+pub(super) fn transition<const N: usize>(dt: f64) -> Square<N> {
+    let mut F = Square::<N>::identity();
     F[(0, 2)] = dt;
     F[(1, 3)] = dt;
     F
 }
 
-/// Noise of white acceleration and of a radius that wanders, over `dt` >= 0 seconds: two short
-/// steps equal one long one.
-fn process_covariance(dt: f64, density: f64, radius_density: f64) -> Matrix5 {
-    let mut Q = Matrix5::zeros();
+/// Noise of white acceleration, and of what wanders, over `dt` >= 0 seconds: two short steps equal
+/// one long one.
+fn process_covariance<const N: usize>(dt: f64, density: f64, wander: &[f64]) -> Square<N> {
+    let mut Q = Square::<N>::zeros();
     for axis in 0..2 {
         Q[(axis, axis)] = density * dt * dt * dt / 3.0;
         Q[(axis, axis + 2)] = density * dt * dt / 2.0;
         Q[(axis + 2, axis)] = Q[(axis, axis + 2)];
         Q[(axis + 2, axis + 2)] = density * dt;
     }
-    Q[(4, 4)] = radius_density * dt;
+    for (row, density) in (4..N).zip(wander) {
+        Q[(row, row)] = density * dt;
+    }
     Q
 }
 
@@ -90,17 +116,26 @@ fn process_covariance(dt: f64, density: f64, radius_density: f64) -> Matrix5 {
 pub(super) struct Motion {
     modes: Vec<Mode>,
     radius_density: f64,
+    turn_density: f64,
     line_density: f64,
     /// Rates of the chain [1/s].
     rates: Switching,
 }
 
+/// Prediction of states of one size.
+pub(super) struct Move<const N: usize> {
+    count: usize,
+    F: Square<N>,
+    Q: Vec<Square<N>>,
+    switching: Switching,
+}
+
 /// One prediction over a given time, the same for all elements.
 pub(super) struct Step {
-    count: usize,
-    F: Matrix5,
-    Q: Vec<Matrix5>,
-    switching: Switching,
+    /// Of circles: centre, velocity, radius.
+    pub(super) circles: Move<5>,
+    /// Of other outlines: centre, velocity, heading, half lengths.
+    pub(super) outlines: Move<7>,
     line_variance: f64,
 }
 
@@ -112,7 +147,8 @@ impl Step {
 }
 
 impl Motion {
-    pub(super) fn new(modes: &[Mode], radius_density: f64, line_density: f64) -> Self {
+    /// Densities are those of radii and half lengths, of headings, and of lines.
+    pub(super) fn new(modes: &[Mode], [radius, turn, line]: [f64; 3]) -> Self {
         let total: f64 = modes.iter().map(|mode| mode.weight).sum();
         let modes: Vec<Mode> =
             modes.iter().map(|mode| Mode { weight: mode.weight / total, ..*mode }).collect();
@@ -124,24 +160,32 @@ impl Motion {
                 rates[(from, from)] -= rates[(from, to)];
             }
         }
-        Self { modes, radius_density, line_density, rates }
+        Self { modes, radius_density: radius, turn_density: turn, line_density: line, rates }
     }
 
     /// The step over `dt` seconds.
     pub(super) fn step(&self, dt: f64) -> Step {
+        let size = self.radius_density;
+        Step {
+            circles: self.movement(dt, &[size]),
+            outlines: self.movement(dt, &[self.turn_density, size, size]),
+            line_variance: self.line_density * dt.abs(),
+        }
+    }
+
+    fn movement<const N: usize>(&self, dt: f64, wander: &[f64]) -> Move<N> {
         let count = (dt.abs() / MAX_STEP).ceil().clamp(1.0, MAX_STEPS);
         let part = dt / count;
-        let back = transition(part.min(0.0)); // noise that is looked back on comes before the move
+        let back: Square<N> = transition(part.min(0.0)); // noise that is looked back on comes before the move
         let Q = self.modes.iter().map(|mode| {
-            let Q = process_covariance(part.abs(), mode.density, self.radius_density);
+            let Q = process_covariance(part.abs(), mode.density, wander);
             symmetrised(back * Q * back.transpose())
         });
-        Step {
+        Move {
             count: count as usize,
             F: transition(part),
             Q: Q.collect(),
             switching: exponential(&self.rates, part.abs()),
-            line_variance: self.line_density * dt.abs(),
         }
     }
 }
@@ -174,22 +218,22 @@ fn exponential(rates: &Switching, time: f64) -> Switching {
 
 /// Where an element is, in every mode.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Modes {
-    states: Vec<Gaussian<5>>,
+pub(super) struct Modes<const N: usize> {
+    states: Vec<Gaussian<N>>,
     probabilities: [f64; MAX_MODES],
 }
 
-impl Modes {
-    pub(super) fn new(measurement: &Measurement, speed: f64, motion: &Motion) -> Self {
+impl<const N: usize> Modes<N> {
+    pub(super) fn new(state: Gaussian<N>, motion: &Motion) -> Self {
         let mut probabilities = [0.0; MAX_MODES];
         for (probability, mode) in probabilities.iter_mut().zip(&motion.modes) {
             *probability = mode.weight;
         }
-        Self { states: vec![new_state(measurement, speed); motion.modes.len()], probabilities }
+        Self { states: vec![state; motion.modes.len()], probabilities }
     }
 
     /// Move by `step`.
-    pub(super) fn predict(&mut self, step: &Step) {
+    pub(super) fn predict(&mut self, step: &Move<N>) {
         for _ in 0..step.count {
             self.mix(&step.switching);
             for (state, Q) in self.states.iter_mut().zip(&step.Q) {
@@ -216,48 +260,51 @@ impl Modes {
     }
 
     /// One state for all modes.
-    pub(super) fn combined(&self) -> Gaussian<5> {
+    pub(super) fn combined(&self) -> Gaussian<N> {
         mixture(&self.states, &self.probabilities)
     }
 
-    /// -2 ln of the likelihood of `measurement`, with one mode d^2 + ln det S + 3 ln(2 pi); None
-    /// if it is outside the gate of every mode.
+    /// -2 ln of the likelihood of `seen`, with one mode d^2 + ln det S + M ln(2 pi); None if it is
+    /// outside the gate of every mode.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`].
-    pub(super) fn cost(&self, measurement: &Measurement, gate: f64) -> Result<Option<f64>, Error> {
-        let H = measurement.matrix();
+    pub(super) fn cost<const M: usize>(
+        &self,
+        seen: &impl Measures<N, M>,
+        gate: f64,
+    ) -> Result<Option<f64>, Error> {
         let mut best = f64::INFINITY;
         let mut costs = [f64::INFINITY; MAX_MODES];
         for (index, state) in self.states.iter().enumerate() {
-            let y = measurement.z - H * state.mean;
-            let S = symmetrised(H * state.covariance * H.transpose() + measurement.R);
+            let Linearised { y, H, R } = seen.against(&state.mean);
+            let S = symmetrised(H * state.covariance * H.transpose() + R);
             if y.dot(&y) > gate * S.trace() {
                 continue; // no eigenvalue of S is larger than its trace
             }
             let distance = mahalanobis(&y, &S)?;
             best = best.min(distance.squared);
-            costs[index] = distance.squared + distance.log_determinant + 3.0 * LN_2_PI
+            costs[index] = distance.squared + distance.log_determinant + M as f64 * LN_2_PI
                 - 2.0 * libm::log(self.probabilities[index]);
         }
         Ok((best <= gate).then(|| -2.0 * log_sum(&costs)))
     }
 
-    /// Correct with `measurement`.
+    /// Correct with a measurement.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`]; the state is unchanged then.
-    pub(super) fn correct(&mut self, measurement: &Measurement) -> Result<(), Error> {
-        let H = measurement.matrix();
+    pub(super) fn correct<const M: usize>(
+        &mut self,
+        seen: &impl Measures<N, M>,
+    ) -> Result<(), Error> {
         let mut costs = [f64::INFINITY; MAX_MODES];
         let mut states = Vec::with_capacity(self.states.len());
         for (index, state) in self.states.iter().enumerate() {
-            let y = measurement.z - H * state.mean;
-            let S = symmetrised(H * state.covariance * H.transpose() + measurement.R);
-            let distance = mahalanobis(&y, &S)?;
-            costs[index] = distance.squared + distance.log_determinant
+            let corrected = update(state, &seen.against(&state.mean))?;
+            costs[index] = corrected.nis + corrected.log_determinant
                 - 2.0 * libm::log(self.probabilities[index]);
-            states.push(update(state, &Linearised { y, H, R: measurement.R })?.posterior);
+            states.push(corrected.posterior);
         }
         let total = log_sum(&costs);
         for (probability, cost) in self.probabilities.iter_mut().zip(costs).take(states.len()) {
@@ -276,15 +323,15 @@ fn log_sum(costs: &[f64; MAX_MODES]) -> f64 {
 }
 
 /// Mean and covariance of a mixture; the weights sum to one.
-fn mixture(states: &[Gaussian<5>], weights: &[f64; MAX_MODES]) -> Gaussian<5> {
+fn mixture<const N: usize>(states: &[Gaussian<N>], weights: &[f64; MAX_MODES]) -> Gaussian<N> {
     if let [state] = states {
         return state.clone();
     }
-    let mut mean = SVector::<f64, 5>::zeros();
+    let mut mean = SVector::<f64, N>::zeros();
     for (state, &weight) in states.iter().zip(weights) {
         mean += state.mean * weight;
     }
-    let mut covariance = Matrix5::zeros();
+    let mut covariance = Square::<N>::zeros();
     for (state, &weight) in states.iter().zip(weights) {
         let apart = state.mean - mean;
         covariance += (state.covariance + apart * apart.transpose()) * weight;
@@ -298,7 +345,10 @@ mod tests {
 
     fn motion() -> Motion {
         let mode = |density, weight, duration| Mode { density, weight, duration };
-        Motion::new(&[mode(0.01, 0.5, 2.0), mode(1.0, 0.45, 1.0), mode(50.0, 0.05, 0.1)], 1e-6, 0.0)
+        Motion::new(
+            &[mode(0.01, 0.5, 2.0), mode(1.0, 0.45, 1.0), mode(50.0, 0.05, 0.1)],
+            [1e-6, 0.0, 0.0],
+        )
     }
 
     fn measurement(x: f64) -> Measurement {
@@ -321,21 +371,21 @@ mod tests {
 
     #[test]
     fn noise_does_not_depend_on_how_a_step_is_split() {
-        let (short, long) = (process_covariance(0.3, 2.0, 0.1), process_covariance(0.6, 2.0, 0.1));
-        let F = transition(0.3);
+        let [short, long] = [0.3, 0.6].map(|dt| process_covariance::<5>(dt, 2.0, &[0.1]));
+        let F = transition::<5>(0.3);
         assert!((F * short * F.transpose() + short - long).abs().max() < 1e-15);
     }
 
     #[test]
     fn the_mixture_keeps_its_mean_when_nothing_is_measured() -> Result<(), Error> {
         let motion = motion();
-        let mut modes = Modes::new(&measurement(0.0), 1.5, &motion);
+        let mut modes = Modes::new(new_state(&measurement(0.0), 1.5), &motion);
         for step in 1..5 {
-            modes.predict(&motion.step(0.05));
+            modes.predict(&motion.step(0.05).circles);
             modes.correct(&measurement(0.05 * f64::from(step)))?;
         }
         let before = modes.combined();
-        modes.predict(&motion.step(0.4));
+        modes.predict(&motion.step(0.4).circles);
         let after = modes.combined();
         assert!((after.mean - transition(0.4) * before.mean).abs().max() < 1e-12);
         assert!((modes.probabilities.iter().sum::<f64>() - 1.0).abs() < 1e-12);
@@ -346,12 +396,12 @@ mod tests {
     #[test]
     fn a_jump_is_within_the_gate_and_followed() -> Result<(), Error> {
         let motion = motion();
-        let mut modes = Modes::new(&measurement(0.0), 1.5, &motion);
+        let mut modes = Modes::new(new_state(&measurement(0.0), 1.5), &motion);
         for _ in 0..40 {
-            modes.predict(&motion.step(0.05));
+            modes.predict(&motion.step(0.05).circles);
             modes.correct(&measurement(0.0))?;
         }
-        modes.predict(&motion.step(0.05));
+        modes.predict(&motion.step(0.05).circles);
         assert!(modes.cost(&measurement(0.1), 11.3)?.is_some());
         assert!(modes.cost(&measurement(5.0), 11.3)?.is_none());
         modes.correct(&measurement(0.1))?;
@@ -361,8 +411,8 @@ mod tests {
 
     #[test]
     fn one_mode_costs_what_the_textbook_says() -> Result<(), Error> {
-        let motion = Motion::new(&[Mode { density: 1.0, weight: 3.0, duration: 1.0 }], 0.0, 0.0);
-        let modes = Modes::new(&measurement(0.0), 1.0, &motion);
+        let motion = Motion::new(&[Mode { density: 1.0, weight: 3.0, duration: 1.0 }], [0.0; 3]);
+        let modes = Modes::new(new_state(&measurement(0.0), 1.0), &motion);
         let got = modes.cost(&measurement(0.01), 11.3)?;
         let expected = 0.5 + 3.0 * libm::log(2e-4) + 3.0 * LN_2_PI;
         assert!(got.is_some_and(|cost| (cost - expected).abs() < 1e-9));

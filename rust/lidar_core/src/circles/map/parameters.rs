@@ -88,6 +88,8 @@ pub struct Independent {
     pub modes: Vec<Mode>,
     /// Density of the radius' random walk [m^2/s].
     pub radius_density: f64,
+    /// Density of the random walk of the headings of ellipses and rectangles [rad^2/s].
+    pub turn_density: f64,
     /// Density of circles that belong to no element [1/m^3]: per area and per radius.
     pub birth_density: f64,
     /// Elements with a smaller gap between their surfaces are one [m].
@@ -163,6 +165,7 @@ impl Independent {
             within("mode_time", mode.duration, 1e-3..=1e6, "0.001 to 1e6")?;
         }
         within("radius_noise", self.radius_density, 0.0..=1e3, "0 to 1000")?;
+        within("turn_noise", self.turn_density, 0.0..=1e3, "0 to 1000")?;
         require_positive("birth_density", self.birth_density)?;
         not_negative("merge_gap", self.merge_gap)?;
         let Confirmation { hits, window } = self.confirmation;

@@ -2,16 +2,18 @@
 
 #![allow(non_snake_case)] // textbook letters
 
+use super::body::BodyMeasurement;
 use super::line::LineMeasurement;
 use super::modes::Measurement;
+use super::outline::OutlineMeasurement;
 use super::parameters::MAX_ELEMENTS;
 use super::visibility::{SortedView, View};
 use crate::Error;
 use crate::circles::circle::{Circle, CircleEstimate};
 use crate::circles::polar::turn;
-use crate::circles::shape::ShapeEstimate;
+use crate::circles::shape::{ShapeEstimate, ShapeKind};
 use crate::geometry::transform::Transform;
-use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 /// Below this share of its normal that points up, a scan has no heights: it is nearly upright.
 const UPRIGHT: f64 = 0.05;
@@ -42,10 +44,22 @@ pub struct CircleScan<'a> {
     /// When each was measured, after the stamp, -10 to 10 [s]; None: all at the stamp. The filter of the
     /// paper takes them all at the stamp.
     pub delays: Option<&'a [f64]>,
+    /// Outlines of those of `estimates` that only stand for something; empty: of none. The filter of
+    /// the paper does not heed them.
+    pub outlines: &'a [Option<OutlineEstimate>],
     /// Lines found. The filter of the paper knows none.
     pub lines: &'a [ShapeEstimate],
     /// The scan itself; None: all elements should have been measured.
     pub view: Option<View<'a>>,
+}
+
+/// What a circle stands for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OutlineEstimate {
+    /// An ellipse, a rectangle, or a line: one face of something unknown.
+    pub shape: ShapeEstimate,
+    /// It is larger than what is reported as a circle.
+    pub is_large: bool,
 }
 
 /// Pose of the level frame in the world.
@@ -90,7 +104,7 @@ impl<M> Seen<M> {
 #[derive(Clone, Debug)]
 pub(super) struct Placed {
     pub(super) from: Viewpoint,
-    pub(super) circles: Seen<Measurement>,
+    pub(super) bodies: Seen<BodyMeasurement>,
     pub(super) lines: Seen<LineMeasurement>,
 }
 
@@ -110,9 +124,15 @@ impl Placed {
                 let mut block = measurement.R.fixed_view_mut::<2, 2>(0, 0);
                 block += (common + common.transpose()) * 0.5;
             }
-            measurement
+            let outline = scan.outlines.get(index).copied().flatten();
+            let placed = outline.and_then(|outline| {
+                let placed = pose.place_outline(&outline, scan.world_from_lidar, R_pose)?;
+                Some(OutlineMeasurement { delay: measurement.delay, ..placed })
+            });
+            let is_face = outline.is_some_and(|outline| outline.shape.kind == ShapeKind::Line);
+            BodyMeasurement { circle: measurement, outline: placed, is_face }
         };
-        let circles = scan.estimates.iter().enumerate().map(place).collect();
+        let bodies = scan.estimates.iter().enumerate().map(place).collect();
         let lines =
             scan.lines.iter().map(|line| pose.place_line(line, scan.world_from_lidar, R_pose));
         Ok(Self {
@@ -122,7 +142,7 @@ impl Placed {
                 pose,
                 view: scan.view.map(|view| view.sorted()).transpose()?,
             },
-            circles: Seen::new(circles),
+            bodies: Seen::new(bodies),
             lines: Seen::new(lines.flatten().collect()),
         })
     }
@@ -134,16 +154,16 @@ impl Placed {
 
     /// Elements of everything seen.
     pub(super) fn elements(&self) -> impl Iterator<Item = &Option<i64>> {
-        self.circles.elements.iter().chain(&self.lines.elements)
+        self.bodies.elements.iter().chain(&self.lines.elements)
     }
 
     pub(super) fn elements_mut(&mut self) -> impl Iterator<Item = &mut Option<i64>> {
-        self.circles.elements.iter_mut().chain(&mut self.lines.elements)
+        self.bodies.elements.iter_mut().chain(&mut self.lines.elements)
     }
 
     /// Element of every circle, and of every line that has one.
     pub(super) fn found(&self) -> Found {
-        let circles = self.circles.elements.iter().flatten().copied().collect();
+        let circles = self.bodies.elements.iter().flatten().copied().collect();
         Found { circles, lines: self.lines.elements.clone() }
     }
 }
@@ -226,6 +246,39 @@ impl LevelPose {
         })
     }
 
+    /// An ellipse or rectangle of the level frame in the world; None for another shape.
+    fn place_outline(
+        &self,
+        outline: &OutlineEstimate,
+        pose: &Transform,
+        R_pose: Option<SMatrix<f64, 6, 6>>,
+    ) -> Option<OutlineMeasurement> {
+        let OutlineEstimate { shape, is_large } = *outline;
+        let scale = shape.kind.half_length()?;
+        let [x, y, long, short, heading] = shape.parameters;
+        // From centre, lengths and heading to centre, heading and half lengths.
+        let mut J = SMatrix::<f64, 5, 5>::zeros();
+        J.fixed_view_mut::<2, 2>(0, 0).copy_from(&self.rotation());
+        (J[(2, 4)], J[(3, 2)], J[(4, 3)]) = (1.0, scale, scale);
+        let C = SMatrix::<f64, 5, 5>::from_fn(|row, column| shape.covariance[row][column]);
+        let mut R = J * C * J.transpose();
+        if let Some(R_pose) = R_pose {
+            let mut J = SMatrix::<f64, 5, 6>::zeros();
+            J.fixed_view_mut::<2, 6>(0, 0).copy_from(&self.by_pose([x, y], pose));
+            J[(2, 5)] = 1.0;
+            R += J * R_pose * J.transpose();
+        }
+        let [x, y] = self.world_point([x, y]);
+        let bearing = heading + libm::atan2(self.sin, self.cos);
+        Some(OutlineMeasurement {
+            kind: shape.kind,
+            z: SVector::from([x, y, bearing, scale * long, scale * short]),
+            R: (R + R.transpose()) * 0.5,
+            delay: 0.0,
+            is_large,
+        })
+    }
+
     /// Derivative of a centre in the world by the sensor's pose. A wrong tilt moves what lies
     /// above or below the sensor.
     fn by_pose(&self, [x, y]: [f64; 2], pose: &Transform) -> SMatrix<f64, 2, 6> {
@@ -284,6 +337,7 @@ pub(super) fn check(scan: &CircleScan<'_>) -> Result<LevelPose, Error> {
         }
     }
     check_estimates(scan.estimates)?;
+    check_outlines(scan.outlines, scan.estimates.len())?;
     check_lines(scan.lines)?;
     check_delays(scan.delays, scan.estimates.len())?;
     Ok(LevelPose::of(pose))
@@ -324,6 +378,32 @@ fn check_estimates(estimates: &[CircleEstimate]) -> Result<(), Error> {
         }
     }
     Ok(())
+}
+
+fn check_outlines(outlines: &[Option<OutlineEstimate>], expected: usize) -> Result<(), Error> {
+    let (name, got) = ("outlines", outlines.len());
+    if got != 0 && got != expected {
+        return Err(Error::Length { name, expected, got });
+    }
+    let is_usable = |outline: &OutlineEstimate| {
+        let shape = &outline.shape;
+        let [.., long, short, _] = shape.parameters;
+        let C = SMatrix::<f64, 5, 5>::from_fn(|row, column| shape.covariance[row][column]);
+        let is_known = shape.kind.half_length().is_some()
+            && shape.parameters.iter().all(|value| value.is_finite())
+            && long.min(short) > 0.0
+            && is_covariance(&C, 0.0);
+        is_known || shape.kind == ShapeKind::Line
+    };
+    match outlines.iter().position(|one| one.is_some_and(|one| !is_usable(&one))) {
+        Some(index) => Err(Error::Value {
+            name,
+            expected: "ellipses and rectangles with a size and a positive definite covariance",
+            index,
+            got: format!("{:?}", outlines[index]),
+        }),
+        None => Ok(()),
+    }
 }
 
 fn check_lines(lines: &[ShapeEstimate]) -> Result<(), Error> {

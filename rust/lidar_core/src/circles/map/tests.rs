@@ -12,6 +12,7 @@ fn best() -> Independent {
     Independent {
         modes: vec![mode(0.003, 0.5, 2.0), mode(0.5, 0.48, 2.0), mode(100.0, 0.02, 0.1)],
         radius_density: 1e-6,
+        turn_density: 0.01,
         birth_density: 0.1,
         merge_gap: 0.1,
         confirmation: Confirmation { hits: 3, window: 5 },
@@ -56,6 +57,7 @@ fn scan(step: i64, estimates: &[CircleEstimate]) -> CircleScan<'_> {
         pose_covariance: None,
         estimates,
         delays: None,
+        outlines: &[],
         lines: &[],
         view: None,
     }
@@ -485,5 +487,86 @@ fn a_wrong_yaw_turns_a_line_about_the_sensor() -> Result<(), Error> {
     assert!((known[(4, 4)] - 1.1e-4).abs() < 1e-9); // of the bearing
     assert!((known[(0, 0)] - (1e-5 + 4.0 * 1e-5 + 4.0 * 1e-4)).abs() < 1e-9); // 2 m along it
     assert!(known[(1, 1)].abs() < 1e-12);
+    Ok(())
+}
+
+/// A rectangle of the level frame, and the circle that stands for it.
+fn boxed(at: [f64; 2], sides: [f64; 2], heading: f64) -> (CircleEstimate, OutlineEstimate) {
+    let mut covariance = [[0.0; 5]; 5];
+    for (axis, row) in covariance.iter_mut().enumerate() {
+        row[axis] = 1e-4;
+    }
+    let parameters = [at[0], at[1], sides[0], sides[1], heading];
+    let kind = ShapeKind::Rectangle;
+    let shape = ShapeEstimate { kind, parameters, covariance, misfit: 10.0, n_hits: 20 };
+    let is_large = sides[0] > 1.0;
+    (circle(at[0], at[1], 0.25 * (sides[0] + sides[1])), OutlineEstimate { shape, is_large })
+}
+
+#[test]
+fn a_box_is_a_circle_and_a_rectangle_with_one_number() -> Result<(), Error> {
+    let mut map = map_of(Filter::Independent(best()))?;
+    for step in 0..20 {
+        let x = 3.0 + 0.05 * step as f64; // 1 m/s
+        let turned = if step % 2 == 0 { 0.3 } else { 0.3 - PI };
+        let (body, outline) = boxed([x, 1.0], [0.6, 0.4], turned);
+        let outlines = [Some(outline)];
+        let stats = map.update(&CircleScan { outlines: &outlines, ..scan(step, &[body]) })?;
+        assert_eq!(stats.elements, [0]);
+    }
+    let (round, shapes) = (map.map_at(19 * STEP_NS), map.shapes_at(19 * STEP_NS));
+    assert_eq!((round.len(), shapes.len()), (1, 1));
+    assert_eq!((round[0].id, shapes[0].id, shapes[0].kind), (0, 0, ShapeKind::Rectangle));
+    let [x, y, vx, vy, heading, long, short] = shapes[0].state.mean.data.0[0];
+    let apart = [x - 3.95, y - 1.0, vx - 1.0, vy, heading - 0.3, long - 0.3, short - 0.2];
+    assert!(apart.iter().all(|apart| apart.abs() < 0.02), "{apart:?}");
+    assert!(shapes[0].state.covariance.cholesky().is_some() && shapes[0].ends.is_none());
+    let face = OutlineEstimate { shape: line(0.0, 3.0, [0.9, 1.1]), is_large: false };
+    for step in 20..60 {
+        let x = 3.0 + 0.05 * step as f64;
+        let outlines = [(step < 40).then_some(face)]; // a face tells nothing, a circle does
+        let bodies = [circle(x, 1.0, 0.25)];
+        let stats = map.update(&CircleScan { outlines: &outlines, ..scan(step, &bodies) })?;
+        assert_eq!(stats.elements, [0]);
+        assert_eq!(map.shapes_at(step * STEP_NS).is_empty(), step >= 47, "{step}");
+    }
+    assert!(map.shapes_at(60 * STEP_NS).is_empty() && map.map_at(60 * STEP_NS)[0].id == 0);
+    Ok(())
+}
+
+#[test]
+fn what_is_large_is_no_circle_and_takes_in_nothing_small() -> Result<(), Error> {
+    let mut map = map_of(Filter::Independent(best()))?;
+    for step in 0..10 {
+        let (body, outline) = boxed([5.0, 0.0], [4.0, 1.8], 0.1);
+        let (bodies, outlines) = ([body, circle(5.0, 0.3, 0.2)], [Some(outline), None]);
+        map.update(&CircleScan { outlines: &outlines, ..scan(step, &bodies) })?;
+    }
+    let (round, shapes) = (map.map_at(9 * STEP_NS), map.shapes_at(9 * STEP_NS));
+    assert_eq!((round.len(), shapes.len()), (1, 1));
+    assert!((round[0].state.mean[4] - 0.2).abs() < 0.01 && round[0].id != shapes[0].id);
+    assert!((shapes[0].state.mean[5] - 2.0).abs() < 0.01);
+    Ok(())
+}
+
+#[test]
+fn outlines_that_are_none_are_refused() -> Result<(), Error> {
+    let mut map = map_of(Filter::Independent(best()))?;
+    let (body, good) = boxed([5.0, 0.0], [0.6, 0.4], 0.1);
+    let bodies = [body];
+    let mut round = good;
+    round.shape.kind = ShapeKind::Circle;
+    let mut flat = good;
+    flat.shape.parameters[3] = 0.0;
+    let mut vague = good;
+    vague.shape.covariance[4][4] = f64::NAN;
+    for bad in [round, flat, vague] {
+        let one = CircleScan { outlines: &[Some(bad)], ..scan(0, &bodies) };
+        assert!(matches!(map.update(&one), Err(Error::Value { .. })));
+    }
+    let two = [Some(good), None];
+    let lengths = CircleScan { outlines: &two, ..scan(0, &bodies) };
+    assert!(matches!(map.update(&lengths), Err(Error::Length { .. })));
+    assert!(map.map_at(0).is_empty());
     Ok(())
 }

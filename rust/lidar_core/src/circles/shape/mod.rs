@@ -38,6 +38,18 @@ pub enum ShapeKind {
     Line,
 }
 
+impl ShapeKind {
+    /// What its lengths have to be multiplied with to be half lengths; None for a shape without.
+    #[must_use]
+    pub fn half_length(self) -> Option<f64> {
+        match self {
+            Self::Ellipse => Some(1.0),
+            Self::Rectangle => Some(0.5),
+            Self::Circle | Self::Line => None,
+        }
+    }
+}
+
 /// The shape of one segment, in the frame of the scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShapeEstimate {

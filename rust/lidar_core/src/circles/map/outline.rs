@@ -1,0 +1,215 @@
+//! Outlines of bodies that are no circles: ellipses and rectangles.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::independent::Rules;
+use super::modes::{Measures, Modes, Step, at_rest, centre_matrix};
+use crate::Error;
+use crate::circles::shape::ShapeKind;
+use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised};
+use nalgebra::{SMatrix, SVector};
+use std::f64::consts::{FRAC_PI_2, PI};
+
+/// Kinds of which bodies may be.
+const KINDS: [ShapeKind; 3] = [ShapeKind::Circle, ShapeKind::Ellipse, ShapeKind::Rectangle];
+/// Share of the newest measurement in what a body is taken for.
+const NEWEST: f64 = 0.1;
+/// By how much another kind has to be ahead.
+const AHEAD: f64 = 0.1;
+
+/// An ellipse or rectangle in the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct OutlineMeasurement {
+    pub(super) kind: ShapeKind,
+    /// Centre x and y [m], bearing of the first half length [rad], both half lengths [m].
+    pub(super) z: SVector<f64, 5>,
+    pub(super) R: SMatrix<f64, 5, 5>,
+    /// When it was measured, after the stamp of the scan [s].
+    pub(super) delay: f64,
+    /// Larger than what is reported as a circle.
+    pub(super) is_large: bool,
+}
+
+impl Measures<7, 5> for OutlineMeasurement {
+    fn against(&self, state: &SVector<f64, 7>) -> Linearised<7, 5> {
+        let H = centre_matrix(self.delay);
+        Linearised { y: self.z - H * state, H, R: self.R }
+    }
+}
+
+impl OutlineMeasurement {
+    /// The same outline with the other half length first.
+    fn turned(&self) -> Self {
+        let z = SVector::from([self.z[0], self.z[1], self.z[2] + FRAC_PI_2, self.z[4], self.z[3]]);
+        let mut R = self.R;
+        R.swap_rows(3, 4);
+        R.swap_columns(3, 4);
+        Self { z, R, ..*self }
+    }
+
+    /// The same outline with the heading nearest to `heading`: half a turn changes nothing.
+    fn near(mut self, heading: f64) -> Self {
+        self.z[2] -= PI * libm::round((self.z[2] - heading) / PI);
+        self
+    }
+}
+
+/// What a body looks like.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Outline {
+    state: Option<Modes<7>>,
+    /// Shares of the kinds among what was measured lately.
+    shares: [f64; 3],
+    kind: usize,
+    /// Share of what was large.
+    large: f64,
+}
+
+impl Outline {
+    /// As the first measurement shows it; None: a circle.
+    pub(super) fn new(seen: Option<&OutlineMeasurement>, rules: &Rules) -> Self {
+        let mut outline = Self::default();
+        if let Some(seen) = seen {
+            outline.kind = number(seen.kind);
+            outline.state = Some(started(seen, rules));
+            outline.large = f64::from(u8::from(seen.is_large));
+        }
+        outline.shares[outline.kind] = 1.0;
+        outline
+    }
+
+    pub(super) fn predict(&mut self, step: &Step) {
+        if let Some(state) = &mut self.state {
+            state.predict(&step.outlines);
+        }
+    }
+
+    /// Take in a measurement of the body; None: it was a circle. A measurement outside of the gate
+    /// counts for so much less that it would be inside.
+    ///
+    /// # Errors
+    /// [`Error::NotPositiveDefinite`]; nothing changes then.
+    pub(super) fn correct(
+        &mut self,
+        seen: Option<&OutlineMeasurement>,
+        rules: &Rules,
+    ) -> Result<(), Error> {
+        if let Some(seen) = seen {
+            match &mut self.state {
+                Some(state) => {
+                    let (mut seen, squared) = nearest(&state.combined(), seen)?;
+                    seen.R *= (squared / rules.outline_gate()).max(1.0);
+                    state.correct(&seen)?;
+                }
+                None => self.state = Some(started(seen, rules)),
+            }
+        }
+        let is_large = seen.is_some_and(|seen| seen.is_large);
+        self.vote(seen.map_or(ShapeKind::Circle, |seen| seen.kind), is_large);
+        Ok(())
+    }
+
+    /// Whether it was larger, mostly, than what is reported as a circle.
+    pub(super) fn is_large(&self) -> bool {
+        self.large > 0.5
+    }
+
+    fn vote(&mut self, kind: ShapeKind, is_large: bool) {
+        self.large += NEWEST * (f64::from(u8::from(is_large)) - self.large);
+        self.shares = self.shares.map(|share| share * (1.0 - NEWEST));
+        self.shares[number(kind)] += NEWEST;
+        let ahead = |&other: &usize| self.shares[other] > self.shares[self.kind] + AHEAD;
+        self.kind = (0..KINDS.len()).find(ahead).unwrap_or(self.kind);
+        if self.shares[0] > 1.0 - AHEAD {
+            self.state = None; // a circle after all
+        }
+    }
+
+    /// Kind and state, the longer half length first, if it is no circle.
+    pub(super) fn reported(&self) -> Option<(ShapeKind, Gaussian<7>)> {
+        let Gaussian { mut mean, mut covariance } = self.state.as_ref()?.combined();
+        if mean[6] > mean[5] {
+            mean.swap_rows(5, 6);
+            covariance.swap_rows(5, 6);
+            covariance.swap_columns(5, 6);
+            mean[4] += FRAC_PI_2;
+        }
+        mean[4] -= PI * libm::round(mean[4] / PI);
+        let is_shape = self.kind > 0 && mean[6] > 0.0;
+        is_shape.then(|| (KINDS[self.kind], Gaussian { mean, covariance: symmetrised(covariance) }))
+    }
+}
+
+fn number(kind: ShapeKind) -> usize {
+    KINDS.iter().position(|&one| one == kind).unwrap_or(0)
+}
+
+fn started(seen: &OutlineMeasurement, rules: &Rules) -> Modes<7> {
+    Modes::new(at_rest(seen.z, seen.R, seen.delay, rules.speed()), rules.motion())
+}
+
+/// Of the ways to state an outline, the one nearest to a state, and its squared distance.
+fn nearest(
+    state: &Gaussian<7>,
+    seen: &OutlineMeasurement,
+) -> Result<(OutlineMeasurement, f64), Error> {
+    let mut ways = [*seen, seen.turned()].map(|way| (way.near(state.mean[4]), 0.0));
+    for (way, squared) in &mut ways {
+        let Linearised { y, H, R } = way.against(&state.mean);
+        let S = symmetrised(H * state.covariance * H.transpose() + R);
+        *squared = mahalanobis(&y, &S)?.squared;
+    }
+    let [usual, turned] = ways;
+    Ok(if turned.1 < usual.1 { turned } else { usual })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn seen(heading: f64, half: [f64; 2]) -> OutlineMeasurement {
+        OutlineMeasurement {
+            kind: ShapeKind::Rectangle,
+            z: SVector::from([1.0, 2.0, heading, half[0], half[1]]),
+            R: SMatrix::from_diagonal(&SVector::from([1e-4, 1e-4, 1e-3, 2e-4, 3e-4])),
+            delay: 0.0,
+            is_large: false,
+        }
+    }
+
+    #[test]
+    fn of_all_ways_to_state_an_outline_the_nearest_counts() -> Result<(), Error> {
+        let here = seen(0.1, [0.5, 0.3]);
+        let state = at_rest(here.z, here.R, 0.0, 1.0);
+        let same = [
+            seen(0.1 + PI, [0.5, 0.3]),
+            seen(0.1 - PI, [0.5, 0.3]),
+            seen(0.1 + FRAC_PI_2, [0.3, 0.5]),
+            seen(0.1 - FRAC_PI_2, [0.3, 0.5]),
+        ];
+        for one in same {
+            let (near, squared) = nearest(&state, &one)?;
+            assert!(squared < 1e-20 && (near.z - here.z).abs().max() < 1e-12);
+        }
+        let (near, _) = nearest(&state, &seen(0.1 + FRAC_PI_2, [0.3, 0.5]))?;
+        assert_eq!((near.R[(3, 3)], near.R[(4, 4)]), (3e-4, 2e-4));
+        Ok(())
+    }
+
+    #[test]
+    fn a_kind_changes_when_another_is_seen_more_often() {
+        let mut outline = Outline::default();
+        outline.shares[0] = 1.0;
+        for _ in 0..7 {
+            assert_eq!(outline.kind, 0);
+            outline.vote(ShapeKind::Ellipse, true);
+        }
+        outline.vote(ShapeKind::Ellipse, true);
+        assert_eq!(KINDS[outline.kind], ShapeKind::Ellipse);
+        assert!(outline.is_large());
+        outline.vote(ShapeKind::Circle, false);
+        assert_eq!(KINDS[outline.kind], ShapeKind::Ellipse);
+        outline.vote(ShapeKind::Circle, false);
+        assert!(!outline.is_large());
+    }
+}
