@@ -349,7 +349,7 @@ class Tracker:
         def offset(row, column):
             new, track = fresh[row], self.tracks[column]
             stamp = max(new.stamp, track.stamp)
-            (x, P), (other, reach) = self.at(new, stamp), self.waiting(track, stamp, new.stamp)
+            (x, P), (other, reach) = self.at(new, stamp), self.waiting(track, stamp)
             y = (x - other.x)[:3]
             return (y, (P + other.P)[:3, :3]) if np.linalg.norm(y) <= reach else None
 
@@ -365,18 +365,19 @@ class Tracker:
             fed.append((index, new.sure[0]))
             if track.seen < new.born:
                 stamp = max(new.stamp, track.stamp)
-                wide, _ = self.waiting(track, stamp, new.stamp)
+                wide, _ = self.waiting(track, stamp)
                 track.x, track.P, track.stamp = wide.x, wide.P, stamp
                 self.move(new, stamp)
                 self.correct(track, new.r, new.P[:3, :3], new.extent)
         return fed
 
-    def waiting(self, track, stamp, now):
-        """A track as it waits for detections of `now`, and how far it looks for them."""
+    def waiting(self, track, stamp):
+        """A track as it waits for detections, and how far it looks for them."""
         x, P = self.at(track, stamp)
         waiting = replace(track, x=x, P=P, stamp=stamp)
         acceleration = self.c.rejoin_acceleration
-        if acceleration is None or not track.confirmed or track.seen >= now:
+        is_lost = bool(self.buffer) and track.seen < self.buffer[-1][0]
+        if acceleration is None or not track.confirmed or not is_lost:
             return waiting, self.reach(track)
         dt = (stamp - track.seen) * 1e-9
         strayed = np.kron([dt**2 / 2, dt, 1.0], EYE) * acceleration

@@ -163,15 +163,16 @@ impl Updater {
         Ok(hypotheses)
     }
 
-    /// Give every hypothesis to a track, or make it one.
+    /// Give every hypothesis to a track, or make it one; the newest scan is of `scanned_ns`.
     pub(super) fn join(
         &self,
         tracks: &mut Vec<TrackState>,
         hypotheses: Vec<TrackState>,
+        scanned_ns: Option<i64>,
     ) -> Result<Matches, Error> {
         match self.parameters.association {
             Association::Paper => Ok(self.join_nearest(tracks, hypotheses)),
-            Association::Global { .. } => self.join_one_to_one(tracks, hypotheses),
+            Association::Global { .. } => self.join_one_to_one(tracks, hypotheses, scanned_ns),
         }
     }
 
@@ -200,6 +201,7 @@ impl Updater {
         &self,
         tracks: &mut Vec<TrackState>,
         hypotheses: Vec<TrackState>,
+        scanned_ns: Option<i64>,
     ) -> Result<Matches, Error> {
         let model = &self.parameters.motion;
         // All hypotheses have one time; tracks behind it are brought there.
@@ -207,7 +209,7 @@ impl Updater {
             return Ok(Matches::default());
         };
         let waiting: Vec<(TrackState, f64)> =
-            tracks.iter().map(|track| self.waiting(track, now_ns)).collect();
+            tracks.iter().map(|track| self.waiting(track, now_ns, scanned_ns)).collect();
         let track_of = self.assign(hypotheses.len(), tracks.len(), |row, column| {
             let (hypothesis, (track, reach)) = (&hypotheses[row], &waiting[column]);
             let reached = (track.stamp_ns > now_ns).then(|| hypothesis.at(track.stamp_ns, model));
@@ -221,12 +223,19 @@ impl Updater {
         Ok(self.feed(tracks, &waiting, hypotheses, &track_of))
     }
 
-    /// A track as it waits for detections of `now_ns`, and how far it looks for them [m].
-    fn waiting(&self, track: &TrackState, now_ns: i64) -> (TrackState, f64) {
+    /// A track as it waits for detections of `now_ns`, and how far it looks for them [m]: further
+    /// if it was not found in the newest scan.
+    fn waiting(
+        &self,
+        track: &TrackState,
+        now_ns: i64,
+        scanned_ns: Option<i64>,
+    ) -> (TrackState, f64) {
+        let is_lost = scanned_ns.is_some_and(|scanned_ns| track.seen_ns < scanned_ns);
         let mut waiting = track.clone();
         waiting.predict(track.stamp_ns.max(now_ns), &self.parameters.motion);
         match self.parameters.rejoin_acceleration {
-            Some(acceleration) if track.confirmed && track.seen_ns < now_ns => {
+            Some(acceleration) if track.confirmed && is_lost => {
                 waiting.widen(acceleration, self.parameters.initial_std[0]);
                 (waiting, self.parameters.radius.max)
             }

@@ -179,7 +179,7 @@ impl PointCloudTracker {
         let hypotheses = self.updater.replay(fresh, stamp_ns, &self.buffer, occupied)?;
         let (mut tracks, mut next_id) = (self.tracks.clone(), self.next_id);
         let known = tracks.len();
-        let matches = self.updater.join(&mut tracks, hypotheses)?;
+        let matches = self.updater.join(&mut tracks, hypotheses, self.buffer.newest_ns())?;
         if tracks.len() > MAX_TRACKS {
             return Err(detections::too_many(tracks.len()));
         }
