@@ -5,19 +5,18 @@ definitions to Python code, and a file must not choose code.
 """
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
-from lidar_core.extras import require
 from lidar_core.io.cloud import ROS_TYPES, CloudDecoder, Field, Layout, unpack
 from lidar_core.io.guard import check_size, reading
 from lidar_core.io.laser import LaserDecoder, ros_laser_scan
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import PACKETS, Findings, Kind
+from lidar_core.io.ros_types import VELODYNE_TYPE, ros_store
 from lidar_core.io.rotations import pose_matrix, unit_quaternion
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
@@ -34,13 +33,6 @@ POSE_TYPES = (
     "geometry_msgs/msg/PoseWithCovarianceStamped",
 )
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-VELODYNE_TYPE = "velodyne_msgs/msg/VelodyneScan"
-EXTRA_DEFINITIONS = {
-    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
-    "tf/msg/tfMessage": "geometry_msgs/TransformStamped[] transforms",
-    "velodyne_msgs/msg/VelodynePacket": "time stamp\nuint8[1206] data",
-    VELODYNE_TYPE: "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
-}
 
 
 def kind_of(type_name: str) -> Kind:
@@ -150,18 +142,6 @@ class RosDecoder:
             packets, _frame(message.header.frame_id), place=place
         )
         return [] if scan is None else [scan]
-
-
-@cache
-def ros_store(version: int) -> Any:
-    """Messages that every ROS 1 or ROS 2 distribution knows; building them takes 30 ms."""
-    typesys = require("rosbags.typesys", extra="io", purpose="ROS messages")
-    store = typesys.Stores.ROS1_NOETIC if version == 1 else typesys.Stores.ROS2_HUMBLE
-    types = typesys.get_typestore(store)
-    for name, text in EXTRA_DEFINITIONS.items():
-        if name not in types.fielddefs:
-            types.register(typesys.get_types_from_msg(text, name))
-    return types
 
 
 def _poses(topic: str, type_name: str, message: Any, place: str) -> list[Message]:

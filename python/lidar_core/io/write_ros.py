@@ -13,7 +13,7 @@ from lidar_core.extras import require
 from lidar_core.io.atomic import commit, temporary_for
 from lidar_core.io.cloud import ROS_TYPES
 from lidar_core.io.own_cloud import packed
-from lidar_core.io.ros_messages import ros_store
+from lidar_core.io.ros_types import ros_store
 from lidar_core.io.rotations import quaternion_from_matrix
 from lidar_core.io.topics import LASER_TOPIC, ODOMETRY_TOPIC, POSE_TOPIC, SCAN_TOPIC, STATIC_TOPIC
 from lidar_core.messages import LaserScan, Message, Pose, Scan
