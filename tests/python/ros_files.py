@@ -1,5 +1,6 @@
 """Small ROS recordings for tests, written with rosbags."""
 
+import struct
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -98,3 +99,15 @@ class Ros:
                     connections[topic] = writer.add_connection(topic, name, typestore=self.store)
                 writer.write(connections[topic], time_ns, bytes(serialise(message, name)))
         return path
+
+
+def packets_of(capture: Path) -> list[tuple[int, bytes]]:
+    """Times [ns] and contents of the Velodyne data packets in a little-endian capture."""
+    data, position, found = capture.read_bytes(), 24, []
+    while position + 16 <= len(data):
+        seconds, micros, size, _ = struct.unpack_from("<IIII", data, position)
+        if size == 1248:
+            content = data[position + 16 + 42 : position + 16 + size]
+            found.append((seconds * 10**9 + micros * 1000, content))
+        position += 16 + size
+    return found

@@ -301,3 +301,31 @@ def test_broken_poses_files(tmp_path, text, problem):
 def test_a_missing_poses_file(tmp_path):
     with pytest.raises(FileNotFoundError, match="no such poses file"):
         posed(npz_of(tmp_path), pose="nowhere.txt")
+
+
+def test_poses_are_known_until_the_first_edge_ends():
+    poses = buffer()
+    for stamp in (0, 100, 200):
+        poses.add(Pose(stamp, "world", "base", np.eye(4)))
+    for stamp in (0, 150):
+        poses.add(Pose(stamp, "base", "arm", np.eye(4)))
+    poses.add(Pose(0, "arm", "lidar", np.eye(4), is_static=True))
+    assert poses.known_until("world", "lidar") == 150
+    assert poses.known_until("arm", "lidar") is None
+    with pytest.raises(lc.io.NoTransformError):
+        poses.known_until("world", "elsewhere")
+
+
+def test_forgotten_poses_are_gone_and_the_last_one_stays():
+    poses = buffer(max_extrapolation=0)
+    for stamp in (300, 100, 200):
+        poses.add(Pose(stamp, "world", "lidar", np.eye(4)))
+    poses.lookup("world", "lidar", [100])
+    poses.forget(150)
+    poses.lookup("world", "lidar", [200, 300])
+    with pytest.raises(lc.io.NoTransformError):
+        poses.lookup("world", "lidar", [100])
+    poses.forget(10**9)
+    poses.lookup("world", "lidar", [300])
+    with pytest.raises(lc.io.NoTransformError):
+        poses.lookup("world", "lidar", [299])

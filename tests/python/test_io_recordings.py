@@ -5,11 +5,15 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from ros_files import packets_of
 from typer.testing import CliRunner
 
 import lidar_core as lc
 import lidar_core.io
 from lidar_core.errors import FormatError, MissingExtraError
+from lidar_core.io import ReadOptions
+from lidar_core.io.recording import Findings
+from lidar_core.io.velodyne import PacketStream
 from lidar_core.messages import Pose, Scan
 
 VELODYNE = {
@@ -160,3 +164,21 @@ def test_info_command_prints_a_table(recordings):
     assert result.exit_code == 0, result.output
     assert "rays without return of lidar: zero" in result.stdout
     assert "no poses: use --pose FILE" in result.stdout
+
+
+def test_velodyne_packets_that_arrive_one_by_one_give_the_same_scans(recordings):
+    path = recordings / "3d/velodyne_mrpt/sample_velodyne_vlp16_gps.pcap"
+    stream = PacketStream("velodyne", "lidar", ReadOptions(), Findings())
+    scans = []
+    for stamp_ns, packet in packets_of(path):
+        scan = stream.scan(stamp_ns, packet, place="packet")
+        scans += [] if scan is None else [scan]
+    with lc.io.open_recording(path) as recording:
+        whole = list(recording)
+    assert len(scans) == len(whole) - 1  # the last revolution is not complete
+    for live, read in zip(scans, whole, strict=False):
+        np.testing.assert_array_equal(live.points, read.points)
+        assert live.frame_id == "lidar"
+        assert abs(live.stamp_ns - read.stamp_ns) < 1000
+    with pytest.raises(FormatError, match=r"packet: 3 bytes, a Velodyne data packet has 1206"):
+        stream.scan(0, b"abc", place="packet")

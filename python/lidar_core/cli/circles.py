@@ -30,12 +30,11 @@ from lidar_core.cli.run_options import (
     RecordingPath,
 )
 from lidar_core.cli.settings import run_config
-from lidar_core.errors import ConfigError, FormatError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from lidar_core.circles import CirclesConfig, Scanner
+    from lidar_core.circles import CirclesConfig
     from lidar_core.io import ReadOptions
     from lidar_core.messages import LaserScan
 
@@ -112,10 +111,10 @@ def _with_scanners(
 
     Their ranges are limited to those of `config.scanner`.
     """
-    from lidar_core.cli.circles_run import layout_name
     from lidar_core.io import open_recording, posed_laser_scans
+    from lidar_core.scan_processing import check_no_rays, layout_name, scanner_of, sensor_name
 
-    _check_unused(config)
+    check_no_rays(config)
     found = dict(config.scanners)
     for topic in topics or (None,):
         with open_recording(recording, read) as opened:
@@ -124,8 +123,8 @@ def _with_scanners(
                 continue
             layouts = _layouts(item.scan for item in scans)
         for number, scan in enumerate(layouts):
-            name = scan.topic or scan.frame_id
-            scanner = _scanner(scan, config, f"{recording}: {name}")
+            name = sensor_name(scan)
+            scanner = scanner_of(scan, config, f"{recording}: {name}")
             found.setdefault(layout_name(name, len(scan.ranges)) if number else name, scanner)
     return type(config).load(config.model_dump() | {"scanners": found})
 
@@ -139,33 +138,6 @@ def _layouts(scans: Iterable["LaserScan"]) -> list["LaserScan"]:
         counts[len(scan.ranges)] += 1
     usual = [rays for rays, count in counts.most_common() if count >= SHARE * counts.total()]
     return [first[rays] for rays in usual]
-
-
-def _scanner(scan: "LaserScan", config: "CirclesConfig", place: str) -> "Scanner":
-    from lidar_core.circles import Scanner
-
-    limits = config.scanner
-    try:
-        return Scanner(
-            angle_min=scan.angle_min,
-            angle_increment=scan.angle_increment,
-            n_beams=len(scan.ranges),
-            range_min=max(scan.range_min, limits.range_min),
-            range_max=min(scan.range_max, limits.range_max),
-        )
-    except ConfigError as error:
-        raise FormatError(f"{place}: scans that cannot be used: {error}") from error
-
-
-def _check_unused(config: "CirclesConfig") -> None:
-    """Refuse rays that the recording would override."""
-    usual = type(config.scanner)()
-    for name in ("n_beams", "angle_min", "angle_increment"):
-        if getattr(config.scanner, name) != getattr(usual, name) and not config.scanners:
-            raise ConfigError(
-                f"scanner.{name}: expected no value, since the recording states it; to have"
-                f' another, name the scanner: --set scanners."TOPIC".{name}=...'
-            )
 
 
 def _table(summary: Mapping[str, Any], name: str) -> "Table":

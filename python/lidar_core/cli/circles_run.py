@@ -1,6 +1,5 @@
 """A run of the circle pipeline: what it gave, scan by scan, and the files about it."""
 
-from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from time import perf_counter
@@ -14,7 +13,6 @@ from lidar_core.circles import (
     CircleElements,
     CircleFrame,
     CirclePipeline,
-    Scanner,
     ShapeElements,
 )
 from lidar_core.cli.common import draw
@@ -27,27 +25,13 @@ from lidar_core.io import (
     write_circles_tum,
     write_shapes_table,
 )
-from lidar_core.messages import LaserScan, Pose
+from lidar_core.messages import LaserScan
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
+from lidar_core.scan_processing import log_circles, map_circles
 from lidar_core.viz import CirclesView, animate_circles, draw_circles
 
 MOST_POINTS = 4_000_000  # kept for the pictures; beyond, points of every other scan are dropped
 FILM_FRAMES, FILM_RATE = 120, 10.0
-
-
-def scanner_name(scan: LaserScan, scanners: Mapping[str, Scanner]) -> str:
-    """Name of a scan's LiDAR among the `scanners` of the pipeline.
-
-    One that delivers scans of several lengths is several LiDARs to the pipeline.
-    """
-    name = scan.topic or scan.frame_id
-    other = layout_name(name, len(scan.ranges))
-    return other if other in scanners else name
-
-
-def layout_name(name: str, rays: int) -> str:
-    """Name of the scans of LiDAR `name` that have another number of rays than most."""
-    return f"{name}, {rays} rays"
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,24 +95,15 @@ class CirclesRun:
 
     def take(self, item: PosedScan[LaserScan]) -> None:
         """Process one scan."""
-        scan, stamps = item.scan, item.pose_stamps_ns
-        rays = np.arange(len(scan.ranges), dtype=np.int64)
         start = perf_counter()
-        frame = self.pipeline.process(
-            scan.ranges,
-            item.world_from_lidar,
-            scan.stamp_ns,
-            ray_time_ns=None if stamps is None else scan.stamp_ns + scan.time_increment_ns * rays,
-            pose_stamps_ns=stamps,
-            scanner=scanner_name(scan, self.pipeline.config.scanners),
-        )
+        frame = map_circles(self.pipeline, item)
         wall_ms = (perf_counter() - start) * 1e3
         if frame.rejected is not None:
             return
         self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms)
         self._keep(frame, item.world_from_lidar.reshape(-1, 4, 4)[0])
         if self._mcap is not None:
-            self._write_mcap(self._mcap, item, frame)
+            log_circles(self._mcap, item, frame, frame_id=self.frame_id)
 
     def mcap(self, folder: RunFolder) -> AbstractContextManager[Any]:
         """Open run.mcap for what `take` gives from here on."""
@@ -230,17 +205,6 @@ class CirclesRun:
                 for column in range(row, 3)
             },
         }
-
-    def _write_mcap(
-        self, writer: McapWriter, item: PosedScan[LaserScan], frame: CircleFrame
-    ) -> None:
-        scan = item.scan
-        if scan.frame_id != self.frame_id:
-            pose = item.world_from_lidar.reshape(-1, 4, 4)[0]
-            writer.write(Pose(scan.stamp_ns, self.frame_id, scan.frame_id, pose))
-        writer.write(scan)
-        writer.write_circles(frame.map)
-        writer.write_shapes(frame.map_shapes)
 
 
 def _points_world(frame: CircleFrame, pose: NDArray[np.float64]) -> NDArray[np.float64]:

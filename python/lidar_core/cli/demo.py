@@ -47,6 +47,7 @@ def command(
     from lidar_core.cli.flying_run import FlyingRun
     from lidar_core.evaluation import EvaluationConfig
     from lidar_core.flying import FlyingConfig, FlyingObjectDetector
+    from lidar_core.io import PosedScan
     from lidar_core.run_folder import RunFolder
     from lidar_core.sim import Simulator, scenes
     from lidar_core.viz import draw_flying
@@ -60,7 +61,7 @@ def command(
         task = progress.add_task("simulate and detect", total=scans)
         for made in simulator:
             truth.add(made)
-            run.process(made.scan, made.poses, made.pose_stamps_ns)
+            run.process(PosedScan(made.scan, made.poses, made.pose_stamps_ns))
             progress.advance(task)
     report = _compared(run, truth)
     summary = {"command": "demo", "seed": seed, **report.to_dict(), **run.summary()}

@@ -7,11 +7,12 @@ from rich.console import Console
 
 from lidar_core.cli.common import draw
 from lidar_core.cli.flying_run import FlyingRun
-from lidar_core.cli.run_mcap import RunMcap
+from lidar_core.cli.recording_job import MCAP
 from lidar_core.flying import FlyingObjectDetector
-from lidar_core.io import PosedScan
+from lidar_core.io import McapWriter, PosedScan
 from lidar_core.messages import Scan
 from lidar_core.run_folder import RunFolder
+from lidar_core.scan_processing import log_flying, sensor_name
 from lidar_core.viz import draw_flying
 
 
@@ -20,18 +21,17 @@ class DetectRun(FlyingRun):
 
     def __init__(self, detector: FlyingObjectDetector) -> None:
         super().__init__(detector)
-        self._mcap: RunMcap | None = None
+        self._mcap: McapWriter | None = None
 
     def take(self, item: PosedScan[Scan]) -> None:
         """Process one scan."""
-        sensor = item.scan.topic or item.scan.frame_id
-        frame = self.process(item.scan, item.world_from_lidar, item.pose_stamps_ns, sensor=sensor)
-        if self._mcap is not None:
-            self._mcap.write(item, frame)
+        frame = self.process(item, sensor=sensor_name(item.scan))
+        if self._mcap is not None and frame.rejected is None:
+            log_flying(self._mcap, item, frame, frame_id=self.frame_id)
 
     def mcap(self, folder: RunFolder) -> AbstractContextManager[Any]:
         """Open run.mcap for what `take` gives from here on."""
-        self._mcap = RunMcap(folder, frame_id=self.frame_id)
+        self._mcap = McapWriter(folder.path / MCAP, tracks_frame=self.frame_id)
         return self._mcap
 
     def draw(self, folder: RunFolder, name: str, console: Console) -> list[str]:

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from lidar_core.cli.scan_times import ScanTimes
 from lidar_core.evaluation import Latency
 from lidar_core.flying import FlyingFrame, FlyingObjectDetector, Tracks
-from lidar_core.io import write_tracks_table, write_tum
+from lidar_core.io import PosedScan, write_tracks_table, write_tum
 from lidar_core.messages import Scan
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
+from lidar_core.scan_processing import detect
 from lidar_core.viz import FlyingView
 
 CLASSES = ("invalid", "background", "flying", "unknown")
@@ -47,35 +48,19 @@ class FlyingRun:
         self._cloud = np.empty((0, 3))
         self._cloud_class = np.empty(0, np.uint8)
 
-    def process(
-        self,
-        scan: Scan,
-        world_from_lidar: NDArray[np.float64],
-        pose_stamps_ns: NDArray[np.int64] | None,
-        *,
-        sensor: str = "lidar",
-    ) -> FlyingFrame:
+    def process(self, item: PosedScan[Scan], *, sensor: str = "lidar") -> FlyingFrame:
         """Process one scan, with everything the recording knows about it."""
         start = perf_counter()
-        frame = self.detector.process(
-            scan.points,
-            world_from_lidar,
-            scan.stamp_ns,
-            no_return=scan.no_return,
-            directions=scan.directions,
-            point_time_ns=scan.point_time_ns,
-            pose_stamps_ns=pose_stamps_ns,
-            sensor=sensor,
-        )
+        frame = detect(self.detector, item, sensor=sensor)
         wall_ms = (perf_counter() - start) * 1e3
         if frame.rejected is not None:
             self.rejected[frame.rejected] += 1
             return frame
         self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms)
         self._keep(frame, sensor)
-        poses = world_from_lidar.reshape(-1, 4, 4)
+        poses = item.world_from_lidar.reshape(-1, 4, 4)
         self._path.append(poses[0, :3, 3])
-        self._cloud = _placed(scan, poses, pose_stamps_ns)
+        self._cloud = _placed(item.scan, poses, item.pose_stamps_ns)
         self._cloud_class = frame.point_class
         self._flying.append(self._cloud[frame.point_class == FLYING])
         return frame

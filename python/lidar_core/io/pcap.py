@@ -17,7 +17,8 @@ _ORDERS = {
 _NEXT_GENERATION = b"\x0a\x0d\x0d\x0a"
 _FILE_HEADER, _PACKET_HEADER = 24, 16
 _LARGEST_PACKET = 262_144
-VELODYNE_BYTES = 1206 + 42  # data packet in UDP, IPv4 and Ethernet headers
+VELODYNE_PAYLOAD = 1206  # data packet as it is sent
+VELODYNE_BYTES = VELODYNE_PAYLOAD + 42  # the same in UDP, IPv4 and Ethernet headers
 
 
 def packet_sizes(path: Path) -> Counter[int]:

@@ -152,7 +152,7 @@ class PosedScans(Generic[ScanT]):
     ) -> Iterator[PosedScan[ScanT]]:
         given = 0
         for scan in self._scans():
-            stamps = _pose_stamps(scan, buffer, root, frame)
+            stamps = pose_stamps(scan, buffer, root, frame)
             try:
                 poses = buffer.lookup(root, frame, stamps)
             except NoTransformError as error:
@@ -289,7 +289,7 @@ def _moves(buffer: TransformBuffer, root: str, frame: str) -> bool:
         return False
 
 
-def _span(scan: Scan | LaserScan) -> tuple[int, int]:
+def span_ns(scan: Scan | LaserScan) -> tuple[int, int]:
     """Times of the first and the last ray [ns]."""
     if isinstance(scan, LaserScan):
         return scan.stamp_ns, scan.stamp_ns + scan.time_increment_ns * (len(scan.ranges) - 1)
@@ -299,11 +299,11 @@ def _span(scan: Scan | LaserScan) -> tuple[int, int]:
     return start, int(scan.point_time_ns.max())
 
 
-def _pose_stamps(
+def pose_stamps(
     scan: Scan | LaserScan, buffer: TransformBuffer, root: str, frame: str
 ) -> NDArray[np.int64]:
     """Times to ask poses for: the scan's span and what was recorded inside it."""
-    start, end = _span(scan)
+    start, end = span_ns(scan)
     if end <= start:
         return np.array([start], np.int64)
     inside = buffer.knots(root, frame, start, end)

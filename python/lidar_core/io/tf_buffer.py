@@ -33,6 +33,17 @@ class _Edge:
         self.matrices.append(pose.matrix)
         self.arrays = None
 
+    def forget(self, before_ns: int) -> None:
+        """Drop poses older than `before_ns`, but for the last of all."""
+        stamps, matrices = self.stamps, self.matrices
+        kept = [row for row, stamp in enumerate(stamps) if stamp >= before_ns]
+        if len(kept) == len(stamps):
+            return
+        kept = kept or [max(range(len(stamps)), key=stamps.__getitem__)]
+        self.stamps = [stamps[row] for row in kept]
+        self.matrices = [matrices[row] for row in kept]
+        self.arrays = None
+
     def sorted(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
         """Stamps, translations and quaternions; of equal stamps the last one counts."""
         if self.arrays is None:
@@ -66,6 +77,11 @@ class TransformBuffer:
         """Add a pose of `pose.child_frame_id` in `pose.frame_id`."""
         self._edges.setdefault((pose.frame_id, pose.child_frame_id), _Edge()).add(pose)
 
+    def forget(self, before_ns: int) -> None:
+        """Drop poses older than `before_ns` [ns], but for the last of every edge."""
+        for edge in self._edges.values():
+            edge.forget(before_ns)
+
     def edges(self) -> dict[tuple[str, str], bool]:
         """Every pair (parent, child), and whether it is static."""
         return {key: edge.static is not None for key, edge in self._edges.items()}
@@ -82,6 +98,17 @@ class TransformBuffer:
     def is_static(self, target: str, source: str) -> bool:
         """Whether nothing moves between the two frames."""
         return all(self._edges[key].static is not None for key, _ in self._path(target, source))
+
+    def known_until(self, target: str, source: str) -> int | None:
+        """Stamp up to which every pose on the way is known [ns]; None where nothing moves.
+
+        Raises
+        ------
+        NoTransformError
+            The frames are not connected.
+        """
+        edges = [self._edges[key] for key, _ in self._path(target, source)]
+        return min((max(edge.stamps) for edge in edges if edge.static is None), default=None)
 
     def knots(self, target: str, source: str, start_ns: int, end_ns: int) -> NDArray[np.int64]:
         """Stamps strictly between two times at which some pose on the way was recorded."""

@@ -11,7 +11,7 @@ from lidar_core.errors import ConfigError, FormatError
 from lidar_core.extras import require
 from lidar_core.io.guard import check_size, reading
 from lidar_core.io.options import ReadOptions
-from lidar_core.io.pcap import VELODYNE_BYTES, packet_sizes
+from lidar_core.io.pcap import VELODYNE_BYTES, VELODYNE_PAYLOAD, packet_sizes
 from lidar_core.io.recording import Findings, Record, Recording, Topic, decoded
 from lidar_core.messages import Scan
 
@@ -89,6 +89,36 @@ class PacketDecoder:
             )
             _, points = self._decoder.decode(vector, False)
         return _scan(packets[0][0], points, self._topic, frame_id, self._options, place)
+
+
+class PacketStream:
+    """Decodes packets as they arrive over the network; a scan for every revolution."""
+
+    def __init__(self, topic: str, frame_id: str, options: ReadOptions, findings: Findings) -> None:
+        self._topic, self._frame_id = topic, frame_id
+        self._options = options
+        self._decoder = _library().StreamDecoder(_config(_library(), options))
+        _state(topic, findings)
+
+    def scan(self, stamp_ns: int, packet: bytes, *, place: str) -> Scan | None:
+        """Scan that this packet completes, if it does.
+
+        Raises
+        ------
+        FormatError
+            No Velodyne data packet of a known model.
+        """
+        if len(packet) != VELODYNE_PAYLOAD:
+            raise FormatError(
+                f"{place}: {len(packet)} bytes, a Velodyne data packet has {VELODYNE_PAYLOAD}"
+            )
+        with reading(place):
+            done = self._decoder.decode(stamp_ns * 1e-9, packet)
+        if done is None:
+            return None
+        stamp, points = done
+        first_ns = round(stamp.host * 1e9)
+        return _scan(first_ns, points, self._topic, self._frame_id, self._options, place)
 
 
 def _library() -> Any:

@@ -28,33 +28,28 @@ TRACK_COLOUR = (1.0, 0.35, 0.1, 0.8)
 NO_METADATA: Mapping[str, str] = {}
 
 
-class McapWriter:
-    """Writes scans, poses and tracks as they come; the file appears when it is complete.
+class FoxgloveLog:
+    """Scans, poses, tracks and maps as Foxglove's messages, on channels of one context.
 
-    Scans become PointCloud, 2D scans LaserScan, poses FrameTransform (their covariances are not
-    kept), tracks and circle maps SceneUpdate. Leaving the `with` block completes the file, also
-    on Ctrl-C; any other error leaves nothing behind.
+    Whatever the context feeds gets them: files and servers. Scans become PointCloud, 2D scans
+    LaserScan, poses FrameTransform (their covariances are not kept), tracks and circle maps
+    SceneUpdate.
 
     Parameters
     ----------
-    path : str or Path
-        File to write; an older one is replaced when the new one is complete.
+    context : foxglove.Context
+        Made by the caller.
     tracks_frame : str
         Frame that tracks are given in.
     """
 
-    def __init__(self, path: str | Path, *, tracks_frame: str) -> None:
-        self._foxglove = require("foxglove", extra="viz", purpose="writing MCAP")
-        self._messages = require("foxglove.messages", extra="viz", purpose="writing MCAP")
-        self._channel_types = require("foxglove.channels", extra="viz", purpose="writing MCAP")
-        self._path = Path(path)
-        self._temporary = temporary_for(self._path)
+    def __init__(self, context: Any, *, tracks_frame: str) -> None:
+        purpose = "Foxglove's messages"
+        self._messages = require("foxglove.messages", extra="viz", purpose=purpose)
+        self._channel_types = require("foxglove.channels", extra="viz", purpose=purpose)
+        self._context = context
         self._tracks_frame = tracks_frame
-        self._context = self._foxglove.Context()
         self._channels: dict[tuple[str, ...], Any] = {}
-        self._writer = self._foxglove.open_mcap(
-            self._temporary, allow_overwrite=True, context=self._context
-        )
 
     def write(self, item: Message | TracksLike) -> None:
         """Append a scan, a pose or the tracks of one time.
@@ -73,26 +68,6 @@ class McapWriter:
             self._write_laser(item)
         else:
             self._write_tracks(item)
-
-    def close(self, *, keep: bool = True) -> None:
-        """Complete the file and put it in its place, or drop it."""
-        try:
-            self._writer.close()
-            if keep:
-                commit(self._temporary, self._path)
-        finally:
-            self._temporary.unlink(missing_ok=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close(keep=kind is None or issubclass(kind, KeyboardInterrupt))
 
     def _write_scan(self, scan: Scan) -> None:
         m = self._messages
@@ -229,6 +204,50 @@ class McapWriter:
     def _quaternion(self, values: NDArray[np.float64]) -> Any:
         x, y, z, w = (float(value) for value in values)
         return self._messages.Quaternion(x=x, y=y, z=z, w=w)
+
+
+class McapWriter(FoxgloveLog):
+    """Writes scans, poses and tracks as they come; the file appears when it is complete.
+
+    Messages are those of `FoxgloveLog`. Leaving the `with` block completes the file, also on
+    Ctrl-C; any other error leaves nothing behind.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to write; an older one is replaced when the new one is complete.
+    tracks_frame : str
+        Frame that tracks are given in.
+    """
+
+    def __init__(self, path: str | Path, *, tracks_frame: str) -> None:
+        foxglove = require("foxglove", extra="viz", purpose="writing MCAP")
+        super().__init__(foxglove.Context(), tracks_frame=tracks_frame)
+        self._path = Path(path)
+        self._temporary = temporary_for(self._path)
+        self._writer = foxglove.open_mcap(
+            self._temporary, allow_overwrite=True, context=self._context
+        )
+
+    def close(self, *, keep: bool = True) -> None:
+        """Complete the file and put it in its place, or drop it."""
+        try:
+            self._writer.close()
+            if keep:
+                commit(self._temporary, self._path)
+        finally:
+            self._temporary.unlink(missing_ok=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close(keep=kind is None or issubclass(kind, KeyboardInterrupt))
 
 
 def write_mcap(

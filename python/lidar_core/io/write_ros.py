@@ -22,114 +22,34 @@ LAST_SECOND = {1: 2**32 - 1, 2: 2**31 - 1}
 """Of the time stamps of ROS 1 and ROS 2."""
 
 
-class RosWriter:
-    """Writes scans and poses as they come; the recording appears when it is complete.
-
-    Scans become PointCloud2, 2D scans LaserScan, poses TFMessage or, those with a covariance,
-    Odometry. Leaving the `with` block completes the recording, also on Ctrl-C; any other error
-    leaves nothing behind.
+class RosMessages:
+    """Scans and poses as messages of ROS 1 or ROS 2.
 
     Parameters
     ----------
-    path : str or Path
-        A ROS 1 bag, replaced if it is there, if the name ends in .bag; else the folder of a ROS 2
-        recording (MCAP storage), which must not be there.
+    version : int
+        1 or 2.
 
-    Raises
-    ------
-    InputError
-        The folder exists.
-    MissingExtraError
-        rosbags is not installed.
+    Attributes
+    ----------
+    store : rosbags.typesys.store.Typestore
+        The types, and what turns messages into bytes.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self._path = Path(path)
-        self._version = 1 if self._path.suffix.lower() == ".bag" else 2
-        if self._version == 2 and self._path.exists():
-            raise InputError(f"{self._path}: exists already; a ROS 2 recording is a new folder")
-        self._temporary = temporary_for(self._path)
-        self._store = ros_store(self._version)
-        self._types = self._store.types
-        self._writer = self._opened()
-        self._connections: dict[tuple[str, str], Any] = {}
-        self._waiting: list[Pose] = []
-        self._is_started = False
+    def __init__(self, version: int) -> None:
+        self._version = version
+        self.store = ros_store(version)
+        self._types = self.store.types
 
-    def write(self, item: Message) -> None:
-        """Append a scan or a pose.
-
-        Mountings that come first are stored at the time of the first message that moves: their
-        own stamps are often zero.
+    def of(self, item: Message) -> tuple[str, Any]:
+        """Topic and message of a scan or a pose.
 
         Raises
         ------
         InputError
             A time that ROS cannot tell, or point times more than two seconds from the stamp.
         """
-        if isinstance(item, Pose) and item.is_static and not self._is_started:
-            self._waiting.append(item)
-            return
-        self._start(item.stamp_ns)
-        self._store_message(item, item.stamp_ns)
-
-    def close(self, *, keep: bool = True) -> None:
-        """Complete the recording and put it in its place, or drop it."""
-        try:
-            if self._waiting:
-                self._start(self._waiting[0].stamp_ns)
-            self._writer.close()
-            if keep and self._version == 1:
-                commit(self._temporary, self._path)
-            elif keep:
-                self._name_storage()
-                self._temporary.rename(self._path)
-        finally:
-            if self._temporary.is_dir():
-                shutil.rmtree(self._temporary)
-            self._temporary.unlink(missing_ok=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close(keep=kind is None or issubclass(kind, KeyboardInterrupt))
-
-    def _opened(self) -> Any:
-        module = require(f"rosbags.rosbag{self._version}", extra="io", purpose="writing for ROS")
-        if self._version == 1:
-            self._temporary.unlink(missing_ok=True)
-            writer = module.Writer(self._temporary)
-        else:
-            storage = module.StoragePlugin.MCAP
-            writer = module.Writer(self._temporary, version=9, storage_plugin=storage)
-        writer.open()
-        return writer
-
-    def _name_storage(self) -> None:
-        """Rename the storage file, which rosbags names after the temporary folder."""
-        metadata = self._temporary / "metadata.yaml"
-        old, new = f"{self._temporary.name}.mcap", f"{self._path.name}.mcap"
-        (self._temporary / old).rename(self._temporary / new)
-        metadata.write_text(metadata.read_text(encoding="utf-8").replace(old, new), "utf-8")
-
-    def _start(self, stamp_ns: int) -> None:
-        waiting, self._waiting, self._is_started = self._waiting, [], True
-        for pose in waiting:
-            self._store_message(pose, stamp_ns)
-
-    def _store_message(self, item: Message, time_ns: int) -> None:
-        for stamp_ns in (item.stamp_ns, time_ns):
-            if not 0 <= stamp_ns < (LAST_SECOND[self._version] + 1) * 10**9:
-                raise InputError(
-                    f"stamp_ns: ROS {self._version} holds times from 1970 on to"
-                    f" {LAST_SECOND[self._version]} s, got {stamp_ns}"
-                )
+        self.check_stamp(item.stamp_ns)
         if isinstance(item, Scan):
             topic, message = item.topic or SCAN_TOPIC, self._cloud(item)
         elif isinstance(item, LaserScan):
@@ -139,16 +59,20 @@ class RosWriter:
         else:
             topic = STATIC_TOPIC if item.is_static else POSE_TOPIC
             message = self._transform(item)
-        self._append(topic if topic.startswith("/") else f"/{topic}", message, time_ns)
+        return topic if topic.startswith("/") else f"/{topic}", message
 
-    def _append(self, topic: str, message: Any, time_ns: int) -> None:
-        name = message.__msgtype__
-        if (topic, name) not in self._connections:
-            added = self._writer.add_connection(topic, name, typestore=self._store)
-            self._connections[topic, name] = added
-        ros1, cdr = self._store.serialize_ros1, self._store.serialize_cdr
-        raw = (ros1 if self._version == 1 else cdr)(message, name)
-        self._writer.write(self._connections[topic, name], time_ns, bytes(raw))
+    def check_stamp(self, stamp_ns: int) -> None:
+        """Refuse a time that ROS cannot tell."""
+        if not 0 <= stamp_ns < (LAST_SECOND[self._version] + 1) * 10**9:
+            raise InputError(
+                f"stamp_ns: ROS {self._version} holds times from 1970 on to"
+                f" {LAST_SECOND[self._version]} s, got {stamp_ns}"
+            )
+
+    def packed(self, message: Any) -> bytes:
+        """Bytes of a message."""
+        ros1, cdr = self.store.serialize_ros1, self.store.serialize_cdr
+        return bytes((ros1 if self._version == 1 else cdr)(message, message.__msgtype__))
 
     def _cloud(self, scan: Scan) -> Any:
         rows = packed(scan)
@@ -222,6 +146,118 @@ class RosWriter:
         time = self._types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
         sequence = {"seq": 0} if self._version == 1 else {}
         return self._types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id, **sequence)
+
+
+class RosWriter:
+    """Writes scans and poses as they come; the recording appears when it is complete.
+
+    Scans become PointCloud2, 2D scans LaserScan, poses TFMessage or, those with a covariance,
+    Odometry. Leaving the `with` block completes the recording, also on Ctrl-C; any other error
+    leaves nothing behind.
+
+    Parameters
+    ----------
+    path : str or Path
+        A ROS 1 bag, replaced if it is there, if the name ends in .bag; else the folder of a ROS 2
+        recording (MCAP storage), which must not be there.
+
+    Raises
+    ------
+    InputError
+        The folder exists.
+    MissingExtraError
+        rosbags is not installed.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self._path = Path(path)
+        self._version = 1 if self._path.suffix.lower() == ".bag" else 2
+        if self._version == 2 and self._path.exists():
+            raise InputError(f"{self._path}: exists already; a ROS 2 recording is a new folder")
+        self._temporary = temporary_for(self._path)
+        self._messages = RosMessages(self._version)
+        self._writer = self._opened()
+        self._connections: dict[tuple[str, str], Any] = {}
+        self._waiting: list[Pose] = []
+        self._is_started = False
+
+    def write(self, item: Message) -> None:
+        """Append a scan or a pose.
+
+        Mountings that come first are stored at the time of the first message that moves: their
+        own stamps are often zero.
+
+        Raises
+        ------
+        InputError
+            A time that ROS cannot tell, or point times more than two seconds from the stamp.
+        """
+        if isinstance(item, Pose) and item.is_static and not self._is_started:
+            self._waiting.append(item)
+            return
+        self._start(item.stamp_ns)
+        self._store_message(item, item.stamp_ns)
+
+    def close(self, *, keep: bool = True) -> None:
+        """Complete the recording and put it in its place, or drop it."""
+        try:
+            if self._waiting:
+                self._start(self._waiting[0].stamp_ns)
+            self._writer.close()
+            if keep and self._version == 1:
+                commit(self._temporary, self._path)
+            elif keep:
+                self._name_storage()
+                self._temporary.rename(self._path)
+        finally:
+            if self._temporary.is_dir():
+                shutil.rmtree(self._temporary)
+            self._temporary.unlink(missing_ok=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close(keep=kind is None or issubclass(kind, KeyboardInterrupt))
+
+    def _opened(self) -> Any:
+        module = require(f"rosbags.rosbag{self._version}", extra="io", purpose="writing for ROS")
+        if self._version == 1:
+            self._temporary.unlink(missing_ok=True)
+            writer = module.Writer(self._temporary)
+        else:
+            storage = module.StoragePlugin.MCAP
+            writer = module.Writer(self._temporary, version=9, storage_plugin=storage)
+        writer.open()
+        return writer
+
+    def _name_storage(self) -> None:
+        """Rename the storage file, which rosbags names after the temporary folder."""
+        metadata = self._temporary / "metadata.yaml"
+        old, new = f"{self._temporary.name}.mcap", f"{self._path.name}.mcap"
+        (self._temporary / old).rename(self._temporary / new)
+        metadata.write_text(metadata.read_text(encoding="utf-8").replace(old, new), "utf-8")
+
+    def _start(self, stamp_ns: int) -> None:
+        waiting, self._waiting, self._is_started = self._waiting, [], True
+        for pose in waiting:
+            self._store_message(pose, stamp_ns)
+
+    def _store_message(self, item: Message, time_ns: int) -> None:
+        topic, message = self._messages.of(item)
+        self._messages.check_stamp(time_ns)
+        name = message.__msgtype__
+        if (topic, name) not in self._connections:
+            store = self._messages.store
+            added = self._writer.add_connection(topic, name, typestore=store)
+            self._connections[topic, name] = added
+        raw = self._messages.packed(message)
+        self._writer.write(self._connections[topic, name], time_ns, raw)
 
 
 def write_ros(path: str | Path, items: Iterable[Message]) -> None:

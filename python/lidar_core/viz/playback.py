@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,23 +161,29 @@ class Playback:
         with open_recording(self.recording) as recording:
             topics = [topic for topic in recording.topics() if topic.kind in SCAN_KINDS]
             for topic in topics[:1]:
-                yield from _in_world(recording, topic.name, is_planar=topic.kind == "planar")
+                yield from _placed(recording, topic.name, is_planar=topic.kind == "planar")
 
 
-def _in_world(
+def _placed(
     recording: Recording, topic: str, *, is_planar: bool
 ) -> Iterator[tuple[int, NDArray[np.float32], NDArray[np.uint8]]]:
     read = posed_laser_scans if is_planar else posed_scans
     for posed in read(recording, cloud=topic):
         scan = posed.scan
         pose = posed.world_from_lidar.reshape(-1, 4, 4)[0]
-        local = _swept(scan) if isinstance(scan, LaserScan) else scan.points.reshape(-1, 3)
+        local = swept(scan) if isinstance(scan, LaserScan) else scan.points.reshape(-1, 3)
         is_point = np.asarray(np.isfinite(local).all(axis=1), np.bool_)
-        points = (local[is_point] @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32)
-        yield scan.stamp_ns, points, _classes(scan, is_point)
+        yield scan.stamp_ns, in_world(local[is_point], pose), _classes(scan, is_point)
 
 
-def _swept(scan: LaserScan) -> NDArray[np.float64]:
+def in_world(local: NDArray[Any], world_from_lidar: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Points (N, 3) of the sensor's frame, in the world."""
+    turned = local @ world_from_lidar[:3, :3].T + world_from_lidar[:3, 3]
+    return np.asarray(turned, np.float32)
+
+
+def swept(scan: LaserScan) -> NDArray[np.float64]:
+    """Points (B, 3) of a 2D scan in its own frame [m]; NaN for rays that hit nothing."""
     bearings = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
     with np.errstate(invalid="ignore"):
         x, y = scan.ranges * np.cos(bearings), scan.ranges * np.sin(bearings)

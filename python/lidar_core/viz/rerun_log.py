@@ -6,15 +6,17 @@ import subprocess
 import sys
 import tempfile
 from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.extras import require
 from lidar_core.io.atomic import written_whole
-from lidar_core.viz.playback import Objects, Playback
+from lidar_core.viz.playback import Moment, Objects, Playback
 
 PURPOSE = "the rerun viewer"
 CLASS_COLOURS = np.array(
@@ -26,48 +28,90 @@ SIGMAS = 2.0
 TRAIL = 50  # positions of an object that stay in view
 POINT_RADIUS, VOXEL_RADIUS = 0.02, 0.05
 LOCAL = "127.0.0.1"
+Where: TypeAlias = Literal["window", "web"]
 
 
-def write_rerun(run: Playback, path: str | Path) -> Path:
-    """Write what a run shows as rerun's recording (.rrd), whole or not at all.
+class RerunLog:
+    """Moments of a run, logged to rerun as they come.
 
     Clouds by class under world/points, boxes with numbers under world/objects, their 2 sigma
-    ellipsoids, velocities (a second long) and trails beside them, occupied voxels under world/map.
+    ellipsoids, velocities (a second long) and trails beside them.
+
+    Parameters
+    ----------
+    name : str
+        Of the recording: logs of one name are one recording to the viewer.
+
+    Attributes
+    ----------
+    stream : rerun.RecordingStream
+        Where it goes, for the caller to connect to a file or a viewer.
 
     Raises
     ------
     MissingExtraError
         rerun-sdk is not installed.
     """
-    rr = require("rerun", extra="rerun", purpose=PURPOSE)
+
+    def __init__(self, name: str) -> None:
+        self._rr = require("rerun", extra="rerun", purpose=PURPOSE)
+        self.stream = self._rr.RecordingStream("lidar_core", recording_id=name)
+        self._trails: dict[int, list[NDArray[np.float64]]] = defaultdict(list)
+
+    def begin(self) -> None:
+        """Say which way is up; to be called once the stream is connected."""
+        self.stream.log("world", self._rr.ViewCoordinates.FLU, static=True)
+
+    def log(self, moment: Moment) -> None:
+        """Show one time of a run."""
+        rr = self._rr
+        self.stream.set_time("time", timestamp=np.datetime64(moment.stamp_ns, "ns"))
+        if len(moment.points):
+            colours = CLASS_COLOURS[moment.point_class]
+            cloud = rr.Points3D(moment.points, colors=colours, radii=POINT_RADIUS)
+            self.stream.log("world/points", cloud)
+        _log_objects(rr, self.stream, moment.objects, self._trails)
+
+    def log_map(self, voxel_map: Path) -> None:
+        """Show the occupied voxels of a saved map, at all times."""
+        from lidar_core import VoxelMap
+
+        centres = VoxelMap.load(voxel_map).occupied_points()
+        if len(centres):
+            voxels = self._rr.Points3D(centres, colors=VOXEL_COLOUR, radii=VOXEL_RADIUS)
+            self.stream.log("world/map", voxels, static=True)
+
+    def close(self) -> None:
+        """Send what is still under way, and disconnect."""
+        self.stream.flush()
+        self.stream.disconnect()
+
+
+def write_rerun(run: Playback, path: str | Path) -> Path:
+    """Write what a run shows as rerun's recording (.rrd), whole or not at all.
+
+    What `RerunLog` says, and occupied voxels under world/map.
+
+    Raises
+    ------
+    MissingExtraError
+        rerun-sdk is not installed.
+    """
+    log = RerunLog(str(run.folder.resolve()))
     place = Path(path)
     with written_whole(place) as temporary:
-        stream = rr.RecordingStream("lidar_core", recording_id=str(run.folder.resolve()))
-        stream.save(str(temporary))
-        stream.log("world", rr.ViewCoordinates.FLU, static=True)
-        _log_map(rr, stream, run)
-        trails: dict[int, list[NDArray[np.float64]]] = defaultdict(list)
+        log.stream.save(str(temporary))
+        log.begin()
+        if run.voxel_map is not None:
+            log.log_map(run.voxel_map)
         for moment in run.moments():
-            stream.set_time("time", timestamp=np.datetime64(moment.stamp_ns, "ns"))
-            if len(moment.points):
-                colours = CLASS_COLOURS[moment.point_class]
-                stream.log(
-                    "world/points",
-                    rr.Points3D(moment.points, colors=colours, radii=POINT_RADIUS),
-                )
-            _log_objects(rr, stream, moment.objects, trails)
-        stream.flush()
-        stream.disconnect()
+            log.log(moment)
+        log.close()
     return place
 
 
-def show_rerun(
-    recording: str | Path, *, where: Literal["window", "web"], port: int | None = None
-) -> int:
+def show_rerun(recording: str | Path, *, where: Where, port: int | None = None) -> int:
     """Open rerun's viewer on a recording and wait until it is closed; returns its exit status.
-
-    It listens on 127.0.0.1 alone and collects no usage data: its settings are those of an empty
-    folder in which that was switched off, not the user's.
 
     Parameters
     ----------
@@ -78,24 +122,38 @@ def show_rerun(
     port : int, optional
         Of the page; without it rerun's own, 9090.
     """
+    with rerun_viewer([str(recording), "--port", "auto"], where=where, port=port) as process:
+        try:
+            return process.wait()
+        except KeyboardInterrupt:
+            return 0
+
+
+@contextmanager
+def rerun_viewer(
+    arguments: Sequence[str], *, where: Where, port: int | None = None
+) -> "Iterator[subprocess.Popen[bytes]]":
+    """Rerun's viewer as a process that ends with the `with` block.
+
+    It listens on 127.0.0.1 alone and collects no usage data: its settings are those of an empty
+    folder in which that was switched off, not the user's.
+    """
     require("rerun", extra="rerun", purpose=PURPOSE)
     viewer = [sys.executable, "-m", "rerun"]
     with tempfile.TemporaryDirectory(prefix="lidar-core-rerun-") as settings:
         surroundings = {**os.environ, "XDG_CONFIG_HOME": settings, "XDG_DATA_HOME": settings}
         subprocess.run([*viewer, "analytics", "disable"], env=surroundings, check=True,
                        capture_output=True)  # fmt: skip
-        options = ["--bind", LOCAL, "--port", "auto"]
+        options = ["--bind", LOCAL, *arguments]
         if where == "web":
             options += ["--web-viewer"] if _has_display() else ["--serve-web"]
             options += ["--web-viewer-port", str(port)] if port is not None else []
-        process = subprocess.Popen(
-            [*viewer, str(recording), *options], env=surroundings, start_new_session=True
-        )
+        process = subprocess.Popen([*viewer, *options], env=surroundings, start_new_session=True)
         try:
-            return process.wait()
-        except KeyboardInterrupt:
-            _end(process)
-            return 0
+            yield process
+        finally:
+            if process.poll() is None:
+                _end(process)
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
@@ -112,17 +170,6 @@ def _has_display() -> bool:
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     )
     return not on_server
-
-
-def _log_map(rr: Any, stream: Any, run: Playback) -> None:
-    if run.voxel_map is None:
-        return
-    from lidar_core import VoxelMap
-
-    centres = VoxelMap.load(run.voxel_map).occupied_points()
-    if len(centres):
-        voxels = rr.Points3D(centres, colors=VOXEL_COLOUR, radii=VOXEL_RADIUS)
-        stream.log("world/map", voxels, static=True)
 
 
 def _log_objects(
