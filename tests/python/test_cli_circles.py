@@ -22,6 +22,7 @@ from lidar_core.cli.circles_run import CirclesRun
 from lidar_core.cli.scan_times import ScanTimes
 from lidar_core.io import PosedScan, open_recording, posed_laser_scans, read_columns, write_npz
 from lidar_core.messages import LaserScan, Pose
+from lidar_core.viz.film import film_ending
 
 SCANS, RADIUS = 60, 0.3
 POSITION_ERROR, RADIUS_ERROR = 0.02, 0.01
@@ -61,7 +62,7 @@ def test_the_folder_is_complete_and_noted(recording, run):
     names = {path.name for path in folder.iterdir()}
     assert names == set(result["files"])
     assert {"circles.parquet", "detections.parquet", "shapes.parquet", "timing.parquet",
-            "tracks_tum", "run.toml", "run.mcap", "picture.png", "film.gif",
+            "tracks_tum", "run.toml", "run.mcap", "picture.png", f"film{film_ending()}",
             "summary.json"} == names  # fmt: skip
     note = tomllib.loads((folder / "run.toml").read_text())
     assert note["input"]["recording"]["path"] == str(recording)

@@ -8,6 +8,7 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from matplotlib import rc_context
 from mcap.reader import make_reader
 from PIL import Image
 from typer.testing import CliRunner
@@ -15,8 +16,9 @@ from typer.testing import CliRunner
 import lidar_core as lc
 import lidar_core.io
 from lidar_core.cli import app
-from lidar_core.errors import ConfigError, FormatError
+from lidar_core.errors import ConfigError, FormatError, MissingExtraError
 from lidar_core.viz import Objects, Playback, draw_film, draw_moment
+from lidar_core.viz.film import film_ending
 
 SCANS = 15
 needs_rerun = pytest.mark.skipif(
@@ -69,6 +71,43 @@ def test_circles_are_played_as_the_table_says(circles):
         np.testing.assert_array_equal(moment.objects.size[:, 0], 2 * table["radius"][rows])
         np.testing.assert_array_equal(moment.objects.covariance[:, 0, 1], table["cov_x_y"][rows])
         np.testing.assert_array_equal(moment.objects.covariance[:, 1, 0], table["cov_x_y"][rows])
+
+
+def test_walls_and_other_shapes_are_played_as_the_table_says(tmp_path):
+    """A wall and a box, in a recording of a scanner that stands."""
+    scanner = lc.circles.Scanner()
+    bearings = scanner.bearings()
+    ranges = np.full(len(bearings), np.inf, np.float32)
+    ahead = np.abs(bearings) < 0.6
+    ranges[ahead] = 5 / np.cos(bearings[ahead])
+    scans = [
+        lc.messages.LaserScan(
+            number * 50_000_000, ranges, scanner.angle_min, scanner.angle_increment, 0.1, 10.0,
+            "laser",
+        )
+        for number in range(SCANS)
+    ]  # fmt: skip
+    lc.io.write_npz(tmp_path / "a.npz", scans)
+    done = invoke("circles", tmp_path / "a.npz", "-o", tmp_path / "run", "--pose", "static")
+    assert done.exit_code == 0, done.output
+    run = Playback(tmp_path / "run")
+    table = columns_of(tmp_path / "run", "shapes")
+    outlines = [one for moment in run.moments() for one in moment.outlines]
+    assert [one.id for one in outlines] == table["track_id"].tolist() != []
+    for one, row in zip(outlines, range(len(table["t_ns"])), strict=True):
+        ends = [[table["x1"][row], table["y1"][row]], [table["x2"][row], table["y2"][row]]]
+        np.testing.assert_array_equal(one.points, np.pad(np.array(ends, float), ((0, 0), (0, 1))))
+        assert one.visible == bool(table["visible"][row])
+    assert outlines[-1].points[:, 0] == pytest.approx(5, abs=0.01)
+    path = draw_moment(run, tmp_path / "a.png")
+    shown = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    assert (np.abs(shown - [15, 118, 110]).max(axis=2) < 40).sum() > 100
+    if find_spec("rerun") is not None:
+        done = invoke("view", tmp_path / "run", "--rrd", tmp_path / "a.rrd")
+        assert done.exit_code == 0, done.output
+        command = [sys.executable, "-m", "rerun", "rrd", "print", "-v", str(tmp_path / "a.rrd")]
+        told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        assert "/world/shapes" in told
 
 
 def test_points_lie_in_the_world_and_carry_their_class(flying):
@@ -141,6 +180,27 @@ def test_films_have_a_frame_per_scan_or_fewer(circles, tmp_path):
     with pytest.raises(ConfigError, match=r"expected a film that ends in \.gif or \.mp4"):
         draw_film(Playback(circles), tmp_path / "a.avi")
     assert [item.name for item in tmp_path.iterdir()] == ["a.gif"]
+
+
+def test_films_are_mp4_where_ffmpeg_is(circles, tmp_path):
+    """A program that stands for ffmpeg: it takes the frames, and writes its last argument."""
+    program = tmp_path / "ffmpeg"
+    program.write_text(
+        "#!/bin/sh\nfor last; do :; done\n"
+        '[ "$last" = "-version" ] || { cat > "$last.frames"; mv "$last.frames" "$last"; }\n'
+    )
+    program.chmod(0o755)
+    animation = pytest.importorskip("matplotlib.animation")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(animation.FFMpegWriter, "isAvailable", lambda: False)
+        assert film_ending() == ".gif"
+        with pytest.raises(MissingExtraError, match=r"\.mp4 needs the program ffmpeg"):
+            draw_film(Playback(circles), tmp_path / "a.mp4")
+    with rc_context({"animation.ffmpeg_path": str(program)}):
+        assert film_ending() == ".mp4"
+        path = draw_film(Playback(circles), tmp_path / "a.mp4", frames=3)
+    assert path.stat().st_size == 3 * 840 * 420 * 4
+    assert {item.name for item in tmp_path.iterdir()} == {"a.mp4", "ffmpeg"}
 
 
 def test_one_way_to_look_at_a_time(circles, tmp_path):

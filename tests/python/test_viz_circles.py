@@ -93,7 +93,7 @@ def test_scans_whose_points_were_not_kept_are_left_out_of_the_film(view, tmp_pat
 
 
 def film(view, path):
-    return animate_circles(view, path, frames=2, rate=1.0)
+    return animate_circles(view, path.with_suffix(".gif"), frames=2, rate=1.0)
 
 
 @pytest.mark.parametrize("draw", [draw_circles, film])

@@ -2,33 +2,13 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lidar_core.cli.common import (
-    JsonFile,
-    Row,
-    consoles,
-    given,
-    result_table,
-    stage_rows,
-)
-from lidar_core.cli.run_options import (
-    ChosenMode,
-    ConfigFile,
-    FixedFrame,
-    Mcap,
-    Mountings,
-    Odom,
-    Output,
-    Overwrite,
-    Picture,
-    PoseSource,
-    RecordingPath,
-)
+from lidar_core.cli.common import Row, consoles, given, result_table, stage_rows
+from lidar_core.cli.run_options import RunOptions, with_run_options
 from lidar_core.cli.settings import run_config
 
 if TYPE_CHECKING:
@@ -42,29 +22,17 @@ SHARE = 0.05  # of a LiDAR's scans that have a length which is no defect
 SCAN = "Topic of a 2D LiDAR; again for more."
 NO_RETURN = "What marks a ray without return, besides +inf: auto, zero, nan, max or none."
 SWEEP = "auto: rays have the times that the scans state; none: all rays at the stamp."
-SET = "Single value, such as scanner.range_max=20; again for more."
-FILM = "Draw film.gif beside the picture."
+FILM = "Draw film.mp4, or film.gif without ffmpeg, beside the picture."
 
 
+@with_run_options
 def command(
-    recording: RecordingPath,
+    options: RunOptions,
     *,
-    output: Output,
     scan: Annotated[list[str], typer.Option(help=SCAN)] = [],  # noqa: B006
-    odom: Odom = None,
-    pose: PoseSource = None,
-    fixed_frame: FixedFrame = None,
-    mounting: Mountings = [],  # noqa: B006
     no_return: Annotated[str | None, typer.Option(help=NO_RETURN)] = None,
     point_time: Annotated[str | None, typer.Option(help=SWEEP)] = None,
-    mode: ChosenMode = "best",
-    config: ConfigFile = None,
-    values: Annotated[list[str], typer.Option("--set", help=SET)] = [],  # noqa: B006
-    mcap: Mcap = None,
-    picture: Picture = True,
     film: Annotated[bool, typer.Option(help=FILM)] = False,
-    overwrite: Overwrite = False,
-    json: JsonFile = None,
 ) -> None:
     """Map the round obstacles in RECORDING; write tables, trajectories and picture.
 
@@ -76,32 +44,27 @@ def command(
     from lidar_core.circles import CirclePipeline, CirclesConfig
     from lidar_core.cli.circles_run import CirclesRun
     from lidar_core.cli.recording_job import RecordingJob, do, report
-    from lidar_core.io import PoseOptions, ReadOptions
+    from lidar_core.io import ReadOptions
     from lidar_core.messages import LaserScan
-    from lidar_core.run_folder import RunFolder
 
-    folder = RunFolder(output, overwrite=overwrite)
+    folder, recording = options.folder(), options.recording
     read = ReadOptions.load(given({"no_return": no_return, "point_time": point_time}))
-    poses = {"pose": pose, "fixed_frame": fixed_frame, "odom": odom, "mounting": mounting}
-    base = CirclesConfig() if mode == "best" else CirclesConfig.paper()
-    chosen = _with_scanners(run_config(base, "circles", config, values), recording, read, scan)
+    base = CirclesConfig() if options.mode == "best" else CirclesConfig.paper()
+    config = run_config(base, "circles", options.config, options.values)
+    chosen = _with_scanners(config, recording, read, scan)
     job = RecordingJob(
         command="circles",
         sort=LaserScan,
-        recording=recording,
+        options=options,
         folder=folder,
         config={"circles": chosen},
         read=read,
-        pose=PoseOptions.load(given(poses)),
         topics=tuple(scan),
-        repeat=1,
-        writes_mcap=find_spec("foxglove") is not None if mcap is None else mcap,
-        draws=picture,
         note={"scans": scan},
     )
-    out, errors = consoles(json)
+    out, errors = consoles(options.json)
     result = do(job, CirclesRun(CirclePipeline(chosen), films=film), errors)
-    report(result, _table(result.summary, recording.name), folder, out, json)
+    report(result, _table(result.summary, recording.name), job, out)
 
 
 def _with_scanners(

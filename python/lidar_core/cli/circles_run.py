@@ -29,6 +29,7 @@ from lidar_core.messages import LaserScan
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.scan_processing import log_circles, map_circles
 from lidar_core.viz import CirclesView, animate_circles, draw_circles
+from lidar_core.viz.film import film_ending
 
 MOST_POINTS = 4_000_000  # kept for the pictures; beyond, points of every other scan are dropped
 FILM_FRAMES, FILM_RATE = 120, 10.0
@@ -66,7 +67,7 @@ class CirclesRun:
     pipeline : CirclePipeline
         Gets every scan.
     films : bool
-        Whether `draw` makes film.gif as well.
+        Whether `draw` makes a film as well.
     """
 
     def __init__(self, pipeline: CirclePipeline, *, films: bool) -> None:
@@ -141,9 +142,9 @@ class CirclesRun:
         return [table.name, shapes.name, found.name, timing.name, TRACKS_FOLDER]
 
     def draw(self, folder: RunFolder, name: str, console: Console) -> list[str]:
-        """Draw picture.png and, where it is wanted, film.gif."""
+        """Draw picture.png and, where it is wanted, film.mp4 or film.gif."""
         view = self.view(f"{name}: {len(self.maps)} scans, {len(self.element_ids)} elements")
-        picture, film = folder.path / "picture.png", folder.path / "film.gif"
+        picture, film = folder.path / "picture.png", folder.path / f"film{film_ending()}"
         paint = [(picture, lambda: draw_circles(view, picture))]
         if self._films:
             paint.append((film, lambda: animate_circles(view, film, frames=FILM_FRAMES,

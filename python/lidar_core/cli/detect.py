@@ -1,14 +1,12 @@
 """`lidar-core detect`: flying objects in a recording."""
 
 from collections.abc import Mapping
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lidar_core.cli.common import (
-    JsonFile,
     Row,
     Threads,
     consoles,
@@ -17,19 +15,7 @@ from lidar_core.cli.common import (
     result_table,
     stage_rows,
 )
-from lidar_core.cli.run_options import (
-    ChosenMode,
-    ConfigFile,
-    FixedFrame,
-    Mcap,
-    Mountings,
-    Odom,
-    Output,
-    Overwrite,
-    Picture,
-    PoseSource,
-    RecordingPath,
-)
+from lidar_core.cli.run_options import RunOptions, with_run_options
 from lidar_core.cli.settings import run_config
 
 if TYPE_CHECKING:
@@ -46,32 +32,20 @@ MAP = (
     " OctoMap as .pcd, .ply, .las, .laz, .bt, .stl, .obj."
 )
 REPEAT = "Play the recording this often: lets a short one open the gate of the background."
-SET = "Single value, such as voxel_map.voxel_size=0.5; again for more."
 
 
+@with_run_options
 def command(
-    recording: RecordingPath,
+    options: RunOptions,
     *,
-    output: Output,
     cloud: Annotated[list[str], typer.Option(help="Topic of a LiDAR; again for more.")] = [],  # noqa: B006
-    odom: Odom = None,
-    pose: PoseSource = None,
-    fixed_frame: FixedFrame = None,
-    mounting: Mountings = [],  # noqa: B006
     point_time: Annotated[str | None, typer.Option(help=POINT_TIME)] = None,
     no_return: Annotated[str | None, typer.Option(help=NO_RETURN)] = None,
     metadata: Annotated[str | None, typer.Option(help=METADATA)] = None,
     scan_rate: Annotated[float | None, typer.Option(help=SCAN_RATE)] = None,
     repeat: Annotated[int, typer.Option(min=1, help=REPEAT)] = 1,
     known_map: Annotated[Path | None, typer.Option("--map", help=MAP)] = None,
-    mode: ChosenMode = "best",
-    config: ConfigFile = None,
-    values: Annotated[list[str], typer.Option("--set", help=SET)] = [],  # noqa: B006
     threads: Threads,
-    mcap: Mcap = None,
-    picture: Picture = True,
-    overwrite: Overwrite = False,
-    json: JsonFile = None,
 ) -> None:
     """Find and track flying objects in RECORDING; write tables, trajectories, map and picture.
 
@@ -81,35 +55,30 @@ def command(
     from lidar_core.cli.detect_job import DetectRun
     from lidar_core.cli.recording_job import RecordingJob, do, report
     from lidar_core.flying import FlyingConfig, FlyingObjectDetector
-    from lidar_core.io import PoseOptions, ReadOptions
+    from lidar_core.io import ReadOptions
     from lidar_core.messages import Scan
-    from lidar_core.run_folder import RunFolder
 
     read = {"point_time": point_time, "no_return": no_return, "metadata": metadata}
-    poses = {"pose": pose, "fixed_frame": fixed_frame, "odom": odom, "mounting": mounting}
-    base = FlyingConfig() if mode == "best" else FlyingConfig.paper()
-    chosen = run_config(base, "flying", config, values)
+    base = FlyingConfig() if options.mode == "best" else FlyingConfig.paper()
+    chosen = run_config(base, "flying", options.config, options.values)
     job = RecordingJob(
         command="detect",
         sort=Scan,
-        recording=recording,
-        folder=RunFolder(output, overwrite=overwrite),
+        options=options,
+        folder=options.folder(),
         config={"flying": chosen},
         read=ReadOptions.load(given({**read, "scan_rate": scan_rate})),
-        pose=PoseOptions.load(given(poses)),
         topics=tuple(cloud),
         repeat=repeat,
-        writes_mcap=find_spec("foxglove") is not None if mcap is None else mcap,
-        draws=picture,
         inputs={"map": known_map},
         note={"clouds": cloud, "repeat": repeat},
     )
     run = DetectRun(FlyingObjectDetector(chosen, threads=threads))
     if known_map is not None:
         _know(run.detector, known_map)
-    out, errors = consoles(json)
+    out, errors = consoles(options.json)
     result = do(job, run, errors)
-    report(result, _table(result.summary, recording.name), job.folder, out, json)
+    report(result, _table(result.summary, options.recording.name), job, out)
 
 
 def _know(detector: "FlyingObjectDetector", known_map: Path) -> None:

@@ -8,7 +8,14 @@ import typer
 
 from lidar_core.cli.common import JsonFile, Row, consoles, given, number, result_table, write_json
 from lidar_core.cli.config import Mode
-from lidar_core.cli.run_options import ChosenMode, ConfigFile, Output, Overwrite, Picture
+from lidar_core.cli.run_options import (
+    ChosenMode,
+    ConfigFile,
+    Output,
+    Overwrite,
+    Picture,
+    Values,
+)
 from lidar_core.cli.settings import run_config
 from lidar_core.errors import ConfigError
 
@@ -25,7 +32,6 @@ LAG = "Smooth: every state knows what came up to this much later \\[s]."
 COLUMN = "Name of a table's column, such as x=pos_x; again for more."
 TIME_UNIT = "Unit of a table's times: ns, us, ms or s."
 ANGLE_UNIT = "Unit of a table's angles: rad or deg."
-SET = "Single value, such as acceleration_noise=3; again for more."
 
 
 def command(
@@ -40,7 +46,7 @@ def command(
     angle_unit: Annotated[str | None, typer.Option(help=ANGLE_UNIT)] = None,
     mode: ChosenMode = "best",
     config: ConfigFile = None,
-    values: Annotated[list[str], typer.Option("--set", help=SET)] = [],  # noqa: B006
+    values: Values = [],  # noqa: B006
     picture: Picture = True,
     overwrite: Overwrite = False,
     json: JsonFile = None,

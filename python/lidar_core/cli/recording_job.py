@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lidar_core.cli.common import INTERRUPTED, consoles, progress_on, write_json
+from lidar_core.cli.run_options import RunOptions
 from lidar_core.cli.scan_source import ScanSource
 from lidar_core.config import Config
 from lidar_core.errors import FormatError, LidarCoreError
@@ -58,6 +59,8 @@ class RecordingJob(Generic[ScanT]):
         Name of the command.
     sort : type
         `Scan` or `LaserScan`: what is read.
+    options : RunOptions
+        What all commands are told.
     config : mapping of str to Config
         What run.toml keeps, by name.
     topics : tuple of str
@@ -70,15 +73,12 @@ class RecordingJob(Generic[ScanT]):
 
     command: str
     sort: type[ScanT]
-    recording: Path
+    options: RunOptions
     folder: RunFolder
     config: Mapping[str, Config]
     read: ReadOptions
-    pose: PoseOptions
     topics: tuple[str, ...]
-    repeat: int
-    writes_mcap: bool
-    draws: bool
+    repeat: int = 1
     inputs: Mapping[str, Path | None] = field(default_factory=dict)
     note: Mapping[str, Any] = field(default_factory=dict)
 
@@ -98,14 +98,15 @@ def do(job: RecordingJob[ScanT], run: RecordingRun[ScanT], console: Console) -> 
     Ctrl-C and errors on the way end it early; the folder then holds the scans so far. Errors
     before the first scan are raised, and leave no folder.
     """
-    source = ScanSource(job.recording, job.read, job.pose, job.topics, job.repeat, job.sort)
+    recording, poses = job.options.recording, job.options.poses()
+    source = ScanSource(recording, job.read, poses, job.topics, job.repeat, job.sort)
     with source:
         end = _pass_through(job, source, run, console)
         if not run.n_received:
             job.folder.begin()
         summary = {
             "command": job.command,
-            "recording": str(job.recording),
+            "recording": str(recording),
             "format": source.format,
             "poses": source.pose_source,
             "frame_id": source.frame_id,
@@ -116,17 +117,15 @@ def do(job: RecordingJob[ScanT], run: RecordingRun[ScanT], console: Console) -> 
         }
     files = [*run.write(job.folder), "run.toml", "summary.json"]
     job.folder.write_summary(summary)
-    _write_note(job, console)
-    if job.draws:
-        files += run.draw(job.folder, job.recording.name, console)
+    _write_note(job, poses, console)
+    if job.options.picture:
+        files += run.draw(job.folder, recording.name, console)
     if (job.folder.path / MCAP).exists():
         files.append(MCAP)
     return JobResult(summary, tuple(sorted(files)), end)
 
 
-def report(
-    result: JobResult, table: Table, folder: RunFolder, out: Console, json: Path | None
-) -> None:
+def report(result: JobResult, table: Table, job: RecordingJob[ScanT], out: Console) -> None:
     """Print what came out, and end the command as the job ended.
 
     Raises
@@ -134,10 +133,11 @@ def report(
     FormatError
         More than half of the scans were rejected.
     """
+    json = job.options.json
     out.print(table)
     for note in result.summary["notes"]:
         out.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
-    out.print(f"{folder.path}: {', '.join(result.files)}", highlight=False, soft_wrap=True)
+    out.print(f"{job.folder.path}: {', '.join(result.files)}", highlight=False, soft_wrap=True)
     write_json({**result.summary, "files": result.files}, json)
     if isinstance(result.end, KeyboardInterrupt):
         consoles(json)[1].print("interrupted: the files hold the scans up to here")
@@ -169,16 +169,16 @@ def left_out(summary: Mapping[str, Any]) -> Iterator[str]:
         yield f"{rejected.total()} rejected: {'; '.join(told + more)}"
 
 
-def _write_note(job: RecordingJob[ScanT], console: Console) -> None:
+def _write_note(job: RecordingJob[ScanT], poses: PoseOptions, console: Console) -> None:
     """Write run.toml, with the hashes of everything that was read."""
-    files = {"recording": job.recording, "poses": Path(job.pose.pose), **job.inputs}
+    files = {"recording": job.options.recording, "poses": Path(poses.pose), **job.inputs}
     with console.status("hashing the recording"):
         inputs = {
             name: fingerprint(path)
             for name, path in files.items()
             if path is not None and path.exists()
         }
-    config = {**job.config, "read": job.read, "pose": job.pose}
+    config = {**job.config, "read": job.read, "pose": poses}
     job.folder.write_note(inputs, config, **job.note)
 
 
@@ -196,7 +196,7 @@ def _pass_through(
             return None
         run.frame_id = source.frame_id
         job.folder.begin()
-        mcap = run.mcap(job.folder) if job.writes_mcap else nullcontext()
+        mcap = run.mcap(job.folder) if job.options.writes_mcap else nullcontext()
         with progress_on(console) as progress, mcap:
             task = progress.add_task(job.command, total=source.total)
             run.take(first)

@@ -1,17 +1,28 @@
 """Options that commands on recordings share."""
 
+from collections.abc import Callable
+from dataclasses import MISSING, Field, dataclass, field, fields
+from functools import wraps
+from importlib.util import find_spec
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
 
 import typer
 
+from lidar_core.cli.common import JsonFile, given
 from lidar_core.cli.config import Mode
+
+if TYPE_CHECKING:
+    from lidar_core.io import PoseOptions
+    from lidar_core.run_folder import RunFolder
 
 _POSE = (
     "auto: transforms or odometry of the recording; static: the sensor does not move; else a"
     " poses file, KITTI or TUM."
 )
 _MOUNTING = "Where a sensor sits: PARENT FRAME x y z roll pitch yaw \\[m, rad]; again for more."
+_SET = "Single value, as SECTION.NAME=VALUE of `config show`; again for more."
 _CONFIG = "TOML file; the run.toml of an earlier run will do."
 _MCAP = "Write run.mcap for viewers; by default if the extra `viz` is there."
 
@@ -23,6 +34,69 @@ FixedFrame: TypeAlias = Annotated[str | None, typer.Option(help="Frame of the ma
 Mountings: TypeAlias = Annotated[list[str], typer.Option(help=_MOUNTING)]
 ChosenMode: TypeAlias = Annotated[Mode, typer.Option(help="What works best, or the paper.")]
 ConfigFile: TypeAlias = Annotated[Path | None, typer.Option(help=_CONFIG)]
+Values: TypeAlias = Annotated[list[str], typer.Option("--set", help=_SET)]
 Mcap: TypeAlias = Annotated[bool | None, typer.Option(help=_MCAP)]
 Picture: TypeAlias = Annotated[bool, typer.Option(help="Draw picture.png (extra `plot`).")]
 Overwrite: TypeAlias = Annotated[bool, typer.Option(help="Replace an earlier run in the folder.")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunOptions:
+    """What every command is told that passes a recording through a pipeline."""
+
+    recording: RecordingPath
+    output: Output
+    odom: Odom = None
+    pose: PoseSource = None
+    fixed_frame: FixedFrame = None
+    mounting: Mountings = field(default_factory=list)
+    mode: ChosenMode = "best"
+    config: ConfigFile = None
+    values: Values = field(default_factory=list)
+    mcap: Mcap = None
+    picture: Picture = True
+    overwrite: Overwrite = False
+    json: JsonFile = None
+
+    @property
+    def writes_mcap(self) -> bool:
+        """Whether to write run.mcap."""
+        return find_spec("foxglove") is not None if self.mcap is None else self.mcap
+
+    def folder(self) -> "RunFolder":
+        """Folder of the run."""
+        from lidar_core.run_folder import RunFolder
+
+        return RunFolder(self.output, overwrite=self.overwrite)
+
+    def poses(self) -> "PoseOptions":
+        """Where the poses come from."""
+        from lidar_core.io import PoseOptions
+
+        names = ("pose", "fixed_frame", "odom", "mounting")
+        return PoseOptions.load(given({name: getattr(self, name) for name in names}))
+
+
+def with_run_options(command: Callable[..., None]) -> Callable[..., None]:
+    """`command` as typer takes it: every field of its first argument, a `RunOptions`, an option."""
+    hints = get_type_hints(RunOptions, include_extras=True)
+    shared = [
+        Parameter(one.name, Parameter.KEYWORD_ONLY, default=_default(one),
+                  annotation=hints[one.name])
+        for one in fields(RunOptions)
+    ]  # fmt: skip
+
+    @wraps(command)
+    def called(**values: Any) -> None:
+        options = RunOptions(**{one.name: values.pop(one.name) for one in shared})
+        command(options, **values)
+
+    own = list(signature(command).parameters.values())[1:]
+    called.__signature__ = Signature([*shared, *own])  # type: ignore[attr-defined]
+    return called
+
+
+def _default(option: Field[Any]) -> Any:
+    if option.default_factory is not MISSING:
+        return option.default_factory()
+    return Parameter.empty if option.default is MISSING else option.default

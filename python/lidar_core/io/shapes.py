@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.circles.shapes import ShapeKind
+from lidar_core.io.columns import Columns
 from lidar_core.io.long_table import write_long_table
 
 STATE = ("x", "y", "vx", "vy", "heading", "half_length", "half_width")
@@ -101,14 +102,33 @@ def outline(shapes: ShapesLike, row: int, corners: int) -> NDArray[np.float64]:
     if kind is ShapeKind.LINE:
         ends: NDArray[np.float64] = shapes.ends[row]
         return ends
+    around = _unit(kind, corners) * shapes.half_size[row]
+    return _placed(around, shapes.center[row], float(shapes.heading[row]))
+
+
+def outline_of_row(columns: Columns, row: int, corners: int) -> NDArray[np.float64]:
+    """The same from a row of the shapes table."""
+    kind = ShapeKind[str(columns["kind"][row]).upper()]
+    values = {name: float(columns[name][row]) for name in (*STATE, *ENDS)}
+    if kind is ShapeKind.LINE:
+        return np.array([values[name] for name in ENDS]).reshape(2, 2)
+    around = _unit(kind, corners) * (values["half_length"], values["half_width"])
+    return _placed(around, np.array([values["x"], values["y"]]), values["heading"])
+
+
+def _unit(kind: ShapeKind, corners: int) -> NDArray[np.float64]:
+    """Points of a rectangle or ellipse of half lengths 1."""
     if kind is ShapeKind.RECTANGLE:
-        unit = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)], np.float64)
-    else:
-        angles = np.linspace(0, 2 * np.pi, corners, endpoint=False)
-        unit = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    cos, sin = np.cos(shapes.heading[row]), np.sin(shapes.heading[row])
-    turn = np.array([[cos, sin], [-sin, cos]])
-    points: NDArray[np.float64] = shapes.center[row] + unit * shapes.half_size[row] @ turn
+        return np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)], np.float64)
+    angles = np.linspace(0, 2 * np.pi, corners, endpoint=False)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def _placed(
+    around: NDArray[np.float64], center: NDArray[np.float64], heading: float
+) -> NDArray[np.float64]:
+    cos, sin = np.cos(heading), np.sin(heading)
+    points: NDArray[np.float64] = center + around @ np.array([[cos, sin], [-sin, cos]])
     return points
 
 

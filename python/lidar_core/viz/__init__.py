@@ -3,7 +3,7 @@
 from lidar_core.viz.circles_picture import animate_circles, draw_circles
 from lidar_core.viz.flying_picture import draw_flying
 from lidar_core.viz.fusion_picture import draw_fusion
-from lidar_core.viz.playback import Moment, Objects, Playback
+from lidar_core.viz.playback import Moment, Objects, Outline, Playback
 from lidar_core.viz.playback_picture import draw_film, draw_moment
 from lidar_core.viz.views import CirclesView, FlyingView, FusionView, PlanarLine
 
@@ -13,6 +13,7 @@ __all__ = [
     "FusionView",
     "Moment",
     "Objects",
+    "Outline",
     "PlanarLine",
     "Playback",
     "animate_circles",

@@ -1,6 +1,6 @@
 """Pictures of a run of the circle pipeline, with matplotlib: one PNG, or an animation."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.extras import require
-from lidar_core.io.atomic import written_whole
 from lidar_core.io.circle_scene import ellipse
 from lidar_core.io.shapes import ShapesLike, outline
-from lidar_core.viz.figure import INK, PALE, PURPOSE, figure_with_style, write_figure
+from lidar_core.viz.figure import INK, PALE, PURPOSE, write_figure
+from lidar_core.viz.film import write_film
 from lidar_core.viz.views import CirclesView
 
 SIZE, DPI = (12.0, 7.0), 90
@@ -48,14 +48,14 @@ def draw_circles(view: CirclesView, path: str | Path) -> Path:
 
 
 def animate_circles(view: CirclesView, path: str | Path, *, frames: int, rate: float) -> Path:
-    """Draw the map over time into a GIF, whole or not at all.
+    """Draw the map over time.
 
     Parameters
     ----------
     view : CirclesView
         What to show; scans whose points were not kept are left out.
     path : str or Path
-        File to write.
+        .gif, or .mp4 where ffmpeg is installed; written whole or not at all.
     frames : int
         Frames at most, evenly picked.
     rate : float
@@ -63,26 +63,24 @@ def animate_circles(view: CirclesView, path: str | Path, *, frames: int, rate: f
 
     Raises
     ------
+    ConfigError
+        Another ending.
     MissingExtraError
-        matplotlib is not installed.
+        matplotlib or, for .mp4, ffmpeg is not installed.
     """
-    animation = require("matplotlib.animation", extra="plot", purpose=PURPOSE)
     kept = [scan for scan, points in enumerate(view.points) if len(points)]
     picked = kept[:: max(1, -(-len(kept) // frames))] or [len(view.maps) - 1]
     limits = _limits(view, 1.0)
-    place = Path(path)
-    with figure_with_style(size=FILM_SIZE, dpi=FILM_DPI) as figure, written_whole(place) as file:
+
+    def paint(figure: Any) -> Iterator[None]:
         axes = figure.add_subplot()
-        movie = animation.PillowWriter(fps=rate)
-        movie.setup(figure, str(file.with_suffix(".gif")), dpi=FILM_DPI)
         for scan in picked:
             axes.clear()
             _above(axes, view, scan, limits)
             axes.set_title(f"{view.title}: {_seconds(view)[scan]:.1f} s" if scan >= 0 else "")
-            movie.grab_frame()
-        movie.finish()
-        file.with_suffix(".gif").replace(file)
-    return place
+            yield
+
+    return write_film(path, paint, size=FILM_SIZE, dpi=FILM_DPI, rate=rate)
 
 
 def _compose(figure: Any, view: CirclesView) -> None:

@@ -13,6 +13,7 @@ from lidar_core.io.columns import Columns, read_columns
 from lidar_core.io.opening import open_recording
 from lidar_core.io.posed import posed_laser_scans, posed_scans
 from lidar_core.io.recording import SCAN_KINDS, Recording
+from lidar_core.io.shapes import outline_of_row
 from lidar_core.messages import LaserScan, Scan
 from lidar_core.run_folder import RUN_FILE
 
@@ -57,6 +58,25 @@ class Objects:
 
 
 @dataclass(frozen=True, slots=True)
+class Outline:
+    """A wall or another shape that is no circle, seen from above.
+
+    Attributes
+    ----------
+    id : int
+        Number of the element.
+    points : ndarray, shape (V, 3), float64
+        Both ends of a line, or a closed way around an ellipse or rectangle; world frame [m].
+    visible : bool
+        Whether it is in sight.
+    """
+
+    id: int
+    points: NDArray[np.float64]
+    visible: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Moment:
     """One time of a run.
 
@@ -70,12 +90,15 @@ class Moment:
         1 background, 2 flying, 3 unknown; 0 where points have no class.
     objects : Objects
         What was found.
+    outlines : tuple of Outline
+        Walls, ellipses and rectangles of a map of circles.
     """
 
     stamp_ns: int
     points: NDArray[np.float32]
     point_class: NDArray[np.uint8]
     objects: Objects
+    outlines: tuple[Outline, ...] = ()
 
 
 class Playback:
@@ -102,11 +125,7 @@ class Playback:
             raise FileNotFoundError(f"{self.folder}: no such folder")
         if not (self.folder / RUN_FILE).is_file():
             raise FormatError(f"{self.folder}: expected the folder of a run, with {RUN_FILE}")
-        tables = [
-            (name, path) for name in ("circles", "tracks")
-            for path in (self.folder / f"{name}.parquet", self.folder / f"{name}.csv")
-            if path.is_file()
-        ]  # fmt: skip
+        tables = [(name, path) for name in ("circles", "tracks") for path in self._tables(name)]
         if not tables:
             raise FormatError(
                 f"{self.folder}: neither tracks nor circles in it, but"
@@ -119,6 +138,13 @@ class Playback:
             "circles" if name == "circles" else "flying" if is_flying else "fusion"
         )
         self._rows = _rows_by_time(self._columns)
+        shapes = self._tables("shapes") if name == "circles" else []
+        self._shapes = read_columns(shapes[0]) if shapes else None
+        self._shape_rows = {} if self._shapes is None else _rows_by_time(self._shapes)
+
+    def _tables(self, name: str) -> list[Path]:
+        places = (self.folder / f"{name}.parquet", self.folder / f"{name}.csv")
+        return [path for path in places if path.is_file()]
 
     @property
     def recording(self) -> Path | None:
@@ -146,14 +172,19 @@ class Playback:
     def _stamps(self, after: int, before: int | None) -> list[int]:
         """Times of estimates between two scans."""
         return [
-            stamp for stamp in self._rows if stamp > after and (before is None or stamp < before)
+            stamp
+            for stamp in sorted(self._rows.keys() | self._shape_rows.keys())
+            if stamp > after and (before is None or stamp < before)
         ]
 
     def _moment(
         self, stamp_ns: int, points: NDArray[np.float32], classes: NDArray[np.uint8]
     ) -> Moment:
-        rows = self._rows.get(stamp_ns, np.empty(0, np.int64))
-        return Moment(stamp_ns, points, classes, _objects(self._columns, rows))
+        rows = self._rows.get(stamp_ns, _NO_ROWS)
+        outlines = () if self._shapes is None else tuple(
+            _outline(self._shapes, row) for row in self._shape_rows.get(stamp_ns, _NO_ROWS).tolist()
+        )  # fmt: skip
+        return Moment(stamp_ns, points, classes, _objects(self._columns, rows), outlines)
 
     def _scans(self) -> Iterator[tuple[int, NDArray[np.float32], NDArray[np.uint8]]]:
         if self.recording is None:
@@ -226,5 +257,13 @@ def _objects(columns: Columns, rows: NDArray[np.int64]) -> Objects:
     )
 
 
+def _outline(columns: Columns, row: int) -> Outline:
+    around = outline_of_row(columns, row, CORNERS)
+    closed = around if len(around) == 2 else np.vstack([around, around[:1]])
+    flat = np.pad(closed, ((0, 0), (0, 1)))
+    return Outline(int(columns["track_id"][row]), flat, bool(columns["visible"][row]))
+
+
 _NO_POINTS = np.empty((0, 3), np.float32)
+_NO_ROWS = np.empty(0, np.int64)
 _NO_CLASSES = np.empty(0, np.uint8)

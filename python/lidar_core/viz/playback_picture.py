@@ -8,18 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.errors import ConfigError, FormatError, MissingExtraError
-from lidar_core.extras import require
-from lidar_core.io.atomic import written_whole
+from lidar_core.errors import FormatError
 from lidar_core.io.circle_scene import ellipse
-from lidar_core.viz.figure import INK, PALE, PURPOSE, figure_with_style, write_figure
+from lidar_core.viz.figure import INK, PALE, write_figure
+from lidar_core.viz.film import write_film
 from lidar_core.viz.playback import Moment, Playback
 
 SIZE, DPI = (12.0, 6.0), 90
 FILM_DPI = 70
 POINT_COLOURS = ("#94a3b8", "#94a3b8", "#dc2626", "#d97706")
 """Of points without a class, of background, flying and unknown ones."""
-OBJECT, BAND = "#c2410c", "#0369a1"
+OBJECT, BAND, WALL = "#c2410c", "#0369a1", "#0f766e"
 SIGMAS, CORNERS = 2.0, 36
 TRAIL = 50  # positions of an object that stay in view
 MOST_POINTS = 40_000
@@ -87,36 +86,21 @@ def draw_film(run: Playback, path: str | Path, *, frames: int = 200, rate: float
     MissingExtraError
         matplotlib or, for .mp4, ffmpeg is not installed.
     """
-    place = Path(path)
-    writer = _film_writer(place, rate)
     followed = list(_followed(run))
     kept = [one for one in followed if len(one[0].points)] or followed
     if not kept:
         raise FormatError(f"{run.folder}: neither scans nor estimates to draw")
     picked = kept[:: max(1, -(-len(kept) // frames))]
     limits = _limits([moment for moment, _ in picked])
-    with figure_with_style(size=SIZE, dpi=FILM_DPI) as figure, written_whole(place) as file:
-        named = file.with_suffix(place.suffix)
-        writer.setup(figure, str(named), dpi=FILM_DPI)
+
+    def paint(figure: Any) -> Iterator[None]:
         for moment, trails in picked:
             figure.clear()
             seconds = (moment.stamp_ns - kept[0][0].stamp_ns) * 1e-9
             _compose(figure, run, moment, trails, seconds, limits)
-            writer.grab_frame()
-        writer.finish()
-        named.replace(file)
-    return place
+            yield
 
-
-def _film_writer(path: Path, rate: float) -> Any:
-    animation = require("matplotlib.animation", extra="plot", purpose=PURPOSE)
-    if path.suffix.lower() == ".gif":
-        return animation.PillowWriter(fps=rate)
-    if path.suffix.lower() != ".mp4":
-        raise ConfigError(f"{path}: expected a film that ends in .gif or .mp4")
-    if not animation.FFMpegWriter.isAvailable():
-        raise MissingExtraError(f"{path}: .mp4 needs the program ffmpeg; .gif does not")
-    return animation.FFMpegWriter(fps=rate)
+    return write_film(path, paint, size=SIZE, dpi=FILM_DPI, rate=rate)
 
 
 Trails = dict[int, NDArray[np.float64]]
@@ -133,8 +117,11 @@ def _followed(run: Playback) -> Iterator[tuple[Moment, Trails]]:
 
 
 def _limits(moments: list[Moment]) -> NDArray[np.float64]:
-    """Corners (2, 3) of what is shown: the bulk of the points, and every object."""
+    """Corners (2, 3) of what is shown: the bulk of the points or outlines, and every object."""
     points = np.concatenate([moment.points[::20] for moment in moments]).astype(np.float64)
+    outlines = [one.points for moment in moments for one in moment.outlines]
+    if outlines and not len(points):
+        points = np.concatenate(outlines)
     objects = np.concatenate([moment.objects.position for moment in moments])
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     if len(points):
@@ -175,6 +162,9 @@ def _draw_plane(
         chosen = points[classes == number]
         panel.plot(chosen[:, across], chosen[:, up], ".", ms=1 + 2 * (number > 1), color=colour,
                    rasterized=True)  # fmt: skip
+    for outline in moment.outlines:
+        line = outline.points[:, axes]
+        panel.plot(*line.T, "-" if outline.visible else ":", lw=2.0, color=WALL)
     for row, name in enumerate(moment.objects.id.tolist()):
         _draw_object(panel, moment, row, axes, trails[name])
     panel.set(xlabel=f"{labels[0]} [m]", ylabel=f"{labels[1]} [m]", aspect="equal",

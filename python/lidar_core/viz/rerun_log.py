@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lidar_core.extras import require
 from lidar_core.io.atomic import written_whole
-from lidar_core.viz.playback import Moment, Objects, Playback
+from lidar_core.viz.playback import Moment, Objects, Outline, Playback
 
 PURPOSE = "the rerun viewer"
 CLASS_COLOURS = np.array(
@@ -24,6 +24,8 @@ CLASS_COLOURS = np.array(
 )
 """Of points without a class, of background, flying and unknown ones."""
 OBJECT_COLOUR, ELLIPSE_COLOUR, VOXEL_COLOUR = (255, 90, 25), (60, 130, 240), (95, 110, 125, 90)
+SEEN_COLOUR, HIDDEN_COLOUR = (20, 160, 145), (130, 150, 150)
+"""Of walls and other shapes, in sight and out of sight."""
 SIGMAS = 2.0
 TRAIL = 50  # positions of an object that stay in view
 POINT_RADIUS, VOXEL_RADIUS = 0.02, 0.05
@@ -35,7 +37,8 @@ class RerunLog:
     """Moments of a run, logged to rerun as they come.
 
     Clouds by class under world/points, boxes with numbers under world/objects, their 2 sigma
-    ellipsoids, velocities (a second long) and trails beside them.
+    ellipsoids, velocities (a second long) and trails beside them, walls and other shapes under
+    world/shapes.
 
     Parameters
     ----------
@@ -57,6 +60,7 @@ class RerunLog:
         self._rr = require("rerun", extra="rerun", purpose=PURPOSE)
         self.stream = self._rr.RecordingStream("lidar_core", recording_id=name)
         self._trails: dict[int, list[NDArray[np.float64]]] = defaultdict(list)
+        self._has_shapes = False
 
     def begin(self) -> None:
         """Say which way is up; to be called once the stream is connected."""
@@ -71,6 +75,9 @@ class RerunLog:
             cloud = rr.Points3D(moment.points, colors=colours, radii=POINT_RADIUS)
             self.stream.log("world/points", cloud)
         _log_objects(rr, self.stream, moment.objects, self._trails)
+        if moment.outlines or self._has_shapes:  # none replace those of before
+            _log_shapes(rr, self.stream, moment.outlines)
+            self._has_shapes = bool(moment.outlines)
 
     def log_map(self, voxel_map: Path) -> None:
         """Show the occupied voxels of a saved map, at all times."""
@@ -201,6 +208,14 @@ def _log_objects(
     ))  # fmt: skip
     stream.log("world/objects/trails", rr.LineStrips3D(
         [np.array(trails[name]) for name in names], colors=OBJECT_COLOUR,
+    ))  # fmt: skip
+
+
+def _log_shapes(rr: Any, stream: Any, outlines: tuple[Outline, ...]) -> None:
+    colours = [SEEN_COLOUR if one.visible else HIDDEN_COLOUR for one in outlines]
+    stream.log("world/shapes", rr.LineStrips3D(
+        [one.points for one in outlines], labels=[str(one.id) for one in outlines],
+        colors=colours, show_labels=True,
     ))  # fmt: skip
 
 

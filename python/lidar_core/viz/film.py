@@ -1,0 +1,77 @@
+"""How a figure that is drawn again and again becomes a film."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from lidar_core.errors import ConfigError, MissingExtraError
+from lidar_core.extras import require
+from lidar_core.io.atomic import written_whole
+from lidar_core.viz.figure import PURPOSE, figure_with_style
+
+
+def write_film(
+    path: str | Path,
+    paint: Callable[[Any], Iterator[None]],
+    *,
+    size: tuple[float, float],
+    dpi: int,
+    rate: float,
+) -> Path:
+    """Let `paint` draw frame after frame into a matplotlib Figure, and write them as a film.
+
+    Parameters
+    ----------
+    path : str or Path
+        .gif, or .mp4 where ffmpeg is installed; written whole or not at all.
+    paint : callable
+        Gets the Figure; yields whenever a frame is drawn.
+    size : (float, float)
+        Width and height [inch].
+    dpi : int
+        Pixels per inch.
+    rate : float
+        Frames per second [Hz].
+
+    Raises
+    ------
+    ConfigError
+        Another ending.
+    MissingExtraError
+        matplotlib or, for .mp4, ffmpeg is not installed.
+    """
+    place = Path(path)
+    writer = _writer(place, rate)
+    with figure_with_style(size=size, dpi=dpi) as figure, written_whole(place) as file:
+        named = file.with_suffix(place.suffix)
+        try:
+            writer.setup(figure, str(named), dpi=dpi)
+            for _ in paint(figure):
+                writer.grab_frame()
+            writer.finish()
+            named.replace(file)
+        finally:
+            named.unlink(missing_ok=True)
+    return place
+
+
+def film_ending() -> str:
+    """`.mp4` where matplotlib finds ffmpeg, else `.gif`."""
+    try:
+        return ".mp4" if _animation().FFMpegWriter.isAvailable() else ".gif"
+    except MissingExtraError:
+        return ".gif"
+
+
+def _writer(path: Path, rate: float) -> Any:
+    if path.suffix.lower() == ".gif":
+        return _animation().PillowWriter(fps=rate)
+    if path.suffix.lower() != ".mp4":
+        raise ConfigError(f"{path}: expected a film that ends in .gif or .mp4")
+    if not _animation().FFMpegWriter.isAvailable():
+        raise MissingExtraError(f"{path}: .mp4 needs the program ffmpeg; .gif does not")
+    return _animation().FFMpegWriter(fps=rate)
+
+
+def _animation() -> Any:
+    return require("matplotlib.animation", extra="plot", purpose=PURPOSE)
