@@ -8,6 +8,7 @@ from lidar_core.parameters import MODELS, Parameter, model_named, models_within,
 
 PAGE = Path(__file__).parent / "parameters.md"
 USED_BY = {
+    "batch": "`lidar-core batch`",
     "circle_dataset": "`circles.dataset`, `circles.make_samples`",
     "circles": "`lidar_core.circles.CirclePipeline` and its parts",
     "evaluation": "`lidar-core demo`, `lidar_core.evaluation`",

@@ -16,6 +16,7 @@ from lidar_core.config import NONE, Config
 from lidar_core.errors import ConfigError
 
 MODELS = {
+    "batch": "lidar_core.batch:BatchConfig",
     "circle_dataset": "lidar_core.circles:DatasetConfig",
     "circles": "lidar_core.circles:CirclesConfig",
     "evaluation": "lidar_core.evaluation:EvaluationConfig",

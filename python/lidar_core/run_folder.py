@@ -8,6 +8,7 @@ import shutil
 import sys
 import tomllib
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from shlex import join
@@ -17,6 +18,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
+from lidar_core import _core
 from lidar_core._core import __version__
 from lidar_core.config import Config
 from lidar_core.errors import FormatError
@@ -165,6 +167,15 @@ def fingerprint(path: Path) -> dict[str, Any]:
             continue
         digest.update(f"{one.hexdigest()}  {file.relative_to(path).as_posix()}\n".encode())
     return {"path": str(path), "bytes": size, "sha256": digest.hexdigest()}
+
+
+@cache
+def build_digest() -> str:
+    """Digest of the core and of the package: what another build made may be something else."""
+    digest = hashlib.sha256(Path(_core.__file__).read_bytes())
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def _plain(column: NDArray[Any] | Sequence[str]) -> list[Any]:

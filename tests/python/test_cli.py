@@ -92,7 +92,7 @@ def test_help_needs_no_heavy_import():
         (["detect", "missing.pcd", "-o", "run"], "missing.pcd"),
         (["simulate", "missing.toml", "-o", "out.npz"], "missing.toml"),
         (["config", "show", "missing.toml"], "missing.toml"),
-        (["config", "show", "--model", "nothing"], "model: expected one of circle_dataset, "),
+        (["config", "show", "--model", "nothing"], "model: expected one of batch, "),
         (["config", "init", "--model", "read", "--mode", "paper"], "read has no paper mode"),
     ],
 )

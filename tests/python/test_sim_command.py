@@ -23,7 +23,7 @@ def test_the_command_writes_the_same_bytes_again(tmp_path):
     scene.write_text('[lidar]\npreset = "vlp-16"\n[[bodies]]\nshape = {kind = "plane"}\n')
     hashes = set()
     for name in ("a.npz", "b.npz"):
-        out = run_command(scene, "-o", tmp_path / name, "--seed", 1, "--scans", 2, "--json")
+        out = run_command(scene, "-o", tmp_path / name, "--seed", 1, "--scans", 2, "--json", "-")
         assert out.exit_code == 0, out.output
         done = json.loads(out.stdout)
         assert done["scans"] == 2

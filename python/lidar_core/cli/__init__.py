@@ -29,6 +29,7 @@ for _name in (
     "doctor",
     "reproduce",
     "view",
+    "batch",
 ):
     app.command(_name)(import_module(f"lidar_core.cli.{_name}").command)
 app.add_typer(config.app, name="config")

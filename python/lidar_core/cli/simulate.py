@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lidar_core.cli.common import JsonFile, consoles, progress_on, write_json
+
 if TYPE_CHECKING:
     from lidar_core.sim import Scene
 
@@ -27,19 +29,16 @@ def command(
         int | None, typer.Option(min=1, help="Length; without it as the scene says.")
     ] = None,
     threads: Annotated[int, typer.Option(min=1, help="Threads; the result is the same.")] = 1,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json: JsonFile = None,
 ) -> None:
     """Simulate SCENE into a recording; beside it truth.csv, scene.toml and run.toml."""
     from dataclasses import asdict
-    from json import dumps
-
-    from rich.console import Console
-    from rich.progress import Progress
 
     from lidar_core.sim.recording import record
 
     model = _scene(scene, seed)
-    with Progress(console=Console(stderr=True), transient=True) as progress:
+    out, errors = consoles(json)
+    with progress_on(errors) as progress:
         task = progress.add_task("simulate", total=model.scans if scans is None else scans)
         done = record(
             model,
@@ -49,12 +48,12 @@ def command(
             threads=threads,
             on_scan=lambda made: progress.advance(task),
         )
-    if json:
-        print(dumps(asdict(done), default=str))
-        return
-    print(f"{done.scans} scans, {done.points} points, {done.target_hits} of them on targets")
+    told = {name: str(value) if isinstance(value, Path) else value
+            for name, value in asdict(done).items()}  # fmt: skip
+    write_json(told, json)
+    out.print(f"{done.scans} scans, {done.points} points, {done.target_hits} of them on targets")
     for path in (done.recording, done.truth, done.scene, done.run):
-        print(f"  {path}")
+        out.print(f"  {path}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _scene(name: str, seed: int) -> "Scene":

@@ -3,14 +3,11 @@
 A part is a mapping of names to arrays, so that a finished one can lie on the disk as .npz.
 """
 
-import hashlib
 import json
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import closing
 from dataclasses import dataclass
-from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any, TypeAlias
@@ -19,11 +16,11 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-import lidar_core
-from lidar_core import _core
+from lidar_core.batch import Failure, Task, completed
 from lidar_core.config import Config
 from lidar_core.io.atomic import written_whole
 from lidar_core.reproduce.types import Request
+from lidar_core.run_folder import build_digest
 
 Part: TypeAlias = dict[str, NDArray[Any]]
 DAMAGED = (OSError, ValueError, EOFError, RuntimeError, BadZipFile, zlib.error, TokenError)
@@ -57,7 +54,7 @@ class Job:
     def stamp(self) -> str:
         """What made the part; a part with another stamp is of no use."""
         plain = {name: _plain(value) for name, value in self.arguments.items()}
-        return json.dumps([_build(), self.function.__qualname__, plain])
+        return json.dumps([build_digest(), self.function.__qualname__, plain])
 
 
 def run(jobs: Sequence[Job], request: Request) -> list[Part]:
@@ -83,18 +80,12 @@ def run(jobs: Sequence[Job], request: Request) -> list[Part]:
 
 def _in_processes(jobs: Sequence[Job], request: Request) -> dict[str, Part]:
     parts: dict[str, Part] = {}
-    workers = min(request.threads, len(jobs))
-    # Not fork: objects of the core refuse to work in a forked process.
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
-    try:
-        pending: dict[Future[Part], Job] = {
-            pool.submit(job.function, **job.arguments): job for job in jobs
-        }
-        for done in as_completed(pending):
-            job = pending[done]
-            parts[job.name] = _finished(job, done.result(), request)
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+    tasks = [Task(job.name, job.function, job.arguments) for job in jobs]
+    with closing(completed(tasks, workers=request.threads)) as ends:
+        for number, outcome in ends:
+            if isinstance(outcome, Failure):
+                raise outcome.error
+            parts[jobs[number].name] = _finished(jobs[number], outcome, request)
     return parts
 
 
@@ -123,16 +114,6 @@ def _kept(job: Job, folder: Path | None) -> Part | None:
     except DAMAGED:
         return None  # made again
     return part if str(part.pop(STAMP, "")) == job.stamp else None
-
-
-@cache
-def _build() -> str:
-    """Digest of the core and of the package: parts of another build are made again."""
-    digest = hashlib.sha256(Path(_core.__file__).read_bytes())
-    package = Path(lidar_core.__file__).parent
-    for path in sorted(package.rglob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 def _plain(value: Any) -> Any:

@@ -1,0 +1,153 @@
+"""What a batch is to do: commands, with every combination of the values given for their parts."""
+
+import glob
+import re
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Self, TypeAlias
+
+from pydantic import Field, model_validator
+
+from lidar_core.config import Config
+from lidar_core.errors import ConfigError
+
+Value: TypeAlias = str | int | float | bool
+OUTPUT = "output"
+_PLACE = re.compile(r"\{(\w*)\}")
+
+
+class BatchGroup(Config):
+    """Jobs that differ in the values of {NAME} in their commands.
+
+    A job is one value of every entry of `grid`, `ranges` and `files`, with one of `rows`;
+    {output} is a folder of its own.
+    """
+
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9][\w.-]*$",
+        max_length=60,
+        description="What the folders of its jobs begin with (no unit).",
+    )
+    commands: tuple[str, ...] = Field(
+        min_length=1, description="Commands without `lidar-core`, one after the other (no unit)."
+    )
+    grid: dict[str, tuple[Value, ...]] = Field(
+        default_factory=dict, description="Values of {NAME} (no unit)."
+    )
+    ranges: dict[str, tuple[int, int]] = Field(
+        default_factory=dict,
+        description="Whole numbers, from the first up to the second (no unit).",
+    )
+    files: dict[str, str] = Field(
+        default_factory=dict,
+        description="Files and folders, as patterns with * and **, from the folder of the batch"
+        " file (no unit).",
+    )
+    rows: tuple[dict[str, Value], ...] = Field(
+        (), description="Values that belong together (no unit)."
+    )
+
+    @model_validator(mode="after")
+    def _names_are_known_and_used(self) -> Self:
+        named = [*self.grid, *self.ranges, *self.files, *(self.rows[0] if self.rows else ())]
+        twice = sorted({name for name in named if named.count(name) > 1})
+        if twice or OUTPUT in named:
+            raise ValueError(f"expected every name once, none of them output, got {named}")
+        if any(set(row) != set(self.rows[0]) for row in self.rows):
+            raise ValueError("rows: expected the same names in every row")
+        used = {name for command in self.commands for name in _PLACE.findall(command)}
+        if used - {OUTPUT} != set(named):
+            raise ValueError(
+                f"expected a value for every {{NAME}} of the commands and no others,"
+                f" got {sorted(named)} for {sorted(used - {OUTPUT})}"
+            )
+        for command in self.commands:
+            shlex.split(command)
+        return self
+
+
+class BatchConfig(Config):
+    """A batch: groups of jobs."""
+
+    jobs: tuple[BatchGroup, ...] = Field((), description="Groups of jobs (no unit).")
+
+    @model_validator(mode="after")
+    def _groups_have_names(self) -> Self:
+        names = [group.name for group in self.jobs]
+        if len(set(names)) < len(names):
+            raise ValueError(f"expected another name for every group, got {names}")
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class BatchJob:
+    """Commands with their values.
+
+    Attributes
+    ----------
+    group : str
+        Name of the group.
+    values : dict
+        Of every {NAME}.
+    commands : tuple of tuple of str
+        Arguments of each command; {output} still stands in them.
+    """
+
+    group: str
+    values: dict[str, Value]
+    commands: tuple[tuple[str, ...], ...]
+
+    def commands_into(self, folder: Path) -> tuple[tuple[str, ...], ...]:
+        """The commands that write to `folder`."""
+        return tuple(
+            tuple(part.replace(f"{{{OUTPUT}}}", str(folder)) for part in command)
+            for command in self.commands
+        )
+
+
+def jobs_of(config: BatchConfig, folder: Path) -> list[BatchJob]:
+    """Every job, in the order of the file; patterns of files are seen from `folder`.
+
+    Raises
+    ------
+    ConfigError
+        No file has the pattern, or there is no group.
+    """
+    if not config.jobs:
+        raise ConfigError("jobs: expected a group of jobs, got none")
+    return [job for group in config.jobs for job in _of_group(group, folder)]
+
+
+def _of_group(group: BatchGroup, folder: Path) -> Iterator[BatchJob]:
+    choices: dict[str, tuple[Value, ...]] = {
+        name: _matching(group.name, name, pattern, folder) for name, pattern in group.files.items()
+    }
+    choices |= group.grid
+    choices |= {name: tuple(range(*limits)) for name, limits in group.ranges.items()}
+    for row in group.rows or ({},):
+        for chosen in product(*choices.values()):
+            values = {**row, **dict(zip(choices, chosen, strict=True))}
+            yield BatchJob(group.name, values, tuple(_filled(text, values)
+                                                     for text in group.commands))  # fmt: skip
+
+
+def _matching(group: str, name: str, pattern: str, folder: Path) -> tuple[str, ...]:
+    found = sorted(glob.glob(str(folder / pattern), recursive=True))
+    if not found:
+        raise ConfigError(f"jobs.{group}.files.{name}: nothing matches {folder / pattern}")
+    return tuple(found)
+
+
+def _filled(command: str, values: dict[str, Value]) -> tuple[str, ...]:
+    """Arguments of a command: split first, so that values may hold spaces."""
+
+    def value(match: re.Match[str]) -> str:
+        if match[1] == OUTPUT:
+            return match[0]
+        held = values[match[1]]
+        return str(held).lower() if isinstance(held, bool) else str(held)
+
+    return tuple(_PLACE.sub(value, part) for part in shlex.split(command))

@@ -1,0 +1,121 @@
+"""What came of the jobs of a batch: a note in every folder, and one table of all."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal, Self, TypeAlias
+
+from lidar_core.io.atomic import written_whole
+from lidar_core.io.long_table import write_long_table
+
+NOTE = "job.json"
+Status: TypeAlias = Literal["running", "done", "failed"]
+FIRST = ("job", "group", "key", "status", "seconds", "error")
+"""Columns that every table of results has."""
+
+
+@dataclass(frozen=True, slots=True)
+class JobRecord:
+    """What job.json says.
+
+    Attributes
+    ----------
+    job : str
+        Name of the folder.
+    group : str
+        Name of the group.
+    key : str
+        Digest of what makes the result: commands, files, versions.
+    status : str
+        running, done or failed; "running" of a job that no process does was cut.
+    seconds : float
+        How long it took [s].
+    error : str
+        What went wrong.
+    values : dict
+        Of every {NAME}.
+    numbers : dict
+        What the commands tell as JSON, by dotted path.
+    """
+
+    job: str
+    group: str
+    key: str
+    status: Status
+    seconds: float = 0.0
+    error: str = ""
+    values: dict[str, Any] = field(default_factory=dict)
+    numbers: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, folder: Path) -> Self | None:
+        """The record of a folder; None where there is none that can be read."""
+        try:
+            return cls(**json.loads((folder / NOTE).read_text(encoding="utf-8")))
+        except (OSError, ValueError, TypeError):
+            return None
+
+    def write(self, folder: Path) -> None:
+        """Write job.json, whole or not at all."""
+        with written_whole(folder / NOTE) as temporary:
+            temporary.write_text(json.dumps(asdict(self), indent=2) + "\n", encoding="utf-8")
+
+
+def flat(value: Any, path: str = "") -> dict[str, Any]:
+    """Numbers, texts and truths by their dotted paths; rows of a list by their names."""
+    if isinstance(value, Mapping):
+        items = [(str(name), inner) for name, inner in value.items()]
+    elif isinstance(value, list) and all(isinstance(item, Mapping) for item in value):
+        rows = [dict(item) for item in value if "name" in item]
+        items = [(str(row.pop("name")), row) for row in rows]
+    elif value is None or isinstance(value, str | int | float | bool):
+        return {path: value}
+    else:
+        return {}
+    found: dict[str, Any] = {}
+    for name, inner in items:
+        found |= flat(inner, f"{path}.{name}" if path else name)
+    return found
+
+
+def write_results(path: Path, records: Sequence[JobRecord]) -> Path:
+    """Write one row per job: what it was, how it ended, its values and its numbers.
+
+    Parameters
+    ----------
+    path : Path
+        Parquet, if it ends in .parquet and pyarrow is installed; otherwise CSV, ending in .csv.
+    records : sequence of JobRecord
+        In the order of the rows.
+
+    Returns
+    -------
+    path : Path
+        File that was written.
+    """
+    rows = [
+        {name: getattr(record, name) for name in FIRST}
+        | {f"value.{name}": value for name, value in record.values.items()}
+        | record.numbers
+        for record in records
+    ]
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    columns = {name: _kind([row.get(name) for row in rows]) for name in names}
+    return write_long_table(
+        path, columns, [[_as(row.get(name), columns[name]) for name in names] for row in rows]
+    )
+
+
+def _kind(values: Sequence[Any]) -> type:
+    """What holds all values of a column."""
+    kinds = {type(value) for value in values if value is not None}
+    if kinds <= {bool} and kinds:
+        return bool
+    if kinds <= {int} and kinds:
+        return int
+    return float if kinds <= {int, float} else str
+
+
+def _as(value: Any, kind: type) -> Any:
+    return None if value is None else kind(value)

@@ -1,0 +1,94 @@
+"""A process that does one task after the other, and survives the errors of all of them."""
+
+import signal
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
+from typing import Any, TypeAlias
+
+Outcome: TypeAlias = tuple[bool, Any]
+"""Whether there is a result, and the result or the exception."""
+PATIENCE = 5.0
+"""How long an idle process may take to end before it is ended [s]."""
+
+
+class Worker:
+    """A process of this machine.
+
+    It is spawned, not forked: objects of the core refuse to work in a forked process. Ctrl-C is
+    for the process that started it.
+    """
+
+    def __init__(self) -> None:
+        context = get_context("spawn")
+        self._ours, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs,))
+        self._process.start()
+        theirs.close()
+        self.is_alive = True
+
+    @property
+    def connection(self) -> "Connection[Any, Any]":
+        """Becomes readable when the task has ended."""
+        return self._ours
+
+    def begin(self, function: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
+        """Start a task; a process that died shows in the outcome."""
+        with suppress(BrokenPipeError):
+            self._ours.send((function, dict(arguments)))
+
+    def outcome(self) -> Outcome:
+        """Wait for the end of the task."""
+        try:
+            outcome: Outcome = self._ours.recv()
+        except (EOFError, ConnectionResetError):
+            self._process.join()
+            self.stop(now=True)
+            return False, ended(f"its process ended with status {self._process.exitcode}")
+        except Exception as error:  # a class that cannot be made again from what was sent
+            return False, ended(f"its outcome cannot be read: {type(error).__name__}: {error}")
+        return outcome
+
+    def stop(self, *, now: bool) -> None:
+        """End the process; `now` also within a task."""
+        self.is_alive = False
+        self._ours.close()
+        if not now:
+            self._process.join(PATIENCE)
+        if self._process.is_alive():
+            self._process.terminate()
+        self._process.join()
+
+
+def first_done(workers: Iterable[Worker]) -> list[Worker]:
+    """Wait until a task of these has ended; return those whose task has."""
+    by_connection = {worker.connection: worker for worker in workers}
+    return [by_connection[ready] for ready in wait(list(by_connection)) if ready in by_connection]
+
+
+def called(function: Callable[..., Any], arguments: Mapping[str, Any]) -> Outcome:
+    """Call the function; an exception is an outcome, too."""
+    try:
+        return True, function(**arguments)
+    except Exception as error:  # whatever it is, it must not end the other tasks
+        return False, error
+
+
+def ended(reason: str) -> Exception:
+    """The error of a task whose process died."""
+    return ChildProcessError(f"no result: {reason}")
+
+
+def _serve(connection: "Connection[Any, Any]") -> None:
+    """Do tasks until the other side closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with suppress(EOFError, BrokenPipeError):
+        while True:
+            function, arguments = connection.recv()
+            outcome = called(function, arguments)
+            try:
+                connection.send(outcome)
+            except (TypeError, ValueError, AttributeError) as error:
+                told = outcome[1] if not outcome[0] else error
+                connection.send((False, ended(f"{type(told).__name__}: {told}")))

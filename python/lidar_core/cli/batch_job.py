@@ -1,0 +1,218 @@
+"""The jobs of `lidar-core batch`: which are done, what doing one means, and the table of all."""
+
+import hashlib
+import json
+import os
+import shutil
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, redirect_stderr, redirect_stdout
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Self
+
+from typer.main import get_command
+
+from lidar_core.batch import BatchJob, Failure, JobRecord, Task, completed, write_results
+from lidar_core.batch.executors import Executor
+from lidar_core.batch.results import NOTE, flat
+from lidar_core.cli.common import all_threads
+from lidar_core.config import Config
+from lidar_core.errors import ConfigError, LidarCoreError
+from lidar_core.io.atomic import written_whole
+from lidar_core.run_folder import build_digest, note_of
+
+LOG, RESULTS = "log.txt", "results.parquet"
+KEY_LENGTH = 12
+WITHOUT = ("batch", "view")
+"""Commands that are no jobs: they do not end by themselves, or would start jobs of their own."""
+
+
+@dataclass(slots=True)
+class Batch:
+    """Jobs and the folder of their results.
+
+    Attributes
+    ----------
+    folder : Path
+        Of the results.
+    jobs : dict of str to BatchJob
+        By the names of their folders.
+    kept : dict of str to JobRecord
+        Those that an earlier run did.
+    """
+
+    folder: Path
+    jobs: dict[str, BatchJob]
+    kept: dict[str, JobRecord]
+    made: dict[str, JobRecord]
+
+    @classmethod
+    def of(cls, folder: Path, jobs: Sequence[BatchJob], *, is_fresh: bool) -> Self:
+        """Name the jobs, and see which are done.
+
+        Raises
+        ------
+        ConfigError
+            A command is not known, or cannot be a job.
+        """
+        for job in jobs:
+            _check(job)
+        named = {f"{job.group}-{_key(job)[:KEY_LENGTH]}": job for job in jobs}
+        kept = {} if is_fresh else {
+            name: record for name, job in named.items()
+            if (record := JobRecord.read(folder / name)) is not None
+            and record.status == "done" and record.key == _key(job)
+        }  # fmt: skip
+        return cls(folder, named, kept, {})
+
+    def run(self, *, executor: Executor, workers: int) -> Iterator[JobRecord]:
+        """Do what is left; yield each record as the job ends."""
+        left = [name for name in self.jobs if name not in self.kept]
+        threads = max(1, all_threads() // workers)
+        for name in left:
+            _begin(self.folder / name, self._record(name))
+        tasks = [self._task(name, threads) for name in left]
+        with closing(completed(tasks, workers=workers, executor=executor)) as ends:
+            for number, outcome in ends:
+                name = left[number]
+                record = self._failed(name, outcome) if isinstance(outcome, Failure) else outcome
+                self.made[name] = record
+                yield record
+
+    def records(self) -> list[JobRecord]:
+        """Of the jobs that have ended, in the order of the file."""
+        ended = {**self.kept, **self.made}
+        return [ended[name] for name in self.jobs if name in ended]
+
+    def write(self, config: Mapping[str, Config], file: Path) -> Path:
+        """Write the table and what made it; return the table."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with written_whole(self.folder / "batch.toml") as temporary:
+            temporary.write_text(note_of({"jobs": str(file)}, config), encoding="utf-8")
+        return write_results(self.folder / RESULTS, self.records())
+
+    def _failed(self, name: str, failure: Failure) -> JobRecord:
+        error = _told(failure.error)
+        record = replace(self._record(name), status="failed", error=error)
+        record.write(self.folder / name)
+        return record
+
+    def _record(self, name: str) -> JobRecord:
+        job = self.jobs[name]
+        return JobRecord(name, job.group, _key(job), "running", values=job.values)
+
+    def _task(self, name: str, threads: int) -> Task:
+        folder = (self.folder / name).resolve()
+        return Task(name, run_job, {
+            "record": self._record(name), "commands": self.jobs[name].commands_into(folder),
+            "folder": folder, "place": Path.cwd(), "threads": threads, "build": build_digest(),
+        })  # fmt: skip
+
+
+def run_job(
+    *,
+    record: JobRecord,
+    commands: Sequence[Sequence[str]],
+    folder: Path,
+    place: Path,
+    threads: int,
+    build: str,
+) -> JobRecord:
+    """Do the commands of a job in `folder`, seen from `place`; return how it ended.
+
+    What they print goes into log.txt.
+    """
+    start = perf_counter()
+    numbers: dict[str, Any] = {}
+    try:
+        if build != build_digest():
+            raise ConfigError("batch: this worker has another build of lidar_core")
+        os.chdir(place)
+        with (
+            (folder / LOG).open("w", encoding="utf-8") as log,
+            redirect_stdout(log),
+            redirect_stderr(log),
+        ):
+            for number, command in enumerate(commands, start=1):
+                numbers |= _numbers_of(command, folder, number, threads)
+    except Exception as error:  # whatever it is, it is what the record is for
+        ended = replace(record, status="failed", error=_told(error))
+    else:
+        ended = replace(record, status="done", numbers=numbers)
+    ended = replace(ended, seconds=round(perf_counter() - start, 3))
+    ended.write(folder)
+    return ended
+
+
+def _numbers_of(command: Sequence[str], folder: Path, number: int, threads: int) -> dict[str, Any]:
+    """Do one command; return what it told as JSON, under its name."""
+    from lidar_core.cli import app
+
+    told = folder / f"{number}-{command[0]}.json"
+    options = _options(command[0])
+    more = ["--json", str(told)] if "--json" in options and "--json" not in command else []
+    if "--threads" in options and "--threads" not in command:
+        more += ["--threads", str(threads)]
+    arguments = [*command, *more]
+    sys.argv = ["lidar-core", *arguments]
+    status = app(arguments, standalone_mode=False)
+    if status:
+        raise ChildProcessError(f"lidar-core {' '.join(command)}: exit status {status}, see {LOG}")
+    if not told.is_file():
+        return {}
+    return flat(json.loads(told.read_text(encoding="utf-8")), command[0])
+
+
+def _options(command: str) -> set[str]:
+    """Options of a command that take a value."""
+    parameters = _commands()[command].params
+    return {name for one in parameters if not getattr(one, "is_flag", False) for name in one.opts}
+
+
+def _commands() -> Mapping[str, Any]:
+    from lidar_core.cli import app
+
+    known: Mapping[str, Any] = vars(get_command(app))["commands"]
+    return known
+
+
+def _check(job: BatchJob) -> None:
+    known = sorted(set(_commands()) - set(WITHOUT))
+    for command in job.commands:
+        if not command or command[0] not in known:
+            named = command[0] if command else ""
+            raise ConfigError(
+                f"jobs.{job.group}.commands: expected one of {', '.join(known)}, got {named!r}"
+            )
+
+
+def _begin(folder: Path, record: JobRecord) -> None:
+    """An empty folder that says whose it is."""
+    if folder.exists() and any(folder.iterdir()):
+        if not (folder / NOTE).is_file():
+            raise FileExistsError(f"{folder}: holds files that no job wrote")
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    record.write(folder)
+
+
+def _key(job: BatchJob) -> str:
+    """Digest of what makes the result: build, commands, and size and time of the files named."""
+    files = {part: _seen(Path(part)) for command in job.commands for part in command
+             if os.path.exists(part)}  # fmt: skip
+    made_of = json.dumps([build_digest(), job.commands, files], sort_keys=True)
+    return hashlib.sha256(made_of.encode()).hexdigest()
+
+
+def _seen(path: Path) -> list[tuple[str, int, int]]:
+    found = [path] if path.is_file() else sorted(one for one in path.rglob("*") if one.is_file())
+    return [(str(one), (at := one.stat()).st_size, at.st_mtime_ns) for one in found]
+
+
+def _told(error: Exception) -> str:
+    text = str(error) if isinstance(error, LidarCoreError | OSError) else (
+        f"{type(error).__name__}: {error}"
+    )  # fmt: skip
+    return text.strip() or type(error).__name__
