@@ -50,6 +50,20 @@ def files(tmp_path):
     return table, truth
 
 
+def test_what_is_not_round_has_no_radius_to_compare(files):
+    table, truth = files
+    first, *rows = truth.read_text().splitlines()
+    person = [row.replace(f",{TRUE_RADIUS},", ",nan,").replace("cylinder", "person")
+              for row in rows[:-1]]  # fmt: skip
+    truth.write_text("\n".join([first, *person, rows[-1]]) + "\n")
+    scores = evaluate(read_truth(truth), tracks=read_prediction(table).tracks).tracks
+    assert scores.position_error.count == SCANS
+    assert scores.radius_error.count == 1
+    truth.write_text(truth.read_text().replace(",nan,", ",inf,"))
+    with pytest.raises(FormatError, match="radius"):
+        read_truth(truth)
+
+
 def test_errors_of_centres_radii_and_velocities(files):
     table, truth = files
     prediction = read_prediction(table)

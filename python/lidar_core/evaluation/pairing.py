@@ -176,7 +176,7 @@ def checked_truth(truth: Truth) -> Truth:
         sensor=None
         if truth.sensor is None
         else as_rows(truth.sensor, name="truth.sensor", rows=rows, shape=(3,), dtype=np.float64),
-        radius=_values(truth.radius, "truth.radius", rows, shape=()),
+        radius=_radius(truth.radius, rows),
     )
 
 
@@ -210,6 +210,16 @@ def _values(
     if values is None:
         return None
     return as_finite_rows(values, name=name, rows=rows, shape=shape)
+
+
+def _radius(values: NDArray[np.float64] | None, rows: int) -> NDArray[np.float64] | None:
+    """Radii of targets, NaN of those that are not round."""
+    if values is None:
+        return None
+    radius = as_rows(values, name="truth.radius", rows=rows, shape=(), dtype=np.float64)
+    as_finite_rows(np.nan_to_num(radius, posinf=np.inf, neginf=-np.inf), name="truth.radius",
+                   rows=rows, shape=())  # fmt: skip
+    return radius
 
 
 def _refuse_twice(stamps: Rows, names: Rows, *, name: str) -> None:

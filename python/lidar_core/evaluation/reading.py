@@ -120,7 +120,9 @@ def read_truth(
         columns = _flat(columns)
     position, velocity = _rows(place, columns, AXES), _rows_if_known(place, columns, RATES)
     sensor = _rows_if_known(place, columns, tuple(f"sensor_{axis}" for axis in AXES))
-    radius = _numbers(place, columns, "radius") if is_planar and "radius" in columns else None
+    radius = None
+    if is_planar and "radius" in columns:
+        radius = _floats(place, columns, "radius")
     counts = _after_burn_in(stamps, config.burn_in_scans)
     if "hits" in columns:
         counts &= _integers(place, columns, "hits") >= config.min_hits
@@ -249,9 +251,16 @@ def _rows_if_known(
 
 
 def _numbers(place: Path, columns: Columns, name: str) -> NDArray[np.float64]:
-    column = _column(place, columns, name)
-    if column.dtype.kind not in "fiu" or not np.isfinite(column).all():
+    column = _floats(place, columns, name)
+    if not np.isfinite(column).all():
         raise FormatError(f"{place}: column {name}: expected finite numbers")
+    return column
+
+
+def _floats(place: Path, columns: Columns, name: str) -> NDArray[np.float64]:
+    column = _column(place, columns, name)
+    if column.dtype.kind not in "fiu":
+        raise FormatError(f"{place}: column {name}: expected numbers, got {column.dtype}")
     return column.astype(np.float64)
 
 

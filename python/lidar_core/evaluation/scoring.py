@@ -188,7 +188,8 @@ def _errors(estimates: Estimates, truth: Truth, pairing: Pairing) -> dict[str, S
         change = estimates.velocity[pairing.estimate_of[rows]] - truth.velocity[rows]
         velocity = Spread.of(norms(change))
     if truth.radius is not None and estimates.radius is not None:
-        radius = Spread.of(estimates.radius[pairing.estimate_of[rows]] - truth.radius[rows])
+        difference = estimates.radius[pairing.estimate_of[rows]] - truth.radius[rows]
+        radius = Spread.of(difference[~np.isnan(difference)])
     return {
         "position_error": Spread.of(norms(away)),
         "radial_error": radial,

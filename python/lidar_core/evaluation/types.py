@@ -29,7 +29,7 @@ class Truth:
     sensor : ndarray, shape (R, 3), float64, optional
         Where the sensor was [m], world frame; NaN where unknown.
     radius : ndarray, shape (R,), float64, optional
-        Of a round object [m].
+        Of a round object [m]; NaN of one that is not round.
     """
 
     stamp_ns: NDArray[np.int64]
