@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from lidar_core.errors import InputError
-from lidar_core.fusion import in_space, level_sight
+from lidar_core.fusion import (
+    FusionConfig,
+    in_space,
+    level_sight,
+    read_measurements,
+    run,
+    write_overflight,
+)
 from lidar_core.sim import Overflight, overfly
 
 EXACT = {
@@ -118,6 +125,21 @@ def test_the_same_seed_gives_the_same_errors_and_the_truth_is_written(tmp_path):
     assert int(rows[7]["t_ns"]) == made.stamps_ns[7]
     assert float(rows[7]["y"]) == made.position[7, 1]
     assert float(rows[7]["drone_pitch"]) == made.true_pitch[7]
+
+
+def test_a_table_is_tracked_by_the_fusion(tmp_path):
+    made = overfly(Overflight(seconds=10.0), seed=4)
+    write_overflight(tmp_path / "drone.csv", made)
+    log = read_measurements(tmp_path / "drone.csv")
+    np.testing.assert_allclose(log.truth.position[::3], made.position[:, :2])
+    sensors = [one.sensor for one in log.measurements[:6]]
+    assert sensors == ["pose", "gyro", "lidar", "pose", "gyro", "radar"]
+    lidar = log.measurements[2]
+    c, s = np.cos(made.yaw[0]), np.sin(made.yaw[0])
+    place = np.array([[c, -s], [s, c]]) @ lidar.values + made.drone[0, :2]
+    np.testing.assert_allclose(place, made.position[0, :2], atol=0.5)
+    found = run(log.measurements, FusionConfig())
+    assert np.hypot(*(found.states[-1, :2] - made.position[-1, :2])) < 0.3
 
 
 def test_wrong_shapes_are_named():

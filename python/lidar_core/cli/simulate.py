@@ -16,13 +16,17 @@ def command(
         str,
         typer.Argument(
             help="Scene file (TOML), or a built-in: demo, performance-1, performance-2,"
-            " circles, circles-room, circles-lab."
+            " circles, circles-room, circles-lab, overflight (LiDAR and radar)."
         ),
     ],
     *,
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", help="Recording to write: .npz, .mcap, .bag, or a folder."),
+        typer.Option(
+            "--output",
+            "-o",
+            help="Recording to write: .npz, .mcap, .bag, or a folder; .csv for overflight.",
+        ),
     ],
     seed: Annotated[int, typer.Option(min=0, help="Seed of noise and random motions.")] = 0,
     scans: Annotated[
@@ -32,6 +36,9 @@ def command(
     json: JsonFile = None,
 ) -> None:
     """Simulate SCENE into a recording; beside it truth.csv, scene.toml and run.toml."""
+    if scene == "overflight":
+        _overfly(output, seed, scans, json=json)
+        return
     from dataclasses import asdict
 
     from lidar_core.sim.recording import record
@@ -54,6 +61,25 @@ def command(
     out.print(f"{done.scans} scans, {done.points} points, {done.target_hits} of them on targets")
     for path in (done.recording, done.truth, done.scene, done.run):
         out.print(f"  {path}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _overfly(output: Path, seed: int, rows: int | None, *, json: Path | None) -> None:
+    """A table of LiDAR and radar of a drone above a target, which holds the truth."""
+    from lidar_core.errors import ConfigError
+    from lidar_core.fusion import write_overflight
+    from lidar_core.sim import Overflight, overfly
+
+    if output.suffix != ".csv":
+        raise ConfigError(f"--output: expected a .csv for overflight, got {output}")
+    config = Overflight()
+    if rows is not None:
+        config = Overflight(seconds=rows / config.rate)
+    made = overfly(config, seed=seed)
+    write_overflight(output, made)
+    out, _ = consoles(json)
+    write_json({"rows": len(made.stamps_ns), "recording": str(output)}, json)
+    out.print(f"{len(made.stamps_ns)} rows with the truth")
+    out.print(f"  {output}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _scene(name: str, seed: int) -> "Scene":

@@ -7,6 +7,7 @@ from lidar_core.fusion.filter import TargetFilter
 from lidar_core.fusion.many import MultiTargetTracker, TargetTracks
 from lidar_core.fusion.many_config import AutoferryOptions, MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, Measurements
+from lidar_core.fusion.overflight import level_overflight, write_overflight
 from lidar_core.fusion.reading import TargetRecording, TargetTruth, read_laser_radar
 from lidar_core.fusion.run import Run, run, run_batch, smooth
 from lidar_core.fusion.space import LevelSight, SpaceTrack, in_space, level_sight
@@ -34,6 +35,7 @@ __all__ = [
     "TargetTruth",
     "fit_noise",
     "in_space",
+    "level_overflight",
     "level_sight",
     "mean_gospa",
     "read_autoferry",
@@ -43,4 +45,5 @@ __all__ = [
     "run_batch",
     "smooth",
     "target_coverage",
+    "write_overflight",
 ]

@@ -12,7 +12,7 @@ from lidar_core.fusion import (
     Measurement,
     SpaceTrack,
     in_space,
-    level_sight,
+    level_overflight,
     run,
 )
 from lidar_core.reproduce.common import BLUE, COLOURS
@@ -45,7 +45,7 @@ def _run(request: Request) -> Result:
     shown: dict[str, Any] = {}
     for name, scene in scenes().items():
         made = [overfly(scene, seed=request.seed * 1_000_003 + n) for n in range(request.scans)]
-        found = {mode: [_follow(one, scene, mode) for one in made] for mode in ("paper", "best")}
+        found = {mode: [_follow(one, mode) for one in made] for mode in ("paper", "best")}
         rows += _rows(name, made, found)
         shown[name] = (made[0], {mode: tracks[0] for mode, tracks in found.items()})
     request.advance(request.scans)
@@ -61,9 +61,9 @@ def _run(request: Request) -> Result:
     )
 
 
-def _follow(made: "Overflown", scene: "Overflight", mode: str) -> SpaceTrack:
+def _follow(made: "Overflown", mode: str) -> SpaceTrack:
     """Level what was measured, filter it in the plane, and give it its height."""
-    sight = _levelled(made, scene)
+    sight = level_overflight(made)
     if mode == "paper":
         found = run(_flat(made, sight), FusionConfig.paper())
         c, s = np.cos(made.yaw), np.sin(made.yaw)
@@ -73,23 +73,9 @@ def _follow(made: "Overflown", scene: "Overflight", mode: str) -> SpaceTrack:
         return in_space(position, covariance, sight.elevation, sight.elevation_variance, made.drone)
     seen = [one for pair in zip(_poses(made), _flat(made, sight), strict=True) for one in pair]
     found = run(seen, FusionConfig())
-    drift = np.full(len(made.yaw), DRIFT**2 / scene.rate)
+    drift = np.full(len(made.yaw), DRIFT**2 / made.config.rate)
     return in_space(found.states[1::2, :2], found.covariances[1::2, :2, :2], sight.elevation,
                     sight.elevation_variance, made.drone, drift=drift)  # fmt: skip
-
-
-def _levelled(made: "Overflown", scene: "Overflight") -> LevelSight:
-    """Level both sensors: the LiDAR's positions as range and bearing, without a rate."""
-    x, y, _ = made.values.T
-    far = np.hypot(x, y)
-    lidar = np.stack([far, np.arctan2(y, x), 0 * far], axis=1)
-    std = np.stack([0 * far + scene.lidar_std, scene.lidar_std / far, 0 * far + 1], axis=1)
-    kind = made.is_lidar[:, None]
-    return level_sight(
-        np.where(kind, lidar, made.values), made.swivel, made.pitch,
-        std=np.where(kind, std, scene.radar_std),
-        swivel_std=scene.swivel_std, pitch_std=scene.pitch_std,
-    )  # fmt: skip
 
 
 def _flat(made: "Overflown", sight: LevelSight) -> list[Measurement]:

@@ -3,7 +3,6 @@
 Both sensors swivel so that their plane meets the target, and say by how much.
 """
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,16 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from lidar_core.config import Config
-from lidar_core.io.atomic import written_whole
+from lidar_core.io.long_table import write_long_table
 
-COLUMNS = (
-    "t_ns", "x", "y", "z", "vx", "vy", "vz", "drone_x", "drone_y", "drone_z", "drone_yaw",
-    "drone_pitch",
-)  # fmt: skip
+COLUMNS: dict[str, type] = {
+    "t_ns": int,
+    **dict.fromkeys(
+        ("x", "y", "z", "vx", "vy", "vz", "drone_x", "drone_y", "drone_z", "drone_yaw",
+         "drone_pitch"),
+        float,
+    ),
+}  # fmt: skip
 
 
 class Overflight(Config):
@@ -82,6 +85,8 @@ class Overflown:
         Nose down [rad].
     position, velocity : ndarray, shape (K, 3)
         Of the target, world [m], [m/s].
+    config : Overflight
+        What was simulated.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -97,20 +102,16 @@ class Overflown:
     true_pitch: NDArray[np.float64]
     position: NDArray[np.float64]
     velocity: NDArray[np.float64]
+    config: Overflight
 
     def write_truth(self, path: str | Path) -> None:
         """Write target and drone as CSV: t_ns, then m, m/s and rad, world."""
         angles = np.stack([self.yaw, self.true_pitch], axis=1)
         rows = np.hstack([self.position, self.velocity, self.drone, angles]).tolist()
-        with (
-            written_whole(Path(path)) as temporary,
-            temporary.open("w", newline="", encoding="utf-8") as file,
-        ):
-            writer = csv.writer(file)
-            writer.writerow(COLUMNS)
-            writer.writerows(
-                [stamp, *row] for stamp, row in zip(self.stamps_ns.tolist(), rows, strict=True)
-            )
+        stamps = self.stamps_ns.tolist()
+        write_long_table(
+            path, COLUMNS, [[stamp, *row] for stamp, row in zip(stamps, rows, strict=True)]
+        )
 
 
 def overfly(config: Overflight, *, seed: int) -> Overflown:
@@ -157,6 +158,7 @@ def overfly(config: Overflight, *, seed: int) -> Overflown:
         true_pitch=pitch,
         position=position,
         velocity=velocity,
+        config=config,
     )
 
 
