@@ -137,6 +137,12 @@ def test_the_scenes_of_the_guide_can_be_simulated():
         assert (scan.truth.hits > 0).all()
 
 
+def test_the_guide_has_an_api_page_for_every_public_module():
+    pages = {path.stem for path in (ROOT / "docs/api").glob("*.md")}
+    public = {"circles", "flying", *lidar_core._LAZY} - {"reproduce"}
+    assert pages == {"lidar_core", *public}
+
+
 def test_make_help_lists_the_targets():
     done = subprocess.run(
         ["make", "--no-print-directory", "help"],
