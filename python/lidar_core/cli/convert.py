@@ -3,13 +3,15 @@
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lidar_core.cli.common import JsonFile, consoles, given, progress_on, write_json
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from lidar_core.io import ReadOptions, Recording
     from lidar_core.messages import Message
 
@@ -17,13 +19,14 @@ NS = 1_000_000_000
 
 
 def command(
-    recording: Annotated[Path, typer.Argument(help="Recording to read: file or folder.")],
+    recording: Annotated[Path, typer.Argument(help="Recording, or folder of a run.")],
     output: Annotated[
         Path,
         typer.Argument(
             help="Recording to write: NAME.npz, NAME.mcap (Foxglove), NAME.bag (ROS 1), or a new"
             " folder (ROS 2). From one cloud or map (map.lcvm, .pcd, .ply, .las, .bt, meshes):"
-            " NAME.pcd, NAME.ply or NAME.bt (OctoMap)."
+            " NAME.pcd, NAME.ply or NAME.bt (OctoMap). From a run: its objects as NAME.json"
+            " (nuScenes), NAME.txt (MOTChallenge), NAME.bag or a folder (obstacles of ROS)."
         ),
     ],
     *,
@@ -54,11 +57,18 @@ def command(
         float | None,
         typer.Option(help="Edge of the voxels of NAME.bt \\[m]; else that of the map read."),
     ] = None,
+    class_name: Annotated[
+        str | None, typer.Option("--class", help="Class of a run's objects, such as pedestrian.")
+    ] = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Write scans and poses of RECORDING to OUTPUT; the ending of its name chooses the format."""
+    """Write what RECORDING holds to OUTPUT; the ending of its name chooses the format.
+
+    Of a recording scans and poses, of a run its objects.
+    """
+    from lidar_core.cli.convert_run import convert_run, is_run
     from lidar_core.errors import InputError
-    from lidar_core.io import ReadOptions, open_recording, write_recording
+    from lidar_core.io import ReadOptions
     from lidar_core.io.cloud_files import WRITABLE
 
     if output.exists() and output.resolve() == recording.resolve():
@@ -66,35 +76,57 @@ def command(
     values = given({"point_time": point_time, "no_return": no_return, "metadata": metadata,
                     "recover": recover or None})  # fmt: skip
     console, errors = consoles(json_file)
+    if is_run(recording):
+        told = convert_run(recording, output, name=class_name)
+        write_json(told, json_file)
+        console.print(f"{told['objects']} objects at {told['times']} times in {output}",
+                      markup=False, soft_wrap=True)  # fmt: skip
+        return
     if output.suffix.lower() in WRITABLE:
         count = _write_cloud(recording, output, ReadOptions.load(values), resolution)
         write_json({"input": str(recording), "output": str(output), "points": count}, json_file)
         console.print(f"{count} points in {output}", markup=False, soft_wrap=True)
         return
+    result = _write_recording(recording, output, ReadOptions.load(values), topic, (start, end),
+                              errors)  # fmt: skip
+    write_json(result, json_file)
+    for name, count in result["written"].items():
+        console.print(f"{name}: {count}", markup=False)
+    for name, count in result["left_out"].items():
+        console.print(f"{name}: {count} messages left out, no scans or poses", markup=False)
+    total = sum(result["written"].values())
+    console.print(f"{total} messages in {output}", markup=False, soft_wrap=True)
+
+
+def _write_recording(
+    source: Path,
+    output: Path,
+    options: "ReadOptions",
+    topics: list[str] | None,
+    span: tuple[float, float | None],
+    console: "Console",
+) -> dict[str, Any]:
+    """Write scans and poses; returns what was written and what was not, as plain values."""
+    from lidar_core.io import open_recording, write_recording
+
     written: Counter[str] = Counter()
     with (
-        open_recording(recording, ReadOptions.load(values)) as opened,
-        progress_on(errors, counts="messages") as progress,
+        open_recording(source, options) as opened,
+        progress_on(console, counts="messages") as progress,
     ):
-        _check_topics(opened, topic)
+        _check_topics(opened, topics)
         task = progress.add_task("convert", total=None)
 
         def counted() -> Iterator["Message"]:
-            for message in _chosen(opened, topic, start, end):
+            for message in _chosen(opened, topics, *span):
                 written[message.topic or "(no topic)"] += 1
                 progress.advance(task)
                 yield message
 
         write_recording(output, counted())
         left_out = {**opened.skipped, **opened.noticed().rejected}
-    result = {"input": str(recording), "output": str(output), "written": dict(written),
-              "left_out": left_out}  # fmt: skip
-    write_json(result, json_file)
-    for name, count in written.items():
-        console.print(f"{name}: {count}", markup=False)
-    for name, count in left_out.items():
-        console.print(f"{name}: {count} messages left out, no scans or poses", markup=False)
-    console.print(f"{sum(written.values())} messages in {output}", markup=False, soft_wrap=True)
+    return {"input": str(source), "output": str(output), "written": dict(written),
+            "left_out": left_out}  # fmt: skip
 
 
 def _write_cloud(

@@ -5,10 +5,12 @@ from lidar_core.io.cloud_files import Cloud, read_cloud, write_cloud
 from lidar_core.io.columns import read_columns
 from lidar_core.io.info import RecordingInfo, TopicInfo
 from lidar_core.io.npz import write_npz
+from lidar_core.io.objects import write_mot, write_nuscenes
 from lidar_core.io.opening import open_recording
 from lidar_core.io.options import PoseOptions, ReadOptions
 from lidar_core.io.posed import PosedScan, PosedScans, posed_laser_scans, posed_scans
 from lidar_core.io.recording import Recording, Topic
+from lidar_core.io.ros_obstacles import write_ros_objects
 from lidar_core.io.shapes import write_shapes_table
 from lidar_core.io.tf_buffer import NoTransformError, TransformBuffer
 from lidar_core.io.tracks import write_tracks_table, write_tum
@@ -39,9 +41,12 @@ __all__ = [
     "write_circles_tum",
     "write_cloud",
     "write_mcap",
+    "write_mot",
     "write_npz",
+    "write_nuscenes",
     "write_recording",
     "write_ros",
+    "write_ros_objects",
     "write_shapes_table",
     "write_tracks_table",
     "write_tum",

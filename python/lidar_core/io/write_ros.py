@@ -33,13 +33,20 @@ class RosMessages:
     Attributes
     ----------
     store : rosbags.typesys.store.Typestore
-        The types, and what turns messages into bytes.
+        What turns messages into bytes.
+    types : mapping of str to type
+        Messages by their names.
     """
 
     def __init__(self, version: int) -> None:
         self._version = version
         self.store = ros_store(version)
-        self._types = self.store.types
+        self.types = self.store.types
+
+    @property
+    def version(self) -> int:
+        """1 or 2."""
+        return self._version
 
     def of(self, item: Message) -> tuple[str, Any]:
         """Topic and message of a scan or a pose.
@@ -78,15 +85,13 @@ class RosMessages:
         rows = packed(scan)
         codes = {code: number for number, code in ROS_TYPES.items()}
         fields = [
-            self._types["sensor_msgs/msg/PointField"](
-                name, offset, codes[dtype.str.lstrip("<|")], 1
-            )
+            self.types["sensor_msgs/msg/PointField"](name, offset, codes[dtype.str.lstrip("<|")], 1)
             for name, (dtype, offset, *_) in (rows.dtype.fields or {}).items()
         ]
         height = scan.points.shape[0] if scan.points.ndim == 3 else 1
         step = rows.dtype.itemsize
-        return self._types["sensor_msgs/msg/PointCloud2"](
-            header=self._header(scan.stamp_ns, scan.frame_id),
+        return self.types["sensor_msgs/msg/PointCloud2"](
+            header=self.header(scan.stamp_ns, scan.frame_id),
             height=height,
             width=len(rows) // max(height, 1),
             fields=fields,
@@ -100,8 +105,8 @@ class RosMessages:
     def _laser(self, scan: LaserScan) -> Any:
         rays = len(scan.ranges)
         intensity = np.empty(0, np.float32) if scan.intensity is None else scan.intensity
-        return self._types["sensor_msgs/msg/LaserScan"](
-            header=self._header(scan.stamp_ns, scan.frame_id),
+        return self.types["sensor_msgs/msg/LaserScan"](
+            header=self.header(scan.stamp_ns, scan.frame_id),
             angle_min=scan.angle_min,
             angle_max=scan.angle_min + scan.angle_increment * (rays - 1),
             angle_increment=scan.angle_increment,
@@ -114,23 +119,23 @@ class RosMessages:
         )
 
     def _transform(self, pose: Pose) -> Any:
-        make = self._types
+        make = self.types
         transform = make["geometry_msgs/msg/Transform"](
             make["geometry_msgs/msg/Vector3"](*pose.matrix[:3, 3].tolist()), self._rotation(pose)
         )
-        header = self._header(pose.stamp_ns, pose.frame_id)
+        header = self.header(pose.stamp_ns, pose.frame_id)
         stamped = make["geometry_msgs/msg/TransformStamped"](header, pose.child_frame_id, transform)
         return make["tf2_msgs/msg/TFMessage"]([stamped])
 
     def _odometry(self, pose: Pose) -> Any:
-        make = self._types
+        make = self.types
         zero = make["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
         place = make["geometry_msgs/msg/Pose"](
             make["geometry_msgs/msg/Point"](*pose.matrix[:3, 3].tolist()), self._rotation(pose)
         )
         covariance = np.asarray(pose.covariance, np.float64).reshape(-1)
         return make["nav_msgs/msg/Odometry"](
-            self._header(pose.stamp_ns, pose.frame_id),
+            self.header(pose.stamp_ns, pose.frame_id),
             pose.child_frame_id,
             make["geometry_msgs/msg/PoseWithCovariance"](place, covariance),
             make["geometry_msgs/msg/TwistWithCovariance"](
@@ -140,12 +145,13 @@ class RosMessages:
 
     def _rotation(self, pose: Pose) -> Any:
         values = quaternion_from_matrix(pose.matrix[:3, :3]).tolist()
-        return self._types["geometry_msgs/msg/Quaternion"](*values)
+        return self.types["geometry_msgs/msg/Quaternion"](*values)
 
-    def _header(self, stamp_ns: int, frame_id: str) -> Any:
-        time = self._types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
+    def header(self, stamp_ns: int, frame_id: str) -> Any:
+        """Header of a message."""
+        time = self.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
         sequence = {"seq": 0} if self._version == 1 else {}
-        return self._types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id, **sequence)
+        return self.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id, **sequence)
 
 
 class RosWriter:
@@ -198,6 +204,11 @@ class RosWriter:
         self._start(item.stamp_ns)
         self._store_message(item, item.stamp_ns)
 
+    @property
+    def messages(self) -> RosMessages:
+        """What scans and poses become."""
+        return self._messages
+
     def close(self, *, keep: bool = True) -> None:
         """Complete the recording and put it in its place, or drop it."""
         try:
@@ -249,7 +260,16 @@ class RosWriter:
             self._store_message(pose, stamp_ns)
 
     def _store_message(self, item: Message, time_ns: int) -> None:
-        topic, message = self._messages.of(item)
+        self.write_message(*self._messages.of(item), time_ns)
+
+    def write_message(self, topic: str, message: Any, time_ns: int) -> None:
+        """Append a message of a type of `lidar_core.io.ros_types`.
+
+        Raises
+        ------
+        InputError
+            A time that ROS cannot tell.
+        """
         self._messages.check_stamp(time_ns)
         name = message.__msgtype__
         if (topic, name) not in self._connections:

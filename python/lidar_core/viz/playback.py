@@ -142,6 +142,19 @@ class Playback:
         self._shapes = read_columns(shapes[0]) if shapes else None
         self._shape_rows = {} if self._shapes is None else _rows_by_time(self._shapes)
 
+    @property
+    def frame_id(self) -> str:
+        """Frame of the objects; "world" where the run does not say."""
+        frames = self._columns.get("frame_id", _NO_ROWS)
+        return str(frames[0]) if len(frames) else "world"
+
+    def steps(self) -> Iterator[tuple[int, Objects]]:
+        """Times that were looked at [ns], ascending, and what was found at each; no scans."""
+        timing = self._tables("timing")
+        looked_at = read_columns(timing[0])["t_ns"].tolist() if timing else []
+        for stamp_ns in sorted(self._rows.keys() | set(looked_at)):
+            yield stamp_ns, _objects(self._columns, self._rows.get(stamp_ns, _NO_ROWS))
+
     def _tables(self, name: str) -> list[Path]:
         places = (self.folder / f"{name}.parquet", self.folder / f"{name}.csv")
         return [path for path in places if path.is_file()]

@@ -1,0 +1,174 @@
+"""Objects with numbers in ROS recordings, as the packages that avoid obstacles want them."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from uuid import UUID
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.io.objects import SCORE, ObjectsLike, Steps
+from lidar_core.io.ros_types import COSTMAP_TYPES, DETECTIONS_TYPE, DYNAMIC_TYPE, OBSTACLES_TYPE
+from lidar_core.io.write_ros import RosMessages, RosWriter
+
+TOPICS = {
+    DETECTIONS_TYPE: "/detections",
+    OBSTACLES_TYPE: "/obstacles",
+    DYNAMIC_TYPE: "/dynamic_obstacles",
+    COSTMAP_TYPES[1]: "/costmap_obstacles",
+    COSTMAP_TYPES[2]: "/costmap_obstacles",
+}
+"""Where each type of message goes."""
+
+
+def write_ros_objects(path: str | Path, steps: Steps, *, frame_id: str, name: str) -> list[str]:
+    """Write objects to a ROS 1 bag (.bag) or to the new folder of a ROS 2 recording.
+
+    A message of every type and time: vision_msgs/Detection3DArray, obstacle_detector/Obstacles,
+    costmap_converter's obstacles and, in ROS 2, nav2_dynamic_msgs/ObstacleArray.
+
+    Parameters
+    ----------
+    path : str or Path
+        Bag or folder, as for `RosWriter`.
+    steps : iterable of (int, Objects)
+        Every time that was looked at, also those without objects.
+    frame_id : str
+        Frame of the objects.
+    name : str
+        Class of all objects; ROS 1 has no place for it.
+
+    Returns
+    -------
+    topics : list of str
+        That were written.
+    """
+    with RosWriter(path) as writer:
+        arrays = ObstacleArrays(writer.messages, frame_id=frame_id, name=name)
+        for stamp_ns, objects in steps:
+            for message in arrays.of(stamp_ns, objects):
+                writer.write_message(TOPICS[message.__msgtype__], message, stamp_ns)
+    return sorted({TOPICS[kind] for kind in arrays.kinds})
+
+
+class ObstacleArrays:
+    """Makes one message of every type of the objects at one time.
+
+    Parameters
+    ----------
+    messages : RosMessages
+        Of ROS 1 or ROS 2.
+    frame_id, name : str
+        As for `write_ros_objects`.
+
+    Attributes
+    ----------
+    kinds : tuple of str
+        Types of the messages.
+    """
+
+    def __init__(self, messages: RosMessages, *, frame_id: str, name: str) -> None:
+        self._messages, self._types = messages, messages.types
+        self._frame_id, self._name = frame_id, name
+        version = messages.version
+        detection = self._detection1 if version == 1 else self._detection2
+        self._makers: dict[str, Callable[[Any, ObjectsLike, int], Any]] = {
+            DETECTIONS_TYPE: detection,
+            COSTMAP_TYPES[version]: self._costmap,
+        }
+        if version == 2:
+            self._makers[DYNAMIC_TYPE] = self._dynamic
+        self.kinds = (OBSTACLES_TYPE, *self._makers)
+
+    def of(self, stamp_ns: int, objects: ObjectsLike) -> list[Any]:
+        """Messages about the objects at one time."""
+        self._messages.check_stamp(stamp_ns)
+        header = self._messages.header(stamp_ns, self._frame_id)
+        rows = range(len(objects.id))
+        circles = [self._circle(objects, row) for row in rows]
+        return [
+            self._types[OBSTACLES_TYPE](header, [], circles),
+            *(
+                self._types[kind](header, [make(header, objects, row) for row in rows])
+                for kind, make in self._makers.items()
+            ),
+        ]
+
+    def _detection2(self, header: Any, objects: ObjectsLike, row: int) -> Any:
+        meant = self._types["vision_msgs/msg/ObjectHypothesis"](self._name, SCORE)
+        return self._types["vision_msgs/msg/Detection3D"](
+            header, [self._hypothesis(objects, row, meant)], self._box(objects, row),
+            str(int(objects.id[row])),
+        )  # fmt: skip
+
+    def _detection1(self, header: Any, objects: ObjectsLike, row: int) -> Any:
+        """ROS 1 has one number per hypothesis: that of the object."""
+        cloud = self._types["sensor_msgs/msg/PointCloud2"](
+            header=header, height=0, width=0, fields=[], is_bigendian=False, point_step=0,
+            row_step=0, data=np.empty(0, np.uint8), is_dense=True,
+        )  # fmt: skip
+        found = self._hypothesis(objects, row, int(objects.id[row]), SCORE)
+        return self._types["vision_msgs/msg/Detection3D"](
+            header, [found], self._box(objects, row), cloud
+        )
+
+    def _hypothesis(self, objects: ObjectsLike, row: int, *meant: Any) -> Any:
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = objects.covariance[row]
+        pose = self._types["geometry_msgs/msg/PoseWithCovariance"](
+            self._pose(objects, row), covariance.reshape(-1)
+        )
+        return self._types["vision_msgs/msg/ObjectHypothesisWithPose"](*meant, pose)
+
+    def _box(self, objects: ObjectsLike, row: int) -> Any:
+        return self._types["vision_msgs/msg/BoundingBox3D"](
+            self._pose(objects, row), self._vector(objects.size[row])
+        )
+
+    def _circle(self, objects: ObjectsLike, row: int) -> Any:
+        radius = float(objects.size[row, :2].max()) / 2
+        return self._types["obstacle_detector/msg/CircleObstacle"](
+            self._point(objects.position[row]), self._vector(objects.velocity[row]), radius, radius
+        )
+
+    def _dynamic(self, header: Any, objects: ObjectsLike, row: int) -> Any:
+        number = UUID(int=int(objects.id[row])).bytes
+        return self._types["nav2_dynamic_msgs/msg/Obstacle"](
+            self._types["unique_identifier_msgs/msg/UUID"](np.frombuffer(number, np.uint8)),
+            SCORE, self._point(objects.position[row]), self._vector(objects.velocity[row]),
+            self._vector(objects.size[row]),
+        )  # fmt: skip
+
+    def _costmap(self, header: Any, objects: ObjectsLike, row: int) -> Any:
+        """A point with a radius for what has no height, else the rectangle of the box."""
+        package = COSTMAP_TYPES[self._messages.version].partition("/")[0]
+        is_circle = objects.size[row, 2] == 0
+        signs = [(0, 0)] if is_circle else [(1, 1), (-1, 1), (-1, -1), (1, -1)]
+        corners = objects.position[row, :2] + np.array(signs) * objects.size[row, :2] / 2
+        point = self._types["geometry_msgs/msg/Point32"]
+        zero = self._vector(np.zeros(3))
+        twist = self._types["geometry_msgs/msg/Twist"](self._vector(objects.velocity[row]), zero)
+        return self._types[f"{package}/msg/ObstacleMsg"](
+            header=header,
+            polygon=self._types["geometry_msgs/msg/Polygon"](
+                [point(x, y, 0.0) for x, y in corners.tolist()]
+            ),
+            radius=float(objects.size[row, 0]) / 2 if is_circle else 0.0,
+            id=int(objects.id[row]),
+            orientation=self._upright(),
+            velocities=self._types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
+        )
+
+    def _pose(self, objects: ObjectsLike, row: int) -> Any:
+        place = self._point(objects.position[row])
+        return self._types["geometry_msgs/msg/Pose"](place, self._upright())
+
+    def _upright(self) -> Any:
+        return self._types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+
+    def _point(self, place: NDArray[np.float64]) -> Any:
+        return self._types["geometry_msgs/msg/Point"](*place.tolist())
+
+    def _vector(self, values: NDArray[np.float64]) -> Any:
+        return self._types["geometry_msgs/msg/Vector3"](*values.tolist())
