@@ -88,11 +88,19 @@ golden: ## Write the golden files again, after an intended change.
 	$(BIN)/python tests/golden/generate.py
 
 # Files of a source distribution all carry one old time, so that cargo takes what it built of them
-# before for fresh: it is removed first.
+# before for fresh: it is removed first. On Linux zig links against an old glibc, so that the wheel
+# runs on robots with old systems, too; maturin checks that it does.
+OWN_CRATES := -p lidar_core -p lidar_sim -p lidar_core_py
+ifeq ($(shell uname -s),Linux)
+wheel: export MATURIN_PEP517_ARGS := --zig --compatibility manylinux_2_28
+endif
 wheel: ## Build the source distribution and, from it, the wheel into dist/.
 	rm -rf dist
-	cargo clean --quiet --release -p lidar_core -p lidar_sim -p lidar_core_py
-	$(BIN)/python -m build --outdir dist
+	cargo clean --quiet --release $(OWN_CRATES)
+	cargo clean --quiet --release $(OWN_CRATES) --target "$$(rustc -vV | sed -n 's/^host: //p')"
+	CARGO_ZIGBUILD_ZIG_PATH="$$($(BIN)/python -c 'from importlib.util import find_spec as f; \
+	    print(*(p + "/zig" for p in f("ziglang").submodule_search_locations))')" \
+	    $(BIN)/python -m build --outdir dist
 
 ci: ## Everything that has to pass, from a clean checkout.
 	.ci/run
