@@ -18,6 +18,7 @@ USED_BY = {
     "fusion_autoferry": "`lidar-core fuse`, `lidar_core.fusion.read_autoferry`",
     "fusion_many": "`lidar-core fuse`, `lidar_core.fusion.MultiTargetTracker`",
     "fusion_table": "`lidar-core fuse`, `lidar_core.fusion.read_measurements`",
+    "live": "`lidar-core live --stream`, `lidar_core.live`",
     "overflight": "`lidar_core.sim.overfly`, `lidar-core reproduce`",
     "pose_noise": "`lidar_core.sim.NoisyPoses`, `lidar-core reproduce`",
     "poses": "`lidar-core detect`, `lidar_core.io.posed_scans`",

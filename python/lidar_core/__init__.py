@@ -13,6 +13,7 @@ from lidar_core.errors import (
     InternalError,
     LidarCoreError,
     LimitError,
+    LinkError,
     MissingExtraError,
     NumericalError,
 )
@@ -25,11 +26,12 @@ if TYPE_CHECKING:
     from lidar_core import evaluation as evaluation
     from lidar_core import fusion as fusion
     from lidar_core import io as io
+    from lidar_core import live as live
     from lidar_core import reproduce as reproduce
     from lidar_core import sim as sim
     from lidar_core import viz as viz
 
-_LAZY = ("estimation", "evaluation", "fusion", "io", "reproduce", "sim", "viz")
+_LAZY = ("estimation", "evaluation", "fusion", "io", "live", "reproduce", "sim", "viz")
 """Modules that are imported when they are first used."""
 
 __all__ = [
@@ -40,6 +42,7 @@ __all__ = [
     "InternalError",
     "LidarCoreError",
     "LimitError",
+    "LinkError",
     "MissingExtraError",
     "NumericalError",
     "VoxelMap",

@@ -29,5 +29,9 @@ class MissingExtraError(LidarCoreError, ImportError):
     """An optional dependency is not installed; the text gives the command that installs it."""
 
 
+class LinkError(LidarCoreError, ConnectionError):
+    """A broker or server cannot be reached; the text says what to start or to name."""
+
+
 class InternalError(LidarCoreError, RuntimeError):
     """A bug in lidar_core; the object that raised it refuses further calls."""

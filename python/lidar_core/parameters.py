@@ -26,6 +26,7 @@ MODELS = {
     "fusion_autoferry": "lidar_core.fusion:AutoferryOptions",
     "fusion_many": "lidar_core.fusion:MultiTargetConfig",
     "fusion_table": "lidar_core.fusion:TableOptions",
+    "live": "lidar_core.live:LiveConfig",
     "overflight": "lidar_core.sim:Overflight",
     "pose_noise": "lidar_core.sim:PoseNoise",
     "poses": "lidar_core.io:PoseOptions",

@@ -14,6 +14,7 @@ TESTED = {
     "motion_capture_truth.py": "test_cli_circles.py",
     "quickstart.py": "here",
     "real_scan_with_drone.py": "here",
+    "robot_on_zenoh.py": "test_live.py",
     "score_seeds.py": "test_demo_scene.py",
 }
 LOWEST_RECALL = 0.95

@@ -30,6 +30,7 @@ for _name in (
     "reproduce",
     "view",
     "batch",
+    "live",
 ):
     app.command(_name)(import_module(f"lidar_core.cli.{_name}").command)
 app.add_typer(config.app, name="config")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lidar_core.cli.common import Row, consoles, given, result_table, stage_rows
-from lidar_core.cli.run_options import RunOptions, with_run_options
+from lidar_core.cli.run_options import RunOptions, with_options
 from lidar_core.cli.settings import run_config
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ SWEEP = "auto: rays have the times that the scans state; none: all rays at the s
 FILM = "Draw film.mp4, or film.gif without ffmpeg, beside the picture."
 
 
-@with_run_options
+@with_options(RunOptions)
 def command(
     options: RunOptions,
     *,

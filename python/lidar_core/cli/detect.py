@@ -15,7 +15,7 @@ from lidar_core.cli.common import (
     result_table,
     stage_rows,
 )
-from lidar_core.cli.run_options import RunOptions, with_run_options
+from lidar_core.cli.run_options import RunOptions, with_options
 from lidar_core.cli.settings import run_config
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ MAP = (
 REPEAT = "Play the recording this often: lets a short one open the gate of the background."
 
 
-@with_run_options
+@with_options(RunOptions)
 def command(
     options: RunOptions,
     *,
@@ -75,13 +75,13 @@ def command(
     )
     run = DetectRun(FlyingObjectDetector(chosen, threads=threads))
     if known_map is not None:
-        _know(run.detector, known_map)
+        know_map(run.detector, known_map)
     out, errors = consoles(options.json)
     result = do(job, run, errors)
     report(result, _table(result.summary, options.recording.name), job, out)
 
 
-def _know(detector: "FlyingObjectDetector", known_map: Path) -> None:
+def know_map(detector: "FlyingObjectDetector", known_map: Path) -> None:
     """Load our own map, or make occupied for good what another file holds."""
     if known_map.suffix.lower() == ".lcvm":
         detector.load_map(known_map)

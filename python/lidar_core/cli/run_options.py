@@ -41,11 +41,9 @@ Overwrite: TypeAlias = Annotated[bool, typer.Option(help="Replace an earlier run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RunOptions:
-    """What every command is told that passes a recording through a pipeline."""
+class PipelineOptions:
+    """What every command is told that passes scans through a pipeline."""
 
-    recording: RecordingPath
-    output: Output
     odom: Odom = None
     pose: PoseSource = None
     fixed_frame: FixedFrame = None
@@ -53,10 +51,25 @@ class RunOptions:
     mode: ChosenMode = "best"
     config: ConfigFile = None
     values: Values = field(default_factory=list)
+    json: JsonFile = None
+
+    def poses(self) -> "PoseOptions":
+        """Where the poses come from."""
+        from lidar_core.io import PoseOptions
+
+        names = ("pose", "fixed_frame", "odom", "mounting")
+        return PoseOptions.load(given({name: getattr(self, name) for name in names}))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunOptions(PipelineOptions):
+    """The same for a recording, of which the run leaves a folder."""
+
+    recording: RecordingPath
+    output: Output
     mcap: Mcap = None
     picture: Picture = True
     overwrite: Overwrite = False
-    json: JsonFile = None
 
     @property
     def writes_mcap(self) -> bool:
@@ -69,31 +82,29 @@ class RunOptions:
 
         return RunFolder(self.output, overwrite=self.overwrite)
 
-    def poses(self) -> "PoseOptions":
-        """Where the poses come from."""
-        from lidar_core.io import PoseOptions
 
-        names = ("pose", "fixed_frame", "odom", "mounting")
-        return PoseOptions.load(given({name: getattr(self, name) for name in names}))
-
-
-def with_run_options(command: Callable[..., None]) -> Callable[..., None]:
-    """`command` as typer takes it: every field of its first argument, a `RunOptions`, an option."""
-    hints = get_type_hints(RunOptions, include_extras=True)
+def with_options(
+    sort: type[PipelineOptions],
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator that gives typer every field of a command's first argument, a `sort`, as option."""
+    hints = get_type_hints(sort, include_extras=True)
     shared = [
         Parameter(one.name, Parameter.KEYWORD_ONLY, default=_default(one),
                   annotation=hints[one.name])
-        for one in fields(RunOptions)
+        for one in fields(sort)
     ]  # fmt: skip
 
-    @wraps(command)
-    def called(**values: Any) -> None:
-        options = RunOptions(**{one.name: values.pop(one.name) for one in shared})
-        command(options, **values)
+    def decorated(command: Callable[..., None]) -> Callable[..., None]:
+        @wraps(command)
+        def called(**values: Any) -> None:
+            options = sort(**{one.name: values.pop(one.name) for one in shared})
+            command(options, **values)
 
-    own = list(signature(command).parameters.values())[1:]
-    called.__signature__ = Signature([*shared, *own])  # type: ignore[attr-defined]
-    return called
+        own = list(signature(command).parameters.values())[1:]
+        called.__signature__ = Signature([*shared, *own])  # type: ignore[attr-defined]
+        return called
+
+    return decorated
 
 
 def _default(option: Field[Any]) -> Any:

@@ -239,7 +239,7 @@ class McapRecording(Recording):
         channel = self._summary.channels[message.channel_id]
         ros = self._ros.get(channel.message_encoding)
         if ros is not None:
-            return ros.decode(topic.name, _ros_name(topic.type), message.data, place)
+            return ros.decode(topic.name, ros_name(topic.type), message.data, place)
         if channel.message_encoding == "protobuf":
             schema = self._summary.schemas[channel.schema_id]
             return self._foxglove.decode(topic.name, schema, channel.metadata, message.data, place)
@@ -248,14 +248,14 @@ class McapRecording(Recording):
 
 def _kind(encoding: str, type_name: str) -> tuple[Kind, str]:
     if encoding in ("cdr", "ros1"):
-        name = _ros_name(type_name)
+        name = ros_name(type_name)
         return kind_of(name), note_of(name)
     if encoding == "protobuf":
         return foxglove_kind(type_name), ""
     return "other", f"message encoding {encoding!r} is not read"
 
 
-def _ros_name(type_name: str) -> str:
+def ros_name(type_name: str) -> str:
     """ROS 1 writes package/Name where ROS 2 writes package/msg/Name."""
     package, _, rest = type_name.partition("/")
     return type_name if "/" in rest or not rest else f"{package}/msg/{rest}"

@@ -28,6 +28,7 @@ PACKETS: dict[str, str] = {
 POSE_KINDS = frozenset({"pose", "scan+pose", "planar+pose"})
 SCAN_KINDS = frozenset({"scan", "scan+pose", "planar", "planar+pose"})
 """Kinds of topics that bring poses, and of those that bring scans: in 3D, or planar in 2D."""
+MOST_NOTES = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +83,8 @@ class Findings:
     notes: list[str] = field(default_factory=list)
 
     def note(self, text: str) -> None:
-        """Keep `text` once."""
-        if text not in self.notes:
+        """Keep `text` once, and no more texts than anybody reads."""
+        if len(self.notes) < MOST_NOTES and text not in self.notes:
             self.notes.append(text)
 
 

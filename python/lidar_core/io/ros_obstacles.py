@@ -83,17 +83,47 @@ class ObstacleArrays:
 
     def of(self, stamp_ns: int, objects: ObjectsLike) -> list[Any]:
         """Messages about the objects at one time."""
+        return [self.message(kind, stamp_ns, objects) for kind in self.kinds]
+
+    def message(self, kind: str, stamp_ns: int, objects: ObjectsLike) -> Any:
+        """Message of the type `kind` about the objects at one time."""
         self._messages.check_stamp(stamp_ns)
         header = self._messages.header(stamp_ns, self._frame_id)
         rows = range(len(objects.id))
-        circles = [self._circle(objects, row) for row in rows]
-        return [
-            self._types[OBSTACLES_TYPE](header, [], circles),
-            *(
-                self._types[kind](header, [make(header, objects, row) for row in rows])
-                for kind, make in self._makers.items()
-            ),
-        ]
+        if kind == OBSTACLES_TYPE:
+            return self._types[kind](header, [], [self._circle(objects, row) for row in rows])
+        make = self._makers[kind]
+        return self._types[kind](header, [make(header, objects, row) for row in rows])
+
+    def odometry(
+        self, stamp_ns: int, objects: ObjectsLike, covariance: NDArray[np.float64]
+    ) -> list[Any]:
+        """nav_msgs/Odometry for each object, of a child frame track_NUMBER.
+
+        The child frame has the axes of the objects' frame, so that twists are velocities in it.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Time of the objects [ns].
+        objects : Objects
+            One row each.
+        covariance : ndarray, shape (K, 6, 6), float64
+            Of position and velocity.
+        """
+        header = self._messages.header(stamp_ns, self._frame_id)
+        zero = self._vector(np.zeros(3))
+        found = []
+        for row, number in enumerate(objects.id.tolist()):
+            twist = self._types["geometry_msgs/msg/TwistWithCovariance"](
+                self._types["geometry_msgs/msg/Twist"](self._vector(objects.velocity[row]), zero),
+                _six(covariance[row, 3:, 3:]),
+            )
+            pose = self._known_pose(objects, row, covariance[row, :3, :3])
+            found.append(
+                self._types["nav_msgs/msg/Odometry"](header, f"track_{number}", pose, twist)
+            )
+        return found
 
     def _detection2(self, header: Any, objects: ObjectsLike, row: int) -> Any:
         meant = self._types["vision_msgs/msg/ObjectHypothesis"](self._name, SCORE)
@@ -114,11 +144,7 @@ class ObstacleArrays:
         )
 
     def _hypothesis(self, objects: ObjectsLike, row: int, *meant: Any) -> Any:
-        covariance = np.zeros((6, 6))
-        covariance[:3, :3] = objects.covariance[row]
-        pose = self._types["geometry_msgs/msg/PoseWithCovariance"](
-            self._pose(objects, row), covariance.reshape(-1)
-        )
+        pose = self._known_pose(objects, row, objects.covariance[row])
         return self._types["vision_msgs/msg/ObjectHypothesisWithPose"](*meant, pose)
 
     def _box(self, objects: ObjectsLike, row: int) -> Any:
@@ -160,6 +186,11 @@ class ObstacleArrays:
             velocities=self._types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
         )
 
+    def _known_pose(self, objects: ObjectsLike, row: int, covariance: NDArray[np.float64]) -> Any:
+        return self._types["geometry_msgs/msg/PoseWithCovariance"](
+            self._pose(objects, row), _six(covariance)
+        )
+
     def _pose(self, objects: ObjectsLike, row: int) -> Any:
         place = self._point(objects.position[row])
         return self._types["geometry_msgs/msg/Pose"](place, self._upright())
@@ -172,3 +203,10 @@ class ObstacleArrays:
 
     def _vector(self, values: NDArray[np.float64]) -> Any:
         return self._types["geometry_msgs/msg/Vector3"](*values.tolist())
+
+
+def _six(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Covariance (36,) of x, y, z and three angles that are unknown, as ROS has it."""
+    full = np.zeros((6, 6))
+    full[:3, :3] = covariance
+    return full.reshape(-1)

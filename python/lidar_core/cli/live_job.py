@@ -1,0 +1,145 @@
+"""What the options of `lidar-core live` name: sources, outputs, pipelines."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from lidar_core.cli.config import Mode
+from lidar_core.cli.detect import know_map
+from lidar_core.cli.settings import run_config
+from lidar_core.errors import ConfigError
+from lidar_core.io import ReadOptions
+from lidar_core.live import LiveConfig, Output, Source
+from lidar_core.live.pipelines import CirclesLive, FlyingLive, LivePipeline
+from lidar_core.live.source import StreamTopics
+from lidar_core.messages import LaserScan, Scan
+
+SOURCES = "zenoh[:tcp/HOST:PORT], foxglove[:ws://HOST:PORT], udp[:PORT]"
+OUTPUTS = "foxglove[:PORT], zenoh[:tcp/HOST:PORT], rerun[:web|:FILE.rrd], mcap:FILE"
+FOXGLOVE_PORT = 8765
+
+
+@dataclass(frozen=True, slots=True)
+class PipelineChoice:
+    """Which pipeline scans go through; made when the first scan tells its sort."""
+
+    capability: Literal["auto", "flying", "circles"]
+    clouds: tuple[str, ...]
+    scans: tuple[str, ...]
+    mode: Mode
+    config: Path | None
+    values: tuple[str, ...]
+    known_map: Path | None
+    threads: int
+
+    def __post_init__(self) -> None:
+        """Refuse options that contradict each other."""
+        if self.clouds and self.scans:
+            raise ConfigError("cloud, scan: expected topics of one sort, got both")
+        for wanted, named in (("flying", self.scans), ("circles", self.clouds)):
+            if named and self.capability == wanted:
+                raise ConfigError(f"capability: {wanted} does not read {', '.join(named)}")
+
+    @property
+    def wants_clouds(self) -> bool:
+        """Whether clouds go through."""
+        return self.capability != "circles" and not self.scans
+
+    @property
+    def wants_scans(self) -> bool:
+        """Whether 2D scans go through."""
+        return self.capability != "flying" and not self.clouds
+
+    def topics(self, odometry: str | None) -> StreamTopics:
+        """What to ask a stream for."""
+        return StreamTopics(self.clouds, self.scans, self.wants_clouds, self.wants_scans, odometry)
+
+    def pipeline(self, sort: type) -> LivePipeline[Any] | None:
+        """Pipeline for scans of a sort; None if it is not wanted."""
+        if sort is Scan and self.wants_clouds:
+            return self._flying()
+        return self._circles() if sort is LaserScan and self.wants_scans else None
+
+    def _flying(self) -> FlyingLive:
+        from lidar_core.flying import FlyingConfig, FlyingObjectDetector
+
+        base = FlyingConfig() if self.mode == "best" else FlyingConfig.paper()
+        config = run_config(base, "flying", self.config, self.values)
+        detector = FlyingObjectDetector(config, threads=self.threads)
+        if self.known_map is not None:
+            know_map(detector, self.known_map)
+        return FlyingLive(detector)
+
+    def _circles(self) -> CirclesLive:
+        from lidar_core.circles import CirclesConfig
+
+        base = CirclesConfig() if self.mode == "best" else CirclesConfig.paper()
+        config = run_config(base, "circles", self.config, self.values)
+        return CirclesLive(config, n_scanners=max(1, len(self.scans)))
+
+
+def open_source(
+    text: str | None, replay: Path | None, *, rate: float, read: ReadOptions, live: LiveConfig,
+    topics: StreamTopics,
+) -> Source:  # fmt: skip
+    """Source that --in or --replay names.
+
+    Raises
+    ------
+    ConfigError
+        None or both, or no such source.
+    """
+    if (text is None) == (replay is None):
+        raise ConfigError(f"live: expected one of --in and --replay; --in is {SOURCES}")
+    if replay is not None:
+        from lidar_core.live.replay import ReplaySource
+
+        return ReplaySource(replay, read, rate=rate)
+    kind, _, place = str(text).partition(":")
+    if kind == "zenoh":
+        from lidar_core.live.zenoh_link import DEFAULT_ENDPOINT
+        from lidar_core.live.zenoh_source import ZenohSource
+
+        return ZenohSource(place or DEFAULT_ENDPOINT, topics, read, live)
+    if kind == "foxglove":
+        from lidar_core.live.foxglove_source import DEFAULT_ADDRESS, FoxgloveSource
+
+        return FoxgloveSource(place or DEFAULT_ADDRESS, topics, read, live)
+    if kind == "udp":
+        from lidar_core.live.udp_source import DEFAULT_PORT, UdpSource
+
+        return UdpSource(_port(place or str(DEFAULT_PORT), "--in udp"), read)
+    raise ConfigError(f"--in {text}: expected one of {SOURCES}")
+
+
+def open_output(text: str, live: LiveConfig) -> Output:
+    """Output that an --out names.
+
+    Raises
+    ------
+    ConfigError
+        No such output.
+    """
+    from lidar_core.live.outputs import FoxgloveOutput, McapOutput, RerunOutput
+
+    kind, _, place = text.partition(":")
+    if kind == "foxglove":
+        return FoxgloveOutput(_port(place or str(FOXGLOVE_PORT), "--out foxglove"))
+    if kind == "mcap" and place:
+        return McapOutput(Path(place))
+    if kind == "rerun" and place in ("", "window", "web"):
+        return RerunOutput("web" if place == "web" else "window")
+    if kind == "rerun" and place.endswith(".rrd"):
+        return RerunOutput(Path(place))
+    if kind == "zenoh":
+        from lidar_core.live.zenoh_link import DEFAULT_ENDPOINT
+        from lidar_core.live.zenoh_output import ZenohOutput
+
+        return ZenohOutput(place or DEFAULT_ENDPOINT, live)
+    raise ConfigError(f"--out {text}: expected one of {OUTPUTS}")
+
+
+def _port(text: str, option: str) -> int:
+    if not text.isdigit() or int(text) > 65535:
+        raise ConfigError(f"{option}: expected a port from 0 to 65535, got {text!r}")
+    return int(text)

@@ -1,0 +1,198 @@
+"""Scans and poses of a Foxglove WebSocket server, such as foxglove_bridge on a robot."""
+
+import base64
+import json
+import struct
+import time
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from threading import Event, Thread
+from typing import Any
+
+from lidar_core.errors import LidarCoreError, LinkError
+from lidar_core.extras import require
+from lidar_core.io import ReadOptions, Topic
+from lidar_core.io.foxglove_messages import FoxgloveDecoder, foxglove_kind
+from lidar_core.io.mcap_file import ros_name
+from lidar_core.io.recording import POSE_KINDS, SCAN_KINDS, Record
+from lidar_core.io.ros_messages import RosDecoder, kind_of
+from lidar_core.live.config import LiveConfig
+from lidar_core.live.inbox import Inbox
+from lidar_core.live.source import Source, StreamTopics
+from lidar_core.messages import Message
+
+DEFAULT_ADDRESS = "ws://127.0.0.1:8765"
+PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
+MESSAGE_DATA = 1
+HEAD = struct.Struct("<BIQ")  # kind, subscription, time [ns]
+PATIENCE_S = 0.2  # how soon `close` is noticed
+MAX_CHANNELS = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class _Schema:
+    """As `FoxgloveDecoder` reads schemas."""
+
+    id: int
+    name: str
+    encoding: str
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class _Channel:
+    topic: Topic
+    encoding: str
+    schema: _Schema
+
+
+class FoxgloveSource(Source):
+    """Subscribes to the channels that bring what is wanted; connects again when the server is gone.
+
+    Parameters
+    ----------
+    address : str
+        Such as ws://127.0.0.1:8765.
+    topics : StreamTopics
+        What is wanted.
+    options : ReadOptions
+        How to read the messages.
+    config : LiveConfig
+        How long to wait for the server.
+    """
+
+    def __init__(
+        self, address: str, topics: StreamTopics, options: ReadOptions, config: LiveConfig
+    ) -> None:
+        super().__init__(f"foxglove, {address}")
+        self._client = require("websockets.sync.client", extra="live", purpose="Foxglove's stream")
+        self._address, self._topics = address, topics
+        self._options, self._config = options, config
+        self._ros = {
+            encoding: RosDecoder(version, options, self.findings)
+            for encoding, version in (("cdr", 2), ("ros1", 1))
+        }
+        self._foxglove = FoxgloveDecoder(options, self.findings)
+        self._channels: dict[int, _Channel] = {}
+        self._n_schemas = 0
+        self._ended = Event()
+        self._connected = Event()
+        self._thread: Thread | None = None
+
+    def start(self, inbox: Inbox) -> None:
+        """Connect and subscribe."""
+        self._thread = Thread(target=self._work, args=(inbox,), daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._ended.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def trouble(self) -> str:
+        """Whether the server is there."""
+        return "" if self._connected.is_set() else f"no server at {self._address}, trying again"
+
+    def _work(self, inbox: Inbox) -> None:
+        end = time.monotonic() + self._config.connect_timeout
+        was_there = False
+        while not self._ended.is_set():
+            try:
+                with self._connect() as link:
+                    was_there = True
+                    self._connected.set()
+                    self._listen(link, inbox)
+            except LidarCoreError as error:
+                inbox.fail(error)
+                return
+            except Exception as error:
+                self._connected.clear()
+                if not was_there and time.monotonic() > end:
+                    inbox.fail(self._unreachable(error))
+                    return
+            self._connected.clear()
+            self._ended.wait(self._config.retry_interval)
+
+    def _connect(self) -> Any:
+        return self._client.connect(
+            self._address, subprotocols=list(PROTOCOLS), compression=None,
+            max_size=self._options.max_record_bytes, open_timeout=self._config.connect_timeout,
+        )  # fmt: skip
+
+    def _unreachable(self, error: Exception) -> LinkError:
+        return LinkError(
+            f"foxglove: no server at {self._address} within {self._config.connect_timeout:g} s"
+            f" ({type(error).__name__}: {error}); start foxglove_bridge on the robot, or name"
+            " another address: foxglove:ws://HOST:PORT"
+        )
+
+    def _listen(self, link: Any, inbox: Inbox) -> None:
+        """Handle messages until the connection ends or `close` is called."""
+        self._channels.clear()
+        while not self._ended.is_set():
+            with suppress(TimeoutError):
+                data = link.recv(timeout=PATIENCE_S)
+                if isinstance(data, bytes):
+                    self._take(data, inbox)
+                else:
+                    self._converse(json.loads(data), link)
+
+    def _converse(self, message: Any, link: Any) -> None:
+        """Subscribe to channels that the server tells of."""
+        if not isinstance(message, dict) or message.get("op") != "advertise":
+            return
+        wanted = list(self._wanted(message.get("channels", [])))
+        if wanted:
+            # A subscription has the number of its channel.
+            pairs = [{"id": number, "channelId": number} for number in wanted]
+            link.send(json.dumps({"op": "subscribe", "subscriptions": pairs}))
+
+    def _wanted(self, channels: Iterable[Any]) -> Iterable[int]:
+        for channel in channels:
+            found = self._channel(channel)
+            if self._is_wanted(found.topic) and len(self._channels) < MAX_CHANNELS:
+                number = int(channel["id"])
+                self._channels[number] = found
+                yield number
+
+    def _channel(self, channel: Any) -> _Channel:
+        name, encoding = str(channel["topic"]), str(channel["encoding"])
+        type_name, schema = str(channel["schemaName"]), str(channel.get("schema", ""))
+        if encoding == "protobuf":
+            data, kind = base64.b64decode(schema), foxglove_kind(type_name)
+        else:
+            type_name, data = ros_name(type_name), b""
+            kind = kind_of(type_name) if encoding in self._ros else "other"
+        self._n_schemas += 1
+        described = _Schema(self._n_schemas, type_name, encoding, data)
+        return _Channel(Topic(name, type_name, kind), encoding, described)
+
+    def _is_wanted(self, topic: Topic) -> bool:
+        topics = self._topics
+        if topic.kind == "scan":
+            return topics.wants_clouds and topic.name in (topics.clouds or (topic.name,))
+        if topic.kind == "planar":
+            return topics.wants_scans and topic.name in (topics.scans or (topic.name,))
+        return topic.kind in POSE_KINDS | SCAN_KINDS
+
+    def _take(self, data: bytes, inbox: Inbox) -> None:
+        """One binary message; what is none is counted."""
+        if len(data) < HEAD.size:
+            inbox.reject(self._address)
+            return
+        kind, number, time_ns = HEAD.unpack_from(data)
+        channel = self._channels.get(number)
+        if kind != MESSAGE_DATA or channel is None:
+            return
+        decode = partial(self._decoded, channel, data[HEAD.size :])
+        inbox.put(Record(channel.topic, time_ns, decode))
+
+    def _decoded(self, channel: _Channel, raw: bytes) -> list[Message]:
+        place = f"{self._address}, {channel.topic.name}"
+        ros = self._ros.get(channel.encoding)
+        if ros is not None:
+            return ros.decode(channel.topic.name, channel.topic.type, raw, place)
+        return self._foxglove.decode(channel.topic.name, channel.schema, {}, raw, place)

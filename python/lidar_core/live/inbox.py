@@ -1,0 +1,116 @@
+"""What has arrived and was not looked at yet: bounded, whatever the stream does."""
+
+import time
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from threading import Condition
+
+from lidar_core.io.recording import SCAN_KINDS, Record
+
+MAX_TOPICS = 64  # with scans that wait at once
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """A record that came in, undecoded, and when."""
+
+    record: Record
+    time_ns: int
+
+
+@dataclass(slots=True)
+class Batch:
+    """What came in since the last look.
+
+    Attributes
+    ----------
+    poses, scans : list of Arrival
+        Poses in their order; the newest scan of every topic.
+    is_finished : bool
+        Nothing more will come.
+    """
+
+    poses: list[Arrival] = field(default_factory=list)
+    scans: list[Arrival] = field(default_factory=list)
+    is_finished: bool = False
+
+
+class Inbox:
+    """Takes records from any thread; the newest scan of a topic replaces one that still waits.
+
+    Parameters
+    ----------
+    max_poses : int
+        Messages with poses that may wait; beyond, the oldest go.
+
+    Attributes
+    ----------
+    dropped, rejected : Counter
+        Records replaced before anybody looked at them, by topic; messages that were none, by
+        topic.
+    """
+
+    def __init__(self, *, max_poses: int) -> None:
+        self.dropped: Counter[str] = Counter()
+        self.rejected: Counter[str] = Counter()
+        self._max_poses = max_poses
+        self._poses: deque[Arrival] = deque()
+        self._scans: dict[str, Arrival] = {}
+        self._error: Exception | None = None
+        self._is_finished = False
+        self._changed = Condition()
+
+    def put(self, record: Record) -> None:
+        """Take in one record; returns at once."""
+        arrival = Arrival(record, time.time_ns())
+        topic = record.topic.name
+        with self._changed:
+            if record.topic.kind in SCAN_KINDS:
+                if topic not in self._scans and len(self._scans) >= MAX_TOPICS:
+                    self.dropped["other topics"] += 1
+                    return
+                if topic in self._scans:
+                    self.dropped[topic] += 1
+                self._scans[topic] = arrival
+            else:
+                if len(self._poses) >= self._max_poses:
+                    self.dropped[self._poses.popleft().record.topic.name] += 1
+                self._poses.append(arrival)
+            self._changed.notify()
+
+    def reject(self, topic: str) -> None:
+        """Count a message that could not be understood."""
+        with self._changed:
+            self.rejected[topic] += 1
+
+    def fail(self, error: Exception) -> None:
+        """End the run with an error."""
+        with self._changed:
+            self._error = error
+            self._changed.notify()
+
+    def finish(self) -> None:
+        """Say that nothing more will come."""
+        with self._changed:
+            self._is_finished = True
+            self._changed.notify()
+
+    def take(self, timeout: float) -> Batch:
+        """Everything that waits; if nothing does, what comes within `timeout` seconds.
+
+        Raises
+        ------
+        Exception
+            The one that the source failed with.
+        """
+        with self._changed:
+            self._changed.wait_for(self._has_news, timeout)
+            if self._error is not None:
+                raise self._error
+            batch = Batch(list(self._poses), list(self._scans.values()), self._is_finished)
+            self._poses.clear()
+            self._scans.clear()
+            return batch
+
+    def _has_news(self) -> bool:
+        return bool(self._poses or self._scans or self._error or self._is_finished)

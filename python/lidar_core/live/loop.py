@@ -1,0 +1,271 @@
+"""The loop of a live run: what arrived, what has its pose, through the pipeline, to the outputs."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic
+
+from lidar_core.errors import LidarCoreError
+from lidar_core.io import NoTransformError, PosedScan
+from lidar_core.io.posed import ScanT
+from lidar_core.live.config import LiveConfig
+from lidar_core.live.inbox import Arrival, Batch, Inbox
+from lidar_core.live.outputs import Output
+from lidar_core.live.pipelines import LivePipeline
+from lidar_core.live.poses import LivePoses
+from lidar_core.live.source import Source
+from lidar_core.live.stats import Delay, LiveStats, within_limit
+from lidar_core.messages import Message, Pose
+
+IDLE_S = 0.05  # longest sleep while nothing arrives
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What one line on the console says.
+
+    Attributes
+    ----------
+    elapsed_s, rate_hz : float
+        Since the start [s]; scans per second since the last report.
+    from_stamp, from_arrival : Delay or None
+        Since the last report.
+    counts : dict
+        What was left out since the start.
+    objects : int
+        Tracks or elements now.
+    trouble : str
+        What the source waits for.
+    """
+
+    elapsed_s: float
+    rate_hz: float
+    from_stamp: Delay | None
+    from_arrival: Delay | None
+    counts: dict[str, int]
+    objects: int
+    trouble: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Waiting(Generic[ScanT]):
+    scan: ScanT
+    arrival_ns: int
+
+
+class LiveLoop(Generic[ScanT]):
+    """Takes scans from a source; the newest one that has its pose wins.
+
+    Parameters
+    ----------
+    source : Source
+        Started by `run`, and closed.
+    pipeline : callable
+        Makes the pipeline for scans of a sort, or returns None for a sort that is not wanted.
+    poses : LivePoses
+        Where the sensor is.
+    outputs : sequence of Output
+        Get every update, in this order; closed at the end.
+    config : LiveConfig
+        How long to wait.
+    topics : sequence of str
+        Topics of the LiDARs; empty for the first that brings a scan.
+    on_report : callable
+        Told how it goes, every `config.report_interval`.
+
+    Attributes
+    ----------
+    stats : LiveStats
+        What was counted.
+    inbox : Inbox
+        What arrived.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        pipeline: Callable[[type], LivePipeline[ScanT] | None],
+        poses: LivePoses,
+        outputs: Sequence[Output],
+        config: LiveConfig,
+        *,
+        topics: Sequence[str] = (),
+        on_report: Callable[[Report], None] = lambda report: None,
+    ) -> None:
+        self.stats = LiveStats()
+        self.inbox = Inbox(max_poses=config.max_poses)
+        self.pipeline: LivePipeline[ScanT] | None = None
+        self._source = source
+        self._make: Callable[[type], LivePipeline[ScanT] | None] = pipeline
+        self._poses, self._outputs, self._config = poses, outputs, config
+        self._topics = set(topics)
+        self._waiting: dict[str, deque[_Waiting[ScanT]]] = {}
+        self._frame, self._is_ready = "", False
+        self._objects = 0
+        self._on_report = on_report
+        self._began = self._reported = time.monotonic()
+        self._reported_scans = 0
+
+    def run(self, seconds: float | None = None) -> None:
+        """Work until the source ends, for so many seconds, or until Ctrl-C, which is raised.
+
+        Raises
+        ------
+        LinkError
+            The source cannot be reached.
+        """
+        self._began = self._reported = time.monotonic()
+        try:
+            self._source.start(self.inbox)
+            is_finished = False
+            while not (is_finished and (not self._is_ready or not any(self._waiting.values()))):
+                batch = self.inbox.take(IDLE_S)
+                is_finished = batch.is_finished
+                self._read(batch)
+                self._process_next()
+                self._report_if_due()
+                if seconds is not None and time.monotonic() - self._began >= seconds:
+                    return
+        finally:
+            self._source.close()
+
+    def summary(self) -> dict[str, Any]:
+        """What the run gave, as plain values."""
+        self.stats.dropped.update(self.inbox.dropped)
+        self.inbox.dropped.clear()
+        findings = self._source.findings
+        rejected = findings.rejected + self.inbox.rejected
+        return {
+            "source": self._source.name,
+            "capability": None if self.pipeline is None else self.pipeline.capability,
+            "frame_id": self._poses.fixed_frame,
+            "seconds": time.monotonic() - self._began,
+            **self.stats.summary(),
+            "bad_messages": dict(rejected),
+            "notes": list(findings.notes),
+        }
+
+    def _read(self, batch: Batch) -> None:
+        for arrival in batch.poses:
+            self._file(arrival, self._decoded(arrival))
+        for arrival in batch.scans:
+            self._file(arrival, self._decoded(arrival))
+
+    def _decoded(self, arrival: Arrival) -> list[Message]:
+        """Messages of a record; none, and counted, if it cannot be read."""
+        topic = arrival.record.topic.name
+        if self._topics and self._is_ignored(arrival):
+            return []
+        try:
+            return arrival.record.decode()
+        except LidarCoreError as error:
+            self.inbox.reject(topic)
+            self._source.findings.note(str(error))
+            return []
+
+    def _is_ignored(self, arrival: Arrival) -> bool:
+        """Whether it is a scan of a topic that was not asked for."""
+        topic = arrival.record.topic
+        is_ignored = topic.kind in ("scan", "planar") and topic.name not in self._topics
+        if is_ignored:
+            self.stats.ignored[within_limit(self.stats.ignored, topic.name)] += 1
+        return is_ignored
+
+    def _file(self, arrival: Arrival, messages: list[Message]) -> None:
+        """Poses to the poses, scans to those that wait."""
+        for message in messages:
+            if isinstance(message, Pose):
+                self._poses.add(arrival.record.topic, message, self._frame)
+                continue
+            if self.pipeline is None:
+                self.pipeline = self._make(type(message))
+            if self.pipeline is None or not isinstance(message, self.pipeline.sort):
+                self.stats.ignored[within_limit(self.stats.ignored, message.topic)] += 1
+                continue
+            self._enqueue(self.pipeline, message, arrival)
+
+    def _enqueue(self, pipeline: LivePipeline[ScanT], scan: ScanT, arrival: Arrival) -> None:
+        topic = arrival.record.topic.name
+        if not self._topics:
+            self._topics = {topic}
+        if topic not in self._topics:
+            self.stats.ignored[within_limit(self.stats.ignored, topic)] += 1
+            return
+        self._frame = scan.frame_id
+        self._is_ready = pipeline.is_ready(scan)
+        queue = self._waiting.setdefault(topic, deque())
+        queue.append(_Waiting(scan, arrival.time_ns))
+        if len(queue) > self._config.max_waiting:
+            self._drop(topic, 1)
+
+    def _process_next(self) -> None:
+        """Process the newest scan of each topic that has its pose, oldest topic first."""
+        pipeline = self.pipeline
+        if pipeline is None or not self._is_ready:
+            return
+        ready = [item for topic in self._waiting if (item := self._newest(topic)) is not None]
+        for waiting, posed in sorted(ready, key=lambda item: item[0].scan.stamp_ns):
+            self._process(pipeline, waiting, posed)
+
+    def _newest(self, topic: str) -> tuple[_Waiting[ScanT], PosedScan[ScanT]] | None:
+        """Newest scan of a topic that has its pose; older ones are dropped.
+
+        One that waits for longer than a pose may take gives way to a newer one that still waits.
+        """
+        queue, now_ns = self._waiting[topic], time.time_ns()
+        for place in reversed(range(len(queue))):
+            waiting = queue[place]
+            is_late = now_ns - waiting.arrival_ns > self._config.pose_wait * 1e9
+            if is_late and place < len(queue) - 1:
+                self._drop(topic, place + 1)
+                return None
+            if not is_late and not self._poses.is_complete(waiting.scan):
+                continue
+            self._drop(topic, place)
+            queue.popleft()
+            try:
+                return waiting, self._poses.posed(waiting.scan)
+            except NoTransformError as error:
+                reasons = self.stats.without_pose
+                reasons[within_limit(reasons, str(error))] += 1
+                return None
+        return None
+
+    def _drop(self, topic: str, count: int) -> None:
+        """Drop the oldest scans of a topic that wait."""
+        for _ in range(count):
+            self._waiting[topic].popleft()
+        if count:
+            self.stats.dropped[topic] += count
+
+    def _process(
+        self, pipeline: LivePipeline[ScanT], waiting: _Waiting[ScanT], posed: PosedScan[ScanT]
+    ) -> None:
+        update = pipeline.take(posed, self._poses.fixed_frame)
+        if isinstance(update, str):
+            self.stats.rejected[within_limit(self.stats.rejected, update)] += 1
+            return
+        for output in self._outputs:
+            output.publish(update)
+        now_ns = time.time_ns()
+        self._objects = len(update.objects.id)
+        self.stats.processed += 1
+        stamp_ns = update.stamp_ns
+        self.stats.from_arrival.add(now_ns - waiting.arrival_ns)
+        self.stats.from_stamp.add(now_ns - stamp_ns - self._source.lead_ns(stamp_ns))
+
+    def _report_if_due(self) -> None:
+        now = time.monotonic()
+        passed = now - self._reported
+        if passed < self._config.report_interval:
+            return
+        counts = self.stats.counts()
+        counts["dropped"] += self.inbox.dropped.total()
+        scans = self.stats.processed - self._reported_scans
+        self._on_report(
+            Report(now - self._began, scans / passed, self.stats.from_stamp.recent(),
+                   self.stats.from_arrival.recent(), counts, self._objects,
+                   self._source.trouble())
+        )  # fmt: skip
+        self._reported, self._reported_scans = now, self.stats.processed

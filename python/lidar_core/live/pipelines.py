@@ -1,0 +1,114 @@
+"""The pipelines that a stream can go through; each is made when the first scans are known."""
+
+from abc import ABC, abstractmethod
+from typing import Generic
+
+from lidar_core.circles import CirclePipeline, CirclesConfig, Scanner
+from lidar_core.flying import FlyingObjectDetector
+from lidar_core.io.posed import PosedScan, ScanT
+from lidar_core.live.update import CirclesUpdate, FlyingUpdate, LiveCapability, Update
+from lidar_core.messages import LaserScan, Scan
+from lidar_core.scan_processing import (
+    check_no_rays,
+    detect,
+    map_circles,
+    scanner_of,
+    sensor_name,
+)
+
+
+class LivePipeline(ABC, Generic[ScanT]):
+    """Takes posed scans of one sort.
+
+    Attributes
+    ----------
+    capability : str
+        What it looks for.
+    sort : type
+        `Scan` or `LaserScan`.
+    """
+
+    capability: LiveCapability
+    sort: type[ScanT]
+
+    def is_ready(self, scan: ScanT) -> bool:
+        """Look at a scan before it is taken; False while scans of other LiDARs are missing."""
+        del scan
+        return True
+
+    @abstractmethod
+    def take(self, item: PosedScan[ScanT], frame_id: str) -> Update | str:
+        """Process one scan; a text says why it was rejected."""
+
+
+class FlyingLive(LivePipeline[Scan]):
+    """Flying objects.
+
+    Parameters
+    ----------
+    detector : FlyingObjectDetector
+        Gets every scan.
+    """
+
+    capability = "flying"
+    sort = Scan
+
+    def __init__(self, detector: FlyingObjectDetector) -> None:
+        self.detector = detector
+
+    def take(self, item: PosedScan[Scan], frame_id: str) -> Update | str:
+        """Process one scan."""
+        frame = detect(self.detector, item, sensor=sensor_name(item.scan))
+        return frame.rejected or FlyingUpdate(item, frame, frame_id)
+
+
+class CirclesLive(LivePipeline[LaserScan]):
+    """Circles; the scanners are those of the stream.
+
+    Parameters
+    ----------
+    config : CirclesConfig
+        Its `scanner` limits the ranges.
+    n_scanners : int
+        LiDARs of which a scan has to be known before the first one is taken.
+
+    Raises
+    ------
+    ConfigError
+        The configuration states rays that the scans would override.
+    """
+
+    capability = "circles"
+    sort = LaserScan
+
+    def __init__(self, config: CirclesConfig, *, n_scanners: int) -> None:
+        check_no_rays(config)
+        self._config = config
+        self._n_scanners = n_scanners
+        self._found: dict[str, Scanner] = {}
+        self._pipeline: CirclePipeline | None = None
+
+    def is_ready(self, scan: LaserScan) -> bool:
+        """Note the scanner; with the last of them the pipeline is made.
+
+        Raises
+        ------
+        FormatError
+            Scans that no pipeline can use.
+        """
+        if self._pipeline is None:
+            name = sensor_name(scan)
+            if name not in self._found:
+                self._found[name] = scanner_of(scan, self._config, name)
+            if len(self._found) >= self._n_scanners:
+                scanners = {**self._found, **self._config.scanners}
+                values = self._config.model_dump() | {"scanners": scanners}
+                self._pipeline = CirclePipeline(type(self._config).load(values))
+        return self._pipeline is not None
+
+    def take(self, item: PosedScan[LaserScan], frame_id: str) -> Update | str:
+        """Process one scan."""
+        if self._pipeline is None:
+            return "scans of other LiDARs are missing"
+        frame = map_circles(self._pipeline, item)
+        return frame.rejected or CirclesUpdate(item, frame, frame_id)

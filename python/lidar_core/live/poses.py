@@ -1,0 +1,171 @@
+"""Poses as they come, and scans that wait for theirs."""
+
+from collections import Counter, defaultdict
+
+import numpy as np
+
+from lidar_core.errors import ConfigError
+from lidar_core.io import NoTransformError, PosedScan, PoseOptions, TransformBuffer
+from lidar_core.io.posed import WORLD_FRAME, ScanT, pose_stamps, span_ns
+from lidar_core.io.recording import Topic
+from lidar_core.io.ros_messages import POSE_TYPES
+from lidar_core.live.config import LiveConfig
+from lidar_core.messages import Pose
+
+
+class LivePoses:
+    """Transforms and odometry of a stream; says where the sensor was during a scan.
+
+    Where recordings are read twice, a stream is not: the source of the poses is chosen with the
+    first scan that has one, and kept. Transforms come first, odometry where they move nothing.
+
+    Parameters
+    ----------
+    options : PoseOptions
+        Where the poses come from: auto or static.
+    config : LiveConfig
+        How long they are kept.
+
+    Attributes
+    ----------
+    fixed_frame : str
+        Frame that poses are given in, once the first scan has one.
+    dropped : Counter
+        Poses of more frames than are kept, by topic.
+
+    Raises
+    ------
+    ConfigError
+        The options name a file.
+    """
+
+    def __init__(self, options: PoseOptions, config: LiveConfig) -> None:
+        if options.pose not in ("auto", "static"):
+            raise ConfigError(
+                f"pose: expected auto or static for a live stream, got {options.pose!r}; replay"
+                " recordings that need a poses file with: lidar-core detect, lidar-core circles"
+            )
+        self._options, self._config = options, config
+        self._mountings = options.mountings()
+        self._transforms = self._buffer()
+        self._odometry: dict[str, TransformBuffer] = defaultdict(self._buffer)
+        self._static: dict[tuple[str, str], Pose] = {}
+        self._chosen: tuple[TransformBuffer, str] | None = None
+        self.fixed_frame = options.fixed_frame or WORLD_FRAME
+        self.dropped: Counter[str] = Counter()
+
+    def add(self, topic: Topic, pose: Pose, carried_frame: str) -> None:
+        """Take in one pose; one without child frame is that of `carried_frame`."""
+        if topic.type in POSE_TYPES or topic.name == self._options.odom:
+            self._add_odometry(topic.name, pose, carried_frame)
+            return
+        is_kept = self._add_to(self._transforms, topic.name, pose)
+        if pose.is_static and is_kept:
+            self._static[pose.frame_id, pose.child_frame_id] = pose
+            for buffer in self._odometry.values():
+                self._add_to(buffer, topic.name, pose)
+
+    def is_complete(self, scan: ScanT) -> bool:
+        """Whether every pose that a scan needs is known, so that waiting brings nothing."""
+        if self._options.pose == "static":
+            return True
+        try:
+            buffer, root = self._chosen or self._choice(scan.frame_id)
+            until = buffer.known_until(root, scan.frame_id)
+        except NoTransformError:
+            return False
+        return until is None or until >= span_ns(scan)[1]
+
+    def posed(self, scan: ScanT) -> PosedScan[ScanT]:
+        """`scan` with the sensor's poses; what is older than the history is forgotten.
+
+        Raises
+        ------
+        NoTransformError
+            There is none; the text says what is missing.
+        """
+        if self._options.pose == "static":
+            return self._standing(scan)
+        buffer, root = self._chosen or self._choice(scan.frame_id)
+        stamps = pose_stamps(scan, buffer, root, scan.frame_id)
+        poses = buffer.lookup(root, scan.frame_id, stamps)
+        self._chosen, self.fixed_frame = (buffer, root), root
+        self._forget(scan.stamp_ns)
+        is_single = len(stamps) == 1
+        return PosedScan(scan, poses[0] if is_single else poses, None if is_single else stamps)
+
+    def _standing(self, scan: ScanT) -> PosedScan[ScanT]:
+        """A scan from where its sensor is mounted, or from the origin."""
+        if self._chosen is None:
+            root = self._transforms.root_of(scan.frame_id)
+            self._chosen = self._transforms, root
+            if root != scan.frame_id and self._options.fixed_frame is None:
+                self.fixed_frame = root
+        buffer, root = self._chosen
+        try:
+            return PosedScan(scan, buffer.lookup(root, scan.frame_id, [scan.stamp_ns])[0])
+        except NoTransformError:  # a second sensor without a mounting
+            return PosedScan(scan, np.eye(4))
+
+    def _choice(self, frame: str) -> tuple[TransformBuffer, str]:
+        """Buffer that moves `frame`, and the fixed frame."""
+        wanted = self._options.odom
+        buffers = [self._transforms] if wanted is None else [self._odometry[wanted]]
+        if wanted is None and len(self._odometry) == 1:
+            buffers += self._odometry.values()
+        for buffer in buffers:
+            root = self._options.fixed_frame or buffer.root_of(frame)
+            if self._moves(buffer, root, frame):
+                return buffer, root
+        raise NoTransformError(self._missing(frame))
+
+    def _moves(self, buffer: TransformBuffer, root: str, frame: str) -> bool:
+        try:
+            is_static = buffer.is_static(root, frame)
+        except NoTransformError:
+            return False
+        return root != frame and (not is_static or self._options.fixed_frame is not None)
+
+    def _missing(self, frame: str) -> str:
+        edges = sorted(f"{parent} -> {child}" for parent, child in self._transforms.edges())
+        return (
+            f"no pose for frame {frame!r}; transforms: {', '.join(edges) or 'none'}; odometry:"
+            f" {', '.join(sorted(self._odometry)) or 'none'} (--odom, --fixed-frame, --mounting,"
+            " or --pose static for a sensor that does not move)"
+        )
+
+    def _add_odometry(self, topic: str, pose: Pose, carried_frame: str) -> None:
+        is_new = topic not in self._odometry
+        if is_new and len(self._odometry) >= self._config.max_frames:
+            self.dropped[topic] += 1
+            return
+        buffer = self._odometry[topic]
+        for fixed in self._static.values() if is_new else ():
+            buffer.add(fixed)
+        parents = {item.child_frame_id: item.frame_id for item in self._mountings}
+        child = pose.child_frame_id or parents.get(carried_frame, carried_frame)
+        self._add_to(buffer, topic, Pose(pose.stamp_ns, pose.frame_id, child, pose.matrix))
+
+    def _add_to(self, buffer: TransformBuffer, topic: str, pose: Pose) -> bool:
+        """Add a pose, unless it is of one pair of frames more than are kept."""
+        edges = buffer.edges()
+        is_new = (pose.frame_id, pose.child_frame_id) not in edges
+        if is_new and len(edges) >= self._config.max_frames:
+            self.dropped[topic] += 1
+            return False
+        buffer.add(pose)
+        return True
+
+    def _buffer(self) -> TransformBuffer:
+        options = self._options
+        buffer = TransformBuffer(
+            max_gap=options.max_gap, max_extrapolation=options.max_extrapolation
+        )
+        for mounting in self._mountings:
+            buffer.add(mounting)
+        return buffer
+
+    def _forget(self, stamp_ns: int) -> None:
+        oldest_ns = stamp_ns - round(self._config.pose_history * 1e9)
+        for buffer in (self._transforms, *self._odometry.values()):
+            buffer.forget(oldest_ns)

@@ -1,0 +1,97 @@
+"""What a live run counts: rates, latencies, everything that was left out and why."""
+
+from collections import Counter, deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+KEPT = 100_000  # latencies of a long run that count; older ones go
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """Median and 95th percentile of a latency [ms]."""
+
+    median: float
+    p95: float
+
+
+class LatencyLog:
+    """Latencies of the newest scans [ms]."""
+
+    def __init__(self) -> None:
+        self._all: deque[float] = deque(maxlen=KEPT)
+        self._recent: list[float] = []
+
+    def add(self, latency_ns: int) -> None:
+        """Append one."""
+        self._all.append(latency_ns * 1e-6)
+        self._recent.append(latency_ns * 1e-6)
+
+    def recent(self) -> Delay | None:
+        """Of those since the last call; None without."""
+        values, self._recent = self._recent, []
+        return _delay(values)
+
+    def total(self) -> Delay | None:
+        """Of all that are kept; None without."""
+        return _delay(list(self._all))
+
+
+def _delay(values: list[float]) -> Delay | None:
+    if not values:
+        return None
+    median, p95 = np.quantile(values, [0.5, 0.95])
+    return Delay(float(median), float(p95))
+
+
+class LiveStats:
+    """Counts of one run.
+
+    Attributes
+    ----------
+    processed : int
+        Scans that went through the pipeline.
+    dropped, without_pose, rejected, ignored : Counter
+        Scans replaced by newer ones, by topic; without a pose, by what is missing; that the
+        pipeline refused, by reason; of topics that were not asked for, by topic.
+    from_stamp, from_arrival : LatencyLog
+        Latencies to the end of the outputs: from the stamp of the scan, and from its arrival.
+    """
+
+    def __init__(self) -> None:
+        self.processed = 0
+        self.dropped: Counter[str] = Counter()
+        self.without_pose: Counter[str] = Counter()
+        self.rejected: Counter[str] = Counter()
+        self.ignored: Counter[str] = Counter()
+        self.from_stamp, self.from_arrival = LatencyLog(), LatencyLog()
+
+    def counts(self) -> dict[str, int]:
+        """Sums for one line."""
+        return {
+            "dropped": self.dropped.total(),
+            "without pose": self.without_pose.total(),
+            "rejected": self.rejected.total(),
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Everything, as plain values."""
+        delays = {"from_stamp": self.from_stamp.total(), "from_arrival": self.from_arrival.total()}
+        return {
+            "processed": self.processed,
+            "dropped": dict(self.dropped),
+            "without_pose": dict(self.without_pose),
+            "rejected": dict(self.rejected),
+            "ignored": dict(self.ignored),
+            "latency_ms": {
+                name: None if delay is None else {"median": delay.median, "p95": delay.p95}
+                for name, delay in delays.items()
+            },
+        }
+
+
+def within_limit(counter: "Counter[str]", reason: str, *, most: int = 100) -> str:
+    """`reason`, or a common name for it once `most` different ones are counted."""
+    return reason if reason in counter or len(counter) < most else "other reasons"

@@ -1,0 +1,91 @@
+"""Packets of a sensor, straight from the network: Velodyne's, through velodyne-decoder."""
+
+import socket
+import time
+from threading import Event, Thread
+
+from lidar_core.errors import FormatError, LinkError
+from lidar_core.io import ReadOptions, Topic
+from lidar_core.io.recording import Record, decoded
+from lidar_core.io.velodyne import TOPIC, PacketStream
+from lidar_core.live.inbox import Inbox
+from lidar_core.live.source import Source
+
+DEFAULT_PORT = 2368
+ANY_ADDRESS = "0.0.0.0"  # sensors send to the address that they are set to, often a broadcast
+LARGEST = 65_536
+BUFFER_BYTES = 4 * 2**20
+PATIENCE_S = 0.2  # how soon `close` is noticed
+SILENCE_S = 2.0  # without packets, after which something must be wrong
+
+
+class UdpSource(Source):
+    """Listens for Velodyne's data packets on all addresses of this machine.
+
+    Parameters
+    ----------
+    port : int
+        UDP port; 0 takes a free one.
+    options : ReadOptions
+        How to decode; `velodyne_model` where it cannot be told from the packets.
+    """
+
+    def __init__(self, port: int, options: ReadOptions) -> None:
+        super().__init__("udp")
+        self._stream = PacketStream(TOPIC, TOPIC, options, self.findings)
+        self._topic = Topic(TOPIC, "velodyne packets", "scan")
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
+            self._socket.bind((ANY_ADDRESS, port))
+        except OSError as error:
+            self._socket.close()
+            raise LinkError(
+                f"udp: port {port} cannot be opened ({error.strerror}); end the program that has"
+                " it, or have the sensor send elsewhere and name that: udp:PORT"
+            ) from error
+        self.port = int(self._socket.getsockname()[1])
+        self.name = f"udp, port {self.port}"
+        self._heard = time.monotonic()
+        self._ended = Event()
+        self._thread: Thread | None = None
+
+    def start(self, inbox: Inbox) -> None:
+        """Begin to listen."""
+        self._socket.settimeout(PATIENCE_S)
+        self._thread = Thread(target=self._listen, args=(inbox,), daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._ended.set()
+        if self._thread is not None:
+            self._thread.join()
+        self._socket.close()
+
+    def trouble(self) -> str:
+        """Whether packets come."""
+        is_silent = time.monotonic() - self._heard > SILENCE_S
+        return f"no packets on port {self.port}" if is_silent else ""
+
+    def _listen(self, inbox: Inbox) -> None:
+        try:
+            while not self._ended.is_set():
+                try:
+                    packet, _ = self._socket.recvfrom(LARGEST)
+                except TimeoutError:
+                    continue
+                self._heard = time.monotonic()
+                self._take(packet, inbox)
+        except Exception as error:  # whatever it is, the loop raises it where the user is
+            inbox.fail(error)
+
+    def _take(self, packet: bytes, inbox: Inbox) -> None:
+        """One packet; what is none is counted."""
+        try:
+            scan = self._stream.scan(time.time_ns(), packet, place=self.name)
+        except FormatError:
+            inbox.reject(self.name)
+            return
+        if scan is not None:
+            inbox.put(Record(self._topic, scan.stamp_ns, decoded(scan)))

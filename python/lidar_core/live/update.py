@@ -1,0 +1,125 @@
+"""What one scan of a stream gave, in the terms of those who get it."""
+
+from abc import ABC, abstractmethod
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.circles import CircleElements, CircleFrame
+from lidar_core.flying import FlyingFrame, Tracks
+from lidar_core.io.posed import PosedScan
+from lidar_core.io.write_mcap import FoxgloveLog
+from lidar_core.messages import LaserScan, Scan
+from lidar_core.scan_processing import log_circles, log_flying
+from lidar_core.viz.playback import SMALLEST, Moment, Objects, in_world, swept
+
+LiveCapability: TypeAlias = Literal["flying", "circles"]
+
+
+class Update(ABC):
+    """One processed scan.
+
+    Attributes
+    ----------
+    capability : str
+        What was looked for.
+    stamp_ns : int
+        Time of the scan [ns].
+    frame_id : str
+        Frame of poses, tracks and maps.
+    objects : Objects
+        Tracks, or elements of the map of circles.
+    covariance : ndarray, shape (K, 6, 6), float64
+        Of their positions and velocities.
+    """
+
+    capability: LiveCapability
+
+    def __init__(
+        self, stamp_ns: int, frame_id: str, objects: Objects, covariance: NDArray[np.float64]
+    ) -> None:
+        self.stamp_ns, self.frame_id = stamp_ns, frame_id
+        self.objects, self.covariance = objects, covariance
+
+    @abstractmethod
+    def moment(self) -> Moment:
+        """The scan in the world, with classes, and the objects."""
+
+    @abstractmethod
+    def log_to(self, log: FoxgloveLog) -> None:
+        """Log what viewers draw."""
+
+
+class FlyingUpdate(Update):
+    """What the detector of flying objects made of a scan."""
+
+    capability = "flying"
+
+    def __init__(self, item: PosedScan[Scan], frame: FlyingFrame, frame_id: str) -> None:
+        objects, covariance = objects_of_tracks(frame.tracks)
+        super().__init__(item.scan.stamp_ns, frame_id, objects, covariance)
+        self.item, self.frame = item, frame
+
+    def moment(self) -> Moment:
+        """Points with information, by class."""
+        is_point = self.frame.point_class > 0
+        local = self.item.scan.points.reshape(-1, 3)[is_point]
+        points = in_world(local, self.item.world_from_lidar.reshape(-1, 4, 4)[0])
+        return Moment(self.stamp_ns, points, self.frame.point_class[is_point], self.objects)
+
+    def log_to(self, log: FoxgloveLog) -> None:
+        """Log pose, cloud by class, tracks."""
+        log_flying(log, self.item, self.frame, frame_id=self.frame_id)
+
+
+class CirclesUpdate(Update):
+    """What the pipeline of circles made of a scan."""
+
+    capability = "circles"
+
+    def __init__(self, item: PosedScan[LaserScan], frame: CircleFrame, frame_id: str) -> None:
+        objects, covariance = objects_of_circles(frame.map)
+        super().__init__(item.scan.stamp_ns, frame_id, objects, covariance)
+        self.item, self.frame = item, frame
+
+    def moment(self) -> Moment:
+        """Hits, which have no class."""
+        local = swept(self.item.scan)
+        hits = local[np.isfinite(local).all(axis=1)]
+        points = in_world(hits, self.item.world_from_lidar.reshape(-1, 4, 4)[0])
+        return Moment(self.stamp_ns, points, np.zeros(len(hits), np.uint8), self.objects)
+
+    def log_to(self, log: FoxgloveLog) -> None:
+        """Log pose, scan, map."""
+        log_circles(log, self.item, self.frame, frame_id=self.frame_id)
+
+
+def objects_of_tracks(tracks: Tracks) -> tuple[Objects, NDArray[np.float64]]:
+    """Tracks as viewers know objects, and the covariances (T, 6, 6) of position and velocity."""
+    covariance = np.ascontiguousarray(tracks.covariance[:, :6, :6])
+    objects = Objects(
+        id=tracks.id,
+        position=tracks.position,
+        velocity=tracks.velocity,
+        covariance=covariance[:, :3, :3],
+        size=np.maximum(tracks.extent, SMALLEST),
+    )
+    return objects, covariance
+
+
+def objects_of_circles(circles: CircleElements) -> tuple[Objects, NDArray[np.float64]]:
+    """Elements of a map in the same way; heights, and what is about them, are zero."""
+    zero = np.zeros((len(circles), 1))
+    covariance = np.zeros((len(circles), 6, 6))
+    planar = np.array([0, 1, 3, 4])
+    covariance[:, planar[:, None], planar] = circles.covariance[:, :4, :4]
+    diameter = 2 * circles.radius[:, None]
+    objects = Objects(
+        id=circles.id,
+        position=np.concatenate([circles.center, zero], axis=1),
+        velocity=np.concatenate([circles.velocity, zero], axis=1),
+        covariance=covariance[:, :3, :3],
+        size=np.concatenate([diameter, diameter, zero], axis=1),
+    )
+    return objects, covariance

@@ -1,0 +1,111 @@
+"""Zenoh sessions, and the names that ROS 2 topics have there.
+
+rmw_zenoh puts topics at DOMAIN/TOPIC/TYPE/HASH, a bridge from DDS (zenoh-bridge-ros2dds) at TOPIC.
+Source: design document of rmw_zenoh; README of zenoh-plugin-ros2dds.
+"""
+
+import json
+import time
+from typing import Any, NamedTuple
+
+from lidar_core.errors import ConfigError, LinkError
+from lidar_core.extras import require
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+"""Where the router of rmw_zenoh and the bridge listen."""
+_DDS, _DDS_MARK = "::dds_::", "::msg::dds_::"
+
+
+class RosKey(NamedTuple):
+    """A topic as rmw_zenoh names it."""
+
+    topic: str
+    type: str
+
+
+def key_of(topic: str, type_name: str, type_hash: str, *, domain: int) -> str:
+    """Key of a topic for rmw_zenoh; `**` as topic and `*` as hash match any.
+
+    Examples
+    --------
+    >>> key_of("/scan", "sensor_msgs/msg/LaserScan", "RIHS01_64", domain=0)
+    '0/scan/sensor_msgs::msg::dds_::LaserScan_/RIHS01_64'
+    """
+    return f"{domain}/{topic.strip('/')}/{dds_name(type_name)}/{type_hash}"
+
+
+def dds_name(type_name: str) -> str:
+    """Name of a type as DDS has it: package::msg::dds_::Name_."""
+    package, _, name = type_name.split("/")
+    return f"{package}{_DDS_MARK}{name}_"
+
+
+def topic_of(key: str) -> RosKey | None:
+    """Topic and type of a key of rmw_zenoh; None for other keys.
+
+    Examples
+    --------
+    >>> topic_of("0/front/scan/sensor_msgs::msg::dds_::LaserScan_/RIHS01_64")
+    RosKey(topic='/front/scan', type='sensor_msgs/msg/LaserScan')
+    """
+    parts = key.split("/")
+    if len(parts) < 4 or _DDS not in parts[-2]:
+        return None
+    package, _, name = parts[-2].partition(_DDS_MARK)
+    return RosKey("/" + "/".join(parts[1:-2]), f"{package}/msg/{name.removesuffix('_')}")
+
+
+def open_session(endpoint: str, *, timeout: float) -> Any:
+    """Session that is linked to `endpoint`, and links again by itself when that comes back.
+
+    Parameters
+    ----------
+    endpoint : str
+        Such as tcp/127.0.0.1:7447.
+    timeout : float
+        How long the first link may take [s].
+
+    Raises
+    ------
+    ConfigError
+        No such endpoint can be.
+    LinkError
+        Nobody listens there.
+    MissingExtraError
+        eclipse-zenoh is not installed.
+    """
+    zenoh = require("zenoh", extra="live", purpose="ROS 2 over Zenoh")
+    config = zenoh.Config()
+    settings: dict[str, Any] = {
+        "mode": "peer",
+        "connect/endpoints": [endpoint],
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "listen/endpoints": [],
+        "scouting/multicast/enabled": False,
+    }
+    try:
+        for key, value in settings.items():
+            config.insert_json5(key, json.dumps(value))
+        session = zenoh.open(config)
+    except zenoh.ZError as error:
+        raise ConfigError(
+            f"zenoh: expected an endpoint such as {DEFAULT_ENDPOINT}, got {endpoint!r}"
+            f" ({str(error).partition(' at ')[0]})"
+        ) from error
+    end = time.monotonic() + timeout
+    while not is_linked(session):
+        if time.monotonic() > end:
+            session.close()
+            raise LinkError(
+                f"zenoh: nobody at {endpoint} within {timeout:g} s; start the router of rmw_zenoh"
+                " (ros2 run rmw_zenoh_cpp rmw_zenohd) or zenoh-bridge-ros2dds, or name another"
+                " place: zenoh:tcp/HOST:PORT"
+            )
+        time.sleep(0.05)
+    return session
+
+
+def is_linked(session: Any) -> bool:
+    """Whether any router or peer is there."""
+    return bool(list(session.info.routers_zid()) or list(session.info.peers_zid()))

@@ -1,0 +1,112 @@
+"""Scans and poses of ROS 2 over Zenoh."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+from lidar_core.extras import require
+from lidar_core.io import ReadOptions, Topic
+from lidar_core.io.recording import Record
+from lidar_core.io.ros_messages import (
+    PLANAR_TYPES,
+    POSE_TYPES,
+    SCAN_TYPES,
+    TRANSFORM_TYPES,
+    RosDecoder,
+    kind_of,
+)
+from lidar_core.live.config import LiveConfig
+from lidar_core.live.inbox import Inbox
+from lidar_core.live.source import Source, StreamTopics
+from lidar_core.live.zenoh_link import is_linked, key_of, open_session, topic_of
+
+TRANSFORMS, ODOMETRY = TRANSFORM_TYPES[0], POSE_TYPES[0]
+
+
+class ZenohSource(Source):
+    """Subscribes to the wanted types only; nothing else crosses the network.
+
+    Parameters
+    ----------
+    endpoint : str
+        Router, bridge or peer to link to.
+    topics : StreamTopics
+        What is wanted. Topics of a bridge from DDS have to be named: their keys carry no type.
+    options : ReadOptions
+        How to read the messages.
+    config : LiveConfig
+        Domain, topics of transforms, and how long to wait for the link.
+    """
+
+    def __init__(
+        self, endpoint: str, topics: StreamTopics, options: ReadOptions, config: LiveConfig
+    ) -> None:
+        super().__init__(f"zenoh, {endpoint}, domain {config.domain}")
+        require("zenoh", extra="live", purpose="ROS 2 over Zenoh")
+        self._endpoint, self._topics, self._config = endpoint, topics, config
+        self._options = options
+        self._decoder = RosDecoder(2, options, self.findings)
+        self._types = {f"/{name.strip('/')}": kind for name, kind in _named(topics, config)}
+        self._session: Any = None
+
+    def start(self, inbox: Inbox) -> None:
+        """Link and subscribe."""
+        ext = require("zenoh.ext", extra="live", purpose="ROS 2 over Zenoh")
+        self._session = open_session(self._endpoint, timeout=self._config.connect_timeout)
+        take: Callable[[Any], None] = partial(self._take, inbox)
+        for key, is_kept in self._keys():
+            if is_kept:  # those who publish once, and keep it for who comes later
+                history = ext.HistoryConfig(detect_late_publishers=True)
+                ext.declare_advanced_subscriber(self._session, key, take, history=history)
+            else:
+                self._session.declare_subscriber(key, take)
+
+    def close(self) -> None:
+        """End the session."""
+        if self._session is not None:
+            with suppress(Exception):  # a broken session is as closed as it gets
+                self._session.close()
+            self._session = None
+
+    def trouble(self) -> str:
+        """Whether the link is there."""
+        linked = self._session is not None and is_linked(self._session)
+        return "" if linked else f"no link to {self._endpoint}, trying again"
+
+    def _keys(self) -> Iterator[tuple[str, bool]]:
+        """Keys to subscribe to, and whether what was published before is wanted as well."""
+        for name, type_name in self._types.items():
+            is_kept = name.endswith("tf_static")
+            yield key_of(name, type_name, "*", domain=self._config.domain), is_kept
+            yield name.strip("/"), is_kept
+        wanted = [*SCAN_TYPES] if self._topics.wants_clouds and not self._topics.clouds else []
+        wanted += [*PLANAR_TYPES] if self._topics.wants_scans and not self._topics.scans else []
+        for type_name in [*wanted, *([ODOMETRY] if self._topics.odometry is None else [])]:
+            yield key_of("**", type_name, "*", domain=self._config.domain), False
+
+    def _take(self, inbox: Inbox, sample: Any) -> None:
+        """One message, from a thread of the session."""
+        key = str(sample.key_expr)
+        named = topic_of(key)
+        name = f"/{key}" if named is None else named.topic
+        if name.startswith(f"{self._config.namespace}/"):
+            return  # our own
+        type_name = self._types.get(name, "") if named is None else named.type
+        if len(sample.payload) > self._options.max_record_bytes:
+            inbox.reject(name)
+            return
+        raw = sample.payload.to_bytes()
+        topic = Topic(name, type_name, kind_of(type_name))
+        decode = partial(self._decoder.decode, name, type_name, raw, f"{self.name}, {name}")
+        inbox.put(Record(topic, time.time_ns(), decode))
+
+
+def _named(topics: StreamTopics, config: LiveConfig) -> Iterator[tuple[str, str]]:
+    """Topics that were named, each with its type."""
+    yield from ((name, SCAN_TYPES[0]) for name in topics.clouds)
+    yield from ((name, PLANAR_TYPES[0]) for name in topics.scans)
+    yield from ((name, TRANSFORMS) for name in config.transform_topics)
+    if topics.odometry is not None:
+        yield topics.odometry, ODOMETRY

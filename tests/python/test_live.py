@@ -1,0 +1,691 @@
+"""Live streams: the inbox, poses as they come, the loop; robots and viewers in other processes."""
+
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections import Counter
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ros_files import packets_of
+from typer.testing import CliRunner
+
+import lidar_core as lc
+import lidar_core.io
+from lidar_core.circles import CirclesConfig
+from lidar_core.cli import app
+from lidar_core.errors import ConfigError, FormatError, LinkError
+from lidar_core.io import NoTransformError, PoseOptions, ReadOptions, Topic
+from lidar_core.io.recording import Record, decoded
+from lidar_core.io.ros_obstacles import ObstacleArrays
+from lidar_core.io.ros_types import DETECTIONS_TYPE, ros_store
+from lidar_core.io.write_mcap import FoxgloveLog
+from lidar_core.io.write_ros import RosMessages
+from lidar_core.live import Inbox, LiveConfig, LiveLoop, Source
+from lidar_core.live.foxglove_source import FoxgloveSource
+from lidar_core.live.pipelines import CirclesLive, LivePipeline
+from lidar_core.live.poses import LivePoses
+from lidar_core.live.source import StreamTopics
+from lidar_core.live.udp_source import UdpSource
+from lidar_core.live.zenoh_link import key_of, topic_of
+from lidar_core.messages import LaserScan, Pose, Scan
+
+PATIENCE_S = 60
+MAIN = "from lidar_core.cli import main; main()"
+SCANS = 40
+ROBOT = Path(__file__).parents[2] / "examples" / "robot_on_zenoh.py"
+LASER, TF = Topic("/scan", "", "planar"), Topic("/tf", "", "pose")
+ODOM = Topic("/odom", "nav_msgs/msg/Odometry", "pose")
+
+
+def laser(stamp_ns, **more):
+    ranges = np.full(10, 3.0, np.float32)
+    return LaserScan(stamp_ns, ranges, -1.0, 0.2, 0.1, 20.0, topic="/scan", **more)
+
+
+def pose(stamp_ns, x=0.0, parent="odom", child="laser", **more):
+    matrix = np.eye(4)
+    matrix[0, 3] = x
+    return Pose(stamp_ns, parent, child, matrix, **more)
+
+
+def record(topic, message):
+    return Record(topic, message.stamp_ns, decoded(message))
+
+
+# The inbox
+
+
+def test_the_newest_scan_replaces_one_that_waits():
+    inbox = Inbox(max_poses=3)
+    for stamp in range(5):
+        inbox.put(record(LASER, laser(stamp)))
+        inbox.put(record(TF, pose(stamp)))
+    batch = inbox.take(0)
+    assert [item.record.time_ns for item in batch.scans] == [4]
+    assert [item.record.time_ns for item in batch.poses] == [2, 3, 4]
+    assert inbox.dropped == {"/scan": 4, "/tf": 2}
+    assert inbox.take(0).scans == []
+
+
+def test_an_inbox_is_bounded_whatever_topics_come():
+    inbox = Inbox(max_poses=3)
+    for number in range(1000):
+        inbox.put(record(Topic(f"/{number}", "", "planar"), laser(0)))
+    assert len(inbox.take(0).scans) == 64
+    assert inbox.dropped.total() == 1000 - 64
+    assert len(inbox.dropped) == 1
+
+
+def test_the_error_of_a_source_is_raised_where_the_loop_is():
+    inbox = Inbox(max_poses=3)
+    inbox.fail(LinkError("gone"))
+    with pytest.raises(LinkError, match="gone"):
+        inbox.take(0)
+
+
+# Poses
+
+
+def test_a_scan_is_complete_once_its_last_ray_has_a_pose():
+    poses = LivePoses(PoseOptions(), LiveConfig())
+    scan = laser(1000, time_increment_ns=100)  # ends at 1900
+    poses.add(TF, pose(900, 0.0), "laser")
+    assert not poses.is_complete(scan)
+    poses.add(TF, pose(1899, 1.0), "laser")
+    assert not poses.is_complete(scan)
+    poses.add(TF, pose(2000, 1.0), "laser")
+    assert poses.is_complete(scan)
+    posed = poses.posed(scan)
+    np.testing.assert_array_equal(posed.pose_stamps_ns, [1000, 1899, 1900])
+    assert posed.world_from_lidar[1, 0, 3] == pytest.approx(1.0)
+    assert poses.fixed_frame == "odom"
+
+
+def test_odometry_counts_where_transforms_move_nothing():
+    poses = LivePoses(PoseOptions(), LiveConfig())
+    poses.add(TF, pose(0, 2.0, "base", "laser", is_static=True), "")
+    assert not poses.is_complete(laser(100))
+    with pytest.raises(NoTransformError, match=r"transforms: base -> laser; odometry: none"):
+        poses.posed(laser(100))
+    poses.add(ODOM, pose(100, 5.0, "odom", "base"), "")
+    assert poses.posed(laser(100)).world_from_lidar[0, 3] == 7.0
+    poses.add(TF, pose(100, 1.0, "map", "odom"), "")  # too late to change the fixed frame
+    assert poses.posed(laser(100)).world_from_lidar[0, 3] == 7.0
+    assert poses.fixed_frame == "odom"
+
+
+def test_poses_without_child_frame_are_those_of_the_sensor_or_what_carries_it():
+    plain = LivePoses(PoseOptions(), LiveConfig())
+    plain.add(ODOM, pose(100, 5.0, child=""), "laser")
+    assert plain.posed(laser(100)).world_from_lidar[0, 3] == 5.0
+    mounted = LivePoses(PoseOptions(mounting=("base laser 1 0 0 0 0 0",)), LiveConfig())
+    mounted.add(ODOM, pose(100, 5.0, child=""), "laser")
+    assert mounted.posed(laser(100)).world_from_lidar[0, 3] == 6.0
+
+
+def test_poses_are_forgotten_and_frames_are_limited():
+    poses = LivePoses(PoseOptions(), LiveConfig(pose_history=1.0, max_frames=5))
+    for stamp in range(100):
+        poses.add(TF, pose(stamp * 10**9), "laser")
+        poses.add(TF, pose(stamp * 10**9, child=f"other{stamp}"), "laser")
+        poses.posed(laser(stamp * 10**9))
+    with pytest.raises(NoTransformError):
+        poses.posed(laser(90 * 10**9))
+    assert poses.dropped == {"/tf": 100 - 4}
+
+
+def test_a_sensor_that_stands_is_where_it_is_mounted():
+    options = PoseOptions(pose="static", mounting=("floor laser 0 0 2 0 0 0",))
+    poses = LivePoses(options, LiveConfig())
+    assert poses.is_complete(laser(0))
+    assert poses.posed(laser(0)).world_from_lidar[2, 3] == 2.0
+    assert poses.fixed_frame == "floor"
+    with pytest.raises(ConfigError, match="expected auto or static for a live stream"):
+        LivePoses(PoseOptions(pose="poses.txt"), LiveConfig())
+
+
+# The loop
+
+
+class Played(Source):
+    """Plays (delay [s], record) pairs; without a delay, once what came before was taken."""
+
+    def __init__(self, *items):
+        super().__init__("a test")
+        self.items = items
+
+    def start(self, inbox):
+        from threading import Thread
+
+        def play():
+            for delay, item in self.items:
+                time.sleep(delay or 0)
+                while delay is None and inbox._has_news():
+                    time.sleep(0.001)
+                inbox.put(item)
+            inbox.finish()
+
+        Thread(target=play, daemon=True).start()
+
+    def close(self):
+        pass
+
+
+class Slow(LivePipeline):
+    """Takes its time."""
+
+    capability, sort = "circles", LaserScan
+
+    def __init__(self, seconds):
+        self.seconds, self.taken = seconds, []
+
+    def take(self, item, frame_id):
+        time.sleep(self.seconds)
+        self.taken.append(item.scan.stamp_ns)
+        return "refused by the test"
+
+
+def run_loop(source, pipeline, *, pose="static", **config):
+    poses = LivePoses(PoseOptions(pose=pose), LiveConfig(**config))
+    loop = LiveLoop(source, lambda sort: pipeline if sort is LaserScan else None, poses, [],
+                    LiveConfig(**config))  # fmt: skip
+    loop.run(PATIENCE_S)
+    return loop.summary()
+
+
+def test_a_slow_pipeline_gets_the_newest_scan_and_drops_are_counted():
+    pipeline = Slow(0.1)
+    items = [(0.01, record(LASER, laser(stamp))) for stamp in range(60)]
+    summary = run_loop(Played(*items), pipeline)
+    assert pipeline.taken == sorted(pipeline.taken)
+    assert pipeline.taken[-1] == 59
+    assert 3 <= len(pipeline.taken) <= 25
+    assert summary["dropped"] == {"/scan": 60 - len(pipeline.taken)}
+    assert summary["rejected"] == {"refused by the test": len(pipeline.taken)}
+
+
+def test_a_scan_waits_for_its_pose_and_not_for_ever():
+    pipeline = Slow(0)
+    stamps = [10**9, 2 * 10**9, 3 * 10**9]
+    items = [
+        (0, record(TF, pose(0))),
+        (0, record(LASER, laser(stamps[0]))),
+        (0.05, record(TF, pose(stamps[0]))),  # in time
+        (0.05, record(LASER, laser(stamps[1]))),  # never
+        (2.0, record(LASER, laser(stamps[2]))),
+        (0.02, record(TF, pose(stamps[2]))),
+    ]
+    summary = run_loop(Played(*items), pipeline, pose="auto", pose_wait=1.0)
+    assert pipeline.taken == [stamps[0], stamps[2]]
+    (reason,) = summary["without_pose"]
+    assert reason.startswith("odom -> laser is known from")
+
+
+def test_a_scan_that_waited_too_long_gives_way_to_a_newer_one():
+    """Otherwise a pipeline that is always late would always be late by two scans."""
+    pipeline = Slow(0.3)
+    items = [(0, record(TF, pose(0)))]
+    for number in range(1, 31):
+        items.append((0.03, record(LASER, laser(number * 10**8, time_increment_ns=10**7))))
+        items.append((0.02, record(TF, pose((number + 1) * 10**8))))
+    summary = run_loop(Played(*items), pipeline, pose="auto", pose_wait=0.1)
+    assert summary["dropped"]["/scan"] + len(pipeline.taken) == 30
+    assert len(pipeline.taken) >= 3
+    assert summary["without_pose"] == {}
+
+
+def test_other_sorts_and_other_topics_are_ignored_and_counted():
+    pipeline = Slow(0)
+    cloud = Scan(0, np.zeros((1, 3), np.float32), topic="/cloud")
+    items = [(None, record(Topic("/cloud", "", "scan"), cloud)) for _ in range(3)]
+    items += [(None, record(LASER, laser(stamp))) for stamp in range(3)]
+    items += [(None, record(Topic("/rear", "", "planar"), laser(9))) for _ in range(2)]
+    summary = run_loop(Played(*items), pipeline)
+    assert pipeline.taken == [0, 1, 2]
+    assert summary["ignored"] == {"/cloud": 3, "/rear": 2}
+
+
+def test_a_message_that_cannot_be_read_is_counted():
+    def broken():
+        raise FormatError("of the test")
+
+    items = [(None, Record(LASER, 0, broken)), (None, record(LASER, laser(1)))]
+    summary = run_loop(Played(*items), Slow(0))
+    assert summary["bad_messages"] == {"/scan": 1}
+    assert summary["notes"] == ["of the test"]
+
+
+def test_two_scanners_are_both_known_before_the_first_scan_is_taken():
+    pipeline = CirclesLive(CirclesConfig(), n_scanners=2)
+    assert not pipeline.is_ready(laser(0))
+    posed = lc.io.PosedScan(laser(0), np.eye(4))
+    assert pipeline.take(posed, "world") == "scans of other LiDARs are missing"
+    rear = LaserScan(0, np.full(20, 3.0, np.float32), -1, 0.1, 0.1, 20, topic="/rear")
+    assert pipeline.is_ready(rear)
+    assert not isinstance(pipeline.take(posed, "world"), str)
+    with pytest.raises(ConfigError, match=r"scanner\.n_beams: expected no value"):
+        CirclesLive(CirclesConfig(scanner={"n_beams": 7}), n_scanners=1)
+
+
+# Names and messages
+
+
+@pytest.mark.parametrize("topic", ["/scan", "/robot/front/scan"])
+def test_keys_of_rmw_zenoh_there_and_back(topic):
+    key = key_of(topic, "sensor_msgs/msg/LaserScan", "RIHS01_00", domain=7)
+    assert key.startswith("7/")
+    assert topic_of(key) == (topic, "sensor_msgs/msg/LaserScan")
+
+
+@pytest.mark.parametrize("key", ["tf", "robot/scan", "0/scan/x", "a/b/c/d"])
+def test_other_keys_are_no_topics_of_rmw_zenoh(key):
+    assert topic_of(key) is None
+
+
+def test_the_key_of_a_string_is_that_of_rmw_zenohs_own_example():
+    type_hash = ros_store(2).hash_rihs01("std_msgs/msg/String")
+    assert key_of("/chatter", "std_msgs/msg/String", type_hash, domain=0) == (
+        "0/chatter/std_msgs::msg::dds_::String_/"
+        "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+    )
+
+
+def test_objects_become_detections_and_odometry():
+    covariance = np.diag([1.0, 2, 3, 4, 5, 6])[None]
+    covariance[0, 0, 1] = covariance[0, 1, 0] = 0.5
+    objects = lc.viz.Objects(
+        id=np.array([7]), position=np.array([[1.0, 2, 3]]), velocity=np.array([[4.0, 5, 6]]),
+        covariance=covariance[:, :3, :3], size=np.array([[0.1, 0.2, 0.3]]),
+    )  # fmt: skip
+    messages = RosMessages(2)
+    make = ObstacleArrays(messages, frame_id="map", name="flying")
+    raw = messages.packed(make.message(DETECTIONS_TYPE, 1_000_000_005, objects))
+    found = messages.store.deserialize_cdr(raw, DETECTIONS_TYPE)
+    assert (found.header.frame_id, found.header.stamp.nanosec) == ("map", 5)
+    (detection,) = found.detections
+    (result,) = detection.results
+    assert (detection.id, result.hypothesis.class_id) == ("7", "flying")
+    assert detection.bbox.size.z == 0.3
+    assert result.pose.covariance.reshape(6, 6)[0, 1] == 0.5
+    (odometry,) = make.odometry(0, objects, covariance)
+    assert odometry.child_frame_id == "track_7"
+    assert odometry.twist.twist.linear.z == 6.0
+    assert odometry.twist.covariance.reshape(6, 6)[2, 2] == 6.0
+    assert odometry.pose.pose.position.y == 2.0
+
+
+# Other processes
+
+
+def free_port():
+    with socket.socket() as place:
+        place.bind(("127.0.0.1", 0))
+        return place.getsockname()[1]
+
+
+@pytest.fixture(scope="module")
+def circles(tmp_path_factory):
+    path = tmp_path_factory.mktemp("live") / "circles.npz"
+    done = CliRunner().invoke(app, ["simulate", "circles", "-o", str(path), "--scans", str(SCANS)])
+    assert done.exit_code == 0, done.output
+    return path
+
+
+@contextmanager
+def live(*arguments):
+    """`lidar-core live` in a process of its own."""
+    command = [sys.executable, "-c", MAIN, "live", "--json", "-", *map(str, arguments)]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def wait_for_line(process, text):
+    for line in process.stderr:
+        if text in line:
+            return line
+    raise AssertionError(f"ended with {process.wait()} before saying {text!r}")
+
+
+def interrupted(process):
+    """The summary after Ctrl-C."""
+    process.send_signal(signal.SIGINT)
+    out, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 130, errors
+    return json.loads(out)
+
+
+def wait_until(condition):
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+class Robot:
+    """A recording as a robot would publish it, its times shifted to now."""
+
+    def __init__(self, path):
+        with lc.io.open_recording(path) as recording:
+            self.items = list(recording)
+        self.messages = RosMessages(2)
+        self.first_ns = min(item.stamp_ns for item in self.items if item.stamp_ns)
+
+    def play(self, send, *, rate=0.5):
+        """Call `send` with every message in time."""
+        begin_ns = time.time_ns()
+        for item in self.items:
+            due_ns = begin_ns + round((item.stamp_ns - self.first_ns) / rate)
+            time.sleep(max(due_ns - time.time_ns(), 0) * 1e-9)
+            send(replace(item, stamp_ns=due_ns))
+
+    def packed(self, item):
+        """Topic, type and bytes of a message of ROS 2."""
+        topic, message = self.messages.of(item)
+        return topic, message.__msgtype__, self.messages.packed(message)
+
+
+@contextmanager
+def zenoh_peer(port):
+    """A session that others link to."""
+    zenoh = pytest.importorskip("zenoh")
+    config = zenoh.Config()
+    config.insert_json5("mode", '"peer"')
+    config.insert_json5("listen/endpoints", json.dumps([f"tcp/127.0.0.1:{port}"]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("timestamping/enabled", "true")
+    session = zenoh.open(config)
+    try:
+        yield session
+    finally:
+        session.close()
+
+
+class Listener:
+    """Decodes what `lidar-core live` publishes."""
+
+    def __init__(self, session, key, type_name):
+        self.got, self.attachments = [], []
+        self._type, self._store = type_name, ros_store(2)
+        self._subscriber = session.declare_subscriber(key, self._take)
+
+    def _take(self, sample):
+        self.got.append(self._store.deserialize_cdr(sample.payload.to_bytes(), self._type))
+        self.attachments.append(sample.attachment.to_bytes())
+
+
+def zenoh_key(robot, topic, type_name, naming):
+    if naming == "bridge":
+        return topic.strip("/")
+    type_hash = robot.messages.store.hash_rihs01(type_name)
+    return key_of(topic, type_name, type_hash, domain=3)
+
+
+@pytest.mark.parametrize("naming", ["rmw", "bridge"])
+def test_a_robot_on_zenoh_gets_tracks_of_its_own_scans(circles, naming):
+    robot, port = Robot(circles), free_port()
+    place = f"zenoh:tcp/127.0.0.1:{port}"
+    named = ["--scan", "/laser/scan"] if naming == "bridge" else []
+    with zenoh_peer(port) as session:
+        begin = "lidar_core" if naming == "bridge" else "3/lidar_core"
+        tracks = Listener(session, f"{begin}/tracks/**", DETECTIONS_TYPE)
+        odometry = Listener(session, f"{begin}/odometry/**", "nav_msgs/msg/Odometry")
+        tokens = [str(reply.ok.key_expr) for reply in session.liveliness().get("@ros2_lv/**")]
+        assert tokens == []
+        with live("--in", place, "--out", place, "--domain", 3, *named) as process:
+            wait_for_line(process, "scans/s")
+            tokens = [str(reply.ok.key_expr) for reply in session.liveliness().get("@ros2_lv/**")]
+            assert {token.split("/")[5] for token in tokens} == {"NN", "MP"}
+
+            def send(item):
+                topic, type_name, raw = robot.packed(item)
+                session.put(zenoh_key(robot, topic, type_name, naming), raw)
+
+            session.put(zenoh_key(robot, "/laser/scan", "sensor_msgs/msg/LaserScan", naming), b"x")
+            wait_for_line(process, "scans/s")  # before a newer message takes its place
+            wait_for_line(process, "scans/s")
+            robot.play(send)
+            wait_until(lambda: len(tracks.got) > SCANS // 8)
+            time.sleep(0.5)
+            summary = interrupted(process)
+    assert summary["capability"] == "circles"
+    assert summary["processed"] == len(tracks.got) > SCANS // 8
+    assert summary["processed"] + sum(summary["dropped"].values()) >= SCANS - 2
+    assert summary["bad_messages"] == {"/laser/scan": 1}
+    assert summary["latency_ms"]["from_arrival"]["median"] > 0
+    last = tracks.got[-1]
+    assert last.header.frame_id == "world"
+    assert len({item.id for item in last.detections}) == len(last.detections) >= 3
+    assert {len(item) for item in tracks.attachments} == {33}
+    children = Counter(item.child_frame_id for item in odometry.got)
+    expected = Counter(f"track_{item.id}" for found in tracks.got for item in found.detections)
+    assert children == expected
+
+
+def test_the_robot_of_the_examples_is_processed(circles):
+    address = f"tcp/127.0.0.1:{free_port()}"
+    robot = subprocess.Popen([sys.executable, ROBOT, str(circles), "0.5", address])
+    with live("--in", f"zenoh:{address}") as process:
+        wait_until(lambda: robot.poll() is not None)
+        summary = interrupted(process)
+    assert robot.returncode == 0
+    assert summary["processed"] > SCANS // 8
+    assert summary["processed"] + sum(summary["dropped"].values()) > SCANS // 2
+
+
+def test_what_was_published_once_before_reaches_those_who_come_later(circles):
+    """Static transforms are kept by their publishers, for who asks."""
+    ext = pytest.importorskip("zenoh.ext")
+    robot, port = Robot(circles), free_port()
+    messages = robot.messages
+    with zenoh_peer(port) as session:
+        _, tf = messages.of(pose(0, 0.0, "base", "laser", is_static=True))
+        key = key_of("/tf_static", tf.__msgtype__, "RIHS01_00", domain=0)
+        keeper = ext.declare_advanced_publisher(
+            session, key, cache=ext.CacheConfig(max_samples=1), publisher_detection=True
+        )
+        keeper.put(messages.packed(tf))
+        with live("--in", f"zenoh:tcp/127.0.0.1:{port}", "--odom", "/odom") as process:
+            wait_for_line(process, "scans/s")
+            for number in range(20):
+                now = time.time_ns()
+                odometry = pose(now, number * 0.01, "odom", "base", covariance=np.eye(6))
+                for item in (odometry, laser(now)):
+                    topic, type_name, raw = robot.packed(item)
+                    session.put(key_of(topic, type_name, "RIHS01_00", domain=0), raw)
+                time.sleep(0.05)
+            summary = interrupted(process)
+    assert summary["frame_id"] == "odom"
+    assert summary["processed"] > 5
+
+
+def test_nobody_on_zenoh_is_an_error_with_its_cure(monkeypatch):
+    pytest.importorskip("zenoh")
+    with live("--in", f"zenoh:tcp/127.0.0.1:{free_port()}") as process:
+        out, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 2
+    assert out == ""
+    assert "start the router of rmw_zenoh (ros2 run rmw_zenoh_cpp rmw_zenohd)" in errors
+
+
+def test_a_broker_that_comes_back_is_linked_again(circles):
+    robot, port = Robot(circles), free_port()
+    scans = [item for item in robot.items if isinstance(item, LaserScan)][:10]
+
+    def send_all(session):
+        for scan in scans:
+            topic, type_name, raw = robot.packed(replace(scan, stamp_ns=time.time_ns()))
+            session.put(key_of(topic, type_name, "RIHS01_00", domain=0), raw)
+            time.sleep(0.05)
+
+    with live("--in", f"zenoh:tcp/127.0.0.1:{port}", "--pose", "static") as process:
+        with zenoh_peer(port) as session:
+            wait_for_line(process, "scans/s")
+            send_all(session)
+        wait_for_line(process, f"no link to tcp/127.0.0.1:{port}, trying again")
+        with zenoh_peer(port) as session:
+            wait_until(lambda: "no link" not in wait_for_line(process, "scans/s"))
+            send_all(session)
+            summary = interrupted(process)
+    assert summary["processed"] + sum(summary["dropped"].values()) > len(scans)
+
+
+@contextmanager
+def foxglove_server(port):
+    foxglove = pytest.importorskip("foxglove")
+    context = foxglove.Context()
+    server = foxglove.start_server(host="127.0.0.1", port=port, context=context)
+    try:
+        yield context
+    finally:
+        server.stop()
+
+
+def test_foxglove_in_and_foxglove_out(circles):
+    """One server plays a robot; what `live` serves is read by its own client."""
+    robot, port, out = Robot(circles), free_port(), free_port()
+    with live("--in", f"foxglove:ws://127.0.0.1:{port}", "--out", f"foxglove:{out}") as process:
+        with foxglove_server(port) as context:
+            log = FoxgloveLog(context, tracks_frame="world")
+            log.write(robot.items[0])
+            time.sleep(1.0)
+            inbox = Inbox(max_poses=1000)
+            viewer = FoxgloveSource(
+                f"ws://127.0.0.1:{out}", StreamTopics(), ReadOptions(), LiveConfig()
+            )
+            viewer.start(inbox)
+            robot.play(log.write)
+            wait_until(lambda: viewer.trouble() == "")
+            robot.play(log.write)
+            wait_until(lambda: inbox.dropped.total() > 5)
+            batch = inbox.take(PATIENCE_S)
+            viewer.close()
+        wait_for_line(process, f"no server at ws://127.0.0.1:{port}, trying again")
+        summary = interrupted(process)
+    assert summary["capability"] == "circles"
+    assert summary["processed"] > 5
+    (arrival,) = batch.scans
+    (scan,) = arrival.record.decode()
+    assert isinstance(scan, LaserScan)
+    assert np.isfinite(scan.ranges).any()
+    (transform,) = batch.poses[-1].record.decode()
+    assert (transform.frame_id, transform.child_frame_id) == ("world", "laser")
+
+
+def test_no_foxglove_server_is_an_error_with_its_cure():
+    inbox = Inbox(max_poses=1)
+    place = f"ws://127.0.0.1:{free_port()}"
+    pytest.importorskip("websockets")
+    source = FoxgloveSource(place, StreamTopics(), ReadOptions(), LiveConfig(connect_timeout=0.2))
+    source.start(inbox)
+    with pytest.raises(LinkError, match="start foxglove_bridge on the robot"):
+        inbox.take(PATIENCE_S)
+    assert "no server" in source.trouble()
+    source.close()
+
+
+def test_messages_that_are_none_do_not_end_a_stream():
+    source = FoxgloveSource("ws://there", StreamTopics(), ReadOptions(), LiveConfig())
+    inbox, sent = Inbox(max_poses=10), []
+
+    class Link:
+        def send(self, text):
+            sent.append(json.loads(text))
+
+    channel = {"id": 4, "topic": "/scan", "encoding": "cdr", "schemaName": "sensor_msgs/LaserScan"}
+    image = {**channel, "id": 5, "topic": "/image", "schemaName": "sensor_msgs/msg/Image"}
+    for message in ([], {"op": "status"}, {"op": "advertise"}):
+        source._converse(message, Link())
+    source._converse({"op": "advertise", "channels": [channel, image]}, Link())
+    assert sent == [{"op": "subscribe", "subscriptions": [{"id": 4, "channelId": 4}]}]
+    head = (4).to_bytes(4, "little") + bytes(8)
+    for data in (b"", b"\x01", b"\x02" + head, b"\x01" + bytes(12), b"\x01" + head + b"rubbish"):
+        source._take(data, inbox)
+    assert inbox.rejected.total() == 2
+    (arrival,) = inbox.take(0).scans
+    with pytest.raises(FormatError, match="ws://there, /scan"):
+        arrival.record.decode()
+
+
+def test_packets_of_a_sensor_become_scans(recordings):
+    pytest.importorskip("velodyne_decoder")
+    packets = packets_of(recordings / "3d/velodyne_mrpt/sample_velodyne_vlp16_gps.pcap")
+    source, inbox = UdpSource(0, ReadOptions()), Inbox(max_poses=1)
+    with pytest.raises(LinkError, match=f"port {source.port} cannot be opened"):
+        UdpSource(source.port, ReadOptions())
+    source.start(inbox)
+    found = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sensor:
+        sensor.sendto(b"no packet", ("127.0.0.1", source.port))
+        for _, packet in packets[:200]:
+            sensor.sendto(packet, ("127.0.0.1", source.port))
+            time.sleep(0.002)
+            found += [item.record.decode()[0] for item in inbox.take(0).scans]
+    source.close()
+    assert inbox.rejected == {source.name: 1}
+    assert len(found) >= 1
+    assert 15_000 < len(found[-1].points) < 20_000
+    assert abs(found[-1].stamp_ns - time.time_ns()) < 60 * 10**9
+
+
+def test_a_replay_is_processed_and_leaves_whole_files(circles, tmp_path):
+    file = tmp_path / "out.mcap"
+    done = CliRunner().invoke(
+        app, ["live", "--replay", str(circles), "--rate", "0.5", "--out", f"mcap:{file}",
+              "--json", str(tmp_path / "live.json")],
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    summary = json.loads((tmp_path / "live.json").read_text())
+    assert summary["processed"] + sum(summary["dropped"].values()) == SCANS
+    assert summary["frame_id"] == "world"
+    with lc.io.open_recording(file) as recording:
+        counts = {topic.name: topic.count for topic in recording.topics()}
+    assert counts["/circles"] == summary["processed"]
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+
+
+def test_ctrl_c_ends_a_replay_with_whole_files(circles, tmp_path):
+    file = tmp_path / "out.mcap"
+    with live("--replay", circles, "--rate", 0.05, "--out", f"mcap:{file}") as process:
+        wait_for_line(process, "scans/s")
+        wait_for_line(process, "scans/s")
+        summary = interrupted(process)
+    assert 0 < summary["processed"] < SCANS
+    with lc.io.open_recording(file) as recording:
+        assert {topic.name: topic.count for topic in recording.topics()}["/circles"] == (
+            summary["processed"]
+        )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ([], "expected one of --in and --replay"),
+        (["--in", "zenoh", "--replay", "a.bag"], "expected one of --in and --replay"),
+        (["--in", "mqtt"], r"--in mqtt: expected one of zenoh\["),
+        (["--in", "udp:nowhere"], "--in udp: expected a port from 0 to 65535, got 'nowhere'"),
+        (["--in", "udp:0", "--out", "paper"], r"--out paper: expected one of foxglove\["),
+        (["--in", "udp:0", "--out", "mcap"], "--out mcap: expected one of"),
+        (["--in", "udp:0", "--pose", "a.txt"], "expected auto or static for a live stream"),
+        (["--in", "udp:0", "--cloud", "/a", "--scan", "/b"], "expected topics of one sort"),
+        (["--in", "udp:0", "--scan", "/b", "--capability", "flying"], "flying does not read /b"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused_in_words(arguments, text):
+    refused = CliRunner().invoke(app, ["live", *arguments])
+    assert isinstance(refused.exception, ConfigError)
+    assert re.search(text, str(refused.exception))
