@@ -38,6 +38,7 @@ fn parameters(model: Model, method: Method) -> Result<FusionParameters, Error> {
             lidar: [0.0225; 2],
             radar: [0.09, 0.0009, 0.09],
             gyro: 1e-4,
+            pose: [0.0; 3],
             range_min: 0.1,
             convert_radar: false,
         },

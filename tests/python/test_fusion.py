@@ -278,6 +278,74 @@ def test_poses_put_the_state_into_the_world():
     assert 2.5 < np.nanmean(result.nis) < 3.5
 
 
+SPREAD = np.array([[0.09, 0.02, 0.004], [0.02, 0.04, -0.003], [0.004, -0.003, 0.0025]])
+"""Of x, y and yaw of a platform."""
+LEVER = (0.4, -0.3)
+
+
+def looked_at(rng, rows):
+    """A target seen from a platform that drives and turns, whose poses are wrong by `SPREAD`."""
+    _, p = walk(rng, rows=rows)
+    v = np.gradient(p, 0.05, axis=0)
+    noise = {"lidar": [0.15, 0.15], "radar": [0.3, 0.03, 0.3]}
+    for k in range(rows):
+        t = k * 0.05
+        pose = np.array([0.8 * t, -1.0, 0.5 * np.sin(t), 0.8, 0.0, 0.5 * np.cos(t)])
+        state = np.array([*p[k], *v[k]])
+        sensor = "lidar" if k % 2 else "radar"
+        z = reference.seen_from("cv", state, sensor, pose, np.array(LEVER))
+        told = pose + np.append(rng.multivariate_normal(np.zeros(3), SPREAD), np.zeros(3))
+        yield k, told, sensor, z + rng.normal(size=len(z)) * noise[sensor]
+
+
+@pytest.mark.parametrize("model", ["cv", "ctrv"])
+@pytest.mark.parametrize("by_option", [False, True])
+def test_poses_with_covariances_agree_with_the_oracle(model, by_option):
+    spread = np.diag(np.diag(SPREAD)) if by_option else SPREAD
+    stds = tuple(np.sqrt(np.diag(SPREAD)).tolist()) if by_option else (0.0, 0.0, 0.0)
+    config = FusionConfig(model=model, start_rows=1, lever_arm=LEVER, pose_std=stds, **OPEN)
+    strengths = {"a": config.acceleration_noise, "j": config.jerk_noise, "t": config.turn_noise}
+    noise = {"lidar": np.diag(config.lidar_std) ** 2, "radar": np.diag(config.radar_std) ** 2}
+    tracker, s, P = TargetFilter(config), None, None
+    for k, pose, sensor, z in looked_at(np.random.default_rng(40), 80):
+        tracker.step(Measurement(k * STEP_NS, "pose", pose, None if by_option else spread))
+        step = tracker.step(Measurement(k * STEP_NS, sensor, z))
+        if k:
+            s, P, y, nis = reference.ekf_step(
+                model, s, P, 0.05, sensor, z, noise[sensor], strengths,
+                (pose, spread, np.array(LEVER)),
+            )  # fmt: skip
+            if model == "ctrv":
+                s[3] = reference.wrap(s[3])
+            np.testing.assert_allclose(step.state, s, atol=ORACLE)
+            np.testing.assert_allclose(step.covariance, P, atol=ORACLE)
+            np.testing.assert_allclose(step.innovation, y, atol=ORACLE)
+            assert step.nis == pytest.approx(nis, abs=ORACLE)
+        s, P = step.state, step.covariance
+
+
+@pytest.mark.parametrize("method", ["ekf", "ukf", "ckf", "imm"])
+def test_a_filter_that_knows_how_wrong_poses_are_is_consistent(method):
+    config = FusionConfig(model="ctrv", method=method, lever_arm=LEVER, turn_noise=0.2,
+                          acceleration_noise=0.3, **OPEN)  # fmt: skip
+    nis = {True: {"lidar": [], "radar": []}, False: {"lidar": [], "radar": []}}
+    for seed in range(4):
+        rows = list(looked_at(np.random.default_rng(50 + seed), 300))
+        for known, found in nis.items():
+            seen = []
+            for k, pose, sensor, z in rows:
+                spread = SPREAD if known else None
+                seen.append(Measurement(k * STEP_NS, "pose", pose, spread))
+                seen.append(Measurement(k * STEP_NS, sensor, z))
+            result = run(seen, config)
+            for sensor, values in found.items():
+                wanted = np.array([m.sensor == sensor for m in seen])
+                values.append(np.nanmean(result.nis[wanted][20:]))
+    assert np.mean(nis[True]["lidar"]) == pytest.approx(2, abs=0.4)
+    assert np.mean(nis[True]["radar"]) == pytest.approx(3, abs=0.6)
+    assert np.mean(nis[False]["lidar"]) > 4
+
+
 # Life of a target
 
 
@@ -457,6 +525,10 @@ def test_wrong_arguments_are_named():
         run_batch([], threads=0)
     with pytest.raises(ConfigError, match='"cv" or "ca"'):
         FusionConfig(model="ctrv", method="kf")
+    with pytest.raises(InputError, match=r"covariance: expected shape \(3, 3\)"):
+        Measurement(0, "pose", [1.0, 2.0, 3.0], np.eye(2))
+    with pytest.raises(ConfigError, match="pose_std"):
+        FusionConfig(pose_std=(0.1, -0.1, 0.0))
     with pytest.raises(ConfigError, match="radar_std"):
         FusionConfig(radar_std=(0.3, 0.0, 0.3))
 

@@ -42,7 +42,7 @@ def lidar(stamp_ns, places):
 
 
 def feed(tracker, scans, source="lidar"):
-    return [tracker.process(k * STEP_NS, lidar(k * STEP_NS, scan), source=source).tolist()
+    return [tracker.process(k * STEP_NS, lidar(k * STEP_NS, scan), source=source).id.tolist()
             for k, scan in enumerate(scans)]  # fmt: skip
 
 
@@ -63,7 +63,8 @@ def test_the_tracker_agrees_with_the_oracle(association, seed):
         seen = seen + rng.normal(0, 0.45, seen.shape)
         seen = np.vstack([seen, rng.uniform(-12, 12, (int(rng.random() < 0.3), 2))])
         got = tracker.process(stamp, lidar(stamp, seen), source=source)
-        assert got.tolist() == oracle.process(stamp, seen, source)
+        assert got.id.tolist() == oracle.process(stamp, seen, source)
+        np.testing.assert_allclose(got.nis, oracle.nis, atol=ORACLE)
         tracks = tracker.tracks_at(stamp, confirmed=False)
         assert tracks.id.tolist() == [track["id"] for track in oracle.tracks]
         assert tracks.confirmed.tolist() == [track["confirmed"] for track in oracle.tracks]
@@ -89,6 +90,52 @@ def test_a_single_target_in_clutter_is_followed_by_its_probabilities(model, meth
     away = np.linalg.norm(tracks.position - place, axis=1)
     assert away.min() < 0.5
     assert tracks.id[np.argmin(away)] == 0
+
+
+@pytest.mark.parametrize("association", ["nearest", "joint"])
+@given(seed=st.integers(7500, 7999))
+def test_scans_in_any_order_give_what_the_oracle_gets_in_order(association, seed):
+    """Up to the numbers, which are those of the order of arrival."""
+    rng = np.random.default_rng(seed)
+    config = SMALL.model_copy(update={"association": association, "lidar_clutter": 0.02,
+        "target": SMALL.target.model_copy(update={"buffer_time": 2.0})})  # fmt: skip
+    kind = ManyTargets if association == "nearest" else JointTargets
+    oracle, tracker = kind(config, gate=chi2_quantile(GATE, degrees=2)), MultiTargetTracker(config)
+    place, scans = rng.uniform(-5, 5, (3, 2)), []
+    for k in range(16):
+        seen = (place + 0.1 * k)[rng.random(3) < 0.75]
+        seen = seen + rng.normal(0, 0.45, seen.shape)
+        scans.append((k * STEP_NS // 2, seen, str(rng.choice(["left", "right"]))))
+    for stamp, seen, source in scans:
+        oracle.process(stamp, seen, source)
+    late = np.argsort(np.arange(16) + rng.uniform(0, 7, 16))  # at most 1.75 s
+    for stamp, seen, source in (scans[k] for k in late):
+        tracker.process(stamp, lidar(stamp, seen), source=source)
+    tracks = tracker.tracks_at(scans[-1][0], confirmed=False)
+    assert len(set(tracks.id.tolist())) == len(oracle.tracks)
+    for track in oracle.tracks:
+        row = np.argmin(np.linalg.norm(tracks.position - track["mean"][:2], axis=1))
+        np.testing.assert_allclose(tracks.states[row], track["mean"], atol=ORACLE)
+        np.testing.assert_allclose(tracks.covariances[row], track["cov"], atol=ORACLE)
+        assert tracks.hits[row] == track["hits"]
+        assert tracks.confirmed[row] == track["confirmed"]
+
+
+def test_a_late_scan_leaves_the_numbers_of_tracks():
+    tracker = MultiTargetTracker(SMALL)
+    feed(tracker, [[[0, 0]], [[0.1, 0]]])
+    third = tracker.process(3 * STEP_NS // 2, lidar(3 * STEP_NS // 2, [[0.1, 0], [9, 9]]),
+                            source="lidar")  # fmt: skip
+    assert third.id.tolist() == [0, 1]
+    assert np.isfinite(third.nis[0])
+    assert np.isnan(third.nis[1])
+    late = tracker.process(5 * STEP_NS // 4, lidar(5 * STEP_NS // 4, [[-9, 9]]), source="lidar")
+    assert late.id.tolist() == [2]
+    assert tracker.tracks_at(2 * STEP_NS, confirmed=False).id.tolist() == [0, 1, 2]
+    again = tracker.process(3 * STEP_NS // 2, lidar(3 * STEP_NS // 2, [[0.1, 0], [9, 9]]),
+                            source="lidar")  # fmt: skip
+    assert again.id.tolist() == [0, 1]
+    assert tracker.tracks_at(2 * STEP_NS, confirmed=False).hits.tolist() == [3, 1, 1]
 
 
 def test_crossing_targets_keep_their_numbers():
@@ -139,7 +186,7 @@ def test_a_track_is_confirmed_carried_on_and_ends():
     tracker.process(5 * STEP_NS, [], source="lidar")
     assert tracker.tracks_at(5 * STEP_NS, confirmed=False).id.size == 0
     later = tracker.process(6 * STEP_NS, lidar(6 * STEP_NS, [[0, 0]]), source="lidar")
-    assert later.tolist() == [1]
+    assert later.id.tolist() == [1]
 
 
 def test_clutter_makes_no_confirmed_track():
@@ -169,8 +216,8 @@ def test_poses_put_tracks_into_the_world():
     for k in range(6):
         stamp, x = k * STEP_NS, 0.4 * k
         scan = [Measurement(stamp, "pose", [x, 0.0, np.pi / 2]), *lidar(stamp, [[3.0, x]])]
-        numbers = tracker.process(stamp, scan, source="lidar")
-        assert numbers.tolist() == [-1, 0]
+        result = tracker.process(stamp, scan, source="lidar")
+        assert result.id.tolist() == [-1, 0]
     np.testing.assert_allclose(tracker.tracks_at(stamp).position, [[0, 3]], atol=1e-6)
 
 
@@ -326,14 +373,18 @@ def test_boats_are_tracked(recordings, number, association):
         assert item.share >= COVERED[association]
 
 
-def test_fuse_tracks_many(recordings, tmp_path):
+@pytest.mark.parametrize("association", ["nearest", "joint"])
+def test_fuse_tracks_many(recordings, tmp_path, association):
     path = recordings / "2d" / "autoferry" / "scenario13" / "scenario13_detections.json"
     folder = tmp_path / "run"
-    arguments = ["fuse", str(path), "-o", str(folder), "--json", "-", "--model", "ct"]
+    arguments = ["fuse", str(path), "-o", str(folder), "--json", "-", "--model", "ct",
+                 "--association", association]  # fmt: skip
     out = CliRunner().invoke(app, arguments)
     assert out.exit_code == 0, out.output or out.exception
     result = json.loads(out.stdout)
-    assert result["model"] == "ct"
+    assert (result["model"], result["association"]) == ("ct", association)
+    assert set(result["nis"]) == {"lidar", "radar"}
+    assert all(0.5 < one["share_below_limit"] <= 1 for one in result["nis"].values())
     assert set(result["targets"]) == {"1", "2"}
     assert result["gospa"]["distance"] > 0
     assert set(result["files"]) <= {file.name for file in folder.iterdir()}

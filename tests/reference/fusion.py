@@ -99,13 +99,32 @@ def radar(model, s):
     return np.array([rho, np.arctan2(s[1], s[0]), (s[0] * v[0] + s[1] * v[1]) / rho])
 
 
-def ekf_step(model, s, P, dt, sensor, z, R, strengths):
-    """State, covariance, innovation and NIS after one measurement."""
+def seen_from(model, s, sensor, pose, lever):
+    """What a sensor says of a state in the world: platform at x, y, yaw, with vx, vy and rate."""
+    turn = np.array([[np.cos(pose[2]), -np.sin(pose[2])], [np.sin(pose[2]), np.cos(pose[2])]])
+    arm = turn @ lever
+    p = turn.T @ (s[:2] - pose[:2] - arm)
+    if sensor == "lidar":
+        return p
+    v = turn.T @ (velocity(model, s) - pose[3:5] - pose[5] * np.array([-arm[1], arm[0]]))
+    return np.array([np.hypot(*p), np.arctan2(p[1], p[0]), p @ v / np.hypot(*p)])
+
+
+def ekf_step(model, s, P, dt, sensor, z, R, strengths, platform=None):
+    """State, covariance, innovation and NIS after one measurement.
+
+    A platform is a pose of six numbers, the covariance of the first three, and a lever.
+    """
     f = MODELS[model]
     F = jacobian(lambda state: f(state, dt), s)
     P = F @ P @ F.T + continuous_noise(model, s, dt, strengths)
     s = f(s, dt)
     h = (lambda state: state[:2]) if sensor == "lidar" else (lambda state: radar(model, state))
+    if platform is not None:
+        pose, spread, lever = platform
+        h = lambda state: seen_from(model, state, sensor, pose, lever)  # noqa: E731
+        J = jacobian(lambda pose: seen_from(model, s, sensor, pose, lever), pose)[:, :3]
+        R = R + J @ spread @ J.T
     H = jacobian(h, s)
     y = z - h(s)
     if sensor == "radar":

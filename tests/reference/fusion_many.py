@@ -38,6 +38,7 @@ class ManyTargets:
     def process(self, stamp, places, source):
         target = self.config.target
         numbers = [-1] * len(places)
+        self.nis = [np.nan] * len(places)
         for track in self.tracks:
             dt = (stamp - track["stamp"]) * 1e-9
             track["mean"], track["cov"] = gaussian_step(
@@ -73,18 +74,22 @@ class ManyTargets:
         for row, track in enumerate(tracks):
             spread = track["cov"][:2, :2] + noise
             for column, place in enumerate(places):
-                error = place - track["mean"][:2]
-                nis = error @ np.linalg.inv(spread) @ error
+                nis = self.distance(track, place, noise)
                 if numbers[column] < 0 and nis <= self.gate:
                     cost[row, column] = nis + np.log(np.linalg.det(spread))
         for track, column in zip(tracks, cheapest(cost), strict=True):
             if column < 0:
                 continue
+            self.nis[column] = self.distance(track, places[column], noise)
             gain = track["cov"][:, :2] @ np.linalg.inv(track["cov"][:2, :2] + noise)
             track["mean"] = track["mean"] + gain @ (places[column] - track["mean"][:2])
             track["cov"] = track["cov"] - gain @ track["cov"][:2]
             self.see(track, stamp, source)
             numbers[column] = track["id"]
+
+    def distance(self, track, place, noise):
+        error = place - track["mean"][:2]
+        return error @ np.linalg.inv(track["cov"][:2, :2] + noise) @ error
 
     def see(self, track, stamp, source):
         if source not in track["sources"]:
@@ -116,8 +121,7 @@ class JointTargets(ManyTargets):
         for track in tracks:
             spread, inside = track["cov"][:2, :2] + noise, {}
             for column in free:
-                error = places[column] - track["mean"][:2]
-                nis = error @ np.linalg.inv(spread) @ error
+                nis = self.distance(track, places[column], noise)
                 if nis <= self.gate:
                     density = np.exp(-nis / 2) / np.sqrt(np.linalg.det(2 * np.pi * spread))
                     inside[column] = config.detection_probability * density / config.lidar_clutter
@@ -136,7 +140,9 @@ class JointTargets(ManyTargets):
         weights /= total
         for column in free:
             if tracks and weights[:, column].sum() > 0.5:
-                numbers[column] = tracks[int(np.argmax(weights[:, column]))]["id"]
+                best = tracks[int(np.argmax(weights[:, column]))]
+                numbers[column] = best["id"]
+                self.nis[column] = self.distance(best, places[column], noise)
         for track, shares, inside in zip(tracks, weights, options, strict=True):
             if len(inside) > 1:
                 self.absorb(track, shares, places, noise)

@@ -129,6 +129,11 @@ class FusionConfig(Config):
     gyro_std: float = Field(
         0.01, gt=0, le=1e3, description="Standard deviation of the gyro's turn rate [rad/s]."
     )
+    pose_std: Triple = Field(
+        (0.0, 0.0, 0.0),
+        description="Standard deviations of x, y [m] and yaw [rad] of the platform's poses, >= 0:"
+        " what they make of a place enters the noise of LiDAR and radar; zeros: exact.",
+    )
     range_min: float = Field(
         0.1,
         gt=0,
@@ -214,6 +219,8 @@ class FusionConfig(Config):
         for name in ("lidar_std", "radar_std"):
             if not all(0 < value <= 1e6 for value in getattr(self, name)):
                 raise ValueError(f"{name}: expected values > 0 and <= 1e6")
+        if not all(0 <= value <= 1e6 for value in self.pose_std):
+            raise ValueError("pose_std: expected values >= 0 and <= 1e6")
         if not all(abs(value) <= 1e3 for value in self.lever_arm):
             raise ValueError("lever_arm: expected at most 1000 m")
         if self.model == "paper" and self.method != "ekf":

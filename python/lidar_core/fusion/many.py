@@ -19,6 +19,27 @@ MAX_SOURCES = 64
 
 
 @dataclass(frozen=True, slots=True)
+class ScanResult:
+    """What became of the measurements of a scan, a row per measurement.
+
+    Attributes
+    ----------
+    id : ndarray, shape (K,), int64
+        Track of every measurement, confirmed or not; -1 for none. By joint probabilities it is
+        that which the measurement is of with more than one half.
+    innovations : ndarray, shape (K, 3)
+        Measured minus what that track expected; NaN beyond the values that were compared, and
+        where a track began.
+    nis : ndarray, shape (K,)
+        Normalised innovation squared; NaN where nothing was compared.
+    """
+
+    id: NDArray[np.int64]
+    innovations: NDArray[np.float64]
+    nis: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
 class TargetTracks:
     """Tracks at one time, a row per track.
 
@@ -77,8 +98,8 @@ class MultiTargetTracker:
     >>> tracker = MultiTargetTracker()
     >>> for k in range(5):
     ...     scan = [Measurement(k * 100_000_000, "lidar", [x, 0.1 * k]) for x in (3.0, 8.0)]
-    ...     numbers = tracker.process(k * 100_000_000, scan, source="lidar")
-    >>> numbers.tolist(), tracker.tracks_at(400_000_000).id.tolist()
+    ...     result = tracker.process(k * 100_000_000, scan, source="lidar")
+    >>> result.id.tolist(), tracker.tracks_at(400_000_000).id.tolist()
     ([0, 1], [0, 1])
     """
 
@@ -89,8 +110,12 @@ class MultiTargetTracker:
 
     def process(
         self, stamp_ns: int, measurements: Iterable[Measurement], *, source: str
-    ) -> NDArray[np.int64]:
+    ) -> ScanResult:
         """Take in what one scanner saw at one time; an empty scan is information, too.
+
+        Scans may come late: one that is at most `config.target.buffer_time` older than the newest
+        is put where it belongs, and those after it are gone through again; tracks keep the
+        numbers that these gave them. A scan that is there already changes nothing.
 
         Parameters
         ----------
@@ -104,14 +129,13 @@ class MultiTargetTracker:
 
         Returns
         -------
-        id : ndarray, shape (K,), int64
-            Track of every measurement, confirmed or not; -1 for none. By joint probabilities it is
-            that which the measurement is of with more than one half.
+        ScanResult
+            As this scan found the tracks; a later one that belongs before it may change that.
 
         Raises
         ------
         InputError
-            An older scan than the last, a measurement of another time, something else.
+            An older scan than that, a measurement of another time, something else.
         LimitError
             More than 2000 measurements or tracks, more than 64 scanners.
         """
@@ -119,9 +143,9 @@ class MultiTargetTracker:
         number = self._sources.get(source, len(self._sources))
         if number >= MAX_SOURCES:
             raise LimitError(f"source: {source!r} is one of more than {MAX_SOURCES} scanners")
-        numbers = self._tracker.process(stamp, number, as_measurements(measurements)._core)
+        result = self._tracker.process(stamp, number, as_measurements(measurements)._core)
         self._sources[source] = number
-        return numbers
+        return ScanResult(*result)
 
     def tracks_at(self, stamp_ns: int, *, confirmed: bool = True) -> TargetTracks:
         """Tracks, predicted to a time.

@@ -19,8 +19,8 @@ class MultiTargetConfig(Config):
 
     target: FusionConfig = Field(
         FusionConfig(),
-        description="The filter of each target; its gate decides which measurements may be one's."
-        " `loss_ratio` and `buffer_time` are not used: scans come in order, and a lost track ends.",
+        description="The filter of each target; its gate decides which measurements may be one's,"
+        " its `buffer_time` how late scans may come. `loss_ratio` is not used: a lost track ends.",
     )
     confirm_hits: int = Field(
         3,

@@ -18,7 +18,7 @@ VALUES: dict[str, tuple[int, ...]] = {
     "pose": (3, 6),
 }
 """Numbers of values that each sensor may give."""
-NOISY = {"lidar": 2, "radar": 3, "gyro": 1, "pose": 0}
+NOISY = {"lidar": 2, "radar": 3, "gyro": 1, "pose": 3}
 """Rows of each sensor's covariance."""
 
 
@@ -40,7 +40,7 @@ class Measurement:
         [rad/s]. Values that are not finite are allowed: a filter refuses them and says so.
     covariance : array_like, optional
         Of a lidar's x and y (2, 2), of all values of a radar (3, 3), of a gyro's turn rate
-        (1, 1); without it the filter's configuration holds.
+        (1, 1), of a pose's x, y and yaw (3, 3); without it the filter's configuration holds.
 
     Raises
     ------
@@ -140,7 +140,7 @@ class Measurements:
             A row holds as many values as its sensor has at least; the rest is not looked at.
         covariances : array_like, shape (K, 3, 3), optional
             As of `Measurement`, in the first rows and columns of each matrix; the rest is not
-            looked at. Without it the filter's configuration holds. There must be no pose.
+            looked at. Without it the filter's configuration holds.
 
         Raises
         ------
@@ -187,7 +187,6 @@ def as_measurements(measurements: Iterable[Measurement] | Measurements) -> Measu
 def _covariance(covariance: ArrayLike, sensor: SensorName) -> NDArray[np.float64]:
     size = NOISY[sensor]
     matrix = as_real(covariance, name="covariance").astype(np.float64)
-    if matrix.shape != (size, size) or not size:
-        expected = f"({size}, {size})" if size else "none for a pose"
-        raise InputError(f"covariance: expected shape {expected}, got {matrix.shape}")
+    if matrix.shape != (size, size):
+        raise InputError(f"covariance: expected shape ({size}, {size}), got {matrix.shape}")
     return np.ascontiguousarray(matrix)

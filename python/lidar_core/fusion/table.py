@@ -21,8 +21,11 @@ VALUES: dict[SensorName, tuple[str, ...]] = {
     "gyro": ("turn_rate",),
     "pose": ("pose_x", "pose_y", "pose_yaw"),
 }
+POSE_STD = ("pose_std_x", "pose_std_y", "pose_std_yaw")
 TRUTH = ("true_x", "true_y", "true_vx", "true_vy")
-NAMES = ("t_ns", "sensor", *(name for names in VALUES.values() for name in names), *TRUTH)
+NAMES = (
+    "t_ns", "sensor", *(name for names in VALUES.values() for name in names), *POSE_STD, *TRUTH
+)  # fmt: skip
 """Columns that a table may have."""
 WORDS: dict[str, SensorName] = {
     "lidar": "lidar", "laser": "lidar", "l": "lidar", "radar": "radar", "r": "radar",
@@ -47,7 +50,8 @@ class TableOptions(Config):
     )
     angle_unit: Literal["rad", "deg"] = Field(
         "rad",
-        description="Unit of bearing, pose_yaw and, per second, turn_rate (no unit of its own).",
+        description="Unit of bearing, pose_yaw, pose_std_yaw and, per second, turn_rate (no unit"
+        " of its own).",
     )
 
 
@@ -78,7 +82,8 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
     path : str or Path
         An L/R text file (.txt), or a table .csv, .parquet or .npz with a row per time. Columns
         are t_ns; x, y of a LiDAR; range, bearing, range_rate of a radar; turn_rate of a gyro;
-        pose_x, pose_y, pose_yaw of the platform; true_x, true_y, true_vx, true_vy. Without a
+        pose_x, pose_y, pose_yaw of the platform, and their standard deviations pose_std_x,
+        pose_std_y, pose_std_yaw, where they are known; true_x, true_y, true_vx, true_vy. Without a
         column `sensor`, a row gives a measurement of every sensor whose values are all there.
     options : TableOptions, optional
 
@@ -100,7 +105,9 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
     angle = np.pi / 180 if options.angle_unit == "deg" else 1.0
     values = _values(place, columns, angle)
     rows = _rows_of_sensors(place, columns, values, len(stamps))
-    made = [(row, Measurement(int(stamps[row]), sensor, values[sensor][row]))
+    spread = _pose_covariances(place, columns, angle)
+    made = [(row, Measurement(int(stamps[row]), sensor, values[sensor][row],
+                              spread.get(row) if sensor == "pose" else None))
             for row, sensor in rows]  # fmt: skip
     if not made:
         raise FormatError(f"{place}: no row holds all values of a sensor")
@@ -168,6 +175,19 @@ def _values(place: Path, columns: Columns, angle: float) -> dict[SensorName, NDA
             " name them with --column OURS=THEIRS"
         )
     return found
+
+
+def _pose_covariances(
+    place: Path, columns: Columns, angle: float
+) -> dict[int, NDArray[np.float64]]:
+    """Covariance of the pose by row, where all its deviations are above zero."""
+    if not set(POSE_STD) <= set(columns):
+        return {}
+    scales = (1.0, 1.0, angle)
+    stds = np.stack([_numbers(place, columns, name) * scale
+                     for name, scale in zip(POSE_STD, scales, strict=True)], axis=1)  # fmt: skip
+    whole = np.isfinite(stds).all(axis=1) & (stds > 0).all(axis=1)
+    return {row: np.diag(stds[row] ** 2) for row in np.flatnonzero(whole).tolist()}
 
 
 def _rows_of_sensors(

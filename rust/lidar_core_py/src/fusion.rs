@@ -219,12 +219,7 @@ impl PyMeasurements {
 
 /// The rows and columns that `sensor` has, of a matrix of three.
 fn leading(entries: &[f64], sensor: Sensor) -> Vec<f64> {
-    let size = match sensor {
-        Sensor::Lidar => 2,
-        Sensor::Radar => 3,
-        Sensor::Gyro => 1,
-        Sensor::Pose => 0,
-    };
+    let size = sensor.noisy();
     entries.chunks_exact(3).take(size).flat_map(|row| &row[..size]).copied().collect()
 }
 

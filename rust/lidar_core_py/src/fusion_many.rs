@@ -7,7 +7,8 @@ use crate::fusion_config::FusionConfig;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
 use lidar_core::fusion::many::MAX_SOURCES;
-use lidar_core::fusion::{Association, ManyParameters, ManyTargets, TrackState};
+use lidar_core::fusion::record::padded;
+use lidar_core::fusion::{Assigned, Association, ManyParameters, ManyTargets, TrackState};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 
@@ -46,6 +47,10 @@ impl MultiTargetConfig {
 #[pyclass(frozen, name = "MultiTargetTracker", module = "lidar_core._core")]
 pub(crate) struct PyMultiTargetTracker(Guarded<ManyTargets>);
 
+/// By measurement: number of the track, -1 for none; innovation; NIS.
+type ScanArrays<'py> =
+    (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>);
+
 /// Numbers, states, covariances, times of birth and last measurement, measurements, confirmed.
 type TrackArrays<'py> = (
     Bound<'py, PyArray1<i64>>,
@@ -65,19 +70,16 @@ impl PyMultiTargetTracker {
         Ok(Self(Guarded::new(tracker)))
     }
 
-    /// Track of every measurement, -1 for none.
     fn process<'py>(
         &self,
         py: Python<'py>,
         stamp_ns: i64,
         source: i64,
         measurements: PyRef<'py, PyMeasurements>,
-    ) -> Result<Bound<'py, PyArray1<i64>>, BorderError> {
+    ) -> Result<ScanArrays<'py>, BorderError> {
         let source = u8::try_from(source).unwrap_or(MAX_SOURCES);
         let scan = &measurements.0;
-        let numbers = self.0.with(py, |tracker| tracker.process(stamp_ns, source, scan))?;
-        let numbers: Vec<i64> = numbers.into_iter().map(|number| number.unwrap_or(-1)).collect();
-        Ok(numbers.into_pyarray(py))
+        scan_arrays(py, &self.0.with(py, |tracker| tracker.process(stamp_ns, source, scan))?)
     }
 
     fn tracks_at<'py>(
@@ -87,6 +89,20 @@ impl PyMultiTargetTracker {
     ) -> Result<TrackArrays<'py>, BorderError> {
         track_arrays(py, &self.0.with(py, |tracker| Ok(tracker.tracks_at(stamp_ns)))?)
     }
+}
+
+fn scan_arrays<'py>(
+    py: Python<'py>,
+    assigned: &[Assigned],
+) -> Result<ScanArrays<'py>, BorderError> {
+    let numbers: Vec<i64> = assigned.iter().map(|one| one.id.unwrap_or(-1)).collect();
+    let innovations = assigned.iter().flat_map(|one| padded(one.innovation.as_ref()));
+    let nis = assigned.iter().map(|one| one.innovation.map_or(f64::NAN, |y| y.nis));
+    Ok((
+        numbers.into_pyarray(py),
+        innovations.collect::<Vec<f64>>().into_pyarray(py).reshape([assigned.len(), 3])?,
+        nis.collect::<Vec<f64>>().into_pyarray(py),
+    ))
 }
 
 fn track_arrays<'py>(

@@ -177,11 +177,12 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
         match self.sensing.observation(m, sight.range()) {
             Some(Observation::Position { z, R }) => {
                 let (expected, H) = sight.place();
+                let R = sight.place_noise(R);
                 Self::corrected(state, &Linearised { y: z - expected, H, R }, believe)
             }
             Some(Observation::Polar { z, R }) => {
                 let (expected, H) = sight.polar_jacobian();
-                let y = polar_difference(&z, &expected);
+                let (y, R) = (polar_difference(&z, &expected), sight.polar_noise(R));
                 Self::corrected(state, &Linearised { y, H, R }, believe)
             }
             Some(Observation::Rate { z, R }) => {

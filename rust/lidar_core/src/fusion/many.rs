@@ -1,26 +1,28 @@
-//! Many targets: measurements assigned to tracks, births, confirmation, deletion.
+//! Many targets: measurements assigned to tracks, births, confirmation, deletion; scans that come
+//! late.
 
 use super::engine::Output;
-use super::filter::{Filter, FusionParameters};
-use super::joint::probabilities;
-use super::measurement::{Measurement, Sensor};
-use super::target::{Life, Outcome};
+use super::filter::FusionParameters;
+use super::measurement::Measurement;
+use super::target::Life;
+pub use super::tracks::{Assigned, Scan};
+use super::tracks::{Births, Tracks, within};
 use crate::Error;
 use crate::error::require;
-use crate::estimation::association::{Pair, assign};
+use std::collections::VecDeque;
 
 /// Most tracks at a time, and most measurements of a scan.
 pub const MAX_TARGETS: usize = 2_000;
 /// Most scanners that are told apart.
 pub const MAX_SOURCES: u8 = 64;
-/// What it costs to leave a track without a measurement that its gate lets through: far more
-/// than any pair, so that as many tracks as possible get one.
-const UNASSIGNED: f64 = 1e6;
+/// Most scans, and tracks in them, that are kept for late ones.
+const MOST_KEPT: usize = 100_000;
 
 /// Everything a tracker of many targets can be told.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ManyParameters {
-    /// The filter of each; its gate decides which measurements may belong to a track.
+    /// The filter of each; its gate decides which measurements may belong to a track, and its
+    /// buffer how late scans may come.
     pub filter: FusionParameters,
     /// A track is confirmed when so many of ...
     pub confirm_hits: u32,
@@ -41,7 +43,8 @@ pub struct ManyParameters {
 pub enum Association {
     /// Global nearest neighbours: each is of one track or of none.
     Nearest,
-    /// By the probabilities of all ways of sharing them out: [`probabilities`].
+    /// By the probabilities of all ways of sharing them out:
+    /// [`probabilities`](super::joint::probabilities).
     Joint {
         /// Probability that a scan measures a target.
         detection: f64,
@@ -67,76 +70,60 @@ pub struct TrackState {
     pub confirmed: bool,
 }
 
-impl Association {
-    /// The filter of `track` after a measurement within its gate, and what the pair costs.
-    fn corrected(&self, track: &Track, m: &Measurement) -> Option<(Filter, f64)> {
-        let mut filter = track.filter.clone();
-        let (outcome, innovation) = filter.take(m);
-        let innovation = innovation.filter(|_| outcome == Outcome::Updated)?;
-        let distance = innovation.nis + innovation.log_determinant;
-        let cost = match self {
-            Self::Nearest => distance,
-            Self::Joint { detection, clutter } => {
-                let constant = innovation.count as f64 * libm::log(std::f64::consts::TAU);
-                let density = clutter[usize::from(m.sensor() == Sensor::Radar)];
-                0.5 * (distance + constant) + libm::log(density * (1.0 - detection) / detection)
-            }
-        };
-        cost.is_finite().then_some((filter, cost))
-    }
-}
-
+/// A scan that has been taken in.
 #[derive(Clone)]
-struct Track {
-    id: i64,
-    filter: Filter,
-    /// Bit per scan of scanners that have seen it, the last one lowest: was it measured?
-    history: u64,
-    looks: u32,
-    sources: u64,
-    born_ns: i64,
-    seen_ns: i64,
-    hits: u32,
-    confirmed: bool,
+struct Past {
+    scan: Scan,
+    assigned: Vec<Assigned>,
+    births: Vec<Option<i64>>,
+    before: Tracks,
 }
 
 /// Tracks of many targets.
 #[derive(Clone)]
 pub struct ManyTargets {
     parameters: ManyParameters,
-    /// Knows how the platform moves, and no target.
-    unseen: Filter,
-    tracks: Vec<Track>,
+    buffer_ns: i64,
+    tracks: Tracks,
+    /// By time: the scans of the last `buffer_ns`.
+    history: VecDeque<Past>,
     next_id: i64,
     stamp_ns: Option<i64>,
+    /// Time of the last scan that is no longer in `history`, or of none [ns].
+    forgotten_ns: i64,
 }
 
 impl ManyTargets {
     /// A tracker that has seen nothing.
     ///
     /// # Errors
-    /// As [`Filter::new`], and [`Error::Parameter`] unless 1 <= `confirm_hits` <=
-    /// `confirm_window` <= 64.
+    /// As [`Filter::new`](super::Filter::new), and [`Error::Parameter`] unless 1 <=
+    /// `confirm_hits` <= `confirm_window` <= 64.
     pub fn new(parameters: &ManyParameters) -> Result<Self, Error> {
         let ManyParameters { confirm_hits: hits, confirm_window: window, .. } = *parameters;
         let fits = 1 <= hits && hits <= window && window <= u64::BITS;
         require(fits, "confirm_hits", "1 to confirm_window, at most 64", hits)?;
-        let filter = parameters.filter.without_buffer(); // scans come in order
+        let filter = parameters.filter.without_buffer(); // tracks get scans in order
         let filter = FusionParameters { life: Life { loss: None, ..filter.life }, ..filter };
         Ok(Self {
             parameters: ManyParameters { filter, ..*parameters },
-            unseen: Filter::new(&filter)?,
-            tracks: Vec::new(),
+            buffer_ns: parameters.filter.life.buffer_ns,
+            tracks: Tracks::new(&filter)?,
+            history: VecDeque::new(),
             next_id: 0,
             stamp_ns: None,
+            forgotten_ns: i64::MIN,
         })
     }
 
-    /// Take in what one scanner saw at one time; returns the track of every measurement, none for
-    /// those that cannot be used, started nothing, or tell how the platform moves.
+    /// Take in what one scanner saw at one time; returns what becomes of every measurement.
+    ///
+    /// A scan that comes late, but within the buffer, is put where it belongs, and those after it
+    /// are gone through again; tracks keep the numbers that these gave them. One that is there
+    /// already changes nothing.
     ///
     /// # Errors
-    /// [`Error::Time`] for a scan older than the last, [`Error::Value`] for a measurement of
+    /// [`Error::Time`] for a scan older than the buffer, [`Error::Value`] for a measurement of
     /// another time, [`Error::Parameter`] for a source of [`MAX_SOURCES`] or more,
     /// [`Error::Limit`] for more than [`MAX_TARGETS`] measurements or tracks. Nothing has changed
     /// then.
@@ -144,32 +131,69 @@ impl ManyTargets {
         &mut self,
         stamp_ns: i64,
         source: u8,
-        scan: &[Measurement],
-    ) -> Result<Vec<Option<i64>>, Error> {
-        self.check(stamp_ns, source, scan)?;
-        let mut next = self.clone();
-        let numbers = next.take(stamp_ns, source, scan)?;
-        *self = next;
-        Ok(numbers)
+        measurements: &[Measurement],
+    ) -> Result<Vec<Assigned>, Error> {
+        self.check(stamp_ns, source, measurements)?;
+        let scan = Scan { stamp_ns, source, measurements: measurements.to_vec() };
+        let newer = |past: &&Past| past.scan.stamp_ns >= stamp_ns;
+        let same = self.history.iter().rev().take_while(newer).find(|past| past.scan == scan);
+        if let Some(past) = same {
+            return Ok(past.assigned.clone());
+        }
+        self.insert(scan)
+    }
+
+    /// Put a scan where it belongs, and go through those after it again.
+    fn insert(&mut self, scan: Scan) -> Result<Vec<Assigned>, Error> {
+        let place = self.history.partition_point(|past| past.scan.stamp_ns <= scan.stamp_ns);
+        let (stamp_ns, fresh) = (scan.stamp_ns, vec![None; scan.measurements.len()]);
+        let mut tracks = self.history.get(place).map_or(&self.tracks, |past| &past.before).clone();
+        let (mut redone, mut next_id) = (Vec::new(), self.next_id);
+        let later = self.history.range(place..).map(|past| (&past.scan, &past.births));
+        for (scan, ids) in std::iter::once((&scan, &fresh)).chain(later) {
+            let before = tracks.clone();
+            let mut births = Births { next_id, ids: ids.clone() };
+            let assigned = tracks.take(&self.parameters, scan, &mut births)?;
+            next_id = births.next_id;
+            redone.push(Past { scan: scan.clone(), assigned, births: births.ids, before });
+        }
+        let assigned = redone.first().map_or(Vec::new(), |past| past.assigned.clone());
+        self.history.truncate(place);
+        self.history.extend(redone);
+        (self.tracks, self.next_id) = (tracks, next_id);
+        self.stamp_ns = self.stamp_ns.max(Some(stamp_ns));
+        self.forget();
+        Ok(assigned)
+    }
+
+    /// Drop scans that are older than the buffer, and the oldest of too many.
+    fn forget(&mut self) {
+        let oldest = self.stamp_ns.unwrap_or(i64::MIN).saturating_sub(self.buffer_ns);
+        let mut kept: usize = self.history.iter().map(|past| 1 + past.before.len()).sum();
+        let is_old = |past: &Past| self.buffer_ns == 0 || past.scan.stamp_ns < oldest;
+        while let Some(past) = self.history.front().filter(|past| kept > MOST_KEPT || is_old(past))
+        {
+            kept -= 1 + past.before.len();
+            self.forgotten_ns = past.scan.stamp_ns;
+            self.history.pop_front();
+        }
     }
 
     /// All tracks, carried on to `stamp_ns`, by their numbers; unconfirmed ones included.
     #[must_use]
     pub fn tracks_at(&self, stamp_ns: i64) -> Vec<TrackState> {
-        let states = self.tracks.iter().filter_map(|track| {
-            let output = track.filter.output_at(stamp_ns)?;
-            let Track { id, born_ns, seen_ns, hits, confirmed, .. } = *track;
-            Some(TrackState { id, output, born_ns, seen_ns, hits, confirmed })
-        });
-        states.collect()
+        self.tracks.at(stamp_ns)
     }
 
     fn check(&self, stamp_ns: i64, source: u8, scan: &[Measurement]) -> Result<(), Error> {
         require(source < MAX_SOURCES, "source", "0 to 63", source)?;
-        if let Some(last) = self.stamp_ns.filter(|last| stamp_ns < *last) {
+        let oldest = |last: i64| last.saturating_sub(self.buffer_ns).max(self.forgotten_ns);
+        if let Some(last) = self.stamp_ns.filter(|last| stamp_ns < oldest(*last)) {
+            let buffer = self.buffer_ns as f64 * 1e-9;
             return Err(Error::Time {
                 what: format!(
-                    "scan of {stamp_ns} ns, the last one was of {last} ns; give scans in order"
+                    "scan of {stamp_ns} ns, the last one was of {last} ns; give scans at most \
+                     {buffer} s late"
                 ),
             });
         }
@@ -183,217 +207,12 @@ impl ManyTargets {
         }
         within("measurements of a scan", scan.len())
     }
-
-    fn take(
-        &mut self,
-        stamp_ns: i64,
-        source: u8,
-        scan: &[Measurement],
-    ) -> Result<Vec<Option<i64>>, Error> {
-        self.stamp_ns = Some(stamp_ns);
-        let mut numbers = vec![None; scan.len()];
-        for m in scan.iter().filter(|m| is_of_platform(m)) {
-            self.unseen.step(m);
-            self.tracks.iter_mut().for_each(|track| {
-                track.filter.step(m);
-            });
-        }
-        let seen = 1 << source;
-        for track in &mut self.tracks {
-            if track.sources & seen != 0 {
-                track.history <<= 1;
-                track.looks += 1;
-            }
-        }
-        for confirmed in [true, false] {
-            self.associate(scan, seen, confirmed, &mut numbers)?;
-        }
-        let (parameters, measured) = (self.parameters, self.measured_at(stamp_ns));
-        self.tracks.iter_mut().for_each(|track| track.judge(&parameters));
-        self.tracks.retain(|track| track.stays(stamp_ns, &parameters));
-        self.start(stamp_ns, seen, scan, &measured, &mut numbers);
-        within("tracks", self.tracks.len())?;
-        Ok(numbers)
-    }
-
-    /// Share out measurements that have no track yet among tracks; by global nearest neighbours
-    /// the likelihood of the innovation counts.
-    ///
-    /// # Source
-    /// Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
-    /// 2001; Blackman & Popoli, "Design and Analysis of Modern Tracking Systems", 1999, sec. 6.4.
-    fn associate(
-        &mut self,
-        scan: &[Measurement],
-        seen: u64,
-        confirmed: bool,
-        numbers: &mut [Option<i64>],
-    ) -> Result<(), Error> {
-        let (mut pairs, mut updated) = (Vec::new(), Vec::new());
-        for (row, track) in self.tracks.iter().enumerate() {
-            for (column, m) in scan.iter().enumerate() {
-                if track.confirmed != confirmed || numbers[column].is_some() || is_of_platform(m) {
-                    continue;
-                }
-                if let Some((filter, cost)) = self.parameters.association.corrected(track, m) {
-                    pairs.push(Pair { row, column, cost });
-                    updated.push(filter);
-                }
-            }
-        }
-        if let Association::Joint { .. } = self.parameters.association {
-            self.associate_jointly(scan, seen, numbers, &pairs);
-            return Ok(());
-        }
-        let column_of = assign(self.tracks.len(), scan.len(), &pairs, UNASSIGNED)?;
-        for (Pair { row, column, .. }, filter) in pairs.iter().zip(updated) {
-            if column_of[*row] == Some(*column) {
-                let track = &mut self.tracks[*row];
-                track.filter = filter;
-                track.see(scan[*column].stamp_ns(), seen);
-                numbers[*column] = Some(track.id);
-            }
-        }
-        Ok(())
-    }
-
-    /// Joint probabilistic data association among measurements that have no track yet. One that
-    /// is more likely of some track than of none has the likeliest.
-    fn associate_jointly(
-        &mut self,
-        scan: &[Measurement],
-        seen: u64,
-        numbers: &mut [Option<i64>],
-        pairs: &[Pair],
-    ) {
-        let weights = probabilities(self.tracks.len(), scan.len(), pairs);
-        let mut of_track = vec![Vec::new(); self.tracks.len()];
-        let mut of_any = vec![(0.0, 0.0, 0); scan.len()]; // sum, largest, its track
-        for (Pair { row, column, .. }, weight) in pairs.iter().zip(weights) {
-            of_track[*row].push((weight, scan[*column]));
-            let (sum, most, best) = &mut of_any[*column];
-            *sum += weight;
-            if weight > *most {
-                (*most, *best) = (weight, self.tracks[*row].id);
-            }
-        }
-        for (number, (sum, _, best)) in numbers.iter_mut().zip(of_any) {
-            if sum > 0.5 {
-                *number = Some(best);
-            }
-        }
-        for (track, weighted) in self.tracks.iter_mut().zip(of_track) {
-            track.absorb(&weighted, seen);
-        }
-    }
-
-    /// Positions of the tracks that were measured at `stamp_ns`.
-    fn measured_at(&self, stamp_ns: i64) -> Vec<[f64; 2]> {
-        let measured = self.tracks.iter().filter(|track| track.seen_ns == stamp_ns);
-        let outputs = measured.filter_map(|track| track.filter.output_at(stamp_ns));
-        outputs.map(|output| [output.mean[0], output.mean[1]]).collect()
-    }
-
-    fn start(
-        &mut self,
-        stamp_ns: i64,
-        seen: u64,
-        scan: &[Measurement],
-        measured: &[[f64; 2]],
-        numbers: &mut [Option<i64>],
-    ) {
-        for (m, number) in scan.iter().zip(numbers) {
-            if number.is_some() || is_of_platform(m) {
-                continue;
-            }
-            let mut filter = self.unseen.clone();
-            let step = filter.step(m);
-            let Some(output) = step.output.filter(|_| step.outcome == Outcome::Started) else {
-                continue;
-            };
-            let [x, y] = [output.mean[0], output.mean[1]];
-            let reach = self.parameters.birth_distance;
-            if measured.iter().any(|at| libm::hypot(at[0] - x, at[1] - y) < reach) {
-                continue;
-            }
-            let mut track = Track {
-                id: self.next_id,
-                filter,
-                history: 1,
-                looks: 1,
-                sources: seen,
-                born_ns: stamp_ns,
-                seen_ns: stamp_ns,
-                hits: 1,
-                confirmed: false,
-            };
-            track.judge(&self.parameters);
-            *number = Some(self.next_id);
-            self.next_id += 1;
-            self.tracks.push(track);
-        }
-    }
-}
-
-impl Track {
-    fn see(&mut self, stamp_ns: i64, seen: u64) {
-        if self.sources & seen == 0 {
-            self.history <<= 1; // the first scan of this scanner that counts
-            self.looks += 1;
-        }
-        self.history |= 1;
-        self.sources |= seen;
-        self.seen_ns = stamp_ns;
-        self.hits += 1;
-    }
-
-    /// Take in measurements that are of this track with some probability.
-    fn absorb(&mut self, weighted: &[(f64, Measurement)], seen: u64) {
-        let Some((_, first)) = weighted.first() else { return };
-        self.filter.absorb(first.stamp_ns(), weighted);
-        if weighted.iter().map(|(weight, _)| weight).sum::<f64>() > 0.5 {
-            self.see(first.stamp_ns(), seen);
-        }
-    }
-
-    /// Measured scans among the last ones that count, and how many these are.
-    fn recent(&self, window: u32) -> (u32, u32) {
-        let mask = u64::MAX >> (u64::BITS - window);
-        ((self.history & mask).count_ones(), self.looks.min(window))
-    }
-
-    fn judge(&mut self, parameters: &ManyParameters) {
-        let (hits, _) = self.recent(parameters.confirm_window);
-        self.confirmed |= hits >= parameters.confirm_hits;
-    }
-
-    fn stays(&self, stamp_ns: i64, parameters: &ManyParameters) -> bool {
-        let (hits, looks) = self.recent(parameters.confirm_window);
-        let misses = parameters.confirm_window - parameters.confirm_hits;
-        let unseen = stamp_ns.saturating_sub(self.seen_ns) as f64 * 1e-9;
-        let Some(output) = self.filter.output_at(stamp_ns) else { return false };
-        let variance = output.covariance[0][0].max(output.covariance[1][1]);
-        (self.confirmed || looks - hits <= misses)
-            && unseen <= parameters.max_coast
-            && variance <= parameters.max_position_std * parameters.max_position_std
-    }
-}
-
-fn is_of_platform(m: &Measurement) -> bool {
-    matches!(m.sensor(), Sensor::Gyro | Sensor::Pose)
-}
-
-fn within(what: &'static str, count: usize) -> Result<(), Error> {
-    if count <= MAX_TARGETS {
-        return Ok(());
-    }
-    let (what, limit) = (format!("{count} {what}"), MAX_TARGETS as u64);
-    Err(Error::Limit { what, limit, key: "leave clutter out before" })
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::filter::{Method, Model, Strengths};
+    use super::super::measurement::Sensor;
     use super::super::motion::{NoiseForm, Prior};
     use super::super::sensors::Sensing;
     use super::super::target::GyroUse;
@@ -424,6 +243,7 @@ mod tests {
                 lidar: [0.1; 2],
                 radar: [0.1; 3],
                 gyro: 0.1,
+                pose: [0.0; 3],
                 range_min: 0.1,
                 convert_radar: false,
             },
@@ -452,17 +272,93 @@ mod tests {
         places.iter().map(|at| Measurement::new(stamp_ns, Sensor::Lidar, at, None)).collect()
     }
 
+    fn numbers(assigned: &[Assigned]) -> Vec<Option<i64>> {
+        assigned.iter().map(|one| one.id).collect()
+    }
+
+    /// Two targets that part, two scanners in turn, 50 ms from scan to scan.
+    fn parting() -> Result<Vec<(i64, u8, Vec<Measurement>)>, Error> {
+        let one = |k: i64| {
+            let (stamp, y) = (k * 50_000_000, 0.1 * k as f64);
+            Ok((stamp, (k % 2) as u8, scan(stamp, &[[0.2 * y, y], [3.0, -y]])?))
+        };
+        (0..12).map(one).collect()
+    }
+
+    fn buffered(seconds: f64) -> Result<ManyTargets, Error> {
+        let mut parameters = parameters()?;
+        parameters.filter.life.buffer_ns = (seconds * 1e9) as i64;
+        ManyTargets::new(&parameters)
+    }
+
+    /// Also of scans from before all others; the numbers are those of the order of arrival.
+    #[test]
+    fn the_order_of_arrival_changes_only_numbers() -> Result<(), Error> {
+        let scans = parting()?;
+        let (mut sorted, mut mixed) = (buffered(0.0)?, buffered(0.2)?);
+        for (stamp, source, seen) in &scans {
+            sorted.process(*stamp, *source, seen)?;
+        }
+        for k in [2, 0, 1, 5, 4, 3, 6, 7, 10, 8, 9, 11] {
+            let (stamp, source, seen) = &scans[k];
+            mixed.process(*stamp, *source, seen)?;
+        }
+        let (expected, found) = (sorted.tracks_at(1_000_000_000), mixed.tracks_at(1_000_000_000));
+        assert_eq!(found.len(), 2);
+        for (one, other) in expected.iter().zip(&found) {
+            assert_eq!(TrackState { id: one.id, ..*other }, *one);
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn tracks_keep_their_numbers_when_a_scan_comes_late() -> Result<(), Error> {
+        let mut tracker = buffered(0.2)?;
+        tracker.process(0, 0, &scan(0, &[[0.0, 0.0]])?)?;
+        let third = scan(100_000_000, &[[0.0, 0.1], [8.0, 0.0]])?;
+        assert_eq!(numbers(&tracker.process(100_000_000, 0, &third)?), [Some(0), Some(1)]);
+        let second = scan(50_000_000, &[[0.0, 0.05], [-9.0, 0.0]])?;
+        assert_eq!(numbers(&tracker.process(50_000_000, 0, &second)?), [Some(0), Some(2)]);
+        let ids = tracker.tracks_at(100_000_000).iter().map(|t| t.id).collect::<Vec<i64>>();
+        assert_eq!(ids, [0, 1, 2]);
+        Ok(())
+    }
+
+    #[test]
+    fn a_scan_that_is_there_already_changes_nothing() -> Result<(), Error> {
+        let mut tracker = buffered(0.2)?;
+        for (stamp, source, seen) in parting()? {
+            let first = tracker.process(stamp, source, &seen)?;
+            let states = tracker.tracks_at(stamp);
+            assert_eq!(tracker.process(stamp, source, &seen)?, first);
+            assert_eq!(tracker.tracks_at(stamp), states);
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn scans_older_than_the_buffer_are_refused() -> Result<(), Error> {
+        let mut tracker = buffered(0.2)?;
+        for (stamp, source, seen) in parting()? {
+            tracker.process(stamp, source, &seen)?;
+        }
+        let (late, last) = (349_999_999, 350_000_000);
+        assert!(matches!(tracker.process(late, 0, &[]), Err(Error::Time { .. })));
+        assert!(tracker.process(last, 1, &[]).is_ok());
+        Ok(())
+    }
+
     /// The nearest pair alone would leave the second track without a measurement.
     #[test]
     fn as_many_tracks_as_possible_are_measured() -> Result<(), Error> {
         let mut tracker = ManyTargets::new(&parameters()?)?;
-        assert_eq!(
-            tracker.process(0, 0, &scan(0, &[[0.0, 0.0], [0.6, 0.0]])?)?,
-            [Some(0), Some(1)]
-        );
+        let seen = scan(0, &[[0.0, 0.0], [0.6, 0.0]])?;
+        assert_eq!(numbers(&tracker.process(0, 0, &seen)?), [Some(0), Some(1)]);
         let stamp = 100_000_000;
         let seen = scan(stamp, &[[0.5, 0.0], [1.9, 0.0]])?;
-        assert_eq!(tracker.process(stamp, 0, &seen)?, [Some(0), Some(1)]);
+        let assigned = tracker.process(stamp, 0, &seen)?;
+        assert_eq!(numbers(&assigned), [Some(0), Some(1)]);
+        assert!(assigned.iter().all(|one| one.innovation.is_some_and(|y| y.nis > 0.0)));
         assert!(tracker.tracks_at(stamp).iter().all(|track| track.confirmed && track.hits == 2));
         Ok(())
     }

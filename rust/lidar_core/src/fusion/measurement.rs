@@ -23,6 +23,18 @@ pub enum Sensor {
     Pose,
 }
 
+impl Sensor {
+    /// Number of values that have a covariance: the first ones.
+    #[must_use]
+    pub fn noisy(self) -> usize {
+        match self {
+            Self::Lidar => 2,
+            Self::Radar | Self::Pose => 3,
+            Self::Gyro => 1,
+        }
+    }
+}
+
 /// One measurement. Its values need not be finite: a filter rejects such ones and counts them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measurement {
@@ -88,7 +100,7 @@ impl Measurement {
     /// Number of values that have a covariance.
     #[must_use]
     pub fn noisy(&self) -> usize {
-        noisy(self.sensor)
+        self.sensor.noisy()
     }
 
     /// Whether the values can be used: all finite, a range above zero.
@@ -107,17 +119,8 @@ impl Measurement {
     }
 }
 
-fn noisy(sensor: Sensor) -> usize {
-    match sensor {
-        Sensor::Lidar => 2,
-        Sensor::Radar => 3,
-        Sensor::Gyro => 1,
-        Sensor::Pose => 0,
-    }
-}
-
 fn checked(sensor: Sensor, entries: &[f64]) -> Result<[[f64; 3]; 3], Error> {
-    let size = noisy(sensor);
+    let size = sensor.noisy();
     if entries.len() != size * size {
         let name = "covariance";
         return Err(Error::Length { name, expected: size * size, got: entries.len() });
@@ -181,8 +184,9 @@ mod tests {
         {
             assert!(of(&bad).is_err(), "{bad:?}");
         }
-        let pose = Measurement::new(0, Sensor::Pose, &[0.0; 3], Some(&[1.0]));
-        assert!(pose.is_err());
+        let pose = |entries: &[f64]| Measurement::new(0, Sensor::Pose, &[0.0; 6], Some(entries));
+        assert!(pose(&[1.0]).is_err());
+        assert!(pose(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.1]).is_ok());
     }
 
     #[test]

@@ -22,9 +22,10 @@ pub mod sensors;
 pub mod sigma;
 pub mod smooth;
 pub mod target;
+pub mod tracks;
 pub mod turn;
 
 pub use filter::{Filter, FusionParameters, Method, Model, Strengths};
-pub use many::{Association, ManyParameters, ManyTargets, TrackState};
+pub use many::{Assigned, Association, ManyParameters, ManyTargets, TrackState};
 pub use measurement::{Measurement, Sensor};
 pub use record::{Record, run, run_batch, smooth};

@@ -1,6 +1,6 @@
 //! Runs over whole recordings, one or many, as columns.
 
-use super::engine::Output;
+use super::engine::{Innovation, Output};
 use super::filter::{Filter, FusionParameters, smooth_into};
 use super::measurement::Measurement;
 use super::target::{Outcome, Taken};
@@ -49,12 +49,7 @@ impl Record {
         self.stamps_ns.push(stamp_ns);
         self.outcomes.push(outcome);
         self.push_state(output);
-        let mut values = [f64::NAN; 3];
-        if let Some(innovation) = &innovation {
-            let count = innovation.count.min(3);
-            values[..count].copy_from_slice(&innovation.values[..count]);
-        }
-        self.innovations.extend_from_slice(&values);
+        self.innovations.extend_from_slice(&padded(innovation.as_ref()));
         self.nis.push(innovation.map_or(f64::NAN, |innovation| innovation.nis));
     }
 
@@ -81,6 +76,17 @@ impl Record {
             self.covariances.extend_from_slice(&row[..size]);
         }
     }
+}
+
+/// The values that were compared, then NaN.
+#[must_use]
+pub fn padded(innovation: Option<&Innovation>) -> [f64; 3] {
+    let mut values = [f64::NAN; 3];
+    if let Some(Innovation { values: compared, count, .. }) = innovation {
+        let count = (*count).min(3);
+        values[..count].copy_from_slice(&compared[..count]);
+    }
+    values
 }
 
 /// Filter measurements in the order of their stamps; those of one stamp keep their order.

@@ -6,7 +6,7 @@ use super::measurement::{Measurement, Sensor};
 use super::motion::{First, Motion};
 use super::platform::{Platform, SensorPose};
 use super::turn::{direction, rotated, wrapped};
-use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, Matrix3x2, SMatrix, SVector, Vector2, Vector3};
 
 /// Ranges below this have no bearing [m].
 const NEAREST: f64 = 1e-9;
@@ -20,6 +20,8 @@ pub struct Sensing {
     pub radar: [f64; 3],
     /// Variance of the gyro's turn rate [rad^2/s^2].
     pub gyro: f64,
+    /// Variances of the platform's x, y [m^2] and yaw [rad^2]; zeros for exact poses.
+    pub pose: [f64; 3],
     /// Nearer than this [m] a radar's range and bearing are turned into a position.
     pub range_min: f64,
     /// Whether radar is always turned into a position, its range rate dropped.
@@ -108,18 +110,7 @@ impl<'a, const N: usize, M: Motion<N>> LineOfSight<'a, N, M> {
     #[must_use]
     pub fn polar_jacobian(&self) -> (Vector3<f64>, SMatrix<f64, 3, N>) {
         let (p, (v, by_velocity)) = (self.position, self.velocity());
-        let square = p.x * p.x + p.y * p.y;
-        let range = libm::sqrt(square);
-        let across = (p.x * v.y - p.y * v.x) / (square * range);
-        let ahead = [p.x / range, p.y / range];
-        let mut by_position = SMatrix::<f64, 3, 2>::new(
-            ahead[0],
-            ahead[1], //
-            -p.y / square,
-            p.x / square, //
-            -p.y * across,
-            p.x * across,
-        );
+        let (mut by_position, ahead) = polar_slopes(p, v);
         if let Some(sensor) = self.sensor {
             by_position *= into_sensor(sensor);
         }
@@ -131,11 +122,66 @@ impl<'a, const N: usize, M: Motion<N>> LineOfSight<'a, N, M> {
         (polar_of(p, v), J)
     }
 
+    /// Covariance `R` of a measured position, and what the pose of the platform adds to it.
+    #[inline]
+    #[must_use]
+    pub fn place_noise(&self, R: Matrix2<f64>) -> Matrix2<f64> {
+        let Some((by_pose, _, P)) = self.by_pose() else { return R };
+        R + by_pose * P * by_pose.transpose()
+    }
+
+    /// The same of range, bearing and range rate; the range must not be zero.
+    #[inline]
+    #[must_use]
+    pub fn polar_noise(&self, R: Matrix3<f64>) -> Matrix3<f64> {
+        let Some((position_by, velocity_by, P)) = self.by_pose() else { return R };
+        let (by_position, ahead) = polar_slopes(self.position, self.velocity().0);
+        let mut by_pose = by_position * position_by;
+        let rate = by_pose.row(2) + Vector2::from(ahead).transpose() * velocity_by;
+        by_pose.set_row(2, &rate);
+        R + by_pose * P * by_pose.transpose()
+    }
+
+    /// Jacobians of position and velocity in the frame of the sensor by x, y and yaw of the
+    /// platform, and their covariance; none where the pose is exact.
+    #[inline]
+    fn by_pose(&self) -> Option<(Matrix2x3<f64>, Matrix2x3<f64>, Matrix3<f64>)> {
+        let sensor = self.sensor?;
+        let covariance = sensor.covariance?;
+        let (back, [lx, ly]) = (into_sensor(sensor), sensor.lever);
+        let away = self.position + Vector2::new(lx, ly); // of the platform's origin
+        let passing = self.velocity().0 + Vector2::new(-ly, lx) * sensor.rate;
+        let mut position_by = Matrix2x3::zeros();
+        position_by.fixed_view_mut::<2, 2>(0, 0).copy_from(&-back);
+        position_by.set_column(2, &Vector2::new(away.y, -away.x));
+        let mut velocity_by = Matrix2x3::zeros();
+        velocity_by.set_column(2, &Vector2::new(passing.y, -passing.x));
+        Some((position_by, velocity_by, covariance))
+    }
+
     /// Distance from the sensor [m].
     #[must_use]
     pub fn range(&self) -> f64 {
         self.position.norm()
     }
+}
+
+/// Jacobian of range, bearing and range rate by the position; the rate's by the velocity.
+#[inline]
+fn polar_slopes(p: Vector2<f64>, v: Vector2<f64>) -> (Matrix3x2<f64>, [f64; 2]) {
+    let square = p.x * p.x + p.y * p.y;
+    let range = libm::sqrt(square);
+    let across = (p.x * v.y - p.y * v.x) / (square * range);
+    let ahead = [p.x / range, p.y / range];
+    let by_position = Matrix3x2::new(
+        ahead[0],
+        ahead[1], //
+        -p.y / square,
+        p.x / square, //
+        -p.y * across,
+        p.x * across,
+    );
+    (by_position, ahead)
 }
 
 /// Turns vectors of the world into the axes of the sensor.
@@ -175,6 +221,13 @@ impl Sensing {
     #[must_use]
     pub fn gyro_variance(&self, m: &Measurement) -> f64 {
         m.covariance().map_or(self.gyro, |rows| rows[0][0])
+    }
+
+    /// Covariance of a pose's x, y and yaw; none where they are exact.
+    #[must_use]
+    pub fn pose_noise(&self, m: &Measurement) -> Option<Matrix3<f64>> {
+        let known = self.pose.iter().any(|variance| *variance > 0.0);
+        m.matrix3().or_else(|| known.then(|| Matrix3::from_diagonal(&self.pose.into())))
     }
 
     fn lidar_noise(&self, m: &Measurement) -> Matrix2<f64> {
@@ -258,8 +311,37 @@ mod tests {
         check(&CtrvDrone, &s, &moving);
         check(&CtrvDroneRate, &Vector6::new(4.0, -2.0, 2.0, 2.5, 0.3, 0.8), &moving);
         let (position, velocity) = ([5.0, 1.0], [1.0, -2.0]);
-        let pose = Pose { stamp_ns: 0, position, yaw: 0.7, velocity, rate: 0.5 };
+        let pose = Pose { stamp_ns: 0, position, yaw: 0.7, velocity, rate: 0.5, covariance: None };
         check(&Ctrv, &s, &Platform { pose: Some(pose), ..moving });
+    }
+
+    /// A pose with a covariance adds that times its Jacobian, here by differences.
+    #[test]
+    fn noise_of_a_pose_agrees_with_differences() {
+        let covariance = Matrix3::new(0.3, 0.1, 0.02, 0.1, 0.2, -0.01, 0.02, -0.01, 0.05);
+        let s = Vector5::new(4.0, -2.0, 2.0, 2.5, 0.3);
+        let platform = |at: &Vector3<f64>| {
+            let (position, velocity) = ([at[0], at[1]], [1.0, -2.0]);
+            let covariance = Some(covariance);
+            let pose = Pose { stamp_ns: 0, position, yaw: at[2], velocity, rate: 0.5, covariance };
+            Platform { pose: Some(pose), lever: [0.3, -0.2], ..Platform::still() }
+        };
+        let sensor = |at: &Vector3<f64>| platform(at).sensor_at(100_000_000);
+        let still = Platform::still();
+        let seen = |at: &Vector3<f64>| {
+            let sensor = sensor(at);
+            let sight = LineOfSight::new(&Ctrv, &s, &still, sensor.as_ref());
+            (sight.place().0, sight.polar())
+        };
+        let at = Vector3::new(5.0, 1.0, 0.7);
+        let (by_place, by_polar) =
+            (difference(&at, |at| seen(at).0), difference(&at, |at| seen(at).1));
+        let told = sensor(&at);
+        let sight = LineOfSight::new(&Ctrv, &s, &still, told.as_ref());
+        let place = sight.place_noise(Matrix2::identity()) - Matrix2::identity();
+        assert!((place - by_place * covariance * by_place.transpose()).abs().max() < 1e-7);
+        let polar = sight.polar_noise(Matrix3::identity()) - Matrix3::identity();
+        assert!((polar - by_polar * covariance * by_polar.transpose()).abs().max() < 1e-7);
     }
 
     /// The range rate is the derivative of the range along the motion.
@@ -277,8 +359,8 @@ mod tests {
 
     #[test]
     fn a_first_sight_is_what_the_sensor_would_measure() -> Result<(), crate::Error> {
-        let pose =
-            Pose { stamp_ns: 0, position: [5.0, 1.0], yaw: 0.7, velocity: [1.0, -2.0], rate: 0.0 };
+        let (position, velocity) = ([5.0, 1.0], [1.0, -2.0]);
+        let pose = Pose { stamp_ns: 0, position, yaw: 0.7, velocity, rate: 0.0, covariance: None };
         let platform = Platform { pose: Some(pose), ..Platform::still() };
         let sensor = platform.sensor_at(0);
         let m = Measurement::new(0, Sensor::Radar, &[3.0, 0.4, 1.5], None)?;

@@ -189,11 +189,15 @@ impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
         let sensor = sensor.as_ref();
         let place = |s: &SVector<f64, N>| LineOfSight::new(motion, s, platform, sensor).place().0;
         let polar = |s: &SVector<f64, N>| LineOfSight::new(motion, s, platform, sensor).polar();
-        match self.base.sensing.observation(m, place(&state.rooted.mean).norm()) {
+        let mean = state.rooted.mean;
+        let sight = LineOfSight::new(motion, &mean, platform, sensor);
+        match self.base.sensing.observation(m, sight.range()) {
             Some(Observation::Position { z, R }) => {
+                let R = sight.place_noise(R);
                 self.corrected(state, &z, &R, place, |a, b| a - b, believe)
             }
             Some(Observation::Polar { z, R }) => {
+                let R = sight.polar_noise(R);
                 self.corrected(state, &z, &R, polar, polar_difference, believe)
             }
             Some(Observation::Rate { z, R }) => {

@@ -377,7 +377,9 @@ impl<E: Engine> Target<E> {
         let values = m.values();
         let mut platform = self.now.platform;
         if m.sensor() == Sensor::Pose {
-            platform.pose = Some(pose_of(m, self.now.platform.pose));
+            let covariance = self.rules.starter.sensing.pose_noise(m);
+            let pose = pose_of(m, self.now.platform.pose);
+            platform.pose = Some(Pose { covariance, ..pose });
         } else if let [_, vx, vy] = *values {
             platform.velocity = [vx, vy];
         }
@@ -427,14 +429,16 @@ impl<E: Engine> Target<E> {
     }
 }
 
-/// The pose in a measurement; without a velocity, that since the last pose.
+/// The pose in a measurement, as if exact; without a velocity, that since the last pose.
 fn pose_of(m: &Measurement, last: Option<Pose>) -> Pose {
     let v = m.values();
     let (stamp_ns, position, yaw) = (m.stamp_ns(), [v[0], v[1]], v[2]);
     if let [_, _, _, vx, vy, rate] = *v {
-        return Pose { stamp_ns, position, yaw, velocity: [vx, vy], rate };
+        let velocity = [vx, vy];
+        return Pose { stamp_ns, position, yaw, velocity, rate, covariance: None };
     }
-    let standing = Pose { stamp_ns, position, yaw, velocity: [0.0; 2], rate: 0.0 };
+    let (velocity, rate) = ([0.0; 2], 0.0);
+    let standing = Pose { stamp_ns, position, yaw, velocity, rate, covariance: None };
     let Some(last) = last else { return standing };
     let dt = stamp_ns.saturating_sub(last.stamp_ns) as f64 * 1e-9;
     if dt <= 0.0 {
