@@ -16,6 +16,7 @@ USED_BY = {
     "flying": "`lidar-core detect --config`, `lidar_core.flying.FlyingObjectDetector`",
     "fusion": "`lidar-core fuse`, `lidar_core.fusion.TargetFilter`, `lidar_core.fusion.run`",
     "fusion_autoferry": "`lidar-core fuse`, `lidar_core.fusion.read_autoferry`",
+    "fusion_bag": "`lidar-core fuse`, `lidar_core.fusion.read_bag`",
     "fusion_many": "`lidar-core fuse`, `lidar_core.fusion.MultiTargetTracker`",
     "fusion_table": "`lidar-core fuse`, `lidar_core.fusion.read_measurements`",
     "live": "`lidar-core live --stream`, `lidar_core.live`",

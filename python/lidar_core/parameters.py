@@ -24,6 +24,7 @@ MODELS = {
     "flying": "lidar_core.flying:FlyingConfig",
     "fusion": "lidar_core.fusion:FusionConfig",
     "fusion_autoferry": "lidar_core.fusion:AutoferryOptions",
+    "fusion_bag": "lidar_core.fusion:BagOptions",
     "fusion_many": "lidar_core.fusion:MultiTargetConfig",
     "fusion_table": "lidar_core.fusion:TableOptions",
     "live": "lidar_core.live:LiveConfig",

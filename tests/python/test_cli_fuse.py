@@ -22,6 +22,7 @@ from lidar_core.fusion import (
 )
 from lidar_core.fusion.states import STATES, state_names, velocities
 from lidar_core.io.columns import read_columns
+from lidar_core.viz import Playback
 
 OBJ_POSE = "fusion/obj_pose-laser-radar-synthetic-input.txt"
 EXACT = 1e-12
@@ -135,6 +136,48 @@ def test_states_have_names(model, method, table):
         assert velocities(states, config).shape == (len(states), 2)
 
 
+# Viewers
+
+
+def looking_around(count=60):
+    """The target of `rows`, seen by LiDAR from a platform that moves and turns."""
+    rng = np.random.default_rng(SEED + 1)
+    for k in range(count):
+        x, y, yaw = 0.02 * k, -0.01 * k, 0.05 * k
+        away = np.array([5 + 0.05 * k - x, 2.0 - y]) + rng.normal(0, 0.1, 2)
+        c, s = np.cos(yaw), np.sin(yaw)
+        yield {"t_ns": 50_000_000 * k, "pose_x": x, "pose_y": y, "pose_yaw": yaw,
+               "x": c * away[0] + s * away[1], "y": -s * away[0] + c * away[1]}  # fmt: skip
+
+
+def test_a_run_is_played_in_the_world(tmp_path):
+    pytest.importorskip("foxglove")
+    path, folder = write(tmp_path / "moving.csv", looking_around()), tmp_path / "run"
+    assert "run.mcap" in result_of(path, "-o", folder, "--no-picture")["files"]
+    played = Playback(folder)
+    assert played.capability == "fusion"
+    moments = list(played.moments())
+    assert len(moments) == 60
+    for moment in moments:
+        (place,), (track,) = moment.points, moment.objects.position
+        assert np.linalg.norm(place - track) < 1.0
+        assert moment.objects.covariance[0, 0, 0] > 0
+    tracks, truth = read_columns(folder / "run.mcap"), [8.0 - 0.05, 2.0]
+    assert len(tracks["t_ns"]) == 60
+    np.testing.assert_allclose([tracks["x"][-1], tracks["y"][-1]], truth, atol=0.5)
+    drawn = CliRunner().invoke(app, ["view", str(folder), "--png", str(tmp_path / "a.png")])
+    assert drawn.exit_code == 0, drawn.output
+    assert not (tmp_path / "none").exists()
+    none = result_of(path, "-o", tmp_path / "none", "--no-picture", "--no-mcap")
+    assert "run.mcap" not in none["files"]
+
+
+def test_times_before_1970_leave_no_file_for_viewers(tmp_path):
+    content = [row | {"t_ns": row["t_ns"] - 10**9} for row in looking_around()]
+    path = write(tmp_path / "early.csv", content)
+    assert "run.mcap" not in result_of(path, "-o", tmp_path / "a", "--no-picture")["files"]
+
+
 # Tables
 
 
@@ -183,6 +226,17 @@ def test_columns_and_units_are_mapped(tmp_path):
     assert result["measurements"] == {"radar": 30, "lidar": 30}
 
 
+def test_poses_bring_their_deviations(tmp_path):
+    known = {"pose_std_x": 0.1, "pose_std_y": 0.2, "pose_std_yaw": 3.0}
+    content = [row | (dict.fromkeys(known, "") if row["t_ns"] else known)
+               for row in looking_around(4)]  # fmt: skip
+    log = read_measurements(write(tmp_path / "told.csv", content), TableOptions(angle_unit="deg"))
+    first, second = [m for m in log.measurements if m.sensor == "pose"][:2]
+    expected = np.diag([0.01, 0.04, np.radians(3) ** 2])
+    np.testing.assert_allclose(first.covariance, expected, rtol=EXACT)
+    assert second.covariance is None
+
+
 def test_rows_may_come_in_any_order(table, tmp_path):
     content = list(rows())
     mixed = write(tmp_path / "mixed.csv", content[30:] + content[:30])
@@ -220,6 +274,7 @@ def test_broken_tables_are_told(tmp_path, change, text):
         (("--model", "ballistic"), ConfigError, "model"),
         (("--method", "kf"), ConfigError, 'expected model "cv" or "ca"'),
         (("--lag", "-1"), InputError, "lag"),
+        (("--association", "joint"), ConfigError, "--association is for many"),
         (("--set", "on_bad_scan=count"), ConfigError, "on_bad_scan"),
     ],
 )

@@ -9,6 +9,8 @@ from lidar_core.io.ros_types import (
     DETECTIONS_TYPE,
     DYNAMIC_TYPE,
     OBSTACLES_TYPE,
+    RADAR_SCAN_TYPE,
+    RADAR_TRACKS_TYPE,
     ros_store,
 )
 
@@ -16,6 +18,8 @@ MD5 = {
     COSTMAP_TYPES[1]: "8a1bdcde72c65ca7d3ce8ebf52d43516",
     DETECTIONS_TYPE: "05c51d9aea1fb4cfdc8effb94f197b6f",
     OBSTACLES_TYPE: "043bbf49c7775f8111e850268dbcf2e3",
+    RADAR_SCAN_TYPE: "6dfacef1e665538dbd8e159d5ce7a97a",
+    RADAR_TRACKS_TYPE: "d068321616577632690aba69b8985e75",
     "tf2_msgs/msg/TFMessage": "94810edda583a504dfda3829e70d7eec",
 }
 """From headers that genmsg wrote."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -11,10 +11,12 @@ from lidar_core.cli.config import Mode
 from lidar_core.cli.run_options import (
     ChosenMode,
     ConfigFile,
+    Mcap,
     Output,
     Overwrite,
     Picture,
     Values,
+    wants_mcap,
 )
 from lidar_core.cli.settings import run_config
 from lidar_core.errors import ConfigError
@@ -24,12 +26,20 @@ if TYPE_CHECKING:
 
     from lidar_core.cli.fuse_many_run import ManyRun
     from lidar_core.cli.fuse_run import TargetRun
+    from lidar_core.config import Config
+    from lidar_core.fusion import DetectionScan, MeasurementLog
 
-RECORDING = "L/R text, a table (CSV, Parquet, .npz), or detections of Autoferry (.json)."
+BAGS = (".bag", ".db3", ".mcap")
+RECORDING = (
+    "L/R text, a table (CSV, Parquet, .npz), a ROS recording (.bag, .db3, .mcap, folder), or"
+    " detections of Autoferry (.json)."
+)
 MODEL = "How targets move: cv, ca, ct, ctrv, ctra, ctrv-drone, paper."
 METHOD = "Filter: kf, ekf, ukf, ckf, imm."
+ASSOCIATION = "Of many targets: nearest, or joint (JPDA)."
 LAG = "Smooth: every state knows what came up to this much later \\[s]."
 COLUMN = "Name of a table's column, such as x=pos_x; again for more."
+TOPIC = "Topic of a ROS recording, such as radar=/front or pose=/odom; again for more."
 TIME_UNIT = "Unit of a table's times: ns, us, ms or s."
 ANGLE_UNIT = "Unit of a table's angles: rad or deg."
 
@@ -41,37 +51,39 @@ def command(
     model: Annotated[str | None, typer.Option(help=MODEL)] = None,
     method: Annotated[str | None, typer.Option(help=METHOD)] = None,
     lag: Annotated[float | None, typer.Option(help=LAG)] = None,
+    association: Annotated[str | None, typer.Option(help=ASSOCIATION)] = None,
     column: Annotated[list[str], typer.Option(help=COLUMN)] = [],  # noqa: B006
+    topic: Annotated[list[str], typer.Option(help=TOPIC)] = [],  # noqa: B006
     time_unit: Annotated[str | None, typer.Option(help=TIME_UNIT)] = None,
     angle_unit: Annotated[str | None, typer.Option(help=ANGLE_UNIT)] = None,
     mode: ChosenMode = "best",
     config: ConfigFile = None,
     values: Values = [],  # noqa: B006
+    mcap: Mcap = None,
     picture: Picture = True,
     overwrite: Overwrite = False,
     json: JsonFile = None,
 ) -> None:
-    """Track the target of RECORDING, or all boats; write states, covariances, NIS and a picture.
+    """Track the target of RECORDING, or many; write states, covariances, NIS and a picture.
 
     With the truth in the recording, the table and the summary hold what was right.
     """
     from lidar_core.run_folder import RunFolder, fingerprint
 
-    options = given({"model": model, "method": method})
-    units = {"time_unit": time_unit, "angle_unit": angle_unit}
     folder = RunFolder(output, overwrite=overwrite)
-    table = {"columns": _column_map(column), **given(units)}
-    run: TargetRun | ManyRun
-    if recording.suffix == ".json":
-        run = _many(recording, mode, config, [*values, *_texts("target.", options)], lag)
-    else:
-        run = _one(recording, mode, config, [*values, *_texts("", options)], lag, table)
+    read = {"columns": _pairs("column", column, "x=pos_x"),
+            "topics": _pairs("topic", topic, "radar=/front"),
+            **given({"time_unit": time_unit, "angle_unit": angle_unit})}  # fmt: skip
+    ways = given({"model": model, "method": method, "association": association})
+    run = _run(_Asked(recording, mode, config, values, lag, ways, read))
     out, errors = consoles(json)
     folder.begin()
     files = run.write(folder)
     summary = {"command": "fuse", "recording": str(recording), **run.summary()}
     folder.write_summary(summary)
     folder.write_note({"recording": fingerprint(recording)}, run.configs)
+    if wants_mcap(mcap) and (mcap or not (run.stamps < 0).any()):
+        files.append(run.write_mcap(folder))
     if picture:
         files += run.draw(folder, recording.name, errors)
     files = sorted([*files, "run.toml", "summary.json"])
@@ -80,50 +92,90 @@ def command(
     write_json({**summary, "files": files}, json)
 
 
-def _one(
-    recording: Path,
-    mode: Mode,
-    file: Path | None,
-    values: list[str],
-    lag: float | None,
-    table: dict[str, Any],
-) -> "TargetRun":
-    from lidar_core.cli.fuse_run import TargetRun
-    from lidar_core.fusion import FusionConfig, TableOptions, read_measurements
+class _Asked(NamedTuple):
+    """What to fuse, and how."""
 
-    base = FusionConfig() if mode == "best" else FusionConfig.paper()
-    chosen = run_config(base, "fusion", file, values)
-    options = TableOptions.load(table)
-    return TargetRun.of(read_measurements(recording, options), chosen, options, lag=lag)
+    recording: Path
+    mode: Mode
+    file: Path | None
+    values: list[str]
+    lag: float | None
+    ways: dict[str, str]
+    read: dict[str, Any]
+
+
+def _run(asked: _Asked) -> "TargetRun | ManyRun":
+    from lidar_core.fusion import AutoferryOptions, TableOptions, read_autoferry, read_measurements
+
+    recording, read = asked.recording, asked.read
+    if recording.suffix == ".json":
+        reading = {"fusion_autoferry": AutoferryOptions()}
+        return _many(asked, read_autoferry(recording), reading, "Autoferry")
+    if recording.is_dir() or recording.suffix.lower() in BAGS:
+        return _bag(asked)
+    columns = {ours: theirs[-1] for ours, theirs in read["columns"].items()}
+    units = {name: value for name, value in read.items() if name.endswith("_unit")}
+    options = TableOptions.load({"columns": columns, **units})
+    return _one(asked, read_measurements(recording, options), {"fusion_table": options})
+
+
+def _bag(asked: _Asked) -> "TargetRun | ManyRun":
+    """One target, unless a message holds several or a way to share them out was asked for."""
+    from lidar_core.fusion import BagOptions, MeasurementLog, read_bag
+
+    options = BagOptions.load({"topics": asked.read["topics"]})
+    scans, reading = read_bag(asked.recording, options), {"fusion_bag": options}
+    if "association" in asked.ways or any(len(scan.measurements) > 1 for scan in scans):
+        return _many(asked, scans, reading, "ROS")
+    measurements = [m for scan in scans for m in scan.measurements]
+    return _one(asked, MeasurementLog(measurements, None, "ROS"), reading)
+
+
+def _one(asked: _Asked, log: "MeasurementLog", reading: Mapping[str, "Config"]) -> "TargetRun":
+    from lidar_core.cli.fuse_run import TargetRun
+    from lidar_core.fusion import FusionConfig
+
+    if "association" in asked.ways:
+        raise ConfigError(f"{asked.recording}: one target; --association is for many")
+    base = FusionConfig() if asked.mode == "best" else FusionConfig.paper()
+    chosen = run_config(base, "fusion", asked.file, [*asked.values, *_texts(asked.ways)])
+    return TargetRun.of(log, chosen, reading, lag=asked.lag)
 
 
 def _many(
-    recording: Path, mode: Mode, file: Path | None, values: list[str], lag: float | None
+    asked: _Asked, scans: "list[DetectionScan]", reading: Mapping[str, "Config"], source: str
 ) -> "ManyRun":
     from lidar_core.cli.fuse_many_run import ManyRun
-    from lidar_core.fusion import AutoferryOptions, MultiTargetConfig
+    from lidar_core.fusion import MultiTargetConfig
 
-    if lag is not None or mode == "paper":
-        raise ConfigError(f"{recording}: many targets; --lag and --mode paper are for one")
-    chosen = run_config(MultiTargetConfig.boats(), "fusion_many", file, values)
-    return ManyRun.of(recording, chosen, AutoferryOptions())
+    if asked.lag is not None or asked.mode == "paper":
+        raise ConfigError(f"{asked.recording}: many targets; --lag and --mode paper are for one")
+    base = MultiTargetConfig.boats() if source == "Autoferry" else MultiTargetConfig()
+    ways = {name if name == "association" else f"target.{name}": value
+            for name, value in asked.ways.items()}  # fmt: skip
+    chosen = run_config(base, "fusion_many", asked.file, [*asked.values, *_texts(ways)])
+    return ManyRun.of(scans, chosen, reading, source=source)
 
 
-def _texts(prefix: str, options: Mapping[str, Any]) -> list[str]:
-    return [f'{prefix}{name}="{value}"' for name, value in options.items()]
+def _texts(options: Mapping[str, Any]) -> list[str]:
+    return [f'{name}="{value}"' for name, value in options.items()]
 
 
-def _column_map(texts: list[str]) -> dict[str, str]:
-    pairs = [text.partition("=") for text in texts]
-    for text, (ours, equals, theirs) in zip(texts, pairs, strict=True):
+def _pairs(option: str, texts: list[str], example: str) -> dict[str, list[str]]:
+    """Options OURS=THEIRS; whatever is ours may have several."""
+    found: dict[str, list[str]] = {}
+    for text in texts:
+        ours, equals, theirs = text.partition("=")
         if not (ours and equals and theirs):
-            raise ConfigError(f"--column {text}: expected OURS=THEIRS, such as x=pos_x")
-    return {ours: theirs for ours, _, theirs in pairs}
+            raise ConfigError(f"--{option} {text}: expected OURS=THEIRS, such as {example}")
+        found.setdefault(ours, []).append(theirs)
+    return found
 
 
 def _table(summary: Mapping[str, Any], name: str) -> "Table":
     rows = _many_rows(summary) if "targets" in summary else _one_rows(summary)
-    title = f"{name} ({summary['format']}): {summary['model']}, {summary['method']}"
+    ways = [summary[key] for key in ("model", "method", "association") if key in summary]
+    title = f"{name} ({summary['format']}): {', '.join(ways)}"
     return result_table(title, rows)
 
 
@@ -141,11 +193,20 @@ def _many_rows(summary: Mapping[str, Any]) -> list[Row | None]:
         covered = "-" if share is None else f"{100 * share:.1f} %"
         remark = f"RMSE {number(scores['rmse'], 1, ' m')}, {scores['n_ids']} tracks"
         rows.append(Row(f"target {target} tracked", covered, remark))
+    rows += _nis_rows(summary)
     if summary["gospa"]:
         parts = {name: summary["gospa"][name] for name in ("localisation", "missed", "false")}
         remark = ", ".join(f"{name} {value:.0f}" for name, value in parts.items())
         rows.append(Row("GOSPA", f"{summary['gospa']['distance']:.1f} m", remark))
     return [*rows, None, Row("time per scan", f"{summary['us_per_scan']:.0f} us", "")]
+
+
+def _nis_rows(summary: Mapping[str, Any]) -> list[Row]:
+    return [
+        Row(f"NIS {sensor}", f"{values['mean']:.2f}",
+            f"{100 * values['share_below_limit']:.0f} % below the limit of 95 %")
+        for sensor, values in summary["nis"].items()
+    ]  # fmt: skip
 
 
 def _one_rows(summary: Mapping[str, Any]) -> list[Row | None]:
@@ -157,11 +218,7 @@ def _one_rows(summary: Mapping[str, Any]) -> list[Row | None]:
         Row("time", f"{summary['duration']:.1f} s", ""),
         Row("what became of them", "", outcomes),
     ]  # fmt: skip
-    rows += [
-        Row(f"NIS {sensor}", f"{values['mean']:.2f}",
-            f"{100 * values['share_below_limit']:.0f} % below the limit of 95 %")
-        for sensor, values in summary["nis"].items()
-    ]  # fmt: skip
+    rows += _nis_rows(summary)
     rmse = summary["rmse"]
     if rmse is not None:
         rows += [

@@ -1,9 +1,9 @@
 """The run of `lidar-core fuse` on many targets: tracker, summary, tables, picture."""
 
 from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from math import isnan
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -12,16 +12,25 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from lidar_core.cli.common import draw
-from lidar_core.cli.fuse_run import planar_table
+from lidar_core.cli.fuse_mcap import PlanarStep, in_plane, in_world, sensor_at, write_run_mcap
+from lidar_core.cli.fuse_run import (
+    TARGET_SENSORS,
+    NisBySensor,
+    covariance_columns,
+    measured_place,
+    nis_by_sensor,
+    nis_ratios,
+    nis_summary,
+    planar_table,
+)
 from lidar_core.config import Config
 from lidar_core.fusion import (
-    AutoferryOptions,
     DetectionScan,
     MultiTargetConfig,
     MultiTargetTracker,
+    ScanResult,
     TargetTracks,
     mean_gospa,
-    read_autoferry,
     target_coverage,
 )
 from lidar_core.fusion.states import state_names
@@ -41,44 +50,65 @@ class ManyRun:
     ----------
     scans : list of DetectionScan
     config : MultiTargetConfig
-    options : AutoferryOptions
+    reading : mapping of str to Config
+        How they were read, as run.toml keeps it.
+    format : str
+        What kind of recording it was.
     tracks : list of TargetTracks
         Confirmed ones after each scan.
-    numbers : list of ndarray
-        Track of every measurement of each scan.
+    results : list of ScanResult
+        What became of the measurements of each scan.
     seconds : list of float
         Time that each scan took [s].
     """
 
     scans: list[DetectionScan]
     config: MultiTargetConfig
-    options: AutoferryOptions
+    reading: Mapping[str, Config]
+    format: str
     tracks: list[TargetTracks] = field(default_factory=list)
-    numbers: list[NDArray[np.int64]] = field(default_factory=list)
+    results: list[ScanResult] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
 
     @classmethod
-    def of(cls, path: Path, config: MultiTargetConfig, options: AutoferryOptions) -> "ManyRun":
-        """Track the boats of an Autoferry scenario."""
-        made = cls(read_autoferry(path, options), config, options)
+    def of(
+        cls,
+        scans: list[DetectionScan],
+        config: MultiTargetConfig,
+        reading: Mapping[str, Config],
+        *,
+        source: str,
+    ) -> "ManyRun":
+        """Track what scans see; `source` says what kind of recording they are of."""
+        made = cls(scans, config, reading, source)
         tracker = MultiTargetTracker(config)
         for scan in made.scans:
             start = perf_counter()
-            numbers = tracker.process(scan.stamp_ns, scan.measurements, source=scan.source)
+            result = tracker.process(scan.stamp_ns, scan.measurements, source=scan.source)
             made.seconds.append(perf_counter() - start)
-            made.numbers.append(numbers)
+            made.results.append(result)
             made.tracks.append(tracker.tracks_at(scan.stamp_ns))
         return made
 
     @property
     def configs(self) -> dict[str, Config]:
         """What run.toml keeps."""
-        return {"fusion_many": self.config, "fusion_autoferry": self.options}
+        return {"fusion_many": self.config, **self.reading}
 
     @property
     def stamps(self) -> NDArray[np.int64]:
         """Times of the scans [ns]."""
         return np.array([scan.stamp_ns for scan in self.scans], np.int64)
+
+    def nis(self) -> NisBySensor:
+        """By scanner, of the measurements that a track was given."""
+        counts = [len(scan.measurements) for scan in self.scans]
+        return nis_by_sensor(
+            np.repeat(np.array([scan.source for scan in self.scans], np.str_), counts),
+            np.repeat(self.stamps, counts),
+            np.concatenate([np.empty((0, 3)), *(result.innovations for result in self.results)]),
+            np.concatenate([np.empty(0), *(result.nis for result in self.results)]),
+        )
 
     def summary(self) -> dict[str, Any]:
         """What the run gave, as plain values."""
@@ -88,13 +118,15 @@ class ManyRun:
         scans, tracks = [scan for scan, _ in pairs], [state for _, state in pairs]
         coverage = target_coverage(scans, tracks, reach=REACH, gap=GAP)
         return {
-            "format": "Autoferry",
+            "format": self.format,
             "model": self.config.target.model,
             "method": self.config.target.method,
             "scans": dict(Counter(scan.source for scan in self.scans)),
-            "measurements": sum(len(scan.measurements) for scan in self.scans),
+            "measurements": sum(len(places) for places in self._places),
             "duration": float(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) else 0.0,
+            "association": self.config.association,
             "states": list(state_names(self.config.target)),
+            "nis": nis_summary(self.nis()),
             "tracks": len({number for state in self.tracks for number in state.id.tolist()}),
             "targets": {str(number): _plain(asdict(item)) for number, item in coverage.items()},
             "gospa": mean_gospa(scans, tracks, cutoff=CUTOFF) or None,
@@ -107,11 +139,15 @@ class ManyRun:
         stamps = np.repeat(self.stamps, [len(state.id) for state in self.tracks])
         velocity = np.concatenate([np.empty((0, 2)), *(state.velocity for state in self.tracks)])
         states, covariances = self._stacked()
+        names = state_names(self.config.target)
+        table = planar_table("track_id", stamps, states[:, :2], velocity, numbers)
         files = [
-            folder.write_table("tracks", planar_table("track_id", stamps, states[:, :2], velocity,
-                                                      numbers)),
-            folder.write_table("states", {"t_ns": stamps, "track_id": numbers,
-                                          **_columns(self.config, states, covariances)}),
+            folder.write_table("tracks", table | covariance_columns("xy", covariances)),
+            folder.write_table("states", {
+                "t_ns": stamps, "track_id": numbers,
+                **{name: states[:, n] for n, name in enumerate(names)},
+                **covariance_columns(names, covariances),
+            }),
             folder.write_table("detections", self._detections()),
         ]  # fmt: skip
         rows = [(scan.stamp_ns, number, place) for scan in self.scans
@@ -123,7 +159,7 @@ class ManyRun:
             table = {name: column for name, column in table.items() if name[0] != "v"}
             files.append(folder.write_table("truth", table))
         write_trajectories(folder.path / TRACKS_FOLDER, (
-            (state.stamp_ns, state.id, np.pad(state.position, ((0, 0), (0, 1))))
+            (state.stamp_ns, state.id, in_plane(state.position))
             for state in self.tracks
         ))  # fmt: skip
         return [*(file.name for file in files), TRACKS_FOLDER]
@@ -135,17 +171,50 @@ class ManyRun:
         return np.concatenate(states), np.concatenate(covariances)
 
     def _detections(self) -> dict[str, Any]:
-        counts = [len(scan.measurements) for scan in self.scans]
-        places = np.array([m.values for scan in self.scans for m in scan.measurements])
-        places = places.reshape(-1, 2)
-        sources = [scan.source for scan in self.scans]
+        """Detections of targets, in the world."""
+        is_target = np.array([m.sensor in TARGET_SENSORS for scan in self.scans
+                              for m in scan.measurements], np.bool_)  # fmt: skip
+        counts = [len(places) for places in self._places]
+        places = np.concatenate([np.empty((0, 2)), *self._in_world()])
+        numbers = [np.empty(0, np.int64), *(result.id for result in self.results)]
+        nis = [np.empty(0), *(result.nis for result in self.results)]
         return {
             "t_ns": np.repeat(self.stamps, counts),
-            "sensor": [name for name, count in zip(sources, counts, strict=True)
+            "sensor": [scan.source for scan, count in zip(self.scans, counts, strict=True)
                        for _ in range(count)],
             "x": places[:, 0], "y": places[:, 1], "z": np.zeros(len(places)),
-            "track_id": np.concatenate([np.empty(0, np.int64), *self.numbers]),
+            "track_id": np.concatenate(numbers)[is_target],
+            "nis": np.concatenate(nis)[is_target],
         }  # fmt: skip
+
+    @property
+    def _places(self) -> list[NDArray[np.float64]]:
+        """Places (M, 2) that each scan saw, from its sensor."""
+        return [
+            np.array([measured_place(m) for m in scan.measurements if m.sensor in TARGET_SENSORS])
+            .reshape(-1, 2) - scan.sensor for scan in self.scans
+        ]  # fmt: skip
+
+    @property
+    def _sensors(self) -> NDArray[np.float64]:
+        """x, y, yaw (K, 3) of the sensor at each scan."""
+        told = [m for scan in self.scans for m in scan.measurements]
+        poses = sensor_at(told, self.stamps, self.config.target.lever_arm)
+        poses[:, :2] += np.array([scan.sensor for scan in self.scans]).reshape(-1, 2)
+        return poses
+
+    def _in_world(self) -> list[NDArray[np.float64]]:
+        return [in_world(*pair) for pair in zip(self._places, self._sensors, strict=True)]
+
+    def write_mcap(self, folder: RunFolder) -> str:
+        """Write run.mcap; return its name."""
+        return write_run_mcap(folder, self._steps())
+
+    def _steps(self) -> Iterator[PlanarStep]:
+        rows = zip(self._places, self._sensors, self.tracks, strict=True)
+        for places, sensor, state in rows:
+            yield PlanarStep(state.stamp_ns, places, sensor, state.id, state.position,
+                             state.velocity)  # fmt: skip
 
     def draw(self, folder: RunFolder, name: str, console: Console) -> list[str]:
         """Draw picture.png; return the names of what was drawn."""
@@ -154,9 +223,11 @@ class ManyRun:
 
     def view(self, name: str) -> FusionView:
         """What a picture shows."""
-        seen = {source: np.array([m.values for scan in self.scans if scan.source == source
-                                  for m in scan.measurements]).reshape(-1, 2)
-                for source in sorted({scan.source for scan in self.scans})}  # fmt: skip
+        places = zip(self.scans, self._in_world(), strict=True)
+        found: dict[str, list[NDArray[np.float64]]] = {}
+        for scan, at in places:
+            found.setdefault(scan.source, []).append(at[np.isfinite(at).all(axis=1)])
+        seen = {source: np.concatenate(found[source]) for source in sorted(found)}
         ids = sorted({number for state in self.tracks for number in state.id.tolist()})
         targets = sorted({number for scan in self.scans for number in scan.truth})
         return FusionView(
@@ -164,7 +235,7 @@ class ManyRun:
             seen=seen,
             tracks={number: self._line(number) for number in ids},
             truth={number: self._truth(number) for number in targets},
-            nis={},
+            nis=nis_ratios(self.nis()),
         )
 
     def _line(self, number: int) -> PlanarLine:
@@ -180,16 +251,6 @@ class ManyRun:
         rows = [scan for scan in self.scans if number in scan.truth]
         stamps = np.array([scan.stamp_ns for scan in rows], np.int64)
         return PlanarLine(stamps, np.array([scan.truth[number] for scan in rows]))
-
-
-def _columns(
-    config: MultiTargetConfig, states: NDArray[np.float64], covariances: NDArray[np.float64]
-) -> dict[str, Any]:
-    names = state_names(config.target)
-    return {name: states[:, n] for n, name in enumerate(names)} | {
-        f"cov_{names[row]}_{names[column]}": covariances[:, row, column]
-        for row in range(len(names)) for column in range(row, len(names))
-    }  # fmt: skip
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:

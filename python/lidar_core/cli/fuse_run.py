@@ -1,16 +1,17 @@
 """The run of `lidar-core fuse` on one target: filter, summary, tables, picture."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
 from lidar_core.cli.common import draw
+from lidar_core.cli.fuse_mcap import PlanarStep, in_plane, sensor_at, write_run_mcap
 from lidar_core.config import Config
 from lidar_core.errors import InputError, NumericalError
 from lidar_core.estimation import chi2_quantile
@@ -20,7 +21,6 @@ from lidar_core.fusion import (
     Measurement,
     MeasurementLog,
     Run,
-    TableOptions,
     run,
     smooth,
 )
@@ -31,6 +31,7 @@ from lidar_core.viz import FusionView, PlanarLine, draw_fusion
 
 LIMIT = 0.95
 """Share of the NIS of a consistent filter that is below its limit."""
+TARGET_SENSORS = ("lidar", "radar")
 COORDINATES = ("x", "y", "vx", "vy")
 
 
@@ -45,8 +46,8 @@ class TargetRun:
     result : Run
         Row for row as the log.
     config : FusionConfig
-    options : TableOptions
-        How it was read.
+    reading : mapping of str to Config
+        How it was read, as run.toml keeps it.
     lag : float or None
         Of the smoother [s].
     seconds : float
@@ -56,7 +57,7 @@ class TargetRun:
     log: MeasurementLog
     result: Run
     config: FusionConfig
-    options: TableOptions
+    reading: Mapping[str, Config]
     lag: float | None
     seconds: float
 
@@ -65,7 +66,7 @@ class TargetRun:
         cls,
         log: MeasurementLog,
         config: FusionConfig,
-        options: TableOptions,
+        reading: Mapping[str, Config],
         *,
         lag: float | None,
     ) -> "TargetRun":
@@ -76,17 +77,22 @@ class TargetRun:
             result = run(ordered.measurements, config)
         else:
             result = smooth(ordered.measurements, config, lag=lag)
-        return cls(ordered, result, config, options, lag, perf_counter() - start)
+        return cls(ordered, result, config, reading, lag, perf_counter() - start)
 
     @property
     def configs(self) -> dict[str, Config]:
         """What run.toml keeps."""
-        return {"fusion": self.config, "fusion_table": self.options}
+        return {"fusion": self.config, **self.reading}
 
     @property
     def sensors(self) -> NDArray[np.str_]:
         """Sensor of every measurement."""
         return np.array([m.sensor for m in self.log.measurements], np.str_)
+
+    @property
+    def stamps(self) -> NDArray[np.int64]:
+        """Times of the measurements [ns]."""
+        return np.array([m.stamp_ns for m in self.log.measurements], np.int64)
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -114,30 +120,16 @@ class TargetRun:
             velocities(states, self.config) - truth.velocity[rows],
         ])  # fmt: skip
 
-    def nis(self) -> dict[str, tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]]:
-        """By sensor: times [ns], NIS, and its limit, where something was compared."""
-        result, sensors = self.result, self.sensors
-        degrees = np.isfinite(result.innovations).sum(axis=1)
-        limit = np.array([np.inf, *(chi2_quantile(LIMIT, degrees=n) for n in (1, 2, 3))])[degrees]
-        compared = np.isfinite(result.nis) & (degrees > 0)
-        found = {}
-        for sensor in sorted(set(sensors[compared].tolist())):
-            rows = compared & (sensors == sensor)
-            found[sensor] = (result.stamps_ns[rows], result.nis[rows], limit[rows])
-        return found
+    def nis(self) -> "NisBySensor":
+        """By sensor, as `nis_by_sensor`."""
+        result = self.result
+        return nis_by_sensor(self.sensors, result.stamps_ns, result.innovations, result.nis)
 
     def summary(self) -> dict[str, Any]:
         """What the run gave, as plain values."""
         sensors, stamps = self.sensors, self.result.stamps_ns
         duration = float(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) else 0.0
         errors = self.errors
-        nis = {
-            sensor: {
-                "mean": float(values.mean()),
-                "share_below_limit": float((values <= limit).mean()),
-            }
-            for sensor, (_, values, limit) in self.nis().items()
-        }
         return {
             "format": self.log.format,
             "model": self.config.model,
@@ -147,7 +139,7 @@ class TargetRun:
             "outcomes": dict(Counter(self.result.outcomes.tolist())),
             "duration": duration,
             "states": list(state_names(self.config)),
-            "nis": nis,
+            "nis": nis_summary(self.nis()),
             "rmse": None if errors is None else self._rmse(errors),
             "us_per_measurement": 1e6 * self.seconds / max(1, len(stamps)),
         }
@@ -177,10 +169,7 @@ class TargetRun:
         }
         if result.states.shape[1]:
             table |= {name: result.states[:, n] for n, name in enumerate(names)}
-            table |= {
-                f"cov_{names[row]}_{names[column]}": result.covariances[:, row, column]
-                for row in range(len(names)) for column in range(row, len(names))
-            }  # fmt: skip
+            table |= covariance_columns(names, result.covariances)
         table |= {f"innovation_{n + 1}": result.innovations[:, n] for n in range(3)}
         table["nis"] = result.nis
         truth = self.log.truth
@@ -189,24 +178,51 @@ class TargetRun:
             table |= {f"true_{name}": values[:, n] for n, name in enumerate(COORDINATES)}
         return table
 
+    @property
+    def last(self) -> NDArray[np.bool_]:
+        """The last row of every time."""
+        return np.append(np.diff(self.stamps) > 0, True)
+
     def write(self, folder: RunFolder) -> list[str]:
         """Write tables and trajectory; return their names."""
-        rows, stamps = self.seen, self.result.stamps_ns
-        place, speed = self.states[:, :2], velocities(self.states, self.config)
-        files = [folder.write_table("states", self.states_table())]
-        files.append(folder.write_table("tracks", planar_table("track_id", stamps[rows], place,
-                                                               speed)))  # fmt: skip
+        last, stamps = self.last, self.stamps
+        chosen, rows = last[self.seen], last & self.seen
+        place, speed = self.states[chosen, :2], velocities(self.states[chosen], self.config)
+        table = planar_table("track_id", stamps[rows], place, speed)
+        if rows.any():
+            table |= covariance_columns("xy", self.result.covariances[rows])
+        files = [folder.write_table("states", self.states_table()),
+                 folder.write_table("tracks", table)]  # fmt: skip
         truth = self.log.truth
         if truth is not None:
-            last = np.append(np.diff(stamps) > 0, True)  # one place at a time
             files.append(folder.write_table("truth", planar_table(
                 "target_id", stamps[last], truth.position[last], truth.velocity[last]
             )))  # fmt: skip
         steps = zip(stamps[rows].tolist(), place, strict=True)
         write_trajectories(folder.path / TRACKS_FOLDER, (
-            (stamp, np.zeros(1, np.int64), np.append(at, 0.0)[None]) for stamp, at in steps
+            (stamp, np.zeros(1, np.int64), in_plane(at[None])) for stamp, at in steps
         ))  # fmt: skip
         return [*(file.name for file in files), TRACKS_FOLDER]
+
+    def write_mcap(self, folder: RunFolder) -> str:
+        """Write run.mcap; return its name."""
+        return write_run_mcap(folder, self._steps())
+
+    def _steps(self) -> Iterator[PlanarStep]:
+        """Every time once: what was measured then, and the last state of that time."""
+        known, ends = self.seen, np.flatnonzero(self.last)
+        place, speed = np.zeros((len(known), 2)), np.zeros((len(known), 2))
+        place[known], speed[known] = self.states[:, :2], velocities(self.states, self.config)
+        sensors = sensor_at(self.log.measurements, self.stamps[ends], self.config.lever_arm)
+        first = 0
+        for end, sensor in zip(ends.tolist(), sensors, strict=True):
+            places = measured_places(self.log.measurements[first : end + 1]).values()
+            tracks = np.flatnonzero(known[end : end + 1])
+            yield PlanarStep(
+                int(self.stamps[end]), np.concatenate([np.empty((0, 2)), *places]), sensor, tracks,
+                place[end + tracks], speed[end + tracks],
+            )  # fmt: skip
+            first = end + 1
 
     def draw(self, folder: RunFolder, name: str, console: Console) -> list[str]:
         """Draw picture.png; return the names of what was drawn."""
@@ -225,8 +241,57 @@ class TargetRun:
             seen=measured_places(self.log.measurements) if fixed else {},
             tracks={0: line} if rows.any() else {},
             truth={} if truth is None else {0: PlanarLine(stamps, truth.position)},
-            nis={s: (times, values / limit) for s, (times, values, limit) in self.nis().items()},
+            nis=nis_ratios(self.nis()),
         )
+
+
+NisBySensor: TypeAlias = dict[
+    str, tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
+]
+"""Times [ns], NIS, and the limit that `LIMIT` of them are below."""
+
+
+def nis_by_sensor(
+    sensors: NDArray[np.str_],
+    stamps: NDArray[np.int64],
+    innovations: NDArray[np.float64],
+    nis: NDArray[np.float64],
+) -> NisBySensor:
+    """NIS by sensor, of rows where something was compared."""
+    degrees = np.isfinite(innovations).sum(axis=1)
+    limit = np.array([np.inf, *(chi2_quantile(LIMIT, degrees=n) for n in (1, 2, 3))])[degrees]
+    compared = np.isfinite(nis) & (degrees > 0)
+    found = {}
+    for sensor in sorted(set(sensors[compared].tolist())):
+        rows = compared & (sensors == sensor)
+        found[sensor] = (stamps[rows], nis[rows], limit[rows])
+    return found
+
+
+def nis_summary(found: NisBySensor) -> dict[str, dict[str, float]]:
+    """Mean by sensor, and the share below the limit."""
+    return {
+        sensor: {
+            "mean": float(values.mean()),
+            "share_below_limit": float((values <= limit).mean()),
+        }
+        for sensor, (_, values, limit) in found.items()
+    }
+
+
+def nis_ratios(found: NisBySensor) -> dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]:
+    """Times and NIS over the limit, as pictures show it."""
+    return {sensor: (times, values / limit) for sensor, (times, values, limit) in found.items()}
+
+
+def covariance_columns(
+    names: Sequence[str], covariances: NDArray[np.float64]
+) -> dict[str, NDArray[np.float64]]:
+    """Upper triangle of the covariances (K, n, n) of the first states, as columns."""
+    return {
+        f"cov_{names[row]}_{names[column]}": covariances[:, row, column]
+        for row in range(len(names)) for column in range(row, len(names))
+    }  # fmt: skip
 
 
 def planar_table(
@@ -246,22 +311,24 @@ def planar_table(
     }  # fmt: skip
 
 
-def measured_places(measurements: list[Measurement]) -> Mapping[str, NDArray[np.float64]]:
-    """Positions (M, 2) of LiDAR and radar in the frame of the sensor."""
+def measured_places(measurements: Iterable[Measurement]) -> Mapping[str, NDArray[np.float64]]:
+    """Positions (M, 2) of LiDAR and radar in the frame of the sensor, where they are finite."""
     found: dict[str, list[list[float]]] = {}
     for m in measurements:
-        if m.sensor not in ("lidar", "radar") or not np.isfinite(m.values).all():
-            continue
-        x, y = m.values[:2].tolist()
-        if m.sensor == "radar":
-            x, y = x * np.cos(y), x * np.sin(y)
-        found.setdefault(m.sensor, []).append([x, y])
+        if m.sensor in TARGET_SENSORS and np.isfinite(m.values).all():
+            found.setdefault(m.sensor, []).append(measured_place(m))
     return {sensor: np.array(places) for sensor, places in found.items()}
+
+
+def measured_place(m: Measurement) -> list[float]:
+    """Position that a LiDAR or a radar measured, in its frame."""
+    x, y = m.values[:2].tolist()
+    return [x * np.cos(y), x * np.sin(y)] if m.sensor == "radar" else [x, y]
 
 
 def _in_order(log: MeasurementLog) -> MeasurementLog:
     """The log by time, as the filter takes it; rows of one time keep their order."""
-    stamps = np.array([m.stamp_ns for m in log.measurements], np.int64)
+    stamps = [m.stamp_ns for m in log.measurements]
     order = np.argsort(stamps, kind="stable")
     measurements = [log.measurements[row] for row in order]
     truth = None if log.truth is None else log.truth.rows(order)

@@ -40,6 +40,11 @@ Picture: TypeAlias = Annotated[bool, typer.Option(help="Draw picture.png (extra 
 Overwrite: TypeAlias = Annotated[bool, typer.Option(help="Replace an earlier run in the folder.")]
 
 
+def wants_mcap(mcap: bool | None) -> bool:
+    """Whether to write run.mcap: as somebody said, or where the package is there."""
+    return find_spec("foxglove") is not None if mcap is None else mcap
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PipelineOptions:
     """What every command is told that passes scans through a pipeline."""
@@ -74,7 +79,7 @@ class RunOptions(PipelineOptions):
     @property
     def writes_mcap(self) -> bool:
         """Whether to write run.mcap."""
-        return find_spec("foxglove") is not None if self.mcap is None else self.mcap
+        return wants_mcap(self.mcap)
 
     def folder(self) -> "RunFolder":
         """Folder of the run."""

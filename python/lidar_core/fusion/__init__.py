@@ -1,10 +1,11 @@
 """Targets, one or many, seen by LiDAR and radar from a platform that may move."""
 
 from lidar_core.fusion.autoferry import DetectionScan, read_autoferry
+from lidar_core.fusion.bags import BagOptions, read_bag
 from lidar_core.fusion.config import FusionConfig, PublishedModel
 from lidar_core.fusion.coverage import TargetCoverage, mean_gospa, target_coverage
 from lidar_core.fusion.filter import TargetFilter
-from lidar_core.fusion.many import MultiTargetTracker, TargetTracks
+from lidar_core.fusion.many import MultiTargetTracker, ScanResult, TargetTracks
 from lidar_core.fusion.many_config import AutoferryOptions, MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, Measurements
 from lidar_core.fusion.overflight import level_overflight, write_overflight
@@ -16,6 +17,7 @@ from lidar_core.fusion.tuning import fit_noise
 
 __all__ = [
     "AutoferryOptions",
+    "BagOptions",
     "DetectionScan",
     "FusionConfig",
     "LevelSight",
@@ -26,6 +28,7 @@ __all__ = [
     "MultiTargetTracker",
     "PublishedModel",
     "Run",
+    "ScanResult",
     "SpaceTrack",
     "TableOptions",
     "TargetCoverage",
@@ -39,6 +42,7 @@ __all__ = [
     "level_sight",
     "mean_gospa",
     "read_autoferry",
+    "read_bag",
     "read_laser_radar",
     "read_measurements",
     "run",

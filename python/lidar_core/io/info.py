@@ -204,7 +204,9 @@ def _defects(
     found += noticed.notes
     scans = [s for s in streams.values() if s.topic.kind in SCAN_KINDS]
     if not scans:
-        found.append("no topic with scans that can be read")
+        measured = any(stream.topic.kind == "measurement" for stream in streams.values())
+        found.append("no scans; measurements are for `lidar-core fuse`" if measured
+                     else "no topic with scans that can be read")  # fmt: skip
     elif not any(not static for static in edges.values()):
         found.append("no poses: use --pose FILE, or --pose static for a sensor that does not move")
     children = {child for _, child in edges} | {parent for parent, _ in edges}

@@ -16,7 +16,7 @@ from lidar_core.io.mcap_salvage import Salvage
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import Kind, Record, Recording, Topic
 from lidar_core.io.ros import MAX_TOPICS, _complete
-from lidar_core.io.ros_messages import RosDecoder, kind_of, note_of
+from lidar_core.io.ros_messages import RosDecoder, kind_of, note_of, ros_name
 from lidar_core.messages import Message
 
 _MAGIC_BYTES = 8
@@ -233,7 +233,11 @@ class McapRecording(Recording):
                 f"{self.path}, message {number}: channel {message.channel_id} unknown"
             )
         place = f"{self.path}, message {number} on {topic.name}"
-        return Record(topic, message.log_time, partial(self._decode, message, topic, place))
+        decode = partial(self._decode, message, topic, place)
+        ros = self._ros.get(self._summary.channels[message.channel_id].message_encoding)
+        said = (ros_name(topic.type), message.data, place)
+        parse = None if ros is None else partial(ros.message, *said)
+        return Record(topic, message.log_time, decode, parse)
 
     def _decode(self, message: Any, topic: Topic, place: str) -> list[Message]:
         channel = self._summary.channels[message.channel_id]
@@ -253,12 +257,6 @@ def _kind(encoding: str, type_name: str) -> tuple[Kind, str]:
     if encoding == "protobuf":
         return foxglove_kind(type_name), ""
     return "other", f"message encoding {encoding!r} is not read"
-
-
-def ros_name(type_name: str) -> str:
-    """ROS 1 writes package/Name where ROS 2 writes package/msg/Name."""
-    package, _, rest = type_name.partition("/")
-    return type_name if "/" in rest or not rest else f"{package}/msg/{rest}"
 
 
 def _decompressed(chunk: Any, place: str, limit: int) -> bytes:

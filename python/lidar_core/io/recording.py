@@ -11,7 +11,9 @@ from typing import Any, Literal, Self, TypeAlias
 from lidar_core.io.options import ReadOptions
 from lidar_core.messages import Message, Pose
 
-Kind: TypeAlias = Literal["scan", "planar", "pose", "scan+pose", "planar+pose", "packets", "other"]
+Kind: TypeAlias = Literal[
+    "scan", "planar", "pose", "scan+pose", "planar+pose", "measurement", "packets", "other"
+]
 
 PACKETS: dict[str, str] = {
     "velodyne_msgs/msg/VelodyneScan": "Velodyne packets",
@@ -28,6 +30,8 @@ PACKETS: dict[str, str] = {
 POSE_KINDS = frozenset({"pose", "scan+pose", "planar+pose"})
 SCAN_KINDS = frozenset({"scan", "scan+pose", "planar", "planar+pose"})
 """Kinds of topics that bring poses, and of those that bring scans: in 3D, or planar in 2D."""
+UNREAD_KINDS = frozenset({"measurement", "packets", "other"})
+"""Kinds whose messages are neither: measurements are for `lidar_core.fusion`."""
 MOST_NOTES = 1000
 
 
@@ -66,11 +70,14 @@ class Record:
         When it was stored [ns].
     decode : callable
         Its messages; none for a record that no reader understands or that was rejected.
+    parse : callable, optional
+        The message as its ROS type says, where it has one.
     """
 
     topic: Topic
     time_ns: int
     decode: Callable[[], list[Message]]
+    parse: Callable[[], Any] | None = None
 
 
 @dataclass(slots=True)
@@ -128,7 +135,7 @@ class Recording(ABC):
         self.skipped.clear()
         for record in self.records():
             messages = record.decode()
-            if record.topic.kind in ("other", "packets") and not messages:
+            if record.topic.kind in UNREAD_KINDS and not messages:
                 self.skipped[record.topic.name] += 1
             yield from messages
 

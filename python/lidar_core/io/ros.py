@@ -83,10 +83,10 @@ class RosRecording(Recording):
                 return
             connection, time_ns, raw = item
             place = f"{file}, message {number} on {connection.topic}"
-            decode = partial(
-                self._decoder.decode, connection.topic, connection.msgtype, bytes(raw), place
-            )
-            yield Record(self._topics[connection.topic], time_ns, decode)
+            said = (connection.msgtype, bytes(raw), place)
+            decode = partial(self._decoder.decode, connection.topic, *said)
+            parse = partial(self._decoder.message, *said)
+            yield Record(self._topics[connection.topic], time_ns, decode, parse)
             number += 1
 
     def _list_topics(self) -> dict[str, Topic]:

@@ -16,7 +16,7 @@ from lidar_core.io.guard import check_size, reading
 from lidar_core.io.laser import LaserDecoder, ros_laser_scan
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import PACKETS, Findings, Kind
-from lidar_core.io.ros_types import VELODYNE_TYPE, ros_store
+from lidar_core.io.ros_types import RADAR_SCAN_TYPE, RADAR_TRACKS_TYPE, VELODYNE_TYPE, ros_store
 from lidar_core.io.rotations import pose_matrix, unit_quaternion
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
@@ -32,6 +32,9 @@ POSE_TYPES = (
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
 )
+POINT_TYPE, IMU_TYPE = "geometry_msgs/msg/PointStamped", "sensor_msgs/msg/Imu"
+MEASUREMENT_TYPES = (RADAR_TRACKS_TYPE, RADAR_SCAN_TYPE, POINT_TYPE, IMU_TYPE)
+"""Of targets and of the platform's motion: `lidar_core.fusion.read_bag`."""
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -43,7 +46,15 @@ def kind_of(type_name: str) -> Kind:
         return "planar"
     if type_name in TRANSFORM_TYPES or type_name in POSE_TYPES:
         return "pose"
+    if type_name in MEASUREMENT_TYPES:
+        return "measurement"
     return "packets" if type_name in PACKETS else "other"
+
+
+def ros_name(type_name: str) -> str:
+    """The name of a type in ROS 2, package/msg/Name, where ROS 1 writes package/Name."""
+    package, _, rest = type_name.partition("/")
+    return type_name if "/" in rest or not rest else f"{package}/msg/{rest}"
 
 
 def note_of(type_name: str) -> str:
@@ -83,16 +94,10 @@ class RosDecoder:
         LimitError
             The message is larger than the options allow.
         """
-        limit = self._options.max_record_bytes
-        check_size(place, len(raw), limit=limit, key="max_record_bytes", what="a message of bytes")
         if kind_of(type_name) not in ("scan", "planar", "pose"):
+            self._check_size(raw, place)
             return []
-        if raw.startswith(ZSTD_MAGIC):
-            raise FormatError(
-                f"{place}: compressed with zstd; store it uncompressed with: ros2 bag convert"
-            )
-        with reading(place):
-            message = self._parse(raw, type_name)
+        message = self.message(type_name, raw, place)
         if type_name in SCAN_TYPES:
             return [self._cloud(topic, message, place)]
         if type_name == VELODYNE_TYPE:
@@ -105,6 +110,20 @@ class RosDecoder:
             self._findings.rejected[topic] += 1
             self._findings.note(str(error))
             return []
+
+    def message(self, type_name: str, raw: bytes, place: str) -> Any:
+        """One message as its type says; errors as of `decode`."""
+        self._check_size(raw, place)
+        if raw.startswith(ZSTD_MAGIC):
+            raise FormatError(
+                f"{place}: compressed with zstd; store it uncompressed with: ros2 bag convert"
+            )
+        with reading(place):
+            return self._parse(raw, type_name)
+
+    def _check_size(self, raw: bytes, place: str) -> None:
+        limit = self._options.max_record_bytes
+        check_size(place, len(raw), limit=limit, key="max_record_bytes", what="a message of bytes")
 
     def _cloud(self, topic: str, message: Any, place: str) -> Scan:
         fields = []
@@ -122,14 +141,14 @@ class RosDecoder:
             self._clouds[topic] = CloudDecoder(topic, self._options, self._findings)
         header = message.header
         return self._clouds[topic].scan(
-            rows, _stamp_ns(header.stamp), _frame(header.frame_id), place=place
+            rows, stamp_of(header.stamp), _frame(header.frame_id), place=place
         )
 
     def _laser(self, topic: str, message: Any, place: str) -> LaserScan:
         if topic not in self._lasers:
             self._lasers[topic] = LaserDecoder(topic, self._options, self._findings)
         header = message.header
-        raw = ros_laser_scan(topic, message, _stamp_ns(header.stamp), _frame(header.frame_id))
+        raw = ros_laser_scan(topic, message, stamp_of(header.stamp), _frame(header.frame_id))
         return self._lasers[topic].scan(raw, place=place)
 
     def _packets(self, topic: str, message: Any, place: str) -> list[Message]:
@@ -137,7 +156,7 @@ class RosDecoder:
 
         if topic not in self._velodyne:
             self._velodyne[topic] = PacketDecoder(topic, self._options, self._findings)
-        packets = [(_stamp_ns(item.stamp), item.data) for item in message.packets]
+        packets = [(stamp_of(item.stamp), item.data) for item in message.packets]
         scan: Scan | None = self._velodyne[topic].scan(
             packets, _frame(message.header.frame_id), place=place
         )
@@ -149,29 +168,33 @@ def _poses(topic: str, type_name: str, message: Any, place: str) -> list[Message
         items = message.transforms if hasattr(message, "transforms") else [message]
         static = topic.rstrip("/").endswith("tf_static")
         return [_transform(topic, item, static, place) for item in items]
-    inner, covariance = message.pose, None
-    if hasattr(inner, "covariance"):
-        covariance = np.array(inner.covariance, np.float64).reshape(6, 6)
-        inner = inner.pose
-    matrix = _matrix(inner.position, inner.orientation, place)
-    child = _frame(getattr(message, "child_frame_id", ""))
-    known = covariance is not None and covariance.any()
+    matrix, covariance = matrix_of(message, place)
     return [
         Pose(
-            _stamp_ns(message.header.stamp),
+            stamp_of(message.header.stamp),
             _frame(message.header.frame_id),
-            child,
+            _frame(getattr(message, "child_frame_id", "")),
             matrix,
-            covariance if known else None,
+            covariance,
             topic=topic,
         )
     ]
 
 
+def matrix_of(message: Any, place: str) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Pose (4, 4) of a message of `POSE_TYPES`, and covariance (6, 6), None if all are zero."""
+    inner, covariance = message.pose, None
+    if hasattr(inner, "covariance"):
+        covariance = np.array(inner.covariance, np.float64).reshape(6, 6)
+        inner = inner.pose
+    matrix = _matrix(inner.position, inner.orientation, place)
+    return matrix, covariance if covariance is not None and covariance.any() else None
+
+
 def _transform(topic: str, item: Any, static: bool, place: str) -> Pose:
     matrix = _matrix(item.transform.translation, item.transform.rotation, place)
     return Pose(
-        _stamp_ns(item.header.stamp),
+        stamp_of(item.header.stamp),
         _frame(item.header.frame_id),
         _frame(item.child_frame_id),
         matrix,
@@ -188,7 +211,8 @@ def _matrix(position: Any, rotation: Any, place: str) -> NDArray[np.float64]:
     return pose_matrix(translation, unit_quaternion(quaternion, place=place))
 
 
-def _stamp_ns(stamp: Any) -> int:
+def stamp_of(stamp: Any) -> int:
+    """A time of ROS [ns]."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 

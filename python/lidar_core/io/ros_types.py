@@ -16,16 +16,30 @@ COSTMAP_TYPES = {
     2: "costmap_converter_msgs/msg/ObstacleArrayMsg",
 }
 """By the version of ROS: the package was renamed."""
+RADAR_TRACKS_TYPE, RADAR_SCAN_TYPE = "radar_msgs/msg/RadarTracks", "radar_msgs/msg/RadarScan"
 VELODYNE_TYPE = "velodyne_msgs/msg/VelodyneScan"
 _COSTMAP = (
     "std_msgs/Header header\ngeometry_msgs/Polygon polygon\nfloat64 radius\nint64 id\n"
     "geometry_msgs/Quaternion orientation\ngeometry_msgs/TwistWithCovariance velocities"
+)
+_RADAR_TRACK = (
+    " uuid\ngeometry_msgs/Point position\ngeometry_msgs/Vector3 velocity\n"
+    "geometry_msgs/Vector3 acceleration\ngeometry_msgs/Vector3 size\n"
+    "uint16 NO_CLASSIFICATION=0\nuint16 STATIC=1\nuint16 DYNAMIC=2\nuint16 classification\n"
+    "float32[6] position_covariance\nfloat32[6] velocity_covariance\n"
+    "float32[6] acceleration_covariance\nfloat32[6] size_covariance"
 )
 _BOTH = {
     "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
     "tf/msg/tfMessage": "geometry_msgs/TransformStamped[] transforms",
     "velodyne_msgs/msg/VelodynePacket": "time stamp\nuint8[1206] data",
     VELODYNE_TYPE: "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
+    "radar_msgs/msg/RadarReturn": (
+        "float32 range\nfloat32 azimuth\nfloat32 elevation\n"
+        "float32 doppler_velocity\nfloat32 amplitude"
+    ),
+    RADAR_SCAN_TYPE: "std_msgs/Header header\nradar_msgs/RadarReturn[] returns",
+    RADAR_TRACKS_TYPE: "std_msgs/Header header\nradar_msgs/RadarTrack[] tracks",
     "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size",
     DETECTIONS_TYPE: "std_msgs/Header header\nvision_msgs/Detection3D[] detections",
     "obstacle_detector/msg/SegmentObstacle": (
@@ -41,6 +55,8 @@ _BOTH = {
     ),
 }
 _ROS1 = {
+    "uuid_msgs/msg/UniqueID": "uint8[16] uuid",
+    "radar_msgs/msg/RadarTrack": f"uuid_msgs/UniqueID{_RADAR_TRACK}",
     "costmap_converter/msg/ObstacleMsg": _COSTMAP,
     COSTMAP_TYPES[1]: "std_msgs/Header header\ncostmap_converter/ObstacleMsg[] obstacles",
     "vision_msgs/msg/ObjectHypothesisWithPose": (
@@ -52,6 +68,7 @@ _ROS1 = {
     ),
 }
 _ROS2 = {
+    "radar_msgs/msg/RadarTrack": f"unique_identifier_msgs/UUID{_RADAR_TRACK}",
     "costmap_converter_msgs/msg/ObstacleMsg": _COSTMAP,
     COSTMAP_TYPES[2]: "std_msgs/Header header\ncostmap_converter_msgs/ObstacleMsg[] obstacles",
     "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score",

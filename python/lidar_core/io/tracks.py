@@ -23,8 +23,8 @@ COLUMNS: dict[str, type] = {
 """Columns of the tracks table: SI units; covariance is of position and velocity."""
 
 
-class TracksLike(Protocol):
-    """Tracks at one time, one row per track, as `lidar_core.flying.Tracks` holds them."""
+class BoxesLike(Protocol):
+    """Boxes with numbers at one time, a row each: as much of tracks as viewers show."""
 
     @property
     def id(self) -> NDArray[np.int64]:
@@ -39,12 +39,20 @@ class TracksLike(Protocol):
         """Velocities [m/s], shape (T, 3)."""
 
     @property
-    def covariance(self) -> NDArray[np.float64]:
-        """Covariances, shape (T, >= 6, >= 6), position and velocity first."""
-
-    @property
     def extent(self) -> NDArray[np.float64]:
         """Sides of the bounding boxes [m], shape (T, 3)."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Time of the states [ns]."""
+
+
+class TracksLike(BoxesLike, Protocol):
+    """Tracks at one time, one row per track, as `lidar_core.flying.Tracks` holds them."""
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Covariances, shape (T, >= 6, >= 6), position and velocity first."""
 
     @property
     def n_detections(self) -> NDArray[np.int64]:
@@ -53,10 +61,6 @@ class TracksLike(Protocol):
     @property
     def age(self) -> NDArray[np.float64]:
         """Time since the first detection [s], shape (T,)."""
-
-    @property
-    def stamp_ns(self) -> int:
-        """Time of the states [ns]."""
 
 
 def write_tracks_table(

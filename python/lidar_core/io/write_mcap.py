@@ -18,7 +18,7 @@ from lidar_core.io.own_cloud import packed
 from lidar_core.io.rotations import quaternion_from_matrix
 from lidar_core.io.shapes import ShapesLike
 from lidar_core.io.topics import LASER_TOPIC, POSE_TOPIC, SCAN_TOPIC, STATIC_TOPIC
-from lidar_core.io.tracks import TracksLike
+from lidar_core.io.tracks import BoxesLike
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
 TRACKS_TOPIC, CIRCLES_TOPIC, SHAPES_TOPIC = "/tracks", "/circles", "/shapes"
@@ -51,7 +51,7 @@ class FoxgloveLog:
         self._tracks_frame = tracks_frame
         self._channels: dict[tuple[str, ...], Any] = {}
 
-    def write(self, item: Message | TracksLike) -> None:
+    def write(self, item: Message | BoxesLike) -> None:
         """Append a scan, a pose or the tracks of one time.
 
         Raises
@@ -124,7 +124,7 @@ class FoxgloveLog:
         topic = STATIC_TOPIC if pose.is_static else POSE_TOPIC
         self._channel("FrameTransformChannel", topic).log(message, log_time=pose.stamp_ns)
 
-    def _write_tracks(self, tracks: TracksLike) -> None:
+    def _write_tracks(self, tracks: BoxesLike) -> None:
         m = self._messages
         stamp = self._stamp(tracks.stamp_ns)
         entities = [self._entity(tracks, row, stamp) for row in range(len(tracks.id))]
@@ -162,7 +162,7 @@ class FoxgloveLog:
         update = self._messages.SceneUpdate(entities=entities)
         self._channel("SceneUpdateChannel", topic).log(update, log_time=stamp_ns)
 
-    def _entity(self, tracks: TracksLike, row: int, stamp: Any) -> Any:
+    def _entity(self, tracks: BoxesLike, row: int, stamp: Any) -> Any:
         m = self._messages
         number, size = int(tracks.id[row]), np.maximum(tracks.extent[row], SMALLEST_BOX)
         upright = m.Quaternion(w=1.0)
@@ -251,7 +251,7 @@ class McapWriter(FoxgloveLog):
 
 
 def write_mcap(
-    path: str | Path, items: Iterable[Message | TracksLike], *, tracks_frame: str = "world"
+    path: str | Path, items: Iterable[Message | BoxesLike], *, tracks_frame: str = "world"
 ) -> None:
     """Write scans, poses and tracks to one MCAP file, whole or not at all.
 

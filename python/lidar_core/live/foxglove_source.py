@@ -15,9 +15,8 @@ from lidar_core.errors import LidarCoreError, LinkError
 from lidar_core.extras import require
 from lidar_core.io import ReadOptions, Topic
 from lidar_core.io.foxglove_messages import FoxgloveDecoder, foxglove_kind
-from lidar_core.io.mcap_file import ros_name
 from lidar_core.io.recording import POSE_KINDS, SCAN_KINDS, Record
-from lidar_core.io.ros_messages import RosDecoder, kind_of
+from lidar_core.io.ros_messages import RosDecoder, kind_of, ros_name
 from lidar_core.live.config import LiveConfig
 from lidar_core.live.inbox import Inbox
 from lidar_core.live.source import Source, StreamTopics

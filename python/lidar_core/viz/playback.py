@@ -133,9 +133,9 @@ class Playback:
             )
         name, path = tables[0]
         self._columns = read_columns(path)
-        is_flying = any(self.folder.glob("detections.*"))
+        is_fusion = any(self.folder.glob("states.*"))
         self.capability: Capability = (
-            "circles" if name == "circles" else "flying" if is_flying else "fusion"
+            "circles" if name == "circles" else "fusion" if is_fusion else "flying"
         )
         self._rows = _rows_by_time(self._columns)
         shapes = self._tables("shapes") if name == "circles" else []
