@@ -1,7 +1,6 @@
 //! Yardsticks: the plainest way to do the same work, scalar, on one thread.
 
 use super::{MAX_RANGE, Scan, VOXEL_SIZE};
-use std::collections::HashMap;
 
 const G_INITIAL: f32 = -740.0;
 const G_OCC: f32 = 0.0;
@@ -112,7 +111,7 @@ fn inside(voxel: [i64; 3], low: [i64; 3], size: [usize; 3]) -> Option<usize> {
     Some(index)
 }
 
-/// Amanatides & Woo, as in their paper.
+/// Amanatides & Woo, as in their paper; the parameter along the ray is the length [voxels].
 fn walk(
     start: [f64; 3],
     end: [f64; 3],
@@ -121,71 +120,94 @@ fn walk(
     sums: &mut [f32],
 ) -> usize {
     let strides = [(size[1] * size[2]) as isize, size[2] as isize, 1];
+    let length = (0..3).map(|axis| (end[axis] - start[axis]).powi(2)).sum::<f64>().sqrt();
     let (mut steps, mut index) = (0, 0isize);
-    let (mut t_next, mut t_step, mut stride) = ([f64::INFINITY; 3], [0.0; 3], [0isize; 3]);
-    let mut square = 0.0;
+    let (mut next, mut step, mut stride) = ([f32::INFINITY; 3], [0f32; 3], [0isize; 3]);
     for axis in 0..3 {
         let (from, to) = (start[axis].floor(), end[axis].floor());
-        let span = end[axis] - start[axis];
-        square += span * span;
+        let pace = length / (end[axis] - start[axis]);
         steps += (to - from).abs() as usize;
         index += (from as i64 - low[axis]) as isize * strides[axis];
         if to != from {
-            let up = span > 0.0;
-            t_next[axis] = (from + f64::from(u8::from(up)) - start[axis]) / span;
-            t_step[axis] = 1.0 / span.abs();
-            stride[axis] = if up { strides[axis] } else { -strides[axis] };
+            let edge = from + f64::from(u8::from(pace > 0.0));
+            next[axis] = ((edge - start[axis]) * pace) as f32;
+            step[axis] = pace.abs() as f32;
+            stride[axis] = if pace > 0.0 { strides[axis] } else { -strides[axis] };
         }
     }
-    let length = square.sqrt();
-    let mut t = 0.0;
+    let ([mut next_x, mut next_y, mut next_z], mut at) = (next, 0f32);
     for _ in 0..steps {
-        let axis = if t_next[0] <= t_next[1] && t_next[0] <= t_next[2] {
-            0
-        } else if t_next[1] <= t_next[2] {
-            1
+        let here = index as usize;
+        let until;
+        if next_x <= next_y && next_x <= next_z {
+            until = next_x;
+            next_x += step[0];
+            index = index.wrapping_add(stride[0]);
+        } else if next_y <= next_z {
+            until = next_y;
+            next_y += step[1];
+            index = index.wrapping_add(stride[1]);
         } else {
-            2
-        };
-        sums[index as usize] += ((t_next[axis] - t) * length) as f32;
-        t = t_next[axis];
-        t_next[axis] += t_step[axis];
-        index += stride[axis];
+            until = next_z;
+            next_z += step[2];
+            index = index.wrapping_add(stride[2]);
+        }
+        sums[here] += until - at;
+        at = until;
     }
-    sums[index as usize] += ((1.0 - t).max(0.0) * length) as f32;
+    sums[index as usize] += (length as f32 - at).max(0.0);
     steps + 1
 }
 
-/// `cluster_hash`: cells of the tolerance in a hash map, 13 forward neighbours, exact distances,
-/// pairs already in one set skipped. Returns the number of clusters.
+/// `cluster_hash`: cells of the tolerance sorted by their key, points copied in that order, 13
+/// forward neighbours, exact distances, pairs already in one set skipped. Returns the number of
+/// clusters.
 #[must_use]
 pub fn cluster_hash(points: &[[f32; 3]], distance: f64) -> usize {
-    let cell = |point: &[f32; 3]| point.map(|value| (f64::from(value) / distance).floor() as i32);
-    let mut cells: HashMap<[i32; 3], Vec<u32>> = HashMap::new();
-    for (index, point) in points.iter().enumerate() {
-        cells.entry(cell(point)).or_default().push(index as u32);
-    }
-    let mut parent: Vec<u32> = (0..points.len() as u32).collect();
-    for (&[x, y, z], members) in &cells {
-        for (nth, &a) in members.iter().enumerate() {
-            members[nth + 1..].iter().for_each(|&b| join(points, a, b, distance, &mut parent));
+    const MIDDLE: i64 = 1 << 20; // 21 bits per axis
+    let cell = |value: f32| (f64::from(value) / distance).floor() as i64 + MIDDLE;
+    let key = |point: &[f32; 3]| point.iter().fold(0, |key, &value| key << 21 | cell(value));
+    let mut order: Vec<(i64, u32)> = points.iter().map(key).zip(0..).collect();
+    order.sort_unstable();
+    let sorted: Vec<[f32; 3]> = order.iter().map(|&(_, index)| points[index as usize]).collect();
+    let mut cells: Vec<(i64, usize)> = Vec::new();
+    for (place, &(key, _)) in order.iter().enumerate() {
+        if cells.last().is_none_or(|&(last, _)| last != key) {
+            cells.push((key, place));
         }
-        for place in 14..27 {
-            let beside = [x + place % 3 - 1, y + place / 3 % 3 - 1, z + place / 9 - 1];
-            for &b in cells.get(&beside).into_iter().flatten() {
-                members.iter().for_each(|&a| join(points, a, b, distance, &mut parent));
+    }
+    let ends = cells.iter().skip(1).map(|&(_, start)| start).chain([points.len()]);
+    let ends: Vec<usize> = ends.collect();
+    let mut parent: Vec<u32> = (0..points.len() as u32).collect();
+    let forward = (14..27i64).map(|n| ((n / 9 - 1) << 42) + ((n / 3 % 3 - 1) << 21) + n % 3 - 1);
+    let mut forward: Vec<(i64, usize)> = forward.map(|offset| (offset, 0)).collect();
+    for (&(key, start), &end) in cells.iter().zip(&ends) {
+        for a in start..end {
+            (a + 1..end).for_each(|b| join(&sorted, a, b, distance, &mut parent));
+        }
+        for (offset, place) in &mut forward {
+            // keys grow, so the place of the neighbour only moves on
+            while cells.get(*place).is_some_and(|&(found, _)| found < key + *offset) {
+                *place += 1;
+            }
+            if let Some(&(found, beside)) = cells.get(*place)
+                && found == key + *offset
+            {
+                for b in beside..ends[*place] {
+                    (start..end).for_each(|a| join(&sorted, a, b, distance, &mut parent));
+                }
             }
         }
     }
     (0..points.len()).filter(|&index| parent[index] == index as u32).count()
 }
 
-fn join(points: &[[f32; 3]], a: u32, b: u32, distance: f64, parent: &mut [u32]) {
-    let (root_a, root_b) = (root(parent, a), root(parent, b));
+fn join(points: &[[f32; 3]], a: usize, b: usize, distance: f64, parent: &mut [u32]) {
+    let (root_a, root_b) = (root(parent, a as u32), root(parent, b as u32));
     if root_a == root_b {
         return;
     }
-    let (p, q) = (points[a as usize], points[b as usize]);
+    let (p, q) = (points[a], points[b]);
     let square: f64 = (0..3).map(|axis| (f64::from(p[axis]) - f64::from(q[axis])).powi(2)).sum();
     if square <= distance * distance {
         parent[root_a.max(root_b) as usize] = root_a.min(root_b);
