@@ -75,10 +75,13 @@ test-env:
 bench: ## Measure every stage (criterion); needs no Python.
 	cargo bench --locked
 
-peers: ## Measure filters beside numpy, FilterPy and Stone Soup, in an environment of their own.
+# Packages of Debian are unpacked below target/peers, not installed. Open3D has no wheel for every
+# Python: without it the simulator is left out.
+peers: ## Measure lidar_core beside OctoMap, PCL, scipy and others, in an environment of their own.
 	$(PYTHON) -m venv $(PEERS_VENV)
 	$(PEERS_VENV)/bin/python $(PIP_INSTALL) -r benches/peers/requirements.txt .
-	$(PEERS_VENV)/bin/python -W ignore benches/peers/fusion.py
+	-$(PEERS_VENV)/bin/python $(PIP_INSTALL) open3d
+	$(PEERS_VENV)/bin/python -W ignore benches/peers/run.py
 
 docs: ## Build the guide with the parameter reference into site/.
 	$(BIN)/python docs/generate_parameters.py

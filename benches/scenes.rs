@@ -1,5 +1,6 @@
-//! Seeded scenes shared by the benches, and the plain kernels that serve as yardsticks.
+//! Seeded scenes shared by the benches, files of them, and the plain kernels that serve as yardsticks.
 
+pub mod files;
 pub mod reference;
 
 use lidar_core::Error;
@@ -45,6 +46,25 @@ pub struct Scan {
 }
 
 impl Scan {
+    /// The scan whose rays go from `origin` along `directions` and end at `world`, or never (NaN).
+    #[must_use]
+    pub fn new(origin: [f64; 3], directions: Vec<[f32; 3]>, world: Vec<[f32; 3]>) -> Self {
+        let [x, y, z] = origin;
+        let local = world
+            .iter()
+            .map(|end| std::array::from_fn(|axis| (f64::from(end[axis]) - origin[axis]) as f32));
+        let met: Vec<bool> = world.iter().map(|end| end[0].is_finite()).collect();
+        Self {
+            origin,
+            local: local.collect(),
+            no_return: met.iter().map(|&met| !met).collect(),
+            class: met.iter().map(|&met| if met { BACKGROUND } else { INVALID }).collect(),
+            pose: [1.0, 0.0, 0.0, x, 0.0, 1.0, 0.0, y, 0.0, 0.0, 1.0, z, 0.0, 0.0, 0.0, 1.0],
+            directions,
+            world,
+        }
+    }
+
     /// The scan with every point as background.
     #[must_use]
     pub fn classified(&self) -> ClassifiedScan<'_> {
@@ -99,30 +119,16 @@ pub fn street(number: u32, count: u64) -> Result<Vec<Scan>, Error> {
 }
 
 fn from_ranges(origin: [f64; 3], directions: &[[f64; 3]], ranges: &[f64]) -> Scan {
-    let end = |direction: &[f64; 3], range: f64, start: [f64; 3]| -> [f32; 3] {
+    let rays = directions.iter().zip(ranges);
+    let ends = rays.map(|(direction, &range)| {
         if range.is_finite() {
-            std::array::from_fn(|axis| (start[axis] + range * direction[axis]) as f32)
+            std::array::from_fn(|axis| (origin[axis] + range * direction[axis]) as f32)
         } else {
             [f32::NAN; 3]
         }
-    };
-    let rays = || directions.iter().zip(ranges);
-    let [x, y, z] = origin;
-    Scan {
-        origin,
-        directions: directions
-            .iter()
-            .map(|direction| direction.map(|value| value as f32))
-            .collect(),
-        world: rays().map(|(direction, &range)| end(direction, range, origin)).collect(),
-        local: rays().map(|(direction, &range)| end(direction, range, [0.0; 3])).collect(),
-        no_return: ranges.iter().map(|range| !range.is_finite()).collect(),
-        class: ranges
-            .iter()
-            .map(|range| if range.is_finite() { BACKGROUND } else { INVALID })
-            .collect(),
-        pose: [1.0, 0.0, 0.0, x, 0.0, 1.0, 0.0, y, 0.0, 0.0, 1.0, z, 0.0, 0.0, 0.0, 1.0],
-    }
+    });
+    let narrow = directions.iter().map(|direction| direction.map(|value| value as f32));
+    Scan::new(origin, narrow.collect(), ends.collect())
 }
 
 /// Map of Table II.

@@ -12,12 +12,12 @@ import sys
 from collections.abc import Callable
 from datetime import datetime, timedelta
 from importlib.metadata import version
-from pathlib import Path
 from time import process_time
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from turns import processor
 
 import lidar_core as lc
 
@@ -256,14 +256,6 @@ def ours(rows: list[tuple[bool, Array]]) -> dict[str, tuple[Callable[[], Any], i
         return lc.fusion.run_batch(tracks, CONFIG, threads=1)[-1].states
 
     return {"lidar_core, `step`": (steps, 1), f"lidar_core, batch of {TRACKS}": (batch, TRACKS)}
-
-
-def processor() -> str:
-    """Name of the CPU."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.is_file() else []
-    names = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.processor() or platform.machine())
 
 
 def main() -> None:
