@@ -109,4 +109,4 @@ ci: ## Everything that has to pass, from a clean checkout.
 	.ci/run
 
 clean: ## Remove what the commands above made, except .venv.
-	rm -rf target dist site runs docs/parameters.md $(TEST_VENV) $(OUSTER_VENV) $(PEERS_VENV) python/lidar_core/*.so
+	rm -rf target dist site runs docs/parameters.md docs/sensors.md $(TEST_VENV) $(OUSTER_VENV) $(PEERS_VENV) python/lidar_core/*.so

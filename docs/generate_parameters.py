@@ -1,10 +1,13 @@
-"""Write docs/parameters.md from the configuration models: python docs/generate_parameters.py."""
+"""Write docs/parameters.md and sensors.md from the code: python docs/generate_parameters.py."""
 
+import math
 from pathlib import Path
 
 from pydantic import BaseModel
 
 from lidar_core.parameters import MODELS, Parameter, model_named, models_within, parameters_of
+from lidar_core.sensors import SENSORS
+from lidar_core.sim import LidarModel, Rosette, Spinning
 
 PAGE = Path(__file__).parent / "parameters.md"
 USED_BY = {
@@ -37,6 +40,27 @@ Schema. In a file, a table such as `[voxel_map]` holds the parameters of the mod
 parameter `voxel_map` is of; `"none"` stands for no value.
 """
 LONGEST_DEFAULT = 40
+SENSORS_INTRODUCTION = """\
+# Sensors
+
+LiDARs that presets know:
+
+- `lidar = { preset = "vlp-16" }` in a scene, or `lidar-core simulate SCENE --sensor vlp-16`;
+- `lidar-core config init --preset vlp-16`: a file for `detect`; with `--model circles` for
+  `circles` (2D), with `--model scene` a scene to begin with;
+- `sensor.beams`, for rows whose driver drops rays without return.
+
+Numbers are those of data sheets and manuals, rounded: compare them with the sheet of your revision.
+Ranges are those on dark surfaces where the sheet gives them; noise and shortest ranges are typical
+values where it gives none. Rows are even between the outermost where the source does not say
+otherwise. The patterns of Livox are not published: what stands for them has their field of view,
+their rate, and does not repeat.
+
+"""
+SENSOR_COLUMNS = (
+    "Name", "Sensor", "Rays per scan", "Elevation [deg]", "Azimuth [deg]", "Rate [Hz]",
+    "Range [m]", "Noise [m]", "Source",
+)  # fmt: skip
 
 
 def page() -> str:
@@ -47,6 +71,32 @@ def page() -> str:
         for model in models_within(model_named(name)):
             lines += _section(model)
     return "\n".join(lines)
+
+
+def sensors_page() -> str:
+    """The page of sensors."""
+    head = [f"| {' | '.join(SENSOR_COLUMNS)} |", "|---" * len(SENSOR_COLUMNS) + "|"]
+    return SENSORS_INTRODUCTION + "\n".join([*head, *map(_sensor, SENSORS)]) + "\n"
+
+
+def _sensor(name: str) -> str:
+    model, pattern = LidarModel.preset(name), SENSORS[name].pattern
+    low = high = 0.0
+    width = 360.0
+    if isinstance(model.pattern, Spinning):
+        low, high = min(pattern["elevations_deg"]), max(pattern["elevations_deg"])
+    elif isinstance(model.pattern, Rosette):
+        low, high = model.pattern.elevation_min_deg, model.pattern.elevation_max_deg
+        width = 2 * (model.pattern.azimuth_half_deg or 180.0)
+    else:
+        width = math.degrees(model.pattern.angle_increment) * (model.pattern.beams - 1)
+    rays = " x ".join(f"{count:,}" for count in model.shape)
+    cells = (
+        f"`{name}`", SENSORS[name].title, rays, f"{low:g} to {high:g}" if high > low else "0",
+        f"{width:.4g}", f"{model.scan_rate:g}", f"{model.range_min:g} to {model.range_max:g}",
+        f"{model.range_std:g}", SENSORS[name].source,
+    )  # fmt: skip
+    return "| " + " | ".join(cells) + " |"
 
 
 def _section(model: type[BaseModel]) -> list[str]:
@@ -68,8 +118,9 @@ def _row(parameter: Parameter) -> str:
 
 
 def main() -> None:
-    """Write the page."""
+    """Write the pages."""
     PAGE.write_text(page(), encoding="utf-8")
+    PAGE.with_name("sensors.md").write_text(sensors_page(), encoding="utf-8")
 
 
 if __name__ == "__main__":

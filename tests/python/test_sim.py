@@ -498,7 +498,7 @@ NO_ROOM = sim.RandomMotion(box_min=(-1, -1, -1), box_max=(1, 1, 1), clearance=5)
 @pytest.mark.parametrize(
     ("call", "error", "text"),
     [
-        (lambda: sim.LidarModel.preset("os9"), ConfigError, "expected one of os0-128, .*'os9'"),
+        (lambda: sim.LidarModel.preset("os9"), ConfigError, "expected one of os0-32, .*'os9'"),
         (lambda: sim.LidarModel.preset("vlp-16", range_max=0.1), ConfigError, "range_min < range"),
         (lambda: sim.Sphere(radius=0), ConfigError, "radius: .*greater than 0"),
         (lambda: sim.Hover(position=(0, 0, 0), rotation=(0, 0, 0, 2)), ConfigError, "unit quat"),

@@ -1,6 +1,7 @@
 """What a 2D LiDAR measures: which rays, and from where to where."""
 
 import math
+from collections.abc import Mapping
 from typing import Any, Self
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from lidar_core.config import Config
+from lidar_core.sensors import sensor_named
 
 _MOST_BEAMS = 100_000
 
@@ -15,6 +17,7 @@ _MOST_BEAMS = 100_000
 class Scanner(Config):
     """A 2D LiDAR; the defaults are the paper's: a Hokuyo UTM-30LX, limited to 10 m.
 
+    `preset`, a 2D sensor of `lidar_core.sensors.SENSORS`, fills in what is not given beside it.
     Values may be given by position, in the order of the fields. Source: Sanchez-Lopez et al.,
     sec. VI-B.
 
@@ -55,6 +58,14 @@ class Scanner(Config):
     # As in Config: a scanner inside another model is validated as a part of it.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_preset(cls, values: Any) -> Any:
+        if not isinstance(values, Mapping) or "preset" not in values:
+            return values
+        given = dict(values)
+        return {**_values_of(given.pop("preset")), **given}
+
     @model_validator(mode="after")
     def _is_a_sweep(self) -> Self:
         if not 0 < self.field_of_view <= 2 * math.pi + abs(self.angle_increment):
@@ -75,3 +86,11 @@ class Scanner(Config):
         """Bearing of every ray, shape (n_beams,) [rad]."""
         steps = np.arange(self.n_beams, dtype=np.float64)
         return np.asarray(self.angle_min + self.angle_increment * steps, dtype=np.float64)
+
+
+def _values_of(preset: str) -> dict[str, Any]:
+    model = sensor_named(preset, kind="planar").model
+    names = {"beams": "n_beams"}
+    shape = {names.get(name, name): value for name, value in model["pattern"].items()
+             if name in ("beams", "angle_min", "angle_increment")}  # fmt: skip
+    return {**shape, "range_min": model["range_min"], "range_max": model["range_max"]}

@@ -15,6 +15,14 @@ ModelOption = Annotated[
 ]
 ModeOption = Annotated[Mode, typer.Option(help="Whose defaults.")]
 
+PresetOption = Annotated[
+    str | None,
+    typer.Option(
+        help="A LiDAR, such as vlp-16 or tim571, for flying, circles or scene; or for scene a"
+        " built-in one, such as demo or circles-lab."
+    ),
+]
+
 app = typer.Typer(help="Show, start and describe configuration files (TOML).", no_args_is_help=True)
 
 
@@ -24,13 +32,14 @@ def show(
     *,
     model: ModelOption = "flying",
     mode: ModeOption = "best",
+    preset: PresetOption = None,
     changed: Annotated[bool, typer.Option(help="Only what differs from the defaults.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
 ) -> None:
-    """Every value in force, FILE's over those of MODE; marked if not best mode's default."""
+    """Every value in force, FILE's over those of PRESET and MODE; marked if no default."""
     from lidar_core.cli.settings import file_values, merged
 
-    defaults, config = _defaults(model, "best"), _defaults(model, mode)
+    defaults, config = _defaults(model, "best"), _defaults(model, mode, preset)
     if file is not None:
         config = type(defaults).load(merged(config.model_dump(), file_values(file, model)))
     if as_json:
@@ -61,13 +70,14 @@ def init(
     ] = None,
     model: ModelOption = "flying",
     mode: ModeOption = "best",
+    preset: PresetOption = None,
     overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False,
 ) -> None:
     """Write a file with every parameter, its meaning, unit and range."""
     from lidar_core.errors import ConfigError
     from lidar_core.parameters import commented_toml
 
-    text = commented_toml(_defaults(model, mode))
+    text = commented_toml(_defaults(model, mode, preset))
     if output is None:
         print(text, end="")
         return
@@ -85,7 +95,28 @@ def schema(*, model: ModelOption = "flying") -> None:
     print(json.dumps(model_named(model).model_json_schema(), indent=2))
 
 
-def _defaults(model: str, mode: Mode) -> "Config":
+def _defaults(model: str, mode: Mode, preset: str | None = None) -> "Config":
+    config = _of_mode(model, mode)
+    return config if preset is None else _with_preset(model, config, preset)
+
+
+def _with_preset(model: str, config: "Config", preset: str) -> "Config":
+    from lidar_core.circles import Scanner
+    from lidar_core.cli.simulate import BUILT_IN, scene_named, with_sensor
+    from lidar_core.errors import ConfigError
+    from lidar_core.flying import SensorConfig
+    from lidar_core.sim import Scene
+
+    if isinstance(config, Scene):
+        return scene_named(preset, 0) if preset in BUILT_IN else with_sensor(config, preset)
+    if model == "circles":
+        return config.model_copy(update={"scanner": Scanner.load({"preset": preset})})
+    if model == "flying":
+        return config.model_copy(update={"sensor": SensorConfig.preset(preset)})
+    raise ConfigError(f"preset: {model} has none; flying, circles and scene have")
+
+
+def _of_mode(model: str, mode: Mode) -> "Config":
     from lidar_core.errors import ConfigError
     from lidar_core.parameters import model_named
 

@@ -10,6 +10,8 @@ from lidar_core.cli.common import JsonFile, consoles, progress_on, write_json
 if TYPE_CHECKING:
     from lidar_core.sim import Scene
 
+BUILT_IN = ("demo", "performance-1", "performance-2", "circles", "circles-room", "circles-lab")
+
 
 def command(
     scene: Annotated[
@@ -28,6 +30,9 @@ def command(
             help="Recording to write: .npz, .mcap, .bag, or a folder; .csv for overflight.",
         ),
     ],
+    sensor: Annotated[
+        str | None, typer.Option(help="LiDAR instead of the scene's, such as vlp-16 or tim571.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of noise and random motions.")] = 0,
     scans: Annotated[
         int | None, typer.Option(min=1, help="Length; without it as the scene says.")
@@ -43,7 +48,9 @@ def command(
 
     from lidar_core.sim.recording import record
 
-    model = _scene(scene, seed)
+    model = scene_named(scene, seed)
+    if sensor is not None:
+        model = with_sensor(model, sensor)
     out, errors = consoles(json)
     with progress_on(errors) as progress:
         task = progress.add_task("simulate", total=model.scans if scans is None else scans)
@@ -82,7 +89,15 @@ def _overfly(output: Path, seed: int, rows: int | None, *, json: Path | None) ->
     out.print(f"  {output}", markup=False, highlight=False, soft_wrap=True)
 
 
-def _scene(name: str, seed: int) -> "Scene":
+def with_sensor(scene: "Scene", name: str) -> "Scene":
+    """The scene, seen by the LiDAR of a preset."""
+    from lidar_core.sim import LidarModel
+
+    return scene.model_copy(update={"lidar": LidarModel.preset(name)})
+
+
+def scene_named(name: str, seed: int) -> "Scene":
+    """A built-in scene, or that of a file."""
     from lidar_core.sim import Scene, circle_scenes, scenes
 
     if name == "demo":

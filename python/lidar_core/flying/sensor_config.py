@@ -1,12 +1,20 @@
 """Configuration of one LiDAR, and the rays of some that are sold."""
 
 import math
-from typing import Literal
+from typing import Literal, Self, TypeAlias
 
 from pydantic import Field, model_validator
 
 from lidar_core.config import Config
+from lidar_core.errors import ConfigError
 from lidar_core.flying.config_types import MOST_SCANS, Box
+from lidar_core.sensors import SENSORS, sensor_named
+
+BeamPreset: TypeAlias = Literal[
+    "os0-32", "os0-64", "os0-128", "os1-32", "os1-64", "os1-128", "os2-32", "os2-64", "os2-128",
+    "vlp-16", "hdl-32e", "hdl-64e", "vls-128", "xt32", "pandar64", "qt128", "learnt",
+]  # fmt: skip
+"""Sensors with rows that turn, and rows that are learnt."""
 
 
 class SensorConfig(Config):
@@ -40,7 +48,7 @@ class SensorConfig(Config):
         False,
         description="Masks skip only rays without return (the authors' code), not all (no unit).",
     )
-    beams: Literal["vlp-16", "hdl-32e", "hdl-64e", "learnt"] | None = Field(
+    beams: BeamPreset | None = Field(
         None,
         description="Rays of a sensor whose driver drops those without return: a preset, or learnt"
         " from the points (no unit). None: such rays are given, or open sky is not cleared.",
@@ -63,6 +71,21 @@ class SensorConfig(Config):
         " (count, no unit).",
     )
 
+    @classmethod
+    def preset(cls, name: str) -> Self:
+        """What differs from the defaults for a 3D sensor of `lidar_core.sensors.SENSORS`.
+
+        Raises
+        ------
+        ConfigError
+            There is no such 3D sensor.
+        """
+        sensor = sensor_named(name)
+        if sensor.is_planar:
+            raise ConfigError(f"preset: expected a 3D LiDAR, got {name!r}")
+        near = max(sensor.model.get("range_min", 0.0), cls().min_range)
+        return cls.load({"min_range": near, "beams": name if sensor.drops_rays else None})
+
     @model_validator(mode="before")
     @classmethod
     def _fill_preset(cls, values: dict[str, object]) -> dict[str, object]:
@@ -79,15 +102,11 @@ class SensorConfig(Config):
 
 
 BEAM_PRESETS: dict[str, tuple[int, tuple[float, ...]]] = {
-    "vlp-16": (1800, tuple(range(-15, 16, 2))),
-    "hdl-32e": (2170, tuple(-30.67 + 41.34 * row / 31 for row in range(32))),
-    "hdl-64e": (
-        2083,
-        (
-            *(-24.33 + row * (24.33 - 8.83) / 31 for row in range(32)),
-            *(-8.33 + row * (8.33 + 2.0) / 31 for row in range(32)),
-        ),
-    ),
+    **{
+        name: (sensor.pattern["columns"], tuple(sorted(sensor.pattern["elevations_deg"])))
+        for name, sensor in SENSORS.items()
+        if sensor.pattern["kind"] == "spinning"
+    },
     "learnt": (1800, ()),
 }
-"""Rays per revolution at 10 Hz and elevations [deg], after the manufacturers' data sheets."""
+"""Rays per revolution at 10 Hz and elevations, lowest first [deg]."""

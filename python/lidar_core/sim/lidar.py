@@ -3,11 +3,10 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from lidar_core.config import Config
-from lidar_core.errors import ConfigError
+from lidar_core.sensors import sensor_named
 
 
 class Spinning(Config):
@@ -28,7 +27,8 @@ class Spinning(Config):
 class Rosette(Config):
     """One ray after the other; turns and swings without common measure never repeat.
 
-    The swing is a triangle wave in elevation. Modelled on what non-repetitive sensors show,
+    The swing is a triangle wave in elevation; with `azimuth_half_deg`, azimuth has one instead of
+    turning. Modelled on what non-repetitive sensors show,
     not on a maker's formula.
     """
 
@@ -36,7 +36,10 @@ class Rosette(Config):
     rays: int = Field(20_000, ge=1, le=4_000_000, description="Rays per scan (no unit).")
     elevation_min_deg: float = Field(ge=-90, le=90, description="Lowest elevation [deg].")
     elevation_max_deg: float = Field(ge=-90, le=90, description="Highest elevation [deg].")
-    turn_rate: float = Field(16.180_339_887, gt=0, description="Turns in azimuth [Hz].")
+    azimuth_half_deg: float | None = Field(
+        None, gt=0, lt=180, description="Azimuth to either side of the x axis; none: turns [deg]."
+    )
+    turn_rate: float = Field(16.180_339_887, gt=0, description="Turns, or swings, in azimuth [Hz].")
     swing_rate: float = Field(2236.067_977, gt=0, description="Swings in elevation [Hz].")
 
 
@@ -83,9 +86,7 @@ class Beam(Config):
 class LidarModel(Config):
     """A LiDAR. `preset` fills in every value that is not given beside it.
 
-    Presets: os0-128, os1-128, os2-128, vlp-16, hdl-32e, livox-mid360, and in 2D utm-30lx,
-    urg-04lx, lms111. Source: the makers' data sheets, rounded; range noise and rates are typical
-    values.
+    Presets are the names of `lidar_core.sensors.SENSORS`, after the makers' data sheets.
     """
 
     pattern: Annotated[Spinning | Rosette | Planar, Field(discriminator="kind")] = Field(
@@ -134,9 +135,7 @@ class LidarModel(Config):
             return values
         given = dict(values)
         name = given.pop("preset")
-        if name not in _PRESETS:
-            raise ConfigError(f"preset: expected one of {', '.join(_PRESETS)}, got {name!r}")
-        return {**_PRESETS[name], **given}
+        return {**sensor_named(name).model, **given}
 
     @model_validator(mode="after")
     def _ranges_are_ordered(self) -> Self:
@@ -151,63 +150,3 @@ class LidarModel(Config):
             if not self.snapshot and sweep_ns > self.period_ns:
                 raise ValueError("expected sweep_time within 1 / scan_rate")
         return self
-
-
-def _spinning(top: float, bottom: float, rows: int, columns: int) -> dict[str, Any]:
-    elevations = tuple(np.linspace(top, bottom, rows).tolist())
-    return {"kind": "spinning", "elevations_deg": elevations, "columns": columns}
-
-
-def _planar(angle_deg: float, beams: int, sweep_time: float) -> dict[str, Any]:
-    angle = float(np.deg2rad(angle_deg))
-    return {
-        "kind": "planar",
-        "beams": beams,
-        "angle_min": -angle / 2,
-        "angle_increment": angle / (beams - 1),
-        "sweep_time": sweep_time,
-    }
-
-
-_PRESETS: dict[str, dict[str, Any]] = {
-    "os0-128": {"pattern": _spinning(45.0, -45.0, 128, 1024), "range_max": 50.0},
-    "os1-128": {"pattern": _spinning(22.5, -22.5, 128, 1024), "range_max": 100.0},
-    "os2-128": {
-        "pattern": _spinning(11.25, -11.25, 128, 1024),
-        "range_min": 0.8,
-        "range_max": 200.0,
-    },
-    "vlp-16": {"pattern": _spinning(15.0, -15.0, 16, 1800), "range_min": 0.5, "range_max": 100.0},
-    "hdl-32e": {
-        "pattern": _spinning(10.67, -30.67, 32, 2170),
-        "range_min": 0.9,
-        "range_max": 80.0,
-        "range_std": 0.02,
-    },
-    "livox-mid360": {
-        "pattern": {"kind": "rosette", "elevation_min_deg": -7.0, "elevation_max_deg": 52.0},
-        "range_min": 0.1,
-        "range_max": 40.0,
-        "range_std": 0.02,
-    },
-    "utm-30lx": {
-        "pattern": {"kind": "planar"},
-        "scan_rate": 40.0,
-        "range_min": 0.1,
-        "range_max": 30.0,
-        "range_std": 0.01,
-    },
-    "urg-04lx": {
-        "pattern": _planar(239.77, 683, 0.0667),
-        "range_min": 0.06,
-        "range_max": 4.095,
-        "range_std": 0.01,
-    },
-    "lms111": {
-        "pattern": _planar(270.0, 541, 0.015),
-        "scan_rate": 50.0,
-        "range_min": 0.5,
-        "range_max": 20.0,
-        "range_std": 0.012,
-    },
-}

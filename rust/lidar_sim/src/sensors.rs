@@ -23,14 +23,16 @@ pub enum Pattern {
         /// Turn of the whole pattern from one scan to the next [rad].
         azimuth_per_scan: f64,
     },
-    /// One ray after the other along a rosette that does not repeat: azimuth turns, elevation
-    /// swings up and down at a rate that has no common measure with the turns.
+    /// One ray after the other along a rosette that does not repeat: azimuth turns, or swings to
+    /// and fro, elevation swings up and down at a rate that has no common measure with it.
     Rosette {
         /// Rays per scan.
         rays: usize,
         /// Lowest and highest elevation [rad].
         elevation: [f64; 2],
-        /// Turns per second [Hz].
+        /// Azimuth to either side of the x axis [rad]; none for whole turns.
+        azimuth_half: Option<f64>,
+        /// Turns, or swings of azimuth, per second [Hz].
         turn_rate: f64,
         /// Swings (up and down) per second [Hz].
         swing_rate: f64,
@@ -157,8 +159,8 @@ impl Lidar {
                 let start = azimuth_start + azimuth_per_scan * scan as f64;
                 self.spinning(elevations, *columns, start)
             }
-            Pattern::Rosette { rays, elevation, turn_rate, swing_rate } => {
-                self.rosette(scan, *rays, *elevation, [*turn_rate, *swing_rate])
+            Pattern::Rosette { rays, elevation, azimuth_half, turn_rate, swing_rate } => {
+                self.rosette(scan, *rays, *elevation, *azimuth_half, [*turn_rate, *swing_rate])
             }
             Pattern::Planar { rays, angle_min, angle_increment, time_increment_ns } => {
                 let step_ns = if self.snapshot { 0 } else { *time_increment_ns };
@@ -181,13 +183,24 @@ impl Lidar {
         Sweep { directions, firings, offsets_ns: self.offsets(columns) }
     }
 
-    fn rosette(&self, scan: u64, rays: usize, elevation: [f64; 2], rates: [f64; 2]) -> Sweep {
+    fn rosette(
+        &self,
+        scan: u64,
+        rays: usize,
+        elevation: [f64; 2],
+        azimuth_half: Option<f64>,
+        rates: [f64; 2],
+    ) -> Sweep {
         let offsets_ns = self.offsets(rays);
         let step = self.period_ns as f64 * 1e-9 / rays as f64;
         let direction = |ray: usize| {
             let time = (scan as f64 * rays as f64 + ray as f64) * step;
-            let azimuth = TAU * (rates[0] * time).fract();
-            let swing = (2.0 * (rates[1] * time).fract() - 1.0).abs(); // triangle wave, 0 to 1
+            let [turn, swing] = [rates[0] * time, rates[1] * time].map(f64::fract);
+            let azimuth = match azimuth_half {
+                Some(half) => half * (2.0 * triangle(turn) - 1.0),
+                None => TAU * turn,
+            };
+            let swing = triangle(swing);
             let height = elevation[0] + swing * (elevation[1] - elevation[0]);
             let flat = libm::cos(height);
             [flat * libm::cos(azimuth), flat * libm::sin(azimuth), libm::sin(height)]
@@ -269,6 +282,11 @@ impl Beam {
             .map(|angle| [libm::cos(angle), libm::sin(angle)])
             .collect()
     }
+}
+
+/// A triangle wave, from 1 down to 0 and up again while `phase` goes from 0 to 1.
+fn triangle(phase: f64) -> f64 {
+    (2.0 * phase - 1.0).abs()
 }
 
 fn planar(rays: usize, [start, step]: [f64; 2], step_ns: i64) -> Sweep {

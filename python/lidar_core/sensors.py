@@ -1,0 +1,186 @@
+"""LiDARs that are sold: what their data sheets say, once, for simulator, detector and circles.
+
+Rounded. Rows are even between the first and the last where no other ones are given; ranges are
+those on dark surfaces where a sheet gives them, noise (one standard deviation) and shortest ranges
+typical values where it gives none.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import radians
+from typing import Any
+
+import numpy as np
+
+from lidar_core.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """One LiDAR.
+
+    Attributes
+    ----------
+    title : str
+        Maker and name.
+    source : str
+        Where the numbers come from, and what differs from the real pattern.
+    model : mapping
+        Values of `lidar_core.sim.LidarModel`.
+    drops_rays : bool
+        Whether its driver leaves out rays without return.
+    """
+
+    title: str
+    source: str
+    model: Mapping[str, Any]
+    drops_rays: bool = False
+
+    @property
+    def pattern(self) -> Mapping[str, Any]:
+        """Directions of its rays."""
+        pattern: Mapping[str, Any] = self.model["pattern"]
+        return pattern
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether it is a 2D LiDAR."""
+        return bool(self.pattern["kind"] == "planar")
+
+
+def sensor_named(name: str, *, kind: str | None = None) -> Sensor:
+    """Return the sensor that presets call `name`.
+
+    Raises
+    ------
+    ConfigError
+        There is none, or none with such a pattern.
+    """
+    known = [one for one, sensor in SENSORS.items() if kind in (None, sensor.pattern["kind"])]
+    if name not in known:
+        raise ConfigError(f"preset: expected one of {', '.join(known)}, got {name!r}")
+    return SENSORS[name]
+
+
+def _even(top: float, bottom: float, rows: int) -> tuple[float, ...]:
+    return tuple(np.linspace(top, bottom, rows).tolist())
+
+
+def _spinning(elevations_deg: tuple[float, ...], columns: int, **more: Any) -> dict[str, Any]:
+    pattern = {"kind": "spinning", "elevations_deg": elevations_deg, "columns": columns}
+    return {"pattern": pattern, **more}
+
+
+def _rosette(elevation_deg: tuple[float, float], **pattern: Any) -> dict[str, Any]:
+    low, high = elevation_deg
+    return {"kind": "rosette", "elevation_min_deg": low, "elevation_max_deg": high, **pattern}
+
+
+def _planar(angle_deg: float, beams: int, sweep_time: float, **more: Any) -> dict[str, Any]:
+    angle = radians(angle_deg)
+    pattern = {
+        "kind": "planar", "beams": beams, "angle_min": -angle / 2,
+        "angle_increment": angle / (beams - 1), "sweep_time": sweep_time,
+    }  # fmt: skip
+    return {"pattern": pattern, **more}
+
+
+_OUSTER = {
+    "os0": (45.0, {"range_max": 50.0}),
+    "os1": (22.5, {"range_max": 100.0}),
+    "os2": (11.25, {"range_min": 0.8, "range_max": 200.0}),
+}
+_HDL64 = (*_even(2.0, -8.33, 32), *_even(-8.83, -24.33, 32))
+_PANDAR64 = (
+    15.0, 11.0, 8.0, 5.0, 3.0, 2.0, *_even(11 / 6, -6.0, 48),
+    *_even(-7.0, -14.0, 8), -19.0, -25.0,
+)  # fmt: skip
+
+SENSORS: Mapping[str, Sensor] = {
+    **{
+        f"{name}-{rows}": Sensor(
+            f"Ouster {name.upper()}-{rows}",
+            "data sheet; 1024 columns at 10 Hz",
+            _spinning(_even(half, -half, rows), 1024, **ranges),
+        )
+        for name, (half, ranges) in _OUSTER.items()
+        for rows in (32, 64, 128)
+    },
+    "vlp-16": Sensor(
+        "Velodyne VLP-16", "data sheet; 0.2° at 10 Hz",
+        _spinning(_even(15.0, -15.0, 16), 1800, range_min=0.5, range_max=100.0), drops_rays=True,
+    ),
+    "hdl-32e": Sensor(
+        "Velodyne HDL-32E", "data sheet; 46.08 us per firing",
+        _spinning(_even(10.67, -30.67, 32), 2170, range_min=0.9, range_max=80.0, range_std=0.02),
+        drops_rays=True,
+    ),
+    "hdl-64e": Sensor(
+        "Velodyne HDL-64E", "data sheet; two blocks of even rows",
+        _spinning(_HDL64, 2083, range_min=0.9, range_max=120.0, range_std=0.02), drops_rays=True,
+    ),
+    "vls-128": Sensor(
+        "Velodyne VLS-128 (Alpha Prime)",
+        "manual, 53.3 us per firing; the real rows are denser about the horizon",
+        _spinning(_even(15.0, -25.0, 128), 1876, range_min=1.0, range_max=220.0), drops_rays=True,
+    ),
+    "xt32": Sensor(
+        "Hesai PandarXT-32", "data sheet; 0.18° at 10 Hz",
+        _spinning(_even(15.0, -16.0, 32), 2000, range_min=0.05, range_max=80.0, range_std=0.01),
+    ),
+    "pandar64": Sensor(
+        "Hesai Pandar64", "manual, distribution of channels; 0.2° at 10 Hz",
+        _spinning(_PANDAR64, 1800, range_max=200.0, range_std=0.02),
+    ),
+    "qt128": Sensor(
+        "Hesai QT128", "data sheet, 105.2° and 0.4° at 10 Hz; the real rows are not quite even",
+        _spinning(_even(52.6, -52.6, 128), 900, range_min=0.05, range_max=20.0, range_std=0.02),
+    ),
+    "livox-mid360": Sensor(
+        "Livox Mid-360",
+        "manual: field of view, 200,000 points/s; turns and a triangle wave of elevation stand for"
+        " the real pattern, which is not published",
+        {"pattern": _rosette((-7.0, 52.0)), "range_min": 0.1, "range_max": 40.0,
+         "range_std": 0.02},
+    ),
+    "livox-avia": Sensor(
+        "Livox Avia",
+        "manual: field of view 70.4° x 77.2°, 240,000 points/s; two triangle waves, which fill the"
+        " rectangle, stand for the real petals of six lines",
+        {"pattern": _rosette((-38.6, 38.6), rays=24_000, azimuth_half_deg=35.2),
+         "range_min": 1.0, "range_max": 190.0, "range_std": 0.02},
+    ),
+    "utm-30lx": Sensor(
+        "Hokuyo UTM-30LX", "data sheet; 1440 steps per turn of 25 ms",
+        {"pattern": {"kind": "planar"}, "scan_rate": 40.0, "range_min": 0.1, "range_max": 30.0,
+         "range_std": 0.01},
+    ),
+    "urg-04lx": Sensor(
+        "Hokuyo URG-04LX", "data sheet; 1024 steps per turn",
+        _planar(239.77, 683, 0.0667, range_min=0.06, range_max=4.095, range_std=0.01),
+    ),
+    "rplidar-s1": Sensor(
+        "Slamtec RPLIDAR S1", "data sheet: 9,200 points/s at 10 Hz; 10 m on black, 40 m on white",
+        _planar(360.0 - 360.0 / 920, 920, 0.0998, range_min=0.1, range_max=40.0,
+                range_std=0.05),
+    ),
+    "lms111": Sensor(
+        "SICK LMS111", "data sheet; 0.5° at 50 Hz",
+        _planar(270.0, 541, 0.015, scan_rate=50.0, range_min=0.5, range_max=20.0,
+                range_std=0.012),
+    ),
+    "lms151": Sensor(
+        "SICK LMS151", "data sheet; 0.5° at 50 Hz, 50 m",
+        _planar(270.0, 541, 0.015, scan_rate=50.0, range_min=0.5, range_max=50.0,
+                range_std=0.012),
+    ),
+    "tim551": Sensor(
+        "SICK TiM551", "data sheet; 1° at 15 Hz",
+        _planar(270.0, 271, 0.05, scan_rate=15.0, range_min=0.05, range_max=10.0, range_std=0.02),
+    ),
+    "tim571": Sensor(
+        "SICK TiM571", "data sheet; 0.33° at 15 Hz",
+        _planar(270.0, 811, 0.05, scan_rate=15.0, range_min=0.05, range_max=25.0, range_std=0.02),
+    ),
+}  # fmt: skip
+"""By the name that presets have."""
