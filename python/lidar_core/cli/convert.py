@@ -23,10 +23,9 @@ def command(
     output: Annotated[
         Path,
         typer.Argument(
-            help="Recording to write: NAME.npz, NAME.mcap (Foxglove), NAME.bag (ROS 1), or a new"
-            " folder (ROS 2). From one cloud or map (map.lcvm, .pcd, .ply, .las, .bt, meshes):"
-            " NAME.pcd, NAME.ply or NAME.bt (OctoMap). From a run: its objects as NAME.json"
-            " (nuScenes), NAME.txt (MOTChallenge), NAME.bag or a folder (obstacles of ROS)."
+            help="NAME.npz, NAME.mcap (Foxglove), NAME.bag (ROS 1), a new folder (ROS 2); of one"
+            " cloud or map NAME.pcd, NAME.ply, NAME.bt (OctoMap); of a run NAME.json (nuScenes),"
+            " NAME.txt (MOTChallenge), NAME.bag or a folder (obstacles of ROS)."
         ),
     ],
     *,
