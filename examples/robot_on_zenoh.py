@@ -11,11 +11,14 @@ import json
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
+from threading import Event
 
 import zenoh
 
 import lidar_core as lc
 from lidar_core.io.write_ros import RosMessages
+from lidar_core.live.replay import ReplaySource
 from lidar_core.live.zenoh_link import key_of
 
 ADDRESS = "tcp/127.0.0.1:7447"
@@ -38,19 +41,27 @@ def sent_at(item, stamp_ns):
     return replace(item, **moved)
 
 
-def play(path, put, *, rate=1.0):
-    """Call `put(key, bytes)` for every message of a recording, in time."""
-    messages = RosMessages(2)
-    with lc.io.open_recording(path) as recording:
-        first_ns = min(record.time_ns for record in recording.records() if record.time_ns)
-        begin_ns = time.time_ns()
-        for item in recording:
-            due_ns = begin_ns + round((item.stamp_ns - first_ns) / rate)
-            topic, message = messages.of(sent_at(item, due_ns))
-            type_hash = messages.store.hash_rihs01(message.__msgtype__)
-            raw = messages.packed(message)
-            time.sleep(max(due_ns - time.time_ns(), 0) * 1e-9)
-            put(key_of(topic, message.__msgtype__, type_hash, domain=0), raw)
+class Publisher(lc.live.Inbox):
+    """Takes what a replay gives, and publishes it."""
+
+    def __init__(self, replay, put):
+        super().__init__(max_poses=1)
+        self.replay, self.send = replay, put
+        self.messages = RosMessages(2)
+        self.ended = Event()
+
+    def put(self, record):
+        """Publish the scans and poses of one record."""
+        for item in record.decode():
+            lead_ns = self.replay.lead_ns(item.stamp_ns)
+            topic, message = self.messages.of(sent_at(item, item.stamp_ns + lead_ns))
+            type_hash = self.messages.store.hash_rihs01(message.__msgtype__)
+            key = key_of(topic, message.__msgtype__, type_hash, domain=0)
+            self.send(key, self.messages.packed(message))
+
+    def finish(self):
+        """Note that the recording ended."""
+        self.ended.set()
 
 
 def main(path, rate="1", address=ADDRESS):
@@ -60,7 +71,11 @@ def main(path, rate="1", address=ADDRESS):
     while not list(session.info.peers_zid()):
         time.sleep(0.1)
     time.sleep(1.0)  # until it has subscribed
-    play(path, session.put, rate=float(rate))
+    replay = ReplaySource(Path(path), lc.io.ReadOptions(), rate=float(rate))
+    publisher = Publisher(replay, session.put)
+    replay.start(publisher)
+    publisher.ended.wait()
+    replay.close()
     print("played to the end")
     session.close()
 

@@ -23,6 +23,7 @@ from lidar_core.circles import CirclesConfig
 from lidar_core.cli import app
 from lidar_core.errors import ConfigError, FormatError, LinkError
 from lidar_core.io import NoTransformError, PoseOptions, ReadOptions, Topic
+from lidar_core.io.posed import span_ns
 from lidar_core.io.recording import Record, decoded
 from lidar_core.io.ros_obstacles import ObstacleArrays
 from lidar_core.io.ros_types import DETECTIONS_TYPE, ros_store
@@ -32,6 +33,7 @@ from lidar_core.live import Inbox, LiveConfig, LiveLoop, Source
 from lidar_core.live.foxglove_source import FoxgloveSource
 from lidar_core.live.pipelines import CirclesLive, LivePipeline
 from lidar_core.live.poses import LivePoses
+from lidar_core.live.replay import ReplaySource
 from lidar_core.live.source import StreamTopics
 from lidar_core.live.udp_source import UdpSource
 from lidar_core.live.zenoh_link import key_of, topic_of
@@ -656,6 +658,32 @@ def test_a_replay_is_processed_and_leaves_whole_files(circles, tmp_path):
         counts = {topic.name: topic.count for topic in recording.topics()}
     assert counts["/circles"] == summary["processed"]
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+
+
+def test_a_replay_gives_scans_with_their_last_ray(circles):
+    """As drivers do, so that a latency is none of waiting for the poses of a sweep."""
+
+    class Noted(Inbox):
+        def put(self, record):
+            noted.append((time.time_ns(), record))
+
+    noted = []
+    source, inbox = ReplaySource(circles, ReadOptions(), rate=4.0), Noted(max_poses=1)
+    source.start(inbox)
+    assert inbox.take(PATIENCE_S).is_finished
+    source.close()
+    times, late_ms = [], []
+    for time_ns, item in noted:
+        (message,) = item.decode()
+        is_scan = isinstance(message, LaserScan)
+        end_ns = span_ns(message)[1] if is_scan else message.stamp_ns
+        assert not is_scan or end_ns > message.stamp_ns
+        times.append(end_ns)
+        late_ms.append((time_ns - end_ns - source.lead_ns(end_ns)) * 1e-6)
+    moving = [end for end in times if end]
+    assert moving == sorted(moving)
+    assert min(late_ms) >= -0.001
+    assert sum(isinstance(item.decode()[0], LaserScan) for _, item in noted) == SCANS
 
 
 def test_ctrl_c_ends_a_replay_with_whole_files(circles, tmp_path):

@@ -1,15 +1,19 @@
 """A recording, played as if it came from a robot."""
 
+import heapq
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from threading import Event, Thread
 
 from lidar_core.errors import LidarCoreError
 from lidar_core.io import ReadOptions, open_recording
+from lidar_core.io.posed import span_ns
 from lidar_core.io.recording import POSE_KINDS, SCAN_KINDS, Record, Recording, decoded
 from lidar_core.live.inbox import Inbox
 from lidar_core.live.source import Source
+from lidar_core.messages import Pose
 
 
 class ReplaySource(Source):
@@ -52,17 +56,31 @@ class ReplaySource(Source):
 
     def _play(self, inbox: Inbox) -> None:
         try:
-            for record in self._recording.records(POSE_KINDS | SCAN_KINDS):
-                if not self._begin_ns:
-                    self._begin_ns, self._first_ns = time.time_ns(), record.time_ns
-                played = self._read(record, inbox)
-                wait_ns = record.time_ns + self.lead_ns(record.time_ns) - time.time_ns()
+            for due_ns, record in self._in_turn(inbox):
+                wait_ns = due_ns + self.lead_ns(due_ns) - time.time_ns()
                 if self._ended.wait(max(wait_ns, 0) * 1e-9):
                     return
-                inbox.put(played)
+                inbox.put(record)
             inbox.finish()
         except Exception as error:  # whatever it is, the loop raises it where the user is
             inbox.fail(error)
+
+    def _in_turn(self, inbox: Inbox) -> Iterator[tuple[int, Record]]:
+        """Records by the times at which a robot has them: a scan with its last ray."""
+        waiting: list[tuple[int, int, Record]] = []
+        for number, record in enumerate(self._recording.records(POSE_KINDS | SCAN_KINDS)):
+            if not self._begin_ns:
+                self._begin_ns, self._first_ns = time.time_ns(), record.time_ns
+            while waiting and waiting[0][0] <= record.time_ns:
+                due_ns, _, earlier = heapq.heappop(waiting)
+                yield due_ns, earlier
+            played = self._read(record, inbox)
+            scans = (item for item in played.decode() if not isinstance(item, Pose))
+            ends_ns = (span_ns(scan)[1] for scan in scans)
+            heapq.heappush(waiting, (max(record.time_ns, *ends_ns, 0), number, played))
+        while waiting:
+            due_ns, _, last = heapq.heappop(waiting)
+            yield due_ns, last
 
     def _read(self, record: Record, inbox: Inbox) -> Record:
         """The record, decoded: readers do not do that after they went on to the next one."""
