@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from contextlib import contextmanager
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ import lidar_core.io
 from lidar_core.circles import CirclesConfig
 from lidar_core.cli import app
 from lidar_core.errors import ConfigError, FormatError, LinkError
+from lidar_core.flying import FlyingObjectDetector
 from lidar_core.io import NoTransformError, PoseOptions, ReadOptions, Topic
 from lidar_core.io.posed import span_ns
 from lidar_core.io.recording import Record, decoded
@@ -31,7 +33,8 @@ from lidar_core.io.write_mcap import FoxgloveLog
 from lidar_core.io.write_ros import RosMessages
 from lidar_core.live import Inbox, LiveConfig, LiveLoop, Source
 from lidar_core.live.foxglove_source import FoxgloveSource
-from lidar_core.live.pipelines import CirclesLive, LivePipeline
+from lidar_core.live.outputs import McapOutput, RerunOutput
+from lidar_core.live.pipelines import CirclesLive, FlyingLive, LivePipeline
 from lidar_core.live.poses import LivePoses
 from lidar_core.live.replay import ReplaySource
 from lidar_core.live.source import StreamTopics
@@ -322,6 +325,46 @@ def test_objects_become_detections_and_odometry():
     assert odometry.twist.twist.linear.z == 6.0
     assert odometry.twist.covariance.reshape(6, 6)[2, 2] == 6.0
     assert odometry.pose.pose.position.y == 2.0
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory):
+    path = tmp_path_factory.mktemp("live") / "street.npz"
+    done = CliRunner().invoke(app, ["simulate", "demo", "-o", str(path), "--scans", "12"])
+    assert done.exit_code == 0, done.output
+    return path
+
+
+def test_flying_objects_go_to_viewers_by_class_and_with_numbers(street, tmp_path):
+    pipeline = FlyingLive(FlyingObjectDetector())
+    outputs = [McapOutput(tmp_path / "a.mcap")]
+    if find_spec("rerun") is not None:
+        outputs.append(RerunOutput(tmp_path / "a.rrd"))
+    with lc.io.open_recording(street) as recording:
+        for item in lc.io.posed_scans(recording):
+            assert pipeline.is_ready(item.scan)
+            update = pipeline.take(item, "world")
+            for output in outputs:
+                output.publish(update)
+    for output in outputs:
+        output.close()
+    moment = update.moment()
+    assert len(moment.objects.id) == 2
+    assert update.covariance.shape == (2, 6, 6)
+    assert set(np.unique(moment.point_class)) <= {1, 2, 3}
+    assert np.quantile(moment.points[:, 2], 0.05) == pytest.approx(0.0, abs=0.15)
+    flying = moment.points[moment.point_class == 2]
+    away = np.linalg.norm(flying[:, None] - moment.objects.position[None], axis=2).min(axis=1)
+    assert np.median(away) < 0.5
+    with lc.io.open_recording(tmp_path / "a.mcap") as recording:
+        counts = {topic.name: topic.count for topic in recording.topics()}
+    assert counts["/classes"] == counts["/tracks"] == 12
+    if len(outputs) == 2:
+        done = subprocess.run(
+            [sys.executable, "-m", "rerun", "rrd", "verify", tmp_path / "a.rrd"],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert "without error" in done.stdout + done.stderr
 
 
 # Other processes

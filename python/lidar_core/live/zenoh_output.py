@@ -6,15 +6,13 @@ from typing import Any
 from uuid import uuid4
 
 from lidar_core.extras import require
-from lidar_core.io.ros_obstacles import ObstacleArrays
-from lidar_core.io.ros_types import DETECTIONS_TYPE
 from lidar_core.io.write_ros import RosMessages
 from lidar_core.live.config import LiveConfig
 from lidar_core.live.outputs import Output
+from lidar_core.live.ros_update import TRACKS, TYPES, ros_messages
 from lidar_core.live.update import Update
 from lidar_core.live.zenoh_link import dds_name, key_of, open_session
 
-TRACKS, ODOMETRY = "tracks", "odometry"
 NODE = "lidar_core"
 QOS = "::,10:,:,:,,"
 """Quality of service in tokens of rmw_zenoh: all defaults, the last ten are kept."""
@@ -47,11 +45,10 @@ class ZenohOutput(Output):
         self._session = open_session(endpoint, timeout=config.connect_timeout)
         self._config = config
         self._count = 0
-        types = {TRACKS: DETECTIONS_TYPE, ODOMETRY: "nav_msgs/msg/Odometry"}
         self._gid = uuid4().bytes
         self._tokens = [self._token("NN", 0, "")]
         self._publishers: dict[str, list[Any]] = {}
-        for number, (name, type_name) in enumerate(types.items(), 1):
+        for number, (name, type_name) in enumerate(TYPES.items(), 1):
             topic = f"{config.namespace}/{name}"
             type_hash = self._messages.store.hash_rihs01(type_name)
             keys = key_of(topic, type_name, type_hash, domain=config.domain), topic.strip("/")
@@ -62,11 +59,8 @@ class ZenohOutput(Output):
 
     def publish(self, update: Update) -> None:
         """Send tracks and the odometry of each."""
-        make = ObstacleArrays(self._messages, frame_id=update.frame_id, name=update.capability)
-        stamp_ns, objects = update.stamp_ns, update.objects
-        self._put(TRACKS, make.message(DETECTIONS_TYPE, stamp_ns, objects))
-        for odometry in make.odometry(stamp_ns, objects, update.covariance):
-            self._put(ODOMETRY, odometry)
+        for name, message in ros_messages(update, self._messages):
+            self._put(name, message)
 
     def close(self) -> None:
         """End the session."""

@@ -1,0 +1,22 @@
+"""What ROS 2 gets of an update, whatever carries it."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from lidar_core.io.ros_obstacles import ObstacleArrays
+from lidar_core.io.ros_types import DETECTIONS_TYPE
+from lidar_core.io.write_ros import RosMessages
+from lidar_core.live.update import Update
+
+TRACKS, ODOMETRY = "tracks", "odometry"
+TYPES = {TRACKS: DETECTIONS_TYPE, ODOMETRY: "nav_msgs/msg/Odometry"}
+"""Types of the messages, by the last part of the topic."""
+
+
+def ros_messages(update: Update, messages: RosMessages) -> Iterator[tuple[str, Any]]:
+    """Last part of the topic, and message: detections of all objects, the odometry of each."""
+    make = ObstacleArrays(messages, frame_id=update.frame_id, name=update.capability)
+    stamp_ns, objects = update.stamp_ns, update.objects
+    yield TRACKS, make.message(DETECTIONS_TYPE, stamp_ns, objects)
+    for odometry in make.odometry(stamp_ns, objects, update.covariance):
+        yield ODOMETRY, odometry
