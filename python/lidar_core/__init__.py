@@ -1,10 +1,8 @@
 """From raw LiDAR to the list of things around a robot that matter."""
 
 from importlib import import_module
-from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from lidar_core import circles, flying
 from lidar_core._core import __version__
 from lidar_core.errors import (
     ConfigError,
@@ -17,22 +15,33 @@ from lidar_core.errors import (
     MissingExtraError,
     NumericalError,
 )
-from lidar_core.flying.config import VoxelMapConfig
-from lidar_core.flying.voxel_map import IntegrateStats, VoxelMap
 from lidar_core.geometry import cluster_points, traverse
 
 if TYPE_CHECKING:
+    from lidar_core import circles as circles
     from lidar_core import estimation as estimation
     from lidar_core import evaluation as evaluation
+    from lidar_core import flying as flying
     from lidar_core import fusion as fusion
     from lidar_core import io as io
     from lidar_core import live as live
     from lidar_core import reproduce as reproduce
     from lidar_core import sim as sim
     from lidar_core import viz as viz
+    from lidar_core.flying.config import VoxelMapConfig as VoxelMapConfig
+    from lidar_core.flying.voxel_map import IntegrateStats as IntegrateStats
+    from lidar_core.flying.voxel_map import VoxelMap as VoxelMap
 
-_LAZY = ("estimation", "evaluation", "fusion", "io", "live", "reproduce", "sim", "viz")
-"""Modules that are imported when they are first used."""
+_HOMES = {
+    "VoxelMapConfig": "flying.config",
+    "IntegrateStats": "flying.voxel_map",
+    "VoxelMap": "flying.voxel_map",
+}
+_LAZY = (
+    "circles", "estimation", "evaluation", "flying", "fusion", "io", "live", "reproduce", "sim",
+    "viz",
+)  # fmt: skip
+"""What is imported when it is first used."""
 
 __all__ = [
     "ConfigError",
@@ -55,7 +64,11 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> ModuleType:
+def __getattr__(name: str) -> Any:
     if name in _LAZY:
         return import_module(f"lidar_core.{name}")
+    if name in _HOMES:
+        found = getattr(import_module(f"lidar_core.{_HOMES[name]}"), name)
+        globals()[name] = found
+        return found
     raise AttributeError(f"module 'lidar_core' has no attribute {name!r}")

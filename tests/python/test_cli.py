@@ -74,6 +74,24 @@ def test_version():
     assert output_of("--version") == f"lidar-core {lidar_core.__version__}\n"
 
 
+def test_the_package_imports_numpy_and_hardly_more():
+    """Modules in place of seconds: the same on a slow machine."""
+    program = (
+        "import sys, numpy\nbefore = set(sys.modules)\nimport lidar_core\n"
+        "print(*sorted(set(sys.modules) - before))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    added = done.stdout.split()
+    assert len(added) <= 12
+    assert {name.partition(".")[0] for name in added} <= {
+        "lidar_core",
+        "numpy",
+        *sys.stdlib_module_names,
+    }
+
+
 def test_help_needs_no_heavy_import():
     program = (
         "import sys\nfrom lidar_core.cli import app\n"
@@ -165,6 +183,17 @@ def test_doctor_reports_versions_and_extras():
     assert set(report["extras"]) >= {"io", "ouster", "plot", "tables", "velodyne", "viz"}
     assert report["extras"]["plot"].keys() == {"matplotlib"}
     assert "core: works" in output_of("doctor")
+
+
+def test_doctor_tells_the_machine_and_where_recordings_are(monkeypatch, tmp_path):
+    monkeypatch.delenv("LIDAR_CORE_DATA", raising=False)
+    report = json.loads(output_of("doctor", "--json"))
+    assert 1 <= report["threads"] <= report["cores"]
+    assert report["cpu"]["architecture"]
+    assert report["recordings"] == {"variable": "LIDAR_CORE_DATA", "folder": None, "exists": False}
+    for folder, said in ((tmp_path, str(tmp_path)), (tmp_path / "x", "which is no folder")):
+        monkeypatch.setenv("LIDAR_CORE_DATA", str(folder))
+        assert said in output_of("doctor")
 
 
 def test_doctor_fails_if_the_core_does(monkeypatch):

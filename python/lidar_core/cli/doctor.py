@@ -1,13 +1,16 @@
-"""`lidar-core doctor`: what is installed, what is missing, and whether the core works."""
+"""`lidar-core doctor`: machine, what is installed, what is missing, whether the core works."""
 
 import json
 import os
 import platform
 import re
 from importlib import metadata
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+
+from lidar_core.cli.common import all_threads
 
 _REQUIREMENT = re.compile(r"(?P<name>[A-Za-z0-9._-]+).*;.*extra\s*==\s*['\"](?P<extra>[\w-]+)['\"]")
 _CORE = ("numpy", "pydantic", "onnxruntime", "typer", "rich", "tomli-w")
@@ -36,12 +39,33 @@ def _report() -> dict[str, Any]:
         "python": platform.python_version(),
         "platform": platform.platform(),
         "cores": os.cpu_count(),
+        "threads": all_threads(),
+        "cpu": _cpu(),
+        "recordings": _recordings(),
         "core": _check_core(),
         "packages": {name: _version(name) for name in _CORE},
         "extras": {
             extra: {name: _version(name) for name in names} for extra, names in _extras().items()
         },
     }
+
+
+def _cpu() -> dict[str, Any]:
+    """Architecture, and the wide instructions that numpy finds."""
+    import numpy as np
+
+    config = np.show_config(mode="dicts")
+    found = {} if config is None else config.get("SIMD Extensions", {})
+    features = [*found.get("baseline", []), *found.get("found", [])]
+    return {"architecture": platform.machine(), "features": features}
+
+
+def _recordings() -> dict[str, Any]:
+    """Folder of the recordings that items of `reproduce` need, as the environment names it."""
+    from lidar_core.reproduce.recordings import FOLDER
+
+    named = os.environ.get(FOLDER)
+    return {"variable": FOLDER, "folder": named, "exists": bool(named and Path(named).is_dir())}
 
 
 def _check_core() -> str:
@@ -85,8 +109,11 @@ def _print(report: dict[str, Any]) -> None:
     console = Console()
     console.print(
         f"lidar_core {report['lidar_core']}, Python {report['python']}, {report['platform']},"
-        f" {report['cores']} cores"
+        f" {report['cores']} cores, {report['threads']} threads for this process"
     )
+    cpu, recordings = report["cpu"], report["recordings"]
+    console.print(f"{cpu['architecture']}: {' '.join(cpu['features'])}", markup=False)
+    console.print(_told(recordings), markup=False, highlight=False, soft_wrap=True)
     console.print(f"core: {report['core']}", style=None if report["core"] == "works" else "red")
     table = Table("extra", "packages", "to install")
     table.add_row("-", _listed(report["packages"]), "")
@@ -94,6 +121,13 @@ def _print(report: dict[str, Any]) -> None:
         cure = _cure(extra) if None in packages.values() else ""
         table.add_row(extra, _listed(packages), escape(cure))
     console.print(table)
+
+
+def _told(recordings: dict[str, Any]) -> str:
+    variable, folder = recordings["variable"], recordings["folder"]
+    if folder is None:
+        return f"{variable} is not set: items of reproduce that need recordings are left out"
+    return f"{variable}: {folder}" + ("" if recordings["exists"] else ", which is no folder")
 
 
 def _listed(packages: dict[str, str | None]) -> str:
