@@ -72,8 +72,13 @@ test-env:
 	$(TEST_VENV)/bin/python $(PIP_INSTALL) "$$wheel[$(EXTRAS)]" --group test && \
 	$(OUSTER_VENV)/bin/python $(PIP_INSTALL) "$$wheel[ouster]"
 
+# With ouster-sdk (`make test-env`) and recordings in LIDAR_CORE_DATA, real scans are measured, too.
 bench: ## Measure every stage (criterion); needs no Python.
-	cargo bench --locked
+	[ ! -x $(OUSTER_VENV)/bin/python ] || \
+	    $(OUSTER_VENV)/bin/python -W ignore benches/recorded.py $(CARGO_TARGET_DIR)/recorded
+	if [ -d $(CARGO_TARGET_DIR)/recorded ]; then \
+	    export LIDAR_CORE_SCANS=$(CARGO_TARGET_DIR)/recorded; \
+	fi; cargo bench --locked
 
 # Packages of Debian are unpacked below target/peers, not installed. Open3D has no wheel for every
 # Python: without it the simulator is left out.

@@ -3,13 +3,13 @@
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
 use lidar_core::geometry::cluster::label;
+use scenes::CLUSTERING;
 use scenes::reference::cluster_hash;
-use scenes::{CLUSTERING, street};
 
 fn cluster(c: &mut Criterion) -> Result<(), Error> {
-    for number in [1, 2] {
-        let points = street(number, 1)?[0].returns();
-        let mut group = c.benchmark_group(format!("cluster/scene_{number}"));
+    for (name, scans) in scenes::all(1)? {
+        let points = scans[0].returns();
+        let mut group = c.benchmark_group(format!("cluster/{name}"));
         group.sample_size(20);
         group.throughput(Throughput::Elements(points.len() as u64));
         group.bench_function("cluster_hash", |b| {

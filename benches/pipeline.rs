@@ -10,9 +10,8 @@ use std::time::Instant;
 const PERIOD_NS: i64 = 100_000_000;
 
 fn whole_scan(c: &mut Criterion) -> Result<(), Error> {
-    for number in [1, 2] {
-        let scans = street(number, 20)?;
-        let mut group = c.benchmark_group(format!("pipeline/scene_{number}"));
+    for (name, scans) in scenes::all(20)? {
+        let mut group = c.benchmark_group(format!("pipeline/{name}"));
         group.sample_size(10);
         group.throughput(Throughput::Elements(scans[0].world.len() as u64));
         for threads in [1, 2] {

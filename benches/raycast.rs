@@ -6,15 +6,14 @@ use lidar_core::flying::voxel_map::VoxelMap;
 use lidar_core::geometry::lattice::Lattice;
 use lidar_core::geometry::traverse::traverse;
 use scenes::reference::DenseMap;
-use scenes::{MAX_RANGE, VOXEL_SIZE, map_parameters, street};
+use scenes::{MAX_RANGE, VOXEL_SIZE, map_parameters};
 use std::ops::ControlFlow;
 
 const SCANS: u64 = 3;
 
 fn raycast(c: &mut Criterion) -> Result<(), Error> {
-    for number in [1, 2] {
-        let scans = street(number, SCANS)?;
-        let mut group = c.benchmark_group(format!("raycast/scene_{number}"));
+    for (name, scans) in scenes::all(SCANS)? {
+        let mut group = c.benchmark_group(format!("raycast/{name}"));
         group.sample_size(20);
         group.throughput(Throughput::Elements(scans[0].world.len() as u64));
 

@@ -33,7 +33,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ("tracks", "tracker, one scan; number of tracks", tracks),
         ("extent", "one scan into the map, removal of islands; length of the map [m]", extent),
     ];
-    let wanted: Vec<String> = std::env::args().skip(1).filter(|word| !word.contains('-')).collect();
+    let wanted: Vec<String> =
+        std::env::args().skip(1).filter(|word| !word.starts_with('-')).collect();
     let mut out = stdout();
     for (name, title, measure) in all {
         if !wanted.is_empty() && !wanted.iter().any(|word| word == name) {

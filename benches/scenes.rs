@@ -118,6 +118,22 @@ pub fn street(number: u32, count: u64) -> Result<Vec<Scan>, Error> {
         .collect()
 }
 
+/// Scans by their name: of both scenes, and of a real LiDAR where the variable `LIDAR_CORE_SCANS`
+/// names a folder of them.
+///
+/// # Errors
+/// Of the simulator or the file system.
+pub fn all(count: u64) -> Result<Vec<(String, Vec<Scan>)>, Error> {
+    let mut found = Vec::new();
+    for number in [1, 2] {
+        found.push((format!("scene_{number}"), street(number, count)?));
+    }
+    if let Some(folder) = std::env::var_os("LIDAR_CORE_SCANS") {
+        found.push(("recorded".to_owned(), files::read(folder.as_ref()).map_err(Error::Io)?));
+    }
+    Ok(found)
+}
+
 fn from_ranges(origin: [f64; 3], directions: &[[f64; 3]], ranges: &[f64]) -> Scan {
     let rays = directions.iter().zip(ranges);
     let ends = rays.map(|(direction, &range)| {
