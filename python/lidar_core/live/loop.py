@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic
 
-from lidar_core.errors import LidarCoreError
+from lidar_core.errors import FormatError, LidarCoreError
 from lidar_core.io import NoTransformError, PosedScan
 from lidar_core.io.posed import ScanT
 from lidar_core.live.config import LiveConfig
@@ -192,8 +192,12 @@ class LiveLoop(Generic[ScanT]):
         if topic not in self._topics:
             self.stats.ignored[within_limit(self.stats.ignored, topic)] += 1
             return
+        try:
+            self._is_ready = pipeline.is_ready(scan)
+        except FormatError as error:
+            self._reject(str(error))
+            return
         self._frame = scan.frame_id
-        self._is_ready = pipeline.is_ready(scan)
         queue = self._waiting.setdefault(topic, deque())
         queue.append(_Waiting(scan, arrival.time_ns))
         if len(queue) > self._config.max_waiting:
@@ -244,16 +248,22 @@ class LiveLoop(Generic[ScanT]):
     ) -> None:
         update = pipeline.take(posed, self._poses.fixed_frame)
         if isinstance(update, str):
-            self.stats.rejected[within_limit(self.stats.rejected, update)] += 1
+            self._reject(update)
             return
         for output in self._outputs:
-            output.publish(update)
+            try:
+                output.publish(update)
+            except LidarCoreError as error:  # such as a time that the format cannot tell
+                self._reject(f"{output.name}: {error}")
         now_ns = time.time_ns()
         self._objects = len(update.objects.id)
         self.stats.processed += 1
         stamp_ns = update.stamp_ns
         self.stats.from_arrival.add(now_ns - waiting.arrival_ns)
         self.stats.from_stamp.add(now_ns - stamp_ns - self._source.lead_ns(stamp_ns))
+
+    def _reject(self, reason: str) -> None:
+        self.stats.rejected[within_limit(self.stats.rejected, reason)] += 1
 
     def _report_if_due(self) -> None:
         now = time.monotonic()

@@ -55,7 +55,7 @@ class LiveStats:
         Scans that went through the pipeline.
     dropped, without_pose, rejected, ignored : Counter
         Scans replaced by newer ones, by topic; without a pose, by what is missing; that the
-        pipeline refused, by reason; of topics that were not asked for, by topic.
+        pipeline or an output refused, by reason; of topics that were not asked for, by topic.
     from_stamp, from_arrival : LatencyLog
         Latencies to the end of the outputs: from the stamp of the scan, and from its arrival.
     """
