@@ -78,6 +78,26 @@ def test_a_moving_object_is_followed_from_a_tilting_sensor():
     np.testing.assert_allclose(later.center - frame.map.center, frame.map.velocity, atol=1e-9)
 
 
+def test_what_is_too_near_is_left_out_and_waited_for():
+    """A post comes to 0.06 m before the scanner, which measures from 0.1 m on, and goes again."""
+    rng = np.random.default_rng(1062)
+    pipeline, here = CirclePipeline(), oracle.pose((0, 0, 1))
+    ids, too_near = set(), 0
+    for step in range(100):
+        away = 0.3 + 0.06 + 0.02 * abs(step - 50)
+        frame = pipeline.process(scan_of((away, 0, 0.3), here, rng), here, step * PERIOD_NS)
+        assert not (frame.too_near & (frame.element >= 0)).any()
+        too_near += int(frame.too_near.sum())
+        if step < 5:
+            continue
+        ids.update(frame.map.id.tolist())
+        (x, y), covariance = frame.map.center[0], frame.map.covariance[0]
+        off = np.array([x - away, y])
+        assert off @ np.linalg.solve(covariance[:2, :2], off) < 25
+    assert ids == {0}
+    assert too_near >= 3
+
+
 def test_the_stages_are_the_public_functions():
     arena = PreprocessConfig.box((-3.0, -3.0, 0.0), (6.0, 3.0, 4.0))
     config = CirclesConfig(preprocess=arena)

@@ -245,6 +245,7 @@ class CirclePipeline:
                 np.empty(0, np.uint8), np.empty((0, 5)), np.empty((0, 5, 5)), rays, numbers
             ),
             element=numbers,
+            too_near=np.empty(0, np.bool_),
             line=numbers,
             map=self.map_at(stamp),
             map_shapes=self.shapes_at(stamp),
@@ -266,6 +267,7 @@ def _frame(stamp_ns: int, scanner: str, values: dict[str, Any]) -> CircleFrame:
         circles_world=Circles(*values["circles_world"]),
         shapes=Shapes(*values["shapes"]),
         element=values["element"],
+        too_near=values["too_near"],
         line=values["line"],
         map=elements_of(values["map"], stamp_ns),
         map_shapes=shape_elements_of(values["map_shapes"], stamp_ns),

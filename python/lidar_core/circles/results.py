@@ -40,7 +40,11 @@ class CircleFrame:
         One shape per segment, in the level frame; empty if `shapes` of the configuration is off.
     element : ndarray, shape (C,), int64
         Element of the map of every segment; -1 for what is not taken into it: it has another
-        shape, or its hits do not lie on the circle.
+        shape, its hits do not lie on the circle, or it is too near.
+    too_near : ndarray, shape (C,), bool
+        Whether a segment is left out of the map since a part of it may be nearer than the scanner
+        measures: the hits that are left lie too far away in the mean. Not with
+        `CirclesConfig.shapes` off.
     line : ndarray, shape (C,), int64
         Line of the map of every segment; -1 for what is no line, or too short to be a new one.
     map : CircleElements
@@ -65,6 +69,7 @@ class CircleFrame:
     circles_world: Circles
     shapes: Shapes
     element: NDArray[np.int64]
+    too_near: NDArray[np.bool_]
     line: NDArray[np.int64]
     map: CircleElements
     map_shapes: ShapeElements

@@ -103,6 +103,10 @@ def _layouts(scans: Iterable["LaserScan"]) -> list["LaserScan"]:
     return [first[rays] for rays in usual]
 
 
+def _left_out(too_near: int) -> str:
+    return "in all scans" + (f", {too_near} more too near" if too_near else "")
+
+
 def _table(summary: Mapping[str, Any], name: str) -> "Table":
     from lidar_core.cli.recording_job import left_out
 
@@ -110,7 +114,7 @@ def _table(summary: Mapping[str, Any], name: str) -> "Table":
     rows = (
         Row("scans", str(scans["processed"]), ", ".join(left_out(summary))),
         Row("poses", "", summary["poses"]),
-        Row("circles", str(summary["circles"]), "in all scans"),
+        Row("circles", str(summary["circles"]), _left_out(summary["too_near"])),
         Row("elements", str(summary["elements"]), f"{summary['elements_at_end']} at the end"),
         Row(
             "walls and other shapes",

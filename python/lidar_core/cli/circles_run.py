@@ -83,6 +83,7 @@ class CirclesRun:
         self._points: list[NDArray[np.float64]] = []
         self._last_points = np.empty((0, 2))
         self._kept, self._stride = 0, 1
+        self._too_near = 0
 
     @property
     def n_received(self) -> int:
@@ -121,6 +122,7 @@ class CirclesRun:
                 "rejected": dict(health.reasons),
             },
             "circles": sum(len(item.element) for item in self._found),
+            "too_near": self._too_near,
             "elements": len(self.element_ids),
             "elements_at_end": len(self.maps[-1].id) if self.maps else 0,
             "shapes": len({number for state in self.shapes for number in state.id.tolist()}),
@@ -168,6 +170,7 @@ class CirclesRun:
     def _keep(self, frame: CircleFrame, pose: NDArray[np.float64]) -> None:
         self.maps.append(frame.map)
         self.shapes.append(frame.map_shapes)
+        self._too_near += int(frame.too_near.sum())
         self._found.append(_Found.of(frame))
         self._sensor.append(pose[:2, 3])
         self._last_points = _points_world(frame, pose)

@@ -206,6 +206,7 @@ fn frame_dict(py: Python<'_>, frame: CircleFrame) -> Result<Bound<'_, PyDict>, B
     values.set_item("circles_world", all_circles(py, &frame.circles_world)?)?;
     values.set_item("shapes", shape_arrays(py, &frame.shapes)?)?;
     values.set_item("element", numbers(&frame.elements).into_pyarray(py))?;
+    values.set_item("too_near", frame.too_near.into_pyarray(py))?;
     values.set_item("line", numbers(&frame.lines).into_pyarray(py))?;
     values.set_item("map", element_arrays(py, &frame.map)?)?;
     values.set_item("map_shapes", map_shape_arrays(py, &frame.map_shapes)?)?;

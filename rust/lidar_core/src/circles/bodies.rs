@@ -70,12 +70,13 @@ impl ShapeParameters {
     /// What a circle stands for: None where it is one, or nothing is known of its outline.
     pub(super) fn outline(&self, shape: &ShapeEstimate) -> Option<OutlineEstimate> {
         if shape.kind == ShapeKind::Line {
-            return Some(OutlineEstimate { shape: *shape, is_large: false });
+            return Some(OutlineEstimate { shape: *shape, is_large: false, round: None });
         }
         let longest = shape.kind.half_length()? * shape.parameters[2];
         let covariance = Matrix5::from_fn(|row, column| shape.covariance[row][column]);
         let is_known = covariance.cholesky().is_some() && shape.parameters[3] > 0.0;
-        is_known.then_some(OutlineEstimate { shape: *shape, is_large: longest > self.max_size })
+        let is_large = longest > self.max_size;
+        is_known.then_some(OutlineEstimate { shape: *shape, is_large, round: None })
     }
 
     /// The circle of the mean half length.
@@ -124,7 +125,7 @@ pub(super) fn part(
     shape: Option<(&ShapeEstimate, &ShapeParameters)>,
     [range_std, max_deviation]: [f64; 2],
 ) -> Part {
-    let round = || Some(*circle).filter(|_| deviation(prepared, number, circle) <= max_deviation);
+    let round = || round(prepared, number, circle, max_deviation);
     let Some((shape, parameters)) = shape else { return Part::of(round()) };
     let off = range_std * (shape.misfit / shape.n_hits as f64).sqrt();
     let sides = prepared.segments.sides[number];
@@ -141,6 +142,16 @@ pub(super) fn part(
     }
 }
 
+/// The circle of a segment whose hits lie on it.
+pub(super) fn round(
+    prepared: &PreparedSweep,
+    number: usize,
+    circle: &CircleEstimate,
+    max_deviation: f64,
+) -> Option<CircleEstimate> {
+    Some(*circle).filter(|_| deviation(prepared, number, circle) <= max_deviation)
+}
+
 impl Part {
     fn of(body: Option<CircleEstimate>) -> Self {
         body.map_or(Self::Nothing, Self::Body)
@@ -154,7 +165,7 @@ pub(super) fn is_piece(sides: [Side; 2]) -> bool {
 }
 
 /// Whether the covariance can be used: that of a circle fitted to a wall may be singular.
-fn is_certain(estimate: &CircleEstimate) -> bool {
+pub(super) fn is_certain(estimate: &CircleEstimate) -> bool {
     Matrix3::from_fn(|i, j| estimate.covariance[i][j]).cholesky().is_some()
 }
 

@@ -28,7 +28,21 @@ pub struct PreparedSweep {
     pub(super) timing: Timing,
 }
 
+/// Standard deviations above the nearest range within which a hit may have neighbours below it.
+const NEAR: f64 = 10.0;
+
 impl PreparedSweep {
+    /// Whether rays beside the hits of a segment may have met it nearer than the scanner measures,
+    /// with ranges of deviation `std`: the hits that are left lie too far away in the mean.
+    pub(super) fn is_too_near(&self, number: usize, std: f64) -> bool {
+        let ranges = &self.level.scan.ranges;
+        let is_unknown = |ray: usize| ranges.get(ray).is_some_and(|range| range.is_nan());
+        self.segments.rays_of(number).iter().map(|&ray| ray as usize).any(|ray| {
+            ranges[ray] < self.range_limits[0] + NEAR * std
+                && (is_unknown(ray.wrapping_sub(1)) || is_unknown(ray + 1))
+        })
+    }
+
     /// Where the rays of a segment ended, from above [m].
     pub(super) fn points_world(&self, number: usize) -> Vec<[f64; 2]> {
         let rays = self.segments.rays_of(number).iter();
@@ -71,6 +85,9 @@ pub struct CircleFrame {
     /// Element of the map of every segment; None for what is not taken into it: it has another
     /// shape, or the hits do not lie on the circle.
     pub elements: Vec<Option<i64>>,
+    /// Whether every segment is an object that was left out of the map since a part of it may be
+    /// nearer than the scanner measures.
+    pub too_near: Vec<bool>,
     /// Line of the map of every segment; None for what is no line, or too short to be a new one.
     pub lines: Vec<Option<i64>>,
     /// What the map did with them.

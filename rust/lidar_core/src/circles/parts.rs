@@ -1,6 +1,6 @@
 //! What the segments of a sweep are for the map: bodies, lines, or nothing.
 
-use super::bodies::{Part, is_piece, part};
+use super::bodies::{Part, is_certain, is_piece, part, round};
 use super::circle::CircleEstimate;
 use super::frame::PreparedSweep;
 use super::map::{CircleMap, MapStats, OutlineEstimate};
@@ -16,16 +16,19 @@ pub(super) struct Parts {
     pub(super) outlines: Vec<Option<OutlineEstimate>>,
     lines: Vec<usize>,
     pub(super) shapes: Vec<ShapeEstimate>,
+    /// Of all segments: would-be bodies of which a part may be nearer than the scanner measures.
+    too_near: Vec<bool>,
 }
 
 /// Elements of all segments.
 pub(super) struct ByKind {
     pub(super) bodies: Vec<Option<i64>>,
     pub(super) lines: Vec<Option<i64>>,
+    pub(super) too_near: Vec<bool>,
 }
 
 impl Parts {
-    /// Bodies that lie on a line of the map are pieces of it, if it is longer than any of them or
+    /// Objects of which a part may be too near to be measured are left out. Bodies that lie on a line of the map are pieces of it, if it is longer than any of them or
     /// nothing free is beside them.
     pub(super) fn of(
         prepared: &PreparedSweep,
@@ -39,6 +42,11 @@ impl Parts {
         for (number, circle) in circles.iter().enumerate() {
             let shape = shapes.get(number).zip(parameters.shapes.as_ref());
             let part = part(prepared, number, circle, shape, limits);
+            let is_too_near = shape.is_some()
+                && matches!(part, Part::Body(_))
+                && prepared.is_too_near(number, limits[0]);
+            parts.too_near.push(is_too_near);
+            let part = if is_too_near { Part::Nothing } else { part };
             let is_on_wall = matches!(part, Part::Body(_))
                 && shape.is_some_and(|(_, rules)| {
                     let is_piece = is_piece(prepared.segments.sides[number]);
@@ -51,7 +59,10 @@ impl Parts {
                     parts.bodies.push(number);
                     parts.circles.push(body);
                     let outline = shape.and_then(|(found, rules)| rules.outline(found));
-                    parts.outlines.push(outline);
+                    let round = || round(prepared, number, circle, limits[1]).filter(is_certain);
+                    parts
+                        .outlines
+                        .push(outline.map(|one| OutlineEstimate { round: round(), ..one }));
                 }
                 (Part::Body(_) | Part::Line, Some((found, _))) => {
                     parts.lines.push(number);
@@ -64,8 +75,9 @@ impl Parts {
     }
 
     /// Elements of all `count` segments, as the map says.
-    pub(super) fn elements(&self, count: usize, stats: &MapStats) -> ByKind {
-        let mut elements = ByKind { bodies: vec![None; count], lines: vec![None; count] };
+    pub(super) fn elements(self, count: usize, stats: &MapStats) -> ByKind {
+        let (bodies, lines) = (vec![None; count], vec![None; count]);
+        let mut elements = ByKind { bodies, lines, too_near: self.too_near };
         for (&number, &element) in self.bodies.iter().zip(&stats.elements) {
             elements.bodies[number] = Some(element);
         }

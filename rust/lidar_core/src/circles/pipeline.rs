@@ -229,7 +229,7 @@ impl CirclePipeline {
         shapes: Vec<ShapeEstimate>,
     ) -> Result<CircleFrame, Error> {
         let mut clock = Clock::start();
-        let (ByKind { bodies: elements, lines }, stats) =
+        let (ByKind { bodies: elements, lines, too_near }, stats) =
             self.update(&prepared, &circles, &shapes)?;
         let map = self.map.map_at(prepared.stamp_ns);
         let map_shapes = self.map.shapes_at(prepared.stamp_ns);
@@ -240,6 +240,7 @@ impl CirclePipeline {
             circles,
             shapes,
             elements,
+            too_near,
             lines,
             stats,
             map,

@@ -25,6 +25,8 @@ const LEAST_RATIO: f64 = 0.5;
 pub(super) struct BodyMeasurement {
     /// It, or what stands for it.
     pub(super) circle: Measurement,
+    /// The circle that its rays may show, if it looks like something else.
+    pub(super) round: Option<Measurement>,
     /// Its outline, if it is no circle.
     pub(super) outline: Option<OutlineMeasurement>,
     /// One face of it was seen: nothing tells what it is.
@@ -71,6 +73,12 @@ impl State for Body {
     fn correct(&mut self, seen: &BodyMeasurement, rules: &Rules) -> Result<(), Error> {
         if !seen.is_face {
             self.outline.correct(seen.outline.as_ref(), rules)?;
+        }
+        // One scan may take a circle for something else, of which it hardly knows the centre.
+        if let Some(round) = seen.round.filter(|_| self.outline.is_round())
+            && self.circle.cost(&round, rules.gate())?.is_some()
+        {
+            return self.circle.correct(&round);
         }
         self.circle.correct(&seen.circle)
     }

@@ -10,6 +10,7 @@ mod element;
 mod history;
 mod independent;
 mod joint;
+mod level_pose;
 mod line;
 mod modes;
 mod outline;

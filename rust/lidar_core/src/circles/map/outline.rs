@@ -109,6 +109,11 @@ impl Outline {
         Ok(())
     }
 
+    /// Whether it is taken for a circle.
+    pub(super) fn is_round(&self) -> bool {
+        self.kind == 0
+    }
+
     /// Whether it was larger, mostly, than what is reported as a circle.
     pub(super) fn is_large(&self) -> bool {
         self.large > 0.5

@@ -500,7 +500,10 @@ fn boxed(at: [f64; 2], sides: [f64; 2], heading: f64) -> (CircleEstimate, Outlin
     let kind = ShapeKind::Rectangle;
     let shape = ShapeEstimate { kind, parameters, covariance, misfit: 10.0, n_hits: 20 };
     let is_large = sides[0] > 1.0;
-    (circle(at[0], at[1], 0.25 * (sides[0] + sides[1])), OutlineEstimate { shape, is_large })
+    (
+        circle(at[0], at[1], 0.25 * (sides[0] + sides[1])),
+        OutlineEstimate { shape, is_large, round: None },
+    )
 }
 
 #[test]
@@ -521,7 +524,7 @@ fn a_box_is_a_circle_and_a_rectangle_with_one_number() -> Result<(), Error> {
     let apart = [x - 3.95, y - 1.0, vx - 1.0, vy, heading - 0.3, long - 0.3, short - 0.2];
     assert!(apart.iter().all(|apart| apart.abs() < 0.02), "{apart:?}");
     assert!(shapes[0].state.covariance.cholesky().is_some() && shapes[0].ends.is_none());
-    let face = OutlineEstimate { shape: line(0.0, 3.0, [0.9, 1.1]), is_large: false };
+    let face = OutlineEstimate { shape: line(0.0, 3.0, [0.9, 1.1]), is_large: false, round: None };
     for step in 20..60 {
         let x = 3.0 + 0.05 * step as f64;
         let outlines = [(step < 40).then_some(face)]; // a face tells nothing, a circle does
@@ -531,6 +534,24 @@ fn a_box_is_a_circle_and_a_rectangle_with_one_number() -> Result<(), Error> {
         assert_eq!(map.shapes_at(step * STEP_NS).is_empty(), step >= 47, "{step}");
     }
     assert!(map.shapes_at(60 * STEP_NS).is_empty() && map.map_at(60 * STEP_NS)[0].id == 0);
+    Ok(())
+}
+
+#[test]
+fn a_circle_that_one_scan_takes_for_something_else_is_followed() -> Result<(), Error> {
+    let mut map = map_of(Filter::Independent(best()))?;
+    let (mut vague, outline) = boxed([5.3, 0.0], [0.6, 0.4], 0.1);
+    for (row, diagonal) in vague.covariance.iter_mut().enumerate() {
+        diagonal[row] = 0.04;
+    }
+    let outline = OutlineEstimate { round: Some(circle(5.1, 0.0, 0.25)), ..outline };
+    for step in 0..11 {
+        let bodies = [if step < 10 { circle(5.0, 0.0, 0.25) } else { vague }];
+        let outlines = [(step == 10).then_some(outline)];
+        map.update(&CircleScan { outlines: &outlines, ..scan(step, &bodies) })?;
+    }
+    let x = map.map_at(10 * STEP_NS)[0].state.mean[0];
+    assert!((x - 5.1).abs() < 0.02, "{x}");
     Ok(())
 }
 
