@@ -50,16 +50,16 @@ LiDARs that presets know:
   `circles` (2D), with `--model scene` a scene to begin with;
 - `sensor.beams`, for rows whose driver drops rays without return.
 
-Numbers are those of data sheets and manuals, rounded: compare them with the sheet of your revision.
-Ranges are those on dark surfaces where the sheet gives them; noise and shortest ranges are typical
-values where it gives none. Rows are even between the outermost where the source does not say
-otherwise. The patterns of Livox are not published: what stands for them has their field of view,
+Numbers are the makers' nominal ones, rounded, and not checked against every current data sheet:
+compare them with that of your revision. Ranges are those on dark surfaces where makers give them;
+noise and shortest ranges are typical values where they give none. Rows are even between the
+outermost where the note does not say otherwise. The patterns of Livox are not published: what stands for them has their field of view,
 their rate, and does not repeat.
 
 """
 SENSOR_COLUMNS = (
     "Name", "Sensor", "Rays per scan", "Elevation [deg]", "Azimuth [deg]", "Rate [Hz]",
-    "Range [m]", "Noise [m]", "Source",
+    "Range [m]", "Noise [m]", "Note",
 )  # fmt: skip
 
 
@@ -94,7 +94,7 @@ def _sensor(name: str) -> str:
     cells = (
         f"`{name}`", SENSORS[name].title, rays, f"{low:g} to {high:g}" if high > low else "0",
         f"{width:.4g}", f"{model.scan_rate:g}", f"{model.range_min:g} to {model.range_max:g}",
-        f"{model.range_std:g}", SENSORS[name].source,
+        f"{model.range_std:g}", SENSORS[name].note,
     )  # fmt: skip
     return "| " + " | ".join(cells) + " |"
 

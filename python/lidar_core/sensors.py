@@ -1,8 +1,8 @@
-"""LiDARs that are sold: what their data sheets say, once, for simulator, detector and circles.
+"""LiDARs that are sold: their nominal figures, once, for simulator, detector and circles.
 
-Rounded. Rows are even between the first and the last where no other ones are given; ranges are
-those on dark surfaces where a sheet gives them, noise (one standard deviation) and shortest ranges
-typical values where it gives none.
+Rounded, and not compared with the current data sheet of every maker. Rows are even between the
+first and the last where no other ones are given; ranges are those on dark surfaces where makers
+give them, noise (one standard deviation) and shortest ranges typical values where they give none.
 """
 
 from collections.abc import Mapping
@@ -23,8 +23,8 @@ class Sensor:
     ----------
     title : str
         Maker and name.
-    source : str
-        Where the numbers come from, and what differs from the real pattern.
+    note : str
+        What the numbers stand for, and what differs from the real pattern.
     model : mapping
         Values of `lidar_core.sim.LidarModel`.
     drops_rays : bool
@@ -32,7 +32,7 @@ class Sensor:
     """
 
     title: str
-    source: str
+    note: str
     model: Mapping[str, Any]
     drops_rays: bool = False
 
@@ -100,86 +100,86 @@ SENSORS: Mapping[str, Sensor] = {
     **{
         f"{name}-{rows}": Sensor(
             f"Ouster {name.upper()}-{rows}",
-            "data sheet; 1024 columns at 10 Hz",
+            "1024 columns at 10 Hz",
             _spinning(_even(half, -half, rows), 1024, **ranges),
         )
         for name, (half, ranges) in _OUSTER.items()
         for rows in (32, 64, 128)
     },
     "vlp-16": Sensor(
-        "Velodyne VLP-16", "data sheet; 0.2° at 10 Hz",
+        "Velodyne VLP-16", "0.2° at 10 Hz",
         _spinning(_even(15.0, -15.0, 16), 1800, range_min=0.5, range_max=100.0), drops_rays=True,
     ),
     "hdl-32e": Sensor(
-        "Velodyne HDL-32E", "data sheet; 46.08 us per firing",
+        "Velodyne HDL-32E", "46.08 us per firing",
         _spinning(_even(10.67, -30.67, 32), 2170, range_min=0.9, range_max=80.0, range_std=0.02),
         drops_rays=True,
     ),
     "hdl-64e": Sensor(
-        "Velodyne HDL-64E", "data sheet; two blocks of even rows",
+        "Velodyne HDL-64E", "two blocks of even rows",
         _spinning(_HDL64, 2083, range_min=0.9, range_max=120.0, range_std=0.02), drops_rays=True,
     ),
     "vls-128": Sensor(
         "Velodyne VLS-128 (Alpha Prime)",
-        "manual, 53.3 us per firing; the real rows are denser about the horizon",
+        "53.3 us per firing; the real rows are denser about the horizon",
         _spinning(_even(15.0, -25.0, 128), 1876, range_min=1.0, range_max=220.0), drops_rays=True,
     ),
     "xt32": Sensor(
-        "Hesai PandarXT-32", "data sheet; 0.18° at 10 Hz",
+        "Hesai PandarXT-32", "0.18° at 10 Hz",
         _spinning(_even(15.0, -16.0, 32), 2000, range_min=0.05, range_max=80.0, range_std=0.01),
     ),
     "pandar64": Sensor(
-        "Hesai Pandar64", "manual, distribution of channels; 0.2° at 10 Hz",
+        "Hesai Pandar64", "0.2° at 10 Hz",
         _spinning(_PANDAR64, 1800, range_max=200.0, range_std=0.02),
     ),
     "qt128": Sensor(
-        "Hesai QT128", "data sheet, 105.2° and 0.4° at 10 Hz; the real rows are not quite even",
+        "Hesai QT128", "105.2° and 0.4° at 10 Hz; the real rows are not quite even",
         _spinning(_even(52.6, -52.6, 128), 900, range_min=0.05, range_max=20.0, range_std=0.02),
     ),
     "livox-mid360": Sensor(
         "Livox Mid-360",
-        "manual: field of view, 200,000 points/s; turns and a triangle wave of elevation stand for"
+        "field of view, 200,000 points/s; turns and a triangle wave of elevation stand for"
         " the real pattern, which is not published",
         {"pattern": _rosette((-7.0, 52.0)), "range_min": 0.1, "range_max": 40.0,
          "range_std": 0.02},
     ),
     "livox-avia": Sensor(
         "Livox Avia",
-        "manual: field of view 70.4° x 77.2°, 240,000 points/s; two triangle waves, which fill the"
+        "field of view 70.4° x 77.2°, 240,000 points/s; two triangle waves, which fill the"
         " rectangle, stand for the real petals of six lines",
         {"pattern": _rosette((-38.6, 38.6), rays=24_000, azimuth_half_deg=35.2),
          "range_min": 1.0, "range_max": 190.0, "range_std": 0.02},
     ),
     "utm-30lx": Sensor(
-        "Hokuyo UTM-30LX", "data sheet; 1440 steps per turn of 25 ms",
+        "Hokuyo UTM-30LX", "1440 steps per turn of 25 ms",
         {"pattern": {"kind": "planar"}, "scan_rate": 40.0, "range_min": 0.1, "range_max": 30.0,
          "range_std": 0.01},
     ),
     "urg-04lx": Sensor(
-        "Hokuyo URG-04LX", "data sheet; 1024 steps per turn",
+        "Hokuyo URG-04LX", "1024 steps per turn",
         _planar(239.77, 683, 0.0667, range_min=0.06, range_max=4.095, range_std=0.01),
     ),
     "rplidar-s1": Sensor(
-        "Slamtec RPLIDAR S1", "data sheet: 9,200 points/s at 10 Hz; 10 m on black, 40 m on white",
+        "Slamtec RPLIDAR S1", "9,200 points/s at 10 Hz; 10 m on black, 40 m on white",
         _planar(360.0 - 360.0 / 920, 920, 0.0998, range_min=0.1, range_max=40.0,
                 range_std=0.05),
     ),
     "lms111": Sensor(
-        "SICK LMS111", "data sheet; 0.5° at 50 Hz",
+        "SICK LMS111", "0.5° at 50 Hz",
         _planar(270.0, 541, 0.015, scan_rate=50.0, range_min=0.5, range_max=20.0,
                 range_std=0.012),
     ),
     "lms151": Sensor(
-        "SICK LMS151", "data sheet; 0.5° at 50 Hz, 50 m",
+        "SICK LMS151", "0.5° at 50 Hz, 50 m",
         _planar(270.0, 541, 0.015, scan_rate=50.0, range_min=0.5, range_max=50.0,
                 range_std=0.012),
     ),
     "tim551": Sensor(
-        "SICK TiM551", "data sheet; 1° at 15 Hz",
+        "SICK TiM551", "1° at 15 Hz",
         _planar(270.0, 271, 0.05, scan_rate=15.0, range_min=0.05, range_max=10.0, range_std=0.02),
     ),
     "tim571": Sensor(
-        "SICK TiM571", "data sheet; 0.33° at 15 Hz",
+        "SICK TiM571", "0.33° at 15 Hz",
         _planar(270.0, 811, 0.05, scan_rate=15.0, range_min=0.05, range_max=25.0, range_std=0.02),
     ),
 }  # fmt: skip

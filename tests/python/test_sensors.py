@@ -46,7 +46,7 @@ def angles(scan):
 
 def test_every_sensor_is_here():
     assert set(SENSORS) == {*SPATIAL, *PLANAR, *LIVOX}
-    assert all(sensor.source and sensor.title for sensor in SENSORS.values())
+    assert all(sensor.note and sensor.title for sensor in SENSORS.values())
     assert set(get_args(BeamPreset)) == set(BEAM_PRESETS) == {*SPATIAL, "learnt"}
 
 

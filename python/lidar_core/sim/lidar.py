@@ -86,7 +86,7 @@ class Beam(Config):
 class LidarModel(Config):
     """A LiDAR. `preset` fills in every value that is not given beside it.
 
-    Presets are the names of `lidar_core.sensors.SENSORS`, after the makers' data sheets.
+    Presets are the names of `lidar_core.sensors.SENSORS`, with the makers' nominal figures.
     """
 
     pattern: Annotated[Spinning | Rosette | Planar, Field(discriminator="kind")] = Field(
