@@ -3,13 +3,15 @@
 //! Source: Vrba et al., eqs 8-12 and 16-22.
 
 use super::blocks::{Block, Place, VOLUME};
-use super::raycast::{Content, Mark, POINT_UNITS, Ray, UNITS_PER_EDGE, Window, cast_all, content};
-use super::voxel_map::{Levels, MapParameters, RayUnit, VoxelMap, filtered, two_to_minus};
+use super::raycast::{Content, Mark, Ray, Window, cast_all};
+use super::rule::{BlockUpdate, Rule};
+use super::voxel_map::{MapParameters, VoxelMap};
 use super::weighting::PoseError;
 use crate::Error;
 use crate::budget::check_points;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 /// Class of a point: not to be used.
@@ -94,7 +96,18 @@ impl VoxelMap {
     /// is unchanged then.
     pub fn integrate(&mut self, scan: &ClassifiedScan<'_>) -> Result<IntegrateStats, Error> {
         check_lengths(scan)?;
-        let plan = Plan::of(scan, self.parameters(), self.lattice())?;
+        let mut plan = std::mem::take(&mut self.plan);
+        let planned = plan.fill(scan, self.parameters(), self.lattice());
+        let outcome = planned.and_then(|()| self.carry_out(&plan, scan.pose_error));
+        self.plan = plan; // its memory is used again
+        outcome
+    }
+
+    fn carry_out(
+        &mut self,
+        plan: &Plan,
+        pose_error: Option<&PoseError>,
+    ) -> Result<IntegrateStats, Error> {
         let mut stats = plan.stats;
         let first_point = plan.points.first().map(|&(voxel, _)| [voxel; 2]);
         let Some([low, high]) = plan.span.or(first_point) else { return Ok(stats) };
@@ -102,9 +115,9 @@ impl VoxelMap {
         let mut accumulators = std::mem::take(&mut self.accumulators);
         let outcome = Window::spanning(low, high).and_then(|window| {
             cast_all(self.pool.as_ref(), &mut accumulators, window, &plan.rays, most);
-            self.mark(&mut accumulators[0], &plan.points, scan.pose_error);
+            self.mark(&mut accumulators[0], &plan.points, pose_error);
             accumulators[0].check()?;
-            let weighted = scan.pose_error.is_some_and(PoseError::weighs_points);
+            let weighted = pose_error.is_some_and(PoseError::weighs_points);
             self.update(&accumulators[0].marked(), weighted)
         });
         stats.visits = accumulators[0].visits();
@@ -129,10 +142,8 @@ impl VoxelMap {
             .filter_map(|(&slot, &(_, marks))| Some((slot, self.blocks.take(slot)?, marks)))
             .collect();
         let rule = Rule::of(self, weighted);
-        let limits = self.limits;
-        let update = |(_, block, marks): &mut (u32, Box<Block>, &[Mark; VOLUME])| {
-            rule.apply(block, marks, limits)
-        };
+        let update =
+            |(_, block, marks): &mut (u32, Box<Block>, &[Mark; VOLUME])| rule.apply(block, marks);
         let updates: Vec<BlockUpdate> = match &self.pool {
             Some(pool) => pool.install(|| work.par_iter_mut().map(update).collect()),
             None => work.iter_mut().map(update).collect(),
@@ -155,48 +166,60 @@ impl VoxelMap {
 }
 
 /// What the scan asks for, checked and in units of voxels, before anything is changed.
-struct Plan {
+#[derive(Default)]
+pub(crate) struct Plan {
     rays: Vec<Ray>,
     points: Vec<(Voxel, Content)>,
     span: Option<[Voxel; 2]>,
+    /// Where the last ray started [m], and the same in units of voxels: most start in one point.
+    start: Option<[[f64; 3]; 2]>,
     stats: IntegrateStats,
 }
 
 impl Plan {
-    fn of(
+    fn fill(
+        &mut self,
         scan: &ClassifiedScan<'_>,
         parameters: &MapParameters,
         lattice: &Lattice,
-    ) -> Result<Self, Error> {
-        let len = scan.points.len();
-        let mut plan = Self {
-            rays: Vec::with_capacity(len),
-            points: Vec::with_capacity(len),
-            span: None,
-            stats: IntegrateStats::default(),
-        };
-        for index in 0..len {
-            let origin = scan.origins.at(index);
-            if scan.no_return.is_some_and(|flags| flags[index]) {
-                let direction = scan.directions.and_then(|directions| unit(directions[index]));
-                plan.add_no_return(lattice, origin, direction, parameters.max_range)?;
-                continue;
-            }
-            let point = wide(scan.points[index]);
-            let class = content_of(scan.class[index]);
-            let Some(class) = class.filter(|_| point.iter().all(|value| value.is_finite())) else {
-                plan.stats.skipped += 1;
-                continue;
-            };
-            plan.add_point(lattice, point, class)?;
-            if !scan.no_ray.is_some_and(|flags| flags[index]) {
-                plan.add_ray(lattice, origin, hit_end(origin, point, parameters, scan.pose_error))?;
-            }
-        }
-        plan.stats.rays = plan.rays.len();
-        Ok(plan)
+    ) -> Result<(), Error> {
+        self.rays.clear();
+        self.points.clear();
+        (self.span, self.start, self.stats) = (None, None, IntegrateStats::default());
+        self.rays.reserve_exact(scan.points.len());
+        self.points.reserve_exact(scan.points.len());
+        Arch::new().dispatch(Fill { plan: self, scan, parameters, lattice })?;
+        self.stats.rays = self.rays.len();
+        Ok(())
     }
 
+    #[inline(always)]
+    fn add_row(
+        &mut self,
+        scan: &ClassifiedScan<'_>,
+        index: usize,
+        parameters: &MapParameters,
+        lattice: &Lattice,
+    ) -> Result<(), Error> {
+        let origin = scan.origins.at(index);
+        if scan.no_return.is_some_and(|flags| flags[index]) {
+            let direction = scan.directions.and_then(|directions| unit(directions[index]));
+            return self.add_no_return(lattice, origin, direction, parameters.max_range);
+        }
+        let point = wide(scan.points[index]);
+        let class = content_of(scan.class[index]);
+        let Some(class) = class.filter(|_| point.iter().all(|value| value.is_finite())) else {
+            self.stats.skipped += 1;
+            return Ok(());
+        };
+        self.add_point(lattice, point, class)?;
+        if scan.no_ray.is_some_and(|flags| flags[index]) {
+            return Ok(());
+        }
+        self.add_ray(lattice, origin, hit_end(origin, point, parameters, scan.pose_error))
+    }
+
+    #[inline(always)]
     fn add_no_return(
         &mut self,
         lattice: &Lattice,
@@ -212,6 +235,7 @@ impl Plan {
         self.add_ray(lattice, origin, ahead(origin, direction, range))
     }
 
+    #[inline(always)]
     fn add_point(
         &mut self,
         lattice: &Lattice,
@@ -228,15 +252,24 @@ impl Plan {
         Ok(())
     }
 
+    #[inline(always)]
     fn add_ray(&mut self, lattice: &Lattice, start: [f64; 3], end: [f64; 3]) -> Result<(), Error> {
-        let ray = Ray { start: lattice.scaled(start), end: lattice.scaled(end) };
-        for (scaled, point) in [(ray.start, start), (ray.end, end)] {
-            self.stretch(floor(scaled).ok_or(Error::PointOutOfRange { point })?);
-        }
-        self.rays.push(ray);
+        let from = match self.start {
+            Some([known, scaled]) if known == start => scaled,
+            _ => {
+                let scaled = lattice.scaled(start);
+                self.stretch(floor(scaled).ok_or(Error::PointOutOfRange { point: start })?);
+                self.start = Some([start, scaled]);
+                scaled
+            }
+        };
+        let to = lattice.scaled(end);
+        self.stretch(floor(to).ok_or(Error::PointOutOfRange { point: end })?);
+        self.rays.push(Ray { start: from, end: to });
         Ok(())
     }
 
+    #[inline(always)]
     fn stretch(&mut self, voxel: Voxel) {
         let [low, high] = self.span.get_or_insert([voxel; 2]);
         for axis in 0..3 {
@@ -246,7 +279,25 @@ impl Plan {
     }
 }
 
+struct Fill<'a> {
+    plan: &'a mut Plan,
+    scan: &'a ClassifiedScan<'a>,
+    parameters: &'a MapParameters,
+    lattice: &'a Lattice,
+}
+
+impl WithSimd for Fill<'_> {
+    type Output = Result<(), Error>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Result<(), Error> {
+        let Self { plan, scan, parameters, lattice } = self;
+        (0..scan.points.len()).try_for_each(|index| plan.add_row(scan, index, parameters, lattice))
+    }
+}
+
 /// End of a ray that hit `point`: at the point, but no further than `max_range` (eq. 20).
+#[inline(always)]
 fn hit_end(
     origin: [f64; 3],
     point: [f64; 3],
@@ -263,16 +314,19 @@ fn hit_end(
     ahead(origin, span, reach / distance)
 }
 
+#[inline(always)]
 fn ahead(origin: [f64; 3], direction: [f64; 3], by: f64) -> [f64; 3] {
     std::array::from_fn(|axis| origin[axis] + by * direction[axis])
 }
 
+#[inline(always)]
 fn unit(direction: [f32; 3]) -> Option<[f64; 3]> {
     let direction = wide(direction);
     let norm = norm(direction);
     (norm.is_finite() && norm > 0.0).then(|| direction.map(|value| value / norm))
 }
 
+#[inline(always)]
 fn content_of(class: u8) -> Option<Content> {
     match class {
         BACKGROUND => Some(Content::Background),
@@ -317,77 +371,6 @@ fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {
         });
     }
     Ok(())
-}
-
-/// What a mark does to a value (eqs 9 and 12).
-struct Rule {
-    levels: Levels,
-    initial: f32,
-    g: [f32; 3],
-    per_unit: f64,
-    /// Weight of one of the units in which points are counted.
-    per_point: f64,
-}
-
-struct BlockUpdate {
-    voxels: usize,
-    changed: Vec<Voxel>,
-}
-
-impl Rule {
-    fn of(map: &VoxelMap, weighted: bool) -> Self {
-        let p = map.parameters();
-        let unit = match p.ray_unit {
-            RayUnit::Edges => 1.0,
-            RayUnit::Metres => p.voxel_size,
-            RayUnit::Diagonals => 1.0 / 3f64.sqrt(),
-        };
-        Self {
-            levels: map.levels(),
-            initial: p.initial,
-            g: [p.g_free, p.g_unk, p.g_occ],
-            per_unit: p.ray_gain * unit / UNITS_PER_EDGE,
-            per_point: if weighted { 1.0 / f64::from(POINT_UNITS) } else { 1.0 },
-        }
-    }
-
-    fn apply(
-        &self,
-        block: &mut Block,
-        marks: &[Mark; VOLUME],
-        limits: Option<[Voxel; 2]>,
-    ) -> BlockUpdate {
-        let mut update = BlockUpdate { voxels: 0, changed: Vec::new() };
-        let place = block.place;
-        for (offset, &mark) in marks.iter().enumerate().filter(|&(_, &mark)| mark != 0) {
-            let voxel = place.voxel(offset);
-            if limits.is_some_and(|[low, high]| {
-                (0..3).any(|axis| voxel[axis] < low[axis] || voxel[axis] > high[axis])
-            }) {
-                continue;
-            }
-            let value = self.updated(block.values[offset], mark);
-            update.voxels += 1;
-            if self.levels.store(block, offset, value) {
-                update.changed.push(voxel);
-            }
-        }
-        update
-    }
-
-    #[inline]
-    fn updated(&self, stored: f32, mark: Mark) -> f32 {
-        let value = if stored.is_nan() { self.initial } else { stored };
-        let [g_free, g_unk, g_occ] = self.g;
-        let (content, count) = content(mark);
-        let count = f64::from(count);
-        match content {
-            Content::Rays => filtered(value, g_free, two_to_minus(count * self.per_unit)),
-            Content::Unknown => filtered(value, g_unk, two_to_minus(count * self.per_point)),
-            Content::Flying => filtered(value, g_unk, 0.0), // n_det is infinite (eq. 17)
-            Content::Background => filtered(value, g_occ, two_to_minus(count * self.per_point)),
-        }
-    }
 }
 
 #[cfg(test)]

@@ -4,10 +4,9 @@
 //! depends neither on the order of the rays nor on the number of threads.
 
 use super::blocks::{EDGE, EDGE_BITS, Place, VOLUME, offset_of};
+use super::lanes::cast;
 use crate::Error;
-use crate::geometry::lattice::{Voxel, floor};
-use crate::geometry::transform::{minus, norm};
-use crate::geometry::traverse::voxel_count;
+use crate::geometry::lattice::Voxel;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -25,7 +24,7 @@ pub(crate) struct Ray {
 pub(crate) type Mark = u32;
 /// Of points, their number, or in a weighted scan their weight in units of 1 / `POINT_UNITS`.
 const COUNT_BITS: u32 = 30;
-const MAX_COUNT: u32 = (1 << COUNT_BITS) - 1;
+pub(crate) const MAX_COUNT: u32 = (1 << COUNT_BITS) - 1;
 /// Weight units per point, in scans whose points have weights.
 pub(crate) const POINT_UNITS: u32 = 1024;
 /// Length units per voxel edge.
@@ -54,15 +53,22 @@ pub(crate) fn content(mark: Mark) -> (Content, u32) {
 
 /// Rays handed to a thread at a time.
 const RAYS_PER_CHUNK: usize = 1024;
+/// So many rays cannot make a full mark overflow, with a diagonal each.
+const RAYS_UNTIL_FULL: usize = ((u32::MAX - MAX_COUNT) / (1.75 * UNITS_PER_EDGE) as u32) as usize;
 /// Most blocks in the window of one scan.
 const MAX_WINDOW: u64 = 1 << 24;
 const EMPTY: u32 = u32::MAX;
 
 /// Blocks that bound the rays of one scan.
+///
+/// A voxel's place in the window is a row of bits: its place in the block, then that of the block,
+/// each along x, y and z, so that a step along an axis is one addition.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Window {
     low: [i32; 3],
     size: [usize; 3],
+    /// Bits that the index of a block takes along x, y, z.
+    bits: [u32; 3],
 }
 
 impl Window {
@@ -77,7 +83,8 @@ impl Window {
         let blocks = size.iter().try_fold(1u64, |product, &edge| product.checked_mul(edge));
         match blocks {
             Some(blocks) if blocks <= MAX_WINDOW => {
-                Ok(Self { low, size: size.map(|edge| edge as usize) })
+                let bits = size.map(|edge| edge.next_power_of_two().trailing_zeros());
+                Ok(Self { low, size: size.map(|edge| edge as usize), bits })
             }
             _ => Err(Error::Limit {
                 what: format!("a scan that spans {size:?} blocks of 8 voxels"),
@@ -87,15 +94,29 @@ impl Window {
         }
     }
 
+    /// Entries of a table of the window.
     fn len(&self) -> usize {
-        self.size.iter().product()
+        self.size[2] << (self.bits[0] + self.bits[1])
     }
 
-    #[inline]
     fn index(&self, place: Place) -> usize {
         let [x, y, z]: [usize; 3] =
             std::array::from_fn(|axis| place.0[axis].wrapping_sub(self.low[axis]) as usize);
-        (z * self.size[1] + y) * self.size[0] + x
+        (z << self.bits[1] | y) << self.bits[0] | x
+    }
+
+    /// Bits of a voxel.
+    #[inline(always)]
+    pub(super) fn bits_of(&self, voxel: Voxel) -> u64 {
+        (self.index(Place::of(voxel)) * VOLUME + offset_of(voxel)) as u64
+    }
+
+    /// Those of them that belong to an axis.
+    #[inline(always)]
+    pub(super) fn bits_along(&self, axis: usize) -> u64 {
+        let below: u32 = self.bits[..axis].iter().sum();
+        let (inside, block) = ((EDGE as u64) - 1, (1 << self.bits[axis]) - 1);
+        inside << (EDGE_BITS as usize * axis) | (block * VOLUME as u64) << below
     }
 
     fn holds(&self, place: Place) -> bool {
@@ -103,85 +124,10 @@ impl Window {
     }
 
     fn place(&self, index: usize) -> Place {
-        let [nx, ny, _] = self.size;
-        let inside = [index % nx, index / nx % ny, index / (nx * ny)];
+        let [x, y, _] = self.bits;
+        let inside = [index & ((1 << x) - 1), index >> x & ((1 << y) - 1), index >> (x + y)];
         Place(std::array::from_fn(|axis| self.low[axis] + inside[axis] as i32))
     }
-}
-
-/// One axis of the walk of a ray.
-struct Axis {
-    /// Ray parameter (0 at the start, 1 at the end) of the next wall; infinite after the last.
-    t: f64,
-    wall: f64,
-    start: f64,
-    per_span: f64,
-    direction: i32,
-    /// Walls until the end of the ray.
-    walls: u32,
-    /// Walls until the walk leaves its block.
-    room: i32,
-    /// From a voxel's place in its block to the next one's.
-    stride: isize,
-}
-
-/// What happens at a wall.
-struct Crossing {
-    t: f64,
-    direction: i32,
-    offset_step: isize,
-    leaves_block: bool,
-}
-
-impl Axis {
-    #[inline]
-    fn new(axis: usize, start: f64, span: f64, first: Voxel, last: Voxel) -> Self {
-        let direction = last[axis].cmp(&first[axis]) as i32;
-        let inside = first[axis] & (EDGE - 1);
-        let mut this = Self {
-            t: f64::INFINITY,
-            wall: f64::from(first[axis] + i32::from(direction > 0)),
-            start,
-            // Finite: of a span whose reciprocal overflows, 0 * inf would be NaN.
-            per_span: (1.0 / span).clamp(f64::MIN, f64::MAX),
-            direction,
-            walls: first[axis].abs_diff(last[axis]),
-            room: if direction > 0 { EDGE - inside } else { inside + 1 },
-            stride: isize::try_from(direction << (EDGE_BITS * axis as i32)).unwrap_or(0),
-        };
-        this.aim();
-        this
-    }
-
-    /// Computed afresh at every wall, not summed up, so that the error does not grow.
-    #[inline]
-    fn aim(&mut self) {
-        self.t =
-            if self.walls == 0 { f64::INFINITY } else { (self.wall - self.start) * self.per_span };
-    }
-
-    #[inline]
-    fn cross(&mut self) -> Crossing {
-        let t = self.t.min(1.0); // rounding: not past the end
-        self.walls -= 1;
-        self.wall += f64::from(self.direction);
-        self.aim();
-        self.room -= 1;
-        let leaves_block = self.room == 0;
-        let mut offset_step = self.stride;
-        if leaves_block {
-            self.room = EDGE;
-            offset_step -= self.stride * EDGE as isize; // in at the other side
-        }
-        Crossing { t, direction: self.direction, offset_step, leaves_block }
-    }
-}
-
-/// Add a length, rounded to a whole unit, halves to even; a full mark stays full.
-#[inline]
-fn add(mark: &mut Mark, units: f64) {
-    const SHIFT: f64 = (1u64 << 52) as f64; // moves the units to the lowest bits
-    *mark = mark.wrapping_add((units + SHIFT).to_bits() as u32).min(MAX_COUNT);
 }
 
 /// Marks of one scan, block by block. Reused from scan to scan.
@@ -236,40 +182,33 @@ impl Accumulator {
         slot
     }
 
-    /// Add the length of `ray` inside every voxel it crosses.
-    ///
-    /// The walk of Amanatides & Woo, in units of voxels, with the place inside the block kept
-    /// beside it: one look-up per block, none per voxel. At an edge or corner the lowest axis
-    /// goes first, as in `geometry::traverse`.
-    fn cast(&mut self, window: &Window, ray: &Ray) {
-        let (Some(first), Some(last)) = (floor(ray.start), floor(ray.end)) else { return };
-        let span = minus(ray.end, ray.start);
-        let scale = norm(span) * UNITS_PER_EDGE;
-        let [mut x, mut y, mut z] =
-            std::array::from_fn(|axis| Axis::new(axis, ray.start[axis], span[axis], first, last));
-        let steps = voxel_count(first, last) - 1;
-        self.visits += steps + 1;
-        let mut place = Place::of(first);
-        let mut offset = offset_of(first);
-        let mut slot = self.slot(window, place);
-        let mut t_enter = 0.0;
-        for _ in 0..steps {
-            let (axis, crossing) = if x.t <= y.t && x.t <= z.t {
-                (0, x.cross())
-            } else if y.t <= z.t {
-                (1, y.cross())
-            } else {
-                (2, z.cross())
-            };
-            add(&mut self.blocks[slot][offset % VOLUME], (crossing.t - t_enter) * scale);
-            t_enter = crossing.t;
-            offset = offset.wrapping_add_signed(crossing.offset_step);
-            if crossing.leaves_block {
-                place.0[axis] += crossing.direction;
-                slot = self.slot(window, place);
+    /// Add a length to the voxel whose bits in the window are `place`. Sums may pass the largest
+    /// mark until `settle`.
+    #[inline(always)]
+    pub(super) fn add(&mut self, place: u64, units: u32) {
+        let index = (place / VOLUME as u64) as usize;
+        let Some(&known) = self.table.get(index) else { return };
+        let mut slot = known as usize;
+        if known == EMPTY {
+            if units == 0 {
+                return; // of a ray that has arrived
             }
+            slot = self.open(index);
         }
-        add(&mut self.blocks[slot][offset % VOLUME], (1.0 - t_enter) * scale);
+        let mark = &mut self.blocks[slot][place as usize % VOLUME];
+        *mark = mark.wrapping_add(units);
+    }
+
+    /// Note that rays were cast which visit so many voxels.
+    pub(super) fn count(&mut self, visits: u64) {
+        self.visits += visits;
+    }
+
+    /// Full marks stay full.
+    fn settle(&mut self) {
+        for block in &mut self.blocks[..self.touched.len()] {
+            block.iter_mut().for_each(|mark| *mark = (*mark).min(MAX_COUNT));
+        }
     }
 
     /// Note a point, or as many units, of class `content` in `voxel`.
@@ -308,13 +247,23 @@ impl Accumulator {
 
     /// Add the lengths that `other` summed up in the same window.
     fn absorb(&mut self, other: &Self, window: &Window) {
-        for (slot, &index) in other.touched.iter().enumerate() {
-            let own = self.slot(window, window.place(index as usize));
-            for (mark, &more) in self.blocks[own].iter_mut().zip(&other.blocks[slot]) {
-                *mark = mark.saturating_add(more).min(MAX_COUNT);
+        self.visits += other.visits;
+        for &index in &other.touched {
+            self.slot(window, window.place(index as usize));
+        }
+        let mut sources = vec![None; self.touched.len()];
+        for (&index, marks) in other.touched.iter().zip(&other.blocks) {
+            if let Some(source) = sources.get_mut(self.table[index as usize] as usize) {
+                *source = Some(marks);
             }
         }
-        self.visits += other.visits;
+        let add = |(marks, source): (&mut [Mark; VOLUME], &Option<&[Mark; VOLUME]>)| {
+            let Some(source) = source else { return };
+            for (mark, more) in marks.iter_mut().zip(source.iter()) {
+                *mark = (*mark + more).min(MAX_COUNT); // both are settled
+            }
+        };
+        self.blocks.par_iter_mut().zip(&sources).for_each(add);
     }
 
     /// # Errors
@@ -365,23 +314,29 @@ pub(crate) fn cast_all(
     let next = AtomicUsize::new(0);
     let work = |accumulator: &mut Accumulator| {
         let chunk = || next.fetch_add(RAYS_PER_CHUNK, Ordering::Relaxed);
+        let mut unsettled = 0;
         for start in std::iter::repeat_with(chunk).take_while(|&start| start < rays.len()) {
-            for ray in &rays[start..rays.len().min(start + RAYS_PER_CHUNK)] {
-                accumulator.cast(&window, ray);
+            if unsettled + RAYS_PER_CHUNK > RAYS_UNTIL_FULL {
+                accumulator.settle();
+                unsettled = 0;
             }
+            unsettled += RAYS_PER_CHUNK;
+            cast(accumulator, &window, &rays[start..rays.len().min(start + RAYS_PER_CHUNK)]);
             if accumulator.check().is_err() {
-                return;
+                break;
             }
         }
+        accumulator.settle();
     };
     match pool {
-        Some(pool) => pool.install(|| accumulators.par_iter_mut().for_each(work)),
+        Some(pool) => pool.install(|| {
+            accumulators.par_iter_mut().for_each(work);
+            if let Some((sum, others)) = accumulators.split_first_mut() {
+                // Integer sums: their order cannot matter.
+                others.iter().for_each(|other| sum.absorb(other, &window));
+            }
+        }),
         None => accumulators.iter_mut().take(1).for_each(work),
-    }
-    if let Some((sum, others)) = accumulators.split_first_mut() {
-        for other in others {
-            sum.absorb(other, &window); // integer sums: their order cannot matter
-        }
     }
 }
 

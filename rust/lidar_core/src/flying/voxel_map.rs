@@ -3,6 +3,7 @@
 //! Source: Vrba et al., sec. III-A, eqs 6-12; permanent voxels: sec. III-E.
 
 use super::blocks::{Block, Blocks, Cursor, Place, assign, offset_of};
+use super::integrate::Plan;
 use super::raycast::Accumulator;
 use super::separate::Changes;
 use crate::error::{require, require_positive};
@@ -73,6 +74,7 @@ pub struct VoxelMap {
     pub(crate) blocks: Blocks,
     pub(crate) changes: Changes,
     pub(crate) accumulators: Vec<Accumulator>,
+    pub(crate) plan: Plan,
     pub(crate) pool: Option<ThreadPool>,
 }
 
@@ -95,6 +97,7 @@ impl VoxelMap {
             blocks: Blocks::new(parameters.max_voxels),
             changes: Changes::default(),
             accumulators: (0..threads).map(|_| Accumulator::default()).collect(),
+            plan: Plan::default(),
             pool: (threads > 1).then_some(pool),
             parameters,
         })
@@ -294,13 +297,19 @@ impl Levels {
     pub(crate) fn store(self, block: &mut Block, offset: usize, value: f32) -> bool {
         let old = block.values[offset];
         block.values[offset] = value;
-        let now = (value >= self.tentative, value >= self.confident);
-        if now == (old >= self.tentative, old >= self.confident) {
-            return false; // NaN, never observed, is below every bound
+        if !self.crosses(old, value) {
+            return false;
         }
-        assign(&mut block.tentative, offset, now.0);
-        assign(&mut block.confident, offset, now.1);
+        assign(&mut block.tentative, offset, value >= self.tentative);
+        assign(&mut block.confident, offset, value >= self.confident);
         true
+    }
+
+    /// Whether one value is below a bound and the other is not. NaN, never observed, is below all.
+    #[inline]
+    pub(crate) fn crosses(self, old: f32, new: f32) -> bool {
+        ((old >= self.tentative) != (new >= self.tentative))
+            | ((old >= self.confident) != (new >= self.confident))
     }
 }
 
@@ -314,10 +323,8 @@ impl Levels {
 #[must_use]
 #[inline]
 pub fn filtered(value: f32, target: f32, keep: f64) -> f32 {
-    if value.is_infinite() {
-        return value;
-    }
-    (keep * f64::from(value) + (1.0 - keep) * f64::from(target)) as f32
+    let next = (keep * f64::from(value) + (1.0 - keep) * f64::from(target)) as f32;
+    if value.is_infinite() { value } else { next }
 }
 
 /// 2^-n for n >= 0, to 3e-13, with the same bits on every platform (no libm, no fused steps).
@@ -325,6 +332,7 @@ pub fn filtered(value: f32, target: f32, keep: f64) -> f32 {
 #[inline]
 pub fn two_to_minus(n: f64) -> f64 {
     const LN_2: f64 = std::f64::consts::LN_2;
+    const EXPONENT: f64 = 1023.0 + (1u64 << 52) as f64; // 1023 in the lowest bits
     /// ln(2)^k / k! for k = 10..=1: the exponential series, highest power first.
     const SERIES: [f64; 10] = {
         let mut series = [0.0; 10];
@@ -340,7 +348,7 @@ pub fn two_to_minus(n: f64) -> f64 {
     let whole = (n + 0.5).floor();
     let x = whole - n; // |x| <= 1/2
     let series = SERIES.iter().fold(0.0, |sum, term| (sum + term) * x) + 1.0;
-    series * f64::from_bits((1023 - whole as u64) << 52)
+    series * f64::from_bits((EXPONENT - whole).to_bits() << 52)
 }
 
 fn check(p: &MapParameters) -> Result<(), Error> {

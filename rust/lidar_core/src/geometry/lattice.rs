@@ -80,6 +80,7 @@ impl Lattice {
 
 /// The voxel of a point given in units of voxels; None if it cannot be indexed.
 #[must_use]
+#[inline]
 pub fn floor(scaled: [f64; 3]) -> Option<Voxel> {
     let mut voxel = [0; 3];
     for axis in 0..3 {

@@ -1,0 +1,190 @@
+//! Many rays at a time through the blocks of a window.
+//!
+//! The walk of Amanatides & Woo on the vector unit of the machine, chosen when the program runs.
+//! Every ray is mirrored so that it runs upwards along all axes; rays that have arrived go on with
+//! length 0. At an edge or corner the lowest axis goes first, as in `geometry::traverse`.
+
+use super::raycast::{Accumulator, Ray, UNITS_PER_EDGE, Window};
+use crate::geometry::lattice::{Voxel, floor};
+use crate::geometry::transform::{minus, norm};
+use crate::geometry::traverse::voxel_count;
+use pulp::{Arch, Simd, WithSimd};
+
+/// Rays side by side: two vectors of the widest unit, so that one works while the other waits.
+const LANES: usize = 16;
+/// A number below 2^32 added to this has its whole part, rounded, in the lowest bits.
+const SHIFT: f64 = (1u64 << 52) as f64;
+
+/// Rays that are walked together.
+struct Bundle {
+    /// From the start to the next wall along every axis, in voxels; infinite where none is crossed.
+    gap: [[f64; LANES]; 3],
+    /// Ray parameter (0 at the start, 1 at the end) per voxel along every axis.
+    rate: [[f64; LANES]; 3],
+    /// Lengths, in units.
+    length: [f64; LANES],
+    /// Place of the voxel in the window, mirrored.
+    place: [u64; LANES],
+    /// Bits of the place that are mirrored.
+    mirror: [u64; LANES],
+    /// Voxels that the ray with the most of them visits.
+    steps: u64,
+    /// Voxels that all visit.
+    visits: u64,
+}
+
+impl Bundle {
+    #[inline(always)]
+    fn of(window: &Window, rays: &[Ray]) -> Self {
+        let mut bundle = Self {
+            gap: [[f64::INFINITY; LANES]; 3],
+            rate: [[1.0; LANES]; 3],
+            length: [0.0; LANES],
+            place: [0; LANES],
+            mirror: [0; LANES],
+            steps: 0,
+            visits: 0,
+        };
+        for (lane, ray) in rays.iter().enumerate().take(LANES) {
+            if let (Some(first), Some(last)) = (floor(ray.start), floor(ray.end)) {
+                bundle.put(window, lane, ray, first, last);
+            }
+        }
+        bundle
+    }
+
+    #[inline(always)]
+    fn put(&mut self, window: &Window, lane: usize, ray: &Ray, first: Voxel, last: Voxel) {
+        let span = minus(ray.end, ray.start);
+        for axis in (0..3).filter(|&axis| first[axis] != last[axis]) {
+            let upwards = last[axis] > first[axis];
+            let wall = f64::from(first[axis] + i32::from(upwards));
+            self.gap[axis][lane] = (wall - ray.start[axis]).abs();
+            // Finite: of a span whose reciprocal overflows, 0 * inf would be NaN.
+            self.rate[axis][lane] = (1.0 / span[axis]).abs().min(f64::MAX);
+            if !upwards {
+                self.mirror[lane] |= window.bits_along(axis);
+            }
+        }
+        self.length[lane] = norm(span) * UNITS_PER_EDGE;
+        self.place[lane] = window.bits_of(first) ^ self.mirror[lane];
+        let visits = voxel_count(first, last);
+        self.steps = self.steps.max(visits);
+        self.visits += visits;
+    }
+}
+
+/// Add the length of `rays` inside every voxel they cross.
+pub(crate) fn cast(accumulator: &mut Accumulator, window: &Window, rays: &[Ray]) {
+    Arch::new().dispatch(Cast { accumulator, window, rays });
+}
+
+struct Cast<'a> {
+    accumulator: &'a mut Accumulator,
+    window: &'a Window,
+    rays: &'a [Ray],
+}
+
+impl WithSimd for Cast<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        match S::F64_LANES {
+            8 => self.walk::<S, 2>(simd),
+            4 => self.walk::<S, 4>(simd),
+            2 => self.walk::<S, 8>(simd),
+            _ => self.walk::<S, LANES>(simd),
+        }
+    }
+}
+
+impl Cast<'_> {
+    /// With `K` vectors per bundle.
+    #[inline(always)]
+    fn walk<S: Simd, const K: usize>(self, simd: S) {
+        for rays in self.rays.chunks(LANES) {
+            let bundle = Bundle::of(self.window, rays);
+            let mut walk = Walk::<S, K>::new(simd, self.window, &bundle);
+            let (mut places, mut lengths) = ([0; LANES], [0; LANES]);
+            for _ in 0..bundle.steps {
+                walk.step(simd, &mut places, &mut lengths);
+                for (&place, &units) in places.iter().zip(&lengths) {
+                    self.accumulator.add(place, units as u32); // their lower halves
+                }
+            }
+            self.accumulator.count(bundle.visits);
+        }
+    }
+}
+
+/// State of a bundle on its way, in vectors.
+struct Walk<S: Simd, const K: usize> {
+    gap: [[S::f64s; K]; 3],
+    rate: [[S::f64s; K]; 3],
+    length: [S::f64s; K],
+    place: [S::u64s; K],
+    mirror: [S::u64s; K],
+    /// Ray parameter where the ray entered its voxel.
+    entered: [S::f64s; K],
+    /// Bits of a place that belong to an axis.
+    bits: [S::u64s; 3],
+}
+
+impl<S: Simd, const K: usize> Walk<S, K> {
+    #[inline(always)]
+    fn new(simd: S, window: &Window, bundle: &Bundle) -> Self {
+        let numbers = |lanes: &[f64; LANES]| std::array::from_fn(|k| S::as_simd_f64s(lanes).0[k]);
+        let words = |lanes: &[u64; LANES]| std::array::from_fn(|k| S::as_simd_u64s(lanes).0[k]);
+        Self {
+            gap: std::array::from_fn(|axis| numbers(&bundle.gap[axis])),
+            rate: std::array::from_fn(|axis| numbers(&bundle.rate[axis])),
+            length: numbers(&bundle.length),
+            place: words(&bundle.place),
+            mirror: words(&bundle.mirror),
+            entered: [simd.splat_f64s(0.0); K],
+            bits: std::array::from_fn(|axis| simd.splat_u64s(window.bits_along(axis))),
+        }
+    }
+
+    /// Write down the voxels that the rays are in, and the lengths inside; go on to the next ones.
+    #[inline(always)]
+    fn step(&mut self, simd: S, places: &mut [u64; LANES], lengths: &mut [u64; LANES]) {
+        let (one, shift) = (simd.splat_f64s(1.0), simd.splat_f64s(SHIFT));
+        let (places, lengths) = (S::as_mut_simd_u64s(places).0, S::as_mut_simd_u64s(lengths).0);
+        for k in 0..K {
+            // Computed from the start, not summed up, so that the error does not grow.
+            let [x, y, z] =
+                [0, 1, 2].map(|axis: usize| simd.mul_f64s(self.gap[axis][k], self.rate[axis][k]));
+            let first = simd.min_f64s(x, simd.min_f64s(y, z));
+            let exit = simd.min_f64s(first, one);
+            let length = simd.mul_f64s(simd.sub_f64s(exit, self.entered[k]), self.length[k]);
+            lengths[k] = simd.transmute_u64s_f64s(simd.add_f64s(length, shift));
+            places[k] = simd.xor_u64s(self.place[k], self.mirror[k]);
+            self.entered[k] = exit;
+            let along_x = simd.less_than_or_equal_f64s(x, first);
+            let along_y = simd.less_than_or_equal_f64s(y, first);
+            self.cross(simd, k, along_x, along_y);
+        }
+    }
+
+    /// Through a wall along x, or else along y, or else along z.
+    #[inline(always)]
+    fn cross(&mut self, simd: S, k: usize, along_x: S::m64s, along_y: S::m64s) {
+        let one = simd.splat_f64s(1.0);
+        let [x, y, z] = [0, 1, 2].map(|axis: usize| self.gap[axis][k]);
+        let [next_x, next_y, next_z] = [x, y, z].map(|gap| simd.add_f64s(gap, one));
+        let beside_x = |other, gap| simd.select_f64s(along_x, gap, other);
+        self.gap[0][k] = simd.select_f64s(along_x, next_x, x);
+        self.gap[1][k] = beside_x(simd.select_f64s(along_y, next_y, y), y);
+        self.gap[2][k] = beside_x(simd.select_f64s(along_y, z, next_z), z);
+
+        let [x, y, z] = self.bits;
+        let bits = simd.select_u64s(along_x, x, simd.select_u64s(along_y, y, z));
+        let others = simd.not_u64s(bits);
+        let place = self.place[k];
+        // The carry runs through the bits of the other axes.
+        let above = simd.add_u64s(simd.or_u64s(place, others), simd.splat_u64s(1));
+        self.place[k] = simd.or_u64s(simd.and_u64s(above, bits), simd.and_u64s(place, others));
+    }
+}

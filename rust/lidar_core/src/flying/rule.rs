@@ -1,0 +1,149 @@
+//! What the marks of a scan do to the values of a block.
+//!
+//! Source: Vrba et al., eqs 9 and 12.
+
+use super::blocks::{Block, EDGE, Place, VOLUME};
+use super::raycast::{Content, MAX_COUNT, Mark, POINT_UNITS, UNITS_PER_EDGE, content};
+use super::voxel_map::{Levels, RayUnit, VoxelMap, filtered, two_to_minus};
+use crate::geometry::lattice::Voxel;
+use pulp::{Arch, Simd, WithSimd};
+
+/// Voxels that are updated at a time: those of a row of x.
+const ROW: usize = EDGE as usize;
+
+/// What a mark does to a value.
+pub(super) struct Rule {
+    levels: Levels,
+    initial: f32,
+    g: [f32; 3],
+    per_unit: f64,
+    /// Weight of one of the units in which points are counted.
+    per_point: f64,
+    /// First and last voxel of the operating volume.
+    limits: Option<[Voxel; 2]>,
+}
+
+/// What was done to a block.
+pub(super) struct BlockUpdate {
+    /// Number of voxels that were updated.
+    pub(super) voxels: usize,
+    /// Those that became, or ceased to be, occupied.
+    pub(super) changed: Vec<Voxel>,
+}
+
+impl Rule {
+    pub(super) fn of(map: &VoxelMap, weighted: bool) -> Self {
+        let p = map.parameters();
+        let unit = match p.ray_unit {
+            RayUnit::Edges => 1.0,
+            RayUnit::Metres => p.voxel_size,
+            RayUnit::Diagonals => 1.0 / 3f64.sqrt(),
+        };
+        Self {
+            levels: map.levels(),
+            initial: p.initial,
+            g: [p.g_free, p.g_unk, p.g_occ],
+            per_unit: p.ray_gain * unit / UNITS_PER_EDGE,
+            per_point: if weighted { 1.0 / f64::from(POINT_UNITS) } else { 1.0 },
+            limits: map.limits,
+        }
+    }
+
+    /// Update a block, on the vector unit of the machine.
+    pub(super) fn apply(&self, block: &mut Block, marks: &[Mark; VOLUME]) -> BlockUpdate {
+        Arch::new().dispatch(Apply { rule: self, block, marks })
+    }
+
+    /// Marks of a row from the voxel `first` on, without those outside the operating volume.
+    #[inline(always)]
+    fn admitted(&self, place: Place, first: usize, marks: &[Mark; ROW]) -> [Mark; ROW] {
+        let Some([low, high]) = self.limits else { return *marks };
+        std::array::from_fn(|at| {
+            let voxel = place.voxel(first + at);
+            let inside = (0..3).all(|axis| (low[axis]..=high[axis]).contains(&voxel[axis]));
+            if inside { marks[at] } else { 0 }
+        })
+    }
+
+    #[inline(always)]
+    fn updated(&self, stored: f32, mark: Mark) -> f32 {
+        let (content, count) = content(mark);
+        let weight = f64::from(count) * self.per_point;
+        match content {
+            Content::Rays => self.cleared(stored, mark),
+            Content::Unknown => self.pulled(stored, self.g[1], two_to_minus(weight)),
+            Content::Flying => self.pulled(stored, self.g[1], 0.0), // n_det is infinite (eq. 17)
+            Content::Background => self.pulled(stored, self.g[2], two_to_minus(weight)),
+        }
+    }
+
+    /// The same for a mark of rays, without branches.
+    #[inline(always)]
+    fn cleared(&self, stored: f32, mark: Mark) -> f32 {
+        let keep = two_to_minus(f64::from(mark) * self.per_unit);
+        let value = self.pulled(stored, self.g[0], keep);
+        if mark == 0 { stored } else { value }
+    }
+
+    #[inline(always)]
+    fn pulled(&self, stored: f32, target: f32, keep: f64) -> f32 {
+        filtered(if stored.is_nan() { self.initial } else { stored }, target, keep)
+    }
+}
+
+struct Apply<'a> {
+    rule: &'a Rule,
+    block: &'a mut Block,
+    marks: &'a [Mark; VOLUME],
+}
+
+impl WithSimd for Apply<'_> {
+    type Output = BlockUpdate;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> BlockUpdate {
+        let Self { rule, block, marks } = self;
+        let mut update = BlockUpdate { voxels: 0, changed: Vec::new() };
+        for (row, marks) in marks.as_chunks::<ROW>().0.iter().enumerate() {
+            if marks.iter().fold(0, |all, mark| all | mark) == 0 {
+                continue;
+            }
+            let marks = rule.admitted(block.place, row * ROW, marks);
+            update_row(rule, block, row, &marks, &mut update);
+        }
+        update
+    }
+}
+
+#[inline(always)]
+fn update_row(
+    rule: &Rule,
+    block: &mut Block,
+    row: usize,
+    marks: &[Mark; ROW],
+    update: &mut BlockUpdate,
+) {
+    let Some(stored) = block.values.as_chunks_mut::<ROW>().0.get_mut(row) else { return };
+    let holds_points = marks.iter().fold(0, |all, mark| all | mark) > MAX_COUNT;
+    let mut values = [0.0; ROW];
+    if holds_points {
+        for (at, value) in values.iter_mut().enumerate() {
+            *value = rule.updated(stored[at], marks[at]);
+        }
+    } else {
+        for (at, value) in values.iter_mut().enumerate() {
+            *value = rule.cleared(stored[at], marks[at]);
+        }
+    }
+    update.voxels += marks.iter().filter(|&&mark| mark != 0).count();
+    let crosses = |at: usize| rule.levels.crosses(stored[at], values[at]);
+    if !(0..ROW).fold(false, |any, at| any | crosses(at)) {
+        *stored = values;
+        return;
+    }
+    for (at, &value) in values.iter().enumerate() {
+        if rule.levels.store(block, row * ROW + at, value) {
+            update.changed.push(block.place.voxel(row * ROW + at));
+        }
+    }
+}
