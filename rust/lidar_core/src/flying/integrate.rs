@@ -292,7 +292,10 @@ impl WithSimd for Fill<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> Result<(), Error> {
         let Self { plan, scan, parameters, lattice } = self;
-        (0..scan.points.len()).try_for_each(|index| plan.add_row(scan, index, parameters, lattice))
+        for index in 0..scan.points.len() {
+            plan.add_row(scan, index, parameters, lattice)?;
+        }
+        Ok(())
     }
 }
 

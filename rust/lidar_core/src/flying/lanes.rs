@@ -118,7 +118,8 @@ impl Cast<'_> {
     }
 }
 
-/// State of a bundle on its way, in vectors.
+/// State of a bundle on its way, in vectors. No closures on the way: they would not be inlined
+/// everywhere, and compiled for another vector unit.
 struct Walk<S: Simd, const K: usize> {
     gap: [[S::f64s; K]; 3],
     rate: [[S::f64s; K]; 3],
@@ -154,8 +155,9 @@ impl<S: Simd, const K: usize> Walk<S, K> {
         let (places, lengths) = (S::as_mut_simd_u64s(places).0, S::as_mut_simd_u64s(lengths).0);
         for k in 0..K {
             // Computed from the start, not summed up, so that the error does not grow.
-            let [x, y, z] =
-                [0, 1, 2].map(|axis: usize| simd.mul_f64s(self.gap[axis][k], self.rate[axis][k]));
+            let x = simd.mul_f64s(self.gap[0][k], self.rate[0][k]);
+            let y = simd.mul_f64s(self.gap[1][k], self.rate[1][k]);
+            let z = simd.mul_f64s(self.gap[2][k], self.rate[2][k]);
             let first = simd.min_f64s(x, simd.min_f64s(y, z));
             let exit = simd.min_f64s(first, one);
             let length = simd.mul_f64s(simd.sub_f64s(exit, self.entered[k]), self.length[k]);
@@ -172,12 +174,12 @@ impl<S: Simd, const K: usize> Walk<S, K> {
     #[inline(always)]
     fn cross(&mut self, simd: S, k: usize, along_x: S::m64s, along_y: S::m64s) {
         let one = simd.splat_f64s(1.0);
-        let [x, y, z] = [0, 1, 2].map(|axis: usize| self.gap[axis][k]);
-        let [next_x, next_y, next_z] = [x, y, z].map(|gap| simd.add_f64s(gap, one));
-        let beside_x = |other, gap| simd.select_f64s(along_x, gap, other);
-        self.gap[0][k] = simd.select_f64s(along_x, next_x, x);
-        self.gap[1][k] = beside_x(simd.select_f64s(along_y, next_y, y), y);
-        self.gap[2][k] = beside_x(simd.select_f64s(along_y, z, next_z), z);
+        let [x, y, z] = [self.gap[0][k], self.gap[1][k], self.gap[2][k]];
+        let next_y = simd.select_f64s(along_y, simd.add_f64s(y, one), y);
+        let next_z = simd.select_f64s(along_y, z, simd.add_f64s(z, one));
+        self.gap[0][k] = simd.select_f64s(along_x, simd.add_f64s(x, one), x);
+        self.gap[1][k] = simd.select_f64s(along_x, y, next_y);
+        self.gap[2][k] = simd.select_f64s(along_x, z, next_z);
 
         let [x, y, z] = self.bits;
         let bits = simd.select_u64s(along_x, x, simd.select_u64s(along_y, y, z));
