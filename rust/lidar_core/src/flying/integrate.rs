@@ -379,6 +379,7 @@ fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::flying::voxel_map::RayUnit;
 
     pub(crate) fn parameters() -> MapParameters {
         MapParameters {
