@@ -53,8 +53,8 @@ LiDARs that presets know:
 Numbers are the makers' nominal ones, rounded, and not checked against every current data sheet:
 compare them with that of your revision. Ranges are those on dark surfaces where makers give them;
 noise and shortest ranges are typical values where they give none. Rows are even between the
-outermost where the note does not say otherwise. The patterns of Livox are not published: what stands for them has their field of view,
-their rate, and does not repeat.
+outermost where the note does not say otherwise. The patterns of Livox are not published: what
+stands for them has their field of view, their rate, and does not repeat.
 
 """
 SENSOR_COLUMNS = (
