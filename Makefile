@@ -53,7 +53,7 @@ lint-python: ## Only ruff, mypy and stubtest.
 
 test: test-env ## Install what the tests need and run them all, on a wheel.
 	cargo test --locked
-	$(TEST_VENV)/bin/pytest
+	$(TEST_VENV)/bin/pytest -n 2
 	$(TEST_VENV)/bin/pytest --doctest-modules --pyargs lidar_core
 
 # The tests run on an installed wheel, never on the working tree. ouster-sdk pins versions that

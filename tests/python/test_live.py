@@ -581,9 +581,11 @@ def test_what_was_published_once_before_reaches_those_who_come_later(circles):
 
             publishing = Thread(target=publish)
             publishing.start()
-            wait_until(lambda: " 0.0 scans/s" not in wait_for_line(process, "scans/s"))
-            ended.set()
-            publishing.join()
+            try:
+                wait_until(lambda: " 0.0 scans/s" not in wait_for_line(process, "scans/s"))
+            finally:
+                ended.set()
+                publishing.join()
             summary = interrupted(process)
     assert summary["frame_id"] == "odom", summary
     assert summary["processed"] > 0

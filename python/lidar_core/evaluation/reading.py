@@ -260,7 +260,7 @@ def _numbers(place: Path, columns: Columns, name: str) -> NDArray[np.float64]:
 def _floats(place: Path, columns: Columns, name: str) -> NDArray[np.float64]:
     column = _column(place, columns, name)
     if column.dtype.kind not in "fiu":
-        raise FormatError(f"{place}: column {name}: expected numbers, got {column.dtype}")
+        raise FormatError(f"{place}: column {name}: expected numbers, got text")
     return column.astype(np.float64)
 
 
