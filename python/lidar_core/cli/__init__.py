@@ -1,5 +1,6 @@
 """The `lidar-core` command: one file per subcommand; heavy imports stay inside the functions."""
 
+import signal
 import sys
 from importlib import import_module
 from typing import Annotated
@@ -58,7 +59,11 @@ def options(
 
 
 def main() -> None:
-    """Run the command; expected errors end in one readable line and exit status 2."""
+    """Run the command; expected errors end in one readable line and exit status 2.
+
+    SIGTERM, by which services and robots stop programs, is treated as Ctrl-C: files are completed.
+    """
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         app()
     except (LidarCoreError, OSError) as error:
