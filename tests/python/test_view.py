@@ -1,6 +1,8 @@
 """A run looked at: what playback gives, pictures, films, rerun's file, Foxglove's stream."""
 
 import os
+import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -16,9 +18,11 @@ from typer.testing import CliRunner
 import lidar_core as lc
 import lidar_core.io
 from lidar_core.cli import app
-from lidar_core.errors import ConfigError, FormatError, MissingExtraError
+from lidar_core.errors import ConfigError, FormatError, LinkError, MissingExtraError
 from lidar_core.viz import Objects, Playback, draw_film, draw_moment
 from lidar_core.viz.film import film_ending
+from lidar_core.viz.playback import Moment
+from lidar_core.viz.rerun_log import RerunLog
 
 SCANS = 15
 needs_rerun = pytest.mark.skipif(
@@ -239,7 +243,8 @@ def test_foxglove_gets_every_message_as_it_is_stored(circles, monkeypatch):
     assert [time for _, time, _ in sent] == sorted(time for _, time, _ in sent)
 
 
-def test_ctrl_c_ends_the_server(circles):
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_and_sigterm_end_the_server(circles, by):
     program = "from lidar_core.cli import main; main()"
     process = subprocess.Popen(
         [sys.executable, "-c", program, "view", str(circles), "--foxglove", "--port", "0"],
@@ -249,11 +254,56 @@ def test_ctrl_c_ends_the_server(circles):
     killer.start()
     try:
         assert process.stdout.readline().startswith("ws://127.0.0.1:")
-        process.send_signal(2)
+        process.send_signal(by)
         _, errors = process.communicate()
     finally:
         killer.cancel()
     assert process.returncode == 0, errors
+
+
+def test_a_port_in_use_is_an_error_with_its_cure(circles):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        refused = invoke("view", circles, "--foxglove", "--port", other.getsockname()[1])
+    assert isinstance(refused.exception, LinkError)
+    assert "end the program that uses it, or choose another one: --port " in str(refused.exception)
+
+
+@needs_rerun
+def test_a_missing_folder_is_named_before_anything_is_played(circles, tmp_path):
+    refused = invoke("view", circles, "--rrd", tmp_path / "nowhere" / "a.rrd")
+    assert isinstance(refused.exception, FileNotFoundError)
+    assert str(refused.exception) == f"{tmp_path / 'nowhere'}: no such folder, to write a.rrd in"
+
+
+@needs_rerun
+def test_rerun_clears_what_is_no_longer_there(monkeypatch):
+    """Circles, then none; none once more logs nothing; a box is none of the circles."""
+    log, logged = RerunLog("a test"), []
+    monkeypatch.setattr(
+        log.stream, "log", lambda place, shown, **more: logged.append((place, shown))
+    )
+
+    def moment(stamp_ns, *heights):
+        count = len(heights)
+        zeros, size = np.zeros((count, 3)), np.ones((count, 3))
+        size[:, 2] = heights
+        found = Objects(np.arange(count), zeros, zeros, np.zeros((count, 3, 3)), size)
+        return Moment(stamp_ns, np.empty((0, 3), np.float32), np.empty(0, np.uint8), found)
+
+    def told(place):
+        return [len(shown.labels) for name, shown in logged if name == f"world/objects/{place}"]
+
+    log.log(moment(1, 0, 0))
+    log.log(moment(2))
+    log.log(moment(3))
+    assert told("outlines") == [2, 0]
+    assert told("boxes") == []
+    log.log(moment(4, 0, 2))
+    log.log(moment(5, 2))
+    assert told("outlines") == [2, 0, 1, 0]
+    assert told("boxes") == [1, 1]
 
 
 @needs_rerun

@@ -24,6 +24,22 @@ def commit(temporary: Path, path: Path) -> None:
             os.close(folder)
 
 
+def check_place(path: Path) -> None:
+    """Refuse, before any work, a file that could not be put in its place.
+
+    Raises
+    ------
+    FileNotFoundError
+        The folder is missing.
+    IsADirectoryError
+        A folder is there.
+    """
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"{path.parent}: no such folder, to write {path.name} in")
+    if path.is_dir():
+        raise IsADirectoryError(f"{path}: expected a file to write, got a folder")
+
+
 @contextmanager
 def written_whole(path: str | Path) -> Iterator[Path]:
     """Temporary path to write to; it becomes `path` if the block ends without an error."""

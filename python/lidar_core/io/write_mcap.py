@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lidar_core.errors import InputError
 from lidar_core.extras import require
-from lidar_core.io.atomic import commit, temporary_for
+from lidar_core.io.atomic import check_place, commit, temporary_for
 from lidar_core.io.circle_scene import CircleScene
 from lidar_core.io.circles import CirclesLike
 from lidar_core.io.foxglove_messages import FOXGLOVE_TYPES, OWN_HEIGHT, OWN_SCANNER
@@ -218,12 +218,20 @@ class McapWriter(FoxgloveLog):
         File to write; an older one is replaced when the new one is complete.
     tracks_frame : str
         Frame that tracks are given in.
+
+    Raises
+    ------
+    FileNotFoundError
+        The folder of the file is missing.
+    MissingExtraError
+        foxglove-sdk is not installed.
     """
 
     def __init__(self, path: str | Path, *, tracks_frame: str) -> None:
         foxglove = require("foxglove", extra="viz", purpose="writing MCAP")
         super().__init__(foxglove.Context(), tracks_frame=tracks_frame)
         self._path = Path(path)
+        check_place(self._path)
         self._temporary = temporary_for(self._path)
         self._writer = foxglove.open_mcap(
             self._temporary, allow_overwrite=True, context=self._context

@@ -2,13 +2,14 @@
 
 from abc import ABC, abstractmethod
 from contextlib import ExitStack
+from datetime import UTC, datetime
 from pathlib import Path
 
 from lidar_core.extras import require
-from lidar_core.io.atomic import commit, temporary_for
+from lidar_core.io.atomic import check_place, commit, temporary_for
 from lidar_core.io.write_mcap import FoxgloveLog, McapWriter
 from lidar_core.live.update import Update
-from lidar_core.viz.foxglove_server import LOCAL
+from lidar_core.viz.foxglove_server import LOCAL, start_server
 from lidar_core.viz.rerun_log import RerunLog, Where, rerun_viewer
 
 BACKLOG = 64  # messages to a slow viewer; older ones go
@@ -47,6 +48,8 @@ class FoxgloveOutput(Output):
 
     Raises
     ------
+    LinkError
+        The port is in use.
     MissingExtraError
         foxglove-sdk is not installed.
     """
@@ -54,10 +57,7 @@ class FoxgloveOutput(Output):
     def __init__(self, port: int) -> None:
         foxglove = require("foxglove", extra="viz", purpose="the Foxglove server")
         self._context = foxglove.Context()
-        self._server = foxglove.start_server(
-            name="lidar_core", host=LOCAL, port=port, context=self._context,
-            message_backlog_size=BACKLOG,
-        )  # fmt: skip
+        self._server = start_server(self._context, port, option="foxglove:", backlog=BACKLOG)
         super().__init__(f"ws://{LOCAL}:{self._server.port}")
         self._log: FoxgloveLog | None = None
 
@@ -79,10 +79,18 @@ class McapOutput(Output):
     ----------
     path : Path
         File to write.
+
+    Raises
+    ------
+    FileNotFoundError
+        The folder of the file is missing.
+    MissingExtraError
+        foxglove-sdk is not installed.
     """
 
     def __init__(self, path: Path) -> None:
         require("foxglove", extra="viz", purpose="writing MCAP")
+        check_place(path)
         super().__init__(str(path))
         self._path = path
         self._writer: McapWriter | None = None
@@ -109,15 +117,19 @@ class RerunOutput(Output):
 
     Raises
     ------
+    FileNotFoundError
+        The folder of the file is missing.
     MissingExtraError
         rerun-sdk is not installed.
     """
 
     def __init__(self, where: Where | Path) -> None:
         super().__init__(f"rerun, {where}")
-        self._log = RerunLog("lidar-core live")
-        self._stack = ExitStack()
         self._path = where if isinstance(where, Path) else None
+        if self._path is not None:
+            check_place(self._path)
+        self._log = RerunLog(f"lidar-core live {datetime.now(UTC).isoformat()}")
+        self._stack, self._is_empty = ExitStack(), True
         if isinstance(where, Path):
             self._log.stream.save(str(temporary_for(where)))
         else:
@@ -129,11 +141,14 @@ class RerunOutput(Output):
 
     def publish(self, update: Update) -> None:
         """Show the scan and the objects."""
+        self._is_empty = False
         self._log.log(update.moment())
 
     def close(self) -> None:
-        """Complete the file, or close the viewer."""
+        """Complete the file, without scans there is none; or close the viewer."""
         self._log.close()
         self._stack.close()
-        if self._path is not None:
+        if self._path is not None and self._is_empty:
+            temporary_for(self._path).unlink(missing_ok=True)
+        elif self._path is not None:
             commit(temporary_for(self._path), self._path)

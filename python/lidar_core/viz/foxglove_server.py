@@ -5,12 +5,45 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from lidar_core.errors import LinkError
 from lidar_core.extras import require
 from lidar_core.io.mcap_file import McapRecording
 from lidar_core.io.options import ReadOptions
 
-LOCAL = "127.0.0.1"
+LOCAL, LAST_PORT = "127.0.0.1", 65535
+BACKLOG = 256  # messages to a slow viewer
 LONGEST_PAUSE_S = 1.0  # gaps of a recording are played shorter
+
+
+def start_server(context: Any, port: int, *, option: str, backlog: int) -> Any:
+    """Foxglove's server on 127.0.0.1.
+
+    Parameters
+    ----------
+    context : foxglove.Context
+        What it serves.
+    port : int
+        Of the WebSocket; 0 takes a free one.
+    option : str
+        What is said on the command line before the port, such as "--port ".
+    backlog : int
+        Messages to a slow viewer; older ones go.
+
+    Raises
+    ------
+    LinkError
+        The port is in use, or not for this user.
+    """
+    foxglove = require("foxglove", extra="viz", purpose="the Foxglove server")
+    try:
+        return foxglove.start_server(
+            name="lidar_core", host=LOCAL, port=port, context=context, message_backlog_size=backlog
+        )
+    except (RuntimeError, OSError) as error:
+        raise LinkError(
+            f"foxglove: port {port} cannot be opened ({error}); end the program that uses it, or"
+            f" choose another one: {option}{port + 1 if port < LAST_PORT else 0}"
+        ) from error
 
 
 def serve_foxglove(
@@ -42,13 +75,13 @@ def serve_foxglove(
         foxglove-sdk or mcap is not installed.
     FormatError
         Not a whole MCAP file.
+    LinkError
+        The port is in use.
     """
     foxglove = require("foxglove", extra="viz", purpose="the Foxglove server")
     context = foxglove.Context()
     with McapRecording(Path(recording), ReadOptions()) as opened:
-        server = foxglove.start_server(
-            name="lidar_core", host=LOCAL, port=port, context=context, message_backlog_size=256
-        )
+        server = start_server(context, port, option="--port ", backlog=BACKLOG)
         try:
             on_ready(int(server.port))
             channels: dict[int, Any] = {}

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.extras import require
-from lidar_core.io.atomic import written_whole
-from lidar_core.viz.playback import Moment, Objects, Outline, Playback
+from lidar_core.io.atomic import check_place, written_whole
+from lidar_core.viz.playback import Moment, Objects, Playback
 
 PURPOSE = "the rerun viewer"
 CLASS_COLOURS = np.array(
@@ -60,7 +60,7 @@ class RerunLog:
         self._rr = require("rerun", extra="rerun", purpose=PURPOSE)
         self.stream = self._rr.RecordingStream("lidar_core", recording_id=name)
         self._trails: dict[int, list[NDArray[np.float64]]] = defaultdict(list)
-        self._has_shapes = False
+        self._filled: set[str] = set()
 
     def begin(self) -> None:
         """Say which way is up; to be called once the stream is connected."""
@@ -74,10 +74,38 @@ class RerunLog:
             colours = CLASS_COLOURS[moment.point_class]
             cloud = rr.Points3D(moment.points, colors=colours, radii=POINT_RADIUS)
             self.stream.log("world/points", cloud)
-        _log_objects(rr, self.stream, moment.objects, self._trails)
-        if moment.outlines or self._has_shapes:  # none replace those of before
-            _log_shapes(rr, self.stream, moment.outlines)
-            self._has_shapes = bool(moment.outlines)
+        self._log_extents(moment.objects)
+        _log_motion(rr, self.stream, moment.objects, self._trails)
+        shapes = moment.outlines
+        seen = [SEEN_COLOUR if one.visible else HIDDEN_COLOUR for one in shapes]
+        lines, labels = [one.points for one in shapes], [str(one.id) for one in shapes]
+        self._log_lines("world/shapes", lines, labels, seen)
+
+    def _log_extents(self, objects: Objects) -> None:
+        """Boxes around what has a height, circles around what has none."""
+        speeds = np.linalg.norm(objects.velocity, axis=1).tolist()
+        labels = [f"{name}: {speed:.1f} m/s"
+                  for name, speed in zip(objects.id.tolist(), speeds, strict=True)]  # fmt: skip
+        heights = objects.size[:, 2]
+        tall, flat = (np.flatnonzero(rows).tolist() for rows in (heights > 0, heights == 0))
+        self._log_or_clear("world/objects/boxes", len(tall), self._rr.Boxes3D(
+            centers=objects.position[tall], sizes=objects.size[tall],
+            labels=[labels[row] for row in tall], colors=OBJECT_COLOUR, show_labels=True,
+        ))  # fmt: skip
+        self._log_lines("world/objects/outlines", [objects.outline(row) for row in flat],
+                        [labels[row] for row in flat], OBJECT_COLOUR)  # fmt: skip
+
+    def _log_lines(
+        self, place: str, lines: Sequence[NDArray[np.float64]], labels: list[str], colours: Any
+    ) -> None:
+        strips = self._rr.LineStrips3D(lines, labels=labels, colors=colours, show_labels=True)
+        self._log_or_clear(place, len(lines), strips)
+
+    def _log_or_clear(self, place: str, count: int, shown: Any) -> None:
+        """Log `count` things; none replace those of before, and are left out after none."""
+        if count or place in self._filled:
+            self.stream.log(place, shown)
+        (self._filled.add if count else self._filled.discard)(place)
 
     def log_map(self, voxel_map: Path) -> None:
         """Show the occupied voxels of a saved map, at all times."""
@@ -101,11 +129,14 @@ def write_rerun(run: Playback, path: str | Path) -> Path:
 
     Raises
     ------
+    FileNotFoundError
+        The folder of the file is missing.
     MissingExtraError
         rerun-sdk is not installed.
     """
-    log = RerunLog(str(run.folder.resolve()))
     place = Path(path)
+    check_place(place)
+    log = RerunLog(str(run.folder.resolve()))
     with written_whole(place) as temporary:
         log.stream.save(str(temporary))
         log.begin()
@@ -179,7 +210,7 @@ def _has_display() -> bool:
     return not on_server
 
 
-def _log_objects(
+def _log_motion(
     rr: Any, stream: Any, objects: Objects, trails: dict[int, list[NDArray[np.float64]]]
 ) -> None:
     names = objects.id.tolist()
@@ -187,18 +218,6 @@ def _log_objects(
         trails[name] = [*trails[name][1 - TRAIL :], position]
     for name in set(trails) - set(names):
         del trails[name]
-    labels = [f"{name}: {speed:.1f} m/s" for name, speed in
-              zip(names, np.linalg.norm(objects.velocity, axis=1), strict=True)]  # fmt: skip
-    if (objects.size[:, 2] > 0).all():
-        stream.log("world/objects/boxes", rr.Boxes3D(
-            centers=objects.position, sizes=objects.size, labels=labels, colors=OBJECT_COLOUR,
-            show_labels=True,
-        ))  # fmt: skip
-    else:
-        outlines = [objects.outline(row) for row in range(len(names))]
-        stream.log("world/objects/outlines", rr.LineStrips3D(
-            outlines, labels=labels, colors=OBJECT_COLOUR, show_labels=True,
-        ))  # fmt: skip
     half, turns = _axes(objects.covariance)
     stream.log("world/objects/covariance", rr.Ellipsoids3D(
         centers=objects.position, half_sizes=half, quaternions=turns, colors=ELLIPSE_COLOUR,
@@ -208,14 +227,6 @@ def _log_objects(
     ))  # fmt: skip
     stream.log("world/objects/trails", rr.LineStrips3D(
         [np.array(trails[name]) for name in names], colors=OBJECT_COLOUR,
-    ))  # fmt: skip
-
-
-def _log_shapes(rr: Any, stream: Any, outlines: tuple[Outline, ...]) -> None:
-    colours = [SEEN_COLOUR if one.visible else HIDDEN_COLOUR for one in outlines]
-    stream.log("world/shapes", rr.LineStrips3D(
-        [one.points for one in outlines], labels=[str(one.id) for one in outlines],
-        colors=colours, show_labels=True,
     ))  # fmt: skip
 
 
