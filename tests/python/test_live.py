@@ -428,9 +428,9 @@ def wait_for_line(process, text):
     raise AssertionError(f"ended with {process.wait()} before saying {text!r}")
 
 
-def interrupted(process):
+def interrupted(process, by=signal.SIGINT):
     """The summary after Ctrl-C."""
-    process.send_signal(signal.SIGINT)
+    process.send_signal(by)
     out, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130, errors
     return json.loads(out)
@@ -763,17 +763,74 @@ def test_a_replay_gives_scans_with_their_last_ray(circles):
     assert sum(isinstance(item.decode()[0], LaserScan) for _, item in noted) == SCANS
 
 
-def test_ctrl_c_ends_a_replay_with_whole_files(circles, tmp_path):
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_and_sigterm_end_a_replay_with_whole_files(circles, tmp_path, by):
     file = tmp_path / "out.mcap"
     with live("--replay", circles, "--rate", 0.05, "--out", f"mcap:{file}") as process:
         wait_for_line(process, "scans/s")
         wait_for_line(process, "scans/s")
-        summary = interrupted(process)
+        summary = interrupted(process, by)
     assert 0 < summary["processed"] < SCANS
     with lc.io.open_recording(file) as recording:
         assert {topic.name: topic.count for topic in recording.topics()}["/circles"] == (
             summary["processed"]
         )
+
+
+@pytest.mark.parametrize("out", ["mcap:{}", "rerun:{}.rrd"])
+def test_files_are_replaced_only_where_that_was_asked_for(circles, tmp_path, out):
+    out = out.format(tmp_path / "old")
+    file = Path(out.partition(":")[2])
+    file.write_text("kept")
+    arguments = ["live", "--replay", str(circles), "--seconds", "0", "--out", out]
+    refused = CliRunner().invoke(app, arguments)
+    assert isinstance(refused.exception, ConfigError)
+    assert str(refused.exception) == f"{file}: exists; --overwrite replaces it"
+    assert file.read_text() == "kept"
+    if out.startswith("mcap") or find_spec("rerun") is not None:
+        done = CliRunner().invoke(app, [*arguments, "--overwrite"])
+        assert done.exit_code == 0, done.output
+        assert file.read_text() == "kept"  # no scan, no file
+        done = CliRunner().invoke(app, [*arguments[:3], "--overwrite", "--rate", "5", "--out", out])
+        assert done.exit_code == 0, done.output
+        assert file.read_bytes() != b"kept"
+    assert [path.name for path in tmp_path.iterdir()] == [file.name]
+
+
+def test_a_replay_never_replaces_what_it_plays(circles, tmp_path):
+    played = tmp_path / "a.mcap"
+    assert CliRunner().invoke(app, ["convert", str(circles), str(played)]).exit_code == 0
+    before = played.read_bytes()
+    refused = CliRunner().invoke(
+        app, ["live", "--replay", str(played), "--out", f"mcap:{tmp_path}/./a.mcap", "--overwrite"]
+    )
+    assert isinstance(refused.exception, ConfigError)
+    assert "expected another file than the one to read" in str(refused.exception)
+    assert played.read_bytes() == before
+
+
+@pytest.mark.parametrize("out", ["mcap:{}/nowhere/a.mcap", "rerun:{}/nowhere/a.rrd"])
+def test_a_missing_folder_is_named_before_the_first_scan(circles, tmp_path, out):
+    if out.startswith("rerun"):
+        pytest.importorskip("rerun")
+    refused = CliRunner().invoke(
+        app, ["live", "--replay", str(circles), "--out", out.format(tmp_path)]
+    )
+    assert isinstance(refused.exception, FileNotFoundError)
+    assert str(refused.exception).startswith(f"{tmp_path / 'nowhere'}: no such folder, to write a.")
+
+
+def test_a_port_in_use_is_an_error_with_its_cure(circles):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        refused = CliRunner().invoke(
+            app, ["live", "--replay", str(circles), "--out", f"foxglove:{port}"]
+        )
+    assert isinstance(refused.exception, LinkError)
+    text = f"foxglove: port {port} cannot be opened .*; end the program that uses it, or choose"
+    assert re.search(f"{text} another one: foxglove:[0-9]+$", str(refused.exception))
 
 
 @pytest.mark.parametrize(

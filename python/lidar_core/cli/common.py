@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 SLOW_MS = 10.0  # times below are printed with more digits
 INTERRUPTED = 130
-"""Exit status after Ctrl-C."""
+"""Exit status after Ctrl-C or SIGTERM."""
 
 
 def all_threads() -> int:
@@ -36,6 +36,9 @@ Threads: TypeAlias = Annotated[
         show_default="all",
         help="Threads; the result is the same.",
     ),
+]
+OverwriteFile: TypeAlias = Annotated[
+    bool, typer.Option("--overwrite", help="Replace an existing file.")
 ]
 JsonFile: TypeAlias = Annotated[
     Path | None,

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from lidar_core.cli.common import OverwriteFile
+
 if TYPE_CHECKING:
     from lidar_core.config import Config
 
@@ -71,7 +73,7 @@ def init(
     model: ModelOption = "flying",
     mode: ModeOption = "best",
     preset: PresetOption = None,
-    overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False,
+    overwrite: OverwriteFile = False,
 ) -> None:
     """Write a file with every parameter, its meaning, unit and range."""
     from lidar_core.errors import ConfigError

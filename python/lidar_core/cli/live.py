@@ -9,6 +9,7 @@ import typer
 
 from lidar_core.cli.common import (
     INTERRUPTED,
+    OverwriteFile,
     Row,
     Threads,
     consoles,
@@ -64,14 +65,16 @@ def command(
     ] = None,
     stream: Annotated[list[str], typer.Option(help=STREAM)] = [],  # noqa: B006
     seconds: Annotated[float | None, typer.Option(min=0, help="End after this time \\[s].")] = None,
+    overwrite: OverwriteFile = False,
     threads: Threads,
 ) -> None:
     """Process scans as they arrive; the newest wins, and what is left out is counted.
 
     A line a second tells rate, latency (median and 95th percentile, from the stamp of the scan and
-    from its arrival to the end of the outputs) and drops. Ctrl-C ends with a summary.
+    from its arrival to the end of the outputs) and drops. Ctrl-C or SIGTERM ends with a
+    summary.
     """
-    from lidar_core.cli.live_job import PipelineChoice, open_output, open_source
+    from lidar_core.cli.live_job import PipelineChoice, check_files, open_output, open_source
     from lidar_core.io import ReadOptions
     from lidar_core.live import LiveConfig, LiveLoop
     from lidar_core.live.poses import LivePoses
@@ -89,6 +92,7 @@ def command(
         threads,
     )
     where = LivePoses(options.poses(), settings)
+    check_files(outputs, replay, overwrite=overwrite)
     out, errors = consoles(options.json)
     with ExitStack() as stack:
         listening = open_source(source, replay, rate=rate, read=read, live=settings,

@@ -1,5 +1,6 @@
 """What the options of `lidar-core live` name: sources, outputs, pipelines."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -112,6 +113,31 @@ def open_source(
     raise ConfigError(f"--in {text}: expected one of {SOURCES}")
 
 
+def check_files(outputs: Iterable[str], replayed: Path | None, *, overwrite: bool) -> None:
+    """Refuse files that hold something, before anything is opened.
+
+    Raises
+    ------
+    ConfigError
+        A file is there that must not be replaced, or belongs to the recording that is played.
+    """
+    for text in outputs:
+        path = _file(text)
+        if path is None or not path.exists():
+            continue
+        if replayed is not None and path.resolve().is_relative_to(replayed.resolve()):
+            raise ConfigError(f"{path}: expected another file than the one to read")
+        if not overwrite:
+            raise ConfigError(f"{path}: exists; --overwrite replaces it")
+
+
+def _file(text: str) -> Path | None:
+    """File that an --out names; None for what is no file."""
+    kind, _, place = text.partition(":")
+    is_file = (kind == "mcap" and place) or (kind == "rerun" and place.endswith(".rrd"))
+    return Path(place) if is_file else None
+
+
 def open_output(text: str, live: LiveConfig) -> Output:
     """Output that an --out names.
 
@@ -123,14 +149,13 @@ def open_output(text: str, live: LiveConfig) -> Output:
     from lidar_core.live.outputs import FoxgloveOutput, McapOutput, RerunOutput
 
     kind, _, place = text.partition(":")
+    file = _file(text)
+    if file is not None:
+        return McapOutput(file) if kind == "mcap" else RerunOutput(file)
     if kind == "foxglove":
         return FoxgloveOutput(_port(place or str(FOXGLOVE_PORT), "--out foxglove"))
-    if kind == "mcap" and place:
-        return McapOutput(Path(place))
     if kind == "rerun" and place in ("", "window", "web"):
         return RerunOutput("web" if place == "web" else "window")
-    if kind == "rerun" and place.endswith(".rrd"):
-        return RerunOutput(Path(place))
     if kind == "zenoh":
         from lidar_core.live.zenoh_link import DEFAULT_ENDPOINT
         from lidar_core.live.zenoh_output import ZenohOutput
