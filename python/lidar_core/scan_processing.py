@@ -10,6 +10,7 @@ from lidar_core.flying import FlyingFrame, FlyingObjectDetector
 from lidar_core.io.posed import PosedScan
 from lidar_core.io.write_mcap import FoxgloveLog
 from lidar_core.messages import LaserScan, Pose, Scan
+from lidar_core.sensors import SENSORS
 
 CLASSES_TOPIC = "/classes"
 
@@ -87,18 +88,28 @@ def scanner_of(scan: LaserScan, config: CirclesConfig, place: str) -> Scanner:
 def check_no_rays(config: CirclesConfig) -> None:
     """Refuse rays in `config.scanner`, which the scans would override.
 
+    Those of a preset are none: they are nominal, and stand in files that start from one.
+
     Raises
     ------
     ConfigError
         There are some.
     """
-    usual = type(config.scanner)()
-    for name in ("n_beams", "angle_min", "angle_increment"):
-        if getattr(config.scanner, name) != getattr(usual, name) and not config.scanners:
+    nominal = [Scanner.load({"preset": name}) for name, sensor in SENSORS.items()
+               if sensor.is_planar]  # fmt: skip
+    if config.scanners or any(_rays(one) == _rays(config.scanner) for one in nominal):
+        return
+    usual = _rays(Scanner())
+    for name, value in _rays(config.scanner).items():
+        if value != usual[name]:
             raise ConfigError(
                 f"scanner.{name}: expected no value, since the recording states it; to have"
                 f' another, name the scanner: --set scanners."TOPIC".{name}=...'
             )
+
+
+def _rays(scanner: Scanner) -> dict[str, float]:
+    return {name: getattr(scanner, name) for name in ("n_beams", "angle_min", "angle_increment")}
 
 
 def log_flying(

@@ -1,6 +1,7 @@
 """LiDARs that are sold: simulator, detector and circles see them as their data sheets do."""
 
 import runpy
+import tomllib
 from pathlib import Path
 from typing import get_args
 
@@ -15,6 +16,7 @@ from lidar_core.cli.simulate import BUILT_IN
 from lidar_core.flying import FlyingConfig, SensorConfig
 from lidar_core.flying.sensor_config import BEAM_PRESETS, BeamPreset
 from lidar_core.io import open_recording
+from lidar_core.messages import LaserScan
 from lidar_core.sensors import SENSORS
 
 ROOT = Path(__file__).parents[2]
@@ -158,6 +160,22 @@ def test_config_writes_a_built_in_scene_that_can_be_changed(name, tmp_path):
     path = tmp_path / "scene.toml"
     output_of("config", "init", "--model", "scene", "--preset", name, "-o", path)
     assert sim.Scene.read(path).scans >= 1
+
+
+@pytest.mark.parametrize("name", PLANAR)
+def test_circles_takes_a_file_of_a_preset_for_any_recording(name, tmp_path):
+    config, recording = tmp_path / "c.toml", tmp_path / "a.npz"
+    output_of("config", "init", "--model", "circles", "--preset", name, "-o", config)
+    output_of("simulate", "circles", "-o", recording, "--scans", 2)
+    output_of("circles", recording, "-o", tmp_path / "run", "--config", config, "--no-picture",
+              "--no-mcap")  # fmt: skip
+    note = tomllib.loads((tmp_path / "run" / "run.toml").read_text())["config"]["circles"]
+    (found,) = note["scanners"].values()
+    limits = Scanner.load({"preset": name})
+    with open_recording(recording) as opened:
+        scan = next(one for one in opened if isinstance(one, LaserScan))
+    assert found["n_beams"] == len(scan.ranges)
+    assert found["range_max"] == min(limits.range_max, scan.range_max)
 
 
 def test_a_model_without_presets_says_so():
