@@ -18,6 +18,7 @@ from lidar_core.errors import (
 from lidar_core.geometry import cluster_points, traverse
 
 if TYPE_CHECKING:
+    from lidar_core import batch as batch
     from lidar_core import circles as circles
     from lidar_core import estimation as estimation
     from lidar_core import evaluation as evaluation
@@ -38,8 +39,8 @@ _HOMES = {
     "VoxelMap": "flying.voxel_map",
 }
 _LAZY = (
-    "circles", "estimation", "evaluation", "flying", "fusion", "io", "live", "reproduce", "sim",
-    "viz",
+    "batch", "circles", "estimation", "evaluation", "flying", "fusion", "io", "live", "reproduce",
+    "sim", "viz",
 )  # fmt: skip
 """What is imported when it is first used."""
 
@@ -57,10 +58,19 @@ __all__ = [
     "VoxelMap",
     "VoxelMapConfig",
     "__version__",
+    "batch",
     "circles",
     "cluster_points",
+    "estimation",
+    "evaluation",
     "flying",
+    "fusion",
+    "io",
+    "live",
+    "reproduce",
+    "sim",
     "traverse",
+    "viz",
 ]
 
 
@@ -72,3 +82,7 @@ def __getattr__(name: str) -> Any:
         globals()[name] = found
         return found
     raise AttributeError(f"module 'lidar_core' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
