@@ -59,6 +59,14 @@ def test_tasks_run_on_both_nodes_and_fail_alone(cluster):
     assert len({found[number][0] for number in set(found) - failed}) == 2
 
 
+def test_without_an_address_a_cluster_that_runs_here_is_left_alone(cluster, monkeypatch):
+    monkeypatch.delenv("RAY_ADDRESS")
+    tasks = [Task(str(number), seen, {"number": number}) for number in (0, 3)]
+    found = dict(completed(tasks, workers=2, executor="ray"))
+    nodes = {node.node_id for node in cluster.list_all_nodes()}
+    assert {found[0][0], found[1][0]}.isdisjoint(nodes)
+
+
 def test_the_command_gives_the_same_as_on_one_machine(cluster, tmp_path):
     file = tmp_path / "jobs.toml"
     file.write_text("""

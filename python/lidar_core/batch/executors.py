@@ -95,7 +95,8 @@ def _ray(tasks: Sequence[Task], workers: int) -> Generator[tuple[int, Any], None
     ray = require("ray", extra="cluster", purpose="work on several machines")
     is_ours = not ray.is_initialized()
     if is_ours:
-        where = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": workers}
+        ours = {"address": "local", "num_cpus": workers}
+        where: dict[str, Any] = {} if "RAY_ADDRESS" in os.environ else ours
         ray.init(include_dashboard=False, log_to_driver=False, logging_level="ERROR", **where)
     remote = ray.remote(max_retries=0)(called)
     left, busy = deque(range(len(tasks))), dict[Any, int]()
