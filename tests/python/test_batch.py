@@ -128,6 +128,9 @@ def test_jobs_are_every_combination_with_every_row(tmp_path):
             "every name once",
         ),
         ({"commands": ["info {a}"], "rows": [{"a": 1}, {"b": 1}]}, "the same names in every row"),
+        ({"commands": ["info {a}"], "grid": {"a": []}}, "a value at least, got none for a"),
+        ({"commands": ["info {a}"], "ranges": {"a": [3, 3]}}, "a value at least, got none for a"),
+        ({"commands": ["info {a}"], "ranges": {"a": [4, 3]}}, "a value at least, got none for a"),
         ({"commands": ["info '"]}, "No closing quotation"),
         ({"commands": ["info"], "name": "../x"}, "pattern"),
     ],
@@ -265,6 +268,23 @@ def test_what_is_no_job_is_refused(tmp_path, text):
     assert isinstance(out.exception, ConfigError)
     assert "jobs.a.commands: expected one of " in str(out.exception)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_command_that_a_job_has_twice_keeps_the_numbers_of_both(batch):
+    batch.write_text("""
+[[jobs]]
+name = "two"
+commands = [
+    "simulate circles -o {output}/a.npz --scans 2",
+    "info {output}/a.npz",
+    "simulate circles -o {output}/b.npz --scans 3",
+]
+""")
+    assert run_batch(batch).exit_code == 0
+    columns = read_columns(next(batch.parent.glob("out/results.*")))
+    assert (columns["simulate-1.scans"][0], columns["simulate-2.scans"][0]) == (2, 3)
+    assert any(name.startswith("info.") for name in columns)
+    assert "simulate.scans" not in columns
 
 
 def test_files_of_others_are_left_alone(batch):

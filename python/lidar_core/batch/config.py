@@ -56,6 +56,10 @@ class BatchGroup(Config):
         twice = sorted({name for name in named if named.count(name) > 1})
         if twice or OUTPUT in named:
             raise ValueError(f"expected every name once, none of them output, got {named}")
+        empty = [name for name, values in self.grid.items() if not values]
+        empty += [name for name, (first, end) in self.ranges.items() if first >= end]
+        if empty:
+            raise ValueError(f"expected a value at least, got none for {', '.join(empty)}")
         if any(set(row) != set(self.rows[0]) for row in self.rows):
             raise ValueError("rows: expected the same names in every row")
         used = {name for command in self.commands for name in _PLACE.findall(command)}

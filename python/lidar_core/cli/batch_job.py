@@ -136,7 +136,8 @@ def run_job(
             redirect_stderr(log),
         ):
             for number, command in enumerate(commands, start=1):
-                numbers |= _numbers_of(command, folder, number, threads)
+                told = folder / f"{number}-{command[0]}.json"
+                numbers |= flat(_told_by(command, told, threads), _prefix(commands, number - 1))
     except Exception as error:  # whatever it is, it is what the record is for
         ended = replace(record, status="failed", error=_told(error))
     else:
@@ -146,11 +147,17 @@ def run_job(
     return ended
 
 
-def _numbers_of(command: Sequence[str], folder: Path, number: int, threads: int) -> dict[str, Any]:
-    """Do one command; return what it told as JSON, under its name."""
+def _prefix(commands: Sequence[Sequence[str]], index: int) -> str:
+    """What the numbers of a command begin with: its name; counted, if the job has it again."""
+    names = [command[0] for command in commands]
+    name = names[index]
+    return f"{name}-{names[: index + 1].count(name)}" if names.count(name) > 1 else name
+
+
+def _told_by(command: Sequence[str], told: Path, threads: int) -> Any:
+    """Do one command; return what it told as JSON in the file `told`, if it can."""
     from lidar_core.cli import app
 
-    told = folder / f"{number}-{command[0]}.json"
     options = _options(command[0])
     more = ["--json", str(told)] if "--json" in options and "--json" not in command else []
     if "--threads" in options and "--threads" not in command:
@@ -162,7 +169,7 @@ def _numbers_of(command: Sequence[str], folder: Path, number: int, threads: int)
         raise ChildProcessError(f"lidar-core {' '.join(command)}: exit status {status}, see {LOG}")
     if not told.is_file():
         return {}
-    return flat(json.loads(told.read_text(encoding="utf-8")), command[0])
+    return json.loads(told.read_text(encoding="utf-8"))
 
 
 def _options(command: str) -> set[str]:
