@@ -139,10 +139,10 @@ def _of_group(group: BatchGroup, folder: Path) -> Iterator[BatchJob]:
 
 
 def _matching(group: str, name: str, pattern: str, folder: Path) -> tuple[str, ...]:
-    found = sorted(glob.glob(str(folder / pattern), recursive=True))
+    found = sorted(glob.glob(pattern, root_dir=folder, recursive=True))
     if not found:
         raise ConfigError(f"jobs.{group}.files.{name}: nothing matches {folder / pattern}")
-    return tuple(found)
+    return tuple(str(folder / one) for one in found)
 
 
 def _filled(command: str, values: dict[str, Value]) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from typing import Any, Self
 from typer.main import get_command
 
 from lidar_core.batch import BatchJob, Failure, JobRecord, Task, completed, write_results
+from lidar_core.batch.config import OUTPUT
 from lidar_core.batch.executors import Executor
 from lidar_core.batch.results import NOTE, flat
 from lidar_core.cli.common import all_threads
@@ -192,6 +193,12 @@ def _check(job: BatchJob) -> None:
             named = command[0] if command else ""
             raise ConfigError(
                 f"jobs.{job.group}.commands: expected one of {', '.join(known)}, got {named!r}"
+            )
+        writes = any(one.name == "output" for one in _commands()[command[0]].params)
+        if writes and not any(f"{{{OUTPUT}}}" in part for part in command):
+            raise ConfigError(
+                f"jobs.{job.group}.commands: expected {{{OUTPUT}}} in {' '.join(command)!r}: what"
+                " it writes elsewhere is no part of the job"
             )
 
 
