@@ -297,7 +297,7 @@ def test_a_command_that_a_job_has_twice_keeps_the_numbers_of_both(batch):
 name = "two"
 commands = [
     "simulate circles -o {output}/a.npz --scans 2",
-    "info {output}/a.npz",
+    "circles {output}/a.npz -o {output}/run --no-picture --no-mcap",
     "simulate circles -o {output}/b.npz --scans 3",
 ]
 """)
