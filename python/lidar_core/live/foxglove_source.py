@@ -11,7 +11,7 @@ from functools import partial
 from threading import Event, Thread
 from typing import Any
 
-from lidar_core.errors import LidarCoreError, LinkError
+from lidar_core.errors import ConfigError, LidarCoreError, LinkError
 from lidar_core.extras import require
 from lidar_core.io import ReadOptions, Topic
 from lidar_core.io.foxglove_messages import FoxgloveDecoder, foxglove_kind
@@ -60,12 +60,20 @@ class FoxgloveSource(Source):
         How to read the messages.
     config : LiveConfig
         How long to wait for the server.
+
+    Raises
+    ------
+    ConfigError
+        No address of a WebSocket.
     """
 
     def __init__(
         self, address: str, topics: StreamTopics, options: ReadOptions, config: LiveConfig
     ) -> None:
         super().__init__(f"foxglove, {address}")
+        if not address.startswith(("ws://", "wss://")):
+            raise ConfigError(f"foxglove: expected an address such as {DEFAULT_ADDRESS},"
+                              f" got {address!r}")  # fmt: skip
         self._client = require("websockets.sync.client", extra="live", purpose="Foxglove's stream")
         self._address, self._topics = address, topics
         self._options, self._config = options, config
@@ -78,6 +86,7 @@ class FoxgloveSource(Source):
         self._n_schemas = 0
         self._ended = Event()
         self._connected = Event()
+        self._error = ""
         self._thread: Thread | None = None
 
     def start(self, inbox: Inbox) -> None:
@@ -92,8 +101,11 @@ class FoxgloveSource(Source):
             self._thread.join()
 
     def trouble(self) -> str:
-        """Whether the server is there."""
-        return "" if self._connected.is_set() else f"no server at {self._address}, trying again"
+        """Whether the server is there; if not, what went wrong last."""
+        if self._connected.is_set():
+            return ""
+        reason = f" ({self._error})" if self._error else ""
+        return f"no server at {self._address}, trying again{reason}"
 
     def _work(self, inbox: Inbox) -> None:
         end = time.monotonic() + self._config.connect_timeout
@@ -108,9 +120,12 @@ class FoxgloveSource(Source):
                 inbox.fail(error)
                 return
             except Exception as error:
+                self._error = f"{type(error).__name__}: {error}"
+                if self._connected.is_set():
+                    self.findings.note(f"{self._address}: {self._error}")
                 self._connected.clear()
                 if not was_there and time.monotonic() > end:
-                    inbox.fail(self._unreachable(error))
+                    inbox.fail(self._unreachable())
                     return
             self._connected.clear()
             self._ended.wait(self._config.retry_interval)
@@ -121,10 +136,10 @@ class FoxgloveSource(Source):
             max_size=self._options.max_record_bytes, open_timeout=self._config.connect_timeout,
         )  # fmt: skip
 
-    def _unreachable(self, error: Exception) -> LinkError:
+    def _unreachable(self) -> LinkError:
         return LinkError(
             f"foxglove: no server at {self._address} within {self._config.connect_timeout:g} s"
-            f" ({type(error).__name__}: {error}); start foxglove_bridge on the robot, or name"
+            f" ({self._error}); start foxglove_bridge on the robot, or name"
             " another address: foxglove:ws://HOST:PORT"
         )
 
@@ -137,13 +152,22 @@ class FoxgloveSource(Source):
                 if isinstance(data, bytes):
                     self._take(data, inbox)
                 else:
-                    self._converse(json.loads(data), link)
+                    self._converse(self._read(data), link)
+
+    def _read(self, text: str) -> Any:
+        """What the server says; None, and counted, if that is no JSON."""
+        try:
+            return json.loads(text)
+        except (ValueError, RecursionError) as error:
+            self._reject(self._address, error)
+            return None
 
     def _converse(self, message: Any, link: Any) -> None:
         """Subscribe to channels that the server tells of."""
         if not isinstance(message, dict) or message.get("op") != "advertise":
             return
-        wanted = list(self._wanted(message.get("channels", [])))
+        channels = message.get("channels")
+        wanted = list(self._wanted(channels if isinstance(channels, list) else []))
         if wanted:
             # A subscription has the number of its channel.
             pairs = [{"id": number, "channelId": number} for number in wanted]
@@ -151,11 +175,24 @@ class FoxgloveSource(Source):
 
     def _wanted(self, channels: Iterable[Any]) -> Iterable[int]:
         for channel in channels:
-            found = self._channel(channel)
+            try:
+                number, found = int(channel["id"]), self._channel(channel)
+            except (
+                KeyError,
+                TypeError,
+                ValueError,
+            ) as error:  # the other channels are not affected
+                topic = channel.get("topic") if isinstance(channel, dict) else None
+                self._reject(f"{self._address}, channel {topic or '?'}", error)
+                continue
             if self._is_wanted(found.topic) and len(self._channels) < MAX_CHANNELS:
-                number = int(channel["id"])
                 self._channels[number] = found
                 yield number
+
+    def _reject(self, place: str, error: Exception) -> None:
+        """Count something that cannot be understood, and say what it was."""
+        self.findings.rejected[self._address] += 1
+        self.findings.note(f"{place}: {type(error).__name__}: {error}")
 
     def _channel(self, channel: Any) -> _Channel:
         name, encoding = str(channel["topic"]), str(channel["encoding"])
