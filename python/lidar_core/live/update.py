@@ -12,7 +12,7 @@ from lidar_core.io.posed import PosedScan
 from lidar_core.io.write_mcap import FoxgloveLog
 from lidar_core.messages import LaserScan, Scan
 from lidar_core.scan_processing import log_circles, log_flying
-from lidar_core.viz.playback import SMALLEST, Moment, Objects, in_world, swept
+from lidar_core.viz.playback import SMALLEST, Moment, Objects, in_world, outlines_of, swept
 
 LiveCapability: TypeAlias = Literal["flying", "circles"]
 
@@ -84,11 +84,12 @@ class CirclesUpdate(Update):
         self.item, self.frame = item, frame
 
     def moment(self) -> Moment:
-        """Hits, which have no class."""
+        """Hits, which have no class; circles and other shapes of the map."""
         local = swept(self.item.scan)
         hits = local[np.isfinite(local).all(axis=1)]
         points = in_world(hits, self.item.world_from_lidar.reshape(-1, 4, 4)[0])
-        return Moment(self.stamp_ns, points, np.zeros(len(hits), np.uint8), self.objects)
+        classes, outlines = np.zeros(len(hits), np.uint8), outlines_of(self.frame.map_shapes)
+        return Moment(self.stamp_ns, points, classes, self.objects, outlines)
 
     def log_to(self, log: FoxgloveLog) -> None:
         """Log pose, scan, map."""

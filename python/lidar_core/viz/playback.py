@@ -13,7 +13,7 @@ from lidar_core.io.columns import Columns, read_columns
 from lidar_core.io.opening import open_recording
 from lidar_core.io.posed import posed_laser_scans, posed_scans
 from lidar_core.io.recording import SCAN_KINDS, Recording
-from lidar_core.io.shapes import outline_of_row
+from lidar_core.io.shapes import ShapesLike, outline, outline_of_row
 from lidar_core.messages import LaserScan, Scan
 from lidar_core.run_folder import RUN_FILE
 
@@ -270,11 +270,23 @@ def _objects(columns: Columns, rows: NDArray[np.int64]) -> Objects:
     )
 
 
+def outlines_of(shapes: ShapesLike) -> tuple[Outline, ...]:
+    """Elements of a map that are no circles, as they are drawn."""
+    return tuple(
+        _drawn(number, outline(shapes, row, CORNERS), is_visible=bool(shapes.visible[row]))
+        for row, number in enumerate(shapes.id.tolist())
+    )
+
+
 def _outline(columns: Columns, row: int) -> Outline:
     around = outline_of_row(columns, row, CORNERS)
+    return _drawn(int(columns["track_id"][row]), around, is_visible=bool(columns["visible"][row]))
+
+
+def _drawn(number: int, around: NDArray[np.float64], *, is_visible: bool) -> Outline:
     closed = around if len(around) == 2 else np.vstack([around, around[:1]])
     flat = np.pad(closed, ((0, 0), (0, 1)))
-    return Outline(int(columns["track_id"][row]), flat, bool(columns["visible"][row]))
+    return Outline(number, flat, is_visible)
 
 
 _NO_POINTS = np.empty((0, 3), np.float32)
