@@ -22,7 +22,7 @@ from lidar_core.live.inbox import Inbox
 from lidar_core.live.source import Source, StreamTopics
 from lidar_core.live.zenoh_link import is_linked, key_of, open_session, topic_of
 
-TRANSFORMS, ODOMETRY = TRANSFORM_TYPES[0], POSE_TYPES[0]
+TRANSFORMS, ODOMETRY = TRANSFORM_TYPES[:1], POSE_TYPES[:1]
 
 
 class ZenohSource(Source):
@@ -48,7 +48,7 @@ class ZenohSource(Source):
         self._endpoint, self._topics, self._config = endpoint, topics, config
         self._options = options
         self._decoder = RosDecoder(2, options, self.findings)
-        self._types = {f"/{name.strip('/')}": kind for name, kind in _named(topics, config)}
+        self._types = {f"/{name.strip('/')}": types for name, types in _named(topics, config)}
         self._session: Any = None
 
     def start(self, inbox: Inbox) -> None:
@@ -77,13 +77,14 @@ class ZenohSource(Source):
 
     def _keys(self) -> Iterator[tuple[str, bool]]:
         """Keys to subscribe to, and whether what was published before is wanted as well."""
-        for name, type_name in self._types.items():
+        for name, types in self._types.items():
             is_kept = name.endswith("tf_static")
-            yield key_of(name, type_name, "*", domain=self._config.domain), is_kept
+            for type_name in types:
+                yield key_of(name, type_name, "*", domain=self._config.domain), is_kept
             yield name.strip("/"), is_kept
         wanted = [*SCAN_TYPES] if self._topics.wants_clouds and not self._topics.clouds else []
         wanted += [*PLANAR_TYPES] if self._topics.wants_scans and not self._topics.scans else []
-        for type_name in [*wanted, *([ODOMETRY] if self._topics.odometry is None else [])]:
+        for type_name in [*wanted, *(ODOMETRY if self._topics.odometry is None else ())]:
             yield key_of("**", type_name, "*", domain=self._config.domain), False
 
     def _take(self, inbox: Inbox, sample: Any) -> None:
@@ -93,7 +94,7 @@ class ZenohSource(Source):
         name = f"/{key}" if named is None else named.topic
         if name.startswith(f"{self._config.namespace}/"):
             return  # our own
-        type_name = self._types.get(name, "") if named is None else named.type
+        type_name = self._types.get(name, ("",))[0] if named is None else named.type
         if len(sample.payload) > self._options.max_record_bytes:
             inbox.reject(name)
             return
@@ -103,10 +104,10 @@ class ZenohSource(Source):
         inbox.put(Record(topic, time.time_ns(), decode))
 
 
-def _named(topics: StreamTopics, config: LiveConfig) -> Iterator[tuple[str, str]]:
-    """Topics that were named, each with its type."""
-    yield from ((name, SCAN_TYPES[0]) for name in topics.clouds)
-    yield from ((name, PLANAR_TYPES[0]) for name in topics.scans)
+def _named(topics: StreamTopics, config: LiveConfig) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Topics that were named, each with the types it may have: the first one behind a bridge."""
+    yield from ((name, SCAN_TYPES) for name in topics.clouds)
+    yield from ((name, PLANAR_TYPES) for name in topics.scans)
     yield from ((name, TRANSFORMS) for name in config.transform_topics)
     if topics.odometry is not None:
-        yield topics.odometry, ODOMETRY
+        yield topics.odometry, POSE_TYPES
