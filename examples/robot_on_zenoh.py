@@ -19,6 +19,7 @@ import zenoh
 import lidar_core as lc
 from lidar_core.io.write_ros import RosMessages
 from lidar_core.live.replay import ReplaySource
+from lidar_core.live.source import StreamTopics
 from lidar_core.live.zenoh_link import key_of
 
 ADDRESS = "tcp/127.0.0.1:7447"
@@ -49,6 +50,7 @@ class Publisher(lc.live.Inbox):
         self.replay, self.send = replay, put
         self.messages = RosMessages(2)
         self.ended = Event()
+        self.error = None
 
     def put(self, record):
         """Publish the scans and poses of one record."""
@@ -63,21 +65,29 @@ class Publisher(lc.live.Inbox):
         """Note that the recording ended."""
         self.ended.set()
 
+    def fail(self, error):
+        """Note that the recording could not be read to its end."""
+        self.error = error
+        self.ended.set()
+
 
 def main(path, rate="1", address=ADDRESS):
     """Wait for somebody to listen, then play."""
     session = session_at(address)
     print(f"{address}: waiting for lidar-core live", flush=True)
-    while not list(session.info.peers_zid()):
+    anything = session.declare_publisher("**")
+    while not anything.matching_status.matching:  # a link alone does not listen
         time.sleep(0.1)
-    time.sleep(1.0)  # until it has subscribed
-    replay = ReplaySource(Path(path), lc.io.ReadOptions(), rate=float(rate))
+    time.sleep(1.0)  # until everything is subscribed to
+    replay = ReplaySource(Path(path), lc.io.ReadOptions(), rate=float(rate), topics=StreamTopics())
     publisher = Publisher(replay, session.put)
     replay.start(publisher)
     publisher.ended.wait()
     replay.close()
-    print("played to the end")
     session.close()
+    if publisher.error is not None:
+        raise publisher.error
+    print("played to the end")
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import json
 import re
+import runpy
 import signal
 import socket
 import subprocess
@@ -41,6 +42,7 @@ from lidar_core.live.replay import ReplaySource
 from lidar_core.live.source import StreamTopics
 from lidar_core.live.udp_source import UdpSource
 from lidar_core.live.zenoh_link import key_of, topic_of
+from lidar_core.live.zenoh_source import ZenohSource
 from lidar_core.messages import LaserScan, Pose, Scan
 
 PATIENCE_S = 60
@@ -357,6 +359,25 @@ def street(tmp_path_factory):
     return path
 
 
+def test_walls_of_the_map_go_to_viewers():
+    """A wall 5 m ahead of a scanner that stands."""
+    pipeline, scanner = CirclesLive(CirclesConfig(), n_scanners=1), lc.circles.Scanner()
+    bearings = scanner.bearings()
+    ranges = np.full(len(bearings), np.inf, np.float32)
+    ahead = np.abs(bearings) < 0.6
+    ranges[ahead] = 5 / np.cos(bearings[ahead])
+    limits = (scanner.angle_min, scanner.angle_increment, 0.1, 10.0)
+    for number in range(15):
+        scan = LaserScan(number * 50_000_000, ranges, *limits)
+        assert pipeline.is_ready(scan)
+        update = pipeline.take(lc.io.PosedScan(scan, np.eye(4)), "world")
+    shapes, outlines = update.frame.map_shapes, update.moment().outlines
+    assert [one.id for one in outlines] == shapes.id.tolist() != []
+    np.testing.assert_array_equal(outlines[0].points[:, :2], shapes.ends[0])
+    assert outlines[0].points[:, 0] == pytest.approx(5, abs=0.01)
+    assert outlines[0].visible == shapes.visible[0]
+
+
 def test_flying_objects_go_to_viewers_by_class_and_with_numbers(street, tmp_path):
     pipeline = FlyingLive(FlyingObjectDetector())
     outputs = [McapOutput(tmp_path / "a.mcap")]
@@ -555,6 +576,38 @@ def test_the_robot_of_the_examples_is_processed(circles):
     assert summary["processed"] + sum(summary["dropped"].values()) > SCANS // 2
 
 
+def test_the_robot_of_the_examples_ends_with_a_recording_that_breaks(circles, monkeypatch):
+    pytest.importorskip("zenoh")
+
+    def broken(*_):
+        raise FormatError("of the test")
+
+    publisher_of = runpy.run_path(str(ROBOT))["Publisher"]
+    replay = ReplaySource(circles, ReadOptions(), rate=1.0, topics=StreamTopics())
+    monkeypatch.setattr(replay, "_in_turn", broken)
+    publisher = publisher_of(replay, lambda key, raw: None)
+    replay.start(publisher)
+    assert publisher.ended.wait(PATIENCE_S)
+    replay.close()
+    assert str(publisher.error) == "of the test"
+
+
+def test_named_topics_of_zenoh_may_have_any_type_of_their_sort():
+    pytest.importorskip("zenoh")
+    topics = StreamTopics(scans=("/front",), odometry="/pose")
+    source = ZenohSource("tcp/there", topics, ReadOptions(), LiveConfig(transform_topics=()))
+    keys = [key for key, _ in source._keys()]
+    found = [topic_of(key) for key in keys if topic_of(key) is not None]
+    assert found[:5] == [
+        ("/front", "sensor_msgs/msg/LaserScan"),
+        ("/front", "sensor_msgs/msg/MultiEchoLaserScan"),
+        ("/pose", "nav_msgs/msg/Odometry"),
+        ("/pose", "geometry_msgs/msg/PoseStamped"),
+        ("/pose", "geometry_msgs/msg/PoseWithCovarianceStamped"),
+    ]
+    assert [key for key in keys if topic_of(key) is None] == ["front", "pose"]
+
+
 def test_what_was_published_once_before_reaches_those_who_come_later(circles):
     """Static transforms are kept by their publishers, for who asks."""
     ext = pytest.importorskip("zenoh.ext")
@@ -676,6 +729,26 @@ def test_no_foxglove_server_is_an_error_with_its_cure():
     source.close()
 
 
+def test_what_went_wrong_after_connecting_is_told(monkeypatch):
+    pytest.importorskip("websockets")
+    port = free_port()
+    with foxglove_server(port):
+        place, inbox = f"ws://127.0.0.1:{port}", Inbox(max_poses=1)
+        source = FoxgloveSource(place, StreamTopics(), ReadOptions(), LiveConfig())
+
+        def broken(link, inbox):
+            raise OSError("of the test")
+
+        monkeypatch.setattr(source, "_listen", broken)
+        source.start(inbox)
+        wait_until(lambda: source.findings.notes)
+        wait_until(lambda: source.trouble() != "")
+        told = source.trouble()
+        source.close()
+    assert told == f"no server at {place}, trying again (OSError: of the test)"
+    assert source.findings.notes == [f"{place}: OSError: of the test"]
+
+
 def test_messages_that_are_none_do_not_end_a_stream():
     pytest.importorskip("websockets")
     source = FoxgloveSource("ws://there", StreamTopics(), ReadOptions(), LiveConfig())
@@ -691,6 +764,13 @@ def test_messages_that_are_none_do_not_end_a_stream():
         source._converse(message, Link())
     source._converse({"op": "advertise", "channels": [channel, image]}, Link())
     assert sent == [{"op": "subscribe", "subscriptions": [{"id": 4, "channelId": 4}]}]
+    nameless = {"id": 6, "topic": "/other", "encoding": "cdr"}
+    for channels in (None, 7, [nameless, "none", {**channel, "id": "seven"}, {**channel, "id": 8}]):
+        source._converse({"op": "advertise", "channels": channels}, Link())
+    assert sent[1:] == [{"op": "subscribe", "subscriptions": [{"id": 8, "channelId": 8}]}]
+    assert source._read("{") is None
+    assert source.findings.rejected == {"ws://there": 4}
+    assert source.findings.notes[0] == "ws://there, channel /other: KeyError: 'schemaName'"
     head = (4).to_bytes(4, "little") + bytes(8)
     for data in (b"", b"\x01", b"\x02" + head, b"\x01" + bytes(12), b"\x01" + head + b"rubbish"):
         source._take(data, inbox)
@@ -745,7 +825,8 @@ def test_a_replay_gives_scans_with_their_last_ray(circles):
             noted.append((time.time_ns(), record))
 
     noted = []
-    source, inbox = ReplaySource(circles, ReadOptions(), rate=4.0), Noted(max_poses=1)
+    source = ReplaySource(circles, ReadOptions(), rate=4.0, topics=StreamTopics())
+    inbox = Noted(max_poses=1)
     source.start(inbox)
     assert inbox.take(PATIENCE_S).is_finished
     source.close()
@@ -775,6 +856,25 @@ def test_ctrl_c_and_sigterm_end_a_replay_with_whole_files(circles, tmp_path, by)
         assert {topic.name: topic.count for topic in recording.topics()}["/circles"] == (
             summary["processed"]
         )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "text"),
+    [
+        (
+            ["--scan", "/b"],
+            ConfigError,
+            "scan: no topic '/b' with 2D scans in .*; found none$",
+        ),
+        (["--cloud", "/b"], ConfigError, "cloud: no topic '/b' with clouds in .*; found none$"),
+        (["--capability", "flying"], FormatError, r"no clouds to read; found  \(npz laser\)"),
+        (["--map", "a.pcd"], FormatError, r"no clouds to read; found  \(npz laser\)"),
+    ],
+)
+def test_a_replay_without_what_is_wanted_is_refused(circles, arguments, error, text):
+    refused = CliRunner().invoke(app, ["live", "--replay", str(circles), *arguments])
+    assert isinstance(refused.exception, error)
+    assert re.search(text, str(refused.exception))
 
 
 @pytest.mark.parametrize("out", ["mcap:{}", "rerun:{}.rrd"])
@@ -845,6 +945,19 @@ def test_a_port_in_use_is_an_error_with_its_cure(circles):
         (["--in", "udp:0", "--pose", "a.txt"], "expected auto or static for a live stream"),
         (["--in", "udp:0", "--cloud", "/a", "--scan", "/b"], "expected topics of one sort"),
         (["--in", "udp:0", "--scan", "/b", "--capability", "flying"], "flying does not read /b"),
+        (["--in", "udp:0", "--map", "a.pcd", "--scan", "/b"], "map: is for flying objects in clou"),
+        (["--in", "udp:0", "--map", "a.pcd", "--capability", "circles"], "map: is for flying obj"),
+        (["--in", "foxglove:http://a"], "expected an address such as ws://.*, got 'http://a'"),
+        (
+            ["--in", "udp:0", "--stream", "bogus=1"],
+            "--stream bogus: .*; known are pose_wait, pose_",
+        ),
+        (
+            ["--in", "udp:0", "--stream", "bogus"],
+            "--stream bogus: expected name=value, such as pose",
+        ),
+        (["--in", "udp:0", "--stream", "domain=999"], "--stream domain: .* 232"),
+        (["--in", "udp:0", "--domain", "999"], "^domain: .* 232"),
     ],
 )
 def test_options_that_make_no_sense_are_refused_in_words(arguments, text):

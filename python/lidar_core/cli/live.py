@@ -20,7 +20,6 @@ from lidar_core.cli.common import (
 )
 from lidar_core.cli.detect import MAP, NO_RETURN, POINT_TIME
 from lidar_core.cli.run_options import PipelineOptions, with_options
-from lidar_core.cli.settings import with_assignments
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -59,7 +58,9 @@ def command(
     scan: Annotated[list[str], typer.Option(help="Topic of a 2D LiDAR; again for more.")] = [],  # noqa: B006
     point_time: Annotated[str | None, typer.Option(help=POINT_TIME)] = None,
     no_return: Annotated[str | None, typer.Option(help=NO_RETURN)] = None,
-    known_map: Annotated[Path | None, typer.Option("--map", help=MAP)] = None,
+    known_map: Annotated[
+        Path | None, typer.Option("--map", help=f"{MAP} Only clouds count then.")
+    ] = None,
     domain: Annotated[
         int | None, typer.Option(envvar="ROS_DOMAIN_ID", help="Domain of ROS 2 over Zenoh.")
     ] = None,
@@ -74,13 +75,19 @@ def command(
     from its arrival to the end of the outputs) and drops. Ctrl-C or SIGTERM ends with a
     summary.
     """
-    from lidar_core.cli.live_job import PipelineChoice, check_files, open_output, open_source
+    from lidar_core.cli.live_job import (
+        PipelineChoice,
+        check_files,
+        live_config,
+        open_output,
+        open_source,
+    )
     from lidar_core.io import ReadOptions
-    from lidar_core.live import LiveConfig, LiveLoop
+    from lidar_core.live import LiveLoop
     from lidar_core.live.poses import LivePoses
 
     read = ReadOptions.load(given({"point_time": point_time, "no_return": no_return}))
-    settings = LiveConfig.load(with_assignments(given({"domain": domain}), stream))
+    settings = live_config(domain, stream)
     chosen = PipelineChoice(
         capability,
         tuple(cloud),

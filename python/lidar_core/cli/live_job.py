@@ -1,13 +1,13 @@
 """What the options of `lidar-core live` name: sources, outputs, pipelines."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from lidar_core.cli.config import Mode
 from lidar_core.cli.detect import know_map
-from lidar_core.cli.settings import run_config
+from lidar_core.cli.settings import run_config, with_assignments
 from lidar_core.errors import ConfigError
 from lidar_core.io import ReadOptions
 from lidar_core.live import LiveConfig, Output, Source
@@ -40,6 +40,8 @@ class PipelineChoice:
         for wanted, named in (("flying", self.scans), ("circles", self.clouds)):
             if named and self.capability == wanted:
                 raise ConfigError(f"capability: {wanted} does not read {', '.join(named)}")
+        if self.known_map is not None and not self.wants_clouds:
+            raise ConfigError("map: is for flying objects in clouds, got 2D scans")
 
     @property
     def wants_clouds(self) -> bool:
@@ -49,7 +51,7 @@ class PipelineChoice:
     @property
     def wants_scans(self) -> bool:
         """Whether 2D scans go through."""
-        return self.capability != "flying" and not self.clouds
+        return self.capability != "flying" and not self.clouds and self.known_map is None
 
     def topics(self, odometry: str | None) -> StreamTopics:
         """What to ask a stream for."""
@@ -79,6 +81,23 @@ class PipelineChoice:
         return CirclesLive(config, n_scanners=max(1, len(self.scans)))
 
 
+def live_config(domain: int | None, stream: Sequence[str]) -> LiveConfig:
+    """What --domain and --stream set.
+
+    Raises
+    ------
+    ConfigError
+        No such value, or outside its range.
+    """
+    set_by_name = with_assignments({}, stream, option="--stream", example="pose_wait=0.5")
+    try:
+        config = LiveConfig.load(set_by_name)
+    except ConfigError as error:
+        known = ", ".join(LiveConfig.model_fields)
+        raise ConfigError(f"--stream {error}; known are {known}") from error
+    return config if domain is None else LiveConfig.load({"domain": domain} | set_by_name)
+
+
 def open_source(
     text: str | None, replay: Path | None, *, rate: float, read: ReadOptions, live: LiveConfig,
     topics: StreamTopics,
@@ -95,7 +114,7 @@ def open_source(
     if replay is not None:
         from lidar_core.live.replay import ReplaySource
 
-        return ReplaySource(replay, read, rate=rate)
+        return ReplaySource(replay, read, rate=rate, topics=topics)
     kind, _, place = str(text).partition(":")
     if kind == "zenoh":
         from lidar_core.live.zenoh_link import DEFAULT_ENDPOINT

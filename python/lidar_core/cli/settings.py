@@ -51,8 +51,14 @@ def run_config(
     return type(base).load(with_assignments(values, assignments))
 
 
-def with_assignments(values: dict[str, Any], assignments: Iterable[str]) -> dict[str, Any]:
-    """`values` with those of `a.b=c` texts.
+def with_assignments(
+    values: dict[str, Any],
+    assignments: Iterable[str],
+    *,
+    option: str = "--set",
+    example: str = "voxel_map.voxel_size=0.5",
+) -> dict[str, Any]:
+    """`values` with those of `a.b=c` texts; `option` and `example` are for the error.
 
     Raises
     ------
@@ -60,7 +66,10 @@ def with_assignments(values: dict[str, Any], assignments: Iterable[str]) -> dict
         A text is no assignment.
     """
     for text in assignments:
-        values = merged(values, _assignment(text))
+        change = _assignment(text)
+        if change is None:
+            raise ConfigError(f"{option} {text}: expected name=value, such as {example}")
+        values = merged(values, change)
     return values
 
 
@@ -85,8 +94,8 @@ def file_values(file: Path, section: str = "flying") -> dict[str, Any]:
     return of_run if isinstance(of_run, dict) else values
 
 
-def _assignment(text: str) -> dict[str, Any]:
-    """`a.b=c` as tables; what is no TOML value is taken as text."""
+def _assignment(text: str) -> dict[str, Any] | None:
+    """`a.b=c` as tables; what is no TOML value is taken as text. None for other texts."""
     key, equals, value = text.partition("=")
     for candidate in (text, f"{key}={json.dumps(value.strip())}"):
         try:
@@ -94,4 +103,4 @@ def _assignment(text: str) -> dict[str, Any]:
         except tomllib.TOMLDecodeError:
             if not equals or not key.strip():
                 break
-    raise ConfigError(f"--set {text}: expected name=value, such as voxel_map.voxel_size=0.5")
+    return None

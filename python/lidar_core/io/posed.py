@@ -1,7 +1,7 @@
 """Scans in 3D or 2D with the sensor's pose, from transforms, odometry or a poses file."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -31,7 +31,7 @@ class _Words(NamedTuple):
     option: str
 
 
-_WORDS = {
+_WORDS: dict[type, _Words] = {
     Scan: _Words(frozenset({"scan", "scan+pose"}), "clouds", "cloud"),
     LaserScan: _Words(frozenset({"planar", "planar+pose"}), "2D scans", "scan"),
 }
@@ -75,7 +75,7 @@ class PosedScans(Generic[ScanT]):
         self._recording = recording
         self._options = options
         self._sort: type[ScanT] = sort
-        self._cloud = _scan_topic(recording, options.cloud, _WORDS[sort])
+        self._cloud = _scan_topic(recording, options.cloud, sort)
         self.cloud = self._cloud.name
         self.fixed_frame = options.fixed_frame or WORLD_FRAME
         self.source = options.pose
@@ -264,22 +264,50 @@ def _merged(options: PoseOptions | None, values: dict[str, Any]) -> PoseOptions:
     return PoseOptions(**(given | values))
 
 
-def _scan_topic(recording: Recording, name: str | None, words: _Words) -> Topic:
+def scan_topics(
+    recording: Recording, sorts: Collection[type], names: Collection[str] = ()
+) -> list[Topic]:
+    """Topics with scans: those named, else all.
+
+    Parameters
+    ----------
+    recording : Recording
+        Where to look.
+    sorts : collection of type
+        `Scan`, `LaserScan`, or both.
+    names : collection of str
+        Of topics; each must be there.
+
+    Raises
+    ------
+    ConfigError
+        No such topic with scans of this sort.
+    FormatError
+        No scans of this sort at all.
+    """
+    words = [_WORDS[sort] for sort in sorts]
+    plural = " or ".join(word.plural for word in words)
     topics = recording.topics()
-    with_scans = [topic for topic in topics if topic.kind in words.kinds]
-    chosen = [topic for topic in with_scans if name in (None, topic.name)]
-    if len(chosen) == 1:
-        return chosen[0]
-    listed, option = _listed([topic.name for topic in with_scans]), words.option
-    if name is not None:
-        raise ConfigError(
-            f"{option}: no topic {name!r} with {words.plural} in {recording.path}; found {listed}"
-        )
-    if chosen:
-        raise ConfigError(f"{option}: several topics with {words.plural} in {recording.path}:"
-                          f" {listed}; name one with --{option}")  # fmt: skip
-    found = _listed([f"{t.name} ({t.type}{', ' + t.note if t.note else ''})" for t in topics])
-    raise FormatError(f"{recording.path}: no {words.plural} to read; found {found}")
+    with_scans = [topic for topic in topics if any(topic.kind in word.kinds for word in words)]
+    known = [topic.name for topic in with_scans]
+    for name in names:
+        if name not in known:
+            option = " or ".join(word.option for word in words)
+            raise ConfigError(f"{option}: no topic {name!r} with {plural} in {recording.path};"
+                              f" found {_listed(known)}")  # fmt: skip
+    if not with_scans:
+        found = _listed([f"{t.name} ({t.type}{', ' + t.note if t.note else ''})" for t in topics])
+        raise FormatError(f"{recording.path}: no {plural} to read; found {found}")
+    return [topic for topic in with_scans if not names or topic.name in names]
+
+
+def _scan_topic(recording: Recording, name: str | None, sort: type) -> Topic:
+    chosen = scan_topics(recording, [sort], [] if name is None else [name])
+    if name is None and len(chosen) > 1:
+        words, listed = _WORDS[sort], _listed([topic.name for topic in chosen])
+        raise ConfigError(f"{words.option}: several topics with {words.plural} in {recording.path}:"
+                          f" {listed}; name one with --{words.option}")  # fmt: skip
+    return chosen[0]
 
 
 def _moves(buffer: TransformBuffer, root: str, frame: str) -> bool:

@@ -3,17 +3,18 @@
 import heapq
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from threading import Event, Thread
 
 from lidar_core.errors import LidarCoreError
 from lidar_core.io import ReadOptions, open_recording
-from lidar_core.io.posed import span_ns
+from lidar_core.io.posed import scan_topics, span_ns
 from lidar_core.io.recording import POSE_KINDS, SCAN_KINDS, Record, Recording, decoded
 from lidar_core.live.inbox import Inbox
-from lidar_core.live.source import Source
-from lidar_core.messages import Pose
+from lidar_core.live.source import Source, StreamTopics
+from lidar_core.messages import LaserScan, Pose, Scan
 
 
 class ReplaySource(Source):
@@ -27,11 +28,27 @@ class ReplaySource(Source):
         How to read it.
     rate : float
         Seconds of the recording per second.
+    topics : StreamTopics
+        What is wanted of it.
+
+    Raises
+    ------
+    ConfigError
+        The recording has no such topic.
+    FormatError
+        It has no scans of the sort that is wanted.
     """
 
-    def __init__(self, path: Path, options: ReadOptions, *, rate: float) -> None:
+    def __init__(
+        self, path: Path, options: ReadOptions, *, rate: float, topics: StreamTopics
+    ) -> None:
         super().__init__(f"{path} at {rate:g} times its pace")
-        self._recording: Recording = open_recording(path, options)
+        sorts = [*([Scan] if topics.wants_clouds else []),
+                 *([LaserScan] if topics.wants_scans else [])]  # fmt: skip
+        with ExitStack() as stack:
+            self._recording: Recording = stack.enter_context(open_recording(path, options))
+            scan_topics(self._recording, sorts, (*topics.clouds, *topics.scans))
+            stack.pop_all()
         self.findings = self._recording.noticed()
         self._rate = rate
         self._ended = Event()
