@@ -215,6 +215,26 @@ def test_the_command_says_what_is_wrong(source, tmp_path):
     assert not (tmp_path / "b.mcap").exists()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "error", "text"),
+    [
+        (("b.mcap", "--class", "x"), ConfigError, "--class: says nothing about a recording"),
+        (("b.mcap", "--resolution", 1), ConfigError, "--resolution: says nothing about a rec"),
+        (("b.ply", "--start", 1), ConfigError, "--start: says nothing about one cloud or map as"),
+        (("b.ply", "--resolution", 1), ConfigError, "--resolution: says nothing about one cloud"),
+        (("b.mcap", "--start", 2, "--end", 2), ConfigError, "--end: expected more than --start 2"),
+        (("b.mcap", "--start", 1e6), InputError, "in.npz: no scans or moving poses that were ask"),
+        (("no/b.npz",), FileNotFoundError, "no: no such folder, to write b.npz in"),
+    ],
+)
+def test_the_command_refuses_what_would_do_nothing(source, tmp_path, arguments, error, text):
+    name, *more = arguments
+    out = convert(source, tmp_path / name, *more)
+    assert isinstance(out.exception, error), out.output
+    assert text in str(out.exception)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in.npz"]
+
+
 REAL = {
     "formats/derived_rosbag2/sick_rms_lms_sqlite3": "sick.bag",
     "formats/derived_rosbag2/sick_rms_lms_mcap": "sick",

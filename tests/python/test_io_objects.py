@@ -209,7 +209,7 @@ def test_convert_takes_a_run(run, tmp_path, name):
     )
     assert out.exit_code == 0, out.output
     told = json.loads(out.stdout)
-    assert (told["times"], told["objects"]) == (3, 2)
+    assert (told["times"], told["states"], told["objects"]) == (3, 2, 1)
     if name == "r.json":
         read = json.loads((tmp_path / name).read_text())
         assert read["results"]["100"][0]["tracking_name"] == "drone"
@@ -220,6 +220,35 @@ def test_convert_takes_a_run(run, tmp_path, name):
     else:
         (_, time_ns, message), *_ = read_messages(tmp_path / name)[OBSTACLES_TYPE]
         assert (time_ns, message.header.frame_id) == (100, "odom")
+
+
+@pytest.mark.parametrize("option", ["--topic", "--start", "--end", "--point-time", "--metadata",
+                                    "--resolution"])  # fmt: skip
+def test_options_that_say_nothing_about_a_run_are_refused(run, tmp_path, option):
+    out = CliRunner().invoke(app, ["convert", str(run), str(tmp_path / "r.json"), option, "1"])
+    assert isinstance(out.exception, ConfigError)
+    assert str(out.exception) == f"{option}: says nothing about the objects of a run"
+    assert not (tmp_path / "r.json").exists()
+
+
+def test_sizes_that_nobody_knows_are_zero_for_others_and_seen_in_viewers(run, tmp_path):
+    table = run / "tracks.csv"
+    table.write_text(table.read_text().replace(",1,2,3\n", ",0,0,0\n"))
+    CliRunner().invoke(app, ["convert", str(run), str(tmp_path / "r.json")])
+    read = json.loads((tmp_path / "r.json").read_text())
+    assert read["results"]["100"][0]["size"] == [0, 0, 0]
+    moment = next(iter(Playback(run).moments()))
+    np.testing.assert_array_equal(moment.objects.size, [[0.1, 0.1, 0.1]])
+
+
+def test_a_flat_box_is_no_circle(tmp_path):
+    pytest.importorskip("rosbags")
+    flat = objects([1, 2])
+    flat.size[:] = [[2.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
+    write_ros_objects(tmp_path / "r.bag", [(BASE_NS, flat)], frame_id="map", name="x")
+    ((_, _, message),) = read_messages(tmp_path / "r.bag")[COSTMAP_TYPES[1]]
+    assert [len(one.polygon.points) for one in message.obstacles] == [4, 1]
+    assert [one.radius for one in message.obstacles] == [0, 0]
 
 
 def test_an_ending_that_a_run_cannot_become_is_refused(run, tmp_path):

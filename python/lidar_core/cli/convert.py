@@ -74,18 +74,24 @@ def command(
         raise InputError(f"{output}: expected another file than the one to read")
     values = given({"point_time": point_time, "no_return": no_return, "metadata": metadata,
                     "recover": recover or None})  # fmt: skip
+    chosen = given({"topic": topic or None, "start": start or None, "end": end})
+    of_run, of_map = given({"class": class_name}), given({"resolution": resolution})
     console, errors = consoles(json_file)
     if is_run(recording):
+        _refuse(values | chosen | of_map, "the objects of a run")
         told = convert_run(recording, output, name=class_name)
         write_json(told, json_file)
-        console.print(f"{told['objects']} objects at {told['times']} times in {output}",
-                      markup=False, soft_wrap=True)  # fmt: skip
+        console.print(f"{told['states']} states of {told['objects']} objects at {told['times']}"
+                      f" times in {output}", markup=False, soft_wrap=True)  # fmt: skip
         return
     if output.suffix.lower() in WRITABLE:
+        _refuse(chosen | of_run | ({} if output.suffix.lower() == ".bt" else of_map),
+                f"one cloud or map as {output.suffix}")  # fmt: skip
         count = _write_cloud(recording, output, ReadOptions.load(values), resolution)
         write_json({"input": str(recording), "output": str(output), "points": count}, json_file)
         console.print(f"{count} points in {output}", markup=False, soft_wrap=True)
         return
+    _refuse(of_run | of_map, "a recording")
     result = _write_recording(recording, output, ReadOptions.load(values), topic, (start, end),
                               errors)  # fmt: skip
     write_json(result, json_file)
@@ -97,6 +103,14 @@ def command(
     console.print(f"{total} messages in {output}", markup=False, soft_wrap=True)
 
 
+def _refuse(options: dict[str, Any], what: str) -> None:
+    """Refuse options that would do nothing for what is converted."""
+    from lidar_core.errors import ConfigError
+
+    for name in options:
+        raise ConfigError(f"--{name.replace('_', '-')}: says nothing about {what}")
+
+
 def _write_recording(
     source: Path,
     output: Path,
@@ -106,8 +120,12 @@ def _write_recording(
     console: "Console",
 ) -> dict[str, Any]:
     """Write scans and poses; returns what was written and what was not, as plain values."""
+    from lidar_core.errors import ConfigError
     from lidar_core.io import open_recording, write_recording
 
+    start, end = span
+    if end is not None and end <= start:
+        raise ConfigError(f"--end: expected more than --start {start:g}, got {end:g}")
     written: Counter[str] = Counter()
     with (
         open_recording(source, options) as opened,
@@ -153,13 +171,20 @@ def _check_topics(recording: "Recording", wanted: list[str] | None) -> None:
 def _chosen(
     recording: "Recording", topics: list[str] | None, start: float, end: float | None
 ) -> Iterator["Message"]:
-    """Messages of the span, by their stamps; mountings count as of all times."""
+    """Messages of the span, by their stamps; mountings count as of all times.
+
+    Raises
+    ------
+    InputError
+        There are none but mountings.
+    """
+    from lidar_core.errors import InputError
     from lidar_core.messages import Pose
 
     first: int | None = None
+    is_found = False
     for message in recording:
-        is_pose = isinstance(message, Pose)
-        if topics and not is_pose and message.topic not in topics:
+        if topics and not isinstance(message, Pose) and message.topic not in topics:
             continue
         if isinstance(message, Pose) and message.is_static:
             yield message
@@ -167,4 +192,7 @@ def _chosen(
         first = message.stamp_ns if first is None else first
         since = message.stamp_ns - first
         if since >= start * NS and (end is None or since <= end * NS):
+            is_found = True
             yield message
+    if not is_found:
+        raise InputError(f"{recording.path}: no scans or moving poses that were asked for")

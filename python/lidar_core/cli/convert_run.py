@@ -39,6 +39,6 @@ def convert_run(run: Path, output: Path, *, name: str | None) -> dict[str, Any]:
         topics = write_ros_objects(output, steps, frame_id=played.frame_id, name=called)
     else:
         raise ConfigError(f"{output}: unknown ending {suffix!r}; a run becomes: {WRITABLE}")
-    objects = sum(len(found.id) for _, found in steps)
-    return {"input": str(run), "output": str(output), "times": len(steps), "objects": objects,
-            "topics": topics}  # fmt: skip
+    numbers = [number for _, found in steps for number in found.id.tolist()]
+    return {"input": str(run), "output": str(output), "times": len(steps), "states": len(numbers),
+            "objects": len(set(numbers)), "topics": topics}  # fmt: skip

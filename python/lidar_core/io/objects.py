@@ -35,7 +35,7 @@ class ObjectsLike(Protocol):
 
     @property
     def size(self) -> NDArray[np.float64]:
-        """Sides of the bounding boxes [m], shape (K, 3); circles have no height."""
+        """Sides of the bounding boxes [m], shape (K, 3); circles have no height; zero: unknown."""
 
 
 Steps: TypeAlias = Iterable[tuple[int, ObjectsLike]]

@@ -167,9 +167,10 @@ class ObstacleArrays:
         )  # fmt: skip
 
     def _costmap(self, header: Any, objects: ObjectsLike, row: int) -> Any:
-        """A point with a radius for what has no height, else the rectangle of the box."""
+        """A point with a radius for circles and unknown sizes, else the rectangle of the box."""
         package = COSTMAP_TYPES[self._messages.version].partition("/")[0]
-        is_circle = objects.size[row, 2] == 0
+        length, width, height = objects.size[row].tolist()
+        is_circle = height == 0 and length == width
         signs = [(0, 0)] if is_circle else [(1, 1), (-1, 1), (-1, -1), (1, -1)]
         corners = objects.position[row, :2] + np.array(signs) * objects.size[row, :2] / 2
         point = self._types["geometry_msgs/msg/Point32"]
@@ -180,7 +181,7 @@ class ObstacleArrays:
             polygon=self._types["geometry_msgs/msg/Polygon"](
                 [point(x, y, 0.0) for x, y in corners.tolist()]
             ),
-            radius=float(objects.size[row, 0]) / 2 if is_circle else 0.0,
+            radius=length / 2 if is_circle else 0.0,
             id=int(objects.id[row]),
             orientation=self._upright(),
             velocities=self._types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),

@@ -21,7 +21,7 @@ Capability: TypeAlias = Literal["flying", "circles", "fusion"]
 
 RECORDING, MAP = "run.mcap", "map.lcvm"
 CORNERS = 36  # of a circle
-SMALLEST = 0.1  # side of an object whose extent nobody knows [m]
+SMALLEST = 0.1  # side of a box that viewers show, also where nobody knows the extent [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Objects:
     covariance : ndarray, shape (K, 3, 3), float64
         Of the position [m^2]; zero where unknown.
     size : ndarray, shape (K, 3), float64
-        Sides of the bounding boxes [m]; circles have no height.
+        Sides of the bounding boxes [m]; circles have no height; zero where unknown.
     """
 
     id: NDArray[np.int64]
@@ -149,11 +149,14 @@ class Playback:
         return str(frames[0]) if len(frames) else "world"
 
     def steps(self) -> Iterator[tuple[int, Objects]]:
-        """Times that were looked at [ns], ascending, and what was found at each; no scans."""
+        """Times that were looked at [ns], ascending, and what was found at each; no scans.
+
+        Sizes are those of the run: zero where it knows none.
+        """
         timing = self._tables("timing")
         looked_at = read_columns(timing[0])["t_ns"].tolist() if timing else []
         for stamp_ns in sorted(self._rows.keys() | set(looked_at)):
-            yield stamp_ns, _objects(self._columns, self._rows.get(stamp_ns, _NO_ROWS))
+            yield stamp_ns, _objects(self._columns, self._rows.get(stamp_ns, _NO_ROWS), least=0.0)
 
     def _tables(self, name: str) -> list[Path]:
         places = (self.folder / f"{name}.parquet", self.folder / f"{name}.csv")
@@ -197,7 +200,8 @@ class Playback:
         outlines = () if self._shapes is None else tuple(
             _outline(self._shapes, row) for row in self._shape_rows.get(stamp_ns, _NO_ROWS).tolist()
         )  # fmt: skip
-        return Moment(stamp_ns, points, classes, _objects(self._columns, rows), outlines)
+        objects = _objects(self._columns, rows, least=SMALLEST)
+        return Moment(stamp_ns, points, classes, objects, outlines)
 
     def _scans(self) -> Iterator[tuple[int, NDArray[np.float32], NDArray[np.uint8]]]:
         if self.recording is None:
@@ -248,7 +252,7 @@ def _rows_by_time(columns: Columns) -> dict[int, NDArray[np.int64]]:
     return dict(zip(stamps.tolist(), parts, strict=True)) if len(starts) else {}
 
 
-def _objects(columns: Columns, rows: NDArray[np.int64]) -> Objects:
+def _objects(columns: Columns, rows: NDArray[np.int64], *, least: float) -> Objects:
     def of(name: str) -> NDArray[np.float64]:
         return np.asarray(columns[name][rows], float) if name in columns else np.zeros(len(rows))
 
@@ -260,7 +264,7 @@ def _objects(columns: Columns, rows: NDArray[np.int64]) -> Objects:
     if "radius" in columns:
         size = np.stack([2 * of("radius"), 2 * of("radius"), np.zeros(len(rows))], axis=1)
     else:
-        size = np.maximum(np.stack([of(f"extent_{axis}") for axis in axes], axis=1), SMALLEST)
+        size = np.maximum(np.stack([of(f"extent_{axis}") for axis in axes], axis=1), least)
     return Objects(
         id=columns["track_id"][rows].astype(np.int64),
         position=np.stack([of(axis) for axis in axes], axis=1),
