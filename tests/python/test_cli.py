@@ -169,6 +169,24 @@ def test_show_tells_what_differs(tmp_path):
     assert "voxel_map.voxel_size: Input should be greater than 0, got -1" in done.stderr
 
 
+def test_show_takes_the_model_from_a_run(tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text(
+        'command = "x"\n[config.circles]\nmax_deviation = 0.5\n[config.read]\nno_return = "zero"\n'
+    )
+    table = output_of("config", "show", path, "--changed")
+    assert "max_deviation" in table
+    assert "no_return" not in table
+    shown = json.loads(output_of("config", "show", path, "--model", "read", "--json"))
+    assert shown["no_return"] == "zero"
+
+
+def test_help_of_config_lists_every_model():
+    for command in ("show", "init", "schema"):
+        shown = output_of("config", command, "--help")
+        assert [name for name in MODELS if name not in shown] == []
+
+
 @pytest.mark.parametrize("name", MODELS)
 def test_schema_is_the_models_own(name):
     shown = json.loads(output_of("config", "schema", "--model", name))

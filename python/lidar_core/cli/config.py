@@ -7,13 +7,19 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from lidar_core.cli.common import OverwriteFile
+from lidar_core.parameters import MODELS
 
 if TYPE_CHECKING:
     from lidar_core.config import Config
 
 Mode = Literal["best", "paper"]
-ModelOption = Annotated[
-    str, typer.Option("--model", help="evaluation, flight, flying, poses, read or scene.")
+ModelOption = Annotated[str, typer.Option("--model", help=f"{', '.join(MODELS)}.")]
+FileModel = Annotated[
+    str | None,
+    typer.Option(
+        "--model",
+        help=f"{', '.join(MODELS)}; without it that of a run.toml, else flying.",
+    ),
 ]
 ModeOption = Annotated[Mode, typer.Option(help="Whose defaults.")]
 
@@ -32,15 +38,16 @@ app = typer.Typer(help="Show, start and describe configuration files (TOML).", n
 def show(
     file: Annotated[Path | None, typer.Argument(help="TOML file, or a run.toml.")] = None,
     *,
-    model: ModelOption = "flying",
+    model: FileModel = None,
     mode: ModeOption = "best",
     preset: PresetOption = None,
     changed: Annotated[bool, typer.Option(help="Only what differs from the defaults.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
 ) -> None:
     """Every value in force, FILE's over those of PRESET and MODE; marked if no default."""
-    from lidar_core.cli.settings import file_values, merged
+    from lidar_core.cli.settings import file_values, merged, model_of
 
+    model = model or ("flying" if file is None else model_of(file))
     defaults, config = _defaults(model, "best"), _defaults(model, mode, preset)
     if file is not None:
         config = type(defaults).load(merged(config.model_dump(), file_values(file, model)))

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from lidar_core.config import Config
 from lidar_core.errors import ConfigError
+from lidar_core.parameters import MODELS
 
 ConfigT = TypeVar("ConfigT", bound=Config)
 
@@ -85,13 +86,30 @@ def merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 def file_values(file: Path, section: str = "flying") -> dict[str, Any]:
     """Values of a configuration file, or those that a run.toml has of its run, under `section`."""
+    values = _toml(file)
+    of_run = _noted(values).get(section)
+    return of_run if isinstance(of_run, dict) else values
+
+
+def model_of(file: Path) -> str:
+    """Name of the model that a file fills: the first of a run.toml, which is its pipeline's.
+
+    Other files do not say: "flying".
+    """
+    return next((name for name in _noted(_toml(file)) if name in MODELS), "flying")
+
+
+def _toml(file: Path) -> dict[str, Any]:
     try:
-        values = tomllib.loads(file.read_text(encoding="utf-8"))
+        return tomllib.loads(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: expected TOML: {error}") from error
+
+
+def _noted(values: dict[str, Any]) -> dict[str, Any]:
+    """Configurations of a run.toml by their models; none of other files."""
     noted = values.get("config")
-    of_run = noted.get(section) if isinstance(noted, dict) else None
-    return of_run if isinstance(of_run, dict) else values
+    return noted if isinstance(noted, dict) else {}
 
 
 def _assignment(text: str) -> dict[str, Any] | None:
