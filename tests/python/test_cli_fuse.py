@@ -275,6 +275,7 @@ def test_broken_tables_are_told(tmp_path, change, text):
         (("--method", "kf"), ConfigError, 'expected model "cv" or "ca"'),
         (("--lag", "-1"), InputError, "lag"),
         (("--association", "joint"), ConfigError, "--association is for many"),
+        (("--topic", "radar=/front"), ConfigError, "--topic says nothing about a table"),
         (("--set", "on_bad_scan=count"), ConfigError, "on_bad_scan"),
     ],
 )
@@ -285,6 +286,18 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_written(
     assert isinstance(out.exception, error), out.exception
     assert text in str(out.exception)
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "option", "value"),
+    [("a.bag", "--column", "x=y"), ("a.bag", "--time-unit", "s"), ("a.json", "--topic", "radar=/a"),
+     ("a.json", "--angle-unit", "deg")],
+)  # fmt: skip
+def test_options_of_other_recordings_are_refused(tmp_path, name, option, value):
+    (tmp_path / name).write_text("")
+    out = command(tmp_path / name, "-o", tmp_path / "run", option, value)
+    assert isinstance(out.exception, ConfigError)
+    assert f"{name}: {option} says nothing about" in str(out.exception)
 
 
 def test_a_run_without_matplotlib_says_what_brings_the_picture(table, tmp_path, monkeypatch):

@@ -109,14 +109,25 @@ def _run(asked: _Asked) -> "TargetRun | ManyRun":
 
     recording, read = asked.recording, asked.read
     if recording.suffix == ".json":
+        _check_read(asked, "detections of Autoferry", ())
         reading = {"fusion_autoferry": AutoferryOptions()}
         return _many(asked, read_autoferry(recording), reading, "Autoferry")
     if recording.is_dir() or recording.suffix.lower() in BAGS:
+        _check_read(asked, "a ROS recording", ("topics",))
         return _bag(asked)
+    _check_read(asked, "a table", ("columns", "time_unit", "angle_unit"))
     columns = {ours: theirs[-1] for ours, theirs in read["columns"].items()}
     units = {name: value for name, value in read.items() if name.endswith("_unit")}
     options = TableOptions.load({"columns": columns, **units})
     return _one(asked, read_measurements(recording, options), {"fusion_table": options})
+
+
+def _check_read(asked: _Asked, what: str, used: tuple[str, ...]) -> None:
+    """Refuse options of reading that would do nothing."""
+    for name, value in asked.read.items():
+        if value and name not in used:
+            option = name.removesuffix("s").replace("_", "-")
+            raise ConfigError(f"{asked.recording}: --{option} says nothing about {what}")
 
 
 def _bag(asked: _Asked) -> "TargetRun | ManyRun":
