@@ -42,6 +42,11 @@ def test_the_command_refuses_what_it_cannot_write(tmp_path):
     assert list(tmp_path.iterdir()) == []
     out = run_command(tmp_path / "none.toml", "-o", tmp_path / "x.npz")
     assert isinstance(out.exception, FileNotFoundError)
+    assert "no such scene file; built-in scenes are demo, performance-1" in str(out.exception)
+    out = run_command("overflight", "-o", tmp_path / "x.csv", "--sensor", "vlp-16")
+    assert isinstance(out.exception, ConfigError)
+    assert "--sensor: says nothing about overflight" in str(out.exception)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".mcap"])

@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lidar_core.cli.common import JsonFile, consoles, progress_on, write_json
+from lidar_core.errors import ConfigError
 
 if TYPE_CHECKING:
     from lidar_core.sim import Scene
 
 BUILT_IN = ("demo", "performance-1", "performance-2", "circles", "circles-room", "circles-lab")
+OVERFLIGHT = "overflight"
 
 
 def command(
@@ -41,7 +43,9 @@ def command(
     json: JsonFile = None,
 ) -> None:
     """Simulate SCENE into a recording; beside it truth.csv, scene.toml and run.toml."""
-    if scene == "overflight":
+    if scene == OVERFLIGHT:
+        if sensor is not None:
+            raise ConfigError("--sensor: says nothing about overflight, which has its own")
         _overfly(output, seed, scans, json=json)
         return
     from dataclasses import asdict
@@ -72,7 +76,6 @@ def command(
 
 def _overfly(output: Path, seed: int, rows: int | None, *, json: Path | None) -> None:
     """A table of LiDAR and radar of a drone above a target, which holds the truth."""
-    from lidar_core.errors import ConfigError
     from lidar_core.fusion import write_overflight
     from lidar_core.sim import Overflight, overfly
 
@@ -97,7 +100,13 @@ def with_sensor(scene: "Scene", name: str) -> "Scene":
 
 
 def scene_named(name: str, seed: int) -> "Scene":
-    """A built-in scene, or that of a file."""
+    """A built-in scene, or that of a file.
+
+    Raises
+    ------
+    FileNotFoundError
+        It is neither.
+    """
     from lidar_core.sim import Scene, circle_scenes, scenes
 
     if name == "demo":
@@ -108,4 +117,7 @@ def scene_named(name: str, seed: int) -> "Scene":
         return circle_scenes.several(seed, walls=name == "circles-room")
     if name == "circles-lab":
         return circle_scenes.lab(seed)
+    if not Path(name).exists():
+        built_in = ", ".join((*BUILT_IN, OVERFLIGHT))
+        raise FileNotFoundError(f"{name}: no such scene file; built-in scenes are {built_in}")
     return Scene.read(name)
