@@ -42,8 +42,15 @@ def check_place(path: Path) -> None:
 
 @contextmanager
 def written_whole(path: str | Path) -> Iterator[Path]:
-    """Temporary path to write to; it becomes `path` if the block ends without an error."""
+    """Temporary path to write to; it becomes `path` if the block ends without an error.
+
+    Raises
+    ------
+    FileNotFoundError, IsADirectoryError
+        It could not become that: see `check_place`.
+    """
     place = Path(path)
+    check_place(place)
     temporary = temporary_for(place)
     try:
         yield temporary
