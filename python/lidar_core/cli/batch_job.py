@@ -83,9 +83,13 @@ class Batch:
                 yield record
 
     def records(self) -> list[JobRecord]:
-        """Of the jobs that have ended, in the order of the file."""
-        ended = {**self.kept, **self.made}
-        return [ended[name] for name in self.jobs if name in ended]
+        """Of the jobs that have ended, in the order of the file.
+
+        What an end by Ctrl-C kept from being told is read from the folders of the jobs.
+        """
+        known = {**self.kept, **self.made}
+        found = (known.get(name) or JobRecord.read(self.folder / name) for name in self.jobs)
+        return [record for record in found if record is not None and record.status != "running"]
 
     def write(self, config: Mapping[str, Config], file: Path) -> Path:
         """Write the table and what made it; return the table."""
