@@ -823,7 +823,9 @@ def test_the_covariance_of_the_pose_adds_to_that_of_detections(reanchored):
 
 def test_eight_threads_may_use_one_detector():
     scans = scans_of(yard(drone((4.0, 3.0, 3.3)), scans=12, lidar=lidar(24, 180)))
-    detector = FlyingObjectDetector(FlyingConfig(on_bad_scan="count"), threads=2)
+    # A thread that waits for its turn falls behind the others by all of their scans at most.
+    config = FlyingConfig(on_bad_scan="count", tracker={"buffer_size": 4 * len(scans)})
+    detector = FlyingObjectDetector(config, threads=2)
     alone = {name: FlyingObjectDetector() for name in "abcd"}
     problems, stop = [], threading.Event()
 

@@ -704,6 +704,9 @@ def test_foxglove_in_and_foxglove_out(circles):
             robot.play(log.write)
             wait_until(lambda: inbox.dropped.total() > 5)
             batch = inbox.take(PATIENCE_S)
+            while not (batch.poses and batch.scans):  # channels are subscribed one by one
+                robot.play(log.write)
+                batch = inbox.take(PATIENCE_S)
             viewer.close()
         wait_for_line(process, f"no server at ws://127.0.0.1:{port}, trying again")
         summary = interrupted(process)
