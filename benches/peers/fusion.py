@@ -196,6 +196,7 @@ def stonesoup_loop(rows: list[tuple[bool, Array]]) -> Array:
         def covar(self, time_interval: Any = None, *, prior: Any = None, **kwargs: Any) -> Any:
             return CovarianceMatrix(self.added)
 
+        # Stone Soup wants these to be there; a filter never calls them.
         def rvs(self, *args: Any, **kwargs: Any) -> Any:
             raise NotImplementedError
 

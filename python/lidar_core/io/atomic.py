@@ -1,9 +1,34 @@
 """Files that are whole or absent: written beside their place, then renamed into it."""
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+
+class WrittenInBlock(ABC):
+    """A writer for a `with` block: its file is kept, unless an error ends the block.
+
+    Ctrl-C is no error: what was written until then is kept.
+    """
+
+    @abstractmethod
+    def close(self, *, keep: bool = True) -> None:
+        """Complete the file and put it in its place, or drop it."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close(keep=kind is None or issubclass(kind, KeyboardInterrupt))
 
 
 def temporary_for(path: Path) -> Path:

@@ -2,15 +2,14 @@
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import InputError
 from lidar_core.extras import require
-from lidar_core.io.atomic import check_place, commit, temporary_for
+from lidar_core.io.atomic import WrittenInBlock, check_place, commit, temporary_for
 from lidar_core.io.circle_scene import CircleScene
 from lidar_core.io.circles import CirclesLike
 from lidar_core.io.foxglove_messages import FOXGLOVE_TYPES, OWN_HEIGHT, OWN_SCANNER
@@ -206,7 +205,7 @@ class FoxgloveLog:
         return self._messages.Quaternion(x=x, y=y, z=z, w=w)
 
 
-class McapWriter(FoxgloveLog):
+class McapWriter(FoxgloveLog, WrittenInBlock):
     """Writes scans, poses and tracks as they come; the file appears when it is complete.
 
     Messages are those of `FoxgloveLog`. Leaving the `with` block completes the file, also on
@@ -245,17 +244,6 @@ class McapWriter(FoxgloveLog):
                 commit(self._temporary, self._path)
         finally:
             self._temporary.unlink(missing_ok=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close(keep=kind is None or issubclass(kind, KeyboardInterrupt))
 
 
 def write_mcap(

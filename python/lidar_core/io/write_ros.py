@@ -3,14 +3,13 @@
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from lidar_core.errors import InputError
 from lidar_core.extras import require
-from lidar_core.io.atomic import commit, temporary_for
+from lidar_core.io.atomic import WrittenInBlock, commit, temporary_for
 from lidar_core.io.cloud import ROS_TYPES
 from lidar_core.io.own_cloud import packed
 from lidar_core.io.ros_types import ros_store
@@ -154,7 +153,7 @@ class RosMessages:
         return self.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id, **sequence)
 
 
-class RosWriter:
+class RosWriter(WrittenInBlock):
     """Writes scans and poses as they come; the recording appears when it is complete.
 
     Scans become PointCloud2, 2D scans LaserScan, poses TFMessage or, those with a covariance,
@@ -224,17 +223,6 @@ class RosWriter:
             if self._temporary.is_dir():
                 shutil.rmtree(self._temporary)
             self._temporary.unlink(missing_ok=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close(keep=kind is None or issubclass(kind, KeyboardInterrupt))
 
     def _opened(self) -> Any:
         module = require(f"rosbags.rosbag{self._version}", extra="io", purpose="writing for ROS")
