@@ -25,6 +25,7 @@ from lidar_core.io import (
     write_circles_tum,
     write_shapes_table,
 )
+from lidar_core.io.covariance import covariance_columns
 from lidar_core.messages import LaserScan
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.scan_processing import log_circles, map_circles
@@ -203,11 +204,7 @@ class CirclesRun:
                 [np.empty(0, np.bool_), *(item.is_fallback for item in found)]
             ),
             "element": np.concatenate([no_rows, *(item.element for item in found)]),
-            **{
-                f"cov_{names[row]}_{names[column]}": covariance[:, row, column]
-                for row in range(3)
-                for column in range(row, 3)
-            },
+            **covariance_columns(names, covariance),
         }
 
 

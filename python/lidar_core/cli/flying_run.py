@@ -12,6 +12,7 @@ from lidar_core.cli.scan_times import ScanTimes
 from lidar_core.evaluation import Latency
 from lidar_core.flying import FlyingFrame, FlyingObjectDetector, Tracks
 from lidar_core.io import PosedScan, write_tracks_table, write_tum
+from lidar_core.io.covariance import covariance_columns
 from lidar_core.messages import Scan
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.scan_processing import detect
@@ -128,9 +129,7 @@ class FlyingRun:
         table["radius"] = np.array([r for item in found for r in item.radius], np.float64)
         table["n_points"] = np.array([n for item in found for n in item.n_points], np.int64)
         table["confidence"] = np.array([c for item in found for c in item.confidence], np.float64)
-        for row, column in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
-            table[f"cov_{'xyz'[row]}_{'xyz'[column]}"] = covariance[:, row, column]
-        return table
+        return table | covariance_columns("xyz", covariance)
 
     def summary(self) -> dict[str, Any]:
         """What the run gave, as plain values."""

@@ -16,7 +16,6 @@ from lidar_core.cli.fuse_mcap import PlanarStep, in_plane, in_world, sensor_at, 
 from lidar_core.cli.fuse_run import (
     TARGET_SENSORS,
     NisBySensor,
-    covariance_columns,
     measured_place,
     nis_by_sensor,
     nis_ratios,
@@ -34,6 +33,7 @@ from lidar_core.fusion import (
     target_coverage,
 )
 from lidar_core.fusion.states import state_names
+from lidar_core.io.covariance import covariance_columns
 from lidar_core.io.tracks import write_trajectories
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.viz import FusionView, PlanarLine, draw_fusion

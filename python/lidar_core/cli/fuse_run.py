@@ -1,7 +1,7 @@
 """The run of `lidar-core fuse` on one target: filter, summary, tables, picture."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any, TypeAlias
@@ -25,6 +25,7 @@ from lidar_core.fusion import (
     smooth,
 )
 from lidar_core.fusion.states import state_names, velocities
+from lidar_core.io.covariance import covariance_columns
 from lidar_core.io.tracks import write_trajectories
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.viz import FusionView, PlanarLine, draw_fusion
@@ -282,16 +283,6 @@ def nis_summary(found: NisBySensor) -> dict[str, dict[str, float]]:
 def nis_ratios(found: NisBySensor) -> dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]:
     """Times and NIS over the limit, as pictures show it."""
     return {sensor: (times, values / limit) for sensor, (times, values, limit) in found.items()}
-
-
-def covariance_columns(
-    names: Sequence[str], covariances: NDArray[np.float64]
-) -> dict[str, NDArray[np.float64]]:
-    """Upper triangle of the covariances (K, n, n) of the first states, as columns."""
-    return {
-        f"cov_{names[row]}_{names[column]}": covariances[:, row, column]
-        for row in range(len(names)) for column in range(row, len(names))
-    }  # fmt: skip
 
 
 def planar_table(

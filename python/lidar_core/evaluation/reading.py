@@ -16,6 +16,7 @@ from lidar_core.evaluation.latency import Latency
 from lidar_core.evaluation.pairing import checked_estimates, checked_truth, rows_of
 from lidar_core.evaluation.types import Estimates, Truth
 from lidar_core.io.columns import Columns, read_columns
+from lidar_core.io.covariance import covariance_titles, symmetric
 from lidar_core.run_folder import RUN_FILE, table_in
 
 RECORDINGS = (".mcap", ".npz")
@@ -195,14 +196,11 @@ def _covariance(
     place: Path, columns: Columns, names: tuple[str, ...]
 ) -> NDArray[np.float64] | None:
     """Symmetric matrices from their upper triangle; None unless all of it is there."""
-    pairs = [(row, column) for row in range(len(names)) for column in range(row, len(names))]
-    titles = [f"cov_{names[row]}_{names[column]}" for row, column in pairs]
+    titles = covariance_titles(names)
     if any(title not in columns for title in titles):
         return None
-    rows = len(columns[titles[0]])
-    matrices = np.empty((rows, len(names), len(names)))
-    for (row, column), title in zip(pairs, titles, strict=True):
-        matrices[:, row, column] = matrices[:, column, row] = _numbers(place, columns, title)
+    values = np.stack([_numbers(place, columns, title) for title in titles], axis=1)
+    matrices = symmetric(values, len(names))
     smallest = np.linalg.eigvalsh(matrices)[:, 0]
     if (smallest <= 0).any():
         row = int(np.argmax(smallest <= 0))

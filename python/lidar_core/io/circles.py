@@ -7,23 +7,21 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.io.covariance import covariance_titles, upper_triangle
 from lidar_core.io.long_table import write_long_table
 from lidar_core.io.tracks import write_trajectories
 
 STATE = ("x", "y", "vx", "vy", "radius")
-COVARIANCE = tuple(
-    (row, column) for row in range(len(STATE)) for column in range(row, len(STATE))
-)  # upper triangle
 COLUMNS: dict[str, type] = {
     "t_ns": int, "track_id": int, "frame_id": str, **dict.fromkeys(STATE, float),
     "age": float, "visible": int,
-    **{f"cov_{STATE[row]}_{STATE[column]}": float for row, column in COVARIANCE},
+    **dict.fromkeys(covariance_titles(STATE), float),
 }  # fmt: skip
 """Columns of the circles table: SI units, world frame."""
 
 
-class CirclesLike(Protocol):
-    """Elements of a map at one time, one row per element, as `CirclePipeline.map_at` gives them."""
+class ElementsLike(Protocol):
+    """Elements of a map at one time, one row per element."""
 
     @property
     def id(self) -> NDArray[np.int64]:
@@ -38,12 +36,8 @@ class CirclesLike(Protocol):
         """Velocities [m/s], shape (M, 2)."""
 
     @property
-    def radius(self) -> NDArray[np.float64]:
-        """Radii [m], shape (M,)."""
-
-    @property
     def covariance(self) -> NDArray[np.float64]:
-        """Covariances of x, y, vx, vy, radius, shape (M, 5, 5)."""
+        """Covariances of the N numbers of the state, shape (M, N, N)."""
 
     @property
     def age(self) -> NDArray[np.float64]:
@@ -56,6 +50,14 @@ class CirclesLike(Protocol):
     @property
     def stamp_ns(self) -> int:
         """Time of the states [ns]."""
+
+
+class CirclesLike(ElementsLike, Protocol):
+    """Circles as `CirclePipeline.map_at` gives them; covariances are of x, y, vx, vy, radius."""
+
+    @property
+    def radius(self) -> NDArray[np.float64]:
+        """Radii [m], shape (M,)."""
 
 
 def write_circles_table(
@@ -88,11 +90,11 @@ def write_circles_tum(folder: str | Path, maps: Iterable[CirclesLike]) -> list[P
 
 def _rows(maps: Iterable[CirclesLike], frame_id: str) -> Iterator[Sequence[Any]]:
     for state in maps:
+        covariance = upper_triangle(state.covariance, len(STATE)).tolist()
         for row, number in enumerate(state.id.tolist()):
-            covariance = state.covariance[row]
             yield (
                 int(state.stamp_ns), number, frame_id,
                 *state.center[row].tolist(), *state.velocity[row].tolist(),
                 float(state.radius[row]), float(state.age[row]), int(state.visible[row]),
-                *(float(covariance[at]) for at in COVARIANCE),
+                *covariance[row],
             )  # fmt: skip

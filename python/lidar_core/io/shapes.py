@@ -8,41 +8,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.circles.shapes import ShapeKind
+from lidar_core.io.circles import ElementsLike
 from lidar_core.io.columns import Columns
+from lidar_core.io.covariance import covariance_titles, upper_triangle
 from lidar_core.io.long_table import write_long_table
 
 STATE = ("x", "y", "vx", "vy", "heading", "half_length", "half_width")
 ENDS = ("x1", "y1", "x2", "y2")
-COVARIANCE = tuple(
-    (row, column) for row in range(len(STATE)) for column in range(row, len(STATE))
-)  # upper triangle
 COLUMNS: dict[str, type] = {
     "t_ns": int, "track_id": int, "frame_id": str, "kind": str,
     **dict.fromkeys((*STATE, *ENDS), float),
     "age": float, "visible": int,
-    **{f"cov_{STATE[row]}_{STATE[column]}": float for row, column in COVARIANCE},
+    **dict.fromkeys(covariance_titles(STATE), float),
 }  # fmt: skip
 """Columns of the shapes table: SI units, world frame; ends of lines only, NaN for others."""
 
 
-class ShapesLike(Protocol):
-    """Elements at one time, one row per element, as `CirclePipeline.shapes_at` gives them."""
+class ShapesLike(ElementsLike, Protocol):
+    """Others as `CirclePipeline.shapes_at` gives them.
 
-    @property
-    def id(self) -> NDArray[np.int64]:
-        """Numbers of the elements, shape (K,)."""
+    Covariances are of centre, velocity, heading, half lengths, shape (K, 7, 7).
+    """
 
     @property
     def kind(self) -> NDArray[np.uint8]:
         """A `ShapeKind` each, shape (K,)."""
-
-    @property
-    def center(self) -> NDArray[np.float64]:
-        """Centres [m], world frame, shape (K, 2)."""
-
-    @property
-    def velocity(self) -> NDArray[np.float64]:
-        """Velocities [m/s], shape (K, 2)."""
 
     @property
     def heading(self) -> NDArray[np.float64]:
@@ -55,22 +45,6 @@ class ShapesLike(Protocol):
     @property
     def ends(self) -> NDArray[np.float64]:
         """Both ends of lines [m], NaN for other kinds, shape (K, 2, 2)."""
-
-    @property
-    def covariance(self) -> NDArray[np.float64]:
-        """Covariances of centre, velocity, heading, half lengths, shape (K, 7, 7)."""
-
-    @property
-    def age(self) -> NDArray[np.float64]:
-        """Time since the first measurement [s], shape (K,)."""
-
-    @property
-    def visible(self) -> NDArray[np.bool_]:
-        """Whether the sensor can see each element, shape (K,)."""
-
-    @property
-    def stamp_ns(self) -> int:
-        """Time of the states [ns]."""
 
 
 def write_shapes_table(
@@ -134,13 +108,13 @@ def _placed(
 
 def _rows(shapes: Iterable[ShapesLike], frame_id: str) -> Iterator[Sequence[Any]]:
     for state in shapes:
+        covariance = upper_triangle(state.covariance, len(STATE)).tolist()
         for row, number in enumerate(state.id.tolist()):
-            covariance = state.covariance[row]
             yield (
                 int(state.stamp_ns), number, frame_id, ShapeKind(int(state.kind[row])).name.lower(),
                 *state.center[row].tolist(), *state.velocity[row].tolist(),
                 float(state.heading[row]), *state.half_size[row].tolist(),
                 *state.ends[row].ravel().tolist(),
                 float(state.age[row]), int(state.visible[row]),
-                *(float(covariance[at]) for at in COVARIANCE),
+                *covariance[row],
             )  # fmt: skip

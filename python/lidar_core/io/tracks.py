@@ -9,16 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.io.atomic import written_whole
+from lidar_core.io.covariance import covariance_titles, upper_triangle
 from lidar_core.io.long_table import write_long_table
 
 STATE = ("x", "y", "z", "vx", "vy", "vz")
-COVARIANCE = tuple(
-    (row, column) for row in range(len(STATE)) for column in range(row, len(STATE))
-)  # upper triangle
 COLUMNS: dict[str, type] = {
     "t_ns": int, "track_id": int, "frame_id": str, **dict.fromkeys(STATE, float),
     "extent_x": float, "extent_y": float, "extent_z": float, "n_detections": int, "age": float,
-    **{f"cov_{STATE[row]}_{STATE[column]}": float for row, column in COVARIANCE},
+    **dict.fromkeys(covariance_titles(STATE), float),
 }  # fmt: skip
 """Columns of the tracks table: SI units; covariance is of position and velocity."""
 
@@ -127,12 +125,12 @@ def write_trajectories(
 
 def _rows(tracks: Iterable[TracksLike], frame_id: str) -> Iterator[Sequence[Any]]:
     for state in tracks:
+        covariance = upper_triangle(state.covariance, len(STATE)).tolist()
         numbers = state.id.tolist()
         for row, number in enumerate(numbers):
-            covariance = state.covariance[row]
             yield (
                 int(state.stamp_ns), number, frame_id,
                 *state.position[row].tolist(), *state.velocity[row].tolist(),
                 *state.extent[row].tolist(), int(state.n_detections[row]), float(state.age[row]),
-                *(float(covariance[at]) for at in COVARIANCE),
+                *covariance[row],
             )  # fmt: skip

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
 from lidar_core.io.columns import Columns, read_columns
+from lidar_core.io.covariance import covariance_titles, symmetric
 from lidar_core.io.opening import open_recording
 from lidar_core.io.posed import posed_laser_scans, posed_scans
 from lidar_core.io.recording import SCAN_KINDS, Recording
@@ -257,10 +258,7 @@ def _objects(columns: Columns, rows: NDArray[np.int64], *, least: float) -> Obje
         return np.asarray(columns[name][rows], float) if name in columns else np.zeros(len(rows))
 
     axes = ("x", "y", "z")
-    covariance = np.zeros((len(rows), 3, 3))
-    for row, first in enumerate(axes):
-        for column, second in enumerate(axes[row:], start=row):
-            covariance[:, row, column] = covariance[:, column, row] = of(f"cov_{first}_{second}")
+    triangles = np.stack([of(title) for title in covariance_titles(axes)], axis=1)
     if "radius" in columns:
         size = np.stack([2 * of("radius"), 2 * of("radius"), np.zeros(len(rows))], axis=1)
     else:
@@ -269,7 +267,7 @@ def _objects(columns: Columns, rows: NDArray[np.int64], *, least: float) -> Obje
         id=columns["track_id"][rows].astype(np.int64),
         position=np.stack([of(axis) for axis in axes], axis=1),
         velocity=np.stack([of(f"v{axis}") for axis in axes], axis=1),
-        covariance=np.nan_to_num(covariance),
+        covariance=np.nan_to_num(symmetric(triangles, len(axes))),
         size=size,
     )
 
