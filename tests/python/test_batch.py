@@ -308,6 +308,19 @@ commands = [
     assert "simulate.scans" not in columns
 
 
+def test_threads_are_handed_to_commands_that_take_them(batch):
+    batch.write_text("""
+[[jobs]]
+name = "flight"
+commands = [
+    "simulate overflight -o {output}/a.csv --scans 20",
+    "fuse {output}/a.csv -o {output}/run --no-picture",
+]
+""")
+    done = run_batch(batch)
+    assert done.exit_code == 0, done.output
+
+
 def test_files_of_others_are_left_alone(batch):
     run_batch(batch)
     name = next(batch.parent.glob("out/bad-*"))

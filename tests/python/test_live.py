@@ -912,6 +912,15 @@ def test_a_replay_never_replaces_what_it_plays(circles, tmp_path):
     assert played.read_bytes() == before
 
 
+def test_two_outputs_to_one_file_are_refused(circles, tmp_path):
+    named = ["--out", f"mcap:{tmp_path}/a.mcap", "--out", f"mcap:{tmp_path}/./a.mcap"]
+    refused = CliRunner().invoke(app, ["live", "--replay", str(circles), *named])
+    assert isinstance(refused.exception, ConfigError)
+    assert str(refused.exception) == (
+        f"--out {tmp_path}/a.mcap: expected once, it is given 2 times"
+    )
+
+
 @pytest.mark.parametrize("out", ["mcap:{}/nowhere/a.mcap", "rerun:{}/nowhere/a.rrd"])
 def test_a_missing_folder_is_named_before_the_first_scan(circles, tmp_path, out):
     if out.startswith("rerun"):

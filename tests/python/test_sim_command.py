@@ -43,9 +43,10 @@ def test_the_command_refuses_what_it_cannot_write(tmp_path):
     out = run_command(tmp_path / "none.toml", "-o", tmp_path / "x.npz")
     assert isinstance(out.exception, FileNotFoundError)
     assert "no such scene file; built-in scenes are demo, performance-1" in str(out.exception)
-    out = run_command("overflight", "-o", tmp_path / "x.csv", "--sensor", "vlp-16")
-    assert isinstance(out.exception, ConfigError)
-    assert "--sensor: says nothing about overflight" in str(out.exception)
+    for option, value in (("--sensor", "vlp-16"), ("--threads", 1)):
+        out = run_command("overflight", "-o", tmp_path / "x.csv", option, value)
+        assert isinstance(out.exception, ConfigError)
+        assert f"{option}: says nothing about overflight" in str(out.exception)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -19,6 +19,7 @@ from lidar_core.batch.config import OUTPUT
 from lidar_core.batch.executors import Executor
 from lidar_core.batch.results import NOTE, flat
 from lidar_core.cli.common import all_threads
+from lidar_core.cli.simulate import OVERFLIGHT
 from lidar_core.config import Config
 from lidar_core.errors import ConfigError, LidarCoreError
 from lidar_core.io.atomic import written_whole
@@ -165,7 +166,7 @@ def _told_by(command: Sequence[str], told: Path, threads: int) -> Any:
 
     options = _options(command[0])
     more = ["--json", str(told)] if "--json" in options and "--json" not in command else []
-    if "--threads" in options and "--threads" not in command:
+    if "--threads" in options and not {"--threads", OVERFLIGHT} & set(command):
         more += ["--threads", str(threads)]
     arguments = [*command, *more]
     sys.argv = ["lidar-core", *arguments]

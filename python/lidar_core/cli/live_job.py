@@ -1,5 +1,6 @@
 """What the options of `lidar-core live` name: sources, outputs, pipelines."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -138,11 +139,16 @@ def check_files(outputs: Iterable[str], replayed: Path | None, *, overwrite: boo
     Raises
     ------
     ConfigError
-        A file is there that must not be replaced, or belongs to the recording that is played.
+        A file is there that must not be replaced, belongs to the recording that is played, or is
+        named twice.
     """
-    for text in outputs:
-        path = _file(text)
-        if path is None or not path.exists():
+    places = [path for text in outputs if (path := _file(text)) is not None]
+    counts = Counter(path.resolve() for path in places)
+    for path in places:
+        if counts[path.resolve()] > 1:
+            raise ConfigError(f"--out {path}: expected once, it is given"
+                              f" {counts[path.resolve()]} times")  # fmt: skip
+        if not path.exists():
             continue
         if replayed is not None and path.resolve().is_relative_to(replayed.resolve()):
             raise ConfigError(f"{path}: expected another file than the one to read")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.common import JsonFile, consoles, progress_on, write_json
+from lidar_core.cli.common import JsonFile, consoles, given, progress_on, write_json
 from lidar_core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -39,13 +39,16 @@ def command(
     scans: Annotated[
         int | None, typer.Option(min=1, help="Length; without it as the scene says.")
     ] = None,
-    threads: Annotated[int, typer.Option(min=1, help="Threads; the result is the same.")] = 1,
+    threads: Annotated[
+        int | None,
+        typer.Option(min=1, show_default="1", help="Threads; the result is the same."),
+    ] = None,
     json: JsonFile = None,
 ) -> None:
     """Simulate SCENE into a recording; beside it truth.csv, scene.toml and run.toml."""
     if scene == OVERFLIGHT:
-        if sensor is not None:
-            raise ConfigError("--sensor: says nothing about overflight, which has its own")
+        for name in given({"sensor": sensor, "threads": threads}):
+            raise ConfigError(f"--{name}: says nothing about overflight")
         _overfly(output, seed, scans, json=json)
         return
     from dataclasses import asdict
@@ -63,7 +66,7 @@ def command(
             output,
             seed=seed,
             scans=scans,
-            threads=threads,
+            threads=threads or 1,
             on_scan=lambda made: progress.advance(task),
         )
     told = {name: str(value) if isinstance(value, Path) else value
