@@ -28,6 +28,7 @@ USED_BY = {
     "poses": "`lidar-core detect`, `lidar_core.io.posed_scans`",
     "read": "`lidar-core info`, `lidar-core detect`, `lidar_core.io.open_recording`",
     "scene": "`lidar-core simulate`, `lidar_core.sim.simulate`",
+    "span": "`lidar-core convert`, `lidar-core fuse`; part of `poses`",
     "steering": "`lidar_core.sim.SteeredSensor`, `lidar-core reproduce`",
 }
 INTRODUCTION = """\

@@ -33,6 +33,7 @@ MODELS = {
     "poses": "lidar_core.io:PoseOptions",
     "read": "lidar_core.io:ReadOptions",
     "scene": "lidar_core.sim:Scene",
+    "span": "lidar_core.io:Span",
     "steering": "lidar_core.sim:Steering",
 }
 """Models that a file or a command line fills, by the name the command gives them."""

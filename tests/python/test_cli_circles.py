@@ -57,6 +57,16 @@ def run(recording, tmp_path_factory):
     return folder, result_of(recording, "-o", folder, "--film")
 
 
+def test_a_part_of_a_recording_is_mapped(recording, tmp_path):
+    plain = ("--no-picture", "--no-mcap")
+    cut = result_of(recording, "-o", tmp_path / "run", "--start", 0.5, "--end", 1.0, *plain)
+    stamps = read_columns(tmp_path / "run" / "timing.parquet")["t_ns"]
+    with open_recording(recording) as opened:
+        first_ns = opened.first_stamp()
+    assert len(stamps) == cut["scans"]["processed"] < SCANS
+    assert 0.5 <= (stamps.min() - first_ns) * 1e-9 < (stamps.max() - first_ns) * 1e-9 <= 1.0
+
+
 def test_the_folder_is_complete_and_noted(recording, run):
     folder, result = run
     names = {path.name for path in folder.iterdir()}

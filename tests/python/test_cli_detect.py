@@ -17,7 +17,7 @@ import pytest
 from flying_scenes import drone, yard
 from typer.testing import CliRunner
 
-from lidar_core import ConfigError, FormatError, VoxelMap, run_folder, sim
+from lidar_core import ConfigError, FormatError, InputError, VoxelMap, run_folder, sim
 from lidar_core.cli import app
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 from lidar_core.io import open_recording, posed_scans, write_npz
@@ -134,6 +134,27 @@ def test_repeating_opens_the_gate(recording, tmp_path):
     assert result["scans"]["processed"] == 16
     assert result["gate"]["opened_at_scan"] == 10
     assert result["poses"] == "static: the sensor does not move"
+
+
+def test_a_part_of_a_recording_is_the_same_as_a_recording_of_that_part(recording, tmp_path):
+    part, span = tmp_path / "part.npz", ("--start", "0.25", "--end", "0.6")
+    converted = CliRunner().invoke(app, ["convert", str(recording), str(part), *span])
+    assert converted.exit_code == 0, converted.output
+    plain = ("--no-picture", "--no-mcap")
+    whole = result_of(part, "-o", tmp_path / "a", *plain)
+    cut = result_of(recording, "-o", tmp_path / "b", *span, *plain)
+    assert cut["scans"] == whole["scans"]
+    assert 0 < cut["scans"]["processed"] < SCANS
+    assert cut["class_shares"] == whole["class_shares"]
+    note = tomllib.loads((tmp_path / "b" / "run.toml").read_text())
+    assert (note["config"]["pose"]["start"], note["config"]["pose"]["end"]) == (0.25, 0.6)
+
+
+def test_a_part_without_scans_leaves_no_folder(recording, tmp_path):
+    out = run_command(recording, "-o", tmp_path / "run", "--start", 1000)
+    assert isinstance(out.exception, InputError)
+    assert str(out.exception) == f"{recording}: no scans that were asked for"
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_run_starts_from_the_map_of_an_earlier_one(recording, run, tmp_path):

@@ -288,10 +288,25 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_written(
     assert not (tmp_path / "run").exists()
 
 
+def test_a_part_of_a_table_is_fused(table, tmp_path):
+    folder = tmp_path / "run"
+    told = result_of(table, "-o", folder, "--start", 0.5, "--end", 1.0, "--no-picture")
+    assert told["measurements"] == {"radar": 6, "lidar": 5}
+    assert read_columns(folder / "truth.parquet")["t_ns"].tolist() == [
+        50_000_000 * k for k in range(10, 21)
+    ]
+    note = tomllib.loads((folder / "run.toml").read_text())
+    assert note["config"]["span"] == {"start": 0.5, "end": 1.0}
+    empty = command(table, "-o", tmp_path / "no", "--start", 99)
+    assert isinstance(empty.exception, InputError)
+    assert str(empty.exception) == f"{table}: no measurements that were asked for"
+
+
 @pytest.mark.parametrize(
     ("name", "option", "value"),
     [("a.bag", "--column", "x=y"), ("a.bag", "--time-unit", "s"), ("a.json", "--topic", "radar=/a"),
-     ("a.json", "--angle-unit", "deg")],
+     ("a.json", "--angle-unit", "deg"), ("a.txt", "--column", "x=y"),
+     ("a.txt", "--time-unit", "s")],
 )  # fmt: skip
 def test_options_of_other_recordings_are_refused(tmp_path, name, option, value):
     (tmp_path / name).write_text("")

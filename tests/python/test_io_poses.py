@@ -269,6 +269,16 @@ def test_kitti_poses_by_order(tmp_path):
     for count in (2, 4):
         with pytest.raises(FormatError, match="3 poses for"):
             posed(npz_of(tmp_path, count), pose=str(file))
+    (middle,), _ = posed(npz_of(tmp_path), pose=str(file), start=0.1, end=0.1 + 1e-9)
+    np.testing.assert_allclose(middle.world_from_lidar, matrices[1], atol=1e-9)
+
+
+def test_the_ends_of_a_span_belong_to_it(tmp_path):
+    path = npz_of(tmp_path, 8)
+    for start, end in ((0.0, 0.3), (0.3, 0.6), (0.7, None)):
+        result, _ = posed(path, pose="static", start=start, end=end)
+        since = [(item.scan.stamp_ns - BASE_NS) * 1e-9 for item in result]
+        np.testing.assert_allclose(since, np.arange(start, (end or 0.7) + 0.05, 0.1), atol=1e-9)
 
 
 def test_tum_poses_by_time(tmp_path):

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from lidar_core.circles import CirclesConfig
-    from lidar_core.io import ReadOptions
+    from lidar_core.io import ReadOptions, Span
     from lidar_core.messages import LaserScan
 
 SHARE = 0.05  # of a LiDAR's scans that have a length which is no defect
@@ -51,7 +51,7 @@ def command(
     read = ReadOptions.load(given({"no_return": no_return, "point_time": point_time}))
     base = CirclesConfig() if options.mode == "best" else CirclesConfig.paper()
     config = run_config(base, "circles", options.config, options.values)
-    chosen = _with_scanners(config, recording, read, scan)
+    chosen = _with_scanners(config, recording, read, scan, options.poses())
     job = RecordingJob(
         command="circles",
         sort=LaserScan,
@@ -68,8 +68,9 @@ def command(
 
 
 def _with_scanners(
-    config: "CirclesConfig", recording: Path, read: "ReadOptions", topics: Sequence[str]
-) -> "CirclesConfig":
+    config: "CirclesConfig", recording: Path, read: "ReadOptions", topics: Sequence[str],
+    span: "Span",
+) -> "CirclesConfig":  # fmt: skip
     """`config` with the scanners of the recording, where it does not name them itself.
 
     Their ranges are limited to those of `config.scanner`.
@@ -81,7 +82,9 @@ def _with_scanners(
     found = dict(config.scanners)
     for topic in topics or (None,):
         with open_recording(recording, read) as opened:
-            scans = posed_laser_scans(opened, cloud=topic, pose="static")
+            scans = posed_laser_scans(
+                opened, cloud=topic, pose="static", start=span.start, end=span.end
+            )
             if scans.cloud in config.scanners:
                 continue
             layouts = _layouts(item.scan for item in scans)

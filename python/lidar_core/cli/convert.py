@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lidar_core.cli.common import JsonFile, consoles, given, progress_on, write_json
+from lidar_core.cli.run_options import End, Start
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from lidar_core.io import ReadOptions, Recording
+    from lidar_core.io import ReadOptions, Recording, Span
     from lidar_core.messages import Message
-
-NS = 1_000_000_000
 
 
 def command(
@@ -32,12 +31,8 @@ def command(
     topic: Annotated[
         list[str] | None, typer.Option(help="Scans of this topic alone; may be repeated.")
     ] = None,
-    start: Annotated[
-        float, typer.Option(min=0, help="Leave out what comes before, from the first stamp \\[s].")
-    ] = 0.0,
-    end: Annotated[
-        float | None, typer.Option(min=0, help="Leave out what comes after, likewise \\[s].")
-    ] = None,
+    start: Start = 0.0,
+    end: End = None,
     point_time: Annotated[
         str | None, typer.Option(help="Time of each point as field:unit:reference, auto or none.")
     ] = None,
@@ -67,7 +62,7 @@ def command(
     """
     from lidar_core.cli.convert_run import convert_run, is_run
     from lidar_core.errors import InputError
-    from lidar_core.io import ReadOptions
+    from lidar_core.io import ReadOptions, Span
     from lidar_core.io.cloud_files import WRITABLE
 
     if output.exists() and output.resolve() == recording.resolve():
@@ -92,8 +87,8 @@ def command(
         console.print(f"{count} points in {output}", markup=False, soft_wrap=True)
         return
     _refuse(of_run | of_map, "a recording")
-    result = _write_recording(recording, output, ReadOptions.load(values), topic, (start, end),
-                              errors)  # fmt: skip
+    span = Span.load({"start": start, "end": end})
+    result = _write_recording(recording, output, ReadOptions.load(values), topic, span, errors)
     write_json(result, json_file)
     for name, count in result["written"].items():
         console.print(f"{name}: {count}", markup=False)
@@ -116,16 +111,12 @@ def _write_recording(
     output: Path,
     options: "ReadOptions",
     topics: list[str] | None,
-    span: tuple[float, float | None],
+    span: "Span",
     console: "Console",
 ) -> dict[str, Any]:
     """Write scans and poses; returns what was written and what was not, as plain values."""
-    from lidar_core.errors import ConfigError
     from lidar_core.io import open_recording, write_recording
 
-    start, end = span
-    if end is not None and end <= start:
-        raise ConfigError(f"--end: expected more than --start {start:g}, got {end:g}")
     written: Counter[str] = Counter()
     with (
         open_recording(source, options) as opened,
@@ -135,7 +126,7 @@ def _write_recording(
         task = progress.add_task("convert", total=None)
 
         def counted() -> Iterator["Message"]:
-            for message in _chosen(opened, topics, *span):
+            for message in _chosen(opened, topics, span):
                 written[message.topic or "(no topic)"] += 1
                 progress.advance(task)
                 yield message
@@ -168,9 +159,7 @@ def _check_topics(recording: "Recording", wanted: list[str] | None) -> None:
             raise ConfigError(f"topic: no scans on {name!r} in {recording.path}; found {listed}")
 
 
-def _chosen(
-    recording: "Recording", topics: list[str] | None, start: float, end: float | None
-) -> Iterator["Message"]:
+def _chosen(recording: "Recording", topics: list[str] | None, span: "Span") -> Iterator["Message"]:
     """Messages of the span, by their stamps; mountings count as of all times.
 
     Raises
@@ -181,17 +170,14 @@ def _chosen(
     from lidar_core.errors import InputError
     from lidar_core.messages import Pose
 
-    first: int | None = None
+    first_ns = recording.first_stamp() or 0
     is_found = False
     for message in recording:
         if topics and not isinstance(message, Pose) and message.topic not in topics:
             continue
         if isinstance(message, Pose) and message.is_static:
             yield message
-            continue
-        first = message.stamp_ns if first is None else first
-        since = message.stamp_ns - first
-        if since >= start * NS and (end is None or since <= end * NS):
+        elif span.holds(message.stamp_ns, first_ns):
             is_found = True
             yield message
     if not is_found:

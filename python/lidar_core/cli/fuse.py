@@ -1,6 +1,6 @@
 """`lidar-core fuse`: targets from the LiDAR and radar of a recording."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -11,15 +11,17 @@ from lidar_core.cli.config import Mode
 from lidar_core.cli.run_options import (
     ChosenMode,
     ConfigFile,
+    End,
     Mcap,
     Output,
     Overwrite,
     Picture,
+    Start,
     Values,
     wants_mcap,
 )
 from lidar_core.cli.settings import run_config
-from lidar_core.errors import ConfigError
+from lidar_core.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from lidar_core.cli.fuse_run import TargetRun
     from lidar_core.config import Config
     from lidar_core.fusion import DetectionScan, MeasurementLog
+    from lidar_core.io import Span
 
 BAGS = (".bag", ".db3", ".mcap")
 RECORDING = (
@@ -56,6 +59,8 @@ def command(
     topic: Annotated[list[str], typer.Option(help=TOPIC)] = [],  # noqa: B006
     time_unit: Annotated[str | None, typer.Option(help=TIME_UNIT)] = None,
     angle_unit: Annotated[str | None, typer.Option(help=ANGLE_UNIT)] = None,
+    start: Start = 0.0,
+    end: End = None,
     mode: ChosenMode = "best",
     config: ConfigFile = None,
     values: Values = [],  # noqa: B006
@@ -68,6 +73,7 @@ def command(
 
     With the truth in the recording, the table and the summary hold what was right.
     """
+    from lidar_core.io import Span
     from lidar_core.run_folder import RunFolder, fingerprint
 
     folder = RunFolder(output, overwrite=overwrite)
@@ -75,7 +81,8 @@ def command(
             "topics": _pairs("topic", topic, "radar=/front"),
             **given({"time_unit": time_unit, "angle_unit": angle_unit})}  # fmt: skip
     ways = given({"model": model, "method": method, "association": association})
-    run = _run(_Asked(recording, mode, config, values, lag, ways, read))
+    span = Span.load(given({"start": start, "end": end}))
+    run = _run(_Asked(recording, mode, config, values, lag, ways, read, span))
     out, errors = consoles(json)
     folder.begin()
     files = run.write(folder)
@@ -102,10 +109,26 @@ class _Asked(NamedTuple):
     lag: float | None
     ways: dict[str, str]
     read: dict[str, Any]
+    span: "Span"
+
+    def kept(self, stamps: Sequence[int]) -> list[int]:
+        """Rows within the span, of those with these times.
+
+        Raises
+        ------
+        InputError
+            There are none.
+        """
+        first = min(stamps, default=0)
+        rows = [row for row, stamp in enumerate(stamps) if self.span.holds(stamp, first)]
+        if stamps and not rows:
+            raise InputError(f"{self.recording}: no measurements that were asked for")
+        return rows
 
 
 def _run(asked: _Asked) -> "TargetRun | ManyRun":
     from lidar_core.fusion import AutoferryOptions, TableOptions, read_autoferry, read_measurements
+    from lidar_core.fusion.table import TABLES
 
     recording, read = asked.recording, asked.read
     if recording.suffix == ".json":
@@ -115,7 +138,9 @@ def _run(asked: _Asked) -> "TargetRun | ManyRun":
     if recording.is_dir() or recording.suffix.lower() in BAGS:
         _check_read(asked, "a ROS recording", ("topics",))
         return _bag(asked)
-    _check_read(asked, "a table", ("columns", "time_unit", "angle_unit"))
+    is_table = recording.suffix in TABLES
+    of_tables = ("columns", "time_unit", "angle_unit")
+    _check_read(asked, *(("a table", of_tables) if is_table else ("L/R text", ())))
     columns = {ours: theirs[-1] for ours, theirs in read["columns"].items()}
     units = {name: value for name, value in read.items() if name.endswith("_unit")}
     options = TableOptions.load({"columns": columns, **units})
@@ -150,7 +175,8 @@ def _one(asked: _Asked, log: "MeasurementLog", reading: Mapping[str, "Config"]) 
         raise ConfigError(f"{asked.recording}: one target; --association is for many")
     base = FusionConfig() if asked.mode == "best" else FusionConfig.paper()
     chosen = run_config(base, "fusion", asked.file, [*asked.values, *_texts(asked.ways)])
-    return TargetRun.of(log, chosen, reading, lag=asked.lag)
+    kept = log.rows(asked.kept([m.stamp_ns for m in log.measurements]))
+    return TargetRun.of(kept, chosen, {**reading, "span": asked.span}, lag=asked.lag)
 
 
 def _many(
@@ -165,7 +191,8 @@ def _many(
     ways = {name if name == "association" else f"target.{name}": value
             for name, value in asked.ways.items()}  # fmt: skip
     chosen = run_config(base, "fusion_many", asked.file, [*asked.values, *_texts(ways)])
-    return ManyRun.of(scans, chosen, reading, source=source)
+    kept = [scans[row] for row in asked.kept([scan.stamp_ns for scan in scans])]
+    return ManyRun.of(kept, chosen, {**reading, "span": asked.span}, source=source)
 
 
 def _texts(options: Mapping[str, Any]) -> list[str]:

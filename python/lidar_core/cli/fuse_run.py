@@ -320,7 +320,4 @@ def measured_place(m: Measurement) -> list[float]:
 def _in_order(log: MeasurementLog) -> MeasurementLog:
     """The log by time, as the filter takes it; rows of one time keep their order."""
     stamps = [m.stamp_ns for m in log.measurements]
-    order = np.argsort(stamps, kind="stable")
-    measurements = [log.measurements[row] for row in order]
-    truth = None if log.truth is None else log.truth.rows(order)
-    return MeasurementLog(measurements, truth, log.format)
+    return log.rows(np.argsort(stamps, kind="stable").tolist())

@@ -24,10 +24,14 @@ _POSE = (
 _MOUNTING = "Where a sensor sits: PARENT FRAME x y z roll pitch yaw \\[m, rad]; again for more."
 _SET = "Single value, as SECTION.NAME=VALUE of `config show`; again for more."
 _CONFIG = "TOML file; the run.toml of an earlier run will do."
+_START = "Leave out what comes before, from the first stamp \\[s]."
+_END = "Leave out what comes after, likewise \\[s]."
 _MCAP = "Write run.mcap for viewers; by default if the extra `viz` is there."
 
 RecordingPath: TypeAlias = Annotated[Path, typer.Argument(help="File or folder to read.")]
 Output: TypeAlias = Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")]
+Start: TypeAlias = Annotated[float, typer.Option(min=0, help=_START)]
+End: TypeAlias = Annotated[float | None, typer.Option(min=0, help=_END)]
 Odom: TypeAlias = Annotated[str | None, typer.Option(help="Topic of the poses.")]
 PoseSource: TypeAlias = Annotated[str | None, typer.Option(help=_POSE)]
 FixedFrame: TypeAlias = Annotated[str | None, typer.Option(help="Frame of the map.")]
@@ -59,10 +63,10 @@ class PipelineOptions:
     json: JsonFile = None
 
     def poses(self) -> "PoseOptions":
-        """Where the poses come from."""
+        """Where the poses come from, and which part of a recording counts."""
         from lidar_core.io import PoseOptions
 
-        names = ("pose", "fixed_frame", "odom", "mounting")
+        names = [name for name in PoseOptions.model_fields if hasattr(self, name)]
         return PoseOptions.load(given({name: getattr(self, name) for name in names}))
 
 
@@ -72,6 +76,8 @@ class RunOptions(PipelineOptions):
 
     recording: RecordingPath
     output: Output
+    start: Start = 0.0
+    end: End = None
     mcap: Mcap = None
     picture: Picture = True
     overwrite: Overwrite = False

@@ -73,6 +73,11 @@ class MeasurementLog:
     truth: TargetTruth | None
     format: str
 
+    def rows(self, chosen: list[int]) -> "MeasurementLog":
+        """Those measurements, in that order."""
+        truth = None if self.truth is None else self.truth.rows(np.array(chosen, np.int64))
+        return MeasurementLog([self.measurements[row] for row in chosen], truth, self.format)
+
 
 def read_measurements(path: str | Path, options: TableOptions | None = None) -> MeasurementLog:
     """Read measurements of one target.

@@ -7,7 +7,7 @@ from lidar_core.io.info import RecordingInfo, TopicInfo
 from lidar_core.io.npz import write_npz
 from lidar_core.io.objects import write_mot, write_nuscenes
 from lidar_core.io.opening import open_recording
-from lidar_core.io.options import PoseOptions, ReadOptions
+from lidar_core.io.options import PoseOptions, ReadOptions, Span
 from lidar_core.io.posed import PosedScan, PosedScans, posed_laser_scans, posed_scans
 from lidar_core.io.recording import Recording, Topic
 from lidar_core.io.ros_obstacles import write_ros_objects
@@ -29,6 +29,7 @@ __all__ = [
     "Recording",
     "RecordingInfo",
     "RosWriter",
+    "Span",
     "Topic",
     "TopicInfo",
     "TransformBuffer",

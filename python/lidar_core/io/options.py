@@ -3,11 +3,13 @@
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from lidar_core.config import Config
 from lidar_core.io.rotations import pose_matrix, quaternion_from_angles
 from lidar_core.messages import Pose
+
+NS = 1_000_000_000
 
 
 class ReadOptions(Config):
@@ -60,8 +62,37 @@ class ReadOptions(Config):
     )
 
 
-class PoseOptions(Config):
-    """Options of `posed_scans`: where the sensor's poses come from."""
+class Span(Config):
+    """Part of a recording, in seconds from its first stamp."""
+
+    start: float = Field(0.0, ge=0, description="What comes before is left out [s].")
+    end: float | None = Field(None, description="What comes after is left out [s].")
+
+    @field_validator("end")
+    @classmethod
+    def _end_follows_start(cls, end: float | None, known: ValidationInfo) -> float | None:
+        start = known.data.get("start", 0.0)
+        if end is not None and end <= start:
+            raise ValueError(f"expected more than start, {start:g}")
+        return end
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether nothing is left out."""
+        return self.start == 0 and self.end is None
+
+    def holds(self, stamp_ns: int, first_ns: int) -> bool:
+        """Whether a time is within, of a recording that begins at `first_ns`."""
+        is_early = stamp_ns - first_ns < round(self.start * NS)
+        return not is_early and not self.is_past(stamp_ns, first_ns)
+
+    def is_past(self, stamp_ns: int, first_ns: int) -> bool:
+        """Whether a time is after the end."""
+        return self.end is not None and stamp_ns - first_ns > round(self.end * NS)
+
+
+class PoseOptions(Span):
+    """Options of `posed_scans`: which scans, and where the sensor's poses come from."""
 
     pose: str = Field(
         "auto",

@@ -9,7 +9,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.errors import ConfigError, FormatError
+from lidar_core.errors import ConfigError, FormatError, InputError
 from lidar_core.io.options import PoseOptions
 from lidar_core.io.pose_files import read_poses
 from lidar_core.io.recording import Recording, Topic
@@ -91,20 +91,40 @@ class PosedScans(Generic[ScanT]):
             return
         yield from self._from_buffer()
 
-    def _scans(self) -> Iterator[ScanT]:
+    def _scans(self) -> Iterator[tuple[int, ScanT]]:
+        """Scans that are wanted, each with its place among all of its topic.
+
+        Raises
+        ------
+        InputError
+            None of them is within the span that was asked for.
+        """
+        span = self._options
+        first_ns = 0 if span.is_whole else self._recording.first_stamp() or 0
+        is_found = span.is_whole
+        for number, scan in enumerate(self._recorded()):
+            if span.is_past(scan.stamp_ns, first_ns):
+                break
+            if span.holds(scan.stamp_ns, first_ns):
+                is_found = True
+                yield number, scan
+        if not is_found:
+            raise InputError(f"{self._recording.path}: no scans that were asked for")
+
+    def _recorded(self) -> Iterator[ScanT]:
         for record in self._recording.records(_WORDS[self._sort].kinds):
             if record.topic.name == self._cloud.name:
                 yield from (item for item in record.decode() if isinstance(item, self._sort))
 
     def _first_frame(self) -> str:
-        return next((scan.frame_id for scan in self._scans()), "")
+        return next((scan.frame_id for _, scan in self._scans()), "")
 
     def _standing(self) -> Iterator[PosedScan[ScanT]]:
         """Every scan from one place: where the sensor is mounted, or the origin."""
         self.source = "static: the sensor does not move"
         buffer, frame = self._buffer(), ""
         world_from_lidar = np.eye(4)
-        for scan in self._scans():
+        for _, scan in self._scans():
             if scan.frame_id != frame:
                 frame = scan.frame_id
                 root = buffer.root_of(frame)
@@ -125,12 +145,12 @@ class PosedScans(Generic[ScanT]):
             yield from self._looked_up(buffer, WORLD_FRAME, frame)
             return
         count = 0
-        for scan in self._scans():
-            if count >= len(matrices):
+        for number, scan in self._scans():
+            if number >= len(matrices):
                 raise FormatError(f"{path}: {len(matrices)} poses for a recording of more scans")
-            yield PosedScan(scan, matrices[count])
-            count += 1
-        if count != len(matrices):
+            yield PosedScan(scan, matrices[number])
+            count = number + 1
+        if count != len(matrices) and self._options.end is None:
             raise FormatError(f"{path}: {len(matrices)} poses for {count} scans of the recording")
 
     def _from_buffer(self) -> Iterator[PosedScan[ScanT]]:
@@ -151,7 +171,7 @@ class PosedScans(Generic[ScanT]):
         self, buffer: TransformBuffer, root: str, frame: str
     ) -> Iterator[PosedScan[ScanT]]:
         given = 0
-        for scan in self._scans():
+        for _, scan in self._scans():
             stamps = pose_stamps(scan, buffer, root, frame)
             try:
                 poses = buffer.lookup(root, frame, stamps)
@@ -235,7 +255,7 @@ def posed_scans(
     options : PoseOptions, optional
         Where the poses come from.
     **values
-        Single fields of `PoseOptions`: fixed_frame, pose, cloud, odom; they override `options`.
+        Single fields of `PoseOptions`, such as pose, cloud or start; they override `options`.
 
     Returns
     -------
@@ -246,6 +266,8 @@ def posed_scans(
     ------
     FormatError
         No poses (while iterating); the text says what was found and which option helps.
+    InputError
+        No scans within the span that was asked for (while iterating).
     ConfigError
         No such topic, or several to choose from.
     """

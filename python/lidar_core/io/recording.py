@@ -139,6 +139,11 @@ class Recording(ABC):
                 self.skipped[record.topic.name] += 1
             yield from messages
 
+    def first_stamp(self) -> int | None:
+        """Time of the first scan or moving pose [ns]; None without."""
+        moving = (item for item in self if not (isinstance(item, Pose) and item.is_static))
+        return next((item.stamp_ns for item in moving), None)
+
     def noticed(self) -> Findings:
         """What the reads so far detected and left out."""
         return self.findings
