@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mcap.writer import Writer as McapFile
 from pypcd4 import Encoding, PointCloud
 from ros_files import Ros
-from rosbags.rosbag2 import CompressionFormat, CompressionMode
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 
 import lidar_core as lc
@@ -331,22 +331,33 @@ def test_metadata_without_serialisation_format_does_not_matter(tmp_path):
     assert len(read_all(path.parent)) == 10
 
 
-def test_compressed_ros2_recordings_say_how_to_unpack(tmp_path):
+@pytest.mark.parametrize("storage", list(StoragePlugin))
+def test_messages_that_ros2_compressed_are_read(tmp_path, storage):
     ros = Ros(2)
     path = tmp_path / "a"
-    writer = Writer2(path, version=9)
+    writer = Writer2(path, version=9, storage_plugin=storage)
     writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
     with writer:
         connection = writer.add_connection("/points", CLOUD_TYPE, typestore=ros.store)
-        message = ros.cloud(np.zeros(3, CLOUD), BASE_NS, "os")
+        message = ros.cloud(np.zeros(1000, CLOUD), BASE_NS, "os")
         writer.write(connection, BASE_NS, ros.store.serialize_cdr(message, CLOUD_TYPE))
-    with pytest.raises(FormatError, match=r"compressed with zstd; .* ros2 bag convert"):
-        read_all(path)
-    folder = tmp_path / "b"
-    folder.mkdir()
-    (folder / "b_0.db3.zstd").write_bytes(b"x")
+    (scan,) = read_all(path)
+    assert (scan.stamp_ns, scan.points.shape, scan.frame_id) == (BASE_NS, (1000, 3), "os")
+    with pytest.raises(LimitError, match=r"decompresses to more than 4000 bytes; .*max_record_by"):
+        read_all(path, max_record_bytes=4000)
+
+
+@pytest.mark.parametrize(("name", "cure"), [("b_0.db3.zstd", "zstd -d"), ("a.bag.gz", "gunzip")])
+def test_files_that_are_compressed_say_how_to_unpack(tmp_path, name, cure):
+    (tmp_path / name).write_bytes(b"x")
+    with pytest.raises(FormatError, match=f"compressed; unpack it first: {cure} FILE"):
+        lc.io.open_recording(tmp_path / name)
+
+
+def test_a_folder_that_ros2_compressed_says_how_to_unpack(tmp_path):
+    (tmp_path / "b_0.db3.zstd").write_bytes(b"x")
     with pytest.raises(FormatError, match=r"unpack it first: zstd -d b_0\.db3\.zstd"):
-        lc.io.open_recording(folder)
+        lc.io.open_recording(tmp_path)
 
 
 def test_an_unset_quaternion_is_counted_not_used(tmp_path):
@@ -543,7 +554,7 @@ def test_captures_of_other_packets_are_refused_with_a_cure(tmp_path):
     with pytest.raises(FormatError, match="byte 24: a packet of 4294967295 bytes"):
         lc.io.open_recording(path)
     path.write_bytes(b"\x0a\x0d\x0d\x0a" + bytes(40))
-    with pytest.raises(FormatError, match="editcap"):
+    with pytest.raises(FormatError, match="byte 0: no block of pcapng"):
         lc.io.open_recording(path)
 
 

@@ -4,18 +4,18 @@ import heapq
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
 from lidar_core.errors import FormatError, LidarCoreError, LimitError
 from lidar_core.extras import require
+from lidar_core.io.compressed import lz4_data, zstd_data
 from lidar_core.io.foxglove_messages import FoxgloveDecoder, foxglove_kind
 from lidar_core.io.guard import check_size, reading
 from lidar_core.io.mcap_salvage import Salvage
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import Kind, Record, Recording, Topic
-from lidar_core.io.ros import MAX_TOPICS, _complete
+from lidar_core.io.ros import MAX_TOPICS
 from lidar_core.io.ros_messages import RosDecoder, kind_of, note_of, ros_name
 from lidar_core.messages import Message
 
@@ -263,12 +263,9 @@ def _decompressed(chunk: Any, place: str, limit: int) -> bytes:
     """Data of a chunk, at most `limit` bytes: the size that the file declares is not trusted."""
     data: bytes = chunk.data
     if chunk.compression == "zstd":
-        zstandard = require("zstandard", extra="io", purpose="reading compressed MCAP")
-        with zstandard.ZstdDecompressor().stream_reader(BytesIO(data)) as stream:
-            data = stream.read(limit + 1)
+        data = zstd_data(data, place, limit)
     elif chunk.compression == "lz4":
-        frame = require("lz4.frame", extra="io", purpose="reading compressed MCAP")
-        data = _complete(frame.LZ4FrameDecompressor(), data, place, limit)
+        data = lz4_data(data, place, limit)
     elif chunk.compression:
         raise FormatError(f"{place}: unknown compression {chunk.compression!r}")
     if len(data) != chunk.uncompressed_size:

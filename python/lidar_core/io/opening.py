@@ -9,11 +9,12 @@ from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import Recording
 
 KNOWN = (
-    "ROS 1 .bag, ROS 2 folder or .db3, .mcap, Ouster .pcap with .json or .osf, Velodyne .pcap,"
-    " .pcd, .ply, .las or .laz file or folder, KITTI .bin folder, CARMEN .clf or .clf.bz2, .npz"
-    " file or folder"
+    "ROS 1 .bag, ROS 2 folder or .db3, .mcap, Ouster .pcap with .json or .osf, Velodyne .pcap or"
+    " .pcapng, .pcd, .ply, .las or .laz file or folder, KITTI .bin folder, CARMEN .clf or .clf.bz2,"
+    " .npz file or folder"
 )
 
+_PACKED = "compressed; unpack it first: "
 HINTS = {
     ".bt": "a map, not a recording: `lidar-core detect --map`, `lidar_core.io.read_cloud`",
     ".csv": "a table holds no scans; measurements are for `lidar-core fuse`",
@@ -25,6 +26,12 @@ HINTS = {
     ".txt": "text holds no scans; poses are for --pose, measurements of LiDAR and radar (L/R) for"
     " `lidar-core fuse`",
     ".yaml": "not a recording; of a ROS 2 recording open the folder",
+    ".bz2": f"{_PACKED}bunzip2 FILE",
+    ".gz": f"{_PACKED}gunzip FILE",
+    ".xz": f"{_PACKED}unxz FILE",
+    ".zip": f"{_PACKED}unzip FILE",
+    ".zst": f"{_PACKED}unzstd FILE",
+    ".zstd": f"{_PACKED}zstd -d FILE",
 }
 """What to do with files that are no recordings."""
 
@@ -94,6 +101,7 @@ def _open_file(path: Path, options: ReadOptions) -> Recording:
         ".npz": _open_npz,
         ".osf": _open_osf,
         ".pcap": _open_pcap,
+        ".pcapng": _open_pcap,
         ".pcd": _open_scan,
     }
     if suffix in HINTS:
@@ -206,6 +214,8 @@ def _open_pcap(path: Path, options: ReadOptions) -> Recording:
 
     sizes = packet_sizes(path)
     if options.metadata is not None or metadata_beside(path) is not None:
+        if path.suffix.lower() == ".pcapng":
+            raise FormatError(f"{path}: ouster-sdk reads pcap; convert it: editcap -F pcap IN OUT")
         return OusterRecording(path, options)
     if sizes[VELODYNE_BYTES]:
         return VelodyneRecording(path, options)

@@ -7,14 +7,15 @@ import mmap
 import struct
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 from lidar_core.errors import FormatError
+from lidar_core.io import pcapng
 
 _ORDERS = {
     b"\xd4\xc3\xb2\xa1": "<", b"\x4d\x3c\xb2\xa1": "<",
     b"\xa1\xb2\xc3\xd4": ">", b"\xa1\xb2\x3c\x4d": ">",
 }  # fmt: skip
-_NEXT_GENERATION = b"\x0a\x0d\x0d\x0a"
 _FILE_HEADER, _PACKET_HEADER = 24, 16
 _LARGEST_PACKET = 262_144
 VELODYNE_PAYLOAD = 1206  # data packet as it is sent
@@ -31,12 +32,19 @@ def packet_sizes(path: Path) -> Counter[int]:
     """
     with path.open("rb") as file:
         magic = file.read(4)
-        if magic == _NEXT_GENERATION:
-            raise FormatError(f"{path}: pcapng; convert it with: editcap -F pcap IN OUT")
+        if magic == pcapng.MAGIC:
+            return Counter(len(packet.data) for packet in pcapng.packets(path))
         if magic not in _ORDERS:
             raise FormatError(f"{path}: no packet capture: it begins with {magic!r}")
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             return _walk(path, data, struct.Struct(_ORDERS[magic] + "IIII"))
+
+
+def readable(path: Path) -> Any:
+    """What libraries take that read pcap only: the name of the file, or pcapng in its shape."""
+    with path.open("rb") as file:
+        is_next = file.read(4) == pcapng.MAGIC
+    return pcapng.AsPcap(path) if is_next else str(path)
 
 
 def _walk(path: Path, data: mmap.mmap, header: struct.Struct) -> Counter[int]:

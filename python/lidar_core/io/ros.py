@@ -1,16 +1,15 @@
 """ROS 1 bags and ROS 2 sqlite3 recordings, through rosbags."""
 
-import bz2
 import heapq
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from lidar_core.errors import FormatError, LimitError
 from lidar_core.extras import require
+from lidar_core.io.compressed import bounded_decompressor
 from lidar_core.io.guard import check_size, reading
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import Record, Recording, Topic
@@ -133,27 +132,3 @@ def _bound_chunks(reader: Any, file: Path, options: ReadOptions) -> None:
         )
         bounded = bounded_decompressor(chunk.decompressor, place, limit)
         reader.chunks[position] = chunk._replace(decompressor=bounded)
-
-
-def bounded_decompressor(
-    original: Callable[[bytes], bytes], place: str, limit: int
-) -> Callable[[bytes], bytes]:
-    """A decompressor like `original` that stops at `limit` bytes of output."""
-    module = getattr(original, "__module__", "")
-    if module == "bz2":
-        return lambda data: _complete(bz2.BZ2Decompressor(), data, place, limit)
-    if module.startswith("lz4"):
-        frame = require("lz4.frame", extra="io", purpose="reading compressed ROS bags")
-        return lambda data: _complete(frame.LZ4FrameDecompressor(), data, place, limit)
-    return original
-
-
-def _complete(decompressor: Any, data: bytes, place: str, limit: int) -> bytes:
-    output: bytes = decompressor.decompress(data, max_length=limit + 1)
-    if len(output) > limit:
-        raise LimitError(
-            f"{place}: decompresses to more than {limit} bytes; raise it with max_record_bytes"
-        )
-    if not decompressor.eof:
-        raise FormatError(f"{place}: compressed data ends early")
-    return output

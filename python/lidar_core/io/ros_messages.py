@@ -12,15 +12,17 @@ from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
 from lidar_core.io.cloud import ROS_TYPES, CloudDecoder, Field, Layout, unpack
+from lidar_core.io.compressed import ZSTD_MAGIC, zstd_data
 from lidar_core.io.guard import check_size, reading
 from lidar_core.io.laser import LaserDecoder, ros_laser_scan
+from lidar_core.io.livox import LIVOX_TYPES, livox_cloud
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import PACKETS, Findings, Kind
 from lidar_core.io.ros_types import RADAR_SCAN_TYPE, RADAR_TRACKS_TYPE, VELODYNE_TYPE, ros_store
 from lidar_core.io.rotations import pose_matrix, unit_quaternion
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
-SCAN_TYPES = ("sensor_msgs/msg/PointCloud2",)
+SCAN_TYPES = ("sensor_msgs/msg/PointCloud2", *LIVOX_TYPES)
 PLANAR_TYPES = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
 TRANSFORM_TYPES = (
     "tf2_msgs/msg/TFMessage",
@@ -35,7 +37,6 @@ POSE_TYPES = (
 POINT_TYPE, IMU_TYPE = "geometry_msgs/msg/PointStamped", "sensor_msgs/msg/Imu"
 MEASUREMENT_TYPES = (RADAR_TRACKS_TYPE, RADAR_SCAN_TYPE, POINT_TYPE, IMU_TYPE)
 """Of targets and of the platform's motion: `lidar_core.fusion.read_bag`."""
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 def kind_of(type_name: str) -> Kind:
@@ -78,6 +79,7 @@ class RosDecoder:
         self._parse: Callable[[bytes, str], Any] = (
             self._store.deserialize_ros1 if version == 1 else self._store.deserialize_cdr
         )
+        self._version = version
         self._options = options
         self._findings = findings
         self._clouds: dict[str, CloudDecoder] = {}
@@ -94,16 +96,15 @@ class RosDecoder:
         LimitError
             The message is larger than the options allow.
         """
-        if kind_of(type_name) not in ("scan", "planar", "pose"):
+        kind = kind_of(type_name)
+        if kind not in ("scan", "planar", "pose"):
             self._check_size(raw, place)
             return []
+        if kind == "scan":
+            return self._in_space(topic, type_name, raw, place)
         message = self.message(type_name, raw, place)
-        if type_name in SCAN_TYPES:
-            return [self._cloud(topic, message, place)]
-        if type_name == VELODYNE_TYPE:
-            return self._packets(topic, message, place)
         try:
-            if type_name in PLANAR_TYPES:
+            if kind == "planar":
                 return [self._laser(topic, message, place)]
             return _poses(topic, type_name, message, place)
         except FormatError as error:
@@ -113,17 +114,29 @@ class RosDecoder:
 
     def message(self, type_name: str, raw: bytes, place: str) -> Any:
         """One message as its type says; errors as of `decode`."""
-        self._check_size(raw, place)
-        if raw.startswith(ZSTD_MAGIC):
-            raise FormatError(
-                f"{place}: compressed with zstd; store it uncompressed with: ros2 bag convert"
-            )
+        plain = self._plain(raw, place)
         with reading(place):
-            return self._parse(raw, type_name)
+            return self._parse(plain, type_name)
+
+    def _plain(self, raw: bytes, place: str) -> bytes:
+        """A message as ROS serialised it; `ros2 bag record` can compress each one."""
+        self._check_size(raw, place)
+        if self._version == 1 or not raw.startswith(ZSTD_MAGIC):
+            return raw
+        with reading(place):
+            return zstd_data(raw, place, self._options.max_record_bytes)
 
     def _check_size(self, raw: bytes, place: str) -> None:
         limit = self._options.max_record_bytes
         check_size(place, len(raw), limit=limit, key="max_record_bytes", what="a message of bytes")
+
+    def _in_space(self, topic: str, type_name: str, raw: bytes, place: str) -> list[Message]:
+        if type_name in LIVOX_TYPES:
+            return [self._livox(topic, raw, place)]
+        message = self.message(type_name, raw, place)
+        if type_name == VELODYNE_TYPE:
+            return self._packets(topic, message, place)
+        return [self._cloud(topic, message, place)]
 
     def _cloud(self, topic: str, message: Any, place: str) -> Scan:
         fields = []
@@ -137,12 +150,20 @@ class RosDecoder:
         layout = Layout(fields, message.point_step, message.row_step, message.width,
                         message.height, bool(message.is_bigendian))  # fmt: skip
         rows = unpack(message.data, layout, place=place, max_points=self._options.max_points)
+        header = message.header
+        return self._scan(topic, rows, stamp_of(header.stamp), header.frame_id, place)
+
+    def _livox(self, topic: str, raw: bytes, place: str) -> Scan:
+        cloud = livox_cloud(self._plain(raw, place), self._version, place=place,
+                            max_points=self._options.max_points)  # fmt: skip
+        return self._scan(topic, *cloud, place)
+
+    def _scan(
+        self, topic: str, rows: NDArray[Any], stamp_ns: int, frame_id: str, place: str
+    ) -> Scan:
         if topic not in self._clouds:
             self._clouds[topic] = CloudDecoder(topic, self._options, self._findings)
-        header = message.header
-        return self._clouds[topic].scan(
-            rows, stamp_of(header.stamp), _frame(header.frame_id), place=place
-        )
+        return self._clouds[topic].scan(rows, stamp_ns, _frame(frame_id), place=place)
 
     def _laser(self, topic: str, message: Any, place: str) -> LaserScan:
         if topic not in self._lasers:

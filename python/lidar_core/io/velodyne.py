@@ -11,7 +11,7 @@ from lidar_core.errors import ConfigError, FormatError
 from lidar_core.extras import require
 from lidar_core.io.guard import check_size, reading
 from lidar_core.io.options import ReadOptions
-from lidar_core.io.pcap import VELODYNE_BYTES, VELODYNE_PAYLOAD, packet_sizes
+from lidar_core.io.pcap import VELODYNE_BYTES, VELODYNE_PAYLOAD, packet_sizes, readable
 from lidar_core.io.recording import Findings, Record, Recording, Topic, decoded
 from lidar_core.messages import Scan
 
@@ -44,7 +44,8 @@ class VelodyneRecording(Recording):
         if kinds is not None and "scan" not in kinds:
             return
         with reading(str(self.path)):
-            stored = self._library.read_pcap(str(self.path), _config(self._library, self.options))
+            config = _config(self._library, self.options)
+            stored = self._library.read_pcap(readable(self.path), config)
         number = 0
         while True:
             place = f"{self.path}, scan {number}"

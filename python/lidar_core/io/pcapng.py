@@ -1,0 +1,128 @@
+"""Captures as Wireshark writes them: pcapng, packet by packet, or as the pcap that libraries read.
+
+Layout: IETF draft "PCAP Next Generation (pcapng) Capture File Format".
+"""
+
+import mmap
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from lidar_core.errors import FormatError
+
+SECTION, INTERFACE, PACKET = 0x0A0D0D0A, 1, 6
+MAGIC = SECTION.to_bytes(4, "big")
+_ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
+_LEAST_BLOCK, _LARGEST_BLOCK = 12, 16 * 2**20
+_PACKET_HEAD, _OPTIONS = 20, 8  # where the data of a packet begin, and options of an interface
+_RESOLUTION, _OFFSET = 9, 14  # options
+_MICROSECONDS = 6  # resolution of an interface that states none: a negative power of ten
+_PCAP_HEAD = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 262_144, 1)  # Ethernet
+
+
+class Packet(NamedTuple):
+    """One captured packet and its time [ns]."""
+
+    stamp_ns: int
+    data: bytes
+
+
+class _Clock(NamedTuple):
+    """How an interface counts time: ticks per second, seconds to add."""
+
+    rate: int = 10**_MICROSECONDS
+    offset: int = 0
+
+    def ns(self, ticks: int) -> int:
+        return self.offset * 10**9 + ticks * 10**9 // self.rate
+
+
+def packets(path: Path) -> Iterator[Packet]:
+    """Packets of a capture in their order; blocks of other kinds are passed over.
+
+    Raises
+    ------
+    FormatError
+        A block is broken, or the file ends inside one.
+    """
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        clocks: list[_Clock] = []
+        for position, order, kind, body in _blocks(path, data):
+            try:
+                if kind == SECTION:
+                    clocks.clear()
+                elif kind == INTERFACE:
+                    clocks.append(_clock(body, order))
+                elif kind == PACKET:
+                    yield _packet(body, order, clocks)
+            except (struct.error, IndexError, ValueError) as error:
+                raise FormatError(f"{path}, byte {position}: a broken block: {error}") from error
+
+
+def _blocks(path: Path, data: mmap.mmap) -> Iterator[tuple[int, str, int, bytes]]:
+    """Position, byte order, kind and content of every block."""
+    position, order, end = 0, "<", len(data)
+    while position < end:
+        if data[position : position + 4] == MAGIC:
+            order = _ORDERS.get(data[position + 8 : position + 12], "")
+        if not order or end - position < _LEAST_BLOCK:
+            raise FormatError(f"{path}, byte {position}: no block of pcapng")
+        kind, size = struct.unpack_from(f"{order}II", data, position)
+        if not _LEAST_BLOCK <= size <= _LARGEST_BLOCK or size % 4:
+            raise FormatError(f"{path}, byte {position}: a block of {size} bytes")
+        if position + size > end:
+            raise FormatError(f"{path}, byte {position}: the file ends inside a block")
+        yield position, order, kind, data[position + 8 : position + size - 4]
+        position += size
+
+
+def _packet(body: bytes, order: str, clocks: list[_Clock]) -> Packet:
+    interface, high, low, captured, _ = struct.unpack_from(f"{order}IIIII", body)
+    if captured > len(body) - _PACKET_HEAD:
+        raise ValueError(f"a packet of {captured} bytes")
+    stamp_ns = clocks[interface].ns(high << 32 | low)
+    return Packet(stamp_ns, body[_PACKET_HEAD : _PACKET_HEAD + captured])
+
+
+def _clock(body: bytes, order: str) -> _Clock:
+    clock, position = _Clock(), _OPTIONS
+    while position + 4 <= len(body):
+        code, size = struct.unpack_from(f"{order}HH", body, position)
+        if code == _RESOLUTION:
+            power = body[position + 4]
+            clock = clock._replace(rate=2 ** (power & 127) if power & 128 else 10**power)
+        elif code == _OFFSET:
+            (seconds,) = struct.unpack_from(f"{order}q", body, position + 4)
+            clock = clock._replace(offset=seconds)
+        elif code == 0:
+            break
+        position += 4 + (size + 3) // 4 * 4
+    return clock
+
+
+class AsPcap:
+    """A pcapng file that reads like the pcap of the same packets, times in microseconds."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.seek(0)
+
+    def seek(self, position: int) -> None:
+        """Begin again; there is no other position."""
+        del position
+        self._parts, self._left = self._pcap(), b""
+
+    def read(self, size: int) -> bytes:
+        """So many bytes, fewer at the end."""
+        while len(self._left) < size and (part := next(self._parts, None)) is not None:
+            self._left += part
+        taken, self._left = self._left[:size], self._left[size:]
+        return taken
+
+    def _pcap(self) -> Iterator[bytes]:
+        yield _PCAP_HEAD
+        for packet in packets(self._path):
+            seconds, rest = divmod(packet.stamp_ns, 10**9)
+            size = len(packet.data)
+            yield struct.pack("<IIII", seconds, rest // 1000, size, size) + packet.data
