@@ -10,6 +10,8 @@ from typer.testing import CliRunner
 
 from lidar_core import ConfigError, InputError
 from lidar_core.cli import app
+from lidar_core.cli.flying_run import FlyingRun
+from lidar_core.flying import FlyingObjectDetector
 from lidar_core.io import circles, shapes, tracks, write_mot, write_nuscenes, write_ros_objects
 from lidar_core.io.ros_obstacles import TOPICS
 from lidar_core.io.ros_types import COSTMAP_TYPES, DETECTIONS_TYPE, DYNAMIC_TYPE, OBSTACLES_TYPE
@@ -105,7 +107,11 @@ def check_header(header, stamp):
 
 @pytest.mark.parametrize("name", ["r.bag", "r"])
 def test_every_ros_message_comes_back(tmp_path, steps, name):
-    topics = write_ros_objects(tmp_path / name, steps, frame_id="map", name="person")
+    rng = np.random.default_rng(4100)
+    walls = {steps[0][0]: rng.normal(size=(2, 2, 3)), steps[2][0]: rng.normal(size=(1, 2, 3))}
+    topics = write_ros_objects(
+        tmp_path / name, steps, frame_id="map", name="person", segments=walls
+    )
     version = 1 if name == "r.bag" else 2
     read = read_messages(tmp_path / name)
     types = {OBSTACLES_TYPE, DETECTIONS_TYPE, COSTMAP_TYPES[version]}
@@ -115,9 +121,9 @@ def test_every_ros_message_comes_back(tmp_path, steps, name):
         assert [time_ns for _, time_ns, _ in rows] == [stamp for stamp, _ in steps]
         for (stamp, _), (_, _, message) in zip(steps, rows, strict=True):
             check_header(message.header, stamp)
-    for number, (_, found) in enumerate(steps):
+    for number, (stamp, found) in enumerate(steps):
         check_detections(read[DETECTIONS_TYPE][number][2], found, version)
-        check_obstacles(read[OBSTACLES_TYPE][number][2], found)
+        check_obstacles(read[OBSTACLES_TYPE][number][2], found, walls.get(stamp, []))
         check_costmap(read[COSTMAP_TYPES[version]][number][2], found)
         if version == 2:
             check_dynamic(read[DYNAMIC_TYPE][number][2], found)
@@ -141,8 +147,9 @@ def check_detections(message, found, version):
         assert not covariance[3:].any()
 
 
-def check_obstacles(message, found):
-    assert len(message.segments) == 0
+def check_obstacles(message, found, walls):
+    ends = [[xyz(one.first_point), xyz(one.last_point)] for one in message.segments]
+    assert ends == [wall.tolist() for wall in walls]
     assert [xyz(one.center) for one in message.circles] == found.position.tolist()
     assert [xyz(one.velocity) for one in message.circles] == found.velocity.tolist()
     widest = (found.size[:, :2].max(axis=1) / 2).tolist()
@@ -222,6 +229,32 @@ def test_convert_takes_a_run(run, tmp_path, name):
         assert (time_ns, message.header.frame_id) == (100, "odom")
 
 
+def test_walls_of_a_map_of_circles_become_segments(tmp_path):
+    """A wall, a square of side 2 around (10, 0), an ellipse, which is none."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "run.toml").write_text("")
+    (folder / "timing.csv").write_text("t_ns,total_ms\n100,1\n200,1\n")
+    (folder / "circles.csv").write_text("t_ns,track_id,frame_id,x,y,vx,vy,radius\n")
+    names = ["t_ns", "track_id", "kind", *shapes.STATE, *shapes.ENDS, "visible"]
+    rows = [
+        [100, 1, "line", 3, 0, 0, 0, 0, 1, 0, 3, -1, 3, 1, 1],
+        [100, 2, "rectangle", 10, 0, 0, 0, 0, 1, 1, "nan", "nan", "nan", "nan", 1],
+        [100, 3, "ellipse", 5, 5, 0, 0, 0, 1, 2, "nan", "nan", "nan", "nan", 0],
+    ]
+    lines = [",".join(map(str, row)) for row in (names, *rows)]
+    (folder / "shapes.csv").write_text("\n".join(lines) + "\n")
+    done = CliRunner().invoke(app, ["convert", str(folder), str(tmp_path / "r.bag")])
+    assert done.exit_code == 0, done.output
+    first, second = (row[2] for row in read_messages(tmp_path / "r.bag")[OBSTACLES_TYPE])
+    ends = np.array([[xyz(one.first_point), xyz(one.last_point)] for one in first.segments])
+    np.testing.assert_allclose(ends[0], [[3, -1, 0], [3, 1, 0]])
+    assert len(ends) == 5
+    np.testing.assert_allclose(np.linalg.norm(ends[1:, 1] - ends[1:, 0], axis=1), 2)
+    np.testing.assert_allclose(ends[1:].mean(axis=(0, 1)), [10, 0, 0])
+    assert len(second.segments) == 0
+
+
 @pytest.mark.parametrize("option", ["--topic", "--start", "--end", "--point-time", "--metadata",
                                     "--resolution"])  # fmt: skip
 def test_options_that_say_nothing_about_a_run_are_refused(run, tmp_path, option):
@@ -259,7 +292,8 @@ def test_an_ending_that_a_run_cannot_become_is_refused(run, tmp_path):
 
 def test_the_guide_names_every_column():
     text = (ROOT / "docs/formats.md").read_text(encoding="utf-8")
-    for columns in (tracks.COLUMNS, circles.COLUMNS, shapes.COLUMNS):
+    detections = FlyingRun(FlyingObjectDetector()).detections_table()
+    for columns in (tracks.COLUMNS, circles.COLUMNS, shapes.COLUMNS, detections):
         named = [name for name in columns if not name.startswith("cov_")]
         assert [name for name in named if f"`{name}`" not in text] == []
     assert [name for name in NUSCENES_BOX if f"`{name}`" not in text] == []

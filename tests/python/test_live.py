@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import time
+import tomllib
 from collections import Counter
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,6 +18,7 @@ from threading import Event, Thread
 
 import numpy as np
 import pytest
+from rich.console import Console
 from ros_files import packets_of
 from typer.testing import CliRunner
 
@@ -24,9 +26,12 @@ import lidar_core as lc
 import lidar_core.io
 from lidar_core.circles import CirclesConfig
 from lidar_core.cli import app
+from lidar_core.cli.live_job import PipelineChoice
+from lidar_core.cli.live_run import LiveRun
 from lidar_core.errors import ConfigError, FormatError, InputError, LinkError
 from lidar_core.flying import FlyingObjectDetector
 from lidar_core.io import NoTransformError, PoseOptions, ReadOptions, Topic
+from lidar_core.io.columns import read_columns
 from lidar_core.io.posed import span_ns
 from lidar_core.io.recording import Record, decoded
 from lidar_core.io.ros_obstacles import ObstacleArrays
@@ -44,6 +49,7 @@ from lidar_core.live.udp_source import UdpSource
 from lidar_core.live.zenoh_link import key_of, topic_of
 from lidar_core.live.zenoh_source import ZenohSource
 from lidar_core.messages import LaserScan, Pose, Scan
+from lidar_core.run_folder import RunFolder
 
 PATIENCE_S = 60
 MAIN = "from lidar_core.cli import main; main()"
@@ -799,6 +805,8 @@ def test_packets_of_a_sensor_become_scans(recordings):
             found += [item.record.decode()[0] for item in inbox.take(0).scans]
     source.close()
     assert inbox.rejected == {source.name: 1}
+    (note,) = source.findings.notes
+    assert note.endswith("other sensors need their drivers")
     assert len(found) >= 1
     assert 15_000 < len(found[-1].points) < 20_000
     assert abs(found[-1].stamp_ns - time.time_ns()) < 60 * 10**9
@@ -912,6 +920,78 @@ def test_a_replay_never_replaces_what_it_plays(circles, tmp_path):
     assert played.read_bytes() == before
 
 
+def same_tables(left, right, name):
+    """Columns of a table of two runs."""
+    columns = [read_columns(next(folder.glob(f"{name}.*"))) for folder in (left, right)]
+    assert list(columns[0]) == list(columns[1])
+    for column in columns[0]:
+        np.testing.assert_array_equal(columns[0][column], columns[1][column], err_msg=column)
+
+
+def live_run(path, folder):
+    """The folder of a live run that dropped no scan; the summary."""
+    with lc.io.open_recording(path) as recording:
+        scans = [item for item in recording if isinstance(item, Scan | LaserScan)]
+    topic = Topic("", "", "scan" if isinstance(scans[0], Scan) else "planar")
+    source = Played(*((None, record(topic, scan)) for scan in scans))
+    chosen = PipelineChoice("auto", (), (), "best", None, (), None, 2)
+    kept = LiveRun(RunFolder(folder, overwrite=False), chosen.pipeline)
+    poses, config = PoseOptions(pose="static"), LiveConfig(max_waiting=1000)
+    loop = LiveLoop(source, kept.pipeline, LivePoses(poses, config), [kept], config)
+    loop.run()
+    told = {"live": config, "read": ReadOptions(), "pose": poses}
+    return kept.write(loop.summary(), told, {"recording": path, "map": None}, Console())
+
+
+@pytest.mark.parametrize("capability", ["circles", "flying"])
+def test_a_live_run_leaves_the_folder_of_a_run(circles, street, tmp_path, capability):
+    recording = circles if capability == "circles" else street
+    folders = tmp_path / "live", tmp_path / "run"
+    told = live_run(recording, folders[0])
+    command = "circles" if capability == "circles" else "detect"
+    done = CliRunner().invoke(
+        app, [command, str(recording), "-o", str(folders[1]), "--pose", "static"]
+    )
+    assert done.exit_code == 0, done.output
+    names = [{path.name for path in folder.iterdir()} for folder in folders]
+    assert names[0] == names[1] == set(told["files"])
+    of_all = json.loads((folders[1] / "summary.json").read_text())
+    assert told["scans"] == of_all["scans"]
+    for table in ("circles", "shapes") if capability == "circles" else ("tracks",):
+        same_tables(*folders, table)
+    same_tables(*folders, "detections")
+    notes = [tomllib.loads((folder / "run.toml").read_text()) for folder in folders]
+    assert notes[0]["config"][capability] == notes[1]["config"][capability]
+    assert notes[0]["config"]["live"]["max_waiting"] == 1000
+    assert notes[0]["input"]["recording"] == notes[1]["input"]["recording"]
+    assert lc.viz.Playback(folders[0]).capability == capability
+
+
+def test_a_live_run_ends_with_a_whole_folder(circles, tmp_path):
+    folder = tmp_path / "run"
+    with live("--replay", circles, "--rate", 0.05, "-o", folder) as process:
+        wait_for_line(process, "scans/s")
+        summary = interrupted(process, signal.SIGTERM)
+    assert 0 < summary["processed"] < SCANS
+    assert len(read_columns(next(folder.glob("timing.*")))["t_ns"]) == summary["processed"]
+    assert not [path for path in folder.rglob("*") if path.name.startswith(".")]
+
+
+def test_a_folder_of_a_live_run_is_checked_first(circles, tmp_path):
+    folder = tmp_path / "run"
+    arguments = ["live", "--replay", str(circles), "-o", str(folder)]
+    nothing = CliRunner().invoke(app, [*arguments, "--seconds", "0"])
+    assert nothing.exit_code == 0, nothing.output
+    assert not folder.exists()
+    folder.mkdir()
+    (folder / "letter.txt").write_text("kept")
+    refused = CliRunner().invoke(app, arguments)
+    assert isinstance(refused.exception, FileExistsError)
+    twice = CliRunner().invoke(app, [*arguments, "--out", f"mcap:{folder}/run.mcap"])
+    assert isinstance(twice.exception, ConfigError)
+    assert "expected once, it is given 2 times" in str(twice.exception)
+
+
 def test_two_outputs_to_one_file_are_refused(circles, tmp_path):
     named = ["--out", f"mcap:{tmp_path}/a.mcap", "--out", f"mcap:{tmp_path}/./a.mcap"]
     refused = CliRunner().invoke(app, ["live", "--replay", str(circles), *named])
@@ -951,6 +1031,10 @@ def test_a_port_in_use_is_an_error_with_its_cure(circles):
         ([], "expected one of --in and --replay"),
         (["--in", "zenoh", "--replay", "a.bag"], "expected one of --in and --replay"),
         (["--in", "mqtt"], r"--in mqtt: expected one of zenoh\["),
+        (
+            ["--in", "ouster:10.0.0.2"],
+            "one of zenoh.*; of sensors that are not Velodyne's run the d",
+        ),
         (["--in", "udp:nowhere"], "--in udp: expected a port from 0 to 65535, got 'nowhere'"),
         (["--in", "udp:0", "--out", "paper"], r"--out paper: expected one of foxglove\["),
         (["--in", "udp:0", "--out", "mcap"], "--out mcap: expected one of"),

@@ -101,10 +101,13 @@ class CirclesRun:
         start = perf_counter()
         frame = map_circles(self.pipeline, item)
         wall_ms = (perf_counter() - start) * 1e3
-        if frame.rejected is not None:
-            return
+        if frame.rejected is None:
+            self.keep(item, frame, wall_ms)
+
+    def keep(self, item: PosedScan[LaserScan], frame: CircleFrame, wall_ms: float) -> None:
+        """Keep what a scan gave that took `wall_ms`, and write it to run.mcap."""
         self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms)
-        self._keep(frame, item.world_from_lidar.reshape(-1, 4, 4)[0])
+        self._note(frame, item.world_from_lidar.reshape(-1, 4, 4)[0])
         if self._mcap is not None:
             log_circles(self._mcap, item, frame, frame_id=self.frame_id)
 
@@ -168,7 +171,7 @@ class CirclesRun:
             **more,
         )
 
-    def _keep(self, frame: CircleFrame, pose: NDArray[np.float64]) -> None:
+    def _note(self, frame: CircleFrame, pose: NDArray[np.float64]) -> None:
         self.maps.append(frame.map)
         self.shapes.append(frame.map_shapes)
         self._too_near += int(frame.too_near.sum())

@@ -36,7 +36,9 @@ def convert_run(run: Path, output: Path, *, name: str | None) -> dict[str, Any]:
     elif suffix == ".txt":
         write_mot(output, steps)
     elif suffix in (".bag", ""):
-        topics = write_ros_objects(output, steps, frame_id=played.frame_id, name=called)
+        topics = write_ros_objects(
+            output, steps, frame_id=played.frame_id, name=called, segments=played.segments()
+        )
     else:
         raise ConfigError(f"{output}: unknown ending {suffix!r}; a run becomes: {WRITABLE}")
     numbers = [number for _, found in steps for number in found.id.tolist()]

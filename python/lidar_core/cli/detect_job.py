@@ -8,7 +8,7 @@ from rich.console import Console
 from lidar_core.cli.common import draw
 from lidar_core.cli.flying_run import FlyingRun
 from lidar_core.cli.recording_job import MCAP
-from lidar_core.flying import FlyingObjectDetector
+from lidar_core.flying import FlyingFrame, FlyingObjectDetector
 from lidar_core.io import McapWriter, PosedScan
 from lidar_core.messages import Scan
 from lidar_core.run_folder import RunFolder
@@ -17,7 +17,7 @@ from lidar_core.viz import draw_flying
 
 
 class DetectRun(FlyingRun):
-    """A `FlyingRun` on a recording, written to run.mcap on the way where that is wanted."""
+    """A `FlyingRun` that is written to run.mcap on the way, where that is wanted."""
 
     def __init__(self, detector: FlyingObjectDetector) -> None:
         super().__init__(detector)
@@ -25,8 +25,14 @@ class DetectRun(FlyingRun):
 
     def take(self, item: PosedScan[Scan]) -> None:
         """Process one scan."""
-        frame = self.process(item, sensor=sensor_name(item.scan))
-        if self._mcap is not None and frame.rejected is None:
+        self.process(item, sensor=sensor_name(item.scan))
+
+    def keep(
+        self, item: PosedScan[Scan], frame: FlyingFrame, wall_ms: float, *, sensor: str
+    ) -> None:
+        """Keep what a scan gave that took `wall_ms`, and write it to run.mcap."""
+        super().keep(item, frame, wall_ms, sensor=sensor)
+        if self._mcap is not None:
             log_flying(self._mcap, item, frame, frame_id=self.frame_id)
 
     def mcap(self, folder: RunFolder) -> AbstractContextManager[Any]:

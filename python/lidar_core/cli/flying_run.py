@@ -57,16 +57,22 @@ class FlyingRun:
         if frame.rejected is not None:
             self.rejected[frame.rejected] += 1
             return frame
+        self.keep(item, frame, wall_ms, sensor=sensor)
+        return frame
+
+    def keep(
+        self, item: PosedScan[Scan], frame: FlyingFrame, wall_ms: float, *, sensor: str
+    ) -> None:
+        """Keep what a scan gave that took `wall_ms`."""
         self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms)
-        self._keep(frame, sensor)
+        self._note(frame, sensor)
         poses = item.world_from_lidar.reshape(-1, 4, 4)
         self._path.append(poses[0, :3, 3])
         self._cloud = _placed(item.scan, poses, item.pose_stamps_ns)
         self._cloud_class = frame.point_class
         self._flying.append(self._cloud[frame.point_class == FLYING])
-        return frame
 
-    def _keep(self, frame: FlyingFrame, sensor: str) -> None:
+    def _note(self, frame: FlyingFrame, sensor: str) -> None:
         status = frame.status
         self.gate_reason, self.gate_is_open = status.reason, status.gate_open
         if status.gate_open and self.gate_opened_at is None:

@@ -38,6 +38,7 @@ OUT = (
     " mcap:FILE; again for more."
 )
 STREAM = "Single value of the model `live`, such as pose_wait=0.5; again for more."
+FOLDER = "Folder to write: what `detect` or `circles` would leave of the scans that were processed."
 CAPABILITY = "auto: flying objects if clouds arrive, circles if 2D scans do."
 
 
@@ -66,6 +67,7 @@ def command(
     ] = None,
     stream: Annotated[list[str], typer.Option(help=STREAM)] = [],  # noqa: B006
     seconds: Annotated[float | None, typer.Option(min=0, help="End after this time \\[s].")] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help=FOLDER)] = None,
     overwrite: OverwriteFile = False,
     threads: Threads,
 ) -> None:
@@ -82,9 +84,11 @@ def command(
         open_output,
         open_source,
     )
+    from lidar_core.cli.live_run import LiveRun
     from lidar_core.io import ReadOptions
     from lidar_core.live import LiveLoop
     from lidar_core.live.poses import LivePoses
+    from lidar_core.run_folder import RunFolder
 
     read = ReadOptions.load(given({"point_time": point_time, "no_return": no_return}))
     settings = live_config(domain, stream)
@@ -99,21 +103,34 @@ def command(
         threads,
     )
     where = LivePoses(options.poses(), settings)
-    check_files(outputs, replay, overwrite=overwrite)
+    check_files(outputs, replay, output, overwrite=overwrite)
+    record = None if output is None else LiveRun(
+        RunFolder(output, overwrite=overwrite), chosen.pipeline
+    )  # fmt: skip
     out, errors = consoles(options.json)
     with ExitStack() as stack:
         listening = open_source(source, replay, rate=rate, read=read, live=settings,
                                 topics=chosen.topics(options.odom))  # fmt: skip
         stack.callback(listening.close)
         opened = [stack.enter_context(closing(open_output(text, settings))) for text in outputs]
+        opened += [] if record is None else [record]
         loop = LiveLoop(
-            listening, chosen.pipeline, where, opened, settings, topics=(*cloud, *scan),
-            on_report=lambda report: _tell(errors, report),
+            listening, chosen.pipeline if record is None else record.pipeline, where, opened,
+            settings, topics=(*cloud, *scan), on_report=lambda report: _tell(errors, report),
         )  # fmt: skip
         _announce(errors, listening, opened)
-        is_interrupted = _run(loop, seconds)
-    summary = {"command": "live", "outputs": [item.name for item in opened], **loop.summary()}
+        try:
+            is_interrupted = _run(loop, seconds)
+        finally:
+            summary = {"command": "live", "outputs": [item.name for item in opened],
+                       **loop.summary()}  # fmt: skip
+            if record is not None:
+                config = {"live": settings, "read": read, "pose": options.poses()}
+                inputs = {"recording": replay, "map": known_map}
+                summary = record.write(summary, config, inputs, errors)
     out.print(_table(summary))
+    if summary.get("files"):
+        out.print(f"{output}: {', '.join(summary['files'])}", highlight=False, soft_wrap=True)
     for note in summary["notes"]:
         out.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
     write_json(summary, options.json)

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from lidar_core.cli.config import Mode
 from lidar_core.cli.detect import know_map
+from lidar_core.cli.recording_job import MCAP
 from lidar_core.cli.settings import run_config, with_assignments
 from lidar_core.errors import ConfigError
 from lidar_core.io import ReadOptions
@@ -18,6 +19,8 @@ from lidar_core.messages import LaserScan, Scan
 
 SOURCES = "zenoh[:tcp/HOST:PORT], foxglove[:ws://HOST:PORT], udp[:PORT]"
 OUTPUTS = "foxglove[:PORT], zenoh[:tcp/HOST:PORT], rerun[:web|:FILE.rrd], mcap:FILE"
+OTHER_SENSORS = ("hesai", "livox", "ouster", "robosense")
+"""Whose packets nobody decodes here: ouster-sdk needs an environment of its own."""
 FOXGLOVE_PORT = 8765
 
 
@@ -130,11 +133,19 @@ def open_source(
         from lidar_core.live.udp_source import DEFAULT_PORT, UdpSource
 
         return UdpSource(_port(place or str(DEFAULT_PORT), "--in udp"), read)
-    raise ConfigError(f"--in {text}: expected one of {SOURCES}")
+    drivers = (
+        "; of sensors that are not Velodyne's run the driver, and listen to its topic:"
+        " --in zenoh --cloud TOPIC"
+    )
+    raise ConfigError(
+        f"--in {text}: expected one of {SOURCES}{drivers if kind in OTHER_SENSORS else ''}"
+    )
 
 
-def check_files(outputs: Iterable[str], replayed: Path | None, *, overwrite: bool) -> None:
-    """Refuse files that hold something, before anything is opened.
+def check_files(
+    outputs: Iterable[str], replayed: Path | None, folder: Path | None, *, overwrite: bool
+) -> None:
+    """Refuse files that hold something, before anything is opened; also that of a run's `folder`.
 
     Raises
     ------
@@ -143,6 +154,7 @@ def check_files(outputs: Iterable[str], replayed: Path | None, *, overwrite: boo
         named twice.
     """
     places = [path for text in outputs if (path := _file(text)) is not None]
+    places += [] if folder is None else [folder / MCAP]
     counts = Counter(path.resolve() for path in places)
     for path in places:
         if counts[path.resolve()] > 1:

@@ -1,6 +1,6 @@
 """Objects with numbers in ROS recordings, as the packages that avoid obstacles want them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 from uuid import UUID
@@ -22,7 +22,17 @@ TOPICS = {
 """Where each type of message goes."""
 
 
-def write_ros_objects(path: str | Path, steps: Steps, *, frame_id: str, name: str) -> list[str]:
+NO_SEGMENTS = np.empty((0, 2, 3))
+
+
+def write_ros_objects(
+    path: str | Path,
+    steps: Steps,
+    *,
+    frame_id: str,
+    name: str,
+    segments: Mapping[int, NDArray[np.float64]] | None = None,
+) -> list[str]:
     """Write objects to a ROS 1 bag (.bag) or to the new folder of a ROS 2 recording.
 
     A message of every type and time: vision_msgs/Detection3DArray, obstacle_detector/Obstacles,
@@ -38,6 +48,8 @@ def write_ros_objects(path: str | Path, steps: Steps, *, frame_id: str, name: st
         Frame of the objects.
     name : str
         Class of all objects; ROS 1 has no place for it.
+    segments : mapping of int to ndarray, optional
+        Walls by the times of the steps, both ends (S, 2, 3) [m]: for obstacle_detector.
 
     Returns
     -------
@@ -47,7 +59,8 @@ def write_ros_objects(path: str | Path, steps: Steps, *, frame_id: str, name: st
     with RosWriter(path) as writer:
         arrays = ObstacleArrays(writer.messages, frame_id=frame_id, name=name)
         for stamp_ns, objects in steps:
-            for message in arrays.of(stamp_ns, objects):
+            walls = NO_SEGMENTS if segments is None else segments.get(stamp_ns, NO_SEGMENTS)
+            for message in arrays.of(stamp_ns, objects, walls):
                 writer.write_message(TOPICS[message.__msgtype__], message, stamp_ns)
     return sorted({TOPICS[kind] for kind in arrays.kinds})
 
@@ -81,17 +94,26 @@ class ObstacleArrays:
             self._makers[DYNAMIC_TYPE] = self._dynamic
         self.kinds = (OBSTACLES_TYPE, *self._makers)
 
-    def of(self, stamp_ns: int, objects: ObjectsLike) -> list[Any]:
-        """Messages about the objects at one time."""
-        return [self.message(kind, stamp_ns, objects) for kind in self.kinds]
+    def of(
+        self, stamp_ns: int, objects: ObjectsLike, segments: NDArray[np.float64] = NO_SEGMENTS
+    ) -> list[Any]:
+        """Messages about the objects and walls at one time."""
+        return [self.message(kind, stamp_ns, objects, segments) for kind in self.kinds]
 
-    def message(self, kind: str, stamp_ns: int, objects: ObjectsLike) -> Any:
-        """Message of the type `kind` about the objects at one time."""
+    def message(
+        self,
+        kind: str,
+        stamp_ns: int,
+        objects: ObjectsLike,
+        segments: NDArray[np.float64] = NO_SEGMENTS,
+    ) -> Any:
+        """Message of the type `kind` about the objects and, where it has them, walls."""
         self._messages.check_stamp(stamp_ns)
         header = self._messages.header(stamp_ns, self._frame_id)
         rows = range(len(objects.id))
         if kind == OBSTACLES_TYPE:
-            return self._types[kind](header, [], [self._circle(objects, row) for row in rows])
+            walls = [self._segment(ends) for ends in segments]
+            return self._types[kind](header, walls, [self._circle(objects, row) for row in rows])
         make = self._makers[kind]
         return self._types[kind](header, [make(header, objects, row) for row in rows])
 
@@ -151,6 +173,9 @@ class ObstacleArrays:
         return self._types["vision_msgs/msg/BoundingBox3D"](
             self._pose(objects, row), self._vector(objects.size[row])
         )
+
+    def _segment(self, ends: NDArray[np.float64]) -> Any:
+        return self._types["obstacle_detector/msg/SegmentObstacle"](*map(self._point, ends))
 
     def _circle(self, objects: ObjectsLike, row: int) -> Any:
         radius = float(objects.size[row, :2].max()) / 2

@@ -111,7 +111,8 @@ class PacketStream:
         """
         if len(packet) != VELODYNE_PAYLOAD:
             raise FormatError(
-                f"{place}: {len(packet)} bytes, a Velodyne data packet has {VELODYNE_PAYLOAD}"
+                f"{place}: {len(packet)} bytes, a Velodyne data packet has {VELODYNE_PAYLOAD};"
+                " other sensors need their drivers"
             )
         with reading(place):
             done = self._decoder.decode(stamp_ns * 1e-9, packet)

@@ -72,6 +72,11 @@ class CirclesLive(LivePipeline[LaserScan]):
     n_scanners : int
         LiDARs of which a scan has to be known before the first one is taken.
 
+    Attributes
+    ----------
+    pipeline : CirclePipeline or None
+        Gets every scan; None until all LiDARs are known.
+
     Raises
     ------
     ConfigError
@@ -86,7 +91,7 @@ class CirclesLive(LivePipeline[LaserScan]):
         self._config = config
         self._n_scanners = n_scanners
         self._found: dict[str, Scanner] = {}
-        self._pipeline: CirclePipeline | None = None
+        self.pipeline: CirclePipeline | None = None
 
     def is_ready(self, scan: LaserScan) -> bool:
         """Note the scanner; with the last of them the pipeline is made.
@@ -96,19 +101,19 @@ class CirclesLive(LivePipeline[LaserScan]):
         FormatError
             Scans that no pipeline can use.
         """
-        if self._pipeline is None:
+        if self.pipeline is None:
             name = sensor_name(scan)
             if name not in self._found:
                 self._found[name] = scanner_of(scan, self._config, name)
             if len(self._found) >= self._n_scanners:
                 scanners = {**self._found, **self._config.scanners}
                 values = self._config.model_dump() | {"scanners": scanners}
-                self._pipeline = CirclePipeline(type(self._config).load(values))
-        return self._pipeline is not None
+                self.pipeline = CirclePipeline(type(self._config).load(values))
+        return self.pipeline is not None
 
     def take(self, item: PosedScan[LaserScan], frame_id: str) -> Update | str:
         """Process one scan."""
-        if self._pipeline is None:
+        if self.pipeline is None:
             return "scans of other LiDARs are missing"
-        frame = map_circles(self._pipeline, item)
+        frame = map_circles(self.pipeline, item)
         return frame.rejected or CirclesUpdate(item, frame, frame_id)

@@ -84,8 +84,9 @@ class UdpSource(Source):
         """One packet; what is none is counted."""
         try:
             scan = self._stream.scan(time.time_ns(), packet, place=self.name)
-        except FormatError:
+        except FormatError as error:
             inbox.reject(self.name)
+            self.findings.note(str(error))
             return
         if scan is not None:
             inbox.put(Record(self._topic, scan.stamp_ns, decoded(scan)))

@@ -159,6 +159,21 @@ class Playback:
         for stamp_ns in sorted(self._rows.keys() | set(looked_at)):
             yield stamp_ns, _objects(self._columns, self._rows.get(stamp_ns, _NO_ROWS), least=0.0)
 
+    def segments(self) -> dict[int, NDArray[np.float64]]:
+        """Walls and sides of rectangles of a map of circles, by time [ns]: both ends (S, 2, 3) [m].
+
+        Ellipses have none.
+        """
+        if self._shapes is None:
+            return {}
+        shapes = self._shapes
+        return {
+            stamp_ns: np.concatenate(
+                [_NO_SEGMENTS, *(_sides(shapes, row) for row in rows.tolist())]
+            )
+            for stamp_ns, rows in self._shape_rows.items()
+        }
+
     def _tables(self, name: str) -> list[Path]:
         places = (self.folder / f"{name}.parquet", self.folder / f"{name}.csv")
         return [path for path in places if path.is_file()]
@@ -285,6 +300,17 @@ def _outline(columns: Columns, row: int) -> Outline:
     return _drawn(int(columns["track_id"][row]), around, is_visible=bool(columns["visible"][row]))
 
 
+def _sides(columns: Columns, row: int) -> NDArray[np.float64]:
+    """A wall, or the sides of a rectangle, as (S, 2, 3)."""
+    if columns["kind"][row] == "ellipse":
+        return _NO_SEGMENTS
+    corners = np.pad(outline_of_row(columns, row, CORNERS), ((0, 0), (0, 1)))
+    if len(corners) == 2:
+        return corners[None]
+    sides: NDArray[np.float64] = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    return sides
+
+
 def _drawn(number: int, around: NDArray[np.float64], *, is_visible: bool) -> Outline:
     closed = around if len(around) == 2 else np.vstack([around, around[:1]])
     flat = np.pad(closed, ((0, 0), (0, 1)))
@@ -293,4 +319,5 @@ def _drawn(number: int, around: NDArray[np.float64], *, is_visible: bool) -> Out
 
 _NO_POINTS = np.empty((0, 3), np.float32)
 _NO_ROWS = np.empty(0, np.int64)
+_NO_SEGMENTS = np.empty((0, 2, 3))
 _NO_CLASSES = np.empty(0, np.uint8)
