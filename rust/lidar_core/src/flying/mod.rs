@@ -17,6 +17,7 @@ pub mod frame;
 pub mod gate;
 mod group;
 pub mod integrate;
+mod islands;
 mod jump;
 mod lanes;
 mod near;

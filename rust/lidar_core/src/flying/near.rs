@@ -1,7 +1,7 @@
 //! Rule A: is anything occupied close by?
 
 use super::blocks::{Cursor, Place, offset_of};
-use super::separate::row_bits;
+use super::islands::row_bits;
 use super::track::Occupancy;
 use super::voxel_map::VoxelMap;
 use crate::geometry::lattice::{Voxel, floor};

@@ -291,8 +291,8 @@ pub(crate) struct Levels {
 }
 
 impl Levels {
-    /// Store a value; true if the voxel became, or ceased to be, tentatively or confidently
-    /// occupied.
+    /// Store a value; true if groups of occupied voxels may be others or weaker then: unless an
+    /// occupied voxel became, or stayed, confidently occupied.
     #[inline]
     pub(crate) fn store(self, block: &mut Block, offset: usize, value: f32) -> bool {
         let old = block.values[offset];
@@ -302,7 +302,7 @@ impl Levels {
         }
         assign(&mut block.tentative, offset, value >= self.tentative);
         assign(&mut block.confident, offset, value >= self.confident);
-        true
+        !(old >= self.tentative && value > old)
     }
 
     /// Whether one value is below a bound and the other is not. NaN, never observed, is below all.
