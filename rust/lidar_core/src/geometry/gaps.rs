@@ -1,7 +1,8 @@
 //! Clustering with gaps that grow with the range, as the gaps between the rays of a LiDAR do.
 
-use super::cluster::{Clustering, Fixed, NO_GROUP, Reach, Sets, check, linked, numbered};
+use super::cluster::{Clustering, NO_GROUP, Sets, check, label, numbered};
 use super::lattice::wide;
+use super::octants::{Fixed, Reach, check_extent, is_finite, linked};
 use crate::Error;
 use crate::budget::check_points;
 use crate::error::require;
@@ -38,11 +39,20 @@ pub fn label_seen(
     check(clustering)?;
     gap.check()?;
     check_points(points.len())?;
-    let fixed = Fixed::new(clustering.max_distance);
-    let mut group_of = linked(points, clustering.max_distance, &fixed)?;
-    if gap.max_angle > 0.0 {
-        widen(points, gap, clustering.max_distance, &mut group_of)?;
+    if gap.max_angle == 0.0 {
+        return label(points, clustering);
     }
+    check_extent(points, clustering.max_distance)?;
+    let mut sets = Sets::new(points.len());
+    let bands = Bands::of(points, gap, clustering.max_distance);
+    for band in 0..bands.ends.len() {
+        join(points, &bands, band, &mut sets)?;
+    }
+    let root = |(row, &point): (u32, &[f32; 3])| match is_finite(point) {
+        true => sets.root(row),
+        false => NO_GROUP,
+    };
+    let group_of: Vec<u32> = (0..).zip(points).map(root).collect();
     Ok(numbered(&group_of, clustering))
 }
 
@@ -61,7 +71,7 @@ impl AngularGap {
     /// Square of the range of a point [m^2].
     fn square(&self, point: [f64; 3]) -> f64 {
         let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| point[axis] - self.origin[axis]);
-        x * x + y * y + z * z
+        (x * x + y * y + z * z).min(f64::MAX)
     }
 }
 
@@ -78,96 +88,89 @@ impl Reach for InBand<'_> {
         self.most
     }
 
-    fn of(&self, one: [f64; 3], other: [f64; 3]) -> f64 {
-        let nearer = self.gap.square(one).min(self.gap.square(other));
-        self.fixed.max(self.gap.max_angle * self.gap.max_angle * nearer)
+    #[inline]
+    fn links(&self, square: f64, one: [f64; 3], other: [f64; 3]) -> bool {
+        let nearer = || self.gap.square(one).min(self.gap.square(other));
+        square <= self.fixed || square <= self.gap.max_angle * self.gap.max_angle * nearer()
     }
 }
 
-/// Join groups of points that are far enough for the angle to count. Bands of ranges are taken
-/// one after the other: within one, all reaches are nearly equal.
-fn widen(
-    points: &[[f32; 3]],
-    gap: &AngularGap,
+/// Points by their range. In the first band the angle does not count yet; within each of the
+/// others all reaches are nearly equal.
+struct Bands<'a> {
+    gap: &'a AngularGap,
+    /// The fixed distance [m].
     fixed: f64,
-    group_of: &mut [u32],
-) -> Result<(), Error> {
-    let bands = Bands::of(points, gap, fixed / gap.max_angle * (1.0 - MARGIN), group_of);
-    let mut sets = Sets::new(points.len());
-    for (band, &next) in bands.ends.iter().enumerate() {
-        if bands.rows[band].is_empty() {
-            continue;
-        }
-        let rows = bands.reached_from(band, next * (1.0 + gap.max_angle) * (1.0 + MARGIN));
-        let cloud: Vec<[f32; 3]> = rows.iter().map(|&row| points[row as usize]).collect();
-        let largest = gap.max_angle * next;
-        let reach = InBand { gap, fixed: fixed * fixed, most: largest * largest };
-        join(&rows, &linked(&cloud, largest, &reach)?, group_of, &mut sets);
-    }
-    for group in group_of.iter_mut().filter(|group| **group != NO_GROUP) {
-        *group = sets.root(*group);
-    }
-    Ok(())
-}
-
-/// Rows of far points by their range.
-struct Bands {
     /// Upper end of every band [m].
     ends: Vec<f64>,
-    rows: Vec<Vec<(f64, u32)>>,
+    /// Rows of finite points, by band.
+    rows: Vec<u32>,
+    /// Where the rows of every band end.
+    row_ends: Vec<usize>,
 }
 
-impl Bands {
-    /// Points further away than `least` [m], with the squares of their ranges.
-    fn of(points: &[[f32; 3]], gap: &AngularGap, least: f64, group_of: &[u32]) -> Self {
-        let mut far: Vec<(f64, u32)> = Vec::new();
-        for (row, (&point, &group)) in points.iter().zip(group_of).enumerate() {
-            let square = gap.square(wide(point));
-            if group != NO_GROUP && square >= least * least {
-                far.push((square, row as u32)); // at most MAX_POINTS
-            }
+impl<'a> Bands<'a> {
+    fn of(points: &[[f32; 3]], gap: &'a AngularGap, fixed: f64) -> Self {
+        let finite = (0..).zip(points).filter(|(_, point)| is_finite(**point));
+        let squares: Vec<(u32, f64)> =
+            finite.map(|(row, &point)| (row, gap.square(wide(point)))).collect();
+        let furthest = squares.iter().map(|&(_, square)| square).fold(0.0, f64::max);
+        let mut ends = vec![fixed / gap.max_angle * (1.0 - MARGIN)];
+        while let Some(end) = ends.last().filter(|&&end| end * end <= furthest) {
+            ends.push(end * BAND);
         }
-        let furthest = far.iter().map(|&(square, _)| square).fold(0.0, f64::max);
-        let mut ends = Vec::new();
-        let mut end = least;
-        while !far.is_empty() && end * end <= furthest {
-            end *= BAND;
-            ends.push(end);
+        let band_of = |square: f64| ends.partition_point(|end| end * end <= square);
+        let mut row_ends = vec![0; ends.len() + 1];
+        squares.iter().for_each(|&(_, square)| row_ends[band_of(square) + 1] += 1);
+        for band in 0..ends.len() {
+            row_ends[band + 1] += row_ends[band];
         }
-        let mut rows = vec![Vec::new(); ends.len()];
-        for (square, row) in far {
-            let band = ends.partition_point(|end| end * end <= square);
-            rows[band].push((square, row));
+        let mut rows = vec![0; squares.len()];
+        for (row, square) in squares {
+            let place = &mut row_ends[band_of(square)]; // where the band begins, at first
+            rows[*place] = row;
+            *place += 1;
         }
-        Self { ends, rows }
+        Self { gap, fixed, ends, rows, row_ends }
     }
 
-    /// Rows of `band`, and those beyond it up to the range `reached` [m].
-    fn reached_from(&self, band: usize, reached: f64) -> Vec<u32> {
-        let mut rows: Vec<u32> = self.rows[band].iter().map(|&(_, row)| row).collect();
-        for (beyond, start) in self.rows[band + 1..].iter().zip(&self.ends[band..]) {
-            if *start > reached {
-                break;
-            }
-            let near = beyond.iter().filter(|&&(square, _)| square <= reached * reached);
-            rows.extend(near.map(|&(_, row)| row));
+    fn rows_in(&self, band: usize) -> &[u32] {
+        let start = if band == 0 { 0 } else { self.row_ends[band - 1] };
+        &self.rows[start..self.row_ends[band]]
+    }
+
+    /// Rows of `band`, and those beyond it that are within reach of its furthest points.
+    fn reached_from(&self, points: &[[f32; 3]], band: usize) -> Vec<u32> {
+        let reached = self.ends[band] * (1.0 + self.gap.max_angle) * (1.0 + MARGIN);
+        let mut rows = self.rows_in(band).to_vec();
+        for beyond in (band + 1..self.ends.len()).take_while(|at| self.ends[at - 1] <= reached) {
+            let is_near =
+                |row: &u32| self.gap.square(wide(points[*row as usize])) <= reached * reached;
+            rows.extend(self.rows_in(beyond).iter().copied().filter(is_near));
         }
         rows
     }
 }
 
-/// Join the groups whose points `found` has in one group.
-fn join(rows: &[u32], found: &[u32], group_of: &[u32], sets: &mut Sets) {
-    let mut first = vec![NO_GROUP; rows.len()];
-    for (&row, &place) in rows.iter().zip(found) {
-        let (group, first) = (group_of[row as usize], &mut first[place as usize]);
-        if *first == NO_GROUP {
-            *first = group;
-        } else {
-            let (one, other) = (sets.root(*first), sets.root(group));
-            sets.join(one, other);
-        }
+/// Join what is linked to the points of a band.
+fn join(points: &[[f32; 3]], bands: &Bands, band: usize, sets: &mut Sets) -> Result<(), Error> {
+    if bands.rows_in(band).is_empty() {
+        return Ok(());
     }
+    let rows = bands.reached_from(points, band);
+    let cloud: Vec<[f32; 3]> = rows.iter().map(|&row| points[row as usize]).collect();
+    let (fixed, widest) = (bands.fixed, bands.gap.max_angle * bands.ends[band]);
+    let groups = if band == 0 {
+        linked(&cloud, fixed, &Fixed::new(fixed))?
+    } else {
+        let reach = InBand { gap: bands.gap, fixed: fixed * fixed, most: widest * widest };
+        linked(&cloud, widest, &reach)?
+    };
+    for (&row, group) in rows.iter().zip(groups) {
+        let (one, other) = (sets.root(row), sets.root(rows[group as usize])); // all are finite
+        sets.join(one, other);
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -5,5 +5,6 @@ pub mod cluster;
 pub mod gaps;
 pub mod lattice;
 pub mod motion;
+mod octants;
 pub mod transform;
 pub mod traverse;
