@@ -88,7 +88,8 @@ pub fn classify_clusters(
             got: labels[index].to_string(),
         });
     }
-    let clusters = Cluster::all(points, labels);
+    let mut rows = Vec::new();
+    let clusters = Cluster::all(points, labels, &mut rows);
     let verdicts = classify(map, points, &clusters, origin, parameters)?;
     Ok(verdicts.into_iter().map(|verdict| verdict.class).collect())
 }
@@ -97,14 +98,14 @@ pub fn classify_clusters(
 pub(crate) fn classify(
     map: &VoxelMap,
     points: &[[f32; 3]],
-    clusters: &[Cluster],
+    clusters: &[Cluster<'_>],
     origin: [f64; 3],
     parameters: &ClassifyParameters,
 ) -> Result<Vec<Verdict>, Error> {
     let radius = search_radius(parameters.search_distance, map.lattice().voxel_size())?;
     check_steps("close_distance", parameters.close_distance, map.lattice().voxel_size())?;
     let judge = Judge { map, points, origin, parameters };
-    let near = |cluster: &Cluster| judge.is_background(cluster);
+    let near = |cluster: &Cluster<'_>| judge.is_background(cluster);
     let background: Vec<bool> = match &map.pool {
         Some(pool) => pool.install(|| clusters.par_iter().map(near).collect()),
         None => clusters.iter().map(near).collect(),
@@ -145,7 +146,7 @@ struct Judge<'a> {
 
 impl Judge<'_> {
     /// Rule A, or too large to be a target.
-    fn is_background(&self, cluster: &Cluster) -> bool {
+    fn is_background(&self, cluster: &Cluster<'_>) -> bool {
         let too_large =
             self.parameters.background_extent.is_some_and(|extent| cluster.diagonal() > extent);
         let mut near = Near::new(self.map, self.parameters.close_distance);
@@ -157,7 +158,7 @@ impl Judge<'_> {
     fn flying_or_unknown(
         &self,
         flood: &mut Flood<'_>,
-        cluster: &Cluster,
+        cluster: &Cluster<'_>,
         group_extent: f64,
     ) -> Verdict {
         let p = self.parameters;

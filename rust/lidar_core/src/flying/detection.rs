@@ -41,7 +41,7 @@ impl Detection {
     /// extent, as a standard deviation of a quarter of it).
     pub(crate) fn of(
         scan: &Prepared,
-        cluster: &Cluster,
+        cluster: &Cluster<'_>,
         verdict: &Verdict,
         range_std: f64,
     ) -> Self {
@@ -91,7 +91,7 @@ impl Detection {
     }
 }
 
-fn centroid_covariance(scan: &Prepared, cluster: &Cluster, range_std: f64) -> [[f64; 3]; 3] {
+fn centroid_covariance(scan: &Prepared, cluster: &Cluster<'_>, range_std: f64) -> [[f64; 3]; 3] {
     let (points, origin) = (&scan.points, scan.pose.translation);
     let count = cluster.members.len() as f64;
     let sight = minus(cluster.centroid, origin);
@@ -99,7 +99,7 @@ fn centroid_covariance(scan: &Prepared, cluster: &Cluster, range_std: f64) -> [[
     let sight = sight.map(|value| value / distance);
     let hidden = 0.25 * cluster.diagonal();
     let mut covariance = [[0.0; 3]; 3];
-    for &row in &cluster.members {
+    for &row in cluster.members {
         let offset = minus(wide(points[row as usize]), cluster.centroid);
         for (a, line) in covariance.iter_mut().enumerate() {
             for (b, entry) in line.iter_mut().enumerate() {

@@ -112,7 +112,8 @@ impl FlyingObjectDetector {
             return Ok(self.held_frame(raw, &scan, gate, timing));
         }
         let gate = self.parameters.seed.gate(self.scans, &self.map, self.needed());
-        let mut judged = self.judge(&scan, &mut clock, &mut timing, keep_going)?;
+        let mut rows = Vec::new();
+        let mut judged = self.judge(&scan, &mut rows, &mut clock, &mut timing, keep_going)?;
         self.tracker.check_room(count_of(&judged.verdicts, FLYING))?;
 
         // The last stage that may refuse the scan.
@@ -137,7 +138,7 @@ impl FlyingObjectDetector {
         &mut self,
         raw: &RawScan<'_>,
         scan: &mut Prepared,
-        judged: &mut Judged,
+        judged: &mut Judged<'_>,
     ) -> Result<IntegrateStats, Error> {
         let stats = self.integrate(raw, scan, &mut judged.class)?;
         if self.parameters.classify.after_update {
@@ -147,16 +148,17 @@ impl FlyingObjectDetector {
         Ok(stats)
     }
 
-    /// Clusters of a scan, and what the map says that they are.
-    fn judge(
+    /// Clusters of a scan, with their `rows`, and what the map says that they are.
+    fn judge<'a>(
         &self,
         scan: &Prepared,
+        rows: &'a mut Vec<u32>,
         clock: &mut Clock,
         timing: &mut Timing,
         keep_going: &dyn Fn() -> bool,
-    ) -> Result<Judged, Error> {
+    ) -> Result<Judged<'a>, Error> {
         let labels = self.labels(scan)?;
-        let clusters = Cluster::all(&scan.points, &labels);
+        let clusters = Cluster::all(&scan.points, &labels, rows);
         timing.cluster = clock.lap();
         go_on(keep_going)?;
 
@@ -225,7 +227,7 @@ impl FlyingObjectDetector {
         self.parameters.separation.min_confident
     }
 
-    fn verdicts(&self, scan: &Prepared, clusters: &[Cluster]) -> Result<Vec<Verdict>, Error> {
+    fn verdicts(&self, scan: &Prepared, clusters: &[Cluster<'_>]) -> Result<Vec<Verdict>, Error> {
         let mut parameters = self.parameters.classify.clone();
         parameters.background_extent =
             self.parameters.seed.background_extent(self.scans, parameters.background_extent);
@@ -343,10 +345,10 @@ impl FlyingObjectDetector {
 }
 
 /// A scan in clusters.
-pub(super) struct Judged {
+pub(super) struct Judged<'a> {
     /// Cluster of every row, -1 for none.
     pub(super) labels: Vec<i32>,
-    pub(super) clusters: Vec<Cluster>,
+    pub(super) clusters: Vec<Cluster<'a>>,
     /// What each cluster is.
     pub(super) verdicts: Vec<Verdict>,
     /// Class of every row.

@@ -54,7 +54,7 @@ impl FlyingObjectDetector {
     /// a place of which little is known still flies.
     pub(super) fn add_followed(
         &self,
-        judged: &mut Judged,
+        judged: &mut Judged<'_>,
         found: &mut Found,
         rows: &[u32],
         view: &ScanView<'_>,

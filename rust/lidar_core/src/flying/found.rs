@@ -26,7 +26,7 @@ impl FlyingObjectDetector {
         &self,
         view: &ScanView<'_>,
         scan: &Prepared,
-        clusters: &[Cluster],
+        clusters: &[Cluster<'_>],
         verdicts: &[Verdict],
     ) -> Found {
         let mut found = Found::default();
@@ -34,7 +34,7 @@ impl FlyingObjectDetector {
         for ((cluster, verdict), center) in clusters.iter().zip(verdicts).zip(centers) {
             let mate = self.teammate_at(cluster.centroid).filter(|_| verdict.class != BACKGROUND);
             if mate.is_some() {
-                found.hidden.extend(&cluster.members);
+                found.hidden.extend(cluster.members);
             }
             if verdict.class != FLYING {
                 continue;
@@ -59,13 +59,12 @@ impl FlyingObjectDetector {
     fn centers(
         &self,
         view: &ScanView<'_>,
-        clusters: &[Cluster],
+        clusters: &[Cluster<'_>],
         verdicts: &[Verdict],
     ) -> Vec<Option<Center>> {
         let is_wanted = |&index: &usize| self.parameters.centers && verdicts[index].class == FLYING;
         let wanted: Vec<usize> = (0..clusters.len()).filter(is_wanted).collect();
-        let rows: Vec<&[u32]> =
-            wanted.iter().map(|&index| clusters[index].members.as_slice()).collect();
+        let rows: Vec<&[u32]> = wanted.iter().map(|&index| clusters[index].members).collect();
         let mut centers = vec![None; clusters.len()];
         for (index, center) in wanted.into_iter().zip(view.centers_of(&rows)) {
             centers[index] = Some(center);

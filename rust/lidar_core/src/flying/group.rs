@@ -23,11 +23,12 @@ pub(crate) struct Group {
 /// every cluster is its own group.
 pub(crate) fn groups(
     points: &[[f32; 3]],
-    clusters: &[Cluster],
+    clusters: &[Cluster<'_>],
     background: &[bool],
     distance: Option<f64>,
 ) -> Result<Vec<Group>, Error> {
-    let alone = |cluster: &Cluster| Group { extent: cluster.diagonal(), with_background: false };
+    let alone =
+        |cluster: &Cluster<'_>| Group { extent: cluster.diagonal(), with_background: false };
     let mut groups: Vec<Group> = clusters.iter().map(alone).collect();
     let Some(max_distance) = distance else { return Ok(groups) };
     let (cloud, owners) = neighbourhood(points, clusters, background, max_distance)?;
@@ -54,7 +55,7 @@ pub(crate) fn groups(
 /// that own them.
 fn neighbourhood(
     points: &[[f32; 3]],
-    clusters: &[Cluster],
+    clusters: &[Cluster<'_>],
     background: &[bool],
     distance: f64,
 ) -> Result<(Vec<[f32; 3]>, Vec<usize>), Error> {
@@ -124,7 +125,8 @@ mod tests {
     #[test]
     fn a_chain_of_fragments_reaches_the_background() -> Result<(), Error> {
         let points = [[0.0f32, 0.0, 0.0], [0.6, 0.0, 0.0], [1.2, 0.0, 0.0], [9.0, 0.0, 0.0]];
-        let clusters = Cluster::all(&points, &[0, 1, 2, 3]);
+        let mut rows = Vec::new();
+        let clusters = Cluster::all(&points, &[0, 1, 2, 3], &mut rows);
         let groups = groups(&points, &clusters, &[true, false, false, false], Some(0.7))?;
         assert!(
             groups[1].with_background && groups[2].with_background && !groups[3].with_background

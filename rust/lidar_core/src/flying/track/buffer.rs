@@ -13,7 +13,7 @@ pub(super) struct Cloud {
 }
 
 impl Cloud {
-    /// A copy of a scan.
+    /// A copy of the finite points of a scan.
     ///
     /// # Errors
     /// [`Error::Limit`] for too many points, [`Error::Length`] for delays that do not fit.
@@ -26,10 +26,15 @@ impl Cloud {
             let (expected, got) = (points.len(), delays.len());
             return Err(Error::Length { name: "point_time_ns", expected, got });
         }
-        let mut kept =
-            vec_with_capacity("a point cloud", points.len(), MAX_POINTS, "split the scan")?;
-        kept.extend_from_slice(points);
-        Ok(Self { stamp_ns, points: kept, delays: delays.map(<[f32]>::to_vec) })
+        let is_known = |point: &[f32; 3]| point.iter().all(|value| value.is_finite());
+        let count = points.iter().filter(|point| is_known(point)).count();
+        let mut kept = vec_with_capacity("a point cloud", count, MAX_POINTS, "split the scan")?;
+        kept.extend(points.iter().copied().filter(is_known));
+        let delays = delays.map(|delays| {
+            let known = points.iter().zip(delays).filter(|(point, _)| is_known(point));
+            known.map(|(_, &delay)| delay).collect()
+        });
+        Ok(Self { stamp_ns, points: kept, delays })
     }
 }
 

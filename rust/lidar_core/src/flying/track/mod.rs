@@ -148,8 +148,7 @@ impl PointCloudTracker {
         let cloud = Cloud::new(points, delays, stamp_ns)?;
         if !stats.late {
             let mut tracks = self.tracks.clone(); // an error must not leave half of them updated
-            let delays = cloud.delays.as_deref();
-            let scan = Scan { points: &cloud.points, delays, stamp_ns, occupied, visibility };
+            let scan = Scan { points, delays, stamp_ns, occupied, visibility };
             let outcome = self.updater.update(&mut tracks, &scan)?;
             (stats.corrected, stats.rows) = (outcome.corrected, outcome.rows);
             stats.rejected = outcome.rejected;
