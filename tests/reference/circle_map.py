@@ -237,7 +237,8 @@ class IndependentMap:
         for element in self.elements:
             if dt:
                 element.x, element.P, element.mu = self.predicted(element, dt)
-        row_of = self.associate(measurements)
+        wholes = whole_of([z for z, _ in measurements], self.config.merge_gap)
+        row_of = self.associate(measurements, wholes)
         numbers = [None] * len(measurements)
         for k, element in enumerate(self.elements):
             if k in row_of:
@@ -255,10 +256,10 @@ class IndependentMap:
                 setattr(element, name, getattr(element, name) + dt)
                 element.misses[name] = element.misses.get(name, 0) + 1
         for row, number in enumerate(numbers):
-            if number is None:
+            if number is None and wholes[row] == row:
                 numbers[row] = self.create(*measurements[row], stamp)
         self.tidy()
-        return numbers
+        return [numbers[whole] for whole in wholes]
 
     def likelihood(self, element, z, R):
         """Of a measurement, or 0 outside all gates."""
@@ -270,14 +271,14 @@ class IndependentMap:
             total += m * multivariate_normal(np.zeros(3), S).pdf(y)
         return total if inside else 0.0
 
-    def associate(self, measurements):
+    def associate(self, measurements, wholes):
         n, m = len(self.elements), len(measurements)
         never = 1e9
         cost = np.full((n, m + n), never)
         for k, element in enumerate(self.elements):
             for row, (z, R) in enumerate(measurements):
                 p = self.likelihood(element, z, R)
-                if p > 0:
+                if p > 0 and wholes[row] == row:
                     cost[k, row] = -2 * np.log(p)
             cost[k, m + k] = -2 * np.log(self.config.birth_density)
         chosen = zip(*linear_sum_assignment(cost), strict=True)
@@ -310,7 +311,8 @@ class IndependentMap:
         while k < len(self.elements):
             one = self.elements[k]
             others, gap = self.elements[k + 1 :], config.merge_gap
-            twins = [other for other in others if is_twin(one, other, gap)]
+            moment = config.unmatched_time
+            twins = [other for other in others if is_twin(one, other, gap, moment)]
             if not twins:
                 k += 1
                 continue
@@ -353,12 +355,32 @@ class IndependentMap:
         return found
 
 
-def is_twin(one, other, gap):
-    a, b = one.combined()[0], other.combined()[0]
+def is_twin(one, other, gap, moment):
+    """Both in sight, or measured at most a `moment` before the other."""
+    a, b = (element.combined()[0][[0, 1, 4]] for element in (one, other))
+    newest = max(one.last, other.last)
+    known = [e.visible() or (newest - e.last) * 1e-9 <= moment for e in (one, other)]
+    return all(known) and is_one(a, b, gap)
+
+
+def is_one(a, b, gap):
+    """Whether two circles are one object: one inside the other, or little between them."""
     apart = np.hypot(*(a - b)[:2])
-    inside = apart < max(a[4], b[4])
-    touching = gap > 0 and apart < a[4] + b[4] + gap
-    return one.visible() and other.visible() and (inside or touching)
+    inside = apart < max(a[2], b[2])
+    touching = gap > 0 and apart < a[2] + b[2] + gap
+    return inside or touching
+
+
+def whole_of(circles, gap):
+    """Row of the largest circle that each is a part of, itself if none."""
+    wholes, larger = list(range(len(circles))), []
+    for row in sorted(wholes, key=lambda row: -circles[row][2]):
+        near = [other for other in larger if is_one(circles[row], circles[other], gap)]
+        if near:
+            wholes[row] = near[0]
+        else:
+            larger.append(row)
+    return wholes
 
 
 def united(kept, dropped):

@@ -12,7 +12,7 @@ use super::visibility::Visibility;
 use crate::Error;
 use crate::estimation::association::{Pair, assign};
 use crate::estimation::kalman::Gaussian;
-use nalgebra::Matrix2;
+use nalgebra::{Matrix2, Vector3};
 
 /// Standard deviations from its centre at which a body is looked for, along each axis.
 const LOOK: [f64; 4] = [-2.0, -1.0, 1.0, 2.0];
@@ -65,6 +65,24 @@ impl State for Body {
         }
     }
 
+    /// What nearly touches something larger is a part of it, as an arm is of a person.
+    fn wholes(seen: &[BodyMeasurement], rules: &Rules) -> Vec<usize> {
+        let is_small = |one: &BodyMeasurement| !one.outline.is_some_and(|outline| outline.is_large);
+        let mut order: Vec<usize> = (0..seen.len()).filter(|&i| is_small(&seen[i])).collect();
+        order.sort_by(|&i, &j| seen[j].circle.z[2].total_cmp(&seen[i].circle.z[2]));
+        let mut wholes: Vec<usize> = (0..seen.len()).collect();
+        let mut larger: Vec<usize> = Vec::new();
+        for index in order {
+            let z = &seen[index].circle.z;
+            let is_near = |&&other: &&usize| is_one(z, &seen[other].circle.z, rules);
+            match larger.iter().find(is_near) {
+                Some(&whole) => wholes[index] = whole,
+                None => larger.push(index),
+            }
+        }
+        wholes
+    }
+
     fn predict(&mut self, step: &Step) {
         self.circle.predict(&step.circles);
         self.outline.predict(step);
@@ -87,6 +105,7 @@ impl State for Body {
     fn associate<'a>(
         all: impl ExactSizeIterator<Item = &'a Self> + Clone,
         seen: &[BodyMeasurement],
+        wholes: &[usize],
         rules: &Rules,
     ) -> Result<Vec<Option<usize>>, Error> {
         let unassigned = -2.0 * libm::log(rules.parameters().birth_density);
@@ -94,7 +113,8 @@ impl State for Body {
         let mut pairs = Vec::new();
         for (row, body) in all.enumerate() {
             for (column, measurement) in seen.iter().enumerate() {
-                if let Some(cost) = body.circle.cost(&measurement.circle, rules.gate())?
+                if wholes[column] == column
+                    && let Some(cost) = body.circle.cost(&measurement.circle, rules.gate())?
                     && body.is_alike(measurement)
                 {
                     pairs.push(Pair { row, column, cost });
@@ -142,15 +162,14 @@ impl State for Body {
     /// The centre of one lies inside the other, or there is little between them; large ones have
     /// corners, between which there may be others.
     fn is_twin(&self, other: &Self, rules: &Rules) -> bool {
-        let gap = rules.parameters().merge_gap;
         if self.outline.is_large() || other.outline.is_large() {
             return false;
         }
-        let (one, two) = (self.circle().mean, other.circle().mean);
-        let [x, y] = [one[0] - two[0], one[1] - two[1]];
-        let touching = if gap > 0.0 { one[4] + two[4] + gap } else { 0.0 };
-        let reach = one[4].max(two[4]).max(touching);
-        x * x + y * y < reach * reach
+        let [one, two] = [self, other].map(|body| {
+            let mean = body.circle().mean;
+            Vector3::new(mean[0], mean[1], mean[4])
+        });
+        is_one(&one, &two, rules)
     }
 
     fn absorb(&mut self, twin: Self, is_newer: bool) {
@@ -162,6 +181,15 @@ impl State for Body {
     fn patience(rules: &Rules) -> Patience {
         rules.parameters().patience
     }
+}
+
+/// Whether two circles x, y, r are one object.
+fn is_one(one: &Vector3<f64>, two: &Vector3<f64>, rules: &Rules) -> bool {
+    let gap = rules.parameters().merge_gap;
+    let [x, y] = [one[0] - two[0], one[1] - two[1]];
+    let touching = if gap > 0.0 { one[2] + two[2] + gap } else { 0.0 };
+    let reach = one[2].max(two[2]).max(touching);
+    x * x + y * y < reach * reach
 }
 
 /// The two axes of the ellipse of one standard deviation of the centre [m].

@@ -6,6 +6,7 @@ use super::independent::Rules;
 use super::modes::Step;
 use super::parameters::{Independent, Patience};
 use super::scan::Viewpoint;
+use super::seconds;
 use super::visibility::Visibility;
 use crate::Error;
 use nalgebra::SMatrix;
@@ -23,6 +24,11 @@ pub(super) trait State: Clone {
         true
     }
 
+    /// Per measurement of one scan, the one of which it is a part: itself if it is a whole.
+    fn wholes(seen: &[Self::Measurement], _: &Rules) -> Vec<usize> {
+        (0..seen.len()).collect()
+    }
+
     /// Move on.
     fn predict(&mut self, step: &Step);
 
@@ -30,13 +36,14 @@ pub(super) trait State: Clone {
     /// [`Error::NotPositiveDefinite`]; nothing changes then.
     fn correct(&mut self, seen: &Self::Measurement, rules: &Rules) -> Result<(), Error>;
 
-    /// The object, by its place among `all`, that each measurement shows.
+    /// The object, by its place among `all`, that each measurement shows which is a whole.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`].
     fn associate<'a>(
         all: impl ExactSizeIterator<Item = &'a Self> + Clone,
         seen: &[Self::Measurement],
+        wholes: &[usize],
         rules: &Rules,
     ) -> Result<Vec<Option<usize>>, Error>
     where
@@ -175,9 +182,12 @@ impl<S: State> Element<S> {
             || self.is_visible() && self.state.is_vague(rules)
     }
 
-    /// Whether two elements that are in sight are one object.
+    /// Whether two elements are one object. Both are in sight, or were a moment ago: what is inside
+    /// another is hidden by it.
     pub(super) fn is_twin(&self, other: &Self, rules: &Rules) -> bool {
-        self.is_visible() && other.is_visible() && self.state.is_twin(&other.state, rules)
+        let (newest, moment) = (self.seen_ns.max(other.seen_ns), S::patience(rules).unmatched);
+        let is_known = |one: &Self| one.is_visible() || seconds(one.seen_ns, newest) <= moment;
+        is_known(self) && is_known(other) && self.state.is_twin(&other.state, rules)
     }
 
     /// Take in a twin: the state of the one measured last, else the one measured more often.

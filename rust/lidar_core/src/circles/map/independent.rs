@@ -155,7 +155,9 @@ impl Rules {
             let step = self.motion.step(dt);
             all.iter_mut().for_each(|element| element.state.predict(&step));
         }
-        let owners = S::associate(all.iter().map(|one| &one.state), &seen.measurements, self)?;
+        let wholes = S::wholes(&seen.measurements, self);
+        let states = all.iter().map(|one| &one.state);
+        let owners = S::associate(states, &seen.measurements, &wholes, self)?;
         let mut is_measured = vec![false; all.len()];
         let known = std::mem::replace(&mut seen.elements, vec![None; owners.len()]);
         for (measurement, row) in owners.iter().enumerate() {
@@ -173,11 +175,15 @@ impl Rules {
         }
         // Eqs 18-20 for everything that has no element.
         for (index, measurement) in seen.measurements.iter().enumerate() {
-            if seen.elements[index].is_none() && S::is_born(measurement, self) {
+            let is_new = wholes[index] == index && seen.elements[index].is_none();
+            if is_new && S::is_born(measurement, self) {
                 let id = fresh(known[index]);
                 all.push(Element::new(id, S::new(measurement, self), from.key()));
                 seen.elements[index] = Some(id);
             }
+        }
+        for (index, whole) in wholes.into_iter().enumerate() {
+            seen.elements[index] = seen.elements[whole];
         }
         all.sort_by_key(|element| element.id);
         Ok(())

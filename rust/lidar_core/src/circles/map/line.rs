@@ -220,6 +220,7 @@ impl State for Line {
     fn associate<'a>(
         all: impl ExactSizeIterator<Item = &'a Self> + Clone,
         seen: &[LineMeasurement],
+        _: &[usize],
         rules: &Rules,
     ) -> Result<Vec<Option<usize>>, Error> {
         let mut owners = Vec::with_capacity(seen.len());

@@ -163,10 +163,23 @@ fn elements_of_one_object_become_one() -> Result<(), Error> {
     for step in 0..10 {
         map.update(&scan(step, &[circle(3.0, 0.0, 0.3)]))?;
     }
-    let stats = map.update(&scan(10, &[circle(3.0, 0.0, 0.3), circle(3.1, 0.1, 0.3)]))?;
-    assert_eq!(stats.merged, [[0, 1]]);
+    let stats = map.update(&scan(10, &[circle(3.1, 0.1, 0.2), circle(3.0, 0.0, 0.3)]))?;
+    assert_eq!((stats.elements, stats.born, stats.merged), (vec![0, 0], vec![], vec![]));
     assert_eq!(map.map_at(10 * STEP_NS).len(), 1);
     assert!((map.map_at(10 * STEP_NS)[0].state.mean[0] - 3.0).abs() < 1e-6);
+    Ok(())
+}
+
+#[test]
+fn what_comes_to_touch_another_becomes_one_with_it() -> Result<(), Error> {
+    let mut map = map_of(Filter::Independent(best()))?;
+    let mut merged = Vec::new();
+    for step in 0..12 {
+        let comes = circle(3.0, 0.9 - 0.04 * step as f64, 0.1);
+        merged.extend(map.update(&scan(step, &[circle(3.0, 0.0, 0.3), comes]))?.merged);
+    }
+    assert_eq!(merged, [[0, 1]]);
+    assert_eq!(map.map_at(11 * STEP_NS).len(), 1);
     Ok(())
 }
 
