@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Self, TypeVar, get_args
 
@@ -26,7 +27,7 @@ class Config(BaseModel):
         try:
             super().__init__(**values)
         except ValidationError as error:
-            raise _config_error(type(self).__name__, error) from error
+            raise _config_error(type(self), error) from error
 
     # Not pydantic's word for "overridden": models inside models are then validated as one, and
     # every problem carries its whole path.
@@ -106,13 +107,39 @@ def _may_be_none(model: type[BaseModel], name: str) -> bool:
     return field is not None and type(None) in get_args(field.annotation)
 
 
-def _config_error(model: str, error: ValidationError) -> ConfigError:
+def _config_error(model: type[BaseModel], error: ValidationError) -> ConfigError:
     problems = (
-        f"{'.'.join(map(str, problem['loc'])) or model}: {problem['msg']},"
-        f" got {_short(problem['input'])}"
+        f"{'.'.join(map(str, problem['loc'])) or model.__name__}: {_told(problem, model)}"
         for problem in error.errors()
     )
     return ConfigError("\n".join(problems))
+
+
+def _told(problem: Any, model: type[BaseModel]) -> str:
+    """What is wrong; what was received, unless that is a whole table; a name that was meant."""
+    text, kind = problem["msg"].removeprefix("Value error, "), problem["type"]
+    if kind == "extra_forbidden":
+        near = get_close_matches(str(problem["loc"][-1]), _names(model), n=1)
+        text = "no such parameter" + "".join(f", did you mean {name}?" for name in near)
+        return f"{text}{'' if near else ','} got {_short(problem['input'])}"
+    is_table = kind == "value_error" and isinstance(problem["input"], dict)
+    return text if is_table else f"{text}, got {_short(problem['input'])}"
+
+
+def _names(model: type[BaseModel]) -> set[str]:
+    """Names of all parameters of a model and of those inside it."""
+    found, known = set(model.model_fields), [model]
+    for one in known:
+        inner = [part for field in one.model_fields.values() for part in _parts(field.annotation)]
+        known += [part for part in inner if part not in known]
+        found |= set(one.model_fields)
+    return found
+
+
+def _parts(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [part for one in get_args(annotation) for part in _parts(one)]
 
 
 def _short(value: Any) -> str:

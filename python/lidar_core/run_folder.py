@@ -62,17 +62,22 @@ class RunFolder:
         Made by `begin` if missing.
     overwrite : bool
         Whether to replace what an earlier run left there. Other files are never touched.
+    reads : Path, optional
+        Recording that the run reads.
 
     Raises
     ------
     FileExistsError
-        There is something in it, and `overwrite` is not given, or no run wrote it.
+        There is something in it, and `overwrite` is not given, or no run wrote it; or the
+        recording lies in it.
     """
 
-    def __init__(self, path: Path, *, overwrite: bool) -> None:
+    def __init__(self, path: Path, *, overwrite: bool, reads: Path | None = None) -> None:
         self.path = path
         if not path.exists():
             return
+        if reads is not None and reads.resolve().is_relative_to(path.resolve()):
+            raise FileExistsError(f"{path}: holds the recording to read; choose another folder")
         if not path.is_dir():
             raise FileExistsError(f"{path}: expected a folder")
         if not any(path.iterdir()):

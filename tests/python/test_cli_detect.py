@@ -17,7 +17,15 @@ import pytest
 from flying_scenes import drone, yard
 from typer.testing import CliRunner
 
-from lidar_core import ConfigError, FormatError, InputError, VoxelMap, run_folder, sim
+from lidar_core import (
+    ConfigError,
+    FormatError,
+    InputError,
+    MissingExtraError,
+    VoxelMap,
+    run_folder,
+    sim,
+)
 from lidar_core.cli import app
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 from lidar_core.io import open_recording, posed_scans, write_npz
@@ -180,6 +188,27 @@ def test_an_earlier_run_is_replaced_only_when_asked(recording, tmp_path):
     (folder / "tracks_tum" / "track_99.txt").write_text("of the earlier run")
     assert run_command(*arguments, "--overwrite").exit_code == 0
     assert not list((folder / "tracks_tum").iterdir())
+
+
+def test_a_run_never_replaces_what_it_reads(recording, tmp_path):
+    folder = tmp_path / "run"
+    assert run_command(recording, "-o", folder, "--end", 0.2, "--no-picture").exit_code == 0
+    before = (folder / "run.mcap").read_bytes()
+    refused = run_command(folder / "run.mcap", "-o", folder, "--overwrite")
+    assert isinstance(refused.exception, FileExistsError)
+    assert str(refused.exception) == f"{folder}: holds the recording to read; choose another folder"
+    assert (folder / "run.mcap").read_bytes() == before
+
+
+def test_a_missing_package_leaves_an_earlier_run_alone(recording, tmp_path, monkeypatch):
+    folder = tmp_path / "run"
+    arguments = (recording, "-o", folder, "--end", 0.2, "--no-picture")
+    assert run_command(*arguments, "--no-mcap").exit_code == 0
+    names = {path.name for path in folder.iterdir()}
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    refused = run_command(*arguments, "--mcap", "--overwrite")
+    assert isinstance(refused.exception, MissingExtraError)
+    assert {path.name for path in folder.iterdir()} == names
 
 
 def test_missing_poses_leave_no_folder_and_name_the_cure(recording, tmp_path):

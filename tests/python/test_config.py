@@ -77,10 +77,21 @@ def test_defaults_pass_their_own_checks_and_the_round_trip(model, tmp_path):
 def test_an_unknown_key_is_named_with_its_path():
     with pytest.raises(ConfigError) as refusal:
         VoxelMapConfig(voxel_sise=0.2)
-    assert str(refusal.value) == "voxel_sise: Extra inputs are not permitted, got 0.2"
+    assert str(refusal.value) == "voxel_sise: no such parameter, did you mean voxel_size? got 0.2"
     with pytest.raises(ConfigError) as refusal:
         FlyingConfig.load({"voxel_map": {"voxel_sise": 0.2}})
-    assert str(refusal.value) == "voxel_map.voxel_sise: Extra inputs are not permitted, got 0.2"
+    assert str(refusal.value) == (
+        "voxel_map.voxel_sise: no such parameter, did you mean voxel_size? got 0.2"
+    )
+    with pytest.raises(ConfigError, match=r"^qqq: no such parameter, got 1$"):
+        VoxelMapConfig(qqq=1)
+
+
+def test_what_contradicts_itself_is_told_without_the_whole_table():
+    with pytest.raises(ConfigError) as refusal:
+        VoxelMapConfig(g_unk=-800.0)
+    assert str(refusal.value).startswith("VoxelMapConfig: expected g_free <= threshold_unc")
+    assert "{" not in str(refusal.value)
 
 
 def test_all_problems_are_reported_at_once():

@@ -504,7 +504,7 @@ NO_ROOM = sim.RandomMotion(box_min=(-1, -1, -1), box_max=(1, 1, 1), clearance=5)
         (lambda: sim.Hover(position=(0, 0, 0), rotation=(0, 0, 0, 2)), ConfigError, "unit quat"),
         (lambda: sim.Waypoints(times=(1, 1), positions=[(0, 0, 0)] * 2), ConfigError, "increasing"),
         (lambda: sim.Waypoints(times=(1,), positions=[(0, 0, 0)] * 2), ConfigError, "as many"),
-        (lambda: sim.Scene(weather="rain"), ConfigError, "weather: Extra inputs"),
+        (lambda: sim.Scene(weather="rain"), ConfigError, "weather: no such parameter"),
         (lambda: sim.Scene(bodies=[{"shape": {"kind": "cone"}}]), ConfigError, "bodies.0.*shape"),
         (lambda: sim.scenes.performance(scene=3), ConfigError, "scene: expected 1 or 2, got 3"),
         (lambda: sim.simulate(sim.Scene(), seed=-1), ConfigError, "seed: expected 0 to"),

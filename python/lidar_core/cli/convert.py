@@ -116,6 +116,7 @@ def _write_recording(
 ) -> dict[str, Any]:
     """Write scans and poses; returns what was written and what was not, as plain values."""
     from lidar_core.io import open_recording, write_recording
+    from lidar_core.io.posed import NAMELESS
 
     written: Counter[str] = Counter()
     with (
@@ -127,7 +128,7 @@ def _write_recording(
 
         def counted() -> Iterator["Message"]:
             for message in _chosen(opened, topics, span):
-                written[message.topic or "(no topic)"] += 1
+                written[message.topic or NAMELESS] += 1
                 progress.advance(task)
                 yield message
 

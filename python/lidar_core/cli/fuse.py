@@ -76,7 +76,7 @@ def command(
     from lidar_core.io import Span
     from lidar_core.run_folder import RunFolder, fingerprint
 
-    folder = RunFolder(output, overwrite=overwrite)
+    folder, writes_mcap = RunFolder(output, overwrite=overwrite, reads=recording), wants_mcap(mcap)
     read = {"columns": _pairs("column", column, "x=pos_x"),
             "topics": _pairs("topic", topic, "radar=/front"),
             **given({"time_unit": time_unit, "angle_unit": angle_unit})}  # fmt: skip
@@ -89,7 +89,7 @@ def command(
     summary = {"command": "fuse", "recording": str(recording), **run.summary()}
     folder.write_summary(summary)
     folder.write_note({"recording": fingerprint(recording)}, run.configs)
-    if wants_mcap(mcap) and (mcap or not (run.stamps < 0).any()):
+    if writes_mcap and (mcap or not (run.stamps < 0).any()):
         files.append(run.write_mcap(folder))
     if picture:
         files += run.draw(folder, recording.name, errors)

@@ -49,8 +49,11 @@ def command(
     source: Annotated[str | None, typer.Option("--in", help=IN)] = None,
     replay: Annotated[Path | None, typer.Option(help="Play this recording instead.")] = None,
     rate: Annotated[
-        float, typer.Option(min=0.01, help="Seconds of the recording per second, for --replay.")
-    ] = 1.0,
+        float | None,
+        typer.Option(
+            min=0.01, show_default="1", help="Seconds of the recording per second, for --replay."
+        ),
+    ] = None,
     outputs: Annotated[list[str], typer.Option("--out", help=OUT)] = [],  # noqa: B006
     capability: Annotated[
         Literal["auto", "flying", "circles"], typer.Option(help=CAPABILITY)
@@ -105,7 +108,7 @@ def command(
     where = LivePoses(options.poses(), settings)
     check_files(outputs, replay, output, overwrite=overwrite)
     record = None if output is None else LiveRun(
-        RunFolder(output, overwrite=overwrite), chosen.pipeline
+        RunFolder(output, overwrite=overwrite, reads=replay), chosen.pipeline
     )  # fmt: skip
     out, errors = consoles(options.json)
     with ExitStack() as stack:

@@ -103,8 +103,8 @@ def live_config(domain: int | None, stream: Sequence[str]) -> LiveConfig:
 
 
 def open_source(
-    text: str | None, replay: Path | None, *, rate: float, read: ReadOptions, live: LiveConfig,
-    topics: StreamTopics,
+    text: str | None, replay: Path | None, *, rate: float | None, read: ReadOptions,
+    live: LiveConfig, topics: StreamTopics,
 ) -> Source:  # fmt: skip
     """Source that --in or --replay names.
 
@@ -118,7 +118,9 @@ def open_source(
     if replay is not None:
         from lidar_core.live.replay import ReplaySource
 
-        return ReplaySource(replay, read, rate=rate, topics=topics)
+        return ReplaySource(replay, read, rate=rate or 1.0, topics=topics)
+    if rate is not None:
+        raise ConfigError("--rate: says nothing about a stream; it is for --replay")
     kind, _, place = str(text).partition(":")
     if kind == "zenoh":
         from lidar_core.live.zenoh_link import DEFAULT_ENDPOINT

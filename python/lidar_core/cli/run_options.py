@@ -12,6 +12,7 @@ import typer
 
 from lidar_core.cli.common import JsonFile, given
 from lidar_core.cli.config import Mode
+from lidar_core.extras import require
 
 if TYPE_CHECKING:
     from lidar_core.io import PoseOptions
@@ -45,7 +46,15 @@ Overwrite: TypeAlias = Annotated[bool, typer.Option(help="Replace an earlier run
 
 
 def wants_mcap(mcap: bool | None) -> bool:
-    """Whether to write run.mcap: as somebody said, or where the package is there."""
+    """Whether to write run.mcap: as somebody said, or where the package is there.
+
+    Raises
+    ------
+    MissingExtraError
+        Somebody said so, and the package is not there.
+    """
+    if mcap:
+        require("foxglove", extra="viz", purpose="writing MCAP")
     return find_spec("foxglove") is not None if mcap is None else mcap
 
 
@@ -88,10 +97,11 @@ class RunOptions(PipelineOptions):
         return wants_mcap(self.mcap)
 
     def folder(self) -> "RunFolder":
-        """Folder of the run."""
+        """Folder of the run, if all that it takes is there."""
         from lidar_core.run_folder import RunFolder
 
-        return RunFolder(self.output, overwrite=self.overwrite)
+        wants_mcap(self.mcap)
+        return RunFolder(self.output, overwrite=self.overwrite, reads=self.recording)
 
 
 def with_options(

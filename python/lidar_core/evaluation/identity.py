@@ -74,7 +74,7 @@ def score_identities(
     CLEAR MOT Metrics", 2008; Ristani et al., "Performance Measures and a Data Set for Multi-Target,
     Multi-Camera Tracking", 2016.
     """
-    metrics = require("trackeval.metrics", extra="eval", purpose="HOTA, MOTA and IDF1")
+    metrics = require("trackeval.metrics", extra="eval", purpose="scoring HOTA, MOTA and IDF1")
     config = as_config(config, EvaluationConfig)
     tracks, truth = counted(tracks, truth, config=config)
     if not len(truth.stamp_ns):

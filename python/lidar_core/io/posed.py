@@ -17,7 +17,7 @@ from lidar_core.io.ros_messages import POSE_TYPES
 from lidar_core.io.tf_buffer import NoTransformError, TransformBuffer
 from lidar_core.messages import LaserScan, Pose, Scan
 
-WORLD_FRAME = "world"
+WORLD_FRAME, NAMELESS = "world", "(no topic)"
 MOST_POSES_PER_SCAN = 64
 
 ScanT = TypeVar("ScanT", Scan, LaserScan)
@@ -318,7 +318,9 @@ def scan_topics(
             raise ConfigError(f"{option}: no topic {name!r} with {plural} in {recording.path};"
                               f" found {_listed(known)}")  # fmt: skip
     if not with_scans:
-        found = _listed([f"{t.name} ({t.type}{', ' + t.note if t.note else ''})" for t in topics])
+        found = _listed(
+            [f"{t.name or NAMELESS} ({t.type}{', ' + t.note if t.note else ''})" for t in topics]
+        )
         raise FormatError(f"{recording.path}: no {plural} to read; found {found}")
     return [topic for topic in with_scans if not names or topic.name in names]
 
@@ -363,4 +365,4 @@ def pose_stamps(
 
 
 def _listed(names: list[str]) -> str:
-    return ", ".join(sorted(names)) or "none"
+    return ", ".join(name or NAMELESS for name in sorted(names)) or "none"

@@ -93,7 +93,7 @@ def ros_store(version: int) -> Any:
 
     Building a store takes 30 ms.
     """
-    typesys = require("rosbags.typesys", extra="io", purpose="ROS messages")
+    typesys = require("rosbags.typesys", extra="io", purpose="handling ROS messages")
     store = typesys.Stores.ROS1_NOETIC if version == 1 else typesys.Stores.ROS2_HUMBLE
     types = typesys.get_typestore(store)
     for name, text in {**_BOTH, **(_ROS1 if version == 1 else _ROS2)}.items():
