@@ -57,16 +57,18 @@ def frame(points, origin, passing, std):
     share = count / (count + (off < reach + gap / 2).sum())
     radius = reach + between(share, [1.5, 0.75]) * gap
     scatter = np.cov(points.T, bias=True) if count > 1 else np.zeros((3, 3))
-    shift = between(share, [0.17, 0.40]) * radius
+    shift = between(share, [0.20, 0.40]) * radius
+    shift_std = min(0.5 / np.sqrt(count), 0.2) * radius
+    lift = 0.05 * radius * (np.eye(3)[2] - sight[2] * sight)
     along = np.outer(sight, sight)
     covariance = (
         scatter / count
         + (np.eye(3) - along) * (gap**2 / (12 * np.sqrt(count)) + 0.02**2)
-        + along * ((0.15 * radius) ** 2 + std**2 / count)
+        + along * (shift_std**2 + std**2 / count)
     )
     size = max(reach, 0.05)
     return (
-        centroid + shift * sight,
+        centroid + shift * sight + lift,
         covariance,
         radius,
         share,

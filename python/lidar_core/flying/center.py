@@ -45,7 +45,7 @@ def target_center(
     Parameters
     ----------
     points_world : array_like, shape (N, 3), N >= 1
-        Points on the target [m], any one frame.
+        Points on the target [m], any one frame whose z axis points up.
     sensor_origin : array_like, shape (3,)
         Where the rays started [m], the same frame.
     passing_directions : array_like, shape (R, 3)

@@ -13,9 +13,12 @@ const SHARES: [f64; 2] = [0.3, 0.6];
 /// So many gaps between rays lie between the outermost points and the rim.
 const RIM_GAPS: [f64; 2] = [1.5, 0.75];
 /// The centre lies behind the centroid by this share of the radius; a ball would have 0.68.
-const SHIFTS: [f64; 2] = [0.17, 0.40];
-/// Standard deviation of that shift, as a share of the radius.
-const SHIFT_STD: f64 = 0.15;
+const SHIFTS: [f64; 2] = [0.20, 0.40];
+/// Standard deviation of that shift, as a share of the radius, for one point: the points are draws
+/// from the depth of the target. No more than the second number: some may be on one side of it.
+const SHIFT_STD: [f64; 2] = [0.5, 0.2];
+/// The centre lies above the centroid by this share of the radius: skids hang below a frame.
+const LIFT: f64 = 0.05;
 /// Part of the standard deviation across the line of sight that no number of points removes [m].
 const ASIDE_STD: f64 = 0.02;
 /// A ball's centre lies behind the centroid of its near side by this share of its radius.
@@ -54,9 +57,10 @@ impl OpenFrame {
         let along = sight * sight.transpose();
         let gap = outline.ray_gap * outline.ray_gap / (12.0 * count.sqrt());
         let shift = between(SHIFTS) * radius;
-        let shift_std = SHIFT_STD * radius;
+        let shift_std = (SHIFT_STD[0] / count.sqrt()).min(SHIFT_STD[1]) * radius;
+        let lift = (Vector3::z() - sight * sight.z) * (LIFT * radius); // across the sight
         Self {
-            position: centroid + sight * shift,
+            position: centroid + sight * shift + lift,
             covariance: scatter / (count * count)
                 + (Matrix3::identity() - along) * (gap + ASIDE_STD * ASIDE_STD)
                 + along * (shift_std * shift_std + range_std * range_std / count),

@@ -48,8 +48,8 @@ const IMAGINED_FREEDOM: f64 = 2.0;
 const BALL_SHARE: [f64; 2] = [0.4, 0.55];
 
 /// The centre of a target, from its points [m], where they were seen from, and the directions of
-/// rays that passed beside it. Directions need not have unit length; rays more than 0.4 m beside
-/// the points do not count.
+/// rays that passed beside it, in a frame whose z axis points up. Directions need not have unit
+/// length; rays more than 0.4 m beside the points do not count.
 ///
 /// # Errors
 /// [`Error::Value`] for the first entry that is not finite, or a direction without length;

@@ -135,6 +135,7 @@ mod tests {
             radius: 1.5,
             size: [0.0; 3],
             confirmed,
+            is_recent: true,
         }
     }
 
