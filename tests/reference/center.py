@@ -57,9 +57,10 @@ def frame(points, origin, passing, std):
     share = count / (count + (off < reach + gap / 2).sum())
     radius = reach + between(share, [1.5, 0.75]) * gap
     scatter = np.cov(points.T, bias=True) if count > 1 else np.zeros((3, 3))
-    shift = between(share, [0.20, 0.40]) * radius
+    level = max(0, 1 - abs(sight[2]) / 0.25)
+    shift = between(share, [0.12 + 0.13 * level, 0.40]) * radius
     shift_std = min(0.5 / np.sqrt(count), 0.2) * radius
-    lift = 0.05 * radius * (np.eye(3)[2] - sight[2] * sight)
+    lift = 0.06 * level * radius * (np.eye(3)[2] - sight[2] * sight)
     along = np.outer(sight, sight)
     covariance = (
         scatter / count

@@ -295,6 +295,10 @@ class Tracker:
         too_long = self.c.ageing == "visible" and coasting > self.c.max_coast
         return self.radius(track.aged) > self.c.radius_max or too_long
 
+    def is_reported(self, track):
+        coasting = (self.buffer[-1][0] - track.seen) * 1e-9
+        return track.confirmed and (self.c.ageing == "paper" or coasting <= self.c.report_coast)
+
     def remove(self, gone):
         removed = [track.id for track in self.tracks if gone(track)]
         self.tracks = [track for track in self.tracks if not gone(track)]

@@ -12,13 +12,19 @@ use std::f64::consts::PI;
 const SHARES: [f64; 2] = [0.3, 0.6];
 /// So many gaps between rays lie between the outermost points and the rim.
 const RIM_GAPS: [f64; 2] = [1.5, 0.75];
-/// The centre lies behind the centroid by this share of the radius; a ball would have 0.68.
-const SHIFTS: [f64; 2] = [0.20, 0.40];
+/// The centre of a closed body lies behind the centroid by this share of the radius; a ball would
+/// have 0.68.
+const CLOSED_SHIFT: f64 = 0.40;
+/// That of an open frame, seen from where its whole disc shows, and from its own height, where near
+/// rims hide the far ones.
+const OPEN_SHIFTS: [f64; 2] = [0.12, 0.25];
+/// Sine of the elevation from which on, above or below, the whole disc shows.
+const WHOLE_DISC: f64 = 0.25;
 /// Standard deviation of that shift, as a share of the radius, for one point: the points are draws
 /// from the depth of the target. No more than the second number: some may be on one side of it.
 const SHIFT_STD: [f64; 2] = [0.5, 0.2];
-/// The centre lies above the centroid by this share of the radius: skids hang below a frame.
-const LIFT: f64 = 0.05;
+/// From its own height the centre lies above the centroid by this share: skids hang below a frame.
+const LIFT: f64 = 0.06;
 /// Part of the standard deviation across the line of sight that no number of points removes [m].
 const ASIDE_STD: f64 = 0.02;
 /// A ball's centre lies behind the centroid of its near side by this share of its radius.
@@ -56,9 +62,11 @@ impl OpenFrame {
         let scatter: Matrix3<f64> = offsets().map(|offset| offset * offset.transpose()).sum();
         let along = sight * sight.transpose();
         let gap = outline.ray_gap * outline.ray_gap / (12.0 * count.sqrt());
-        let shift = between(SHIFTS) * radius;
+        let level = (1.0 - sight.z.abs() / WHOLE_DISC).max(0.0);
+        let [disc, rims] = OPEN_SHIFTS;
+        let shift = between([disc + level * (rims - disc), CLOSED_SHIFT]) * radius;
         let shift_std = (SHIFT_STD[0] / count.sqrt()).min(SHIFT_STD[1]) * radius;
-        let lift = (Vector3::z() - sight * sight.z) * (LIFT * radius); // across the sight
+        let lift = (Vector3::z() - sight * sight.z) * (LIFT * level * radius); // across the sight
         Self {
             position: centroid + sight * shift + lift,
             covariance: scatter / (count * count)
