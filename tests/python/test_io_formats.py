@@ -561,6 +561,15 @@ def test_captures_of_other_packets_are_refused_with_a_cure(tmp_path):
 # --- anything else --------------------------------------------------------------------------
 
 
+def test_a_folder_with_one_recording_is_that_recording(tmp_path):
+    bag = ros_file(tmp_path, 1, "bag")
+    (tmp_path / "LICENSE").write_text("as you like")
+    assert len(read_all(tmp_path)) == len(read_all(bag)) == 10
+    bag.with_name("b.bag").write_bytes(bag.read_bytes())
+    with pytest.raises(FormatError, match=r"several recordings in this folder; name one of a\.bag"):
+        read_all(tmp_path)
+
+
 def test_missing_empty_and_unknown_paths(tmp_path):
     with pytest.raises(FileNotFoundError, match="no such file or folder"):
         lc.io.open_recording(tmp_path / "nothing.bag")

@@ -53,6 +53,8 @@ def _print(info: "RecordingInfo", console: "Console") -> None:
     from rich.markup import escape
     from rich.table import Table
 
+    from lidar_core.io.posed import NAMELESS
+
     console.print(f"[bold]{escape(info.path)}[/bold]  {info.format}")
     if info.start_ns is not None:
         start = f"{info.start_ns // 10**9}.{info.start_ns % 10**9:09d}"
@@ -62,7 +64,7 @@ def _print(info: "RecordingInfo", console: "Console") -> None:
         column.overflow = "fold"
     for topic in info.topics:
         table.add_row(
-            escape(topic.name),
+            escape(topic.name or NAMELESS),
             escape(topic.type),
             topic.kind,
             str(topic.count),
@@ -76,9 +78,13 @@ def _print(info: "RecordingInfo", console: "Console") -> None:
         how = "static" if is_static else "moving"
         console.print(f"transform {escape(parent)} -> {escape(child or '(none)')}: {how}")
     for name, verdict in info.point_time.items():
-        console.print(f"point time of {escape(name)}: {escape(verdict)}", soft_wrap=True)
+        console.print(
+            f"point time of {escape(name or NAMELESS)}: {escape(verdict)}", soft_wrap=True
+        )
     for name, verdict in info.no_return.items():
-        console.print(f"rays without return of {escape(name)}: {escape(verdict)}", soft_wrap=True)
+        console.print(
+            f"rays without return of {escape(name or NAMELESS)}: {escape(verdict)}", soft_wrap=True
+        )
     for defect in info.defects:
         console.print(f"[yellow]note[/yellow] {escape(defect)}", soft_wrap=True)
     if not info.defects:

@@ -14,6 +14,8 @@ KNOWN = (
     " .npz file or folder"
 )
 
+ALONE = (".bag", ".clf", ".osf", ".pcap", ".pcapng")
+"""Files that are a whole recording; a folder with one of them is taken for it."""
 _PACKED = "compressed; unpack it first: "
 HINTS = {
     ".bt": "a map, not a recording: `lidar-core detect --map`, `lidar_core.io.read_cloud`",
@@ -119,16 +121,13 @@ def _open_folder(path: Path, options: ReadOptions) -> Recording:
     }
     if by_suffix[".db3"]:
         return _open_ros2(path, by_suffix[".db3"], options)
-    if len(by_suffix[".mcap"]) == 1:
-        return _open_file(by_suffix[".mcap"][0], options)
-    if by_suffix[".mcap"]:
-        from lidar_core.io.chain import ChainedRecording
+    for suffix in (".mcap", ".npz"):
+        if len(by_suffix[suffix]) == 1:
+            return _open_file(by_suffix[suffix][0], options)
+        if by_suffix[suffix]:
+            from lidar_core.io.chain import ChainedRecording
 
-        return ChainedRecording(path, options, by_suffix[".mcap"])
-    if by_suffix[".npz"]:
-        from lidar_core.io.chain import ChainedRecording
-
-        return ChainedRecording(path, options, by_suffix[".npz"])
+            return ChainedRecording(path, options, by_suffix[suffix])
     for suffix in (".pcd", ".las", ".laz", ".ply"):
         if by_suffix[suffix]:
             return _open_sequence(path, by_suffix[suffix], suffix, options)
@@ -136,6 +135,17 @@ def _open_folder(path: Path, options: ReadOptions) -> Recording:
         scans = sorted((path / inner).glob("*.bin"))
         if scans:
             return _open_sequence(path, scans, ".bin", options)
+    return _open_alone(path, files, options)
+
+
+def _open_alone(path: Path, files: list[Path], options: ReadOptions) -> Recording:
+    """The only recording of a folder."""
+    alone = [file for file in files if file.suffix.lower() in ALONE]
+    if len(alone) == 1:
+        return _open_file(alone[0], options)
+    if alone:
+        names = ", ".join(file.name for file in alone)
+        raise FormatError(f"{path}: several recordings in this folder; name one of {names}")
     packed = [file.name for file in files if file.suffix.lower() == ".zstd"]
     if packed:
         raise FormatError(
