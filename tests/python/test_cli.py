@@ -166,7 +166,9 @@ def test_show_tells_what_differs(tmp_path):
     path.write_text("[voxel_map]\nvoxel_size = -1\n")
     done = run("config", "show", path)
     assert done.returncode == 2
-    assert "voxel_map.voxel_size: Input should be greater than 0, got -1" in done.stderr
+    assert done.stderr == (
+        f"error: {path}: voxel_map.voxel_size: Input should be greater than 0, got -1\n"
+    )
 
 
 def test_show_takes_the_model_from_a_run(tmp_path):

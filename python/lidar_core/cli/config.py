@@ -45,12 +45,13 @@ def show(
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
 ) -> None:
     """Every value in force, FILE's over those of PRESET and MODE; marked if no default."""
-    from lidar_core.cli.settings import file_values, merged, model_of
+    from lidar_core.cli.settings import file_values, loaded, merged, model_of
 
     model = model or ("flying" if file is None else model_of(file))
     defaults, config = _defaults(model, "best"), _defaults(model, mode, preset)
     if file is not None:
-        config = type(defaults).load(merged(config.model_dump(), file_values(file, model)))
+        values = merged(config.model_dump(), file_values(file, model))
+        config = loaded(type(defaults), values, file)
     if as_json:
         print(json.dumps(config.model_dump(mode="json"), indent=2))
         return

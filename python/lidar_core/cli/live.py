@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from lidar_core.cli.circles import NO_RETURN
 from lidar_core.cli.common import (
     INTERRUPTED,
     OverwriteFile,
@@ -18,7 +19,7 @@ from lidar_core.cli.common import (
     result_table,
     write_json,
 )
-from lidar_core.cli.detect import MAP, NO_RETURN, POINT_TIME
+from lidar_core.cli.detect import MAP, POINT_TIME
 from lidar_core.cli.run_options import PipelineOptions, with_options
 
 if TYPE_CHECKING:

@@ -45,11 +45,22 @@ def run_config(
                 f"{file}: {section}: expected its values without this table around them, or as"
                 f" [config.{section}], as a run.toml has them"
             )
-        try:
-            type(base).load(values)
-        except ConfigError as error:
-            raise ConfigError(f"{file}: {error}") from error
+        loaded(type(base), values, file)
     return type(base).load(with_assignments(values, assignments))
+
+
+def loaded(model: type[ConfigT], values: dict[str, Any], file: Path) -> ConfigT:
+    """Configuration of these values, which are those of a file.
+
+    Raises
+    ------
+    ConfigError
+        A value is unknown or outside its range; the text names the file.
+    """
+    try:
+        return model.load(values)
+    except ConfigError as error:
+        raise ConfigError(f"{file}: {error}") from error
 
 
 def with_assignments(
