@@ -39,7 +39,6 @@ class Track:
     place: np.ndarray = None
     confirmed: bool = False
     left: bool = False  # nothing is where it began
-    is_lost: bool = False  # it was not reported when the scan came
     points: np.ndarray = None  # of its last cluster
 
     @property
@@ -225,8 +224,6 @@ class Tracker:
         due = [track for track in tracks if track.stamp < stamp]
         elapsed = [(stamp - track.stamp) * 1e-9 for track in due]
         for track in due:
-            unseen = (track.stamp - track.seen) * 1e-9
-            track.is_lost = self.c.ageing == "visible" and unseen > self.c.report_coast
             self.move(track, stamp)
         if self.c.association == "paper":
             found = [self.nearest(track, points, occupied, delays) for track in due]
@@ -269,7 +266,7 @@ class Tracker:
         def offset(row, column):
             z, R, extent, delay, is_cut, _ = found[column]
             y = z - (tracks[row].r + delay * tracks[row].x[3:6])
-            if tracks[row].is_lost or np.linalg.norm(y) > self.reach(tracks[row]):
+            if np.linalg.norm(y) > self.reach(tracks[row]):
                 return None
             return y, tracks[row].P[:3, :3] + self.widened(R, extent, is_cut, tracks[row])
 
@@ -294,10 +291,6 @@ class Tracker:
         coasting = (stamp - track.seen) * 1e-9
         too_long = self.c.ageing == "visible" and coasting > self.c.max_coast
         return self.radius(track.aged) > self.c.radius_max or too_long
-
-    def is_reported(self, track):
-        coasting = (self.buffer[-1][0] - track.seen) * 1e-9
-        return track.confirmed and (self.c.ageing == "paper" or coasting <= self.c.report_coast)
 
     def remove(self, gone):
         removed = [track.id for track in self.tracks if gone(track)]

@@ -220,8 +220,8 @@ class TrackerConfig(Config):
     report_coast: float = Field(
         0.3,
         gt=0,
-        description="A track without measurement for longer is kept but not reported, and only a"
-        " detection brings it back: a cluster may be anything [s]; ageing `visible`.",
+        description="A track without measurement for longer is kept but not reported [s]; ageing"
+        " `visible`.",
     )
 
     @model_validator(mode="after")

@@ -268,7 +268,12 @@ impl PointCloudTracker {
     }
 
     fn is_recent(&self, track: &TrackState) -> bool {
-        self.buffer.newest_ns().is_none_or(|newest_ns| self.updater.is_recent(track, newest_ns))
+        match (self.parameters().ageing, self.buffer.newest_ns()) {
+            (Ageing::Visible { report_coast, .. }, Some(newest_ns)) => {
+                seconds(track.seen_ns, newest_ns) <= report_coast
+            }
+            _ => true,
+        }
     }
 
     fn merge(&self, tracks: &mut Vec<TrackState>) -> Vec<[i64; 2]> {

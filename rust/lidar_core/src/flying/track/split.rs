@@ -135,7 +135,6 @@ mod tests {
             radius: 1.5,
             size: [0.0; 3],
             confirmed,
-            is_recent: true,
         }
     }
 

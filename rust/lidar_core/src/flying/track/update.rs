@@ -56,8 +56,6 @@ pub(super) struct Seeker {
     pub(super) radius: f64,
     pub(super) size: [f64; 3],
     pub(super) confirmed: bool,
-    /// Whether it takes clusters; if not, only a detection brings it back.
-    pub(super) is_recent: bool,
 }
 
 impl Seeker {
@@ -105,8 +103,7 @@ impl Updater {
     ) -> Result<Outcome, Error> {
         let model = &self.parameters.motion;
         let mut due = predicted(tracks, scan.stamp_ns, model);
-        let seekers: Vec<Seeker> =
-            due.iter().map(|(since_ns, track)| self.seeker(track, *since_ns)).collect();
+        let seekers: Vec<Seeker> = due.iter().map(|(_, track)| self.seeker(track)).collect();
         let found = match self.parameters.association {
             Association::Paper => self.nearest(&seekers, scan)?,
             Association::Global { .. } => self.one_to_one(&seekers, scan)?,
@@ -115,8 +112,7 @@ impl Updater {
             track.left = self.has_left(track, scan);
         }
         let mut outcome = Outcome::default();
-        for (((since_ns, track), seeker), measurement) in due.into_iter().zip(&seekers).zip(found) {
-            let dt = seconds(since_ns, scan.stamp_ns);
+        for (((dt, track), seeker), measurement) in due.into_iter().zip(&seekers).zip(found) {
             let row = measurement.as_ref().and_then(|measurement| measurement.row);
             match measurement.map(|measurement| track.correct(&measurement)) {
                 Some(Ok(())) => {
@@ -146,14 +142,6 @@ impl Updater {
         }
     }
 
-    /// Whether a track was measured so shortly before `now_ns` that it counts as followed.
-    pub(super) fn is_recent(&self, track: &TrackState, now_ns: i64) -> bool {
-        match self.parameters.ageing {
-            Ageing::Paper => true,
-            Ageing::Visible { report_coast, .. } => seconds(track.seen_ns, now_ns) <= report_coast,
-        }
-    }
-
     /// Minimise the sum of -2 ln(likelihood) over pairs of rows and columns.
     ///
     /// `offset` gives the difference of a pair and its covariance, or None if it is out of reach.
@@ -177,8 +165,7 @@ impl Updater {
         assign(rows, columns, &pairs, self.unassigned)
     }
 
-    /// A track, of which nothing is new after `since_ns`, on its search.
-    fn seeker(&self, track: &TrackState, since_ns: i64) -> Seeker {
+    fn seeker(&self, track: &TrackState) -> Seeker {
         Seeker {
             position: track.position(),
             velocity: track.velocity(),
@@ -186,7 +173,6 @@ impl Updater {
             radius: self.search_radius(track),
             size: track.size,
             confirmed: track.confirmed,
-            is_recent: self.is_recent(track, since_ns),
         }
     }
 
@@ -268,7 +254,7 @@ impl Updater {
         let cluster_of = self.assign(seekers.len(), clusters.len(), |track, cluster| {
             let (seeker, cluster) = (&seekers[track], &clusters[cluster]);
             let y = cluster.position - (seeker.position + seeker.velocity * cluster.delay);
-            (seeker.is_recent && y.norm() <= seeker.radius)
+            (y.norm() <= seeker.radius)
                 .then(|| (y, seeker.covariance + seeker.covariance_of(cluster, hiding)))
         })?;
         let measured = |(cluster, seeker): (Option<usize>, &Seeker)| {
@@ -280,14 +266,14 @@ impl Updater {
     }
 }
 
-/// Tracks that are older than `stamp_ns`, brought to it, each with the time it had.
+/// Tracks that are older than `stamp_ns`, brought to it, each with the time that took [s].
 fn predicted<'a>(
     tracks: &'a mut [TrackState],
     stamp_ns: i64,
     model: &Motion,
-) -> Vec<(i64, &'a mut TrackState)> {
+) -> Vec<(f64, &'a mut TrackState)> {
     let older = tracks.iter_mut().filter(|track| track.stamp_ns < stamp_ns);
-    let mut due: Vec<_> = older.map(|track| (track.stamp_ns, track)).collect();
+    let mut due: Vec<_> = older.map(|track| (seconds(track.stamp_ns, stamp_ns), track)).collect();
     for (_, track) in &mut due {
         track.predict(stamp_ns, model);
     }
