@@ -2,9 +2,9 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
+use lidar_core::fusion::life::{GyroUse, Life, Loss};
 use lidar_core::fusion::motion::{NoiseForm, Prior};
 use lidar_core::fusion::sensors::Sensing;
-use lidar_core::fusion::target::{GyroUse, Life, Loss};
 use lidar_core::fusion::{
     Filter, FusionParameters, Measurement, Method, Model, Sensor, Strengths, run, run_batch,
 };

@@ -1,4 +1,4 @@
-//! Storage of the voxel map: cubes of 8 x 8 x 8 voxels, made when first observed.
+//! Storage of the voxel map: cubes of 8 x 8 x 8 voxels, and in them rows of 8, made when first met.
 
 use crate::Error;
 use crate::geometry::lattice::Voxel;
@@ -19,20 +19,82 @@ pub(crate) const NEVER: f32 = f32::NAN;
 /// One bit per voxel of a block: a word per layer of z, a byte per row of x.
 pub(crate) type Bits = [u64; EDGE as usize];
 
-/// Values of 512 voxels, x fastest.
+/// Values of the voxels of a row of x.
+pub(crate) type Row = [f32; EDGE as usize];
+
+/// Values of 512 voxels: of those rows that were met.
 #[derive(Clone)]
 pub(crate) struct Block {
     pub(crate) place: Place,
-    pub(crate) values: [f32; VOLUME],
     /// At least tentatively occupied.
     pub(crate) tentative: Bits,
     /// Confidently occupied.
     pub(crate) confident: Bits,
+    /// A bit for every row that is held.
+    held: u64,
+    /// The rows that are held, by y, then z.
+    rows: Vec<Row>,
 }
 
 impl Block {
     fn new(place: Place) -> Self {
-        Self { place, values: [NEVER; VOLUME], tentative: [0; 8], confident: [0; 8] }
+        Self { place, tentative: [0; 8], confident: [0; 8], held: 0, rows: Vec::new() }
+    }
+
+    /// Bytes that it takes.
+    pub(crate) fn bytes(&self) -> usize {
+        size_of::<Self>() + self.rows.capacity() * size_of::<Row>()
+    }
+
+    /// The stored value; NaN where nothing has been observed.
+    #[inline]
+    pub(crate) fn value(&self, offset: usize) -> f32 {
+        let row = offset / EDGE as usize;
+        if self.held >> row & 1 == 0 {
+            return NEVER;
+        }
+        self.rows[self.before(row)][offset % EDGE as usize]
+    }
+
+    pub(crate) fn values(&self) -> impl Iterator<Item = f32> {
+        (0..VOLUME).map(|offset| self.value(offset))
+    }
+
+    /// Store a value.
+    pub(crate) fn set(&mut self, offset: usize, value: f32) {
+        let row = offset / EDGE as usize;
+        self.hold(1 << row);
+        if let Some(values) = self.row_mut(row) {
+            values[offset % EDGE as usize] = value;
+        }
+    }
+
+    /// A row that is held.
+    #[inline]
+    pub(crate) fn row_mut(&mut self, row: usize) -> Option<&mut Row> {
+        let at = self.before(row);
+        self.rows.get_mut(at).filter(|_| self.held >> row & 1 == 1)
+    }
+
+    /// Hold the rows whose bits are set, beside those that are held.
+    pub(crate) fn hold(&mut self, rows: u64) {
+        let (old, held) = (self.held, self.held | rows);
+        if old == held {
+            return;
+        }
+        let mut all = Vec::with_capacity(held.count_ones() as usize);
+        let mut known = self.rows.iter();
+        for row in (0..64).filter(|row| held >> row & 1 == 1) {
+            let before = if old >> row & 1 == 1 { known.next() } else { None };
+            all.push(before.copied().unwrap_or([NEVER; EDGE as usize]));
+        }
+        (self.held, self.rows) = (held, all);
+    }
+
+    /// Rows that are held before this one.
+    #[inline]
+    fn before(&self, row: usize) -> usize {
+        (self.held & ((1 << row) - 1)).count_ones() as usize
     }
 }
 
@@ -128,7 +190,7 @@ impl Blocks {
 
     /// The stored value; NaN where nothing has been observed.
     pub(crate) fn stored(&self, voxel: Voxel) -> f32 {
-        self.get(Place::of(voxel)).map_or(NEVER, |block| block.values[offset_of(voxel)])
+        self.get(Place::of(voxel)).map_or(NEVER, |block| block.value(offset_of(voxel)))
     }
 
     #[inline]
@@ -221,7 +283,7 @@ impl<'a> Cursor<'a> {
     /// The stored value; NaN where nothing has been observed.
     #[inline]
     pub(crate) fn stored(&mut self, voxel: Voxel) -> f32 {
-        self.block(Place::of(voxel)).map_or(NEVER, |block| block.values[offset_of(voxel)])
+        self.block(Place::of(voxel)).map_or(NEVER, |block| block.value(offset_of(voxel)))
     }
 
     #[inline]
@@ -239,6 +301,21 @@ mod tests {
         for voxel in [[0, 0, 0], [-1, 7, 8], [-9, 100, -64], [i32::MAX - 1, i32::MIN + 1, 3]] {
             assert_eq!(Place::of(voxel).voxel(offset_of(voxel)), voxel);
         }
+    }
+
+    #[test]
+    fn rows_are_held_in_order_however_they_come() {
+        let mut block = Block::new(Place([0; 3]));
+        for (step, offset) in [300, 5, 511, 4, 64].into_iter().enumerate() {
+            block.set(offset, step as f32);
+        }
+        block.hold(0b111);
+        assert_eq!(
+            [300, 5, 511, 4, 64].map(|offset| block.value(offset)),
+            [0.0, 1.0, 2.0, 3.0, 4.0]
+        );
+        assert_eq!(block.values().filter(|value| !value.is_nan()).count(), 5);
+        assert!(block.row_mut(1).is_some() && block.row_mut(9).is_none());
     }
 
     #[test]

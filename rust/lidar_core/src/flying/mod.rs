@@ -10,6 +10,7 @@ pub mod classify;
 mod clusters;
 pub mod detection;
 pub mod detector;
+pub mod filter;
 mod flood;
 mod follow;
 mod found;

@@ -74,5 +74,5 @@ impl Occupancy for VoxelMap {
 pub(crate) fn is_observed_free(map: &VoxelMap, cursor: &mut Cursor<'_>, voxel: Voxel) -> bool {
     cursor
         .block(Place::of(voxel))
-        .is_some_and(|block| block.values[offset_of(voxel)] < map.uncertain_from())
+        .is_some_and(|block| block.value(offset_of(voxel)) < map.uncertain_from())
 }

@@ -3,7 +3,7 @@
 //! Layout (little endian): magic `LCVM`, version u32, parameters, number of blocks u64, blocks in
 //! ascending order of place (3 x i32, 512 x f32), CRC-32 of everything before it.
 
-use super::blocks::{Place, VOLUME};
+use super::blocks::{EDGE, NEVER, Place, VOLUME};
 use super::voxel_map::{MapParameters, RayUnit, VoxelMap};
 use crate::Error;
 use std::fs::{self, File};
@@ -65,7 +65,7 @@ impl VoxelMap {
         bytes.extend((blocks.len() as u64).to_le_bytes());
         for block in blocks {
             bytes.extend(block.place.0.iter().flat_map(|index| index.to_le_bytes()));
-            bytes.extend(block.values.iter().flat_map(|value| value.to_le_bytes()));
+            bytes.extend(block.values().flat_map(|value| value.to_le_bytes()));
         }
         bytes.extend(crc32(&bytes).to_le_bytes());
         bytes
@@ -210,11 +210,16 @@ impl Reader<'_> {
         }
         let levels = map.levels();
         let slot = map.blocks.ensure(&[Place(place)])?[0];
-        for offset in 0..VOLUME {
-            let value = self.f32()?;
-            if let Some(block) = map.blocks.at_mut(slot) {
-                levels.store(block, offset, value);
-            }
+        let mut values = [NEVER; VOLUME];
+        for value in &mut values {
+            *value = self.f32()?;
+        }
+        let Some(block) = map.blocks.at_mut(slot) else { return Ok(()) };
+        let is_met = |row: &[f32]| row.iter().any(|value| !value.is_nan());
+        let rows = values.chunks(EDGE as usize).map(is_met);
+        block.hold(rows.rev().fold(0, |rows, is_met| rows << 1 | u64::from(is_met)));
+        for (offset, &value) in values.iter().enumerate().filter(|(_, value)| !value.is_nan()) {
+            levels.store(block, offset, value);
         }
         Ok(())
     }

@@ -3,8 +3,9 @@
 //! Source: Vrba et al., eqs 9 and 12.
 
 use super::blocks::{Block, EDGE, Place, VOLUME};
+use super::filter::{Levels, filtered, two_to_minus};
 use super::raycast::{Content, MAX_COUNT, Mark, POINT_UNITS, UNITS_PER_EDGE, content};
-use super::voxel_map::{Levels, RayUnit, VoxelMap, filtered, two_to_minus};
+use super::voxel_map::{RayUnit, VoxelMap};
 use crate::geometry::lattice::Voxel;
 use pulp::{Arch, Simd, WithSimd};
 
@@ -104,10 +105,11 @@ impl WithSimd for Apply<'_> {
     fn with_simd<S: Simd>(self, _: S) -> BlockUpdate {
         let Self { rule, block, marks } = self;
         let mut update = BlockUpdate { voxels: 0, changed: Vec::new() };
-        for (row, marks) in marks.as_chunks::<ROW>().0.iter().enumerate() {
-            if marks.iter().fold(0, |all, mark| all | mark) == 0 {
-                continue;
-            }
+        let rows = marks.as_chunks::<ROW>().0;
+        let is_met = |marks: &[Mark; ROW]| marks.iter().fold(0, |all, mark| all | mark) != 0;
+        let met = rows.iter().rev().fold(0, |met, marks| met << 1 | u64::from(is_met(marks)));
+        block.hold(met);
+        for (row, marks) in rows.iter().enumerate().filter(|(row, _)| met >> row & 1 == 1) {
             let marks = rule.admitted(block.place, row * ROW, marks);
             update_row(rule, block, row, &marks, &mut update);
         }
@@ -123,7 +125,7 @@ fn update_row(
     marks: &[Mark; ROW],
     update: &mut BlockUpdate,
 ) {
-    let Some(stored) = block.values.as_chunks_mut::<ROW>().0.get_mut(row) else { return };
+    let Some(stored) = block.row_mut(row) else { return };
     let holds_points = marks.iter().fold(0, |all, mark| all | mark) > MAX_COUNT;
     let mut values = [0.0; ROW];
     if holds_points {

@@ -5,8 +5,9 @@
 //! as enough confident voxels are found. Cost follows the changes, not the size of the map.
 
 use super::blocks::{Place, VOLUME, has, offset_of};
+use super::filter::{filtered, two_to_minus};
 use super::islands::{Neighbours, Search, Spare};
-use super::voxel_map::{VoxelMap, filtered, two_to_minus};
+use super::voxel_map::VoxelMap;
 use crate::Error;
 use crate::geometry::lattice::Voxel;
 use crate::spread::Spread;
@@ -140,7 +141,7 @@ impl VoxelMap {
         for &voxel in &separate {
             let Some(slot) = self.blocks.slot(Place::of(voxel)) else { continue };
             let Some(block) = self.blocks.at_mut(slot) else { continue };
-            let value = filtered(block.values[offset_of(voxel)], g_free, keep);
+            let value = filtered(block.value(offset_of(voxel)), g_free, keep);
             levels.store(block, offset_of(voxel), value);
             if value >= tentative {
                 self.changes.note(voxel); // what is left of the group is looked at again

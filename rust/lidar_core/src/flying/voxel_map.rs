@@ -2,7 +2,8 @@
 //!
 //! Source: Vrba et al., sec. III-A, eqs 6-12; permanent voxels: sec. III-E.
 
-use super::blocks::{Block, Blocks, Cursor, Place, assign, offset_of};
+use super::blocks::{Block, Blocks, Cursor, Place, offset_of};
+use super::filter::{Levels, filtered, two_to_minus};
 use super::integrate::Plan;
 use super::raycast::Accumulator;
 use super::separate::Changes;
@@ -121,7 +122,8 @@ impl VoxelMap {
         self.accumulators.len()
     }
 
-    /// Voxels for which memory is held.
+    /// Voxels of all blocks, which the budget counts; rows of them that nothing has met take no
+    /// memory.
     #[must_use]
     pub fn stored_voxels(&self) -> usize {
         self.blocks.len() * super::blocks::VOLUME
@@ -130,14 +132,14 @@ impl VoxelMap {
     /// Bytes held by the stored voxels and their index.
     #[must_use]
     pub fn memory_bytes(&self) -> usize {
-        self.blocks.len()
-            * (size_of::<Block>() + size_of::<(Place, u32)>() + 2 * size_of::<usize>())
+        let index = size_of::<(Place, u32)>() + 2 * size_of::<usize>();
+        self.blocks.iter().map(|block| block.bytes() + index).sum()
     }
 
     /// Number of voxels that a point or a ray has met.
     #[must_use]
     pub fn observed_voxels(&self) -> usize {
-        let observed = |block: &Block| block.values.iter().filter(|value| !value.is_nan()).count();
+        let observed = |block: &Block| block.values().filter(|value| !value.is_nan()).count();
         self.blocks.iter().map(observed).sum()
     }
 
@@ -252,7 +254,7 @@ impl VoxelMap {
         let Some(slot) = self.blocks.slot(Place::of(voxel)) else { return };
         let Some(block) = self.blocks.at_mut(slot) else { return };
         let offset = offset_of(voxel);
-        let value = new(block.values[offset]);
+        let value = new(block.value(offset));
         if levels.store(block, offset, value) {
             self.changes.note(voxel);
         }
@@ -283,74 +285,6 @@ impl VoxelMap {
     }
 }
 
-/// The two bounds whose crossing the bits of a block record.
-#[derive(Clone, Copy)]
-pub(crate) struct Levels {
-    tentative: f32,
-    confident: f32,
-}
-
-impl Levels {
-    /// Store a value; true if groups of occupied voxels may be others or weaker then: unless an
-    /// occupied voxel became, or stayed, confidently occupied.
-    #[inline]
-    pub(crate) fn store(self, block: &mut Block, offset: usize, value: f32) -> bool {
-        let old = block.values[offset];
-        block.values[offset] = value;
-        if !self.crosses(old, value) {
-            return false;
-        }
-        assign(&mut block.tentative, offset, value >= self.tentative);
-        assign(&mut block.confident, offset, value >= self.confident);
-        !(old >= self.tentative && value > old)
-    }
-
-    /// Whether one value is below a bound and the other is not. NaN, never observed, is below all.
-    #[inline]
-    pub(crate) fn crosses(self, old: f32, new: f32) -> bool {
-        ((old >= self.tentative) != (new >= self.tentative))
-            | ((old >= self.confident) != (new >= self.confident))
-    }
-}
-
-/// Result of the exponential filter: `keep` is 2^-n for n updates towards `target`.
-///
-/// A permanent voxel (infinite `value`, sec. III-E) never changes: a weight large enough to
-/// make 2^-n zero would otherwise give 0 * inf = NaN.
-///
-/// # Source
-/// Vrba et al., eq. 12.
-#[must_use]
-#[inline]
-pub fn filtered(value: f32, target: f32, keep: f64) -> f32 {
-    let next = (keep * f64::from(value) + (1.0 - keep) * f64::from(target)) as f32;
-    if value.is_infinite() { value } else { next }
-}
-
-/// 2^-n for n >= 0, to 3e-13, with the same bits on every platform (no libm, no fused steps).
-#[must_use]
-#[inline]
-pub fn two_to_minus(n: f64) -> f64 {
-    const LN_2: f64 = std::f64::consts::LN_2;
-    const EXPONENT: f64 = 1023.0 + (1u64 << 52) as f64; // 1023 in the lowest bits
-    /// ln(2)^k / k! for k = 10..=1: the exponential series, highest power first.
-    const SERIES: [f64; 10] = {
-        let mut series = [0.0; 10];
-        let (mut power, mut k) = (1.0, 1);
-        while k <= 10 {
-            power *= LN_2 / k as f64;
-            series[10 - k] = power;
-            k += 1;
-        }
-        series
-    };
-    let n = n.clamp(0.0, 1000.0);
-    let whole = (n + 0.5).floor();
-    let x = whole - n; // |x| <= 1/2
-    let series = SERIES.iter().fold(0.0, |sum, term| (sum + term) * x) + 1.0;
-    series * f64::from_bits((EXPONENT - whole).to_bits() << 52)
-}
-
 fn check(p: &MapParameters) -> Result<(), Error> {
     require_positive("max_range", p.max_range)?;
     require_positive("ray_gain", p.ray_gain)?;
@@ -375,37 +309,4 @@ fn check(p: &MapParameters) -> Result<(), Error> {
         "a lower corner, then an upper corner",
         format!("{:?}", p.bounds),
     )
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn two_updates_equal_one_of_weight_two() {
-        let half = two_to_minus(1.0);
-        let once = filtered(-740.0, 0.0, half);
-        assert_eq!(once, -370.0);
-        assert_eq!(filtered(once, 0.0, half), -185.0);
-        assert_eq!(filtered(-740.0, 0.0, two_to_minus(2.0)), -185.0);
-    }
-
-    #[test]
-    fn a_permanent_voxel_survives_any_weight() {
-        for value in [f32::INFINITY, f32::NEG_INFINITY] {
-            assert_eq!(filtered(value, -1000.0, two_to_minus(f64::INFINITY)), value);
-        }
-        assert_eq!(filtered(-5.0, -1000.0, two_to_minus(1e9)), -1000.0);
-    }
-
-    #[test]
-    fn powers_of_two() {
-        for step in 0..4000 {
-            let n = f64::from(step) * 0.01;
-            assert!((two_to_minus(n) / libm::exp2(-n) - 1.0).abs() < 3e-13);
-        }
-        for n in [0.0, 1.0, 2.0, 3.0, 13.0, 500.0] {
-            assert_eq!(two_to_minus(n), libm::exp2(-n));
-        }
-    }
 }

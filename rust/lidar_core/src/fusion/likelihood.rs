@@ -1,10 +1,10 @@
 //! Noise by maximum likelihood: what process and sensor noise make the measurements most likely.
 
 use super::filter::{Filter, FusionParameters, Method, Model};
+use super::life::{Life, Outcome};
 use super::measurement::Measurement;
 use super::motion::Noise;
 use super::record::in_order;
-use super::target::{Life, Outcome};
 use crate::Error;
 use crate::error::require;
 use crate::estimation::minimise::{Search, minimise};

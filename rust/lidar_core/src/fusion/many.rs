@@ -3,8 +3,8 @@
 
 use super::engine::Output;
 use super::filter::FusionParameters;
+use super::life::Life;
 use super::measurement::Measurement;
-use super::target::Life;
 pub use super::tracks::{Assigned, Scan};
 use super::tracks::{Births, Tracks, within};
 use crate::Error;
@@ -212,10 +212,10 @@ impl ManyTargets {
 #[cfg(test)]
 mod tests {
     use super::super::filter::{Method, Model, Strengths};
+    use super::super::life::GyroUse;
     use super::super::measurement::Sensor;
     use super::super::motion::{NoiseForm, Prior};
     use super::super::sensors::Sensing;
-    use super::super::target::GyroUse;
     use super::*;
 
     fn parameters() -> Result<ManyParameters, Error> {

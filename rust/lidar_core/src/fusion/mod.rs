@@ -11,6 +11,7 @@ pub mod filter;
 pub mod heading;
 pub mod imm;
 pub mod joint;
+pub mod life;
 pub mod likelihood;
 pub mod many;
 pub mod measurement;

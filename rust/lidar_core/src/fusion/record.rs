@@ -2,8 +2,9 @@
 
 use super::engine::{Innovation, Output};
 use super::filter::{Filter, FusionParameters, smooth_into};
+use super::life::Outcome;
 use super::measurement::Measurement;
-use super::target::{Outcome, Taken};
+use super::target::Taken;
 use crate::Error;
 use rayon::ThreadPool;
 use rayon::prelude::*;

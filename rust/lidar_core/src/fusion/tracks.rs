@@ -3,9 +3,9 @@
 use super::engine::Innovation;
 use super::filter::{Filter, FusionParameters};
 use super::joint::probabilities;
+use super::life::Outcome;
 use super::many::{Association, MAX_TARGETS, ManyParameters, TrackState};
 use super::measurement::{Measurement, Sensor};
-use super::target::Outcome;
 use crate::Error;
 use crate::estimation::association::{Pair, assign};
 
