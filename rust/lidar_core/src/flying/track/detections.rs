@@ -210,7 +210,13 @@ impl Updater {
         };
         let waiting: Vec<(TrackState, f64)> =
             tracks.iter().map(|track| self.waiting(track, now_ns, scanned_ns)).collect();
-        let track_of = self.assign(hypotheses.len(), tracks.len(), |row, column| {
+        // Where a hypothesis is moved to the time of a track, it may go anywhere.
+        let is_ahead = waiting.iter().any(|(track, _)| track.stamp_ns > now_ns);
+        let furthest = waiting.iter().map(|&(_, reach)| reach).fold(0.0, f64::max);
+        let reach = if is_ahead { f64::INFINITY } else { furthest };
+        let rows = hypotheses.iter().map(TrackState::position);
+        let columns = waiting.iter().map(|(track, _)| track.position());
+        let track_of = self.assign(rows, columns, reach, |row, column| {
             let (hypothesis, (track, reach)) = (&hypotheses[row], &waiting[column]);
             let reached = (track.stamp_ns > now_ns).then(|| hypothesis.at(track.stamp_ns, model));
             let one = reached.as_ref().unwrap_or(&hypothesis.estimate);

@@ -1,6 +1,7 @@
 //! Birth to removal: numbers, confirmation, merging, deletion.
 
 use super::motion::{self, position_block};
+use super::pairs::AlongX;
 use super::parameters::{Ageing, Confirmation, Merging, TrackerParameters};
 use super::state::{TrackState, UNNUMBERED, seconds};
 
@@ -87,7 +88,7 @@ pub(super) fn number(tracks: &mut [TrackState], next_id: &mut i64) -> Vec<i64> {
 /// seen last.
 pub(super) fn merge(tracks: &mut Vec<TrackState>, merging: &Merging) -> Vec<[i64; 2]> {
     let mut merged = Vec::new();
-    let mut index = 0;
+    let mut index = if has_twins(tracks, merging) { 0 } else { tracks.len() };
     while index < tracks.len() {
         let twin = (index + 1..tracks.len())
             .find(|&other| is_twin(&tracks[index], &tracks[other], merging));
@@ -107,6 +108,16 @@ pub(super) fn merge(tracks: &mut Vec<TrackState>, merging: &Merging) -> Vec<[i64
     }
     tracks.sort_by_key(|track| track.id);
     merged
+}
+
+/// Whether any two tracks are of one target.
+fn has_twins(tracks: &[TrackState], merging: &Merging) -> bool {
+    let sorted = AlongX::of(tracks.iter().map(TrackState::position));
+    tracks.iter().enumerate().any(|(one, track)| {
+        let x = track.position().x;
+        let mut near = sorted.near(x, x, merging.distance);
+        near.any(|other| one < other && is_twin(track, &tracks[other], merging))
+    })
 }
 
 fn united(kept: TrackState, dropped: TrackState) -> TrackState {

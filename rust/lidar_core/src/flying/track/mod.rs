@@ -9,6 +9,7 @@ mod detections;
 mod life;
 mod motion;
 mod occupancy;
+mod pairs;
 mod parameters;
 mod select;
 mod split;

@@ -1,5 +1,6 @@
 //! One cluster of several targets: every point goes to the track it is nearest to.
 
+use super::pairs::AlongX;
 use super::update::Seeker;
 use crate::estimation::kalman;
 use nalgebra::Vector3;
@@ -14,6 +15,23 @@ pub(super) struct Division {
     pub(super) gate: f64,
     /// No part is smaller.
     pub(super) min_points: usize,
+}
+
+/// Confirmed tracks, in order.
+struct Confirmed<'a> {
+    seekers: Vec<&'a Seeker>,
+    along_x: AlongX,
+    /// The highest of their speeds [m/s].
+    fastest: f64,
+}
+
+impl<'a> Confirmed<'a> {
+    fn of(seekers: &'a [Seeker]) -> Self {
+        let seekers: Vec<&Seeker> = seekers.iter().filter(|seeker| seeker.confirmed).collect();
+        let along_x = AlongX::of(seekers.iter().map(|seeker| seeker.position));
+        let fastest = seekers.iter().map(|seeker| seeker.velocity.norm()).fold(0.0, f64::max);
+        Self { seekers, along_x, fastest }
+    }
 }
 
 /// A point, and its time after the stamp [s].
@@ -39,8 +57,8 @@ impl Division {
         delays: &[f32],
         seekers: &[Seeker],
     ) {
-        let confirmed: Vec<&Seeker> = seekers.iter().filter(|seeker| seeker.confirmed).collect();
-        if confirmed.len() < 2 {
+        let confirmed = Confirmed::of(seekers);
+        if confirmed.seekers.len() < 2 {
             return;
         }
         let mut next = labels.iter().max().map_or(0, |&last| last + 1);
@@ -61,8 +79,8 @@ impl Division {
     }
 
     /// Places by the track that owns them; none if the cluster stays whole.
-    fn parts(&self, places: &[Place], seekers: &[&Seeker]) -> Vec<Vec<usize>> {
-        let owners = self.owners(places, seekers);
+    fn parts(&self, places: &[Place], confirmed: &Confirmed<'_>) -> Vec<Vec<usize>> {
+        let owners = self.owners(places, confirmed);
         if owners.len() < 2 {
             return Vec::new();
         }
@@ -81,15 +99,18 @@ impl Division {
     }
 
     /// Tracks near the cluster, each surely apart from those before it.
-    fn owners<'a>(&self, places: &[Place], seekers: &[&'a Seeker]) -> Vec<&'a Seeker> {
+    fn owners<'a>(&self, places: &[Place], confirmed: &Confirmed<'a>) -> Vec<&'a Seeker> {
         let Some(first) = places.first() else { return Vec::new() };
         let (mut low, mut high, mut latest) = (first.at, first.at, 0.0_f64);
         for place in places {
             (low, high) = (low.inf(&place.at), high.sup(&place.at));
             latest = latest.max(place.delay.abs());
         }
+        let reach = self.distance + latest * confirmed.fastest;
+        let mut near: Vec<usize> = confirmed.along_x.near(low.x, high.x, reach).collect();
+        near.sort_unstable();
         let mut owners: Vec<&Seeker> = Vec::new();
-        for &seeker in seekers {
+        for seeker in near.into_iter().map(|index| confirmed.seekers[index]) {
             let reach = self.distance + latest * seeker.velocity.norm();
             let outside = (low - seeker.position).sup(&(seeker.position - high));
             let is_near = outside.max() <= reach

@@ -3,6 +3,7 @@
 use super::candidates::{Measurement, candidates};
 use super::motion::position_block;
 use super::occupancy::{Occupancy, Visibility};
+use super::pairs::AlongX;
 use super::parameters::{Ageing, Association, Doubt, Hiding, Motion, TrackerParameters};
 use super::select::{Ball, hits};
 use super::split::Division;
@@ -142,27 +143,32 @@ impl Updater {
         }
     }
 
-    /// Minimise the sum of -2 ln(likelihood) over pairs of rows and columns.
+    /// Minimise the sum of -2 ln(likelihood) over pairs of rows and columns, given their places.
     ///
-    /// `offset` gives the difference of a pair and its covariance, or None if it is out of reach.
+    /// `offset` gives the difference of a pair and its covariance, or None if it is out of reach, as
+    /// all are that lie further apart than `reach`.
     pub(super) fn assign(
         &self,
-        rows: usize,
-        columns: usize,
+        rows: impl ExactSizeIterator<Item = Vector3<f64>>,
+        columns: impl ExactSizeIterator<Item = Vector3<f64>>,
+        reach: f64,
         offset: impl Fn(usize, usize) -> Option<(Vector3<f64>, Matrix3<f64>)>,
     ) -> Result<Vec<Option<usize>>, Error> {
+        let (n_rows, n_columns) = (rows.len(), columns.len());
+        let columns = AlongX::of(columns);
+        let near = |(row, place): (usize, Vector3<f64>)| {
+            columns.near(place.x, place.x, reach).map(move |column| (row, column))
+        };
         let mut pairs = Vec::new();
-        for row in 0..rows {
-            for column in 0..columns {
-                let Some((y, covariance)) = offset(row, column) else { continue };
-                let Ok(distance) = kalman::mahalanobis(&y, &covariance) else { continue };
-                let cost = distance.squared + distance.log_determinant;
-                if distance.squared <= self.gate && cost.is_finite() {
-                    pairs.push(Pair { row, column, cost });
-                }
+        for (row, column) in rows.enumerate().flat_map(near) {
+            let Some((y, covariance)) = offset(row, column) else { continue };
+            let Ok(distance) = kalman::mahalanobis(&y, &covariance) else { continue };
+            let cost = distance.squared + distance.log_determinant;
+            if distance.squared <= self.gate && cost.is_finite() {
+                pairs.push(Pair { row, column, cost });
             }
         }
-        assign(rows, columns, &pairs, self.unassigned)
+        assign(n_rows, n_columns, &pairs, self.unassigned)
     }
 
     fn seeker(&self, track: &TrackState) -> Seeker {
@@ -251,12 +257,15 @@ impl Updater {
         }
         let clusters = candidates(&chosen, &labels, scan, &self.parameters);
         let hiding = self.parameters.hiding;
-        let cluster_of = self.assign(seekers.len(), clusters.len(), |track, cluster| {
-            let (seeker, cluster) = (&seekers[track], &clusters[cluster]);
-            let y = cluster.position - (seeker.position + seeker.velocity * cluster.delay);
-            (y.norm() <= seeker.radius)
-                .then(|| (y, seeker.covariance + seeker.covariance_of(cluster, hiding)))
-        })?;
+        let rows = seekers.iter().map(|seeker| seeker.position);
+        let columns = clusters.iter().map(|cluster| cluster.position);
+        let cluster_of =
+            self.assign(rows, columns, reach(seekers, &clusters), |track, cluster| {
+                let (seeker, cluster) = (&seekers[track], &clusters[cluster]);
+                let y = cluster.position - (seeker.position + seeker.velocity * cluster.delay);
+                (y.norm() <= seeker.radius)
+                    .then(|| (y, seeker.covariance + seeker.covariance_of(cluster, hiding)))
+            })?;
         let measured = |(cluster, seeker): (Option<usize>, &Seeker)| {
             let cluster = &clusters[cluster?];
             let covariance = seeker.covariance_of(cluster, hiding);
@@ -264,6 +273,13 @@ impl Updater {
         };
         Ok(cluster_of.into_iter().zip(seekers).map(measured).collect())
     }
+}
+
+/// How far a cluster may be from where a track is at the stamp of the scan [m].
+fn reach(seekers: &[Seeker], clusters: &[Measurement]) -> f64 {
+    let latest = clusters.iter().map(|cluster| cluster.delay.abs()).fold(0.0, f64::max);
+    let reach = |seeker: &Seeker| seeker.radius + latest * seeker.velocity.norm();
+    seekers.iter().map(reach).fold(0.0, f64::max)
 }
 
 /// Tracks that are older than `stamp_ns`, brought to it, each with the time that took [s].
