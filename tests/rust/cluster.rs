@@ -106,7 +106,7 @@ proptest! {
         gap in gap(),
         clustering in clustering(),
     ) {
-        let labels = label_seen(&points, &gap, &clustering)
+        let labels = label_seen(&points, &gap, &clustering, None)
             .map_err(|error| TestCaseError::fail(error.to_string()))?;
         prop_assert_eq!(labels, slow(&points, &gap, &clustering));
     }

@@ -51,6 +51,6 @@ pub(crate) fn cluster_points<'py>(
     let max_points = max_points.map(|most| arrays::count("max_points", most)).transpose()?;
     let clustering = Clustering { max_distance, min_points, max_points };
     let labels =
-        detached(py, || label_seen(points, &AngularGap { origin, max_angle }, &clustering))?;
+        detached(py, || label_seen(points, &AngularGap { origin, max_angle }, &clustering, None))?;
     Ok(labels.into_pyarray(py))
 }

@@ -52,7 +52,7 @@ impl FlyingObjectDetector {
         search_radius(parameters.classify.search_distance, voxel_size)?;
         check_steps("close_distance", parameters.classify.close_distance, voxel_size)?;
         let gap = AngularGap { origin: [0.0; 3], max_angle: parameters.cluster_angle };
-        label_seen(&[], &gap, &parameters.clustering)?;
+        label_seen(&[], &gap, &parameters.clustering, None)?;
         Ok(Self {
             map: VoxelMap::new(parameters.map.relative_to([0.0; 3]), threads)?,
             tracker: PointCloudTracker::new(parameters.tracker, threads)?,
@@ -211,8 +211,9 @@ impl FlyingObjectDetector {
     fn labels(&self, scan: &Prepared) -> Result<Vec<i32>, Error> {
         let gap =
             AngularGap { origin: scan.pose.translation, max_angle: self.parameters.cluster_angle };
+        let (clustering, pool) = (&self.parameters.clustering, self.map.pool.as_ref());
         if !self.parameters.cluster_voxels {
-            return label_seen(&scan.points, &gap, &self.parameters.clustering);
+            return label_seen(&scan.points, &gap, clustering, pool);
         }
         let lattice = self.map.lattice();
         let center = |&point: &[f32; 3]| match floor(lattice.scaled(wide(point))) {
@@ -220,7 +221,7 @@ impl FlyingObjectDetector {
             None => [f32::NAN; 3],
         };
         let centers: Vec<[f32; 3]> = scan.points.iter().map(center).collect();
-        label_seen(&centers, &gap, &self.parameters.clustering)
+        label_seen(&centers, &gap, clustering, pool)
     }
 
     fn needed(&self) -> usize {

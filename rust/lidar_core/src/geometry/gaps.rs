@@ -6,6 +6,8 @@ use super::octants::{Fixed, Reach, check_extent, is_finite, linked};
 use crate::Error;
 use crate::budget::check_points;
 use crate::error::require;
+use rayon::ThreadPool;
+use rayon::prelude::*;
 
 /// Widest angle under which a gap is bridged [rad].
 pub const MAX_ANGLE: f64 = 0.5;
@@ -26,7 +28,8 @@ pub struct AngularGap {
 /// As [`label`](super::cluster::label), but two points are also linked by a step of at most
 /// `max_angle` times the range of the nearer one.
 ///
-/// The result does not depend on the order of the points, except for the numbers.
+/// The result does not depend on the order of the points, except for the numbers, nor on the
+/// threads of `pool`.
 ///
 /// # Errors
 /// Those of [`label`](super::cluster::label), and [`Error::Parameter`] for an angle out of range
@@ -35,6 +38,7 @@ pub fn label_seen(
     points: &[[f32; 3]],
     gap: &AngularGap,
     clustering: &Clustering,
+    pool: Option<&ThreadPool>,
 ) -> Result<Vec<i32>, Error> {
     check(clustering)?;
     gap.check()?;
@@ -43,10 +47,15 @@ pub fn label_seen(
         return label(points, clustering);
     }
     check_extent(points, clustering.max_distance)?;
-    let mut sets = Sets::new(points.len());
     let bands = Bands::of(points, gap, clustering.max_distance);
-    for band in 0..bands.ends.len() {
-        join(points, &bands, band, &mut sets)?;
+    let linked = |band: usize| bands.linked(points, band);
+    let found: Vec<Result<Found, Error>> = match pool {
+        Some(pool) => pool.install(|| (0..bands.ends.len()).into_par_iter().map(linked).collect()),
+        None => (0..bands.ends.len()).map(linked).collect(),
+    };
+    let mut sets = Sets::new(points.len());
+    for found in found {
+        found?.join(&mut sets);
     }
     let root = |(row, &point): (u32, &[f32; 3])| match is_finite(point) {
         true => sets.root(row),
@@ -150,27 +159,39 @@ impl<'a> Bands<'a> {
         }
         rows
     }
+
+    /// What is linked to the points of a band.
+    fn linked(&self, points: &[[f32; 3]], band: usize) -> Result<Found, Error> {
+        if self.rows_in(band).is_empty() {
+            return Ok(Found::default());
+        }
+        let rows = self.reached_from(points, band);
+        let cloud: Vec<[f32; 3]> = rows.iter().map(|&row| points[row as usize]).collect();
+        let (fixed, widest) = (self.fixed, self.gap.max_angle * self.ends[band]);
+        let groups = if band == 0 {
+            linked(&cloud, fixed, &Fixed::new(fixed))?
+        } else {
+            let reach = InBand { gap: self.gap, fixed: fixed * fixed, most: widest * widest };
+            linked(&cloud, widest, &reach)?
+        };
+        Ok(Found { rows, groups })
+    }
 }
 
-/// Join what is linked to the points of a band.
-fn join(points: &[[f32; 3]], bands: &Bands, band: usize, sets: &mut Sets) -> Result<(), Error> {
-    if bands.rows_in(band).is_empty() {
-        return Ok(());
+/// Rows of finite points, and for each the place in this list of one of its group.
+#[derive(Default)]
+struct Found {
+    rows: Vec<u32>,
+    groups: Vec<u32>,
+}
+
+impl Found {
+    fn join(&self, sets: &mut Sets) {
+        for (&row, &group) in self.rows.iter().zip(&self.groups) {
+            let (one, other) = (sets.root(row), sets.root(self.rows[group as usize]));
+            sets.join(one, other);
+        }
     }
-    let rows = bands.reached_from(points, band);
-    let cloud: Vec<[f32; 3]> = rows.iter().map(|&row| points[row as usize]).collect();
-    let (fixed, widest) = (bands.fixed, bands.gap.max_angle * bands.ends[band]);
-    let groups = if band == 0 {
-        linked(&cloud, fixed, &Fixed::new(fixed))?
-    } else {
-        let reach = InBand { gap: bands.gap, fixed: fixed * fixed, most: widest * widest };
-        linked(&cloud, widest, &reach)?
-    };
-    for (&row, group) in rows.iter().zip(groups) {
-        let (one, other) = (sets.root(row), sets.root(rows[group as usize])); // all are finite
-        sets.join(one, other);
-    }
-    Ok(())
 }
 
 #[cfg(test)]
@@ -182,9 +203,28 @@ mod tests {
         let clustering = Clustering { max_distance: 0.25, min_points: 1, max_points: None };
         let gap = AngularGap { origin: [0.0; 3], max_angle: 0.015625 };
         let points = [[32.0, 0.0, 0.0], [32.5, 0.0, 0.0], [33.25, 0.0, 0.0], [16.0, 0.0, 0.0]];
-        assert_eq!(label_seen(&points, &gap, &clustering)?, [0, 0, 1, 2]);
+        assert_eq!(label_seen(&points, &gap, &clustering, None)?, [0, 0, 1, 2]);
         let nearer = AngularGap { origin: [0.125, 0.0, 0.0], ..gap };
-        assert_eq!(label_seen(&points, &nearer, &clustering)?, [0, 1, 2, 3]);
+        assert_eq!(label_seen(&points, &nearer, &clustering, None)?, [0, 1, 2, 3]);
+        Ok(())
+    }
+
+    #[test]
+    fn any_number_of_threads_gives_the_same_labels() -> Result<(), Error> {
+        let clustering = Clustering { max_distance: 0.25, min_points: 2, max_points: None };
+        let gap = AngularGap { origin: [1.0, -2.0, 0.5], max_angle: 0.0125 };
+        let mut seed = 5_u32;
+        let mut draw = || {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (seed >> 8) as f32 / (1 << 24) as f32 * 80.0 - 40.0
+        };
+        let points: Vec<[f32; 3]> = (0..20_000).map(|_| [draw(), draw(), 0.1 * draw()]).collect();
+        let one = label_seen(&points, &gap, &clustering, None)?;
+        assert!(one.iter().max() > Some(&100));
+        for threads in [2, 3] {
+            let pool = crate::threads::pool(threads)?;
+            assert_eq!(label_seen(&points, &gap, &clustering, Some(&pool))?, one);
+        }
         Ok(())
     }
 
@@ -192,7 +232,7 @@ mod tests {
     fn bad_gaps_are_refused() {
         let clustering = Clustering { max_distance: 0.25, min_points: 1, max_points: None };
         for (origin, max_angle) in [([0.0; 3], -0.1), ([0.0; 3], 0.6), ([f64::NAN; 3], 0.1)] {
-            assert!(label_seen(&[], &AngularGap { origin, max_angle }, &clustering).is_err());
+            assert!(label_seen(&[], &AngularGap { origin, max_angle }, &clustering, None).is_err());
         }
     }
 }
