@@ -128,6 +128,14 @@ pub(crate) fn has(bits: &Bits, offset: usize) -> bool {
     bits[offset >> 6] >> (offset & 63) & 1 == 1
 }
 
+/// Places whose bits are set.
+pub(crate) fn ones(bits: &Bits) -> impl Iterator<Item = usize> {
+    let words = bits.iter().enumerate().filter(|(_, word)| **word != 0);
+    words.flat_map(|(at, word)| {
+        (0..64).filter(move |bit| word >> bit & 1 == 1).map(move |bit| 64 * at + bit)
+    })
+}
+
 #[inline]
 pub(crate) fn assign(bits: &mut Bits, offset: usize, value: bool) {
     let mask = 1 << (offset & 63);

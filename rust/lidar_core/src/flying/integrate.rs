@@ -2,7 +2,7 @@
 //!
 //! Source: Vrba et al., eqs 8-12 and 16-22.
 
-use super::blocks::{Block, Place, VOLUME};
+use super::blocks::{Block, Place, VOLUME, ones};
 use super::raycast::{Content, Mark, Ray, Window, cast_all};
 use super::rule::{BlockUpdate, Rule};
 use super::voxel_map::{MapParameters, VoxelMap};
@@ -148,11 +148,9 @@ impl VoxelMap {
             Some(pool) => pool.install(|| work.par_iter_mut().map(update).collect()),
             None => work.iter_mut().map(update).collect(),
         };
-        for (slot, block, _) in work {
+        for ((slot, block, _), update) in work.into_iter().zip(&updates) {
+            ones(&update.changed).for_each(|offset| self.changes.note(block.place.voxel(offset)));
             self.blocks.put(slot, block);
-        }
-        for voxel in updates.iter().flat_map(|update| &update.changed) {
-            self.changes.note(*voxel);
         }
         Ok(updates.iter().map(|update| update.voxels).sum())
     }

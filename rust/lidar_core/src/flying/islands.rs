@@ -127,20 +127,16 @@ struct Mark {
     anchored: Bits,
 }
 
-/// Memory of the searches, clear.
+/// Marks per slot of the map's pool, clear between removals.
 #[derive(Clone, Default)]
-pub(super) struct Spare {
-    /// Marks per slot of the map's pool.
+pub(super) struct Marks {
     marks: Vec<Mark>,
     /// Slots whose marks are not clear.
     touched: Vec<u32>,
-    members: Vec<Run>,
-    /// Members of separate groups.
-    pub(super) separate: Vec<Voxel>,
 }
 
-impl Spare {
-    fn mark(&mut self, slot: u32) -> &mut Mark {
+impl Marks {
+    fn at(&mut self, slot: u32) -> &mut Mark {
         let mark = &mut self.marks[slot as usize];
         if mark.met == [0; 8] {
             self.touched.push(slot);
@@ -177,7 +173,11 @@ pub(super) struct Search<'a> {
     neighbours: &'a Neighbours,
     kept: &'a HashSet<Place, BuildHasherDefault<Spread>>,
     min_confident: usize,
-    spare: Spare,
+    marks: Marks,
+    /// Of the group that is searched.
+    members: Vec<Run>,
+    /// Members of separate groups.
+    separate: Vec<Voxel>,
     anchor: Option<Voxel>,
 }
 
@@ -187,10 +187,19 @@ impl<'a> Search<'a> {
         neighbours: &'a Neighbours,
         kept: &'a HashSet<Place, BuildHasherDefault<Spread>>,
         min_confident: usize,
-        mut spare: Spare,
+        mut marks: Marks,
     ) -> Self {
-        spare.marks.resize(blocks.len(), Mark::default());
-        Self { blocks: Lately::new(blocks), neighbours, kept, min_confident, spare, anchor: None }
+        marks.marks.resize(blocks.len(), Mark::default());
+        Self {
+            blocks: Lately::new(blocks),
+            neighbours,
+            kept,
+            min_confident,
+            marks,
+            members: Vec::new(),
+            separate: Vec::new(),
+            anchor: None,
+        }
     }
 
     /// A voxel of some group with enough confident ones.
@@ -198,12 +207,13 @@ impl<'a> Search<'a> {
         self.anchor
     }
 
-    /// The same, and memory for the next removal, with the members of separate groups.
-    pub(super) fn finish(mut self) -> (Option<Voxel>, Spare) {
-        for slot in self.spare.touched.drain(..) {
-            self.spare.marks[slot as usize] = Mark::default();
+    /// Members of separate groups, and the marks for the next removal.
+    pub(super) fn finish(self) -> (Vec<Voxel>, Marks) {
+        let Marks { mut marks, mut touched } = self.marks;
+        for slot in touched.drain(..) {
+            marks[slot as usize] = Mark::default();
         }
-        (self.anchor, self.spare)
+        (self.separate, Marks { marks, touched })
     }
 
     /// Look at the groups of voxels that changed; where one is no longer occupied, at the groups
@@ -232,7 +242,7 @@ impl<'a> Search<'a> {
     fn each_unmet(&mut self, slot: u32, start: Voxel, bits: u8) {
         for x in (0..EDGE).filter(|x| bits >> x & 1 == 1) {
             let voxel = [start[0] + x, start[1], start[2]];
-            if !has(&self.spare.marks[slot as usize].met, offset_of(voxel)) {
+            if !has(&self.marks.marks[slot as usize].met, offset_of(voxel)) {
                 self.component(voxel);
             }
         }
@@ -240,7 +250,7 @@ impl<'a> Search<'a> {
 
     /// Search the group of `start` until it is anchored, or known whole and separate.
     fn component(&mut self, start: Voxel) {
-        let mut members = std::mem::take(&mut self.spare.members);
+        let mut members = std::mem::take(&mut self.members);
         members.clear();
         let mut confident = 0;
         let mut anchored = self.min_confident == 0;
@@ -258,13 +268,13 @@ impl<'a> Search<'a> {
             self.anchor = self.anchor.or(Some(start));
             for run in &members {
                 if let Some((slot, _)) = self.blocks.find(Place::of(run.first)) {
-                    set_row(&mut self.spare.mark(slot).anchored, run.first, run.bits());
+                    set_row(&mut self.marks.at(slot).anchored, run.first, run.bits());
                 }
             }
         } else if !members.iter().flat_map(|run| run.voxels()).any(|voxel| self.is_kept(voxel)) {
-            self.spare.separate.extend(members.iter().flat_map(|run| run.voxels()));
+            self.separate.extend(members.iter().flat_map(|run| run.voxels()));
         }
-        self.spare.members = members;
+        self.members = members;
     }
 
     fn is_kept(&self, voxel: Voxel) -> bool {
@@ -279,7 +289,7 @@ impl<'a> Search<'a> {
         if row == 0 {
             return false;
         }
-        let mark = self.spare.mark(slot);
+        let mark = self.marks.at(slot);
         let new = row & !row_of(&mark.met, first);
         set_row(&mut mark.met, first, new);
         *confident += (new & row_of(&block.confident, first)).count_ones() as usize;

@@ -2,7 +2,7 @@
 //!
 //! Source: Vrba et al., eqs 9 and 12.
 
-use super::blocks::{Block, EDGE, Place, VOLUME};
+use super::blocks::{Bits, Block, EDGE, Place, VOLUME, assign};
 use super::filter::{Levels, filtered, two_to_minus};
 use super::raycast::{Content, MAX_COUNT, Mark, POINT_UNITS, UNITS_PER_EDGE, content};
 use super::voxel_map::{RayUnit, VoxelMap};
@@ -28,8 +28,8 @@ pub(super) struct Rule {
 pub(super) struct BlockUpdate {
     /// Number of voxels that were updated.
     pub(super) voxels: usize,
-    /// Those that became, or ceased to be, occupied.
-    pub(super) changed: Vec<Voxel>,
+    /// Those whose groups have to be looked at.
+    pub(super) changed: Bits,
 }
 
 impl Rule {
@@ -104,7 +104,7 @@ impl WithSimd for Apply<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> BlockUpdate {
         let Self { rule, block, marks } = self;
-        let mut update = BlockUpdate { voxels: 0, changed: Vec::new() };
+        let mut update = BlockUpdate { voxels: 0, changed: [0; 8] };
         let rows = marks.as_chunks::<ROW>().0;
         let is_met = |marks: &[Mark; ROW]| marks.iter().fold(0, |all, mark| all | mark) != 0;
         let met = rows.iter().rev().fold(0, |met, marks| met << 1 | u64::from(is_met(marks)));
@@ -145,7 +145,7 @@ fn update_row(
     }
     for (at, &value) in values.iter().enumerate() {
         if rule.levels.store(block, row * ROW + at, value) {
-            update.changed.push(block.place.voxel(row * ROW + at));
+            assign(&mut update.changed, row * ROW + at, true);
         }
     }
 }

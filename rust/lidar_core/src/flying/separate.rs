@@ -4,9 +4,9 @@
 //! its voxels changed its state, or one beside it ceased to be occupied; the look ends as soon
 //! as enough confident voxels are found. Cost follows the changes, not the size of the map.
 
-use super::blocks::{Place, VOLUME, has, offset_of};
+use super::blocks::{Place, offset_of, ones};
 use super::filter::{filtered, two_to_minus};
-use super::islands::{Neighbours, Search, Spare};
+use super::islands::{Marks, Neighbours, Search};
 use super::voxel_map::VoxelMap;
 use crate::Error;
 use crate::geometry::lattice::Voxel;
@@ -26,7 +26,7 @@ pub(crate) struct Changes {
     /// A voxel of a component that had enough confident voxels.
     anchor: Option<Voxel>,
     /// Memory that the searches use again.
-    spare: Spare,
+    marks: Marks,
     /// Voxels whose groups are never separate: see [`VoxelMap::keep`].
     pub(crate) kept: HashSet<Place, BuildHasherDefault<Spread>>,
 }
@@ -85,7 +85,7 @@ impl VoxelMap {
     /// Vrba et al., sec. III-D, eq. 23.
     pub fn remove_separate(&mut self, separation: Separation) -> Result<usize, Error> {
         let separate = self.separate_voxels(separation)?;
-        Ok(self.pull_to_free(separate))
+        Ok(self.pull_to_free(&separate))
     }
 
     /// The same, but nothing is removed before some group holds enough confident voxels: a young
@@ -99,7 +99,7 @@ impl VoxelMap {
     ) -> Result<usize, Error> {
         let separate = self.separate_voxels(separation)?;
         if self.has_background() {
-            return Ok(self.pull_to_free(separate));
+            return Ok(self.pull_to_free(&separate));
         }
         self.changes.restart();
         Ok(0)
@@ -109,10 +109,10 @@ impl VoxelMap {
     fn separate_voxels(&mut self, separation: Separation) -> Result<Vec<Voxel>, Error> {
         let neighbours = separation.neighbours(self.lattice().voxel_size())?;
         let looks_at_all = self.changes.settled_with != Some(separation);
-        let spare = std::mem::take(&mut self.changes.spare);
+        let marks = std::mem::take(&mut self.changes.marks);
         let Changes { anchor, voxels, kept, .. } = &self.changes;
         let min_confident = separation.min_confident;
-        let mut search = Search::new(&self.blocks, &neighbours, kept, min_confident, spare);
+        let mut search = Search::new(&self.blocks, &neighbours, kept, min_confident, marks);
         search.look_around(anchor.as_slice());
         if looks_at_all {
             search.look_around(&self.occupied_voxels());
@@ -123,11 +123,11 @@ impl VoxelMap {
             // The known background is gone: is there another?
             search.look_around(&self.occupied_voxels());
         }
-        let (anchor, spare) = search.finish();
+        let anchor = search.anchor();
+        let (mut separate, marks) = search.finish();
+        self.changes.marks = marks;
         (self.changes.settled_with, self.changes.anchor) = (Some(separation), anchor);
-        self.changes.spare = spare;
         self.changes.voxels.clear();
-        let mut separate = std::mem::take(&mut self.changes.spare.separate);
         if separation.dilate {
             separate = neighbours.dilated(&separate);
         }
@@ -135,10 +135,10 @@ impl VoxelMap {
         Ok(separate)
     }
 
-    fn pull_to_free(&mut self, mut separate: Vec<Voxel>) -> usize {
+    fn pull_to_free(&mut self, separate: &[Voxel]) -> usize {
         let (g_free, keep) = (self.parameters().g_free, two_to_minus(1.0));
         let (levels, tentative) = (self.levels(), self.tentative_from());
-        for &voxel in &separate {
+        for &voxel in separate {
             let Some(slot) = self.blocks.slot(Place::of(voxel)) else { continue };
             let Some(block) = self.blocks.at_mut(slot) else { continue };
             let value = filtered(block.value(offset_of(voxel)), g_free, keep);
@@ -147,10 +147,7 @@ impl VoxelMap {
                 self.changes.note(voxel); // what is left of the group is looked at again
             }
         }
-        let count = separate.len();
-        separate.clear();
-        self.changes.spare.separate = separate;
-        count
+        separate.len()
     }
 
     /// Make observed voxels occupied and their groups part of the background, however small: what
@@ -177,10 +174,8 @@ impl VoxelMap {
     #[must_use]
     pub fn occupied_voxels(&self) -> Vec<Voxel> {
         let mut voxels = Vec::new();
-        for block in self.blocks.iter().filter(|block| block.tentative != [0; 8]) {
-            for offset in (0..VOLUME).filter(|&offset| has(&block.tentative, offset)) {
-                voxels.push(block.place.voxel(offset));
-            }
+        for block in self.blocks.iter() {
+            voxels.extend(ones(&block.tentative).map(|offset| block.place.voxel(offset)));
         }
         voxels.sort_unstable();
         voxels

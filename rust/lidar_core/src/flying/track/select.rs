@@ -32,7 +32,7 @@ pub(super) fn hits(pool: &rayon::ThreadPool, points: &[[f32; 3]], balls: &[Ball]
     parts.concat()
 }
 
-/// Balls sorted into cells as large as the largest of them.
+/// Balls sorted into cells as wide as the largest of them.
 struct Regions {
     balls: Vec<Ball>,
     cell_size: f64,
@@ -48,7 +48,7 @@ impl Regions {
             .iter()
             .map(|ball| Ball { radius: ball.radius.min(MAX_RADIUS), ..*ball })
             .collect();
-        let cell_size = balls.iter().map(|ball| ball.radius).reduce(f64::max)?;
+        let cell_size = 2.0 * balls.iter().map(|ball| ball.radius).reduce(f64::max)?;
         let mut regions = Self {
             balls,
             cell_size,
