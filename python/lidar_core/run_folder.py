@@ -76,8 +76,6 @@ class RunFolder:
         self.path = path
         if not path.exists():
             return
-        if reads is not None and reads.resolve().is_relative_to(path.resolve()):
-            raise FileExistsError(f"{path}: holds the recording to read; choose another folder")
         if not path.is_dir():
             raise FileExistsError(f"{path}: expected a folder")
         if not any(path.iterdir()):
@@ -86,6 +84,8 @@ class RunFolder:
             raise FileExistsError(f"{path}: holds files that no run wrote; choose another folder")
         if not overwrite:
             raise FileExistsError(f"{path}: holds an earlier run; --overwrite replaces it")
+        if reads is not None and reads.resolve().is_relative_to(path.resolve()):
+            raise FileExistsError(f"{path}: holds the recording to read; choose another folder")
 
     def begin(self) -> None:
         """Make the folder, and remove what an earlier run left in it."""
