@@ -98,6 +98,6 @@ ITEM = Item(
     name="flying-fig7",
     title="simulated flights: error and recall over distance, speed, acceleration (Fig. 7)",
     scans=3000,
-    minutes=35,
+    minutes=12,
     run=_run,
 )

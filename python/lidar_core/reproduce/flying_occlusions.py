@@ -143,7 +143,7 @@ ITEM = Item(
     name="flying-occlusions",
     title="ids of drones that are hidden for 2 s",
     scans=100,
-    minutes=16,
+    minutes=10,
     run=_run,
     counts="occlusions",
 )

@@ -122,6 +122,6 @@ ITEM = Item(
     name="flying-table3",
     title="simulated flights: position errors and recall of detections and tracks (Table III)",
     scans=4500,
-    minutes=50,
+    minutes=18,
     run=_run,
 )
