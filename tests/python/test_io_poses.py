@@ -339,3 +339,11 @@ def test_forgotten_poses_are_gone_and_the_last_one_stays():
     poses.lookup("world", "lidar", [300])
     with pytest.raises(lc.io.NoTransformError):
         poses.lookup("world", "lidar", [299])
+
+
+@pytest.mark.parametrize("name", ["start", "end"])
+@pytest.mark.parametrize("value", [1e300, float("inf"), float("nan")])
+def test_a_span_stays_within_times_in_nanoseconds(name, value):
+    assert not lc.io.Span.load({"start": 9e9}).holds(0, 0)
+    with pytest.raises(ConfigError, match=f"^{name}: "):
+        lc.io.Span.load({name: value})

@@ -10,6 +10,7 @@ from lidar_core.io.rotations import pose_matrix, quaternion_from_angles
 from lidar_core.messages import Pose
 
 NS = 1_000_000_000
+LONGEST = 9e9  # times in nanoseconds fit into 64 bits [s]
 
 
 class ReadOptions(Config):
@@ -65,8 +66,8 @@ class ReadOptions(Config):
 class Span(Config):
     """Part of a recording, in seconds from its first stamp."""
 
-    start: float = Field(0.0, ge=0, description="What comes before is left out [s].")
-    end: float | None = Field(None, description="What comes after is left out [s].")
+    start: float = Field(0.0, ge=0, le=LONGEST, description="What comes before is left out [s].")
+    end: float | None = Field(None, le=LONGEST, description="What comes after is left out [s].")
 
     @field_validator("end")
     @classmethod
