@@ -116,7 +116,7 @@ def test_every_cut_is_refused_and_flipped_bytes_raise_nothing_else(tmp_path):
 
 def test_a_capture_of_an_ouster_says_how_to_convert(tmp_path):
     path = tmp_path / "a.pcapng"
-    path.write_bytes(section() + interface() + packet(BASE_NS, b"a"))
+    path.write_bytes(section() + interface() + packet(BASE_NS // 1000, b"a"))
     with pytest.raises(FormatError, match="not Velodyne's; for Ouster, put its"):
         lc.io.open_recording(path)
     path.with_suffix(".json").write_text("{}")
@@ -127,5 +127,13 @@ def test_a_capture_of_an_ouster_says_how_to_convert(tmp_path):
 def test_a_packet_of_no_interface_is_refused(tmp_path):
     path = tmp_path / "a.pcapng"
     path.write_bytes(section() + packet(BASE_NS, b"a"))
-    with pytest.raises(FormatError, match="byte 28: a broken block"):
+    with pytest.raises(FormatError, match="byte 28: a broken block: a packet of interface 0"):
         list(packets(path))
+
+
+def test_a_time_that_pcap_cannot_hold_is_refused(tmp_path):
+    path = tmp_path / "a.pcapng"
+    for offset, tick in ((-5, 0), (2**32, 0), (2**62, 0)):
+        path.write_bytes(section() + interface("<", NANO, offset=offset) + packet(tick, b"a"))
+        with pytest.raises(FormatError, match=r"a broken block: a packet at -?\d+ ns"):
+            list(packets(path))

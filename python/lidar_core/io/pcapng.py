@@ -18,6 +18,7 @@ _LEAST_BLOCK, _LARGEST_BLOCK = 12, 16 * 2**20
 _PACKET_HEAD, _OPTIONS = 20, 8  # where the data of a packet begin, and options of an interface
 _RESOLUTION, _OFFSET = 9, 14  # options
 _MICROSECONDS = 6  # resolution of an interface that states none: a negative power of ten
+_LATEST_NS = 2**32 * 10**9  # pcap counts seconds in 32 bits
 _PCAP_HEAD = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 262_144, 1)  # Ethernet
 
 
@@ -81,7 +82,11 @@ def _packet(body: bytes, order: str, clocks: list[_Clock]) -> Packet:
     interface, high, low, captured, _ = struct.unpack_from(f"{order}IIIII", body)
     if captured > len(body) - _PACKET_HEAD:
         raise ValueError(f"a packet of {captured} bytes")
+    if interface >= len(clocks):
+        raise ValueError(f"a packet of interface {interface}, which no block describes")
     stamp_ns = clocks[interface].ns(high << 32 | low)
+    if not 0 <= stamp_ns < _LATEST_NS:
+        raise ValueError(f"a packet at {stamp_ns} ns")
     return Packet(stamp_ns, body[_PACKET_HEAD : _PACKET_HEAD + captured])
 
 
