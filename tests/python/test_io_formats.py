@@ -2,6 +2,8 @@
 
 import io as bytes_io
 import struct
+import subprocess
+import sys
 import zipfile
 
 import numpy as np
@@ -606,3 +608,25 @@ def test_bz2_bombs_in_bags_are_refused(tmp_path):
     with pytest.raises(LimitError):
         bounded_decompressor(lz4.decompress, "chunk 1", 10**5)(packed)
     assert bounded_decompressor(lz4.decompress, "chunk 1", 10**6)(packed) == bytes(10**6)
+
+
+FULL_DISK = """
+import resource, sys
+import numpy as np
+import lidar_core.io as io
+from lidar_core.messages import Pose
+
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+try:
+    io.write_mcap(sys.argv[1], (Pose(k, "a", "b", np.eye(4)) for k in range(30_000)))
+except OSError as error:
+    print(error)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limits on files")
+def test_a_full_disk_is_named_and_leaves_no_mcap(tmp_path):
+    command = [sys.executable, "-c", FULL_DISK, str(tmp_path / "a.mcap")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.startswith(f"{tmp_path / 'a.mcap'}: cannot be written: ")
+    assert not list(tmp_path.iterdir())

@@ -237,11 +237,19 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
         )
 
     def close(self, *, keep: bool = True) -> None:
-        """Complete the file and put it in its place, or drop it."""
+        """Complete the file and put it in its place, or drop it.
+
+        Raises
+        ------
+        OSError
+            The file is not complete: of a write that failed the library tells here, if at all.
+        """
         try:
             self._writer.close()
             if keep:
                 commit(self._temporary, self._path)
+        except RuntimeError as error:
+            raise OSError(f"{self._path}: cannot be written: {error}; is the disk full?") from error
         finally:
             self._temporary.unlink(missing_ok=True)
 
