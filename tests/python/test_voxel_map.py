@@ -342,7 +342,7 @@ def test_one_stray_return_far_away_is_mapped_and_costs_nothing():
 
 
 def test_a_scan_that_touches_too_much_is_refused_before_it_is_marked():
-    config = VoxelMapConfig(voxel_size=0.01, max_range=150.0, max_voxels=10**6)
+    config = VoxelMapConfig(voxel_size=0.01, max_range=50.0, max_voxels=10**6)
     angle = np.linspace(0, 2 * np.pi, 1000)
     circle = 100 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     vmap = VoxelMap(config)

@@ -3,10 +3,12 @@
 //! Source: Vrba et al., eqs 8-12 and 16-22.
 
 use super::blocks::{Block, Place, VOLUME, ones};
-use super::raycast::{Content, Mark, Ray, Window, cast_all};
+use super::marks::{Content, Mark};
+use super::raycast::{Ray, cast_all};
 use super::rule::{BlockUpdate, Rule};
 use super::voxel_map::{MapParameters, VoxelMap};
 use super::weighting::PoseError;
+use super::window::Window;
 use crate::Error;
 use crate::budget::check_points;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};

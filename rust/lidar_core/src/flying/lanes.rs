@@ -4,7 +4,9 @@
 //! Every ray is mirrored so that it runs upwards along all axes; rays that have arrived go on with
 //! length 0. At an edge or corner the lowest axis goes first, as in `geometry::traverse`.
 
-use super::raycast::{Accumulator, Ray, UNITS_PER_EDGE, Window};
+use super::marks::{Accumulator, UNITS_PER_EDGE};
+use super::raycast::Ray;
+use super::window::Window;
 use crate::geometry::lattice::{Voxel, floor};
 use crate::geometry::transform::{minus, norm};
 use crate::geometry::traverse::voxel_count;
@@ -12,6 +14,9 @@ use pulp::{Arch, Simd, WithSimd};
 
 /// Rays side by side: two vectors of the widest unit, so that one works while the other waits.
 const LANES: usize = 16;
+/// Visits of a ray that are written down before they are added to memory: those of a bundle stay in
+/// the first cache.
+const RUN: usize = 160;
 /// A number below 2^32 added to this has its whole part, rounded, in the lowest bits.
 const SHIFT: f64 = (1u64 << 52) as f64;
 
@@ -23,14 +28,12 @@ struct Bundle {
     rate: [[f64; LANES]; 3],
     /// Lengths, in units.
     length: [f64; LANES],
-    /// Place of the voxel in the window, mirrored.
+    /// Place of the voxel in the window, mirrored, in the upper half.
     place: [u64; LANES],
     /// Bits of the place that are mirrored.
     mirror: [u64; LANES],
-    /// Voxels that the ray with the most of them visits.
-    steps: u64,
-    /// Voxels that all visit.
-    visits: u64,
+    /// Voxels that every ray visits.
+    visits: [usize; LANES],
 }
 
 impl Bundle {
@@ -42,8 +45,7 @@ impl Bundle {
             length: [0.0; LANES],
             place: [0; LANES],
             mirror: [0; LANES],
-            steps: 0,
-            visits: 0,
+            visits: [0; LANES],
         };
         for (lane, ray) in rays.iter().enumerate().take(LANES) {
             if let (Some(first), Some(last)) = (floor(ray.start), floor(ray.end)) {
@@ -63,14 +65,12 @@ impl Bundle {
             // Finite: of a span whose reciprocal overflows, 0 * inf would be NaN.
             self.rate[axis][lane] = (1.0 / span[axis]).abs().min(f64::MAX);
             if !upwards {
-                self.mirror[lane] |= window.bits_along(axis);
+                self.mirror[lane] |= window.bits_along(axis) << 32;
             }
         }
         self.length[lane] = norm(span) * UNITS_PER_EDGE;
-        self.place[lane] = window.bits_of(first) ^ self.mirror[lane];
-        let visits = voxel_count(first, last);
-        self.steps = self.steps.max(visits);
-        self.visits += visits;
+        self.place[lane] = window.bits_of(first) << 32 ^ self.mirror[lane];
+        self.visits[lane] = voxel_count(first, last) as usize;
     }
 }
 
@@ -102,18 +102,27 @@ impl WithSimd for Cast<'_> {
 impl Cast<'_> {
     /// With `K` vectors per bundle.
     #[inline(always)]
-    fn walk<S: Simd, const K: usize>(self, simd: S) {
+    fn walk<S: Simd, const K: usize>(mut self, simd: S) {
+        let mut visits = [[0; LANES]; RUN];
         for rays in self.rays.chunks(LANES) {
             let bundle = Bundle::of(self.window, rays);
             let mut walk = Walk::<S, K>::new(simd, self.window, &bundle);
-            let (mut places, mut lengths) = ([0; LANES], [0; LANES]);
-            for _ in 0..bundle.steps {
-                walk.step(simd, &mut places, &mut lengths);
-                for (&place, &units) in places.iter().zip(&lengths) {
-                    self.accumulator.add(place, units as u32); // their lower halves
-                }
+            let mut left = bundle.visits;
+            while let Some(most) = left.into_iter().max().filter(|&most| most > 0) {
+                visits.iter_mut().take(most).for_each(|visits| walk.step(simd, visits));
+                self.add(&visits, &mut left);
             }
-            self.accumulator.count(bundle.visits);
+            self.accumulator.count(bundle.visits.iter().sum::<usize>() as u64);
+        }
+    }
+
+    /// Ray by ray, since additions to one voxel right after another wait for each other.
+    #[inline(always)]
+    fn add(&mut self, visits: &[[u64; LANES]; RUN], left: &mut [usize; LANES]) {
+        for (lane, left) in left.iter_mut().enumerate() {
+            let own = visits.iter().take(*left).map(|visits| visits[lane]);
+            self.accumulator.add(self.window, own);
+            *left = left.saturating_sub(RUN);
         }
     }
 }
@@ -144,15 +153,17 @@ impl<S: Simd, const K: usize> Walk<S, K> {
             place: words(&bundle.place),
             mirror: words(&bundle.mirror),
             entered: [simd.splat_f64s(0.0); K],
-            bits: std::array::from_fn(|axis| simd.splat_u64s(window.bits_along(axis))),
+            bits: std::array::from_fn(|axis| simd.splat_u64s(window.bits_along(axis) << 32)),
         }
     }
 
-    /// Write down the voxels that the rays are in, and the lengths inside; go on to the next ones.
+    /// Write down the voxels that the rays are in (upper halves), and the lengths inside (lower
+    /// halves); go on to the next ones.
     #[inline(always)]
-    fn step(&mut self, simd: S, places: &mut [u64; LANES], lengths: &mut [u64; LANES]) {
+    fn step(&mut self, simd: S, visits: &mut [u64; LANES]) {
         let (one, shift) = (simd.splat_f64s(1.0), simd.splat_f64s(SHIFT));
-        let (places, lengths) = (S::as_mut_simd_u64s(places).0, S::as_mut_simd_u64s(lengths).0);
+        let lower = simd.splat_u64s(u64::from(u32::MAX));
+        let visits = S::as_mut_simd_u64s(visits).0;
         for k in 0..K {
             // Computed from the start, not summed up, so that the error does not grow.
             let x = simd.mul_f64s(self.gap[0][k], self.rate[0][k]);
@@ -161,8 +172,9 @@ impl<S: Simd, const K: usize> Walk<S, K> {
             let first = simd.min_f64s(x, simd.min_f64s(y, z));
             let exit = simd.min_f64s(first, one);
             let length = simd.mul_f64s(simd.sub_f64s(exit, self.entered[k]), self.length[k]);
-            lengths[k] = simd.transmute_u64s_f64s(simd.add_f64s(length, shift));
-            places[k] = simd.xor_u64s(self.place[k], self.mirror[k]);
+            let units = simd.transmute_u64s_f64s(simd.add_f64s(length, shift));
+            let place = simd.xor_u64s(self.place[k], self.mirror[k]);
+            visits[k] = simd.or_u64s(simd.and_u64s(units, lower), place);
             self.entered[k] = exit;
             let along_x = simd.less_than_or_equal_f64s(x, first);
             let along_y = simd.less_than_or_equal_f64s(y, first);
@@ -186,7 +198,7 @@ impl<S: Simd, const K: usize> Walk<S, K> {
         let others = simd.not_u64s(bits);
         let place = self.place[k];
         // The carry runs through the bits of the other axes.
-        let above = simd.add_u64s(simd.or_u64s(place, others), simd.splat_u64s(1));
+        let above = simd.add_u64s(simd.or_u64s(place, others), simd.splat_u64s(1 << 32));
         self.place[k] = simd.or_u64s(simd.and_u64s(above, bits), simd.and_u64s(place, others));
     }
 }

@@ -4,7 +4,7 @@
 
 use super::blocks::{Bits, Block, EDGE, Place, VOLUME, assign};
 use super::filter::{Levels, filtered, two_to_minus};
-use super::raycast::{Content, MAX_COUNT, Mark, POINT_UNITS, UNITS_PER_EDGE, content};
+use super::marks::{Content, MAX_COUNT, Mark, POINT_UNITS, UNITS_PER_EDGE, tag_and_count};
 use super::voxel_map::{RayUnit, VoxelMap};
 use crate::geometry::lattice::Voxel;
 use pulp::{Arch, Simd, WithSimd};
@@ -66,29 +66,18 @@ impl Rule {
         })
     }
 
+    /// Without branches, for many voxels at a time.
     #[inline(always)]
     fn updated(&self, stored: f32, mark: Mark) -> f32 {
-        let (content, count) = content(mark);
-        let weight = f64::from(count) * self.per_point;
-        match content {
-            Content::Rays => self.cleared(stored, mark),
-            Content::Unknown => self.pulled(stored, self.g[1], two_to_minus(weight)),
-            Content::Flying => self.pulled(stored, self.g[1], 0.0), // n_det is infinite (eq. 17)
-            Content::Background => self.pulled(stored, self.g[2], two_to_minus(weight)),
-        }
-    }
-
-    /// The same for a mark of rays, without branches.
-    #[inline(always)]
-    fn cleared(&self, stored: f32, mark: Mark) -> f32 {
-        let keep = two_to_minus(f64::from(mark) * self.per_unit);
-        let value = self.pulled(stored, self.g[0], keep);
+        let (tag, count) = tag_and_count(mark);
+        let of_rays = tag == Content::Rays as u32;
+        let keep =
+            two_to_minus(f64::from(count) * if of_rays { self.per_unit } else { self.per_point });
+        let keep = if tag == Content::Flying as u32 { 0.0 } else { keep }; // n_det is infinite (eq. 17)
+        let seen = if tag == Content::Background as u32 { self.g[2] } else { self.g[1] };
+        let target = if of_rays { self.g[0] } else { seen };
+        let value = filtered(if stored.is_nan() { self.initial } else { stored }, target, keep);
         if mark == 0 { stored } else { value }
-    }
-
-    #[inline(always)]
-    fn pulled(&self, stored: f32, target: f32, keep: f64) -> f32 {
-        filtered(if stored.is_nan() { self.initial } else { stored }, target, keep)
     }
 }
 
@@ -126,18 +115,16 @@ fn update_row(
     update: &mut BlockUpdate,
 ) {
     let Some(stored) = block.row_mut(row) else { return };
-    let holds_points = marks.iter().fold(0, |all, mark| all | mark) > MAX_COUNT;
-    let mut values = [0.0; ROW];
-    if holds_points {
-        for (at, value) in values.iter_mut().enumerate() {
-            *value = rule.updated(stored[at], marks[at]);
-        }
-    } else {
-        for (at, value) in values.iter_mut().enumerate() {
-            *value = rule.cleared(stored[at], marks[at]);
-        }
-    }
     update.voxels += marks.iter().filter(|&&mark| mark != 0).count();
+    let holds_points = marks.iter().fold(0, |all, mark| all | mark) > MAX_COUNT;
+    let is_free = stored.iter().fold(true, |all, &value| all & (value == rule.g[0]));
+    if is_free && !holds_points {
+        return; // pulled to where it is: most of the air, after a few scans
+    }
+    let mut values = [0.0; ROW];
+    for (at, value) in values.iter_mut().enumerate() {
+        *value = rule.updated(stored[at], marks[at]);
+    }
     let crosses = |at: usize| rule.levels.crosses(stored[at], values[at]);
     if !(0..ROW).fold(false, |any, at| any | crosses(at)) {
         *stored = values;

@@ -5,7 +5,7 @@
 use super::blocks::{Block, Blocks, Cursor, Place, offset_of};
 use super::filter::{Levels, filtered, two_to_minus};
 use super::integrate::Plan;
-use super::raycast::Accumulator;
+use super::marks::Accumulator;
 use super::separate::Changes;
 use crate::error::{require, require_positive};
 use crate::geometry::lattice::{Lattice, Voxel, wide};

@@ -7,7 +7,7 @@
 
 use super::analysis::{PoseSpread, pose_jacobian};
 use super::detector::FlyingObjectDetector;
-use super::raycast::{Accumulator, Content, POINT_UNITS};
+use super::marks::{Accumulator, Content, POINT_UNITS};
 use super::scan::{Prepared, RawScan};
 use super::voxel_map::VoxelMap;
 use crate::geometry::lattice::{Lattice, Voxel};

@@ -47,6 +47,7 @@ impl Lattice {
 
     /// `point` in units of voxels; voxel (i, j, k) spans i..i+1 and so on.
     #[must_use]
+    #[inline(always)]
     pub fn scaled(&self, point: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|axis| (point[axis] - self.origin[axis]) / self.voxel_size)
     }
@@ -56,6 +57,7 @@ impl Lattice {
     ///
     /// # Errors
     /// [`Error::PointOutOfRange`] if a coordinate is not finite or beyond 2^31 voxels.
+    #[inline(always)]
     pub fn voxel_at(&self, point: [f64; 3]) -> Result<Voxel, Error> {
         let scaled = self.scaled(point);
         let mut voxel = floor(scaled).ok_or(Error::PointOutOfRange { point })?;
@@ -80,7 +82,7 @@ impl Lattice {
 
 /// The voxel of a point given in units of voxels; None if it cannot be indexed.
 #[must_use]
-#[inline]
+#[inline(always)]
 pub fn floor(scaled: [f64; 3]) -> Option<Voxel> {
     let mut voxel = [0; 3];
     for axis in 0..3 {
