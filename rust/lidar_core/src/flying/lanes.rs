@@ -163,8 +163,7 @@ impl<S: Simd, const K: usize> Walk<S, K> {
     fn step(&mut self, simd: S, visits: &mut [u64; LANES]) {
         let (one, shift) = (simd.splat_f64s(1.0), simd.splat_f64s(SHIFT));
         let lower = simd.splat_u64s(u64::from(u32::MAX));
-        let visits = S::as_mut_simd_u64s(visits).0;
-        for k in 0..K {
+        for (k, visit) in S::as_mut_simd_u64s(visits).0.iter_mut().enumerate().take(K) {
             // Computed from the start, not summed up, so that the error does not grow.
             let x = simd.mul_f64s(self.gap[0][k], self.rate[0][k]);
             let y = simd.mul_f64s(self.gap[1][k], self.rate[1][k]);
@@ -174,7 +173,7 @@ impl<S: Simd, const K: usize> Walk<S, K> {
             let length = simd.mul_f64s(simd.sub_f64s(exit, self.entered[k]), self.length[k]);
             let units = simd.transmute_u64s_f64s(simd.add_f64s(length, shift));
             let place = simd.xor_u64s(self.place[k], self.mirror[k]);
-            visits[k] = simd.or_u64s(simd.and_u64s(units, lower), place);
+            *visit = simd.or_u64s(simd.and_u64s(units, lower), place);
             self.entered[k] = exit;
             let along_x = simd.less_than_or_equal_f64s(x, first);
             let along_y = simd.less_than_or_equal_f64s(y, first);
