@@ -2,7 +2,7 @@
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
-use lidar_core::flying::voxel_map::VoxelMap;
+use lidar_core::flying::voxel_map::{MapParameters, Rays, VoxelMap};
 use lidar_core::geometry::lattice::Lattice;
 use lidar_core::geometry::traverse::traverse;
 use scenes::reference::DenseMap;
@@ -46,13 +46,14 @@ fn raycast(c: &mut Criterion) -> Result<(), Error> {
             );
         });
 
-        for threads in [1, 2] {
-            let mut map = VoxelMap::new(map_parameters(), threads)?;
+        for (threads, rays) in [(1, Rays::All), (2, Rays::All), (1, Rays::OnePerEnd)] {
+            let mut map = VoxelMap::new(MapParameters { rays, ..map_parameters() }, threads)?;
             for scan in &scans {
                 map.integrate(&scan.classified())?;
             }
             let mut next = scans.iter().cycle();
-            group.bench_function(format!("integrate_{threads}_threads"), |b| {
+            let title = if rays == Rays::All { "integrate" } else { "one_per_end" };
+            group.bench_function(format!("{title}_{threads}_threads"), |b| {
                 b.iter_batched(
                     || next.next(),
                     |scan| scan.map(|scan| map.integrate(&scan.classified())),

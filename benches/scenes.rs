@@ -15,7 +15,7 @@ use lidar_core::flying::track::{
     Ageing, Association, Confirmation, Hiding, MeasurementForm, Merging, Motion, NoiseForm, Radius,
     RadiusForm, TrackerParameters,
 };
-use lidar_core::flying::voxel_map::{MapParameters, RayUnit};
+use lidar_core::flying::voxel_map::{MapParameters, RayUnit, Rays};
 use lidar_core::flying::weighting::PoseParameters;
 use lidar_core::geometry::cluster::Clustering;
 use lidar_core::threads;
@@ -161,6 +161,7 @@ pub fn map_parameters() -> MapParameters {
         extra_thresholds: Vec::new(),
         max_range: MAX_RANGE,
         end_margin: 0.0,
+        rays: Rays::All,
         ray_unit: RayUnit::Edges,
         ray_gain: 1.0,
         bounds: None,

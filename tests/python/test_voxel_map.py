@@ -28,6 +28,7 @@ CONFIGS = {
     "bounds": {"bounds": ((-2.0, -1.5, -1.0), (2.3, 1.1, 1.6))},
     "initially free": {"initial": -1000.0},
     "more states": {"extra_thresholds": (-900.0, -740.0, -500.0)},
+    "one ray per end": {"rays": "one_per_end", "voxel_size": 0.5},
 }
 
 

@@ -13,6 +13,7 @@ from lidar_core import VoxelMapConfig
 from reference.traverse import Segment, Voxel
 
 UNITS_PER_EDGE = 16_384
+MOST_MERGED = 64
 MOST_UNITS = 2**30 - 1
 BACKGROUND, FLYING, UNKNOWN = 1, 2, 3
 STRONGEST_FIRST = (BACKGROUND, FLYING, UNKNOWN)
@@ -82,22 +83,41 @@ class VoxelMap:
         """One scan: eqs 9, 12 and 16-22."""
         origins = np.broadcast_to(np.asarray(origins, np.float64), (len(points), 3))
         contents: dict[Voxel, list[int]] = {}
-        units: Counter[Voxel] = Counter()
+        rays: list[tuple] = []
         for row, point in enumerate(np.asarray(points, np.float64)):
             if no_return is not None and no_return[row]:
                 direction = np.asarray(directions[row], np.float64)
                 norm = math.sqrt(float(direction @ direction))
                 if math.isfinite(norm) and norm > 0:
                     end = origins[row] + self.config.max_range * (direction / norm)
-                    self._add_ray(units, origins[row], end)
+                    rays.append((origins[row], end))
             elif classes[row] and np.isfinite(point).all():
                 contents.setdefault(self.voxel_at(point), []).append(int(classes[row]))
-                self._add_ray(units, origins[row], self.ray_end(origins[row], point))
+                rays.append((origins[row], self.ray_end(origins[row], point)))
+        units: Counter[Voxel] = Counter()
+        for start, end, count in self._cast(rays):
+            self._add_ray(units, start, end, count)
         self._update(contents, units)
 
-    def _add_ray(self, units: Counter[Voxel], start, end) -> None:
+    def _cast(self, rays: list[tuple]) -> list[list]:
+        """Start, end and weight of the rays that are cast."""
+        if self.config.rays == "all":
+            return [[start, end, 1] for start, end in rays]
+        cast: list[list] = []
+        last: dict[Voxel, list] = {}
+        for start, end in rays:
+            voxel = tuple(np.floor(np.asarray(end) / self.config.voxel_size).astype(int))
+            if voxel in last and last[voxel][2] < MOST_MERGED:
+                last[voxel][2] += 1
+            else:
+                last[voxel] = [start, end, 1]
+                cast.append(last[voxel])
+        return cast
+
+    def _add_ray(self, units: Counter[Voxel], start, end, count: int) -> None:
         for voxel, length in Segment(start, end, self.config.voxel_size).lengths().items():
-            length_units = round(length / self.config.voxel_size * UNITS_PER_EDGE)  # half to even
+            edges = count * (length / self.config.voxel_size)
+            length_units = round(edges * UNITS_PER_EDGE)  # half to even
             if length_units:
                 units[voxel] = min(units[voxel] + length_units, MOST_UNITS)
 

@@ -4,7 +4,7 @@
 use lidar_core::Error;
 use lidar_core::flying::integrate::{ClassifiedScan, Origins};
 use lidar_core::flying::separate::Separation;
-use lidar_core::flying::voxel_map::{MapParameters, RayUnit, VoxelMap};
+use lidar_core::flying::voxel_map::{MapParameters, RayUnit, Rays, VoxelMap};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -30,6 +30,7 @@ fn parameters() -> MapParameters {
         extra_thresholds: Vec::new(),
         max_range: 5.0,
         end_margin: 0.0,
+        rays: Rays::All,
         ray_unit: RayUnit::Edges,
         ray_gain: 0.1,
         bounds: None,

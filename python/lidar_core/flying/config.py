@@ -36,6 +36,11 @@ class VoxelMapConfig(Config):
     end_margin: float = Field(
         0.0, ge=0, description="Rays that hit something end this much earlier [m]."
     )
+    rays: Literal["all", "one_per_end"] = Field(
+        "all",
+        description="Rays that are cast: all, or of those that end in the same voxel the first, as"
+        " often as there are others, which is faster and not exact (no unit).",
+    )
     ray_unit: Literal["edges", "metres", "diagonals"] = Field(
         "edges",
         description="Length unit of the ray weight of eq. 22: voxel edges, metres (the paper's"

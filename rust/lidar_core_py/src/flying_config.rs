@@ -9,7 +9,7 @@ use lidar_core::flying::gate::SeedParameters;
 use lidar_core::flying::parameters::FlyingParameters;
 use lidar_core::flying::sensor::SensorParameters;
 use lidar_core::flying::separate::Separation;
-use lidar_core::flying::voxel_map::{MapParameters, RayUnit};
+use lidar_core::flying::voxel_map::{MapParameters, RayUnit, Rays};
 use lidar_core::flying::weighting::{PoseParameters, PoseWeighting};
 use lidar_core::geometry::cluster::Clustering;
 use pyo3::prelude::*;
@@ -239,11 +239,15 @@ pub(crate) struct MapConfig {
     extra_thresholds: Vec<f32>,
     max_range: f64,
     end_margin: f64,
+    rays: String,
     ray_unit: String,
     ray_gain: f64,
     bounds: Option<[[f64; 3]; 2]>,
     max_voxels: u64,
 }
+
+/// Names of the rays that are cast.
+pub(crate) const RAYS: [(&str, Rays); 2] = [("all", Rays::All), ("one_per_end", Rays::OnePerEnd)];
 
 /// Names of the units of the ray weight.
 pub(crate) const RAY_UNITS: [(&str, RayUnit); 3] =
@@ -266,6 +270,7 @@ impl MapConfig {
             extra_thresholds: self.extra_thresholds,
             max_range: self.max_range,
             end_margin: self.end_margin,
+            rays: arrays::choice("rays", &self.rays, &RAYS)?,
             ray_unit: arrays::choice("ray_unit", &self.ray_unit, &RAY_UNITS)?,
             ray_gain: self.ray_gain,
             bounds: self.bounds,

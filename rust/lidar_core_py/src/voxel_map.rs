@@ -2,7 +2,7 @@
 
 use crate::arrays::{self, Rows3, Threads};
 use crate::errors::BorderError;
-use crate::flying_config::{ClassifyConfig, MapConfig, RAY_UNITS};
+use crate::flying_config::{ClassifyConfig, MapConfig, RAY_UNITS, RAYS};
 use crate::guard::{Guarded, detached};
 use lidar_core::flying::classify::classify_clusters;
 use lidar_core::flying::integrate::{ClassifiedScan, IntegrateStats, Origins};
@@ -176,6 +176,8 @@ impl PyVoxelMap {
         values.set_item("max_range", p.max_range)?;
         values.set_item("end_margin", p.end_margin)?;
         values.set_item("ray_gain", p.ray_gain)?;
+        let rays = RAYS.iter().find(|(_, rays)| *rays == p.rays).map(|(name, _)| *name);
+        values.set_item("rays", rays)?;
         let unit = RAY_UNITS.iter().find(|(_, unit)| *unit == p.ray_unit).map(|(name, _)| *name);
         values.set_item("ray_unit", unit)?;
         let levels = [

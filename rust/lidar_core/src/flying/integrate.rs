@@ -4,9 +4,9 @@
 
 use super::blocks::{Block, Place, VOLUME, ones};
 use super::marks::{Content, Mark};
-use super::raycast::{Ray, cast_all};
+use super::raycast::{Ray, cast_all, merge_ends};
 use super::rule::{BlockUpdate, Rule};
-use super::voxel_map::{MapParameters, VoxelMap};
+use super::voxel_map::{MapParameters, Rays, VoxelMap};
 use super::weighting::PoseError;
 use super::window::Window;
 use crate::Error;
@@ -76,7 +76,7 @@ pub struct IntegrateStats {
     pub points: [usize; 3],
     /// Entries without information: class invalid, not finite, or without a direction.
     pub skipped: usize,
-    /// Rays cast, with and without return.
+    /// Rays cast, with and without return, or represented by one that is cast.
     pub rays: usize,
     /// Of these, rays without return.
     pub no_return_rays: usize,
@@ -100,14 +100,14 @@ impl VoxelMap {
         check_lengths(scan)?;
         let mut plan = std::mem::take(&mut self.plan);
         let planned = plan.fill(scan, self.parameters(), self.lattice());
-        let outcome = planned.and_then(|()| self.carry_out(&plan, scan.pose_error));
+        let outcome = planned.and_then(|()| self.carry_out(&mut plan, scan.pose_error));
         self.plan = plan; // its memory is used again
         outcome
     }
 
     fn carry_out(
         &mut self,
-        plan: &Plan,
+        plan: &mut Plan,
         pose_error: Option<&PoseError>,
     ) -> Result<IntegrateStats, Error> {
         let mut stats = plan.stats;
@@ -116,6 +116,9 @@ impl VoxelMap {
         let most = self.blocks.max_blocks().max(LEAST_SCRATCH);
         let mut accumulators = std::mem::take(&mut self.accumulators);
         let outcome = Window::spanning(low, high).and_then(|window| {
+            if self.parameters().rays == Rays::OnePerEnd {
+                merge_ends(&mut accumulators[0], window, &mut plan.rays, most)?;
+            }
             cast_all(self.pool.as_ref(), &mut accumulators, window, &plan.rays, most);
             self.mark(&mut accumulators[0], &plan.points, pose_error);
             accumulators[0].check()?;
@@ -264,8 +267,9 @@ impl Plan {
             }
         };
         let to = lattice.scaled(end);
-        self.stretch(floor(to).ok_or(Error::PointOutOfRange { point: end })?);
-        self.rays.push(Ray { start: from, end: to });
+        let last = floor(to).ok_or(Error::PointOutOfRange { point: end })?;
+        self.stretch(last);
+        self.rays.push(Ray { start: from, end: to, last, count: 1 });
         Ok(())
     }
 
@@ -393,6 +397,7 @@ pub(crate) mod tests {
             extra_thresholds: Vec::new(),
             max_range: 20.0,
             end_margin: 0.0,
+            rays: Rays::All,
             ray_unit: RayUnit::Edges,
             ray_gain: 1.0,
             bounds: None,

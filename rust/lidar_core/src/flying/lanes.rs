@@ -48,15 +48,16 @@ impl Bundle {
             visits: [0; LANES],
         };
         for (lane, ray) in rays.iter().enumerate().take(LANES) {
-            if let (Some(first), Some(last)) = (floor(ray.start), floor(ray.end)) {
-                bundle.put(window, lane, ray, first, last);
+            if let Some(first) = floor(ray.start) {
+                bundle.put(window, lane, ray, first);
             }
         }
         bundle
     }
 
     #[inline(always)]
-    fn put(&mut self, window: &Window, lane: usize, ray: &Ray, first: Voxel, last: Voxel) {
+    fn put(&mut self, window: &Window, lane: usize, ray: &Ray, first: Voxel) {
+        let last = ray.last;
         let span = minus(ray.end, ray.start);
         for axis in (0..3).filter(|&axis| first[axis] != last[axis]) {
             let upwards = last[axis] > first[axis];
@@ -68,7 +69,7 @@ impl Bundle {
                 self.mirror[lane] |= window.bits_along(axis) << 32;
             }
         }
-        self.length[lane] = norm(span) * UNITS_PER_EDGE;
+        self.length[lane] = norm(span) * UNITS_PER_EDGE * f64::from(ray.count);
         self.place[lane] = window.bits_of(first) << 32 ^ self.mirror[lane];
         self.visits[lane] = voxel_count(first, last) as usize;
     }

@@ -166,7 +166,7 @@ impl Accumulator {
 
     /// Mark of a voxel.
     #[inline]
-    fn mark(&mut self, voxel: Voxel) -> Option<&mut Mark> {
+    pub(super) fn mark(&mut self, voxel: Voxel) -> Option<&mut Mark> {
         let window = self.window?;
         let place = Place::of(voxel);
         if window.holds(place) {

@@ -4,7 +4,7 @@
 //! ascending order of place (3 x i32, 512 x f32), CRC-32 of everything before it.
 
 use super::blocks::{EDGE, NEVER, Place, VOLUME};
-use super::voxel_map::{MapParameters, RayUnit, VoxelMap};
+use super::voxel_map::{MapParameters, RayUnit, Rays, VoxelMap};
 use crate::Error;
 use std::fs::{self, File};
 use std::io::{Read, Write};
@@ -12,6 +12,8 @@ use std::path::Path;
 
 const MAGIC: &[u8; 4] = b"LCVM";
 const VERSION: u32 = 1;
+/// Set in the byte of the ray unit where one ray is cast per end voxel.
+const ONE_PER_END: u8 = 4;
 const BLOCK_BYTES: usize = 12 + 4 * VOLUME;
 /// Largest file that is read [bytes].
 const MAX_BYTES: u64 = 1 << 34;
@@ -125,11 +127,12 @@ fn write_parameters(p: &MapParameters, bytes: &mut Vec<u8>) {
     for value in [p.g_occ, p.g_unk, p.g_free, p.initial].iter().chain(&p.thresholds) {
         bytes.extend(value.to_le_bytes());
     }
-    bytes.push(match p.ray_unit {
+    let unit = match p.ray_unit {
         RayUnit::Edges => 0,
         RayUnit::Metres => 1,
         RayUnit::Diagonals => 2,
-    });
+    };
+    bytes.push(if p.rays == Rays::OnePerEnd { unit | ONE_PER_END } else { unit });
     bytes.extend(p.max_voxels.to_le_bytes());
     bytes.push(u8::from(p.bounds.is_some()));
     bytes.extend(p.bounds.iter().flatten().flatten().flat_map(|value| value.to_le_bytes()));
@@ -164,7 +167,7 @@ impl Reader<'_> {
         let origin = [self.f64()?, self.f64()?, self.f64()?];
         let [g_occ, g_unk, g_free, initial] = [self.f32()?, self.f32()?, self.f32()?, self.f32()?];
         let thresholds = [self.f32()?, self.f32()?, self.f32()?];
-        let ray_unit = self.ray_unit()?;
+        let (ray_unit, rays) = self.ray_unit()?;
         let max_voxels = u64::from_le_bytes(self.take()?);
         let bounds = if self.take::<1>()? == [0] {
             None
@@ -184,6 +187,7 @@ impl Reader<'_> {
             extra_thresholds,
             max_range,
             end_margin,
+            rays,
             ray_unit,
             ray_gain,
             bounds,
@@ -191,12 +195,14 @@ impl Reader<'_> {
         })
     }
 
-    fn ray_unit(&mut self) -> Result<RayUnit, Error> {
-        match self.take::<1>()? {
-            [0] => Ok(RayUnit::Edges),
-            [1] => Ok(RayUnit::Metres),
-            [2] => Ok(RayUnit::Diagonals),
-            [other] => {
+    fn ray_unit(&mut self) -> Result<(RayUnit, Rays), Error> {
+        let [byte] = self.take::<1>()?;
+        let rays = if byte & ONE_PER_END == 0 { Rays::All } else { Rays::OnePerEnd };
+        match byte & !ONE_PER_END {
+            0 => Ok((RayUnit::Edges, rays)),
+            1 => Ok((RayUnit::Metres, rays)),
+            2 => Ok((RayUnit::Diagonals, rays)),
+            other => {
                 let problem = format!("expected a ray unit of 0 to 2, got {other}");
                 Err(format_error(self.at - 1, &problem))
             }
@@ -251,6 +257,8 @@ mod tests {
         let extra = MapParameters {
             extra_thresholds: vec![-500.0],
             bounds: Some([[-9.0; 3], [9.0; 3]]),
+            rays: Rays::OnePerEnd,
+            ray_unit: RayUnit::Metres,
             ..parameters()
         };
         let mut map = VoxelMap::new(extra, 1)?;

@@ -24,6 +24,15 @@ pub enum RayUnit {
     Diagonals,
 }
 
+/// Rays of a scan that are cast.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rays {
+    /// All of them: exact.
+    All,
+    /// The first of those that end in the same voxel, with their number as its weight.
+    OnePerEnd,
+}
+
 /// Parameters of [`VoxelMap`]; values of G have no unit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapParameters {
@@ -48,6 +57,8 @@ pub struct MapParameters {
     pub max_range: f64,
     /// Rays that hit something end this much earlier [m].
     pub end_margin: f64,
+    /// Rays that are cast.
+    pub rays: Rays,
     /// Unit of the ray weight.
     pub ray_unit: RayUnit,
     /// Factor on the ray weight.
