@@ -204,6 +204,6 @@ ITEM = Item(
     name="flying-fig8",
     title="the three real flights, simulated: manual, following, interception (Fig. 8)",
     scans=1200,
-    minutes=15,
+    minutes=3,
     run=_run,
 )

@@ -202,6 +202,6 @@ ITEM = Item(
     name="flying-range",
     title="drones 20 to 35 m away: recall and error, d_max 20 m and 50 m",
     scans=600,
-    minutes=15,
+    minutes=4,
     run=_run,
 )
