@@ -112,7 +112,7 @@ ITEM = Item(
     name="flying-crossings",
     title="ids of drones that pass each other at 1-2 m",
     scans=100,
-    minutes=12,
+    minutes=6,
     run=_run,
     counts="crossings",
 )
