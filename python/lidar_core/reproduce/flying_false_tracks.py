@@ -213,6 +213,6 @@ ITEM = Item(
     name="flying-false-tracks",
     title="tracks of nothing: ideal, with noise, in rain, dust, insects and swaying trees",
     scans=4500,
-    minutes=40,
+    minutes=12,
     run=_run,
 )
