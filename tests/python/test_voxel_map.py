@@ -1,6 +1,7 @@
 """VoxelMap against a dictionary and exact rays; permanent voxels, files, limits, removal."""
 
 import hashlib
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from hypothesis import strategies as st
 from lidar_core import FormatError, InputError, LimitError, VoxelMap, VoxelMapConfig
 from lidar_core.flying import FlyingObjectDetector
 from reference import separate as separate_oracle
+from reference.traverse import Segment
+from reference.voxel_map import UNITS_PER_EDGE, walk
 from reference.voxel_map import VoxelMap as Oracle
 
 # The map computes 2^-n to 3e-13, the oracle to 1e-16: a result next to the middle between two
@@ -105,6 +108,28 @@ def test_integration_equals_the_oracle(name, each_origin):
         integrate_oracle(oracle, scan)
         assert_equals_oracle(vmap, oracle)
         check_stats(stats, scan)
+
+
+@pytest.mark.parametrize("reach", [0.7, 12.0, 300.0])
+def test_walks_in_whole_numbers_are_exact_to_a_unit(reach):
+    """And to the rounding of walls, of which one sub-unit per voxel adds up."""
+    rng = np.random.default_rng(21)
+    for index in range(60):
+        start, end = rng.uniform(-reach, reach, (2, 3))
+        if index % 2:
+            start, end = np.round([start, end]) / 2
+        exact = Segment(start, end, 1.0)
+        lengths, visits = exact.lengths(), walk(start, end)
+        units = exact.length * UNITS_PER_EDGE
+        bound = 1 + 2 * (len(visits) + 1) * units / 2**30
+        assert len(visits) == 1 + np.abs(np.floor(end) - np.floor(start)).sum()
+        assert abs(sum(length for _, length in visits) - units) <= 1
+        met = dict(visits)
+        for voxel in met.keys() | lengths.keys():
+            error = met.get(voxel, 0) - lengths.get(voxel, 0.0) * UNITS_PER_EDGE
+            assert abs(error) <= bound
+        for (a, _), (b, _) in pairwise(visits):
+            assert np.abs(np.subtract(a, b)).sum() == 1
 
 
 def check_stats(stats, scan):

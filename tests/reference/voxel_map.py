@@ -1,6 +1,6 @@
 """The voxel map as a dictionary: eqs 6-12 and 20-22, one voxel at a time.
 
-Lengths are summed in whole units of 1/16384 edge, as the map does, so that sums are exact.
+Rays are walked and lengths summed in whole numbers, as the map does (docs/adr/0002).
 """
 
 import math
@@ -10,13 +10,39 @@ from fractions import Fraction
 import numpy as np
 
 from lidar_core import VoxelMapConfig
-from reference.traverse import Segment, Voxel
+from reference.traverse import Voxel
 
 UNITS_PER_EDGE = 16_384
+FURTHEST = 2**31 - 2  # sub-units
 MOST_MERGED = 64
 MOST_UNITS = 2**30 - 1
 BACKGROUND, FLYING, UNKNOWN = 1, 2, 3
 STRONGEST_FIRST = (BACKGROUND, FLYING, UNKNOWN)
+
+
+def walk(start, end) -> list[tuple[Voxel, int]]:
+    """Voxels of a segment given in units of voxels, in order, and the units of length in each."""
+    span = [b - a for a, b in zip(start, end, strict=True)]
+    length = math.sqrt(span[0] * span[0] + span[1] * span[1] + span[2] * span[2]) * UNITS_PER_EDGE
+    shift = math.frexp(min(FURTHEST / length, 2.0**31))[1] - 1 if length else 31
+    ahead = math.ceil(length * 2**shift)
+    voxel, last = [[math.floor(value) for value in point] for point in (start, end)]
+    walls = []
+    for axis in range(3):
+        n = abs(last[axis] - voxel[axis])
+        if n == 0:
+            continue
+        gap = abs(voxel[axis] + (last[axis] > voxel[axis]) - start[axis])
+        rate = min(length * 2**shift / abs(span[axis]), np.finfo(np.float64).max)
+        pace = min(round(rate), ahead // (n - 1) if n > 1 else ahead + 1)  # half to even
+        wall = max(min(round(gap * rate), ahead - (n - 1) * pace), ahead + 1 - n * pace)
+        walls += [(wall + k * pace, axis) for k in range(n)]
+    visits, entered = [], 0
+    for wall, axis in sorted(walls):  # of walls at one place the lowest axis first
+        visits.append((tuple(voxel), (wall >> shift) - entered))
+        entered = wall >> shift
+        voxel[axis] += 1 if last[axis] > voxel[axis] else -1
+    return [*visits, (tuple(voxel), (ahead >> shift) - entered)]
 
 
 class VoxelMap:
@@ -89,7 +115,7 @@ class VoxelMap:
                 direction = np.asarray(directions[row], np.float64)
                 norm = math.sqrt(float(direction @ direction))
                 if math.isfinite(norm) and norm > 0:
-                    end = origins[row] + self.config.max_range * (direction / norm)
+                    end = origins[row] + (self.config.max_range / norm) * direction
                     rays.append((origins[row], end))
             elif classes[row] and np.isfinite(point).all():
                 contents.setdefault(self.voxel_at(point), []).append(int(classes[row]))
@@ -115,11 +141,10 @@ class VoxelMap:
         return cast
 
     def _add_ray(self, units: Counter[Voxel], start, end, count: int) -> None:
-        for voxel, length in Segment(start, end, self.config.voxel_size).lengths().items():
-            edges = count * (length / self.config.voxel_size)
-            length_units = round(edges * UNITS_PER_EDGE)  # half to even
-            if length_units:
-                units[voxel] = min(units[voxel] + length_units, MOST_UNITS)
+        size = self.config.voxel_size
+        for voxel, length in walk(*[[float(x) / size for x in point] for point in (start, end)]):
+            if length:
+                units[voxel] = min(units[voxel] + count * length, MOST_UNITS)
 
     def _update(self, contents: dict[Voxel, list[int]], units: Counter[Voxel]) -> None:
         c = self.config

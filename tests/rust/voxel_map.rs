@@ -83,6 +83,17 @@ fn fail(error: Error) -> TestCaseError {
     TestCaseError::fail(error.to_string())
 }
 
+/// A voxel of a plane of 6 x 6 across the border of four blocks.
+fn place() -> impl Strategy<Value = [f32; 3]> {
+    prop::array::uniform2(-3..3_i16)
+        .prop_map(|[x, y]| [f32::from(x) / 4.0, f32::from(y) / 4.0, 0.0])
+}
+
+/// Confidently occupied, tentatively so, or free.
+fn level() -> impl Strategy<Value = f32> {
+    prop::sample::select(vec![0.0, 0.0, 0.0, -100.0, -100.0, -1000.0])
+}
+
 proptest! {
     #![proptest_config(seeded())]
 
@@ -129,6 +140,25 @@ proptest! {
             // Now and then the parameters change, which makes all groups candidates.
             let max_gap = if gap == 0 { 0.3 } else { 0.8 };
             let separation = Separation { max_gap, min_confident: 1 + min_confident / 3, dilate: false };
+            let mut fresh = VoxelMap::from_bytes(&map.to_bytes(), 1).map_err(fail)?;
+            let changed = map.remove_separate(separation).map_err(fail)?;
+            prop_assert_eq!(fresh.remove_separate(separation).map_err(fail)?, changed);
+            prop_assert_eq!(map.has_background(), fresh.has_background());
+            prop_assert_eq!(map.to_bytes(), fresh.to_bytes());
+        }
+    }
+    #[test]
+    fn groups_that_grow_and_fall_apart_are_removed_as_without_a_history(
+        steps in prop::collection::vec(prop::collection::vec((place(), level()), 1..20), 1..30),
+        min_confident in 1..6_usize,
+        dilate in any::<bool>(),
+    ) {
+        let mut map = VoxelMap::new(parameters(), 1).map_err(fail)?;
+        let separation = Separation { max_gap: 0.3, min_confident, dilate };
+        for changes in steps {
+            for (place, level) in changes {
+                map.pull(&[place], level, 30.0).map_err(fail)?;
+            }
             let mut fresh = VoxelMap::from_bytes(&map.to_bytes(), 1).map_err(fail)?;
             let changed = map.remove_separate(separation).map_err(fail)?;
             prop_assert_eq!(fresh.remove_separate(separation).map_err(fail)?, changed);

@@ -17,6 +17,7 @@ pub mod flying;
 pub mod fusion;
 pub mod geometry;
 pub mod probability;
+mod shelf;
 mod spread;
 pub mod threads;
 

@@ -1,15 +1,15 @@
 //! Where the scanner was while it swept.
 
 use crate::Error;
-use crate::geometry::motion::Motion;
+use crate::geometry::motion::{Motion, PointPoses};
 use crate::geometry::transform::Transform;
 
 /// Poses `world_from_lidar` of one sweep: at its stamp, and at every ray.
 #[derive(Clone, Debug)]
 pub struct Sweep {
     at_stamp: Transform,
-    /// Distinct poses, and the place of every ray among them; None while the scanner stands.
-    moving: Option<(Vec<Transform>, Vec<u32>)>,
+    /// Poses of the rays; None while the scanner stands.
+    moving: Option<PointPoses>,
 }
 
 impl Sweep {
@@ -23,17 +23,22 @@ impl Sweep {
     ///
     /// # Errors
     /// [`Error::Value`] for a time more than 20 ms outside the stream.
-    pub fn new(motion: &Motion, stamp_ns: i64, ray_time_ns: Option<&[i64]>) -> Result<Self, Error> {
+    pub fn new(
+        motion: &Motion<'_>,
+        stamp_ns: i64,
+        ray_time_ns: Option<&[i64]>,
+    ) -> Result<Self, Error> {
         let at_stamp = motion.at(stamp_ns).ok_or_else(|| Error::Value {
             name: "stamp_ns",
             expected: "a stamp within 20 ms of `pose_stamps_ns`",
             index: 0,
             got: stamp_ns.to_string(),
         })?;
-        let moving = match ray_time_ns.filter(|_| motion.is_stream()) {
-            Some(times) => Some(motion.per_point("ray_time_ns", times, |_| true)?),
-            None => None,
-        };
+        let mut moving = None;
+        if let Some(times) = ray_time_ns.filter(|_| motion.is_stream()) {
+            let poses = moving.insert(PointPoses::default());
+            poses.fill(motion, "ray_time_ns", times, |_| true)?;
+        }
         Ok(Self { at_stamp, moving })
     }
 
@@ -47,10 +52,7 @@ impl Sweep {
     #[must_use]
     #[inline]
     pub fn at(&self, ray: usize) -> &Transform {
-        match &self.moving {
-            Some((poses, places)) => &poses[places[ray] as usize],
-            None => &self.at_stamp,
-        }
+        self.moving.as_ref().map_or(&self.at_stamp, |poses| poses.at(ray))
     }
 
     /// Whether rays have poses of their own.
@@ -61,7 +63,7 @@ impl Sweep {
 
     /// Number of rays with a time of their own; None if all share the stamp.
     pub(crate) fn rays(&self) -> Option<usize> {
-        self.moving.as_ref().map(|(_, places)| places.len())
+        self.moving.as_ref().map(PointPoses::points)
     }
 
     /// `world_from_level`: origin at the scanner at the stamp, z up, yaw (ZYX order) of the
@@ -100,7 +102,8 @@ mod tests {
     fn rays_have_the_poses_of_their_times() -> Result<(), Error> {
         let shifted =
             |x| [1.0, 0.0, 0.0, x, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
-        let motion = Motion::new(&[shifted(0.0), shifted(1.0)], Some(&[0, 100]))?;
+        let poses = [shifted(0.0), shifted(1.0)];
+        let motion = Motion::new(&poses, Some(&[0, 100]))?;
         let sweep = Sweep::new(&motion, 0, Some(&[0, 25, 50]))?;
         let x = |ray| sweep.at(ray).translation[0];
         assert_eq!([x(0), x(1), x(2)], [0.0, 0.25, 0.5]);

@@ -32,6 +32,9 @@ pub fn assign(
     unassigned: f64,
 ) -> Result<Vec<Option<usize>>, Error> {
     check(rows, columns, pairs, unassigned)?;
+    if rows == 0 {
+        return Ok(Vec::new());
+    }
     let mut solver = Solver::new(rows, columns, pairs, unassigned);
     for row in 0..rows {
         solver.augment(row);

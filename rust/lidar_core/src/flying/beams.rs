@@ -42,6 +42,15 @@ pub(crate) struct Rebuilder {
     histogram: Vec<u32>,
 }
 
+/// Rays that returned nothing and that the driver dropped, and memory for the next scan.
+#[derive(Default)]
+pub(crate) struct Missing {
+    /// Rays by row and column that have a point.
+    hit: Vec<bool>,
+    /// Directions in the lidar frame.
+    pub(crate) directions: Vec<[f32; 3]>,
+}
+
 impl Rebuilder {
     pub(crate) fn new(table: &BeamTable) -> Self {
         match table {
@@ -75,7 +84,8 @@ impl Rebuilder {
             self.histogram.iter_mut().for_each(|count| *count /= 2);
         }
         let enough = (ROW_SHARE * self.columns as f64) as u32;
-        self.elevations = peaks(&self.histogram, enough.max(1));
+        self.elevations.clear();
+        self.elevations.extend(peaks(&self.histogram, enough.max(1)));
     }
 
     /// Whether a scan holds any return: without one it tells nothing, not even of open sky.
@@ -83,26 +93,26 @@ impl Rebuilder {
         points.iter().any(|&point| angles(point).is_some())
     }
 
-    /// Directions, in the lidar frame, of the rays that returned nothing.
-    pub(crate) fn missing(&self, points: &[[f32; 3]]) -> Vec<[f32; 3]> {
-        let rows = self.elevations.len();
-        let mut hit = vec![false; rows * self.columns];
+    /// Find the rays that returned nothing.
+    pub(crate) fn find_missing(&self, points: &[[f32; 3]], missing: &mut Missing) {
+        let Missing { hit, directions } = missing;
+        hit.clear();
+        hit.resize(self.elevations.len() * self.columns, false);
         for (elevation, azimuth) in points.iter().filter_map(|&point| angles(point)) {
             if let Some(row) = self.row_of(elevation) {
                 let column = (azimuth / TAU * self.columns as f64) as usize % self.columns;
                 hit[row * self.columns + column] = true;
             }
         }
-        let mut directions = Vec::new();
+        directions.clear();
         for (row, &elevation) in self.elevations.iter().enumerate() {
             let (rise, run) = (libm::sin(elevation), libm::cos(elevation));
-            for column in (0..self.columns).filter(|column| !self.near_hit(&hit, row, *column)) {
+            for column in (0..self.columns).filter(|column| !self.near_hit(hit, row, *column)) {
                 let azimuth = (column as f64 + 0.5) / self.columns as f64 * TAU;
                 let (sine, cosine) = (libm::sin(azimuth), libm::cos(azimuth));
                 directions.push([(run * cosine) as f32, (run * sine) as f32, rise as f32]);
             }
         }
-        directions
     }
 
     /// A cell counts as hit if it or a neighbour in its row is: firing times jitter by up to a cell.
@@ -127,17 +137,16 @@ impl Rebuilder {
 }
 
 /// Centres of runs of bins with at least `enough` points: local maxima, in ascending order.
-fn peaks(histogram: &[u32], enough: u32) -> Vec<f64> {
+fn peaks(histogram: &[u32], enough: u32) -> impl Iterator<Item = f64> {
     let at = |bin: usize| histogram.get(bin).copied().unwrap_or(0);
     (1..histogram.len())
-        .filter(|&bin| at(bin) >= enough && at(bin) > at(bin - 1) && at(bin) >= at(bin + 1))
-        .map(|bin| {
+        .filter(move |&bin| at(bin) >= enough && at(bin) > at(bin - 1) && at(bin) >= at(bin + 1))
+        .map(move |bin| {
             let (low, middle, high) = (at(bin - 1), at(bin), at(bin + 1));
             let sum = f64::from(low) + f64::from(middle) + f64::from(high);
             let shift = (f64::from(high) - f64::from(low)) / sum;
             (bin as f64 + 0.5 + shift) * BIN - PI / 2.0
         })
-        .collect()
 }
 
 /// Elevation and azimuth (0..2 pi) of a point [rad]; None without direction.
@@ -174,9 +183,12 @@ mod tests {
         let table = BeamTable::Rows { elevations: vec![-0.1, 0.2], columns: 360 };
         let mut points = ring(-0.1, 360);
         points.extend(&ring(0.2, 360)[..180]);
-        let missing = Rebuilder::new(&table).missing(&points);
-        assert_eq!(missing.len(), 178); // the two at the border of the gap are left out
-        assert!(missing.iter().all(|direction| direction[1] < 0.0 && direction[2] > 0.19));
+        let mut missing = Missing::default();
+        Rebuilder::new(&table).find_missing(&points, &mut missing);
+        assert_eq!(missing.directions.len(), 178); // the two at the border of the gap are left out
+        assert!(
+            missing.directions.iter().all(|direction| direction[1] < 0.0 && direction[2] > 0.19)
+        );
     }
 
     #[test]
@@ -190,6 +202,10 @@ mod tests {
         for (learnt, truth) in rebuilder.elevations.iter().zip([-0.2, 0.0, 0.15]) {
             assert!((learnt - truth).abs() < BIN);
         }
-        assert!(rebuilder.missing(&ring(0.0, 360)).len() == 720);
+        let mut missing = Missing::default();
+        for _ in 0..2 {
+            rebuilder.find_missing(&ring(0.0, 360), &mut missing);
+            assert_eq!(missing.directions.len(), 720);
+        }
     }
 }

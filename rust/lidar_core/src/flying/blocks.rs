@@ -128,14 +128,6 @@ pub(crate) fn has(bits: &Bits, offset: usize) -> bool {
     bits[offset >> 6] >> (offset & 63) & 1 == 1
 }
 
-/// Places whose bits are set.
-pub(crate) fn ones(bits: &Bits) -> impl Iterator<Item = usize> {
-    let words = bits.iter().enumerate().filter(|(_, word)| **word != 0);
-    words.flat_map(|(at, word)| {
-        (0..64).filter(move |bit| word >> bit & 1 == 1).map(move |bit| 64 * at + bit)
-    })
-}
-
 #[inline]
 pub(crate) fn assign(bits: &mut Bits, offset: usize, value: bool) {
     let mask = 1 << (offset & 63);
@@ -220,7 +212,15 @@ impl Blocks {
     /// # Errors
     /// [`Error::Limit`] if the map would outgrow its budget or the memory cannot be had.
     pub(crate) fn ensure(&mut self, places: &[Place]) -> Result<Vec<u32>, Error> {
-        let missing = places.iter().filter(|&&place| self.slot(place).is_none()).count();
+        self.reserve(places.iter().filter(|&&place| self.slot(place).is_none()).count())?;
+        Ok(places.iter().map(|&place| self.make(place)).collect())
+    }
+
+    /// Have room for so many more blocks.
+    ///
+    /// # Errors
+    /// As [`Blocks::ensure`].
+    pub(crate) fn reserve(&mut self, missing: usize) -> Result<(), Error> {
         let wanted = self.pool.len() + missing;
         if wanted > self.max_blocks
             || self.pool.try_reserve(missing).is_err()
@@ -232,10 +232,11 @@ impl Blocks {
                 key: "voxel_map.max_voxels",
             });
         }
-        Ok(places.iter().map(|&place| self.make(place)).collect())
+        Ok(())
     }
 
-    fn make(&mut self, place: Place) -> u32 {
+    /// Slot of the block at `place`, made if it is missing.
+    pub(crate) fn make(&mut self, place: Place) -> u32 {
         let next = self.pool.len() as u32; // at most u32::MAX blocks
         let slot = *self.slots.entry(place).or_insert(next);
         if slot == next {

@@ -1,16 +1,17 @@
 //! Clusters of one scan -> background, flying or unknown. Source: Vrba et al., sec. III-B.
 
 use super::blocks::Cursor;
-use super::clusters::Cluster;
-use super::flood::{Flood, check_steps, distinct, neighbours, search_radius};
-use super::group::groups;
+use super::clusters::{Cluster, Clusters};
+use super::flood::{self, Flood, check_steps, neighbours, search_radius};
+use super::group::Grouper;
 use super::integrate::{BACKGROUND, FLYING, UNKNOWN};
 use super::near::Near;
 use super::shadow::Shadow;
 use super::voxel_map::VoxelMap;
 use crate::Error;
-use crate::geometry::lattice::{Voxel, floor, wide};
+use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
+use crate::shelf::{Lent, Shelf};
 use rayon::prelude::*;
 
 /// How clusters are told apart.
@@ -56,7 +57,7 @@ pub struct ClassifyParameters {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Verdict {
     pub(crate) class: u8,
-    /// Uncertain voxels that a flying cluster's searches explored.
+    /// Uncertain voxels that a flying cluster's searches explored, where they are to be free.
     pub(crate) explored: Vec<Voxel>,
     /// Share of free voxels in the shell around a flying cluster.
     pub(crate) clearance: f64,
@@ -88,60 +89,107 @@ pub fn classify_clusters(
             got: labels[index].to_string(),
         });
     }
-    let mut rows = Vec::new();
-    let clusters = Cluster::all(points, labels, &mut rows);
-    let verdicts = classify(map, points, &clusters, origin, parameters)?;
+    let (mut clusters, mut verdicts) = (Clusters::default(), Vec::new());
+    clusters.fill(points, labels);
+    let judge = Judge { map, points, origin, parameters };
+    Classifier::default().classify(&judge, &clusters, &mut verdicts)?;
     Ok(verdicts.into_iter().map(|verdict| verdict.class).collect())
 }
 
-/// Classify the clusters of a scan on the map as it is before this scan's update.
-pub(crate) fn classify(
-    map: &VoxelMap,
-    points: &[[f32; 3]],
-    clusters: &[Cluster<'_>],
-    origin: [f64; 3],
-    parameters: &ClassifyParameters,
-) -> Result<Vec<Verdict>, Error> {
-    let radius = search_radius(parameters.search_distance, map.lattice().voxel_size())?;
-    check_steps("close_distance", parameters.close_distance, map.lattice().voxel_size())?;
-    let judge = Judge { map, points, origin, parameters };
-    let near = |cluster: &Cluster<'_>| judge.is_background(cluster);
-    let background: Vec<bool> = match &map.pool {
-        Some(pool) => pool.install(|| clusters.par_iter().map(near).collect()),
-        None => clusters.iter().map(near).collect(),
-    };
-    let groups = groups(points, clusters, &background, parameters.group_distance)?;
-    let flood = || Flood::new(map, radius, parameters.open_border, parameters.expand_own);
-    let verdict = |flood: &mut Flood<'_>, (index, cluster): (usize, &Cluster)| {
-        if background[index] || groups[index].with_background {
-            return Verdict { class: BACKGROUND, ..Verdict::default() };
-        }
-        judge.flying_or_unknown(flood, cluster, groups[index].extent)
-    };
-    Ok(match &map.pool {
-        Some(pool) => {
-            pool.install(|| clusters.par_iter().enumerate().map_init(flood, verdict).collect())
-        }
-        None => {
-            let mut flood = flood();
-            clusters.iter().enumerate().map(|entry| verdict(&mut flood, entry)).collect()
-        }
-    })
+/// Tells the clusters of one scan after another apart, in the same memory.
+#[derive(Default)]
+pub(crate) struct Classifier {
+    background: Vec<bool>,
+    grouper: Grouper,
+    scratch: Shelf<Scratch>,
 }
 
-/// Rule B judged on a later map; what rule A said stays.
-pub(crate) fn judge_again(verdicts: &mut [Verdict], later: Vec<Verdict>) {
-    for (verdict, later) in verdicts.iter_mut().zip(later).filter(|(v, _)| v.class != BACKGROUND) {
-        let class = if later.class == FLYING { FLYING } else { UNKNOWN };
-        *verdict = Verdict { class, ..later };
+impl Classifier {
+    /// Verdict on every cluster, on the map as it is.
+    pub(crate) fn classify(
+        &mut self,
+        judge: &Judge<'_>,
+        clusters: &Clusters,
+        verdicts: &mut Vec<Verdict>,
+    ) -> Result<(), Error> {
+        let Judge { map, points, parameters, .. } = *judge;
+        let radius = search_radius(parameters.search_distance, map.lattice().voxel_size())?;
+        check_steps("close_distance", parameters.close_distance, map.lattice().voxel_size())?;
+        let Self { background, grouper, scratch } = self;
+        let near = |index: usize| judge.is_background(&clusters.get(index));
+        each(map, clusters.len(), || (), |(), index| near(index), background);
+        let groups = grouper.groups(points, clusters, background, parameters.group_distance)?;
+        let verdict = |scratch: &mut Lent<'_, Scratch>, index: usize| {
+            if background[index] || groups[index].with_background {
+                return Verdict { class: BACKGROUND, ..Verdict::default() };
+            }
+            let cluster = clusters.get(index);
+            judge.flying_or_unknown(scratch, &cluster, groups[index].extent, radius)
+        };
+        each(map, clusters.len(), || scratch.lend(), verdict, verdicts);
+        Ok(())
     }
 }
 
-struct Judge<'a> {
-    map: &'a VoxelMap,
-    points: &'a [[f32; 3]],
-    origin: [f64; 3],
-    parameters: &'a ClassifyParameters,
+/// Put what `work` says of every index below `count` into `found`, on the threads of the map. Every
+/// thread has something of its own.
+fn each<T: Send, S>(
+    map: &VoxelMap,
+    count: usize,
+    own: impl Fn() -> S + Sync + Send,
+    work: impl Fn(&mut S, usize) -> T + Sync + Send,
+    found: &mut Vec<T>,
+) {
+    match &map.pool {
+        Some(pool) => {
+            let all = (0..count).into_par_iter().map_init(own, work);
+            pool.install(|| all.collect_into_vec(found));
+        }
+        None => {
+            let mut own = own();
+            found.clear();
+            found.extend((0..count).map(|index| work(&mut own, index)));
+        }
+    }
+}
+
+/// Rule B judged on a later map; what rule A said stays.
+pub(crate) fn judge_again(verdicts: &mut [Verdict], later: &mut [Verdict]) {
+    for (verdict, later) in verdicts.iter_mut().zip(later).filter(|(v, _)| v.class != BACKGROUND) {
+        let class = if later.class == FLYING { FLYING } else { UNKNOWN };
+        *verdict = Verdict { class, ..std::mem::take(later) };
+    }
+}
+
+/// What the judging of one cluster leaves to that of the next: memory.
+#[derive(Default)]
+struct Scratch {
+    flood: flood::Memory,
+    /// Points of a cluster, the voxels that hold them, and those around these.
+    points: Vec<[f64; 3]>,
+    voxels: Vec<Voxel>,
+    shell: Vec<Voxel>,
+}
+
+impl Scratch {
+    fn take(&mut self, points: impl Iterator<Item = [f64; 3]>, lattice: &Lattice) {
+        self.points.clear();
+        self.points.extend(points);
+        self.voxels.clear();
+        self.voxels.extend(self.points.iter().filter_map(|&at| floor(lattice.scaled(at))));
+        self.voxels.sort_unstable();
+        self.voxels.dedup();
+    }
+}
+
+/// What clusters are judged by.
+#[derive(Clone, Copy)]
+pub(crate) struct Judge<'a> {
+    pub(crate) map: &'a VoxelMap,
+    pub(crate) points: &'a [[f32; 3]],
+    /// Where the sensor is.
+    pub(crate) origin: [f64; 3],
+    pub(crate) parameters: &'a ClassifyParameters,
 }
 
 impl Judge<'_> {
@@ -157,9 +205,10 @@ impl Judge<'_> {
     /// Rules B and C, after the gates on size, number and distance.
     fn flying_or_unknown(
         &self,
-        flood: &mut Flood<'_>,
+        scratch: &mut Scratch,
         cluster: &Cluster<'_>,
         group_extent: f64,
+        radius: i32,
     ) -> Verdict {
         let p = self.parameters;
         let unknown = Verdict { class: UNKNOWN, ..Verdict::default() };
@@ -169,33 +218,48 @@ impl Judge<'_> {
         if gated {
             return unknown;
         }
-        let points: Vec<[f64; 3]> =
-            cluster.members.iter().map(|&row| wide(self.points[row as usize])).collect();
         let lattice = self.map.lattice();
-        let starts = distinct(points.iter().filter_map(|&p| floor(lattice.scaled(p))).collect());
-        if !starts.iter().all(|&voxel| self.map.admits(voxel)) {
+        let points = cluster.members.iter().map(|&row| wide(self.points[row as usize]));
+        scratch.take(points, lattice);
+        let Scratch { flood, points, voxels, shell } = scratch;
+        if !voxels.iter().all(|&voxel| self.map.admits(voxel)) {
             return unknown; // nothing is known outside the operating volume
         }
-        let shadow = p.own_shadow.then(|| Shadow::of(&points, self.origin, lattice));
-        let search = |flood: &mut Flood<'_>| {
-            (flood.is_enclosed(&starts, shadow.as_ref()), flood.take_explored())
-        };
-        let (enclosed, explored) = if p.search_adds_extent {
+        let shadow = p.own_shadow.then(|| Shadow::of(points, self.origin, lattice));
+        let explored = if p.search_adds_extent {
             let distance = p.search_distance + cluster.diagonal();
-            search(&mut Flood::wider(self.map, distance, p.open_border, p.expand_own))
+            let mut memory = flood::Memory::default(); // too much to keep
+            let flood = Flood::wider(self.map, distance, p.open_border, p.expand_own, &mut memory);
+            self.explored(flood, voxels, shadow.as_ref())
         } else {
-            search(flood)
+            let flood = Flood::new(self.map, radius, p.open_border, p.expand_own, flood);
+            self.explored(flood, voxels, shadow.as_ref())
         };
-        let clearance = if enclosed { self.clearance(&starts) } else { 0.0 };
-        if !enclosed || clearance < p.min_clearance {
+        let Some(explored) = explored else { return unknown };
+        let clearance = self.clearance(voxels, shell);
+        if clearance < p.min_clearance {
             return unknown;
         }
         Verdict { class: FLYING, explored, clearance }
     }
 
+    /// If there is no way out from `starts`, the uncertain voxels that were explored, where these are
+    /// to be free.
+    fn explored(
+        &self,
+        mut flood: Flood<'_>,
+        starts: &[Voxel],
+        shadow: Option<&Shadow<'_>>,
+    ) -> Option<Vec<Voxel>> {
+        let is_enclosed = flood.is_enclosed(starts, shadow);
+        let is_wanted = self.parameters.fill_pockets;
+        is_enclosed.then(|| if is_wanted { flood.take_explored() } else { Vec::new() })
+    }
+
     /// Share of free voxels among the neighbours of a cluster's voxels.
-    fn clearance(&self, voxels: &[Voxel]) -> f64 {
-        let mut shell: Vec<Voxel> = voxels.iter().flat_map(|&voxel| neighbours(voxel)).collect();
+    fn clearance(&self, voxels: &[Voxel], shell: &mut Vec<Voxel>) -> f64 {
+        shell.clear();
+        shell.extend(voxels.iter().flat_map(|&voxel| neighbours(voxel)));
         shell.sort_unstable();
         shell.dedup();
         shell.retain(|voxel| voxels.binary_search(voxel).is_err());

@@ -3,7 +3,70 @@
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{minus, norm};
 
+/// Clusters of a labelled cloud, in the order of their labels.
+#[derive(Default)]
+pub(crate) struct Clusters {
+    /// Rows of their points, cluster by cluster.
+    rows: Vec<u32>,
+    /// Where the rows of each end.
+    ends: Vec<u32>,
+    shapes: Vec<Shape>,
+}
+
+/// The box around a cluster, and its centroid [m].
+#[derive(Clone, Copy)]
+struct Shape {
+    low: [f32; 3],
+    high: [f32; 3],
+    centroid: [f64; 3],
+}
+
+impl Clusters {
+    /// Take those of another cloud; points that are not finite belong to none.
+    pub(crate) fn fill(&mut self, points: &[[f32; 3]], labels: &[i32]) {
+        let Self { rows, ends, shapes } = self;
+        let count = labels.iter().max().map_or(0, |&last| (last + 1).max(0) as usize);
+        let labelled = || (0..).zip(points.iter().zip(labels)).filter_map(label_of);
+        ends.clear();
+        ends.resize(count + 1, 0);
+        labelled().for_each(|(_, label)| ends[label + 1] += 1);
+        for label in 0..count {
+            ends[label + 1] += ends[label];
+        }
+        rows.clear();
+        rows.resize(ends[count] as usize, 0);
+        for (row, label) in labelled() {
+            rows[ends[label] as usize] = row; // where the cluster begins, at first
+            ends[label] += 1;
+        }
+        ends.truncate(count);
+        shapes.clear();
+        let mut start = 0;
+        shapes.extend(ends.iter().map(|&end| {
+            let members = &rows[std::mem::replace(&mut start, end as usize)..end as usize];
+            Shape::of(points, members)
+        }));
+    }
+
+    /// Number of clusters.
+    pub(crate) fn len(&self) -> usize {
+        self.shapes.len()
+    }
+
+    pub(crate) fn get(&self, index: usize) -> Cluster<'_> {
+        let start = index.checked_sub(1).map_or(0, |before| self.ends[before] as usize);
+        let members = &self.rows[start..self.ends[index] as usize];
+        let Shape { low, high, centroid } = self.shapes[index];
+        Cluster { members, low: wide(low), high: wide(high), centroid }
+    }
+
+    pub(crate) fn iter(&self) -> impl Iterator<Item = Cluster<'_>> {
+        (0..self.len()).map(|index| self.get(index))
+    }
+}
+
 /// A cluster: rows of its points, and what is known of its shape.
+#[derive(Clone, Copy)]
 pub(crate) struct Cluster<'a> {
     pub(crate) members: &'a [u32],
     pub(crate) low: [f64; 3],
@@ -11,47 +74,7 @@ pub(crate) struct Cluster<'a> {
     pub(crate) centroid: [f64; 3],
 }
 
-impl<'a> Cluster<'a> {
-    /// Clusters of a labelled cloud, in the order of their labels; points that are not finite
-    /// belong to none. All their rows are put into `rows`.
-    pub(crate) fn all(points: &[[f32; 3]], labels: &[i32], rows: &'a mut Vec<u32>) -> Vec<Self> {
-        let count = labels.iter().max().map_or(0, |&last| (last + 1).max(0) as usize);
-        let labelled = || (0..).zip(points.iter().zip(labels)).filter_map(label_of);
-        let mut ends = vec![0usize; count + 1];
-        labelled().for_each(|(_, label)| ends[label + 1] += 1);
-        for label in 0..count {
-            ends[label + 1] += ends[label];
-        }
-        rows.clear();
-        rows.resize(ends[count], 0);
-        for (row, label) in labelled() {
-            rows[ends[label]] = row; // where the cluster begins, at first
-            ends[label] += 1;
-        }
-        let rows: &'a [u32] = rows;
-        let start = |label: usize| label.checked_sub(1).map_or(0, |before| ends[before]);
-        (0..count).map(|label| Self::of(points, &rows[start(label)..ends[label]])).collect()
-    }
-
-    fn of(points: &[[f32; 3]], members: &'a [u32]) -> Self {
-        if members.is_empty() {
-            return Self { members, low: [0.0; 3], high: [0.0; 3], centroid: [0.0; 3] };
-        }
-        let mut low = [f64::INFINITY; 3];
-        let mut high = [f64::NEG_INFINITY; 3];
-        let mut sum = [0.0; 3];
-        for &row in members {
-            let point = wide(points[row as usize]);
-            for axis in 0..3 {
-                low[axis] = low[axis].min(point[axis]);
-                high[axis] = high[axis].max(point[axis]);
-                sum[axis] += point[axis];
-            }
-        }
-        let count = members.len() as f64;
-        Self { members, low, high, centroid: sum.map(|value| value / count) }
-    }
-
+impl Cluster<'_> {
     /// Edges of its box [m].
     pub(crate) fn extent(&self) -> [f64; 3] {
         minus(self.high, self.low)
@@ -60,6 +83,27 @@ impl<'a> Cluster<'a> {
     /// Diagonal of its box [m].
     pub(crate) fn diagonal(&self) -> f64 {
         norm(self.extent())
+    }
+}
+
+impl Shape {
+    fn of(points: &[[f32; 3]], members: &[u32]) -> Self {
+        if members.is_empty() {
+            return Self { low: [0.0; 3], high: [0.0; 3], centroid: [0.0; 3] };
+        }
+        let mut low = [f32::INFINITY; 3];
+        let mut high = [f32::NEG_INFINITY; 3];
+        let mut sum = [0.0; 3];
+        for &row in members {
+            let point = points[row as usize];
+            for axis in 0..3 {
+                low[axis] = low[axis].min(point[axis]);
+                high[axis] = high[axis].max(point[axis]);
+                sum[axis] += f64::from(point[axis]);
+            }
+        }
+        let count = members.len() as f64;
+        Self { low, high, centroid: sum.map(|value| value / count) }
     }
 }
 

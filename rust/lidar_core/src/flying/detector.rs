@@ -1,14 +1,13 @@
 //! The pipeline: raw scans in, point classes, detections and tracks out.
 
-use super::classify::{Verdict, classify, judge_again};
-use super::clusters::Cluster;
-use super::flood::{check_steps, distinct, search_radius};
+use super::casting::Casting;
+use super::flood::{check_steps, search_radius};
+use super::follow::track;
 use super::found::Found;
 use super::frame::{Frame, Teammate, Timing};
 use super::gate::Gate;
-use super::integrate::{
-    BACKGROUND, ClassifiedScan, FLYING, INVALID, IntegrateStats, Origins, UNKNOWN,
-};
+use super::integrate::{FLYING, IntegrateStats, UNKNOWN};
+use super::judged::Judged;
 use super::jump::Held;
 use super::parameters::FlyingParameters;
 use super::scan::{Prepared, RawScan};
@@ -20,7 +19,7 @@ use super::voxel_map::VoxelMap;
 use crate::Error;
 use crate::clock::Clock;
 use crate::geometry::gaps::{AngularGap, label_seen};
-use crate::geometry::lattice::{floor, wide};
+use crate::geometry::lattice::Voxel;
 use crate::geometry::transform::Transform;
 use std::collections::BTreeMap;
 
@@ -39,6 +38,15 @@ pub struct FlyingObjectDetector {
     pub(super) held: Option<Held>,
     /// What the scans of the burn-in held.
     pub(super) standing: Standing,
+    scratch: Scratch,
+}
+
+/// Memory that a scan leaves to the next one.
+#[derive(Default)]
+struct Scratch {
+    scan: Prepared,
+    judged: Judged,
+    sampled: Vec<(Voxel, [f64; 3])>,
 }
 
 impl FlyingObjectDetector {
@@ -65,6 +73,7 @@ impl FlyingObjectDetector {
             reporting: false,
             held: None,
             standing: Standing::default(),
+            scratch: Scratch::default(),
         })
     }
 
@@ -85,10 +94,16 @@ impl FlyingObjectDetector {
         raw: &RawScan<'_>,
         keep_going: &dyn Fn() -> bool,
     ) -> Result<Frame, Error> {
-        let was_anchored = self.anchored;
-        let frame = self.process_anchored(raw, keep_going);
+        let (was_anchored, was_met) = (self.anchored, self.sensors.contains_key(raw.sensor));
+        let mut scratch = std::mem::take(&mut self.scratch);
+        let mut casting = std::mem::take(&mut self.map.casting);
+        let frame = self.process_anchored(raw, &mut scratch, &mut casting, keep_going);
+        (self.scratch, self.map.casting) = (scratch, casting); // their memory is used again
         if frame.is_err() && !was_anchored {
             self.unanchor(); // the next scan says where the map begins
+        }
+        if frame.is_err() && !was_met {
+            self.sensors.remove(raw.sensor);
         }
         frame
     }
@@ -96,80 +111,73 @@ impl FlyingObjectDetector {
     fn process_anchored(
         &mut self,
         raw: &RawScan<'_>,
+        scratch: &mut Scratch,
+        casting: &mut Casting,
         keep_going: &dyn Fn() -> bool,
     ) -> Result<Frame, Error> {
         let mut clock = Clock::start();
-        let sensor = self.sensor(raw.sensor);
-        sensor.check_stamp(raw.sensor, raw.stamp_ns)?;
-        let stamp_ns = self.tracker_stamp(raw.stamp_ns)?;
-        self.anchor(raw)?;
-        let mut scan = Prepared::new(raw, &sensor, &self.map_from_world)?;
+        let Scratch { scan, judged, sampled } = scratch;
+        let stamp_ns = self.prepare(raw, scan)?;
         let mut timing = Timing { prepare: clock.lap(), ..Timing::default() };
 
-        if let Some(gate) = self.contradiction(&scan) {
-            let world_from_lidar = self.map_from_world.inverse().after(&scan.pose);
-            self.held = Some(Held { sensor: raw.sensor.to_owned(), world_from_lidar });
-            return Ok(self.held_frame(raw, &scan, gate, timing));
+        if let Some(gate) = self.contradiction(scan, sampled) {
+            return Ok(self.hold(raw, scan, judged, gate, timing));
         }
         let gate = self.parameters.seed.gate(self.scans, &self.map, self.needed());
-        let mut rows = Vec::new();
-        let mut judged = self.judge(&scan, &mut rows, &mut clock, &mut timing, keep_going)?;
-        self.tracker.check_room(count_of(&judged.verdicts, FLYING))?;
+        let cast = self.judge_and_cast(raw, scan, judged, casting, &mut clock, &mut timing)?;
+        go_on(keep_going)?;
+        self.tracker.check_room(judged.count_of(FLYING))?;
 
         // The last stage that may refuse the scan.
-        let stats = self.update_map(raw, &mut scan, &mut judged)?;
-        self.accept(raw, &scan, sensor, gate);
-        self.fill_pockets(&judged.verdicts, &scan);
-        self.keep_standing(&scan);
+        let stats = self.update_map(raw, scan, judged, casting, cast)?;
+        self.accept(raw, scan, gate);
+        self.fill_pockets(&judged.verdicts, scan);
+        self.keep_standing(scan);
         timing.integrate = clock.lap();
         self.map.remove_separate_from_background(self.parameters.separation)?;
         timing.separate = clock.lap();
 
-        let view = self.view(raw, &scan);
-        let mut found = self.detections(&view, &scan, &judged.clusters, &judged.verdicts);
-        let followed = self.track(&view, &scan, &found, stamp_ns)?;
-        self.add_followed(&mut judged, &mut found, &followed, &view, &scan);
+        let FlyingParameters { target_radius, range_std, .. } = self.parameters;
+        let (spread, pool) = (self.pose_spread(raw, scan), self.map.pool.as_ref());
+        let view = ScanView::new(scan, target_radius, range_std, spread, pool);
+        let verdicts = judged.verdicts.iter().enumerate();
+        let mut found = self.detections(&view, scan, &judged.clusters, verdicts);
+        let followed = track(&mut self.tracker, &self.map, &view, scan, &found, stamp_ns)?;
+        self.add_followed(judged, &mut found, &followed, &view, scan);
         timing.track = clock.lap();
-        Ok(self.frame(raw, judged.class, &scan, found, Some(stats), gate, timing))
+        Ok(self.frame(raw, &judged.class, scan, found, Some(stats), gate, timing))
     }
 
-    /// The map after the scan; what flies is judged on it where that is asked for.
-    fn update_map(
-        &mut self,
-        raw: &RawScan<'_>,
-        scan: &mut Prepared,
-        judged: &mut Judged<'_>,
-    ) -> Result<IntegrateStats, Error> {
-        let stats = self.integrate(raw, scan, &mut judged.class)?;
-        if self.parameters.classify.after_update {
-            judge_again(&mut judged.verdicts, self.verdicts(scan, &judged.clusters)?);
-            judged.class = point_classes(scan, &judged.labels, &judged.verdicts);
-        }
-        Ok(stats)
+    /// Put the scan into the frame of the map; its stamp for the tracker.
+    fn prepare(&mut self, raw: &RawScan<'_>, scan: &mut Prepared) -> Result<i64, Error> {
+        self.meet(raw.sensor);
+        self.sensors[raw.sensor].check_stamp(raw.sensor, raw.stamp_ns)?;
+        let stamp_ns = self.tracker_stamp(raw.stamp_ns)?;
+        self.anchor(raw)?;
+        let (sensor, pool) = (&self.sensors[raw.sensor], self.map.pool.as_ref());
+        scan.take(raw, sensor, &self.map_from_world, pool)?;
+        Ok(stamp_ns)
     }
 
-    /// Clusters of a scan, with their `rows`, and what the map says that they are.
-    fn judge<'a>(
+    /// Clusters of a scan and what they are, and the rays into the sums of `casting`: at the same time
+    /// where there are threads for both. What came of casting, if it was done.
+    fn judge_and_cast(
         &self,
+        raw: &RawScan<'_>,
         scan: &Prepared,
-        rows: &'a mut Vec<u32>,
+        judged: &mut Judged,
+        casting: &mut Casting,
         clock: &mut Clock,
         timing: &mut Timing,
-        keep_going: &dyn Fn() -> bool,
-    ) -> Result<Judged<'a>, Error> {
-        let labels = self.labels(scan)?;
-        let clusters = Cluster::all(&scan.points, &labels, rows);
-        timing.cluster = clock.lap();
-        go_on(keep_going)?;
-
-        let verdicts = self.verdicts(scan, &clusters)?;
-        let mut class = point_classes(scan, &labels, &verdicts);
-        if self.parameters.classify.after_update {
-            replace(&mut class, FLYING, UNKNOWN); // rule B is judged after the map update
+    ) -> Result<Option<Result<(), Error>>, Error> {
+        let mut judge = || self.judge(scan, judged, clock, timing);
+        match self.map.pool.as_ref().filter(|_| self.take_off_ground(scan).is_none()) {
+            Some(pool) => {
+                let (told, cast) = pool.join(judge, || self.cast(raw, scan, casting));
+                told.map(|()| Some(cast))
+            }
+            None => judge().map(|()| None),
         }
-        timing.classify = clock.lap();
-        go_on(keep_going)?;
-        Ok(Judged { labels, clusters, verdicts, class })
     }
 
     /// Confirmed tracks predicted to `stamp_ns`, world frame: compensates latency.
@@ -195,10 +203,13 @@ impl FlyingObjectDetector {
         &self.map
     }
 
-    fn sensor(&self, name: &str) -> Sensor {
-        let parameters =
-            self.parameters.sensors.get(name).unwrap_or(&self.parameters.default_sensor);
-        self.sensors.get(name).cloned().unwrap_or_else(|| Sensor::new(parameters.clone()))
+    /// A sensor that may be new.
+    fn meet(&mut self, name: &str) {
+        let FlyingParameters { sensors, default_sensor, .. } = &self.parameters;
+        if !self.sensors.contains_key(name) {
+            let parameters = sensors.get(name).unwrap_or(default_sensor);
+            self.sensors.insert(name.to_owned(), Sensor::new(parameters.clone()));
+        }
     }
 
     /// Sensors may fire at the same time; the tracker wants distinct stamps.
@@ -208,72 +219,19 @@ impl FlyingObjectDetector {
         Ok(stamp_ns)
     }
 
-    fn labels(&self, scan: &Prepared) -> Result<Vec<i32>, Error> {
-        let gap =
-            AngularGap { origin: scan.pose.translation, max_angle: self.parameters.cluster_angle };
-        let (clustering, pool) = (&self.parameters.clustering, self.map.pool.as_ref());
-        if !self.parameters.cluster_voxels {
-            return label_seen(&scan.points, &gap, clustering, pool);
-        }
-        let lattice = self.map.lattice();
-        let center = |&point: &[f32; 3]| match floor(lattice.scaled(wide(point))) {
-            Some(voxel) => lattice.center(voxel).map(|value| value as f32),
-            None => [f32::NAN; 3],
-        };
-        let centers: Vec<[f32; 3]> = scan.points.iter().map(center).collect();
-        label_seen(&centers, &gap, clustering, pool)
-    }
-
     fn needed(&self) -> usize {
         self.parameters.separation.min_confident
     }
 
-    fn verdicts(&self, scan: &Prepared, clusters: &[Cluster<'_>]) -> Result<Vec<Verdict>, Error> {
-        let mut parameters = self.parameters.classify.clone();
-        parameters.background_extent =
-            self.parameters.seed.background_extent(self.scans, parameters.background_extent);
-        let origin = scan.pose.translation;
-        let mut verdicts = classify(&self.map, &scan.points, clusters, origin, &parameters)?;
-        let ground = self.parameters.seed.ground_height;
-        let world_from_map = self.map_from_world.inverse();
-        for (verdict, cluster) in verdicts.iter_mut().zip(clusters) {
-            if ground.is_some_and(|height| world_from_map.apply(cluster.low)[2] < height) {
-                *verdict = Verdict { class: BACKGROUND, ..Verdict::default() };
-            } else if verdict.class == FLYING && !self.map.has_background() {
-                *verdict = Verdict { class: UNKNOWN, ..Verdict::default() };
-            }
-        }
-        Ok(verdicts)
-    }
-
-    fn integrate(
-        &mut self,
-        raw: &RawScan<'_>,
-        scan: &mut Prepared,
-        class: &mut Vec<u8>,
-    ) -> Result<IntegrateStats, Error> {
-        let ground = self.parameters.seed.take_off_ground(scan.pose.translation);
-        for ground in ground.filter(|_| self.scans == 0).into_iter().flatten() {
-            scan.append_known(ground);
-            class.push(BACKGROUND);
-        }
-        let stats = self.map.integrate(&ClassifiedScan {
-            points: &scan.points,
-            class: &*class,
-            origins: Origins::Each(&scan.origins),
-            directions: scan.directions.as_deref(),
-            no_return: scan.directions.is_some().then_some(&scan.no_return),
-            no_ray: scan.no_ray.as_deref(),
-            pose_error: self.pose_error(raw, scan).as_ref(),
-        })?;
-        Ok(stats)
-    }
-
-    fn accept(&mut self, raw: &RawScan<'_>, scan: &Prepared, mut sensor: Sensor, gate: Gate) {
+    fn accept(&mut self, raw: &RawScan<'_>, scan: &Prepared, gate: Gate) {
         let needs_directions = raw.organised && raw.no_return.is_some() && raw.directions.is_none();
-        sensor.learn(raw.stamp_ns, raw.points, needs_directions);
-        sensor.last_pose = Some(scan.pose);
-        self.sensors.insert(raw.sensor.to_owned(), sensor);
+        if let Some(sensor) = self.sensors.get_mut(raw.sensor) {
+            sensor.learn(raw.stamp_ns, raw.points, needs_directions);
+            sensor.last_pose = Some(scan.pose);
+        }
+        // Scans of one sensor come in order, so that no detection is older than a cloud.
+        let sensors = self.sensors.len().max(self.parameters.sensors.len());
+        self.tracker.keep_points(sensors > 1);
         self.scans = self.scans.saturating_add(1);
         self.reporting = gate == Gate::Open;
         self.held = None;
@@ -282,45 +240,33 @@ impl FlyingObjectDetector {
         }
     }
 
-    /// Enclosed uncertain voxels around flying objects become free, unless they hold points.
-    fn fill_pockets(&mut self, verdicts: &[Verdict], scan: &Prepared) {
-        if !self.parameters.classify.fill_pockets {
-            return;
-        }
-        let lattice = *self.map.lattice();
-        let place = |&point: &[f32; 3]| floor(lattice.scaled(wide(point)));
-        let held = distinct(scan.points.iter().filter_map(place).collect());
-        let below = self.map.uncertain_from().next_down();
-        let flying = verdicts.iter().filter(|verdict| verdict.class == FLYING);
-        for &voxel in flying.flat_map(|verdict| &verdict.explored) {
-            if held.binary_search(&voxel).is_err() {
-                self.map.rewrite(voxel, |value| value.min(below)); // NaN: never observed
-            }
-        }
-    }
-
-    fn view<'a>(&self, raw: &RawScan<'_>, scan: &'a Prepared) -> ScanView<'a> {
-        let FlyingParameters { target_radius, range_std, .. } = self.parameters;
-        ScanView::new(scan, target_radius, range_std, self.pose_spread(raw, scan))
-    }
-
-    fn held_frame(&self, raw: &RawScan<'_>, scan: &Prepared, gate: Gate, timing: Timing) -> Frame {
-        let class = point_classes(scan, &vec![-1; scan.rows], &[]);
-        self.frame(raw, class, scan, Found::default(), None, gate, timing)
+    /// Use nothing of a scan, but remember where it was taken.
+    fn hold(
+        &mut self,
+        raw: &RawScan<'_>,
+        scan: &Prepared,
+        judged: &mut Judged,
+        gate: Gate,
+        timing: Timing,
+    ) -> Frame {
+        let world_from_lidar = self.map_from_world.inverse().after(&scan.pose);
+        self.held = Some(Held { sensor: raw.sensor.to_owned(), world_from_lidar });
+        judged.tell_nothing(scan);
+        self.frame(raw, &judged.class, scan, Found::default(), None, gate, timing)
     }
 
     #[allow(clippy::too_many_arguments)] // the parts of a frame, each made by another stage
     fn frame(
         &self,
         raw: &RawScan<'_>,
-        mut point_class: Vec<u8>,
+        class: &[u8],
         scan: &Prepared,
         found: Found,
         integrated: Option<IntegrateStats>,
         gate: Gate,
         timing: Timing,
     ) -> Frame {
-        point_class.truncate(scan.rows);
+        let mut point_class = class[..scan.rows].to_vec();
         if gate != Gate::Open {
             replace(&mut point_class, FLYING, UNKNOWN);
         }
@@ -345,35 +291,10 @@ impl FlyingObjectDetector {
     }
 }
 
-/// A scan in clusters.
-pub(super) struct Judged<'a> {
-    /// Cluster of every row, -1 for none.
-    pub(super) labels: Vec<i32>,
-    pub(super) clusters: Vec<Cluster<'a>>,
-    /// What each cluster is.
-    pub(super) verdicts: Vec<Verdict>,
-    /// Class of every row.
-    pub(super) class: Vec<u8>,
-}
-
 fn go_on(keep_going: &dyn Fn() -> bool) -> Result<(), Error> {
     if keep_going() { Ok(()) } else { Err(Error::Interrupted) }
 }
 
-fn count_of(verdicts: &[Verdict], class: u8) -> usize {
-    verdicts.iter().filter(|verdict| verdict.class == class).count()
-}
-
-/// Class of every row: that of its cluster; unknown for points in no cluster.
-pub(super) fn point_classes(scan: &Prepared, labels: &[i32], verdicts: &[Verdict]) -> Vec<u8> {
-    let class = |(point, &label): (&[f32; 3], &i32)| match usize::try_from(label) {
-        Ok(cluster) => verdicts[cluster].class,
-        Err(_) if point.iter().all(|value| value.is_finite()) => UNKNOWN,
-        Err(_) => INVALID,
-    };
-    scan.points.iter().zip(labels).map(class).collect()
-}
-
-fn replace(classes: &mut [u8], old: u8, new: u8) {
+pub(super) fn replace(classes: &mut [u8], old: u8, new: u8) {
     classes.iter_mut().filter(|class| **class == old).for_each(|class| *class = new);
 }

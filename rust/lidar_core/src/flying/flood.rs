@@ -20,7 +20,8 @@ impl VoxelMap {
         for &point in points {
             starts.push(self.lattice().voxel_at(wide(point))?);
         }
-        let mut flood = Flood::new(self, radius, true, false);
+        let mut memory = Memory::default();
+        let mut flood = Flood::new(self, radius, true, false, &mut memory);
         Ok(flood.is_enclosed(&distinct(starts), None))
     }
 }
@@ -56,6 +57,12 @@ pub(crate) struct Flood<'a> {
     radius: i32,
     open_border: bool,
     expand_own: bool,
+    memory: &'a mut Memory,
+}
+
+/// Memory that searches use again.
+#[derive(Default)]
+pub(crate) struct Memory {
     /// Number of the search that last met a voxel of the cube around the start.
     met: Vec<u16>,
     search: u16,
@@ -65,19 +72,16 @@ pub(crate) struct Flood<'a> {
 }
 
 impl<'a> Flood<'a> {
-    pub(crate) fn new(map: &'a VoxelMap, radius: i32, open_border: bool, expand_own: bool) -> Self {
+    pub(crate) fn new(
+        map: &'a VoxelMap,
+        radius: i32,
+        open_border: bool,
+        expand_own: bool,
+        memory: &'a mut Memory,
+    ) -> Self {
         let edge = 2 * radius as usize + 1;
-        Self {
-            map,
-            cursor: Cursor::new(&map.blocks),
-            radius,
-            open_border,
-            expand_own,
-            met: vec![0; edge * edge * edge],
-            search: 0,
-            pending: Vec::new(),
-            explored: Vec::new(),
-        }
+        memory.met.resize(memory.met.len().max(edge * edge * edge), 0);
+        Self { map, cursor: Cursor::new(&map.blocks), radius, open_border, expand_own, memory }
     }
 
     /// With a search distance [m] of its own, cut to what a search may cost.
@@ -86,26 +90,27 @@ impl<'a> Flood<'a> {
         distance: f64,
         open_border: bool,
         expand_own: bool,
+        memory: &'a mut Memory,
     ) -> Self {
         let steps = (distance / map.lattice().voxel_size()).min(MOST_STEPS);
-        Self::new(map, (steps - 1e-9).ceil() as i32, open_border, expand_own)
+        Self::new(map, (steps - 1e-9).ceil() as i32, open_border, expand_own, memory)
     }
 
     /// Whether no search from any of `starts` finds a way out.
-    pub(crate) fn is_enclosed(&mut self, starts: &[Voxel], shadow: Option<&Shadow>) -> bool {
-        self.explored.clear();
+    pub(crate) fn is_enclosed(&mut self, starts: &[Voxel], shadow: Option<&Shadow<'_>>) -> bool {
+        self.memory.explored.clear();
         !starts.is_empty() && starts.iter().all(|&start| !self.finds_a_way_out(start, shadow))
     }
 
     /// Uncertain voxels that the searches explored.
     pub(crate) fn take_explored(&mut self) -> Vec<Voxel> {
-        distinct(std::mem::take(&mut self.explored))
+        distinct(std::mem::take(&mut self.memory.explored))
     }
 
-    fn finds_a_way_out(&mut self, start: Voxel, shadow: Option<&Shadow>) -> bool {
+    fn finds_a_way_out(&mut self, start: Voxel, shadow: Option<&Shadow<'_>>) -> bool {
         self.begin();
         self.push(start, start);
-        while let Some(voxel) = self.pending.pop() {
+        while let Some(voxel) = self.memory.pending.pop() {
             let stored = self.cursor.stored(voxel);
             let value = self.map.known(stored);
             if value >= self.map.tentative_from() {
@@ -116,14 +121,14 @@ impl<'a> Flood<'a> {
             }
             if shadow.is_some_and(|shadow| shadow.hides(voxel)) {
                 if !stored.is_nan() {
-                    self.explored.push(voxel); // met, though not followed
+                    self.memory.explored.push(voxel); // met, though not followed
                 }
                 continue;
             }
             if steps(voxel, start) >= self.radius {
                 return true; // A1:21
             }
-            self.explored.push(voxel);
+            self.memory.explored.push(voxel);
             for beside in outward_last(voxel, start) {
                 if self.map.admits(beside) {
                     self.push(beside, start);
@@ -136,23 +141,25 @@ impl<'a> Flood<'a> {
     }
 
     fn begin(&mut self) {
-        self.pending.clear();
-        self.search = self.search.wrapping_add(1);
-        if self.search == 0 {
-            self.met.fill(0);
-            self.search = 1;
+        let Memory { met, search, pending, .. } = &mut *self.memory;
+        pending.clear();
+        *search = search.wrapping_add(1);
+        if *search == 0 {
+            met.fill(0);
+            *search = 1;
         }
     }
 
     /// Queue a voxel unless this search has met it. Voxels are at most `radius` steps away.
     fn push(&mut self, voxel: Voxel, start: Voxel) {
+        let Memory { met, search, pending, .. } = &mut *self.memory;
         let edge = 2 * self.radius + 1;
         let [x, y, z]: [i32; 3] =
             std::array::from_fn(|axis| voxel[axis] - start[axis] + self.radius);
-        let met = &mut self.met[((z * edge + y) * edge + x) as usize];
-        if *met != self.search {
-            *met = self.search;
-            self.pending.push(voxel);
+        let met = &mut met[((z * edge + y) * edge + x) as usize];
+        if *met != *search {
+            *met = *search;
+            pending.push(voxel);
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::center::Center;
 use super::classify::Verdict;
-use super::clusters::Cluster;
+use super::clusters::Clusters;
 use super::detection::Detection;
 use super::detector::FlyingObjectDetector;
 use super::frame::Teammate;
@@ -21,17 +21,19 @@ pub(crate) struct Found {
 }
 
 impl FlyingObjectDetector {
-    /// Detections and teammates of a scan, in the frame of the map.
-    pub(super) fn detections(
+    /// Detections and teammates of a scan, in the frame of the map, given clusters by their number
+    /// with what they are.
+    pub(super) fn detections<'v>(
         &self,
         view: &ScanView<'_>,
         scan: &Prepared,
-        clusters: &[Cluster<'_>],
-        verdicts: &[Verdict],
+        clusters: &Clusters,
+        verdicts: impl Iterator<Item = (usize, &'v Verdict)> + Clone,
     ) -> Found {
         let mut found = Found::default();
-        let centers = self.centers(view, clusters, verdicts);
-        for ((cluster, verdict), center) in clusters.iter().zip(verdicts).zip(centers) {
+        let mut centers = self.centers(view, clusters, verdicts.clone()).into_iter();
+        for (index, verdict) in verdicts {
+            let cluster = clusters.get(index);
             let mate = self.teammate_at(cluster.centroid).filter(|_| verdict.class != BACKGROUND);
             if mate.is_some() {
                 found.hidden.extend(cluster.members);
@@ -39,8 +41,8 @@ impl FlyingObjectDetector {
             if verdict.class != FLYING {
                 continue;
             }
-            let mut detection = Detection::of(scan, cluster, verdict, self.parameters.range_std);
-            if let Some(center) = center {
+            let mut detection = Detection::of(scan, &cluster, verdict, self.parameters.range_std);
+            if let Some(center) = centers.next() {
                 detection = detection.at(&center);
             }
             if let Some(spread) = view.spread() {
@@ -54,22 +56,17 @@ impl FlyingObjectDetector {
         found
     }
 
-    /// For every cluster, the centre behind its points if it is a flying object and if centres
-    /// are asked for.
-    fn centers(
+    /// For every flying cluster the centre behind its points, if centres are asked for.
+    fn centers<'v>(
         &self,
         view: &ScanView<'_>,
-        clusters: &[Cluster<'_>],
-        verdicts: &[Verdict],
-    ) -> Vec<Option<Center>> {
-        let is_wanted = |&index: &usize| self.parameters.centers && verdicts[index].class == FLYING;
-        let wanted: Vec<usize> = (0..clusters.len()).filter(is_wanted).collect();
-        let rows: Vec<&[u32]> = wanted.iter().map(|&index| clusters[index].members).collect();
-        let mut centers = vec![None; clusters.len()];
-        for (index, center) in wanted.into_iter().zip(view.centers_of(&rows)) {
-            centers[index] = Some(center);
-        }
-        centers
+        clusters: &Clusters,
+        verdicts: impl Iterator<Item = (usize, &'v Verdict)>,
+    ) -> Vec<Center> {
+        let flies = |verdict: &Verdict| self.parameters.centers && verdict.class == FLYING;
+        let flying = verdicts.filter(|(_, verdict)| flies(verdict));
+        let rows: Vec<&[u32]> = flying.map(|(index, _)| clusters.get(index).members).collect();
+        view.centers_of(&rows)
     }
 
     fn teammate_at(&self, position: [f64; 3]) -> Option<&Teammate> {

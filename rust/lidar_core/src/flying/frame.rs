@@ -5,7 +5,8 @@ use super::gate::Gate;
 use super::integrate::IntegrateStats;
 use super::track::Track;
 
-/// Milliseconds spent per stage.
+/// Milliseconds spent per stage. Several threads cast rays while clusters are sought and judged:
+/// `integrate` is what is left of the map update then.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Timing {
     /// Transform, deskew, masks.

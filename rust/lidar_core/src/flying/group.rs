@@ -4,9 +4,9 @@
 //! clusters of a target's size. What lies close together is taken as one thing, and what lies
 //! close to background of the same scan is background too, before the map knows it.
 
-use super::clusters::Cluster;
+use super::clusters::{Cluster, Clusters};
 use crate::Error;
-use crate::geometry::cluster::{Clustering, label};
+use crate::geometry::cluster::{Clustering, Labeller};
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
 
@@ -19,72 +19,104 @@ pub(crate) struct Group {
     pub(crate) with_background: bool,
 }
 
-/// Group of every cluster: clusters linked by gaps of at most `distance` [m]; without a distance
-/// every cluster is its own group.
-pub(crate) fn groups(
-    points: &[[f32; 3]],
-    clusters: &[Cluster<'_>],
-    background: &[bool],
-    distance: Option<f64>,
-) -> Result<Vec<Group>, Error> {
-    let alone =
-        |cluster: &Cluster<'_>| Group { extent: cluster.diagonal(), with_background: false };
-    let mut groups: Vec<Group> = clusters.iter().map(alone).collect();
-    let Some(max_distance) = distance else { return Ok(groups) };
-    let (cloud, owners) = neighbourhood(points, clusters, background, max_distance)?;
-    let clustering = Clustering { max_distance, min_points: 1, max_points: None };
-    let labels = label(&cloud, &clustering)?;
-    let count = labels.iter().max().map_or(0, |&last| (last + 1).max(0) as usize);
-    let mut boxes = vec![([f64::INFINITY; 3], [f64::NEG_INFINITY; 3], false); count];
-    for (&group, &owner) in labels.iter().zip(&owners) {
-        let (low, high, with_background) = &mut boxes[group as usize];
-        *with_background |= background[owner];
-        for axis in (0..3).filter(|_| !background[owner]) {
-            low[axis] = low[axis].min(clusters[owner].low[axis]);
-            high[axis] = high[axis].max(clusters[owner].high[axis]);
-        }
-    }
-    for (&group, &owner) in labels.iter().zip(&owners).filter(|&(_, &owner)| !background[owner]) {
-        let (low, high, with_background) = boxes[group as usize];
-        groups[owner] = Group { extent: norm(minus(high, low)), with_background };
-    }
-    Ok(groups)
+/// Groups the clusters of one scan after another, in the same memory.
+#[derive(Default)]
+pub(crate) struct Grouper {
+    groups: Vec<Group>,
+    nearby: Nearby,
+    labeller: Labeller,
+    parts: Vec<Part>,
 }
 
-/// All points that are not background, and the background points near them, with the clusters
-/// that own them.
-fn neighbourhood(
-    points: &[[f32; 3]],
-    clusters: &[Cluster<'_>],
-    background: &[bool],
-    distance: f64,
-) -> Result<(Vec<[f32; 3]>, Vec<usize>), Error> {
-    let lattice = Lattice::new(distance, [0.0; 3])?;
-    let cell = |row: u32| floor(lattice.scaled(wide(points[row as usize])));
-    let (mut cloud, mut owners, mut cells) = (Vec::new(), Vec::new(), Vec::new());
-    let owned = |wanted: bool| {
-        clusters
-            .iter()
-            .enumerate()
-            .filter(move |&(owner, _)| background[owner] == wanted)
-            .flat_map(|(owner, cluster)| cluster.members.iter().map(move |&row| (owner, row)))
-    };
-    for (owner, row) in owned(false) {
-        cells.extend(cell(row));
-        cloud.push(points[row as usize]);
-        owners.push(owner);
+/// The box around a group, and whether background is part of it.
+type Part = ([f64; 3], [f64; 3], bool);
+
+impl Grouper {
+    /// Group of every cluster: clusters linked by gaps of at most `distance` [m]; without a distance
+    /// every cluster is its own group.
+    pub(crate) fn groups(
+        &mut self,
+        points: &[[f32; 3]],
+        clusters: &Clusters,
+        background: &[bool],
+        distance: Option<f64>,
+    ) -> Result<&[Group], Error> {
+        let alone =
+            |cluster: Cluster<'_>| Group { extent: cluster.diagonal(), with_background: false };
+        let Self { groups, nearby, labeller, parts } = self;
+        groups.clear();
+        groups.extend(clusters.iter().map(alone));
+        let Some(max_distance) = distance else { return Ok(groups) };
+        nearby.take(points, clusters, background, max_distance)?;
+        let clustering = Clustering { max_distance, min_points: 1, max_points: None };
+        let labels = labeller.label(&nearby.points, &clustering)?;
+        let owners = nearby.owners.iter().map(|&owner| owner as usize);
+        let count = labels.iter().max().map_or(0, |&last| (last + 1).max(0) as usize);
+        parts.clear();
+        parts.resize(count, ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3], false));
+        for (&group, owner) in labels.iter().zip(owners.clone()) {
+            let (low, high, with_background) = &mut parts[group as usize];
+            *with_background |= background[owner];
+            let cluster = clusters.get(owner);
+            for axis in (0..3).filter(|_| !background[owner]) {
+                low[axis] = low[axis].min(cluster.low[axis]);
+                high[axis] = high[axis].max(cluster.high[axis]);
+            }
+        }
+        for (&group, owner) in labels.iter().zip(owners).filter(|&(_, owner)| !background[owner]) {
+            let (low, high, with_background) = parts[group as usize];
+            groups[owner] = Group { extent: norm(minus(high, low)), with_background };
+        }
+        Ok(groups)
     }
-    let near = Dilated::of(cells);
-    for (owner, row) in
-        owned(true).filter(|&(_, row)| cell(row).is_some_and(|cell| near.holds(cell)))
-    {
-        cloud.push(points[row as usize]);
-        owners.push(owner);
+}
+
+/// All points that are not background, and the background points near them.
+#[derive(Default)]
+struct Nearby {
+    points: Vec<[f32; 3]>,
+    /// The cluster of every point.
+    owners: Vec<u32>,
+    cells: Vec<Voxel>,
+    around: Dilated,
+}
+
+impl Nearby {
+    fn take(
+        &mut self,
+        points: &[[f32; 3]],
+        clusters: &Clusters,
+        background: &[bool],
+        distance: f64,
+    ) -> Result<(), Error> {
+        let lattice = Lattice::new(distance, [0.0; 3])?;
+        let Self { points: taken, owners, cells, around } = self;
+        let cell = |row: u32| floor(lattice.scaled(wide(points[row as usize])));
+        let owned = |wanted: bool| {
+            (0..clusters.len()).filter(move |&owner| background[owner] == wanted).flat_map(
+                |owner| clusters.get(owner).members.iter().map(move |&row| (owner as u32, row)),
+            )
+        };
+        taken.clear();
+        owners.clear();
+        cells.clear();
+        for (owner, row) in owned(false) {
+            cells.extend(cell(row));
+            taken.push(points[row as usize]);
+            owners.push(owner);
+        }
+        around.restart(cells);
+        let is_near = |&(_, row): &(u32, u32)| cell(row).is_some_and(|cell| around.holds(cell));
+        for (owner, row) in owned(true).filter(is_near) {
+            taken.push(points[row as usize]);
+            owners.push(owner);
+        }
+        Ok(())
     }
-    Ok((cloud, owners))
 }
 
 /// Cells and their 26 neighbours, as a bitmap that may answer yes wrongly, never no.
+#[derive(Default)]
 struct Dilated {
     bits: Vec<u64>,
 }
@@ -92,18 +124,19 @@ struct Dilated {
 impl Dilated {
     const SIZE_BITS: u32 = 18;
 
-    fn of(mut cells: Vec<Voxel>) -> Self {
+    /// Hold these cells, which are sorted.
+    fn restart(&mut self, cells: &mut Vec<Voxel>) {
         cells.sort_unstable();
         cells.dedup();
-        let mut dilated = Self { bits: vec![0; 1 << (Self::SIZE_BITS - 6)] };
-        for [x, y, z] in cells {
+        self.bits.clear();
+        self.bits.resize(1 << (Self::SIZE_BITS - 6), 0);
+        for &[x, y, z] in &*cells {
             for place in 0..27 {
                 let beside = [x + place % 3 - 1, y + place / 3 % 3 - 1, z + place / 9 - 1];
                 let bit = Self::bit(beside);
-                dilated.bits[bit >> 6] |= 1 << (bit & 63);
+                self.bits[bit >> 6] |= 1 << (bit & 63);
             }
         }
-        dilated
     }
 
     fn holds(&self, cell: Voxel) -> bool {
@@ -125,9 +158,10 @@ mod tests {
     #[test]
     fn a_chain_of_fragments_reaches_the_background() -> Result<(), Error> {
         let points = [[0.0f32, 0.0, 0.0], [0.6, 0.0, 0.0], [1.2, 0.0, 0.0], [9.0, 0.0, 0.0]];
-        let mut rows = Vec::new();
-        let clusters = Cluster::all(&points, &[0, 1, 2, 3], &mut rows);
-        let groups = groups(&points, &clusters, &[true, false, false, false], Some(0.7))?;
+        let (mut clusters, mut grouper) = (Clusters::default(), Grouper::default());
+        clusters.fill(&points, &[0, 1, 2, 3]);
+        let background = [true, false, false, false];
+        let groups = grouper.groups(&points, &clusters, &background, Some(0.7))?;
         assert!(
             groups[1].with_background && groups[2].with_background && !groups[3].with_background
         );

@@ -2,19 +2,17 @@
 //!
 //! Source: Vrba et al., eqs 8-12 and 16-22.
 
-use super::blocks::{Block, Place, VOLUME, ones};
-use super::marks::{Content, Mark};
-use super::raycast::{Ray, cast_all, merge_ends};
-use super::rule::{BlockUpdate, Rule};
-use super::voxel_map::{MapParameters, Rays, VoxelMap};
+use super::marks::Content;
+use super::segments::{Ray, Source};
 use super::weighting::PoseError;
-use super::window::Window;
 use crate::Error;
 use crate::budget::check_points;
-use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
-use crate::geometry::transform::{minus, norm};
+use crate::geometry::lattice::{Voxel, wide};
+use crate::geometry::transform::norm;
 use pulp::{Arch, Simd, WithSimd};
+use rayon::ThreadPool;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Class of a point: not to be used.
 pub const INVALID: u8 = 0;
@@ -24,10 +22,6 @@ pub const BACKGROUND: u8 = 1;
 pub const FLYING: u8 = 2;
 /// Class of a point that is neither.
 pub const UNKNOWN: u8 = 3;
-
-/// Blocks that a scan may touch whatever the budget of the map: those outside its operating volume
-/// are not stored. 256 MiB.
-const LEAST_SCRATCH: usize = 1 << 17;
 
 /// Where rays start [m].
 #[derive(Clone, Copy, Debug)]
@@ -86,208 +80,133 @@ pub struct IntegrateStats {
     pub voxels: usize,
 }
 
-impl VoxelMap {
-    /// Update the map with one classified scan.
-    ///
-    /// A voxel that holds points is pulled once per point towards the value of its strongest
-    /// class (background before flying before unknown; flying sets it outright, eq. 17); any
-    /// other voxel is pulled towards free by the length of the rays inside it (eq. 22).
-    ///
-    /// # Errors
-    /// [`Error::Length`], [`Error::Value`], [`Error::PointOutOfRange`], [`Error::Limit`]; the map
-    /// is unchanged then.
-    pub fn integrate(&mut self, scan: &ClassifiedScan<'_>) -> Result<IntegrateStats, Error> {
-        check_lengths(scan)?;
-        let mut plan = std::mem::take(&mut self.plan);
-        let planned = plan.fill(scan, self.parameters(), self.lattice());
-        let outcome = planned.and_then(|()| self.carry_out(&mut plan, scan.pose_error));
-        self.plan = plan; // its memory is used again
-        outcome
-    }
-
-    fn carry_out(
-        &mut self,
-        plan: &mut Plan,
-        pose_error: Option<&PoseError>,
-    ) -> Result<IntegrateStats, Error> {
-        let mut stats = plan.stats;
-        let first_point = plan.points.first().map(|&(voxel, _)| [voxel; 2]);
-        let Some([low, high]) = plan.span.or(first_point) else { return Ok(stats) };
-        let most = self.blocks.max_blocks().max(LEAST_SCRATCH);
-        let mut accumulators = std::mem::take(&mut self.accumulators);
-        let outcome = Window::spanning(low, high).and_then(|window| {
-            if self.parameters().rays == Rays::OnePerEnd {
-                merge_ends(&mut accumulators[0], window, &mut plan.rays, most)?;
-            }
-            cast_all(self.pool.as_ref(), &mut accumulators, window, &plan.rays, most);
-            self.mark(&mut accumulators[0], &plan.points, pose_error);
-            accumulators[0].check()?;
-            let weighted = pose_error.is_some_and(PoseError::weighs_points);
-            self.update(&accumulators[0].marked(), weighted)
-        });
-        stats.visits = accumulators[0].visits();
-        self.accumulators = accumulators;
-        stats.voxels = outcome?;
-        Ok(stats)
-    }
-
-    /// Apply the marks of one scan: the only place where a scan changes values.
-    fn update(
-        &mut self,
-        marked: &[(Place, &[Mark; VOLUME])],
-        weighted: bool,
-    ) -> Result<usize, Error> {
-        let admitted: Vec<_> =
-            marked.iter().filter(|(place, _)| self.admits_some(*place)).copied().collect();
-        let places: Vec<Place> = admitted.iter().map(|&(place, _)| place).collect();
-        let slots = self.blocks.ensure(&places)?;
-        let mut work: Vec<_> = slots
-            .iter()
-            .zip(&admitted)
-            .filter_map(|(&slot, &(_, marks))| Some((slot, self.blocks.take(slot)?, marks)))
-            .collect();
-        let rule = Rule::of(self, weighted);
-        let update =
-            |(_, block, marks): &mut (u32, Box<Block>, &[Mark; VOLUME])| rule.apply(block, marks);
-        let updates: Vec<BlockUpdate> = match &self.pool {
-            Some(pool) => pool.install(|| work.par_iter_mut().map(update).collect()),
-            None => work.iter_mut().map(update).collect(),
-        };
-        for ((slot, block, _), update) in work.into_iter().zip(&updates) {
-            ones(&update.changed).for_each(|offset| self.changes.note(block.place.voxel(offset)));
-            self.blocks.put(slot, block);
-        }
-        Ok(updates.iter().map(|update| update.voxels).sum())
-    }
-
-    fn admits_some(&self, place: Place) -> bool {
-        self.limits.is_none_or(|[low, high]| {
-            let (first, last) = (place.voxel(0), place.voxel(VOLUME - 1));
-            (0..3).all(|axis| last[axis] >= low[axis] && first[axis] <= high[axis])
-        })
-    }
-}
-
-/// What the scan asks for, checked and in units of voxels, before anything is changed.
-#[derive(Default)]
-pub(crate) struct Plan {
-    rays: Vec<Ray>,
-    points: Vec<(Voxel, Content)>,
-    span: Option<[Voxel; 2]>,
-    /// Where the last ray started [m], and the same in units of voxels: most start in one point.
-    start: Option<[[f64; 3]; 2]>,
-    stats: IntegrateStats,
-}
-
-impl Plan {
-    fn fill(
-        &mut self,
-        scan: &ClassifiedScan<'_>,
-        parameters: &MapParameters,
-        lattice: &Lattice,
-    ) -> Result<(), Error> {
-        self.rays.clear();
-        self.points.clear();
-        (self.span, self.start, self.stats) = (None, None, IntegrateStats::default());
-        self.rays.reserve_exact(scan.points.len());
-        self.points.reserve_exact(scan.points.len());
-        Arch::new().dispatch(Fill { plan: self, scan, parameters, lattice })?;
-        self.stats.rays = self.rays.len();
-        Ok(())
-    }
-
-    #[inline(always)]
-    fn add_row(
-        &mut self,
-        scan: &ClassifiedScan<'_>,
-        index: usize,
-        parameters: &MapParameters,
-        lattice: &Lattice,
-    ) -> Result<(), Error> {
-        let origin = scan.origins.at(index);
-        if scan.no_return.is_some_and(|flags| flags[index]) {
-            let direction = scan.directions.and_then(|directions| unit(directions[index]));
-            return self.add_no_return(lattice, origin, direction, parameters.max_range);
-        }
-        let point = wide(scan.points[index]);
-        let class = content_of(scan.class[index]);
-        let Some(class) = class.filter(|_| point.iter().all(|value| value.is_finite())) else {
-            self.stats.skipped += 1;
-            return Ok(());
-        };
-        self.add_point(lattice, point, class)?;
-        if scan.no_ray.is_some_and(|flags| flags[index]) {
-            return Ok(());
-        }
-        self.add_ray(lattice, origin, hit_end(origin, point, parameters, scan.pose_error))
-    }
-
-    #[inline(always)]
-    fn add_no_return(
-        &mut self,
-        lattice: &Lattice,
-        origin: [f64; 3],
-        direction: Option<[f64; 3]>,
-        range: f64,
-    ) -> Result<(), Error> {
-        let Some(direction) = direction else {
-            self.stats.skipped += 1;
-            return Ok(());
-        };
-        self.stats.no_return_rays += 1;
-        self.add_ray(lattice, origin, ahead(origin, direction, range))
-    }
-
-    #[inline(always)]
-    fn add_point(
-        &mut self,
-        lattice: &Lattice,
-        point: [f64; 3],
-        class: Content,
-    ) -> Result<(), Error> {
-        let voxel = lattice.voxel_at(point)?;
-        self.points.push((voxel, class));
-        self.stats.points[match class {
+impl IntegrateStats {
+    pub(super) fn count(&mut self, point: Content) {
+        self.points[match point {
             Content::Background => 0,
             Content::Flying => 1,
             _ => 2,
         }] += 1;
-        Ok(())
     }
+}
 
-    #[inline(always)]
-    fn add_ray(&mut self, lattice: &Lattice, start: [f64; 3], end: [f64; 3]) -> Result<(), Error> {
-        let from = match self.start {
-            Some([known, scaled]) if known == start => scaled,
-            _ => {
-                let scaled = lattice.scaled(start);
-                self.stretch(floor(scaled).ok_or(Error::PointOutOfRange { point: start })?);
-                self.start = Some([start, scaled]);
-                scaled
+/// What the scan asks for, checked before anything is changed.
+#[derive(Default)]
+pub(crate) struct Plan {
+    pub(super) rays: Vec<Ray>,
+    /// Voxel and row of every point.
+    points: Vec<(Voxel, u32)>,
+    /// Rows of the scan.
+    pub(super) rows: usize,
+    /// The voxels between which the rays lie.
+    span: Option<[Voxel; 2]>,
+    /// What is known without the classes of the points.
+    pub(super) stats: IntegrateStats,
+    error: Option<Error>,
+    /// What the following parts of the scan ask for, while other threads find that out.
+    others: Vec<Plan>,
+}
+
+impl Plan {
+    /// # Errors
+    /// Of several the first in the order of the input.
+    pub(super) fn fill(
+        &mut self,
+        pool: Option<&ThreadPool>,
+        source: &Source<'_>,
+    ) -> Result<(), Error> {
+        check_lengths(source.scan)?;
+        let all = source.scan.points.len();
+        let mut others = std::mem::take(&mut self.others);
+        others.resize_with(pool.map_or(1, ThreadPool::current_num_threads) - 1, Self::default);
+        let share = all.div_ceil(others.len() + 1);
+        let part = |number: usize| (number * share).min(all)..((number + 1) * share).min(all);
+        let mut fill_own = || self.fill_part(source, part(0));
+        match pool {
+            Some(pool) => {
+                let others = others.par_iter_mut().enumerate();
+                let fill = |(number, other): (usize, &mut Self)| {
+                    other.fill_part(source, part(number + 1));
+                };
+                pool.join(fill_own, || others.for_each(fill));
             }
-        };
-        let to = lattice.scaled(end);
-        let last = floor(to).ok_or(Error::PointOutOfRange { point: end })?;
-        self.stretch(last);
-        self.rays.push(Ray { start: from, end: to, last, count: 1 });
-        Ok(())
+            None => fill_own(),
+        }
+        others.iter_mut().for_each(|other| self.append(other));
+        (self.others, self.rows) = (others, all);
+        self.error.take().map_or(Ok(()), Err)
     }
 
+    fn fill_part(&mut self, source: &Source<'_>, entries: Range<usize>) {
+        self.rays.clear();
+        self.points.clear();
+        self.stats = IntegrateStats::default();
+        self.rays.reserve(entries.len());
+        self.points.reserve(entries.len());
+        self.error = Arch::new().dispatch(Fill { plan: self, source, entries }).err();
+        self.stats.rays = self.rays.len();
+    }
+
+    /// Add what the next part of the scan asks for.
+    fn append(&mut self, next: &mut Self) {
+        self.rays.extend_from_slice(&next.rays);
+        self.points.extend_from_slice(&next.points);
+        self.span = match (self.span, next.span) {
+            (Some([low, high]), Some([other_low, other_high])) => Some([
+                std::array::from_fn(|axis| low[axis].min(other_low[axis])),
+                std::array::from_fn(|axis| high[axis].max(other_high[axis])),
+            ]),
+            (own, other) => own.or(other),
+        };
+        self.stats.skipped += next.stats.skipped;
+        self.stats.rays += next.stats.rays;
+        self.stats.no_return_rays += next.stats.no_return_rays;
+        self.error = self.error.take().or(next.error.take());
+    }
+
+    /// First and last voxel of the rays; without rays, one with a point.
+    pub(super) fn bounds(&self) -> Option<[Voxel; 2]> {
+        self.span.or(self.points.first().map(|&(voxel, _)| [voxel; 2]))
+    }
+
+    /// Points with what the classes of the rows say that they are.
+    pub(super) fn classified(&self, class: &[u8]) -> impl Iterator<Item = (Voxel, Content)> {
+        let content = |row: u32| content_of(class[row as usize]);
+        self.points.iter().filter_map(move |&(voxel, row)| Some((voxel, content(row)?)))
+    }
+
+    /// Note what the entry `index` asks for.
     #[inline(always)]
-    fn stretch(&mut self, voxel: Voxel) {
-        let [low, high] = self.span.get_or_insert([voxel; 2]);
-        for axis in 0..3 {
-            low[axis] = low[axis].min(voxel[axis]);
-            high[axis] = high[axis].max(voxel[axis]);
+    fn add(&mut self, source: &Source<'_>, index: usize) -> Result<(), Error> {
+        let scan = source.scan;
+        let ray = Ray { index: index as u32, count: 1 };
+        if scan.no_return.is_some_and(|flags| flags[index]) {
+            let length = scan.directions.map(|directions| norm(wide(directions[index])));
+            if length.is_some_and(|length| length.is_finite() && length > 0.0) {
+                self.stats.no_return_rays += 1;
+                self.rays.push(ray);
+            } else {
+                self.stats.skipped += 1;
+            }
+            return Ok(());
         }
+        let point = wide(scan.points[index]);
+        if scan.class[index] == INVALID || !point.iter().all(|value| value.is_finite()) {
+            self.stats.skipped += 1;
+            return Ok(());
+        }
+        self.points.push((source.lattice.voxel_at(point)?, ray.index));
+        if scan.no_ray.is_none_or(|flags| !flags[index]) {
+            self.rays.push(ray);
+        }
+        Ok(())
     }
 }
 
 struct Fill<'a> {
     plan: &'a mut Plan,
-    scan: &'a ClassifiedScan<'a>,
-    parameters: &'a MapParameters,
-    lattice: &'a Lattice,
+    source: &'a Source<'a>,
+    entries: Range<usize>,
 }
 
 impl WithSimd for Fill<'_> {
@@ -295,42 +214,17 @@ impl WithSimd for Fill<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> Result<(), Error> {
-        let Self { plan, scan, parameters, lattice } = self;
-        for index in 0..scan.points.len() {
-            plan.add_row(scan, index, parameters, lattice)?;
+        let Self { plan, source, entries } = self;
+        let mut added = Ok(());
+        for index in entries {
+            added = plan.add(source, index);
+            if added.is_err() {
+                break;
+            }
         }
-        Ok(())
+        plan.span = source.span(&plan.rays)?; // their errors come first
+        added
     }
-}
-
-/// End of a ray that hit `point`: at the point, but no further than `max_range` (eq. 20).
-#[inline(always)]
-fn hit_end(
-    origin: [f64; 3],
-    point: [f64; 3],
-    parameters: &MapParameters,
-    error: Option<&PoseError>,
-) -> [f64; 3] {
-    let span = minus(point, origin);
-    let distance = norm(span);
-    let margin = parameters.end_margin + error.map_or(0.0, |error| error.end_margin(span));
-    let reach = (distance - margin).max(0.0).min(parameters.max_range);
-    if reach >= distance {
-        return point;
-    }
-    ahead(origin, span, reach / distance)
-}
-
-#[inline(always)]
-fn ahead(origin: [f64; 3], direction: [f64; 3], by: f64) -> [f64; 3] {
-    std::array::from_fn(|axis| origin[axis] + by * direction[axis])
-}
-
-#[inline(always)]
-fn unit(direction: [f32; 3]) -> Option<[f64; 3]> {
-    let direction = wide(direction);
-    let norm = norm(direction);
-    (norm.is_finite() && norm > 0.0).then(|| direction.map(|value| value / norm))
 }
 
 #[inline(always)]
@@ -343,11 +237,24 @@ fn content_of(class: u8) -> Option<Content> {
     }
 }
 
+pub(super) fn check_classes(class: &[u8], expected: usize) -> Result<(), Error> {
+    if class.len() != expected {
+        return Err(Error::Length { name: "point_class", expected, got: class.len() });
+    }
+    let Some(index) = class.iter().position(|&class| class > UNKNOWN) else { return Ok(()) };
+    Err(Error::Value {
+        name: "point_class",
+        expected: "0 invalid, 1 background, 2 flying or 3 unknown",
+        index,
+        got: class[index].to_string(),
+    })
+}
+
 fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {
     let expected = scan.points.len();
     check_points(expected)?;
+    check_classes(scan.class, expected)?;
     let lengths = [
-        ("point_class", Some(scan.class.len())),
         ("ray_directions", scan.directions.map(<[_]>::len)),
         ("no_return", scan.no_return.map(<[_]>::len)),
         ("no_ray", scan.no_ray.map(<[_]>::len)),
@@ -360,14 +267,6 @@ fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {
         if let Some(got) = got.filter(|&got| got != expected) {
             return Err(Error::Length { name, expected, got });
         }
-    }
-    if let Some(index) = scan.class.iter().position(|&class| class > UNKNOWN) {
-        return Err(Error::Value {
-            name: "point_class",
-            expected: "0 invalid, 1 background, 2 flying or 3 unknown",
-            index,
-            got: scan.class[index].to_string(),
-        });
     }
     if scan.no_return.is_some_and(|flags| flags.contains(&true)) && scan.directions.is_none() {
         return Err(Error::Value {
@@ -383,7 +282,7 @@ fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::flying::voxel_map::RayUnit;
+    use crate::flying::voxel_map::{MapParameters, RayUnit, Rays, VoxelMap};
 
     pub(crate) fn parameters() -> MapParameters {
         MapParameters {
@@ -405,7 +304,7 @@ pub(crate) mod tests {
         }
     }
 
-    fn scan<'a>(points: &'a [[f32; 3]], class: &'a [u8]) -> ClassifiedScan<'a> {
+    pub(crate) fn scan<'a>(points: &'a [[f32; 3]], class: &'a [u8]) -> ClassifiedScan<'a> {
         ClassifiedScan {
             points,
             class,
@@ -453,6 +352,68 @@ pub(crate) mod tests {
         assert!(matches!(map.integrate(&scan(&[[1.0; 3]], &[4])), Err(Error::Value { .. })));
         assert!(matches!(map.integrate(&scan(&[[1.0; 3]], &[])), Err(Error::Length { .. })));
         assert_eq!(map.stored_voxels(), 0);
+        Ok(())
+    }
+
+    #[test]
+    fn nothing_is_left_of_a_scan_in_the_next_one() -> Result<(), Error> {
+        let far = [[15.0, 9.0, 3.0], [-40.0, 60.0, 5.0]];
+        let near = [[1.1, 0.1, 0.1], [60.0, -3.0, 1.0]];
+        for (threads, max_voxels) in [(1, 3072), (2, 3072), (1, 1 << 20), (3, 1 << 20)] {
+            let parameters = MapParameters { max_voxels, max_range: 5.0, ..parameters() };
+            let mut map = VoxelMap::new(parameters.clone(), threads)?;
+            let refused = map.integrate(&scan(&far, &[UNKNOWN, BACKGROUND])).is_err();
+            assert_eq!(refused, max_voxels == 3072);
+            map.clear();
+            let mut other = VoxelMap::new(parameters, 1)?;
+            map.integrate(&scan(&near, &[BACKGROUND, FLYING]))?;
+            other.integrate(&scan(&near, &[BACKGROUND, FLYING]))?;
+            assert_eq!(map.to_bytes(), other.to_bytes());
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn a_window_in_pieces_gives_what_a_whole_one_gives() -> Result<(), Error> {
+        // The blocks that bound both rays are far too many to lie in memory as a whole.
+        let ends = [[300.1, 0.2, 0.3], [0.1, 290.1, 250.3]];
+        let class = [BACKGROUND; 2];
+        let long = MapParameters { max_range: 400.0, ..parameters() };
+        for threads in [1, 2] {
+            let mut map = VoxelMap::new(long.clone(), threads)?;
+            map.integrate(&scan(&ends, &class))?;
+            for end in ends {
+                let mut alone = VoxelMap::new(long.clone(), 1)?;
+                alone.integrate(&scan(&[end], &class[..1]))?;
+                let along: Vec<[f32; 3]> = (1_u8..=200)
+                    .map(|step| end.map(|value| value * f32::from(step) / 200.0))
+                    .collect();
+                assert_eq!(map.values_at(&along[5..]), alone.values_at(&along[5..]));
+            }
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn of_several_errors_the_first_in_the_order_of_the_input_is_told() -> Result<(), Error> {
+        let mut map = VoxelMap::new(parameters(), 1)?;
+        let (far, wrong, near) = ([1e30, 0.0, 0.0], [0.0, 1e30, 0.0], [1.0; 3]);
+        let points = [near, far, near].map(|point| point.map(|value| value as f32));
+        let class = [BACKGROUND; 3];
+        for (origins, first) in [([[0.0; 3], [0.0; 3], wrong], far), ([wrong, near, near], wrong)] {
+            let scan = ClassifiedScan {
+                points: &points,
+                origins: Origins::Each(&origins),
+                ..scan(&[], &class)
+            };
+            let error = map.integrate(&scan);
+            let told =
+                |point: [f64; 3]| (0..3).all(|axis| (point[axis] - first[axis]).abs() < 1e24);
+            assert!(
+                matches!(error, Err(Error::PointOutOfRange { point }) if told(point)),
+                "{error:?}"
+            );
+        }
         Ok(())
     }
 

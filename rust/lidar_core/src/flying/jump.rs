@@ -21,16 +21,18 @@ pub(super) struct Held {
 
 impl FlyingObjectDetector {
     /// A closed gate if most observed voxels with returns are free, away from anything occupied.
-    /// Voxels count, not returns: a target close by may give most of them.
-    pub(super) fn contradiction(&self, scan: &Prepared) -> Option<Gate> {
+    /// Voxels count, not returns: a target close by may give most of them. `sampled` is memory.
+    pub(super) fn contradiction(
+        &self,
+        scan: &Prepared,
+        sampled: &mut Vec<(Voxel, [f64; 3])>,
+    ) -> Option<Gate> {
         let limit = self.parameters.mismatch_share.filter(|_| self.map.has_background())?;
-        let returns: Vec<_> = scan.points.iter().filter(|point| point[0].is_finite()).collect();
-        let mut sampled: Vec<(Voxel, [f64; 3])> = returns
-            .iter()
-            .step_by((returns.len() / SAMPLES).max(1))
-            .map(|&&point| wide(point))
-            .filter_map(|point| Some((floor(self.map.lattice().scaled(point))?, point)))
-            .collect();
+        let returns = || scan.points.iter().filter(|point| point[0].is_finite());
+        let step = (returns().count() / SAMPLES).max(1);
+        let place = |point| Some((floor(self.map.lattice().scaled(point))?, point));
+        sampled.clear();
+        sampled.extend(returns().step_by(step).filter_map(|&point| place(wide(point))));
         sampled.sort_unstable_by_key(|&(voxel, point)| (voxel, point.map(f64::to_bits)));
         sampled.dedup_by_key(|(voxel, _)| *voxel);
         let mut cursor = Cursor::new(&self.map.blocks);

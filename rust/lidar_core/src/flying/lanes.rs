@@ -1,88 +1,140 @@
 //! Many rays at a time through the blocks of a window.
 //!
-//! The walk of Amanatides & Woo on the vector unit of the machine, chosen when the program runs.
-//! Every ray is mirrored so that it runs upwards along all axes; rays that have arrived go on with
-//! length 0. At an edge or corner the lowest axis goes first, as in `geometry::traverse`.
+//! The walk of Amanatides & Woo on the vector unit of the machine, chosen when the program runs, in
+//! whole numbers (docs/adr/0002). Every ray is mirrored so that it runs upwards along all axes. At an
+//! edge or corner the lowest axis goes first, as in `geometry::traverse`.
 
-use super::marks::{Accumulator, UNITS_PER_EDGE};
-use super::raycast::Ray;
+use super::marks::{Accumulator, STEPS, UNITS_PER_EDGE};
+use super::segments::{LANES, Numbers, Ray, Segments, Source, least, voxel};
 use super::window::Window;
-use crate::geometry::lattice::{Voxel, floor};
-use crate::geometry::transform::{minus, norm};
-use crate::geometry::traverse::voxel_count;
 use pulp::{Arch, Simd, WithSimd};
 
-/// Rays side by side: two vectors of the widest unit, so that one works while the other waits.
-const LANES: usize = 16;
-/// Visits of a ray that are written down before they are added to memory: those of a bundle stay in
-/// the first cache.
-const RUN: usize = 160;
-/// A number below 2^32 added to this has its whole part, rounded, in the lowest bits.
-const SHIFT: f64 = (1u64 << 52) as f64;
+/// Times `STEPS` steps of a bundle that are written down before their lengths are added to memory:
+/// they stay in the first cache.
+const RUN: usize = 8;
+/// No ray ends further from its start, in sub-units.
+const FURTHEST: f64 = (i32::MAX - 1) as f64;
+/// Wall of an axis along which none is crossed.
+const NEVER: u32 = u32::MAX;
 
-/// Rays that are walked together.
+/// Numbers of the rays of a bundle.
+type Lanes = [u32; LANES];
+
+/// Rays that are walked together. Positions along a ray are whole numbers of sub-units, of which a unit
+/// of length has 2^`shift`.
 struct Bundle {
-    /// From the start to the next wall along every axis, in voxels; infinite where none is crossed.
-    gap: [[f64; LANES]; 3],
-    /// Ray parameter (0 at the start, 1 at the end) per voxel along every axis.
-    rate: [[f64; LANES]; 3],
-    /// Lengths, in units.
-    length: [f64; LANES],
-    /// Place of the voxel in the window, mirrored, in the upper half.
-    place: [u64; LANES],
+    /// Position of the next wall along every axis.
+    wall: [Lanes; 3],
+    /// From one wall to the next along every axis.
+    pace: [Lanes; 3],
+    /// Position of the end.
+    end: Lanes,
+    shift: Lanes,
+    /// Place of the voxel in the window, mirrored.
+    place: Lanes,
     /// Bits of the place that are mirrored.
-    mirror: [u64; LANES],
-    /// Voxels that every ray visits.
-    visits: [usize; LANES],
+    mirror: Lanes,
+    /// Voxels that every ray visits; none of those that only fill the bundle.
+    visits: Lanes,
+    /// Rays that every ray stands for.
+    count: Lanes,
 }
 
 impl Bundle {
     #[inline(always)]
-    fn of(window: &Window, rays: &[Ray]) -> Self {
+    fn of(window: &Window, source: &Source<'_>, rays: &[Ray]) -> Self {
+        let Segments { start, end } = source.segments(rays).scaled(source.lattice);
         let mut bundle = Self {
-            gap: [[f64::INFINITY; LANES]; 3],
-            rate: [[1.0; LANES]; 3],
-            length: [0.0; LANES],
+            wall: [[NEVER; LANES]; 3],
+            pace: [[0; LANES]; 3],
+            end: [0; LANES],
+            shift: [0; LANES],
             place: [0; LANES],
             mirror: [0; LANES],
             visits: [0; LANES],
+            count: [0; LANES],
         };
-        for (lane, ray) in rays.iter().enumerate().take(LANES) {
-            if let Some(first) = floor(ray.start) {
-                bundle.put(window, lane, ray, first);
-            }
+        for (count, ray) in bundle.count.iter_mut().zip(rays) {
+            *count = ray.count;
+        }
+        let length = bundle.measure(&start, &end);
+        for axis in 0..3 {
+            bundle.set_walls(axis, &length, &start[axis], &end[axis], window.bits_along(axis));
+        }
+        for lane in 0..LANES {
+            let first = voxel(&start, lane);
+            bundle.place[lane] = window.bits_of(first) ^ bundle.mirror[lane];
+            bundle.visits[lane] =
+                if bundle.count[lane] == 0 { 0 } else { bundle.visits[lane].wrapping_add(1) };
         }
         bundle
     }
 
+    /// Find lengths in sub-units.
     #[inline(always)]
-    fn put(&mut self, window: &Window, lane: usize, ray: &Ray, first: Voxel) {
-        let last = ray.last;
-        let span = minus(ray.end, ray.start);
-        for axis in (0..3).filter(|&axis| first[axis] != last[axis]) {
-            let upwards = last[axis] > first[axis];
-            let wall = f64::from(first[axis] + i32::from(upwards));
-            self.gap[axis][lane] = (wall - ray.start[axis]).abs();
-            // Finite: of a span whose reciprocal overflows, 0 * inf would be NaN.
-            self.rate[axis][lane] = (1.0 / span[axis]).abs().min(f64::MAX);
-            if !upwards {
-                self.mirror[lane] |= window.bits_along(axis) << 32;
-            }
+    fn measure(&mut self, start: &[Numbers; 3], end: &[Numbers; 3]) -> Numbers {
+        let mut length = [0.0; LANES];
+        for lane in 0..LANES {
+            let (x, y) = (end[0][lane] - start[0][lane], end[1][lane] - start[1][lane]);
+            let z = end[2][lane] - start[2][lane];
+            let units = (x * x + y * y + z * z).sqrt() * UNITS_PER_EDGE;
+            let shift = least(FURTHEST / units, f64::from(1u32 << 31)).to_bits() >> 52;
+            length[lane] = units * f64::from_bits(shift << 52); // a power of two: exact
+            self.shift[lane] = (shift as u32).wrapping_sub(1023);
+            self.end[lane] = whole(length[lane].ceil());
         }
-        self.length[lane] = norm(span) * UNITS_PER_EDGE * f64::from(ray.count);
-        self.place[lane] = window.bits_of(first) << 32 ^ self.mirror[lane];
-        self.visits[lane] = voxel_count(first, last) as usize;
+        length
+    }
+
+    /// Place the walls along an axis whose bits of a place are `bits`.
+    #[inline(always)]
+    fn set_walls(
+        &mut self,
+        axis: usize,
+        length: &Numbers,
+        start: &Numbers,
+        end: &Numbers,
+        bits: u32,
+    ) {
+        for lane in 0..LANES {
+            let (first, last) = (start[lane].floor(), end[lane].floor());
+            let upwards = last > first;
+            let gap = ((if upwards { first + 1.0 } else { first }) - start[lane]).abs();
+            let rate = least(length[lane] / (end[lane] - start[lane]).abs(), f64::MAX);
+            let (walls, ahead) = ((last - first).abs(), f64::from(self.end[lane]));
+            let most = if walls > 1.0 { (ahead / (walls - 1.0)).floor() } else { ahead + 1.0 };
+            let pace = least(rate.round_ties_even(), most);
+            let wall = least((gap * rate).round_ties_even(), ahead - (walls - 1.0) * pace);
+            let wall = -least(-wall, -(ahead + 1.0 - walls * pace));
+            let is_met = walls > 0.0;
+            self.wall[axis][lane] = if is_met { whole(wall) } else { NEVER };
+            self.pace[axis][lane] = if is_met { whole(pace) } else { 0 };
+            self.mirror[lane] |= if upwards | !is_met { 0 } else { bits };
+            self.visits[lane] = self.visits[lane].wrapping_add(whole(walls));
+        }
     }
 }
 
+/// A whole number below 2^32, as the vector unit converts it: added to 2^52 it has the lowest bits.
+#[inline(always)]
+fn whole(value: f64) -> u32 {
+    (value + (1u64 << 52) as f64).to_bits() as u32
+}
+
 /// Add the length of `rays` inside every voxel they cross.
-pub(crate) fn cast(accumulator: &mut Accumulator, window: &Window, rays: &[Ray]) {
-    Arch::new().dispatch(Cast { accumulator, window, rays });
+pub(crate) fn cast(
+    accumulator: &mut Accumulator,
+    window: &Window,
+    source: &Source<'_>,
+    rays: &[Ray],
+) {
+    Arch::new().dispatch(Cast { accumulator, window, source, rays });
 }
 
 struct Cast<'a> {
     accumulator: &'a mut Accumulator,
     window: &'a Window,
+    source: &'a Source<'a>,
     rays: &'a [Ray],
 }
 
@@ -91,10 +143,10 @@ impl WithSimd for Cast<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        match S::F64_LANES {
-            8 => self.walk::<S, 2>(simd),
-            4 => self.walk::<S, 4>(simd),
-            2 => self.walk::<S, 8>(simd),
+        match S::U32_LANES {
+            16 => self.walk::<S, 2>(simd),
+            8 => self.walk::<S, 4>(simd),
+            4 => self.walk::<S, 8>(simd),
             _ => self.walk::<S, LANES>(simd),
         }
     }
@@ -103,27 +155,26 @@ impl WithSimd for Cast<'_> {
 impl Cast<'_> {
     /// With `K` vectors per bundle.
     #[inline(always)]
-    fn walk<S: Simd, const K: usize>(mut self, simd: S) {
-        let mut visits = [[0; LANES]; RUN];
+    fn walk<S: Simd, const K: usize>(self, simd: S) {
+        let mut places = [[[0; LANES]; STEPS]; RUN];
+        let mut lengths = [[[0; LANES]; STEPS]; RUN];
         for rays in self.rays.chunks(LANES) {
-            let bundle = Bundle::of(self.window, rays);
+            let bundle = Bundle::of(self.window, self.source, rays);
             let mut walk = Walk::<S, K>::new(simd, self.window, &bundle);
-            let mut left = bundle.visits;
-            while let Some(most) = left.into_iter().max().filter(|&most| most > 0) {
-                visits.iter_mut().take(most).for_each(|visits| walk.step(simd, visits));
-                self.add(&visits, &mut left);
+            let most = bundle.visits.into_iter().max().unwrap_or(0) as usize;
+            let mut left = most.div_ceil(STEPS);
+            while left > 0 {
+                let run = left.min(RUN);
+                let (places, lengths) = (&mut places[..run], &mut lengths[..run]);
+                for (places, lengths) in places.iter_mut().zip(lengths.iter_mut()) {
+                    for (places, lengths) in places.iter_mut().zip(lengths.iter_mut()) {
+                        walk.step(simd, places, lengths);
+                    }
+                }
+                self.accumulator.add(self.window, places, lengths, &bundle.count);
+                left -= run;
             }
-            self.accumulator.count(bundle.visits.iter().sum::<usize>() as u64);
-        }
-    }
-
-    /// Ray by ray, since additions to one voxel right after another wait for each other.
-    #[inline(always)]
-    fn add(&mut self, visits: &[[u64; LANES]; RUN], left: &mut [usize; LANES]) {
-        for (lane, left) in left.iter_mut().enumerate() {
-            let own = visits.iter().take(*left).map(|visits| visits[lane]);
-            self.accumulator.add(self.window, own);
-            *left = left.saturating_sub(RUN);
+            self.accumulator.count(bundle.visits.iter().map(|&visits| u64::from(visits)).sum());
         }
     }
 }
@@ -131,74 +182,118 @@ impl Cast<'_> {
 /// State of a bundle on its way, in vectors. No closures on the way: they would not be inlined
 /// everywhere, and compiled for another vector unit.
 struct Walk<S: Simd, const K: usize> {
-    gap: [[S::f64s; K]; 3],
-    rate: [[S::f64s; K]; 3],
-    length: [S::f64s; K],
-    place: [S::u64s; K],
-    mirror: [S::u64s; K],
-    /// Ray parameter where the ray entered its voxel.
-    entered: [S::f64s; K],
+    wall: [[S::u32s; K]; 3],
+    pace: [[S::u32s; K]; 3],
+    end: [S::u32s; K],
+    shift: [S::u32s; K],
+    place: [S::u32s; K],
+    mirror: [S::u32s; K],
+    visits: [S::u32s; K],
+    step: S::u32s,
+    /// Where the ray entered its voxel, in units.
+    entered: [S::u32s; K],
     /// Bits of a place that belong to an axis.
-    bits: [S::u64s; 3],
+    bits: [S::u32s; 3],
 }
 
 impl<S: Simd, const K: usize> Walk<S, K> {
     #[inline(always)]
     fn new(simd: S, window: &Window, bundle: &Bundle) -> Self {
-        let numbers = |lanes: &[f64; LANES]| std::array::from_fn(|k| S::as_simd_f64s(lanes).0[k]);
-        let words = |lanes: &[u64; LANES]| std::array::from_fn(|k| S::as_simd_u64s(lanes).0[k]);
+        let vectors = |lanes: &Lanes| std::array::from_fn(|k| S::as_simd_u32s(lanes).0[k]);
         Self {
-            gap: std::array::from_fn(|axis| numbers(&bundle.gap[axis])),
-            rate: std::array::from_fn(|axis| numbers(&bundle.rate[axis])),
-            length: numbers(&bundle.length),
-            place: words(&bundle.place),
-            mirror: words(&bundle.mirror),
-            entered: [simd.splat_f64s(0.0); K],
-            bits: std::array::from_fn(|axis| simd.splat_u64s(window.bits_along(axis) << 32)),
+            wall: std::array::from_fn(|axis| vectors(&bundle.wall[axis])),
+            pace: std::array::from_fn(|axis| vectors(&bundle.pace[axis])),
+            end: vectors(&bundle.end),
+            shift: vectors(&bundle.shift),
+            place: vectors(&bundle.place),
+            mirror: vectors(&bundle.mirror),
+            visits: vectors(&bundle.visits),
+            step: simd.splat_u32s(0),
+            entered: [simd.splat_u32s(0); K],
+            bits: std::array::from_fn(|axis| simd.splat_u32s(window.bits_along(axis))),
         }
     }
 
-    /// Write down the voxels that the rays are in (upper halves), and the lengths inside (lower
-    /// halves); go on to the next ones.
+    /// Write down the voxels that the rays are in, and the lengths inside; go on to the next ones.
+    /// Rays that have arrived add nothing, every step to another voxel: no addition waits for the last.
+    /// There are as many: steps follow the edges of the window, voxels its volume.
     #[inline(always)]
-    fn step(&mut self, simd: S, visits: &mut [u64; LANES]) {
-        let (one, shift) = (simd.splat_f64s(1.0), simd.splat_f64s(SHIFT));
-        let lower = simd.splat_u64s(u64::from(u32::MAX));
-        for (k, visit) in S::as_mut_simd_u64s(visits).0.iter_mut().enumerate().take(K) {
-            // Computed from the start, not summed up, so that the error does not grow.
-            let x = simd.mul_f64s(self.gap[0][k], self.rate[0][k]);
-            let y = simd.mul_f64s(self.gap[1][k], self.rate[1][k]);
-            let z = simd.mul_f64s(self.gap[2][k], self.rate[2][k]);
-            let first = simd.min_f64s(x, simd.min_f64s(y, z));
-            let exit = simd.min_f64s(first, one);
-            let length = simd.mul_f64s(simd.sub_f64s(exit, self.entered[k]), self.length[k]);
-            let units = simd.transmute_u64s_f64s(simd.add_f64s(length, shift));
-            let place = simd.xor_u64s(self.place[k], self.mirror[k]);
-            *visit = simd.or_u64s(simd.and_u64s(units, lower), place);
+    fn step(&mut self, simd: S, places: &mut Lanes, lengths: &mut Lanes) {
+        let (none, one) = (simd.splat_u32s(0), simd.splat_u32s(1));
+        let (places, lengths) = (S::as_mut_simd_u32s(places).0, S::as_mut_simd_u32s(lengths).0);
+        for (k, (place, length)) in places.iter_mut().zip(lengths).enumerate().take(K) {
+            let going = simd.greater_than_u32s(self.visits[k], self.step);
+            let here = simd.xor_u32s(self.place[k], self.mirror[k]);
+            *place = simd.select_u32s(going, here, self.step);
+            let [x, y, z] = [self.wall[0][k], self.wall[1][k], self.wall[2][k]];
+            let first = simd.min_u32s(x, simd.min_u32s(y, z));
+            let exit = simd.min_u32s(first, self.end[k]);
+            let exit = simd.wrapping_dyn_shr_u32s(exit, self.shift[k]);
+            let inside = simd.sub_u32s(exit, self.entered[k]);
+            *length = simd.select_u32s(going, inside, none);
             self.entered[k] = exit;
-            let along_x = simd.less_than_or_equal_f64s(x, first);
-            let along_y = simd.less_than_or_equal_f64s(y, first);
-            self.cross(simd, k, along_x, along_y);
+            self.cross(simd, k, simd.equal_u32s(x, first), simd.equal_u32s(y, first));
         }
+        self.step = simd.add_u32s(self.step, one);
     }
 
     /// Through a wall along x, or else along y, or else along z.
     #[inline(always)]
-    fn cross(&mut self, simd: S, k: usize, along_x: S::m64s, along_y: S::m64s) {
-        let one = simd.splat_f64s(1.0);
-        let [x, y, z] = [self.gap[0][k], self.gap[1][k], self.gap[2][k]];
-        let next_y = simd.select_f64s(along_y, simd.add_f64s(y, one), y);
-        let next_z = simd.select_f64s(along_y, z, simd.add_f64s(z, one));
-        self.gap[0][k] = simd.select_f64s(along_x, simd.add_f64s(x, one), x);
-        self.gap[1][k] = simd.select_f64s(along_x, y, next_y);
-        self.gap[2][k] = simd.select_f64s(along_x, z, next_z);
+    fn cross(&mut self, simd: S, k: usize, along_x: S::m32s, along_y: S::m32s) {
+        let [x, y, z] = [self.wall[0][k], self.wall[1][k], self.wall[2][k]];
+        let next_y = simd.select_u32s(along_y, simd.add_u32s(y, self.pace[1][k]), y);
+        let next_z = simd.select_u32s(along_y, z, simd.add_u32s(z, self.pace[2][k]));
+        self.wall[0][k] = simd.select_u32s(along_x, simd.add_u32s(x, self.pace[0][k]), x);
+        self.wall[1][k] = simd.select_u32s(along_x, y, next_y);
+        self.wall[2][k] = simd.select_u32s(along_x, z, next_z);
 
         let [x, y, z] = self.bits;
-        let bits = simd.select_u64s(along_x, x, simd.select_u64s(along_y, y, z));
-        let others = simd.not_u64s(bits);
+        let bits = simd.select_u32s(along_x, x, simd.select_u32s(along_y, y, z));
+        let others = simd.not_u32s(bits);
         let place = self.place[k];
         // The carry runs through the bits of the other axes.
-        let above = simd.add_u64s(simd.or_u64s(place, others), simd.splat_u64s(1 << 32));
-        self.place[k] = simd.or_u64s(simd.and_u64s(above, bits), simd.and_u64s(place, others));
+        let above = simd.add_u32s(simd.or_u32s(place, others), simd.splat_u32s(1));
+        self.place[k] = simd.or_u32s(simd.and_u32s(above, bits), simd.and_u32s(place, others));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::blocks::VOLUME;
+    use super::super::segments::tests::with_rays;
+    use super::*;
+    use crate::Error;
+    use pulp::Scalar;
+
+    /// Marks of rays in all directions, cast by `run`.
+    fn marks(run: impl Fn(Cast<'_>)) -> Result<Vec<u32>, Error> {
+        let segments: Vec<_> = (0..77u16)
+            .map(|index| {
+                let (sin, cos) = libm::sincosf(f32::from(index) * 0.37);
+                ([0.3, -0.2, 0.1], [30.0 * cos, 30.0 * sin, f32::from(index % 20) - 10.0])
+            })
+            .collect();
+        let window = Window::spanning([-40; 3], [40; 3])?;
+        let mut sums = Accumulator::default();
+        sums.aim(window, 1 << 20);
+        with_rays(&segments, |source, rays| {
+            run(Cast { accumulator: &mut sums, window: &window, source, rays: &rays });
+            Ok(())
+        })?;
+        sums.settle();
+        let slots: Vec<_> = sums.marked().collect();
+        Ok(slots.iter().flat_map(|&(_, slot)| *sums.block(slot, &mut [0; VOLUME]).0).collect())
+    }
+
+    #[test]
+    fn every_vector_unit_gives_the_same_bits() -> Result<(), Error> {
+        let best = marks(|cast| Arch::new().dispatch(cast))?;
+        assert!(best.iter().filter(|&&mark| mark > 0).count() > 1000);
+        assert_eq!(marks(|cast| cast.with_simd(Scalar::new()))?, best);
+        #[cfg(target_arch = "x86_64")]
+        if let Some(avx2) = pulp::x86::V3::try_new() {
+            assert_eq!(marks(|cast| Simd::vectorize(avx2, cast))?, best);
+        }
+        Ok(())
     }
 }

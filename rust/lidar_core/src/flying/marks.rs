@@ -1,11 +1,13 @@
 //! What one scan did to every voxel that it met.
 
+use super::beyond::Beyond;
 use super::blocks::{Place, VOLUME, offset_of};
+use super::sheet::Sheet;
 use super::window::Window;
 use crate::Error;
 use crate::geometry::lattice::Voxel;
-use rayon::prelude::*;
-use std::collections::BTreeMap;
+use rayon::ThreadPool;
+use std::hint::black_box;
 
 /// What one scan did to one voxel, in 32 bits: the class of the points inside in the highest
 /// two, below them their number, or without points the length of rays in 1/16384 edges.
@@ -24,6 +26,13 @@ pub(super) const RAYS_FROM_EMPTY: usize = (u32::MAX / MOST_UNITS) as usize;
 /// The same of a full one.
 pub(super) const RAYS_FROM_FULL: usize = ((u32::MAX - MAX_COUNT) / MOST_UNITS) as usize;
 const EMPTY: u32 = u32::MAX;
+/// Points that are marked together.
+const POINTS_AT_A_TIME: usize = 64;
+
+/// Steps of a ray that are added in one go.
+pub(super) const STEPS: usize = 8;
+/// Those of `N` rays side by side.
+pub(super) type Steps<const N: usize> = [[u32; N]; STEPS];
 
 /// Classes that a voxel's points can have, weakest first: of several the strongest counts
 /// (first matching case of eq. 9: background, then flying or unknown, then rays).
@@ -41,82 +50,111 @@ pub(crate) fn tag_and_count(mark: Mark) -> (u32, u32) {
     (mark >> COUNT_BITS, mark & MAX_COUNT)
 }
 
-/// Marks of one scan, block by block. Reused from scan to scan.
+/// Marks of one scan, block by block: empty between scans, its memory is used again.
 ///
 /// Of a window that lies in memory as a whole, the slot of a block is its index.
 #[derive(Default)]
 pub(crate) struct Accumulator {
     window: Option<Window>,
-    /// Slots of the blocks of the window; those of a whole one are filled in by `settle`.
+    /// Marks in the window.
+    sheet: Sheet,
+    /// Slots of the blocks of a window that does not lie in memory as a whole, by their index.
     table: Vec<u32>,
-    /// Indices of the blocks that have a slot.
-    touched: Vec<u32>,
-    /// Marks of all slots. Zero outside the blocks that were touched.
-    marks: Vec<Mark>,
-    /// Blocks with points beyond the window: a stray return must not widen it.
-    far: BTreeMap<Place, Box<[Mark; VOLUME]>>,
+    /// Indices of the blocks that have a slot there, with it.
+    opened: Vec<(u32, u32)>,
+    beyond: Beyond,
+    /// Slots of the blocks that are added to those of this one.
+    sources: Vec<u32>,
     visits: u64,
     /// Most blocks that one scan may touch.
     most: usize,
 }
 
+/// A place on the sheet of the window or among the blocks beyond it.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Slot {
+    Within(usize),
+    Beyond(usize),
+}
+
+/// A mark to which points, or as many units, of class `content` are added. Stronger contents are
+/// greater numbers: arithmetic alone, since no branch could be foreseen.
+#[inline(always)]
+fn with_points(mark: Mark, content: Content, units: u32) -> Mark {
+    let none = (content as u32) << COUNT_BITS;
+    let known = mark.max(none);
+    known.max(known.saturating_add(units).min(none | MAX_COUNT))
+}
+
 impl Accumulator {
-    /// Empty the accumulator and aim it at `window`; it will touch at most `most` blocks.
+    /// Aim the empty accumulator at `window`; it will touch at most `most` blocks.
     pub(super) fn aim(&mut self, window: Window, most: usize) {
-        let blocks = self.marks.as_chunks_mut::<VOLUME>().0;
-        for &index in &self.touched {
-            blocks[self.table[index as usize] as usize] = [0; VOLUME];
-            self.table[index as usize] = EMPTY;
-        }
-        self.touched.clear();
-        self.far.clear();
-        self.visits = 0;
         self.most = most;
-        self.table.resize(window.len(), EMPTY);
-        if window.is_whole() && self.marks.len() < window.len() * VOLUME {
-            self.marks = vec![0; window.len() * VOLUME]; // memory that is not used is not had
+        if window.is_whole() {
+            self.sheet.reserve(window.len());
+        } else {
+            self.table.resize(window.len(), EMPTY);
         }
         self.window = Some(window);
+    }
+
+    /// Empty it for the next scan.
+    pub(super) fn clear(&mut self, pool: Option<&ThreadPool>) {
+        self.visits = 0;
+        self.sheet.clear(pool);
+        for (index, _) in self.opened.drain(..) {
+            self.table[index as usize] = EMPTY;
+        }
+        self.beyond.clear();
     }
 
     /// Slot of the block at `index` of the window, made when first met.
     #[inline(always)]
     fn slot(&mut self, window: &Window, index: usize) -> usize {
+        if window.is_whole() {
+            return index;
+        }
         match self.table.get(index) {
             Some(&slot) if slot != EMPTY => slot as usize,
-            _ => self.open(window, index),
+            _ => self.open(index),
         }
     }
 
     #[cold]
-    fn open(&mut self, window: &Window, index: usize) -> usize {
-        let slot = if window.is_whole() { index } else { self.touched.len() };
-        if self.touched.len() > self.most {
+    fn open(&mut self, index: usize) -> usize {
+        let slot = self.opened.len();
+        if slot > self.most {
             return slot.saturating_sub(1); // too many: `check` says so, and no mark is used
         }
         self.table[index] = slot as u32;
-        self.touched.push(index as u32);
-        self.marks.resize(self.marks.len().max((slot + 1) * VOLUME), 0);
+        self.opened.push((index as u32, slot as u32));
+        self.sheet.grow(slot + 1);
         slot
     }
 
-    /// Add lengths, in the lower halves of `visits`, to the voxels whose bits in the window are in
-    /// the upper halves. Sums may pass the largest mark until `settle`.
-    #[inline(always)]
-    pub(super) fn add(&mut self, window: &Window, visits: impl Iterator<Item = u64>) {
+    /// Add the lengths of steps of `N` rays side by side, each as often as its ray counts, to the
+    /// voxels whose bits in the window are in `places`. Sums may pass the largest mark until `settle`.
+    #[inline(never)] // it would have too few registers
+    pub(super) fn add<const N: usize>(
+        &mut self,
+        window: &Window,
+        places: &[Steps<N>],
+        lengths: &[Steps<N>],
+        counts: &[u32; N],
+    ) {
         if window.is_whole() {
-            let marks = self.marks.as_mut_slice();
-            for visit in visits {
-                if let Some(mark) = marks.get_mut((visit >> 32) as usize) {
-                    *mark = mark.wrapping_add(visit as u32);
+            let marks = self.sheet.marks_mut();
+            each(places, lengths, counts, |place, length| {
+                marks[place] = marks[place].wrapping_add(length);
+            });
+        } else {
+            each(places, lengths, counts, |place, length| {
+                if length != 0 {
+                    let mark = self.slot(window, place / VOLUME) * VOLUME + place % VOLUME;
+                    let mark = &mut self.sheet.marks_mut()[mark];
+                    *mark = mark.wrapping_add(length);
                 }
-            }
-            return;
-        }
-        for visit in visits.filter(|&visit| visit as u32 != 0) {
-            let place = (visit >> 32) as usize;
-            let mark = self.slot(window, place / VOLUME) * VOLUME + place % VOLUME;
-            self.marks[mark] = self.marks[mark].wrapping_add(visit as u32);
+            });
         }
     }
 
@@ -125,34 +163,40 @@ impl Accumulator {
         self.visits += visits;
     }
 
-    /// Full marks stay full; the blocks of a whole window that rays met are noted.
+    /// Full marks stay full; the rows that rays met are noted.
     pub(super) fn settle(&mut self) {
-        let blocks = self.marks.as_chunks_mut().0;
         match self.window {
-            Some(window) if window.is_whole() => {
-                for index in window.indices() {
-                    if hold_down(&mut blocks[index]) && self.table[index] == EMPTY {
-                        self.table[index] = index as u32;
-                        self.touched.push(index as u32);
-                    }
-                }
+            Some(window) if window.is_whole() => self.sheet.settle(window.indices()),
+            _ => self.sheet.settle(0..self.opened.len()),
+        }
+    }
+
+    /// Note points, each with its class.
+    pub(super) fn mark_all(&mut self, mut points: impl Iterator<Item = (Voxel, Content)>) {
+        let mut spots = [None; POINTS_AT_A_TIME];
+        loop {
+            let mut count = 0;
+            for (spot, (voxel, content)) in spots.iter_mut().zip(&mut points) {
+                *spot = self.spot(voxel).map(|spot| (spot, content));
+                count += 1;
             }
-            _ => {
-                for &index in &self.touched {
-                    hold_down(&mut blocks[self.table[index as usize] as usize]);
-                }
+            if count == 0 {
+                return;
+            }
+            let spots = spots[..count].iter().flatten();
+            // All are looked at before any is changed: their memory is waited for once.
+            black_box(spots.clone().fold(0, |seen, &(spot, _)| seen | *self.at(spot)));
+            for &(spot, content) in spots {
+                let mark = self.at(spot);
+                *mark = with_points(*mark, content, 1);
             }
         }
     }
 
     /// Note a point, or as many units, of class `content` in `voxel`.
     pub(crate) fn mark_points(&mut self, voxel: Voxel, content: Content, units: u32) {
-        let tag = content as u32;
-        let Some(mark) = self.mark(voxel) else { return };
-        if *mark >> COUNT_BITS < tag {
-            *mark = tag << COUNT_BITS | units.min(MAX_COUNT);
-        } else if *mark >> COUNT_BITS == tag {
-            *mark = tag << COUNT_BITS | (*mark & MAX_COUNT).saturating_add(units).min(MAX_COUNT);
+        if let Some(mark) = self.mark(voxel) {
+            *mark = with_points(*mark, content, units);
         }
     }
 
@@ -164,47 +208,54 @@ impl Accumulator {
         }
     }
 
-    /// Mark of a voxel.
+    /// Mark of a voxel that is about to be set.
     #[inline]
     pub(super) fn mark(&mut self, voxel: Voxel) -> Option<&mut Mark> {
+        self.spot(voxel).map(|spot| self.at(spot))
+    }
+
+    /// Where the mark of a voxel is that is about to be set.
+    #[inline(always)]
+    fn spot(&mut self, voxel: Voxel) -> Option<Slot> {
         let window = self.window?;
         let place = Place::of(voxel);
         if window.holds(place) {
             let slot = self.slot(&window, window.index(place));
-            return self.marks.get_mut(slot * VOLUME + offset_of(voxel));
+            return Some(Slot::Within(self.sheet.spot(slot, offset_of(voxel))));
         }
-        if self.far.len() > self.most {
-            return None; // as in `open`
-        }
-        let block = self.far.entry(place).or_insert_with(|| Box::new([0; VOLUME]));
-        Some(&mut block[offset_of(voxel)])
+        let slot = self.beyond.slot(place, self.most)?;
+        Some(Slot::Beyond(self.beyond.spot(slot, offset_of(voxel))))
     }
 
-    /// Add the lengths that `other` summed up in the same window.
-    pub(super) fn absorb(&mut self, other: &Self, window: &Window) {
+    #[inline(always)]
+    fn at(&mut self, spot: Slot) -> &mut Mark {
+        match spot {
+            Slot::Within(at) => &mut self.sheet.marks_mut()[at],
+            Slot::Beyond(at) => &mut self.beyond.marks_mut()[at],
+        }
+    }
+
+    /// Take over the lengths that `other` summed up in the same window; both are settled. Runs on
+    /// the threads of the pool that it is called in.
+    pub(super) fn absorb(&mut self, other: &mut Self, window: &Window, pool: &ThreadPool) {
         self.visits += other.visits;
-        for &index in &other.touched {
-            self.slot(window, index as usize);
+        let mut sources = std::mem::take(&mut self.sources);
+        sources.clear();
+        sources.resize(self.sheet.len(), EMPTY);
+        for (index, slot) in other.slots() {
+            let own = self.slot(window, index as usize);
+            sources.resize(sources.len().max(own + 1), EMPTY);
+            sources[own] = slot;
         }
-        let mut sources = vec![None; self.marks.len() / VOLUME];
-        for (index, marks) in other.blocks() {
-            if let Some(source) = sources.get_mut(self.table[index] as usize) {
-                *source = Some(marks);
-            }
-        }
-        let add = |(marks, source): (&mut [Mark; VOLUME], &Option<&[Mark; VOLUME]>)| {
-            let Some(source) = source else { return };
-            for (mark, more) in marks.iter_mut().zip(source.iter()) {
-                *mark = (*mark + more).min(MAX_COUNT); // both are settled
-            }
-        };
-        self.marks.as_chunks_mut().0.par_iter_mut().zip(&sources).for_each(add);
+        self.sheet.absorb(&other.sheet, &sources);
+        self.sources = sources;
+        other.clear(Some(pool));
     }
 
     /// # Errors
     /// [`Error::Limit`] if the scan touches too many blocks; its marks are of no use then.
     pub(crate) fn check(&self) -> Result<(), Error> {
-        if self.touched.len() > self.most || self.far.len() > self.most {
+        if self.opened.len() > self.most || self.beyond.opened.len() > self.most {
             return Err(Error::Limit {
                 what: format!("a scan that touches more than {} voxels", self.most * VOLUME),
                 limit: (self.most * VOLUME) as u64,
@@ -219,32 +270,62 @@ impl Accumulator {
         self.visits
     }
 
-    /// Index and marks of every block in the window that was touched.
-    fn blocks(&self) -> impl Iterator<Item = (usize, &[Mark; VOLUME])> {
-        let blocks = self.marks.as_chunks().0;
-        self.touched
-            .iter()
-            .map(move |&index| (index as usize, &blocks[self.table[index as usize] as usize]))
+    /// Index and slot of every block in the window that holds marks.
+    fn slots(&self) -> impl Iterator<Item = (u32, u32)> {
+        let opened = self.opened.iter().copied();
+        let all = if self.opened.is_empty() { self.sheet.len() as u32 } else { 0 };
+        let met = self.sheet.met();
+        (0..all)
+            .map(|index| (index, index))
+            .chain(opened)
+            .filter(|&(_, slot)| met[slot as usize] != 0)
     }
 
-    /// Marked blocks in ascending order of place.
-    pub(crate) fn marked(&self) -> Vec<(Place, &[Mark; VOLUME])> {
-        let Some(window) = self.window else { return Vec::new() };
-        let mut marked: Vec<_> = self
-            .blocks()
-            .map(|(index, marks)| (window.place(index), marks))
-            .chain(self.far.iter().map(|(&place, marks)| (place, &**marks)))
-            .collect();
-        marked.sort_unstable_by_key(|&(place, _)| place);
-        marked
+    /// Blocks with marks: first those in the window, in its order, then others in ascending order
+    /// of place.
+    pub(super) fn marked(&mut self) -> impl Iterator<Item = (Place, Slot)> {
+        self.opened.sort_unstable();
+        self.beyond.opened.sort_unstable();
+        let place = |index| self.window.map(|window| window.place(index));
+        let within = self.slots().filter_map(move |(index, slot)| {
+            Some((place(index as usize)?, Slot::Within(slot as usize)))
+        });
+        within.chain(
+            self.beyond.opened.iter().map(|&(place, slot)| (place, Slot::Beyond(slot as usize))),
+        )
+    }
+
+    /// Marks of a block, and a bit for every row that holds any; others are of no use. They may have
+    /// to be put into `spare`.
+    pub(super) fn block<'a>(
+        &'a self,
+        slot: Slot,
+        spare: &'a mut [Mark; VOLUME],
+    ) -> (&'a [Mark; VOLUME], u64) {
+        match slot {
+            Slot::Within(slot) => (&self.sheet.blocks()[slot], self.sheet.met()[slot]),
+            Slot::Beyond(slot) => {
+                let met = self.beyond.copy(slot, spare);
+                (spare, met)
+            }
+        }
     }
 }
 
-/// Make overfull marks full. Whether any is set.
-fn hold_down(marks: &mut [Mark; VOLUME]) -> bool {
-    let all = marks.iter().fold(0, |all, mark| all | mark);
-    if all > MAX_COUNT {
-        marks.iter_mut().for_each(|mark| *mark = (*mark).min(MAX_COUNT));
+/// Call `add` for every step, ray by ray, since additions to one voxel right after another wait for
+/// each other.
+#[inline(always)]
+fn each<const N: usize>(
+    places: &[Steps<N>],
+    lengths: &[Steps<N>],
+    counts: &[u32; N],
+    mut add: impl FnMut(usize, u32),
+) {
+    for (lane, &count) in counts.iter().enumerate() {
+        for (places, lengths) in places.iter().zip(lengths) {
+            for (place, length) in places.iter().zip(lengths) {
+                add(place[lane] as usize, length[lane].wrapping_mul(count));
+            }
+        }
     }
-    all != 0
 }

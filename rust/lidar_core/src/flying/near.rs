@@ -1,7 +1,6 @@
 //! Rule A: is anything occupied close by?
 
-use super::blocks::{Cursor, Place, offset_of};
-use super::islands::row_bits;
+use super::blocks::{Block, Cursor, Place, offset_of};
 use super::track::Occupancy;
 use super::voxel_map::VoxelMap;
 use crate::geometry::lattice::{Voxel, floor};
@@ -62,6 +61,12 @@ impl<'a> Near<'a> {
         }
         false
     }
+}
+
+/// Tentative bits of the row of x that holds `voxel`.
+fn row_bits(block: &Block, voxel: Voxel) -> u8 {
+    let offset = offset_of(voxel);
+    (block.tentative[offset >> 6] >> (offset & 0b11_1000)) as u8
 }
 
 impl Occupancy for VoxelMap {

@@ -2,9 +2,10 @@
 //!
 //! Source: Vrba et al., eqs 9 and 12.
 
-use super::blocks::{Bits, Block, EDGE, Place, VOLUME, assign};
+use super::blocks::{Bits, Block, EDGE, Place, Row, VOLUME, assign};
 use super::filter::{Levels, filtered, two_to_minus};
 use super::marks::{Content, MAX_COUNT, Mark, POINT_UNITS, UNITS_PER_EDGE, tag_and_count};
+use super::sheet::{MarkRow, rows_of};
 use super::voxel_map::{RayUnit, VoxelMap};
 use crate::geometry::lattice::Voxel;
 use pulp::{Arch, Simd, WithSimd};
@@ -13,6 +14,7 @@ use pulp::{Arch, Simd, WithSimd};
 const ROW: usize = EDGE as usize;
 
 /// What a mark does to a value.
+#[derive(Clone, Copy)]
 pub(super) struct Rule {
     levels: Levels,
     initial: f32,
@@ -22,14 +24,6 @@ pub(super) struct Rule {
     per_point: f64,
     /// First and last voxel of the operating volume.
     limits: Option<[Voxel; 2]>,
-}
-
-/// What was done to a block.
-pub(super) struct BlockUpdate {
-    /// Number of voxels that were updated.
-    pub(super) voxels: usize,
-    /// Those whose groups have to be looked at.
-    pub(super) changed: Bits,
 }
 
 impl Rule {
@@ -50,9 +44,15 @@ impl Rule {
         }
     }
 
-    /// Update a block, on the vector unit of the machine.
-    pub(super) fn apply(&self, block: &mut Block, marks: &[Mark; VOLUME]) -> BlockUpdate {
-        Arch::new().dispatch(Apply { rule: self, block, marks })
+    /// Number of the voxels of `block` that the marks change.
+    pub(super) fn count(&self, block: &Block, marks: &[Mark; VOLUME], met: u64) -> usize {
+        Arch::new().dispatch(Count { rule: self, place: block.place, marks, met })
+    }
+
+    /// Update a block that holds the rows `met`, on the vector unit of the machine. Returns the
+    /// voxels whose groups have to be looked at.
+    pub(super) fn apply(&self, block: &mut Block, marks: &[Mark; VOLUME], met: u64) -> Bits {
+        Arch::new().dispatch(Apply { rule: self, block, marks, met })
     }
 
     /// Marks of a row from the voxel `first` on, without those outside the operating volume.
@@ -66,18 +66,66 @@ impl Rule {
         })
     }
 
-    /// Without branches, for many voxels at a time.
+    /// What a row becomes. Without branches, for all its voxels at a time.
     #[inline(always)]
-    fn updated(&self, stored: f32, mark: Mark) -> f32 {
+    fn updated(&self, stored: &Row, marks: &MarkRow) -> Row {
+        let holds_points = marks.iter().fold(0, |all, mark| all | mark) > MAX_COUNT;
+        let mut values = *stored;
+        for (value, &mark) in values.iter_mut().zip(marks) {
+            *value =
+                if holds_points { self.marked(*value, mark) } else { self.cleared(*value, mark) };
+        }
+        values
+    }
+
+    /// A value that only rays can have changed.
+    #[inline(always)]
+    fn cleared(&self, stored: f32, mark: Mark) -> f32 {
+        let keep = two_to_minus(f64::from(mark & MAX_COUNT) * self.per_unit);
+        let value = filtered(self.known(stored), self.g[0], keep);
+        if mark == 0 { stored } else { value }
+    }
+
+    #[inline(always)]
+    fn marked(&self, stored: f32, mark: Mark) -> f32 {
         let (tag, count) = tag_and_count(mark);
         let of_rays = tag == Content::Rays as u32;
-        let keep =
-            two_to_minus(f64::from(count) * if of_rays { self.per_unit } else { self.per_point });
+        let [free, unknown, occupied] = self.g;
+        let per_unit = if of_rays { self.per_unit } else { self.per_point };
+        let keep = two_to_minus(f64::from(count) * per_unit);
         let keep = if tag == Content::Flying as u32 { 0.0 } else { keep }; // n_det is infinite (eq. 17)
-        let seen = if tag == Content::Background as u32 { self.g[2] } else { self.g[1] };
-        let target = if of_rays { self.g[0] } else { seen };
-        let value = filtered(if stored.is_nan() { self.initial } else { stored }, target, keep);
+        let seen = if tag == Content::Background as u32 { occupied } else { unknown };
+        let value = filtered(self.known(stored), if of_rays { free } else { seen }, keep);
         if mark == 0 { stored } else { value }
+    }
+
+    #[inline(always)]
+    fn known(&self, stored: f32) -> f32 {
+        if stored.is_nan() { self.initial } else { stored }
+    }
+}
+
+struct Count<'a> {
+    rule: &'a Rule,
+    place: Place,
+    marks: &'a [Mark; VOLUME],
+    met: u64,
+}
+
+impl WithSimd for Count<'_> {
+    type Output = usize;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> usize {
+        let rows = self.marks.as_chunks().0;
+        let mut counts = [0u32; ROW];
+        for row in rows_of(self.met) {
+            let marks = self.rule.admitted(self.place, row * ROW, &rows[row]);
+            for (count, mark) in counts.iter_mut().zip(marks) {
+                *count = count.wrapping_add(u32::from(mark != 0));
+            }
+        }
+        counts.into_iter().sum::<u32>() as usize
     }
 }
 
@@ -85,46 +133,36 @@ struct Apply<'a> {
     rule: &'a Rule,
     block: &'a mut Block,
     marks: &'a [Mark; VOLUME],
+    /// A bit for every row that holds marks.
+    met: u64,
 }
 
 impl WithSimd for Apply<'_> {
-    type Output = BlockUpdate;
+    type Output = Bits;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> BlockUpdate {
-        let Self { rule, block, marks } = self;
-        let mut update = BlockUpdate { voxels: 0, changed: [0; 8] };
-        let rows = marks.as_chunks::<ROW>().0;
-        let is_met = |marks: &[Mark; ROW]| marks.iter().fold(0, |all, mark| all | mark) != 0;
-        let met = rows.iter().rev().fold(0, |met, marks| met << 1 | u64::from(is_met(marks)));
-        block.hold(met);
-        for (row, marks) in rows.iter().enumerate().filter(|(row, _)| met >> row & 1 == 1) {
-            let marks = rule.admitted(block.place, row * ROW, marks);
-            update_row(rule, block, row, &marks, &mut update);
+    fn with_simd<S: Simd>(self, _: S) -> Bits {
+        let Self { rule, block, marks, met } = self;
+        let rule = *rule; // a copy that nothing else can change
+        let mut changed = [0; EDGE as usize];
+        let rows = marks.as_chunks().0;
+        for row in rows_of(met) {
+            let marks = rule.admitted(block.place, row * ROW, &rows[row]);
+            update_row(&rule, block, row, &marks, &mut changed);
         }
-        update
+        changed
     }
 }
 
 #[inline(always)]
-fn update_row(
-    rule: &Rule,
-    block: &mut Block,
-    row: usize,
-    marks: &[Mark; ROW],
-    update: &mut BlockUpdate,
-) {
+fn update_row(rule: &Rule, block: &mut Block, row: usize, marks: &MarkRow, changed: &mut Bits) {
     let Some(stored) = block.row_mut(row) else { return };
-    update.voxels += marks.iter().filter(|&&mark| mark != 0).count();
-    let holds_points = marks.iter().fold(0, |all, mark| all | mark) > MAX_COUNT;
-    let is_free = stored.iter().fold(true, |all, &value| all & (value == rule.g[0]));
-    if is_free && !holds_points {
+    let stays =
+        |(&value, &mark): (&f32, &Mark)| (mark <= MAX_COUNT) & (value == rule.g[0]) | (mark == 0);
+    if stored.iter().zip(marks).fold(true, |all, voxel| all & stays(voxel)) {
         return; // pulled to where it is: most of the air, after a few scans
     }
-    let mut values = [0.0; ROW];
-    for (at, value) in values.iter_mut().enumerate() {
-        *value = rule.updated(stored[at], marks[at]);
-    }
+    let values = rule.updated(stored, marks);
     let crosses = |at: usize| rule.levels.crosses(stored[at], values[at]);
     if !(0..ROW).fold(false, |any, at| any | crosses(at)) {
         *stored = values;
@@ -132,7 +170,7 @@ fn update_row(
     }
     for (at, &value) in values.iter().enumerate() {
         if rule.levels.store(block, row * ROW + at, value) {
-            assign(&mut update.changed, row * ROW + at, true);
+            assign(changed, row * ROW + at, true);
         }
     }
 }

@@ -1,11 +1,18 @@
 //! A raw scan -> points, rays and masks in the frame of the map.
 
+use super::beams::Missing;
+use super::integrate::UNKNOWN;
 use super::sensor::Sensor;
 use crate::Error;
 use crate::budget::check_points;
 use crate::geometry::lattice::wide;
-use crate::geometry::motion::Motion;
+use crate::geometry::motion::{Motion, PointPoses};
 use crate::geometry::transform::{Transform, norm};
+use rayon::ThreadPool;
+use rayon::prelude::*;
+
+/// Fewer points are not worth a second thread.
+const POINTS_PER_TASK: usize = 8192;
 
 /// One scan as the sensor delivered it, in its own frame.
 #[derive(Clone, Copy, Debug)]
@@ -32,13 +39,16 @@ pub struct RawScan<'a> {
     pub pose_covariance: Option<[[f64; 6]; 6]>,
 }
 
-/// A scan in the frame of the map. Rows beyond `rows` are rebuilt rays without return.
+/// A scan in the frame of the map, and memory for the next one. Rows beyond `rows` are rebuilt rays
+/// without return.
+#[derive(Default)]
 pub(crate) struct Prepared {
     /// Rows of the raw scan.
     pub(crate) rows: usize,
     /// Coordinates [m]; NaN where there is nothing to classify.
     pub(crate) points: Vec<[f32; 3]>,
-    pub(crate) origins: Vec<[f64; 3]>,
+    /// Where every ray starts [m]; None if all start at `pose`.
+    pub(crate) origins: Option<Vec<[f64; 3]>>,
     pub(crate) directions: Option<Vec<[f32; 3]>>,
     pub(crate) no_return: Vec<bool>,
     pub(crate) no_ray: Option<Vec<bool>>,
@@ -49,60 +59,128 @@ pub(crate) struct Prepared {
     /// Whether open sky is cleared by rays without return.
     pub(crate) clears_sky: bool,
     pub(crate) rebuilt: usize,
+    /// Class of every row, while none is known.
+    pub(crate) unknown: Vec<u8>,
+    missing: Missing,
+    poses: Poses,
 }
 
 impl Prepared {
+    /// Take a scan.
+    ///
     /// # Errors
     /// [`Error::Length`], [`Error::Value`], [`Error::Limit`] for input that cannot be used.
-    pub(crate) fn new(
+    pub(crate) fn take(
+        &mut self,
         raw: &RawScan<'_>,
         sensor: &Sensor,
         map_from_world: &Transform,
-    ) -> Result<Self, Error> {
+        pool: Option<&ThreadPool>,
+    ) -> Result<(), Error> {
         check(raw, sensor)?;
         let motion = Motion::new(raw.poses, raw.pose_stamps_ns)?;
-        let poses = Poses::of(raw, &motion, map_from_world)?;
-        let mut scan = Self {
-            rows: raw.points.len(),
-            points: Vec::with_capacity(raw.points.len()),
-            origins: Vec::with_capacity(raw.points.len()),
-            directions: None,
-            no_return: vec![false; raw.points.len()],
-            delays: raw.point_time_ns.map(|times| delays(times, raw.stamp_ns)),
-            no_ray: farthest_returns(raw.points, sensor.parameters.returns_per_ray),
-            pose: poses.middle,
-            clears_sky: false,
-            rebuilt: 0,
-        };
-        scan.take_points(raw, sensor, &poses);
-        if raw.no_return.is_some() {
-            scan.take_empty_rays(raw, sensor, &poses);
-        } else if let Some(missing) = sensor.missing(raw.points) {
-            scan.append_missing(&missing, &poses.middle);
+        let mut poses = std::mem::take(&mut self.poses);
+        let found = poses.find(raw, &motion, map_from_world);
+        if found.is_ok() {
+            self.take_rows(raw, sensor, &poses, pool);
         }
-        Ok(scan)
+        self.poses = poses; // its memory is used again
+        found
     }
 
-    fn take_points(&mut self, raw: &RawScan<'_>, sensor: &Sensor, poses: &Poses) {
-        for (row, &point) in raw.points.iter().enumerate() {
-            let pose = poses.at(row);
-            let point = wide(point);
-            let usable = point.iter().all(|value| value.is_finite())
+    fn take_rows(
+        &mut self,
+        raw: &RawScan<'_>,
+        sensor: &Sensor,
+        poses: &Poses,
+        pool: Option<&ThreadPool>,
+    ) {
+        self.rows = raw.points.len();
+        self.pose = poses.middle;
+        (self.clears_sky, self.rebuilt) = (false, 0);
+        self.no_return.clear();
+        self.no_return.resize(self.rows, false);
+        refill(&mut self.origins, poses.of_rows().map(|poses| poses.map(|pose| pose.translation)));
+        let delay = |time: &i64| (time.saturating_sub(raw.stamp_ns) as f64 * 1e-9) as f32;
+        refill(&mut self.delays, raw.point_time_ns.map(|times| times.iter().map(delay)));
+        self.take_farthest_returns(raw.points, sensor.parameters.returns_per_ray);
+        self.take_points(raw, sensor, poses, pool);
+        let mut missing = std::mem::take(&mut self.missing);
+        if raw.no_return.is_some() {
+            self.take_empty_rays(raw, sensor, poses);
+        } else if sensor.find_missing(raw.points, &mut missing) {
+            self.append_missing(&missing.directions, &poses.middle);
+        } else {
+            self.directions = None;
+        }
+        self.missing = missing; // its memory is used again
+        self.unknown.resize(self.points.len(), UNKNOWN);
+    }
+
+    /// Where the ray `row` starts [m].
+    #[inline]
+    pub(crate) fn origin(&self, row: usize) -> [f64; 3] {
+        self.origins.as_ref().map_or(self.pose.translation, |origins| origins[row])
+    }
+
+    fn take_points(
+        &mut self,
+        raw: &RawScan<'_>,
+        sensor: &Sensor,
+        poses: &Poses,
+        pool: Option<&ThreadPool>,
+    ) {
+        let taken = |(row, &point): (usize, &[f32; 3])| {
+            let at = wide(point);
+            let usable = at.iter().all(|value| value.is_finite())
                 && !raw.no_return.is_some_and(|flags| flags[row])
-                && !sensor.is_own(row, point);
-            self.points.push(if usable { narrow(pose.apply(point)) } else { [f32::NAN; 3] });
-            self.origins.push(pose.translation);
+                && !sensor.is_own(row, at);
+            if usable { narrow(poses.at(row).apply(at)) } else { [f32::NAN; 3] }
+        };
+        let rows = raw.points.par_iter().with_min_len(POINTS_PER_TASK).enumerate().map(taken);
+        match pool {
+            Some(pool) => pool.install(|| rows.collect_into_vec(&mut self.points)),
+            None => {
+                self.points.clear();
+                self.points.extend(raw.points.iter().enumerate().map(taken));
+            }
+        }
+    }
+
+    /// With several returns per ray only the farthest one casts a ray: the way to the nearer ones is
+    /// part of it.
+    fn take_farthest_returns(&mut self, points: &[[f32; 3]], returns: usize) {
+        if returns <= 1 {
+            self.no_ray = None;
+            return;
+        }
+        let no_ray = refilled(&mut self.no_ray, std::iter::repeat_n(true, points.len()));
+        let rays = points.len() / returns;
+        let range = |row: usize| {
+            let range = norm(wide(points[row]));
+            if range.is_finite() { range } else { -1.0 }
+        };
+        for ray in 0..rays {
+            let mut farthest = ray;
+            for row in (1..returns).map(|part| part * rays + ray) {
+                if range(row) > range(farthest) {
+                    farthest = row;
+                }
+            }
+            no_ray[farthest] = false;
         }
     }
 
     fn take_empty_rays(&mut self, raw: &RawScan<'_>, sensor: &Sensor, poses: &Poses) {
         let Some(flags) = raw.no_return else { return };
-        let mut directions = vec![[f32::NAN; 3]; raw.points.len()];
-        let casts = |row: usize| !self.no_ray.as_ref().is_some_and(|no_ray| no_ray[row]);
-        let empty: Vec<usize> = (0..flags.len()).filter(|&row| flags[row] && casts(row)).collect();
         let remembered = |row| if raw.organised { sensor.direction(row) } else { None };
-        self.clears_sky = empty.is_empty();
-        for row in empty {
+        let none = std::iter::repeat_n([f32::NAN; 3], flags.len());
+        let (directions, mut n_empty) = (refilled(&mut self.directions, none), 0);
+        for row in (0..flags.len()).filter(|&row| flags[row]) {
+            if self.no_ray.as_ref().is_some_and(|no_ray| no_ray[row]) {
+                continue;
+            }
+            n_empty += 1;
             let known = raw.directions.map(|all| all[row]).or_else(|| remembered(row));
             let Some(direction) = known else { continue };
             self.clears_sky = true;
@@ -111,13 +189,17 @@ impl Prepared {
                 directions[row] = narrow(poses.at(row).rotate(wide(direction)));
             }
         }
-        self.directions = Some(directions);
+        self.clears_sky |= n_empty == 0;
     }
 
     /// A point that is known without having been measured.
     pub(crate) fn append_known(&mut self, point: [f32; 3]) {
+        let origins = self.origins.get_or_insert_with(|| {
+            vec![self.pose.translation; self.points.len()] // so far in one point
+        });
+        origins.push(wide(point)); // its ray has no length
         self.points.push(point);
-        self.origins.push(wide(point)); // its ray has no length
+        self.unknown.push(UNKNOWN);
         self.no_return.push(false);
         if let Some(directions) = &mut self.directions {
             directions.push([f32::NAN; 3]);
@@ -131,10 +213,13 @@ impl Prepared {
     }
 
     fn append_missing(&mut self, missing: &[[f32; 3]], pose: &Transform) {
-        let mut directions = vec![[f32::NAN; 3]; self.rows];
-        directions.extend(missing.iter().map(|&direction| narrow(pose.rotate(wide(direction)))));
+        let none = std::iter::repeat_n([f32::NAN; 3], self.rows);
+        let turned = missing.iter().map(|&direction| narrow(pose.rotate(wide(direction))));
+        refill(&mut self.directions, Some(none.chain(turned)));
         self.points.resize(self.rows + missing.len(), [f32::NAN; 3]);
-        self.origins.resize(self.rows + missing.len(), pose.translation);
+        if let Some(origins) = &mut self.origins {
+            origins.resize(self.rows + missing.len(), pose.translation);
+        }
         self.no_return.resize(self.rows + missing.len(), true);
         if let Some(delays) = &mut self.delays {
             delays.resize(self.rows + missing.len(), 0.0);
@@ -142,46 +227,52 @@ impl Prepared {
         if let Some(no_ray) = &mut self.no_ray {
             no_ray.resize(self.rows + missing.len(), false);
         }
-        self.directions = Some(directions);
         self.clears_sky = true;
         self.rebuilt = missing.len();
     }
 }
 
 /// Pose of every row in the frame of the map.
+#[derive(Default)]
 struct Poses {
-    table: Vec<Transform>,
-    /// Place of every row in the table; None if all rows share `middle`.
-    places: Option<Vec<u32>>,
+    /// Those of the rows, unless all rows share `middle`.
+    rows: PointPoses,
+    differ: bool,
     middle: Transform,
 }
 
 impl Poses {
-    fn of(raw: &RawScan<'_>, motion: &Motion, map_from_world: &Transform) -> Result<Self, Error> {
-        let (table, places) = match raw.point_time_ns {
-            Some(times) if motion.is_stream() => {
-                let (table, places) =
-                    motion.per_point("point_time_ns", times, |row| is_informative(raw, row))?;
-                (table.iter().map(|pose| map_from_world.after(pose)).collect(), Some(places))
-            }
-            _ => (Vec::new(), None),
-        };
-        let middle_ns = match places {
-            Some(_) => middle_of(raw).unwrap_or(raw.stamp_ns),
-            None => raw.stamp_ns,
-        };
+    fn find(
+        &mut self,
+        raw: &RawScan<'_>,
+        motion: &Motion<'_>,
+        map_from_world: &Transform,
+    ) -> Result<(), Error> {
+        let times = raw.point_time_ns.filter(|_| motion.is_stream());
+        let mut middle_ns = raw.stamp_ns;
+        if let Some(times) = times {
+            self.rows.fill(motion, "point_time_ns", times, |row| is_informative(raw, row))?;
+            self.rows.move_to(map_from_world);
+            middle_ns = middle_of(raw).unwrap_or(raw.stamp_ns);
+        }
         let middle = motion.at(middle_ns).ok_or_else(|| Error::Value {
             name: "stamp_ns",
             expected: "a stamp within 20 ms of `pose_stamps_ns`",
             index: 0,
             got: raw.stamp_ns.to_string(),
         })?;
-        Ok(Self { table, places, middle: map_from_world.after(&middle) })
+        (self.differ, self.middle) = (times.is_some(), map_from_world.after(&middle));
+        Ok(())
+    }
+
+    /// Those of all rows, if they differ.
+    fn of_rows(&self) -> Option<impl Iterator<Item = &Transform>> {
+        self.differ.then(|| (0..self.rows.points()).map(|row| self.rows.at(row)))
     }
 
     #[inline]
     fn at(&self, row: usize) -> &Transform {
-        self.places.as_ref().map_or(&self.middle, |places| &self.table[places[row] as usize])
+        if self.differ { self.rows.at(row) } else { &self.middle }
     }
 }
 
@@ -243,32 +334,21 @@ fn is_informative(raw: &RawScan<'_>, row: usize) -> bool {
         || raw.points[row].iter().all(|value| value.is_finite())
 }
 
-fn delays(times_ns: &[i64], stamp_ns: i64) -> Vec<f32> {
-    times_ns.iter().map(|time| (time.saturating_sub(stamp_ns) as f64 * 1e-9) as f32).collect()
+/// Keep `values` in the memory of what was kept before.
+fn refill<T>(kept: &mut Option<Vec<T>>, values: Option<impl Iterator<Item = T>>) {
+    match values {
+        Some(values) => {
+            refilled(kept, values);
+        }
+        None => *kept = None,
+    }
 }
 
-/// With several returns per ray only the farthest one casts a ray: the way to the nearer ones is
-/// part of it.
-fn farthest_returns(points: &[[f32; 3]], returns: usize) -> Option<Vec<bool>> {
-    if returns <= 1 {
-        return None;
-    }
-    let rays = points.len() / returns;
-    let range = |row: usize| {
-        let range = norm(wide(points[row]));
-        if range.is_finite() { range } else { -1.0 }
-    };
-    let mut no_ray = vec![true; points.len()];
-    for ray in 0..rays {
-        let mut farthest = ray;
-        for row in (1..returns).map(|part| part * rays + ray) {
-            if range(row) > range(farthest) {
-                farthest = row;
-            }
-        }
-        no_ray[farthest] = false;
-    }
-    Some(no_ray)
+fn refilled<T>(kept: &mut Option<Vec<T>>, values: impl Iterator<Item = T>) -> &mut Vec<T> {
+    let kept = kept.get_or_insert_default();
+    kept.clear();
+    kept.extend(values);
+    kept
 }
 
 fn narrow(point: [f64; 3]) -> [f32; 3] {
@@ -303,7 +383,8 @@ mod tests {
     fn own_returns_vanish_and_the_rest_moves_into_the_map() -> Result<(), Error> {
         let sensor = Sensor::new(parameters());
         let points = [[0.1, 0.0, 0.0], [5.0, 1.0, 0.0], [f32::NAN; 3]];
-        let scan = Prepared::new(&raw(&points), &sensor, &Transform::IDENTITY)?;
+        let mut scan = Prepared::default();
+        scan.take(&raw(&points), &sensor, &Transform::IDENTITY, None)?;
         assert!(scan.points[0][0].is_nan() && scan.points[2][0].is_nan());
         assert_eq!(scan.points[1], [15.0, 1.0, 0.0]);
         assert!(!scan.clears_sky);
@@ -314,9 +395,10 @@ mod tests {
     fn of_two_returns_the_farther_one_casts_the_ray() -> Result<(), Error> {
         let sensor = Sensor::new(SensorParameters { returns_per_ray: 2, ..parameters() });
         let points = [[4.0, 0.0, 0.0], [0.0, 9.0, 0.0], [8.0, 0.0, 0.0], [f32::NAN; 3]];
-        let scan = Prepared::new(&raw(&points), &sensor, &Transform::IDENTITY)?;
+        let mut scan = Prepared::default();
+        scan.take(&raw(&points), &sensor, &Transform::IDENTITY, None)?;
         assert_eq!(scan.no_ray, Some(vec![true, false, false, true]));
-        assert!(Prepared::new(&raw(&points[..3]), &sensor, &Transform::IDENTITY).is_err());
+        assert!(scan.take(&raw(&points[..3]), &sensor, &Transform::IDENTITY, None).is_err());
         Ok(())
     }
 
@@ -326,18 +408,22 @@ mod tests {
         ahead[3] = 11.0;
         let poses = [STILL, ahead];
         let points = [[5.0, 0.0, 0.0]; 3];
-        let scan = RawScan {
+        let rolling = RawScan {
             poses: &poses,
             pose_stamps_ns: Some(&[0, 100]),
             point_time_ns: Some(&[0, 50, 100]),
             ..raw(&points)
         };
-        let scan = Prepared::new(&scan, &Sensor::new(parameters()), &Transform::IDENTITY)?;
+        let (mut scan, sensor) = (Prepared::default(), Sensor::new(parameters()));
+        scan.take(&rolling, &sensor, &Transform::IDENTITY, None)?;
         assert_eq!(
             scan.points.iter().map(|point| point[0]).collect::<Vec<_>>(),
             [15.0, 15.5, 16.0]
         );
-        assert_eq!(scan.origins[1], [10.5, 0.0, 0.0]);
+        assert_eq!(scan.origin(1), [10.5, 0.0, 0.0]);
+        scan.take(&raw(&points[..2]), &sensor, &Transform::IDENTITY, None)?; // nothing is left of it
+        assert_eq!((scan.points.len(), scan.origin(1)), (2, [10.0, 0.0, 0.0]));
+        assert!(scan.delays.is_none() && scan.origins.is_none());
         Ok(())
     }
 }

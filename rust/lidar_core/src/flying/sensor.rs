@@ -1,6 +1,6 @@
 //! What the detector remembers of each of its LiDARs: last stamp, own body, rays.
 
-use super::beams::{BeamTable, Rebuilder};
+use super::beams::{BeamTable, Missing, Rebuilder};
 use crate::Error;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, norm};
@@ -104,6 +104,7 @@ impl Sensor {
     /// Whether at least a fifth of the learning scans had a near return in this direction.
     fn is_learnt(&self, direction: [f64; 3]) -> bool {
         self.learnt_scans >= self.parameters.learn_mask_scans
+            && !self.near_counts.is_empty()
             && self
                 .near_counts
                 .get(cell_of(direction))
@@ -115,15 +116,15 @@ impl Sensor {
         self.directions.get(row).copied().filter(|direction| direction[0].is_finite())
     }
 
-    /// Directions of rays without return that the driver dropped; None if they are not known.
-    pub(crate) fn missing(&self, points: &[[f32; 3]]) -> Option<Vec<[f32; 3]>> {
-        let rebuilder = self.rebuilder.as_ref().filter(|rebuilder| rebuilder.is_ready())?;
-        if !Rebuilder::has_returns(points) {
-            return None;
-        }
-        let mut missing = rebuilder.missing(points);
-        missing.retain(|&direction| !self.is_masked(usize::MAX, wide(direction)));
-        Some(missing)
+    /// Find the rays without return that the driver dropped; false if they are not known.
+    pub(crate) fn find_missing(&self, points: &[[f32; 3]], missing: &mut Missing) -> bool {
+        let known = self.rebuilder.as_ref().filter(|rebuilder| rebuilder.is_ready());
+        let Some(rebuilder) = known.filter(|_| Rebuilder::has_returns(points)) else {
+            return false;
+        };
+        rebuilder.find_missing(points, missing);
+        missing.directions.retain(|&direction| !self.is_masked(usize::MAX, wide(direction)));
+        true
     }
 
     fn count_near(&mut self, points: &[[f32; 3]]) {

@@ -8,17 +8,16 @@ use crate::geometry::transform::{dot, minus, norm};
 /// A target that is approached head-on hides the same voxels in every scan: some were never
 /// observed, others it flew through itself, and no ray clears them. Algorithm 1 as published
 /// walks through them and never detects it. In best mode such voxels do not connect.
-pub(crate) struct Shadow {
+pub(crate) struct Shadow<'a> {
     origin: [f64; 3],
     lattice: Lattice,
-    points: Vec<[f64; 3]>,
+    points: &'a [[f64; 3]],
     /// A voxel is hidden if the ray to its centre passes a point this closely [m].
     margin: f64,
 }
 
-impl Shadow {
-    pub(crate) fn of(points: &[[f64; 3]], origin: [f64; 3], lattice: &Lattice) -> Self {
-        let points = points.iter().map(|&point| minus(point, origin)).collect();
+impl<'a> Shadow<'a> {
+    pub(crate) fn of(points: &'a [[f64; 3]], origin: [f64; 3], lattice: &Lattice) -> Self {
         let half_diagonal = 0.5 * 3f64.sqrt() * lattice.voxel_size();
         Self { origin, lattice: *lattice, points, margin: half_diagonal }
     }
@@ -33,6 +32,7 @@ impl Shadow {
         }
         let direction = center.map(|value| value / distance);
         self.points.iter().any(|&point| {
+            let point = minus(point, self.origin);
             let along = dot(point, direction);
             let aside = minus(point, direction.map(|value| value * along));
             along > 0.0

@@ -3,10 +3,11 @@
 //! Source: Vrba et al., sec. III-A, eqs 6-12; permanent voxels: sec. III-E.
 
 use super::blocks::{Block, Blocks, Cursor, Place, offset_of};
+use super::casting::Casting;
 use super::filter::{Levels, filtered, two_to_minus};
-use super::integrate::Plan;
-use super::marks::Accumulator;
+use super::layers::Layer;
 use super::separate::Changes;
+use super::update::Task;
 use crate::error::{require, require_positive};
 use crate::geometry::lattice::{Lattice, Voxel, wide};
 use crate::geometry::transform::minus;
@@ -85,8 +86,8 @@ pub struct VoxelMap {
     pub(crate) limits: Option<[Voxel; 2]>,
     pub(crate) blocks: Blocks,
     pub(crate) changes: Changes,
-    pub(crate) accumulators: Vec<Accumulator>,
-    pub(crate) plan: Plan,
+    pub(crate) casting: Casting,
+    pub(crate) tasks: Vec<Task>,
     pub(crate) pool: Option<ThreadPool>,
 }
 
@@ -108,8 +109,8 @@ impl VoxelMap {
             limits,
             blocks: Blocks::new(parameters.max_voxels),
             changes: Changes::default(),
-            accumulators: (0..threads).map(|_| Accumulator::default()).collect(),
-            plan: Plan::default(),
+            casting: Casting::new(threads),
+            tasks: Vec::new(),
             pool: (threads > 1).then_some(pool),
             parameters,
         })
@@ -130,7 +131,7 @@ impl VoxelMap {
     /// Threads it works with.
     #[must_use]
     pub fn threads(&self) -> usize {
-        self.accumulators.len()
+        self.pool.as_ref().map_or(1, ThreadPool::current_num_threads)
     }
 
     /// Voxels of all blocks, which the budget counts; rows of them that nothing has met take no
@@ -266,8 +267,9 @@ impl VoxelMap {
         let Some(block) = self.blocks.at_mut(slot) else { return };
         let offset = offset_of(voxel);
         let value = new(block.value(offset));
+        let before = block.tentative[offset >> 6];
         if levels.store(block, offset, value) {
-            self.changes.note(voxel);
+            self.changes.note(Layer::of(voxel), before);
         }
     }
 

@@ -104,13 +104,12 @@ impl VoxelMap {
     pub(super) fn mark(
         &self,
         accumulator: &mut Accumulator,
-        points: &[(Voxel, Content)],
+        points: impl Iterator<Item = (Voxel, Content)>,
         error: Option<&PoseError>,
     ) {
-        let points = points.iter().filter(|(voxel, _)| self.admits(*voxel));
+        let points = points.filter(|&(voxel, _)| self.admits(voxel));
         let Some(error) = error.filter(|error| error.weighs_points()) else {
-            points.for_each(|&(voxel, class)| accumulator.mark_points(voxel, class, 1));
-            return;
+            return accumulator.mark_all(points);
         };
         let (background, others): (Vec<_>, Vec<_>) =
             points.partition(|(_, class)| *class == Content::Background);

@@ -1,6 +1,6 @@
 //! Euclidean clustering: points linked by steps of at most a given distance.
 
-use super::octants::{Fixed, linked};
+use super::octants::{Fixed, Linker};
 use crate::Error;
 use crate::budget::check_points;
 use crate::error::{require, require_positive};
@@ -34,10 +34,36 @@ pub struct Clustering {
 /// # Source
 /// Vrba et al., eqs 13-15.
 pub fn label(points: &[[f32; 3]], clustering: &Clustering) -> Result<Vec<i32>, Error> {
-    check(clustering)?;
-    check_points(points.len())?;
-    let group_of = linked(points, clustering.max_distance, &Fixed::new(clustering.max_distance))?;
-    Ok(numbered(&group_of, clustering))
+    let mut labeller = Labeller::default();
+    labeller.label(points, clustering)?;
+    Ok(labeller.labels.labels)
+}
+
+/// Labels clouds, one after another in the same memory.
+#[derive(Default)]
+pub struct Labeller {
+    linker: Linker,
+    pub(super) labels: Labels,
+}
+
+impl Labeller {
+    /// As [`label`].
+    ///
+    /// # Errors
+    /// As [`label`].
+    pub fn label(&mut self, points: &[[f32; 3]], clustering: &Clustering) -> Result<&[i32], Error> {
+        check(clustering)?;
+        check_points(points.len())?;
+        let distance = clustering.max_distance;
+        let group_of = self.linker.linked(points, distance, &Fixed::new(distance))?;
+        Ok(self.labels.number(group_of, clustering))
+    }
+
+    /// Those of the last cloud that was labelled.
+    #[must_use]
+    pub fn labels(&self) -> &[i32] {
+        &self.labels.labels
+    }
 }
 
 pub(super) fn check(clustering: &Clustering) -> Result<(), Error> {
@@ -46,15 +72,19 @@ pub(super) fn check(clustering: &Clustering) -> Result<(), Error> {
 }
 
 /// Union-find whose root is the smallest member.
+#[derive(Default)]
 pub(super) struct Sets {
     parent: Vec<u32>,
 }
 
 impl Sets {
-    pub(super) fn new(len: usize) -> Self {
-        Self { parent: (0..len as u32).collect() }
+    /// Start again with so many members, each alone.
+    pub(super) fn restart(&mut self, len: usize) {
+        self.parent.clear();
+        self.parent.extend(0..len as u32);
     }
 
+    #[inline(always)]
     pub(super) fn root(&mut self, mut member: u32) -> u32 {
         while self.parent[member as usize] != member {
             let up = self.parent[self.parent[member as usize] as usize];
@@ -67,30 +97,48 @@ impl Sets {
     pub(super) fn join(&mut self, a: u32, b: u32) {
         self.parent[a.max(b) as usize] = a.min(b);
     }
+
+    /// The root of every member.
+    pub(super) fn roots(&mut self) -> &mut [u32] {
+        for member in 0..self.parent.len() {
+            self.parent[member] = self.parent[self.parent[member] as usize]; // a root: it is smaller
+        }
+        &mut self.parent
+    }
 }
 
-/// Labels by first appearance; groups, each named after one of its points, of unwanted size are
-/// noise.
-pub(super) fn numbered(group_of: &[u32], clustering: &Clustering) -> Vec<i32> {
-    let mut sizes = vec![0u32; group_of.len()];
-    for &group in group_of.iter().filter(|&&group| group != NO_GROUP) {
-        sizes[group as usize] += 1;
-    }
-    let wanted = clustering.min_points..=clustering.max_points.unwrap_or(usize::MAX);
-    let (mut labels, mut numbers) = (vec![NOISE; group_of.len()], vec![NOISE; group_of.len()]);
-    let mut next = 0;
-    for (label, &group) in labels.iter_mut().zip(group_of) {
-        if group == NO_GROUP || !wanted.contains(&(sizes[group as usize] as usize)) {
-            continue;
+/// Labels by first appearance.
+#[derive(Default)]
+pub(super) struct Labels {
+    pub(super) labels: Vec<i32>,
+    /// By group its size, or once it has a number that, with all bits turned.
+    groups: Vec<i32>,
+}
+
+impl Labels {
+    /// Labels of points, given the group of each, named after one of its points; groups of unwanted
+    /// size are noise.
+    pub(super) fn number(&mut self, group_of: &[u32], clustering: &Clustering) -> &[i32] {
+        let Self { labels, groups } = self;
+        groups.clear();
+        groups.resize(group_of.len(), 0);
+        for &group in group_of.iter().filter(|&&group| group != NO_GROUP) {
+            groups[group as usize] += 1;
         }
-        let number = &mut numbers[group as usize];
-        if *number == NOISE {
-            *number = next;
-            next += 1;
-        }
-        *label = *number;
+        let wanted = clustering.min_points..=clustering.max_points.unwrap_or(usize::MAX);
+        let mut next = 0;
+        let label = |&group: &u32| {
+            let known = groups.get_mut(group as usize)?; // there is no such group as `NO_GROUP`
+            if usize::try_from(*known).is_ok_and(|size| wanted.contains(&size)) {
+                *known = !next;
+                next += 1;
+            }
+            (*known < 0).then_some(!*known)
+        };
+        labels.clear();
+        labels.extend(group_of.iter().map(label).map(|label| label.unwrap_or(NOISE)));
+        labels
     }
-    labels
 }
 
 #[cfg(test)]

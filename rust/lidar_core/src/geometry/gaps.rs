@@ -1,18 +1,26 @@
 //! Clustering with gaps that grow with the range, as the gaps between the rays of a LiDAR do.
 
-use super::cluster::{Clustering, NO_GROUP, Sets, check, label, numbered};
+use super::cluster::{Clustering, Labeller, NO_GROUP, Sets, check};
+use super::keys::is_finite;
 use super::lattice::wide;
-use super::octants::{Fixed, Reach, check_extent, is_finite, linked};
+use super::octants::{Fixed, Linker, Reach, check_extent};
 use crate::Error;
 use crate::budget::check_points;
 use crate::error::require;
+use crate::shelf::Shelf;
 use rayon::ThreadPool;
 use rayon::prelude::*;
+use std::sync::{Mutex, PoisonError};
 
 /// Widest angle under which a gap is bridged [rad].
 pub const MAX_ANGLE: f64 = 0.5;
-/// Ranges within one band differ by this factor at most: less than 1 / 0.8661, see [`linked`].
+/// Ranges within one band differ by this factor at most: less than 1 / 0.8661, see [`Linker`].
 const BAND: f64 = 1.15;
+/// The same where the angle does not count: only the work is shared out there.
+const NEAR_BAND: f64 = 1.4;
+/// No band is cut that ends nearer than so many times the fixed distance: most of it would be reached
+/// from its neighbour.
+const LEAST_WIDTHS: f64 = 32.0;
 /// Room for rounding.
 const MARGIN: f64 = 1e-6;
 
@@ -40,29 +48,61 @@ pub fn label_seen(
     clustering: &Clustering,
     pool: Option<&ThreadPool>,
 ) -> Result<Vec<i32>, Error> {
-    check(clustering)?;
-    gap.check()?;
-    check_points(points.len())?;
-    if gap.max_angle == 0.0 {
-        return label(points, clustering);
+    let mut labeller = SeenLabeller::default();
+    labeller.label(points, gap, clustering, pool)?;
+    Ok(labeller.near.labels.labels)
+}
+
+/// Labels clouds that are seen from a sensor, one after another in the same memory.
+#[derive(Default)]
+pub struct SeenLabeller {
+    near: Labeller,
+    bands: Bands,
+    parts: Shelf<Part>,
+    sets: Mutex<Sets>,
+}
+
+impl SeenLabeller {
+    /// As [`label_seen`].
+    ///
+    /// # Errors
+    /// As [`label_seen`].
+    pub fn label(
+        &mut self,
+        points: &[[f32; 3]],
+        gap: &AngularGap,
+        clustering: &Clustering,
+        pool: Option<&ThreadPool>,
+    ) -> Result<&[i32], Error> {
+        check(clustering)?;
+        gap.check()?;
+        check_points(points.len())?;
+        if gap.max_angle == 0.0 {
+            return self.near.label(points, clustering);
+        }
+        check_extent(points, clustering.max_distance)?;
+        let Self { near, bands, parts, sets } = self;
+        bands.fill(points, gap, clustering.max_distance);
+        sets.get_mut().unwrap_or_else(PoisonError::into_inner).restart(points.len());
+        let link = |band: usize| parts.lend().link(points, gap, bands, band, sets);
+        match pool {
+            Some(pool) => {
+                pool.install(|| (0..bands.len()).into_par_iter().try_for_each(link))?;
+            }
+            None => (0..bands.len()).try_for_each(link)?,
+        }
+        let roots = sets.get_mut().unwrap_or_else(PoisonError::into_inner).roots();
+        for (root, _) in roots.iter_mut().zip(points).filter(|(_, point)| !is_finite(**point)) {
+            *root = NO_GROUP;
+        }
+        Ok(near.labels.number(roots, clustering))
     }
-    check_extent(points, clustering.max_distance)?;
-    let bands = Bands::of(points, gap, clustering.max_distance);
-    let linked = |band: usize| bands.linked(points, band);
-    let found: Vec<Result<Found, Error>> = match pool {
-        Some(pool) => pool.install(|| (0..bands.ends.len()).into_par_iter().map(linked).collect()),
-        None => (0..bands.ends.len()).map(linked).collect(),
-    };
-    let mut sets = Sets::new(points.len());
-    for found in found {
-        found?.join(&mut sets);
+
+    /// Those of the last cloud that was labelled.
+    #[must_use]
+    pub fn labels(&self) -> &[i32] {
+        self.near.labels()
     }
-    let root = |(row, &point): (u32, &[f32; 3])| match is_finite(point) {
-        true => sets.root(row),
-        false => NO_GROUP,
-    };
-    let group_of: Vec<u32> = (0..).zip(points).map(root).collect();
-    Ok(numbered(&group_of, clustering))
 }
 
 impl AngularGap {
@@ -104,93 +144,138 @@ impl Reach for InBand<'_> {
     }
 }
 
-/// Points by their range. In the first band the angle does not count yet; within each of the
+/// Points by their range. In the first bands the angle does not count yet; within each of the
 /// others all reaches are nearly equal.
-struct Bands<'a> {
-    gap: &'a AngularGap,
+#[derive(Default)]
+struct Bands {
     /// The fixed distance [m].
     fixed: f64,
     /// Upper end of every band [m].
     ends: Vec<f64>,
+    /// The band of every point; [`NO_BAND`] if it is not finite.
+    band_of: Vec<u16>,
     /// Rows of finite points, by band.
     rows: Vec<u32>,
     /// Where the rows of every band end.
     row_ends: Vec<usize>,
 }
 
-impl<'a> Bands<'a> {
-    fn of(points: &[[f32; 3]], gap: &'a AngularGap, fixed: f64) -> Self {
-        let finite = (0..).zip(points).filter(|(_, point)| is_finite(**point));
-        let squares: Vec<(u32, f64)> =
-            finite.map(|(row, &point)| (row, gap.square(wide(point)))).collect();
-        let furthest = squares.iter().map(|&(_, square)| square).fold(0.0, f64::max);
-        let mut ends = vec![fixed / gap.max_angle * (1.0 - MARGIN)];
-        while let Some(end) = ends.last().filter(|&&end| end * end <= furthest) {
-            ends.push(end * BAND);
+/// More than there can be: each band is wider than the one before.
+const NO_BAND: u16 = u16::MAX;
+
+impl Bands {
+    fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    fn fill(&mut self, points: &[[f32; 3]], gap: &AngularGap, fixed: f64) {
+        let finite = points.iter().filter(|point| is_finite(**point));
+        let furthest = finite.map(|&point| gap.square(wide(point))).fold(0.0, f64::max);
+        self.cut(fixed, gap.max_angle, furthest);
+        let Self { ends, band_of, rows, row_ends, .. } = self;
+        let band = |&point: &[f32; 3]| {
+            let square = gap.square(wide(point));
+            let band = || ends.partition_point(|end| end * end <= square) as u16;
+            if is_finite(point) { band() } else { NO_BAND }
+        };
+        band_of.clear();
+        band_of.extend(points.iter().map(band));
+        row_ends.clear();
+        row_ends.resize(ends.len() + 1, 0);
+        for &band in band_of.iter().filter(|&&band| band != NO_BAND) {
+            row_ends[usize::from(band) + 1] += 1;
         }
-        let band_of = |square: f64| ends.partition_point(|end| end * end <= square);
-        let mut row_ends = vec![0; ends.len() + 1];
-        squares.iter().for_each(|&(_, square)| row_ends[band_of(square) + 1] += 1);
         for band in 0..ends.len() {
             row_ends[band + 1] += row_ends[band];
         }
-        let mut rows = vec![0; squares.len()];
-        for (row, square) in squares {
-            let place = &mut row_ends[band_of(square)]; // where the band begins, at first
+        rows.clear();
+        rows.resize(row_ends[ends.len()], 0);
+        for (row, &band) in (0..).zip(&*band_of).filter(|(_, band)| **band != NO_BAND) {
+            let place = &mut row_ends[usize::from(band)]; // where the band begins, at first
             rows[*place] = row;
             *place += 1;
         }
-        Self { gap, fixed, ends, rows, row_ends }
+    }
+
+    /// Find the ends of the bands, given the square of the largest range.
+    fn cut(&mut self, fixed: f64, max_angle: f64, furthest: f64) {
+        // From here on the angle counts.
+        let counts = (fixed / max_angle).min(f64::MAX) * (1.0 - MARGIN);
+        let Self { ends, .. } = self;
+        ends.clear();
+        ends.push(counts);
+        let mut near = counts.min(furthest.sqrt());
+        while near > LEAST_WIDTHS * fixed {
+            near /= NEAR_BAND;
+            ends.push(near);
+        }
+        ends.reverse();
+        while let Some(end) = ends.last().filter(|&&end| end * end <= furthest) {
+            ends.push(end * BAND);
+        }
+        self.fixed = fixed;
+    }
+
+    /// How far apart two points of a band may be that are linked [m].
+    fn widest(&self, gap: &AngularGap, band: usize) -> f64 {
+        self.fixed.max(gap.max_angle * self.ends[band])
     }
 
     fn rows_in(&self, band: usize) -> &[u32] {
         let start = if band == 0 { 0 } else { self.row_ends[band - 1] };
         &self.rows[start..self.row_ends[band]]
     }
-
-    /// Rows of `band`, and those beyond it that are within reach of its furthest points.
-    fn reached_from(&self, points: &[[f32; 3]], band: usize) -> Vec<u32> {
-        let reached = self.ends[band] * (1.0 + self.gap.max_angle) * (1.0 + MARGIN);
-        let mut rows = self.rows_in(band).to_vec();
-        for beyond in (band + 1..self.ends.len()).take_while(|at| self.ends[at - 1] <= reached) {
-            let is_near =
-                |row: &u32| self.gap.square(wide(points[*row as usize])) <= reached * reached;
-            rows.extend(self.rows_in(beyond).iter().copied().filter(is_near));
-        }
-        rows
-    }
-
-    /// What is linked to the points of a band.
-    fn linked(&self, points: &[[f32; 3]], band: usize) -> Result<Found, Error> {
-        if self.rows_in(band).is_empty() {
-            return Ok(Found::default());
-        }
-        let rows = self.reached_from(points, band);
-        let cloud: Vec<[f32; 3]> = rows.iter().map(|&row| points[row as usize]).collect();
-        let (fixed, widest) = (self.fixed, self.gap.max_angle * self.ends[band]);
-        let groups = if band == 0 {
-            linked(&cloud, fixed, &Fixed::new(fixed))?
-        } else {
-            let reach = InBand { gap: self.gap, fixed: fixed * fixed, most: widest * widest };
-            linked(&cloud, widest, &reach)?
-        };
-        Ok(Found { rows, groups })
-    }
 }
 
-/// Rows of finite points, and for each the place in this list of one of its group.
+/// Points of one band, and what they are linked to.
 #[derive(Default)]
-struct Found {
+struct Part {
     rows: Vec<u32>,
-    groups: Vec<u32>,
+    points: Vec<[f32; 3]>,
+    linker: Linker,
 }
 
-impl Found {
-    fn join(&self, sets: &mut Sets) {
-        for (&row, &group) in self.rows.iter().zip(&self.groups) {
+impl Part {
+    /// Join what is linked to the points of a band.
+    fn link(
+        &mut self,
+        points: &[[f32; 3]],
+        gap: &AngularGap,
+        bands: &Bands,
+        band: usize,
+        sets: &Mutex<Sets>,
+    ) -> Result<(), Error> {
+        if bands.rows_in(band).is_empty() {
+            return Ok(());
+        }
+        self.take(points, gap, bands, band);
+        let (fixed, widest) = (bands.fixed, bands.widest(gap, band));
+        let groups = if widest == fixed {
+            self.linker.linked(&self.points, fixed, &Fixed::new(fixed))?
+        } else {
+            let reach = InBand { gap, fixed: fixed * fixed, most: widest * widest };
+            self.linker.linked(&self.points, widest, &reach)?
+        };
+        let mut sets = sets.lock().unwrap_or_else(PoisonError::into_inner);
+        for (&row, &group) in self.rows.iter().zip(groups) {
             let (one, other) = (sets.root(row), sets.root(self.rows[group as usize]));
             sets.join(one, other);
         }
+        Ok(())
+    }
+
+    /// The points of `band`, and those beyond it that are within reach of its furthest ones.
+    fn take(&mut self, points: &[[f32; 3]], gap: &AngularGap, bands: &Bands, band: usize) {
+        let Self { rows, points: taken, .. } = self;
+        let reached = (bands.ends[band] + bands.widest(gap, band)) * (1.0 + MARGIN);
+        let is_near = |row: &&u32| gap.square(wide(points[**row as usize])) <= reached * reached;
+        rows.clear();
+        rows.extend_from_slice(bands.rows_in(band));
+        for beyond in (band + 1..bands.len()).take_while(|at| bands.ends[at - 1] <= reached) {
+            rows.extend(bands.rows_in(beyond).iter().filter(is_near));
+        }
+        taken.clear();
+        taken.extend(rows.iter().map(|&row| points[row as usize]));
     }
 }
 
@@ -224,6 +309,17 @@ mod tests {
         for threads in [2, 3] {
             let pool = crate::threads::pool(threads)?;
             assert_eq!(label_seen(&points, &gap, &clustering, Some(&pool))?, one);
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn the_least_angle_there_is_links_nothing_more() -> Result<(), Error> {
+        let clustering = Clustering { max_distance: 0.25, min_points: 1, max_points: None };
+        let points = [[49.0, 0.0, 0.0], [50.0, 0.0, 0.0], [0.0, 45.0, 0.0]];
+        for max_angle in [0.0, 5e-324, 1e-310, 1e-308] {
+            let gap = AngularGap { origin: [0.0; 3], max_angle };
+            assert_eq!(label_seen(&points, &gap, &clustering, None)?, [0, 1, 2]);
         }
         Ok(())
     }

@@ -86,17 +86,23 @@ impl Lattice {
 pub fn floor(scaled: [f64; 3]) -> Option<Voxel> {
     let mut voxel = [0; 3];
     for axis in 0..3 {
-        let index = scaled[axis].floor();
-        if index.is_nan() || index.abs() >= MAX_INDEX {
+        if !is_index(scaled[axis]) {
             return None;
         }
-        voxel[axis] = index as i32; // in range: checked above
+        voxel[axis] = scaled[axis].floor() as i32; // in range: checked above
     }
     Some(voxel)
 }
 
+/// Whether a coordinate in units of voxels can be indexed.
+#[inline(always)]
+fn is_index(scaled: f64) -> bool {
+    scaled.floor().abs() < MAX_INDEX
+}
+
 /// Points of `f32` as `f64`.
 #[must_use]
+#[inline(always)]
 pub fn wide([x, y, z]: [f32; 3]) -> [f64; 3] {
     [f64::from(x), f64::from(y), f64::from(z)]
 }

@@ -2,7 +2,9 @@
 
 pub mod caps;
 pub mod cluster;
+mod cubes;
 pub mod gaps;
+mod keys;
 pub mod lattice;
 pub mod motion;
 mod octants;

@@ -10,17 +10,17 @@ use std::hash::BuildHasherDefault;
 const POSE_SLACK_NS: i64 = 20_000_000;
 
 /// Pose of a scan: one, or a stream of them.
-#[derive(Clone, Debug)]
-pub struct Motion {
-    poses: Vec<Transform>,
-    stamps_ns: Vec<i64>,
+#[derive(Clone, Copy, Debug)]
+pub struct Motion<'a> {
+    poses: &'a [[f64; 16]],
+    stamps_ns: &'a [i64],
 }
 
-impl Motion {
+impl<'a> Motion<'a> {
     /// # Errors
     /// [`Error::Value`] or [`Error::Length`] if poses are not finite, or stamps are missing or not
     /// increasing.
-    pub fn new(poses: &[[f64; 16]], stamps_ns: Option<&[i64]>) -> Result<Self, Error> {
+    pub fn new(poses: &'a [[f64; 16]], stamps_ns: Option<&'a [i64]>) -> Result<Self, Error> {
         if poses.is_empty() {
             return Err(Error::Length { name: "world_from_lidar", expected: 1, got: 0 });
         }
@@ -34,7 +34,7 @@ impl Motion {
                 got: format!("{:?}", poses[index]),
             });
         }
-        let stamps_ns: &[i64] = match stamps_ns {
+        let stamps_ns: &'a [i64] = match stamps_ns {
             None if poses.len() == 1 => &[0],
             None => &[],
             Some(stamps) => stamps,
@@ -51,8 +51,7 @@ impl Motion {
                 got: stamps_ns[index + 1].to_string(),
             });
         }
-        let poses = poses.iter().map(Transform::from_matrix).collect();
-        Ok(Self { poses, stamps_ns: stamps_ns.to_vec() })
+        Ok(Self { poses, stamps_ns })
     }
 
     /// Whether the sensor may move during the scan.
@@ -66,7 +65,7 @@ impl Motion {
     pub fn at(&self, stamp_ns: i64) -> Option<Transform> {
         let (first, last) = (*self.stamps_ns.first()?, *self.stamps_ns.last()?);
         if !self.is_stream() {
-            return self.poses.first().copied();
+            return self.poses.first().map(Transform::from_matrix);
         }
         let outside = first.saturating_sub(stamp_ns).max(stamp_ns.saturating_sub(last));
         if outside > POSE_SLACK_NS {
@@ -77,37 +76,8 @@ impl Motion {
             self.stamps_ns.partition_point(|&stamp| stamp <= stamp_ns).min(self.poses.len() - 1);
         let (from, to) = (self.stamps_ns[next - 1], self.stamps_ns[next]);
         let fraction = (stamp_ns - from) as f64 / (to - from) as f64;
-        Some(self.poses[next - 1].interpolate(&self.poses[next], fraction))
-    }
-
-    /// Pose of every point, as a table of distinct poses and every point's place in it: points
-    /// that share a time share the work. Rows that tell nothing may have any time. Errors call
-    /// the times `name`.
-    ///
-    /// # Errors
-    /// [`Error::Value`] for the first time outside the stream.
-    pub fn per_point(
-        &self,
-        name: &'static str,
-        times_ns: &[i64],
-        is_informative: impl Fn(usize) -> bool,
-    ) -> Result<(Vec<Transform>, Vec<u32>), Error> {
-        let mut known: HashMap<i64, u32, BuildHasherDefault<Spread>> = HashMap::default();
-        let (mut poses, mut places) = (Vec::new(), Vec::with_capacity(times_ns.len()));
-        for (index, &time) in times_ns.iter().enumerate() {
-            let time = if is_informative(index) { time } else { self.stamps_ns[0] };
-            let place = match known.get(&time) {
-                Some(place) => *place,
-                None => {
-                    let place = poses.len() as u32; // at most one per point
-                    poses.push(self.at(time).ok_or_else(|| self.outside(name, time, index))?);
-                    known.insert(time, place);
-                    place
-                }
-            };
-            places.push(place);
-        }
-        Ok((poses, places))
+        let [before, after] = [next - 1, next].map(|at| Transform::from_matrix(&self.poses[at]));
+        Some(before.interpolate(&after, fraction))
     }
 
     fn outside(&self, name: &'static str, time: i64, index: usize) -> Error {
@@ -122,6 +92,68 @@ impl Motion {
     }
 }
 
+/// Pose of every point of a scan, and memory for the next one.
+#[derive(Clone, Debug, Default)]
+pub struct PointPoses {
+    /// Distinct poses: points that share a time share the work.
+    poses: Vec<Transform>,
+    /// Place of every point's pose among them.
+    places: Vec<u32>,
+    known: HashMap<i64, u32, BuildHasherDefault<Spread>>,
+}
+
+impl PointPoses {
+    /// Find the pose of every point. Rows that tell nothing may have any time. Errors call the times
+    /// `name`.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for the first time outside the stream.
+    pub fn fill(
+        &mut self,
+        motion: &Motion<'_>,
+        name: &'static str,
+        times_ns: &[i64],
+        is_informative: impl Fn(usize) -> bool,
+    ) -> Result<(), Error> {
+        let Self { poses, places, known } = self;
+        poses.clear();
+        places.clear();
+        known.clear();
+        for (index, &time) in times_ns.iter().enumerate() {
+            let time = if is_informative(index) { time } else { motion.stamps_ns[0] };
+            let place = match known.get(&time) {
+                Some(place) => *place,
+                None => {
+                    let place = poses.len() as u32; // at most one per point
+                    poses.push(motion.at(time).ok_or_else(|| motion.outside(name, time, index))?);
+                    known.insert(time, place);
+                    place
+                }
+            };
+            places.push(place);
+        }
+        Ok(())
+    }
+
+    /// Give the poses in another frame.
+    pub fn move_to(&mut self, target_from_source: &Transform) {
+        self.poses.iter_mut().for_each(|pose| *pose = target_from_source.after(pose));
+    }
+
+    /// Pose of a point.
+    #[must_use]
+    #[inline]
+    pub fn at(&self, point: usize) -> &Transform {
+        &self.poses[self.places[point] as usize]
+    }
+
+    /// Number of points.
+    #[must_use]
+    pub fn points(&self) -> usize {
+        self.places.len()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -132,12 +164,16 @@ mod tests {
 
     #[test]
     fn a_stream_is_interpolated_and_not_extrapolated() -> Result<(), Error> {
-        let motion =
-            Motion::new(&[shifted(0.0), shifted(1.0), shifted(3.0)], Some(&[0, 100, 200]))?;
+        let poses = [shifted(0.0), shifted(1.0), shifted(3.0)];
+        let motion = Motion::new(&poses, Some(&[0, 100, 200]))?;
         let x = |stamp| motion.at(stamp).map(|pose| pose.translation[0]);
         assert_eq!([x(-5), x(0), x(50), x(150), x(200)], [0.0, 0.0, 0.5, 2.0, 3.0].map(Some));
         assert_eq!(x(200 + POSE_SLACK_NS + 1), None);
-        assert!(motion.per_point("times", &[50, 1 << 40], |_| true).is_err());
+        let mut all = PointPoses::default();
+        assert!(all.fill(&motion, "times", &[50, 1 << 40], |_| true).is_err());
+        all.fill(&motion, "times", &[50, 150, 50], |_| true)?;
+        assert_eq!([0, 1, 2].map(|point| all.at(point).translation[0]), [0.5, 2.0, 0.5]);
+        assert_eq!((all.points(), all.poses.len()), (3, 2));
         Ok(())
     }
 

@@ -9,6 +9,12 @@ pub struct Transform {
     pub translation: [f64; 3],
 }
 
+impl Default for Transform {
+    fn default() -> Self {
+        Self::IDENTITY
+    }
+}
+
 impl Transform {
     /// The transform that changes nothing.
     pub const IDENTITY: Self = Self {

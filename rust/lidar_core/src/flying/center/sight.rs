@@ -113,12 +113,16 @@ impl Sight {
         let Around { mut passing, n_blocked } = around;
         let region = Region::of(&hits);
         hits.sort_by(|one, other| order(&one.point, &other.point));
-        passing.sort_by(|one, other| order(&one.direction, &other.direction));
-        let is_near = |ray: &Ray| ray.aside(&region.middle).norm() <= region.radius + NEAR;
-        let (mut near, far): (Vec<Ray>, Vec<Ray>) = passing.into_iter().partition(is_near);
-        let n_near = near.len();
-        near.extend(far);
-        Self { hits, passing: near, is_cut: n_blocked >= ENOUGH_BLOCKED, n_near }
+        passing.sort_unstable_by(|one, other| {
+            let by_origin = || order(&one.origin, &other.origin);
+            order(&one.direction, &other.direction).then_with(by_origin)
+        });
+        let is_near = |ray: &&Ray| ray.aside(&region.middle).norm() <= region.radius + NEAR;
+        let mut sorted = Vec::with_capacity(passing.len());
+        sorted.extend(passing.iter().filter(is_near));
+        let n_near = sorted.len();
+        sorted.extend(passing.iter().filter(|ray| !is_near(ray)));
+        Self { hits, passing: sorted, is_cut: n_blocked >= ENOUGH_BLOCKED, n_near }
     }
 
     pub(super) fn near_passing(&self) -> &[Ray] {

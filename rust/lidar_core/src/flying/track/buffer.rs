@@ -4,7 +4,10 @@ use crate::Error;
 use crate::budget::{MAX_POINTS, vec_with_capacity};
 use std::collections::VecDeque;
 
-#[derive(Debug)]
+/// Memory of a cloud is used again unless it is so many times what is needed.
+const MOST_SPARE: usize = 4;
+
+#[derive(Debug, Default)]
 pub(super) struct Cloud {
     pub(super) stamp_ns: i64,
     pub(super) points: Vec<[f32; 3]>,
@@ -13,28 +16,42 @@ pub(super) struct Cloud {
 }
 
 impl Cloud {
-    /// A copy of the finite points of a scan.
+    /// Take the finite points of a scan; none if they are not to be kept.
     ///
     /// # Errors
     /// [`Error::Limit`] for too many points, [`Error::Length`] for delays that do not fit.
-    pub(super) fn new(
+    fn take(
+        &mut self,
         points: &[[f32; 3]],
         delays: Option<&[f32]>,
-        stamp_ns: i64,
-    ) -> Result<Self, Error> {
+        keeps_points: bool,
+    ) -> Result<(), Error> {
         if let Some(delays) = delays.filter(|delays| delays.len() != points.len()) {
             let (expected, got) = (points.len(), delays.len());
             return Err(Error::Length { name: "point_time_ns", expected, got });
         }
+        self.points.clear();
+        if !keeps_points {
+            self.delays = None;
+            return Ok(());
+        }
         let is_known = |point: &[f32; 3]| point.iter().all(|value| value.is_finite());
         let count = points.iter().filter(|point| is_known(point)).count();
-        let mut kept = vec_with_capacity("a point cloud", count, MAX_POINTS, "split the scan")?;
-        kept.extend(points.iter().copied().filter(is_known));
-        let delays = delays.map(|delays| {
-            let known = points.iter().zip(delays).filter(|(point, _)| is_known(point));
-            known.map(|(_, &delay)| delay).collect()
-        });
-        Ok(Self { stamp_ns, points: kept, delays })
+        if self.points.capacity() < count || self.points.capacity() / MOST_SPARE > count {
+            self.points = vec_with_capacity("a point cloud", count, MAX_POINTS, "split the scan")?;
+        }
+        self.points.extend(points.iter().copied().filter(is_known));
+        match delays {
+            Some(delays) => {
+                let known = points.iter().zip(delays).filter(|(point, _)| is_known(point));
+                let kept = self.delays.get_or_insert_default();
+                kept.clear();
+                kept.shrink_to(MOST_SPARE * count);
+                kept.extend(known.map(|(_, &delay)| delay));
+            }
+            None => self.delays = None,
+        }
+        Ok(())
     }
 }
 
@@ -42,11 +59,29 @@ impl Cloud {
 pub(super) struct Buffer {
     clouds: VecDeque<Cloud>,
     size: usize,
+    /// A cloud that left: its memory is used again.
+    spare: Cloud,
 }
 
 impl Buffer {
     pub(super) fn new(size: usize) -> Self {
-        Self { clouds: VecDeque::new(), size }
+        Self { clouds: VecDeque::new(), size, spare: Cloud::default() }
+    }
+
+    /// A copy of the finite points of a scan; without points if these are not to be kept.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] for too many points, [`Error::Length`] for delays that do not fit.
+    pub(super) fn copy(
+        &mut self,
+        points: &[[f32; 3]],
+        delays: Option<&[f32]>,
+        stamp_ns: i64,
+        keeps_points: bool,
+    ) -> Result<Cloud, Error> {
+        let mut cloud = Cloud { stamp_ns, ..std::mem::take(&mut self.spare) };
+        cloud.take(points, delays, keeps_points)?;
+        Ok(cloud)
     }
 
     /// Whether a cloud of this stamp is there.
@@ -85,7 +120,7 @@ impl Buffer {
         let place = self.clouds.partition_point(|other| other.stamp_ns < cloud.stamp_ns);
         self.clouds.insert(place, cloud);
         if self.clouds.len() > self.size {
-            self.clouds.pop_front();
+            self.spare = self.clouds.pop_front().unwrap_or_default();
         }
     }
 

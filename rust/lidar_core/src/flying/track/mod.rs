@@ -32,7 +32,7 @@ use crate::Error;
 use crate::budget::check_points;
 use crate::estimation::kalman::{Gaussian, symmetrised};
 use crate::geometry::transform::Transform;
-use buffer::{Buffer, Cloud};
+use buffer::Buffer;
 use nalgebra::{Matrix3, SMatrix};
 use state::{TrackState, seconds};
 use update::{Scan, Updater};
@@ -106,6 +106,7 @@ impl Track {
 pub struct PointCloudTracker {
     updater: Updater,
     buffer: Buffer,
+    keeps_points: bool,
     tracks: Vec<TrackState>,
     next_id: i64,
 }
@@ -119,6 +120,7 @@ impl PointCloudTracker {
         Ok(Self {
             updater: Updater::new(parameters, threads)?,
             buffer: Buffer::new(parameters.buffer_size),
+            keeps_points: true,
             tracks: Vec::new(),
             next_id: 0,
         })
@@ -146,7 +148,7 @@ impl PointCloudTracker {
     ) -> Result<Stats, Error> {
         check_points(points.len())?;
         let mut stats = Stats { late: self.buffer.is_late(stamp_ns)?, ..Stats::default() };
-        let cloud = Cloud::new(points, delays, stamp_ns)?;
+        let cloud = self.buffer.copy(points, delays, stamp_ns, self.keeps_points)?;
         if !stats.late {
             let mut tracks = self.tracks.clone(); // an error must not leave half of them updated
             let scan = Scan { points, delays, stamp_ns, occupied, visibility };
@@ -213,6 +215,11 @@ impl PointCloudTracker {
                 reported: track.confirmed && self.is_recent(track),
             })
             .collect()
+    }
+
+    /// Whether to keep the points of coming clouds, as detections need that are older than a cloud.
+    pub(crate) fn keep_points(&mut self, keeps_points: bool) {
+        self.keeps_points = keeps_points;
     }
 
     /// The first time from `stamp_ns` on of which no cloud is known.

@@ -11,7 +11,8 @@ use super::state::{TrackState, seconds};
 use crate::Error;
 use crate::estimation::association::{Pair, assign};
 use crate::estimation::{chi2, kalman};
-use crate::geometry::cluster;
+use crate::geometry::cluster::Labeller;
+use crate::shelf::Shelf;
 use nalgebra::{Matrix3, Vector3};
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -79,6 +80,7 @@ pub(super) struct Updater {
     gate: f64,
     /// Cost of a track without a measurement.
     unassigned: f64,
+    labellers: Shelf<Labeller>,
     pool: ThreadPool,
 }
 
@@ -93,7 +95,8 @@ impl Updater {
                 -2.0 * libm::log(clutter_density) - 3.0 * libm::log(TAU),
             ),
         };
-        Ok(Self { parameters, gate, unassigned, pool: crate::threads::pool(threads)? })
+        let (labellers, pool) = (Shelf::default(), crate::threads::pool(threads)?);
+        Ok(Self { parameters, gate, unassigned, labellers, pool })
     }
 
     /// Bring every track that is older than the scan to its time and correct it with its cluster.
@@ -222,10 +225,11 @@ impl Updater {
                 .par_iter()
                 .zip(seekers)
                 .map(|(rows, seeker)| {
-                    let labels =
-                        cluster::label(&scan.points_of(rows), &self.parameters.clustering)?;
+                    let mut labeller = self.labellers.lend();
+                    let points = scan.points_of(rows);
+                    let labels = labeller.label(&points, &self.parameters.clustering)?;
                     let distance = |one: &Measurement| (one.position - seeker.position).norm();
-                    Ok(candidates(rows, &labels, scan, &self.parameters)
+                    Ok(candidates(rows, labels, scan, &self.parameters)
                         .into_iter()
                         .min_by(|one, other| distance(one).total_cmp(&distance(other))))
                 })
@@ -248,7 +252,8 @@ impl Updater {
             .collect();
         chosen.dedup();
         let points = scan.points_of(&chosen);
-        let mut labels = cluster::label(&points, &self.parameters.clustering)?;
+        let mut labeller = self.labellers.lend();
+        let mut labels = labeller.label(&points, &self.parameters.clustering)?.to_vec();
         if let Some(distance) = self.parameters.split_distance {
             let min_points = self.parameters.clustering.min_points;
             let division = Division { distance, gate: self.gate, min_points };
