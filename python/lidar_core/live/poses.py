@@ -1,6 +1,6 @@
 """Poses as they come, and scans that wait for theirs."""
 
-from collections import Counter, defaultdict
+from collections import Counter
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class LivePoses:
         self._options, self._config = options, config
         self._mountings = options.mountings()
         self._transforms = self._buffer()
-        self._odometry: dict[str, TransformBuffer] = defaultdict(self._buffer)
+        self._odometry: dict[str, TransformBuffer] = {}
         self._static: dict[tuple[str, str], Pose] = {}
         self._chosen: tuple[TransformBuffer, str] | None = None
         self.fixed_frame = options.fixed_frame or WORLD_FRAME
@@ -109,15 +109,19 @@ class LivePoses:
 
     def _choice(self, frame: str) -> tuple[TransformBuffer, str]:
         """Buffer that moves `frame`, and the fixed frame."""
-        wanted = self._options.odom
-        buffers = [self._transforms] if wanted is None else [self._odometry[wanted]]
-        if wanted is None and len(self._odometry) == 1:
-            buffers += self._odometry.values()
-        for buffer in buffers:
+        for buffer in self._candidates():
             root = self._options.fixed_frame or buffer.root_of(frame)
             if self._moves(buffer, root, frame):
                 return buffer, root
         raise NoTransformError(self._missing(frame))
+
+    def _candidates(self) -> list[TransformBuffer]:
+        """The odometry that was named; else transforms, and odometry if there is one of it only."""
+        wanted = self._options.odom
+        if wanted is not None:
+            return [self._odometry[wanted]] if wanted in self._odometry else []
+        odometry = list(self._odometry.values())
+        return [self._transforms, *(odometry if len(odometry) == 1 else ())]
 
     def _moves(self, buffer: TransformBuffer, root: str, frame: str) -> bool:
         try:
@@ -139,12 +143,14 @@ class LivePoses:
         if is_new and len(self._odometry) >= self._config.max_frames:
             self.dropped[topic] += 1
             return
-        buffer = self._odometry[topic]
-        for fixed in self._static.values() if is_new else ():
-            buffer.add(fixed)
+        if is_new:
+            self._odometry[topic] = self._buffer()
+            for fixed in self._static.values():
+                self._odometry[topic].add(fixed)
         parents = {item.child_frame_id: item.frame_id for item in self._mountings}
         child = pose.child_frame_id or parents.get(carried_frame, carried_frame)
-        self._add_to(buffer, topic, Pose(pose.stamp_ns, pose.frame_id, child, pose.matrix))
+        carried = Pose(pose.stamp_ns, pose.frame_id, child, pose.matrix)
+        self._add_to(self._odometry[topic], topic, carried)
 
     def _add_to(self, buffer: TransformBuffer, topic: str, pose: Pose) -> bool:
         """Add a pose, unless it is of one pair of frames more than are kept."""
