@@ -1,15 +1,15 @@
 """Base of the configuration models: TOML in and out, JSON Schema, errors with dotted paths."""
 
 import tomllib
-from collections.abc import Mapping
-from difflib import get_close_matches
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Self, TypeVar, get_args
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 
-from lidar_core.errors import ConfigError
+from lidar_core.errors import ConfigError, closest
 
 NONE = "none"
 """What TOML files say for "no value"."""
@@ -117,22 +117,47 @@ def _config_error(model: type[BaseModel], error: ValidationError) -> ConfigError
 
 def _told(problem: Any, model: type[BaseModel]) -> str:
     """What is wrong; what was received, unless that is a whole table; a name that was meant."""
-    text, kind = problem["msg"].removeprefix("Value error, "), problem["type"]
-    if kind == "extra_forbidden":
-        near = get_close_matches(str(problem["loc"][-1]), _names(model), n=1)
-        text = "no such parameter" + "".join(f", did you mean {name}?" for name in near)
-        return f"{text}{'' if near else ','} got {_short(problem['input'])}"
-    is_table = kind == "value_error" and isinstance(problem["input"], dict)
-    return text if is_table else f"{text}, got {_short(problem['input'])}"
+    text, received = str(problem["msg"]).removeprefix("Value error, "), problem["input"]
+    place, fields = ".".join(map(str, problem["loc"])), _fields(model)
+    match problem["type"]:
+        case "missing":
+            return "has to be given"
+        case "extra_forbidden":
+            return f"no such parameter, got {_short(received)}{_meant(place, fields)}"
+        case "value_error" if isinstance(received, dict):
+            return text
+        case "model_type":
+            text = "expected a table of parameters"
+        case "tuple_type" | "list_type":
+            header = ".".join(part for part in problem["loc"] if isinstance(part, str))
+            as_tables = f", its tables as [[{header}]]" if isinstance(received, dict) else ""
+            text = f"expected a list{as_tables}"
+        case "string_pattern_mismatch" if place in fields and fields[place].examples:
+            text = f"expected a text such as {', '.join(map(str, fields[place].examples or ()))}"
+    return f"{text}, got {_short(received)}"
 
 
-def _names(model: type[BaseModel]) -> set[str]:
-    """Names of all parameters of a model and of those inside it."""
-    found, known = set(model.model_fields), [model]
-    for one in known:
-        inner = [part for field in one.model_fields.values() for part in _parts(field.annotation)]
-        known += [part for part in inner if part not in known]
-        found |= set(one.model_fields)
+def _meant(place: str, paths: Iterable[str]) -> str:
+    """The parameter that was meant: its name if it is of the same table, else its path."""
+    table, _, name = place.rpartition(".")
+    names = {path.rpartition(".")[2]: path for path in reversed(list(paths))}
+    near = closest(name, names)
+    if near is None:
+        return ""
+    is_beside = names[near].rpartition(".")[0] == table
+    return f"; did you mean {near if is_beside else names[near]}?"
+
+
+def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Parameters of a model and of those inside it, by path; the outer ones first."""
+    found: dict[str, FieldInfo] = {}
+    known: dict[type[BaseModel], str] = {model: ""}
+    for one in (waiting := [model]):
+        for name, field in one.model_fields.items():
+            found[known[one] + name] = field
+            inner = [part for part in _parts(field.annotation) if part not in known]
+            known |= dict.fromkeys(inner, f"{known[one]}{name}.")
+            waiting += inner
     return found
 
 

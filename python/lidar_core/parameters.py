@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from lidar_core.config import NONE, Config
-from lidar_core.errors import ConfigError
+from lidar_core.errors import ConfigError, unknown
 
 MODELS = {
     "batch": "lidar_core.batch:BatchConfig",
@@ -75,7 +75,7 @@ def model_named(name: str) -> type[Config]:
         There is no such model.
     """
     if name not in MODELS:
-        raise ConfigError(f"model: expected one of {', '.join(MODELS)}, got {name!r}")
+        raise ConfigError(unknown("model", name, MODELS))
     module, _, attribute = MODELS[name].partition(":")
     model: type[Config] = getattr(import_module(module), attribute)
     return model

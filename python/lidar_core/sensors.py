@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar_core.errors import ConfigError
+from lidar_core.errors import ConfigError, unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ def sensor_named(name: str, *, kind: str | None = None) -> Sensor:
     """
     known = [one for one, sensor in SENSORS.items() if kind in (None, sensor.pattern["kind"])]
     if name not in known:
-        raise ConfigError(f"preset: expected one of {', '.join(known)}, got {name!r}")
+        raise ConfigError(unknown("preset", name, known))
     return SENSORS[name]
 
 

@@ -12,6 +12,7 @@ import lidar_core
 from lidar_core import ConfigError, VoxelMap, VoxelMapConfig
 from lidar_core.config import Config
 from lidar_core.flying import FlyingConfig
+from lidar_core.io import PoseOptions, ReadOptions
 
 UNIT = re.compile(r"\[[^\]]+\]|no unit")
 
@@ -77,14 +78,40 @@ def test_defaults_pass_their_own_checks_and_the_round_trip(model, tmp_path):
 def test_an_unknown_key_is_named_with_its_path():
     with pytest.raises(ConfigError) as refusal:
         VoxelMapConfig(voxel_sise=0.2)
-    assert str(refusal.value) == "voxel_sise: no such parameter, did you mean voxel_size? got 0.2"
+    assert str(refusal.value) == "voxel_sise: no such parameter, got 0.2; did you mean voxel_size?"
     with pytest.raises(ConfigError) as refusal:
         FlyingConfig.load({"voxel_map": {"voxel_sise": 0.2}})
     assert str(refusal.value) == (
-        "voxel_map.voxel_sise: no such parameter, did you mean voxel_size? got 0.2"
+        "voxel_map.voxel_sise: no such parameter, got 0.2; did you mean voxel_size?"
     )
     with pytest.raises(ConfigError, match=r"^qqq: no such parameter, got 1$"):
         VoxelMapConfig(qqq=1)
+
+
+def test_what_is_no_table_or_no_such_text_is_told_in_plain_words():
+    with pytest.raises(ConfigError, match=r"^voxel_map: expected a table of parameters, got 0\.5$"):
+        FlyingConfig.load({"voxel_map": 0.5})
+    with pytest.raises(ConfigError) as refusal:
+        ReadOptions(point_time="t:fortnight:start")
+    assert str(refusal.value) == (
+        "point_time: expected a text such as auto, none, t:ns:start, timestamp:s:absolute,"
+        " got 't:fortnight:start'"
+    )
+    with pytest.raises(ConfigError) as refusal:
+        PoseOptions(mounting=("a b 1 2",))
+    assert str(refusal.value) == (
+        "mounting: expected texts PARENT FRAME x y z roll pitch yaw, got ('a b 1 2',)"
+    )
+
+
+def test_a_parameter_of_another_table_is_told_with_its_path():
+    with pytest.raises(ConfigError) as refusal:
+        FlyingConfig(voxel_size=1)
+    assert str(refusal.value) == (
+        "voxel_size: no such parameter, got 1; did you mean voxel_map.voxel_size?"
+    )
+    with pytest.raises(ConfigError, match=r"did you mean voxel_map\.voxel_size\?$"):
+        FlyingConfig.load({"classify": {"voxel_siez": 1}})
 
 
 def test_what_contradicts_itself_is_told_without_the_whole_table():

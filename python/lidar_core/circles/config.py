@@ -50,6 +50,11 @@ class CirclesConfig(Config):
     )
 
     @classmethod
+    def posts(cls, **changes: Any) -> Self:
+        """Best mode for trees, columns and poles, with given changes: see `CircleMapConfig`."""
+        return cls(**{"map": CircleMapConfig.posts(), **changes})
+
+    @classmethod
     def paper(cls, **changes: Any) -> Self:
         """The stages as published, with given changes.
 

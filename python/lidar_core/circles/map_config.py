@@ -192,6 +192,20 @@ class CircleMapConfig(Config):
     )
 
     @classmethod
+    def posts(cls) -> Self:
+        """A map of what stands still: elements out of view stay, and keep their numbers.
+
+        Circles that move get new numbers all the time.
+        """
+        return cls(
+            initial_speed=0.01,
+            process_noise=(1e-6,),
+            mode_weight=(1.0,),
+            mode_time=(1.0,),
+            max_coast=None,
+        )
+
+    @classmethod
     def paper(cls, **changes: Any) -> Self:
         """Return the filter as published, with given changes."""
         return cls(**{"filter": "paper", **changes})

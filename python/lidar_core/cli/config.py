@@ -8,17 +8,18 @@ import typer
 
 from lidar_core.cli.common import OverwriteFile
 from lidar_core.parameters import MODELS
+from lidar_core.uses import USES
 
 if TYPE_CHECKING:
     from lidar_core.config import Config
 
 Mode = Literal["best", "paper"]
-ModelOption = Annotated[str, typer.Option("--model", help=f"{', '.join(MODELS)}.")]
-FileModel = Annotated[
+SchemaModel = Annotated[str, typer.Option("--model", help=f"{', '.join(MODELS)}.")]
+ModelOption = Annotated[
     str | None,
     typer.Option(
         "--model",
-        help=f"{', '.join(MODELS)}; without it that of a run.toml, else flying.",
+        help=f"{', '.join(MODELS)}; without it that of the use or of FILE, else flying.",
     ),
 ]
 ModeOption = Annotated[Mode, typer.Option(help="Whose defaults.")]
@@ -31,24 +32,36 @@ PresetOption = Annotated[
     ),
 ]
 
+UseOption = Annotated[
+    str | None,
+    typer.Option(help="; ".join(f"{name}: {use.title}" for name, use in USES.items()) + "."),
+]
+
 app = typer.Typer(help="Show, start and describe configuration files (TOML).", no_args_is_help=True)
 
 
 @app.command()
 def show(
-    file: Annotated[Path | None, typer.Argument(help="TOML file, or a run.toml.")] = None,
+    file: Annotated[
+        Path | None, typer.Argument(help="TOML file, a run.toml, or its folder.")
+    ] = None,
     *,
-    model: FileModel = None,
+    model: ModelOption = None,
     mode: ModeOption = "best",
+    use: UseOption = None,
     preset: PresetOption = None,
-    changed: Annotated[bool, typer.Option(help="Only what differs from the defaults.")] = False,
+    changed: Annotated[
+        bool, typer.Option("--changed", help="Only what differs from the defaults.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
 ) -> None:
-    """Every value in force, FILE's over those of PRESET and MODE; marked if no default."""
+    """Every value in force, FILE's over those of PRESET, USE and MODE; marked if no default."""
     from lidar_core.cli.settings import file_values, loaded, merged, model_of
 
-    model = model or ("flying" if file is None else model_of(file))
-    defaults, config = _defaults(model, "best"), _defaults(model, mode, preset)
+    if model is None and use is None and file is not None:
+        model = model_of(file)
+    model, config = _chosen(model, mode, use, preset)
+    defaults = _of_mode(model, "best")
     if file is not None:
         values = merged(config.model_dump(), file_values(file, model))
         config = loaded(type(defaults), values, file)
@@ -59,12 +72,10 @@ def show(
     from rich.markup import escape
     from rich.table import Table
 
-    from lidar_core.parameters import toml_value
-
     before = dict(_flat(defaults.model_dump(mode="json")))
     table = Table("parameter", "value", "default")
     for path, value in _flat(config.model_dump(mode="json")):
-        text, default = toml_value(value), toml_value(before[path]) if path in before else "-"
+        text, default = _shown(value), _shown(before[path]) if path in before else "-"
         differs = text != default
         if differs or not changed:
             style = "bold" if differs else None
@@ -78,36 +89,58 @@ def init(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="File to write; without it printed.")
     ] = None,
-    model: ModelOption = "flying",
+    model: ModelOption = None,
     mode: ModeOption = "best",
+    use: UseOption = None,
     preset: PresetOption = None,
     overwrite: OverwriteFile = False,
 ) -> None:
     """Write a file with every parameter, its meaning, unit and range."""
     from lidar_core.errors import ConfigError
+    from lidar_core.io.atomic import written_whole
     from lidar_core.parameters import commented_toml
 
-    text = commented_toml(_defaults(model, mode, preset))
+    text = commented_toml(_chosen(model, mode, use, preset)[1])
     if output is None:
         print(text, end="")
         return
     if output.exists() and not overwrite:
         raise ConfigError(f"{output}: exists; --overwrite replaces it")
-    output.write_text(text, encoding="utf-8")
+    with written_whole(output) as temporary:
+        temporary.write_text(text, encoding="utf-8")
     print(output)
 
 
 @app.command()
-def schema(*, model: ModelOption = "flying") -> None:
+def schema(*, model: SchemaModel = "flying") -> None:
     """Print the JSON Schema, for editors and checks."""
     from lidar_core.parameters import model_named
 
     print(json.dumps(model_named(model).model_json_schema(), indent=2))
 
 
-def _defaults(model: str, mode: Mode, preset: str | None = None) -> "Config":
-    config = _of_mode(model, mode)
-    return config if preset is None else _with_preset(model, config, preset)
+def _chosen(
+    model: str | None, mode: Mode, use: str | None, preset: str | None
+) -> tuple[str, "Config"]:
+    """The model that options name, and its values before those of a file."""
+    if use is None:
+        model = model or "flying"
+        config = _of_mode(model, mode)
+    else:
+        model, config = _of_use(use, model, mode)
+    return model, config if preset is None else _with_preset(model, config, preset)
+
+
+def _of_use(name: str, model: str | None, mode: Mode) -> tuple[str, "Config"]:
+    from lidar_core.errors import ConfigError
+    from lidar_core.uses import use_named
+
+    use = use_named(name)
+    if model not in (None, use.model):
+        raise ConfigError(f"use: {name} is for {use.model}, got --model {model}")
+    if mode != "best":
+        raise ConfigError(f"use: {name} is of best mode, got --mode {mode}")
+    return use.model, use.config()
 
 
 def _with_preset(model: str, config: "Config", preset: str) -> "Config":
@@ -138,6 +171,15 @@ def _of_mode(model: str, mode: Mode) -> "Config":
         raise ConfigError(f"mode: {model} has no paper mode")
     config: Config = paper()
     return config
+
+
+def _shown(value: object) -> str:
+    """A value in one cell of a table; of many tables their number."""
+    from lidar_core.parameters import toml_value
+
+    if isinstance(value, list) and any(isinstance(one, dict) for one in value):
+        return f"{len(value)} tables"
+    return toml_value(value)
 
 
 def _flat(values: dict[str, object], path: str = "") -> list[tuple[str, object]]:

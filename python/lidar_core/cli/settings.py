@@ -2,13 +2,13 @@
 
 import json
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
 from lidar_core.config import Config
 from lidar_core.errors import ConfigError
-from lidar_core.parameters import MODELS
+from lidar_core.parameters import MODELS, model_named
 
 ConfigT = TypeVar("ConfigT", bound=Config)
 
@@ -86,31 +86,63 @@ def with_assignments(
 
 
 def merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    """`values` with `changes`, table by table."""
+    """`values` with `changes`, table by table; a table of another `kind` replaces the whole one."""
     result = dict(values)
     for name, change in changes.items():
         before = result.get(name)
-        both = isinstance(change, dict) and isinstance(before, dict)
-        result[name] = merged(before, change) if both and before is not None else change
+        if isinstance(change, dict) and isinstance(before, dict) and _is_alike(before, change):
+            result[name] = merged(before, change)
+        else:
+            result[name] = change
     return result
 
 
-def file_values(file: Path, section: str = "flying") -> dict[str, Any]:
-    """Values of a configuration file, or those that a run.toml has of its run, under `section`."""
+def _is_alike(before: dict[str, Any], change: dict[str, Any]) -> bool:
+    kind = before.get("kind")
+    return bool(change.get("kind", kind) == kind)
+
+
+def file_values(file: Path, section: str) -> dict[str, Any]:
+    """Values that a configuration file has of the model `section`, or a run.toml of its run.
+
+    Raises
+    ------
+    ConfigError
+        The file is for another model.
+    """
     values = _toml(file)
     of_run = _noted(values).get(section)
-    return of_run if isinstance(of_run, dict) else values
+    if isinstance(of_run, dict):
+        return of_run
+    is_unknown = bool(values.keys() - model_named(section).model_fields.keys() - {section})
+    other = next(_models_of(file), section) if is_unknown else section
+    if other != section:
+        raise ConfigError(f"{file}: holds values of {other}, expected those of {section}")
+    return values
 
 
 def model_of(file: Path) -> str:
     """Name of the model that a file fills: the first of a run.toml, which is its pipeline's.
 
-    Other files do not say: "flying".
+    Of other files the first that has all their values; "flying" where none has.
     """
-    return next((name for name in _noted(_toml(file)) if name in MODELS), "flying")
+    return next(_models_of(file), "flying")
+
+
+def _models_of(file: Path) -> Iterator[str]:
+    """Names of the models that a file may be for, the likeliest first."""
+    values = _toml(file)
+    yield from (name for name in _noted(values) if name in MODELS)
+    for name in ("flying", *MODELS):
+        if values.keys() <= model_named(name).model_fields.keys():
+            yield name
 
 
 def _toml(file: Path) -> dict[str, Any]:
+    """Values of a file; a folder stands for the run.toml that a run left in it."""
+    from lidar_core.run_folder import RUN_FILE
+
+    file = file / RUN_FILE if file.is_dir() else file
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

@@ -202,6 +202,11 @@ class FusionConfig(Config):
     published: PublishedModel = PublishedModel()
 
     @classmethod
+    def turning_sensor(cls) -> Self:
+        """Targets in the frame of a sensor that turns and moves, as its gyro says."""
+        return cls(model="ctrv-drone")
+
+    @classmethod
     def paper(cls) -> Self:
         """Return the filter as published; it does not give the deviations of eq. 23."""
         return cls(

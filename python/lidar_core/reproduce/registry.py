@@ -2,7 +2,7 @@
 
 from importlib import import_module
 
-from lidar_core.errors import ConfigError
+from lidar_core.errors import ConfigError, unknown
 from lidar_core.reproduce.types import Item
 
 MODULES = (
@@ -59,5 +59,5 @@ def item_named(name: str) -> Item:
     """
     known = items()
     if name not in known:
-        raise ConfigError(f"item: expected one of {', '.join(known)} or all, got {name!r}")
+        raise ConfigError(unknown("item", name, [*known, "all"]))
     return known[name]

@@ -10,7 +10,7 @@ import numpy as np
 from lidar_core.errors import ConfigError
 from lidar_core.sim.config import Body, Scene, Target
 from lidar_core.sim.lidar import LidarModel
-from lidar_core.sim.motions import Circle, Hover, Motion, Scripted, Shuttle, Waypoints
+from lidar_core.sim.motions import Circle, Hover, Loop, Motion, Scripted, Shuttle, Waypoints
 from lidar_core.sim.paths import FigureEight, StopAndGo, Swinging, Wandering
 from lidar_core.sim.people import Barrel, Person
 from lidar_core.sim.shapes import Box, Cylinder, Plane
@@ -135,6 +135,25 @@ def lab(seed: int, *, scans: int = 1200) -> Scene:
         sensor=sensor,
         scans=scans,
     )
+
+
+def trees(seed: int, *, scans: int = 1200) -> Scene:
+    """Make thirty trunks at rest, and a robot that drives rounds among them.
+
+    Places and radii, 0.08 to 0.35 m, depend on the seed. Every trunk comes into view once a round,
+    of 28 s, and is out of it in between.
+    """
+    rng = np.random.default_rng([20240613, seed])
+    sensor = Loop(center=(0, 0, HEIGHT), straight=8, radius=4, speed=1.5)
+    way = sensor.knots(30.0)[1][:, :2, 3]
+    places: list[list[float]] = []
+    while len(places) < 30:
+        place = rng.uniform(-14, 14, 2)
+        room = np.linalg.norm(np.reshape([*places, [99, 99]], (-1, 2)) - place, axis=1).min()
+        if room > 1.5 and np.linalg.norm(way - place, axis=1).min() > 1:
+            places.append(place.tolist())
+    trunks = tuple(_post(rng.uniform(0.08, 0.35), _still(x, y)) for x, y in places)
+    return Scene(targets=trunks, lidar=scanner(), sensor=sensor, scans=scans)
 
 
 def hidden(seed: int, *, sensor: SensorMotion = "hovering", scans: int = 200) -> Scene:

@@ -115,7 +115,7 @@ def record(
     truth, scene_file, run = (
         path.with_suffix(f".{name}") for name in ("truth.csv", "scene.toml", "run.toml")
     )
-    with truth.open("w", newline="") as file:
+    with truth.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([columns, *rows])
     effective = scene.model_copy(update={"scans": simulator.scans})
     scene_file.write_text(effective.to_toml())

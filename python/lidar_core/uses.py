@@ -1,0 +1,55 @@
+"""Uses whose best parameters differ from the defaults, each measured against them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from lidar_core.config import Config
+from lidar_core.errors import ConfigError, unknown
+from lidar_core.parameters import model_named
+
+
+@dataclass(frozen=True, slots=True)
+class Use:
+    """One use.
+
+    Attributes
+    ----------
+    model : str
+        Name of the model that it configures, in `lidar_core.parameters.MODELS`.
+    title : str
+        What it is for.
+    maker : str
+        Name of the model's class method that makes its configuration.
+    """
+
+    model: str
+    title: str
+    maker: str
+
+    def config(self) -> Config:
+        """Its configuration, whole."""
+        made: Config = getattr(model_named(self.model), self.maker)()
+        return made
+
+
+USES: Mapping[str, Use] = {
+    "long-range": Use("flying", "flying objects up to 50 m away, for dense LiDARs", "long_range"),
+    "posts": Use("circles", "trees, columns, poles: nothing that matters moves", "posts"),
+    "turning-sensor": Use(
+        "fusion", "a sensor that turns, without poses but with a gyro", "turning_sensor"
+    ),
+}
+"""By the name that `lidar-core config --use` gives them."""
+
+
+def use_named(name: str) -> Use:
+    """Return the use of this name.
+
+    Raises
+    ------
+    ConfigError
+        There is none.
+    """
+    if name not in USES:
+        raise ConfigError(unknown("use", name, USES))
+    return USES[name]
