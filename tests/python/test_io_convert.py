@@ -227,7 +227,7 @@ def test_the_command_says_what_is_wrong(source, tmp_path):
             ConfigError,
             "end: expected more than start",
         ),
-        (("b.mcap", "--start", 1e6), InputError, "in.npz: no scans or moving poses that were ask"),
+        (("b.mcap", "--start", 1e6), InputError, "in.npz: no scans or moving poses from 1e+06"),
         (("no/b.npz",), FileNotFoundError, "no: no such folder, to write b.npz in"),
     ],
 )

@@ -1,13 +1,17 @@
 """Round trips, broken files and limits of every format that needs no sensor library."""
 
+import errno
 import io as bytes_io
 import struct
 import subprocess
 import sys
+import tempfile
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.writer import Writer as McapFile
@@ -18,7 +22,8 @@ from rosbags.rosbag2 import Writer as Writer2
 
 import lidar_core as lc
 import lidar_core.io
-from lidar_core.errors import FormatError, InputError, LimitError
+from lidar_core.errors import ConfigError, FormatError, InputError, LimitError
+from lidar_core.io.compressed import unpack_zstd, zstd_data
 from lidar_core.messages import Pose, Scan
 
 BASE_NS = 1_700_000_000_123_456_789
@@ -349,16 +354,152 @@ def test_messages_that_ros2_compressed_are_read(tmp_path, storage):
         read_all(path, max_record_bytes=4000)
 
 
-@pytest.mark.parametrize(("name", "cure"), [("b_0.db3.zstd", "zstd -d"), ("a.bag.gz", "gunzip")])
+@pytest.mark.parametrize(("name", "cure"), [("a.bag.zstd", "unzstd"), ("a.bag.gz", "gunzip")])
 def test_files_that_are_compressed_say_how_to_unpack(tmp_path, name, cure):
     (tmp_path / name).write_bytes(b"x")
     with pytest.raises(FormatError, match=f"compressed; unpack it first: {cure} FILE"):
         lc.io.open_recording(tmp_path / name)
 
 
-def test_a_folder_that_ros2_compressed_says_how_to_unpack(tmp_path):
-    (tmp_path / "b_0.db3.zstd").write_bytes(b"x")
-    with pytest.raises(FormatError, match=r"unpack it first: zstd -d b_0\.db3\.zstd"):
+def split_and_packed(folder, storage, *, checksum=False):
+    """Two parts of a recording, each compressed as a file; the folder, and the scans."""
+    ros, ending = Ros(2), {"sqlite3": "db3", "mcap": "mcap"}[storage]
+    folder.mkdir()
+    for part in range(2):
+        plain = folder.parent / f"plain_{part}"
+        stamps = [BASE_NS + (2 * part + k) * 10**8 for k in range(2)]
+        ros.write(plain, [("/points", s, ros.cloud(np.zeros(900, CLOUD), s, "os")) for s in stamps],
+                  storage)  # fmt: skip
+        (file,) = plain.glob(f"*.{ending}")
+        packed = zstandard.ZstdCompressor(write_checksum=checksum).compress(file.read_bytes())
+        (folder / f"b_{part}.{ending}.zstd").write_bytes(packed)
+    (folder / "metadata.yaml").write_text("compression_mode: FILE\n")
+    return folder
+
+
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+def test_files_that_ros2_compressed_are_read(tmp_path, storage, monkeypatch):
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    folder = split_and_packed(tmp_path / "b", storage, checksum=storage == "mcap")
+    with lc.io.open_recording(folder) as recording:
+        scans = list(recording)
+        assert [topic.count for topic in recording.topics()] == [4]
+        assert recording.format.endswith(", unpacked")
+        assert len(list(temporary.iterdir())) == 1
+    assert [scan.stamp_ns for scan in scans] == [BASE_NS + k * 10**8 for k in range(4)]
+    assert not list(temporary.iterdir())
+    (first, _) = sorted(folder.glob("*.zstd"))
+    assert len(read_all(first)) == 2
+    with pytest.raises(LimitError, match=r"unpacks to more than 9000 bytes; .*max_unpacked_bytes"):
+        lc.io.open_recording(folder, max_unpacked_bytes=9000)
+    assert not list(temporary.iterdir())
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is full")
+def test_a_full_disk_names_the_cure(tmp_path):
+    source = tmp_path / "b_0.db3.zstd"
+    source.write_bytes(zstandard.ZstdCompressor().compress(bytes(10**6)))
+    with pytest.raises(
+        OSError, match=r"TMPDIR names another folder to unpack .*b_0\.db3"
+    ) as caught:
+        unpack_zstd(source, Path("/dev/full"), 10**7)
+    assert caught.value.errno == errno.ENOSPC
+
+
+def test_a_packed_file_that_was_cut_is_told_as_cut(tmp_path):
+    folder = split_and_packed(tmp_path / "b", "sqlite3", checksum=True)
+    file = min(folder.glob("*.zstd"))
+    whole = file.read_bytes()
+    for kept in (len(whole) - 1, len(whole) - 5, len(whole) // 2, 14):
+        file.write_bytes(whole[:kept])
+        with pytest.raises(FormatError, match=r"b_0\.db3\.zstd: compressed data ends early"):
+            lc.io.open_recording(folder)
+    for broken in (b"x", whole[:3], b"x" * 100):
+        file.write_bytes(broken)
+        with pytest.raises(FormatError, match=r"b_0\.db3\.zstd: cannot be read"):
+            lc.io.open_recording(folder)
+
+
+@pytest.mark.parametrize("checksum", [False, True])
+@pytest.mark.parametrize("size", [0, 1, 1000, 300_000])
+def test_a_frame_is_whole_or_told_as_cut(checksum, size):
+    rng = np.random.default_rng(size)
+    for data in (bytes(size), rng.bytes(size), b"a scan, " * (size // 8)):
+        frame = zstandard.ZstdCompressor(write_checksum=checksum).compress(data)
+        assert zstd_data(frame, "a", 10**6) == data
+        streamed = zstandard.ZstdCompressor(write_checksum=checksum).compressobj()
+        unsized = streamed.compress(data) + streamed.flush()
+        assert zstd_data(unsized, "a", 10**6) == data
+        for kept in {len(frame) - 1, len(frame) * 2 // 3, 9} - {len(frame)}:
+            with pytest.raises(FormatError, match=r"ends early|cannot be read"):
+                zstd_data(frame[:kept], "a", 10**6)
+        with pytest.raises(FormatError, match="a: compressed in several pieces; unpack it first"):
+            zstd_data(frame + frame, "a", 10**6)
+
+
+def test_a_compressed_message_that_was_cut_is_told_as_cut(tmp_path):
+    ros = Ros(2)
+    message = ros.cloud(np.zeros(1000, CLOUD), BASE_NS, "os")
+    packed = zstandard.ZstdCompressor().compress(
+        bytes(ros.store.serialize_cdr(message, CLOUD_TYPE))
+    )
+    with Writer2(tmp_path / "a", version=9) as writer:
+        connection = writer.add_connection("/points", CLOUD_TYPE, typestore=ros.store)
+        writer.write(connection, BASE_NS, packed[:-4])
+    with pytest.raises(FormatError, match=r"message 0 on /points: compressed data ends early"):
+        read_all(tmp_path / "a")
+
+
+def test_a_name_that_is_nearly_right_is_told(tmp_path):
+    (tmp_path / "flight_2.bag").write_bytes(b"x")
+    with pytest.raises(FileNotFoundError, match=r"flihgt_2\.bag: no such .*mean flight_2\.bag\?"):
+        lc.io.open_recording(tmp_path / "flihgt_2.bag")
+    with pytest.raises(FileNotFoundError, match=r"no such file or folder$"):
+        lc.io.open_recording(tmp_path / "nowhere" / "flight_2.bag")
+
+
+def test_a_topic_that_is_nearly_right_is_told(tmp_path):
+    path = tmp_path / "a.npz"
+    lc.io.write_recording(path, [make_scan()])
+    with (
+        lc.io.open_recording(path) as recording,
+        pytest.raises(ConfigError, match=r"found /points; did you mean /points\?$"),
+    ):
+        lc.io.posed_scans(recording, cloud="/point")
+
+
+def test_scans_of_the_other_sort_name_their_command(tmp_path):
+    path = tmp_path / "a.npz"
+    lc.io.write_recording(path, [make_scan()])
+    with (
+        lc.io.open_recording(path) as recording,
+        pytest.raises(FormatError, match=r"no 2D scans .*; clouds are for `lidar-core detect`"),
+    ):
+        lc.io.posed_laser_scans(recording)
+
+
+def test_a_folder_of_folders_names_them(tmp_path):
+    with pytest.raises(FormatError, match=r"no recording in this folder, found no files; readable"):
+        lc.io.open_recording(tmp_path)
+    for name in ("ouster", "hesai"):
+        (tmp_path / name).mkdir()
+    with pytest.raises(FormatError, match=r"name one of the folders in it: hesai, ouster$"):
+        lc.io.open_recording(tmp_path)
+
+
+def test_a_folder_of_several_kinds_asks_for_one(tmp_path):
+    for name in ("a.pcap", "b.pcap", "map.ply", "notes.txt"):
+        (tmp_path / name).write_bytes(b"x")
+    with pytest.raises(FormatError) as refusal:
+        lc.io.open_recording(tmp_path)
+    assert str(refusal.value) == (
+        f"{tmp_path}: several kinds of recordings in this folder: 1 of .ply, 2 of .pcap or .pcapng;"
+        " name one file, or a folder with one kind"
+    )
+    (tmp_path / "map.ply").unlink()
+    with pytest.raises(FormatError, match=r"several recordings .* name one of a\.pcap, b\.pcap"):
         lc.io.open_recording(tmp_path)
 
 
@@ -579,7 +720,7 @@ def test_missing_empty_and_unknown_paths(tmp_path):
     with pytest.raises(FormatError, match="the file is empty"):
         lc.io.open_recording(tmp_path / "empty.bag")
     (tmp_path / "sub").mkdir()
-    with pytest.raises(FormatError, match="no recording in this folder, found nothing"):
+    with pytest.raises(FormatError, match="no recording in this folder, found no files"):
         lc.io.open_recording(tmp_path / "sub")
 
 

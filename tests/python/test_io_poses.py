@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import lidar_core as lc
 import lidar_core.io
+import lidar_core.io.posed as posed_module
 from lidar_core.errors import ConfigError, FormatError
 from lidar_core.io.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
 from lidar_core.messages import Pose, Scan
@@ -279,6 +280,51 @@ def test_the_ends_of_a_span_belong_to_it(tmp_path):
         result, _ = posed(path, pose="static", start=start, end=end)
         since = [(item.scan.stamp_ns - BASE_NS) * 1e-9 for item in result]
         np.testing.assert_allclose(since, np.arange(start, (end or 0.7) + 0.05, 0.1), atol=1e-9)
+
+
+def stamped(tmp_path, *since):
+    """A recording of scans at these times [s], and at 0 where there is None."""
+    stamps = [0 if one is None else BASE_NS + round(one * 1e9) for one in since]
+    path = tmp_path / "stamped.npz"
+    lc.io.write_recording(path, [Scan(stamp, np.ones((4, 3), np.float32)) for stamp in stamps])
+    return path
+
+
+def times_of(path, **span):
+    result, _ = posed(path, pose="static", **span)
+    return [round((item.scan.stamp_ns - BASE_NS) * 1e-9, 6) for item in result]
+
+
+def test_a_stamp_far_ahead_does_not_end_a_span(tmp_path):
+    path = stamped(tmp_path, 0, 0.1, 9e6, 0.2, 0.3, *np.arange(0.4, 2, 0.1))
+    assert times_of(path, end=0.3) == [0, 0.1, 0.2, 0.3]
+
+
+def test_a_span_ends_the_reading(tmp_path, monkeypatch):
+    path, read = stamped(tmp_path, *np.arange(0, 5, 0.1)), []
+    recorded = posed_module.PosedScans._recorded
+
+    def counted(self):
+        for scan in recorded(self):
+            read.append(scan.stamp_ns)
+            yield scan
+
+    monkeypatch.setattr(posed_module.PosedScans, "_recorded", counted)
+    assert times_of(path, end=0.3) == [0, 0.1, 0.2, 0.3]
+    assert len(read) == 4 + posed_module.PAST_THE_END
+
+
+def test_a_first_stamp_that_nobody_set_is_not_the_start(tmp_path):
+    path = stamped(tmp_path, None, 0, 0.1, 0.2, 0.3)
+    assert times_of(path, start=0.1, end=0.2) == [0.1, 0.2]
+    with lc.io.open_recording(path) as recording:
+        assert recording.first_stamp() == BASE_NS
+    clock = [Scan(k * 10**8, np.ones((4, 3), np.float32)) for k in range(5)]
+    lc.io.write_recording(tmp_path / "clock.npz", clock)
+    with lc.io.open_recording(tmp_path / "clock.npz") as recording:
+        assert recording.first_stamp() == 0
+    result, _ = posed(tmp_path / "clock.npz", pose="static", start=0.1, end=0.2)
+    assert [item.scan.stamp_ns for item in result] == [10**8, 2 * 10**8]
 
 
 def test_tum_poses_by_time(tmp_path):

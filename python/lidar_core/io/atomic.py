@@ -56,11 +56,15 @@ def check_place(path: Path) -> None:
     ------
     FileNotFoundError
         The folder is missing.
+    PermissionError
+        Nothing may be written there.
     IsADirectoryError
         A folder is there.
     """
     if not path.parent.is_dir():
         raise FileNotFoundError(f"{path.parent}: no such folder, to write {path.name} in")
+    if not os.access(path.parent, os.W_OK):
+        raise PermissionError(f"{path.parent}: no permission to write {path.name} there")
     if path.is_dir():
         raise IsADirectoryError(f"{path}: expected a file to write, got a folder")
 
@@ -71,7 +75,7 @@ def written_whole(path: str | Path) -> Iterator[Path]:
 
     Raises
     ------
-    FileNotFoundError, IsADirectoryError
+    FileNotFoundError, PermissionError, IsADirectoryError
         It could not become that: see `check_place`.
     """
     place = Path(path)

@@ -75,6 +75,10 @@ def _read_csv(path: Path) -> Columns:
     with reading(str(path)), path.open(newline="", encoding="utf-8") as file:
         lines = csv.reader(file)
         names = next(lines, [])
+        for separator in ";\t":
+            if len(names) == 1 and separator in names[0]:
+                raise FormatError(f"{path}: expected values between commas, these are between"
+                                  f" {separator!r}")  # fmt: skip
         rows = []
         for row in lines:
             if len(row) != len(names):
@@ -104,7 +108,8 @@ def _read_npz(path: Path) -> Columns:
             columns = {name: members[name] for name in members.files}
     for name, column in columns.items():
         if column.ndim != 1:
-            raise FormatError(f"{path}: {name}: expected one dimension, got shape {column.shape}")
+            raise FormatError(f"{path}: {name}: expected one dimension, got shape"
+                              f" {column.shape}; a recording of scans is no table")  # fmt: skip
     return columns
 
 

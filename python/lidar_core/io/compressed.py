@@ -2,13 +2,17 @@
 
 import bz2
 from collections.abc import Callable
-from io import BytesIO
-from typing import Any
+from io import SEEK_END, BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO
 
 from lidar_core.errors import FormatError, LimitError
 from lidar_core.extras import require
+from lidar_core.io.guard import reading
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+MOST_ZSTD_HEAD, ZSTD_BLOCK_HEAD = 18, 3
+"""Bytes in front of a frame, at most, and in front of each of its blocks (RFC 8878)."""
 
 
 def bounded_decompressor(
@@ -31,10 +35,72 @@ def lz4_data(data: bytes, place: str, limit: int) -> bytes:
 
 def zstd_data(data: bytes, place: str, limit: int) -> bytes:
     """A frame of zstd, decompressed to at most `limit` bytes."""
-    zstandard = require("zstandard", extra="io", purpose="reading compressed recordings")
+    _check_zstd(BytesIO(data), place)
+    zstandard = _zstandard()
     with zstandard.ZstdDecompressor().stream_reader(BytesIO(data)) as stream:
         output: bytes = stream.read(limit + 1)
     return _limited(output, place, limit)
+
+
+def unpack_zstd(source: Path, target: Path, limit: int) -> int:
+    """Decompress a file of one frame of zstd to `target`, at most `limit` bytes; how many.
+
+    Raises
+    ------
+    FormatError
+        The file is cut short or broken, or there is another frame behind the first.
+    LimitError
+        There would be more bytes.
+    OSError
+        `target` cannot be written, as on a full disk.
+    """
+    with source.open("rb") as packed, reading(str(source)):
+        _check_zstd(packed, str(source))
+        packed.seek(0)
+        try:
+            return _unpacked(packed, source, target, limit)
+        except OSError as error:
+            told = f"{error.strerror}; TMPDIR names another folder to unpack {source} in"
+            raise OSError(error.errno, told, str(target)) from error
+
+
+def _unpacked(packed: BinaryIO, source: Path, target: Path, limit: int) -> int:
+    size = 0
+    with target.open("wb") as plain:
+        for block in _zstandard().ZstdDecompressor().read_to_iter(packed):
+            size += len(block)
+            if size > limit:
+                raise LimitError(
+                    f"{source}: unpacks to more than {limit} bytes; raise it with"
+                    f" max_unpacked_bytes, or unpack it: zstd -d {source.name}"
+                )
+            plain.write(block)
+    return size
+
+
+def _zstandard() -> Any:
+    return require("zstandard", extra="io", purpose="reading compressed recordings")
+
+
+def _check_zstd(file: BinaryIO, place: str) -> None:
+    """Refuse what the library takes for less: a frame that is cut short, or one of several."""
+    head = file.read(MOST_ZSTD_HEAD)
+    zstandard = _zstandard()
+    with reading(place):
+        told = zstandard.get_frame_parameters(head)
+        position = zstandard.frame_header_size(head)
+    size, is_last = file.seek(0, SEEK_END), False
+    while not is_last and position + ZSTD_BLOCK_HEAD <= size:
+        file.seek(position)
+        block = int.from_bytes(file.read(ZSTD_BLOCK_HEAD), "little")
+        is_last, is_repeated, length = bool(block & 1), block >> 1 & 3 == 1, block >> 3
+        position += ZSTD_BLOCK_HEAD + (1 if is_repeated else length)
+    end = position + 4 * told.has_checksum
+    if not is_last or end > size:
+        raise FormatError(f"{place}: compressed data ends early")
+    file.seek(end)
+    if file.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC:
+        raise FormatError(f"{place}: compressed in several pieces; unpack it first: unzstd FILE")
 
 
 def _complete(decompressor: Any, data: bytes, place: str, limit: int) -> bytes:

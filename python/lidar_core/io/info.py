@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.io.posed import NAMELESS
 from lidar_core.io.recording import SCAN_KINDS, Record, Recording, Topic
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
@@ -102,6 +103,11 @@ class _Stream:
     points: int | None = None
     empty: int = 0
 
+    @property
+    def name(self) -> str:
+        """Of its topic, in words where it has none."""
+        return self.topic.name or NAMELESS
+
     def see(self, record: Record, messages: list[Message]) -> None:
         self.times.append(record.time_ns)
         for message in messages:
@@ -128,7 +134,7 @@ class _Stream:
 
     def defects(self) -> list[str]:
         """Times that jump, and empty scans."""
-        name, found = self.topic.name, []
+        name, found = self.name, []
         if self.topic.note and self.topic.kind != "scan":
             found.append(f"{name}: {self.topic.note}")
         if self.topic.count == 0:
@@ -154,7 +160,7 @@ class _Stream:
         gaps = [step for step in steps if usual > 0 and step > GAP_FACTOR * usual]
         if not gaps:
             return []
-        return [f"{self.topic.name}: {len(gaps)} gaps, the longest of {max(gaps) * 1e-9:.3g} s"]
+        return [f"{self.name}: {len(gaps)} gaps, the longest of {max(gaps) * 1e-9:.3g} s"]
 
 
 def _has_point(scan: Scan | LaserScan) -> NDArray[np.bool_]:
@@ -166,10 +172,10 @@ def _has_point(scan: Scan | LaserScan) -> NDArray[np.bool_]:
 
 def inspect(recording: Recording) -> RecordingInfo:
     """Read a recording through, decoding its poses and the first scans of each topic."""
-    streams = {topic.name: _Stream(topic) for topic in recording.topics()}
+    streams = {_key(topic): _Stream(topic) for topic in recording.topics()}
     edges: dict[tuple[str, str], bool] = {}
     for record in recording.records():
-        stream = streams.setdefault(record.topic.name, _Stream(record.topic))
+        stream = streams.setdefault(_key(record.topic), _Stream(record.topic))
         messages: list[Message] = []
         if record.topic.kind == "pose" or len(stream.stamps) < SCANS_DECODED:
             messages = record.decode()
@@ -195,8 +201,15 @@ def inspect(recording: Recording) -> RecordingInfo:
     )
 
 
+def _key(topic: Topic) -> tuple[str, str]:
+    """What tells streams apart: scans and poses without topics have one name, too."""
+    return topic.name, topic.kind
+
+
 def _defects(
-    recording: Recording, streams: dict[str, _Stream], edges: dict[tuple[str, str], bool]
+    recording: Recording,
+    streams: dict[tuple[str, str], _Stream],
+    edges: dict[tuple[str, str], bool],
 ) -> list[str]:
     found = [text for name in sorted(streams) for text in streams[name].defects()]
     noticed = recording.noticed()
@@ -211,7 +224,7 @@ def _defects(
         found.append("no poses: use --pose FILE, or --pose static for a sensor that does not move")
     children = {child for _, child in edges} | {parent for parent, _ in edges}
     found += [
-        f"{stream.topic.name}: no transform names its frame {frame!r}"
+        f"{stream.name}: no transform names its frame {frame!r}"
         for stream in scans
         for frame in stream.frames
         if edges and frame not in children and "" not in children

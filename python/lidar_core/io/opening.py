@@ -4,9 +4,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from lidar_core.errors import FormatError
+from lidar_core.errors import FormatError, meant
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import Recording
+from lidar_core.io.unpacked import PACKED, UnpackedRecording
 
 KNOWN = (
     "ROS 1 .bag, ROS 2 folder or .db3, .mcap, Ouster .pcap with .json or .osf, Velodyne .pcap or"
@@ -14,8 +15,15 @@ KNOWN = (
     " .npz file or folder"
 )
 
-ALONE = (".bag", ".clf", ".osf", ".pcap", ".pcapng")
-"""Files that are a whole recording; a folder with one of them is taken for it."""
+ROS2 = (".db3",)
+CHAINS = ((".mcap",), (".npz",))
+SEQUENCES = ((".pcd",), (".las", ".laz"), (".ply",), (".bin",))
+ALONE = ((".bag",), (".clf", ".clf.bz2"), (".osf",), (".pcap", ".pcapng"))
+KINDS = (ROS2, PACKED, *CHAINS, *SEQUENCES, *ALONE)
+"""What a folder may hold, by the ends of names: files of one recording, one after the other, a
+scan each, or a recording each."""
+MOST_FOLDERS = 12
+"""Folders that are named where one without a recording was given."""
 _PACKED = "compressed; unpack it first: "
 HINTS = {
     ".bt": "a map, not a recording: `lidar-core detect --map`, `lidar_core.io.read_cloud`",
@@ -33,7 +41,7 @@ HINTS = {
     ".xz": f"{_PACKED}unxz FILE",
     ".zip": f"{_PACKED}unzip FILE",
     ".zst": f"{_PACKED}unzstd FILE",
-    ".zstd": f"{_PACKED}zstd -d FILE",
+    ".zstd": f"{_PACKED}unzstd FILE",
 }
 """What to do with files that are no recordings."""
 
@@ -77,7 +85,8 @@ def open_recording(
     chosen = ReadOptions(**(given | values))
     place = Path(path)
     if not place.exists():
-        raise FileNotFoundError(f"{place}: no such file or folder")
+        near = meant(place.name, _names_beside(place))
+        raise FileNotFoundError(f"{place}: no such file or folder{near}")
     if place.is_dir():
         return _open_folder(place, chosen)
     if not place.is_file():
@@ -87,10 +96,17 @@ def open_recording(
     return _open_file(place, chosen)
 
 
+def _names_beside(path: Path) -> list[str]:
+    """Names of what lies where a file was expected."""
+    return [file.name for file in path.parent.iterdir()] if path.parent.is_dir() else []
+
+
 def _open_file(path: Path, options: ReadOptions) -> Recording:
     suffix = path.suffix.lower()
     if suffix == ".bz2" and Path(path.stem).suffix.lower() == ".clf":
         suffix = ".clf"
+    if path.name.lower().endswith(PACKED):
+        return UnpackedRecording(path, options, [path])
     openers: dict[str, Callable[[Path, ReadOptions], Recording]] = {
         ".bag": _open_bag,
         ".bin": _open_scan,
@@ -115,43 +131,49 @@ def _open_file(path: Path, options: ReadOptions) -> Recording:
 
 def _open_folder(path: Path, options: ReadOptions) -> Recording:
     files = sorted(file for file in path.iterdir() if file.is_file())
-    by_suffix = {
-        suffix: [file for file in files if file.suffix.lower() == suffix]
-        for suffix in (".db3", ".mcap", ".pcd", ".npz", ".bin", ".las", ".laz", ".ply")
-    }
-    if by_suffix[".db3"]:
-        return _open_ros2(path, by_suffix[".db3"], options)
-    for suffix in (".mcap", ".npz"):
-        if len(by_suffix[suffix]) == 1:
-            return _open_file(by_suffix[suffix][0], options)
-        if by_suffix[suffix]:
-            from lidar_core.io.chain import ChainedRecording
+    kinds = {kind: found for kind in KINDS if (found := _of_kind(files, kind))}
+    if len(kinds) > 1 and not (path / "metadata.yaml").exists():
+        listed = ", ".join(f"{len(found)} of {_names(kind)}" for kind, found in kinds.items())
+        raise FormatError(f"{path}: several kinds of recordings in this folder: {listed}; name one"
+                          " file, or a folder with one kind")  # fmt: skip
+    if not kinds:
+        return _open_kitti(path, files, options)
+    kind, found = next(iter(kinds.items()))
+    if kind is ROS2:
+        return _open_ros2(path, found, options)
+    if kind is PACKED:
+        return UnpackedRecording(path, options, found)
+    if kind in SEQUENCES:
+        return _open_sequence(path, found, found[0].suffix.lower(), options)
+    if len(found) == 1:
+        return _open_file(found[0], options)
+    if kind in CHAINS:
+        from lidar_core.io.chain import ChainedRecording
 
-            return ChainedRecording(path, options, by_suffix[suffix])
-    for suffix in (".pcd", ".las", ".laz", ".ply"):
-        if by_suffix[suffix]:
-            return _open_sequence(path, by_suffix[suffix], suffix, options)
-    for inner in ("", "velodyne", "velodyne_points/data", "data"):
+        return ChainedRecording(path, options, found)
+    listed = ", ".join(file.name for file in found)
+    raise FormatError(f"{path}: several recordings in this folder; name one of {listed}")
+
+
+def _of_kind(files: list[Path], kind: tuple[str, ...]) -> list[Path]:
+    return [file for file in files if file.name.lower().endswith(kind)]
+
+
+def _names(kind: tuple[str, ...]) -> str:
+    return " or ".join(kind)
+
+
+def _open_kitti(path: Path, files: list[Path], options: ReadOptions) -> Recording:
+    """Scans in the folders where KITTI has them."""
+    for inner in ("velodyne", "velodyne_points/data", "data"):
         scans = sorted((path / inner).glob("*.bin"))
         if scans:
             return _open_sequence(path, scans, ".bin", options)
-    return _open_alone(path, files, options)
-
-
-def _open_alone(path: Path, files: list[Path], options: ReadOptions) -> Recording:
-    """The only recording of a folder."""
-    alone = [file for file in files if file.suffix.lower() in ALONE]
-    if len(alone) == 1:
-        return _open_file(alone[0], options)
-    if alone:
-        names = ", ".join(file.name for file in alone)
-        raise FormatError(f"{path}: several recordings in this folder; name one of {names}")
-    packed = [file.name for file in files if file.suffix.lower() == ".zstd"]
-    if packed:
-        raise FormatError(
-            f"{path}: {packed[0]} is compressed; unpack it first: zstd -d {packed[0]}"
-        )
-    found = ", ".join(sorted({file.suffix or file.name for file in files})) or "nothing"
+    found = ", ".join(sorted({file.suffix or file.name for file in files})) or "no files"
+    folders = sorted(one.name for one in path.iterdir() if one.is_dir())[:MOST_FOLDERS]
+    if folders:
+        raise FormatError(f"{path}: no recording in this folder, found {found}; name one of the"
+                          f" folders in it: {', '.join(folders)}")  # fmt: skip
     raise FormatError(f"{path}: no recording in this folder, found {found}; readable are: {KNOWN}")
 
 

@@ -25,6 +25,7 @@ class ReadOptions(Config):
     point_time: str = Field(
         "auto",
         pattern=r"^(auto|none|[^:]+:(s|ms|us|ns):(start|end|absolute))$",
+        examples=["auto", "none", "t:ns:start", "timestamp:s:absolute"],
         description="3D: time of each point as field:unit:reference, unit s, ms, us or ns,"
         " reference start, end (what the scan's own stamp marks) or absolute; auto detects it,"
         " none ignores it, in 2D scans too (no unit).",
@@ -55,6 +56,12 @@ class ReadOptions(Config):
         description="Largest message, decompressed chunk or file of a sequence [bytes]."
         " Source: limits table of SECURITY.md.",
     )
+    max_unpacked_bytes: int = Field(
+        64 * 2**30,
+        gt=0,
+        description="ROS 2 recordings whose files were compressed: their size unpacked, in the"
+        " folder for temporary files [bytes]. Source: limits table of SECURITY.md.",
+    )
     max_points: int = Field(
         4_000_000,
         gt=0,
@@ -81,6 +88,11 @@ class Span(Config):
     def is_whole(self) -> bool:
         """Whether nothing is left out."""
         return self.start == 0 and self.end is None
+
+    def __str__(self) -> str:
+        """In words."""
+        end = "on" if self.end is None else f"to {self.end:g} s"
+        return f"from {self.start:g} s {end}, counted from the first stamp"
 
     def holds(self, stamp_ns: int, first_ns: int) -> bool:
         """Whether a time is within, of a recording that begins at `first_ns`."""
@@ -150,8 +162,8 @@ def mounting_of(text: str) -> Pose:
         x, y, z, *angles = (float(word) for word in words[2:])
         roll, pitch, yaw = angles
     except ValueError:
-        raise ValueError(f"expected PARENT FRAME x y z roll pitch yaw, got {text!r}") from None
+        raise ValueError("expected texts PARENT FRAME x y z roll pitch yaw") from None
     if not np.isfinite([x, y, z, roll, pitch, yaw]).all():
-        raise ValueError(f"expected finite numbers, got {text!r}")
+        raise ValueError("expected finite numbers")
     matrix = pose_matrix(np.array([x, y, z]), quaternion_from_angles(roll, pitch, yaw))
     return Pose(0, words[0], words[1], matrix, is_static=True)

@@ -9,8 +9,8 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.errors import ConfigError, FormatError, InputError
-from lidar_core.io.options import PoseOptions
+from lidar_core.errors import ConfigError, FormatError, InputError, meant
+from lidar_core.io.options import NS, PoseOptions
 from lidar_core.io.pose_files import read_poses
 from lidar_core.io.recording import Recording, Topic
 from lidar_core.io.ros_messages import POSE_TYPES
@@ -19,6 +19,8 @@ from lidar_core.messages import LaserScan, Pose, Scan
 
 WORLD_FRAME, NAMELESS = "world", "(no topic)"
 MOST_POSES_PER_SCAN = 64
+PAST_THE_END = 10
+"""Scans in a row after the end of a span that end it: a single one may have a wrong stamp."""
 
 ScanT = TypeVar("ScanT", Scan, LaserScan)
 
@@ -29,11 +31,12 @@ class _Words(NamedTuple):
     kinds: frozenset[str]
     plural: str
     option: str
+    command: str
 
 
 _WORDS: dict[type, _Words] = {
-    Scan: _Words(frozenset({"scan", "scan+pose"}), "clouds", "cloud"),
-    LaserScan: _Words(frozenset({"planar", "planar+pose"}), "2D scans", "scan"),
+    Scan: _Words(frozenset({"scan", "scan+pose"}), "clouds", "cloud", "detect"),
+    LaserScan: _Words(frozenset({"planar", "planar+pose"}), "2D scans", "scan", "circles"),
 }
 
 
@@ -101,15 +104,18 @@ class PosedScans(Generic[ScanT]):
         """
         span = self._options
         first_ns = 0 if span.is_whole else self._recording.first_stamp() or 0
-        is_found = span.is_whole
+        is_found, past, latest_ns = span.is_whole, 0, first_ns
         for number, scan in enumerate(self._recorded()):
-            if span.is_past(scan.stamp_ns, first_ns):
+            past = past + 1 if span.is_past(scan.stamp_ns, first_ns) else 0
+            if past == PAST_THE_END:
                 break
+            latest_ns = max(latest_ns, scan.stamp_ns)
             if span.holds(scan.stamp_ns, first_ns):
                 is_found = True
                 yield number, scan
         if not is_found:
-            raise InputError(f"{self._recording.path}: no scans that were asked for")
+            latest = (latest_ns - first_ns) / NS
+            raise InputError(f"{self._recording.path}: no scans {span}; they end at {latest:g} s")
 
     def _recorded(self) -> Iterator[ScanT]:
         for record in self._recording.records(_WORDS[self._sort].kinds):
@@ -206,7 +212,8 @@ class PosedScans(Generic[ScanT]):
         topics = sorted({topic.name for topic, _ in odometry})
         chosen = self._options.odom
         if chosen is not None and chosen not in {topic.name for topic, _ in gathered}:
-            raise ConfigError(f"odom: no topic {chosen!r} with poses; found {_listed(topics)}")
+            raise ConfigError(f"odom: no topic {chosen!r} with poses; found {_listed(topics)}"
+                              f"{meant(chosen, topics)}")  # fmt: skip
         transforms = [item for item in gathered if item[0].type not in POSE_TYPES]
         buffer = self._with(transforms, frame, chosen)
         if chosen is None:
@@ -316,12 +323,15 @@ def scan_topics(
         if name not in known:
             option = " or ".join(word.option for word in words)
             raise ConfigError(f"{option}: no topic {name!r} with {plural} in {recording.path};"
-                              f" found {_listed(known)}")  # fmt: skip
+                              f" found {_listed(known)}{meant(name, known)}")  # fmt: skip
     if not with_scans:
         found = _listed(
             [f"{t.name or NAMELESS} ({t.type}{', ' + t.note if t.note else ''})" for t in topics]
         )
-        raise FormatError(f"{recording.path}: no {plural} to read; found {found}")
+        other = "".join(f"; {word.plural} are for `lidar-core {word.command}`"
+                        for sort, word in _WORDS.items() if sort not in sorts
+                        and any(topic.kind in word.kinds for topic in topics))  # fmt: skip
+        raise FormatError(f"{recording.path}: no {plural} to read; found {found}{other}")
     return [topic for topic in with_scans if not names or topic.name in names]
 
 

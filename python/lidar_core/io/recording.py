@@ -33,6 +33,7 @@ SCAN_KINDS = frozenset({"scan", "scan+pose", "planar", "planar+pose"})
 UNREAD_KINDS = frozenset({"measurement", "packets", "other"})
 """Kinds whose messages are neither: measurements are for `lidar_core.fusion`."""
 MOST_NOTES = 1000
+DAY_NS = 86_400 * 10**9
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,9 +141,16 @@ class Recording(ABC):
             yield from messages
 
     def first_stamp(self) -> int | None:
-        """Time of the first scan or moving pose [ns]; None without."""
-        moving = (item for item in self if not (isinstance(item, Pose) and item.is_static))
-        return next((item.stamp_ns for item in moving), None)
+        """Time of the first scan or moving pose [ns]; None without.
+
+        A zero that other times follow days later is a stamp that nobody set.
+        """
+        stamps = (item.stamp_ns for item in self if not (isinstance(item, Pose) and item.is_static))
+        first = next(stamps, None)
+        if first != 0:
+            return first
+        later = next((stamp for stamp in stamps if stamp != 0), 0)
+        return later if later > DAY_NS else 0
 
     def noticed(self) -> Findings:
         """What the reads so far detected and left out."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from lidar_core.errors import InputError
 from lidar_core.extras import require
-from lidar_core.io.atomic import WrittenInBlock, commit, temporary_for
+from lidar_core.io.atomic import WrittenInBlock, check_place, commit, temporary_for
 from lidar_core.io.cloud import ROS_TYPES
 from lidar_core.io.own_cloud import packed
 from lidar_core.io.ros_types import ros_store
@@ -179,6 +179,7 @@ class RosWriter(WrittenInBlock):
         self._version = 1 if self._path.suffix.lower() == ".bag" else 2
         if self._version == 2 and self._path.exists():
             raise InputError(f"{self._path}: exists already; a ROS 2 recording is a new folder")
+        check_place(self._path)
         self._temporary = temporary_for(self._path)
         self._messages = RosMessages(self._version)
         self._writer = self._opened()
