@@ -1,5 +1,8 @@
 """Exceptions. Every class is also the builtin that a caller would expect."""
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 
 class LidarCoreError(Exception):
     """Catches everything this package raises."""
@@ -35,3 +38,20 @@ class LinkError(LidarCoreError, ConnectionError):
 
 class InternalError(LidarCoreError, RuntimeError):
     """A bug in lidar_core; the object that raised it refuses further calls."""
+
+
+def closest(name: str, known: Iterable[str]) -> str | None:
+    """Which of `known` is spelt most like `name`; None if none is."""
+    return next(iter(get_close_matches(name, list(known), n=1)), None)
+
+
+def meant(name: str, known: Iterable[str]) -> str:
+    """What to add to the refusal of a name that is none of `known`: the one that was meant."""
+    near = closest(name, known)
+    return "" if near is None else f"; did you mean {near}?"
+
+
+def unknown(what: str, name: str, known: Iterable[str]) -> str:
+    """Text of that refusal; `what` the name is of."""
+    names = list(known)
+    return f"{what}: expected one of {', '.join(names)}, got {name!r}{meant(name, names)}"

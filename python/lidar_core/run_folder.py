@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import json
+import os
 import platform
 import shutil
 import sys
@@ -88,8 +89,15 @@ class RunFolder:
             raise FileExistsError(f"{path}: holds the recording to read; choose another folder")
 
     def begin(self) -> None:
-        """Make the folder, and remove what an earlier run left in it."""
+        """Make the folder, and remove what an earlier run left in it.
+
+        Raises
+        ------
+        FileExistsError
+            Another process is writing a run there.
+        """
         self.path.mkdir(parents=True, exist_ok=True)
+        lock(self.path)
         for name in FILES:
             (self.path / name).unlink(missing_ok=True)
         shutil.rmtree(self.path / TRACKS_FOLDER, ignore_errors=True)
@@ -108,6 +116,7 @@ class RunFolder:
     ) -> None:
         """Write run.toml: command, versions, inputs and the whole effective configuration."""
         self.write_text(RUN_FILE, note_of(inputs, config, **more))
+        unlock(self.path)
 
     def write_table(self, name: str, columns: Mapping[str, NDArray[Any] | Sequence[str]]) -> Path:
         """Write columns of equal length as NAME.parquet if pyarrow is installed, else NAME.csv."""
@@ -127,6 +136,44 @@ class RunFolder:
         with written_whole(path) as temporary:
             parquet.write_table(arrow.table(dict(columns)), temporary)
         return path
+
+
+_LOCKS: dict[Path, int] = {}
+"""Folders that this process writes to, open."""
+
+
+def lock(folder: Path) -> None:
+    """Keep other processes from writing a run to `folder`, until `unlock` or the end of this one.
+
+    Systems that know no such locks go without.
+
+    Raises
+    ------
+    FileExistsError
+        Another process has it.
+    """
+    unlock(folder)
+    if os.name != "posix":
+        return
+    import fcntl
+
+    held = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(held)
+        raise FileExistsError(f"{folder}: another run is being written there") from None
+    except OSError:  # a file system without locks
+        os.close(held)
+        return
+    _LOCKS[folder.resolve()] = held
+
+
+def unlock(folder: Path) -> None:
+    """Let others write to `folder`."""
+    held = _LOCKS.pop(folder.resolve(), None)
+    if held is not None:
+        os.close(held)
 
 
 def note_of(inputs: Mapping[str, Any], config: Mapping[str, Config], **more: Any) -> str:

@@ -1,8 +1,10 @@
 """The command line: every command explains itself, errors end in one line and status 2."""
 
 import json
+import os
 import subprocess
 import sys
+from itertools import pairwise
 
 import pytest
 from typer.main import get_command
@@ -10,6 +12,7 @@ from typer.testing import CliRunner
 
 import lidar_core
 from lidar_core.cli import app, doctor
+from lidar_core.cli.settings import merged
 from lidar_core.parameters import MODELS, model_named
 
 COMMANDS = sorted(
@@ -92,6 +95,54 @@ def test_the_package_imports_numpy_and_hardly_more():
     }
 
 
+@pytest.mark.parametrize("command", [[one.name] for one in app.registered_commands])
+def test_help_fills_the_width_and_leaves_room_to_read(command, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = output_of(*command, "--help").splitlines()
+    (end, *_) = (number for number, line in enumerate(shown) if line.startswith("╭"))
+    prose = [line.strip() for line in shown[2:end]]
+    for line, after in pairwise(prose):
+        assert not (line and after) or len(line) + len(after.split()[0]) >= 78
+    assert len(shown) < 90
+
+
+def test_output_fits_an_encoding_of_few_letters(tmp_path):
+    """As that of a pipe on Windows."""
+    program = "from lidar_core.cli import main; main()"
+    for encoding in ("cp1252", "ascii"):
+        done = subprocess.run(
+            [sys.executable, "-c", program, "demo", "--scans", "2", "--no-picture",
+             "-o", str(tmp_path / encoding)],
+            capture_output=True, check=False, timeout=120,
+            env=os.environ | {"PYTHONIOENCODING": encoding},
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        assert b"##" in done.stdout
+        assert "▪".encode() not in done.stdout
+
+
+def test_a_name_in_other_letters_is_told_all_the_same(tmp_path):
+    program = "from lidar_core.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", program, "info", "飛行.bag"],
+        capture_output=True, check=False, timeout=60, cwd=tmp_path,
+        env=os.environ | {"PYTHONIOENCODING": "cp1252"},
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"error: ??.bag: no such file or folder")
+
+
+def test_ctrl_c_is_told_with_its_exit_status(monkeypatch, tmp_path):
+    def stopped(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lidar_core.io.open_recording", stopped)
+    (tmp_path / "a.npz").write_bytes(b"x")
+    done = CliRunner().invoke(app, ["convert", str(tmp_path / "a.npz"), str(tmp_path / "b.npz")])
+    assert done.exit_code == 130
+    assert done.stderr == "interrupted: files that are there are whole\n"
+
+
 def test_help_needs_no_heavy_import():
     program = (
         "import sys\nfrom lidar_core.cli import app\n"
@@ -152,6 +203,8 @@ def test_init_replaces_a_file_only_on_request(tmp_path):
     done = run("config", "init", "-o", path)
     assert (done.returncode, path.read_text()) == (2, "mine")
     assert done.stderr == f"error: {path}: exists; --overwrite replaces it\n"
+    done = run("config", "init", "-o", tmp_path / "none" / "a.toml")
+    assert done.stderr == f"error: {tmp_path / 'none'}: no such folder, to write a.toml in\n"
 
 
 def test_show_tells_what_differs(tmp_path):
@@ -181,6 +234,33 @@ def test_show_takes_the_model_from_a_run(tmp_path):
     assert "no_return" not in table
     shown = json.loads(output_of("config", "show", path, "--model", "read", "--json"))
     assert shown["no_return"] == "zero"
+
+
+def test_a_folder_of_a_run_stands_for_its_note(tmp_path):
+    (tmp_path / "run.toml").write_text("[config.circles]\nmax_deviation = 0.5\n")
+    table = output_of("config", "show", tmp_path, "--changed")
+    assert "max_deviation" in table
+    (tmp_path / "run.toml").unlink()
+    done = run("config", "show", tmp_path)
+    assert done.stderr == f"error: {tmp_path}/run.toml: No such file or directory\n"
+
+
+def test_a_file_says_by_its_values_which_model_it_fills(tmp_path):
+    path = tmp_path / "scene.toml"
+    output_of("config", "init", "--model", "scene", "--preset", "demo", "-o", path)
+    shown = json.loads(output_of("config", "show", path, "--json"))
+    assert shown["sensor"]["kind"] == "loop"
+    table = output_of("config", "show", path, "--changed")
+    assert "sensor.straight" in table
+    assert f"{len(shown['bodies'])} tables" in table
+
+
+def test_a_table_of_another_kind_replaces_the_whole_one():
+    before = {"motion": {"kind": "hover", "position": [0, 0, 3]}, "scans": 5}
+    way = {"kind": "circle", "radius": 2.0}
+    assert merged(before, {"motion": way}) == {"motion": way, "scans": 5}
+    near = merged(before, {"motion": {"position": [1, 0, 3]}})
+    assert near["motion"] == {"kind": "hover", "position": [1, 0, 3]}
 
 
 def test_help_of_config_lists_every_model():

@@ -299,7 +299,19 @@ def test_a_part_of_a_table_is_fused(table, tmp_path):
     assert note["config"]["span"] == {"start": 0.5, "end": 1.0}
     empty = command(table, "-o", tmp_path / "no", "--start", 99)
     assert isinstance(empty.exception, InputError)
-    assert str(empty.exception) == f"{table}: no measurements that were asked for"
+    text = f"{table}: no measurements from 99 s on, counted from the first stamp; they end at"
+    assert str(empty.exception).startswith(text)
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_a_table_without_commas_is_told_so(table, tmp_path, separator):
+    other = tmp_path / "other.csv"
+    other.write_text("t_ns,x,y\n0,1,2\n".replace(",", separator))
+    refused = command(other, "-o", tmp_path / "run")
+    assert isinstance(refused.exception, FormatError)
+    assert str(refused.exception) == (
+        f"{other}: expected values between commas, these are between {separator!r}"
+    )
 
 
 @pytest.mark.parametrize(

@@ -136,6 +136,16 @@ def test_odometry_counts_where_transforms_move_nothing():
     assert poses.fixed_frame == "odom"
 
 
+@pytest.mark.parametrize("first", ["scan", "odometry"])
+def test_transforms_that_never_change_count_whatever_comes_first(first):
+    poses = LivePoses(PoseOptions(odom=ODOM.name), LiveConfig())
+    poses.add(TF, pose(0, 2.0, "base", "laser", is_static=True), "")
+    if first == "scan":
+        assert not poses.is_complete(laser(100))
+    poses.add(ODOM, pose(100, 5.0, "odom", "base"), "")
+    assert poses.posed(laser(100)).world_from_lidar[0, 3] == 7.0
+
+
 def test_poses_without_child_frame_are_those_of_the_sensor_or_what_carries_it():
     plain = LivePoses(PoseOptions(), LiveConfig())
     plain.add(ODOM, pose(100, 5.0, child=""), "laser")
@@ -556,6 +566,9 @@ def test_a_robot_on_zenoh_gets_tracks_of_its_own_scans(circles, naming):
             wait_until(lambda: len(tracks.got) > SCANS // 8)
             time.sleep(0.5)
             summary = interrupted(process)
+            wait_until(lambda: len(tracks.got) >= summary["processed"])
+            targets = sum(len(found.detections) for found in tracks.got)
+            wait_until(lambda: len(odometry.got) >= targets)
     assert summary["capability"] == "circles"
     assert summary["processed"] == len(tracks.got) > SCANS // 8
     assert summary["processed"] + sum(summary["dropped"].values()) >= SCANS - 2
@@ -709,20 +722,23 @@ def test_foxglove_in_and_foxglove_out(circles):
             wait_until(lambda: viewer.trouble() == "")
             robot.play(log.write)
             wait_until(lambda: inbox.dropped.total() > 5)
-            batch = inbox.take(PATIENCE_S)
-            while not (batch.poses and batch.scans):  # channels are subscribed one by one
+            poses, scans = [], []
+            end = time.monotonic() + PATIENCE_S
+            while not (poses and scans):  # channels are subscribed one by one
+                assert time.monotonic() < end
                 robot.play(log.write)
-                batch = inbox.take(PATIENCE_S)
+                batch = inbox.take(1.0)
+                poses.extend(batch.poses)
+                scans.extend(batch.scans)
             viewer.close()
         wait_for_line(process, f"no server at ws://127.0.0.1:{port}, trying again")
         summary = interrupted(process)
     assert summary["capability"] == "circles"
     assert summary["processed"] > 5
-    (arrival,) = batch.scans
-    (scan,) = arrival.record.decode()
+    (scan,) = scans[-1].record.decode()
     assert isinstance(scan, LaserScan)
     assert np.isfinite(scan.ranges).any()
-    (transform,) = batch.poses[-1].record.decode()
+    (transform,) = poses[-1].record.decode()
     assert (transform.frame_id, transform.child_frame_id) == ("world", "laser")
 
 
@@ -799,16 +815,17 @@ def test_packets_of_a_sensor_become_scans(recordings):
     found = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sensor:
         sensor.sendto(b"no packet", ("127.0.0.1", source.port))
-        for _, packet in packets[:200]:
-            sensor.sendto(packet, ("127.0.0.1", source.port))
-            time.sleep(0.002)
-            found += [item.record.decode()[0] for item in inbox.take(0).scans]
+        end = time.monotonic() + PATIENCE_S
+        while not any(15_000 < len(scan.points) < 20_000 for scan in found):
+            assert time.monotonic() < end, [len(scan.points) for scan in found]
+            for _, packet in packets[:200]:  # a busy machine may lose some
+                sensor.sendto(packet, ("127.0.0.1", source.port))
+                time.sleep(0.002)
+                found += [item.record.decode()[0] for item in inbox.take(0).scans]
     source.close()
     assert inbox.rejected == {source.name: 1}
     (note,) = source.findings.notes
     assert note.endswith("other sensors need their drivers")
-    assert len(found) >= 1
-    assert 15_000 < len(found[-1].points) < 20_000
     assert abs(found[-1].stamp_ns - time.time_ns()) < 60 * 10**9
 
 
@@ -993,7 +1010,27 @@ def test_a_folder_of_a_live_run_is_checked_first(circles, tmp_path):
     assert isinstance(refused.exception, FileExistsError)
     twice = CliRunner().invoke(app, [*arguments, "--out", f"mcap:{folder}/run.mcap"])
     assert isinstance(twice.exception, ConfigError)
-    assert "expected once, it is given 2 times" in str(twice.exception)
+    assert str(twice.exception) == (
+        f"--out mcap:{folder}/run.mcap: -o {folder} writes this file; leave --out away"
+    )
+
+
+def test_a_run_without_its_mcap_keeps_its_tables(circles, tmp_path, monkeypatch):
+    folder = tmp_path / "run"
+
+    def full(self, *, keep=True):
+        raise OSError(f"{folder}/run.mcap: cannot be written: disk full")
+
+    monkeypatch.setattr(lc.io.McapWriter, "close", full)
+    done = CliRunner().invoke(app, ["live", "--replay", str(circles), "--rate", "50",
+                                    "-o", str(folder)])  # fmt: skip
+    assert isinstance(done.exception, OSError)
+    assert "run.mcap: cannot be written" in str(done.exception)
+    told = json.loads((folder / "summary.json").read_text())
+    assert told["scans"]["processed"] > 0
+    assert len(read_columns(next(folder.glob("timing.*")))["t_ns"]) == told["scans"]["processed"]
+    assert (folder / "run.toml").exists()
+    assert str(folder) in done.stdout
 
 
 def test_two_outputs_to_one_file_are_refused(circles, tmp_path):

@@ -1,9 +1,12 @@
-"""The ROS 2 node of the examples, without ROS: a node that only remembers."""
+"""The ROS 2 node of the examples, without ROS: stand-ins for what it uses of rclpy."""
 
+import _thread
 import runpy
+import sys
 import time
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,18 +28,27 @@ def example():
 
 
 class Publisher:
-    def __init__(self):
-        self.sent = []
+    """As that of rclpy: messages of its class, or bytes."""
+
+    def __init__(self, message):
+        self.message, self.sent = message, []
 
     def publish(self, raw):
+        assert type(raw) is bytes
         self.sent.append(raw)
 
 
 class Node:
     """What `lidar_core_node` uses of rclpy's nodes."""
 
-    def __init__(self):
+    def __init__(self, parameters=None):
         self.taken, self.publishers = {}, {}
+        self.parameters, self.is_up = parameters or {}, Event()
+        self.is_up.set()
+        self.context = SimpleNamespace(ok=self.is_up.is_set)
+
+    def declare_parameter(self, name, value):
+        return SimpleNamespace(value=self.parameters.get(name, value))
 
     def create_subscription(self, message, name, take, quality, *, raw):
         assert raw
@@ -44,7 +56,7 @@ class Node:
         return name
 
     def create_publisher(self, message, name, depth):
-        self.publishers[name] = Publisher()
+        self.publishers[name] = Publisher(message)
         return self.publishers[name]
 
     def destroy_subscription(self, name):
@@ -98,3 +110,111 @@ def test_scans_of_a_node_become_detections(example, tmp_path):
     assert last.header.frame_id == "world"
     assert len(node.publishers["lidar_core/odometry"].sent) >= len(last.detections)
     assert all(np.isfinite(item.bbox.center.position.x) for item in last.detections)
+
+
+class Ros:
+    """Modules of ROS as far as `main` uses them; `spin` gives the node messages, then ends."""
+
+    def __init__(self, node, feed, end):
+        self.node, self.feed, self.end = node, feed, end
+        self.store = RosMessages(2).store
+        self.qualities, self.is_shut_down = {}, False
+
+    def install(self, monkeypatch):
+        executors = ModuleType("rclpy.executors")
+        executors.ExternalShutdownException = type("ExternalShutdownException", (Exception,), {})
+        self.shutdown = executors.ExternalShutdownException
+        rclpy, qos = ModuleType("rclpy"), ModuleType("rclpy.qos")
+        rclpy.init, rclpy.spin, rclpy.try_shutdown = lambda: None, self.spin, self.try_shutdown
+        rclpy.create_node = lambda name: self.node
+        qos.DurabilityPolicy = SimpleNamespace(TRANSIENT_LOCAL="transient")
+        qos.QoSProfile = lambda **values: values
+        qos.qos_profile_sensor_data = {"reliability": "best effort"}
+        utilities = ModuleType("rosidl_runtime_py.utilities")
+        utilities.get_message = lambda name: self.store.types[name]
+        package = ModuleType("rosidl_runtime_py")
+        for module in (rclpy, qos, executors, package, utilities):
+            monkeypatch.setitem(sys.modules, module.__name__, module)
+
+    def spin(self, node):
+        for topic, raw in self.feed:
+            wait_until(lambda name=topic: name in node.taken)
+            message, take, quality = node.taken[topic]
+            self.qualities[topic] = quality
+            assert isinstance(message, type)
+            take(raw)
+            time.sleep(0.02)
+        wait_until(lambda: len(node.publishers["lidar_core/tracks"].sent) >= 3)
+        node.is_up.clear()
+        if self.end == "interrupt":
+            _thread.interrupt_main()
+        raise self.shutdown
+
+    def try_shutdown(self):
+        self.is_shut_down = True
+
+
+def wait_until(is_so):
+    end = time.monotonic() + PATIENCE_S
+    while not is_so() and time.monotonic() < end:
+        time.sleep(0.01)
+    assert is_so()
+
+
+def told(items, messages):
+    """What a robot would publish of a recording: topics and serialised messages."""
+    for item in items:
+        topic, message = messages.of(item)
+        yield topic, bytes(messages.packed(message))
+
+
+@pytest.mark.parametrize("end", ["shutdown", "interrupt"])
+@pytest.mark.parametrize(
+    ("scene", "topic", "options"),
+    [
+        ("circles", "/laser/scan", {"scan": "/laser/scan"}),
+        ("demo", "/lidar/points", {"cloud": "/lidar/points", "pose": "static"}),
+    ],
+)
+def test_the_whole_node_runs_until_ros_ends(
+    example, tmp_path, monkeypatch, capsys, scene, topic, options, end
+):
+    path = tmp_path / "recording.npz"
+    sensor = ["--sensor", "vlp-16"] if scene == "demo" else []
+    made = CliRunner().invoke(app, ["simulate", scene, "-o", str(path), "--scans", "12", *sensor])
+    assert made.exit_code == 0, made.output
+    messages = RosMessages(2)
+    with lc.io.open_recording(path) as recording:
+        feed = [one for one in told(recording, messages) if one[0] in (topic, "/tf", "/tf_static")]
+    node = Node(options)
+    ros = Ros(node, feed, end)
+    ros.install(monkeypatch)
+    example["main"]()
+    assert ros.is_shut_down
+    assert node.taken == {}
+    assert ros.qualities[topic] == {"reliability": "best effort"}
+    tracks = node.publishers["lidar_core/tracks"]
+    assert tracks.message.__name__.endswith("Detection3DArray")
+    stamps = {message.stamp_ns for message in scans_of(path)}
+    for raw in tracks.sent:
+        header = messages.store.deserialize_cdr(raw, DETECTIONS_TYPE).header
+        assert header.stamp.sec * 10**9 + header.stamp.nanosec in stamps
+    assert "'processed':" in capsys.readouterr().out
+
+
+def scans_of(path):
+    with lc.io.open_recording(path) as recording:
+        sorts = (lc.messages.Scan, lc.messages.LaserScan)
+        return [item for item in recording if isinstance(item, sorts)]
+
+
+def test_nothing_is_published_once_ros_has_ended(example):
+    node = Node()
+    node.is_up.clear()
+    output = example["NodeOutput"](node, lambda name: name)
+    frame = SimpleNamespace()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(output.publish.__func__.__globals__, "ros_messages",
+                      lambda update, messages: [("tracks", None)])  # fmt: skip
+        output.publish(frame)
+    assert node.publishers["lidar_core/tracks"].sent == []

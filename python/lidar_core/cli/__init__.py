@@ -3,11 +3,13 @@
 import signal
 import sys
 from importlib import import_module
+from io import TextIOWrapper
 from typing import Annotated
 
 import typer
 
 from lidar_core.cli import config, train
+from lidar_core.cli.common import help_text, stoppable
 from lidar_core.errors import LidarCoreError
 
 app = typer.Typer(
@@ -33,7 +35,8 @@ for _name in (
     "batch",
     "live",
 ):
-    app.command(_name)(import_module(f"lidar_core.cli.{_name}").command)
+    _command = import_module(f"lidar_core.cli.{_name}").command
+    app.command(_name, help=help_text(_command))(stoppable(_command))
 app.add_typer(config.app, name="config")
 app.add_typer(train.app, name="train")
 
@@ -64,6 +67,9 @@ def main() -> None:
     SIGTERM, by which services and robots stop programs, is treated as Ctrl-C: files are completed.
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # a pipe on Windows knows few letters
+            stream.reconfigure(errors="replace")
     try:
         app()
     except (LidarCoreError, OSError) as error:

@@ -48,10 +48,13 @@ def command(
     """
     from lidar_core.batch import BatchConfig, jobs_of
     from lidar_core.cli.batch_job import Batch
+    from lidar_core.run_folder import lock, unlock
 
     out, errors = consoles(json)
     config = BatchConfig.read(jobs)
     batch = Batch.of(output, jobs_of(config, jobs.parent), is_fresh=fresh)
+    output.mkdir(parents=True, exist_ok=True)
+    lock(output)
     was_stopped = False
     with progress_on(errors, counts="jobs") as progress:
         task = progress.add_task("batch", total=len(batch.jobs), completed=len(batch.kept))
@@ -64,6 +67,7 @@ def command(
         except KeyboardInterrupt:
             was_stopped = True
     table = batch.write({"batch": config}, jobs)
+    unlock(output)
     records = batch.records()
     result = summary(records, kept=len(batch.kept), jobs=len(batch.jobs))
     write_json({**result, "results": str(table)}, json)

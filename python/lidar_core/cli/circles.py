@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lidar_core.cli.common import Row, consoles, given, result_table, stage_rows
+from lidar_core.cli.common import READ, WRITTEN, Row, consoles, given, result_table, stage_rows
 from lidar_core.cli.run_options import RunOptions, with_options
 from lidar_core.cli.settings import run_config
 
@@ -29,10 +29,10 @@ FILM = "Draw film.mp4, or film.gif without ffmpeg, beside the picture."
 def command(
     options: RunOptions,
     *,
-    scan: Annotated[list[str], typer.Option(help=SCAN)] = [],  # noqa: B006
-    no_return: Annotated[str | None, typer.Option(help=NO_RETURN)] = None,
-    point_time: Annotated[str | None, typer.Option(help=SWEEP)] = None,
-    film: Annotated[bool, typer.Option(help=FILM)] = False,
+    scan: Annotated[list[str], typer.Option(help=SCAN, rich_help_panel=READ)] = [],  # noqa: B006
+    no_return: Annotated[str | None, typer.Option(help=NO_RETURN, rich_help_panel=READ)] = None,
+    point_time: Annotated[str | None, typer.Option(help=SWEEP, rich_help_panel=READ)] = None,
+    film: Annotated[bool, typer.Option("--film", help=FILM, rich_help_panel=WRITTEN)] = False,
 ) -> None:
     """Map the round obstacles in RECORDING; write tables, trajectories and picture.
 

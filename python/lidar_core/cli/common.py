@@ -2,8 +2,10 @@
 
 import json
 import os
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
 
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
 SLOW_MS = 10.0  # times below are printed with more digits
 INTERRUPTED = 130
 """Exit status after Ctrl-C or SIGTERM."""
+READ, WRITTEN = "What is read", "What is written"
+"""Groups of options in a `--help`: each is a table as wide as its own names need."""
 
 
 def all_threads() -> int:
@@ -40,10 +44,45 @@ Threads: TypeAlias = Annotated[
 OverwriteFile: TypeAlias = Annotated[
     bool, typer.Option("--overwrite", help="Replace an existing file.")
 ]
+
+
+def _writable(file: Path | None) -> Path | None:
+    """Refuse, before any work, a file that could not be written; its folder may be made later."""
+    from lidar_core.io.atomic import check_place
+
+    if file is not None and str(file) != "-" and file.parent.exists():
+        check_place(file)
+    return file
+
+
 JsonFile: TypeAlias = Annotated[
     Path | None,
-    typer.Option("--json", help="Also write the result as JSON; - prints it instead of the table."),
+    typer.Option(
+        "--json",
+        callback=_writable,
+        help="Also write the result as JSON; - prints it instead of the table.",
+    ),
 ]
+
+
+def help_text(command: Callable[..., None]) -> str:
+    """What `--help` says of a command: its paragraphs, for whatever width there is."""
+    paragraphs = (command.__doc__ or "").split("\n\n")
+    return "\n\n".join(" ".join(one.split()) for one in paragraphs)
+
+
+def stoppable(command: Callable[..., None]) -> Callable[..., None]:
+    """The command; Ctrl-C that it does not end by itself is told, and gives its exit status."""
+
+    @wraps(command)
+    def called(*arguments: Any, **options: Any) -> None:
+        try:
+            command(*arguments, **options)
+        except KeyboardInterrupt:
+            print("interrupted: files that are there are whole", file=sys.stderr)
+            raise typer.Exit(INTERRUPTED) from None
+
+    return called
 
 
 class Row(NamedTuple):
@@ -124,7 +163,8 @@ def map_rows(size: Mapping[str, int]) -> list[Row]:
 
 
 def _bar(share: float) -> str:
-    return "▪" * round(share * 20)
+    mark = "▪" if (sys.stdout.encoding or "").lower().startswith("utf") else "#"
+    return mark * round(share * 20)
 
 
 def draw(pictures: Iterable[tuple[Path, Callable[[], object]]], console: "Console") -> list[str]:
@@ -154,6 +194,7 @@ def write_json(result: Mapping[str, Any] | list[Any], json_file: Path | None) ->
         return
     from lidar_core.io.atomic import written_whole
 
+    json_file.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(json_file) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
 

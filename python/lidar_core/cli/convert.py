@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lidar_core.cli.common import JsonFile, consoles, given, progress_on, write_json
-from lidar_core.cli.run_options import End, Start
+from lidar_core.cli.run_options import End, Metadata, NoReturn, PointTime, Recover, Start
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -33,20 +33,10 @@ def command(
     ] = None,
     start: Start = 0.0,
     end: End = None,
-    point_time: Annotated[
-        str | None, typer.Option(help="Time of each point as field:unit:reference, auto or none.")
-    ] = None,
-    no_return: Annotated[
-        str | None,
-        typer.Option(help="What marks a ray without return: auto, zero, nan, max or none."),
-    ] = None,
-    metadata: Annotated[
-        str | None, typer.Option(help="JSON file of an Ouster capture, if not beside it.")
-    ] = None,
-    recover: Annotated[
-        bool,
-        typer.Option("--recover", help="Read what is whole in an MCAP that was cut or not closed."),
-    ] = False,
+    point_time: PointTime = None,
+    no_return: NoReturn = None,
+    metadata: Metadata = None,
+    recover: Recover = False,
     resolution: Annotated[
         float | None,
         typer.Option(help="Edge of the voxels of NAME.bt \\[m]; else that of the map read."),
@@ -150,14 +140,15 @@ def _write_cloud(
 
 
 def _check_topics(recording: "Recording", wanted: list[str] | None) -> None:
-    from lidar_core.errors import ConfigError
+    from lidar_core.errors import ConfigError, meant
     from lidar_core.io.recording import SCAN_KINDS
 
     known = [topic.name for topic in recording.topics() if topic.kind in SCAN_KINDS]
     for name in wanted or []:
         if name not in known:
             listed = ", ".join(known) or "none"
-            raise ConfigError(f"topic: no scans on {name!r} in {recording.path}; found {listed}")
+            raise ConfigError(f"topic: no scans on {name!r} in {recording.path}; found {listed}"
+                              f"{meant(name, known)}")  # fmt: skip
 
 
 def _chosen(recording: "Recording", topics: list[str] | None, span: "Span") -> Iterator["Message"]:
@@ -182,4 +173,4 @@ def _chosen(recording: "Recording", topics: list[str] | None, span: "Span") -> I
             is_found = True
             yield message
     if not is_found:
-        raise InputError(f"{recording.path}: no scans or moving poses that were asked for")
+        raise InputError(f"{recording.path}: no scans or moving poses {span}")

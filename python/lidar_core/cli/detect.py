@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lidar_core.cli.common import (
+    READ,
     Row,
     Threads,
     consoles,
@@ -38,12 +39,14 @@ REPEAT = "Play the recording this often: lets a short one open the gate of the b
 def command(
     options: RunOptions,
     *,
-    cloud: Annotated[list[str], typer.Option(help="Topic of a LiDAR; again for more.")] = [],  # noqa: B006
-    point_time: Annotated[str | None, typer.Option(help=POINT_TIME)] = None,
-    no_return: Annotated[str | None, typer.Option(help=NO_RETURN)] = None,
-    metadata: Annotated[str | None, typer.Option(help=METADATA)] = None,
-    scan_rate: Annotated[float | None, typer.Option(help=SCAN_RATE)] = None,
-    repeat: Annotated[int, typer.Option(min=1, help=REPEAT)] = 1,
+    cloud: Annotated[
+        list[str], typer.Option(help="Topic of a LiDAR; again for more.", rich_help_panel=READ)
+    ] = [],  # noqa: B006
+    point_time: Annotated[str | None, typer.Option(help=POINT_TIME, rich_help_panel=READ)] = None,
+    no_return: Annotated[str | None, typer.Option(help=NO_RETURN, rich_help_panel=READ)] = None,
+    metadata: Annotated[str | None, typer.Option(help=METADATA, rich_help_panel=READ)] = None,
+    scan_rate: Annotated[float | None, typer.Option(help=SCAN_RATE, rich_help_panel=READ)] = None,
+    repeat: Annotated[int, typer.Option(min=1, help=REPEAT, rich_help_panel=READ)] = 1,
     known_map: Annotated[Path | None, typer.Option("--map", help=MAP)] = None,
     threads: Threads,
 ) -> None:

@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from lidar_core.cli.common import JsonFile, Row, consoles, given, number, result_table, write_json
+from lidar_core.cli.common import (
+    READ,
+    JsonFile,
+    Row,
+    consoles,
+    given,
+    number,
+    result_table,
+    write_json,
+)
 from lidar_core.cli.config import Mode
 from lidar_core.cli.run_options import (
     ChosenMode,
@@ -55,10 +64,10 @@ def command(
     method: Annotated[str | None, typer.Option(help=METHOD)] = None,
     lag: Annotated[float | None, typer.Option(help=LAG)] = None,
     association: Annotated[str | None, typer.Option(help=ASSOCIATION)] = None,
-    column: Annotated[list[str], typer.Option(help=COLUMN)] = [],  # noqa: B006
-    topic: Annotated[list[str], typer.Option(help=TOPIC)] = [],  # noqa: B006
-    time_unit: Annotated[str | None, typer.Option(help=TIME_UNIT)] = None,
-    angle_unit: Annotated[str | None, typer.Option(help=ANGLE_UNIT)] = None,
+    column: Annotated[list[str], typer.Option(help=COLUMN, rich_help_panel=READ)] = [],  # noqa: B006
+    topic: Annotated[list[str], typer.Option(help=TOPIC, rich_help_panel=READ)] = [],  # noqa: B006
+    time_unit: Annotated[str | None, typer.Option(help=TIME_UNIT, rich_help_panel=READ)] = None,
+    angle_unit: Annotated[str | None, typer.Option(help=ANGLE_UNIT, rich_help_panel=READ)] = None,
     start: Start = 0.0,
     end: End = None,
     mode: ChosenMode = "best",
@@ -119,10 +128,15 @@ class _Asked(NamedTuple):
         InputError
             There are none.
         """
+        from lidar_core.io.options import NS
+
         first = min(stamps, default=0)
         rows = [row for row, stamp in enumerate(stamps) if self.span.holds(stamp, first)]
         if stamps and not rows:
-            raise InputError(f"{self.recording}: no measurements that were asked for")
+            end = (max(stamps) - first) / NS
+            raise InputError(
+                f"{self.recording}: no measurements {self.span}; they end at {end:g} s"
+            )
         return rows
 
 
@@ -176,6 +190,9 @@ def _one(asked: _Asked, log: "MeasurementLog", reading: Mapping[str, "Config"]) 
     base = FusionConfig() if asked.mode == "best" else FusionConfig.paper()
     chosen = run_config(base, "fusion", asked.file, [*asked.values, *_texts(asked.ways)])
     kept = log.rows(asked.kept([m.stamp_ns for m in log.measurements]))
+    if chosen.model == "ctrv-drone" and any(m.sensor == "pose" for m in kept.measurements):
+        raise ConfigError(f"{asked.recording}: model ctrv-drone is for measurements without poses"
+                          " of the platform, which are here; ctrv takes them in")  # fmt: skip
     return TargetRun.of(kept, chosen, {**reading, "span": asked.span}, lag=asked.lag)
 
 

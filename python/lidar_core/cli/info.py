@@ -1,38 +1,38 @@
 """`lidar-core info`: what is in a recording."""
 
 import json
+import shlex
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lidar_core.cli.common import given
+from lidar_core.cli.run_options import Metadata, NoReturn, PointTime, Recover
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from lidar_core.io import RecordingInfo
 
+COMMANDS = (
+    ("detect", "--cloud", ("scan", "scan+pose")),
+    ("circles", "--scan", ("planar", "planar+pose")),
+)
+"""What goes on from a recording: command, option of its topic, kinds of topics."""
+RADAR = "radar_msgs/"
+
 
 def command(
     recording: Annotated[Path, typer.Argument(help="File or folder to look into.")],
-    point_time: Annotated[
-        str | None, typer.Option(help="Time of each point as field:unit:reference, auto or none.")
-    ] = None,
-    no_return: Annotated[
-        str | None,
-        typer.Option(help="What marks a ray without return: auto, zero, nan, max or none."),
-    ] = None,
-    metadata: Annotated[
-        str | None, typer.Option(help="JSON file of an Ouster capture, if not beside it.")
-    ] = None,
-    recover: Annotated[
-        bool,
-        typer.Option("--recover", help="Read what is whole in an MCAP that was cut or not closed."),
-    ] = False,
+    point_time: PointTime = None,
+    no_return: NoReturn = None,
+    metadata: Metadata = None,
+    recover: Recover = False,
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
 ) -> None:
-    """Topics, rates, frames, time span and defects of a recording."""
+    """Topics, rates, frames, time span and defects of a recording; the command that goes on."""
     from lidar_core.io import ReadOptions, open_recording
 
     options = ReadOptions.load(
@@ -89,3 +89,36 @@ def _print(info: "RecordingInfo", console: "Console") -> None:
         console.print(f"[yellow]note[/yellow] {escape(defect)}", soft_wrap=True)
     if not info.defects:
         console.print("no defects found")
+    for step in next_steps(info):
+        console.print(f"next: {step}", markup=False, highlight=False, soft_wrap=True)
+
+
+def next_steps(info: "RecordingInfo") -> Iterator[str]:
+    """Commands that go on from a recording, with the options that it needs."""
+    for command, option, kinds in COMMANDS:
+        topics = [topic for topic in info.topics if topic.kind in kinds]
+        if topics:
+            choice = [option, topics[0].name] if len(topics) > 1 else []
+            poses, remark = _poses(info, topics[0].frames)
+            yield _told(command, info.path, *choice, *poses) + remark
+    if any(topic.type.startswith(RADAR) for topic in info.topics):
+        yield _told("fuse", info.path)
+
+
+def _told(command: str, path: str, *options: str) -> str:
+    return shlex.join(["lidar-core", command, path, "-o", "run/", *options])
+
+
+def _poses(info: "RecordingInfo", frames: tuple[str, ...]) -> tuple[list[str], str]:
+    """Options that tell where scans in `frames` were taken, and a remark."""
+    known, edges = set(frames), [{parent, child} for parent, child, _ in info.transforms if child]
+    while more := {frame for edge in edges if known & edge for frame in edge} - known:
+        known |= more
+    moving = [child for _, child, is_static in info.transforms if not is_static]
+    if not moving:
+        return ["--pose", "static"], "  (if the sensor moved: --pose FILE)"
+    named = [child for child in moving if child]
+    if not named or known & set(named) or not frames:
+        return [], ""
+    mounting = f"{named[0]} {frames[0]} x y z roll pitch yaw"
+    return ["--mounting", mounting], "  (where the sensor sits on what moves, in m and rad)"

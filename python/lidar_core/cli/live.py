@@ -10,6 +10,8 @@ import typer
 from lidar_core.cli.circles import NO_RETURN
 from lidar_core.cli.common import (
     INTERRUPTED,
+    READ,
+    WRITTEN,
     OverwriteFile,
     Row,
     Threads,
@@ -47,31 +49,45 @@ CAPABILITY = "auto: flying objects if clouds arrive, circles if 2D scans do."
 def command(
     options: PipelineOptions,
     *,
-    source: Annotated[str | None, typer.Option("--in", help=IN)] = None,
-    replay: Annotated[Path | None, typer.Option(help="Play this recording instead.")] = None,
+    source: Annotated[str | None, typer.Option("--in", help=IN, rich_help_panel=READ)] = None,
+    replay: Annotated[
+        Path | None, typer.Option(help="Play this recording instead.", rich_help_panel=READ)
+    ] = None,
     rate: Annotated[
         float | None,
         typer.Option(
-            min=0.01, show_default="1", help="Seconds of the recording per second, for --replay."
+            min=0.01,
+            show_default="1",
+            help="Seconds of the recording per second, for --replay.",
+            rich_help_panel=READ,
         ),
     ] = None,
-    outputs: Annotated[list[str], typer.Option("--out", help=OUT)] = [],  # noqa: B006
+    outputs: Annotated[list[str], typer.Option("--out", help=OUT, rich_help_panel=WRITTEN)] = [],  # noqa: B006
     capability: Annotated[
         Literal["auto", "flying", "circles"], typer.Option(help=CAPABILITY)
     ] = "auto",
-    cloud: Annotated[list[str], typer.Option(help="Topic of a LiDAR; again for more.")] = [],  # noqa: B006
-    scan: Annotated[list[str], typer.Option(help="Topic of a 2D LiDAR; again for more.")] = [],  # noqa: B006
-    point_time: Annotated[str | None, typer.Option(help=POINT_TIME)] = None,
-    no_return: Annotated[str | None, typer.Option(help=NO_RETURN)] = None,
+    cloud: Annotated[
+        list[str], typer.Option(help="Topic of a LiDAR; again for more.", rich_help_panel=READ)
+    ] = [],  # noqa: B006
+    scan: Annotated[
+        list[str], typer.Option(help="Topic of a 2D LiDAR; again for more.", rich_help_panel=READ)
+    ] = [],  # noqa: B006
+    point_time: Annotated[str | None, typer.Option(help=POINT_TIME, rich_help_panel=READ)] = None,
+    no_return: Annotated[str | None, typer.Option(help=NO_RETURN, rich_help_panel=READ)] = None,
     known_map: Annotated[
         Path | None, typer.Option("--map", help=f"{MAP} Only clouds count then.")
     ] = None,
     domain: Annotated[
-        int | None, typer.Option(envvar="ROS_DOMAIN_ID", help="Domain of ROS 2 over Zenoh.")
+        int | None,
+        typer.Option(
+            envvar="ROS_DOMAIN_ID", help="Domain of ROS 2 over Zenoh.", rich_help_panel=READ
+        ),
     ] = None,
     stream: Annotated[list[str], typer.Option(help=STREAM)] = [],  # noqa: B006
     seconds: Annotated[float | None, typer.Option(min=0, help="End after this time \\[s].")] = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help=FOLDER)] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help=FOLDER, rich_help_panel=WRITTEN)
+    ] = None,
     overwrite: OverwriteFile = False,
     threads: Threads,
 ) -> None:
@@ -138,6 +154,8 @@ def command(
     for note in summary["notes"]:
         out.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
     write_json(summary, options.json)
+    if record is not None and record.failed is not None:
+        raise record.failed
     if is_interrupted:
         raise typer.Exit(INTERRUPTED)
 

@@ -156,9 +156,11 @@ def check_files(
         named twice.
     """
     places = [path for text in outputs if (path := _file(text)) is not None]
-    places += [] if folder is None else [folder / MCAP]
     counts = Counter(path.resolve() for path in places)
-    for path in places:
+    of_run = [] if folder is None else [folder / MCAP]
+    for path in (*places, *of_run):
+        if path in of_run and counts[path.resolve()]:
+            raise ConfigError(f"--out mcap:{path}: -o {folder} writes this file; leave --out away")
         if counts[path.resolve()] > 1:
             raise ConfigError(f"--out {path}: expected once, it is given"
                               f" {counts[path.resolve()]} times")  # fmt: skip

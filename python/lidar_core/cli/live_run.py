@@ -30,6 +30,11 @@ class LiveRun(Output):
         Begun with the first scan.
     pipeline : callable
         Makes the pipeline for scans of a sort, as `LiveLoop` has it.
+
+    Attributes
+    ----------
+    failed : OSError or None
+        Why run.mcap could not be completed; the other files are there.
     """
 
     def __init__(
@@ -40,6 +45,7 @@ class LiveRun(Output):
         self._pipeline: LivePipeline[Any] | None = None
         self._run: DetectRun | CirclesRun | None = None
         self._stack = ExitStack()
+        self.failed: OSError | None = None
 
     def pipeline(self, sort: type) -> LivePipeline[Any] | None:
         """The pipeline for scans of a sort, which is remembered."""
@@ -57,7 +63,10 @@ class LiveRun(Output):
 
     def close(self) -> None:
         """Complete run.mcap."""
-        self._stack.close()
+        try:
+            self._stack.close()
+        except OSError as error:
+            self.failed = error
 
     def write(
         self,

@@ -89,7 +89,7 @@ class JobResult:
 
     summary: dict[str, Any]
     files: tuple[str, ...]
-    end: KeyboardInterrupt | LidarCoreError | None
+    end: KeyboardInterrupt | LidarCoreError | OSError | None
 
 
 def do(job: RecordingJob[ScanT], run: RecordingRun[ScanT], console: Console) -> JobResult:
@@ -187,7 +187,7 @@ def _pass_through(
     source: ScanSource[ScanT],
     run: RecordingRun[ScanT],
     console: Console,
-) -> KeyboardInterrupt | LidarCoreError | None:
+) -> KeyboardInterrupt | LidarCoreError | OSError | None:
     """Every scan through the pipeline; returns what ended it early."""
     scans = iter(source)
     try:
@@ -206,7 +206,7 @@ def _pass_through(
                 progress.advance(task)
     except KeyboardInterrupt as interrupt:
         return interrupt
-    except LidarCoreError as error:
+    except (LidarCoreError, OSError) as error:  # OSError: also a run.mcap that filled the disk
         if not run.n_received:
             raise
         return error

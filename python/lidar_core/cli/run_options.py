@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
 
 import typer
 
-from lidar_core.cli.common import JsonFile, given
+from lidar_core.cli.common import READ, WRITTEN, JsonFile, given
 from lidar_core.cli.config import Mode
 from lidar_core.extras import require
 
@@ -29,20 +29,42 @@ _START = "Leave out what comes before, from the first stamp \\[s]."
 _END = "Leave out what comes after, likewise \\[s]."
 _MCAP = "Write run.mcap for viewers; by default if the extra `viz` is there."
 
+_POINT_TIME = "Time of each point as field:unit:reference, auto or none."
+_NO_RETURN = "What marks a ray without return: auto, zero, nan, max or none."
+_METADATA = "JSON file of an Ouster capture, if not beside it."
+_RECOVER = "Read what is whole in an MCAP that was cut or not closed."
+
 RecordingPath: TypeAlias = Annotated[Path, typer.Argument(help="File or folder to read.")]
-Output: TypeAlias = Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")]
-Start: TypeAlias = Annotated[float, typer.Option(min=0, help=_START)]
-End: TypeAlias = Annotated[float | None, typer.Option(min=0, help=_END)]
-Odom: TypeAlias = Annotated[str | None, typer.Option(help="Topic of the poses.")]
-PoseSource: TypeAlias = Annotated[str | None, typer.Option(help=_POSE)]
-FixedFrame: TypeAlias = Annotated[str | None, typer.Option(help="Frame of the map.")]
-Mountings: TypeAlias = Annotated[list[str], typer.Option(help=_MOUNTING)]
+Output: TypeAlias = Annotated[
+    Path, typer.Option("--output", "-o", help="Folder to write.", rich_help_panel=WRITTEN)
+]
+PointTime: TypeAlias = Annotated[str | None, typer.Option(help=_POINT_TIME)]
+NoReturn: TypeAlias = Annotated[str | None, typer.Option(help=_NO_RETURN)]
+Metadata: TypeAlias = Annotated[str | None, typer.Option(help=_METADATA)]
+Recover: TypeAlias = Annotated[bool, typer.Option("--recover", help=_RECOVER)]
+Start: TypeAlias = Annotated[float, typer.Option(min=0, help=_START, rich_help_panel=READ)]
+End: TypeAlias = Annotated[float | None, typer.Option(min=0, help=_END, rich_help_panel=READ)]
+Odom: TypeAlias = Annotated[
+    str | None, typer.Option(help="Topic of the poses.", rich_help_panel=READ)
+]
+PoseSource: TypeAlias = Annotated[str | None, typer.Option(help=_POSE, rich_help_panel=READ)]
+FixedFrame: TypeAlias = Annotated[
+    str | None, typer.Option(help="Frame of the map.", rich_help_panel=READ)
+]
+Mountings: TypeAlias = Annotated[list[str], typer.Option(help=_MOUNTING, rich_help_panel=READ)]
 ChosenMode: TypeAlias = Annotated[Mode, typer.Option(help="What works best, or the paper.")]
 ConfigFile: TypeAlias = Annotated[Path | None, typer.Option(help=_CONFIG)]
 Values: TypeAlias = Annotated[list[str], typer.Option("--set", help=_SET)]
-Mcap: TypeAlias = Annotated[bool | None, typer.Option(help=_MCAP)]
-Picture: TypeAlias = Annotated[bool, typer.Option(help="Draw picture.png (extra `plot`).")]
-Overwrite: TypeAlias = Annotated[bool, typer.Option(help="Replace an earlier run in the folder.")]
+Mcap: TypeAlias = Annotated[bool | None, typer.Option(help=_MCAP, rich_help_panel=WRITTEN)]
+Picture: TypeAlias = Annotated[
+    bool, typer.Option(help="Draw picture.png (extra `plot`).", rich_help_panel=WRITTEN)
+]
+Overwrite: TypeAlias = Annotated[
+    bool,
+    typer.Option(
+        "--overwrite", help="Replace an earlier run in the folder.", rich_help_panel=WRITTEN
+    ),
+]
 
 
 def wants_mcap(mcap: bool | None) -> bool:

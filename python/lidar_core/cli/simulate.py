@@ -6,12 +6,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lidar_core.cli.common import JsonFile, consoles, given, progress_on, write_json
-from lidar_core.errors import ConfigError
+from lidar_core.errors import ConfigError, meant
 
 if TYPE_CHECKING:
     from lidar_core.sim import Scene
 
-BUILT_IN = ("demo", "performance-1", "performance-2", "circles", "circles-room", "circles-lab")
+BUILT_IN = (
+    "demo", "performance-1", "performance-2",
+    "circles", "circles-room", "circles-lab", "circles-trees",
+)  # fmt: skip
 OVERFLIGHT = "overflight"
 
 
@@ -19,8 +22,8 @@ def command(
     scene: Annotated[
         str,
         typer.Argument(
-            help="Scene file (TOML), or a built-in: demo, performance-1, performance-2,"
-            " circles, circles-room, circles-lab, overflight (LiDAR and radar)."
+            help=f"Scene file (TOML), or a built-in: {', '.join(BUILT_IN)},"
+            " overflight (LiDAR and radar)."
         ),
     ],
     *,
@@ -120,7 +123,10 @@ def scene_named(name: str, seed: int) -> "Scene":
         return circle_scenes.several(seed, walls=name == "circles-room")
     if name == "circles-lab":
         return circle_scenes.lab(seed)
+    if name == "circles-trees":
+        return circle_scenes.trees(seed)
     if not Path(name).exists():
-        built_in = ", ".join((*BUILT_IN, OVERFLIGHT))
-        raise FileNotFoundError(f"{name}: no such scene file; built-in scenes are {built_in}")
+        built_in = (*BUILT_IN, OVERFLIGHT)
+        raise FileNotFoundError(f"{name}: no such scene file; built-in scenes are"
+                                f" {', '.join(built_in)}{meant(name, built_in)}")  # fmt: skip
     return Scene.read(name)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lidar_core.cli.common import INTERRUPTED
+from lidar_core.cli.common import INTERRUPTED, help_text
 from lidar_core.errors import MissingExtraError
 
 app = typer.Typer(name="train", no_args_is_help=True, help="Train neural networks.")
@@ -32,7 +32,6 @@ def training(module: str) -> Any:
         ) from error
 
 
-@app.command("circles")
 def circles(
     *,
     config: Annotated[Path, typer.Option("--config", "-c", help="TOML file of the training.")],
@@ -103,3 +102,6 @@ def _draw(output: Path, console: Any) -> None:
         training("curves").draw(metrics, output / "curves.png")
     except MissingExtraError as error:
         console.print(f"no curves: {error}", markup=False, soft_wrap=True)
+
+
+app.command("circles", help=help_text(circles))(circles)

@@ -1,0 +1,108 @@
+"""What `lidar-core info` says to do next."""
+
+import shlex
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from ros_files import Ros
+from typer.testing import CliRunner
+
+import lidar_core as lc
+import lidar_core.io
+from lidar_core.cli import app
+from lidar_core.messages import LaserScan, Pose, Scan
+
+BASE_NS = 1_700_000_000_000_000_000
+LEVEL = np.eye(4)
+
+
+def cloud(number, topic="/points", frame="lidar"):
+    points = np.random.default_rng(number).normal(size=(40, 3)).astype(np.float32)
+    return Scan(BASE_NS + number * 10**8, points, frame, topic=topic)
+
+
+def sweep(number):
+    ranges = np.full(90, 3.0, np.float32)
+    return LaserScan(BASE_NS + number * 10**8, ranges, 0.0, 0.05, 0.1, 10.0)
+
+
+def pose(number, child="lidar", *, is_static=False):
+    moved = LEVEL.copy()
+    moved[0, 3] = 0.0 if is_static else number
+    return Pose(BASE_NS + number * 10**8, "map", child, moved, is_static=is_static)
+
+
+def next_of(path, *messages):
+    lc.io.write_recording(path, messages)
+    done = CliRunner().invoke(app, ["info", str(path)])
+    assert done.exit_code == 0, done.output
+    return [line.removeprefix("next: ") for line in done.stdout.splitlines() if "next: " in line]
+
+
+def test_scans_with_poses_need_nothing(tmp_path):
+    path = tmp_path / "a b.npz"
+    (step,) = next_of(path, pose(0), cloud(0), pose(1), cloud(1))
+    assert shlex.split(step) == ["lidar-core", "detect", str(path), "-o", "run/"]
+
+
+def test_scans_without_poses_are_taken_to_stand(tmp_path):
+    (step,) = next_of(tmp_path / "a.npz", sweep(0), sweep(1))
+    command, _, remark = step.partition("  (")
+    assert command == f"lidar-core circles {tmp_path}/a.npz -o run/ --pose static"
+    assert remark == "if the sensor moved: --pose FILE)"
+    (step,) = next_of(tmp_path / "b.npz", pose(0, is_static=True), sweep(0), sweep(1))
+    assert "--pose static" in step
+
+
+def test_several_topics_ask_for_one(tmp_path):
+    steps = next_of(tmp_path / "a.npz", pose(0), cloud(0, "/front"), cloud(1, "/rear"), pose(1))
+    assert steps == [f"lidar-core detect {tmp_path}/a.npz -o run/ --cloud /front"]
+
+
+def test_a_sensor_that_nothing_carries_needs_its_mounting(tmp_path):
+    steps = next_of(tmp_path / "a.npz", pose(0, "base"), cloud(0), pose(1, "base"), cloud(1))
+    assert steps[0].startswith(
+        f"lidar-core detect {tmp_path}/a.npz -o run/ --mounting 'base lidar x y z roll pitch yaw'"
+    )
+
+
+def test_the_command_that_is_told_works(tmp_path):
+    (step,) = next_of(tmp_path / "a.npz", *(cloud(number) for number in range(3)))
+    words = shlex.split(step.partition("  (")[0])[1:]
+    words[words.index("run/")] = str(tmp_path / "run")
+    done = CliRunner().invoke(app, [*words, "--no-picture", "--no-mcap"])
+    assert done.exit_code == 0, done.output
+
+
+def test_scans_and_poses_without_topics_are_two_streams(tmp_path):
+    path = tmp_path / "a.npz"
+    lc.io.write_recording(path, [pose(0), sweep(0), pose(1), sweep(1)])
+    with lc.io.open_recording(path) as recording:
+        topics = recording.info().topics
+    assert sorted((topic.kind, topic.count) for topic in topics) == [("planar", 2), ("pose", 2)]
+
+
+@pytest.mark.parametrize("storage", ["sqlite3"])
+def test_a_pose_without_a_frame_of_its_own_is_the_sensors(tmp_path, storage):
+    ros = Ros(2)
+    rows = np.zeros(30, np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")]))
+    rows["x"] = np.arange(1, 31)
+    messages = []
+    for number in range(3):
+        stamp = BASE_NS + number * 10**8
+        messages.append(("/points", stamp, ros.cloud(rows, stamp, "lidar")))
+        place = [float(number), 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+        messages.append(("/odom", stamp, ros.odometry(stamp, "map", "", place)))
+    path = ros.write(tmp_path / "a", messages, storage)
+    done = CliRunner().invoke(app, ["info", str(path)])
+    assert f"next: lidar-core detect {path} -o run/\n" in done.stdout
+
+
+def test_the_package_runs_as_a_module():
+    done = subprocess.run(
+        [sys.executable, "-m", "lidar_core", "--version"],
+        capture_output=True, text=True, check=True, timeout=60,
+    )  # fmt: skip
+    assert done.stdout == f"lidar-core {lc.__version__}\n"
