@@ -83,6 +83,7 @@ class NodeOutput(Output):
 
     def __init__(self, node, message_of):
         super().__init__(f"node {NAME}: {', '.join(TYPES)}")
+        self.context = node.context
         self.messages = RosMessages(2)
         self.publishers = {
             name: node.create_publisher(message_of(sort), f"{NAME}/{name}", 10)
@@ -90,8 +91,10 @@ class NodeOutput(Output):
         }
 
     def publish(self, update):
-        """Publish tracks and the odometry of each."""
+        """Publish tracks and the odometry of each, until ROS is shut down."""
         for name, message in ros_messages(update, self.messages):
+            if not self.context.ok():
+                return
             self.publishers[name].publish(self.messages.packed(message))
 
     def close(self):
@@ -109,8 +112,9 @@ def loop_of(node, parameters, message_of, quality_of):
 
 
 def main():
-    """Spin in one thread, work in another."""
+    """Spin in one thread, work in another; the end of either ends both."""
     import rclpy
+    from rclpy.executors import ExternalShutdownException
     from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
     from rosidl_runtime_py.utilities import get_message
 
@@ -124,12 +128,22 @@ def main():
     names = ("cloud", "scan", "odom", "fixed_frame", "pose")
     parameters = {name: node.declare_parameter(name, "").value for name in names}
     loop = loop_of(node, parameters, get_message, quality_of)
-    Thread(target=rclpy.spin, args=(node,), daemon=True).start()
+
+    def spin():
+        try:
+            rclpy.spin(node)
+        except ExternalShutdownException:  # Ctrl-C, SIGTERM, `ros2 launch` that ends
+            pass
+        finally:
+            loop.inbox.finish()
+
+    Thread(target=spin, daemon=True).start()
     try:
         loop.run()
     except KeyboardInterrupt:
-        node.get_logger().info(str(loop.summary()))
+        pass
     finally:
+        print(loop.summary())
         rclpy.try_shutdown()
 
 
