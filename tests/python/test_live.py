@@ -15,6 +15,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Event, Thread
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -803,6 +804,108 @@ def test_messages_that_are_none_do_not_end_a_stream():
     (arrival,) = inbox.take(0).scans
     with pytest.raises(FormatError, match="ws://there, /scan"):
         arrival.record.decode()
+
+
+def test_channels_that_a_server_takes_back_are_forgotten():
+    pytest.importorskip("websockets")
+    source = FoxgloveSource("ws://there", StreamTopics(), ReadOptions(), LiveConfig())
+    inbox, link = Inbox(max_poses=10), SimpleNamespace(send=lambda text: None)
+    channel = {"id": 4, "topic": "/scan", "encoding": "cdr", "schemaName": "sensor_msgs/LaserScan"}
+    source._converse({"op": "advertise", "channels": [channel]}, link)
+    for numbers in (None, ["four", 5, None], ["4"]):
+        source._take(b"\x01" + (4).to_bytes(4, "little") + bytes(8), inbox)
+        assert len(inbox.take(0).scans) == 1
+        source._converse({"op": "unadvertise", "channelIds": numbers}, link)
+    source._take(b"\x01" + (4).to_bytes(4, "little") + bytes(8), inbox)
+    assert inbox.take(0).scans == []
+
+
+def laser_channel(number, topic):
+    return {"id": number, "topic": topic, "encoding": "cdr", "schemaName": "sensor_msgs/LaserScan"}
+
+
+@contextmanager
+def refusing_server(channels, knows):
+    """As foxglove-sdk and older servers: tells of `channels`, refuses what `knows` is false for and
+    whoever asks twice. Yields its port and the numbers it was asked for."""
+    websockets = pytest.importorskip("websockets.sync.server")
+    asked = []
+
+    def tell(link, text):
+        link.send(json.dumps({"op": "status", "level": 2, "message": text}))
+
+    def serve(link):
+        link.send(json.dumps({"op": "advertise", "channels": channels}))
+        known = set()
+        for text in link:
+            asked.append([pair["channelId"] for pair in json.loads(text)["subscriptions"]])
+            tell(link, "Unknown service: 7")
+            for number in asked[-1]:
+                if number in known:
+                    tell(link, f"Client subscription id {number} was already used")
+                elif not knows(number, len(asked)):
+                    tell(link, f"Unknown channel ID: {number}")
+                else:
+                    known.add(number)
+                    if number != QUIET:
+                        link.send(b"\x01" + number.to_bytes(4, "little") + bytes(8))
+
+    with websockets.serve(serve, "127.0.0.1", 0, subprotocols=["foxglove.sdk.v1"]) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        yield server.socket.getsockname()[1], asked
+        server.shutdown()
+
+
+QUIET = 3
+
+
+def test_channels_that_a_server_tells_of_too_early_are_subscribed_again():
+    channels = [
+        laser_channel(1, "/known"),
+        laser_channel(2, "/new"),
+        laser_channel(QUIET, "/quiet"),
+    ]
+    with refusing_server(channels, lambda number, times: number != 2 or times == 3) as served:
+        port, asked = served
+        inbox = Inbox(max_poses=1)
+        source = FoxgloveSource(
+            f"ws://127.0.0.1:{port}", StreamTopics(), ReadOptions(), LiveConfig(retry_interval=0.05)
+        )
+        source.start(inbox)
+        wait_until(lambda: len(inbox._scans) == 2)
+        time.sleep(0.3)
+        source.close()
+    assert asked == [[1, 2, 3], [2], [2]]
+    assert source.findings.notes == []
+
+
+def test_a_channel_that_stays_unknown_is_given_up():
+    with refusing_server([laser_channel(4, "/none")], lambda number, times: False) as (port, asked):
+        place, inbox = f"ws://127.0.0.1:{port}", Inbox(max_poses=1)
+        config = LiveConfig(retry_interval=0.01)
+        source = FoxgloveSource(place, StreamTopics(), ReadOptions(), config)
+        source.start(inbox)
+        wait_until(lambda: source.findings.notes)
+        time.sleep(0.3)
+        source.close()
+    assert asked == [[4]] * 10
+    told = f"{place}, channel /none: the server told of it, but does not know it"
+    assert source.findings.notes == [told]
+
+
+def test_schemas_are_told_apart_by_what_they_say(monkeypatch):
+    pytest.importorskip("websockets")
+    monkeypatch.setattr("lidar_core.live.foxglove_source.MAX_CHANNELS", 2)
+    source = FoxgloveSource("ws://there", StreamTopics(), ReadOptions(), LiveConfig())
+    link = SimpleNamespace(send=lambda text: None)
+    for number in range(100):
+        source._converse({"op": "advertise", "channels": [laser_channel(number, "/scan")]}, link)
+        source._converse({"op": "unadvertise", "channelIds": [number]}, link)
+    assert len(source._schemas) == 1
+    for kind in ("Odometry", "Path"):
+        channel = {**laser_channel(7, "/odom"), "schemaName": f"nav_msgs/{kind}"}
+        source._converse({"op": "advertise", "channels": [channel]}, link)
+    assert source.findings.notes == ["ws://there, channel /odom: ValueError: more than 2 schemas"]
 
 
 def test_packets_of_a_sensor_become_scans(recordings):

@@ -2,12 +2,15 @@
 
 import base64
 import json
+import re
 import struct
 import time
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Collection, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from math import inf
 from threading import Event, Thread
 from typing import Any
 
@@ -25,9 +28,11 @@ from lidar_core.messages import Message
 DEFAULT_ADDRESS = "ws://127.0.0.1:8765"
 PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 MESSAGE_DATA = 1
+UNKNOWN_CHANNEL = re.compile(r"Unknown channel ID: (\d{1,19})")  # how foxglove-sdk refuses one
 HEAD = struct.Struct("<BIQ")  # kind, subscription, time [ns]
 PATIENCE_S = 0.2  # how soon `close` is noticed
 MAX_CHANNELS = 4096
+MAX_TRIES = 10  # to subscribe to a channel
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +88,10 @@ class FoxgloveSource(Source):
         }
         self._foxglove = FoxgloveDecoder(options, self.findings)
         self._channels: dict[int, _Channel] = {}
-        self._n_schemas = 0
+        self._schemas: dict[tuple[str, str, bytes], _Schema] = {}
+        self._tries: Counter[int] = Counter()  # to subscribe to channels that were refused
+        self._refused: set[int] = set()  # those that are asked for once more ...
+        self._ask_again_at = inf  # ... at this time [s]
         self._ended = Event()
         self._connected = Event()
         self._error = ""
@@ -146,7 +154,14 @@ class FoxgloveSource(Source):
     def _listen(self, link: Any, inbox: Inbox) -> None:
         """Handle messages until the connection ends or `close` is called."""
         self._channels.clear()
+        self._tries.clear()
+        self._refused.clear()
+        self._ask_again_at = inf
         while not self._ended.is_set():
+            if time.monotonic() > self._ask_again_at:
+                self._ask_again_at = inf
+                self._subscribe(self._refused, link)
+                self._refused.clear()
             with suppress(TimeoutError):
                 data = link.recv(timeout=PATIENCE_S)
                 if isinstance(data, bytes):
@@ -163,15 +178,45 @@ class FoxgloveSource(Source):
             return None
 
     def _converse(self, message: Any, link: Any) -> None:
-        """Subscribe to channels that the server tells of."""
-        if not isinstance(message, dict) or message.get("op") != "advertise":
-            return
-        channels = message.get("channels")
-        wanted = list(self._wanted(channels if isinstance(channels, list) else []))
-        if wanted:
+        """Subscribe to channels that the server tells of, forget those it takes back."""
+        kind = message.get("op") if isinstance(message, dict) else None
+        if kind == "advertise":
+            self._subscribe(list(self._wanted(_items(message.get("channels")))), link)
+        elif kind == "unadvertise":
+            for number in _items(message.get("channelIds")):
+                self._forget(number)
+        elif kind == "status":
+            self._told(str(message.get("message", "")))
+
+    def _subscribe(self, numbers: Collection[int], link: Any) -> None:
+        if numbers:
             # A subscription has the number of its channel.
-            pairs = [{"id": number, "channelId": number} for number in wanted]
+            pairs = [{"id": number, "channelId": number} for number in sorted(numbers)]
             link.send(json.dumps({"op": "subscribe", "subscriptions": pairs}))
+
+    def _forget(self, number: Any) -> None:
+        with suppress(TypeError, ValueError):
+            self._channels.pop(int(number), None)
+            self._refused.discard(int(number))
+
+    def _told(self, reason: str) -> None:
+        """Ask again soon for a channel that the server does not know yet.
+
+        foxglove-sdk tells of a new channel before it takes subscriptions to it: a quick client is
+        refused as if there were none.
+        """
+        unknown = UNKNOWN_CHANNEL.search(reason)
+        number = int(unknown[1]) if unknown else -1
+        if number not in self._channels:
+            return
+        self._tries[number] += 1
+        if self._tries[number] >= MAX_TRIES:
+            self.findings.note(f"{self._address}, channel {self._channels[number].topic.name}:"
+                               " the server told of it, but does not know it")  # fmt: skip
+            return
+        self._refused.add(number)
+        soon = time.monotonic() + self._config.retry_interval
+        self._ask_again_at = min(self._ask_again_at, soon)
 
     def _wanted(self, channels: Iterable[Any]) -> Iterable[int]:
         for channel in channels:
@@ -202,9 +247,18 @@ class FoxgloveSource(Source):
         else:
             type_name, data = ros_name(type_name), b""
             kind = kind_of(type_name) if encoding in self._ros else "other"
-        self._n_schemas += 1
-        described = _Schema(self._n_schemas, type_name, encoding, data)
-        return _Channel(Topic(name, type_name, kind), encoding, described)
+        return _Channel(
+            Topic(name, type_name, kind), encoding, self._schema(type_name, encoding, data)
+        )
+
+    def _schema(self, name: str, encoding: str, data: bytes) -> _Schema:
+        """The schema with its number: decoders remember what they made of it."""
+        key = name, encoding, data
+        if key not in self._schemas:
+            if len(self._schemas) >= MAX_CHANNELS:
+                raise ValueError(f"more than {MAX_CHANNELS} schemas")
+            self._schemas[key] = _Schema(len(self._schemas) + 1, *key)
+        return self._schemas[key]
 
     def _is_wanted(self, topic: Topic) -> bool:
         topics = self._topics
@@ -232,3 +286,7 @@ class FoxgloveSource(Source):
         if ros is not None:
             return ros.decode(channel.topic.name, channel.topic.type, raw, place)
         return self._foxglove.decode(channel.topic.name, channel.schema, {}, raw, place)
+
+
+def _items(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
