@@ -2,162 +2,91 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lidar_core.cli.circles import NO_RETURN
-from lidar_core.cli.common import (
-    INTERRUPTED,
-    READ,
-    WRITTEN,
-    OverwriteFile,
-    Row,
-    Threads,
-    consoles,
-    given,
-    number,
-    result_table,
-    write_json,
-)
-from lidar_core.cli.detect import MAP, POINT_TIME
-from lidar_core.cli.run_options import PipelineOptions, with_options
+from lidar_core.cli.common import INTERRUPTED, Row, consoles, number, result_table, write_json
+from lidar_core.cli.live_options import LiveOptions
+from lidar_core.cli.run_options import with_options
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from lidar_core.live import LiveLoop, Output, Source
+    from lidar_core.cli.live_run import LiveRun
+    from lidar_core.live import LiveConfig, LiveLoop, Output, Source
     from lidar_core.live.loop import Report
     from lidar_core.live.stats import Delay
 
-IN = (
-    "zenoh, zenoh:tcp/HOST:PORT, foxglove, foxglove:ws://HOST:PORT, udp, udp:PORT (Velodyne's"
-    " packets)."
-)
-OUT = (
-    "foxglove, foxglove:PORT, zenoh, zenoh:tcp/HOST:PORT, rerun, rerun:web, rerun:FILE.rrd,"
-    " mcap:FILE; again for more."
-)
-STREAM = "Single value of the model `live`, such as pose_wait=0.5; again for more."
-FOLDER = "Folder to write: what `detect` or `circles` would leave of the scans that were processed."
-CAPABILITY = "auto: flying objects if clouds arrive, circles if 2D scans do."
 
-
-@with_options(PipelineOptions)
-def command(
-    options: PipelineOptions,
-    *,
-    source: Annotated[str | None, typer.Option("--in", help=IN, rich_help_panel=READ)] = None,
-    replay: Annotated[
-        Path | None, typer.Option(help="Play this recording instead.", rich_help_panel=READ)
-    ] = None,
-    rate: Annotated[
-        float | None,
-        typer.Option(
-            min=0.01,
-            show_default="1",
-            help="Seconds of the recording per second, for --replay.",
-            rich_help_panel=READ,
-        ),
-    ] = None,
-    outputs: Annotated[list[str], typer.Option("--out", help=OUT, rich_help_panel=WRITTEN)] = [],  # noqa: B006
-    capability: Annotated[
-        Literal["auto", "flying", "circles"], typer.Option(help=CAPABILITY)
-    ] = "auto",
-    cloud: Annotated[
-        list[str], typer.Option(help="Topic of a LiDAR; again for more.", rich_help_panel=READ)
-    ] = [],  # noqa: B006
-    scan: Annotated[
-        list[str], typer.Option(help="Topic of a 2D LiDAR; again for more.", rich_help_panel=READ)
-    ] = [],  # noqa: B006
-    point_time: Annotated[str | None, typer.Option(help=POINT_TIME, rich_help_panel=READ)] = None,
-    no_return: Annotated[str | None, typer.Option(help=NO_RETURN, rich_help_panel=READ)] = None,
-    known_map: Annotated[
-        Path | None, typer.Option("--map", help=f"{MAP} Only clouds count then.")
-    ] = None,
-    domain: Annotated[
-        int | None,
-        typer.Option(
-            envvar="ROS_DOMAIN_ID", help="Domain of ROS 2 over Zenoh.", rich_help_panel=READ
-        ),
-    ] = None,
-    stream: Annotated[list[str], typer.Option(help=STREAM)] = [],  # noqa: B006
-    seconds: Annotated[float | None, typer.Option(min=0, help="End after this time \\[s].")] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help=FOLDER, rich_help_panel=WRITTEN)
-    ] = None,
-    overwrite: OverwriteFile = False,
-    threads: Threads,
-) -> None:
+@with_options(LiveOptions)
+def command(options: LiveOptions) -> None:
     """Process scans as they arrive; the newest wins, and what is left out is counted.
 
     A line a second tells rate, latency (median and 95th percentile, from the stamp of the scan and
     from its arrival to the end of the outputs) and drops. Ctrl-C or SIGTERM ends with a
     summary.
     """
-    from lidar_core.cli.live_job import (
-        PipelineChoice,
-        check_files,
-        live_config,
-        open_output,
-        open_source,
-    )
-    from lidar_core.cli.live_run import LiveRun
-    from lidar_core.io import ReadOptions
+    from lidar_core.cli.live_job import check_files, live_config, open_output, open_source
     from lidar_core.live import LiveLoop
     from lidar_core.live.poses import LivePoses
-    from lidar_core.run_folder import RunFolder
 
-    read = ReadOptions.load(given({"point_time": point_time, "no_return": no_return}))
-    settings = live_config(domain, stream)
-    chosen = PipelineChoice(
-        capability,
-        tuple(cloud),
-        tuple(scan),
-        options.mode,
-        options.config,
-        tuple(options.values),
-        known_map,
-        threads,
-    )
-    where = LivePoses(options.poses(), settings)
-    check_files(outputs, replay, output, overwrite=overwrite)
-    record = None if output is None else LiveRun(
-        RunFolder(output, overwrite=overwrite, reads=replay), chosen.pipeline
-    )  # fmt: skip
+    read, settings = options.read(), live_config(options.domain, options.stream)
+    chosen, where = options.pipeline(), LivePoses(options.poses(), settings)
+    check_files(options.outputs, options.replay, options.output, overwrite=options.overwrite)
+    record = options.record(chosen)
     out, errors = consoles(options.json)
     with ExitStack() as stack:
-        listening = open_source(source, replay, rate=rate, read=read, live=settings,
-                                topics=chosen.topics(options.odom))  # fmt: skip
+        listening = open_source(options.source, options.replay, rate=options.rate, read=read,
+                                live=settings, topics=chosen.topics(options.odom))  # fmt: skip
         stack.callback(listening.close)
-        opened = [stack.enter_context(closing(open_output(text, settings))) for text in outputs]
+        opened = [
+            stack.enter_context(closing(open_output(text, settings))) for text in options.outputs
+        ]
         opened += [] if record is None else [record]
         loop = LiveLoop(
             listening, chosen.pipeline if record is None else record.pipeline, where, opened,
-            settings, topics=(*cloud, *scan), on_report=lambda report: _tell(errors, report),
+            settings, topics=(*options.clouds, *options.scans),
+            on_report=lambda report: _tell(errors, report),
         )  # fmt: skip
         _announce(errors, listening, opened)
         try:
-            is_interrupted = _run(loop, seconds)
+            is_interrupted = _run(loop, options.seconds)
         finally:
             summary = {"command": "live", "outputs": [item.name for item in opened],
                        **loop.summary()}  # fmt: skip
             if record is not None:
-                config = {"live": settings, "read": read, "pose": options.poses()}
-                inputs = {"recording": replay, "map": known_map}
-                summary = record.write(summary, config, inputs, errors)
-    out.print(_table(summary))
-    if summary.get("files"):
-        out.print(f"{output}: {', '.join(summary['files'])}", highlight=False, soft_wrap=True)
-    for note in summary["notes"]:
-        out.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
-    write_json(summary, options.json)
+                summary = _recorded(record, summary, options, settings, errors)
+    _conclude(out, summary, options)
     if record is not None and record.failed is not None:
         raise record.failed
     if is_interrupted:
         raise typer.Exit(INTERRUPTED)
+
+
+def _recorded(
+    record: "LiveRun",
+    summary: dict[str, Any],
+    options: LiveOptions,
+    settings: "LiveConfig",
+    console: "Console",
+) -> dict[str, Any]:
+    """Write the folder of the run; the summary with what is in it."""
+    config = {"live": settings, "read": options.read(), "pose": options.poses()}
+    inputs = {"recording": options.replay, "map": options.known_map}
+    return record.write(summary, config, inputs, console)
+
+
+def _conclude(out: "Console", summary: Mapping[str, Any], options: LiveOptions) -> None:
+    """Say how it went, and which files there are."""
+    out.print(_table(summary))
+    if summary.get("files"):
+        files = ", ".join(summary["files"])
+        out.print(f"{options.output}: {files}", highlight=False, soft_wrap=True)
+    for note in summary["notes"]:
+        out.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
+    write_json(summary, options.json)
 
 
 def _run(loop: "LiveLoop[Any]", seconds: float | None) -> bool:
