@@ -3,8 +3,9 @@
 //!
 //! Source: Vrba et al., eqs 8-12 and 16-22.
 
-use super::integrate::{ClassifiedScan, IntegrateStats, Plan, check_classes};
+use super::integrate::{ClassifiedScan, IntegrateStats, check_classes};
 use super::marks::{Accumulator, Content};
+use super::plan::Plan;
 use super::raycast::{cast_all, merge_ends};
 use super::segments::Source;
 use super::voxel_map::{Rays, VoxelMap};

@@ -3,16 +3,9 @@
 //! Source: Vrba et al., eqs 8-12 and 16-22.
 
 use super::marks::Content;
-use super::segments::{Ray, Source};
 use super::weighting::PoseError;
 use crate::Error;
 use crate::budget::check_points;
-use crate::geometry::lattice::{Voxel, wide};
-use crate::geometry::transform::norm;
-use pulp::{Arch, Simd, WithSimd};
-use rayon::ThreadPool;
-use rayon::prelude::*;
-use std::ops::Range;
 
 /// Class of a point: not to be used.
 pub const INVALID: u8 = 0;
@@ -90,145 +83,8 @@ impl IntegrateStats {
     }
 }
 
-/// What the scan asks for, checked before anything is changed.
-#[derive(Default)]
-pub(crate) struct Plan {
-    pub(super) rays: Vec<Ray>,
-    /// Voxel and row of every point.
-    points: Vec<(Voxel, u32)>,
-    /// Rows of the scan.
-    pub(super) rows: usize,
-    /// The voxels between which the rays lie.
-    span: Option<[Voxel; 2]>,
-    /// What is known without the classes of the points.
-    pub(super) stats: IntegrateStats,
-    error: Option<Error>,
-    /// What the following parts of the scan ask for, while other threads find that out.
-    others: Vec<Plan>,
-}
-
-impl Plan {
-    /// # Errors
-    /// Of several the first in the order of the input.
-    pub(super) fn fill(
-        &mut self,
-        pool: Option<&ThreadPool>,
-        source: &Source<'_>,
-    ) -> Result<(), Error> {
-        check_lengths(source.scan)?;
-        let all = source.scan.points.len();
-        let mut others = std::mem::take(&mut self.others);
-        others.resize_with(pool.map_or(1, ThreadPool::current_num_threads) - 1, Self::default);
-        let share = all.div_ceil(others.len() + 1);
-        let part = |number: usize| (number * share).min(all)..((number + 1) * share).min(all);
-        let mut fill_own = || self.fill_part(source, part(0));
-        match pool {
-            Some(pool) => {
-                let others = others.par_iter_mut().enumerate();
-                let fill = |(number, other): (usize, &mut Self)| {
-                    other.fill_part(source, part(number + 1));
-                };
-                pool.join(fill_own, || others.for_each(fill));
-            }
-            None => fill_own(),
-        }
-        others.iter_mut().for_each(|other| self.append(other));
-        (self.others, self.rows) = (others, all);
-        self.error.take().map_or(Ok(()), Err)
-    }
-
-    fn fill_part(&mut self, source: &Source<'_>, entries: Range<usize>) {
-        self.rays.clear();
-        self.points.clear();
-        self.stats = IntegrateStats::default();
-        self.rays.reserve(entries.len());
-        self.points.reserve(entries.len());
-        self.error = Arch::new().dispatch(Fill { plan: self, source, entries }).err();
-        self.stats.rays = self.rays.len();
-    }
-
-    /// Add what the next part of the scan asks for.
-    fn append(&mut self, next: &mut Self) {
-        self.rays.extend_from_slice(&next.rays);
-        self.points.extend_from_slice(&next.points);
-        self.span = match (self.span, next.span) {
-            (Some([low, high]), Some([other_low, other_high])) => Some([
-                std::array::from_fn(|axis| low[axis].min(other_low[axis])),
-                std::array::from_fn(|axis| high[axis].max(other_high[axis])),
-            ]),
-            (own, other) => own.or(other),
-        };
-        self.stats.skipped += next.stats.skipped;
-        self.stats.rays += next.stats.rays;
-        self.stats.no_return_rays += next.stats.no_return_rays;
-        self.error = self.error.take().or(next.error.take());
-    }
-
-    /// First and last voxel of the rays; without rays, one with a point.
-    pub(super) fn bounds(&self) -> Option<[Voxel; 2]> {
-        self.span.or(self.points.first().map(|&(voxel, _)| [voxel; 2]))
-    }
-
-    /// Points with what the classes of the rows say that they are.
-    pub(super) fn classified(&self, class: &[u8]) -> impl Iterator<Item = (Voxel, Content)> {
-        let content = |row: u32| content_of(class[row as usize]);
-        self.points.iter().filter_map(move |&(voxel, row)| Some((voxel, content(row)?)))
-    }
-
-    /// Note what the entry `index` asks for.
-    #[inline(always)]
-    fn add(&mut self, source: &Source<'_>, index: usize) -> Result<(), Error> {
-        let scan = source.scan;
-        let ray = Ray { index: index as u32, count: 1 };
-        if scan.no_return.is_some_and(|flags| flags[index]) {
-            let length = scan.directions.map(|directions| norm(wide(directions[index])));
-            if length.is_some_and(|length| length.is_finite() && length > 0.0) {
-                self.stats.no_return_rays += 1;
-                self.rays.push(ray);
-            } else {
-                self.stats.skipped += 1;
-            }
-            return Ok(());
-        }
-        let point = wide(scan.points[index]);
-        if scan.class[index] == INVALID || !point.iter().all(|value| value.is_finite()) {
-            self.stats.skipped += 1;
-            return Ok(());
-        }
-        self.points.push((source.lattice.voxel_at(point)?, ray.index));
-        if scan.no_ray.is_none_or(|flags| !flags[index]) {
-            self.rays.push(ray);
-        }
-        Ok(())
-    }
-}
-
-struct Fill<'a> {
-    plan: &'a mut Plan,
-    source: &'a Source<'a>,
-    entries: Range<usize>,
-}
-
-impl WithSimd for Fill<'_> {
-    type Output = Result<(), Error>;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Result<(), Error> {
-        let Self { plan, source, entries } = self;
-        let mut added = Ok(());
-        for index in entries {
-            added = plan.add(source, index);
-            if added.is_err() {
-                break;
-            }
-        }
-        plan.span = source.span(&plan.rays)?; // their errors come first
-        added
-    }
-}
-
 #[inline(always)]
-fn content_of(class: u8) -> Option<Content> {
+pub(super) fn content_of(class: u8) -> Option<Content> {
     match class {
         BACKGROUND => Some(Content::Background),
         FLYING => Some(Content::Flying),
@@ -250,7 +106,7 @@ pub(super) fn check_classes(class: &[u8], expected: usize) -> Result<(), Error> 
     })
 }
 
-fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {
+pub(super) fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {
     let expected = scan.points.len();
     check_points(expected)?;
     check_classes(scan.class, expected)?;
@@ -391,6 +247,14 @@ pub(crate) mod tests {
                 assert_eq!(map.values_at(&along[5..]), alone.values_at(&along[5..]));
             }
         }
+        Ok(())
+    }
+
+    #[test]
+    fn a_scan_without_anything_fits_any_lattice() -> Result<(), Error> {
+        let mut map = VoxelMap::new(MapParameters { voxel_size: 1e300, ..parameters() }, 1)?;
+        let stats = map.integrate(&scan(&[[f32::NAN; 3]; 3], &[BACKGROUND; 3]))?;
+        assert_eq!((stats.skipped, stats.rays, stats.voxels), (3, 0, 0));
         Ok(())
     }
 

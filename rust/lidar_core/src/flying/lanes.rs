@@ -5,8 +5,9 @@
 //! edge or corner the lowest axis goes first, as in `geometry::traverse`.
 
 use super::marks::{Accumulator, STEPS, UNITS_PER_EDGE};
-use super::segments::{LANES, Numbers, Ray, Segments, Source, least, voxel};
+use super::segments::{LANES, Lanes, Numbers, Ray, Segments, Source, least, places};
 use super::window::Window;
+use crate::geometry::lattice::whole;
 use pulp::{Arch, Simd, WithSimd};
 
 /// Times `STEPS` steps of a bundle that are written down before their lengths are added to memory:
@@ -16,9 +17,6 @@ const RUN: usize = 8;
 const FURTHEST: f64 = (i32::MAX - 1) as f64;
 /// Wall of an axis along which none is crossed.
 const NEVER: u32 = u32::MAX;
-
-/// Numbers of the rays of a bundle.
-type Lanes = [u32; LANES];
 
 /// Rays that are walked together. Positions along a ray are whole numbers of sub-units, of which a unit
 /// of length has 2^`shift`.
@@ -49,7 +47,7 @@ impl Bundle {
             pace: [[0; LANES]; 3],
             end: [0; LANES],
             shift: [0; LANES],
-            place: [0; LANES],
+            place: places(&start, window),
             mirror: [0; LANES],
             visits: [0; LANES],
             count: [0; LANES],
@@ -62,12 +60,27 @@ impl Bundle {
             bundle.set_walls(axis, &length, &start[axis], &end[axis], window.bits_along(axis));
         }
         for lane in 0..LANES {
-            let first = voxel(&start, lane);
-            bundle.place[lane] = window.bits_of(first) ^ bundle.mirror[lane];
+            bundle.place[lane] ^= bundle.mirror[lane];
             bundle.visits[lane] =
                 if bundle.count[lane] == 0 { 0 } else { bundle.visits[lane].wrapping_add(1) };
         }
         bundle
+    }
+
+    /// Whether a ray counts for more than itself.
+    #[inline(always)]
+    fn stands_for_others(&self) -> bool {
+        self.count.iter().fold(false, |any, &count| any | (count > 1))
+    }
+
+    /// Let lengths count as often as their rays.
+    #[inline(always)]
+    fn multiply(&self, lengths: &mut [Lanes]) {
+        for lengths in lengths {
+            for (length, count) in lengths.iter_mut().zip(self.count) {
+                *length = length.wrapping_mul(count);
+            }
+        }
     }
 
     /// Find lengths in sub-units.
@@ -102,8 +115,9 @@ impl Bundle {
             let gap = ((if upwards { first + 1.0 } else { first }) - start[lane]).abs();
             let rate = least(length[lane] / (end[lane] - start[lane]).abs(), f64::MAX);
             let (walls, ahead) = ((last - first).abs(), f64::from(self.end[lane]));
-            let most = if walls > 1.0 { (ahead / (walls - 1.0)).floor() } else { ahead + 1.0 };
-            let pace = least(rate.round_ties_even(), most);
+            let pace = least(rate.round_ties_even(), ahead + 1.0);
+            // Not further than the end: rounding may have made one unit too many of it.
+            let pace = if (walls - 1.0) * pace > ahead { pace - 1.0 } else { pace };
             let wall = least((gap * rate).round_ties_even(), ahead - (walls - 1.0) * pace);
             let wall = -least(-wall, -(ahead + 1.0 - walls * pace));
             let is_met = walls > 0.0;
@@ -113,12 +127,6 @@ impl Bundle {
             self.visits[lane] = self.visits[lane].wrapping_add(whole(walls));
         }
     }
-}
-
-/// A whole number below 2^32, as the vector unit converts it: added to 2^52 it has the lowest bits.
-#[inline(always)]
-fn whole(value: f64) -> u32 {
-    (value + (1u64 << 52) as f64).to_bits() as u32
 }
 
 /// Add the length of `rays` inside every voxel they cross.
@@ -171,7 +179,10 @@ impl Cast<'_> {
                         walk.step(simd, places, lengths);
                     }
                 }
-                self.accumulator.add(self.window, places, lengths, &bundle.count);
+                if bundle.stands_for_others() {
+                    bundle.multiply(lengths.as_flattened_mut());
+                }
+                self.accumulator.add(self.window, places, lengths);
                 left -= run;
             }
             self.accumulator.count(bundle.visits.iter().map(|&visits| u64::from(visits)).sum());

@@ -132,23 +132,22 @@ impl Accumulator {
         slot
     }
 
-    /// Add the lengths of steps of `N` rays side by side, each as often as its ray counts, to the
-    /// voxels whose bits in the window are in `places`. Sums may pass the largest mark until `settle`.
+    /// Add the lengths of steps of `N` rays side by side to the voxels whose bits in the window are in
+    /// `places`. Sums may pass the largest mark until `settle`.
     #[inline(never)] // it would have too few registers
     pub(super) fn add<const N: usize>(
         &mut self,
         window: &Window,
         places: &[Steps<N>],
         lengths: &[Steps<N>],
-        counts: &[u32; N],
     ) {
         if window.is_whole() {
             let marks = self.sheet.marks_mut();
-            each(places, lengths, counts, |place, length| {
+            each(places, lengths, |place, length| {
                 marks[place] = marks[place].wrapping_add(length);
             });
         } else {
-            each(places, lengths, counts, |place, length| {
+            each(places, lengths, |place, length| {
                 if length != 0 {
                     let mark = self.slot(window, place / VOLUME) * VOLUME + place % VOLUME;
                     let mark = &mut self.sheet.marks_mut()[mark];
@@ -173,22 +172,27 @@ impl Accumulator {
 
     /// Note points, each with its class.
     pub(super) fn mark_all(&mut self, mut points: impl Iterator<Item = (Voxel, Content)>) {
-        let mut spots = [None; POINTS_AT_A_TIME];
+        let Some(window) = self.window else { return };
+        let mut spots = [(0, Content::Rays); POINTS_AT_A_TIME];
         loop {
-            let mut count = 0;
-            for (spot, (voxel, content)) in spots.iter_mut().zip(&mut points) {
-                *spot = self.spot(voxel).map(|spot| (spot, content));
-                count += 1;
+            let (mut taken, mut within) = (0, 0);
+            for (voxel, content) in points.by_ref().take(POINTS_AT_A_TIME) {
+                taken += 1;
+                if let Some(place) = window.place_of(voxel) {
+                    spots[within] = (self.spot_within(&window, place), content);
+                    within += 1;
+                } else {
+                    self.mark_points(voxel, content, 1);
+                }
             }
-            if count == 0 {
+            if taken == 0 {
                 return;
             }
-            let spots = spots[..count].iter().flatten();
+            let (marks, spots) = (self.sheet.marks_mut(), &spots[..within]);
             // All are looked at before any is changed: their memory is waited for once.
-            black_box(spots.clone().fold(0, |seen, &(spot, _)| seen | *self.at(spot)));
+            black_box(spots.iter().fold(0, |seen, &(spot, _)| seen | marks[spot]));
             for &(spot, content) in spots {
-                let mark = self.at(spot);
-                *mark = with_points(*mark, content, 1);
+                marks[spot] = with_points(marks[spot], content, 1);
             }
         }
     }
@@ -214,17 +218,29 @@ impl Accumulator {
         self.spot(voxel).map(|spot| self.at(spot))
     }
 
+    /// Mark at a place of the window that is about to be set.
+    #[inline(always)]
+    pub(super) fn mark_within(&mut self, window: &Window, place: usize) -> &mut Mark {
+        let spot = self.spot_within(window, place);
+        &mut self.sheet.marks_mut()[spot]
+    }
+
     /// Where the mark of a voxel is that is about to be set.
     #[inline(always)]
     fn spot(&mut self, voxel: Voxel) -> Option<Slot> {
         let window = self.window?;
-        let place = Place::of(voxel);
-        if window.holds(place) {
-            let slot = self.slot(&window, window.index(place));
-            return Some(Slot::Within(self.sheet.spot(slot, offset_of(voxel))));
+        if let Some(place) = window.place_of(voxel) {
+            return Some(Slot::Within(self.spot_within(&window, place)));
         }
-        let slot = self.beyond.slot(place, self.most)?;
+        let slot = self.beyond.slot(Place::of(voxel), self.most)?;
         Some(Slot::Beyond(self.beyond.spot(slot, offset_of(voxel))))
+    }
+
+    /// The same of a place in the window.
+    #[inline(always)]
+    fn spot_within(&mut self, window: &Window, place: usize) -> usize {
+        let slot = self.slot(window, place / VOLUME);
+        self.sheet.spot(slot, place % VOLUME)
     }
 
     #[inline(always)]
@@ -318,13 +334,12 @@ impl Accumulator {
 fn each<const N: usize>(
     places: &[Steps<N>],
     lengths: &[Steps<N>],
-    counts: &[u32; N],
     mut add: impl FnMut(usize, u32),
 ) {
-    for (lane, &count) in counts.iter().enumerate() {
+    for lane in 0..N {
         for (places, lengths) in places.iter().zip(lengths) {
             for (place, length) in places.iter().zip(lengths) {
-                add(place[lane] as usize, length[lane].wrapping_mul(count));
+                add(place[lane] as usize, length[lane]);
             }
         }
     }

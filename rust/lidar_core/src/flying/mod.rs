@@ -30,6 +30,7 @@ mod marks;
 mod near;
 pub mod parameters;
 mod persist;
+mod plan;
 mod raycast;
 mod rule;
 pub mod scan;

@@ -5,7 +5,7 @@
 
 use super::lanes::cast;
 use super::marks::{Accumulator, RAYS_FROM_EMPTY, RAYS_FROM_FULL};
-use super::segments::{LANES, Ray, Source, voxel};
+use super::segments::{LANES, Ray, Source, places};
 use super::window::Window;
 use crate::Error;
 use pulp::{Arch, Simd, WithSimd};
@@ -32,7 +32,7 @@ pub(crate) fn merge_ends(
     most: usize,
 ) -> Result<(), Error> {
     accumulator.aim(window, most);
-    Arch::new().dispatch(Merge { accumulator, source, rays });
+    Arch::new().dispatch(Merge { accumulator, window: &window, source, rays });
     accumulator.check()?;
     accumulator.clear(None);
     Ok(())
@@ -40,6 +40,7 @@ pub(crate) fn merge_ends(
 
 struct Merge<'a> {
     accumulator: &'a mut Accumulator,
+    window: &'a Window,
     source: &'a Source<'a>,
     rays: &'a mut Vec<Ray>,
 }
@@ -49,15 +50,15 @@ impl WithSimd for Merge<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { accumulator, source, rays } = self;
+        let Self { accumulator, window, source, rays } = self;
         let mut kept = 0;
         for from in (0..rays.len()).step_by(LANES) {
             let to = rays.len().min(from + LANES);
             let ends = source.segments(&rays[from..to]).scaled(source.lattice).end;
-            for (lane, at) in (from..to).enumerate() {
+            let last = places(&ends, window);
+            for (at, last) in (from..to).zip(last) {
                 let ray = rays[at];
-                let last = voxel(&ends, lane);
-                let Some(mark) = accumulator.mark(last) else { continue }; // `check` will say why
+                let mark = accumulator.mark_within(window, last as usize);
                 // The mark is the number of the last ray kept for this voxel, counted from 1.
                 match (*mark as usize).checked_sub(1).and_then(|first| rays.get_mut(first)) {
                     Some(first) if first.count < MOST_MERGED => first.count += 1,

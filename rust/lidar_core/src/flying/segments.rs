@@ -3,16 +3,23 @@
 //! Loops over the lanes of a bundle, which the compiler turns into instructions of the vector unit
 //! that calls them.
 
-use super::integrate::ClassifiedScan;
+use super::integrate::{ClassifiedScan, Origins};
 use super::voxel_map::MapParameters;
+use super::window::Window;
 use crate::Error;
-use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
-use crate::geometry::transform::minus;
+use crate::geometry::lattice::{Lattice, Voxel, floor, whole, wide};
 
 /// Rays side by side: two vectors of the widest unit, so that one works while the other waits.
 pub(super) const LANES: usize = 32;
 /// Numbers of them along an axis.
 pub(super) type Numbers = [f64; LANES];
+
+/// Whole numbers of them.
+pub(super) type Lanes = [u32; LANES];
+/// Numbers of the entries of a scan whose rays they are.
+pub(super) type Indices = [usize; LANES];
+/// What holds of some of them.
+pub(super) type Flags = [bool; LANES];
 
 /// A ray that is cast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,44 +38,100 @@ pub(crate) struct Source<'a> {
     pub(crate) lattice: &'a Lattice,
 }
 
-/// Rays side by side [m]; the last ones may repeat the first.
+/// Rays side by side [m]; the last ones may repeat others.
 pub(super) struct Segments {
     pub(super) start: [Numbers; 3],
     pub(super) end: [Numbers; 3],
+}
+
+/// Corners between which rays lie [m].
+pub(super) struct Bounds {
+    low: [Numbers; 3],
+    high: [Numbers; 3],
+    /// Lanes with a ray of which an end is not finite.
+    odd: Flags,
 }
 
 impl Source<'_> {
     /// The segments of up to [`LANES`] rays, at least one.
     #[inline(always)]
     pub(super) fn segments(&self, rays: &[Ray]) -> Segments {
-        let mut start = [[0.0; LANES]; 3];
-        let mut along = [[0.0; LANES]; 3];
-        let mut end = [[0.0; LANES]; 3];
-        let mut margin = [self.parameters.end_margin; LANES];
-        for lane in 0..LANES {
-            let index = rays[if lane < rays.len() { lane } else { 0 }].index as usize;
-            let origin = self.scan.origins.at(index);
-            let (point, span) = match (self.scan.directions, self.scan.no_return) {
-                (Some(directions), Some(flags)) if flags[index] => {
-                    margin[lane] = f64::NEG_INFINITY; // up to the maximum range
-                    ([f64::NAN; 3], wide(directions[index]))
-                }
-                _ => {
-                    let point = wide(self.scan.points[index]);
-                    (point, minus(point, origin))
-                }
-            };
-            if let Some(error) = self.scan.pose_error.filter(|_| margin[lane].is_finite()) {
-                margin[lane] += error.end_margin(span);
+        let mut index = [rays[0].index as usize; LANES];
+        for (index, ray) in index.iter_mut().zip(rays) {
+            *index = ray.index as usize;
+        }
+        self.between(&index, &self.points(&index))
+    }
+
+    /// The segments of the rays of these entries, whose points are given.
+    #[inline(always)]
+    pub(super) fn between(&self, index: &Indices, points: &[Numbers; 3]) -> Segments {
+        let (start, mut end) = (self.starts(index), *points);
+        let mut along = end;
+        for axis in 0..3 {
+            for lane in 0..LANES {
+                along[axis][lane] -= start[axis][lane];
             }
-            for axis in 0..3 {
-                start[axis][lane] = origin[axis];
-                along[axis][lane] = span[axis];
-                end[axis][lane] = point[axis];
+        }
+        let mut margin = [self.parameters.end_margin; LANES];
+        self.aim_without_return(index, &mut along, &mut margin);
+        if let Some(error) = self.scan.pose_error {
+            for (lane, margin) in margin.iter_mut().enumerate().filter(|(_, m)| m.is_finite()) {
+                *margin += error.end_margin(along.map(|axis| axis[lane]));
             }
         }
         self.shorten(&start, &along, &margin, &mut end);
         Segments { start, end }
+    }
+
+    /// The points of these entries [m].
+    #[inline(always)]
+    pub(super) fn points(&self, index: &Indices) -> [Numbers; 3] {
+        let mut points = [[0.0; LANES]; 3];
+        for lane in 0..LANES {
+            let point = wide(self.scan.points[index[lane]]);
+            for axis in 0..3 {
+                points[axis][lane] = point[axis];
+            }
+        }
+        points
+    }
+
+    /// Where the rays of a bundle start.
+    #[inline(always)]
+    fn starts(&self, index: &Indices) -> [Numbers; 3] {
+        let mut start = [[0.0; LANES]; 3];
+        match self.scan.origins {
+            Origins::One(origin) => start = origin.map(|value| [value; LANES]),
+            Origins::Each(origins) => {
+                for lane in 0..LANES {
+                    for axis in 0..3 {
+                        start[axis][lane] = origins[index[lane]][axis];
+                    }
+                }
+            }
+        }
+        start
+    }
+
+    /// Rays that met nothing go along their direction, up to the maximum range.
+    #[inline(always)]
+    fn aim_without_return(&self, index: &Indices, along: &mut [Numbers; 3], margin: &mut Numbers) {
+        let (Some(directions), Some(flags)) = (self.scan.directions, self.scan.no_return) else {
+            return;
+        };
+        let flags = index.map(|index| flags[index]);
+        if !flags.contains(&true) {
+            return;
+        }
+        for lane in 0..LANES {
+            let direction = wide(directions[index[lane]]);
+            margin[lane] = if flags[lane] { f64::NEG_INFINITY } else { margin[lane] };
+            for axis in 0..3 {
+                let to_point = along[axis][lane];
+                along[axis][lane] = if flags[lane] { direction[axis] } else { to_point };
+            }
+        }
     }
 
     /// Let rays end before their points by the margin, and no further than `max_range` (eq. 20).
@@ -93,42 +156,10 @@ impl Source<'_> {
         }
     }
 
-    /// The voxels between which `rays` lie.
-    ///
     /// # Errors
     /// [`Error::PointOutOfRange`] for the first ray of which an end cannot be indexed.
-    #[inline(always)]
-    pub(super) fn span(&self, rays: &[Ray]) -> Result<Option<[Voxel; 2]>, Error> {
-        let (mut low, mut high) = ([[f64::MAX; LANES]; 3], [[f64::MIN; LANES]; 3]);
-        let mut odd = [false; LANES];
-        for rays in rays.chunks(LANES) {
-            let Segments { start, end } = self.segments(rays);
-            for axis in 0..3 {
-                for lane in 0..LANES {
-                    let (a, b) = (start[axis][lane], end[axis][lane]);
-                    odd[lane] |= !(a.is_finite() & b.is_finite());
-                    low[axis][lane] = least(low[axis][lane], least(a, b));
-                    high[axis][lane] = -least(-high[axis][lane], least(-a, -b));
-                }
-            }
-        }
-        if rays.is_empty() {
-            return Ok(None);
-        }
-        // Scaling keeps the order of numbers.
-        let voxel = |point| floor(self.lattice.scaled(point));
-        let low = voxel(low.map(|lanes| lanes.into_iter().fold(f64::MAX, f64::min)));
-        let high = voxel(high.map(|lanes| lanes.into_iter().fold(f64::MIN, f64::max)));
-        match low.zip(high).filter(|_| !odd.contains(&true)) {
-            Some((low, high)) => Ok(Some([low, high])),
-            None => self.check(rays).map(|()| None),
-        }
-    }
-
-    /// # Errors
-    /// As those of `span`.
     #[cold]
-    fn check(&self, rays: &[Ray]) -> Result<(), Error> {
+    pub(super) fn check(&self, rays: &[Ray]) -> Result<(), Error> {
         for ray in rays {
             let Segments { start, end } = self.segments(std::slice::from_ref(ray));
             for point in [start, end].map(|lanes| lanes.map(|axis| axis[0])) {
@@ -136,6 +167,41 @@ impl Source<'_> {
             }
         }
         Ok(())
+    }
+}
+
+impl Default for Bounds {
+    fn default() -> Self {
+        let (low, high) = ([[f64::MAX; LANES]; 3], [[f64::MIN; LANES]; 3]);
+        Self { low, high, odd: [false; LANES] }
+    }
+}
+
+impl Bounds {
+    /// Let them hold rays, those whose flags are set.
+    #[inline(always)]
+    pub(super) fn hold(&mut self, Segments { start, end }: &Segments, is_ray: &Flags) {
+        for axis in 0..3 {
+            for lane in 0..LANES {
+                let (a, b, is_ray) = (start[axis][lane], end[axis][lane], is_ray[lane]);
+                self.odd[lane] |= is_ray & !(a.is_finite() & b.is_finite());
+                let (low, high) = (self.low[axis][lane], self.high[axis][lane]);
+                let (least, most) = (least(a, b), -least(-a, -b));
+                self.low[axis][lane] = if is_ray & (least < low) { least } else { low };
+                self.high[axis][lane] = if is_ray & (most > high) { most } else { high };
+            }
+        }
+    }
+
+    /// The voxels of the corners; none without rays, or if one cannot be indexed.
+    pub(super) fn voxels(&self, lattice: &Lattice) -> Option<[Voxel; 2]> {
+        // Scaling keeps the order of numbers.
+        let low = self.low.map(|lanes| lanes.into_iter().fold(f64::MAX, f64::min));
+        let high = self.high.map(|lanes| lanes.into_iter().fold(f64::MIN, f64::max));
+        if self.odd.contains(&true) || low[0] > high[0] {
+            return None;
+        }
+        Some([floor(lattice.scaled(low))?, floor(lattice.scaled(high))?])
     }
 }
 
@@ -151,18 +217,22 @@ impl Segments {
 fn scaled(points: &[Numbers; 3], lattice: &Lattice) -> [Numbers; 3] {
     let mut scaled = *points;
     for (axis, values) in scaled.iter_mut().enumerate() {
-        for value in values {
-            *value = (*value - lattice.origin()[axis]) / lattice.voxel_size();
-        }
+        lattice.scale(axis, values);
     }
     scaled
 }
 
-/// The voxel of the point of a lane, in units of voxels.
+/// Places in `window` of points that lie in it, in units of voxels.
 #[inline(always)]
-pub(super) fn voxel(points: &[Numbers; 3], lane: usize) -> Voxel {
-    let [x, y, z] = points;
-    [x[lane].floor() as i32, y[lane].floor() as i32, z[lane].floor() as i32]
+pub(super) fn places(points: &[Numbers; 3], window: &Window) -> Lanes {
+    let mut places = [0; LANES];
+    for (axis, points) in points.iter().enumerate() {
+        let first = f64::from(window.first(axis));
+        for lane in 0..LANES {
+            places[lane] |= window.bits_at(axis, whole(points[lane].floor() - first));
+        }
+    }
+    places
 }
 
 /// The lesser one, as the vector unit has it.
@@ -173,8 +243,8 @@ pub(super) fn least(a: f64, b: f64) -> f64 {
 
 #[cfg(test)]
 pub(super) mod tests {
+    use super::super::integrate::BACKGROUND;
     use super::super::integrate::tests::parameters;
-    use super::super::integrate::{BACKGROUND, Origins};
     use super::*;
 
     /// Show `run` rays from starts to ends, in units of voxels.

@@ -57,7 +57,8 @@ impl VoxelMap {
         let voxels = tasks.iter().map(|task| task.voxels).sum();
         for Task { place, home, block, changed, before, .. } in tasks.drain(..) {
             if let (Some(home), Some(block)) = (home, block) {
-                for (z, (bits, before)) in (0..).zip(changed.into_iter().zip(before)) {
+                let layers = (0..).zip(changed.into_iter().zip(before));
+                for (z, (bits, before)) in layers.filter(|(_, (bits, _))| *bits != 0) {
                     self.changes.note(Layer { place, z, bits }, before);
                 }
                 self.blocks.put(home, block);

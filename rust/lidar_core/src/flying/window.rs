@@ -88,21 +88,16 @@ impl Window {
         along(k).flat_map(move |k| along(j).flat_map(move |j| along(i).map(move |i| k | j | i)))
     }
 
-    pub(super) fn index(&self, place: Place) -> usize {
-        (0..3).fold(0, |index, axis| {
-            let block = place.0[axis].wrapping_sub(self.low[axis]) as usize;
-            index | block << (self.lowest[axis] - INSIDE)
-        })
+    /// Index of its first voxels along an axis.
+    pub(super) fn first(&self, axis: usize) -> i32 {
+        self.low[axis] << EDGE_BITS
     }
 
-    /// Bits of a voxel.
+    /// Bits along `axis` of a voxel that is so many after the first.
     #[inline(always)]
-    pub(super) fn bits_of(&self, voxel: Voxel) -> u32 {
-        (0..3).fold(0, |bits, axis| {
-            let below = voxel[axis].wrapping_sub(self.low[axis] << EDGE_BITS) as u32;
-            let (inside, block) = (below % EDGE as u32, below / EDGE as u32);
-            bits | inside << (EDGE_BITS as usize * axis) | block.wrapping_shl(self.lowest[axis])
-        })
+    pub(super) fn bits_at(&self, axis: usize, after: u32) -> u32 {
+        let (inside, block) = (after % EDGE as u32, after / EDGE as u32);
+        inside << (EDGE_BITS as usize * axis) | block.wrapping_shl(self.lowest[axis])
     }
 
     /// Those of them that belong to an axis.
@@ -112,8 +107,17 @@ impl Window {
         inside << (EDGE_BITS as usize * axis) | block.wrapping_shl(self.lowest[axis])
     }
 
-    pub(super) fn holds(&self, place: Place) -> bool {
-        (0..3).all(|axis| (place.0[axis].wrapping_sub(self.low[axis]) as usize) < self.size[axis])
+    /// Place of a voxel, if it lies in the window.
+    #[inline(always)]
+    pub(super) fn place_of(&self, voxel: Voxel) -> Option<usize> {
+        let mut after = [0; 3];
+        for axis in 0..3 {
+            after[axis] = voxel[axis].wrapping_sub(self.first(axis)).cast_unsigned();
+            if after[axis] as usize >= self.size[axis] * EDGE as usize {
+                return None;
+            }
+        }
+        Some((0..3).fold(0, |bits, axis| bits | self.bits_at(axis, after[axis])) as usize)
     }
 
     pub(super) fn place(&self, index: usize) -> Place {
@@ -150,16 +154,14 @@ mod tests {
             assert_eq!(window.len(), 13 * 8 * 2); // not 16 blocks along the longest axis
             assert!(window.indices().is_sorted());
             for voxel in [low, high, [0, 0, -991], [-65, 39, -992]].map(turned) {
-                let place = Place::of(voxel);
-                let index = window.index(place);
-                assert!(window.holds(place) && index < window.len());
-                assert!(window.indices().any(|other| other == index));
-                assert_eq!(window.place(index), place);
-                assert_eq!(window.bits_of(voxel) as usize, index * VOLUME + offset_of(voxel));
+                let place = window.place_of(voxel);
+                let index = window.indices().find(|&index| window.place(index) == Place::of(voxel));
+                assert!(index.is_some_and(|index| index < window.len()));
+                assert_eq!(place, index.map(|index| index * VOLUME + offset_of(voxel)));
             }
         }
         for beyond in [[-73, 0, -1000], [32, 0, -1000], [0, -9, -1000], [0, 0, -984]] {
-            assert!(!window.holds(Place::of(beyond)));
+            assert_eq!(window.place_of(beyond), None);
         }
         Ok(())
     }

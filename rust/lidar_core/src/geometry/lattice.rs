@@ -17,6 +17,8 @@ const DOUBT: f64 = 4.0 * f64::EPSILON;
 pub struct Lattice {
     voxel_size: f64,
     origin: [f64; 3],
+    /// 1 / `voxel_size`, where multiplying by it is dividing: for powers of two.
+    exact_inverse: Option<f64>,
 }
 
 impl Lattice {
@@ -30,7 +32,9 @@ impl Lattice {
             "finite",
             format_args!("{origin:?}"),
         )?;
-        Ok(Self { voxel_size, origin })
+        let inverse = 1.0 / voxel_size;
+        let is_exact = is_power_of_two(voxel_size) && is_power_of_two(inverse);
+        Ok(Self { voxel_size, origin, exact_inverse: is_exact.then_some(inverse) })
     }
 
     /// Edge of a voxel [m].
@@ -52,6 +56,17 @@ impl Lattice {
         std::array::from_fn(|axis| (point[axis] - self.origin[axis]) / self.voxel_size)
     }
 
+    /// Numbers along `axis` as [`Self::scaled`] has them, many at a time.
+    #[inline(always)]
+    pub(crate) fn scale(&self, axis: usize, values: &mut [f64]) {
+        let origin = self.origin[axis];
+        if let Some(inverse) = self.exact_inverse {
+            values.iter_mut().for_each(|value| *value = (*value - origin) * inverse);
+        } else {
+            values.iter_mut().for_each(|value| *value = (*value - origin) / self.voxel_size);
+        }
+    }
+
     /// The voxel that holds `point`; a point on a face belongs to the voxel above it. Exact: the
     /// rounding of the division does not move a point across a face.
     ///
@@ -71,6 +86,28 @@ impl Lattice {
         Ok(voxel)
     }
 
+    /// [`Self::voxel_at`] of many points, along every axis; those whose second value is not positive
+    /// are in doubt: only that one knows their voxel.
+    #[inline(always)]
+    pub(crate) fn voxels_at<const N: usize>(
+        &self,
+        points: &[[f64; N]; 3],
+    ) -> ([[i32; N]; 3], [f64; N]) {
+        let (mut voxels, mut sure) = ([[0; N]; 3], [1.0; N]);
+        for axis in 0..3 {
+            let mut scaled = points[axis];
+            self.scale(axis, &mut scaled);
+            for lane in 0..N {
+                let face = scaled[lane].round_ties_even();
+                let away = (scaled[lane] - face).abs() - DOUBT * face.abs();
+                let away = if is_index(scaled[lane]) { away } else { 0.0 };
+                sure[lane] = if away < sure[lane] { away } else { sure[lane] };
+                voxels[axis][lane] = whole(scaled[lane].floor()).cast_signed();
+            }
+        }
+        (voxels, sure)
+    }
+
     /// Centre of `voxel` [m].
     #[must_use]
     pub fn center(&self, voxel: Voxel) -> [f64; 3] {
@@ -78,6 +115,11 @@ impl Lattice {
             (f64::from(voxel[axis]) + 0.5) * self.voxel_size + self.origin[axis]
         })
     }
+}
+
+/// Whether a normal number has no fraction bits.
+fn is_power_of_two(value: f64) -> bool {
+    value.is_normal() && value.to_bits().trailing_zeros() >= f64::MANTISSA_DIGITS - 1
 }
 
 /// The voxel of a point given in units of voxels; None if it cannot be indexed.
@@ -92,6 +134,14 @@ pub fn floor(scaled: [f64; 3]) -> Option<Voxel> {
         voxel[axis] = scaled[axis].floor() as i32; // in range: checked above
     }
     Some(voxel)
+}
+
+/// A whole number of 32 bits, with a sign or without, as the vector unit converts it: after the
+/// addition it has the lowest bits.
+#[inline(always)]
+pub(crate) fn whole(value: f64) -> u32 {
+    const TO_LOWEST_BITS: f64 = 1.5 * (1u64 << 52) as f64;
+    (value + TO_LOWEST_BITS).to_bits() as u32
 }
 
 /// Whether a coordinate in units of voxels can be indexed.
@@ -110,6 +160,40 @@ pub fn wide([x, y, z]: [f32; 3]) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn many_points_have_the_voxels_that_they_have_alone() -> Result<(), Error> {
+        const N: usize = 8;
+        for voxel_size in [0.25, 2.0, 0.1, 0.3, 1.0 / 3.0, f64::MIN_POSITIVE] {
+            let lattice = Lattice::new(voxel_size, [0.1, 0.0, -7.3])?;
+            let mut n_sure = 0;
+            for step in -2000..2000 {
+                let at = |lane: usize| f64::from(step) * 0.05 + lane as f64 * 1e-17;
+                let odd = if step % 500 == 0 { f64::NAN } else { f64::from(step) * 0.317 };
+                let points = [std::array::from_fn(at), [0.7 * at(0); N], [odd; N]];
+                let (voxels, sure) = lattice.voxels_at(&points);
+                for lane in (0..N).filter(|&lane| sure[lane] > 0.0) {
+                    let voxel = lattice.voxel_at(points.map(|axis| axis[lane]))?;
+                    assert_eq!(voxels.map(|axis| axis[lane]), voxel);
+                    n_sure += 1;
+                }
+            }
+            assert!(voxel_size < 0.1 || n_sure > 10_000, "{voxel_size}: {n_sure}");
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn numbers_are_scaled_alike_one_by_one_and_together() -> Result<(), Error> {
+        for voxel_size in [0.25, 0.1, 4.0, f64::MIN_POSITIVE, 1e308] {
+            let lattice = Lattice::new(voxel_size, [0.3; 3])?;
+            let points = [1.7, -2e9, 0.3, 5e-324, f64::MAX, f64::NEG_INFINITY];
+            let mut together = points;
+            lattice.scale(1, &mut together);
+            assert_eq!(together, points.map(|value| lattice.scaled([value; 3])[1]), "{voxel_size}");
+        }
+        Ok(())
+    }
 
     #[test]
     fn a_point_on_a_face_belongs_to_the_voxel_above() -> Result<(), Error> {
