@@ -344,7 +344,7 @@ class FlyingConfig(Config):
             cluster=ClusterConfig(max_angle=0.0),
             classify=ClassifyConfig.paper(),
             seed=SeedConfig(burn_in_extent=1.0, standing_scans=0),
-            sensor=SensorConfig(learn_mask_scans=0),
+            sensor=SensorConfig(learn_mask_scans=0, beams=None, find_body=False),
             tracker=TrackerConfig.paper(),
             position="paper",
             pose=PoseConfig.paper(),
