@@ -50,6 +50,11 @@ class RealSequence:
         Time between two scans [s]; None: the number in a file's name counts tenths of a second.
     range_max : float
         Of the sensor, by its data sheet [m].
+    azimuth_deg, elevation_deg : tuple of float
+        Field of view, by its data sheet: least and greatest [deg].
+    columns : int
+        Rays of a row per revolution, of a sensor whose rows are numbered and whose lost rays are
+        wanted; 0: its returns are dense enough.
     is_printable : bool
         Whether the licence allows numbers measured on it in print.
     """
@@ -59,6 +64,9 @@ class RealSequence:
     pose: str = "static"
     spacing: float | None = 0.1
     range_max: float = 100.0
+    azimuth_deg: tuple[float, float] = (-180.0, 180.0)
+    elevation_deg: tuple[float, float] = (-15.0, 15.0)
+    columns: int = 0
     is_printable: bool = True
 
     @property
@@ -71,17 +79,21 @@ class RealSequence:
 SEQUENCES = (
     RealSequence(
         "radiate_tiny_foggy", f"{ROOT}/radiate_tiny_foggy/velo_lidar_and_gps.tar.xz", "kiss",
-        is_printable=False,
+        elevation_deg=(-30.67, 10.67), columns=2169, is_printable=False,
     ),
     RealSequence(
         "street_128_labelled", f"{ROOT}/street_128_labelled/lidar_rounded_000000-000029.tar.xz",
         f"{ROOT}/street_128_labelled/poses_icp.txt", range_max=200.0,
+        elevation_deg=(-25.0, 15.0),
     ),
     RealSequence(
         "livox_hap_outdoor", f"{ROOT}/livox_hap_outdoor/scans.tar.xz", spacing=0.5,
-        range_max=150.0,
+        range_max=150.0, azimuth_deg=(-60.0, 60.0), elevation_deg=(-12.5, 12.5),
     ),
-    RealSequence("livox_horizon_sway", f"{ROOT}/livox_horizon_sway/scans.tar.xz", range_max=90.0),
+    RealSequence(
+        "livox_horizon_sway", f"{ROOT}/livox_horizon_sway/scans.tar.xz", range_max=90.0,
+        azimuth_deg=(-40.85, 40.85), elevation_deg=(-12.55, 12.55),
+    ),
     RealSequence("rs16_office", f"{ROOT}/rs16_office/scans.tar.xz", spacing=None, range_max=150.0),
 )  # fmt: skip
 """Sequences of 20 scans and more, in which nothing flies."""

@@ -43,9 +43,25 @@ def hexacopter_mesh(radius: float) -> Triangles:
     The discs are solid: a LiDAR sees turning rotors only now and then, so that this is the most
     that a drone of the size returns.
     """
+    return _copter(radius, 6)
+
+
+def quadcopter_mesh(radius: float) -> Triangles:
+    """Make a hub, four arms with rotor discs, and two skids, inside a sphere of `radius`.
+
+    Examples
+    --------
+    >>> vertices, faces = quadcopter_mesh(0.25)
+    >>> round(float(np.linalg.norm(vertices, axis=1).max()), 6)
+    0.25
+    """
+    return _copter(radius, 4)
+
+
+def _copter(radius: float, arms: int) -> Triangles:
     parts = [_prism(8, 0.30, -0.12, 0.14)]
-    for arm in range(6):
-        angle = np.pi / 3 * arm
+    for arm in range(arms):
+        angle = 2 * np.pi / arms * arm
         ahead = np.array([np.cos(angle), np.sin(angle), 0.0])
         parts.append(_bar(0.2 * ahead, 0.75 * ahead, 0.04))
         disc, faces = _prism(16, 0.25, 0.05, 0.08)
