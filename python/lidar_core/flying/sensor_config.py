@@ -12,7 +12,7 @@ from lidar_core.sensors import SENSORS, sensor_named
 
 BeamPreset: TypeAlias = Literal[
     "os0-32", "os0-64", "os0-128", "os1-32", "os1-64", "os1-128", "os2-32", "os2-64", "os2-128",
-    "vlp-16", "hdl-32e", "hdl-64e", "vls-128", "xt32", "pandar64", "qt128", "learnt",
+    "vlp-16", "hdl-32e", "hdl-64e", "vls-128", "xt32", "pandar64", "qt128", "rs16", "learnt",
 ]  # fmt: skip
 """Sensors with rows that turn, and rows that are learnt."""
 
