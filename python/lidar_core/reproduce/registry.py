@@ -20,6 +20,7 @@ MODULES = (
     "flying_range",
     "flying_false_tracks",
     "flying_real",
+    "flying_drivers",
     "circles_table1",
     "circles_table2",
     "circles_fig5",

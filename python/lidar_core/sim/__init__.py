@@ -28,6 +28,7 @@ from lidar_core.sim.shapes import (
     Hexacopter,
     Mesh,
     Plane,
+    Quadcopter,
     Sphere,
     Tree,
 )
@@ -60,6 +61,7 @@ __all__ = [
     "Planar",
     "Plane",
     "PoseNoise",
+    "Quadcopter",
     "Rain",
     "RandomMotion",
     "Recorded",
