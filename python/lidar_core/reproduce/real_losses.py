@@ -43,7 +43,7 @@ def drawn_patches(scans: Sequence[RealScan], rng: np.random.Generator) -> list[P
     """Draw patches around random returns of random scans; the shapes of the surfaces follow."""
     found: list[Patch] = []
     for _ in range(20 * PATCHES):
-        scan = scans[rng.integers(len(scans))]
+        scan = scans[int(rng.integers(len(scans)))]
         points, radius = scan.item.scan.points.reshape(-1, 3), rng.uniform(*RADII)
         anchor = points[rng.integers(len(points))].astype(np.float64)
         if not NEAREST < np.linalg.norm(anchor) < FARTHEST:
