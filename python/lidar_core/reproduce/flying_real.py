@@ -13,7 +13,7 @@ from lidar_core.reproduce.real_runs import false_tracks, reported
 from lidar_core.reproduce.real_scores import FEWEST, START_S, scores
 from lidar_core.reproduce.real_sequences import SEQUENCES, sequence_named, sequence_scans
 from lidar_core.reproduce.real_targets import (
-    SHAPES,
+    TARGETS,
     RealScan,
     drawn_flights,
     real_scans,
@@ -98,8 +98,7 @@ def flight(*, seed: int, name: str, number: int, scans: int) -> Part:
 @lru_cache(maxsize=1)
 def _prepared(name: str) -> list[RealScan]:
     """Scans of a sequence, kept for the next run in this process."""
-    sequence = sequence_named(name)
-    return real_scans(list(sequence_scans(sequence)), sequence)
+    return real_scans(list(sequence_scans(sequence_named(name))))
 
 
 def _rows(of: dict[str, list[Part]]) -> list[Row]:
@@ -116,7 +115,7 @@ def _rows(of: dict[str, list[Part]]) -> list[Row]:
             ("false_tracks, own body", "1", float(sum(one.is_own_body for one in false))),
             ("false_tracks, patches deleted", "1", float(len(false_tracks(lossy)))),
             ("own_body", "1", own if np.isfinite(own) else None),
-            *scores([part for part in parts if part["number"] >= 0], tuple(SHAPES)),
+            *scores([part for part in parts if part["number"] >= 0], tuple(TARGETS)),
         ]
         rows += [Row(f"{name}/{what}", unit, None, None, value) for what, unit, value in values]
     return rows
@@ -126,7 +125,7 @@ def _draw(figure: Any, of: dict[str, list[Part]]) -> None:
     """Recall per sequence and shape, and the false tracks of the sequence as it is."""
     rows = {row.name: row.best_mode for row in _rows(of)}
     recall, false = figure.subplots(2, 1, sharex=True)
-    for offset, shape in zip((-0.25, 0.0, 0.25), SHAPES, strict=True):
+    for offset, shape in zip((-0.25, 0.0, 0.25), TARGETS, strict=True):
         values = [rows[f"{name}/recall, {shape}"] or 0.0 for name in of]
         recall.bar(np.arange(len(of)) + offset, values, 0.23, label=shape)
     recall.set(ylabel="recall of tracks", ylim=(0, 1))

@@ -52,9 +52,6 @@ class RealSequence:
         Of the sensor, by its data sheet [m].
     azimuth_deg, elevation_deg : tuple of float
         Field of view, by its data sheet: least and greatest [deg].
-    columns : int
-        Rays of a row per revolution, of a sensor whose rows are numbered and whose lost rays are
-        wanted; 0: its returns are dense enough.
     is_printable : bool
         Whether the licence allows numbers measured on it in print.
     """
@@ -66,7 +63,6 @@ class RealSequence:
     range_max: float = 100.0
     azimuth_deg: tuple[float, float] = (-180.0, 180.0)
     elevation_deg: tuple[float, float] = (-15.0, 15.0)
-    columns: int = 0
     is_printable: bool = True
 
     @property
@@ -79,7 +75,7 @@ class RealSequence:
 SEQUENCES = (
     RealSequence(
         "radiate_tiny_foggy", f"{ROOT}/radiate_tiny_foggy/velo_lidar_and_gps.tar.xz", "kiss",
-        elevation_deg=(-30.67, 10.67), columns=2169, is_printable=False,
+        elevation_deg=(-30.67, 10.67), is_printable=False,
     ),
     RealSequence(
         "street_128_labelled", f"{ROOT}/street_128_labelled/lidar_rounded_000000-000029.tar.xz",

@@ -1,13 +1,10 @@
 """Flying targets put into real scans: where they fly, and the returns that they give.
 
-Rays that a driver dropped have no direction. Where the rows of a sensor are numbered they are
-filled in; elsewhere only rays that came back can meet a target, so that places are drawn in front
-of what the recording shows.
+Rays that a driver dropped have no direction; they are filled in by the pattern that the scans show.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +13,9 @@ from lidar_core.errors import InputError
 from lidar_core.io import PosedScan
 from lidar_core.messages import Scan
 from lidar_core.reproduce.real_sequences import RealSequence
-from lidar_core.sim.meshes import Triangles, hexacopter_mesh, quadcopter_mesh
+from lidar_core.sim import Hexacopter, Quadcopter, RayPattern, Sphere
+from lidar_core.sim.inserted import SolidTarget
+from lidar_core.sim.shapes import Solid
 
 DISTANCES, CLEARANCE, EDGE_DEG = (3.0, 15.0), 1.0, 5.0
 """Of a target from the sensor and from every return [m], and from the edge of the view [deg]."""
@@ -27,82 +26,23 @@ APART = 1.0
 RANGE_STD = 0.02
 FEWEST, SEEN_SHARE = 3, 0.8
 """Returns that make a target visible, and the share of scans in which it has to be."""
-TRIES = 4000
+TRIES = 12_000
 CELL = 0.15
 """Points of a scan are thinned to one in a cube of this edge to test clearances [m]."""
+GROUND_PERCENTILE = 3.0
+"""Of the heights of the thinned points: no target flies below, where no ray came back [%]."""
+PATTERN_SCANS = 10
+"""Scans from which the pattern of the rays is taken."""
 NEAREST = 0.25
 """Nearer points are placeholders for no return [m]."""
 GAP_S = 2.0
 """After a gap of the recording this long a target starts over where it was [s]."""
 
 
-class Body(Protocol):
-    """A shape that rays can meet."""
-
-    @property
-    def radius(self) -> float:
-        """Of the sphere around it [m]."""
-
-    def distance(
-        self, directions: NDArray[np.float64], centre: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Way along rays from the origin to the shape [m]; infinite where they miss it."""
-
-
-@dataclass(frozen=True, slots=True)
-class Ball:
-    """A sphere."""
-
-    radius: float
-
-    def distance(
-        self, directions: NDArray[np.float64], centre: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """As `Body` says."""
-        along = directions @ centre
-        inside = self.radius**2 - (centre @ centre - along**2)
-        with np.errstate(invalid="ignore"):
-            meets = (inside >= 0) & (along > self.radius)
-            return np.where(meets, along - np.sqrt(np.maximum(inside, 0)), np.inf)
-
-
-@dataclass(frozen=True, slots=True)
-class Copter:
-    """A triangle mesh inside a sphere of `radius`."""
-
-    radius: float
-    mesh: Triangles
-
-    def distance(
-        self, directions: NDArray[np.float64], centre: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """As `Body` says.
-
-        Source: Moeller and Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection", 1997.
-        """
-        found = np.full(len(directions), np.inf)
-        near = np.flatnonzero(np.isfinite(Ball(self.radius).distance(directions, centre)))
-        if not len(near):
-            return found
-        vertices, faces = self.mesh
-        first, second, third = (vertices[faces[:, corner]] + centre for corner in range(3))
-        one, two = second - first, third - first
-        across = np.cross(directions[near][:, None], two)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            scale = 1.0 / np.sum(one * across, axis=-1)
-            u = np.sum(-first * across, axis=-1) * scale
-            normal = np.cross(-first, one)
-            v = np.einsum("rk,fk->rf", directions[near], normal) * scale
-            way = np.sum(two * normal, axis=-1) * scale
-            meets = (u >= 0) & (v >= 0) & (u + v <= 1) & (way > 0)
-        found[near] = np.where(meets, way, np.inf).min(axis=1)
-        return found
-
-
-SHAPES: dict[str, Body] = {
-    "sphere": Ball(0.325),
-    "hexacopter": Copter(0.325, hexacopter_mesh(0.325)),
-    "quadcopter": Copter(0.25, quadcopter_mesh(0.25)),
+TARGETS: dict[str, Solid] = {
+    "sphere": Sphere(radius=0.325),
+    "hexacopter": Hexacopter(radius=0.325),
+    "quadcopter": Quadcopter(radius=0.25),
 }
 """Targets of one run, by name."""
 
@@ -151,6 +91,8 @@ class RealScan:
         Row of every ray, where rows are numbered.
     thinned : ndarray, shape (K, 3)
         One return in every small cube, of those that can be near a target.
+    ground : float
+        Height below which hardly any return lies [m].
     """
 
     item: PosedScan[Scan]
@@ -160,9 +102,12 @@ class RealScan:
     lengths: NDArray[np.float32]
     rings: NDArray[np.uint16]
     thinned: NDArray[np.float32]
+    ground: float
 
     @classmethod
-    def of(cls, item: PosedScan[Scan], seconds: float, sequence: RealSequence) -> "RealScan":
+    def of(
+        cls, item: PosedScan[Scan], seconds: float, pattern: RayPattern, rng: np.random.Generator
+    ) -> "RealScan":
         """Find the rays of a scan."""
         points = item.scan.points.reshape(-1, 3)
         lengths = np.linalg.norm(points, axis=1)
@@ -170,15 +115,22 @@ class RealScan:
             lengths[~(lengths > NEAREST)] = np.nan
             directions = points / lengths[:, None]
             near = points[lengths < DISTANCES[1] + CLEARANCE + 1.0]
-        rings = np.zeros(len(points), np.uint16) if item.scan.ring is None else item.scan.ring
-        if sequence.columns:
-            lost, lost_rings = _lost(directions, rings, sequence.columns)
-            directions = np.concatenate([directions, lost])
-            lengths = np.concatenate([lengths, np.full(len(lost), np.inf, np.float32)])
-            rings = np.concatenate([rings, lost_rings])
+        is_met = np.isfinite(lengths)
+        ring, no_return = item.scan.ring, item.scan.no_return
+        lost, rows = pattern.missing(
+            directions[is_met].astype(np.float64),
+            None if ring is None else ring[is_met],
+            rng,
+            total=None if no_return is None else int(no_return.sum()),
+        )
+        rings = np.zeros(len(points), np.uint16) if ring is None else ring
+        directions = np.concatenate([directions, lost.astype(np.float32)])
+        lengths = np.concatenate([lengths, np.full(len(lost), np.inf, np.float32)])
+        rings = np.concatenate([rings, np.maximum(rows, 0).astype(np.uint16)])
         _, first = np.unique(np.floor(near / CELL).astype(np.int64), axis=0, return_index=True)
         pose = np.asarray(item.world_from_lidar.reshape(-1, 4, 4)[0])
-        return cls(item, pose, seconds, directions, lengths, rings, near[first])
+        ground = float(np.percentile(near[first, 2], GROUND_PERCENTILE))
+        return cls(item, pose, seconds, directions, lengths, rings, near[first], ground)
 
     def around(self, centre: NDArray[np.float64], radius: float) -> NDArray[np.int64]:
         """Rays in the directions of a sphere."""
@@ -191,21 +143,36 @@ class RealScan:
         """Place in the sensor's frame."""
         return np.asarray(self.pose[:3, :3].T @ (world - self.pose[:3, 3]))
 
-    def met(self, body: Body, centre: NDArray[np.float64]) -> tuple[int, bool]:
+    def met(self, body: SolidTarget, centre: NDArray[np.float64]) -> tuple[int, bool]:
         """How many rays meet a target, and whether something stands before it."""
         near = self.around(centre, body.radius)
         if (self.lengths[near] < np.linalg.norm(centre)).any():
             return 0, True
-        way = body.distance(self.directions[near].astype(np.float64), centre)
+        way = _ways(body, self.directions[near], centre)
         return int(np.isfinite(way).sum()), False
 
 
-def real_scans(items: Sequence[PosedScan[Scan]], sequence: RealSequence) -> list[RealScan]:
+def _ways(
+    body: SolidTarget, directions: NDArray[np.float32], centre: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Way along rays from the sensor to an upright body; infinite where they miss it."""
+    origins = np.broadcast_to(-centre, directions.shape)
+    return body.distances(np.ascontiguousarray(origins), directions.astype(np.float64))
+
+
+def real_scans(items: Sequence[PosedScan[Scan]]) -> list[RealScan]:
     """Scans of a sequence with their rays; a target waits while the recording has a long gap."""
     stamps = np.array([item.scan.stamp_ns for item in items]) * 1e-9
     steps = np.diff(stamps, prepend=stamps[0])
     seconds = np.cumsum(np.where(steps > GAP_S, 0.1, steps)).tolist()
-    return [RealScan.of(item, t, sequence) for item, t in zip(items, seconds, strict=True)]
+    rng, pattern = np.random.default_rng(20240607), RayPattern.of_scans(_spread(items))
+    return [RealScan.of(item, t, pattern, rng) for item, t in zip(items, seconds, strict=True)]
+
+
+def _spread(items: Sequence[PosedScan[Scan]]) -> list[Scan]:
+    """Some scans from all over a sequence."""
+    step = max(1, len(items) // PATTERN_SCANS)
+    return [item.scan for item in items[::step]]
 
 
 def with_targets(
@@ -216,17 +183,17 @@ def with_targets(
 ) -> tuple[list[PosedScan[Scan]], NDArray[np.float64], NDArray[np.int64]]:
     """Put targets into scans; also return where they are, (S, T, 3), and their returns, (S, T).
 
-    One column for each of `SHAPES`; those without a flight are nowhere: NaN, no returns.
+    One column for each of `TARGETS`; those without a flight are nowhere: NaN, no returns.
     """
-    columns = [list(SHAPES).index(name) for name in flights]
-    places = np.full((len(scans), len(SHAPES), 3), np.nan)
-    hits = np.zeros((len(scans), len(SHAPES)), np.int64)
-    made = []
+    columns = [list(TARGETS).index(name) for name in flights]
+    places = np.full((len(scans), len(TARGETS), 3), np.nan)
+    hits = np.zeros((len(scans), len(TARGETS)), np.int64)
+    made, solids = [], {name: SolidTarget(TARGETS[name]) for name in flights}
     for number, scan in enumerate(scans):
         bodies = []
         for column, (name, flight) in zip(columns, flights.items(), strict=True):
             places[number, column] = flight.at(scan.pose[:3, 3], scan.seconds)
-            bodies.append((SHAPES[name], scan.seen(places[number, column])))
+            bodies.append((solids[name], scan.seen(places[number, column])))
         changed, hits[number, columns] = inserted(scan, bodies, sequence.range_max, rng)
         made.append(replace(scan.item, scan=changed))
     return made, places, hits
@@ -234,7 +201,7 @@ def with_targets(
 
 def inserted(
     scan: RealScan,
-    bodies: Sequence[tuple[Body, NDArray[np.float64]]],
+    bodies: Sequence[tuple[SolidTarget, NDArray[np.float64]]],
     range_max: float,
     rng: np.random.Generator,
 ) -> tuple[Scan, NDArray[np.int64]]:
@@ -246,7 +213,7 @@ def inserted(
     hits = np.zeros(len(bodies), np.int64)
     for column, (body, centre) in enumerate(bodies):
         near = scan.around(centre, body.radius)
-        way = body.distance(scan.directions[near].astype(np.float64), centre)
+        way = _ways(body, scan.directions[near], centre)
         is_hit = (way < lengths[near]) & (way <= range_max)
         hits[column] = is_hit.sum()
         lengths[near[is_hit]] = way[is_hit] + rng.normal(0.0, RANGE_STD, hits[column])
@@ -265,6 +232,12 @@ def _with_lengths(scan: RealScan, lengths: NDArray[np.float32]) -> Scan:
     if not len(back):
         return replace(source, points=points.reshape(source.points.shape))
     more = scan.directions[back] * lengths[back, None]
+    if source.no_return is not None:
+        marked = np.flatnonzero(source.no_return)[: len(back)]
+        points[marked] = more[: len(marked)]
+        no_return = source.no_return.copy()
+        no_return[marked] = False
+        return replace(source, points=points.reshape(source.points.shape), no_return=no_return)
     intensity = source.intensity
     return replace(
         source,
@@ -277,29 +250,6 @@ def _with_lengths(scan: RealScan, lengths: NDArray[np.float32]) -> Scan:
 def _padded(intensity: NDArray[np.float32], count: int) -> NDArray[np.float32]:
     """Intensities with `count` usual ones at their end."""
     return np.concatenate([intensity, np.full(count, np.nanmedian(intensity), np.float32)])
-
-
-def _lost(
-    directions: NDArray[np.float32], rings: NDArray[np.uint16], columns: int
-) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
-    """Directions and rows of the rays that did not come back, on an even grid of azimuths."""
-    azimuth = np.arctan2(directions[:, 1], directions[:, 0])
-    lost, lost_rings = [], []
-    for ring in np.unique(rings):
-        of_row = (rings == ring) & np.isfinite(azimuth)
-        taken = np.zeros(columns, np.bool_)
-        place = np.floor((azimuth[of_row] / (2 * np.pi) + 0.5) * columns).astype(np.int64)
-        for step in (-1, 0, 1):  # a ray lies up to one column beside its place on the grid
-            taken[(place + step) % columns] = True
-        free = (np.flatnonzero(~taken) + 0.5) / columns * 2 * np.pi - np.pi
-        height = float(np.median(directions[of_row, 2]))
-        level = np.sqrt(1 - height**2)
-        rows = np.column_stack(
-            [level * np.cos(free), level * np.sin(free), np.full(len(free), height)]
-        )
-        lost.append(rows.astype(np.float32))
-        lost_rings.append(np.full(len(free), ring, np.uint16))
-    return np.concatenate(lost), np.concatenate(lost_rings)
 
 
 def drawn_flights(
@@ -316,7 +266,8 @@ def drawn_flights(
         No shape has a place.
     """
     flights: dict[str, Flight] = {}
-    for name, body in SHAPES.items():
+    for name, shape in TARGETS.items():
+        body = SolidTarget(shape)
         for _ in range(TRIES):
             flight = _candidate(scans[0], rng)
             is_apart = all(_are_apart(flight, one) for one in flights.values())
@@ -351,15 +302,15 @@ def _candidate(scan: RealScan, rng: np.random.Generator) -> Flight:
     return Flight(offset, radius * np.stack([ahead, aside]), rate)
 
 
-def _is_free(flight: Flight, body: Body, scans: Sequence[RealScan], sequence: RealSequence) -> bool:
+def _is_free(
+    flight: Flight, body: SolidTarget, scans: Sequence[RealScan], sequence: RealSequence
+) -> bool:
     """Whether the target is in sight, clear of all returns, and has rays, in the scans."""
     centres = [scan.seen(flight.at(scan.pose[:3, 3], scan.seconds)) for scan in scans]
     if not all(_is_in_view(centre, sequence) for centre in centres):
         return False
-    for scan, centre in zip(scans, centres, strict=True):
-        away = np.linalg.norm(scan.thinned - centre.astype(np.float32), axis=1)
-        if away.min(initial=np.inf) < CLEARANCE + CELL:
-            return False
+    if not all(_is_clear(scan, centre) for scan, centre in zip(scans, centres, strict=True)):
+        return False
     needed, seen = SEEN_SHARE * len(scans), 0
     for number, (scan, centre) in enumerate(zip(scans, centres, strict=True)):
         count, is_hidden = scan.met(body, centre)
@@ -367,6 +318,14 @@ def _is_free(flight: Flight, body: Body, scans: Sequence[RealScan], sequence: Re
         if is_hidden or seen + len(scans) - number - 1 < needed:
             return False
     return True
+
+
+def _is_clear(scan: RealScan, centre: NDArray[np.float64]) -> bool:
+    """Whether a place is above the ground and away from every return."""
+    if centre[2] < scan.ground + CLEARANCE:
+        return False
+    away = np.linalg.norm(scan.thinned - centre.astype(np.float32), axis=1)
+    return bool(away.min(initial=np.inf) >= CLEARANCE + CELL)
 
 
 def _is_in_view(centre: NDArray[np.float64], sequence: RealSequence) -> bool:
