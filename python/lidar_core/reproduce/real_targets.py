@@ -26,7 +26,7 @@ APART = 1.0
 RANGE_STD = 0.02
 FEWEST, SEEN_SHARE = 3, 0.8
 """Returns that make a target visible, and the share of scans in which it has to be."""
-TRIES = 12_000
+TRIES = 4000
 CELL = 0.15
 """Points of a scan are thinned to one in a cube of this edge to test clearances [m]."""
 GROUND_PERCENTILE = 3.0
