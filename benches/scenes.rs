@@ -194,6 +194,7 @@ pub fn classify_parameters() -> ClassifyParameters {
         max_distance: Some(20.0),
         group_distance: Some(0.7),
         min_clearance: 0.625,
+        upright_height: Some(1.2),
         follow_tracks: true,
         fill_pockets: false,
     }

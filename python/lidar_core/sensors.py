@@ -27,14 +27,20 @@ class Sensor:
         What the numbers stand for, and what differs from the real pattern.
     model : mapping
         Values of `lidar_core.sim.LidarModel`.
-    drops_rays : bool
-        Whether its driver leaves out rays without return.
+    delivery : str
+        What its driver makes of rays without return, as `lidar_core.sim.LidarModel.delivery`:
+        "dropped" rows, rows of "zeros", "organised" rows of NaN, or "rays" that are all known.
     """
 
     title: str
     note: str
     model: Mapping[str, Any]
-    drops_rays: bool = False
+    delivery: str = "rays"
+
+    @property
+    def drops_rays(self) -> bool:
+        """Whether its driver leaves out rays without return."""
+        return self.delivery == "dropped"
 
     @property
     def pattern(self) -> Mapping[str, Any]:
@@ -101,40 +107,49 @@ SENSORS: Mapping[str, Sensor] = {
         f"{name}-{rows}": Sensor(
             f"Ouster {name.upper()}-{rows}",
             "1024 columns at 10 Hz",
-            _spinning(_even(half, -half, rows), 1024, **ranges),
+            _spinning(_even(half, -half, rows), 1024, **ranges), delivery="organised",
         )
         for name, (half, ranges) in _OUSTER.items()
         for rows in (32, 64, 128)
     },
     "vlp-16": Sensor(
         "Velodyne VLP-16", "0.2° at 10 Hz",
-        _spinning(_even(15.0, -15.0, 16), 1800, range_min=0.5, range_max=100.0), drops_rays=True,
+        _spinning(_even(15.0, -15.0, 16), 1800, range_min=0.5, range_max=100.0), delivery="dropped",
     ),
     "hdl-32e": Sensor(
         "Velodyne HDL-32E", "46.08 us per firing",
         _spinning(_even(10.67, -30.67, 32), 2170, range_min=0.9, range_max=80.0, range_std=0.02),
-        drops_rays=True,
+        delivery="dropped",
     ),
     "hdl-64e": Sensor(
         "Velodyne HDL-64E", "two blocks of even rows",
-        _spinning(_HDL64, 2083, range_min=0.9, range_max=120.0, range_std=0.02), drops_rays=True,
+        _spinning(_HDL64, 2083, range_min=0.9, range_max=120.0, range_std=0.02), delivery="dropped",
     ),
     "vls-128": Sensor(
         "Velodyne VLS-128 (Alpha Prime)",
         "53.3 us per firing; the real rows are denser about the horizon",
-        _spinning(_even(15.0, -25.0, 128), 1876, range_min=1.0, range_max=220.0), drops_rays=True,
+        _spinning(_even(15.0, -25.0, 128), 1876, range_min=1.0, range_max=220.0),
+        delivery="dropped",
     ),
     "xt32": Sensor(
         "Hesai PandarXT-32", "0.18° at 10 Hz",
         _spinning(_even(15.0, -16.0, 32), 2000, range_min=0.05, range_max=80.0, range_std=0.01),
+        delivery="dropped",
     ),
     "pandar64": Sensor(
         "Hesai Pandar64", "0.2° at 10 Hz",
         _spinning(_PANDAR64, 1800, range_max=200.0, range_std=0.02),
+        delivery="dropped",
     ),
     "qt128": Sensor(
         "Hesai QT128", "105.2° and 0.4° at 10 Hz; the real rows are not quite even",
         _spinning(_even(52.6, -52.6, 128), 900, range_min=0.05, range_max=20.0, range_std=0.02),
+        delivery="dropped",
+    ),
+    "rs16": Sensor(
+        "RoboSense RS-LiDAR-16", "0.2° at 10 Hz",
+        _spinning(_even(15.0, -15.0, 16), 1800, range_min=0.4, range_max=150.0, range_std=0.02),
+        delivery="dropped",
     ),
     "livox-mid360": Sensor(
         "Livox Mid-360",
@@ -142,6 +157,7 @@ SENSORS: Mapping[str, Sensor] = {
         " the real pattern, which is not published",
         {"pattern": _rosette((-7.0, 52.0)), "range_min": 0.1, "range_max": 40.0,
          "range_std": 0.02},
+        delivery="zeros",
     ),
     "livox-avia": Sensor(
         "Livox Avia",
@@ -149,6 +165,23 @@ SENSORS: Mapping[str, Sensor] = {
         " rectangle, stand for the real petals of six lines",
         {"pattern": _rosette((-38.6, 38.6), rays=24_000, azimuth_half_deg=35.2),
          "range_min": 1.0, "range_max": 190.0, "range_std": 0.02},
+        delivery="zeros",
+    ),
+    "livox-hap": Sensor(
+        "Livox HAP",
+        "field of view 120° x 25°, 452,000 points/s; two triangle waves stand for the real"
+        " pattern",
+        {"pattern": _rosette((-12.5, 12.5), rays=45_200, azimuth_half_deg=60.0),
+         "range_min": 0.5, "range_max": 150.0, "range_std": 0.02},
+        delivery="zeros",
+    ),
+    "livox-horizon": Sensor(
+        "Livox Horizon",
+        "field of view 81.7° x 25.1°, 240,000 points/s; two triangle waves stand for the real"
+        " pattern",
+        {"pattern": _rosette((-12.55, 12.55), rays=24_000, azimuth_half_deg=40.85),
+         "range_min": 0.5, "range_max": 90.0, "range_std": 0.02},
+        delivery="zeros",
     ),
     "utm-30lx": Sensor(
         "Hokuyo UTM-30LX", "1440 steps per turn of 25 ms",

@@ -19,7 +19,7 @@ from lidar_core.sim import (
     simulate,
 )
 
-VLP_16 = LidarModel.preset("vlp-16")
+VLP_16 = LidarModel.preset("vlp-16", ideal=True)
 RADIUS = 0.325  # of the balls that stand for drones [m]
 
 

@@ -109,7 +109,7 @@ def test_the_covariance_of_noisy_balls_is_honest():
 
 
 def test_drones_are_found_nearer_to_their_centre_than_the_centroid():
-    lidar = sim.LidarModel.preset("os1-128", snapshot=True, range_std=0.0)
+    lidar = sim.LidarModel.preset("os1-128", ideal=True, snapshot=True, range_std=0.0)
     errors, centroids = [], []
     for seed in range(30):
         rng = np.random.default_rng(seed)

@@ -873,7 +873,7 @@ def test_a_large_sphere_that_comes_straight_at_the_sensor_is_found_all_the_way()
             sim.Body(shape=sim.Box(size=(2, 40, 12)), position=(30, 0, 6)),
         ),
         targets=(sim.Target(shape=sim.Sphere(radius=0.6), motion=motion),),
-        lidar=sim.LidarModel.preset("os1-128", snapshot=True, range_std=0.0),
+        lidar=sim.LidarModel.preset("os1-128", ideal=True, snapshot=True, range_std=0.0),
         sensor=sim.Hover(position=(0, 0, 3)),
         scans=35,
     )

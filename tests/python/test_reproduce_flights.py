@@ -51,7 +51,7 @@ def part_of(speed):
     motion = sim.Shuttle(start=(6, -8, 0), end=(6, 8, 0), speed=speed, acceleration=1e3, lead=0.2)
     scene = sim.Scene(
         targets=(sim.Target(shape=sim.Sphere(radius=0.5), motion=motion),),
-        lidar=sim.LidarModel.preset("os1-128"),
+        lidar=sim.LidarModel.preset("os1-128", ideal=True),
         sensor=sim.Hover(position=(0, 0, 0)),
         scans=12,
     )

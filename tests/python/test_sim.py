@@ -175,7 +175,11 @@ def test_clearance_is_the_distance_to_the_nearest_surface(seed):
 def wall_scene(**changes):
     return sim.Scene(
         bodies=[sim.Body(shape=sim.Box(size=(1.0, 200.0, 200.0)), position=(30.5, 0.0, 0.0))],
-        **{"scans": 1, "lidar": sim.LidarModel.preset("vlp-16", range_std=0.0), **changes},
+        **{
+            "scans": 1,
+            "lidar": sim.LidarModel.preset("vlp-16", ideal=True, range_std=0.0),
+            **changes,
+        },
     )
 
 
@@ -219,7 +223,7 @@ def test_points_of_a_turning_sensor_lie_on_the_wall():
 def test_points_of_a_moving_target_lie_on_it_at_their_own_time():
     flight = sim.Waypoints(times=(0.0, 1.0), positions=((8, -10, 0), (8, 10, 0)))
     target = sim.Target(shape=sim.Sphere(radius=1.0), motion=flight)
-    lidar = sim.LidarModel.preset("os1-128", range_std=0.0)
+    lidar = sim.LidarModel.preset("os1-128", ideal=True, range_std=0.0)
     simulator = sim.Simulator(sim.Scene(targets=[target], lidar=lidar, scans=10,
                                         sensor=sim.Hover(position=(0, 0, 0))), seed=0)  # fmt: skip
     for made in simulator:
@@ -240,7 +244,7 @@ def arrays_of(made):
 
 def test_the_same_bits_for_any_number_of_threads():
     scene = sim.scenes.demo(1)
-    lidar = sim.LidarModel.preset("os1-128", dropout=0.05)
+    lidar = sim.LidarModel.preset("os1-128", ideal=True, dropout=0.05)
     scene = scene.model_copy(update={"lidar": lidar})
     runs = [sim.Simulator(scene, seed=5, threads=threads) for threads in (1, 2, 5)]
     for number in (3, 0):  # in any order
@@ -251,7 +255,7 @@ def test_the_same_bits_for_any_number_of_threads():
 
 
 def test_other_seeds_and_scans_have_other_noise():
-    scene = wall_scene(scans=2, lidar=sim.LidarModel.preset("vlp-16"))
+    scene = wall_scene(scans=2, lidar=sim.LidarModel.preset("vlp-16", ideal=True))
     a, b = sim.simulate(scene, seed=0)
     (c,) = sim.simulate(scene, seed=1, scans=1)
     hit = a.label >= 0
@@ -264,10 +268,15 @@ def test_other_seeds_and_scans_have_other_noise():
 
 def test_noise_and_dropout_have_the_stated_distribution():
     std, dropout = 0.05, 0.2
-    lidar = sim.LidarModel.preset("os1-128", range_std=std, dropout=dropout, snapshot=True)
+    lidar = sim.LidarModel.preset(
+        "os1-128", ideal=True, range_std=std, dropout=dropout, snapshot=True
+    )
     clean, noisy = (
         only(wall_scene(lidar=model))
-        for model in (sim.LidarModel.preset("os1-128", range_std=0.0, snapshot=True), lidar)
+        for model in (
+            sim.LidarModel.preset("os1-128", ideal=True, range_std=0.0, snapshot=True),
+            lidar,
+        )
     )
     hit = clean.label >= 0
     lost = hit & (noisy.label < 0)
@@ -287,14 +296,16 @@ def test_noise_and_dropout_have_the_stated_distribution():
 
 
 def test_dropout_can_look_like_no_return():
-    lidar = sim.LidarModel.preset("vlp-16", dropout=1.0, dropout_is_no_return=True)
+    lidar = sim.LidarModel.preset("vlp-16", ideal=True, dropout=1.0, dropout_is_no_return=True)
     made = only(wall_scene(lidar=lidar))
     assert made.scan.no_return.all()
     assert (made.label == -1).all()
 
 
 def test_near_surfaces_give_no_information_and_far_ones_no_return():
-    lidar = sim.LidarModel.preset("vlp-16", range_min=31.0, range_max=40.0, range_std=0.0)
+    lidar = sim.LidarModel.preset(
+        "vlp-16", ideal=True, range_min=31.0, range_max=40.0, range_std=0.0
+    )
     made = only(wall_scene(lidar=lidar))
     ranges = np.linalg.norm(made.scan.points.reshape(-1, 3), axis=1)
     true = 30.0 / made.scan.directions[:, 0].astype(np.float64)
@@ -393,7 +404,7 @@ def test_other_seeds_are_other_worlds():
      ("hdl-32e", (32, 2170), (-30.67, 10.67)), ("livox-mid360", (20_000,), (-7, 52))],
 )  # fmt: skip
 def test_presets(name, shape, elevation):
-    model = sim.LidarModel.preset(name)
+    model = sim.LidarModel.preset(name, ideal=True)
     assert model.shape == shape
     scene = sim.Scene(lidar=model, scans=2)
     first, second = sim.simulate(scene, seed=0)
@@ -409,7 +420,7 @@ def test_presets(name, shape, elevation):
 
 
 def test_a_rosette_covers_its_field_of_view_with_time():
-    scene = sim.Scene(lidar=sim.LidarModel.preset("livox-mid360"), scans=5)
+    scene = sim.Scene(lidar=sim.LidarModel.preset("livox-mid360", ideal=True), scans=5)
     cells = set()
     shares = []
     for made in sim.simulate(scene, seed=0):
@@ -545,7 +556,10 @@ def test_every_parameter_states_its_unit(model):
 @pytest.mark.parametrize("suffix", [".npz", ".mcap"])
 def test_a_recording_reads_back_as_it_was_simulated(suffix, tmp_path):
     scene = sim.scenes.demo(4).model_copy(
-        update={"lidar": sim.LidarModel.preset("vlp-16"), "start_ns": 1_700_000_000_000_000_000}
+        update={
+            "lidar": sim.LidarModel.preset("vlp-16", ideal=True),
+            "start_ns": 1_700_000_000_000_000_000,
+        }
     )
     done = sim.record(scene, tmp_path / f"flight{suffix}", seed=3, scans=4)
     made = list(sim.simulate(scene, seed=3, scans=4))

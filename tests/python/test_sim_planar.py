@@ -232,7 +232,7 @@ def test_a_barrel_is_round_and_stands_on_the_ground():
 
 def test_clouds_of_people_count_them_once():
     person = sim.Target(shape=sim.Person(), motion=sim.Hover(position=(5, 0, 0)))
-    world = sim.Scene(targets=(person,), lidar=sim.LidarModel.preset("vlp-16"))
+    world = sim.Scene(targets=(person,), lidar=sim.LidarModel.preset("vlp-16", ideal=True))
     made = next(sim.simulate(world, seed=0, scans=1))
     assert made.truth.hits[0] == made.truth.rays[0] > 10
     assert 0.8 < made.truth.radius[0] < 1.8
@@ -313,7 +313,7 @@ def test_what_is_no_planar_scene_is_refused(call, text):
 
 @pytest.mark.parametrize("name", ["utm-30lx", "urg-04lx", "lms111"])
 def test_presets_turn_about_the_x_axis(name):
-    lidar = sim.LidarModel.preset(name)
+    lidar = sim.LidarModel.preset(name, ideal=True)
     made = sweep(cylinder(3, 0, 0.3), lidar=lidar)
     angle = bearings(made.scan)
     assert angle[0] == pytest.approx(-angle[-1])

@@ -113,6 +113,7 @@ fn classify() -> ClassifyParameters {
         background_extent: Some(3.0),
         min_points: 2,
         min_clearance: 0.0,
+        upright_height: None,
         max_distance: None,
         group_distance: Some(0.7),
         follow_tracks: true,

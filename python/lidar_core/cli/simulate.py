@@ -99,10 +99,11 @@ def _overfly(output: Path, seed: int, rows: int | None, *, json: Path | None) ->
 
 
 def with_sensor(scene: "Scene", name: str) -> "Scene":
-    """The scene, seen by the LiDAR of a preset."""
+    """The scene, seen by the LiDAR of a preset; an `ideal` one stays so."""
     from lidar_core.sim import LidarModel
 
-    return scene.model_copy(update={"lidar": LidarModel.preset(name)})
+    lidar = LidarModel.preset(name, ideal=scene.lidar.ideal)
+    return scene.model_copy(update={"lidar": lidar})
 
 
 def scene_named(name: str, seed: int) -> "Scene":

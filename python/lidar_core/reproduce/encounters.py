@@ -42,7 +42,7 @@ def os1() -> "LidarModel":
     """Return the sensor: ideal ranges, rolling scans."""
     from lidar_core.sim import LidarModel
 
-    return LidarModel.preset("os1-128", range_std=0.0)
+    return LidarModel.preset("os1-128", ideal=True, range_std=0.0)
 
 
 def drone(

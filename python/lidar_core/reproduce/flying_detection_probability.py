@@ -54,7 +54,7 @@ def share(*, sensor: str, distance: float, whole: bool, seed: int, scans: int) -
     """Predict the probability, and simulate scans with targets at random places."""
     from lidar_core import sim
 
-    lidar = sim.LidarModel.preset(sensor, snapshot=True, range_std=0.0)
+    lidar = sim.LidarModel.preset(sensor, ideal=True, snapshot=True, range_std=0.0)
     view = (-np.pi / 2, np.pi / 2) if whole else _field_of_view(lidar)
     rng = scene_rng(seed, round(distance), int(whole))
     ball, observer = sim.Sphere(radius=RADIUS), sim.Hover(position=(0.0, 0.0, 0.0))

@@ -114,7 +114,7 @@ def _scene(seed: int, number: int, scans: int, condition: str) -> "Scene":
             "bodies": _swaying(base.bodies) if condition == "foliage" else base.bodies,
             "targets": (*drones, *(_insects(rng) if condition == "insects" else ())),
             "air": _air(rng, condition, scans * 0.1),
-            "lidar": sim.LidarModel.preset("os1-128", range_std=noise),
+            "lidar": sim.LidarModel.preset("os1-128", ideal=True, range_std=noise),
         }
     )
 

@@ -79,7 +79,7 @@ def _scene(seed: int, number: int, scans: int) -> "Scene":
     return sim.Scene(
         bodies=sim.scenes.street(int(rng.integers(2**31)), keep_clear=keep_clear, clearance=3.0),
         targets=targets,
-        lidar=sim.LidarModel.preset("os1-128", snapshot=True, range_std=0.0),
+        lidar=sim.LidarModel.preset("os1-128", ideal=True, snapshot=True, range_std=0.0),
         sensor=sim.Hover(position=(0.0, 0.0, 2.5)),
         scans=scans,
     )

@@ -106,7 +106,7 @@ def scene(kind: str, name: int, scans: int) -> "Scene":
                 ),
             ),
         ),
-        lidar=sim.LidarModel.preset("os0-128"),
+        lidar=sim.LidarModel.preset("os0-128", ideal=True),
         sensor=loop if fast else sim.Hover(position=START),
         scans=scans,
     )

@@ -98,7 +98,7 @@ def _scene(seed: int, number: int, scans: int) -> "Scene":
             sim.Target(shape=shape, motion=motion)
             for shape in (sim.Sphere(radius=RADIUS), sim.Hexacopter(radius=RADIUS))
         ),
-        lidar=sim.LidarModel.preset("os1-128", range_std=RANGE_STD),
+        lidar=sim.LidarModel.preset("os1-128", ideal=True, range_std=RANGE_STD),
         sensor=sensor,
         scans=scans,
     )

@@ -19,6 +19,8 @@ MODULES = (
     "flying_consistency",
     "flying_range",
     "flying_false_tracks",
+    "flying_real",
+    "flying_drivers",
     "circles_table1",
     "circles_table2",
     "circles_fig5",

@@ -109,7 +109,7 @@ def scene(seed: int, number: int, scans: int, *, is_noisy: bool) -> "Scene":
     observer = _observer(number)
     seconds = scans * 0.1
     ways = [motion.knots(seconds)[1][::25, :2, 3] for motion in (*motions, observer)]
-    ideal = {} if is_noisy else {"snapshot": True, "range_std": 0.0}
+    exact = {} if is_noisy else {"snapshot": True, "range_std": 0.0}
     return sim.Scene(
         bodies=sim.scenes.street(
             int(rng.integers(2**31)), keep_clear=np.concatenate(ways), clearance=2.5
@@ -118,7 +118,7 @@ def scene(seed: int, number: int, scans: int, *, is_noisy: bool) -> "Scene":
             sim.Target(shape=shape, motion=motion)
             for shape, motion in zip(shapes, motions, strict=True)
         ),
-        lidar=sim.LidarModel.preset("os1-128", **ideal),
+        lidar=sim.LidarModel.preset("os1-128", ideal=True, **exact),
         sensor=observer,
         scans=scans,
     )

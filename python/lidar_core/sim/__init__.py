@@ -4,8 +4,10 @@ from lidar_core.sim import circle_scenes, scenes
 from lidar_core.sim.air import Dust, Rain
 from lidar_core.sim.config import Body, Scene, Target
 from lidar_core.sim.insert import InsertedFlight, insert_target, with_target
+from lidar_core.sim.insert_moving import with_moving_target
+from lidar_core.sim.inserted import SolidTarget
 from lidar_core.sim.lidar import Beam, LidarModel, Planar, Rosette, Spinning
-from lidar_core.sim.meshes import hexacopter_mesh, sphere_mesh
+from lidar_core.sim.meshes import hexacopter_mesh, quadcopter_mesh, sphere_mesh
 from lidar_core.sim.motions import (
     Circle,
     Hover,
@@ -19,6 +21,7 @@ from lidar_core.sim.noise import NoisyPoses, PoseNoise
 from lidar_core.sim.overflight import Overflight, Overflown, overfly
 from lidar_core.sim.paths import FigureEight, StopAndGo, Swinging, Wandering
 from lidar_core.sim.people import Barrel, Person
+from lidar_core.sim.ray_pattern import RayPattern
 from lidar_core.sim.recording import Recorded, record
 from lidar_core.sim.shapes import (
     Box,
@@ -28,6 +31,7 @@ from lidar_core.sim.shapes import (
     Hexacopter,
     Mesh,
     Plane,
+    Quadcopter,
     Sphere,
     Tree,
 )
@@ -60,8 +64,10 @@ __all__ = [
     "Planar",
     "Plane",
     "PoseNoise",
+    "Quadcopter",
     "Rain",
     "RandomMotion",
+    "RayPattern",
     "Recorded",
     "Rosette",
     "Scene",
@@ -69,6 +75,7 @@ __all__ = [
     "SimulatedScan",
     "SimulatedSweep",
     "Simulator",
+    "SolidTarget",
     "Sphere",
     "Spinning",
     "SteeredSensor",
@@ -85,10 +92,12 @@ __all__ = [
     "hexacopter_mesh",
     "insert_target",
     "overfly",
+    "quadcopter_mesh",
     "record",
     "scenes",
     "simulate",
     "sphere_mesh",
     "sweeps",
+    "with_moving_target",
     "with_target",
 ]

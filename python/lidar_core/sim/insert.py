@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,10 +12,23 @@ from lidar_core.arrays import as_real
 from lidar_core.config import Config
 from lidar_core.errors import InputError
 from lidar_core.messages import Scan
-from lidar_core.sim.truth import SimulatedScan, TargetTruth
+from lidar_core.sim.inserted import (
+    Inserted,
+    Meeting,
+    SolidTarget,
+    labels_of,
+    truth_of_one,
+    written,
+)
+from lidar_core.sim.knots import poses
+from lidar_core.sim.ray_pattern import RayPattern
+from lidar_core.sim.ray_scan import SensorWay, inverse, rays_of
+from lidar_core.sim.shapes import Sphere
+from lidar_core.sim.truth import SimulatedScan
 
-BACKGROUND, TARGET = 0, 1
-"""Labels of what a ray met; -1 is nothing."""
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+STANDING = SensorWay(np.zeros(1, np.int64), np.eye(4)[None])
+"""A sensor that does not move."""
 PLACES_TO_TRY, STEPS_ROUND = 4000, 48
 
 
@@ -58,57 +72,91 @@ def insert_target(
     scan: Scan,
     position: ArrayLike,
     *,
-    radius: float,
+    radius: float | None = None,
+    shape: Any = None,
+    rotation: ArrayLike = UPRIGHT,
+    range_min: float = 0.0,
     range_max: float,
     range_std: float,
+    pattern: RayPattern | None = None,
     rng: np.random.Generator,
 ) -> tuple[Scan, NDArray[np.bool_]]:
-    """Put a sphere into a scan: rays that would meet it before their return end on it.
+    """Put a solid into a scan: rays that would meet it before their return end on it.
 
     Parameters
     ----------
     scan : Scan
-        Real scan. Rays without return need `directions`; NaN stays without information.
+        Real scan. NaN stays without information, but in organised clouds without a mask.
     position : array_like, shape (3,) or (N, 3), float64
         Centre [m], lidar frame; one per ray if it moves during the scan.
-    radius : float
-        Of the sphere [m].
-    range_max : float
-        Of the sensor [m]: no ray meets anything further away.
+    radius : float, optional
+        Of a sphere [m].
+    shape : Solid, (vertices, faces), or a mesh, optional
+        Instead of the sphere: a shape of `lidar_core.sim`, arrays (V, 3) and (F, 3), or an object
+        that has them, such as a mesh of trimesh.
+    rotation : array_like, shape (4,), float64
+        Attitude of the shape in the lidar frame (x, y, z, w).
+    range_min, range_max : float
+        Of the sensor [m]: what is nearer hides and is not seen, no ray meets anything further.
     range_std : float
-        Standard deviation of the ranges to the sphere [m].
+        Standard deviation of the ranges to the solid [m].
+    pattern : RayPattern, optional
+        Where rays went whose rows the driver dropped, or gave as zeros. Without it only rays that
+        the scan shows can end on the solid.
     rng : numpy.random.Generator
         Source of the noise.
 
     Returns
     -------
     scan : Scan
-        With the sphere in it.
+        With the solid in it. Where rows were dropped, its new ones stand at the end, and rows of
+        what it hides are missing.
     is_hit : ndarray, shape (N,), bool
-        Rays that end on it.
+        Rows of that scan that lie on it.
 
     Raises
     ------
     InputError
-        Wrong shape.
+        Wrong shape of an array, or neither or both of `radius` and `shape`.
     """
-    rays = _rays(scan)
+    if (radius is None) == (shape is None):
+        raise InputError("radius, shape: expected one of them")
+    count = scan.points.reshape(-1, 3).shape
     centre = as_real(position, name="position").astype(np.float64)
-    if centre.shape not in {(3,), rays.directions.shape}:
-        raise InputError(
-            f"position: expected shape (3,) or {rays.directions.shape}, got {centre.shape}"
-        )
-    to_sphere = _distance_to_sphere(rays.directions, centre, radius)
-    is_hit = (to_sphere < rays.lengths) & (to_sphere <= range_max)
-    lengths = to_sphere[is_hit] + rng.normal(0.0, range_std, int(is_hit.sum()))
-    points = scan.points.reshape(-1, 3).copy()
-    points[is_hit] = rays.directions[is_hit] * lengths[:, None]
-    no_return = None if scan.no_return is None else scan.no_return & ~is_hit
-    return replace(scan, points=points.reshape(scan.points.shape), no_return=no_return), is_hit
+    if centre.shape not in {(3,), count}:
+        raise InputError(f"position: expected shape (3,) or {count}, got {centre.shape}")
+    target = SolidTarget(Sphere(radius=radius) if radius is not None else shape)
+    done = _inserted(scan, target, centre, as_real(rotation, name="rotation"),
+                     (range_min, range_max), range_std, pattern, rng)  # fmt: skip
+    return done.scan, done.is_hit
+
+
+def _inserted(
+    scan: Scan,
+    target: SolidTarget,
+    centre: NDArray[np.float64],
+    rotation: NDArray[Any],
+    range_limits: tuple[float, float],
+    range_std: float,
+    pattern: RayPattern | None,
+    rng: np.random.Generator,
+) -> Inserted:
+    """`scan` with the solid at `centre`, which may have a row per row of the scan."""
+    rays = rays_of(scan, STANDING, pattern, rng)
+    places = np.broadcast_to(centre, (len(scan.points.reshape(-1, 3)), 3))[rays.near]
+    attitudes = np.broadcast_to(np.asarray(rotation, np.float64), (len(places), 4))
+    frames = inverse(poses(places, attitudes))
+    points, ends, is_seen, count = Meeting(target, frames, range_limits, range_std).of(rays, rng)
+    return written(scan, rays, points.astype(np.float32), ends, is_seen, count)
 
 
 def with_target(
-    scans: Sequence[Scan], flight: InsertedFlight | None = None, *, seed: int
+    scans: Sequence[Scan],
+    flight: InsertedFlight | None = None,
+    *,
+    seed: int,
+    shape: Any = None,
+    pattern: RayPattern | None = None,
 ) -> Iterator[SimulatedScan]:
     """Repeat real scans of a sensor that stands, with a target that flies through them.
 
@@ -123,6 +171,10 @@ def with_target(
         The target and its flight.
     seed : int
         Of the flight and the noise.
+    shape : Solid, (vertices, faces), or a mesh, optional
+        Instead of a sphere, as for `insert_target`; within `flight.radius`.
+    pattern : RayPattern, optional
+        Tells which rays the scans leave out, as for `insert_target`.
 
     Yields
     ------
@@ -137,13 +189,14 @@ def with_target(
     flight = flight or InsertedFlight()
     if not scans:
         raise InputError("scans: expected at least one, got none")
+    target = SolidTarget(Sphere(radius=flight.radius) if shape is None else shape)
     rng = np.random.default_rng([20240607, seed])
     circle = _free_circle(_rays(scans[0]), flight, rng)
     period_ns = round(1e9 / flight.scan_rate)
     for number in range(flight.scans):
         source = scans[number % len(scans)]
         scan = _retimed(_noisy(source, flight.range_std, rng), number * period_ns)
-        yield _made(scan, circle, flight, period_ns, rng)
+        yield _made(scan, circle, flight, period_ns, (target, pattern), rng)
 
 
 def _made(
@@ -151,6 +204,7 @@ def _made(
     circle: _Circle,
     flight: InsertedFlight,
     period_ns: int,
+    what: tuple[SolidTarget, RayPattern | None],
     rng: np.random.Generator,
 ) -> SimulatedScan:
     """`scan` with the target in it, and the truth."""
@@ -160,33 +214,18 @@ def _made(
         per_ray = np.asarray(scan.point_time_ns.reshape(-1) * 1e-9, np.float64)
     centre = circle.at(_angle(per_ray, circle, flight))
     position = circle.at(_angle(start, circle, flight))
-    seen, is_hit = insert_target(
-        scan,
-        centre if len(centre) > 1 else centre[0],
-        radius=flight.radius,
-        range_max=flight.range_max,
-        range_std=flight.range_std,
-        rng=rng,
-    )
+    target, pattern = what
+    done = _inserted(scan, target, centre, np.array(UPRIGHT), (0.0, flight.range_max),
+                     flight.range_std, pattern, rng)  # fmt: skip
     step = 1e-3
     velocity = (circle.at(_angle(start + step, circle, flight)) - position) / step
-    reach = _distance_to_sphere(_rays(scan).directions, centre, flight.radius)
-    is_point = np.isfinite(seen.points.reshape(-1, 3)).all(axis=1)
     return SimulatedScan(
-        scan=seen,
+        scan=done.scan,
         world_from_lidar=np.eye(4),
         pose_stamps_ns=np.array([scan.stamp_ns, scan.stamp_ns + period_ns], np.int64),
         poses=np.stack([np.eye(4), np.eye(4)]),
-        truth=TargetTruth(
-            id=np.array([TARGET], np.int32),
-            position=position,
-            velocity=velocity,
-            radius=np.array([flight.radius]),
-            hits=np.array([is_hit.sum()], np.int64),
-            rays=np.array([(reach <= flight.range_max).sum()], np.int64),
-            visible=np.array([is_hit.any()]),
-        ),
-        label=np.where(is_hit, TARGET, np.where(is_point, BACKGROUND, -1)).astype(np.int32),
+        truth=truth_of_one(done, position[0], velocity[0], target.radius),
+        label=labels_of(done),
     )
 
 
@@ -211,17 +250,6 @@ def _rays(scan: Scan) -> _Rays:
         directions[scan.no_return] = scan.directions[scan.no_return]
         lengths[scan.no_return] = np.inf
     return _Rays(directions, lengths)
-
-
-def _distance_to_sphere(
-    directions: NDArray[np.float32], centre: NDArray[np.float64], radius: float
-) -> NDArray[np.float64]:
-    """Way along every ray to a sphere; infinite where it misses."""
-    along = np.einsum("ij,ij->i", directions, np.broadcast_to(centre, directions.shape))
-    inside = radius**2 - (np.sum(centre**2, axis=-1) - along**2)
-    with np.errstate(invalid="ignore"):
-        meets = (inside >= 0) & (along > radius)
-        return np.where(meets, along - np.sqrt(np.maximum(inside, 0)), np.inf)
 
 
 def _noisy(scan: Scan, range_std: float, rng: np.random.Generator) -> Scan:

@@ -86,7 +86,8 @@ class Beam(Config):
 class LidarModel(Config):
     """A LiDAR. `preset` fills in every value that is not given beside it.
 
-    Presets are the names of `lidar_core.sensors.SENSORS`, with the makers' nominal figures.
+    Presets are the names of `lidar_core.sensors.SENSORS`, with the makers' nominal figures. A scan
+    of a preset holds what the sensor's driver delivers (`delivery`); `ideal` makes all rays known.
     """
 
     pattern: Annotated[Spinning | Rosette | Planar, Field(discriminator="kind")] = Field(
@@ -100,6 +101,20 @@ class LidarModel(Config):
     dropout: float = Field(0.0, ge=0, le=1, description="Probability of a lost return (no unit).")
     dropout_is_no_return: bool = Field(
         False, description="Lost returns look like no return, as from most drivers (no unit)."
+    )
+    delivery: Literal["rays", "dropped", "zeros", "organised"] = Field(
+        "rays",
+        description="What the driver makes of rays without return, of a 3D LiDAR: all rays known"
+        " with their directions, rows left out, rows (0, 0, 0), or rows of NaN; but for the first"
+        " without directions and without a mask (no unit).",
+    )
+    point_times: bool = Field(
+        True, description="Whether the driver gives a time per point (no unit)."
+    )
+    ideal: bool = Field(
+        False,
+        description="All rays known, with directions and times, whatever the driver delivers"
+        " (no unit).",
     )
     beam: Beam | None = Field(
         None, description="Width of the light; without it rays are lines (see there for units)."
@@ -135,7 +150,8 @@ class LidarModel(Config):
             return values
         given = dict(values)
         name = given.pop("preset")
-        return {**sensor_named(name).model, **given}
+        sensor = sensor_named(name)
+        return {**sensor.model, "delivery": sensor.delivery, **given}
 
     @model_validator(mode="after")
     def _ranges_are_ordered(self) -> Self:

@@ -43,12 +43,27 @@ def hexacopter_mesh(radius: float) -> Triangles:
     The discs are solid: a LiDAR sees turning rotors only now and then, so that this is the most
     that a drone of the size returns.
     """
+    return _multicopter(radius, [np.pi / 3 * arm for arm in range(6)], rotor=0.25)
+
+
+def quadcopter_mesh(radius: float) -> Triangles:
+    """Make the same with four arms in an X and larger rotors.
+
+    Examples
+    --------
+    >>> vertices, faces = quadcopter_mesh(0.25)
+    >>> float(np.linalg.norm(vertices, axis=1).max().round(6))
+    0.25
+    """
+    return _multicopter(radius, [np.pi / 4 * (2 * arm + 1) for arm in range(4)], rotor=0.28)
+
+
+def _multicopter(radius: float, angles: list[float], *, rotor: float) -> Triangles:
     parts = [_prism(8, 0.30, -0.12, 0.14)]
-    for arm in range(6):
-        angle = np.pi / 3 * arm
+    for angle in angles:
         ahead = np.array([np.cos(angle), np.sin(angle), 0.0])
         parts.append(_bar(0.2 * ahead, 0.75 * ahead, 0.04))
-        disc, faces = _prism(16, 0.25, 0.05, 0.08)
+        disc, faces = _prism(16, rotor, 0.05, 0.08)
         parts.append((disc + 0.73 * ahead, faces))
     for side in (-0.25, 0.25):
         parts.append(_bar(np.array([-0.4, side, -0.4]), np.array([0.4, side, -0.4]), 0.03))

@@ -62,7 +62,7 @@ def demo(seed: int = 0, *, scans: int = 60) -> Scene:
     return Scene(
         bodies=_street(rng, _is_clear) + _trees(rng, _is_clear, count=10),
         targets=(_drone(), _drone()),
-        lidar=LidarModel.preset("os1-128"),
+        lidar=LidarModel.preset("os1-128", ideal=True),
         sensor=Loop(
             center=(0.0, 0.0, 3.0),
             straight=8.0,

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from lidar_core._core import SimShape
 from lidar_core.config import Config
-from lidar_core.sim.meshes import hexacopter_mesh
+from lidar_core.sim.meshes import hexacopter_mesh, quadcopter_mesh
 from lidar_core.sim.people import Barrel, Length, Person, Placed
 from lidar_core.sim.types import Vector
 
@@ -105,6 +105,17 @@ class Hexacopter(Config):
         return [(SimShape.mesh(*hexacopter_mesh(self.radius)), np.zeros(3))]
 
 
+class Quadcopter(Config):
+    """A mesh like a drone with four rotors."""
+
+    kind: Literal["quadcopter"] = "quadcopter"
+    radius: Length = Field(0.25, description="Radius of the sphere around it [m].")
+
+    def surfaces(self) -> Placed:
+        """One surface."""
+        return [(SimShape.mesh(*quadcopter_mesh(self.radius)), np.zeros(3))]
+
+
 class HeightField(Config):
     """Ground of given heights, its middle at x = y = 0 of its frame."""
 
@@ -170,7 +181,7 @@ class Tree(Config):
 
 
 Solid: TypeAlias = Annotated[
-    Barrel | Box | Cylinder | EllipticCylinder | Hexacopter | Mesh | Person | Sphere,
+    Barrel | Box | Cylinder | EllipticCylinder | Hexacopter | Mesh | Person | Quadcopter | Sphere,
     Field(discriminator="kind"),
 ]
 """What can move."""

@@ -9,6 +9,7 @@ from lidar_core._core import SimScene, SimShape, SimTrajectory
 from lidar_core.errors import ConfigError
 from lidar_core.messages import LaserScan, Scan
 from lidar_core.sim.config import Body, Scene
+from lidar_core.sim.delivery import delivered
 from lidar_core.sim.knots import poses, times_of
 from lidar_core.sim.lidar import Planar, Spinning
 from lidar_core.sim.motions import RandomMotion
@@ -80,7 +81,7 @@ class Simulator:
         stamps = self._pose_stamps(start_ns)
         path = way.poses_at(stamps)
         organised = isinstance(lidar.pattern, Spinning)
-        return SimulatedScan(
+        made = SimulatedScan(
             scan=Scan(
                 stamp_ns=start_ns,
                 points=points.reshape(*lidar.shape, 3),
@@ -97,6 +98,7 @@ class Simulator:
             truth=self.truth(start_ns, label, rays),
             label=label,
         )
+        return delivered(made, lidar)
 
     def sweep(self, number: int, *, sensor: SimTrajectory | None = None) -> SimulatedSweep:
         """Scan `number` of a 2D LiDAR; parameters and errors as for `scan`.

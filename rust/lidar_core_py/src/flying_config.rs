@@ -58,6 +58,7 @@ pub(crate) struct ClassifyConfig {
     max_distance: Option<f64>,
     group_distance: Option<f64>,
     min_clearance: f64,
+    upright_height: Option<f64>,
     follow_tracks: bool,
     fill_pockets: bool,
 }
@@ -196,6 +197,7 @@ impl ClassifyConfig {
             max_distance: self.max_distance,
             group_distance: self.group_distance,
             min_clearance: self.min_clearance,
+            upright_height: self.upright_height,
             follow_tracks: self.follow_tracks,
             fill_pockets: self.fill_pockets,
         }

@@ -1,0 +1,300 @@
+"""Real sequences of scans in which nothing flies, as drivers deliver them, each with its poses.
+
+They lie as archives in the folder of recordings. An archive is unpacked once into the folder for
+temporary files, under its hash.
+"""
+
+import hashlib
+import os
+import re
+import shutil
+import tarfile
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import FormatError, LimitError
+from lidar_core.io import PosedScan, ReadOptions, open_recording, posed_scans
+from lidar_core.messages import Scan
+from lidar_core.reproduce.recordings import recording
+
+ROOT = "3d/sequences"
+LARGEST = 2**30
+"""Bytes that an archive may unpack to."""
+CSV_ROW = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2")]
+)
+OWN_REACH = 4.0
+"""Nearer points may be the vehicle itself, and are kept from the odometry [m]."""
+LAYOUT = 2
+"""Of an unpacked folder; another number unpacks again."""
+
+
+@dataclass(frozen=True, slots=True)
+class RealSequence:
+    """Scans of one real sensor.
+
+    Attributes
+    ----------
+    name : str
+        As rows of results call it.
+    source : str
+        Archive, file or folder, within the folder of recordings.
+    pose : str
+        static, kiss for KISS-ICP, or a poses file within the folder of recordings.
+    spacing : float, optional
+        Time between two scans [s]; None: the number in a file's name counts tenths of a second.
+    range_max : float
+        Of the sensor, by its data sheet [m].
+    azimuth_deg, elevation_deg : tuple of float
+        Field of view, by its data sheet: least and greatest [deg].
+    is_printable : bool
+        Whether the licence allows numbers measured on it in print.
+    """
+
+    name: str
+    source: str
+    pose: str = "static"
+    spacing: float | None = 0.1
+    range_max: float = 100.0
+    azimuth_deg: tuple[float, float] = (-180.0, 180.0)
+    elevation_deg: tuple[float, float] = (-15.0, 15.0)
+    is_printable: bool = True
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Recordings that it needs, see `recordings.recording`."""
+        of_poses = () if self.pose in ("static", "kiss") else (self.pose,)
+        return (self.source, *of_poses)
+
+
+SEQUENCES = (
+    RealSequence(
+        "radiate_tiny_foggy", f"{ROOT}/radiate_tiny_foggy/velo_lidar_and_gps.tar.xz", "kiss",
+        elevation_deg=(-30.67, 10.67), is_printable=False,
+    ),
+    RealSequence(
+        "street_128_labelled", f"{ROOT}/street_128_labelled/lidar_rounded_000000-000029.tar.xz",
+        f"{ROOT}/street_128_labelled/poses_icp.txt", range_max=200.0,
+        elevation_deg=(-25.0, 15.0),
+    ),
+    RealSequence(
+        "livox_hap_outdoor", f"{ROOT}/livox_hap_outdoor/scans.tar.xz", spacing=0.5,
+        range_max=150.0, azimuth_deg=(-60.0, 60.0), elevation_deg=(-12.5, 12.5),
+    ),
+    RealSequence(
+        "livox_horizon_sway", f"{ROOT}/livox_horizon_sway/scans.tar.xz", range_max=90.0,
+        azimuth_deg=(-40.85, 40.85), elevation_deg=(-12.55, 12.55),
+    ),
+    RealSequence("rs16_office", f"{ROOT}/rs16_office/scans.tar.xz", spacing=None, range_max=150.0),
+)  # fmt: skip
+"""Sequences of 20 scans and more, in which nothing flies."""
+
+SHORT_SEQUENCES = (
+    RealSequence("robosense_placeholder", f"{ROOT}/robosense_placeholder/100002.pcd"),
+    RealSequence(
+        "ouster_lb_n3", "3d/ouster/OS-1-128_v2.3.0_1024x10_lb_n3.pcap",
+        "3d/ouster/OS-1-128_v2.3.0_1024x10_lb_n3_poses_kitti.txt", range_max=200.0,
+    ),
+    RealSequence("ouster_10_scans", "3d/ouster/osf_fw_3.2_10scans.osf"),
+    RealSequence("ouster_os0_128", "3d/ouster/OS-0-128-U1_v2.3.0_1024x10.pcap"),
+    RealSequence("ouster_os2_128", "3d/ouster/OS-2-128-U1_v2.3.0_1024x10.pcap", range_max=200.0),
+    RealSequence("velodyne_hdl32", "3d/velodyne_mrpt/sample_velodyne_hdl32.pcap"),
+    RealSequence("velodyne_vlp16", "3d/velodyne_mrpt/sample_velodyne_vlp16_gps.pcap"),
+)  # fmt: skip
+"""Recordings of 1 to 10 scans."""
+
+
+def sequence_named(name: str) -> RealSequence:
+    """Return the sequence of this name."""
+    return {one.name: one for one in (*SEQUENCES, *SHORT_SEQUENCES)}[name]
+
+
+def sequence_scans(sequence: RealSequence, *, static: bool = False) -> Iterator[PosedScan[Scan]]:
+    """Scans of a sequence with their poses, as `lidar-core detect` gives them to the detector.
+
+    Parameters
+    ----------
+    sequence : RealSequence
+        Which one.
+    static : bool
+        Without poses: as if the sensor had stood.
+
+    Raises
+    ------
+    ConfigError
+        The folder of recordings is not named, or does not hold the sequence.
+    MissingExtraError
+        Poses by KISS-ICP need the extra `odometry`.
+    """
+    path = _unpacked(recording(sequence.source))
+    times = _times(sequence, path)
+    with open_recording(path, ReadOptions()) as opened:
+        for number, item in enumerate(posed_scans(opened, pose=_poses(sequence, path, static))):
+            if times is None:
+                yield item
+                continue
+            shift = times[number] - item.scan.stamp_ns
+            yield _moved_in_time(item, shift)
+
+
+def _moved_in_time(item: PosedScan[Scan], shift_ns: int) -> PosedScan[Scan]:
+    """The scan at its true time; files of these sequences state no times of points."""
+    from dataclasses import replace
+
+    return replace(item, scan=replace(item.scan, stamp_ns=item.scan.stamp_ns + shift_ns))
+
+
+def _times(sequence: RealSequence, path: Path) -> list[int] | None:
+    """Stamps of the scans [ns] of a folder, which states none."""
+    if not path.is_dir():
+        return None
+    files = sorted(path.glob("*.pcd"))
+    if sequence.spacing is not None:
+        return [round(number * sequence.spacing * 1e9) for number in range(len(files))]
+    tenths = [int(re.sub(r"\D", "", file.stem)) for file in files]
+    return [(one - tenths[0]) * 100_000_000 for one in tenths]
+
+
+def _poses(sequence: RealSequence, path: Path, static: bool) -> str:
+    if static or sequence.pose == "static":
+        return "static"
+    if sequence.pose == "kiss":
+        return str(_kiss_poses(path))
+    return str(recording(sequence.pose))
+
+
+def _kiss_poses(path: Path) -> Path:
+    """File of poses that KISS-ICP gives for the scans of a folder; made once."""
+    target = path / "kiss_poses.txt"
+    if target.is_file():
+        return target
+    from lidar_core.extras import require
+
+    pipeline = require("kiss_icp.kiss_icp", extra="odometry", purpose="poses by KISS-ICP")
+    config = require("kiss_icp.config.parser", extra="odometry", purpose="poses by KISS-ICP")
+    settings = config.load_config(None)
+    settings.data.max_range, settings.data.min_range = 100.0, OWN_REACH
+    settings.data.deskew = False
+    settings.mapping.voxel_size = 1.0
+    odometry = pipeline.KissICP(settings)
+    lines = []
+    with open_recording(path, ReadOptions()) as opened:
+        for item in posed_scans(opened, pose="static"):
+            points = item.scan.points.reshape(-1, 3).astype(np.float64)
+            points = points[np.isfinite(points).all(axis=1)]
+            odometry.register_frame(points, np.empty(0))
+            lines.append(" ".join(f"{value:.9g}" for value in odometry.last_pose[:3].ravel()))
+    _write(target, "\n".join(lines) + "\n")
+    return target
+
+
+def _write(target: Path, text: str) -> None:
+    from lidar_core.io.atomic import written_whole
+
+    with written_whole(target) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _unpacked(path: Path) -> Path:
+    """Folder of the scans of an archive; other recordings are read where they lie."""
+    if not path.name.endswith(".tar.xz"):
+        return path
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:20]
+    target = _cache() / f"{path.parent.name}-{digest}-{LAYOUT}"
+    if target.is_dir():
+        return target
+    with tempfile.TemporaryDirectory(dir=_cache()) as name:
+        whole, scans = Path(name) / "whole", Path(name) / "scans"
+        _extract(path, whole)
+        scans.mkdir()
+        _gather(path, whole, scans)
+        try:
+            scans.rename(target)
+        except OSError:
+            if not target.is_dir():  # else another process was faster
+                raise
+    return target
+
+
+def _cache() -> Path:
+    """Folder of this user for what is unpacked.
+
+    Raises
+    ------
+    FormatError
+        It belongs to somebody else.
+    """
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    folder = Path(tempfile.gettempdir()) / f"lidar-core-sequences-{user}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if folder.is_symlink() or folder.stat().st_uid != user:
+        raise FormatError(f"{folder}: belongs to another user; TMPDIR names another place")
+    return folder
+
+
+def _extract(path: Path, folder: Path) -> None:
+    """Unpack the plain files of an archive.
+
+    Raises
+    ------
+    FormatError
+        It is damaged, or has members that reach out of the folder.
+    LimitError
+        It unpacks to too much.
+    """
+    try:
+        with tarfile.open(path) as archive:
+            size = 0
+            for member in archive:
+                size += member.size
+                if size > LARGEST:
+                    raise LimitError(f"{path}: unpacks to more than {LARGEST} bytes")
+                archive.extract(member, folder, filter="data")
+    except (tarfile.TarError, EOFError, OSError) as error:
+        raise FormatError(f"{path}: cannot be unpacked: {error}") from error
+
+
+def _gather(path: Path, whole: Path, scans: Path) -> None:
+    """Move the scans of an unpacked archive into one folder, tables as PCD files."""
+    tables = sorted(whole.rglob("velo_lidar/*.csv"))
+    for table in tables:
+        _write_rows(scans / f"{table.stem}.pcd", np.loadtxt(table, CSV_ROW, delimiter=","))
+    clouds = sorted(whole.rglob("*.pcd"))
+    for cloud in clouds:
+        if _can_be_read(cloud):
+            shutil.move(cloud, scans / cloud.name)
+    if not tables and not clouds:
+        raise FormatError(f"{path}: expected scans as .pcd or velo_lidar/*.csv, found none")
+
+
+def _can_be_read(cloud: Path) -> bool:
+    """Whether a file is whole: recordings that were stopped in a scan leave one that is not."""
+    try:
+        with open_recording(cloud, ReadOptions()) as opened:
+            return any(True for _ in posed_scans(opened, pose="static"))
+    except FormatError:
+        return False
+
+
+def _write_rows(path: Path, rows: NDArray[np.void]) -> None:
+    """Write rows as a binary PCD file with all their fields."""
+    kinds = {"f": "F", "u": "U"}
+    types = [CSV_ROW[name] for name in CSV_ROW.names or ()]
+    header = "\n".join([
+        "VERSION .7",
+        "FIELDS " + " ".join(CSV_ROW.names or ()),
+        "SIZE " + " ".join(str(one.itemsize) for one in types),
+        "TYPE " + " ".join(kinds[one.kind] for one in types),
+        "COUNT " + " ".join("1" for _ in types),
+        f"WIDTH {len(rows)}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {len(rows)}",
+        "DATA binary\n",
+    ])  # fmt: skip
+    path.write_bytes(header.encode("ascii") + rows.tobytes())

@@ -1,0 +1,43 @@
+"""What a sensor's driver makes of a scan: rows dropped, rows of zeros, no directions, no mask."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.messages import Scan
+from lidar_core.sim.lidar import LidarModel
+from lidar_core.sim.truth import SimulatedScan
+
+
+def delivered(made: SimulatedScan, lidar: LidarModel) -> SimulatedScan:
+    """Turn a scan whose rays are all known into what the driver of `lidar` delivers.
+
+    Labels stay in line with the rows; the truth of the targets does not change.
+    """
+    if lidar.ideal:
+        return made
+    scan = made.scan
+    if not lidar.point_times:
+        scan = replace(scan, point_time_ns=None)
+    if lidar.delivery == "rays":
+        return replace(made, scan=scan)
+    scan = replace(scan, no_return=None, directions=None)
+    if lidar.delivery == "organised":
+        return replace(made, scan=scan)
+    is_return = np.asarray(np.isfinite(scan.points.reshape(-1, 3)).all(axis=1))
+    if lidar.delivery == "zeros":
+        points = np.where(is_return[:, None], scan.points.reshape(-1, 3), np.float32(0))
+        return replace(made, scan=replace(scan, points=points.reshape(scan.points.shape)))
+    return replace(made, scan=_rows(scan, is_return), label=made.label[is_return])
+
+
+def _rows(scan: Scan, is_kept: NDArray[np.bool_]) -> Scan:
+    """The rows of a scan that are kept, as a list without rows and columns."""
+    times, ring = scan.point_time_ns, scan.ring
+    return replace(
+        scan,
+        points=scan.points.reshape(-1, 3)[is_kept],
+        point_time_ns=None if times is None else times[is_kept],
+        ring=None if ring is None else ring[is_kept],
+    )
