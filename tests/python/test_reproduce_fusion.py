@@ -11,9 +11,11 @@ from lidar_core.reproduce.bounds import position_bound
 from lidar_core.reproduce.contenders import BEST, EKF, FIXED, LINEAR, OURS, corrected, ours, printed
 from lidar_core.reproduce.fusion_drone_yaw import Ride
 from lidar_core.reproduce.laser_radar import (
+    OBJ_POSE,
     SAMPLE_1,
     Contender,
     Course,
+    course,
     drawn,
     draws_of,
     estimates,
@@ -105,8 +107,6 @@ def test_the_bound_of_a_radar_takes_in_its_range_rate():
 
 def test_the_numbers_of_the_audit(recordings, monkeypatch):
     monkeypatch.setenv(FOLDER, str(recordings))
-    from lidar_core.reproduce.laser_radar import course
-
     of = course(SAMPLE_1)
     draws = draws_of(of, -13, 6, seed=1000)
     std = 10 ** (-13 / 20)
@@ -118,6 +118,15 @@ def test_the_numbers_of_the_audit(recordings, monkeypatch):
     assert error(corrected()[EKF]) == pytest.approx(0.162, abs=0.01)
     assert error(printed()[EKF]) > 1.0
     assert error(ours()[BEST]) < 0.13
+
+
+def test_the_audit_s_variances_of_the_lidar(recordings, monkeypatch):
+    """Eq. 27 has 0.0222 m^2, which is that of another file than the one of the paper's figures."""
+    monkeypatch.setenv(FOLDER, str(recordings))
+    for name, variance in ((SAMPLE_1, 1e-4), (OBJ_POSE, 0.0222)):
+        of = course(name)
+        wrong = (of.values[:, :2] - of.truth.position)[of.is_lidar]
+        assert np.square(wrong).mean() == pytest.approx(variance, rel=0.1)
 
 
 def test_a_recording_that_is_not_there_is_named_with_the_cure(monkeypatch, tmp_path):
