@@ -252,7 +252,9 @@ def _many_rows(summary: Mapping[str, Any]) -> list[Row | None]:
     if summary["gospa"]:
         parts = {name: summary["gospa"][name] for name in ("localisation", "missed", "false")}
         remark = ", ".join(f"{name} {value:.0f}" for name, value in parts.items())
-        rows.append(Row("GOSPA", f"{summary['gospa']['distance']:.1f} m", remark))
+        empty = f"{summary['gospa_empty']['distance']:.1f} m"
+        rows += [Row("GOSPA", f"{summary['gospa']['distance']:.1f} m", remark),
+                 Row("GOSPA of an empty output", empty, "without a single track")]  # fmt: skip
     return [*rows, None, Row("time per scan", f"{summary['us_per_scan']:.0f} us", "")]
 
 
