@@ -33,6 +33,7 @@ from lidar_core.fusion import (
     mean_gospa,
     target_coverage,
 )
+from lidar_core.fusion.plausibility import geographic_poses
 from lidar_core.fusion.states import state_names
 from lidar_core.io.covariance import covariance_columns
 from lidar_core.io.tracks import write_trajectories
@@ -90,6 +91,11 @@ class ManyRun:
             made.results.append(result)
             made.tracks.append(tracker.tracks_at(scan.stamp_ns))
         return made
+
+    @property
+    def doubt(self) -> str | None:
+        """What looks wrong and may be right: poses of the platform."""
+        return geographic_poses([m for scan in self.scans for m in scan.measurements])
 
     @property
     def configs(self) -> dict[str, Config]:

@@ -91,9 +91,7 @@ def _mean_gospa(
     return {name: float(np.mean([part[name] for part in parts])) for name in names}
 
 
-def _paired(
-    scan: DetectionScan, state: TargetTracks, reach: float
-) -> dict[int, tuple[int, float]]:
+def _paired(scan: DetectionScan, state: TargetTracks, reach: float) -> dict[int, tuple[int, float]]:
     """Track of every target that has one of its own, and how far off it is [m]."""
     numbers = list(scan.truth)
     truth = np.array([scan.truth[number] for number in numbers]).reshape(-1, 2)
