@@ -30,7 +30,7 @@ from lidar_core.live.zenoh_link import (
 )
 
 GRAPH = ("@ros2_lv/**", "@/*/@ros2_lv/**")  # tokens of rmw_zenoh, of zenoh-bridge-ros2dds
-LISTEN_S = 0.7
+LISTEN_S, ANSWER_S = 0.7, 0.3
 MAX_KEYS = 1000
 TRANSFORMS, ODOMETRY = TRANSFORM_TYPES[:1], POSE_TYPES[:1]
 
@@ -106,7 +106,7 @@ class ZenohSource(Source):
         with suppress(Exception):  # what a broken link tells is nothing
             listening = self._session.declare_subscriber("**", note)
             answers = [reply for place in GRAPH for reply in
-                       self._session.liveliness().get(place, timeout=LISTEN_S)]  # fmt: skip
+                       self._session.liveliness().get(place, timeout=ANSWER_S)]  # fmt: skip
             time.sleep(LISTEN_S)
             listening.undeclare()
             tokens = [topic_of_token(str(answer.ok.key_expr)) for answer in answers if answer.ok]
