@@ -1,6 +1,6 @@
 """`lidar-core live`: a running robot, or a recording as if it were one."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -38,12 +38,11 @@ def command(options: LiveOptions) -> None:
     from its arrival to the end of the outputs) and drops. Ctrl-C or SIGTERM ends with a
     summary. If no scan comes, what is there instead is listed; status 3 if none ever came.
     """
-    from lidar_core.cli.live_job import check_files, live_config, open_output, open_source
+    from lidar_core.cli.live_job import check_files, live_config, open_source
     from lidar_core.live import LiveLoop
     from lidar_core.live.poses import LivePoses
-    from lidar_core.viz.origin_check import allowed_origins
 
-    allowed = allowed_origins(options.allow_origin)
+    outputs = _outputs(options)
     read, settings = options.read(), live_config(options.domain, options.stream)
     chosen, where = options.pipeline(), LivePoses(options.poses(), settings)
     check_files(options.outputs, options.replay, options.output, overwrite=options.overwrite)
@@ -53,11 +52,7 @@ def command(options: LiveOptions) -> None:
         listening = open_source(options.source, options.replay, rate=options.rate, read=read,
                                 live=settings, topics=chosen.topics(options.odom))  # fmt: skip
         stack.callback(listening.close)
-        opened = [
-            stack.enter_context(closing(open_output(text, settings, allowed=allowed,
-                                                    on_refused=partial(_refused, errors))))
-            for text in options.outputs
-        ]  # fmt: skip
+        opened = [stack.enter_context(closing(item)) for item in outputs(settings, errors)]
         opened += [] if record is None else [record]
         loop = LiveLoop(
             listening, chosen.pipeline if record is None else record.pipeline, where, opened,
@@ -80,6 +75,21 @@ def command(options: LiveOptions) -> None:
         raise typer.Exit(NOTHING_CAME)
     if is_interrupted:
         raise typer.Exit(INTERRUPTED)
+
+
+def _outputs(options: LiveOptions) -> "Callable[[LiveConfig, Console], Iterator[Output]]":
+    """What opens the outputs one by one; options that name no web page are refused before."""
+    from lidar_core.cli.live_job import open_output
+    from lidar_core.viz.origin_check import allowed_origins
+
+    allowed = allowed_origins(options.allow_origin)
+
+    def opened(settings: "LiveConfig", console: "Console") -> "Iterator[Output]":
+        for text in options.outputs:
+            refused = partial(_refused, console)
+            yield open_output(text, settings, allowed=allowed, on_refused=refused)
+
+    return opened
 
 
 def _recorded(
