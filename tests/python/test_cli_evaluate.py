@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 
 from lidar_core import FormatError, LidarCoreError, MissingExtraError, evaluation
 from lidar_core.cli import app
+from lidar_core.extras import install_command
 from lidar_core.io import read_columns, write_mcap, write_tracks_table
 
 PAGE = Path(__file__).parents[2] / "docs" / "evaluation.md"
@@ -406,7 +407,7 @@ def test_a_missing_extra_is_named(place, monkeypatch):
     monkeypatch.setattr(extras, "import_module", refuse)
     error = refusal_of(place / "run" / "tracks_tum", place / "yard.truth.csv", "--identities")
     assert isinstance(error, MissingExtraError)
-    assert "pip install 'lidar-core[eval]'" in str(error)
+    assert install_command("eval") in str(error)
 
 
 def test_a_table_without_rows_is_a_run_that_found_nothing(place, tmp_path):
