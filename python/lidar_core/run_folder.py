@@ -24,6 +24,7 @@ from lidar_core._core import __version__
 from lidar_core.config import Config
 from lidar_core.errors import FormatError
 from lidar_core.extras import require
+from lidar_core.files import check_name, check_regular_or_folder
 from lidar_core.io.atomic import written_whole
 
 RUN_FILE = "run.toml"
@@ -68,6 +69,8 @@ class RunFolder:
 
     Raises
     ------
+    InputError
+        Its name is no UTF-8.
     FileExistsError
         There is something in it, and `overwrite` is not given, or no run wrote it; or the
         recording lies in it.
@@ -75,6 +78,7 @@ class RunFolder:
 
     def __init__(self, path: Path, *, overwrite: bool, reads: Path | None = None) -> None:
         self.path = path
+        check_name(path)
         if not path.exists():
             return
         if not path.is_dir():
@@ -190,7 +194,8 @@ def note_of(inputs: Mapping[str, Any], config: Mapping[str, Config], **more: Any
         "input": dict(inputs),
         "config": {name: tomllib.loads(model.to_toml()) for name, model in config.items()},
     }
-    return tomli_w.dumps(note)
+    # Names of files that are no UTF-8 stand with question marks: TOML holds nothing else.
+    return tomli_w.dumps(note).encode("utf-8", "replace").decode("utf-8")
 
 
 def command_line() -> str:
@@ -206,7 +211,8 @@ def table_in(folder: Path, name: str) -> Path | None:
 
 def fingerprint(path: Path) -> dict[str, Any]:
     """Path, size and SHA-256 of a file, or of all files of a folder by name."""
-    files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
+    is_folder = check_regular_or_folder(path).is_dir()
+    files = [path] if not is_folder else sorted(file for file in path.rglob("*") if file.is_file())
     if not files:
         raise FormatError(f"{path}: the folder is empty")
     digest, size = hashlib.sha256(), 0
@@ -214,7 +220,7 @@ def fingerprint(path: Path) -> dict[str, Any]:
         with file.open("rb") as content:
             one = hashlib.file_digest(content, "sha256")
         size += file.stat().st_size
-        if path.is_file():
+        if not is_folder:
             digest = one
             continue
         digest.update(f"{one.hexdigest()}  {file.relative_to(path).as_posix()}\n".encode())

@@ -8,6 +8,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from lidar_core.files import check_replaceable
+
 
 class WrittenInBlock(ABC):
     """A writer for a `with` block: its file is kept, unless an error ends the block.
@@ -67,6 +69,7 @@ def check_place(path: Path) -> None:
         raise PermissionError(f"{path.parent}: no permission to write {path.name} there")
     if path.is_dir():
         raise IsADirectoryError(f"{path}: expected a file to write, got a folder")
+    check_replaceable(path)
 
 
 @contextmanager

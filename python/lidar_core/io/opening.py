@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from lidar_core.errors import FormatError, meant
+from lidar_core.files import check_regular, check_regular_or_folder
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import Recording
 from lidar_core.io.unpacked import PACKED, UnpackedRecording
@@ -87,10 +88,10 @@ def open_recording(
     if not place.exists():
         near = meant(place.name, _names_beside(place))
         raise FileNotFoundError(f"{place}: no such file or folder{near}")
-    if place.is_dir():
+    if chosen.metadata is not None:
+        check_regular(chosen.metadata)
+    if check_regular_or_folder(place).is_dir():
         return _open_folder(place, chosen)
-    if not place.is_file():
-        raise FormatError(f"{place}: neither a regular file nor a folder")
     if place.stat().st_size == 0:
         raise FormatError(f"{place}: the file is empty")
     return _open_file(place, chosen)
