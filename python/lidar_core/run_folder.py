@@ -25,9 +25,11 @@ from lidar_core.config import Config
 from lidar_core.errors import FormatError
 from lidar_core.extras import require
 from lidar_core.files import check_name, check_regular_or_folder
-from lidar_core.io.atomic import written_whole
+from lidar_core.io.atomic import is_temporary, remove_stale, written_whole
 
 RUN_FILE = "run.toml"
+UNFINISHED = "run.unfinished"
+"""File that a run writes first and removes when run.toml is there."""
 FILES = (
     "circles.csv",
     "circles.parquet",
@@ -83,12 +85,14 @@ class RunFolder:
             return
         if not path.is_dir():
             raise FileExistsError(f"{path}: expected a folder")
-        if not any(path.iterdir()):
+        if all(is_temporary(one.name) for one in path.iterdir()):
             return
-        if not (path / RUN_FILE).exists():
+        is_cut = (path / UNFINISHED).exists()
+        if not is_cut and not (path / RUN_FILE).exists():
             raise FileExistsError(f"{path}: holds files that no run wrote; choose another folder")
         if not overwrite:
-            raise FileExistsError(f"{path}: holds an earlier run; --overwrite replaces it")
+            told = "a run that did not come to its end" if is_cut else "an earlier run"
+            raise FileExistsError(f"{path}: holds {told}; --overwrite replaces it")
         if reads is not None and reads.resolve().is_relative_to(path.resolve()):
             raise FileExistsError(f"{path}: holds the recording to read; choose another folder")
 
@@ -102,7 +106,10 @@ class RunFolder:
         """
         self.path.mkdir(parents=True, exist_ok=True)
         lock(self.path)
-        for name in FILES:
+        remove_stale(self.path)
+        # First of all files, and the last to go: by it a run that was killed is known.
+        self.write_text(UNFINISHED, f"{command_line()}\n".encode("utf-8", "replace").decode())
+        for name in (RUN_FILE, *FILES):
             (self.path / name).unlink(missing_ok=True)
         shutil.rmtree(self.path / TRACKS_FOLDER, ignore_errors=True)
 
@@ -120,6 +127,7 @@ class RunFolder:
     ) -> None:
         """Write run.toml: command, versions, inputs and the whole effective configuration."""
         self.write_text(RUN_FILE, note_of(inputs, config, **more))
+        (self.path / UNFINISHED).unlink(missing_ok=True)
         unlock(self.path)
 
     def write_table(self, name: str, columns: Mapping[str, NDArray[Any] | Sequence[str]]) -> Path:
