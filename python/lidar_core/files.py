@@ -32,7 +32,7 @@ def check_regular(path: str | Path) -> Path:
     try:
         mode = place.stat().st_mode
     except FileNotFoundError:
-        raise FileNotFoundError(f"{place}: no such file") from None
+        raise FileNotFoundError(f"{place}: No such file or directory") from None
     except ValueError as error:  # a zero byte in the name
         raise FormatError(f"{str(path)!r}: expected the name of a file: {error}") from error
     if stat.S_ISDIR(mode):
@@ -44,6 +44,8 @@ def check_regular(path: str | Path) -> Path:
 def check_regular_or_folder(path: str | Path) -> Path:
     """`path`, if a regular file or a folder is there; errors as of `check_regular`."""
     place = Path(path)
+    if not place.exists():
+        raise FileNotFoundError(f"{place}: no such file or folder")
     return place if place.is_dir() else check_regular(place)
 
 

@@ -120,7 +120,10 @@ class PoseOptions(Span):
         None, description="Topic of the scans; default: the only one (no unit)."
     )
     odom: str | None = Field(
-        None, description="Topic of the poses, instead of the transforms (no unit)."
+        None,
+        description="Topic of the poses, instead of the transforms; mountings still come from"
+        " these. Poses without a frame of their own are of the frame whose transforms move as they"
+        " do, else of the frame that the sensor is mounted on, else the sensor's (no unit).",
     )
     mounting: tuple[str, ...] = Field(
         (),
