@@ -15,6 +15,20 @@ SAME_PLACE, SAME_TURN = 0.01, 0.01
 LOOKED_AT = 16  # poses that are compared
 
 
+class UnclearCarrierError(ConfigError):
+    """Several frames carry a sensor, and nothing says which of them poses are of.
+
+    Attributes
+    ----------
+    mountings : list of str
+        Texts of the option that says so, the nearest frame first.
+    """
+
+    def __init__(self, text: str, mountings: list[str]) -> None:
+        super().__init__(text)
+        self.mountings = mountings
+
+
 def carrier_of(
     frame: str, poses: Sequence[Pose], others: Iterable[Pose], mountings: Iterable[Pose], topic: str
 ) -> str:
@@ -39,9 +53,10 @@ def carrier_of(
 
     Raises
     ------
+    UnclearCarrierError
+        Several frames carry the sensor, and nothing says which of them is meant.
     ConfigError
-        Several frames carry the sensor, and nothing says which of them is meant; or the sensor
-        does not move in the frame of the poses.
+        The sensor does not move in the frame of the poses.
     """
     known = list(others)
     stated = {item.child_frame_id: item.frame_id for item in mountings}
@@ -68,19 +83,21 @@ def carrier_of(
         return carriers[0]
     if carriers[-1] in moving:  # only the top of what is mounted together can move
         return carriers[-1]
-    choices = " or ".join(_mounting(carrier, frame, matrix)
-                          for carrier, matrix in zip(carriers, sensor, strict=True))  # fmt: skip
-    raise ConfigError(
+    texts = [_mounting(carrier, frame, matrix)
+             for carrier, matrix in zip(carriers, sensor, strict=True)]  # fmt: skip
+    choices = " or ".join(f"--mounting '{text}'" for text in texts)
+    raise UnclearCarrierError(
         f"odom: poses of {topic!r} name no frame of their own; they may be those of"
-        f" {' or '.join(carriers)}, which carry {frame!r}: say which with {choices}"
+        f" {' or '.join(carriers)}, which carry {frame!r}: say which with {choices}",
+        texts,
     )
 
 
 def _mounting(parent: str, frame: str, matrix: NDArray[np.float64]) -> str:
-    """The option that states a mounting."""
+    """Text of the option that states a mounting."""
     values = (*matrix[:3, 3], *angles_from_matrix(matrix[:3, :3]))
     numbers = " ".join(f"{round(float(value), 9) + 0.0:.9g}" for value in values)
-    return f"--mounting '{parent} {frame} {numbers}'"
+    return f"{parent} {frame} {numbers}"
 
 
 def _carriers(frame: str, known: Iterable[Pose]) -> list[str]:

@@ -43,7 +43,14 @@ class ReadOptions(Config):
     scan_rate: float = Field(
         10.0,
         gt=0,
-        description="Scans per second of a folder of files that carries no times [Hz].",
+        description="Scans per second of a folder of files that carries no times, and of counted"
+        " `stamps` [Hz].",
+    )
+    stamps: Literal["own", "recorded", "counted"] = Field(
+        "own",
+        description="Times of scans and poses: their own stamps; recorded, the times at which they"
+        " were stored, where stamps are zero, repeat or jump; or counted from zero at `scan_rate`"
+        " (no unit).",
     )
     recover: bool = Field(
         False,
