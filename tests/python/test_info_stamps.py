@@ -98,6 +98,13 @@ def test_a_few_such_stamps_are_told_and_change_no_command(tmp_path):
     assert "--stamps" not in step
 
 
+def test_times_that_are_no_better_are_not_advised(tmp_path):
+    """A log stores no other times than its stamps."""
+    said, (step,) = told(carmen(tmp_path, [*range(1, 31), *range(10, 20)]))
+    assert "FLASER: 1 of 40 stamps go backwards; --stamps counted gives others" in said
+    assert "--stamps" not in step
+
+
 def test_stamps_after_the_tenth_scan_are_seen(tmp_path):
     stamps = [BASE_NS + k * STEP_NS for k in range(200)]
     stamps[150:] = [stamps[150]] * 50

@@ -181,16 +181,14 @@ class _Stream:
 
     @property
     def other_times(self) -> Literal["recorded", "counted"]:
-        """Times that increase: those of the recording, if they do, else counted ones."""
-        steps = [b > a for a, b in pairwise(self.times)]
-        return "recorded" if sum(steps) > len(steps) / 2 else "counted"
+        """Times that increase: those of the recording, if they do more often, else counted ones."""
+        times = self.times[: len(self.stamps)]
+        return "recorded" if _late(times) < _late(self.stamps) else "counted"
 
     @property
     def wants_other_times(self) -> bool:
         """Whether more than half of the scans would be rejected: each must be newer than all."""
-        newest = accumulate(self.stamps, max)
-        late = sum(stamp <= before for before, stamp in zip(newest, self.stamps[1:], strict=False))
-        return 2 * late > len(self.stamps)
+        return 2 * _late(self.stamps) > len(self.stamps)
 
     def _gaps(self) -> list[str]:
         if len(self.times) < FEWEST_FOR_GAPS or self.topic.kind not in SCAN_KINDS:
@@ -202,6 +200,12 @@ class _Stream:
         if not gaps:
             return []
         return [f"{self.name}: {len(gaps)} gaps, the longest of {max(gaps) * 1e-9:.3g} s"]
+
+
+def _late(times: list[int]) -> int:
+    """How many of these are not newer than all before them."""
+    newest = accumulate(times, max)
+    return sum(time <= before for before, time in zip(newest, times[1:], strict=False))
 
 
 def _has_point(scan: Scan | LaserScan) -> NDArray[np.bool_]:
