@@ -23,7 +23,7 @@ from lidar_core.cli.common import all_threads
 from lidar_core.cli.simulate import OVERFLIGHT
 from lidar_core.config import Config
 from lidar_core.errors import ConfigError, LidarCoreError
-from lidar_core.io.atomic import written_whole
+from lidar_core.io.atomic import is_temporary, remove_stale, written_whole
 from lidar_core.run_folder import build_digest, note_of
 
 LOG, RESULTS = "log.txt", "results.parquet"
@@ -248,10 +248,11 @@ def _is_inside(value: str | None) -> bool:
 
 def _begin(folder: Path, record: JobRecord) -> None:
     """An empty folder that says whose it is."""
-    if folder.exists() and any(folder.iterdir()):
+    if folder.exists() and not all(is_temporary(one.name) for one in folder.iterdir()):
         if not (folder / NOTE).is_file():
             raise FileExistsError(f"{folder}: holds files that no job wrote")
         shutil.rmtree(folder)
+    remove_stale(folder)
     folder.mkdir(parents=True, exist_ok=True)
     record.write(folder)
 
