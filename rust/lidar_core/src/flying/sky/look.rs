@@ -32,6 +32,11 @@ const BEFORE_SURFACE: f64 = 0.5;
 const ABOVE_GROUND: f64 = 1.0;
 /// Things that reach down to this height above the lowest returns are on the ground [m].
 const ON_GROUND: f64 = 0.35;
+/// The ground is this flat [m], and its far part this many times further away than its near one.
+const FLAT: f64 = 0.2;
+const GROUND_RATIO: f64 = 1.8;
+/// Holes in surfaces have fewer cells than this: 40 degrees by 40.
+const MOST_OF_HOLE: usize = 400;
 /// A ray may lie this much below the middle of its cell [rad]: 1.4 degrees.
 const CELL_TILT: f64 = 1.4 * PI / 180.0;
 /// Rays of sky go as far as this share of the distance that one return in fifty exceeds: in fog
@@ -81,8 +86,12 @@ pub(crate) struct Look {
     limit: Vec<f32>,
     wider: Vec<f32>,
     is_sky: Vec<bool>,
-    ranges: Vec<f64>,
-    heights: Vec<f64>,
+    /// Range and height above the sensor of some returns [m].
+    samples: Vec<[f64; 2]>,
+    /// Values that are ranked.
+    ranks: Vec<f64>,
+    /// Cells that are empty, and those of them that are known to be enclosed by surfaces.
+    is_empty: Vec<bool>,
     /// Cells of a thing, while it is looked at.
     thing: Vec<u16>,
     is_taken: Vec<bool>,
@@ -93,6 +102,8 @@ pub(crate) struct Look {
     since_ns: Vec<i64>,
     place: [f64; 3],
     lowest: f64,
+    /// Whether the lowest returns are those of the ground.
+    has_ground: bool,
     usual: f64,
     stamp_ns: i64,
 }
@@ -102,7 +113,7 @@ impl Look {
     pub(crate) fn fill(&mut self, sky: &Sky, moment: &Moment<'_>) {
         self.count(moment);
         self.stamp_ns = moment.stamp_ns;
-        self.has_returns = !self.ranges.is_empty();
+        self.has_returns = !self.samples.is_empty();
         (self.place, self.share) = (moment.map_from_lidar.translation, 0.0);
         self.directions.clear();
         self.reach.clear();
@@ -116,10 +127,11 @@ impl Look {
         self.expect(sky, moment.map_from_lidar);
         self.remember_surfaces(sky);
         self.widen();
-        let visible = VISIBLE_SHARE * ranked(&mut self.ranges, 0.98);
-        let low = ranked(&mut self.heights, 0.05);
+        let visible = VISIBLE_SHARE * self.ranked(0.98, |[range, _]| Some(range));
+        let low = self.ranked(0.05, |[_, height]| Some(height));
         let last = if sky.last_ns.is_some() { sky.lowest } else { low };
         self.lowest = (last + NEWEST * (low - last)).min(low + BEFORE_SURFACE);
+        self.has_ground = self.sees_ground(low);
         let returns = self.hits.iter().map(|&hits| f64::from(hits)).sum::<f64>();
         let usual = if sky.last_ns.is_some() { sky.usual } else { returns };
         self.usual = usual + NEWEST * (returns - usual);
@@ -138,7 +150,7 @@ impl Look {
 
     /// Height below which things are on the ground, relative to the sensor [m].
     pub(crate) fn ground(&self) -> f64 {
-        self.lowest + ON_GROUND
+        if self.has_ground { self.lowest + ON_GROUND } else { f64::NEG_INFINITY }
     }
 
     /// Whether the scan holds any return.
@@ -174,8 +186,7 @@ impl Look {
         }
         self.nearest.clear();
         self.nearest.resize(CELLS, f32::INFINITY);
-        self.ranges.clear();
-        self.heights.clear();
+        self.samples.clear();
         let grid = &*GRID;
         let step = (moment.points.len() / SAMPLES).max(1);
         for (row, &point) in moment.points.iter().enumerate() {
@@ -191,9 +202,8 @@ impl Look {
             let cell = grid.cell(turned);
             self.hits[cell] += 1;
             self.nearest[cell] = self.nearest[cell].min(range as f32);
-            if row % step == 0 || self.ranges.is_empty() {
-                self.ranges.push(range);
-                self.heights.push(turned[2]);
+            if row % step == 0 || self.samples.is_empty() {
+                self.samples.push([range, turned[2]]);
             }
         }
     }
@@ -284,11 +294,12 @@ impl Look {
         let visible = visible.min(moment.map.parameters().max_range);
         let is_same_place = sky.sees_the_same_from(self.place);
         let mut way = Way::through(moment.map, self.place);
+        self.limit_holes();
         let (mut into_sky, mut all) = (0.0, 0.0);
         for cell in 0..CELLS {
             all += f64::from(self.expected[cell]);
             let reach = self.reach_of(cell, visible);
-            if reach < LEAST_REACH || !self.is_empty(cell) {
+            if reach < LEAST_REACH || !self.is_empty[cell] {
                 continue;
             }
             into_sky += f64::from(self.expected[cell]);
@@ -312,11 +323,72 @@ impl Look {
         self.share = if all > 0.0 { into_sky / all } else { 0.0 };
     }
 
-    fn is_empty(&self, cell: usize) -> bool {
+    fn seems_empty(&self, cell: usize) -> bool {
         let beside = || GRID.beside(cell).iter().map(|&other| usize::from(other));
         beside().all(|other| self.hits[other] == 0)
             && beside().map(|other| self.evidence[other]).sum::<f32>() >= ENOUGH_RAYS
             && beside().any(|other| self.expected[other] > 0.0)
+    }
+
+    /// Empty directions that surfaces enclose on all sides, within the field of view, are a hole in
+    /// these: something dark or wet, or glass. They are limited as if they were part of them.
+    fn limit_holes(&mut self) {
+        let empty: Vec<bool> = (0..CELLS).map(|cell| self.seems_empty(cell)).collect();
+        self.is_empty = empty;
+        self.is_taken.fill(false);
+        for first in 0..CELLS {
+            if !self.is_empty[first] || self.is_taken[first] {
+                continue;
+            }
+            let Some(limit) = self.take_hole(first) else { continue };
+            for &cell in &self.thing {
+                let limited = &mut self.limit[usize::from(cell)];
+                *limited = limited.min(limit);
+            }
+        }
+    }
+
+    /// Gather the empty cells around `first`; the middle range of what encloses them, if all of it
+    /// has been seen [m].
+    fn take_hole(&mut self, first: usize) -> Option<f32> {
+        self.thing.clear();
+        self.thing.push(first as u16);
+        self.is_taken[first] = true;
+        self.ranks.clear();
+        let (mut next, mut is_open) = (0, false);
+        while let Some(&cell) = self.thing.get(next) {
+            next += 1;
+            for &other in GRID.beside(usize::from(cell)) {
+                let at = usize::from(other);
+                if self.is_empty[at] {
+                    if !std::mem::replace(&mut self.is_taken[at], true) {
+                        self.thing.push(other);
+                    }
+                } else if self.limit[at].is_finite() {
+                    self.ranks.push(f64::from(self.limit[at]));
+                } else {
+                    is_open |= self.expected[at] == 0.0; // the edge of the field of view
+                }
+            }
+        }
+        let is_hole = !is_open && self.thing.len() < MOST_OF_HOLE && !self.ranks.is_empty();
+        is_hole.then(|| ranked(&mut self.ranks, 0.5) as f32)
+    }
+
+    /// Whether the lowest returns come from near and far, as those of the ground do: what a field of
+    /// view cuts off lies the deeper, the further away it is.
+    fn sees_ground(&mut self, low: f64) -> bool {
+        let on_ground = |[range, height]: [f64; 2]| ((height - low).abs() < FLAT).then_some(range);
+        let near = self.ranked(0.1, on_ground);
+        let far = self.ranked(0.9, on_ground);
+        20 * self.ranks.len() >= self.samples.len() && far >= GROUND_RATIO * near
+    }
+
+    /// The value that has a share of all values below it; 0 without any.
+    fn ranked(&mut self, share: f64, value: impl Fn([f64; 2]) -> Option<f64>) -> f64 {
+        self.ranks.clear();
+        self.ranks.extend(self.samples.iter().filter_map(|&sample| value(sample)));
+        ranked(&mut self.ranks, share)
     }
 
     /// How far the rays of an empty cell clear [m].
