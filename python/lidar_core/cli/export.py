@@ -14,7 +14,14 @@ def command(
 ) -> None:
     """Write the best weights of RUN as MODEL, checked against torch, with a card (JSON)."""
     card = training("export").export(run, model)
+    from lidar_core.circles import trust_model
+
+    listed = trust_model(model)
     print(
         f"{model}: {card['bytes']:,} bytes, {card['parameters']:,} parameters, at most"
         f" {card['largest_difference_from_torch']:.1e} from torch"
     )
+    if listed is None:
+        print("It runs with --trust-model or allow_untrusted=True: no list of trusted models here.")
+    else:
+        print(f"Trusted from now on by this user, as {listed} says; others need --trust-model.")
