@@ -9,7 +9,7 @@ PEERS_VENV := .venv-peers
 # A built wheel to test; without it `make test` builds one from the working tree.
 WHEEL ?=
 
-EXTRAS := cluster,eval,io,live,velodyne,tables,plot,rerun,viz
+EXTRAS := cluster,eval,io,live,odometry,velodyne,tables,plot,rerun,viz
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 BIN := $(VENV)/bin
 
