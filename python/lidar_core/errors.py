@@ -40,6 +40,14 @@ class InternalError(LidarCoreError, RuntimeError):
     """A bug in lidar_core; the object that raised it refuses further calls."""
 
 
+class OdometryWarning(UserWarning):
+    """Poses that were estimated from the scans are missing for some, or doubtful."""
+
+
+class PoseFrameWarning(UserWarning):
+    """Poses that were given do not fit the scans, but would in another frame."""
+
+
 def closest(name: str, known: Iterable[str]) -> str | None:
     """Which of `known` is spelt most like `name`; None if none is."""
     return next(iter(get_close_matches(name, list(known), n=1)), None)

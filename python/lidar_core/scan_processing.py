@@ -26,6 +26,7 @@ def detect(detector: FlyingObjectDetector, item: PosedScan[Scan], *, sensor: str
         directions=scan.directions,
         point_time_ns=scan.point_time_ns,
         pose_stamps_ns=item.pose_stamps_ns,
+        pose_covariance=item.pose_covariance,
         sensor=sensor,
     )
 

@@ -8,7 +8,7 @@ import torch
 from onnx import numpy_helper
 from torch import Tensor, nn
 
-from lidar_core.circles import CircleNetwork
+from lidar_core.circles.network import checked_model
 from lidar_core.errors import FormatError
 
 TURNED = "^T"
@@ -25,7 +25,7 @@ def take_weights(network: nn.Module, model: str) -> None:
     FormatError
         It is no ONNX model of a circle detector, or of another network.
     """
-    path = CircleNetwork(model).path
+    path = checked_model(model)[0]  # read, never run: so it needs no trust
     weights = _weights_of(path)
     expected = network.state_dict()
     for name, value in expected.items():

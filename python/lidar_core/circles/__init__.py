@@ -18,6 +18,7 @@ from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments, Side, segment
 from lidar_core.circles.shape_config import ShapeConfig
 from lidar_core.circles.shapes import ShapeKind, Shapes, fit_shapes
+from lidar_core.circles.trust import trust_model
 
 __all__ = [
     "CircleDetector",
@@ -49,4 +50,5 @@ __all__ = [
     "make_samples",
     "project_horizontal",
     "segment",
+    "trust_model",
 ]

@@ -33,11 +33,13 @@ class CircleDetector:
         Where the ranges come from; only its range limits count.
     threads : int
         Of a network, >= 1.
+    allow_untrusted : bool
+        Run an ONNX file that is neither shipped nor exported by this user. A model is a program.
 
     Raises
     ------
     ConfigError
-        There is no such detector, or `threads` is not >= 1.
+        There is no such detector, its file is not trusted, or `threads` is not >= 1.
     FormatError
         The file is no network for circles.
 
@@ -58,6 +60,7 @@ class CircleDetector:
         config: FitConfig | None = None,
         scanner: Scanner | None = None,
         threads: int = 1,
+        allow_untrusted: bool = False,
     ) -> None:
         try:
             checked(detector)
@@ -70,7 +73,7 @@ class CircleDetector:
             self.config = FitConfig.load(fit.model_dump() | {"method": detector})
         else:
             self.config = fit
-            self.network = CircleNetwork(detector, threads=threads)
+            self.network = CircleNetwork(detector, threads=threads, allow_untrusted=allow_untrusted)
 
     def detect(self, ranges_batch: ArrayLike, bearings: ArrayLike) -> Circles:
         """One circle per scan.

@@ -14,8 +14,10 @@ from lidar_core import _core
 from lidar_core.circles.detector_name import MODELS, shipped
 from lidar_core.circles.fit_config import FitConfig
 from lidar_core.circles.fitting import Circles
+from lidar_core.circles.onnx_graph import check_graph
 from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments
+from lidar_core.circles.trust import check_trusted, content_of
 from lidar_core.circles.windows import normalised, windows_of_rows, windows_of_segments
 from lidar_core.errors import ConfigError, FormatError, InputError
 
@@ -37,16 +39,21 @@ class CircleNetwork:
     model : str or Path
         Name of a model that comes with the package, or an ONNX file that `lidar-core export`
         wrote. If a card lies beside it, the file must be the one that the card is about.
+    allow_untrusted : bool
+        Run a file that is neither shipped nor exported by this user. A model is a program.
     threads : int
         Of onnxruntime, >= 1.
 
     Raises
     ------
     ConfigError
-        There is no such model, or `threads` is not >= 1.
+        There is no such model, it is not trusted, or `threads` is not >= 1.
     FormatError
         The file is no ONNX model, not the one of its card, or its inputs and outputs are not
-        those of a circle detector.
+        those of a circle detector; or it has control flow, foreign operators or weights in other
+        files, which are refused from anybody.
+    LimitError
+        The file is larger than 256 MiB.
 
     Notes
     -----
@@ -54,10 +61,11 @@ class CircleNetwork:
     its circles have the variances of its errors on its test data; the paper gives none.
     """
 
-    def __init__(self, model: str | Path, *, threads: int = 1) -> None:
-        self.path = _file_of(model)
-        content = self.path.read_bytes()
-        self.card = _card_of(self.path, content)
+    def __init__(
+        self, model: str | Path, *, threads: int = 1, allow_untrusted: bool = False
+    ) -> None:
+        self.path, content, self.card = checked_model(model)
+        check_trusted(self.path, content, allow_untrusted=allow_untrusted)
         self._session = _session(self.path, content, threads)
         metadata = self._session.get_modelmeta().custom_metadata_map
         self.kind = _kind_of(self.path, self._session, metadata)
@@ -156,10 +164,27 @@ class CircleNetwork:
         return parameters
 
 
+def checked_model(model: str | Path) -> tuple[Path, bytes, dict[str, Any]]:
+    """File, content and card of a model whose graph asks for nothing but arithmetic; not run.
+
+    Raises
+    ------
+    ConfigError
+        There is no such model.
+    FormatError
+        The file is no ONNX model, not the one of its card, or asks for more.
+    LimitError
+        The file is too large.
+    """
+    path = _file_of(model)
+    content = content_of(path)
+    card = _card_of(path, content)
+    check_graph(path, content)
+    return path, content, card
+
+
 def _file_of(model: str | Path) -> Path:
     if Path(model).suffix == ".onnx":
-        if not Path(model).is_file():
-            raise ConfigError(f"detector: there is no file {str(model)!r}")
         return Path(model)
     path = MODELS / f"{model}.onnx"
     if not path.is_file():
@@ -194,6 +219,8 @@ def _session(path: Path, content: bytes, threads: int) -> Any:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
+    # The checks read ONNX; a file may also look like onnxruntime's own format.
+    options.add_session_config_entry("session.load_model_format", "ONNX")
     try:
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime has no common class of its own

@@ -42,11 +42,14 @@ class CirclePipeline:
     estimator : callable, optional
         In place of `config.detector`: is given ranges (B,), bearings (B,) and `Segments` in the
         level frame, and returns `Circles`, one per segment.
+    allow_untrusted : bool
+        Run a `config.detector` that is an ONNX file neither shipped nor exported by this user. A
+        configuration cannot say so itself.
 
     Raises
     ------
     ConfigError
-        A parameter is outside its range, or `estimator` cannot be called.
+        A parameter is outside its range, a model is not trusted, or `estimator` cannot be called.
 
     Notes
     -----
@@ -68,7 +71,11 @@ class CirclePipeline:
     """
 
     def __init__(
-        self, config: CirclesConfig | None = None, *, estimator: Estimator | None = None
+        self,
+        config: CirclesConfig | None = None,
+        *,
+        estimator: Estimator | None = None,
+        allow_untrusted: bool = False,
     ) -> None:
         self.config = as_config(config, CirclesConfig)
         if estimator is not None and not callable(estimator):
@@ -81,7 +88,7 @@ class CirclePipeline:
         if detector in get_args(FitMethod):
             fit = fit.load(fit.model_dump() | {"method": detector})
         elif estimator is None:
-            self._network = CircleNetwork(detector)
+            self._network = CircleNetwork(detector, allow_untrusted=allow_untrusted)
         self._pipeline = _core.CirclePipeline(self.config, fit=fit)
         self._estimator = estimator
         self._health = CirclesHealth()

@@ -2,6 +2,7 @@
 
 import signal
 import sys
+import warnings
 from importlib import import_module
 from io import TextIOWrapper
 from typing import Annotated
@@ -10,7 +11,7 @@ import typer
 
 from lidar_core.cli import config, train
 from lidar_core.cli.common import help_text, stoppable
-from lidar_core.errors import LidarCoreError
+from lidar_core.errors import LidarCoreError, OdometryWarning, PoseFrameWarning
 
 app = typer.Typer(
     name="lidar-core",
@@ -67,6 +68,8 @@ def main() -> None:
     SIGTERM, by which services and robots stop programs, is treated as Ctrl-C: files are completed.
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for told_as_note in (OdometryWarning, PoseFrameWarning):
+        warnings.simplefilter("ignore", told_as_note)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # a pipe on Windows knows few letters
             stream.reconfigure(errors="replace")

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
@@ -22,6 +22,8 @@ SHARE = 0.05  # of a LiDAR's scans that have a length which is no defect
 SCAN = "Topic of a 2D LiDAR; again for more."
 NO_RETURN = "What marks a ray without return, besides +inf: auto, zero, nan, max or none."
 SWEEP = "auto: rays have the times that the scans state; none: all rays at the stamp."
+TRUST = "Run an ONNX file that was not exported here: a model is a program."
+TrustModel: TypeAlias = Annotated[bool, typer.Option("--trust-model", help=TRUST)]
 FILM = "Draw film.mp4, or film.gif without ffmpeg, beside the picture."
 
 
@@ -34,6 +36,7 @@ def command(
     point_time: Annotated[str | None, typer.Option(help=SWEEP, rich_help_panel=READ)] = None,
     stamps: Stamps = None,
     scan_rate: ScanRate = None,
+    trust_model: TrustModel = False,
     film: Annotated[bool, typer.Option("--film", help=FILM, rich_help_panel=WRITTEN)] = False,
 ) -> None:
     """Map the round obstacles in RECORDING; write tables, trajectories and picture.
@@ -68,7 +71,9 @@ def command(
         note={"scans": scan},
     )
     out, errors = consoles(options.json)
-    result = do(job, CirclesRun(CirclePipeline(chosen), films=film), errors)
+    result = do(
+        job, CirclesRun(CirclePipeline(chosen, allow_untrusted=trust_model), films=film), errors
+    )
     report(result, _table(result.summary, recording.name), job, out)
 
 

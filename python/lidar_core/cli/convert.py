@@ -118,7 +118,7 @@ def _write_recording(
 ) -> dict[str, Any]:
     """Write scans and poses; returns what was written and what was not, as plain values."""
     from lidar_core.io import open_recording, write_recording
-    from lidar_core.io.posed import NAMELESS
+    from lidar_core.io.scan_topics import NAMELESS
 
     written: Counter[str] = Counter()
     with (

@@ -18,7 +18,14 @@ def command(
         check_regular(run)  # says what else it is
         raise NotADirectoryError(f"{run}: expected the folder of a run, got a file")
     card = training("export").export(run, model)
+    from lidar_core.circles import trust_model
+
+    listed = trust_model(model)
     print(
         f"{model}: {card['bytes']:,} bytes, {card['parameters']:,} parameters, at most"
         f" {card['largest_difference_from_torch']:.1e} from torch"
     )
+    if listed is None:
+        print("It runs with --trust-model or allow_untrusted=True: no list of trusted models here.")
+    else:
+        print(f"Trusted from now on by this user, as {listed} says; others need --trust-model.")

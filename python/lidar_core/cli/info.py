@@ -48,7 +48,7 @@ def _print(info: "RecordingInfo", steps: list[str], console: "Console") -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from lidar_core.io.posed import NAMELESS
+    from lidar_core.io.scan_topics import NAMELESS
 
     console.print(f"[bold]{escape(info.path)}[/bold]  {info.format}")
     if info.start_ns is not None:

@@ -36,6 +36,7 @@ class PipelineChoice:
     values: tuple[str, ...]
     known_map: Path | None
     threads: int
+    trust_model: bool = False
 
     def __post_init__(self) -> None:
         """Refuse options that contradict each other."""
@@ -82,7 +83,9 @@ class PipelineChoice:
 
         base = CirclesConfig() if self.mode == "best" else CirclesConfig.paper()
         config = run_config(base, "circles", self.config, self.values)
-        return CirclesLive(config, n_scanners=max(1, len(self.scans)))
+        return CirclesLive(
+            config, n_scanners=max(1, len(self.scans)), allow_untrusted=self.trust_model
+        )
 
 
 def live_config(domain: int | None, stream: Sequence[str]) -> LiveConfig:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import typer
 
-from lidar_core.cli.circles import NO_RETURN
+from lidar_core.cli.circles import NO_RETURN, TrustModel
 from lidar_core.cli.common import READ, WRITTEN, OverwriteFile, Threads, given
 from lidar_core.cli.detect import MAP, POINT_TIME
 from lidar_core.cli.run_options import PipelineOptions
@@ -95,6 +95,7 @@ class LiveOptions(PipelineOptions):
     domain: Domain = None
     stream: Stream = field(default_factory=list)
     seconds: Seconds = None
+    trust_model: TrustModel = False
     output: Folder = None
     overwrite: OverwriteFile = False
     threads: Threads
@@ -119,6 +120,7 @@ class LiveOptions(PipelineOptions):
             tuple(self.values),
             self.known_map,
             self.threads,
+            self.trust_model,
         )
 
     def record(self, chosen: "PipelineChoice") -> "LiveRun | None":

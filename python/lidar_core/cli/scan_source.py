@@ -163,4 +163,5 @@ def _shifted(item: PosedScan[ScanT], shift_ns: int) -> PosedScan[ScanT]:
     scan, stamps = replace(item.scan, stamp_ns=item.scan.stamp_ns + shift_ns), item.pose_stamps_ns
     if isinstance(scan, Scan) and scan.point_time_ns is not None:
         scan = replace(scan, point_time_ns=scan.point_time_ns + shift_ns)
-    return PosedScan(scan, item.world_from_lidar, None if stamps is None else stamps + shift_ns)
+    later = None if stamps is None else stamps + shift_ns
+    return PosedScan(scan, item.world_from_lidar, later, item.pose_covariance)

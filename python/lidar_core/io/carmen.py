@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError, LimitError
+from lidar_core.io.compressed import check_ratio
 from lidar_core.io.guard import reading
 from lidar_core.io.laser import LaserDecoder
 from lidar_core.io.options import ReadOptions
@@ -211,6 +212,7 @@ class CarmenRecording(Recording):
     def _lines(self) -> Iterator[_Line]:
         """Messages with the numbers of their lines; comments and empty lines left out."""
         limit, total = self.options.max_record_bytes, 0
+        is_packed, size = self.path.suffix.lower() == ".bz2", self.path.stat().st_size
         with self._opened() as stream:
             for number in range(1, 2**62):
                 place = f"{self.path}, line {number}"
@@ -225,6 +227,8 @@ class CarmenRecording(Recording):
                         " max_record_bytes" if len(text) > limit else
                         f"{place}: unpacks to more than {MAX_UNPACKED_BYTES} bytes"
                     )  # fmt: skip
+                if is_packed:
+                    check_ratio(total, size, place)
                 words = text.decode("ascii", "replace").split()
                 if words and not words[0].startswith("#"):
                     yield _Line(place, words[0], words[1:])

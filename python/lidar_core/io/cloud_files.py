@@ -13,6 +13,7 @@ from lidar_core.extras import require
 from lidar_core.files import check_regular
 from lidar_core.io.atomic import written_whole
 from lidar_core.io.guard import check_size, reading
+from lidar_core.io.las import read_las
 from lidar_core.io.octomap import read_octomap, write_octomap
 from lidar_core.io.options import ReadOptions
 from lidar_core.messages import Scan
@@ -127,17 +128,6 @@ def write_cloud(path: str | Path, points: ArrayLike, *, resolution: float | None
     with written_whole(place) as temporary:
         write(temporary, rows)
     return place
-
-
-def read_las(path: Path, options: ReadOptions) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Points (N, 3) [m] and intensities (N,) of a LAS or LAZ file."""
-    library = require("laspy", extra="io", purpose="reading LAS")
-    with reading(str(path)), library.open(str(path)) as file:
-        check_size(str(path), file.header.point_count, limit=options.max_points,
-                   key="max_points", what="a cloud of points")  # fmt: skip
-        cloud = file.read()
-        points = np.stack([np.asarray(cloud[axis], np.float64) for axis in "xyz"], axis=1)
-        return points, np.asarray(cloud.intensity, np.float32)
 
 
 def read_ply(path: Path, options: ReadOptions) -> Any:

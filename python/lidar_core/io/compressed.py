@@ -13,6 +13,14 @@ from lidar_core.io.guard import reading
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 MOST_ZSTD_HEAD, ZSTD_BLOCK_HEAD = 18, 3
 """Bytes in front of a frame, at most, and in front of each of its blocks (RFC 8878)."""
+MOST_RATIO, FREE_BYTES = 1000, 2**20
+"""Compressed data may grow by this factor, and to 1 MiB in any case. Sensor data grows by less than
+20; files made to fill memory or disk by 30,000 (zstd) and 1,000,000 (bz2)."""
+
+
+def most_bytes(packed: int, limit: int) -> int:
+    """How many bytes `packed` compressed bytes may become where `limit` is the most of all."""
+    return min(limit, max(FREE_BYTES, MOST_RATIO * packed))
 
 
 def bounded_decompressor(
@@ -37,9 +45,11 @@ def zstd_data(data: bytes, place: str, limit: int) -> bytes:
     """A frame of zstd, decompressed to at most `limit` bytes."""
     _check_zstd(BytesIO(data), place)
     zstandard = _zstandard()
+    most = most_bytes(len(data), limit)
     with zstandard.ZstdDecompressor().stream_reader(BytesIO(data)) as stream:
-        output: bytes = stream.read(limit + 1)
-    return _limited(output, place, limit)
+        output: bytes = stream.read(most + 1)
+    _check_grown(len(output), len(data), limit, place)
+    return output
 
 
 def unpack_zstd(source: Path, target: Path, limit: int) -> int:
@@ -50,7 +60,8 @@ def unpack_zstd(source: Path, target: Path, limit: int) -> int:
     FormatError
         The file is cut short or broken, or there is another frame behind the first.
     LimitError
-        There would be more bytes.
+        There would be more bytes, or more than 1,000 times as many as the file has; never are more
+        than that written.
     OSError
         `target` cannot be written, as on a full disk.
     """
@@ -65,7 +76,7 @@ def unpack_zstd(source: Path, target: Path, limit: int) -> int:
 
 
 def _unpacked(packed: BinaryIO, source: Path, target: Path, limit: int) -> int:
-    size = 0
+    size, given = 0, source.stat().st_size
     with target.open("wb") as plain:
         for block in _zstandard().ZstdDecompressor().read_to_iter(packed):
             size += len(block)
@@ -74,6 +85,7 @@ def _unpacked(packed: BinaryIO, source: Path, target: Path, limit: int) -> int:
                     f"{source}: unpacks to more than {limit} bytes; raise it with"
                     f" max_unpacked_bytes, or unpack it: zstd -d {source.name}"
                 )
+            check_ratio(size, given, str(source))
             plain.write(block)
     return size
 
@@ -104,15 +116,33 @@ def _check_zstd(file: BinaryIO, place: str) -> None:
 
 
 def _complete(decompressor: Any, data: bytes, place: str, limit: int) -> bytes:
-    output = _limited(decompressor.decompress(data, max_length=limit + 1), place, limit)
+    most = most_bytes(len(data), limit)
+    output: bytes = decompressor.decompress(data, max_length=most + 1)
+    _check_grown(len(output), len(data), limit, place)
     if not decompressor.eof:
         raise FormatError(f"{place}: compressed data ends early")
     return output
 
 
-def _limited(output: bytes, place: str, limit: int) -> bytes:
-    if len(output) > limit:
+def _check_grown(size: int, packed: int, limit: int, place: str) -> None:
+    """Refuse output of `size` bytes so far, which `packed` compressed bytes became."""
+    if size > limit:
         raise LimitError(
             f"{place}: decompresses to more than {limit} bytes; raise it with max_record_bytes"
         )
-    return output
+    check_ratio(size, packed, place)
+
+
+def check_ratio(size: int, packed: int, place: str) -> None:
+    """Refuse output that no honest data grows to.
+
+    Raises
+    ------
+    LimitError
+        `size` bytes are more than 1 MiB and more than 1,000 times `packed`.
+    """
+    if size > max(FREE_BYTES, MOST_RATIO * packed):
+        raise LimitError(
+            f"{place}: {packed} compressed bytes become more than {MOST_RATIO} times as many, which"
+            " recordings do not; if you trust it, decompress it with another program first"
+        )

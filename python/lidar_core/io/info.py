@@ -1,6 +1,8 @@
 """What is in a recording: topics, rates, frames, time span, conventions, defects."""
 
 import statistics
+import warnings
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from itertools import accumulate, pairwise
 from typing import Any, Literal
@@ -8,8 +10,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.io.posed import NAMELESS
+from lidar_core.errors import LidarCoreError, PoseFrameWarning
+from lidar_core.io.pose_frames import MOST_SCANS
+from lidar_core.io.posed import posed_scans
 from lidar_core.io.recording import SCAN_KINDS, Record, Recording, Topic
+from lidar_core.io.scan_topics import NAMELESS
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
 FEWEST_DECODED = 10
@@ -232,6 +237,8 @@ def inspect(recording: Recording) -> RecordingInfo:
             for message in messages
             if isinstance(message, Pose)
         }
+    if any(not is_static for is_static in edges.values()):
+        _check_pose_frames(recording)
     infos = tuple(streams[name].info() for name in sorted(streams))
     found = recording.noticed()
     times = [t for info in infos for t in (info.start_ns, info.end_ns) if t is not None]
@@ -250,6 +257,15 @@ def inspect(recording: Recording) -> RecordingInfo:
         stamps={stream.topic.name: stream.other_times for stream in streams.values()
                 if stream.wants_other_times},
     )  # fmt: skip
+
+
+def _check_pose_frames(recording: Recording) -> None:
+    """Let the first scans say whether the poses are in their frame; it becomes a note."""
+    with suppress(LidarCoreError), warnings.catch_warnings():
+        warnings.simplefilter("ignore", PoseFrameWarning)
+        for number, _ in enumerate(posed_scans(recording)):
+            if number == MOST_SCANS:
+                break
 
 
 def _key(topic: Topic) -> tuple[str, str]:

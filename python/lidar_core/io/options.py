@@ -117,7 +117,8 @@ class PoseOptions(Span):
     pose: str = Field(
         "auto",
         description="auto: transforms, else odometry of the recording; static: the sensor does not"
-        " move; anything else: a poses file, KITTI (12 numbers a line, one line per scan) or TUM"
+        " move; kiss: KISS-ICP finds them from clouds on the way (extra odometry); anything else: a"
+        " poses file, KITTI (12 numbers a line, one line per scan) or TUM"
         " (t x y z qx qy qz qw) (no unit).",
     )
     fixed_frame: str | None = Field(

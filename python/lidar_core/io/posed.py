@@ -1,44 +1,34 @@
 """Scans in 3D or 2D with the sensor's pose, from transforms, odometry or a poses file."""
 
+import warnings
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.errors import ConfigError, FormatError, InputError, meant
+from lidar_core.errors import ConfigError, FormatError, InputError, PoseFrameWarning, meant
 from lidar_core.io.nameless import carrier_of
 from lidar_core.io.options import NS, PoseOptions
 from lidar_core.io.pose_files import read_poses
+from lidar_core.io.pose_frames import PoseFrameCheck, Verdict, advice
 from lidar_core.io.recording import Recording, Topic
 from lidar_core.io.ros_messages import POSE_TYPES
+from lidar_core.io.scan_topics import WORDS, listed, scan_topic
 from lidar_core.io.tf_buffer import NoTransformError, TransformBuffer
 from lidar_core.messages import LaserScan, Pose, Scan
 
-WORLD_FRAME, NAMELESS = "world", "(no topic)"
+WORLD_FRAME = "world"
+KISS = "kiss"
+"""Option `pose`: from the scans themselves."""
 MOST_POSES_PER_SCAN = 64
 PAST_THE_END = 10
 """Scans in a row after the end of a span that end it: a single one may have a wrong stamp."""
 
 ScanT = TypeVar("ScanT", Scan, LaserScan)
-
-
-class _Words(NamedTuple):
-    """How one sort of scans is found, and spoken of."""
-
-    kinds: frozenset[str]
-    plural: str
-    option: str
-    command: str
-
-
-_WORDS: dict[type, _Words] = {
-    Scan: _Words(frozenset({"scan", "scan+pose"}), "clouds", "cloud", "detect"),
-    LaserScan: _Words(frozenset({"planar", "planar+pose"}), "2D scans", "scan", "circles"),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +43,14 @@ class PosedScan(Generic[ScanT]):
         One pose, or poses over the scan.
     pose_stamps_ns : ndarray, shape (K,), int64, optional
         Times of the poses [ns].
+    pose_covariance : ndarray, shape (6, 6), float64, optional
+        Of translation [m^2] and angles about x, y, z [rad^2], where the source of the poses tells.
     """
 
     scan: ScanT
     world_from_lidar: NDArray[np.float64]
     pose_stamps_ns: NDArray[np.int64] | None = None
+    pose_covariance: NDArray[np.float64] | None = None
 
 
 class PosedScans(Generic[ScanT]):
@@ -79,7 +72,7 @@ class PosedScans(Generic[ScanT]):
         self._recording = recording
         self._options = options
         self._sort: type[ScanT] = sort
-        self._cloud = _scan_topic(recording, options.cloud, sort)
+        self._cloud = scan_topic(recording, options.cloud, sort)
         self.cloud = self._cloud.name
         self.fixed_frame = options.fixed_frame or WORLD_FRAME
         self.source = options.pose
@@ -90,10 +83,28 @@ class PosedScans(Generic[ScanT]):
         if self._options.pose == "static":
             yield from self._standing()
             return
-        if self._options.pose != "auto":
-            yield from self._from_file(Path(self._options.pose))
+        if self._options.pose == KISS:
+            yield from self._by_odometry()
             return
-        yield from self._from_buffer()
+        is_file = self._options.pose != "auto"
+        found = self._from_file(Path(self._options.pose)) if is_file else self._from_buffer()
+        yield from found if self._sort is LaserScan else self._checked(found)
+
+    def _checked(self, found: Iterator[PosedScan[ScanT]]) -> Iterator[PosedScan[ScanT]]:
+        """The same scans; a warning if the first say that the poses are in another frame."""
+        check, frame = PoseFrameCheck(), ""
+        for item in found:
+            poses, frame = item.world_from_lidar.reshape(-1, 4, 4), item.scan.frame_id
+            scan: Any = item.scan
+            self._tell(check.add(scan.points, poses[len(poses) // 2]), frame)
+            yield item
+        self._tell(check.decide(), frame)
+
+    def _tell(self, verdict: Verdict | None, frame: str) -> None:
+        if verdict is not None:
+            text = advice(verdict, frame=frame, source=self.source)
+            self._recording.findings.note(text)
+            warnings.warn(text, PoseFrameWarning, stacklevel=3)
 
     def _scans(self) -> Iterator[tuple[int, ScanT]]:
         """Scans that are wanted, each with its place among all of its topic.
@@ -119,7 +130,7 @@ class PosedScans(Generic[ScanT]):
             raise InputError(f"{self._recording.path}: no scans {span}; they end at {latest:g} s")
 
     def _recorded(self) -> Iterator[ScanT]:
-        for record in self._recording.records(_WORDS[self._sort].kinds):
+        for record in self._recording.records(WORDS[self._sort].kinds):
             if record.topic.name == self._cloud.name:
                 yield from (item for item in record.decode() if isinstance(item, self._sort))
 
@@ -140,6 +151,20 @@ class PosedScans(Generic[ScanT]):
                     self.fixed_frame = root
             yield PosedScan(scan, world_from_lidar)
 
+    def _by_odometry(self) -> Iterator[PosedScan[ScanT]]:
+        """Clouds placed by KISS-ICP, one after the other: in the frame of the first scan's end."""
+        if self._sort is not Scan:
+            raise ConfigError(
+                "pose: kiss places clouds, not 2D scans; name poses or a topic of them"
+            )
+        from lidar_core.io.odometry import placed_scans
+
+        self.source = "KISS-ICP, in the frame of the first scan"
+        clouds: Any = (scan for _, scan in self._scans())
+        note = self._recording.findings.note
+        for scan, placed in placed_scans(clouds, self.without_pose, note):
+            yield PosedScan(scan, placed.poses, placed.stamps_ns, placed.covariance)
+
     def _from_file(self, path: Path) -> Iterator[PosedScan[ScanT]]:
         stamps, matrices = read_poses(path)
         self.source = f"{path}, {len(matrices)} poses"
@@ -151,11 +176,13 @@ class PosedScans(Generic[ScanT]):
                 buffer.add(Pose(stamp, WORLD_FRAME, carrier, matrix))
             yield from self._looked_up(buffer, WORLD_FRAME, frame)
             return
+        mountings = {item.child_frame_id: item.matrix for item in self._options.mountings()}
         count = 0
         for number, scan in self._scans():
             if number >= len(matrices):
                 raise FormatError(f"{path}: {len(matrices)} poses for a recording of more scans")
-            yield PosedScan(scan, matrices[number])
+            mounted = mountings.get(scan.frame_id, np.eye(4))
+            yield PosedScan(scan, matrices[number] @ mounted)
             count = number + 1
         if count != len(matrices) and self._options.end is None:
             raise FormatError(f"{path}: {len(matrices)} poses for {count} scans of the recording")
@@ -213,7 +240,7 @@ class PosedScans(Generic[ScanT]):
         topics = sorted({topic.name for topic, _ in odometry})
         chosen = self._options.odom
         if chosen is not None and chosen not in {topic.name for topic, _ in gathered}:
-            raise ConfigError(f"odom: no topic {chosen!r} with poses; found {_listed(topics)}"
+            raise ConfigError(f"odom: no topic {chosen!r} with poses; found {listed(topics)}"
                               f"{meant(chosen, topics)}")  # fmt: skip
         transforms = [item for item in gathered if item[0].type not in POSE_TYPES]
         if chosen is None:
@@ -245,7 +272,7 @@ class PosedScans(Generic[ScanT]):
         mounting = f" '{moving[0]} {frame} x y z roll pitch yaw'" if moving else ""
         return FormatError(
             f"{self._recording.path}: no pose for frame {frame!r} of topic {self._cloud.name!r}:"
-            f" {reason}. Found transforms: {_listed(edges)}; odometry topics: {_listed(odometry)}."
+            f" {reason}. Found transforms: {listed(edges)}; odometry topics: {listed(odometry)}."
             " Name a frame with --fixed-frame, a topic with --odom, a poses file with --pose FILE,"
             f" where the sensor sits with --mounting{mounting}, or --pose static for a sensor that"
             " does not move"
@@ -295,57 +322,6 @@ def _merged(options: PoseOptions | None, values: dict[str, Any]) -> PoseOptions:
     return PoseOptions(**(given | values))
 
 
-def scan_topics(
-    recording: Recording, sorts: Collection[type], names: Collection[str] = ()
-) -> list[Topic]:
-    """Topics with scans: those named, else all.
-
-    Parameters
-    ----------
-    recording : Recording
-        Where to look.
-    sorts : collection of type
-        `Scan`, `LaserScan`, or both.
-    names : collection of str
-        Of topics; each must be there.
-
-    Raises
-    ------
-    ConfigError
-        No such topic with scans of this sort.
-    FormatError
-        No scans of this sort at all.
-    """
-    words = [_WORDS[sort] for sort in sorts]
-    plural = " or ".join(word.plural for word in words)
-    topics = recording.topics()
-    with_scans = [topic for topic in topics if any(topic.kind in word.kinds for word in words)]
-    known = [topic.name for topic in with_scans]
-    for name in names:
-        if name not in known:
-            option = " or ".join(word.option for word in words)
-            raise ConfigError(f"{option}: no topic {name!r} with {plural} in {recording.path};"
-                              f" found {_listed(known)}{meant(name, known)}")  # fmt: skip
-    if not with_scans:
-        found = _listed(
-            [f"{t.name or NAMELESS} ({t.type}{', ' + t.note if t.note else ''})" for t in topics]
-        )
-        other = "".join(f"; {word.plural} are for `lidar-core {word.command}`"
-                        for sort, word in _WORDS.items() if sort not in sorts
-                        and any(topic.kind in word.kinds for topic in topics))  # fmt: skip
-        raise FormatError(f"{recording.path}: no {plural} to read; found {found}{other}")
-    return [topic for topic in with_scans if not names or topic.name in names]
-
-
-def _scan_topic(recording: Recording, name: str | None, sort: type) -> Topic:
-    chosen = scan_topics(recording, [sort], [] if name is None else [name])
-    if name is None and len(chosen) > 1:
-        words, listed = _WORDS[sort], _listed([topic.name for topic in chosen])
-        raise ConfigError(f"{words.option}: several topics with {words.plural} in {recording.path}:"
-                          f" {listed}; name one with --{words.option}")  # fmt: skip
-    return chosen[0]
-
-
 def _moves(buffer: TransformBuffer, root: str, frame: str) -> bool:
     try:
         return root != frame and not buffer.is_static(root, frame)
@@ -374,7 +350,3 @@ def pose_stamps(
     if len(inside) > MOST_POSES_PER_SCAN:
         inside = np.linspace(start, end, MOST_POSES_PER_SCAN).astype(np.int64)[1:-1]
     return np.unique(np.concatenate([[start], inside, [end]])).astype(np.int64)
-
-
-def _listed(names: list[str]) -> str:
-    return ", ".join(name or NAMELESS for name in sorted(names)) or "none"

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from lidar_core.errors import FormatError
 from lidar_core.extras import require
 from lidar_core.io.cloud import CloudDecoder
-from lidar_core.io.cloud_files import read_las, read_ply
+from lidar_core.io.cloud_files import read_ply
 from lidar_core.io.guard import check_size, reading
+from lidar_core.io.las import read_las
 from lidar_core.io.options import LONGEST, NS, ReadOptions
 from lidar_core.io.pose_files import read_matrices
 from lidar_core.io.recording import Record, Recording, Topic
@@ -184,7 +185,7 @@ def _check_compressed(file: Path, left: int, size: int) -> None:
 
 
 class LasRecording(SequenceRecording):
-    """LAS and LAZ files, through laspy: coordinates from a corner near the cloud, which is a pose.
+    """LAS and LAZ files: coordinates from a corner near the cloud, which is a pose.
 
     Coordinates of a country's grid have more digits than float32 holds.
     """

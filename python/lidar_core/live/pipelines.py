@@ -86,8 +86,11 @@ class CirclesLive(LivePipeline[LaserScan]):
     capability = "circles"
     sort = LaserScan
 
-    def __init__(self, config: CirclesConfig, *, n_scanners: int) -> None:
+    def __init__(
+        self, config: CirclesConfig, *, n_scanners: int, allow_untrusted: bool = False
+    ) -> None:
         check_no_rays(config)
+        self._allow_untrusted = allow_untrusted
         self._config = config
         self._n_scanners = n_scanners
         self._found: dict[str, Scanner] = {}
@@ -108,7 +111,9 @@ class CirclesLive(LivePipeline[LaserScan]):
             if len(self._found) >= self._n_scanners:
                 scanners = {**self._found, **self._config.scanners}
                 values = self._config.model_dump() | {"scanners": scanners}
-                self.pipeline = CirclePipeline(type(self._config).load(values))
+                self.pipeline = CirclePipeline(
+                    type(self._config).load(values), allow_untrusted=self._allow_untrusted
+                )
         return self.pipeline is not None
 
     def take(self, item: PosedScan[LaserScan], frame_id: str) -> Update | str:

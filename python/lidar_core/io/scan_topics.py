@@ -1,0 +1,82 @@
+"""Which topic of a recording has the scans that are wanted."""
+
+from collections.abc import Collection
+from typing import NamedTuple
+
+from lidar_core.errors import ConfigError, FormatError, meant
+from lidar_core.io.recording import Recording, Topic
+from lidar_core.messages import LaserScan, Scan
+
+NAMELESS = "(no topic)"
+
+
+class _Words(NamedTuple):
+    """How one sort of scans is found, and spoken of."""
+
+    kinds: frozenset[str]
+    plural: str
+    option: str
+    command: str
+
+
+WORDS: dict[type, _Words] = {
+    Scan: _Words(frozenset({"scan", "scan+pose"}), "clouds", "cloud", "detect"),
+    LaserScan: _Words(frozenset({"planar", "planar+pose"}), "2D scans", "scan", "circles"),
+}
+
+
+def scan_topics(
+    recording: Recording, sorts: Collection[type], names: Collection[str] = ()
+) -> list[Topic]:
+    """Topics with scans: those named, else all.
+
+    Parameters
+    ----------
+    recording : Recording
+        Where to look.
+    sorts : collection of type
+        `Scan`, `LaserScan`, or both.
+    names : collection of str
+        Of topics; each must be there.
+
+    Raises
+    ------
+    ConfigError
+        No such topic with scans of this sort.
+    FormatError
+        No scans of this sort at all.
+    """
+    words = [WORDS[sort] for sort in sorts]
+    plural = " or ".join(word.plural for word in words)
+    topics = recording.topics()
+    with_scans = [topic for topic in topics if any(topic.kind in word.kinds for word in words)]
+    known = [topic.name for topic in with_scans]
+    for name in names:
+        if name not in known:
+            option = " or ".join(word.option for word in words)
+            raise ConfigError(f"{option}: no topic {name!r} with {plural} in {recording.path};"
+                              f" found {listed(known)}{meant(name, known)}")  # fmt: skip
+    if not with_scans:
+        found = listed(
+            [f"{t.name or NAMELESS} ({t.type}{', ' + t.note if t.note else ''})" for t in topics]
+        )
+        other = "".join(f"; {word.plural} are for `lidar-core {word.command}`"
+                        for sort, word in WORDS.items() if sort not in sorts
+                        and any(topic.kind in word.kinds for topic in topics))  # fmt: skip
+        raise FormatError(f"{recording.path}: no {plural} to read; found {found}{other}")
+    return [topic for topic in with_scans if not names or topic.name in names]
+
+
+def scan_topic(recording: Recording, name: str | None, sort: type) -> Topic:
+    """The only topic with scans of a sort, or the one that is named; otherwise as `scan_topics`."""
+    chosen = scan_topics(recording, [sort], [] if name is None else [name])
+    if name is None and len(chosen) > 1:
+        words, found = WORDS[sort], listed([topic.name for topic in chosen])
+        raise ConfigError(f"{words.option}: several topics with {words.plural} in {recording.path}:"
+                          f" {found}; name one with --{words.option}")  # fmt: skip
+    return chosen[0]
+
+
+def listed(names: list[str]) -> str:
+    """Names in words."""
+    return ", ".join(name or NAMELESS for name in sorted(names)) or "none"

@@ -1,0 +1,170 @@
+"""Poses in a wrong frame: recognised by the scans, named with the cure, and no false alarms."""
+
+import tarfile
+import warnings
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import lidar_core as lc
+import lidar_core.sim as sim
+from lidar_core.cli import app
+from lidar_core.errors import PoseFrameWarning
+from lidar_core.io.pose_frames import PoseFrameCheck, _turn, advice
+from lidar_core.messages import Pose, Scan
+
+CAMERA = _turn("-y", "-z", "x")
+DOWN = _turn("x", "-y", "-z")
+HALF = _turn("-x", "-y", "z")
+SCANS = 26
+
+
+def pose_of(rotation=None, translation=(0, 0, 0)):
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.eye(3) if rotation is None else rotation
+    matrix[:3, 3] = translation
+    return matrix
+
+
+def simulated(seed, preset="os1-32"):
+    scene = sim.scenes.demo(seed, scans=SCANS)
+    scene = scene.model_copy(update={"lidar": sim.LidarModel.preset(preset)})
+    return list(sim.simulate(scene, seed=seed))
+
+
+@pytest.fixture(scope="module")
+def flight():
+    items = simulated(5)
+    return [item.scan for item in items], np.array([item.world_from_lidar for item in items])
+
+
+def verdict_on(scans, poses):
+    check = PoseFrameCheck()
+    found = [check.add(getattr(scan, "points", scan), pose)
+             for scan, pose in zip(scans, poses, strict=True)]  # fmt: skip
+    return next((one for one in [*found, check.decide()] if one is not None), None)
+
+
+@pytest.mark.parametrize("lever", [(0, 0, 0), (0.3, -0.2, 0.5)])
+@pytest.mark.parametrize(
+    ("turn", "words"),
+    [(CAMERA, "a camera's (x right, y down, z forward)"),
+     (DOWN, "a body's with z down (x forward, y right, z down)"),
+     (HALF, "one turned half round")],
+)  # fmt: skip
+def test_poses_of_a_camera_or_a_body_are_named(flight, turn, words, lever):
+    scans, poses = flight
+    for world in (np.eye(4), pose_of(turn)):  # the world may have the other axes, too
+        other = world @ poses @ pose_of(turn.T, lever)
+        found = verdict_on(scans, other)
+        assert found is not None
+        assert found.name.startswith(words)
+        assert not found.is_inverse
+        assert found.found > found.given + 0.1
+        np.testing.assert_array_equal(found.turn, turn)
+
+
+def test_inverse_poses_are_named(flight):
+    scans, poses = flight
+    found = verdict_on(scans, np.linalg.inv(poses))
+    assert found.is_inverse
+    np.testing.assert_array_equal(found.turn, np.eye(3))
+    text = advice(found, frame="os", source="poses.txt")
+    assert text.startswith("poses (poses.txt) seem to be inverted, of the world in the sensor's")
+    assert text.endswith("Cure: give the inverse of every matrix")
+    camera = verdict_on(scans, np.linalg.inv(poses @ pose_of(CAMERA.T)))
+    assert camera.is_inverse
+    np.testing.assert_array_equal(camera.turn, CAMERA)
+
+
+@pytest.mark.parametrize(("preset", "seed"), [("os1-32", 6), ("vlp-16", 7), ("livox-mid360", 8)])
+def test_right_poses_are_no_alarm(preset, seed):
+    items = simulated(seed, preset)
+    scans = [item.scan for item in items]
+    poses = np.array([item.world_from_lidar for item in items])
+    assert verdict_on(scans, poses) is None
+    rng = np.random.default_rng(seed)
+    noisy = [pose @ pose_of(None, rng.normal(0, 0.03, 3)) for pose in poses]
+    assert verdict_on(scans, noisy) is None
+
+
+def test_a_sensor_that_stands_is_undecidable_and_silent(flight):
+    scans, poses = flight
+    assert verdict_on(scans, np.tile(poses[:1] @ pose_of(CAMERA.T), (len(scans), 1, 1))) is None
+    assert verdict_on(scans[:3], poses[:3] @ pose_of(CAMERA.T)) is None
+    empty = [Scan(0, np.empty((0, 3), np.float32))] * len(scans)
+    assert verdict_on(empty, poses @ pose_of(CAMERA.T)) is None
+
+
+def written(tmp_path, flight, poses):
+    """A recording without poses, and a poses file as KITTI writes it."""
+    lc.io.write_npz(tmp_path / "r.npz", flight[0])
+    np.savetxt(tmp_path / "poses.txt", np.asarray(poses)[:, :3].reshape(-1, 12))
+    return tmp_path / "r.npz", str(tmp_path / "poses.txt")
+
+
+def test_the_cure_that_is_printed_cures(tmp_path, flight):
+    """--mounting, as the warning says it, gives the LiDAR's own poses, also for KITTI files."""
+    _, poses = flight
+    path, file = written(tmp_path, flight, poses @ pose_of(CAMERA.T))
+    with lc.io.open_recording(path) as recording, pytest.warns(PoseFrameWarning) as told:
+        list(lc.io.posed_scans(recording, pose=file))
+    (text,) = [str(one.message) for one in told]
+    assert "in another frame than the scans: a camera's (x right, y down, z forward)" in text
+    mounting = text.split('--mounting "')[1].split('"')[0]
+    with lc.io.open_recording(path) as recording, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = list(lc.io.posed_scans(recording, pose=file, mounting=(mounting,)))
+    got = np.array([item.world_from_lidar for item in found])
+    np.testing.assert_allclose(got, poses, atol=2e-3)
+
+
+def test_detect_prints_the_frame_and_the_cure(tmp_path, flight):
+    _, poses = flight
+    path, file = written(tmp_path, flight, poses @ pose_of(CAMERA.T))
+    arguments = ["detect", str(path), "--no-picture", "--no-mcap", "--pose"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PoseFrameWarning)
+        done = CliRunner().invoke(app, [*arguments, file, "-o", str(tmp_path / "a")])
+    assert done.exit_code == 0, done.output
+    assert "a camera's (x right, y down, z forward)" in done.output
+    assert "--mounting" in done.output
+    _, file = written(tmp_path, flight, poses)
+    done = CliRunner().invoke(app, [*arguments, file, "-o", str(tmp_path / "b")])
+    assert done.exit_code == 0, done.output
+    assert "another frame" not in done.output
+
+
+@pytest.mark.parametrize("is_camera", [True, False])
+def test_info_tells_of_poses_in_another_frame(tmp_path, flight, is_camera):
+    scans, poses = flight
+    turn = pose_of(CAMERA.T) if is_camera else np.eye(4)
+    messages = []
+    for scan, pose in zip(scans, poses, strict=True):
+        messages += [Pose(scan.stamp_ns, "map", scan.frame_id, pose @ turn), scan]
+    lc.io.write_npz(tmp_path / "r.npz", messages)
+    with lc.io.open_recording(tmp_path / "r.npz") as recording:
+        defects = recording.info().defects
+    found = [text for text in defects if "in another frame than the scans" in text]
+    assert len(found) == is_camera
+    done = CliRunner().invoke(app, ["info", str(tmp_path / "r.npz")])
+    assert ("a camera's (x right" in done.output) == is_camera
+
+
+def test_a_real_street_with_its_poses_and_those_of_a_camera(recordings, tmp_path):
+    folder = recordings / "3d/sequences/street_128_labelled"
+    with tarfile.open(folder / "lidar_rounded_000000-000029.tar.xz") as archive:
+        names = sorted(name for name in archive.getnames() if name.endswith(".pcd"))[:14]
+        archive.extractall(tmp_path, members=names, filter="data")
+    known = np.tile(np.eye(4), (30, 1, 1))
+    known[:, :3] = np.loadtxt(folder / "poses_icp.txt").reshape(-1, 3, 4)
+    scans = []
+    for name in names:
+        with lc.io.open_recording(tmp_path / name) as recording:
+            scans += [message for message in recording if isinstance(message, Scan)]
+    assert verdict_on(scans, known[:14]) is None
+    found = verdict_on(scans, known[:14] @ pose_of(CAMERA.T))
+    assert found is not None
+    np.testing.assert_array_equal(found.turn, CAMERA)
+    assert verdict_on(scans, np.linalg.inv(known[:14])).is_inverse
