@@ -408,6 +408,9 @@ class SimScene:
         threads: int,
         sways: Sequence[tuple[Sequence[float], float, float] | None] = ...,
         air: Sequence[object] = ...,
+        surfaces: Sequence[object | None] = ...,
+        mover_surfaces: Sequence[object | None] = ...,
+        carried: Sequence[tuple[SimShape, NDArray[np.float64]]] = ...,
     ) -> Self: ...
     def scan(
         self, lidar: object, sensor: SimTrajectory, *, start_ns: int, scan: int, seed: int

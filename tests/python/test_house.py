@@ -130,7 +130,7 @@ def test_python_in_papers_uses_names_that_exist(paper):
 
 def test_the_scenes_of_the_guide_can_be_simulated():
     texts = re.findall(r"```toml\n(.*?)```", text_of("docs/simulation.md"), re.DOTALL)
-    assert len(texts) == 3
+    assert len(texts) == 4
     for text in texts:
         scene = lidar_core.sim.Scene.load(tomllib.loads(text))
         (scan,) = lidar_core.sim.simulate(scene, seed=0, scans=1)

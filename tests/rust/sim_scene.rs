@@ -41,6 +41,7 @@ fn bodies() -> impl Strategy<Value = (Vec<Body>, [f64; 3])> {
                         shape,
                         world_from_shape: Transform { rotation, translation },
                         sway: None,
+                        surface: None,
                         label: 0,
                     }
                 },

@@ -1,7 +1,7 @@
 """Simulated LiDAR scans, 3D and 2D, with the truth: scenes, sensors, motions, targets."""
 
-from lidar_core.sim import circle_scenes, scenes
-from lidar_core.sim.air import Dust, Rain
+from lidar_core.sim import circle_scenes, scenes, surfaces
+from lidar_core.sim.air import Dust, Fog, Rain
 from lidar_core.sim.config import Body, Scene, Target
 from lidar_core.sim.insert import InsertedFlight, insert_target, with_target
 from lidar_core.sim.insert_moving import with_moving_target
@@ -37,6 +37,7 @@ from lidar_core.sim.shapes import (
 )
 from lidar_core.sim.simulator import Simulator, simulate, sweeps
 from lidar_core.sim.steering import SteeredSensor, Steering
+from lidar_core.sim.surfaces import Surface
 from lidar_core.sim.truth import ObjectTruth, SimulatedScan, SimulatedSweep, TargetTruth
 
 __all__ = [
@@ -49,6 +50,7 @@ __all__ = [
     "Dust",
     "EllipticCylinder",
     "FigureEight",
+    "Fog",
     "HeightField",
     "Hexacopter",
     "Hover",
@@ -81,6 +83,7 @@ __all__ = [
     "SteeredSensor",
     "Steering",
     "StopAndGo",
+    "Surface",
     "Swinging",
     "TakeOff",
     "Target",
@@ -97,6 +100,7 @@ __all__ = [
     "scenes",
     "simulate",
     "sphere_mesh",
+    "surfaces",
     "sweeps",
     "with_moving_target",
     "with_target",

@@ -1,4 +1,4 @@
-"""What is in the air: rain and dust, whose returns are no things."""
+"""What is in the air: rain, dust and fog, whose returns are no things."""
 
 from typing import Annotated, Literal, TypeAlias
 
@@ -6,6 +6,9 @@ from pydantic import Field
 
 from lidar_core.config import Config
 from lidar_core.sim.types import Vector
+
+KOSCHMIEDER = 3.912
+"""Extinction times visibility: the logarithm of 2 % (no unit)."""
 
 
 class Rain(Config):
@@ -46,4 +49,26 @@ class Dust(Config):
     )
 
 
-Particles: TypeAlias = Annotated[Dust | Rain, Field(discriminator="kind")]
+class Fog(Config):
+    """Fog everywhere: light fades on its way to a surface and back, droplets nearby return some.
+
+    What fades below what the sensor sees is lost, the darker and the more aslant a surface the
+    sooner (`Surface`; those that state nothing count as of reflectivity 0.3, met head-on).
+    """
+
+    kind: Literal["fog"] = "fog"
+    visibility: float = Field(
+        gt=0, description="Distance at which 2 % of the contrast are left (Koschmieder) [m]."
+    )
+    speckle: float = Field(
+        0.01, ge=0, description="Returns of droplets per metre of a ray's way [1/m]."
+    )
+    speckle_range: float = Field(6.0, gt=0, description="Up to where droplets give returns [m].")
+
+    @property
+    def extinction(self) -> float:
+        """Loss of light per metre of way [1/m]."""
+        return KOSCHMIEDER / self.visibility
+
+
+Particles: TypeAlias = Annotated[Dust | Fog | Rain, Field(discriminator="kind")]

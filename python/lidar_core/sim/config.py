@@ -9,6 +9,7 @@ from lidar_core.sim.air import Particles
 from lidar_core.sim.lidar import LidarModel
 from lidar_core.sim.motions import Hover, Motion, Scripted
 from lidar_core.sim.shapes import Shape, Solid
+from lidar_core.sim.surfaces import Surface
 from lidar_core.sim.types import Quaternion, Vector
 
 
@@ -18,6 +19,9 @@ class Body(Config):
     shape: Shape = Field(description="Surface (see the kinds for units).")
     position: Vector = Field((0, 0, 0), description="Origin of the shape's frame [m].")
     rotation: Quaternion = Field((0, 0, 0, 1), description="Attitude (x, y, z, w) (no unit).")
+    surface: Surface | None = Field(
+        None, description="How it answers light; none: every ray returns (see there for units)."
+    )
 
 
 class Target(Config):
@@ -25,6 +29,9 @@ class Target(Config):
 
     shape: Solid = Field(description="Surface (see the kinds for units).")
     motion: Motion = Field(description="Way (see the kinds for units).")
+    surface: Surface | None = Field(
+        None, description="How it answers light; none: every ray returns (see there for units)."
+    )
     clutter: bool = Field(
         False,
         description="An insect, a bird: it gives returns with its own label, but is no target of"
@@ -38,7 +45,12 @@ class Scene(Config):
     bodies: tuple[Body, ...] = Field((), description="What stands (see there for units).")
     targets: tuple[Target, ...] = Field((), description="What moves (see there for units).")
     air: tuple[Particles, ...] = Field(
-        (), max_length=256, description="Rain and dust (see the kinds for units)."
+        (), max_length=256, description="Rain, dust and fog (see the kinds for units)."
+    )
+    own_body: tuple[Body, ...] = Field(
+        (),
+        max_length=64,
+        description="What carries the sensor, in the sensor's frame (see there for units).",
     )
     lidar: LidarModel = Field(
         default_factory=lambda: LidarModel.preset("os1-128"),
@@ -50,6 +62,21 @@ class Scene(Config):
     scans: int = Field(60, ge=1, le=1_000_000, description="Length of the recording [scans].")
     start_ns: int = Field(0, ge=0, le=2**62, description="Start of the first scan [ns].")
     pose_rate: float = Field(100.0, gt=0, le=10_000, description="Poses per second [Hz].")
+
+    def idealised(self) -> Self:
+        """Return the same scene in clear air, where everything returns and all rays are known.
+
+        Rays without return of its scans met nothing: with the same seed they tell which of the
+        missing returns of this scene are sky.
+        """
+        return self.model_copy(
+            update={
+                "lidar": self.lidar.model_copy(update={"ideal": True, "dropout": 0.0}),
+                "bodies": tuple(one.model_copy(update={"surface": None}) for one in self.bodies),
+                "targets": tuple(one.model_copy(update={"surface": None}) for one in self.targets),
+                "air": (),
+            }
+        )
 
     @model_validator(mode="after")
     def _random_motions_need_room(self) -> Self:

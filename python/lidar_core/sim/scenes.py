@@ -10,9 +10,28 @@ from numpy.typing import ArrayLike
 from lidar_core.arrays import as_rows
 from lidar_core.errors import ConfigError, InputError
 from lidar_core.sim.config import Body, Scene, Target
+from lidar_core.sim.hard_scenes import (
+    dark_street,
+    encounter,
+    fog_street,
+    moving_car,
+    windy_trees,
+)
 from lidar_core.sim.lidar import LidarModel, Spinning
 from lidar_core.sim.motions import Loop, RandomMotion, Waypoints
 from lidar_core.sim.shapes import Box, Cylinder, Plane, Sphere, Tree
+
+__all__ = [
+    "DRONE_RADIUS",
+    "dark_street",
+    "demo",
+    "encounter",
+    "fog_street",
+    "moving_car",
+    "performance",
+    "street",
+    "windy_trees",
+]
 
 DRONE_RADIUS = 0.325
 """Radius of the sphere that stands for a drone [m]."""

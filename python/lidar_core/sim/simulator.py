@@ -16,6 +16,7 @@ from lidar_core.sim.motions import RandomMotion
 from lidar_core.sim.movers import movers_of, reach_of
 from lidar_core.sim.people import Barrel
 from lidar_core.sim.shapes import Cylinder, Sway, Tree
+from lidar_core.sim.surfaces import Answers
 from lidar_core.sim.truth import ObjectTruth, SimulatedScan, SimulatedSweep, TargetTruth
 
 
@@ -51,12 +52,22 @@ class Simulator:
         self.seed = seed
         self._seconds = max(self.scans, scene.scans) * scene.lidar.period_ns * 1e-9
         self.sensor = self._trajectory(*scene.sensor.knots(self._seconds))
-        bodies, sways = _bodies(scene)
+        bodies, sways, surfaces = _bodies(scene)
         radii = [reach_of(target.shape.surfaces()) for target in scene.targets]
         ways = self._ways(SimScene(bodies, [], threads=1), radii)
         labels = len(scene.bodies) + np.arange(len(radii), dtype=np.int32)
         movers = self._movers(ways, labels.tolist())
-        self._world = SimScene(bodies, movers, threads=threads, sways=sways, air=list(scene.air))
+        names = [scene.targets[label - len(scene.bodies)].surface for _, _, label in movers]
+        self._world = SimScene(
+            bodies,
+            movers,
+            threads=threads,
+            sways=sways,
+            air=list(scene.air),
+            surfaces=surfaces,
+            mover_surfaces=names,
+            carried=[one for body in scene.own_body for one in _placed(body)],
+        )
         self._is_target = np.array([not target.clutter for target in scene.targets], bool)
         self.targets = [way for way, wanted in zip(ways, self._is_target, strict=True) if wanted]
         self._ids = labels[self._is_target]
@@ -258,18 +269,28 @@ def sweeps(
 
 def _bodies(
     scene: Scene,
-) -> tuple[list[tuple[SimShape, NDArray[np.float64], int]], list[Sway | None]]:
-    """Surfaces, poses and labels of all bodies, and how each surface sways."""
+) -> tuple[list[tuple[SimShape, NDArray[np.float64], int]], list[Sway | None], Answers]:
+    """Surfaces, poses and labels of all bodies, how each surface sways and answers light."""
     bodies = []
     sways: list[Sway | None] = []
+    surfaces: Answers = []
     for label, body in enumerate(scene.bodies):
-        pose = poses(np.array([body.position]), np.array([body.rotation]))[0]
-        for shape, place in body.shape.surfaces():
-            at = pose.copy()
-            at[:3, 3] += pose[:3, :3] @ place
-            bodies.append((shape, at, label))
-        sways += _sways(body, pose[:3, :3], len(bodies) - len(sways))
-    return bodies, sways
+        placed = _placed(body)
+        bodies += [(shape, at, label) for shape, at in placed]
+        sways += _sways(body, placed[0][1][:3, :3], len(placed))
+        surfaces += [body.surface] * len(placed)
+    return bodies, sways, surfaces
+
+
+def _placed(body: Body) -> list[tuple[SimShape, NDArray[np.float64]]]:
+    """Surfaces of a body, and their poses."""
+    pose = poses(np.array([body.position]), np.array([body.rotation]))[0]
+    found = []
+    for shape, place in body.shape.surfaces():
+        at = pose.copy()
+        at[:3, 3] += pose[:3, :3] @ place
+        found.append((shape, at))
+    return found
 
 
 def _sways(body: Body, turn: NDArray[np.float64], surfaces: int) -> list[Sway | None]:

@@ -53,8 +53,8 @@ class SimulatedScan:
     truth : TargetTruth
         The targets.
     label : ndarray, shape (N,), int32
-        What every ray met: number of the body or target, -1 where there is no point, -2 for rain
-        and dust.
+        What every row met: number of the body or target, -1 where there is no point, -2 for rain,
+        dust and fog, -3 for what was seen in a mirror, -4 for what carries the sensor.
     """
 
     scan: Scan

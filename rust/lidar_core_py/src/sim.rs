@@ -3,14 +3,14 @@
 use crate::arrays::{self, Threads};
 use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
-use crate::sim_config::{LidarConfig, MotionConfig, ParticlesConfig};
+use crate::sim_config::{LidarConfig, MotionConfig, ParticlesConfig, SurfaceConfig};
 use lidar_core::geometry::transform::Transform;
 use lidar_core::{Error, threads};
 use lidar_sim::air::Particles;
 use lidar_sim::mesh::Mesh;
 use lidar_sim::scene::{Body, Mover, Ray, Scene, Sway};
 use lidar_sim::shape::Shape;
-use lidar_sim::simulate::{self, Task};
+use lidar_sim::simulate::{self, OWN_LABEL, Task};
 use lidar_sim::trajectory::Trajectory;
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
@@ -139,7 +139,9 @@ pub(crate) struct SimScene(Guarded<(Scene, ThreadPool)>);
 #[pymethods]
 impl SimScene {
     #[new]
-    #[pyo3(signature = (bodies, movers, *, threads, sways=Vec::new(), air=Vec::new()))]
+    #[pyo3(signature = (bodies, movers, *, threads, sways=Vec::new(), air=Vec::new(),
+        surfaces=Vec::new(), mover_surfaces=Vec::new(), carried=Vec::new()))]
+    #[allow(clippy::too_many_arguments)] // of one constructor, by name
     #[allow(clippy::type_complexity)] // a row per body
     fn new(
         py: Python<'_>,
@@ -148,26 +150,33 @@ impl SimScene {
         threads: Threads,
         sways: Vec<Option<([f64; 3], f64, f64)>>,
         air: Vec<ParticlesConfig>,
+        surfaces: Vec<Option<SurfaceConfig>>,
+        mover_surfaces: Vec<Option<SurfaceConfig>>,
+        carried: Vec<(Py<SimShape>, PyReadonlyArray2<'_, f64>)>,
     ) -> Result<Self, BorderError> {
         let mut standing = Vec::with_capacity(bodies.len());
-        let mut sways = sways.into_iter();
+        let (mut sways, mut surfaces) = (sways.into_iter(), surfaces.into_iter());
         for (shape, pose, label) in &bodies {
+            let mut body = body(shape, pose, *label)?;
             let sway = sways.next().flatten();
-            let sway = sway.map(|(reach, rate, phase)| Sway { reach, rate, phase });
-            let values = arrays::flat("pose", pose)?;
-            let world_from_shape = transform(values.as_chunks::<16>().0.first())?;
-            let (shape, label) = (shape.get().0.clone(), *label);
-            standing.push(Body { shape, world_from_shape, sway, label });
+            body.sway = sway.map(|(reach, rate, phase)| Sway { reach, rate, phase });
+            body.surface = surfaces.next().flatten().map(SurfaceConfig::surface);
+            standing.push(body);
         }
+        let mut surfaces = mover_surfaces.into_iter();
         let moving = movers.iter().map(|(shape, trajectory, label)| Mover {
             shape: shape.get().0.clone(),
             trajectory: trajectory.get().0.clone(),
+            surface: surfaces.next().flatten().map(SurfaceConfig::surface),
             label: *label,
         });
         let moving = moving.collect();
+        let carried = carried.iter().map(|(shape, pose)| body(shape, pose, OWN_LABEL));
+        let carried = carried.collect::<Result<Vec<Body>, BorderError>>()?;
         let air = air.into_iter().map(Particles::from).collect();
         let made = detached(py, || {
-            Ok((Scene::new(standing, moving)?.with_air(air)?, threads::pool(threads.0)?))
+            let scene = Scene::new(standing, moving)?.with_air(air)?.with_carried(carried)?;
+            Ok((scene, threads::pool(threads.0)?))
         })?;
         Ok(Self(Guarded::new(made)))
     }
@@ -286,6 +295,16 @@ fn rows(made: &simulate::Scan) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
         (direction.map(|part| (range * part) as f32), direction.map(|part| part as f32))
     })
     .unzip()
+}
+
+fn body(
+    shape: &Py<SimShape>,
+    pose: &PyReadonlyArray2<'_, f64>,
+    label: i32,
+) -> Result<Body, BorderError> {
+    let values = arrays::flat("pose", pose)?;
+    let world_from_shape = transform(values.as_chunks::<16>().0.first())?;
+    Ok(Body { shape: shape.get().0.clone(), world_from_shape, sway: None, surface: None, label })
 }
 
 fn transforms(poses: &PyReadonlyArray3<'_, f64>) -> Result<Vec<Transform>, BorderError> {

@@ -6,6 +6,7 @@ use lidar_sim::air::Particles;
 use lidar_sim::motion::{Near, RandomMotion};
 use lidar_sim::scene::Bounds;
 use lidar_sim::sensors::{Beam, Lidar, Pattern};
+use lidar_sim::surface::Surface;
 use lidar_sim::trajectory::Trajectory;
 use pyo3::prelude::*;
 
@@ -149,11 +150,26 @@ impl MotionConfig {
     }
 }
 
-/// The fields of `Rain` and `Dust`.
+/// The fields of `Surface`.
+#[derive(FromPyObject)]
+pub(crate) struct SurfaceConfig {
+    reflectivity: f64,
+    mirror: f64,
+    clear: f64,
+}
+
+impl SurfaceConfig {
+    pub(crate) fn surface(self) -> Surface {
+        Surface { reflectivity: self.reflectivity, mirror: self.mirror, clear: self.clear }
+    }
+}
+
+/// The fields of `Rain`, `Dust` and `Fog`.
 #[derive(FromPyObject)]
 pub(crate) enum ParticlesConfig {
     Rain { density: f64, drop_size: f64, beam_size: f64, beam_divergence: f64, least_share: f64 },
     Dust { center: [f64; 3], velocity: [f64; 3], radius: f64, growth: f64, free_path: f64 },
+    Fog { extinction: f64, speckle: f64, speckle_range: f64 },
 }
 
 impl From<ParticlesConfig> for Particles {
@@ -173,6 +189,9 @@ impl From<ParticlesConfig> for Particles {
             },
             ParticlesConfig::Dust { center, velocity, radius, growth, free_path } => {
                 Self::Dust { center, velocity, radius, growth, free_path }
+            }
+            ParticlesConfig::Fog { extinction, speckle, speckle_range } => {
+                Self::Fog { extinction, speckle, reach: speckle_range }
             }
         }
     }

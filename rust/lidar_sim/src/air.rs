@@ -37,6 +37,15 @@ pub enum Particles {
         /// Mean length of a ray in it before it ends on a grain [m].
         free_path: f64,
     },
+    /// Fog everywhere: light fades on its way, and near the sensor droplets give returns.
+    Fog {
+        /// Loss of light per metre of way [1/m].
+        extinction: f64,
+        /// Returns of droplets per metre of way [1/m].
+        speckle: f64,
+        /// Up to where droplets give returns [m].
+        reach: f64,
+    },
 }
 
 impl Particles {
@@ -65,6 +74,23 @@ impl Particles {
                 positive("radius", radius)?;
                 positive("free_path", free_path)
             }
+            Self::Fog { extinction, speckle, reach } => {
+                positive("extinction", extinction)?;
+                positive("reach", reach)?;
+                match speckle.is_finite() && speckle >= 0.0 {
+                    true => Ok(()),
+                    false => Err(refused("speckle", "finite and >= 0", &speckle)),
+                }
+            }
+        }
+    }
+
+    /// Loss of light per metre of way [1/m].
+    #[must_use]
+    pub fn extinction(&self) -> f64 {
+        match *self {
+            Self::Fog { extinction, .. } => extinction,
+            Self::Rain { .. } | Self::Dust { .. } => 0.0,
         }
     }
 
@@ -90,6 +116,10 @@ impl Particles {
                 let half = (radius * radius - aside * aside).max(0.0).sqrt();
                 let distance = (along - half).max(start) + free_path * depth;
                 (distance <= along + half).then_some(distance)
+            }
+            Self::Fog { speckle, reach, .. } => {
+                let distance = start + depth / speckle; // infinite without droplets
+                (distance <= reach).then_some(distance)
             }
         }
     }
@@ -135,6 +165,18 @@ mod tests {
         assert!(found.is_some_and(|distance| (distance - 5.0).abs() < 1e-6));
         assert!(rain(0.01).meet(&AHEAD, 1.0, 0.0, depth).is_some()); // seen up to 6.6 m
         assert!(rain(0.04).meet(&AHEAD, 1.0, 0.0, depth).is_none()); // up to 1.8 m
+        Ok(())
+    }
+
+    #[test]
+    fn fog_gives_returns_near_the_sensor_only() -> Result<(), Error> {
+        let fog = |speckle| Particles::Fog { extinction: 0.02, speckle, reach: 6.0 };
+        fog(0.1).check()?;
+        assert_eq!(fog(0.1).meet(&AHEAD, 0.5, 0.0, 0.25), Some(3.0));
+        assert_eq!(fog(0.1).meet(&AHEAD, 0.5, 0.0, 0.6), None);
+        assert_eq!(fog(0.0).meet(&AHEAD, 0.5, 0.0, 0.01), None);
+        assert_eq!(fog(0.1).extinction(), 0.02);
+        assert!(fog(-0.1).check().is_err());
         Ok(())
     }
 

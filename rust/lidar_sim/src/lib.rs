@@ -16,4 +16,5 @@ pub mod scenes;
 pub mod sensors;
 pub mod shape;
 pub mod simulate;
+pub mod surface;
 pub mod trajectory;

@@ -100,10 +100,22 @@ impl Mesh {
     }
 
     pub(crate) fn meet(&self, ray: &Ray, limit: f64) -> Option<f64> {
-        let nearest = self
-            .tree
-            .nearest(ray, limit, |face, _| meet_triangle(ray, &self.triangles[face as usize]));
-        nearest.map(|(_, distance)| distance)
+        self.nearest(ray, limit).map(|(_, distance)| distance)
+    }
+
+    /// Unit normal of the face that `ray` meets first; against the ray if it meets none.
+    pub(crate) fn normal(&self, ray: &Ray) -> [f64; 3] {
+        let normal = self.nearest(ray, f64::MAX).map(|(face, _)| {
+            let [_, ab, ac] = self.triangles[face as usize];
+            cross(ab, ac)
+        });
+        let normal = normal.unwrap_or(ray.direction);
+        let length = norm(normal);
+        normal.map(|part| part / length)
+    }
+
+    fn nearest(&self, ray: &Ray, limit: f64) -> Option<(u32, f64)> {
+        self.tree.nearest(ray, limit, |face, _| meet_triangle(ray, &self.triangles[face as usize]))
     }
 
     pub(crate) fn clearance(&self, point: [f64; 3], limit: f64) -> f64 {

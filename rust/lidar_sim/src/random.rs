@@ -14,6 +14,8 @@ pub enum Purpose {
     Circle = 4,
     /// Range noise of the rays that meet a circle.
     CircleNoise = 5,
+    /// What becomes of one ray at the surfaces that it meets.
+    Surface = 6,
 }
 
 /// Four random words at a place.

@@ -3,6 +3,7 @@
 use crate::air::{MAX_VOLUMES, Particles};
 use crate::parry::Tree;
 use crate::shape::{Shape, refused};
+use crate::surface::Surface;
 use crate::trajectory::Trajectory;
 use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, dot, minus, norm};
@@ -33,6 +34,8 @@ pub struct Body {
     pub world_from_shape: Transform,
     /// How it sways.
     pub sway: Option<Sway>,
+    /// How it answers light; None: every ray that meets it returns.
+    pub surface: Option<Surface>,
     /// Name in the truth labels; several bodies may share one.
     pub label: i32,
 }
@@ -44,6 +47,8 @@ pub struct Mover {
     pub shape: Shape,
     /// Where it is at which time.
     pub trajectory: Trajectory,
+    /// How it answers light; None: every ray that meets it returns.
+    pub surface: Option<Surface>,
     /// Name in the truth labels; successive movers that share it are one object.
     pub label: i32,
 }
@@ -55,6 +60,8 @@ pub struct Hit {
     pub distance: f64,
     /// Label of what it met.
     pub label: i32,
+    /// How that answers light, and its unit normal there, if it is stated.
+    pub surface: Option<(Surface, [f64; 3])>,
 }
 
 /// Bodies at rest under a tree, movers, and what is in the air.
@@ -74,6 +81,8 @@ pub struct Scene {
     /// Which object each mover belongs to.
     objects: Vec<usize>,
     air: Vec<Particles>,
+    /// Bodies fixed to the sensor, in its frame, and their inverse poses.
+    carried: Vec<(Body, Transform)>,
 }
 
 impl Sway {
@@ -117,6 +126,7 @@ impl Scene {
                 let got = format!("{:?}", body.world_from_shape);
                 return Err(Error::Value { name: "bodies", expected: "finite", index, got });
             }
+            body.surface.as_ref().map_or(Ok(()), Surface::check)?;
             match body.bounds() {
                 Some(bounds) => {
                     bounded.push(index as u32);
@@ -134,6 +144,7 @@ impl Scene {
         Ok(Self {
             objects: objects_of(&movers),
             air: Vec::new(),
+            carried: Vec::new(),
             tree,
             bodies,
             shape_from_world,
@@ -156,10 +167,47 @@ impl Scene {
         Ok(Self { air, ..self })
     }
 
+    /// The same with bodies fixed to the sensor: the robot or car that carries it.
+    ///
+    /// # Errors
+    /// [`Error::Value`] if a pose is not finite.
+    pub fn with_carried(self, bodies: Vec<Body>) -> Result<Self, Error> {
+        if let Some(index) = bodies.iter().position(|body| !body.is_finite()) {
+            let got = format!("{:?}", bodies[index].world_from_shape);
+            return Err(Error::Value { name: "carried", expected: "finite", index, got });
+        }
+        let of = |body: Body| {
+            let shape_from_lidar = inverse(&body.world_from_shape);
+            (body, shape_from_lidar)
+        };
+        Ok(Self { carried: bodies.into_iter().map(of).collect(), ..self })
+    }
+
+    /// Where a ray in `direction` of the sensor's frame meets what carries it, before `limit` [m].
+    #[must_use]
+    pub fn meet_carried(&self, direction: [f64; 3], limit: f64) -> Option<Hit> {
+        let ray = Ray { origin: [0.0; 3], direction };
+        let mut nearest = None;
+        let mut limit = limit;
+        for (body, shape_from_lidar) in &self.carried {
+            if let Some(distance) = body.shape.meet(&within(shape_from_lidar, &ray), limit) {
+                nearest = Some(Hit { distance, label: body.label, surface: None });
+                limit = distance;
+            }
+        }
+        nearest
+    }
+
     /// What is in the air.
     #[must_use]
     pub fn air(&self) -> &[Particles] {
         &self.air
+    }
+
+    /// Loss of light per metre of way in the air [1/m].
+    #[must_use]
+    pub fn extinction(&self) -> f64 {
+        self.air.iter().map(Particles::extinction).sum()
     }
 
     /// What moves.
@@ -204,7 +252,18 @@ impl Scene {
             nearest = Some(self.bounded[leaf as usize]);
             limit = distance;
         }
-        nearest.map(|index| Hit { distance: limit, label: self.bodies[index as usize].label })
+        nearest.map(|index| self.hit(index as usize, ray, limit, seconds))
+    }
+
+    fn hit(&self, index: usize, ray: &Ray, distance: f64, seconds: f64) -> Hit {
+        let body = &self.bodies[index];
+        let surface = body.surface.map(|surface| {
+            let swayed = body.sway.map_or([0.0; 3], |sway| sway.at(seconds));
+            let origin = minus(ray.origin, swayed);
+            let local = within(&self.shape_from_world[index], &Ray { origin, ..*ray });
+            (surface, body.world_from_shape.rotate(body.shape.normal(&local, distance)))
+        });
+        Hit { distance, label: body.label, surface }
     }
 
     /// Distance [m] of `point` from the nearest body in its place, or `limit` if none is nearer.

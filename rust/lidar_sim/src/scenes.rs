@@ -189,8 +189,13 @@ fn bodies() -> Result<Vec<Body>, Error> {
     for [radius, height, x, y] in CYLINDERS {
         shapes.push((Shape::cylinder(radius, height)?, [x, y, 0.5 * height]));
     }
-    let body =
-        |(label, (shape, place))| Body { shape, world_from_shape: at(place), sway: None, label };
+    let body = |(label, (shape, place))| Body {
+        shape,
+        world_from_shape: at(place),
+        sway: None,
+        surface: None,
+        label,
+    };
     Ok((0..).zip(shapes).map(body).collect())
 }
 
@@ -200,6 +205,7 @@ fn spheres(height: f64) -> Result<Vec<Mover>, Error> {
     for (index, ([x, y, z], step)) in SPHERES.into_iter().enumerate() {
         movers.push(Mover {
             shape: Shape::sphere(0.325)?,
+            surface: None,
             trajectory: line([x, y, height + z], step)?,
             label: (first_label + index) as i32,
         });

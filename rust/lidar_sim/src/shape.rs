@@ -111,6 +111,34 @@ impl Shape {
         found.filter(|&distance| distance < limit)
     }
 
+    /// Unit normal, to either side, where `ray` (in the shape's frame) meets it at `distance` [m].
+    #[must_use]
+    pub fn normal(&self, ray: &Ray, distance: f64) -> [f64; 3] {
+        let [x, y, z]: [f64; 3] =
+            std::array::from_fn(|axis| ray.origin[axis] + distance * ray.direction[axis]);
+        let up = [0.0, 0.0, 1.0];
+        match self {
+            Self::Plane { .. } => up,
+            Self::Box { half_size } => {
+                let out = |axis: usize| [x, y, z][axis].abs() / half_size[axis];
+                let side =
+                    (1..3).fold(0, |best, axis| if out(axis) > out(best) { axis } else { best });
+                std::array::from_fn(|axis| if axis == side { 1.0 } else { 0.0 })
+            }
+            Self::Cylinder { half_height, .. } | Self::EllipticCylinder { half_height, .. }
+                if z.abs() >= half_height * (1.0 - END) =>
+            {
+                up
+            }
+            Self::Cylinder { .. } => unit([x, y, 0.0]),
+            Self::EllipticCylinder { half_axes: [a, b], .. } => {
+                unit([x / (a * a), y / (b * b), 0.0])
+            }
+            Self::Sphere { .. } => unit([x, y, z]),
+            Self::Mesh(mesh) => mesh.normal(ray),
+        }
+    }
+
     /// Distance [m] of `point` (in the shape's frame): 0 inside a solid; of a mesh its surface
     /// counts, of an elliptic cylinder the round one about it.
     #[must_use]
@@ -173,6 +201,15 @@ impl Shape {
             max: std::array::from_fn(|axis| pose.translation[axis] + half[axis]),
         })
     }
+}
+
+/// Share of its half length at the end of a cylinder that counts as its cap.
+const END: f64 = 1e-9;
+
+/// `vector` with length 1.
+fn unit(vector: [f64; 3]) -> [f64; 3] {
+    let length = norm(vector);
+    vector.map(|part| part / length)
 }
 
 fn positive(name: &'static str, value: f64) -> Result<(), Error> {
@@ -336,6 +373,26 @@ mod tests {
         assert_eq!(Shape::cuboid([2.0; 3])?.clearance([0.5, 0.5, 0.0], 100.0), 0.0);
         assert_eq!(Shape::cylinder(1.0, 2.0)?.clearance([4.0, 0.0, 5.0], 100.0), 5.0);
         assert_eq!(Shape::plane([f64::INFINITY; 2])?.clearance([4.0, 0.0, -5.0], 100.0), 5.0);
+        Ok(())
+    }
+
+    #[test]
+    fn hand_computed_normals() -> Result<(), Error> {
+        let from = |y, z| along_x([-5.0, y, z]);
+        let sphere = Shape::sphere(2.0)?;
+        assert_eq!(sphere.normal(&from(0.0, 0.0), 3.0), [-1.0, 0.0, 0.0]);
+        let cuboid = Shape::cuboid([2.0, 4.0, 6.0])?;
+        assert_eq!(cuboid.normal(&from(1.0, 1.0), 4.0), [1.0, 0.0, 0.0]);
+        let down = Ray { origin: [0.5, 0.0, 9.0], direction: [0.0, 0.0, -1.0] };
+        let cylinder = Shape::cylinder(1.0, 2.0)?;
+        assert_eq!(cylinder.normal(&down, 8.0), [0.0, 0.0, 1.0]);
+        assert_eq!(cylinder.normal(&from(0.0, 0.5), 4.0), [-1.0, 0.0, 0.0]);
+        let ellipse = Shape::elliptic_cylinder([2.0, 1.0], 4.0)?;
+        let met = ellipse.normal(&from(0.6, 0.0), 5.0 - 1.6);
+        assert!((met[1] / met[0] + 0.6 / 0.4).abs() < 1e-12); // gradient: x / 4, y / 1
+        let slope = Shape::Mesh(Arc::new(Mesh::height_field(&[0.0, 0.0, 2.0, 2.0], 2, 2.0)?));
+        let met = slope.normal(&Ray { origin: [0.1, 0.1, 9.0], ..down }, 8.0);
+        assert!((met[0].abs() - 0.5f64.sqrt()).abs() < 1e-12 && met[0] * met[2] < 0.0);
         Ok(())
     }
 

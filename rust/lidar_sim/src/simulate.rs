@@ -3,9 +3,10 @@
 use crate::random::{self, Purpose};
 use crate::scene::{Hit, Ray, Scene, inverse, passes, within};
 use crate::sensors::{Beam, Lidar, Sweep};
+use crate::surface::{Fate, Surface, USUAL_REFLECTIVITY, is_seen, signal};
 use crate::trajectory::Trajectory;
 use lidar_core::Error;
-use lidar_core::geometry::transform::Transform;
+use lidar_core::geometry::transform::{Transform, dot};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
@@ -13,6 +14,18 @@ use rayon::prelude::*;
 pub const NO_LABEL: i32 = -1;
 /// Label of a ray that ended on rain or dust.
 pub const AIR_LABEL: i32 = -2;
+/// Label of a ray that a mirror turned before it returned: there is nothing where its point is.
+pub const GHOST_LABEL: i32 = -3;
+/// Label of a ray that ended on what carries the sensor.
+pub const OWN_LABEL: i32 = -4;
+
+/// Surfaces that one ray may pass or be mirrored by.
+const MOST_TURNS: u32 = 4;
+/// Way that a ray goes on from a surface before it may meet another one [m].
+const STEP: f64 = 1e-6;
+
+/// What is met by a ray in fog and states nothing; met head-on.
+const USUAL: Surface = Surface { reflectivity: USUAL_REFLECTIVITY, mirror: 0.0, clear: 0.0 };
 
 /// Rays worked on together: fixed, so that the result cannot depend on the number of threads.
 const RAYS_PER_CHUNK: usize = 4096;
@@ -132,12 +145,13 @@ impl Task<'_> {
             let ray = moment.ray(sweep.directions[index]);
             met.fill(false);
             let hit = match &turns {
-                None => self.meet(&ray, moment, &mut met),
+                None => self.seen(&ray, moment, &mut met, index as u32),
                 Some(turns) => self.echo(sweep.directions[index], turns, moment, &mut met),
             };
             for (count, &met) in part.unoccluded.iter_mut().zip(&met) {
                 *count += u32::from(met);
             }
+            let hit = self.own(sweep.directions[index], hit);
             let hit = self.in_air(&ray, moment, hit, index as u32);
             let distance = hit.map_or(f64::INFINITY, |hit| hit.distance);
             let range = self.lidar.measured(distance, self.seed, self.scan, index as u32);
@@ -159,18 +173,75 @@ impl Task<'_> {
         let line = |&[cosine, sine]: &[f64; 2]| {
             moment.ray([cosine * x - sine * y, sine * x + cosine * y, z])
         };
+        let limit = self.lidar.range_max;
         let hits: Vec<Hit> =
-            turns.iter().filter_map(|turn| self.meet(&line(turn), moment, met)).collect();
+            turns.iter().filter_map(|turn| self.meet(&line(turn), moment, met, limit)).collect();
         let first = hits.iter().min_by(|a, b| a.distance.total_cmp(&b.distance))?;
         let last = first.distance + self.lidar.beam.map_or(0.0, |beam| beam.echo_length);
         let merged = hits.iter().map(|hit| hit.distance).filter(|&distance| distance <= last);
         let (count, sum) = merged.fold((0.0, 0.0), |(n, sum), value| (n + 1.0, sum + value));
-        Some(Hit { distance: sum / count, label: first.label })
+        Some(Hit { distance: sum / count, ..*first })
+    }
+
+    /// What carries the sensor, where a ray meets it before `hit`.
+    fn own(&self, direction: [f64; 3], hit: Option<Hit>) -> Option<Hit> {
+        let limit = hit.map_or(self.lidar.range_max, |hit| hit.distance);
+        self.scene.meet_carried(direction, limit).or(hit)
+    }
+
+    /// What a ray returns: it may pass surfaces or be mirrored, and what comes back may be too
+    /// faint. The length is that of the whole way.
+    fn seen(&self, ray: &Ray, moment: &Moment, met: &mut [bool], index: u32) -> Option<Hit> {
+        let mut hit = self.meet(ray, moment, met, self.lidar.range_max)?;
+        let extinction = self.scene.extinction();
+        if hit.surface.is_none() && extinction == 0.0 {
+            return Some(hit); // the ideal: every surface returns
+        }
+        let (mut ray, mut way, mut is_ghost) = (*ray, 0.0, false);
+        let mut unused = vec![false; met.len()];
+        for turn in 0..MOST_TURNS {
+            let drawn = self.drawn(index, turn);
+            let (surface, normal) = hit.surface.unwrap_or((USUAL, ray.direction));
+            let distance = way + hit.distance;
+            let draws = [random::uniform(drawn[0]), random::uniform(drawn[1])];
+            let ahead = match surface.fate(ray.direction, normal, draws) {
+                Fate::Scattered => {
+                    let cosine = dot(ray.direction, normal).abs();
+                    let power = signal(
+                        surface.reflectivity,
+                        cosine,
+                        distance,
+                        self.lidar.range_max,
+                        extinction,
+                    );
+                    let fading = random::normal(drawn[2], drawn[3]);
+                    let label = if is_ghost { GHOST_LABEL } else { hit.label };
+                    return is_seen(power, fading).then_some(Hit { distance, label, ..hit });
+                }
+                Fate::Mirrored(direction) => {
+                    is_ghost = true;
+                    direction
+                }
+                Fate::Passed => ray.direction,
+            };
+            way = distance + STEP;
+            let start = |axis: usize| {
+                ray.origin[axis] + hit.distance * ray.direction[axis] + STEP * ahead[axis]
+            };
+            ray = Ray { origin: std::array::from_fn(start), direction: ahead };
+            hit = self.meet(&ray, moment, &mut unused, self.lidar.range_max - way)?;
+        }
+        None
+    }
+
+    /// Words for what becomes of a ray at the surface that it meets after `turn` others.
+    fn drawn(&self, index: u32, turn: u32) -> [u32; 4] {
+        let [ray, scan, scan_high, purpose] = random::place(Purpose::Surface, self.scan, index);
+        random::words(self.seed, [ray, scan, scan_high, purpose | turn << 8])
     }
 
     /// First thing that `ray` meets; in `met` the objects that it meets or would meet.
-    fn meet(&self, ray: &Ray, moment: &Moment, met: &mut [bool]) -> Option<Hit> {
-        let limit = self.lidar.range_max;
+    fn meet(&self, ray: &Ray, moment: &Moment, met: &mut [bool], limit: f64) -> Option<Hit> {
         let mut nearest = self.scene.meet(ray, limit, moment.seconds);
         for (index, mover) in self.scene.movers().iter().enumerate() {
             let local = within(&moment.shape_from_world[index], ray);
@@ -180,7 +251,11 @@ impl Task<'_> {
             let Some(distance) = mover.shape.meet(&local, limit) else { continue };
             met[self.scene.objects()[index]] = true;
             if nearest.is_none_or(|hit| distance < hit.distance) {
-                nearest = Some(Hit { distance, label: mover.label });
+                let surface = mover.surface.map(|surface| {
+                    let normal = mover.shape.normal(&local, distance);
+                    (surface, inverse(&moment.shape_from_world[index]).rotate(normal))
+                });
+                nearest = Some(Hit { distance, label: mover.label, surface });
             }
         }
         nearest
@@ -197,7 +272,7 @@ impl Task<'_> {
                 let found = volume.meet(ray, self.lidar.range_min, moment.seconds, depth);
                 let limit = nearest.map_or(self.lidar.range_max, |hit| hit.distance);
                 if let Some(distance) = found.filter(|&distance| distance < limit) {
-                    nearest = Some(Hit { distance, label: AIR_LABEL });
+                    nearest = Some(Hit { distance, label: AIR_LABEL, surface: None });
                 }
             }
         }

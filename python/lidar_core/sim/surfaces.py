@@ -1,0 +1,46 @@
+"""How surfaces answer light: dark, wet and glossy ones, glass."""
+
+from typing import TypeAlias
+
+from pydantic import Field
+
+from lidar_core.config import Config
+
+
+class Surface(Config):
+    """Shares of the light that meets a surface.
+
+    What is scattered back falls with the cosine of incidence and the square of the range; it is
+    seen if it exceeds what a surface of reflectivity 0.1 gives head-on at `range_max`, which is
+    what ranges of LiDARs are stated for. What is mirrored grows from `mirror` to all of it at
+    grazing incidence (Schlick 1994): the ray goes on, and a return lies as far ahead as its whole
+    way is long. A surface that states nothing returns every ray.
+    """
+
+    reflectivity: float = Field(
+        0.3, ge=0, description="Scattered back at normal incidence (no unit)."
+    )
+    mirror: float = Field(
+        0.0, ge=0, le=1, description="Mirrored at normal incidence; 0: never (no unit)."
+    )
+    clear: float = Field(
+        0.0, ge=0, le=1, description="Passed on, of what is not mirrored (no unit)."
+    )
+
+
+CONCRETE = Surface(reflectivity=0.35)
+ASPHALT = Surface(reflectivity=0.15)
+LEAVES = Surface(reflectivity=0.3)
+PLASTIC = Surface(reflectivity=0.2)
+"""Of drones."""
+DARK = Surface(reflectivity=0.02)
+"""Black walls and cars: returns from near by only."""
+WET = Surface(reflectivity=0.04, mirror=0.02)
+"""Wet asphalt: water mirrors what it meets at a grazing angle."""
+GLOSSY = Surface(reflectivity=0.08, mirror=0.05)
+"""Polished paint and stone."""
+GLASS = Surface(reflectivity=0.01, mirror=0.08, clear=0.95)
+"""Windows: most light passes, some is mirrored, hardly any comes back."""
+
+Answers: TypeAlias = list[Surface | None]
+"""One per surface of a scene; none: every ray that meets it returns."""
