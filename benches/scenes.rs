@@ -11,6 +11,7 @@ use lidar_core::flying::parameters::FlyingParameters;
 use lidar_core::flying::scan::RawScan;
 use lidar_core::flying::sensor::SensorParameters;
 use lidar_core::flying::separate::Separation;
+use lidar_core::flying::sky::Beams;
 use lidar_core::flying::track::{
     Ageing, Association, Confirmation, Hiding, MeasurementForm, Merging, Motion, NoiseForm, Radius,
     RadiusForm, TrackerParameters,
@@ -75,6 +76,7 @@ impl Scan {
             directions: Some(&self.directions),
             no_return: Some(&self.no_return),
             no_ray: None,
+            reach: None,
             pose_error: None,
         }
     }
@@ -192,6 +194,7 @@ pub fn classify_parameters() -> ClassifyParameters {
         max_distance: Some(20.0),
         group_distance: Some(0.7),
         min_clearance: 0.625,
+        upright_height: Some(1.2),
         follow_tracks: true,
         fill_pockets: false,
     }
@@ -225,7 +228,9 @@ pub fn flying_parameters() -> FlyingParameters {
             learn_mask_scans: 0,
             learn_mask_range: 1.0,
             mask_empty_only: false,
-            beams: None,
+            beams: Beams::Given,
+            known_sensors: Vec::new(),
+            find_body: false,
             returns_per_ray: 1,
         },
         tracker: tracker_parameters(),

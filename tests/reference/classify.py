@@ -139,8 +139,14 @@ def flying_or_unknown(vmap: VoxelMap, points, extent: float, origin, config) -> 
         math.sqrt(((points.mean(axis=0) - origin) ** 2).sum()) > config.max_distance
     )
     too_large = config.max_extent is not None and extent > config.max_extent
+    width, depth, height = np.ptp(points, axis=0)
+    upright = (
+        config.upright_height is not None
+        and height >= config.upright_height
+        and math.hypot(width, depth) <= 0.4 * height
+    )
     inside = all(vmap.admits(vmap.voxel_at(point)) for point in points)
-    if len(points) < config.min_points or too_large or too_far or not inside:
+    if len(points) < config.min_points or too_large or too_far or upright or not inside:
         return UNKNOWN
     floating = is_floating(
         vmap,

@@ -9,6 +9,7 @@ use lidar_core::flying::parameters::FlyingParameters;
 use lidar_core::flying::scan::RawScan;
 use lidar_core::flying::sensor::SensorParameters;
 use lidar_core::flying::separate::Separation;
+use lidar_core::flying::sky::Beams;
 use lidar_core::flying::track::{
     Ageing, Association, Confirmation, Hiding, MeasurementForm, Merging, Motion, NoiseForm, Radius,
     RadiusForm, TrackerParameters,
@@ -59,7 +60,9 @@ fn parameters() -> FlyingParameters {
             learn_mask_scans: 0,
             learn_mask_range: 1.0,
             mask_empty_only: false,
-            beams: None,
+            beams: Beams::Given,
+            known_sensors: Vec::new(),
+            find_body: false,
             returns_per_ray: 1,
         },
         tracker: tracker(),
@@ -110,6 +113,7 @@ fn classify() -> ClassifyParameters {
         background_extent: Some(3.0),
         min_points: 2,
         min_clearance: 0.0,
+        upright_height: None,
         max_distance: None,
         group_distance: Some(0.7),
         follow_tracks: true,

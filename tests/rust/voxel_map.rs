@@ -74,6 +74,7 @@ fn integrate(map: &mut VoxelMap, entries: &[Entry]) -> Result<(), Error> {
         directions: Some(&directions),
         no_return: Some(&no_return),
         no_ray: None,
+        reach: None,
         pose_error: None,
     })?;
     Ok(())

@@ -96,25 +96,27 @@ def know_map(detector: "FlyingObjectDetector", known_map: Path) -> None:
     )
 
 
+SKY = {
+    "given": "of the rays: the recording tells which met nothing",
+    "pattern": "of the rays: found from the rows of the sensor",
+    "density": "of the rays: found from the density of the returns",
+    "unknown": "not known: objects before open sky are not found",
+}
+"""What `frame.status.sky` says, for people."""
+
+
 def _table(summary: Mapping[str, Any], name: str) -> "Table":
     from lidar_core.cli.recording_job import left_out
 
     scans, gate, shares = summary["scans"], summary["gate"], summary["class_shares"]
     opened = f"since scan {gate['opened_at_scan']}" if gate["open"] else gate["reason"]
-    sky = (
-        ("cleared", "rays without return are known")
-        if summary["clears_sky"]
-        else (
-            "not cleared",
-            "rays without return are missing; --set sensor.beams=... rebuilds them",
-        )
-    )
     rows = (
         Row("scans", str(scans["processed"]), ", ".join(left_out(summary))),
         Row("poses", "", summary["poses"]),
         *(Row(f"points {kind}", f"{100 * share:.2f} %", "") for kind, share in shares.items()),
         Row("gate", "open" if gate["open"] else "closed", opened),
-        Row("open sky", *sky),
+        Row("open sky", f"{100 * summary['sky_share']:.0f} %", SKY[summary["sky"]]),
+        Row("own body", f"{100 * summary['own_body']:.1f} %", "of the returns"),
         Row("detections", str(summary["detections"]), ""),
         Row("tracks", str(summary["tracks"]), ""),
         None,

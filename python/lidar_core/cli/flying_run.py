@@ -37,7 +37,8 @@ class FlyingRun:
         self.gate_reason = "no scan was processed"
         self.gate_is_open = False
         self.gate_opened_at: int | None = None
-        self.clears_sky = False
+        self.sky = "unknown"
+        self._shares: list[tuple[float, float]] = []
         self.rejected: Counter[str] = Counter()
         self.frame_id = "world"
         self._class_counts = np.zeros(len(CLASSES), np.int64)
@@ -77,7 +78,8 @@ class FlyingRun:
         self.gate_reason, self.gate_is_open = status.reason, status.gate_open
         if status.gate_open and self.gate_opened_at is None:
             self.gate_opened_at = len(self.frames)
-        self.clears_sky = self.clears_sky or status.clears_sky
+        self.sky = status.sky if status.sky != "unknown" else self.sky
+        self._shares.append((status.sky_share, status.own_body))
         self._class_counts += np.bincount(frame.point_class, minlength=len(CLASSES))
         # Classes of every point of every scan would fill the memory on a long recording.
         self.frames.append(replace(frame, point_class=frame.point_class[:0]))
@@ -104,6 +106,16 @@ class FlyingRun:
         """Share of each class among the points with information."""
         counts = self._class_counts[1:]
         return dict(zip(CLASSES[1:], (counts / max(1, counts.sum())).tolist(), strict=True))
+
+    @property
+    def sky_share(self) -> float:
+        """Share of the sensor's rays that went into the sky, mean of all scans."""
+        return float(np.mean([sky for sky, _ in self._shares])) if self._shares else 0.0
+
+    @property
+    def own_body(self) -> float:
+        """Share of the returns that were on the robot itself, in the last scan."""
+        return self._shares[-1][1] if self._shares else 0.0
 
     @property
     def track_ids(self) -> list[int]:
@@ -154,7 +166,9 @@ class FlyingRun:
                 "reason": self.gate_reason,
                 "opened_at_scan": self.gate_opened_at,
             },
-            "clears_sky": self.clears_sky,
+            "sky": self.sky,
+            "sky_share": self.sky_share,
+            "own_body": self.own_body,
             "detections": self.n_detections,
             "tracks": len(self.track_ids),
             "ms_per_scan": self._times.ms_per_scan,

@@ -178,6 +178,12 @@ class ClassifyConfig(Config):
         description="A flying object has at least this share of free voxels among the neighbours"
         " of its own: those behind it may be hidden, not the others (share, no unit).",
     )
+    upright_height: float | None = Field(
+        1.2,
+        gt=0,
+        description="Clusters at least this high, whose diagonal on the ground is at most two fifths of"
+        " their height, stand on something and do not fly, such as signs and people [m].",
+    )
     follow_tracks: bool = Field(
         True,
         description="Unknown clusters that a confirmed track follows are flying objects, however"
@@ -201,6 +207,7 @@ class ClassifyConfig(Config):
             max_distance=None,
             group_distance=None,
             min_clearance=0.0,
+            upright_height=None,
             follow_tracks=False,
         )
 
@@ -344,7 +351,7 @@ class FlyingConfig(Config):
             cluster=ClusterConfig(max_angle=0.0),
             classify=ClassifyConfig.paper(),
             seed=SeedConfig(burn_in_extent=1.0, standing_scans=0),
-            sensor=SensorConfig(learn_mask_scans=0),
+            sensor=SensorConfig(learn_mask_scans=0, beams=None, find_body=False),
             tracker=TrackerConfig.paper(),
             position="paper",
             pose=PoseConfig.paper(),

@@ -115,18 +115,25 @@ class FlyingStatus:
         Why not: burn-in, no background, or a pose that contradicts the map.
     map_pose_mismatch : bool
         The scan was held: `reanchor` or `reset` go on from here.
-    clears_sky : bool
-        Rays without return are known. If not, open sky is never cleared, and objects in front
-        of it are unknown, not flying.
-    n_rebuilt_rays : int
-        Rays without return that the driver had dropped.
+    sky : str
+        How rays without return are known: "given" by the caller or the recording, found by the
+        "pattern" of a sensor with rows or by the "density" of the returns, or "unknown". While it is
+        unknown, open sky is never cleared, and objects in front of it are unknown, not flying.
+    sky_share : float
+        Share of the sensor's rays that go into the sky.
+    n_sky_rays : int
+        Rays into the sky that were found, not given.
+    own_body : float
+        Share of the returns that are on the robot itself.
     """
 
     gate_open: bool
     reason: str
     map_pose_mismatch: bool = False
-    clears_sky: bool = False
-    n_rebuilt_rays: int = 0
+    sky: str = "unknown"
+    sky_share: float = 0.0
+    n_sky_rays: int = 0
+    own_body: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

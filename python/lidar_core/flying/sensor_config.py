@@ -3,18 +3,24 @@
 import math
 from typing import Literal, Self, TypeAlias
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lidar_core.config import Config
 from lidar_core.errors import ConfigError
 from lidar_core.flying.config_types import MOST_SCANS, Box
-from lidar_core.sensors import SENSORS, sensor_named
+from lidar_core.sensors import SENSORS, Sensor, sensor_named
 
-BeamPreset: TypeAlias = Literal[
+Beams: TypeAlias = Literal[
+    "auto", "given", "learnt",
     "os0-32", "os0-64", "os0-128", "os1-32", "os1-64", "os1-128", "os2-32", "os2-64", "os2-128",
-    "vlp-16", "hdl-32e", "hdl-64e", "vls-128", "xt32", "pandar64", "qt128", "rs16", "learnt",
+    "vlp-16", "hdl-32e", "hdl-64e", "vls-128", "xt32", "pandar64", "qt128",
+    "rs16", "livox-mid360", "livox-avia", "livox-hap", "livox-horizon",
 ]  # fmt: skip
-"""Sensors with rows that turn, and rows that are learnt."""
+"""How rays without return are known; the names below are those of 3D sensors."""
+
+BeamTable: TypeAlias = tuple[str, tuple[float, ...], int]
+"""given or learnt; or rows with their elevations [rad] and the rays of each; or view with lowest and
+highest elevation, largest azimuth [rad] and the rays of a scan."""
 
 
 class SensorConfig(Config):
@@ -48,20 +54,25 @@ class SensorConfig(Config):
         False,
         description="Masks skip only rays without return (the authors' code), not all (no unit).",
     )
-    beams: BeamPreset | None = Field(
-        None,
-        description="Rays of a sensor whose driver drops those without return: a preset, or learnt"
-        " from the points (no unit). None: such rays are given, or open sky is not cleared.",
+    find_body: bool = Field(
+        True,
+        description="What stays in place in the sensor's frame while the sensor moves, and is joined"
+        " to something near, is the robot: neither target nor background (no unit).",
+    )
+    beams: Beams | None = Field(
+        "auto",
+        description="How rays without return are known: auto, given with their directions or else"
+        " found from the returns; given, never found; learnt, as auto; or the name of a sensor,"
+        " found from the returns and its rays (no unit). None: given.",
     )
     beam_columns: int | None = Field(
         None,
         ge=8,
         le=36_000,
-        description="Rays per revolution of each row, if `beams` is set; none: the preset's"
-        " (count, no unit).",
+        description="Rays per turn of each of `beam_elevations`; none: 1800 (count, no unit).",
     )
     beam_elevations: tuple[float, ...] = Field(
-        (), description="Elevation of every row, instead of a preset [rad]."
+        (), description="Elevation of every row of a sensor that has no name here [rad]."
     )
     returns_per_ray: int = Field(
         1,
@@ -84,29 +95,34 @@ class SensorConfig(Config):
         if sensor.is_planar:
             raise ConfigError(f"preset: expected a 3D LiDAR, got {name!r}")
         near = max(sensor.model.get("range_min", 0.0), cls().min_range)
-        return cls.load({"min_range": near, "beams": name if sensor.drops_rays else None})
+        return cls.load({"min_range": near, "beams": name if sensor.drops_rays else "auto"})
 
-    @model_validator(mode="before")
-    @classmethod
-    def _fill_preset(cls, values: dict[str, object]) -> dict[str, object]:
-        preset = BEAM_PRESETS.get(str(values.get("beams")))
-        if preset is None:
-            return values
-        columns, elevations_deg = preset
-        filled = {
-            "beam_columns": columns,
-            "beam_elevations": tuple(round(math.radians(row), 6) for row in elevations_deg),
-        }
-        given = {name: value for name, value in values.items() if value not in (None, ())}
-        return values | filled | given
+    @property
+    def beam_table(self) -> BeamTable:
+        """What `beams` and the rows given stand for."""
+        if self.beam_elevations:
+            return ("rows", tuple(sorted(self.beam_elevations)), self.beam_columns or 1800)
+        if self.beams in BEAM_TABLES:
+            return BEAM_TABLES[str(self.beams)]
+        return ("given" if self.beams in (None, "given") else "learnt", (), 0)
+
+    @property
+    def known_sensors(self) -> tuple[tuple[str, BeamTable], ...]:
+        """Sensors that an error may propose."""
+        return tuple(BEAM_TABLES.items())
 
 
-BEAM_PRESETS: dict[str, tuple[int, tuple[float, ...]]] = {
-    **{
-        name: (sensor.pattern["columns"], tuple(sorted(sensor.pattern["elevations_deg"])))
-        for name, sensor in SENSORS.items()
-        if sensor.pattern["kind"] == "spinning"
-    },
-    "learnt": (1800, ()),
+def _table(sensor: Sensor) -> BeamTable:
+    pattern = sensor.pattern
+    if pattern["kind"] == "spinning":
+        rows = sorted(math.radians(row) for row in pattern["elevations_deg"])
+        return ("rows", tuple(rows), pattern["columns"])
+    half = math.radians(pattern.get("azimuth_half_deg", 180.0))
+    low, high = (math.radians(pattern[f"elevation_{end}_deg"]) for end in ("min", "max"))
+    return ("view", (low, high, half), pattern.get("rays", 20_000))
+
+
+BEAM_TABLES: dict[str, BeamTable] = {
+    name: _table(sensor) for name, sensor in SENSORS.items() if not sensor.is_planar
 }
-"""Rays per revolution at 10 Hz and elevations, lowest first [deg]."""
+"""Rays of the 3D sensors, at 10 Hz."""

@@ -177,8 +177,10 @@ fn frame_dict(py: Python<'_>, frame: Frame) -> Result<Bound<'_, PyDict>, BorderE
     values.set_item("gate_open", frame.gate == Gate::Open)?;
     values.set_item("gate_reason", frame.gate.to_string())?;
     values.set_item("map_pose_mismatch", matches!(frame.gate, Gate::PoseMismatch { .. }))?;
-    values.set_item("clears_sky", frame.clears_sky)?;
-    values.set_item("rebuilt_rays", frame.rebuilt_rays)?;
+    values.set_item("sky", frame.sky.name())?;
+    values.set_item("sky_share", frame.sky_share)?;
+    values.set_item("sky_rays", frame.sky_rays)?;
+    values.set_item("own_body", frame.own_body)?;
     let stats = frame.integrated.unwrap_or_default();
     values.set_item("rays", stats.rays)?;
     values.set_item("visits", stats.visits)?;

@@ -3,12 +3,12 @@
 use crate::arrays;
 use crate::tracker::TrackerConfig;
 use lidar_core::Error;
-use lidar_core::flying::beams::BeamTable;
 use lidar_core::flying::classify::ClassifyParameters;
 use lidar_core::flying::gate::SeedParameters;
 use lidar_core::flying::parameters::FlyingParameters;
 use lidar_core::flying::sensor::SensorParameters;
 use lidar_core::flying::separate::Separation;
+use lidar_core::flying::sky::{Beams, RayPattern};
 use lidar_core::flying::voxel_map::{MapParameters, RayUnit, Rays};
 use lidar_core::flying::weighting::{PoseParameters, PoseWeighting};
 use lidar_core::geometry::cluster::Clustering;
@@ -58,6 +58,7 @@ pub(crate) struct ClassifyConfig {
     max_distance: Option<f64>,
     group_distance: Option<f64>,
     min_clearance: f64,
+    upright_height: Option<f64>,
     follow_tracks: bool,
     fill_pockets: bool,
 }
@@ -89,8 +90,9 @@ struct SensorConfig {
     learn_mask_scans: u32,
     learn_mask_range: f64,
     mask_empty_only: bool,
-    beam_columns: Option<usize>,
-    beam_elevations: Vec<f64>,
+    find_body: bool,
+    beam_table: BeamTable,
+    known_sensors: Vec<(String, BeamTable)>,
     returns_per_ray: usize,
 }
 
@@ -195,22 +197,31 @@ impl ClassifyConfig {
             max_distance: self.max_distance,
             group_distance: self.group_distance,
             min_clearance: self.min_clearance,
+            upright_height: self.upright_height,
             follow_tracks: self.follow_tracks,
             fill_pockets: self.fill_pockets,
         }
     }
 }
 
+/// `SensorConfig.beam_table`: kind, angles, number of rays.
+type BeamTable = (String, Vec<f64>, usize);
+
+/// The rays of a known sensor.
+fn beam_rays((kind, angles, count): &BeamTable) -> Option<RayPattern> {
+    match (kind.as_str(), angles.as_slice()) {
+        ("rows", elevations) => {
+            Some(RayPattern::Rows { elevations: elevations.to_vec(), columns: *count })
+        }
+        ("view", &[low, high, azimuth]) => {
+            Some(RayPattern::FieldOfView { elevation: [low, high], azimuth, rays: *count })
+        }
+        _ => None,
+    }
+}
+
 impl SensorConfig {
     fn parameters(self) -> SensorParameters {
-        let table = |columns| {
-            let mut elevations = self.beam_elevations;
-            elevations.sort_by(f64::total_cmp);
-            match elevations.is_empty() {
-                true => BeamTable::Learnt { columns },
-                false => BeamTable::Rows { elevations, columns },
-            }
-        };
         SensorParameters {
             min_range: self.min_range,
             self_box: self.self_box,
@@ -219,7 +230,17 @@ impl SensorConfig {
             learn_mask_scans: self.learn_mask_scans,
             learn_mask_range: self.learn_mask_range,
             mask_empty_only: self.mask_empty_only,
-            beams: self.beam_columns.map(table),
+            beams: match beam_rays(&self.beam_table) {
+                Some(rays) => Beams::Known(rays),
+                None if self.beam_table.0 == "learnt" => Beams::Learnt,
+                None => Beams::Given,
+            },
+            known_sensors: self
+                .known_sensors
+                .iter()
+                .filter_map(|(name, table)| Some((name.clone(), beam_rays(table)?)))
+                .collect(),
+            find_body: self.find_body,
             returns_per_ray: self.returns_per_ray,
         }
     }

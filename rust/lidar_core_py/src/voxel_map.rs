@@ -54,6 +54,7 @@ impl PyVoxelMap {
             directions: arrays::maybe_rows3("ray_directions", &ray_directions)?,
             no_return: arrays::maybe_flat("no_return", &no_return)?,
             no_ray: None,
+            reach: None,
             pose_error: None,
         };
         let IntegrateStats { points, skipped, rays, no_return_rays, visits, voxels } =

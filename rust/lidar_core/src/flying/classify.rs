@@ -46,6 +46,9 @@ pub struct ClassifyParameters {
     pub group_distance: Option<f64>,
     /// A flying object has at least this share of free voxels among the neighbours of its own.
     pub min_clearance: f64,
+    /// Clusters at least this high, and much higher than wide, stand on something, such as signs and
+    /// people [m].
+    pub upright_height: Option<f64>,
     /// Unknown clusters that a confirmed track follows are flying objects, however little is known
     /// of what is around them.
     pub follow_tracks: bool,
@@ -131,6 +134,11 @@ impl Classifier {
     }
 }
 
+/// Whether a box is at least so high [m], and its diagonal on the ground shorter than two fifths of that.
+fn is_upright([x, y, z]: [f64; 3], height: f64) -> bool {
+    z >= height && libm::hypot(x, y) <= 0.4 * z
+}
+
 /// Put what `work` says of every index below `count` into `found`, on the threads of the map. Every
 /// thread has something of its own.
 fn each<T: Send, S>(
@@ -214,6 +222,7 @@ impl Judge<'_> {
         let unknown = Verdict { class: UNKNOWN, ..Verdict::default() };
         let gated = cluster.members.len() < p.min_points
             || p.max_extent.is_some_and(|extent| group_extent > extent)
+            || p.upright_height.is_some_and(|height| is_upright(cluster.extent(), height))
             || p.max_distance.is_some_and(|far| norm(minus(cluster.centroid, self.origin)) > far);
         if gated {
             return unknown;

@@ -19,7 +19,7 @@ use super::voxel_map::VoxelMap;
 use crate::Error;
 use crate::clock::Clock;
 use crate::geometry::gaps::{AngularGap, label_seen};
-use crate::geometry::lattice::Voxel;
+use crate::geometry::lattice::{Voxel, wide};
 use crate::geometry::transform::Transform;
 use std::collections::BTreeMap;
 
@@ -156,6 +156,7 @@ impl FlyingObjectDetector {
         self.anchor(raw)?;
         let (sensor, pool) = (&self.sensors[raw.sensor], self.map.pool.as_ref());
         scan.take(raw, sensor, &self.map_from_world, pool)?;
+        scan.find_sky(raw, sensor, &self.map)?;
         Ok(stamp_ns)
     }
 
@@ -223,11 +224,11 @@ impl FlyingObjectDetector {
         self.parameters.separation.min_confident
     }
 
-    fn accept(&mut self, raw: &RawScan<'_>, scan: &Prepared, gate: Gate) {
+    fn accept(&mut self, raw: &RawScan<'_>, scan: &mut Prepared, gate: Gate) {
         let needs_directions = raw.organised && raw.no_return.is_some() && raw.directions.is_none();
         if let Some(sensor) = self.sensors.get_mut(raw.sensor) {
-            sensor.learn(raw.stamp_ns, raw.points, needs_directions);
-            sensor.last_pose = Some(scan.pose);
+            let look = scan.look.as_deref_mut();
+            sensor.learn(raw.stamp_ns, raw.points, &scan.pose, look, needs_directions);
         }
         // Scans of one sensor come in order, so that no detection is older than a cloud.
         let sensors = self.sensors.len().max(self.parameters.sensors.len());
@@ -267,6 +268,7 @@ impl FlyingObjectDetector {
         timing: Timing,
     ) -> Frame {
         let mut point_class = class[..scan.rows].to_vec();
+        let own_body = self.tell_own_body(raw, &mut point_class);
         if gate != Gate::Open {
             replace(&mut point_class, FLYING, UNKNOWN);
         }
@@ -283,11 +285,30 @@ impl FlyingObjectDetector {
                 .collect(),
             tracks: self.tracks_at(raw.stamp_ns),
             gate,
-            clears_sky: scan.clears_sky,
-            rebuilt_rays: scan.rebuilt,
+            sky: scan.sky,
+            sky_share: scan.sky_share,
+            sky_rays: scan.rebuilt,
+            own_body,
             integrated,
             timing,
         }
+    }
+}
+
+impl FlyingObjectDetector {
+    /// Points on the robot are unknown, not invalid; their share of the returns.
+    fn tell_own_body(&self, raw: &RawScan<'_>, class: &mut [u8]) -> f64 {
+        let body = self.sensors.get(raw.sensor).and_then(|sensor| sensor.body.as_ref());
+        let Some(body) = body else { return 0.0 };
+        let (mut own, mut all) = (0usize, 0usize);
+        for (class, &point) in class.iter_mut().zip(raw.points) {
+            all += usize::from(point.iter().all(|value| value.is_finite()));
+            if body.contains(wide(point)) {
+                own += 1;
+                *class = UNKNOWN;
+            }
+        }
+        own as f64 / all.max(1) as f64
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::center::Center;
 use super::classify::Verdict;
-use super::clusters::Clusters;
+use super::clusters::{Cluster, Clusters};
 use super::detection::Detection;
 use super::detector::FlyingObjectDetector;
 use super::frame::Teammate;
@@ -42,6 +42,7 @@ impl FlyingObjectDetector {
                 continue;
             }
             let mut detection = Detection::of(scan, &cluster, verdict, self.parameters.range_std);
+            detection.confidence *= Self::trust(scan, &cluster);
             if let Some(center) = centers.next() {
                 detection = detection.at(&center);
             }
@@ -67,6 +68,16 @@ impl FlyingObjectDetector {
         let flying = verdicts.filter(|(_, verdict)| flies(verdict));
         let rows: Vec<&[u32]> = flying.map(|(index, _)| clusters.get(index).members).collect();
         view.centers_of(&rows)
+    }
+
+    /// Free space that only the sky supports is less certain than what returns have shown: a target
+    /// with nothing but sky around it has this share of the confidence.
+    fn trust(scan: &Prepared, cluster: &Cluster<'_>) -> f64 {
+        const ONLY_SKY: f64 = 0.7;
+        let direction = minus(cluster.centroid, scan.pose.translation);
+        let found = scan.look.as_ref().filter(|_| scan.rebuilt > 0);
+        let share = found.map_or(0.0, |look| look.share_around(direction));
+        1.0 - (1.0 - ONLY_SKY) * share
     }
 
     fn teammate_at(&self, position: [f64; 3]) -> Option<&Teammate> {

@@ -5,6 +5,33 @@ use super::gate::Gate;
 use super::integrate::IntegrateStats;
 use super::track::Track;
 
+/// How the rays without return of a scan are known.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SkySource {
+    /// They are not, or not yet: open sky stays unknown.
+    #[default]
+    Unknown,
+    /// The caller gave them.
+    Given,
+    /// They were found from the returns of a sensor with rows.
+    Pattern,
+    /// They were found from the density of the returns.
+    Density,
+}
+
+impl SkySource {
+    /// One word for people and files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Unknown => "unknown",
+            Self::Given => "given",
+            Self::Pattern => "pattern",
+            Self::Density => "density",
+        }
+    }
+}
+
 /// Milliseconds spent per stage. Several threads cast rays while clusters are sought and judged:
 /// `integrate` is what is left of the map update then.
 #[derive(Clone, Copy, Debug, Default)]
@@ -38,10 +65,14 @@ pub struct Frame {
     pub tracks: Vec<Track>,
     /// Whether detections are reported.
     pub gate: Gate,
-    /// Whether rays without return clear open sky.
-    pub clears_sky: bool,
-    /// Rays without return that were rebuilt.
-    pub rebuilt_rays: usize,
+    /// How rays without return are known.
+    pub sky: SkySource,
+    /// Share of the rays that go into the sky.
+    pub sky_share: f64,
+    /// Rays without return that were found and not given.
+    pub sky_rays: usize,
+    /// Share of the returns that are on the robot itself.
+    pub own_body: f64,
     /// What the scan did to the map; None if it was held.
     pub integrated: Option<IntegrateStats>,
     /// Time per stage.

@@ -52,6 +52,9 @@ pub struct ClassifiedScan<'a> {
     pub no_return: Option<&'a [bool]>,
     /// Points whose ray is not cast, such as the nearer of two returns.
     pub no_ray: Option<&'a [bool]>,
+    /// How far the rays of `no_return` clear [m], longer than their directions; without it, up to
+    /// `max_range`. Other entries are not looked at.
+    pub reach: Option<&'a [f32]>,
     /// How uncertain the points are, if the update is to heed that.
     pub pose_error: Option<&'a PoseError>,
 }
@@ -114,6 +117,7 @@ pub(super) fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {
         ("ray_directions", scan.directions.map(<[_]>::len)),
         ("no_return", scan.no_return.map(<[_]>::len)),
         ("no_ray", scan.no_ray.map(<[_]>::len)),
+        ("reach", scan.reach.map(<[_]>::len)),
         (
             "sensor_origin",
             if let Origins::Each(each) = scan.origins { Some(each.len()) } else { None },
@@ -168,6 +172,7 @@ pub(crate) mod tests {
             directions: None,
             no_return: None,
             no_ray: None,
+            reach: None,
             pose_error: None,
         }
     }

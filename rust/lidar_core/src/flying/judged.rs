@@ -127,10 +127,18 @@ impl FlyingObjectDetector {
         classifier.classify(&judge, clusters, verdicts)?;
         let world_from_map = self.map_from_world.inverse();
         for (verdict, cluster) in verdicts.iter_mut().zip(clusters.iter()) {
+            let own = cluster
+                .members
+                .iter()
+                .filter(|&&row| scan.maybe_own.get(row as usize).copied().unwrap_or(false));
+            let may_be_own = !scan.maybe_own.is_empty() && 2 * own.count() > cluster.members.len();
             let is_low = |height: f64| world_from_map.apply(cluster.low)[2] < height;
+            let is_on_ground = cluster.low[2] < scan.ground;
             if seed.ground_height.is_some_and(is_low) {
                 *verdict = Verdict { class: BACKGROUND, ..Verdict::default() };
-            } else if verdict.class == FLYING && !map.has_background() {
+            } else if verdict.class == FLYING
+                && (may_be_own || is_on_ground || !map.has_background())
+            {
                 *verdict = Verdict { class: UNKNOWN, ..Verdict::default() };
             }
         }

@@ -61,6 +61,7 @@ impl FlyingObjectDetector {
             directions: scan.directions.as_deref(),
             no_return: scan.directions.is_some().then_some(&scan.no_return),
             no_ray: scan.no_ray.as_deref(),
+            reach: scan.reach.as_deref(),
             pose_error: pose_error.as_ref(),
         };
         self.map.cast(casting, &classified)

@@ -3,9 +3,9 @@
 //! Source: Vrba, Walter & Saska, "On Onboard LiDAR-based Flying Object Detection".
 
 pub mod analysis;
-pub mod beams;
 mod beyond;
 mod blocks;
+mod body;
 mod casting;
 pub mod center;
 pub mod classify;
@@ -39,6 +39,7 @@ pub mod sensor;
 pub mod separate;
 mod shadow;
 mod sheet;
+pub mod sky;
 mod standing;
 pub mod track;
 mod update;

@@ -1,8 +1,10 @@
 //! A raw scan -> points, rays and masks in the frame of the map.
 
-use super::beams::Missing;
+use super::frame::SkySource;
 use super::integrate::UNKNOWN;
 use super::sensor::Sensor;
+use super::sky::{Look, Moment};
+use super::voxel_map::VoxelMap;
 use crate::Error;
 use crate::budget::check_points;
 use crate::geometry::lattice::wide;
@@ -52,16 +54,24 @@ pub(crate) struct Prepared {
     pub(crate) directions: Option<Vec<[f32; 3]>>,
     pub(crate) no_return: Vec<bool>,
     pub(crate) no_ray: Option<Vec<bool>>,
+    /// How far rays without return clear [m].
+    pub(crate) reach: Option<Vec<f32>>,
     /// Time of every point after the stamp [s].
     pub(crate) delays: Option<Vec<f32>>,
     /// Pose in the middle of the scan.
     pub(crate) pose: Transform,
-    /// Whether open sky is cleared by rays without return.
-    pub(crate) clears_sky: bool,
     pub(crate) rebuilt: usize,
     /// Class of every row, while none is known.
     pub(crate) unknown: Vec<u8>,
-    missing: Missing,
+    /// Rows whose points may be on the robot; none if no row is.
+    pub(crate) maybe_own: Vec<bool>,
+    /// How rays without return are known, and the share of all rays that go into the sky.
+    pub(crate) sky: SkySource,
+    pub(crate) sky_share: f64,
+    /// What reaches below this height is on the ground, frame of the map [m].
+    pub(crate) ground: f64,
+    /// What the scan shows of the sky, if that had to be looked for.
+    pub(crate) look: Option<Box<Look>>,
     poses: Poses,
 }
 
@@ -97,7 +107,8 @@ impl Prepared {
     ) {
         self.rows = raw.points.len();
         self.pose = poses.middle;
-        (self.clears_sky, self.rebuilt) = (false, 0);
+        (self.sky, self.sky_share, self.rebuilt) = (SkySource::Unknown, 0.0, 0);
+        (self.reach, self.directions, self.ground) = (None, None, f64::NEG_INFINITY);
         self.no_return.clear();
         self.no_return.resize(self.rows, false);
         refill(&mut self.origins, poses.of_rows().map(|poses| poses.map(|pose| pose.translation)));
@@ -105,16 +116,56 @@ impl Prepared {
         refill(&mut self.delays, raw.point_time_ns.map(|times| times.iter().map(delay)));
         self.take_farthest_returns(raw.points, sensor.parameters.returns_per_ray);
         self.take_points(raw, sensor, poses, pool);
-        let mut missing = std::mem::take(&mut self.missing);
-        if raw.no_return.is_some() {
+        self.take_body(raw, sensor);
+        if raw.no_return.is_some() && (raw.directions.is_some() || sensor.sky.is_none()) {
             self.take_empty_rays(raw, sensor, poses);
-        } else if sensor.find_missing(raw.points, &mut missing) {
-            self.append_missing(&missing.directions, &poses.middle);
-        } else {
-            self.directions = None;
         }
-        self.missing = missing; // its memory is used again
         self.unknown.resize(self.points.len(), UNKNOWN);
+    }
+
+    /// Find the rays without return that are not given: those into the sky, seen against `map`.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] if the sensor that the configuration states cannot have given the scan.
+    pub(crate) fn find_sky(
+        &mut self,
+        raw: &RawScan<'_>,
+        sensor: &Sensor,
+        map: &VoxelMap,
+    ) -> Result<(), Error> {
+        let is_given = raw.no_return.is_some() && raw.directions.is_some();
+        let Some(sky) = sensor.sky.as_ref().filter(|_| !is_given) else {
+            self.look = None;
+            return Ok(());
+        };
+        sky.check(raw.points, &sensor.parameters.known_sensors)?;
+        let mut look = self.look.take().unwrap_or_default();
+        let moment = Moment {
+            points: raw.points,
+            no_return: raw.no_return,
+            map_from_lidar: &self.pose,
+            stamp_ns: raw.stamp_ns,
+            map,
+        };
+        if sensor.look_at_sky(&moment, &mut look) {
+            (self.sky, self.sky_share) = (sensor.sky_source(), look.share);
+            self.append_sky(&look.directions, &look.reach);
+            self.ground = self.pose.translation[2] + look.ground();
+        }
+        self.look = Some(look);
+        Ok(())
+    }
+
+    /// Note the rows that may be on the robot, before the sensor has moved.
+    fn take_body(&mut self, raw: &RawScan<'_>, sensor: &Sensor) {
+        self.maybe_own.clear();
+        if let Some(body) = &sensor.body {
+            let maybe = raw.points.iter().map(|&point| body.may_contain(wide(point)));
+            self.maybe_own.extend(maybe);
+        }
+        if !self.maybe_own.contains(&true) {
+            self.maybe_own.clear();
+        }
     }
 
     /// Where the ray `row` starts [m].
@@ -175,7 +226,7 @@ impl Prepared {
         let Some(flags) = raw.no_return else { return };
         let remembered = |row| if raw.organised { sensor.direction(row) } else { None };
         let none = std::iter::repeat_n([f32::NAN; 3], flags.len());
-        let (directions, mut n_empty) = (refilled(&mut self.directions, none), 0);
+        let (directions, mut n_empty, mut n_known) = (refilled(&mut self.directions, none), 0, 0);
         for row in (0..flags.len()).filter(|&row| flags[row]) {
             if self.no_ray.as_ref().is_some_and(|no_ray| no_ray[row]) {
                 continue;
@@ -183,13 +234,16 @@ impl Prepared {
             n_empty += 1;
             let known = raw.directions.map(|all| all[row]).or_else(|| remembered(row));
             let Some(direction) = known else { continue };
-            self.clears_sky = true;
+            n_known += 1;
             if !sensor.is_masked(row, wide(direction)) {
                 self.no_return[row] = true;
                 directions[row] = narrow(poses.at(row).rotate(wide(direction)));
             }
         }
-        self.clears_sky |= n_empty == 0;
+        if n_known > 0 || n_empty == 0 {
+            self.sky = SkySource::Given;
+            self.sky_share = n_known as f64 / flags.len().max(1) as f64;
+        }
     }
 
     /// A point that is known without having been measured.
@@ -207,28 +261,34 @@ impl Prepared {
         if let Some(no_ray) = &mut self.no_ray {
             no_ray.push(false);
         }
+        if let Some(reach) = &mut self.reach {
+            reach.push(f32::INFINITY);
+        }
         if let Some(delays) = &mut self.delays {
             delays.push(0.0);
         }
     }
 
-    fn append_missing(&mut self, missing: &[[f32; 3]], pose: &Transform) {
+    /// Add rays without return, given by directions in the frame of the map.
+    fn append_sky(&mut self, rays: &[[f32; 3]], reach: &[f32]) {
+        let all = self.rows + rays.len();
         let none = std::iter::repeat_n([f32::NAN; 3], self.rows);
-        let turned = missing.iter().map(|&direction| narrow(pose.rotate(wide(direction))));
-        refill(&mut self.directions, Some(none.chain(turned)));
-        self.points.resize(self.rows + missing.len(), [f32::NAN; 3]);
+        refill(&mut self.directions, Some(none.chain(rays.iter().copied())));
+        let endless = std::iter::repeat_n(f32::INFINITY, self.rows);
+        refill(&mut self.reach, Some(endless.chain(reach.iter().copied())));
+        self.points.resize(all, [f32::NAN; 3]);
         if let Some(origins) = &mut self.origins {
-            origins.resize(self.rows + missing.len(), pose.translation);
+            origins.resize(all, self.pose.translation);
         }
-        self.no_return.resize(self.rows + missing.len(), true);
+        self.no_return.resize(all, true);
         if let Some(delays) = &mut self.delays {
-            delays.resize(self.rows + missing.len(), 0.0);
+            delays.resize(all, 0.0);
         }
         if let Some(no_ray) = &mut self.no_ray {
-            no_ray.resize(self.rows + missing.len(), false);
+            no_ray.resize(all, false);
         }
-        self.clears_sky = true;
-        self.rebuilt = missing.len();
+        self.unknown.resize(all, UNKNOWN);
+        self.rebuilt = rays.len();
     }
 }
 
@@ -387,7 +447,7 @@ mod tests {
         scan.take(&raw(&points), &sensor, &Transform::IDENTITY, None)?;
         assert!(scan.points[0][0].is_nan() && scan.points[2][0].is_nan());
         assert_eq!(scan.points[1], [15.0, 1.0, 0.0]);
-        assert!(!scan.clears_sky);
+        assert_eq!(scan.sky, SkySource::Unknown);
         Ok(())
     }
 

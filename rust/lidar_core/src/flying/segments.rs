@@ -8,6 +8,7 @@ use super::voxel_map::MapParameters;
 use super::window::Window;
 use crate::Error;
 use crate::geometry::lattice::{Lattice, Voxel, floor, whole, wide};
+use crate::geometry::transform::norm;
 
 /// Rays side by side: two vectors of the widest unit, so that one works while the other waits.
 pub(super) const LANES: usize = 32;
@@ -126,7 +127,10 @@ impl Source<'_> {
         }
         for lane in 0..LANES {
             let direction = wide(directions[index[lane]]);
-            margin[lane] = if flags[lane] { f64::NEG_INFINITY } else { margin[lane] };
+            let beyond = self.scan.reach.map_or(f64::NEG_INFINITY, |reach| {
+                norm(direction) - f64::from(reach[index[lane]]) // the way that is left behind the tip
+            });
+            margin[lane] = if flags[lane] { beyond } else { margin[lane] };
             for axis in 0..3 {
                 let to_point = along[axis][lane];
                 along[axis][lane] = if flags[lane] { direction[axis] } else { to_point };
@@ -260,6 +264,7 @@ pub(super) mod tests {
             directions: None,
             no_return: None,
             no_ray: None,
+            reach: None,
             pose_error: None,
         };
         let parameters = MapParameters { voxel_size: 1.0, max_range: 1e9, ..parameters() };

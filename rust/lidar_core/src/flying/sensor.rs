@@ -1,6 +1,8 @@
 //! What the detector remembers of each of its LiDARs: last stamp, own body, rays.
 
-use super::beams::{BeamTable, Missing, Rebuilder};
+use super::body::Body;
+use super::frame::SkySource;
+use super::sky::{Beams, Look, Moment, RayPattern, Sky};
 use crate::Error;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, norm};
@@ -27,8 +29,12 @@ pub struct SensorParameters {
     pub learn_mask_range: f64,
     /// Masks apply only to rays without return; otherwise to all.
     pub mask_empty_only: bool,
-    /// How rays without return are rebuilt where the driver drops them.
-    pub beams: Option<BeamTable>,
+    /// How rays without return are known.
+    pub beams: Beams,
+    /// Rays of sensors that are known by name: those that an error proposes.
+    pub known_sensors: Vec<(String, RayPattern)>,
+    /// The robot is found by what stays in place in the sensor's frame.
+    pub find_body: bool,
     /// Returns per ray: the cloud holds that many equal parts, one per return.
     pub returns_per_ray: usize,
 }
@@ -40,7 +46,9 @@ pub(crate) struct Sensor {
     pub(crate) last_stamp_ns: Option<i64>,
     /// Pose of the last scan used, in the frame of the map.
     pub(crate) last_pose: Option<Transform>,
-    rebuilder: Option<Rebuilder>,
+    /// None where rays without return are given.
+    pub(crate) sky: Option<Sky>,
+    pub(crate) body: Option<Box<Body>>,
     learnt_scans: u32,
     /// Scans with a near return, per cell of direction.
     near_counts: Vec<u32>,
@@ -50,7 +58,8 @@ pub(crate) struct Sensor {
 impl Sensor {
     pub(crate) fn new(parameters: SensorParameters) -> Self {
         Self {
-            rebuilder: parameters.beams.as_ref().map(Rebuilder::new),
+            sky: Sky::of(&parameters.beams),
+            body: parameters.find_body.then(Box::default),
             parameters,
             last_stamp_ns: None,
             last_pose: None,
@@ -86,6 +95,7 @@ impl Sensor {
         range < p.min_range
             || in_box
             || is_robot
+            || self.body.as_ref().is_some_and(|body| body.contains(point))
             || (!p.mask_empty_only && self.is_named(row, point))
     }
 
@@ -116,15 +126,31 @@ impl Sensor {
         self.directions.get(row).copied().filter(|direction| direction[0].is_finite())
     }
 
-    /// Find the rays without return that the driver dropped; false if they are not known.
-    pub(crate) fn find_missing(&self, points: &[[f32; 3]], missing: &mut Missing) -> bool {
-        let known = self.rebuilder.as_ref().filter(|rebuilder| rebuilder.is_ready());
-        let Some(rebuilder) = known.filter(|_| Rebuilder::has_returns(points)) else {
-            return false;
-        };
-        rebuilder.find_missing(points, missing);
-        missing.directions.retain(|&direction| !self.is_masked(usize::MAX, wide(direction)));
-        true
+    /// Look for the sky in a scan, if it is to be found; false if it is not, or not known yet.
+    pub(crate) fn look_at_sky(&self, moment: &Moment<'_>, look: &mut Look) -> bool {
+        let Some(sky) = &self.sky else { return false };
+        look.fill(sky, moment);
+        sky.is_known() && look.has_returns()
+    }
+
+    /// How the rays without return of a scan are known, if they are found and not given.
+    pub(crate) fn sky_source(&self) -> SkySource {
+        match &self.sky {
+            Some(sky) if !sky.is_known() => SkySource::Unknown,
+            Some(sky) if sky.has_rows() => SkySource::Pattern,
+            Some(_) => SkySource::Density,
+            None => SkySource::Unknown,
+        }
+    }
+
+    /// Forget what depends on the frame of a map that is no more.
+    pub(crate) fn forget_places(&mut self) {
+        if let Some(sky) = &mut self.sky {
+            sky.forget_places();
+        }
+        if let Some(body) = &mut self.body {
+            body.forget_places();
+        }
     }
 
     fn count_near(&mut self, points: &[[f32; 3]]) {
@@ -143,10 +169,21 @@ impl Sensor {
     }
 
     /// Remember what an accepted scan told about the sensor.
-    pub(crate) fn learn(&mut self, stamp_ns: i64, points: &[[f32; 3]], needs_directions: bool) {
+    pub(crate) fn learn(
+        &mut self,
+        stamp_ns: i64,
+        points: &[[f32; 3]],
+        pose: &Transform,
+        look: Option<&mut Look>,
+        needs_directions: bool,
+    ) {
         self.last_stamp_ns = Some(stamp_ns);
-        if let Some(rebuilder) = &mut self.rebuilder {
-            rebuilder.learn(points);
+        self.last_pose = Some(*pose);
+        if let (Some(sky), Some(look)) = (&mut self.sky, look) {
+            sky.take(look, points);
+        }
+        if let Some(body) = &mut self.body {
+            body.learn(points, pose);
         }
         if self.learnt_scans < self.parameters.learn_mask_scans {
             self.learnt_scans += 1;
@@ -207,7 +244,9 @@ pub(crate) mod tests {
             learn_mask_scans: 0,
             learn_mask_range: 1.0,
             mask_empty_only: false,
-            beams: None,
+            beams: Beams::Given,
+            known_sensors: Vec::new(),
+            find_body: false,
             returns_per_ray: 1,
         }
     }
@@ -217,7 +256,8 @@ pub(crate) mod tests {
         let mut sensor = Sensor::new(SensorParameters { learn_mask_scans: 6, ..parameters() });
         for scan in 0..6 {
             let passer_by = if scan == 0 { 0.5 } else { 9.0 };
-            sensor.learn(scan, &[[0.5, 0.0, 0.0], [0.0, passer_by, 0.0]], false);
+            let points = [[0.5, 0.0, 0.0], [0.0, passer_by, 0.0]];
+            sensor.learn(scan, &points, &Transform::IDENTITY, None, false);
         }
         assert!(sensor.is_masked(0, [1.0, 0.0, 0.0]) && sensor.is_own(0, [0.6, 0.0, 0.0]));
         assert!(!sensor.is_masked(0, [0.0, 1.0, 0.0]) && !sensor.is_own(0, [0.0, 0.5, 0.0]));

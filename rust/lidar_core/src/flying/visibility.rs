@@ -71,11 +71,20 @@ impl<'a> ScanView<'a> {
     #[inline(always)]
     fn way(&self, row: usize) -> Option<([f64; 3], f64)> {
         if self.scan.no_return[row] {
-            return Some((wide(self.scan.directions.as_ref()?[row]), f64::INFINITY));
+            let way = wide(self.scan.directions.as_ref()?[row]);
+            let reach = self.reach(row);
+            let is_limited = reach.is_finite(); // its direction is a unit vector then
+            let way = if is_limited { way.map(|part| reach * part) } else { way };
+            return Some((way, reach * reach));
         }
         let way = minus(wide(self.scan.points[row]), self.scan.origin(row));
         let squared = dot(way, way);
         (squared > 0.0).then_some((way, squared))
+    }
+
+    /// How far a ray without return is known to meet nothing [m].
+    fn reach(&self, row: usize) -> f64 {
+        self.scan.reach.as_ref().map_or(f64::INFINITY, |reach| f64::from(reach[row]))
     }
 
     /// Unit direction and length of the ray `row`; None where it tells nothing.
@@ -83,7 +92,7 @@ impl<'a> ScanView<'a> {
         if self.scan.no_return[row] {
             let way = wide(self.scan.directions.as_ref()?[row]);
             let length = norm(way);
-            return (length > 0.0).then(|| (way.map(|part| part / length), f64::INFINITY));
+            return (length > 0.0).then(|| (way.map(|part| part / length), self.reach(row)));
         }
         let span = minus(wide(self.scan.points[row]), self.scan.origin(row));
         let length = norm(span);
@@ -162,7 +171,7 @@ impl ScanView<'_> {
                         let (origin, way) = (Vector3::from(origin), Vector3::from(way));
                         rays.passing.push(Ray { origin, direction: way.normalize() });
                     }
-                    Some(End::InFront) => rays.n_blocked += 1,
+                    Some(End::InFront) if !self.scan.no_return[row] => rays.n_blocked += 1,
                     _ => {}
                 }
             }

@@ -79,6 +79,7 @@ impl FlyingObjectDetector {
         self.standing.clear();
         for sensor in self.sensors.values_mut() {
             sensor.last_pose = None;
+            sensor.forget_places();
         }
     }
 

@@ -1,0 +1,350 @@
+//! The robot itself, as its LiDAR sees it: what stays in place in the sensor's frame while the
+//! sensor moves.
+//!
+//! Returns near the sensor are counted per voxel of its own frame. A voxel that keeps holding
+//! returns wherever the sensor is belongs to the robot, if it is joined to the near zone, does not
+//! go on into the distance (ground, walls along the way), and is not on the ground. While the sensor
+//! moves straight on, something that escorts it closely looks the same, so nothing is decided for
+//! good: a voxel without returns loses its place. After turns of more than 30 degrees it is decided.
+
+use crate::geometry::lattice::wide;
+use crate::geometry::transform::{Transform, dot, minus, norm};
+use std::f64::consts::PI;
+
+/// Edge of a voxel [m].
+const SIZE: f64 = 0.2;
+/// Voxels along an edge of the cube around the sensor: 6.4 m to each side.
+const EDGE: usize = 64;
+const VOLUME: usize = EDGE * EDGE * EDGE;
+/// Every part of the robot is joined to something as near as this [m].
+const NEAR_ZONE: f64 = 3.0;
+/// What goes on further than this is no robot [m].
+const FARTHEST: f64 = 5.5;
+/// The sensor sees the world from another place after this way [m], or this turn [rad].
+const NEXT_PLACE: f64 = 0.2;
+const NEXT_TURN: f64 = 3.0 * PI / 180.0;
+/// Places from which a voxel must have been seen before anything is said, and the way [m] between.
+const ENOUGH_PLACES: u32 = 5;
+const ENOUGH_WAY: f64 = 1.0;
+/// The robot is looked for again after so many places.
+const PLACES_PER_SEARCH: u32 = 5;
+/// Turn from the first pose after which what is found is decided [rad]: 30 degrees.
+const DECIDING_TURN: f64 = 30.0 * PI / 180.0;
+/// A voxel of the robot holds returns from this share of the places; one beside it from half of it.
+const HELD_SHARE: f64 = 0.6;
+/// Parts of the robot may have gaps of a voxel.
+const GAP: i32 = 2;
+/// Returns this much above the lowest ones are on the ground [m].
+const GROUND: f64 = 0.35;
+/// Share of the returns below the ground that is assumed.
+const LOWEST: usize = 50;
+/// Scans that count before the sensor has moved.
+const FIRST_SCANS: u32 = 5;
+
+/// What is known of the robot.
+#[derive(Clone, Debug)]
+pub(crate) struct Body {
+    /// Places from which each voxel held returns.
+    places: Vec<u16>,
+    /// Scans, from the first on, in which it did, until the sensor has moved.
+    scans: Vec<u16>,
+    n_places: u32,
+    n_scans: u32,
+    way: f64,
+    last: Option<Transform>,
+    first: Option<Transform>,
+    is_turned: bool,
+    /// Height of the ground below the sensor [m].
+    ground: f64,
+    /// A bit per voxel of the robot, and per voxel beside one; none while nothing was found.
+    mask: Vec<u64>,
+    /// Voxels that may be of the robot, before the sensor has moved.
+    maybe: Vec<u64>,
+    /// The scan in which each voxel was met last.
+    met: Vec<u32>,
+    number: u32,
+}
+
+impl Default for Body {
+    fn default() -> Self {
+        Self {
+            places: vec![0; VOLUME],
+            scans: vec![0; VOLUME],
+            n_places: 0,
+            n_scans: 0,
+            way: 0.0,
+            last: None,
+            first: None,
+            is_turned: false,
+            ground: f64::NEG_INFINITY,
+            mask: Vec::new(),
+            maybe: Vec::new(),
+            met: vec![0; VOLUME],
+            number: 0,
+        }
+    }
+}
+
+impl Body {
+    /// Whether a point in the sensor's frame is on the robot.
+    #[inline]
+    pub(crate) fn contains(&self, point: [f64; 3]) -> bool {
+        !self.mask.is_empty() && voxel_of(point).is_some_and(|voxel| has(&self.mask, voxel))
+    }
+
+    /// Whether a point may be on the robot, as long as the sensor has not moved.
+    #[inline]
+    pub(crate) fn may_contain(&self, point: [f64; 3]) -> bool {
+        !self.maybe.is_empty() && voxel_of(point).is_some_and(|voxel| has(&self.maybe, voxel))
+    }
+
+    /// Whether turns have shown that what was found belongs to the robot.
+    pub(crate) fn is_decided(&self) -> bool {
+        self.is_turned && !self.mask.is_empty()
+    }
+
+    /// Count an accepted scan: points in the sensor's frame, and where the sensor was.
+    pub(crate) fn learn(&mut self, points: &[[f32; 3]], pose: &Transform) {
+        let first = *self.first.get_or_insert(*pose);
+        let (moved, turned) = self.last.as_ref().map_or((0.0, 0.0), |last| apart(last, pose));
+        let is_next = self.last.is_none() || moved > NEXT_PLACE || turned > NEXT_TURN;
+        let is_still = self.n_places <= 1;
+        if !is_next && !(is_still && self.n_scans < u32::from(u16::MAX)) {
+            return;
+        }
+        if self.n_places >= u32::from(u16::MAX) {
+            return; // known by now
+        }
+        self.number = self.number.wrapping_add(1);
+        self.count(points, is_next, is_still);
+        self.n_scans += u32::from(is_still);
+        if is_next {
+            (self.n_places, self.way, self.last) =
+                (self.n_places + 1, self.way + moved, Some(*pose));
+            self.is_turned |= apart(&first, pose).1 > DECIDING_TURN;
+            self.see_ground(points, pose);
+        }
+        let may_tell = self.n_places >= ENOUGH_PLACES && self.way >= ENOUGH_WAY;
+        if may_tell && is_next && self.n_places.is_multiple_of(PLACES_PER_SEARCH) {
+            self.mask = self.found(&self.places, self.n_places);
+            self.maybe = Vec::new();
+        } else if !may_tell && self.n_scans >= FIRST_SCANS && is_still {
+            self.maybe = self.found(&self.scans, self.n_scans);
+        }
+    }
+
+    /// The poses of another map cannot be compared with those so far.
+    pub(crate) fn forget_places(&mut self) {
+        (self.first, self.last) = (None, None);
+    }
+
+    fn count(&mut self, points: &[[f32; 3]], is_next: bool, is_still: bool) {
+        for &point in points {
+            let Some(voxel) = voxel_of(wide(point)) else { continue };
+            if std::mem::replace(&mut self.met[voxel], self.number) == self.number {
+                continue;
+            }
+            self.places[voxel] = self.places[voxel].saturating_add(u16::from(is_next));
+            self.scans[voxel] = self.scans[voxel].saturating_add(u16::from(is_still));
+        }
+    }
+
+    /// Follow the height of the lowest returns, along the vertical of the map.
+    fn see_ground(&mut self, points: &[[f32; 3]], pose: &Transform) {
+        let down = pose.inverse().rotate([0.0, 0.0, 1.0]);
+        let finite = points.iter().filter(|point| point.iter().all(|value| value.is_finite()));
+        let step = (points.len() / 4096).max(1);
+        let mut heights: Vec<f64> =
+            finite.step_by(step).map(|&point| dot(wide(point), down)).collect();
+        let rank = heights.len() / LOWEST;
+        if heights.len() > LOWEST {
+            self.ground = *heights.select_nth_unstable_by(rank, f64::total_cmp).1;
+        }
+    }
+
+    /// The voxels of the robot, given how often each held returns, of how many times.
+    fn found(&self, counts: &[u16], times: u32) -> Vec<u64> {
+        let enough = |share: f64| (share * f64::from(times)).ceil() as u16;
+        let (sure, likely) = (enough(HELD_SHARE), enough(0.5 * HELD_SHARE).max(1));
+        let mut state: Vec<u8> = counts
+            .iter()
+            .map(|&count| u8::from(count >= likely) + u8::from(count >= sure))
+            .collect();
+        let up = self.last.map_or([0.0, 0.0, 1.0], |pose| pose.inverse().rotate([0.0, 0.0, 1.0]));
+        let mut mask = vec![0; VOLUME / 64];
+        let mut part = Vec::new();
+        for first in 0..VOLUME {
+            if state[first] == 2 {
+                let is_robot = self.take_part(first, &mut state, &mut part, up);
+                for &voxel in part.iter().filter(|_| is_robot) {
+                    around(voxel, 1, |beside| mask[beside / 64] |= 1 << (beside % 64));
+                }
+            }
+        }
+        if mask.iter().all(|&word| word == 0) { Vec::new() } else { mask }
+    }
+
+    /// Gather the voxels joined to `first`; whether they are a part of the robot.
+    fn take_part(
+        &self,
+        first: usize,
+        state: &mut [u8],
+        part: &mut Vec<usize>,
+        up: [f64; 3],
+    ) -> bool {
+        part.clear();
+        part.push(first);
+        state[first] = 0;
+        let (mut nearest, mut farthest, mut n_ground, mut next) = (f64::INFINITY, 0.0f64, 0, 0);
+        while let Some(&voxel) = part.get(next) {
+            next += 1;
+            let center = center_of(voxel);
+            nearest = nearest.min(norm(center));
+            farthest = farthest.max(norm(center));
+            n_ground += usize::from(dot(center, up) < self.ground + GROUND);
+            around(voxel, GAP, |beside| {
+                if state[beside] > 0 {
+                    state[beside] = 0;
+                    part.push(beside);
+                }
+            });
+        }
+        nearest <= NEAR_ZONE && farthest <= FARTHEST && 2 * n_ground <= part.len()
+    }
+}
+
+/// Way [m] and turn [rad] between two poses.
+fn apart(one: &Transform, other: &Transform) -> (f64, f64) {
+    let turn = one.inverse().after(other).rotation;
+    let cosine = 0.5 * (turn[0][0] + turn[1][1] + turn[2][2] - 1.0);
+    (norm(minus(one.translation, other.translation)), libm::acos(cosine.clamp(-1.0, 1.0)))
+}
+
+#[inline]
+fn voxel_of(point: [f64; 3]) -> Option<usize> {
+    let mut index = 0;
+    for value in point {
+        let place = (value / SIZE + 0.5 * EDGE as f64).floor();
+        if !(0.0..EDGE as f64).contains(&place) {
+            return None; // NaN, too
+        }
+        index = index * EDGE + place as usize;
+    }
+    Some(index)
+}
+
+fn center_of(voxel: usize) -> [f64; 3] {
+    let place = [voxel / (EDGE * EDGE), voxel / EDGE % EDGE, voxel % EDGE];
+    place.map(|index| (index as f64 + 0.5 - 0.5 * EDGE as f64) * SIZE)
+}
+
+/// Every voxel within `reach` of one along every axis, itself included.
+fn around(voxel: usize, reach: i32, mut visit: impl FnMut(usize)) {
+    let place = [voxel / (EDGE * EDGE), voxel / EDGE % EDGE, voxel % EDGE];
+    let span = |axis: usize| {
+        let index = place[axis] as i32;
+        (index - reach).max(0) as usize..=(index + reach).min(EDGE as i32 - 1) as usize
+    };
+    for x in span(0) {
+        for y in span(1) {
+            for z in span(2) {
+                visit((x * EDGE + y) * EDGE + z);
+            }
+        }
+    }
+}
+
+#[inline]
+fn has(mask: &[u64], voxel: usize) -> bool {
+    mask[voxel / 64] >> (voxel % 64) & 1 == 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A roof of 1 m by 1 m, 1.4 m behind the sensor, over a street with a wall along it.
+    fn scan(pose: &Transform) -> Vec<[f32; 3]> {
+        let mut points = Vec::new();
+        for index in 0..400 {
+            let (a, b) = ((index % 20) as f32 * 0.05, (index / 20) as f32 * 0.05);
+            points.push([-1.4 - a, b - 0.5, -0.4]);
+        }
+        let from_map = pose.inverse();
+        for index in 0..40_000 {
+            let (a, b) = (f64::from(index % 200), f64::from(index / 200));
+            let ground = from_map.apply([0.2 * a - 20.0, 0.2 * b - 20.0, -2.0]);
+            points.push(ground.map(|value| value as f32));
+        }
+        for index in 0..4_000 {
+            let (a, b) = (f64::from(index % 400), f64::from(index / 400));
+            points.push(
+                from_map.apply([0.2 * a - 20.0, 1.5, 0.2 * b - 1.0]).map(|value| value as f32),
+            );
+        }
+        points
+    }
+
+    fn pose(x: f64, yaw: f64) -> Transform {
+        let (sine, cosine) = (libm::sin(yaw), libm::cos(yaw));
+        let rotation = [[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]];
+        Transform { rotation, translation: [x, 0.0, 0.0] }
+    }
+
+    #[test]
+    fn a_roof_that_goes_along_is_the_robot_and_ground_and_walls_are_not() {
+        let mut body = Body::default();
+        for step in 0..12 {
+            let pose = pose(0.5 * f64::from(step), 0.0);
+            body.learn(&scan(&pose), &pose);
+        }
+        assert!(body.contains([-1.8, 0.0, -0.4]) && !body.is_decided());
+        for other in [[2.0, 1.5, 0.0], [0.0, 1.5, 0.5], [3.0, 0.0, -2.0], [-1.8, 0.0, -2.0]] {
+            assert!(!body.contains(other), "{other:?}");
+        }
+        for step in 0..12 {
+            let pose = pose(6.0, 0.06 * f64::from(step));
+            body.learn(&scan(&pose), &pose);
+        }
+        assert!(body.is_decided() && body.contains([-1.8, 0.0, -0.4]));
+    }
+
+    #[test]
+    fn an_escort_five_metres_off_is_no_robot() {
+        let mut body = Body::default();
+        for step in 0..60 {
+            let pose = pose(0.5 * f64::from(step), 0.02 * f64::from(step));
+            let mut points = scan(&pose);
+            points.extend((0..50).map(|index| [0.01 * index as f32, 5.0, 0.5]));
+            body.learn(&points, &pose);
+        }
+        assert!(!body.contains([0.2, 5.0, 0.5]) && body.contains([-1.8, 0.0, -0.4]));
+    }
+
+    #[test]
+    fn what_leaves_the_robot_is_none_of_it() {
+        let mut body = Body::default();
+        for step in 0..60 {
+            let pose = pose(0.5 * f64::from(step), 0.0);
+            let mut points = scan(&pose);
+            if step < 10 {
+                points.extend((0..50).map(|index| [0.01 * index as f32, 1.0, 0.5]));
+            }
+            body.learn(&points, &pose);
+            if step == 9 {
+                assert!(body.contains([0.2, 1.0, 0.5]));
+            }
+        }
+        assert!(!body.contains([0.2, 1.0, 0.5]));
+    }
+
+    #[test]
+    fn before_it_moves_a_sensor_may_see_its_robot() {
+        let mut body = Body::default();
+        for _ in 0..8 {
+            body.learn(&scan(&pose(0.0, 0.0)), &pose(0.0, 0.0));
+        }
+        assert!(body.may_contain([-1.8, 0.0, -0.4]) && !body.contains([-1.8, 0.0, -0.4]));
+        assert!(!body.may_contain([0.0, 1.5, 0.5]));
+    }
+}

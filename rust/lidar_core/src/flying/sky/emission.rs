@@ -1,0 +1,355 @@
+//! Where a sensor casts its rays: rays per solid angle and scan, by direction in the sensor's frame.
+//!
+//! What is never seen to return is not known to be looked at, but sensors are symmetric: one that
+//! turns casts as many rays at every azimuth, and one with a fixed field of view as many on the left
+//! as on the right, above as below. So the part of the field of view that returns tells of the rest.
+
+use super::grid::{BANDS, CELLS, GRID, SECTORS, band_of, limits_of};
+use crate::geometry::transform::norm;
+use std::f64::consts::{PI, TAU};
+
+/// Scans before anything is said.
+const ENOUGH_SCANS: u32 = 3;
+/// A sensor with returns in more sectors than this turns: 210 degrees, more than any fixed one sees.
+const TURNING_SECTORS: usize = 21;
+/// The density at an elevation is that of the sector with this rank: the fullest ones may hold the
+/// end and the beginning of a turn.
+const RANK: usize = 3;
+/// Directions inside a fixed field of view that never returned get this share of those that did.
+const TYPICAL: f64 = 0.25;
+
+/// RayPattern of a sensor that is known.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RayPattern {
+    /// Rows that turn.
+    Rows {
+        /// Elevations [rad], ascending.
+        elevations: Vec<f64>,
+        /// RayPattern per turn of each row.
+        columns: usize,
+    },
+    /// A field of view that is filled by and by, without rows.
+    FieldOfView {
+        /// Lowest and highest elevation [rad].
+        elevation: [f64; 2],
+        /// Largest azimuth to either side [rad]; pi for a sensor that turns.
+        azimuth: f64,
+        /// RayPattern per scan.
+        rays: usize,
+    },
+}
+
+/// Counts of returns by direction, and what follows from them.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Emission {
+    /// Returns per cell in all scans.
+    counts: Vec<u64>,
+    scans: u32,
+    density: Density,
+    /// The density is known and not learnt.
+    is_known: bool,
+}
+
+/// RayPattern per steradian and scan.
+#[derive(Clone, Debug, Default)]
+enum Density {
+    /// Nothing is known yet.
+    #[default]
+    Unknown,
+    /// By band of elevation.
+    Turning(Vec<f64>),
+    /// By cell.
+    Fixed(Vec<f64>),
+}
+
+impl Emission {
+    /// That of a known sensor, or one to be learnt.
+    pub(super) fn of(rays: Option<&RayPattern>) -> Self {
+        Self {
+            counts: vec![0; CELLS],
+            density: rays.map_or(Density::Unknown, Density::of),
+            is_known: rays.is_some(),
+            scans: 0,
+        }
+    }
+
+    /// Add the returns of a scan, per cell.
+    pub(super) fn learn(&mut self, returns: &[u32]) {
+        if self.is_known {
+            return;
+        }
+        for (count, &more) in self.counts.iter_mut().zip(returns) {
+            *count += u64::from(more);
+        }
+        self.scans = self.scans.saturating_add(1);
+        if self.scans >= ENOUGH_SCANS {
+            self.density = Density::learnt(&self.counts, self.scans);
+        }
+    }
+
+    /// Whether it is known where rays are cast.
+    pub(super) fn is_ready(&self) -> bool {
+        !matches!(self.density, Density::Unknown)
+    }
+
+    /// RayPattern per steradian and scan towards a unit direction in the sensor's frame.
+    pub(super) fn towards(&self, direction: [f64; 3]) -> f64 {
+        match &self.density {
+            Density::Unknown => 0.0,
+            Density::Turning(bands) => bands[band_of(direction[2])],
+            Density::Fixed(cells) => cells[GRID.cell(direction)],
+        }
+    }
+}
+
+impl Density {
+    fn of(rays: &RayPattern) -> Self {
+        match rays {
+            RayPattern::Rows { elevations, columns } => Self::Turning(
+                (0..BANDS)
+                    .map(|band| {
+                        let [low, high] = limits_of(band);
+                        let rows = elevations.iter().filter(|&&row| low <= row && row < high);
+                        (rows.count() * columns) as f64 / zone(low, high, PI)
+                    })
+                    .collect(),
+            ),
+            RayPattern::FieldOfView { elevation: [low, high], azimuth, rays } => {
+                let density = *rays as f64 / zone(*low, *high, *azimuth);
+                let (bottom, top) = (libm::sin(*low), libm::sin(*high));
+                let is_seen = |cell: usize| {
+                    (bottom..=top).contains(&GRID.centers[cell][2])
+                        && GRID.azimuths[cell].abs() <= *azimuth
+                };
+                Self::Fixed(
+                    (0..CELLS).map(|cell| if is_seen(cell) { density } else { 0.0 }).collect(),
+                )
+            }
+        }
+    }
+
+    fn learnt(counts: &[u64], scans: u32) -> Self {
+        let mut sums = vec![[(0.0, 0.0); SECTORS]; BANDS];
+        for (cell, &count) in counts.iter().enumerate() {
+            let (band, sector) = GRID.bands[cell];
+            let (returns, solid_angle) = &mut sums[usize::from(band)][usize::from(sector)];
+            *returns += count as f64;
+            *solid_angle += GRID.solid_angles[cell];
+        }
+        let seen = |sector: &usize| sums.iter().any(|band| band[*sector].0 > 0.0);
+        if (0..SECTORS).filter(seen).count() >= TURNING_SECTORS {
+            return Self::Turning(sums.iter().map(|band| of_band(band, scans)).collect());
+        }
+        Self::Fixed(of_mirrored_cells(counts, scans))
+    }
+}
+
+/// Solid angle of a zone [sr], to both sides of azimuth 0.
+fn zone(low: f64, high: f64, azimuth: f64) -> f64 {
+    2.0 * azimuth * (libm::sin(high) - libm::sin(low))
+}
+
+/// The density of a band, whose sectors hold returns and solid angles.
+fn of_band(sectors: &[(f64, f64); SECTORS], scans: u32) -> f64 {
+    let seen = sectors.iter().filter(|(_, solid_angle)| *solid_angle > 0.0);
+    let mut densities: Vec<f64> =
+        seen.map(|(returns, solid_angle)| returns / solid_angle / f64::from(scans)).collect();
+    densities.sort_unstable_by(|a, b| b.total_cmp(a));
+    densities.get(RANK).or(densities.last()).copied().unwrap_or(0.0)
+}
+
+/// Densities of the cells of a fixed field of view: the largest of the four that mirror each other,
+/// and something between the outermost of every band.
+fn of_mirrored_cells(counts: &[u64], scans: u32) -> Vec<f64> {
+    let density = |cell: usize| counts[cell] as f64 / GRID.solid_angles[cell] / f64::from(scans);
+    let mirrored = |cell: usize| {
+        let [x, y, z] = GRID.centers[cell];
+        let twins = [[x, y, z], [x, -y, z], [x, y, -z], [x, -y, -z]];
+        twins.map(|twin| density(GRID.cell(twin))).into_iter().fold(0.0, f64::max)
+    };
+    let mut cells: Vec<f64> = (0..CELLS).map(mirrored).collect();
+    let mut seen: Vec<f64> = cells.iter().copied().filter(|&density| density > 0.0).collect();
+    seen.sort_unstable_by(f64::total_cmp);
+    let typical = seen.get((TYPICAL * seen.len() as f64) as usize).copied().unwrap_or(0.0);
+    let mut widths = [-1.0f64; BANDS];
+    for (cell, _) in cells.iter().enumerate().filter(|(_, density)| **density > 0.0) {
+        let width = &mut widths[usize::from(GRID.bands[cell].0)];
+        *width = width.max(GRID.azimuths[cell].abs());
+    }
+    for (cell, density) in cells.iter_mut().enumerate().filter(|(_, density)| **density == 0.0) {
+        if GRID.azimuths[cell].abs() < widths[usize::from(GRID.bands[cell].0)] {
+            *density = typical;
+        }
+    }
+    cells
+}
+
+/// What a scan shows of the rows of a sensor: enough to tell whether a known one fits.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Elevations {
+    /// Elevation of the returns that are far enough to be sharp [rad].
+    values: Vec<f64>,
+    azimuths: Vec<f64>,
+}
+
+/// Nearer returns are smeared by the way of the sensor during a scan [m].
+const SHARP_RANGE: f64 = 3.0;
+/// Fewer returns tell nothing.
+const ENOUGH_RETURNS: usize = 500;
+/// Returns beyond the field of view by this much contradict it [rad]: 2 degrees.
+const BEYOND: f64 = 2.0 * PI / 180.0;
+/// Returns that may lie beyond it: reflections, rows that the motion of the sensor moves.
+const STRAY_SHARE: f64 = 0.05;
+/// Returns this far from every row contradict the rows [rad]: 0.3 degrees.
+const OFF_ROW: f64 = 0.3 * PI / 180.0;
+/// Rows nearer than this to each other cannot be told from returns between them [rad].
+const LEAST_GAP: f64 = 0.8 * PI / 180.0;
+/// Width of a bin in which rows show [rad]: 0.1 degrees.
+const BIN: f64 = PI / 1800.0;
+
+impl Elevations {
+    pub(super) fn of(points: &[[f32; 3]]) -> Self {
+        let mut all = Self::default();
+        for point in points {
+            let point = point.map(f64::from);
+            let range = norm(point);
+            if range.is_finite() && range > SHARP_RANGE {
+                all.values.push(libm::asin((point[2] / range).clamp(-1.0, 1.0)));
+                all.azimuths.push(libm::atan2(point[1], point[0]));
+            }
+        }
+        all
+    }
+
+    /// Whether the returns show rows: nine of ten lie in a fifth of the bins between the lowest and
+    /// the highest.
+    pub(super) fn are_rows(&self) -> bool {
+        let mut bins = vec![0usize; (PI / BIN) as usize + 2];
+        for value in &self.values {
+            bins[((value + PI / 2.0) / BIN) as usize] += 1;
+        }
+        let used = |index: &usize| bins[*index] > 0;
+        let (Some(first), Some(last)) =
+            ((0..bins.len()).find(used), (0..bins.len()).rev().find(used))
+        else {
+            return false;
+        };
+        let fullest = (last - first + 1) / 5;
+        bins.sort_unstable_by(|a, b| b.cmp(a));
+        let held: usize = bins.iter().take(fullest).sum();
+        self.values.len() >= ENOUGH_RETURNS && 10 * held >= 9 * self.values.len()
+    }
+
+    /// Share of the returns that `rays` cannot have given; None if there are too few returns.
+    pub(super) fn against(&self, rays: &RayPattern) -> Option<f64> {
+        if self.values.len() < ENOUGH_RETURNS {
+            return None;
+        }
+        let strays = (0..self.values.len()).filter(|&index| self.is_stray(index, rays)).count();
+        Some(strays as f64 / self.values.len() as f64)
+    }
+
+    /// Whether `rays` cannot have given a scan; false if it has too few returns to tell.
+    pub(super) fn contradict(&self, rays: &RayPattern) -> bool {
+        let beyond = self.against(rays).is_some_and(|share| share > STRAY_SHARE);
+        beyond || (self.values.len() >= ENOUGH_RETURNS && self.are_rows() && self.miss_rows(rays))
+    }
+
+    fn is_stray(&self, index: usize, rays: &RayPattern) -> bool {
+        let ([low, high], azimuth) = match rays {
+            RayPattern::Rows { elevations, .. } => {
+                let first = elevations.first().copied().unwrap_or(-PI);
+                ([first, elevations.last().copied().unwrap_or(PI)], TAU)
+            }
+            RayPattern::FieldOfView { elevation, azimuth, .. } => (*elevation, *azimuth),
+        };
+        let value = self.values[index];
+        value < low - BEYOND
+            || value > high + BEYOND
+            || self.azimuths[index].abs() > azimuth + BEYOND
+    }
+
+    /// Whether most returns lie between the rows.
+    fn miss_rows(&self, rays: &RayPattern) -> bool {
+        let RayPattern::Rows { elevations, .. } = rays else { return false };
+        let gap = |pair: &[f64]| pair[1] - pair[0];
+        let mut gaps: Vec<f64> = elevations.windows(2).map(gap).collect();
+        gaps.sort_unstable_by(f64::total_cmp);
+        if gaps.get(gaps.len() / 2).is_none_or(|&middle| middle < LEAST_GAP) {
+            return false;
+        }
+        let is_off = |value: &&f64| {
+            let above = elevations.partition_point(|row| row < value);
+            let near = |row: Option<&f64>| row.is_some_and(|row| (row - **value).abs() <= OFF_ROW);
+            !near(elevations.get(above))
+                && !near(above.checked_sub(1).and_then(|at| elevations.get(at)))
+        };
+        2 * self.values.iter().filter(is_off).count() > self.values.len()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::grid::part_of;
+    use super::*;
+
+    fn counts(is_seen: impl Fn([f64; 3]) -> bool) -> Vec<u32> {
+        (0..CELLS).map(|cell| if is_seen(part_of(cell, [0.5; 2])) { 20 } else { 0 }).collect()
+    }
+
+    #[test]
+    fn a_sensor_that_turns_looks_everywhere_at_the_elevations_that_it_returns_from() {
+        let mut emission = Emission::of(None);
+        // Sky over a third of the turn, nothing above 30 degrees anywhere.
+        let seen = counts(|d| (-0.2..0.5).contains(&d[2]) && (d[1] < 0.0 || d[0] < 0.0));
+        for scan in 0..3 {
+            assert_eq!(emission.is_ready(), scan >= ENOUGH_SCANS);
+            emission.learn(&seen);
+        }
+        let expected = 20.0 / GRID.solid_angles[GRID.cell([1.0, 1.0, 0.1])];
+        assert!((emission.towards([0.7, 0.7, 0.1]) / expected - 1.0).abs() < 0.2);
+        assert_eq!(emission.towards([0.6, 0.0, 0.8]), 0.0);
+    }
+
+    #[test]
+    fn a_fixed_field_of_view_is_symmetric_and_has_no_holes() {
+        let mut emission = Emission::of(None);
+        let seen = counts(|d| d[0] > 0.8 && d[2] < -0.1 && d[2] > -0.4 && d[1].abs() > 0.1);
+        (0..3).for_each(|_| emission.learn(&seen));
+        for direction in [[0.93, 0.2, 0.3], [0.93, -0.2, 0.3], [0.95, 0.0, -0.3]] {
+            assert!(emission.towards(direction) > 0.0, "{direction:?}");
+        }
+        assert_eq!(emission.towards([-1.0, 0.0, 0.0]), 0.0);
+        assert_eq!(emission.towards([0.5, 0.0, 0.86]), 0.0);
+    }
+
+    #[test]
+    fn rows_of_another_sensor_are_contradicted() {
+        let row = |elevation: f64| {
+            (0..200).map(move |step| {
+                let azimuth = f64::from(step) / 200.0 * TAU;
+                let run = 9.0 * libm::cos(elevation);
+                [run * libm::cos(azimuth), run * libm::sin(azimuth), 9.0 * libm::sin(elevation)]
+                    .map(|value| value as f32)
+            })
+        };
+        let degrees =
+            |rows: Vec<f64>| rows.iter().map(|row| row * PI / 180.0).collect::<Vec<f64>>();
+        let vlp16 = degrees((0..16).map(|row| 2.0 * f64::from(row) - 15.0).collect());
+        let hdl32 = degrees((0..32).map(|row| 4.0 / 3.0 * f64::from(row) - 30.67).collect());
+        let points: Vec<[f32; 3]> = vlp16.iter().flat_map(|&elevation| row(elevation)).collect();
+        let seen = Elevations::of(&points);
+        assert!(seen.are_rows());
+        assert!(!seen.contradict(&RayPattern::Rows { elevations: vlp16, columns: 1800 }));
+        assert!(seen.contradict(&RayPattern::Rows { elevations: hdl32.clone(), columns: 2170 }));
+        let points: Vec<[f32; 3]> = hdl32.iter().flat_map(|&elevation| row(elevation)).collect();
+        let seen = Elevations::of(&points);
+        let mid360 = RayPattern::FieldOfView {
+            elevation: [-7.0 * PI / 180.0, 52.0 * PI / 180.0],
+            azimuth: PI,
+            rays: 20_000,
+        };
+        assert!(seen.contradict(&mid360));
+        assert!(!Elevations::of(&points[..100]).contradict(&mid360)); // too few to tell
+    }
+}

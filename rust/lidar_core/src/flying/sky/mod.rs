@@ -1,0 +1,164 @@
+//! Open sky, found in the returns alone: directions in which rays are cast and nothing comes back.
+//!
+//! Drivers leave out rays without return, or mark them without their directions. Where a sensor
+//! casts its rays is learnt from its returns (`emission`). A direction with enough rays and no
+//! return is empty: either there is nothing within range, or what is there swallows light. So the
+//! rays of empty directions clear only as far as nothing else is likely: not beyond surfaces beside
+//! them, not down to the ground, not beyond the distance from which surfaces return at all, and not
+//! into what returns have shown, unless the direction stayed empty for two seconds.
+//!
+//! Directions are those of the frame of the map, seen from the sensor. The decision and its reasons
+//! are in `docs/adr/0008-sky.md`.
+
+mod emission;
+mod grid;
+mod look;
+
+pub use emission::RayPattern;
+use emission::{Elevations, Emission};
+use grid::CELLS;
+pub(crate) use look::{Look, Moment};
+
+use crate::Error;
+use crate::geometry::transform::{minus, norm};
+
+/// Scans in which a known sensor is held against the returns.
+const CHECKED_SCANS: u32 = 5;
+/// Every so many scans the emission is learnt from, after the first [`LEARNING_SCANS`].
+const LEARNING_STEP: u32 = 8;
+const LEARNING_SCANS: u32 = 64;
+/// The sky is another one from a place this far away [m]: what is seen in a direction has changed.
+const SAME_PLACE: f64 = 0.5;
+/// A direction that is not sky.
+const NEVER: i64 = i64::MAX;
+
+/// What is known of the rays of a sensor.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Beams {
+    /// Rays without return are given, or not known.
+    #[default]
+    Given,
+    /// They are found from the returns.
+    Learnt,
+    /// They are found from the returns and the rays of a known sensor.
+    Known(RayPattern),
+}
+
+/// The directions of one sensor.
+#[derive(Clone, Debug)]
+pub(crate) struct Sky {
+    emission: Emission,
+    /// The rays that the configuration states.
+    known: Option<RayPattern>,
+    /// Whether the returns lie in rows.
+    has_rows: bool,
+    /// Rays that were cast into every cell since its last return.
+    evidence: Vec<f32>,
+    /// Range of the surface that was last seen in every cell [m], and when [ns].
+    surface: Vec<f32>,
+    surface_ns: Vec<i64>,
+    /// Since when every cell is sky [ns], or [`NEVER`].
+    since_ns: Vec<i64>,
+    /// The place that `since_ns` was seen from.
+    place: [f64; 3],
+    /// Height of the lowest returns, relative to the sensor [m].
+    lowest: f64,
+    /// Returns of a usual scan.
+    usual: f64,
+    last_ns: Option<i64>,
+    scans: u32,
+}
+
+impl Sky {
+    /// For a sensor whose rays without return have to be found; None where they are given.
+    pub(crate) fn of(beams: &Beams) -> Option<Self> {
+        let known = match beams {
+            Beams::Given => return None,
+            Beams::Learnt => None,
+            Beams::Known(rays) => Some(rays.clone()),
+        };
+        Some(Self {
+            emission: Emission::of(known.as_ref()),
+            known,
+            has_rows: false,
+            evidence: vec![0.0; CELLS],
+            surface: vec![f32::INFINITY; CELLS],
+            surface_ns: vec![i64::MIN; CELLS],
+            since_ns: vec![NEVER; CELLS],
+            place: [0.0; 3],
+            lowest: 0.0,
+            usual: 0.0,
+            last_ns: None,
+            scans: 0,
+        })
+    }
+
+    /// Refuse a scan that the stated sensor cannot have given; `others` are known by name.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`], which names those that fit.
+    pub(crate) fn check(
+        &self,
+        points: &[[f32; 3]],
+        others: &[(String, RayPattern)],
+    ) -> Result<(), Error> {
+        let Some(rays) = self.known.as_ref().filter(|_| self.scans < CHECKED_SCANS) else {
+            return Ok(());
+        };
+        let seen = Elevations::of(points);
+        if !seen.contradict(rays) {
+            return Ok(());
+        }
+        let is_it = |other: &&(String, RayPattern)| other.1 == *rays;
+        let stated = others.iter().find(is_it).map_or("its rays", |(name, _)| name);
+        let fits = others.iter().filter(|(_, rays)| !seen.contradict(rays));
+        let names: Vec<&str> = fits.map(|(name, _)| name.as_str()).collect();
+        let cure =
+            if names.is_empty() { "none of the known sensors".into() } else { names.join(", ") };
+        Err(Error::Parameter {
+            name: "sensor.beams",
+            expected: "\"auto\", or the sensor that gave the scans",
+            got: format!("{stated}, which the returns contradict; sensors that fit: {cure}"),
+        })
+    }
+
+    /// Whether it is known where rays are cast.
+    pub(crate) fn is_known(&self) -> bool {
+        self.emission.is_ready()
+    }
+
+    /// Whether the rays lie in rows.
+    pub(crate) fn has_rows(&self) -> bool {
+        match &self.known {
+            Some(rays) => matches!(rays, RayPattern::Rows { .. }),
+            None => self.has_rows,
+        }
+    }
+
+    /// Remember what an accepted scan showed.
+    pub(crate) fn take(&mut self, look: &mut Look, points: &[[f32; 3]]) {
+        if !look.leave(self) {
+            return;
+        }
+        if self.scans < LEARNING_SCANS || self.scans.is_multiple_of(LEARNING_STEP) {
+            self.emission.learn(look.seen_by_sensor());
+        }
+        if self.scans < CHECKED_SCANS {
+            self.has_rows = Elevations::of(points).are_rows();
+        }
+        self.scans = self.scans.saturating_add(1);
+    }
+
+    /// Forget all that depends on where the sensor is.
+    pub(crate) fn forget_places(&mut self) {
+        self.evidence.fill(0.0);
+        self.surface_ns.fill(i64::MIN);
+        self.since_ns.fill(NEVER);
+        self.last_ns = None;
+    }
+
+    /// Whether what was seen from the last place is still seen from `place`.
+    fn sees_the_same_from(&self, place: [f64; 3]) -> bool {
+        norm(minus(place, self.place)) <= SAME_PLACE
+    }
+}
