@@ -6,6 +6,9 @@ VENV ?= .venv
 TEST_VENV := .venv-test
 OUSTER_VENV := .venv-ouster
 PEERS_VENV := .venv-peers
+TRAINING_VENV := .venv-training
+# Index with torch built for CPUs; without it torch is that of the usual index.
+TORCH_INDEX ?= $(LIDAR_CORE_TORCH_INDEX)
 # A built wheel to test; without it `make test` builds one from the working tree.
 WHEEL ?=
 
@@ -16,7 +19,7 @@ BIN := $(VENV)/bin
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 export LIDAR_CORE_OUSTER_PYTHON ?= $(CURDIR)/$(OUSTER_VENV)/bin/python
 
-.PHONY: help demo dev fmt lint lint-rust lint-python test test-env bench peers docs golden wheel ci clean
+.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers docs golden wheel ci clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list.
@@ -72,6 +75,14 @@ test-env:
 	$(TEST_VENV)/bin/python $(PIP_INSTALL) "$$wheel[$(EXTRAS)]" --group test && \
 	$(OUSTER_VENV)/bin/python $(PIP_INSTALL) "$$wheel[ouster]"
 
+# On Linux on x86-64 the usual index has torch with CUDA: some 6 GB on the disk.
+test-training: ## Install torch into an environment of its own and test the training of networks.
+	$(PYTHON) -m venv $(TRAINING_VENV)
+	$(TRAINING_VENV)/bin/python $(PIP_INSTALL) --upgrade 'pip>=25.1'
+	$(if $(TORCH_INDEX),$(TRAINING_VENV)/bin/python $(PIP_INSTALL) --index-url "$(TORCH_INDEX)" torch)
+	$(TRAINING_VENV)/bin/python $(PIP_INSTALL) "$(or $(WHEEL),.)[plot]" ./training --group test
+	$(TRAINING_VENV)/bin/pytest training/tests
+
 # With ouster-sdk (`make test-env`) and recordings in LIDAR_CORE_DATA, real scans are measured, too.
 bench: ## Measure every stage (criterion); needs no Python.
 	[ ! -x $(OUSTER_VENV)/bin/python ] || \
@@ -114,4 +125,5 @@ ci: ## Everything that has to pass, from a clean checkout.
 	.ci/run
 
 clean: ## Remove what the commands above made, except .venv.
-	rm -rf target dist site runs docs/parameters.md docs/sensors.md $(TEST_VENV) $(OUSTER_VENV) $(PEERS_VENV) python/lidar_core/*.so
+	rm -rf target dist site runs docs/parameters.md docs/sensors.md $(TEST_VENV) $(OUSTER_VENV) $(PEERS_VENV) $(TRAINING_VENV) \
+	    training/build training/*.egg-info python/lidar_core/*.so

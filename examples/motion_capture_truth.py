@@ -19,21 +19,28 @@ from lidar_core.io import TransformBuffer, open_recording, read_columns
 from lidar_core.run_folder import table_in
 
 COLUMNS = ("t_ns", "target_id", "x", "y", "z", "vx", "vy", "vz")
+NAMELESS = "world"
+"""Stands for a frame without a name, which no transform may have."""
 STEP_NS = 50_000_000
 """Half of the time over which velocities are taken [ns]."""
 
 
 def buffer_of(recording: Path, topic: str) -> tuple[TransformBuffer, str]:
     """Poses of one topic, and the frame they are in."""
-    buffer, frame = TransformBuffer(max_gap=0.5, max_extrapolation=0.1), ""
+    buffer, frames, topics = TransformBuffer(max_gap=0.5, max_extrapolation=0.1), set(), set()
     with open_recording(recording) as opened:
         for found, pose in opened.poses():
+            topics.add(found.name)
             if found.name == topic:
-                frame = pose.frame_id
+                frame = pose.frame_id or NAMELESS  # motion capture often names no frame
+                frames.add(frame)
                 buffer.add(lc.messages.Pose(pose.stamp_ns, frame, "object", pose.matrix))
-    if not frame:
-        raise InputError(f"{recording}: no poses on topic {topic!r}")
-    return buffer, frame
+    if not frames:
+        there = ", ".join(sorted(topics)) or "none"
+        raise InputError(f"{recording}: no poses on topic {topic!r}; topics with poses: {there}")
+    if len(frames) > 1:
+        raise InputError(f"{recording}: {topic!r} is in several frames: {sorted(frames)}")
+    return buffer, frames.pop()
 
 
 def truth_rows(buffer: TransformBuffer, frame: str, stamps: list[int]) -> list[list[float]]:

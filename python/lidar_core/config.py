@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from lidar_core.errors import ConfigError, closest
+from lidar_core.files import read_whole
 
 NONE = "none"
 """What TOML files say for "no value"."""
@@ -64,11 +65,7 @@ class Config(BaseModel):
         ConfigError
             The file is no TOML, or a value is unknown or outside its range.
         """
-        try:
-            with Path(path).open("rb") as file:
-                values = tomllib.load(file)
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ConfigError(f"{path}: expected TOML: {error}") from error
+        values = toml_values(read_whole(path), path)
         try:
             return cls.load(values)
         except ConfigError as error:
@@ -77,6 +74,23 @@ class Config(BaseModel):
     def to_toml(self) -> str:
         """Every value, as TOML that `read` accepts; "none" where there is no value."""
         return tomli_w.dumps(_without_null(self.model_dump(mode="json")))
+
+
+def toml_values(content: bytes, place: str | Path) -> dict[str, Any]:
+    """Values of the TOML file `place` with this content.
+
+    Raises
+    ------
+    ConfigError
+        It is no TOML, or holds what no configuration needs: tables in tables without end, numbers
+        of thousands of digits.
+    """
+    try:
+        return tomllib.loads(content.decode("utf-8"))
+    except RecursionError as error:
+        raise ConfigError(f"{place}: expected TOML, got values nested too deep") from error
+    except ValueError as error:  # TOMLDecodeError, UnicodeDecodeError, and too many digits
+        raise ConfigError(f"{place}: expected TOML: {error}") from error
 
 
 def as_config(config: ConfigT | None, model: type[ConfigT]) -> ConfigT:

@@ -1,9 +1,17 @@
 """Import of optional dependencies, in one place, with an error that gives the cure."""
 
+import json
 from importlib import import_module
+from importlib.metadata import Distribution, PackageNotFoundError
+from pathlib import Path
+from shlex import quote
 from typing import Any
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 from lidar_core.errors import MissingExtraError
+
+NAME = "lidar-core"
 
 
 def require(module: str, *, extra: str, purpose: str) -> Any:
@@ -18,6 +26,52 @@ def require(module: str, *, extra: str, purpose: str) -> Any:
         return import_module(module)
     except ImportError as error:
         raise MissingExtraError(
-            f"{purpose} needs the package {module.partition('.')[0]!r}: "
-            f"pip install 'lidar-core[{extra}]'"
+            f"{purpose} needs the package {module.partition('.')[0]!r}: {install_command(extra)}"
         ) from error
+
+
+def install_command(extra: str) -> str:
+    """Command that installs an extra from where this package came from.
+
+    That is the package index, a wheel file, a checkout or a repository; pip notes it in
+    direct_url.json (PEP 610). Without that note it was the index.
+    """
+    try:
+        note = json.loads(_distribution().read_text("direct_url.json") or "{}")
+        url = str(note.get("url", ""))
+    except PackageNotFoundError:  # a checkout that is only on the path
+        checkout = _checkout()
+        return f"pip install {_quoted(checkout or NAME, extra)}"
+    except (OSError, ValueError, AttributeError):
+        note, url = {}, ""
+    if "vcs_info" in note:
+        told = note["vcs_info"]
+        place_in_vcs = "{vcs}+{url}@{commit_id}".format(**told, url=url)
+        return f"pip install {_at(place_in_vcs, extra)}"
+    if not url.startswith("file:"):
+        return f"pip install {_at(url, extra) if url else _quoted(NAME, extra)}"
+    place = Path(url2pathname(urlsplit(url).path))
+    if "dir_info" in note:
+        option = "-e " if note["dir_info"].get("editable") else ""
+        gone = "" if place.is_dir() else f" (it was installed from {place}, which is gone)"
+        return f"pip install {option}{_quoted(place, extra)}{gone}"
+    gone = "" if place.is_file() else f" (it was installed from {place}, which is gone)"
+    return f"pip install {_quoted(place if not gone else place.name, extra)}{gone}"
+
+
+def _distribution() -> Distribution:
+    return Distribution.from_name(NAME)
+
+
+def _checkout() -> Path | None:
+    """The checkout that this file lies in, if it does."""
+    top = Path(__file__).parents[2]
+    return top if (top / "pyproject.toml").is_file() else None
+
+
+def _quoted(what: object, extra: str) -> str:
+    return quote(f"{what}[{extra}]")
+
+
+def _at(url: str, extra: str) -> str:
+    return quote(f"{NAME}[{extra}] @ {url}")

@@ -24,9 +24,12 @@ from lidar_core._core import __version__
 from lidar_core.config import Config
 from lidar_core.errors import FormatError
 from lidar_core.extras import require
-from lidar_core.io.atomic import written_whole
+from lidar_core.files import check_name, check_regular_or_folder
+from lidar_core.io.atomic import is_temporary, remove_stale, written_whole
 
 RUN_FILE = "run.toml"
+UNFINISHED = "run.unfinished"
+"""File that a run writes first and removes when run.toml is there."""
 FILES = (
     "circles.csv",
     "circles.parquet",
@@ -68,6 +71,8 @@ class RunFolder:
 
     Raises
     ------
+    InputError
+        Its name is no UTF-8.
     FileExistsError
         There is something in it, and `overwrite` is not given, or no run wrote it; or the
         recording lies in it.
@@ -75,16 +80,19 @@ class RunFolder:
 
     def __init__(self, path: Path, *, overwrite: bool, reads: Path | None = None) -> None:
         self.path = path
+        check_name(path)
         if not path.exists():
             return
         if not path.is_dir():
             raise FileExistsError(f"{path}: expected a folder")
-        if not any(path.iterdir()):
+        if all(is_temporary(one.name) for one in path.iterdir()):
             return
-        if not (path / RUN_FILE).exists():
+        is_cut = (path / UNFINISHED).exists()
+        if not is_cut and not (path / RUN_FILE).exists():
             raise FileExistsError(f"{path}: holds files that no run wrote; choose another folder")
         if not overwrite:
-            raise FileExistsError(f"{path}: holds an earlier run; --overwrite replaces it")
+            told = "a run that did not come to its end" if is_cut else "an earlier run"
+            raise FileExistsError(f"{path}: holds {told}; --overwrite replaces it")
         if reads is not None and reads.resolve().is_relative_to(path.resolve()):
             raise FileExistsError(f"{path}: holds the recording to read; choose another folder")
 
@@ -98,7 +106,10 @@ class RunFolder:
         """
         self.path.mkdir(parents=True, exist_ok=True)
         lock(self.path)
-        for name in FILES:
+        remove_stale(self.path)
+        # First of all files, and the last to go: by it a run that was killed is known.
+        self.write_text(UNFINISHED, f"{command_line()}\n".encode("utf-8", "replace").decode())
+        for name in (RUN_FILE, *FILES):
             (self.path / name).unlink(missing_ok=True)
         shutil.rmtree(self.path / TRACKS_FOLDER, ignore_errors=True)
 
@@ -116,6 +127,7 @@ class RunFolder:
     ) -> None:
         """Write run.toml: command, versions, inputs and the whole effective configuration."""
         self.write_text(RUN_FILE, note_of(inputs, config, **more))
+        (self.path / UNFINISHED).unlink(missing_ok=True)
         unlock(self.path)
 
     def write_table(self, name: str, columns: Mapping[str, NDArray[Any] | Sequence[str]]) -> Path:
@@ -190,7 +202,8 @@ def note_of(inputs: Mapping[str, Any], config: Mapping[str, Config], **more: Any
         "input": dict(inputs),
         "config": {name: tomllib.loads(model.to_toml()) for name, model in config.items()},
     }
-    return tomli_w.dumps(note)
+    # Names of files that are no UTF-8 stand with question marks: TOML holds nothing else.
+    return tomli_w.dumps(note).encode("utf-8", "replace").decode("utf-8")
 
 
 def command_line() -> str:
@@ -206,7 +219,8 @@ def table_in(folder: Path, name: str) -> Path | None:
 
 def fingerprint(path: Path) -> dict[str, Any]:
     """Path, size and SHA-256 of a file, or of all files of a folder by name."""
-    files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
+    is_folder = check_regular_or_folder(path).is_dir()
+    files = [path] if not is_folder else sorted(file for file in path.rglob("*") if file.is_file())
     if not files:
         raise FormatError(f"{path}: the folder is empty")
     digest, size = hashlib.sha256(), 0
@@ -214,7 +228,7 @@ def fingerprint(path: Path) -> dict[str, Any]:
         with file.open("rb") as content:
             one = hashlib.file_digest(content, "sha256")
         size += file.stat().st_size
-        if path.is_file():
+        if not is_folder:
             digest = one
             continue
         digest.update(f"{one.hexdigest()}  {file.relative_to(path).as_posix()}\n".encode())

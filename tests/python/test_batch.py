@@ -281,14 +281,54 @@ def test_what_is_no_job_is_refused(tmp_path, text):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("text", ["simulate demo -o a.npz", "convert a.bag b.bag", "demo"])
+ELSEWHERE = {
+    "simulate demo -o a.npz": "--output",
+    "simulate demo -o a.npz --json {output}/a.json": "--output",
+    "simulate demo --json={output}/a.json -oa.npz": "--output",
+    "simulate demo -o {output}/../a.npz": "--output",
+    "simulate demo -o x/{output}/a.npz": "--output",
+    "detect {output}/a.npz -o run": "--output",
+    "convert a.bag b.bag": "output",
+    "convert {output}/a.bag b.bag": "output",
+    "convert a.bag b.bag --json {output}/a.json": "output",
+    "export {output}/run model.onnx": "model",
+    "evaluate a b --json scores.json": "--json",
+    "convert a.bag {output}/b.bag --json {output}/../../a.json": "--json",
+    "train circles -c a.toml -o run": "--output",
+    "demo": "--output",
+}
+"""Commands that write outside of the folder of the job, and by what."""
+
+
+@pytest.mark.parametrize("text", ELSEWHERE)
 def test_a_command_that_writes_elsewhere_is_refused(tmp_path, text):
     file = tmp_path / "jobs.toml"
     file.write_text(f'[[jobs]]\nname = "a"\ncommands = ["info a.bag", "{text}"]\n')
     out = run_batch(file)
     assert isinstance(out.exception, ConfigError)
-    assert f"jobs.a.commands: expected {{output}} in '{text}'" in str(out.exception)
+    told = str(out.exception)
+    assert f"jobs.a.commands: expected {{output}} in '{text}'" in told
+    assert f"as the beginning of {ELSEWHERE[text]}: what it writes elsewhere" in told
     assert not (tmp_path / "out").exists()
+    assert list(tmp_path.iterdir()) == [file]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "simulate demo --output={output}/a.npz --json -",
+        "convert a.bag {output}/b.bag",
+        "evaluate {output}/run truth.csv --json {output}/scores.json",
+        "info a.bag",
+        "train circles -c a.toml -o {output}",
+        "detect a.npz -o{output}/run --no-such-option",
+    ],
+)
+def test_what_stays_in_the_folder_of_the_job_is_no_matter_of_the_check(text):
+    config = BatchConfig.load({"jobs": [{"name": "a", "commands": [text]}]})
+    (job,) = jobs_of(config, Path())
+    batch = Batch.of(Path("out"), [job], is_fresh=True)
+    assert len(batch.jobs) == 1
 
 
 def test_a_command_that_a_job_has_twice_keeps_the_numbers_of_both(batch):

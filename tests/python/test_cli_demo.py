@@ -10,6 +10,7 @@ from matplotlib.image import imread
 from typer.testing import CliRunner
 
 from lidar_core.cli import app
+from lidar_core.extras import install_command
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 
 SCANS = 14
@@ -114,6 +115,6 @@ def test_without_matplotlib_the_extra_is_named_and_the_rest_is_there(tmp_path, m
     out = run_command("-o", tmp_path / "a", "--scans", 1)
     assert out.exit_code == 0
     assert "no picture" in out.stderr
-    assert "pip install 'lidar-core[plot]'" in out.stderr
+    assert install_command("plot") in out.stderr
     assert (tmp_path / "a" / "run.toml").exists()
     assert not (tmp_path / "a" / "picture.png").exists()

@@ -78,7 +78,9 @@ def test_the_drone_is_found_and_tracked(run):
     assert result["detections"] == SCANS - 10
     assert sum(result["class_shares"].values()) == pytest.approx(1)
     assert 0 < result["class_shares"]["flying"] < 0.01
-    assert result["clears_sky"]
+    assert result["sky"] == "given"
+    assert 0 < result["sky_share"] < 1
+    assert result["own_body"] == 0.0
     assert result["ended_early"] is None
     rows = table_rows(folder, "tracks")
     assert len(rows) == SCANS - 10
@@ -243,7 +245,7 @@ def test_values_come_from_mode_file_and_assignments_in_this_order(recording, tmp
     config = FlyingConfig.load(note["config"]["flying"])
     assert config.tracker == FlyingConfig.paper().tracker
     assert (config.range_std, config.voxel_map.voxel_size) == (0.05, 0.5)
-    assert config.sensor.beam_columns == 1800
+    assert config.sensor.beams == "vlp-16"
     assert config.sensors["/a.b/c"].min_range == 2.0
     # The note of a run is a configuration.
     again = (*arguments, "-o", tmp_path / "b", "--config", tmp_path / "a" / "run.toml")

@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 
 from lidar_core import FormatError, LidarCoreError, MissingExtraError, evaluation
 from lidar_core.cli import app
+from lidar_core.extras import install_command
 from lidar_core.io import read_columns, write_mcap, write_tracks_table
 
 PAGE = Path(__file__).parents[2] / "docs" / "evaluation.md"
@@ -220,6 +221,100 @@ def test_tracks_at_other_times_are_told_or_refused(place, tracks, tmp_path):
     assert "time_tolerance" in text
 
 
+def warnings_of(*arguments):
+    values = result_of(*arguments)
+    assert values["warnings"] is not None
+    return values["warnings"]
+
+
+def moved(tracks, tmp_path, **changes):
+    """A table of the run's tracks, with some columns changed."""
+    columns = {name: tracks[name].copy() for name in ("t_ns", "track_id", "x", "y", "z")}
+    for name, change in changes.items():
+        columns[name] = change(columns[name])
+    return write_csv(tmp_path / "moved.csv", columns)
+
+
+def test_a_good_pair_of_tracks_and_truth_is_without_warning(place, tracks, tmp_path):
+    truth = place / "yard.truth.csv"
+    assert warnings_of(place / "run", truth) == []
+    assert warnings_of(moved(tracks, tmp_path), truth) == []
+    assert "warning" not in run_command("evaluate", place / "run", truth).output
+
+
+def test_tracks_that_overlap_the_truth_nowhere_in_time_are_told_with_both_spans(
+    place, tracks, tmp_path
+):
+    truth = place / "yard.truth.csv"
+    path = moved(tracks, tmp_path, t_ns=lambda t: t + 10**12)
+    text = str(refusal_of(path, truth))
+    first, last = tracks["t_ns"].min() * 1e-9 + 1000, tracks["t_ns"].max() * 1e-9 + 1000
+    assert f"no time in common, {first:.3f} to {last:.3f} s and " in text
+    assert "time_tolerance=SECONDS" in text
+    config = evaluation.EvaluationConfig()
+    report = evaluation.evaluate(
+        evaluation.read_truth(truth), tracks=evaluation.read_prediction(path).tracks, config=config
+    )
+    assert len(report.warnings) == 1
+    assert "tracks and truth have no time in common" in report.warnings[0]
+    assert f"{first:.3f} to {last:.3f} s" in report.warnings[0]
+
+
+def test_tracks_a_hundred_metres_beside_the_truth_are_told_with_the_distance(
+    place, tracks, tmp_path
+):
+    path = moved(tracks, tmp_path, x=lambda x: x + 100)
+    (text,) = warnings_of(path, place / "yard.truth.csv")
+    assert "none of the tracks is within the gate of 1 m" in text
+    away = float(re.search(r"([\d.]+) m are typical", text)[1])
+    assert 95 < away < 105
+    assert "--gate" in text
+    out = run_command("evaluate", path, place / "yard.truth.csv").output
+    assert "warning: none of the tracks is within the gate" in out
+    wide = warnings_of(path, place / "yard.truth.csv", "--gate", 300)
+    assert wide == []
+
+
+def test_stamps_just_outside_the_tolerance_are_told_with_their_offset_and_the_option(
+    place, tracks, tmp_path
+):
+    truth = place / "yard.truth.csv"
+    path = moved(tracks, tmp_path, t_ns=lambda t: t + 300_000)  # 0.2 ms outside 0.1 ms
+    text = str(refusal_of(path, truth))
+    assert "typically 0.3 ms after the truth, where 0.1 ms are allowed" in text
+    (option,) = re.findall(r"--set (time_tolerance=\S+)", text)
+    assert warnings_of(path, truth, "--set", option) == []
+    half = moved(tracks, tmp_path, t_ns=lambda t: t - 300_000 * (np.arange(len(t)) % 2))
+    (told,) = warnings_of(half, truth)
+    rows = len(tracks["t_ns"])
+    assert f"{rows // 2} of {rows} tracks are just outside the tolerance of 0.1 ms" in told
+    assert "typically 0.3 ms before the truth" in told
+    (option,) = re.findall(r"--set (time_tolerance=\S+)", told)
+    assert warnings_of(half, truth, "--set", option) == []
+
+
+def test_tracks_between_the_times_of_a_slower_truth_are_no_shifted_clock(place, tracks, tmp_path):
+    path = moved(tracks, tmp_path, t_ns=lambda t: t + 40_000_000 * (np.arange(len(t)) % 2))
+    assert warnings_of(path, place / "yard.truth.csv") == []
+
+
+def test_circles_and_fused_targets_beside_the_truth_are_told(tmp_path):
+    stamps = np.arange(20) * 100_000_000
+    circles = {"t_ns": stamps, "track_id": np.zeros(20, int), "x": np.full(20, 3.0),
+               "y": np.zeros(20), "radius": np.full(20, 0.3)}  # fmt: skip
+    true = {**circles, "target_id": circles["track_id"]}
+    for name, columns in (("circles", circles), ("fused", circles | {"z": np.zeros(20)})):
+        truth = write_csv(tmp_path / f"{name}-truth.csv", true | columns)
+        good = write_csv(tmp_path / f"{name}.csv", columns)
+        assert warnings_of(good, truth) == []
+        far = write_csv(tmp_path / f"{name}-far.csv", columns | {"y": np.full(20, 100.0)})
+        assert "100 m are typical" in warnings_of(far, truth)[0]
+        late = write_csv(tmp_path / f"{name}-late.csv", columns | {"t_ns": stamps + 300_000})
+        assert "typically 0.3 ms after the truth" in str(refusal_of(late, truth))
+        other = write_csv(tmp_path / f"{name}-other.csv", columns | {"t_ns": stamps + 10**10})
+        assert "10.000 to 11.900 s and 0.000 to 1.900 s" in str(refusal_of(other, truth))
+
+
 def bad_files(folder):
     def text(name, content):
         path = folder / name
@@ -312,7 +407,7 @@ def test_a_missing_extra_is_named(place, monkeypatch):
     monkeypatch.setattr(extras, "import_module", refuse)
     error = refusal_of(place / "run" / "tracks_tum", place / "yard.truth.csv", "--identities")
     assert isinstance(error, MissingExtraError)
-    assert "pip install 'lidar-core[eval]'" in str(error)
+    assert install_command("eval") in str(error)
 
 
 def test_a_table_without_rows_is_a_run_that_found_nothing(place, tmp_path):

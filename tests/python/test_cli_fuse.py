@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from lidar_core import ConfigError, FormatError, InputError
 from lidar_core.cli import app
+from lidar_core.extras import install_command
 from lidar_core.fusion import (
     FusionConfig,
     TableOptions,
@@ -331,7 +332,7 @@ def test_a_run_without_matplotlib_says_what_brings_the_picture(table, tmp_path, 
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     out = command(table, "-o", tmp_path / "run")
     assert out.exit_code == 0
-    assert "lidar-core[plot]" in out.stderr
+    assert install_command("plot") in out.stderr
     assert not (tmp_path / "run" / "picture.png").exists()
 
 

@@ -18,4 +18,4 @@ def test_the_error_says_how_to_install_it(arguments, monkeypatch):
     monkeypatch.setitem(sys.modules, "lidar_core_training", None)
     result = CliRunner().invoke(app, arguments)
     assert isinstance(result.exception, MissingExtraError)
-    assert "pip install ./training" in str(result.exception)
+    assert "pip install . ./training" in str(result.exception)

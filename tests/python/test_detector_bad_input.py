@@ -293,7 +293,7 @@ def test_a_scan_without_points_clears_nothing():
         for k in range(20):
             points = np.full((30 * (k % 2), 3), np.nan)
             frame = detector.process(points, pose, NOW + k)
-            assert not frame.status.clears_sky
+            assert frame.status.sky_share == 0.0
             assert frame.n_rays == 0
         np.testing.assert_array_equal(detector.occupied_points(), occupied)
 

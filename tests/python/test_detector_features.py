@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 import pytest
-from flying_scenes import VLP_16, drone, feed, lidar, scans_of, wall, yard
+from flying_scenes import drone, feed, lidar, scans_of, wall, yard
 from scipy.spatial.transform import Rotation
 
 from lidar_core import VoxelMapConfig, sim
@@ -178,66 +178,6 @@ def test_every_lidar_has_its_own_masks():
     distance = np.linalg.norm(simulated.scan.points.reshape(-1, 3), axis=1)
     assert (all_classes > 0).sum() == np.isfinite(distance).sum()
     assert (some > 0).sum() == (distance >= 9.0).sum()
-
-
-# --- drivers that drop rays without return --------------------------------------------------------
-
-VLP_SCENE = yard(drone((4.5, 2.5, 3.2), (1.0, 5.0, 3.6)), lidar=VLP_16, scans=18)
-
-
-def dropped(simulated):
-    """What such a driver delivers: returns, no directions, no mask."""
-    scan = simulated.scan
-    known = np.isfinite(scan.points).all(axis=2).reshape(-1)
-    return {
-        "points_lidar": scan.points.reshape(-1, 3)[known],
-        "point_time_ns": scan.point_time_ns[known],
-        "no_return": None,
-        "directions": None,
-    }
-
-
-@pytest.mark.parametrize("beams", ["vlp-16", "learnt"])
-def test_rays_that_the_driver_dropped_are_rebuilt(beams):
-    config = with_sensor(beams=beams)
-    detector = FlyingObjectDetector(config)
-    scans = scans_of(VLP_SCENE)
-    for number, simulated in enumerate(scans):
-        frame = feed(detector, simulated, **dropped(simulated))
-        assert frame.status.clears_sky == (number > 0 or beams == "vlp-16")
-        lost = np.count_nonzero(simulated.scan.no_return)
-        assert frame.status.n_rebuilt_rays <= lost
-        if beams == "vlp-16" or number > 6:  # rows are learnt from the walls that they meet
-            assert frame.status.n_rebuilt_rays > 0.9 * lost
-        if number > 12:
-            assert frame.tracks.id.tolist() == [0]
-            assert misses(frame, simulated).max() < 0.5
-    assert detector.state_at([[0.0, 15.0, 3.8]]) == [0]
-
-
-def test_without_a_beam_table_the_sky_stays_unknown_and_nothing_flies_before_it():
-    detector = FlyingObjectDetector()
-    for simulated in scans_of(VLP_SCENE):
-        frame = feed(detector, simulated, **dropped(simulated))
-        assert not frame.status.clears_sky
-        assert frame.status.n_rebuilt_rays == 0
-        assert len(frame.detections) == len(frame.tracks) == 0
-    assert frame.status.gate_open
-    assert detector.state_at([[0.0, 15.0, 3.8]]) == [1]
-    rows = np.isfinite(simulated.scan.points).all(axis=2).reshape(-1)
-    own = simulated.label[rows] == simulated.truth.id[0]
-    assert set(frame.point_class[own].tolist()) == {UNKNOWN}
-
-
-def test_walls_stay_where_rays_are_rebuilt():
-    """What is rebuilt must not pass through what returns."""
-    scans = scans_of(VLP_SCENE)
-    given, _ = pipeline(None, scans)
-    rebuilt = FlyingObjectDetector(with_sensor(beams="vlp-16"))
-    for simulated in scans:
-        feed(rebuilt, simulated, **dropped(simulated))
-    walls = given.occupied_points()
-    assert (rebuilt.state_at(walls) >= 2).mean() > 0.98
 
 
 # --- the robot itself -----------------------------------------------------------------------------

@@ -5,7 +5,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+import lidar_core as lc
+import lidar_core.io
+from lidar_core.messages import Pose
 
 FOLDER = Path(__file__).parents[2] / "examples"
 TESTED = {
@@ -39,6 +44,37 @@ def figure(text, name):
 
 def test_every_example_has_a_test():
     assert {path.name for path in FOLDER.glob("*.py")} == set(TESTED)
+
+
+def test_motion_capture_of_a_frame_without_a_name_is_a_truth(tmp_path):
+    """As many systems publish it: the truth is the same as with a name."""
+    truths = {}
+    for frame in ("", "map"):
+        poses = []
+        for number in range(20):
+            matrix = np.eye(4)
+            matrix[0, 3] = 0.1 * number
+            poses.append(Pose(number * 100_000_000, frame, "robot", matrix))
+        recording, run = tmp_path / f"poses{frame}.mcap", tmp_path / f"run{frame}"
+        lc.io.write_mcap(recording, poses)
+        run.mkdir()
+        (run / "timing.csv").write_text("t_ns\n0\n500000000\n1200000000\n")
+        truth = tmp_path / f"truth{frame}.csv"
+        output_of(sys.executable, "motion_capture_truth.py", recording, "/tf", run, truth)
+        truths[frame] = truth.read_text().splitlines()
+    assert truths[""] == truths["map"]
+    times, _, x, _, _, vx, _, _ = zip(*(row.split(",") for row in truths[""][1:]), strict=True)
+    assert times == ("0", "500000000", "1200000000")
+    assert [float(value) for value in x] == pytest.approx([0.0, 0.5, 1.2])
+    assert [float(value) for value in vx[1:]] == pytest.approx([1.0, 1.0])
+
+
+def test_motion_capture_on_another_topic_is_named(tmp_path):
+    recording = tmp_path / "a.mcap"
+    lc.io.write_mcap(recording, [Pose(0, "map", "robot", np.eye(4))])
+    (tmp_path / "timing.csv").write_text("t_ns\n0\n")
+    with pytest.raises(AssertionError, match="no poses on topic '/red'; topics with poses: /tf"):
+        output_of(sys.executable, "motion_capture_truth.py", recording, "/red", tmp_path, "t.csv")
 
 
 def test_quickstart_prints_two_tracks():

@@ -62,10 +62,12 @@ def test_several_topics_ask_for_one(tmp_path):
 
 
 def test_a_sensor_that_nothing_carries_needs_its_mounting(tmp_path):
-    steps = next_of(tmp_path / "a.npz", pose(0, "base"), cloud(0), pose(1, "base"), cloud(1))
-    assert steps[0].startswith(
-        f"lidar-core detect {tmp_path}/a.npz -o run/ --mounting 'base lidar x y z roll pitch yaw'"
-    )
+    messages = [pose(0, "base"), cloud(0), pose(1, "base"), cloud(1)]
+    (step,) = next_of(tmp_path / "a.npz", *messages)
+    command, _, remark = step.partition("  (")
+    asked = "--mounting 'base lidar 0 0 0 0 0 0'"
+    assert command == f"lidar-core detect {tmp_path}/a.npz -o run/ {asked}"
+    assert "zeros: the sensor sits at the origin of base; else put x y z roll pitch yaw" in remark
 
 
 def test_the_command_that_is_told_works(tmp_path):

@@ -27,6 +27,7 @@ import lidar_core as lc
 import lidar_core.io
 from lidar_core.circles import CirclesConfig
 from lidar_core.cli import app
+from lidar_core.cli.live import _since_stamp
 from lidar_core.cli.live_job import PipelineChoice
 from lidar_core.cli.live_run import LiveRun
 from lidar_core.errors import ConfigError, FormatError, InputError, LinkError
@@ -41,11 +42,13 @@ from lidar_core.io.write_mcap import FoxgloveLog
 from lidar_core.io.write_ros import RosMessages
 from lidar_core.live import Inbox, LiveConfig, LiveLoop, Output, Source
 from lidar_core.live.foxglove_source import FoxgloveSource
+from lidar_core.live.loop import Report
 from lidar_core.live.outputs import McapOutput, RerunOutput
 from lidar_core.live.pipelines import CirclesLive, FlyingLive, LivePipeline
 from lidar_core.live.poses import LivePoses
 from lidar_core.live.replay import ReplaySource
 from lidar_core.live.source import StreamTopics
+from lidar_core.live.stats import LiveStats
 from lidar_core.live.udp_source import UdpSource
 from lidar_core.live.zenoh_link import key_of, topic_of
 from lidar_core.live.zenoh_source import ZenohSource
@@ -743,6 +746,143 @@ def test_foxglove_in_and_foxglove_out(circles):
     assert (transform.frame_id, transform.child_frame_id) == ("world", "laser")
 
 
+def ended(process):
+    """Exit status and what was said, of a command that ends by itself."""
+    out, errors = process.communicate(timeout=PATIENCE_S)
+    return process.returncode, json.loads(out), errors
+
+
+def test_a_topic_that_foxglove_does_not_have_is_told_within_three_seconds():
+    """What is advertised instead is listed, once; the status is 3 where nothing ever came."""
+    port = free_port()
+    with foxglove_server(port) as context:
+        log = FoxgloveLog(context, tracks_frame="world")
+        log.write(laser(0))
+        log.write(pose(0))
+        place = f"foxglove:ws://127.0.0.1:{port}"
+        with live("--in", place, "--scan", "/nope", "--seconds", 5) as process:
+            wait_for_line(process, "from foxglove")
+            begun = time.monotonic()
+            told = wait_for_line(process, "no scan yet of /nope")
+            assert time.monotonic() - begun < 3
+            status, summary, errors = ended(process)
+    assert told.endswith("has: /scan (foxglove.LaserScan); /tf (foxglove.FrameTransform)\n"), told
+    assert "no scan yet" not in errors
+    assert status == 3
+    assert summary["processed"] == 0
+
+
+@pytest.mark.parametrize("naming", ["rmw", "bridge", "graph"])
+def test_a_topic_that_zenoh_does_not_have_is_told_within_three_seconds(circles, naming):
+    """By the messages that come, or by the tokens of the ROS graph where none come."""
+    robot, port, over = Robot(circles), free_port(), Event()
+    scan = next(item for item in robot.items if isinstance(item, LaserScan))
+    topic, type_name, raw = robot.packed(scan)
+    key = zenoh_key(robot, topic, type_name, naming)
+
+    with zenoh_peer(port) as session:
+
+        def publish():
+            while not over.wait(0.1):
+                session.put(key, raw)
+
+        publishing = Thread(target=publish)
+        graph = "MP/%/%/node/%laser%scan/sensor_msgs::msg::dds_::LaserScan_/RIHS01_0/::,:,:,,"
+        if naming == "graph":
+            token = session.liveliness().declare_token(f"@ros2_lv/3/{session.zid()}/0/1/{graph}")
+            over.set()
+        publishing.start()
+        place = f"zenoh:tcp/127.0.0.1:{port}"
+        with live("--in", place, "--scan", "/nope", "--seconds", 5) as process:
+            wait_for_line(process, "from zenoh")
+            begun = time.monotonic()
+            told = wait_for_line(process, "no scan yet of /nope")
+            assert time.monotonic() - begun < 3
+            status, _, _ = ended(process)
+        over.set()
+        publishing.join()
+        if naming == "graph":
+            token.undeclare()
+    there = {
+        "rmw": "/laser/scan (sensor_msgs/msg/LaserScan), domain 3",
+        "bridge": "/laser/scan (no type in its key)",
+        "graph": "/laser/scan (sensor_msgs/msg/LaserScan), domain 3",
+    }
+    assert told.endswith(f"has: {there[naming]}\n"), told
+    assert status == 3
+
+
+def test_a_stream_of_which_nothing_ever_came_ends_with_status_three_after_ctrl_c():
+    with live("--in", f"udp:{free_udp_port()}") as process:
+        assert "has: nothing" in wait_for_line(process, "no scan yet of any topic with clouds or")
+        process.send_signal(signal.SIGINT)
+        status, summary, _ = ended(process)
+    assert (status, summary["processed"]) == (3, 0)
+
+
+def free_udp_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as place:
+        place.bind(("127.0.0.1", 0))
+        return place.getsockname()[1]
+
+
+def test_scans_that_cannot_be_read_are_something_that_came():
+    items = [(None, Record(LASER, 0, lambda: []))]
+    loop = LiveLoop(Played(*items), lambda sort: Slow(0), LivePoses(PoseOptions(), LiveConfig()),
+                    [], LiveConfig(), topics=["/scan"])  # fmt: skip
+    assert loop.heard_nothing
+    loop.run()
+    assert not loop.heard_nothing
+
+
+@pytest.mark.parametrize(
+    ("way_ms", "told"),
+    [
+        (1795373951730, "clocks differ by 20779.8 days"),
+        (-90_000, "clocks differ by 90.0 s"),
+        (-400_000, "clocks differ by 6.7 min"),
+        (4 * 3_600_000, "clocks differ by 4.0 h"),
+        (-50, "clocks differ by 50 ms"),
+        (9_000, None),
+        (0, None),
+    ],
+)
+def test_latencies_of_clocks_that_differ_say_so(way_ms, told):
+    """Otherwise the line would hold a latency of weeks, or a negative one."""
+    stats = LiveStats()
+    for _ in range(3):
+        stats.from_arrival.add(5_000_000)
+        stats.from_stamp.add(5_000_000 + way_ms * 1_000_000)
+    summary = stats.summary()
+    assert (summary["latency_ms"]["from_stamp"] is None) == (told is not None)
+    report = Report(1.0, 3.0, stats.from_stamp.recent(), stats.from_arrival.recent(), {}, 0, "")
+    if told is None:
+        assert summary["clocks_differ_ms"] is None
+        assert _since_stamp(report).endswith(" ms")
+    else:
+        assert summary["clocks_differ_ms"] == pytest.approx(way_ms)
+        assert _since_stamp(report) == told
+
+
+def test_the_console_says_that_clocks_differ(circles):
+    """Stamps of 1970, as of a robot without a clock."""
+    robot, port = Robot(circles), free_port()
+    scans = [item for item in robot.items if isinstance(item, LaserScan)][:10]
+    place = f"zenoh:tcp/127.0.0.1:{port}"
+    with zenoh_peer(port) as session, live("--in", place, "--pose", "static") as process:
+        wait_for_line(process, "scans/s")
+        for number, scan in enumerate(scans):
+            topic, type_name, raw = robot.packed(replace(scan, stamp_ns=number * 10**8))
+            session.put(key_of(topic, type_name, "RIHS01_00", domain=0), raw)
+            time.sleep(0.1)
+        line = wait_for_line(process, "clocks differ by")
+        assert re.search(r"from stamp clocks differ by \d{5}\.\d days", line)
+        summary = interrupted(process)
+    assert summary["latency_ms"]["from_stamp"] is None
+    assert summary["clocks_differ_ms"] > 1e12
+    assert summary["latency_ms"]["from_arrival"]["median"] < 1e4
+
+
 def test_no_foxglove_server_is_an_error_with_its_cure():
     inbox = Inbox(max_poses=1)
     place = f"ws://127.0.0.1:{free_port()}"
@@ -1183,6 +1323,8 @@ def test_a_port_in_use_is_an_error_with_its_cure(circles):
         (["--in", "udp:nowhere"], "--in udp: expected a port from 0 to 65535, got 'nowhere'"),
         (["--in", "udp:0", "--out", "paper"], r"--out paper: expected one of foxglove\["),
         (["--in", "udp:0", "--out", "mcap"], "--out mcap: expected one of"),
+        (["--in", "udp:0", "--out", "rerun:web:x"], "--out rerun:web: expected a port"),
+        (["--in", "udp:0", "--allow-origin", "*"], "allow-origin: expected the scheme and the"),
         (["--in", "udp:0", "--pose", "a.txt"], "expected auto or static for a live stream"),
         (["--in", "udp:0", "--cloud", "/a", "--scan", "/b"], "expected topics of one sort"),
         (["--in", "udp:0", "--scan", "/b", "--capability", "flying"], "flying does not read /b"),

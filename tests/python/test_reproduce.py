@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from lidar_core import ConfigError, reproduce, sim
 from lidar_core.cli import app
-from lidar_core.reproduce import Item, Request, Result, Row
+from lidar_core.reproduce import COLUMNS, Item, Request, Result, Row
 from lidar_core.reproduce.jobs import Job, run
 from lidar_core.reproduce.registry import MODULES, item_named, items
 
@@ -171,8 +171,8 @@ def test_an_item_in_short_gives_a_table_a_picture_and_json(name, tmp_path):
     assert (values["item"], values["seed"]) == (name, short.seed)
     assert values["rows"]
     for row in values["rows"]:
-        assert list(row) == ["name", "unit", "paper", "paper_mode", "best_mode"]
-        numbers = [row[column] for column in ("paper", "paper_mode", "best_mode")]
+        assert list(row) == ["name", "unit", *COLUMNS]
+        numbers = [row[column] for column in COLUMNS]
         assert all(value is None or np.isfinite(value) for value in numbers), row
         assert row["name"]
         assert row["unit"]
@@ -230,12 +230,32 @@ def test_all_writes_a_list_and_says_beforehand_how_long_it_takes(tmp_path):
     values = json.loads(out.stdout)
     assert [one["item"] for one in values] == ["first", "second"]
     assert values[0]["rows"] == [
-        {"name": "recall@10m", "unit": "1", "paper": None, "paper_mode": 0.5, "best_mode": 0.0}
-    ]
+        {"name": "recall@10m", "unit": "1", "paper": None, "paper_mode": 0.5,
+         "equations_corrected": None, "best_mode": 0.0}
+    ]  # fmt: skip
     assert "first: 5 scans, about 30 s on two cores" in out.stderr
     assert {path.name for path in tmp_path.iterdir()} == {
         f"{name}.{kind}" for name in ("first", "second") for kind in ("json", "png", "toml")
     }
+
+
+def test_the_column_of_corrected_equations_is_shown_where_an_item_has_it(two_items, tmp_path):
+    def corrected(request: Request) -> Result:
+        rows = (Row("error", "m", 0.163, 1.25, 0.124, 0.162),)
+        return Result(rows, lambda figure: figure.subplots(), request.scans)
+
+    two_items(item("first", counted), item("second", corrected))
+    without, having = (
+        run_command(name, "-o", tmp_path / name, "--no-picture").output
+        for name in ("first", "second")
+    )
+    assert "paper mode" in without
+    assert "equations" not in without
+    assert having.index("paper mode") < having.index("equations") < having.index("best mode")
+    assert all(value in having for value in ("0.163", "1.250", "0.162", "0.124"))
+    (row,) = json.loads((tmp_path / "second" / "second.json").read_text())["rows"]
+    assert list(row) == ["name", "unit", *COLUMNS]
+    assert [row[column] for column in COLUMNS] == [0.163, 1.25, 0.162, 0.124]
 
 
 def test_all_leaves_out_what_has_no_recordings_and_says_so(tmp_path, two_items, monkeypatch):

@@ -111,11 +111,11 @@ def test_patterns_that_do_not_repeat_fill_the_field_of_view(name):
 @pytest.mark.parametrize("name", ["vlp-16", "vls-128", "qt128", "livox-avia"])
 def test_a_preset_of_the_detector_knows_what_its_driver_drops(name):
     config = SensorConfig.preset(name)
-    assert config.beams == (None if name == "livox-avia" else name)
+    assert config.beams == ("auto" if name == "livox-avia" else name)
     assert config.min_range >= max(0.3, SENSORS[name].model.get("range_min", 0))
-    if config.beams:
-        assert len(config.beam_elevations) == SPATIAL[name][0]
-        assert config.beam_columns == SPATIAL[name][1]
+    if config.beams != "auto":
+        kind, elevations, columns = config.beam_table
+        assert (kind, len(elevations), columns) == ("rows", *SPATIAL[name][:2])
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,12 @@
 """`lidar-core simulate`."""
 
+import hashlib
 import json
+import os
 import re
+import subprocess
+import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +16,7 @@ from typer.testing import CliRunner
 from lidar_core import ConfigError, sim
 from lidar_core.cli import app
 from lidar_core.io import open_recording
+from lidar_core.io.sole import sole_writer
 from lidar_core.messages import LaserScan
 
 
@@ -76,3 +82,107 @@ def test_built_in_scenes_of_posts(tmp_path):
         assert out.exit_code == 0, out.output
         scene = sim.Scene.read(tmp_path / "a.scene.toml")
         assert (len(scene.bodies), len(scene.targets)) == (bodies, 11)
+
+
+# One writer at a time
+
+CALL = "from lidar_core.cli import main; main()"
+POSIX = pytest.mark.skipif(os.name != "posix", reason="locks of files are POSIX")
+HOLDS = """
+import sys
+from pathlib import Path
+from lidar_core.io.sole import sole_writer
+sys.argv = ["lidar-core", "simulate", "demo", "-o", "same.npz", "--seed", "1"]
+with sole_writer(Path(sys.stdin.readline().strip())):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def started(*arguments, **more):
+    return subprocess.Popen([sys.executable, "-c", *map(str, arguments)], text=True,
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, **more)  # fmt: skip
+
+
+def holding(path):
+    """Another process that writes to `path` until its input ends."""
+    other = started(HOLDS, stdin=subprocess.PIPE)
+    other.stdin.write(f"{path}\n")
+    other.stdin.flush()
+    assert other.stdout.readline() == "held\n"
+    return other
+
+
+def is_of_one_run(folder):
+    """Recording, hash, seed, and truth of the seed that the note names."""
+    note = tomllib.loads((folder / "same.run.toml").read_text())
+    digest = hashlib.sha256((folder / "same.npz").read_bytes()).hexdigest()
+    again = sim.recording.record(
+        sim.scenes.demo(note["seed"]), folder / "again.npz", seed=note["seed"], scans=note["scans"]
+    )
+    same = again.truth.read_bytes() == (folder / "same.truth.csv").read_bytes()
+    return digest == note["sha256"] and same
+
+
+@POSIX
+def test_two_simulations_into_one_recording_the_second_is_refused_and_names_the_first(tmp_path):
+    path = tmp_path / "same.npz"
+    other = holding(path)
+    try:
+        for name in ("same.npz", "same.mcap"):  # their truth is one file
+            done = started(CALL, "simulate", "demo", "-o", tmp_path / name, "--scans", 2)
+            _, told = done.communicate(timeout=120)
+            assert done.returncode == 2, told
+            told = " ".join(told.split())
+            assert f"process {other.pid} (lidar-core simulate demo -o same.npz --seed 1)" in told
+            assert "is writing there; wait for its end, or choose another output" in told
+            assert [file.name for file in tmp_path.iterdir()] == [".same.lock"]
+        assert run_command("demo", "-o", tmp_path / "free.npz", "--scans", 1).exit_code == 0
+    finally:
+        other.communicate()
+    assert run_command("demo", "-o", path, "--scans", 1, "--seed", 2).exit_code == 0
+    assert not (tmp_path / ".same.lock").exists()
+    assert is_of_one_run(tmp_path)
+
+
+@POSIX
+def test_two_simulations_at_once_leave_the_recording_and_truth_of_one_seed(tmp_path):
+    both = [
+        started(CALL, "simulate", "demo", "-o", tmp_path / "same.npz", "--scans", 6, "--seed", seed)
+        for seed in (1, 2)
+    ]
+    told = [one.communicate(timeout=200)[1] for one in both]
+    codes = sorted(one.returncode for one in both)
+    assert codes in ([0, 2], [0, 0]), told  # one after the other, if the first was that quick
+    assert is_of_one_run(tmp_path)
+
+
+@POSIX
+def test_the_lock_of_a_killed_simulation_holds_nobody_up(tmp_path):
+    path = tmp_path / "same.npz"
+    other = holding(path)
+    other.kill()
+    other.wait()
+    assert (tmp_path / ".same.lock").read_text().startswith(f"process {other.pid} ")
+    assert run_command("demo", "-o", path, "--scans", 1).exit_code == 0
+    assert not (tmp_path / ".same.lock").exists()
+    other.communicate()
+
+
+@POSIX
+def test_two_threads_do_not_write_one_recording(tmp_path):
+    with sole_writer(tmp_path / "same.npz"):
+        with pytest.raises(FileExistsError, match="is writing there"):
+            sim.recording.record(sim.scenes.demo(0), tmp_path / "same.npz", seed=0, scans=1)
+        with sole_writer(tmp_path / "other.npz"):
+            pass
+
+
+@POSIX
+def test_a_file_system_without_locks_goes_without(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError("no locks")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    with sole_writer(tmp_path / "same.npz"), sole_writer(tmp_path / "same.npz"):
+        assert not list(tmp_path.iterdir())

@@ -215,22 +215,17 @@ def test_one_way_to_look_at_a_time(circles, tmp_path):
 
 
 def test_foxglove_gets_every_message_as_it_is_stored(circles, monkeypatch):
-    """A client over the WebSocket is the viewer's part; here every channel is watched."""
-    import foxglove
-
+    """In their order, each once; what viewers get of it is in test_origin_check.py."""
     from lidar_core.viz import foxglove_server
 
-    sent, real = [], foxglove.Channel
+    sent = []
 
-    class Watched:
-        def __init__(self, topic, **more):
-            self.topic, self.channel = topic, real(topic, **more)
+    class Watched(foxglove_server.ServedChannel):
+        def log(self, message, *, log_time):
+            sent.append((self.description["topic"], log_time, message))
+            super().log(message, log_time=log_time)
 
-        def log(self, data, **more):
-            sent.append((self.topic, more["log_time"], bytes(data)))
-            self.channel.log(data, **more)
-
-    monkeypatch.setattr(foxglove, "Channel", Watched)
+    monkeypatch.setattr(foxglove_server, "ServedChannel", Watched)
     ports = []
     foxglove_server.serve_foxglove(
         circles / "run.mcap", port=0, speed=1000.0, repeat=False, on_ready=ports.append

@@ -151,41 +151,58 @@ def rts(model, states, covariances, dt, strengths):
     return np.array(means), np.array(smoothed)
 
 
-def paper_step(s, P, dt, sensor, z, std):
-    """Eqs 8-28 of the paper, platform at rest, reading A of the radar, alpha as printed."""
+def paper_step(
+    s, P, dt, sensor, z, std, *, alpha="literal", straight_y="literal", platform_column="literal",
+    speed=0.0, elevation=0.0, reading="a",
+):  # fmt: skip
+    """Eqs 7-28 of the paper, reading A or B of the radar, states moved by eqs 8 and 9."""
     v, theta, w = s[2:5]
+    cp, sp = np.cos(elevation), np.sin(elevation)
+    v_dx, v_dy = speed * cp * np.cos(theta), speed * cp * np.sin(theta)
     sa, sw, sd = std
     moved = s.copy()
     phi = np.eye(6)
     if abs(w) < 1e-4:
         moved[:2] += v * dt * np.array([np.cos(theta), np.sin(theta)])
+        moved[0] -= v_dx * np.cos(theta) * cp * dt
+        moved[1] -= (v_dx if straight_y == "literal" else v_dy) * np.cos(theta) * sp * dt
         phi[0, 2:4] = np.cos(theta) * dt, -v * np.sin(theta) * dt
         phi[1, 2:4] = np.sin(theta) * dt, v * np.cos(theta) * dt
     else:
         turned = theta + w * dt
         moved[0] += v / w * (np.sin(turned) - np.sin(theta))
         moved[1] += v / w * (np.cos(theta) - np.cos(turned))
+        moved[0] -= v_dx * np.cos(theta) * cp * dt
+        moved[1] -= v_dy * np.cos(theta) * sp * dt
         moved[3] = turned
-        alpha = dt + theta
-        beta, chi = np.sin(alpha) - np.sin(theta), np.cos(alpha) - np.cos(theta)
-        phi[0, 2:5] = beta / w, v / w * chi, dt * v / w * (np.cos(alpha) - v / w**2 * beta)
-        phi[1, 2:5] = -chi / w, v / w * beta, dt * v / w * (np.sin(alpha) + v / w**2 * chi)
+        a = theta + (dt if alpha == "literal" else w * dt)
+        beta, chi = np.sin(a) - np.sin(theta), np.cos(a) - np.cos(theta)
+        phi[0, 2:5] = beta / w, v / w * chi, dt * v / w * (np.cos(a) - v / w**2 * beta)
+        phi[1, 2:5] = -chi / w, v / w * beta, dt * v / w * (np.sin(a) + v / w**2 * chi)
         phi[2, 3] = dt
+    if platform_column == "literal":
+        phi[0, 5] = -speed * np.sin(theta) * cp
+        phi[1, 5] = speed * np.cos(theta) * sp
     c, q = np.cos(theta), np.sin(theta)
-    Q = np.zeros((6, 6))
-    Q[0, :3] = (dt**2 / 2 * sa * c) ** 2 + (dt * sd * c) ** 2, dt**4 / 4 * sa**2 * q * c, (
-        dt**3 / 4 * sa**2 * q * c)  # fmt: skip
-    Q[1, :3] = (dt**2 / 2 * sa * q) ** 2, dt**4 / 4 * sa**2 * q * c, dt**3 / 2 * sa**2 * q
+    Q, d2 = np.zeros((6, 6)), (dt * sd) ** 2
+    Q[0, 0] = (dt**2 / 2 * sa * c) ** 2 + d2 * (c * cp) ** 2
+    Q[0, 1] = dt**4 / 4 * sa**2 * q * c + d2 * c**2 * cp * sp
+    Q[0, 2] = dt**3 / 4 * sa**2 * q * c
+    Q[1, 0] = (dt**2 / 2 * sa * q) ** 2 + d2 * c**2 * cp * sp
+    Q[1, 1] = dt**4 / 4 * sa**2 * q * c + d2 * (c * sp) ** 2
+    Q[1, 2] = dt**3 / 2 * sa**2 * q
     Q[2, :3] = dt**3 / 2 * sa**2 * c, dt**3 / 2 * sa**2 * q, dt**2 * sa**2
     Q[4, 4] = dt**2 / 2 * sw
-    Q[0, 5] = Q[5, 0] = -((dt * sd) ** 2) * c
-    Q[5, 5] = -((dt * sd) ** 2)
+    Q[0, 5] = Q[5, 0] = -d2 * c * cp
+    Q[1, 5], Q[5, 1] = -d2 * q * sp, -d2 * c * sp
+    Q[5, 5] = -d2
     M = phi @ P @ phi.T + Q
     if sensor == "lidar":
         H, R, measured = np.eye(6)[:2], 0.0222 * np.eye(2), z
     else:
         H, R = np.eye(6)[:5], np.diag([0.088, 0.00088, 0.088, 0.0088, 0.08])
-        measured = np.array([z[0] * np.cos(z[1]), z[0] * np.sin(z[1]), z[2], z[1], 0.0])
+        turn = z[2] if reading == "b" else 0.0
+        measured = np.array([z[0] * np.cos(z[1]), z[0] * np.sin(z[1]), z[2], z[1], turn])
     residual = measured - H @ moved
     if sensor == "radar":
         residual[3] = wrap(residual[3])

@@ -6,16 +6,19 @@ import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
+from math import prod
 from pathlib import Path
 from typing import Self, TypeAlias
 
 from pydantic import Field, model_validator
 
 from lidar_core.config import Config
-from lidar_core.errors import ConfigError
+from lidar_core.errors import ConfigError, LimitError
 
 Value: TypeAlias = str | int | float | bool
 OUTPUT = "output"
+MOST_JOBS = 100_000
+"""Of one group. Source: limits table of SECURITY.md."""
 _PLACE = re.compile(r"\{(\w*)\}")
 
 
@@ -130,6 +133,13 @@ def _of_group(group: BatchGroup, folder: Path) -> Iterator[BatchJob]:
         name: _matching(group.name, name, pattern, folder) for name, pattern in group.files.items()
     }
     choices |= group.grid
+    counts = [len(values) for values in choices.values()]
+    counts += [end - first for first, end in group.ranges.values()]
+    if (count := prod(counts) * max(len(group.rows), 1)) > MOST_JOBS:
+        raise LimitError(
+            f"jobs.{group.name}: {count} jobs of all combinations, limit {MOST_JOBS}; give fewer"
+            " values in grid, ranges, files and rows, or split it into several batches"
+        )
     choices |= {name: tuple(range(*limits)) for name, limits in group.ranges.items()}
     for row in group.rows or ({},):
         for chosen in product(*choices.values()):

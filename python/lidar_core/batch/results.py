@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Self, TypeAlias
 
+from lidar_core.files import read_text
 from lidar_core.io.atomic import written_whole
 from lidar_core.io.long_table import write_long_table
 
@@ -52,7 +53,7 @@ class JobRecord:
     def read(cls, folder: Path) -> Self | None:
         """The record of a folder; None where there is none that can be read."""
         try:
-            return cls(**json.loads((folder / NOTE).read_text(encoding="utf-8")))
+            return cls(**json.loads(read_text(folder / NOTE)))
         except (OSError, ValueError, TypeError):
             return None
 

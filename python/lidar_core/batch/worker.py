@@ -1,10 +1,12 @@
 """A process that does one task after the other, and survives the errors of all of them."""
 
+import os
 import signal
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
+from threading import Thread
 from typing import Any, TypeAlias
 
 Outcome: TypeAlias = tuple[bool, Any]
@@ -80,9 +82,18 @@ def ended(reason: str) -> Exception:
     return ChildProcessError(f"no result: {reason}")
 
 
+def _end_with_parent() -> None:
+    """End this process when the one that started it is gone: nobody waits for its results."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
 def _serve(connection: "Connection[Any, Any]") -> None:
     """Do tasks until the other side closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_with_parent, daemon=True).start()
     with suppress(EOFError, BrokenPipeError):
         while True:
             function, arguments = connection.recv()

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from lidar_core import _core
 from lidar_core.circles.dataset_config import DatasetConfig
 from lidar_core.circles.samples import Samples, joined, make_samples
 from lidar_core.errors import ConfigError, FormatError
+from lidar_core.files import check_regular, read_text
 from lidar_core.io.atomic import written_whole
 
 Part: TypeAlias = Literal["train", "validation", "test", "all"]
@@ -191,11 +193,11 @@ def _known_shards(folder: Path, config: DatasetConfig, seed: int) -> dict[str, s
 def _read_manifest(folder: Path) -> dict[str, Any]:
     path = folder / MANIFEST
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
+        manifest = json.loads(read_text(path))
         known = manifest["format"]
     except FileNotFoundError as error:
         raise FormatError(f"{path}: expected a dataset of circles, got no such file") from error
-    except (ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise FormatError(f"{path}: expected the note of a dataset: {error!r}") from error
     if known != _FORMAT:
         raise FormatError(f"{path}: expected format {_FORMAT}, got {known}")
@@ -223,9 +225,9 @@ def _write_shard(path: Path, samples: Samples) -> None:
 
 def _read_shard(path: Path) -> Samples:
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with np.load(check_regular(path), allow_pickle=False) as arrays:
             return Samples(*(arrays[field.name] for field in fields(Samples)))
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, BadZipFile, MemoryError) as error:
         raise FormatError(f"{path}: expected a shard of a dataset: {error}") from error
 
 

@@ -72,7 +72,7 @@ def main() -> None:
             stream.reconfigure(errors="replace")
     try:
         app()
-    except (LidarCoreError, OSError) as error:
+    except (LidarCoreError, OSError, MemoryError) as error:
         print(f"error: {_text(error)}", file=sys.stderr)
         sys.exit(2)
 
@@ -81,4 +81,6 @@ def _text(error: Exception) -> str:
     """What went wrong, with the file before it, where the system says so."""
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename}: {error.strerror}"
+    if isinstance(error, MemoryError):
+        return f"takes more memory than there is: {error}".rstrip(": ")
     return str(error)

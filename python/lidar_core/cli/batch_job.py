@@ -10,8 +10,9 @@ from contextlib import closing, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Self
+from typing import Any, Self, cast
 
+from typer import BadParameter
 from typer.main import get_command
 
 from lidar_core.batch import BatchJob, Failure, JobRecord, Task, completed, write_results
@@ -22,13 +23,17 @@ from lidar_core.cli.common import all_threads
 from lidar_core.cli.simulate import OVERFLIGHT
 from lidar_core.config import Config
 from lidar_core.errors import ConfigError, LidarCoreError
-from lidar_core.io.atomic import written_whole
+from lidar_core.io.atomic import is_temporary, remove_stale, written_whole
 from lidar_core.run_folder import build_digest, note_of
 
 LOG, RESULTS = "log.txt", "results.parquet"
 KEY_LENGTH = 12
 WITHOUT = ("batch", "view")
 """Commands that are no jobs: they do not end by themselves, or would start jobs of their own."""
+UsageError = cast("type[Exception]", BadParameter.__base__)
+"""What a parser raises; typer hands out this one of its errors alone."""
+WRITTEN = {("export", "model")}
+"""Arguments, besides those called output, that name what a command writes."""
 
 
 @dataclass(slots=True)
@@ -199,20 +204,55 @@ def _check(job: BatchJob) -> None:
             raise ConfigError(
                 f"jobs.{job.group}.commands: expected one of {', '.join(known)}, got {named!r}"
             )
-        writes = any(one.name == "output" for one in _commands()[command[0]].params)
-        if writes and not any(f"{{{OUTPUT}}}" in part for part in command):
+        outside = [where for where, value in _written(command) if not _is_inside(value)]
+        if outside:
             raise ConfigError(
-                f"jobs.{job.group}.commands: expected {{{OUTPUT}}} in {' '.join(command)!r}: what"
-                " it writes elsewhere is no part of the job"
+                f"jobs.{job.group}.commands: expected {{{OUTPUT}}} in {' '.join(command)!r}, as the"
+                f" beginning of {outside[0]}: what it writes elsewhere is no part of the job"
             )
+
+
+def _written(command: Sequence[str]) -> list[tuple[str, str | None]]:
+    """Options and arguments of a command that name what it writes, with their values.
+
+    An option that is not there has its default, which is no place of the job: None.
+    """
+    known, name, arguments = _commands()[command[0]], command[0], list(command[1:])
+    below: Mapping[str, Any] = getattr(known, "commands", {})
+    if arguments and arguments[0] in below:
+        known, name, arguments = below[arguments[0]], arguments[0], arguments[1:]
+    context = known.make_context(name, [], resilient_parsing=True)
+    context.resilient_parsing = False
+    try:
+        values = known.make_parser(context).parse_args(arguments)[0]
+    except UsageError:
+        return []  # the job itself says what is wrong with its options
+    found = []
+    for one in known.params:
+        value = values.get(one.name)
+        if one.name == "output" or (command[0], one.name) in WRITTEN:
+            found.append((max(one.opts, key=len), None if value is None else str(value)))
+        elif "--json" in one.opts and value not in (None, False, True) and str(value) != "-":
+            found.append(("--json", str(value)))
+    return found
+
+
+def _is_inside(value: str | None) -> bool:
+    """Whether a place is in the folder of the job."""
+    if value is None or not value.startswith(f"{{{OUTPUT}}}"):
+        return False
+    folder = Path(os.sep) / "job"
+    place = Path(os.path.normpath(value.replace(f"{{{OUTPUT}}}", str(folder))))
+    return place.is_relative_to(folder)
 
 
 def _begin(folder: Path, record: JobRecord) -> None:
     """An empty folder that says whose it is."""
-    if folder.exists() and any(folder.iterdir()):
+    if folder.exists() and not all(is_temporary(one.name) for one in folder.iterdir()):
         if not (folder / NOTE).is_file():
             raise FileExistsError(f"{folder}: holds files that no job wrote")
         shutil.rmtree(folder)
+    remove_stale(folder)
     folder.mkdir(parents=True, exist_ok=True)
     record.write(folder)
 

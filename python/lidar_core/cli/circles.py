@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lidar_core.cli.common import READ, WRITTEN, Row, consoles, given, result_table, stage_rows
-from lidar_core.cli.run_options import RunOptions, with_options
+from lidar_core.cli.run_options import RunOptions, ScanRate, Stamps, with_options
 from lidar_core.cli.settings import run_config
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ def command(
     scan: Annotated[list[str], typer.Option(help=SCAN, rich_help_panel=READ)] = [],  # noqa: B006
     no_return: Annotated[str | None, typer.Option(help=NO_RETURN, rich_help_panel=READ)] = None,
     point_time: Annotated[str | None, typer.Option(help=SWEEP, rich_help_panel=READ)] = None,
+    stamps: Stamps = None,
+    scan_rate: ScanRate = None,
     film: Annotated[bool, typer.Option("--film", help=FILM, rich_help_panel=WRITTEN)] = False,
 ) -> None:
     """Map the round obstacles in RECORDING; write tables, trajectories and picture.
@@ -48,7 +50,10 @@ def command(
     from lidar_core.messages import LaserScan
 
     folder, recording = options.folder(), options.recording
-    read = ReadOptions.load(given({"no_return": no_return, "point_time": point_time}))
+    read = ReadOptions.load(
+        given({"no_return": no_return, "point_time": point_time, "stamps": stamps,
+               "scan_rate": scan_rate})
+    )  # fmt: skip
     base = CirclesConfig() if options.mode == "best" else CirclesConfig.paper()
     config = run_config(base, "circles", options.config, options.values)
     chosen = _with_scanners(config, recording, read, scan, options.poses())

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 SLOW_MS = 10.0  # times below are printed with more digits
+NOTHING_CAME = 3
+"""Exit status of a live run to which no scan ever came."""
 INTERRUPTED = 130
 """Exit status after Ctrl-C or SIGTERM."""
 READ, WRITTEN = "What is read", "What is written"

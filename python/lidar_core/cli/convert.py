@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lidar_core.cli.common import JsonFile, consoles, given, progress_on, write_json
-from lidar_core.cli.run_options import End, Metadata, NoReturn, PointTime, Recover, Start
+from lidar_core.cli.run_options import (
+    End,
+    Metadata,
+    NoReturn,
+    PointTime,
+    Recover,
+    ScanRate,
+    Stamps,
+    Start,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,6 +45,8 @@ def command(
     point_time: PointTime = None,
     no_return: NoReturn = None,
     metadata: Metadata = None,
+    stamps: Stamps = None,
+    scan_rate: ScanRate = None,
     recover: Recover = False,
     resolution: Annotated[
         float | None,
@@ -58,6 +69,7 @@ def command(
     if output.exists() and output.resolve() == recording.resolve():
         raise InputError(f"{output}: expected another file than the one to read")
     values = given({"point_time": point_time, "no_return": no_return, "metadata": metadata,
+                    "stamps": stamps, "scan_rate": scan_rate,
                     "recover": recover or None})  # fmt: skip
     chosen = given({"topic": topic or None, "start": start or None, "end": end})
     of_run, of_map = given({"class": class_name}), given({"resolution": resolution})

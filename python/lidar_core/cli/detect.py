@@ -16,7 +16,7 @@ from lidar_core.cli.common import (
     result_table,
     stage_rows,
 )
-from lidar_core.cli.run_options import RunOptions, with_options
+from lidar_core.cli.run_options import RunOptions, ScanRate, Stamps, with_options
 from lidar_core.cli.settings import run_config
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 POINT_TIME = "Time of each point as field:unit:reference, auto or none."
 NO_RETURN = "What marks a ray without return: auto, zero, nan or none."
 METADATA = "JSON file of an Ouster capture, if not beside it."
-SCAN_RATE = "Scans per second of a folder without times [Hz]."
 MAP = (
     "What is known beforehand, in the fixed frame: map.lcvm of an earlier run, or a cloud, mesh or"
     " OctoMap as .pcd, .ply, .las, .laz, .bt, .stl, .obj."
@@ -45,7 +44,8 @@ def command(
     point_time: Annotated[str | None, typer.Option(help=POINT_TIME, rich_help_panel=READ)] = None,
     no_return: Annotated[str | None, typer.Option(help=NO_RETURN, rich_help_panel=READ)] = None,
     metadata: Annotated[str | None, typer.Option(help=METADATA, rich_help_panel=READ)] = None,
-    scan_rate: Annotated[float | None, typer.Option(help=SCAN_RATE, rich_help_panel=READ)] = None,
+    stamps: Stamps = None,
+    scan_rate: ScanRate = None,
     repeat: Annotated[int, typer.Option(min=1, help=REPEAT, rich_help_panel=READ)] = 1,
     known_map: Annotated[Path | None, typer.Option("--map", help=MAP)] = None,
     threads: Threads,
@@ -70,7 +70,7 @@ def command(
         options=options,
         folder=options.folder(),
         config={"flying": chosen},
-        read=ReadOptions.load(given({**read, "scan_rate": scan_rate})),
+        read=ReadOptions.load(given({**read, "stamps": stamps, "scan_rate": scan_rate})),
         topics=tuple(cloud),
         repeat=repeat,
         inputs={"map": known_map},

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from lidar_core.cli.common import all_threads
+from lidar_core.extras import install_command
 
 _REQUIREMENT = re.compile(r"(?P<name>[A-Za-z0-9._-]+).*;.*extra\s*==\s*['\"](?P<extra>[\w-]+)['\"]")
 _CORE = ("numpy", "pydantic", "onnxruntime", "typer", "rich", "tomli-w")
@@ -135,5 +136,5 @@ def _listed(packages: dict[str, str | None]) -> str:
 
 
 def _cure(extra: str) -> str:
-    command = f"pip install 'lidar-core[{extra}]'"
+    command = install_command(extra)
     return f"in an environment of its own: {command}" if extra in _ALONE else command

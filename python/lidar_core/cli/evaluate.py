@@ -73,6 +73,8 @@ def command(
     _print(out, report, config, f"{predicted} against {true}")
     if without:
         out.print(f"note: {without} tracks lie at times without truth, and count as false")
+    for text in report.warnings:
+        out.print(f"warning: {text}", markup=False, highlight=False, soft_wrap=True)
     write_json(
         {
             "command": "evaluate",
@@ -99,15 +101,18 @@ def _without_truth(
     import numpy as np
 
     from lidar_core.evaluation import aligned
+    from lidar_core.evaluation.overlap import spans, time_offsets, typical_offset, wider_tolerance
 
     ours, theirs = prediction.tracks.stamp_ns, truth.stamp_ns
     without = ~np.isin(aligned(prediction.tracks, truth, config=config).stamp_ns, theirs)
     if len(ours) and len(theirs) and without.all():
-        spans = [f"{column.min() * 1e-9:.3f} to {column.max() * 1e-9:.3f} s"
-                 for column in (ours, theirs)]  # fmt: skip
+        cure = wider_tolerance(ours, theirs)
         raise InputError(
-            f"{files}: no time in common, {spans[0]} and {spans[1]}; give the truth of the same"
-            " recording, or allow for shifted clocks with --set time_tolerance=SECONDS"
+            f"{files}: no time in common, {spans(ours, theirs)},"
+            f" {typical_offset(time_offsets(ours, theirs))}, where"
+            f" {1e3 * config.time_tolerance:g} ms are allowed; give the truth of the same"
+            " recording, or allow for shifted clocks with"
+            f" --set time_tolerance={'SECONDS' if cure is None else f'{cure:.2g}'}"
         )
     return int(without.sum())
 

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from lidar_core.cli.train import training
+from lidar_core.files import check_regular
 
 
 def command(
@@ -13,6 +14,9 @@ def command(
     model: Annotated[Path, typer.Argument(help="ONNX file to write; its card comes beside it.")],
 ) -> None:
     """Write the best weights of RUN as MODEL, checked against torch, with a card (JSON)."""
+    if not run.is_dir():
+        check_regular(run)  # says what else it is
+        raise NotADirectoryError(f"{run}: expected the folder of a run, got a file")
     card = training("export").export(run, model)
     print(
         f"{model}: {card['bytes']:,} bytes, {card['parameters']:,} parameters, at most"

@@ -54,6 +54,7 @@ COLUMN = "Name of a table's column, such as x=pos_x; again for more."
 TOPIC = "Topic of a ROS recording, such as radar=/front or pose=/odom; again for more."
 TIME_UNIT = "Unit of a table's times: ns, us, ms or s."
 ANGLE_UNIT = "Unit of a table's angles: rad or deg."
+FORCE = "Go on with measurements whose NIS is beyond reason."
 
 
 def command(
@@ -73,6 +74,7 @@ def command(
     mode: ChosenMode = "best",
     config: ConfigFile = None,
     values: Values = [],  # noqa: B006
+    force: Annotated[bool, typer.Option("--force", help=FORCE)] = False,
     mcap: Mcap = None,
     picture: Picture = True,
     overwrite: Overwrite = False,
@@ -80,7 +82,8 @@ def command(
 ) -> None:
     """Track the target of RECORDING, or many; write states, covariances, NIS and a picture.
 
-    With the truth in the recording, the table and the summary hold what was right.
+    With the truth in the recording, the table and the summary hold what was right. Measurements
+    of one target whose NIS is beyond reason end the run; the text names the likely causes.
     """
     from lidar_core.io import Span
     from lidar_core.run_folder import RunFolder, fingerprint
@@ -91,8 +94,10 @@ def command(
             **given({"time_unit": time_unit, "angle_unit": angle_unit})}  # fmt: skip
     ways = given({"model": model, "method": method, "association": association})
     span = Span.load(given({"start": start, "end": end}))
-    run = _run(_Asked(recording, mode, config, values, lag, ways, read, span))
+    run = _run(_Asked(recording, mode, config, values, lag, ways, read, span, force))
     out, errors = consoles(json)
+    if run.doubt:
+        errors.print(f"note: {run.doubt}", markup=False, highlight=False, soft_wrap=True)
     folder.begin()
     files = run.write(folder)
     summary = {"command": "fuse", "recording": str(recording), **run.summary()}
@@ -119,6 +124,7 @@ class _Asked(NamedTuple):
     ways: dict[str, str]
     read: dict[str, Any]
     span: "Span"
+    force: bool
 
     def kept(self, stamps: Sequence[int]) -> list[int]:
         """Rows within the span, of those with these times.
@@ -184,6 +190,7 @@ def _bag(asked: _Asked) -> "TargetRun | ManyRun":
 def _one(asked: _Asked, log: "MeasurementLog", reading: Mapping[str, "Config"]) -> "TargetRun":
     from lidar_core.cli.fuse_run import TargetRun
     from lidar_core.fusion import FusionConfig
+    from lidar_core.fusion.plausibility import implausible
 
     if "association" in asked.ways:
         raise ConfigError(f"{asked.recording}: one target; --association is for many")
@@ -193,7 +200,11 @@ def _one(asked: _Asked, log: "MeasurementLog", reading: Mapping[str, "Config"]) 
     if chosen.model == "ctrv-drone" and any(m.sensor == "pose" for m in kept.measurements):
         raise ConfigError(f"{asked.recording}: model ctrv-drone is for measurements without poses"
                           " of the platform, which are here; ctrv takes them in")  # fmt: skip
-    return TargetRun.of(kept, chosen, {**reading, "span": asked.span}, lag=asked.lag)
+    made = TargetRun.of(kept, chosen, {**reading, "span": asked.span}, lag=asked.lag)
+    doubt = None if asked.force else implausible(made.log.measurements, made.result, chosen)
+    if doubt is not None:
+        raise InputError(f"{asked.recording}: {doubt}. --force goes on nevertheless")
+    return made
 
 
 def _many(
@@ -252,7 +263,9 @@ def _many_rows(summary: Mapping[str, Any]) -> list[Row | None]:
     if summary["gospa"]:
         parts = {name: summary["gospa"][name] for name in ("localisation", "missed", "false")}
         remark = ", ".join(f"{name} {value:.0f}" for name, value in parts.items())
-        rows.append(Row("GOSPA", f"{summary['gospa']['distance']:.1f} m", remark))
+        empty = f"{summary['gospa_empty']['distance']:.1f} m"
+        rows += [Row("GOSPA", f"{summary['gospa']['distance']:.1f} m", remark),
+                 Row("GOSPA of an empty output", empty, "without a single track")]  # fmt: skip
     return [*rows, None, Row("time per scan", f"{summary['us_per_scan']:.0f} us", "")]
 
 

@@ -29,17 +29,19 @@ from lidar_core.fusion import (
     MultiTargetTracker,
     ScanResult,
     TargetTracks,
+    empty_gospa,
     mean_gospa,
     target_coverage,
 )
+from lidar_core.fusion.plausibility import geographic_poses
 from lidar_core.fusion.states import state_names
 from lidar_core.io.covariance import covariance_columns
 from lidar_core.io.tracks import write_trajectories
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.viz import FusionView, PlanarLine, draw_fusion
 
-REACH, GAP, CUTOFF = 15.0, 5.0, 30.0
-"""Of the score: nearest track, longest detection gap, GOSPA's c [m], [s], [m]."""
+REACH, GAP, CUTOFF = 15.0, 3.0, 30.0
+"""Of the score: furthest track, longest detection gap, GOSPA's c [m], [s], [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +93,11 @@ class ManyRun:
         return made
 
     @property
+    def doubt(self) -> str | None:
+        """What looks wrong and may be right: poses of the platform."""
+        return geographic_poses([m for scan in self.scans for m in scan.measurements])
+
+    @property
     def configs(self) -> dict[str, Config]:
         """What run.toml keeps."""
         return {"fusion_many": self.config, **self.reading}
@@ -130,6 +137,7 @@ class ManyRun:
             "tracks": len({number for state in self.tracks for number in state.id.tolist()}),
             "targets": {str(number): _plain(asdict(item)) for number, item in coverage.items()},
             "gospa": mean_gospa(scans, tracks, cutoff=CUTOFF) or None,
+            "gospa_empty": empty_gospa(scans, cutoff=CUTOFF) or None,
             "us_per_scan": 1e6 * sum(self.seconds) / max(1, len(self.scans)),
         }
 

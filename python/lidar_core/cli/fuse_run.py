@@ -24,6 +24,7 @@ from lidar_core.fusion import (
     run,
     smooth,
 )
+from lidar_core.fusion.plausibility import geographic_poses
 from lidar_core.fusion.states import state_names, velocities
 from lidar_core.io.covariance import covariance_columns
 from lidar_core.io.tracks import write_trajectories
@@ -79,6 +80,11 @@ class TargetRun:
         else:
             result = smooth(ordered.measurements, config, lag=lag)
         return cls(ordered, result, config, reading, lag, perf_counter() - start)
+
+    @property
+    def doubt(self) -> str | None:
+        """What looks wrong and may be right."""
+        return geographic_poses(self.log.measurements)
 
     @property
     def configs(self) -> dict[str, Config]:

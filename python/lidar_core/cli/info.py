@@ -1,27 +1,18 @@
 """`lidar-core info`: what is in a recording."""
 
 import json
-import shlex
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lidar_core.cli.common import given
-from lidar_core.cli.run_options import Metadata, NoReturn, PointTime, Recover
+from lidar_core.cli.run_options import Metadata, NoReturn, PointTime, Recover, ScanRate, Stamps
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from lidar_core.io import RecordingInfo
-
-COMMANDS = (
-    ("detect", "--cloud", ("scan", "scan+pose")),
-    ("circles", "--scan", ("planar", "planar+pose")),
-)
-"""What goes on from a recording: command, option of its topic, kinds of topics."""
-RADAR = "radar_msgs/"
 
 
 def command(
@@ -29,27 +20,31 @@ def command(
     point_time: PointTime = None,
     no_return: NoReturn = None,
     metadata: Metadata = None,
+    stamps: Stamps = None,
+    scan_rate: ScanRate = None,
     recover: Recover = False,
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
 ) -> None:
     """Topics, rates, frames, time span and defects of a recording; the command that goes on."""
+    from lidar_core.cli.next_steps import next_steps
     from lidar_core.io import ReadOptions, open_recording
 
     options = ReadOptions.load(
         given({"point_time": point_time, "no_return": no_return, "metadata": metadata,
-               "recover": recover or None})
+               "stamps": stamps, "scan_rate": scan_rate, "recover": recover or None})
     )  # fmt: skip
     with open_recording(recording, options) as opened:
         info = opened.info()
+        steps = [] if as_json else list(next_steps(opened, info))
     if as_json:
         print(json.dumps(info.to_dict(), indent=2))
         return
     from rich.console import Console
 
-    _print(info, Console())
+    _print(info, steps, Console())
 
 
-def _print(info: "RecordingInfo", console: "Console") -> None:
+def _print(info: "RecordingInfo", steps: list[str], console: "Console") -> None:
     from rich.markup import escape
     from rich.table import Table
 
@@ -85,40 +80,12 @@ def _print(info: "RecordingInfo", console: "Console") -> None:
         console.print(
             f"rays without return of {escape(name or NAMELESS)}: {escape(verdict)}", soft_wrap=True
         )
+    for name, (decoded, total) in info.looked_at.items():
+        console.print(f"looked at the first {decoded:,} of {total:,} scans of {escape(name)}",
+                      soft_wrap=True)  # fmt: skip
     for defect in info.defects:
         console.print(f"[yellow]note[/yellow] {escape(defect)}", soft_wrap=True)
     if not info.defects:
         console.print("no defects found")
-    for step in next_steps(info):
+    for step in steps:
         console.print(f"next: {step}", markup=False, highlight=False, soft_wrap=True)
-
-
-def next_steps(info: "RecordingInfo") -> Iterator[str]:
-    """Commands that go on from a recording, with the options that it needs."""
-    for command, option, kinds in COMMANDS:
-        topics = [topic for topic in info.topics if topic.kind in kinds]
-        if topics:
-            choice = [option, topics[0].name] if len(topics) > 1 else []
-            poses, remark = _poses(info, topics[0].frames)
-            yield _told(command, info.path, *choice, *poses) + remark
-    if any(topic.type.startswith(RADAR) for topic in info.topics):
-        yield _told("fuse", info.path)
-
-
-def _told(command: str, path: str, *options: str) -> str:
-    return shlex.join(["lidar-core", command, path, "-o", "run/", *options])
-
-
-def _poses(info: "RecordingInfo", frames: tuple[str, ...]) -> tuple[list[str], str]:
-    """Options that tell where scans in `frames` were taken, and a remark."""
-    known, edges = set(frames), [{parent, child} for parent, child, _ in info.transforms if child]
-    while more := {frame for edge in edges if known & edge for frame in edge} - known:
-        known |= more
-    moving = [child for _, child, is_static in info.transforms if not is_static]
-    if not moving:
-        return ["--pose", "static"], "  (if the sensor moved: --pose FILE)"
-    named = [child for child in moving if child]
-    if not named or known & set(named) or not frames:
-        return [], ""
-    mounting = f"{named[0]} {frames[0]} x y z roll pitch yaw"
-    return ["--mounting", mounting], "  (where the sensor sits on what moves, in m and rad)"

@@ -1,12 +1,21 @@
 """`lidar-core live`: a running robot, or a recording as if it were one."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lidar_core.cli.common import INTERRUPTED, Row, consoles, number, result_table, write_json
+from lidar_core.cli.common import (
+    INTERRUPTED,
+    NOTHING_CAME,
+    Row,
+    consoles,
+    number,
+    result_table,
+    write_json,
+)
 from lidar_core.cli.live_options import LiveOptions
 from lidar_core.cli.run_options import with_options
 
@@ -14,6 +23,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from lidar_core.cli.live_job import PipelineChoice
     from lidar_core.cli.live_run import LiveRun
     from lidar_core.live import LiveConfig, LiveLoop, Output, Source
     from lidar_core.live.loop import Report
@@ -26,12 +36,13 @@ def command(options: LiveOptions) -> None:
 
     A line a second tells rate, latency (median and 95th percentile, from the stamp of the scan and
     from its arrival to the end of the outputs) and drops. Ctrl-C or SIGTERM ends with a
-    summary.
+    summary. If no scan comes, what is there instead is listed; status 3 if none ever came.
     """
-    from lidar_core.cli.live_job import check_files, live_config, open_output, open_source
+    from lidar_core.cli.live_job import check_files, live_config, open_source
     from lidar_core.live import LiveLoop
     from lidar_core.live.poses import LivePoses
 
+    outputs = _outputs(options)
     read, settings = options.read(), live_config(options.domain, options.stream)
     chosen, where = options.pipeline(), LivePoses(options.poses(), settings)
     check_files(options.outputs, options.replay, options.output, overwrite=options.overwrite)
@@ -41,14 +52,13 @@ def command(options: LiveOptions) -> None:
         listening = open_source(options.source, options.replay, rate=options.rate, read=read,
                                 live=settings, topics=chosen.topics(options.odom))  # fmt: skip
         stack.callback(listening.close)
-        opened = [
-            stack.enter_context(closing(open_output(text, settings))) for text in options.outputs
-        ]
+        opened = [stack.enter_context(closing(item)) for item in outputs(settings, errors)]
         opened += [] if record is None else [record]
         loop = LiveLoop(
             listening, chosen.pipeline if record is None else record.pipeline, where, opened,
             settings, topics=(*options.clouds, *options.scans),
             on_report=lambda report: _tell(errors, report),
+            on_silence=partial(_tell_what_there_is, errors, chosen, listening),
         )  # fmt: skip
         _announce(errors, listening, opened)
         try:
@@ -61,8 +71,25 @@ def command(options: LiveOptions) -> None:
     _conclude(out, summary, options)
     if record is not None and record.failed is not None:
         raise record.failed
+    if loop.heard_nothing:
+        raise typer.Exit(NOTHING_CAME)
     if is_interrupted:
         raise typer.Exit(INTERRUPTED)
+
+
+def _outputs(options: LiveOptions) -> "Callable[[LiveConfig, Console], Iterator[Output]]":
+    """What opens the outputs one by one; options that name no web page are refused before."""
+    from lidar_core.cli.live_job import open_output
+    from lidar_core.viz.origin_check import allowed_origins
+
+    allowed = allowed_origins(options.allow_origin)
+
+    def opened(settings: "LiveConfig", console: "Console") -> "Iterator[Output]":
+        for text in options.outputs:
+            refused = partial(_refused, console)
+            yield open_output(text, settings, allowed=allowed, on_refused=refused)
+
+    return opened
 
 
 def _recorded(
@@ -103,17 +130,44 @@ def _announce(console: "Console", source: "Source", outputs: Sequence["Output"])
         console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
+def _refused(console: "Console", reason: str) -> None:
+    """Say that somebody was not let in, and what would let them in."""
+    console.print(f"refused: {reason}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _tell_what_there_is(
+    console: "Console", chosen: "PipelineChoice", source: "Source", advertised: Sequence[str]
+) -> None:
+    """Say that nothing comes, and what there is instead."""
+    named = (*chosen.clouds, *chosen.scans)
+    sorts = " or ".join(
+        name for name, wanted in (("clouds", chosen.wants_clouds), ("2D scans", chosen.wants_scans))
+        if wanted
+    )  # fmt: skip
+    there = "; ".join(advertised) or "nothing"
+    console.print(f"no scan yet of {', '.join(named) or f'any topic with {sorts}'};"
+                  f" {source.name} has: {there}",
+                  markup=False, highlight=False, soft_wrap=True)  # fmt: skip
+
+
 def _tell(console: "Console", report: "Report") -> None:
     """Print how it goes, on one line."""
     parts = [
         f"{report.elapsed_s:7.1f} s",
         f"{report.rate_hz:5.1f} scans/s",
-        f"latency {_delay(report.from_arrival)}, from stamp {_delay(report.from_stamp)}",
+        f"latency {_delay(report.from_arrival)}, from stamp {_since_stamp(report)}",
         *(f"{count} {what}" for what, count in report.counts.items()),
         f"{report.objects} objects",
         *([report.trouble] if report.trouble else []),
     ]
     console.print(" | ".join(parts), markup=False, highlight=False, soft_wrap=True)
+
+
+def _since_stamp(report: "Report") -> str:
+    from lidar_core.live.stats import clock_difference_ms, told_difference
+
+    difference = clock_difference_ms(report.from_stamp, report.from_arrival)
+    return _delay(report.from_stamp) if difference is None else told_difference(difference)
 
 
 def _delay(delay: "Delay | None") -> str:
@@ -123,6 +177,8 @@ def _delay(delay: "Delay | None") -> str:
 
 
 def _table(summary: Mapping[str, Any]) -> "Table":
+    from lidar_core.live.stats import told_difference
+
     rate = summary["processed"] / max(summary["seconds"], 1e-9)
     latency = summary["latency_ms"]
     rows = [Row("scans", str(summary["processed"]), f"{rate:.1f} per second")]
@@ -131,6 +187,9 @@ def _table(summary: Mapping[str, Any]) -> "Table":
         if delay is not None:
             rows.append(Row(f"latency {what}", f"{delay['median']:.1f} ms",
                             f"95 %: {delay['p95']:.1f} ms"))  # fmt: skip
+    if summary["clocks_differ_ms"] is not None:
+        told = told_difference(summary["clocks_differ_ms"])
+        rows.append(Row("latency from stamp", "-", told))
     for name in ("dropped", "without_pose", "rejected", "ignored", "bad_messages"):
         counts = summary[name]
         told = "; ".join(

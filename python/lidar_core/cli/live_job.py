@@ -1,7 +1,7 @@
 """What the options of `lidar-core live` name: sources, outputs, pipelines."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -18,10 +18,10 @@ from lidar_core.live.source import StreamTopics
 from lidar_core.messages import LaserScan, Scan
 
 SOURCES = "zenoh[:tcp/HOST:PORT], foxglove[:ws://HOST:PORT], udp[:PORT]"
-OUTPUTS = "foxglove[:PORT], zenoh[:tcp/HOST:PORT], rerun[:web|:FILE.rrd], mcap:FILE"
+OUTPUTS = "foxglove[:PORT], zenoh[:tcp/HOST:PORT], rerun[:web[:PORT]|:FILE.rrd], mcap:FILE"
 OTHER_SENSORS = ("hesai", "livox", "ouster", "robosense")
 """Whose packets nobody decodes here: ouster-sdk needs an environment of its own."""
-FOXGLOVE_PORT = 8765
+FOXGLOVE_PORT, PAGE_PORT = 8765, 9090
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,24 +179,42 @@ def _file(text: str) -> Path | None:
     return Path(place) if is_file else None
 
 
-def open_output(text: str, live: LiveConfig) -> Output:
+def open_output(
+    text: str, live: LiveConfig, *, allowed: Collection[str] = (),
+    on_refused: Callable[[str], None] = lambda reason: None,
+) -> Output:  # fmt: skip
     """Output that an --out names.
+
+    Parameters
+    ----------
+    text : str
+        As given.
+    live : LiveConfig
+        Names of what goes out over Zenoh.
+    allowed : collection of str
+        Web pages that may connect to a server, from `allowed_origins`.
+    on_refused : callable
+        Told why somebody was refused.
 
     Raises
     ------
     ConfigError
         No such output.
     """
-    from lidar_core.live.outputs import FoxgloveOutput, McapOutput, RerunOutput
+    from lidar_core.live import outputs
 
     kind, _, place = text.partition(":")
     file = _file(text)
     if file is not None:
-        return McapOutput(file) if kind == "mcap" else RerunOutput(file)
+        return outputs.McapOutput(file) if kind == "mcap" else outputs.RerunOutput(file)
     if kind == "foxglove":
-        return FoxgloveOutput(_port(place or str(FOXGLOVE_PORT), "--out foxglove"))
-    if kind == "rerun" and place in ("", "window", "web"):
-        return RerunOutput("web" if place == "web" else "window")
+        port = _port(place or str(FOXGLOVE_PORT), "--out foxglove")
+        return outputs.FoxgloveOutput(port, allowed=allowed, on_refused=on_refused)
+    if kind == "rerun" and place in ("", "window"):
+        return outputs.RerunWindowOutput()
+    if kind == "rerun" and place.partition(":")[0] == "web":
+        port = _port(place.partition(":")[2] or str(PAGE_PORT), "--out rerun:web")
+        return outputs.RerunPageOutput(port)
     if kind == "zenoh":
         from lidar_core.live.zenoh_link import DEFAULT_ENDPOINT
         from lidar_core.live.zenoh_output import ZenohOutput

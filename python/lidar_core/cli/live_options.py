@@ -10,6 +10,7 @@ from lidar_core.cli.circles import NO_RETURN
 from lidar_core.cli.common import READ, WRITTEN, OverwriteFile, Threads, given
 from lidar_core.cli.detect import MAP, POINT_TIME
 from lidar_core.cli.run_options import PipelineOptions
+from lidar_core.cli.view import ALLOW_ORIGIN
 
 if TYPE_CHECKING:
     from lidar_core.cli.live_job import PipelineChoice
@@ -21,8 +22,8 @@ _IN = (
     " packets)."
 )
 _OUT = (
-    "foxglove, foxglove:PORT, zenoh, zenoh:tcp/HOST:PORT, rerun, rerun:web, rerun:FILE.rrd,"
-    " mcap:FILE; again for more."
+    "foxglove, foxglove:PORT, zenoh, zenoh:tcp/HOST:PORT, rerun, rerun:web, rerun:web:PORT,"
+    " rerun:FILE.rrd, mcap:FILE; again for more."
 )
 _STREAM = "Single value of the model `live`, such as pose_wait=0.5; again for more."
 _FOLDER = (
@@ -45,6 +46,9 @@ Rate: TypeAlias = Annotated[
 ]
 OutputNames: TypeAlias = Annotated[
     list[str], typer.Option("--out", help=_OUT, rich_help_panel=WRITTEN)
+]
+AllowOrigin: TypeAlias = Annotated[
+    list[str], typer.Option(help=ALLOW_ORIGIN, rich_help_panel=WRITTEN)
 ]
 Capability: TypeAlias = Annotated[
     Literal["auto", "flying", "circles"], typer.Option(help=_CAPABILITY)
@@ -81,6 +85,7 @@ class LiveOptions(PipelineOptions):
     replay: Replay = None
     rate: Rate = None
     outputs: OutputNames = field(default_factory=list)
+    allow_origin: AllowOrigin = field(default_factory=list)
     capability: Capability = "auto"
     clouds: Clouds = field(default_factory=list)
     scans: Scans = field(default_factory=list)

@@ -36,6 +36,9 @@ def command(
 ) -> None:
     """Run tables and figures of the papers again: paper | paper mode | best mode.
 
+    Paper mode is the algorithm as printed; where its equations contradict each other, a column
+    shows them corrected, too.
+
     Ctrl-C leaves whole files; the same command goes on where it stopped.
     """
     from lidar_core.cli.reproduce_job import ReproduceJob
@@ -98,6 +101,8 @@ def _table(item: "Item", result: "Result") -> "Table":
     from rich.markup import escape
     from rich.table import Table
 
+    from lidar_core.reproduce import COLUMNS
+
     table = Table(
         title=escape(f"{item.name}: {item.title} ({result.scans:,} {item.counts})"),
         title_justify="left", title_style="bold",
@@ -105,12 +110,21 @@ def _table(item: "Item", result: "Result") -> "Table":
     )  # fmt: skip
     table.add_column("", style="cyan", overflow="fold")
     table.add_column("unit", style="dim")
-    for column in ("paper", "paper mode", "best mode"):
-        table.add_column(column, justify="right")
+    columns = _columns(result)
+    for column in columns:
+        table.add_column(COLUMNS[column], justify="right")
     for row in result.rows:
-        values = (row.paper, row.paper_mode, row.best_mode)
+        values = (getattr(row, column) for column in columns)
         table.add_row(escape(row.name), escape(row.unit), *map(_number, values))
     return table
+
+
+def _columns(result: "Result") -> list[str]:
+    """Columns of numbers; most items correct no equations, and have no column for it."""
+    from lidar_core.reproduce import COLUMNS
+
+    has_corrected = any(row.equations_corrected is not None for row in result.rows)
+    return [name for name in COLUMNS if name != "equations_corrected" or has_corrected]
 
 
 def _number(value: float | None) -> str:

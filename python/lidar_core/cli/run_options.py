@@ -34,6 +34,9 @@ _NO_RETURN = "What marks a ray without return: auto, zero, nan, max or none."
 _METADATA = "JSON file of an Ouster capture, if not beside it."
 _RECOVER = "Read what is whole in an MCAP that was cut or not closed."
 
+_STAMPS = "Times of scans: own, recorded (when they were stored) or counted (by --scan-rate)."
+_SCAN_RATE = "Scans per second where times are counted, or of a folder without times \\[Hz]."
+
 RecordingPath: TypeAlias = Annotated[Path, typer.Argument(help="File or folder to read.")]
 Output: TypeAlias = Annotated[
     Path, typer.Option("--output", "-o", help="Folder to write.", rich_help_panel=WRITTEN)
@@ -41,6 +44,8 @@ Output: TypeAlias = Annotated[
 PointTime: TypeAlias = Annotated[str | None, typer.Option(help=_POINT_TIME)]
 NoReturn: TypeAlias = Annotated[str | None, typer.Option(help=_NO_RETURN)]
 Metadata: TypeAlias = Annotated[str | None, typer.Option(help=_METADATA)]
+Stamps: TypeAlias = Annotated[str | None, typer.Option(help=_STAMPS, rich_help_panel=READ)]
+ScanRate: TypeAlias = Annotated[float | None, typer.Option(help=_SCAN_RATE, rich_help_panel=READ)]
 Recover: TypeAlias = Annotated[bool, typer.Option("--recover", help=_RECOVER)]
 Start: TypeAlias = Annotated[float, typer.Option(min=0, help=_START, rich_help_panel=READ)]
 End: TypeAlias = Annotated[float | None, typer.Option(min=0, help=_END, rich_help_panel=READ)]

@@ -1,13 +1,13 @@
 """Configuration from the command line: a mode, a file, single values."""
 
 import json
-import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
-from lidar_core.config import Config
+from lidar_core.config import Config, toml_values
 from lidar_core.errors import ConfigError
+from lidar_core.files import read_whole
 from lidar_core.parameters import MODELS, model_named
 
 ConfigT = TypeVar("ConfigT", bound=Config)
@@ -143,10 +143,7 @@ def _toml(file: Path) -> dict[str, Any]:
     from lidar_core.run_folder import RUN_FILE
 
     file = file / RUN_FILE if file.is_dir() else file
-    try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: expected TOML: {error}") from error
+    return toml_values(read_whole(file), file)
 
 
 def _noted(values: dict[str, Any]) -> dict[str, Any]:
@@ -160,8 +157,8 @@ def _assignment(text: str) -> dict[str, Any] | None:
     key, equals, value = text.partition("=")
     for candidate in (text, f"{key}={json.dumps(value.strip())}"):
         try:
-            return tomllib.loads(candidate)
-        except tomllib.TOMLDecodeError:
+            return toml_values(candidate.encode(), text)
+        except (ConfigError, UnicodeEncodeError):  # the latter: a text that is no UTF-8
             if not equals or not key.strip():
                 break
     return None

@@ -83,6 +83,7 @@ def command(
 def _overfly(output: Path, seed: int, rows: int | None, *, json: Path | None) -> None:
     """A table of LiDAR and radar of a drone above a target, which holds the truth."""
     from lidar_core.fusion import write_overflight
+    from lidar_core.io.sole import sole_writer
     from lidar_core.sim import Overflight, overfly
 
     if output.suffix != ".csv":
@@ -90,8 +91,9 @@ def _overfly(output: Path, seed: int, rows: int | None, *, json: Path | None) ->
     config = Overflight()
     if rows is not None:
         config = Overflight(seconds=rows / config.rate)
-    made = overfly(config, seed=seed)
-    write_overflight(output, made)
+    with sole_writer(output):
+        made = overfly(config, seed=seed)
+        write_overflight(output, made)
     out, _ = consoles(json)
     write_json({"rows": len(made.stamps_ns), "recording": str(output)}, json)
     out.print(f"{len(made.stamps_ns)} rows with the truth")

@@ -28,7 +28,7 @@ def training(module: str) -> Any:
     except ImportError as error:
         raise MissingExtraError(
             f"training needs the distribution lidar-core-training, which brings torch ({error}):"
-            " in a checkout of lidar_core, pip install ./training"
+            " in a checkout of lidar_core, pip install . ./training"
         ) from error
 
 

@@ -1,5 +1,6 @@
 """`lidar-core view`: a run in a viewer, as a picture, or as a film."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,7 +9,11 @@ import typer
 if TYPE_CHECKING:
     from lidar_core.viz.playback import Playback
 
-RERUN_FILE = "run.rrd"
+RERUN_FILE, PAGE_PORT = "run.rrd", 9090
+ALLOW_ORIGIN = (
+    "Web page that may connect to the Foxglove server beside those of this machine, such as"
+    " https://app.foxglove.dev; again for more."
+)
 
 
 def command(
@@ -18,7 +23,7 @@ def command(
         bool, typer.Option("--rerun", help="In rerun's window (extra rerun); the default.")
     ] = False,
     web: Annotated[
-        bool, typer.Option("--web", help="In rerun's page in the browser, served on 127.0.0.1.")
+        bool, typer.Option("--web", help="In the browser: rerun's viewer, served on 127.0.0.1.")
     ] = False,
     rrd: Annotated[
         Path | None, typer.Option(help="Write rerun's recording to this file, show nothing.")
@@ -29,6 +34,7 @@ def command(
     port: Annotated[
         int | None, typer.Option(min=0, max=65535, help="Of --web (9090) or --foxglove (8765).")
     ] = None,
+    allow_origin: Annotated[list[str], typer.Option(help=ALLOW_ORIGIN)] = [],  # noqa: B006
     png: Annotated[
         Path | None, typer.Option(help="Draw one time into this file; needs no display.")
     ] = None,
@@ -58,34 +64,62 @@ def command(
     elif film is not None:
         print(draw_film(played, film))
     elif foxglove:
-        _serve(played, 8765 if port is None else port)
+        _serve(played, 8765 if port is None else port, allow_origin)
+    elif web:
+        _show_page(played, PAGE_PORT if port is None else port)
+    elif rrd is not None:
+        from lidar_core.viz.rerun_log import write_rerun
+
+        print(write_rerun(played, rrd))
     else:
-        _show_rerun(played, rrd, where_web=web, port=port)
+        _show_window(played)
 
 
-def _serve(played: "Playback", port: int) -> None:
+def _serve(played: "Playback", port: int, allow_origin: list[str]) -> None:
     from lidar_core.errors import FormatError
     from lidar_core.viz.foxglove_server import serve_foxglove
+    from lidar_core.viz.origin_check import allowed_origins
 
+    allowed = allowed_origins(allow_origin)
     if played.recording is None:
         raise FormatError(f"{played.folder}: no run.mcap; the extra viz makes runs write it")
 
     def told(port: int) -> None:
         print(f"ws://127.0.0.1:{port}: open it in Foxglove; Ctrl-C ends", flush=True)
 
-    serve_foxglove(played.recording, port=port, on_ready=told)
+    def refused(reason: str) -> None:
+        print(f"refused: {reason}", file=sys.stderr, flush=True)
+
+    serve_foxglove(played.recording, port=port, allowed=allowed, on_ready=told, on_refused=refused)
 
 
-def _show_rerun(played: "Playback", rrd: Path | None, *, where_web: bool, port: int | None) -> None:
+def _show_page(played: "Playback", port: int) -> None:
+    """Serve the run to the browser until Ctrl-C; it is opened where there is a display."""
+    import threading
     from tempfile import TemporaryDirectory
 
-    from lidar_core.viz.rerun_log import show_rerun, write_rerun
+    from lidar_core.viz.rerun_feed import file_feed
+    from lidar_core.viz.rerun_log import write_rerun
+    from lidar_core.viz.rerun_page import RerunPage, open_browser
 
-    if rrd is not None:
-        print(write_rerun(played, rrd))
-        return
     with TemporaryDirectory(prefix="lidar-core-view-") as folder:
-        recording = write_rerun(played, Path(folder) / RERUN_FILE)
-        status = show_rerun(recording, where="web" if where_web else "window", port=port)
+        page = RerunPage(file_feed(write_rerun(played, Path(folder) / RERUN_FILE)), port=port)
+        try:
+            print(f"{page.address}: open it in the browser; Ctrl-C ends", flush=True)
+            open_browser(page.address)
+            threading.Event().wait()
+        except KeyboardInterrupt:
+            return
+        finally:
+            page.close()
+
+
+def _show_window(played: "Playback") -> None:
+    from tempfile import TemporaryDirectory
+
+    from lidar_core.viz.rerun_log import show_window, write_rerun
+
+    with TemporaryDirectory(prefix="lidar-core-view-") as folder:
+        status = show_window(write_rerun(played, Path(folder) / RERUN_FILE))
     if status != 0:
         raise typer.Exit(status)

@@ -6,6 +6,7 @@ from lidar_core.evaluation.config import EvaluationConfig
 from lidar_core.evaluation.consistency import Consistency, consistency, nees
 from lidar_core.evaluation.identity import IdentityScores, score_identities
 from lidar_core.evaluation.latency import Latency
+from lidar_core.evaluation.overlap import overlap_warnings
 from lidar_core.evaluation.pairing import Pairing, counted, pair
 from lidar_core.evaluation.reading import Prediction, read_prediction, read_truth
 from lidar_core.evaluation.report import Evaluation, evaluate
@@ -60,6 +61,7 @@ __all__ = [
     "match",
     "nees",
     "ospa",
+    "overlap_warnings",
     "pair",
     "read_prediction",
     "read_truth",

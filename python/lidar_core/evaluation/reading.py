@@ -1,6 +1,5 @@
 """Estimates and truth from files: run folders, simulated recordings, tables of tracks."""
 
-import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -8,13 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.config import as_config
+from lidar_core.config import as_config, toml_values
 from lidar_core.errors import FormatError, InputError
 from lidar_core.evaluation.bins import norms
 from lidar_core.evaluation.config import EvaluationConfig
 from lidar_core.evaluation.latency import Latency
 from lidar_core.evaluation.pairing import checked_estimates, checked_truth, rows_of
 from lidar_core.evaluation.types import Estimates, Truth
+from lidar_core.files import read_whole
 from lidar_core.io.columns import Columns, read_columns
 from lidar_core.io.covariance import covariance_titles, symmetric
 from lidar_core.run_folder import RUN_FILE, table_in
@@ -224,9 +224,9 @@ def _latency(place: Path) -> Latency | None:
 def _burn_in(run_file: Path) -> int | None:
     """What the configuration of the run says."""
     try:
-        note = tomllib.loads(run_file.read_text(encoding="utf-8"))
+        note = toml_values(read_whole(run_file), run_file)
         return int(note["config"]["flying"]["seed"]["burn_in_scans"])
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, ValueError) as error:
+    except (ValueError, OverflowError) as error:
         raise FormatError(f"{run_file}: cannot be read: {error}") from error
     except (KeyError, TypeError):
         return None

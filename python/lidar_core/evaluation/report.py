@@ -7,6 +7,7 @@ from lidar_core.config import as_config
 from lidar_core.evaluation.config import EvaluationConfig
 from lidar_core.evaluation.identity import IdentityScores, score_identities
 from lidar_core.evaluation.latency import Latency
+from lidar_core.evaluation.overlap import overlap_warnings
 from lidar_core.evaluation.scoring import score_detections, score_tracks
 from lidar_core.evaluation.tables import aligned
 from lidar_core.evaluation.types import DetectionScores, Estimates, TrackScores, Truth, plain
@@ -26,12 +27,15 @@ class Evaluation:
         HOTA, MOTA and IDF1 of the tracks.
     latency : Latency or None
         Time per scan.
+    warnings : tuple of str
+        Why scores mean nothing: no time or place in common with the truth.
     """
 
     tracks: TrackScores | None
     detections: DetectionScores | None
     identities: IdentityScores | None
     latency: Latency | None
+    warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Every number as plain values, ready for JSON; the arrays are left out."""
@@ -40,6 +44,7 @@ class Evaluation:
             "detection_scores": None if self.detections is None else self.detections.to_dict(),
             "identity_scores": plain(self.identities),
             "latency_ms": plain(self.latency),
+            "warnings": list(self.warnings),
         }
 
 
@@ -77,6 +82,9 @@ def evaluate(
     """
     config = as_config(config, EvaluationConfig)
     track_scores = detection_scores = identities = None
+    told = [text for what, table in (("tracks", tracks), ("detections", detections))
+            if table is not None
+            for text in overlap_warnings(table, truth, what=what, config=config)]  # fmt: skip
     if tracks is not None:
         tracks = aligned(tracks, truth, config=config)
         track_scores = score_tracks(tracks, truth, config=config)
@@ -85,4 +93,4 @@ def evaluate(
     if detections is not None:
         detections = aligned(detections, truth, config=config)
         detection_scores = score_detections(detections, truth, config=config)
-    return Evaluation(track_scores, detection_scores, identities, latency)
+    return Evaluation(track_scores, detection_scores, identities, latency, tuple(told))

@@ -2,7 +2,7 @@
 
 from typing import Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from lidar_core.config import Config
 from lidar_core.flying.config_types import MOST_POINTS, MOST_SCANS, Box
@@ -331,6 +331,14 @@ class FlyingConfig(Config):
     on_bad_scan: Literal["raise", "count"] = Field(
         "raise", description="What to do with a scan that cannot be used (no unit)."
     )
+
+    @field_validator("sensors")
+    @classmethod
+    def _names_can_be_printed(cls, sensors: dict[str, SensorConfig]) -> dict[str, SensorConfig]:
+        for name in sensors:
+            if not name.isprintable():
+                raise ValueError(f"expected names that can be printed, got {name!a}")
+        return sensors
 
     @classmethod
     def long_range(cls) -> Self:

@@ -340,4 +340,6 @@ def _maybe_stamps(
 def _name(sensor: str) -> str:
     if not isinstance(sensor, str):
         raise InputError(f"sensor: expected a name, got {type(sensor).__name__}")
+    if not sensor.isprintable():  # halves of characters, too, which no file and no log can hold
+        raise InputError(f"sensor: expected a name that can be printed, got {sensor!a}")
     return sensor

@@ -3,7 +3,7 @@
 from lidar_core.fusion.autoferry import DetectionScan, read_autoferry
 from lidar_core.fusion.bags import BagOptions, read_bag
 from lidar_core.fusion.config import FusionConfig, PublishedModel
-from lidar_core.fusion.coverage import TargetCoverage, mean_gospa, target_coverage
+from lidar_core.fusion.coverage import TargetCoverage, empty_gospa, mean_gospa, target_coverage
 from lidar_core.fusion.filter import TargetFilter
 from lidar_core.fusion.many import MultiTargetTracker, ScanResult, TargetTracks
 from lidar_core.fusion.many_config import AutoferryOptions, MultiTargetConfig
@@ -36,6 +36,7 @@ __all__ = [
     "TargetRecording",
     "TargetTracks",
     "TargetTruth",
+    "empty_gospa",
     "fit_noise",
     "in_space",
     "level_overflight",

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lidar_core.config import as_config
 from lidar_core.errors import FormatError
+from lidar_core.files import check_regular
 from lidar_core.fusion.many_config import AutoferryOptions
 from lidar_core.fusion.measurement import Measurement
 from lidar_core.io.guard import check_size, reading
@@ -94,9 +95,7 @@ def read_autoferry(
 
 
 def _entries(place: Path) -> list[Any]:
-    if not place.is_file():
-        raise FileNotFoundError(f"{place}: no such file")
-    check_size(str(place), place.stat().st_size, limit=MAX_FILE_BYTES, key="nothing",
+    check_size(str(place), check_regular(place).stat().st_size, limit=MAX_FILE_BYTES, key="nothing",
                what="a file of bytes")  # fmt: skip
     with reading(str(place)):
         entries = json.loads(place.read_text("utf-8"))

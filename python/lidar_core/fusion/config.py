@@ -30,7 +30,24 @@ class PublishedModel(Config):
     prediction: Literal["motion", "matrix"] = Field(
         "motion", description="State predicted by eqs 8 and 9 or by Phi, eq. 15 (no unit)."
     )
-    speed: float = Field(0.0, ge=0, le=1e3, description="Speed of the platform, V0 of eq. 7 [m/s].")
+    straight_y: Literal["literal", "fixed"] = Field(
+        "literal",
+        description="Part of the platform in y of a target that goes straight, eq. 9: v_dx as"
+        " printed, or v_dy as in eq. 8 (no unit). With `speed` zero both are zero.",
+    )
+    platform_column: Literal["literal", "zero"] = Field(
+        "literal",
+        description="Column of w_d in eqs 18 and 19 (no unit): as printed; or zero, as eq. 16 makes"
+        " it of eqs 8 and 9, in which w_d does not occur. With `speed` zero both are zero.",
+    )
+    speed: float = Field(
+        0.0,
+        ge=0,
+        le=1e3,
+        description="Speed of the platform, V0 of eq. 7 [m/s]. The paper gives none, and its"
+        " recordings are of a sensor at rest: zero, so that nothing is taken from x and y and the"
+        " column of w_d in eqs 18 and 19 is zero.",
+    )
     elevation: float = Field(
         0.0, ge=-1.6, le=1.6, description="Elevation of the platform, phi of eq. 7 [rad]."
     )

@@ -1,6 +1,6 @@
 """How well many targets are tracked, while their scanners see them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.evaluation import gospa
+from lidar_core.evaluation import assign, gospa
 from lidar_core.fusion.autoferry import DetectionScan
 from lidar_core.fusion.many import TargetTracks
 
@@ -22,13 +22,13 @@ class TargetCoverage:
     n_scans : int
         Scans in which it is counted: those between detections of it at most `gap` apart.
     share : float
-        Of them, with a track within `reach`; NaN without any.
+        Of them, with a track within `reach` that serves no other target; NaN without any.
     rmse : float
-        Of the nearest track within `reach` [m]; NaN without any.
+        Of that track [m]; NaN without any.
     n_ids : int
-        Tracks that were the nearest.
+        Tracks that served it.
     n_switches : int
-        Times at which another track became the nearest.
+        Times at which another track began to serve it.
     """
 
     n_scans: int
@@ -45,7 +45,10 @@ def target_coverage(
     reach: float,
     gap: float,
 ) -> dict[int, TargetCoverage]:
-    """Share of the time for which each target has a track, outside detection gaps.
+    """Share of the time for which each target has a track of its own, outside detection gaps.
+
+    In every scan tracks and all targets are paired one to one: as many pairs as possible within
+    `reach`, and among those the least sum of distances. A track between two targets serves one.
 
     Parameters
     ----------
@@ -56,43 +59,59 @@ def target_coverage(
     reach : float
         A detection or track at most this far from a target belongs to it [m].
     gap : float
-        Scans between two detections further apart than this are left out, as are those before
-        the first and after the last [s].
+        Scans between two detections, of any scanner, further apart than this are left out, as are
+        those before the first and after the last [s].
     """
     numbers = sorted({number for scan in scans for number in scan.truth})
-    return {number: _coverage(number, scans, tracks, reach, gap) for number in numbers}
+    pairs = [_paired(scan, state, reach) for scan, state in zip(scans, tracks, strict=True)]
+    return {number: _coverage(number, scans, pairs, reach, gap) for number in numbers}
 
 
 def mean_gospa(
     scans: Sequence[DetectionScan], tracks: Sequence[TargetTracks], *, cutoff: float
 ) -> dict[str, float]:
     """Mean over the scans of GOSPA of order 2, and of its parts [m], [m^2]."""
+    return _mean_gospa(scans, [state.position for state in tracks], cutoff)
+
+
+def empty_gospa(scans: Sequence[DetectionScan], *, cutoff: float) -> dict[str, float]:
+    """As `mean_gospa` of an output without a single track: what a score has to be better than."""
+    return _mean_gospa(scans, [np.empty((0, 2))] * len(scans), cutoff)
+
+
+def _mean_gospa(
+    scans: Sequence[DetectionScan], found: Sequence[NDArray[np.float64]], cutoff: float
+) -> dict[str, float]:
     parts: list[dict[str, Any]] = []
-    for scan, state in zip(scans, tracks, strict=True):
+    for scan, position in zip(scans, found, strict=True):
         truth = np.array(list(scan.truth.values())).reshape(-1, 2)
-        flat = [np.pad(places, ((0, 0), (0, 1))) for places in (state.position, truth)]
+        flat = [np.pad(places, ((0, 0), (0, 1))) for places in (position, truth)]
         parts.append(asdict(gospa(*flat, cutoff=cutoff, order=2.0)))
     names = parts[0] if parts else {}
     return {name: float(np.mean([part[name] for part in parts])) for name in names}
 
 
+def _paired(scan: DetectionScan, state: TargetTracks, reach: float) -> dict[int, tuple[int, float]]:
+    """Track of every target that has one of its own, and how far off it is [m]."""
+    numbers = list(scan.truth)
+    truth = np.array([scan.truth[number] for number in numbers]).reshape(-1, 2)
+    distance = np.linalg.norm(state.position[:, None] - truth[None], axis=-1)
+    rows, columns = assign(distance, gate=reach)
+    return {numbers[column]: (int(state.id[row]), float(distance[row, column]))
+            for row, column in zip(rows.tolist(), columns.tolist(), strict=True)}  # fmt: skip
+
+
 def _coverage(
     number: int,
     scans: Sequence[DetectionScan],
-    tracks: Sequence[TargetTracks],
+    pairs: Sequence[Mapping[int, tuple[int, float]]],
     reach: float,
     gap: float,
 ) -> TargetCoverage:
     counted = _seen_times(number, scans, reach, gap)
-    found, errors = [], []
-    for scan, state, counts in zip(scans, tracks, counted, strict=True):
-        if not counts:
-            continue
-        distance = np.linalg.norm(state.position - scan.truth[number], axis=1)
-        nearest = int(np.argmin(distance)) if len(distance) else -1
-        if nearest >= 0 and distance[nearest] <= reach:
-            found.append(int(state.id[nearest]))
-            errors.append(float(distance[nearest]))
+    served = [pair[number] for pair, counts in zip(pairs, counted, strict=True)
+              if counts and number in pair]  # fmt: skip
+    found, errors = [track for track, _ in served], [away for _, away in served]
     total = int(counted.sum())
     return TargetCoverage(
         n_scans=total,

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
+from lidar_core.files import check_regular
 from lidar_core.fusion.measurement import Measurement
 from lidar_core.io.guard import check_size, reading
 
@@ -86,9 +87,7 @@ def read_laser_radar(path: str | Path) -> TargetRecording:
         The file is too large.
     """
     place = Path(path)
-    if not place.is_file():
-        raise FileNotFoundError(f"{place}: no such file")
-    check_size(str(place), place.stat().st_size, limit=MAX_FILE_BYTES, key="nothing",
+    check_size(str(place), check_regular(place).stat().st_size, limit=MAX_FILE_BYTES, key="nothing",
                what="a file of bytes")  # fmt: skip
     with reading(str(place)):
         lines = place.read_text("utf-8").splitlines()

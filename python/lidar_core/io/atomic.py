@@ -1,12 +1,19 @@
 """Files that are whole or absent: written beside their place, then renamed into it."""
 
 import os
+import re
+import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
+
+from lidar_core.files import check_replaceable
+
+_TEMPORARY = re.compile(r"\.(.+)\.([1-9][0-9]{0,9})\.tmp", re.DOTALL)
+"""Name of a temporary file: that of the file it becomes, and the number of the process."""
 
 
 class WrittenInBlock(ABC):
@@ -32,8 +39,51 @@ class WrittenInBlock(ABC):
 
 
 def temporary_for(path: Path) -> Path:
-    """Where to write before `commit`: in the same folder, so that the rename is atomic."""
+    """Where to write before `commit`: in the same folder, so that the rename is atomic.
+
+    What a process left there for the same file, and no longer lives, is removed.
+    """
+    remove_stale(path.parent, name=path.name)
     return path.with_name(f".{path.name}.{os.getpid()}.tmp")
+
+
+def remove_stale(folder: Path, *, name: str | None = None) -> None:
+    """Remove temporary files and folders in `folder` whose processes have ended.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to look; nothing happens where it is missing.
+    name : str, optional
+        Only those for the file of this name.
+    """
+    if os.name != "posix" or not folder.is_dir():
+        return
+    for entry in os.scandir(folder):
+        found = _TEMPORARY.fullmatch(entry.name)
+        if found is None or name not in (None, found[1]) or _lives(int(found[2])):
+            continue
+        with suppress(FileNotFoundError):  # another command may do the same
+            if entry.is_dir(follow_symlinks=False):
+                shutil.rmtree(entry.path)
+            else:
+                Path(entry.path).unlink()
+
+
+def is_temporary(name: str) -> bool:
+    """Whether a file of this name is one of `temporary_for`."""
+    return _TEMPORARY.fullmatch(name) is not None
+
+
+def _lives(process: int) -> bool:
+    """Whether there is a process of this number; one of somebody else is one, too."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True
 
 
 def commit(temporary: Path, path: Path) -> None:
@@ -67,6 +117,7 @@ def check_place(path: Path) -> None:
         raise PermissionError(f"{path.parent}: no permission to write {path.name} there")
     if path.is_dir():
         raise IsADirectoryError(f"{path}: expected a file to write, got a folder")
+    check_replaceable(path)
 
 
 @contextmanager

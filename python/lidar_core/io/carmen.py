@@ -71,7 +71,7 @@ class _Line(NamedTuple):
     def count(self, at: int) -> int:
         """The number of readings that word `at` states, all of them there."""
         text = self.words[at] if at < len(self.words) else ""
-        if not text.isdecimal() or int(text) > len(self.words):
+        if not text.isdecimal() or len(text) > 9 or int(text) > len(self.words):
             raise FormatError(
                 f"{self.place}: {self.name} states {text or 'no'!r} readings,"
                 f" {len(self.words)} values follow its name"

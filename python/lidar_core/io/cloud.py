@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
 from lidar_core.io.conventions import NoReturnRule, PointTimeRule
-from lidar_core.io.guard import check_size
+from lidar_core.io.guard import check_size, reading
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.own_cloud import OWN_FIELD, OWN_VERDICT, own_scan
 from lidar_core.io.recording import Findings
@@ -117,9 +117,10 @@ class CloudDecoder:
             self._findings.point_time[self._topic] = self._findings.no_return[self._topic] = (
                 OWN_VERDICT
             )
-            return own_scan(
-                flat, stamp_ns, frame_id, self._topic, rows.shape[0] if organised else 1
-            )
+            with reading(place):
+                return own_scan(
+                    flat, stamp_ns, frame_id, self._topic, rows.shape[0] if organised else 1
+                )
         points = _coordinates(fields, place)
         no_return = self._no_return.apply(points, organised=organised)
         times = self._point_time.apply(fields, stamp_ns, place)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from lidar_core.arrays import as_finite_rows
 from lidar_core.errors import ConfigError, FormatError, InputError
 from lidar_core.extras import require
+from lidar_core.files import check_regular
 from lidar_core.io.atomic import written_whole
 from lidar_core.io.guard import check_size, reading
 from lidar_core.io.octomap import read_octomap, write_octomap
@@ -71,9 +72,7 @@ def read_cloud(
     """
     place, chosen = Path(path), options or ReadOptions()
     suffix = place.suffix.lower()
-    if not place.is_file():
-        raise FileNotFoundError(f"{place}: no such file")
-    check_size(str(place), place.stat().st_size, limit=chosen.max_record_bytes,
+    check_size(str(place), check_regular(place).stat().st_size, limit=chosen.max_record_bytes,
                key="max_record_bytes", what="a file of bytes")  # fmt: skip
     if suffix == ".bt":
         return Cloud(*read_octomap(place, options=chosen))
@@ -153,6 +152,9 @@ def _load(path: Path, suffix: str, options: ReadOptions) -> Any:
         if isinstance(loaded, library.Scene):
             loaded = loaded.to_mesh()
         count = len(loaded.vertices)
+        faces = getattr(loaded, "faces", None)
+        if faces is not None and len(faces) and not 0 <= np.min(faces) <= np.max(faces) < count:
+            raise FormatError(f"{path}: a face names a vertex that is none of its {count}")
     check_size(str(path), count, limit=options.max_points, key="max_points",
                what="a cloud of points")  # fmt: skip
     return loaded
@@ -167,7 +169,9 @@ def _read_mesh(
     faces = getattr(loaded, "faces", None)
     if faces is None or len(faces) == 0:
         return np.asarray(loaded.vertices, np.float64)
-    needed = 2 * loaded.area / spacing**2 + len(loaded.vertices)
+    if not np.isfinite(loaded.vertices).all():
+        raise FormatError(f"{path}: a corner of the surface is not finite")
+    needed = 2 * float(loaded.area) / spacing**2 + len(loaded.vertices)
     check_size(str(path), int(min(needed, 2**62)), limit=options.max_points, key="max_points",
                what=f"a surface with a point every {spacing:g} m, of points")  # fmt: skip
     library = require("trimesh.remesh", extra="io", purpose="reading meshes and PLY")

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
 from lidar_core.extras import require
+from lidar_core.files import check_regular_or_folder
 from lidar_core.io.guard import check_size, reading
 from lidar_core.io.mcap_file import McapRecording
+from lidar_core.io.npz import array_in
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.pose_files import MAX_FILE_BYTES, read_poses
 
@@ -50,9 +52,7 @@ def read_columns(path: str | Path) -> Columns:
         Parquet without pyarrow, MCAP without mcap.
     """
     place = Path(path)
-    if not place.exists():
-        raise FileNotFoundError(f"{place}: no such file or folder")
-    if place.is_dir():
+    if check_regular_or_folder(place).is_dir():
         return _read_trajectories(place)
     readers = {".csv": _read_csv, ".npz": _read_npz, ".parquet": _read_parquet,
                ".mcap": _read_mcap, ".txt": _read_trajectory, ".tum": _read_trajectory}  # fmt: skip
@@ -101,11 +101,12 @@ def _parsed(column: Sequence[str]) -> NDArray[Any]:
 
 
 def _read_npz(path: Path) -> Columns:
-    with reading(str(path)):
-        with ZipFile(path) as archive:
-            _check(path, sum(member.file_size for member in archive.infolist()))
-        with np.load(path, allow_pickle=False) as members:
-            columns = {name: members[name] for name in members.files}
+    with reading(str(path)), ZipFile(path) as archive:
+        _check(path, sum(member.file_size for member in archive.infolist()))
+        names = [name.removesuffix(".npy") for name in archive.namelist()]
+        columns = {name: array_in(archive, name, place=f"{path}, column {name}",
+                                  limit=MAX_FILE_BYTES, key="nothing")
+                   for name in names}  # fmt: skip
     for name, column in columns.items():
         if column.ndim != 1:
             raise FormatError(f"{path}: {name}: expected one dimension, got shape"

@@ -12,11 +12,25 @@ _FILES_FAULT = (None, errno.EINVAL, errno.EOVERFLOW)
 
 @contextmanager
 def reading(place: str) -> Iterator[None]:
-    """Turn whatever a library raises while it reads `place` into a FormatError that names it."""
+    """Turn whatever a library raises while it reads `place` into a typed error that names it.
+
+    Raises
+    ------
+    FormatError
+        What the library says.
+    LimitError
+        The library asked for more memory than there is: a size in the file is a lie, or the
+        machine is too small.
+    """
     try:
         yield
-    except (LidarCoreError, MemoryError):
+    except LidarCoreError:
         raise
+    except MemoryError as error:
+        text = str(error).strip().rstrip(".")
+        raise LimitError(
+            f"{place}: takes more memory than there is" + (f" ({text})" if text else "")
+        ) from error
     except Exception as error:
         if isinstance(error, OSError) and error.errno not in _FILES_FAULT:
             raise

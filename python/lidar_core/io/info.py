@@ -2,8 +2,8 @@
 
 import statistics
 from dataclasses import asdict, dataclass, field
-from itertools import pairwise
-from typing import Any
+from itertools import accumulate, pairwise
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,10 @@ from lidar_core.io.posed import NAMELESS
 from lidar_core.io.recording import SCAN_KINDS, Record, Recording, Topic
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
-SCANS_DECODED = 10  # per topic: clouds are costly, and conventions show early
+FEWEST_DECODED = 10
+"""Scans per topic that are decoded, whatever they cost: conventions show early."""
+EFFORT, EFFORT_PER_SCAN = 12_000_000, 2_500
+"""Points and rays that are decoded in all, below two seconds; what a scan costs beside these."""
 GAP_FACTOR, FEWEST_FOR_GAPS = 3.0, 5
 
 
@@ -67,6 +70,12 @@ class RecordingInfo:
         Verdict per topic of scans.
     defects : tuple of str
         What is wrong or missing, and what was assumed.
+    looked_at : dict
+        Scans that were decoded, and all of them, per topic of which not all were: large
+        recordings are not read to their end.
+    stamps : dict
+        What to take for the stamps of a topic, as `ReadOptions.stamps`, where most scans would be
+        rejected for theirs.
     """
 
     path: str
@@ -78,6 +87,8 @@ class RecordingInfo:
     point_time: dict[str, str]
     no_return: dict[str, str]
     defects: tuple[str, ...]
+    looked_at: dict[str, tuple[int, int]] = field(default_factory=dict)
+    stamps: dict[str, Literal["recorded", "counted"]] = field(default_factory=dict)
 
     @property
     def duration_s(self) -> float:
@@ -102,6 +113,8 @@ class _Stream:
     rays: int | None = None
     points: int | None = None
     empty: int = 0
+    decoded: int = 0
+    effort: int = 0
 
     @property
     def name(self) -> str:
@@ -118,6 +131,7 @@ class _Stream:
                 self.points = max(self.points or 0, points)
                 self.empty += points == 0
                 self.stamps.append(message.stamp_ns)
+                self.effort += EFFORT_PER_SCAN + len(has_point)
                 self.frames[message.frame_id] = None
             elif self.topic.kind == "pose":
                 self.frames[message.frame_id] = None
@@ -139,17 +153,42 @@ class _Stream:
             found.append(f"{name}: {self.topic.note}")
         if self.topic.count == 0:
             found.append(f"{name}: no messages")
-        for what, values in (("recording times", self.times), ("stamps", self.stamps)):
-            steps = [b - a for a, b in pairwise(values)]
-            back = sum(step < 0 for step in steps)
-            if back:
-                found.append(f"{name}: {what} go backwards {back} times")
-            if what == "stamps" and any(step == 0 for step in steps):
-                found.append(f"{name}: {sum(s == 0 for s in steps)} stamps repeat the one before")
+        back = sum(b < a for a, b in pairwise(self.times))
+        if back and self.times != self.stamps:
+            found.append(f"{name}: recording times go backwards {back} times")
+        found += self._stamp_defects()
         found += self._gaps()
         if self.empty:
             found.append(f"{name}: {self.empty} scans without points")
         return found
+
+    def _stamp_defects(self) -> list[str]:
+        """Stamps for which scans are rejected, counted, and what helps."""
+        steps = [b - a for a, b in pairwise(self.stamps)]
+        zero, total = self.stamps.count(0), len(self.stamps)
+        repeated, back = sum(step == 0 for step in steps), sum(step < 0 for step in steps)
+        cure = f"; --stamps {self.other_times} gives others"
+        if total > 1 and zero == total:
+            return [f"{self.name}: all {total} stamps are 0{cure}"]
+        found = []
+        if zero > 1:
+            found.append(f"{self.name}: {zero} of {total} stamps are 0{cure}")
+        if repeated:
+            found.append(f"{self.name}: {repeated} of {total} stamps repeat the one before{cure}")
+        if back:
+            found.append(f"{self.name}: {back} of {total} stamps go backwards{cure}")
+        return found
+
+    @property
+    def other_times(self) -> Literal["recorded", "counted"]:
+        """Times that increase: those of the recording, if they do more often, else counted ones."""
+        times = self.times[: len(self.stamps)]
+        return "recorded" if _late(times) < _late(self.stamps) else "counted"
+
+    @property
+    def wants_other_times(self) -> bool:
+        """Whether more than half of the scans would be rejected: each must be newer than all."""
+        return 2 * _late(self.stamps) > len(self.stamps)
 
     def _gaps(self) -> list[str]:
         if len(self.times) < FEWEST_FOR_GAPS or self.topic.kind not in SCAN_KINDS:
@@ -163,6 +202,12 @@ class _Stream:
         return [f"{self.name}: {len(gaps)} gaps, the longest of {max(gaps) * 1e-9:.3g} s"]
 
 
+def _late(times: list[int]) -> int:
+    """How many of these are not newer than all before them."""
+    newest = accumulate(times, max)
+    return sum(time <= before for before, time in zip(newest, times[1:], strict=False))
+
+
 def _has_point(scan: Scan | LaserScan) -> NDArray[np.bool_]:
     if isinstance(scan, LaserScan):
         return np.isfinite(scan.ranges)
@@ -171,14 +216,16 @@ def _has_point(scan: Scan | LaserScan) -> NDArray[np.bool_]:
 
 
 def inspect(recording: Recording) -> RecordingInfo:
-    """Read a recording through, decoding its poses and the first scans of each topic."""
+    """Read a recording through, decoding its poses, and its scans as far as that is quick."""
     streams = {_key(topic): _Stream(topic) for topic in recording.topics()}
     edges: dict[tuple[str, str], bool] = {}
     for record in recording.records():
         stream = streams.setdefault(_key(record.topic), _Stream(record.topic))
         messages: list[Message] = []
-        if record.topic.kind == "pose" or len(stream.stamps) < SCANS_DECODED:
+        is_quick = sum(one.effort for one in streams.values()) < EFFORT
+        if record.topic.kind == "pose" or is_quick or stream.decoded < FEWEST_DECODED:
             messages = record.decode()
+            stream.decoded += 1
         stream.see(record, messages)
         edges |= {
             (message.frame_id, message.child_frame_id): message.is_static
@@ -198,7 +245,11 @@ def inspect(recording: Recording) -> RecordingInfo:
         point_time=dict(found.point_time),
         no_return=dict(found.no_return),
         defects=tuple(_defects(recording, streams, edges)),
-    )
+        looked_at={stream.name: (stream.decoded, len(stream.times)) for stream in streams.values()
+                   if stream.decoded < len(stream.times) and stream.topic.kind in SCAN_KINDS},
+        stamps={stream.topic.name: stream.other_times for stream in streams.values()
+                if stream.wants_other_times},
+    )  # fmt: skip
 
 
 def _key(topic: Topic) -> tuple[str, str]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidar_core.arrays import as_finite_rows
 from lidar_core.errors import FormatError, InputError
+from lidar_core.files import check_regular
 from lidar_core.io.atomic import written_whole
 from lidar_core.io.guard import check_size, reading
 from lidar_core.io.options import ReadOptions
@@ -36,7 +37,7 @@ def read_octomap(
         A larger file, or more voxels, than the options allow.
     """
     place, chosen = Path(path), options or ReadOptions()
-    check_size(str(place), place.stat().st_size, limit=chosen.max_record_bytes,
+    check_size(str(place), check_regular(place).stat().st_size, limit=chosen.max_record_bytes,
                key="max_record_bytes", what="a file of bytes")  # fmt: skip
     data = place.read_bytes()
     resolution, start = _header(place, data)

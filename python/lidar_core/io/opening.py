@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from lidar_core.errors import FormatError, meant
+from lidar_core.files import check_regular, check_regular_or_folder
+from lidar_core.io.hints import hint_for
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import Recording
 from lidar_core.io.unpacked import PACKED, UnpackedRecording
@@ -24,26 +26,6 @@ KINDS = (ROS2, PACKED, *CHAINS, *SEQUENCES, *ALONE)
 scan each, or a recording each."""
 MOST_FOLDERS = 12
 """Folders that are named where one without a recording was given."""
-_PACKED = "compressed; unpack it first: "
-HINTS = {
-    ".bt": "a map, not a recording: `lidar-core detect --map`, `lidar_core.io.read_cloud`",
-    ".csv": "a table holds no scans; measurements are for `lidar-core fuse`",
-    ".json": "JSON holds no scans; tables of measurements are for `lidar-core fuse`, the metadata"
-    " of an Ouster capture is found beside its .pcap or named with --metadata",
-    ".lcvm": "a map, not a recording: `lidar-core detect --map`, `lidar_core.io.read_cloud`",
-    ".mat": "MATLAB files are not read; save its tables as CSV for `lidar-core fuse`",
-    ".parquet": "a table holds no scans; measurements are for `lidar-core fuse`",
-    ".txt": "text holds no scans; poses are for --pose, measurements of LiDAR and radar (L/R) for"
-    " `lidar-core fuse`",
-    ".yaml": "not a recording; of a ROS 2 recording open the folder",
-    ".bz2": f"{_PACKED}bunzip2 FILE",
-    ".gz": f"{_PACKED}gunzip FILE",
-    ".xz": f"{_PACKED}unxz FILE",
-    ".zip": f"{_PACKED}unzip FILE",
-    ".zst": f"{_PACKED}unzstd FILE",
-    ".zstd": f"{_PACKED}unzstd FILE",
-}
-"""What to do with files that are no recordings."""
 
 
 def open_recording(
@@ -87,10 +69,15 @@ def open_recording(
     if not place.exists():
         near = meant(place.name, _names_beside(place))
         raise FileNotFoundError(f"{place}: no such file or folder{near}")
-    if place.is_dir():
+    if chosen.metadata is not None:
+        check_regular(chosen.metadata)
+    if chosen.stamps != "own":
+        from lidar_core.io.restamped import RestampedRecording
+
+        own = open_recording(place, chosen, stamps="own")
+        return RestampedRecording(own, chosen)
+    if check_regular_or_folder(place).is_dir():
         return _open_folder(place, chosen)
-    if not place.is_file():
-        raise FormatError(f"{place}: neither a regular file nor a folder")
     if place.stat().st_size == 0:
         raise FormatError(f"{place}: the file is empty")
     return _open_file(place, chosen)
@@ -122,8 +109,8 @@ def _open_file(path: Path, options: ReadOptions) -> Recording:
         ".pcapng": _open_pcap,
         ".pcd": _open_scan,
     }
-    if suffix in HINTS:
-        raise FormatError(f"{path}: {HINTS[suffix]}")
+    if suffix not in openers and (hint := hint_for(path)) is not None:
+        raise FormatError(f"{path}: {hint}")
     if suffix not in openers:
         raise FormatError(f"{path}: unknown format {suffix!r}; readable are: {KNOWN}")
     return openers[suffix](path, options)

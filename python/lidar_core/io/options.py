@@ -43,7 +43,14 @@ class ReadOptions(Config):
     scan_rate: float = Field(
         10.0,
         gt=0,
-        description="Scans per second of a folder of files that carries no times [Hz].",
+        description="Scans per second of a folder of files that carries no times, and of counted"
+        " `stamps` [Hz].",
+    )
+    stamps: Literal["own", "recorded", "counted"] = Field(
+        "own",
+        description="Times of scans and poses: their own stamps; recorded, the times at which they"
+        " were stored, where stamps are zero, repeat or jump; or counted from zero at `scan_rate`"
+        " (no unit).",
     )
     recover: bool = Field(
         False,
@@ -120,7 +127,10 @@ class PoseOptions(Span):
         None, description="Topic of the scans; default: the only one (no unit)."
     )
     odom: str | None = Field(
-        None, description="Topic of the poses, instead of the transforms (no unit)."
+        None,
+        description="Topic of the poses, instead of the transforms; mountings still come from"
+        " these. Poses without a frame of their own are of the frame whose transforms move as they"
+        " do, else of the frame that the sensor is mounted on, else the sensor's (no unit).",
     )
     mounting: tuple[str, ...] = Field(
         (),

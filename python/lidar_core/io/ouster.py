@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError, MissingExtraError
-from lidar_core.extras import require
+from lidar_core.extras import install_command, require
 from lidar_core.io.guard import check_size, reading
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import Record, Recording, Topic, decoded
@@ -27,8 +27,7 @@ NO_RETURN = "zero: range 0 in a received column"
 POINT_TIME = "of each column, by the sensor's clock"
 INSTALL = (
     "reading Ouster recordings needs the package 'ouster-sdk', whose pins clash with other extras:"
-    " give it an environment of its own: python -m venv ouster &&"
-    " ouster/bin/pip install 'lidar-core[ouster]'"
+    " give it an environment of its own: python -m venv ouster && ouster/bin/"
 )
 
 
@@ -272,7 +271,7 @@ def _require(module: str) -> Any:
     try:
         return require(module, extra="ouster", purpose="reading Ouster recordings")
     except MissingExtraError as error:
-        raise MissingExtraError(INSTALL) from error
+        raise MissingExtraError(INSTALL + install_command("ouster")) from error
 
 
 def _shifted(image: NDArray[Any], shifts: NDArray[np.int64]) -> NDArray[Any]:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.errors import InputError
+from lidar_core.errors import FormatError, InputError
 from lidar_core.messages import Scan
 
 OWN_FIELD = "no_return"
@@ -46,8 +46,20 @@ def packed(scan: Scan) -> NDArray[Any]:
 
 
 def own_scan(rows: NDArray[Any], stamp_ns: int, frame_id: str, topic: str, height: int) -> Scan:
-    """Scan from the fields of `packed`; nothing needs to be detected."""
-    names = rows.dtype.names or ()
+    """Scan from the fields of `packed`; nothing needs to be detected.
+
+    Raises
+    ------
+    FormatError
+        A field of it is missing, or holds more than one value per point.
+    """
+    names = [name for name in rows.dtype.names or () if rows[name].ndim == 1]
+    wanted = [*"xyz", *(("dx", "dy", "dz") if "dx" in names else ())]
+    if missing := [name for name in wanted if name not in names]:
+        raise FormatError(
+            f"{topic}: no field {', '.join(missing)} of one value per point in a cloud that"
+            f" lidar_core wrote; found {', '.join(rows.dtype.names or ())}"
+        )
     points = _columns(rows, "xyz")
     if height > 1 and len(points) % height == 0:
         points = points.reshape(height, -1, 3)

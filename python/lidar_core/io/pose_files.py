@@ -1,6 +1,7 @@
 """Poses in text files: KITTI (one matrix a line, one line a scan) and TUM (with times)."""
 
 import warnings
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,9 @@ from numpy.typing import NDArray
 
 from lidar_core.arrays import as_pose
 from lidar_core.errors import FormatError, InputError
+from lidar_core.files import check_regular
 from lidar_core.io.guard import check_size, reading
+from lidar_core.io.options import LONGEST
 from lidar_core.io.rotations import pose_matrix, unit_quaternion
 
 KITTI_COLUMNS, TUM_COLUMNS = 12, 8
@@ -48,14 +51,21 @@ def read_poses(path: Path) -> tuple[NDArray[np.int64] | None, NDArray[np.float64
     quaternions = np.array(
         [unit_quaternion(row[4:], place=f"{path}, pose {n}") for n, row in enumerate(rows)]
     )
-    return _stamps(path, len(rows)), pose_matrix(rows[:, 1:4], quaternions)
+    return _stamps(path, rows[:, 0]), pose_matrix(rows[:, 1:4], quaternions)
 
 
-def _stamps(path: Path, count: int) -> NDArray[np.int64]:
+def _stamps(path: Path, seconds: NDArray[np.float64]) -> NDArray[np.int64]:
     """First column as nanoseconds, exactly: a float64 holds epoch seconds only to 0.2 us."""
-    lines = path.read_text("utf-8", "replace").splitlines()
-    texts = [line.split()[0] for line in lines if line.strip() and not line.startswith("#")]
-    return np.array([stamp_from_text(text) for text in texts[:count]], np.int64)
+    late = np.flatnonzero(np.abs(seconds) > LONGEST)
+    if len(late):
+        raise FormatError(
+            f"{path}, pose {late[0]}: expected a time in seconds, at most {LONGEST:.0f} s from"
+            f" 1970, got {seconds[late[0]]:g}; divide milliseconds or nanoseconds first"
+        )
+    text = path.read_text("utf-8", "replace")
+    rows = (line.partition("#")[0].split() for line in text.splitlines())
+    stamps = [stamp_from_text(row[0]) for row in islice(filter(None, rows), len(seconds))]
+    return np.array(stamps, np.int64)
 
 
 def stamp_from_text(text: str) -> int:
@@ -68,9 +78,9 @@ def stamp_from_text(text: str) -> int:
 
 
 def _numbers(path: Path) -> NDArray[np.float64]:
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"{path}: no such poses file")
-    check_size(str(path), path.stat().st_size, limit=MAX_FILE_BYTES, key="nothing",
+    check_size(str(path), check_regular(path).stat().st_size, limit=MAX_FILE_BYTES, key="nothing",
                what="a file of bytes")  # fmt: skip
     with reading(str(path)), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of an empty file: said below

@@ -1,8 +1,8 @@
 """Scans in 3D or 2D with the sensor's pose, from transforms, odometry or a poses file."""
 
 from collections import Counter
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import ConfigError, FormatError, InputError, meant
+from lidar_core.io.nameless import carrier_of
 from lidar_core.io.options import NS, PoseOptions
 from lidar_core.io.pose_files import read_poses
 from lidar_core.io.recording import Recording, Topic
@@ -215,38 +216,39 @@ class PosedScans(Generic[ScanT]):
             raise ConfigError(f"odom: no topic {chosen!r} with poses; found {_listed(topics)}"
                               f"{meant(chosen, topics)}")  # fmt: skip
         transforms = [item for item in gathered if item[0].type not in POSE_TYPES]
-        buffer = self._with(transforms, frame, chosen)
         if chosen is None:
+            buffer = self._with(pose for _, pose in transforms)
             root = self._options.fixed_frame or buffer.root_of(frame)
             if _moves(buffer, root, frame) or len(topics) != 1:
                 return buffer
             chosen = topics[0]
-        fixed = [item for item in transforms if item[1].is_static]
-        moving = [item for item in gathered if item[0].name == chosen]
-        return self._with(fixed + moving, frame, chosen)
+        known = [pose for _, pose in transforms]
+        fixed = [pose for pose in known if pose.is_static]
+        moving = [pose for topic, pose in gathered if topic.name == chosen]
+        if nameless := [pose for pose in moving if not pose.child_frame_id]:
+            mountings = self._options.mountings()
+            carrier = carrier_of(frame, nameless, known, mountings, chosen)
+            moving = [pose if pose.child_frame_id else replace(pose, child_frame_id=carrier)
+                      for pose in moving]  # fmt: skip
+        return self._with(fixed + moving)
 
-    def _with(
-        self, items: list[tuple[Topic, Pose]], frame: str, chosen: str | None
-    ) -> TransformBuffer:
-        """Buffer of `items`; a pose of the chosen topic without child frame is the sensor's."""
+    def _with(self, poses: Iterable[Pose]) -> TransformBuffer:
         buffer = self._buffer()
-        for topic, pose in items:
-            nameless = not pose.child_frame_id and topic.name == chosen
-            child = self._carrier(frame) if nameless else pose.child_frame_id
-            buffer.add(
-                Pose(pose.stamp_ns, pose.frame_id, child, pose.matrix, is_static=pose.is_static)
-            )
+        for pose in poses:
+            buffer.add(pose)
         return buffer
 
     def _missing(self, frame: str, buffer: TransformBuffer, reason: str) -> FormatError:
         edges = [f"{parent} -> {child}" for parent, child in buffer.edges()]
         odometry = [t.name for t in self._recording.topics() if t.type in POSE_TYPES]
+        moving = [child for (_, child), is_static in buffer.edges().items() if not is_static]
+        mounting = f" '{moving[0]} {frame} x y z roll pitch yaw'" if moving else ""
         return FormatError(
             f"{self._recording.path}: no pose for frame {frame!r} of topic {self._cloud.name!r}:"
             f" {reason}. Found transforms: {_listed(edges)}; odometry topics: {_listed(odometry)}."
             " Name a frame with --fixed-frame, a topic with --odom, a poses file with --pose FILE,"
-            " where the sensor sits with --mounting, or --pose static for a sensor that does not"
-            " move"
+            f" where the sensor sits with --mounting{mounting}, or --pose static for a sensor that"
+            " does not move"
         )
 
 

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from lidar_core.errors import FormatError
 from lidar_core.extras import require
 from lidar_core.io.compressed import bounded_decompressor
 from lidar_core.io.guard import check_size, reading
@@ -82,6 +83,10 @@ class RosRecording(Recording):
                 return
             connection, time_ns, raw = item
             place = f"{file}, message {number} on {connection.topic}"
+            # A database holds what somebody put there: texts where bytes and times belong.
+            if not isinstance(time_ns, int) or not isinstance(raw, bytes | memoryview | bytearray):
+                got = f"{type(time_ns).__name__} and {type(raw).__name__}"
+                raise FormatError(f"{place}: expected a time and bytes, got {got}")
             said = (connection.msgtype, bytes(raw), place)
             decode = partial(self._decoder.decode, connection.topic, *said)
             parse = partial(self._decoder.message, *said)

@@ -48,6 +48,15 @@ def quaternion_from_angles(roll: float, pitch: float, yaw: float) -> NDArray[np.
     )
 
 
+def angles_from_matrix(rotation: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Roll, pitch, yaw [rad], as `quaternion_from_angles` takes them."""
+    pitch = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
+    if abs(rotation[2, 0]) > 1 - 1e-12:  # upright: roll and yaw are one angle, given as yaw
+        return 0.0, pitch, math.atan2(-rotation[0, 1], rotation[1, 1])
+    roll = math.atan2(rotation[2, 1], rotation[2, 2])
+    return roll, pitch, math.atan2(rotation[1, 0], rotation[0, 0])
+
+
 def matrix_from_quaternion(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotation matrices (..., 3, 3) from unit quaternions (..., 4)."""
     x, y, z, w = np.moveaxis(quaternion, -1, 0)

@@ -4,6 +4,7 @@ import re
 from abc import abstractmethod
 from collections.abc import Iterator
 from functools import partial
+from io import SEEK_END
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,15 @@ from lidar_core.extras import require
 from lidar_core.io.cloud import CloudDecoder
 from lidar_core.io.cloud_files import read_las, read_ply
 from lidar_core.io.guard import check_size, reading
-from lidar_core.io.options import ReadOptions
+from lidar_core.io.options import LONGEST, NS, ReadOptions
 from lidar_core.io.pose_files import read_matrices
 from lidar_core.io.recording import Record, Recording, Topic
 from lidar_core.messages import Message, Pose, Scan
 
 FRAME, WORLD_FRAME = "lidar", "world"
 MAX_COLUMNS = 4096
+MOST_PER_LZF_BYTE = 88
+"""LZF repeats at most 264 bytes by three."""
 FAR = 1000.0  # coordinates beyond are given from a nearer corner [m]
 KITTI_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
 _NANOSECONDS = re.compile(r"^\d{18,19}$")
@@ -75,6 +78,9 @@ class SequenceRecording(Recording):
                 with reading(str(folder / "times.txt")):
                     seconds = np.loadtxt(folder / "times.txt", ndmin=1)
                 self._expect_rows(folder / "times.txt", len(seconds))
+                if not (np.abs(seconds) <= LONGEST).all():
+                    raise FormatError(f"{folder / 'times.txt'}: expected times in seconds, at most"
+                                      f" {LONGEST:.0f} s from 1970")  # fmt: skip
                 return [round(float(value) * 1e9) for value in seconds]
         named = [_stamp_of(file) for file in self._files]
         stamps = [stamp for stamp in named if stamp is not None]
@@ -154,7 +160,27 @@ class PcdRecording(SequenceRecording):
             raise FormatError(f"{file}: {left} bytes of points, the header promises {size}")
         limit = self.options.max_record_bytes
         check_size(str(file), size, limit=limit, key="max_record_bytes", what="points of bytes")
+        if header.data.value == "binary_compressed":
+            _check_compressed(file, left, size)
         return header
+
+
+def _check_compressed(file: Path, left: int, size: int) -> None:
+    """Refuse sizes of compressed points, the last `left` bytes of a file, that cannot be true.
+
+    The library allocates what they say before it decompresses anything.
+    """
+    with file.open("rb") as stream:
+        stream.seek(-left, SEEK_END)
+        stated = np.frombuffer(stream.read(8), "<u4")
+    if len(stated) != 2:
+        raise FormatError(f"{file}: the file ends before the sizes of its compressed points")
+    packed, unpacked = stated.tolist()
+    if packed > left - 8 or unpacked != size or unpacked > MOST_PER_LZF_BYTE * packed:
+        raise FormatError(
+            f"{file}: states {packed} bytes that unpack to {unpacked}; there are {left - 8} bytes,"
+            f" and its points take {size}"
+        )
 
 
 class LasRecording(SequenceRecording):
@@ -228,7 +254,8 @@ def _natural_key(file: Path) -> tuple[int, str]:
 def _stamp_of(file: Path) -> int | None:
     """Time in a file name: nanoseconds, or seconds with a fraction."""
     if _NANOSECONDS.match(file.stem):
-        return int(file.stem)
+        stamp_ns = int(file.stem)
+        return stamp_ns if stamp_ns <= LONGEST * NS else None  # else a number, not a time
     match = _SECONDS.match(file.stem)
     return int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0")) if match else None
 

@@ -188,9 +188,12 @@ class FoxgloveLog:
         """Channel of a topic; one of its own for every metadata that its messages need."""
         key = (topic, *metadata.values())
         if key not in self._channels:
-            make = getattr(self._channel_types, kind)
-            self._channels[key] = make(topic, metadata=dict(metadata), context=self._context)
+            self._channels[key] = self._made_channel(kind, topic, metadata)
         return self._channels[key]
+
+    def _made_channel(self, kind: str, topic: str, metadata: Mapping[str, str]) -> Any:
+        make = getattr(self._channel_types, kind)
+        return make(topic, metadata=dict(metadata), context=self._context)
 
     def _stamp(self, stamp_ns: int) -> Any:
         seconds, nanoseconds = divmod(int(stamp_ns), 1_000_000_000)

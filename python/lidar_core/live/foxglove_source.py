@@ -89,6 +89,7 @@ class FoxgloveSource(Source):
         self._foxglove = FoxgloveDecoder(options, self.findings)
         self._channels: dict[int, _Channel] = {}
         self._schemas: dict[tuple[str, str, bytes], _Schema] = {}
+        self._told_of: dict[int, Topic] = {}  # every channel, wanted or not
         self._tries: Counter[int] = Counter()  # to subscribe to channels that were refused
         self._refused: set[int] = set()  # those that are asked for once more ...
         self._ask_again_at = inf  # ... at this time [s]
@@ -114,6 +115,16 @@ class FoxgloveSource(Source):
             return ""
         reason = f" ({self._error})" if self._error else ""
         return f"no server at {self._address}, trying again{reason}"
+
+    @property
+    def is_linked(self) -> bool:
+        """Whether the server is there."""
+        return self._connected.is_set()
+
+    def advertised(self) -> list[str]:
+        """The channels that the server told of."""
+        topics = {topic.name: topic for topic in list(self._told_of.values())}
+        return [f"{topic.name} ({topic.type})" for _, topic in sorted(topics.items())]
 
     def _work(self, inbox: Inbox) -> None:
         end = time.monotonic() + self._config.connect_timeout
@@ -154,6 +165,7 @@ class FoxgloveSource(Source):
     def _listen(self, link: Any, inbox: Inbox) -> None:
         """Handle messages until the connection ends or `close` is called."""
         self._channels.clear()
+        self._told_of.clear()
         self._tries.clear()
         self._refused.clear()
         self._ask_again_at = inf
@@ -197,6 +209,7 @@ class FoxgloveSource(Source):
     def _forget(self, number: Any) -> None:
         with suppress(TypeError, ValueError):
             self._channels.pop(int(number), None)
+            self._told_of.pop(int(number), None)
             self._refused.discard(int(number))
 
     def _told(self, reason: str) -> None:
@@ -230,6 +243,8 @@ class FoxgloveSource(Source):
                 topic = channel.get("topic") if isinstance(channel, dict) else None
                 self._reject(f"{self._address}, channel {topic or '?'}", error)
                 continue
+            if len(self._told_of) < MAX_CHANNELS:
+                self._told_of[number] = found.topic
             if self._is_wanted(found.topic) and len(self._channels) < MAX_CHANNELS:
                 self._channels[number] = found
                 yield number

@@ -48,11 +48,14 @@ class Inbox:
     dropped, rejected : Counter
         Records replaced before anybody looked at them, by topic; messages that were none, by
         topic.
+    heard : set of str
+        Topics that brought a scan, readable or not.
     """
 
     def __init__(self, *, max_poses: int) -> None:
         self.dropped: Counter[str] = Counter()
         self.rejected: Counter[str] = Counter()
+        self.heard: set[str] = set()
         self._max_poses = max_poses
         self._poses: deque[Arrival] = deque()
         self._scans: dict[str, Arrival] = {}
@@ -66,6 +69,8 @@ class Inbox:
         topic = record.topic.name
         with self._changed:
             if record.topic.kind in SCAN_KINDS:
+                if len(self.heard) < MAX_TOPICS:
+                    self.heard.add(topic)
                 if topic not in self._scans and len(self._scans) >= MAX_TOPICS:
                     self.dropped["other topics"] += 1
                     return

@@ -19,6 +19,7 @@ from lidar_core.live.stats import Delay, LiveStats, within_limit
 from lidar_core.messages import Message, Pose
 
 IDLE_S = 0.05  # longest sleep while nothing arrives
+SILENCE_S = 1.2  # without a scan, after which is told what there is instead
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +74,8 @@ class LiveLoop(Generic[ScanT]):
         Topics of the LiDARs; empty for the first that brings a scan.
     on_report : callable
         Told how it goes, every `config.report_interval`.
+    on_silence : callable
+        Told once, if no wanted scan comes in the first seconds, what the source has instead.
 
     Attributes
     ----------
@@ -92,6 +95,7 @@ class LiveLoop(Generic[ScanT]):
         *,
         topics: Sequence[str] = (),
         on_report: Callable[[Report], None] = lambda report: None,
+        on_silence: Callable[[list[str]], None] = lambda advertised: None,
     ) -> None:
         self.stats = LiveStats()
         self.inbox = Inbox(max_poses=config.max_poses)
@@ -103,8 +107,10 @@ class LiveLoop(Generic[ScanT]):
         self._waiting: dict[str, deque[_Waiting[ScanT]]] = {}
         self._frame, self._is_ready = "", False
         self._objects = 0
-        self._on_report = on_report
-        self._began = self._reported = time.monotonic()
+        self._on_report, self._on_silence = on_report, on_silence
+        self._is_silence_told = False
+        self._wanted = frozenset(topics)
+        self._began = self._reported = self._linked_at = time.monotonic()
         self._reported_scans = 0
 
     def run(self, seconds: float | None = None) -> None:
@@ -118,6 +124,7 @@ class LiveLoop(Generic[ScanT]):
         self._began = self._reported = time.monotonic()
         try:
             self._source.start(self.inbox)
+            self._linked_at = time.monotonic()
             is_finished = False
             while not (is_finished and (not self._is_ready or not any(self._waiting.values()))):
                 batch = self.inbox.take(IDLE_S)
@@ -125,10 +132,28 @@ class LiveLoop(Generic[ScanT]):
                 self._read(batch)
                 self._process_next()
                 self._report_if_due()
+                self._tell_of_silence()
                 if seconds is not None and time.monotonic() - self._began >= seconds:
                     return
         finally:
             self._source.close()
+
+    @property
+    def heard_nothing(self) -> bool:
+        """Whether a stream brought no scan that was asked for, not even one that is unreadable."""
+        heard = self.inbox.heard & self._wanted if self._wanted else self.inbox.heard
+        return self._source.is_stream and not heard
+
+    def _tell_of_silence(self) -> None:
+        """Say, once, what is there instead of the scans that do not come."""
+        if self._is_silence_told or not self.heard_nothing:
+            return
+        now = time.monotonic()
+        if not self._source.is_linked:
+            self._linked_at = now
+        elif now - self._linked_at >= SILENCE_S:
+            self._is_silence_told = True
+            self._on_silence(self._source.advertised())
 
     def summary(self) -> dict[str, Any]:
         """What the run gave, as plain values."""

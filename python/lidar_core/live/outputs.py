@@ -1,19 +1,24 @@
 """Where live results go: viewers and files. `zenoh_output` has the one for robots."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 
 from lidar_core.extras import require
 from lidar_core.io.atomic import check_place, commit, temporary_for
-from lidar_core.io.write_mcap import FoxgloveLog, McapWriter
+from lidar_core.io.write_mcap import McapWriter
 from lidar_core.live.update import Update
-from lidar_core.viz.foxglove_server import LOCAL, start_server
-from lidar_core.viz.rerun_log import RerunLog, Where, rerun_viewer
+from lidar_core.viz.foxglove_server import FoxgloveServer, ServedLog
+from lidar_core.viz.origin_check import LOCAL
+from lidar_core.viz.rerun_feed import LiveFeed
+from lidar_core.viz.rerun_log import RerunLog
+from lidar_core.viz.rerun_page import RerunPage
+from lidar_core.viz.rerun_process import free_port, rerun_process
 
 BACKLOG = 64  # messages to a slow viewer; older ones go
-GRPC_PORT = 9876
+PAGE_MEMORY_BYTES = 512 * 2**20  # of a stream without end, for pages that are opened later
 VIEWER_MEMORY = "2GB"  # what rerun's viewer keeps of a stream without end
 
 
@@ -45,26 +50,34 @@ class FoxgloveOutput(Output):
     ----------
     port : int
         Of the WebSocket; 0 takes a free one.
+    allowed : collection of str
+        Web pages that may connect beside those of this machine, from `allowed_origins`.
+    on_refused : callable
+        Told why somebody was refused.
 
     Raises
     ------
     LinkError
         The port is in use.
     MissingExtraError
-        foxglove-sdk is not installed.
+        foxglove-sdk or websockets is not installed.
     """
 
-    def __init__(self, port: int) -> None:
-        foxglove = require("foxglove", extra="viz", purpose="the Foxglove server")
-        self._context = foxglove.Context()
-        self._server = start_server(self._context, port, option="foxglove:", backlog=BACKLOG)
+    def __init__(
+        self, port: int, *, allowed: Collection[str] = (),
+        on_refused: Callable[[str], None] = lambda reason: None,
+    ) -> None:  # fmt: skip
+        require("foxglove", extra="viz", purpose="the Foxglove server")
+        self._server = FoxgloveServer(
+            port, option="foxglove:", backlog=BACKLOG, allowed=allowed, on_refused=on_refused
+        )
         super().__init__(f"ws://{LOCAL}:{self._server.port}")
-        self._log: FoxgloveLog | None = None
+        self._log: ServedLog | None = None
 
     def publish(self, update: Update) -> None:
         """Send what viewers draw."""
         if self._log is None:
-            self._log = FoxgloveLog(self._context, tracks_frame=update.frame_id)
+            self._log = ServedLog(self._server, tracks_frame=update.frame_id)
         update.log_to(self._log)
 
     def close(self) -> None:
@@ -108,12 +121,12 @@ class McapOutput(Output):
 
 
 class RerunOutput(Output):
-    """Rerun's viewer in a window or a page, or its recording.
+    """Rerun's recording as a file, complete when the run ends.
 
     Parameters
     ----------
-    where : str or Path
-        window, web, or the .rrd file to write.
+    path : Path
+        The .rrd file to write.
 
     Raises
     ------
@@ -123,32 +136,97 @@ class RerunOutput(Output):
         rerun-sdk is not installed.
     """
 
-    def __init__(self, where: Where | Path) -> None:
-        super().__init__(f"rerun, {where}")
-        self._path = where if isinstance(where, Path) else None
-        if self._path is not None:
-            check_place(self._path)
-        self._log = RerunLog(f"lidar-core live {datetime.now(UTC).isoformat()}")
-        self._stack, self._is_empty = ExitStack(), True
-        if isinstance(where, Path):
-            self._log.stream.save(str(temporary_for(where)))
-        else:
-            arguments = ["--port", str(GRPC_PORT), "--memory-limit", VIEWER_MEMORY,
-                         "--server-memory-limit", VIEWER_MEMORY]  # fmt: skip
-            self._stack.enter_context(rerun_viewer(arguments, where=where))
-            self._log.stream.connect_grpc(f"rerun+http://{LOCAL}:{GRPC_PORT}/proxy")
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"rerun, {path}")
+        check_place(path)
+        self._path, self._is_empty = path, True
+        self._log = _new_log()
+        self._log.stream.save(str(temporary_for(path)))
         self._log.begin()
 
     def publish(self, update: Update) -> None:
-        """Show the scan and the objects."""
+        """Append the scan and the objects."""
         self._is_empty = False
         self._log.log(update.moment())
 
     def close(self) -> None:
-        """Complete the file, without scans there is none; or close the viewer."""
+        """Complete the file; without scans there is none."""
+        self._log.close()
+        if self._is_empty:
+            temporary_for(self._path).unlink(missing_ok=True)
+        else:
+            commit(temporary_for(self._path), self._path)
+
+
+class RerunWindowOutput(Output):
+    """Rerun's viewer in a window, which listens on a free port of 127.0.0.1.
+
+    Raises
+    ------
+    MissingExtraError
+        rerun-sdk is not installed.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("rerun, window")
+        self._log, self._stack = _new_log(), ExitStack()
+        port = free_port()
+        arguments = ["--port", str(port), "--memory-limit", VIEWER_MEMORY,
+                     "--server-memory-limit", VIEWER_MEMORY]  # fmt: skip
+        self._stack.enter_context(rerun_process(arguments))
+        self._log.stream.connect_grpc(f"rerun+http://{LOCAL}:{port}/proxy")
+        self._log.begin()
+
+    def publish(self, update: Update) -> None:
+        """Show the scan and the objects."""
+        self._log.log(update.moment())
+
+    def close(self) -> None:
+        """Close the viewer."""
         self._log.close()
         self._stack.close()
-        if self._path is not None and self._is_empty:
-            temporary_for(self._path).unlink(missing_ok=True)
-        elif self._path is not None:
-            commit(temporary_for(self._path), self._path)
+
+
+class RerunPageOutput(Output):
+    """Rerun's viewer in the browser, from a server of its own on 127.0.0.1.
+
+    Parameters
+    ----------
+    port : int
+        Of the page; 0 takes a free one.
+
+    Raises
+    ------
+    LinkError
+        The port is in use.
+    MissingExtraError
+        rerun-sdk is not installed.
+    """
+
+    def __init__(self, port: int) -> None:
+        self._log = _new_log()
+        self._blocks = self._log.stream.binary_stream()
+        self._log.begin()
+        self._log.follow()
+        self._feed = LiveFeed(self._taken(), max_bytes=PAGE_MEMORY_BYTES)
+        self._page = RerunPage(self._feed.blocks, port=port, option="rerun:web:")
+        super().__init__(self._page.address)
+
+    def publish(self, update: Update) -> None:
+        """Show the scan and the objects."""
+        self._log.log(update.moment())
+        self._feed.add(self._taken())
+
+    def close(self) -> None:
+        """End the page's stream and its server."""
+        self._feed.end()
+        self._page.close()
+        self._log.close()
+
+    def _taken(self) -> bytes:
+        """What was logged since the last call, as whole messages."""
+        return bytes(self._blocks.read(flush=True) or b"")
+
+
+def _new_log() -> RerunLog:
+    return RerunLog(f"lidar-core live {datetime.now(UTC).isoformat()}")

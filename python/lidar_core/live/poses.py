@@ -6,6 +6,7 @@ import numpy as np
 
 from lidar_core.errors import ConfigError
 from lidar_core.io import NoTransformError, PosedScan, PoseOptions, TransformBuffer
+from lidar_core.io.nameless import carrier_of
 from lidar_core.io.posed import WORLD_FRAME, ScanT, pose_stamps, span_ns
 from lidar_core.io.recording import Topic
 from lidar_core.io.ros_messages import POSE_TYPES
@@ -50,18 +51,30 @@ class LivePoses:
         self._transforms = self._buffer()
         self._odometry: dict[str, TransformBuffer] = {}
         self._static: dict[tuple[str, str], Pose] = {}
+        self._carriers: dict[str, str] = {}
         self._chosen: tuple[TransformBuffer, str] | None = None
         self.fixed_frame = options.fixed_frame or WORLD_FRAME
         self.dropped: Counter[str] = Counter()
 
     def add(self, topic: Topic, pose: Pose, carried_frame: str) -> None:
-        """Take in one pose; one without child frame is that of `carried_frame`."""
+        """Take in one pose; one without child frame is of what carries `carried_frame`.
+
+        Raises
+        ------
+        ConfigError
+            Several frames carry it, and nothing says which of them is meant.
+        """
         if topic.type in POSE_TYPES or topic.name == self._options.odom:
             self._add_odometry(topic.name, pose, carried_frame)
             return
         is_kept = self._add_to(self._transforms, topic.name, pose)
         if pose.is_static and is_kept:
+            is_new = (pose.frame_id, pose.child_frame_id) not in self._static
             self._static[pose.frame_id, pose.child_frame_id] = pose
+            if is_new and self._chosen is None:
+                for name in self._carriers:  # what carries the sensor may be another frame now
+                    self._odometry.pop(name, None)
+                self._carriers.clear()
             for buffer in self._odometry.values():
                 self._add_to(buffer, topic.name, pose)
 
@@ -147,10 +160,18 @@ class LivePoses:
             self._odometry[topic] = self._buffer()
             for fixed in self._static.values():
                 self._odometry[topic].add(fixed)
-        parents = {item.child_frame_id: item.frame_id for item in self._mountings}
-        child = pose.child_frame_id or parents.get(carried_frame, carried_frame)
+        child = pose.child_frame_id or self._carrier(topic, pose, carried_frame)
         carried = Pose(pose.stamp_ns, pose.frame_id, child, pose.matrix)
         self._add_to(self._odometry[topic], topic, carried)
+
+    def _carrier(self, topic: str, pose: Pose, frame: str) -> str:
+        """Frame of a pose that names none; kept, so that all of its topic are of one frame."""
+        if not frame:  # no scan yet
+            return frame
+        if topic not in self._carriers:
+            known, stated = self._static.values(), self._mountings
+            self._carriers[topic] = carrier_of(frame, [pose], known, stated, topic)
+        return self._carriers[topic]
 
     def _add_to(self, buffer: TransformBuffer, topic: str, pose: Pose) -> bool:
         """Add a pose, unless it is of one pair of frames more than are kept."""

@@ -67,6 +67,11 @@ class ReplaySource(Source):
             self._thread.join()
         self._recording.close()
 
+    @property
+    def is_stream(self) -> bool:
+        """No: what a recording holds was checked before."""
+        return False
+
     def lead_ns(self, stamp_ns: int) -> int:
         """From the time of the recording to the time at which it is played [ns]."""
         return self._begin_ns + round((stamp_ns - self._first_ns) / self._rate) - stamp_ns

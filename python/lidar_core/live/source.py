@@ -61,6 +61,20 @@ class Source(ABC):
         """What it waits for, in words; empty while connected."""
         return ""
 
+    def advertised(self) -> list[str]:
+        """What is there to listen to, each with its type; empty where nobody tells."""
+        return []
+
+    @property
+    def is_linked(self) -> bool:
+        """Whether the broker or server is there."""
+        return True
+
+    @property
+    def is_stream(self) -> bool:
+        """Whether nothing may ever come, because nobody knows beforehand what will."""
+        return True
+
     def lead_ns(self, stamp_ns: int) -> int:
         """What has to be added to a stamp to get the time at which it was due here [ns]."""
         del stamp_ns  # stamps of live sources are times of this clock

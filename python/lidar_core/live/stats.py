@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 KEPT = 100_000  # latencies of a long run that count; older ones go
+LONGEST_WAY_MS, CLOCK_SLACK_MS = 10_000.0, 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,6 +16,26 @@ class Delay:
 
     median: float
     p95: float
+
+
+def clock_difference_ms(from_stamp: Delay | None, from_arrival: Delay | None) -> float | None:
+    """How much later this clock is than that of the stamps [ms]; None where both may agree.
+
+    No network takes `LONGEST_WAY_MS` from a stamp to the arrival, and none takes less than no time.
+    """
+    if from_stamp is None or from_arrival is None:
+        return None
+    way_ms = from_stamp.median - from_arrival.median
+    return None if -CLOCK_SLACK_MS <= way_ms <= LONGEST_WAY_MS else way_ms
+
+
+def told_difference(difference_ms: float) -> str:
+    """A difference of clocks for people, in the unit that suits it."""
+    seconds = abs(difference_ms) * 1e-3
+    for unit, size in (("days", 86_400.0), ("h", 3600.0), ("min", 60.0), ("s", 1.0)):
+        if seconds >= 2 * size:
+            return f"clocks differ by {seconds / size:.1f} {unit}"
+    return f"clocks differ by {seconds * 1e3:.0f} ms"
 
 
 class LatencyLog:
@@ -79,6 +100,9 @@ class LiveStats:
     def summary(self) -> dict[str, Any]:
         """Everything, as plain values."""
         delays = {"from_stamp": self.from_stamp.total(), "from_arrival": self.from_arrival.total()}
+        difference = clock_difference_ms(delays["from_stamp"], delays["from_arrival"])
+        if difference is not None:
+            delays["from_stamp"] = None
         return {
             "processed": self.processed,
             "dropped": dict(self.dropped),
@@ -89,6 +113,7 @@ class LiveStats:
                 name: None if delay is None else {"median": delay.median, "p95": delay.p95}
                 for name, delay in delays.items()
             },
+            "clocks_differ_ms": difference,
         }
 
 

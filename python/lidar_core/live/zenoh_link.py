@@ -55,6 +55,37 @@ def topic_of(key: str) -> RosKey | None:
     return RosKey("/" + "/".join(parts[1:-2]), f"{package}/msg/{name.removesuffix('_')}")
 
 
+def topic_of_token(token: str) -> str | None:
+    """Publisher that a token of the ROS graph tells of, for people; None for other tokens.
+
+    Of rmw_zenoh: @ros2_lv/DOMAIN/../MP/../NODE/%topic/type/hash/qos; of zenoh-bridge-ros2dds:
+    @/ID/@ros2_lv/MP/topic/type/qos, with a paragraph sign for every slash.
+
+    Examples
+    --------
+    >>> topic_of_token("@ros2_lv/7/a/0/1/MP/%/%/n/%scan/sensor_msgs::msg::dds_::LaserScan_/h/q")
+    '/scan (sensor_msgs/msg/LaserScan), domain 7'
+    >>> topic_of_token("@/a1/@ros2_lv/MP/scan/sensor_msgs\u00a7msg\u00a7LaserScan/q")
+    '/scan (sensor_msgs/msg/LaserScan)'
+    """
+    parts = token.split("/")
+    if parts[0] == "@ros2_lv" and len(parts) >= 11 and parts[5] == "MP":
+        found = topic_of(f"0/{parts[9].strip('%').replace('%', '/')}/{parts[10]}/-")
+        return None if found is None else f"{found.topic} ({found.type}), domain {parts[1]}"
+    if parts[2:4] == ["@ros2_lv", "MP"] and len(parts) >= 6:
+        name, type_name = (part.replace("\u00a7", "/") for part in parts[4:6])
+        return f"/{name} ({type_name})"
+    return None
+
+
+def told_of_key(key: str) -> str:
+    """A key that something is published at, for people: topic, type and domain, or as it is."""
+    found = topic_of(key)
+    if found is None:
+        return f"/{key} (no type in its key)"
+    return f"{found.topic} ({found.type}), domain {key.partition('/')[0]}"
+
+
 def open_session(endpoint: str, *, timeout: float) -> Any:
     """Session that is linked to `endpoint`, and links again by itself when that comes back.
 

@@ -20,8 +20,18 @@ from lidar_core.io.ros_messages import (
 from lidar_core.live.config import LiveConfig
 from lidar_core.live.inbox import Inbox
 from lidar_core.live.source import Source, StreamTopics
-from lidar_core.live.zenoh_link import is_linked, key_of, open_session, topic_of
+from lidar_core.live.zenoh_link import (
+    is_linked,
+    key_of,
+    open_session,
+    told_of_key,
+    topic_of,
+    topic_of_token,
+)
 
+GRAPH = ("@ros2_lv/**", "@/*/@ros2_lv/**")  # tokens of rmw_zenoh, of zenoh-bridge-ros2dds
+LISTEN_S, ANSWER_S = 0.7, 0.3
+MAX_KEYS = 1000
 TRANSFORMS, ODOMETRY = TRANSFORM_TYPES[:1], POSE_TYPES[:1]
 
 
@@ -72,8 +82,37 @@ class ZenohSource(Source):
 
     def trouble(self) -> str:
         """Whether the link is there."""
-        linked = self._session is not None and is_linked(self._session)
-        return "" if linked else f"no link to {self._endpoint}, trying again"
+        return "" if self.is_linked else f"no link to {self._endpoint}, trying again"
+
+    @property
+    def is_linked(self) -> bool:
+        """Whether any router or peer is there."""
+        return self._session is not None and is_linked(self._session)
+
+    def advertised(self) -> list[str]:
+        """Publishers that the ROS graph knows, and keys at which something comes meanwhile.
+
+        Those who announce nothing are found by their messages: all of them are asked for during
+        `LISTEN_S`.
+        """
+        if self._session is None:
+            return []
+        keys: set[str] = set()
+
+        def note(sample: Any) -> None:
+            if len(keys) < MAX_KEYS:
+                keys.add(str(sample.key_expr))
+
+        with suppress(Exception):  # what a broken link tells is nothing
+            listening = self._session.declare_subscriber("**", note)
+            answers = [reply for place in GRAPH for reply in
+                       self._session.liveliness().get(place, timeout=ANSWER_S)]  # fmt: skip
+            time.sleep(LISTEN_S)
+            listening.undeclare()
+            tokens = [topic_of_token(str(answer.ok.key_expr)) for answer in answers if answer.ok]
+            found = {token for token in tokens if token is not None}
+            return sorted(found | {told_of_key(key) for key in keys})
+        return []
 
     def _keys(self) -> Iterator[tuple[str, bool]]:
         """Keys to subscribe to, and whether what was published before is wanted as well."""

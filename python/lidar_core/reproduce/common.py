@@ -12,8 +12,10 @@ if TYPE_CHECKING:
 MODES = ("paper", "best")
 KINDS: tuple[Kind, Kind] = ("detections", "tracks")
 BLUE, RED, GREY, PALE = "#0369a1", "#be185d", "#9aa5b1", "#d5dae1"
-COLOURS = {"paper": RED, "best": BLUE}
+COLOURS = {"paper": RED, "corrected": GREY, "best": BLUE}
 """Colour of each mode."""
+TITLES = {"paper": "paper mode", "corrected": "equations corrected", "best": "best mode"}
+"""What pictures call it."""
 GATE = 2.0
 """Estimates further from every target are false: simulated and real flights alike [m]."""
 

@@ -16,25 +16,28 @@ EKF = "EKF-CTRV"
 BEST = "IMM of CV and CTRV"
 
 
-def published() -> dict[str, Contender]:
-    """Fixed noise, process noise constant over a step, no gate, no way back for a lost filter."""
-    common = {
-        "process": "discrete", "acceleration_noise": 5.0, "turn_noise": 3.0,
-        "gate_probability": None, "loss_ratio": None,
-    }  # fmt: skip
-
-    def filter_of(model: str, method: str) -> FusionConfig:
-        return FusionConfig.load({"model": model, "method": method, **common})
-
+def printed() -> dict[str, Contender]:
+    """What the paper runs: linear filters, and its own with the equations as printed."""
     return {
-        LINEAR_LIDAR: Contender("fixed-lidar", filter_of("cv", "kf"), FIXED),
-        LINEAR: Contender("fixed", filter_of("cv", "kf"), FIXED),
-        "EKF-CV": Contender("fixed", filter_of("cv", "ekf"), FIXED),
-        EKF: Contender("fixed", filter_of("ctrv", "ekf"), FIXED),
-        "UKF-CTRV": Contender("fixed", filter_of("ctrv", "ukf"), FIXED),
-        "CKF-CTRV": Contender("fixed", filter_of("ctrv", "ckf"), FIXED),
-        "equations as printed": Contender("fixed", FusionConfig.paper(), FIXED),
+        LINEAR_LIDAR: Contender("fixed-lidar", _of_courses("cv", "kf"), FIXED),
+        LINEAR: Contender("fixed", _of_courses("cv", "kf"), FIXED),
+        EKF: Contender("fixed", FusionConfig.paper(), FIXED),
     }
+
+
+def corrected() -> dict[str, Contender]:
+    """The paper's filter with correct equations, and others in its place; noise as in `printed`."""
+    ways = {"EKF-CV": ("cv", "ekf"), EKF: ("ctrv", "ekf"), "UKF-CTRV": ("ctrv", "ukf"),
+            "CKF-CTRV": ("ctrv", "ckf")}  # fmt: skip
+    return {name: Contender("fixed", _of_courses(*way), FIXED) for name, way in ways.items()}
+
+
+def _of_courses(model: str, method: str) -> FusionConfig:
+    """Process noise constant over a step, no gate, no way back for a lost filter."""
+    return FusionConfig.load({
+        "model": model, "method": method, "process": "discrete", "acceleration_noise": 5.0,
+        "turn_noise": 3.0, "gate_probability": None, "loss_ratio": None,
+    })  # fmt: skip
 
 
 def ours() -> dict[str, Contender]:

@@ -170,7 +170,7 @@ def _rows(found: Found) -> list[Row]:
             values = {who: float(error[axis]) for who, error in errors.items()}
             at = f"RMSE of {name}@{_name(motion)}"
             rows.append(Row(at, "m", None, values[PRINTED], values[BEST]))
-            rows.append(Row(f"{at}, {IGNORED}", "m", None, values[IGNORED], None))
+            rows.append(Row(f"{at}, {IGNORED}", "m", equations_corrected=values[IGNORED]))
             rows += [Row(f"{at}, {who}", "m", None, None, values[who])
                      for who in ("gyro measured", "no gyro")]  # fmt: skip
     rest = {who: np.hypot(*error) for who, error in found[MOTIONS[0]].items()}

@@ -3,7 +3,7 @@
 from typing import Any
 
 from lidar_core.reproduce.common import BLUE, GREY, RED
-from lidar_core.reproduce.contenders import LINEAR, LINEAR_LIDAR, ours, published
+from lidar_core.reproduce.contenders import LINEAR, LINEAR_LIDAR, ours, printed
 from lidar_core.reproduce.fusion_fig10 import Curves, rows_of, sweep
 from lidar_core.reproduce.laser_radar import LEVELS, SAMPLE_1, course
 from lidar_core.reproduce.types import Item, Request, Result
@@ -13,7 +13,7 @@ NAMES = (LINEAR, LINEAR_LIDAR)
 
 def _run(request: Request) -> Result:
     of = course(SAMPLE_1)
-    filters = [{name: some[name] for name in NAMES} for some in (published(), ours())]
+    filters = [{name: some[name] for name in NAMES} for some in (printed(), ours())]
     paper, best = (sweep(of, some, request) for some in filters)
     return Result(
         rows=tuple(rows_of(paper, best)),

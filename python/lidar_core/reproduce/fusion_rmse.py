@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from lidar_core.fusion import FusionConfig, PublishedModel, Run, fit_noise, run_batch, smooth
-from lidar_core.reproduce.common import COLOURS
+from lidar_core.reproduce.common import COLOURS, TITLES
 from lidar_core.reproduce.contenders import (
     BEST,
     EKF,
@@ -14,8 +14,9 @@ from lidar_core.reproduce.contenders import (
     LINEAR,
     LINEAR_LIDAR,
     SAMPLE_1_NOISE,
+    corrected,
     ours,
-    published,
+    printed,
 )  # fmt: skip
 from lidar_core.reproduce.laser_radar import (
     LEVELS,
@@ -50,42 +51,56 @@ MONTE_CARLO = 100
 def _run(request: Request) -> Result:
     of, std = course(SAMPLE_1), power_std(PAPER_LEVEL)
     draws = draws_of(of, PAPER_LEVEL, request.scans, seed=request.seed)
-    theirs, better = _contenders()
+    modes = _contenders()
 
     def scored(some: Mapping[str, Contender]) -> dict[str, float]:
         return {name: plane(one.rmse(of, draws, std, threads=request.threads))
                 for name, one in some.items()}  # fmt: skip
 
-    paper, best = scored(theirs), scored(better)
-    rows = [Row(f"2-D RMSE, {name}", "m", PAPER.get(name), paper.get(name), best.get(name))
-            for name in {**paper, **best}]  # fmt: skip
+    found = {mode: scored(some) for mode, some in modes.items()}
+    paper, right, best = found.values()
+    rows = [Row(f"2-D RMSE, {name}", "m", PAPER.get(name), paper.get(name), best.get(name),
+                right.get(name))
+            for name in _names(found)]  # fmt: skip
     request.advance(request.scans)
     rows += _lost(of, request)
     rows += _clean(of)
     rows += _anew(request)
     return Result(
         rows=tuple(rows),
-        draw=lambda figure: _draw(figure, paper, best),
+        draw=lambda figure: _draw(figure, found),
         scans=request.scans,
         note=f"White noise of {PAPER_LEVEL:g} dBW on x and y of sample-1, which is where the"
         " paper's errors can be matched; the paper does not say how much noise it means. Its"
-        " matrices as printed do not get there: corrected equations do. Best mode knows the noise.",
-        config={f"{mode} {name}": one.config for mode, some in
-                (("paper", theirs), ("best", better)) for name, one in some.items()},
+        " matrices as printed (paper mode) do not get there: corrected equations do. Best mode"
+        " knows the noise.",
+        config={f"{mode} {name}": one.config for mode, some in modes.items()
+                for name, one in some.items()},
     )  # fmt: skip
 
 
-def _contenders() -> tuple[dict[str, Contender], dict[str, Contender]]:
-    """Those of the paper, with every reading of its equations, and ours."""
-    names = (LINEAR_LIDAR, LINEAR, "EKF-CV", EKF)
-    theirs = {name: published()[name] for name in names}
+def _names(found: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Every filter once: those that have a best mode first, then the readings of the paper."""
+    everybody = [name for some in found.values() for name in some]
+    known = [name for name in ours() if name in everybody]
+    return list(dict.fromkeys([*known, *everybody]))
+
+
+def _contenders() -> dict[str, dict[str, Contender]]:
+    """By mode: the paper's, with every reading of its equations; corrected ones; ours."""
+    theirs = printed()
     for reading in ("a", "b", "d"):  # c is told the truth, which noise on a file does not bring
         for alpha in ("literal", "fixed"):
             options = PublishedModel.load({"reading": reading, "alpha": alpha})
             config = FusionConfig.paper().model_copy(update={"published": options})
             name = f"as printed, reading {reading}, alpha {alpha}"
             theirs[name] = Contender("fixed", config, FIXED)
-    return theirs, {name: ours()[name] for name in (*names, BEST)}
+    names = ("EKF-CV", EKF)
+    return {
+        "paper": theirs,
+        "corrected": {name: corrected()[name] for name in names},
+        "best": {name: ours()[name] for name in (LINEAR_LIDAR, LINEAR, *names, BEST)},
+    }
 
 
 def _lost(of: Course, request: Request) -> list[Row]:
@@ -179,18 +194,19 @@ def _of_runs(runs: Sequence[Run], of: Course) -> list[Row]:
     return rows
 
 
-def _draw(figure: Any, paper: Mapping[str, float], best: Mapping[str, float]) -> None:
-    """Errors in the plane, a bar per filter."""
+def _draw(figure: Any, found: Mapping[str, Mapping[str, float]]) -> None:
+    """Errors in the plane, a bar per filter and mode."""
     panel = figure.subplots()
     figure.suptitle(f"Noise of {PAPER_LEVEL:g} dBW", x=0.06, ha="left", fontweight="bold")
-    for offset, (mode, found) in enumerate((("paper", paper), ("best", best))):
-        spots = np.arange(len({**paper, **best})) + 0.4 * offset
-        heights: Sequence[float] = [found.get(name, 0.0) for name in {**paper, **best}]
-        panel.barh(spots, heights, height=0.4, color=COLOURS[mode], label=f"{mode} mode")
+    names = _names(found)
+    for offset, (mode, some) in enumerate(found.items()):
+        spots = np.arange(len(names)) + 0.27 * offset
+        heights: Sequence[float] = [some.get(name, 0.0) for name in names]
+        panel.barh(spots, heights, height=0.27, color=COLOURS[mode], label=TITLES[mode])
     for name, value in PAPER.items():
         panel.axvline(value, color="black", ls=":", lw=1, label=f"{name}, paper")
-    names = [name.replace("as printed, reading ", "printed ") for name in {**paper, **best}]
-    panel.set_yticks(np.arange(len(names)) + 0.2, names, fontsize=8)
+    short = [name.replace("as printed, reading ", "printed ") for name in names]
+    panel.set_yticks(np.arange(len(names)) + 0.27, short, fontsize=8)
     panel.invert_yaxis()
     panel.set(xlabel="RMSE in the plane [m]", xscale="log", xlim=(0.1, 5))
     panel.legend()

@@ -12,9 +12,11 @@ Draw: TypeAlias = Callable[[Any], None]
 
 
 class Row(NamedTuple):
-    """One number, as the paper has it and as both modes give it; None where it is not known.
+    """One number, as the paper has it and as the modes give it; None where it is not known.
 
-    A curve is one row per point: `recall@10m`.
+    `paper_mode` is the algorithm as printed. `equations_corrected` is the same algorithm where
+    its printed equations contradict each other and somebody put them right; most items have no
+    such column. A curve is one row per point: `recall@10m`.
     """
 
     name: str
@@ -22,6 +24,20 @@ class Row(NamedTuple):
     paper: float | None = None
     paper_mode: float | None = None
     best_mode: float | None = None
+    equations_corrected: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """As `--json` writes it: from what the paper says to what the package does."""
+        return {name: getattr(self, name) for name in ("name", "unit", *COLUMNS)}
+
+
+COLUMNS = {
+    "paper": "paper",
+    "paper_mode": "paper mode",
+    "equations_corrected": "equations corrected",
+    "best_mode": "best mode",
+}
+"""Columns of numbers as `--json` calls them, and as a table does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +95,7 @@ class Result:
 
     def to_dict(self, *, item: str, seed: int, command: str) -> dict[str, Any]:
         """As `--json` writes it."""
-        rows = [row._asdict() for row in self.rows]
+        rows = [row.to_dict() for row in self.rows]
         return {"item": item, "seed": seed, "command": command, "rows": rows}
 
 

@@ -11,6 +11,8 @@ import numpy as np
 import tomli_w
 
 from lidar_core._core import __version__
+from lidar_core.io.atomic import written_whole
+from lidar_core.io.sole import sole_writer
 from lidar_core.io.writing import writer_of
 from lidar_core.messages import Message, Pose
 from lidar_core.sim.config import Scene
@@ -78,7 +80,8 @@ def record(
 ) -> Recorded:
     """Simulate `scene` into the recording `path`.
 
-    Beside it: NAME.truth.csv, NAME.scene.toml, NAME.run.toml.
+    Beside it: NAME.truth.csv, NAME.scene.toml, NAME.run.toml, all of one run: nobody else may
+    write there meanwhile.
 
     Parameters
     ----------
@@ -93,10 +96,23 @@ def record(
     ------
     ConfigError
         Another ending, or as for `Simulator`.
+    FileExistsError
+        Another process or thread is writing a simulation there.
     """
     path = Path(path)
     write = writer_of(path)
     simulator = Simulator(scene, seed=seed, scans=scans, threads=threads)
+    with sole_writer(path):
+        return _recorded(scene, path, write, simulator, on_scan)
+
+
+def _recorded(
+    scene: Scene,
+    path: Path,
+    write: Callable[[Path, Iterable[Message]], object],
+    simulator: Simulator,
+    on_scan: Callable[[Made], None],
+) -> Recorded:
     rows: list[tuple[Any, ...]] = []
     points = 0
     is_planar = isinstance(scene.lidar.pattern, Planar)
@@ -115,11 +131,15 @@ def record(
     truth, scene_file, run = (
         path.with_suffix(f".{name}") for name in ("truth.csv", "scene.toml", "run.toml")
     )
-    with truth.open("w", newline="", encoding="utf-8") as file:
+    with (
+        written_whole(truth) as temporary,
+        temporary.open("w", newline="", encoding="utf-8") as file,
+    ):
         csv.writer(file).writerows([columns, *rows])
     effective = scene.model_copy(update={"scans": simulator.scans})
-    scene_file.write_text(effective.to_toml())
-    run.write_text(_run(path, simulator))
+    for file_path, text in ((scene_file, effective.to_toml()), (run, _run(path, simulator))):
+        with written_whole(file_path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     hits = sum(row[columns.index("hits")] for row in rows)
     return Recorded(path, truth, scene_file, run, simulator.scans, points, hits)
 

@@ -1,15 +1,9 @@
-"""A run for the rerun viewer: as a file, and shown in a window or in the browser."""
+"""A run for the rerun viewer: as a file, and shown in a window."""
 
-import os
-import signal
-import subprocess
-import sys
-import tempfile
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +11,8 @@ from numpy.typing import NDArray
 from lidar_core.extras import require
 from lidar_core.io.atomic import check_place, written_whole
 from lidar_core.viz.playback import Moment, Objects, Playback
+from lidar_core.viz.rerun_process import PURPOSE, free_port, rerun_process
 
-PURPOSE = "the rerun viewer"
 CLASS_COLOURS = np.array(
     [[140, 150, 160], [140, 150, 160], [225, 60, 40], [230, 180, 60]], np.uint8
 )
@@ -29,8 +23,6 @@ SEEN_COLOUR, HIDDEN_COLOUR = (20, 160, 145), (130, 150, 150)
 SIGMAS = 2.0
 TRAIL = 50  # positions of an object that stay in view
 POINT_RADIUS, VOXEL_RADIUS = 0.02, 0.05
-LOCAL = "127.0.0.1"
-Where: TypeAlias = Literal["window", "web"]
 
 
 class RerunLog:
@@ -65,6 +57,13 @@ class RerunLog:
     def begin(self) -> None:
         """Say which way is up; to be called once the stream is connected."""
         self.stream.log("world", self._rr.ViewCoordinates.FLU, static=True)
+
+    def follow(self) -> None:
+        """Have viewers show the newest time, as long as nobody chooses another one."""
+        views = require("rerun.blueprint", extra="rerun", purpose=PURPOSE)
+        panel = views.TimePanel(timeline="time", play_state="following")
+        blueprint = views.Blueprint(panel, auto_layout=True, auto_views=True)
+        self._rr.send_blueprint(blueprint, recording=self.stream)
 
     def log(self, moment: Moment) -> None:
         """Show one time of a run."""
@@ -148,66 +147,19 @@ def write_rerun(run: Playback, path: str | Path) -> Path:
     return place
 
 
-def show_rerun(recording: str | Path, *, where: Where, port: int | None = None) -> int:
-    """Open rerun's viewer on a recording and wait until it is closed; returns its exit status.
+def show_window(recording: str | Path) -> int:
+    """Open rerun's window on a recording and wait until it is closed; returns its exit status.
 
     Parameters
     ----------
     recording : str or Path
         As `write_rerun` wrote it.
-    where : str
-        window, or web: served for a browser.
-    port : int, optional
-        Of the page; without it rerun's own, 9090.
     """
-    with rerun_viewer([str(recording), "--port", "auto"], where=where, port=port) as process:
+    with rerun_process([str(recording), "--port", str(free_port())]) as process:
         try:
             return process.wait()
         except KeyboardInterrupt:
             return 0
-
-
-@contextmanager
-def rerun_viewer(
-    arguments: Sequence[str], *, where: Where, port: int | None = None
-) -> "Iterator[subprocess.Popen[bytes]]":
-    """Rerun's viewer as a process that ends with the `with` block.
-
-    It listens on 127.0.0.1 alone and collects no usage data: its settings are those of an empty
-    folder in which that was switched off, not the user's.
-    """
-    require("rerun", extra="rerun", purpose=PURPOSE)
-    viewer = [sys.executable, "-m", "rerun"]
-    with tempfile.TemporaryDirectory(prefix="lidar-core-rerun-") as settings:
-        surroundings = {**os.environ, "XDG_CONFIG_HOME": settings, "XDG_DATA_HOME": settings}
-        subprocess.run([*viewer, "analytics", "disable"], env=surroundings, check=True,
-                       capture_output=True)  # fmt: skip
-        options = ["--bind", LOCAL, *arguments]
-        if where == "web":
-            options += ["--web-viewer"] if _has_display() else ["--serve-web"]
-            options += ["--web-viewer-port", str(port)] if port is not None else []
-        process = subprocess.Popen([*viewer, *options], env=surroundings, start_new_session=True)
-        try:
-            yield process
-        finally:
-            if process.poll() is None:
-                _end(process)
-
-
-def _end(process: "subprocess.Popen[bytes]") -> None:
-    """End the viewer, which is a child of the process that rerun's package starts."""
-    if os.name == "posix":
-        os.killpg(process.pid, signal.SIGTERM)
-    else:
-        process.terminate()
-    process.wait()
-
-
-def _has_display() -> bool:
-    on_server = sys.platform.startswith("linux") and not (
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    )
-    return not on_server
 
 
 def _log_motion(

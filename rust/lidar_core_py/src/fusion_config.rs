@@ -53,6 +53,8 @@ struct PublishedModel {
     reading: String,
     alpha: String,
     prediction: String,
+    straight_y: String,
+    platform_column: String,
     speed: f64,
     elevation: f64,
 }
@@ -68,7 +70,9 @@ const MODELS: [(&str, Model); 6] = [
 const READINGS: [(&str, Reading); 4] =
     [("a", Reading::A), ("b", Reading::B), ("c", Reading::C), ("d", Reading::D)];
 const POINTS: [(&str, bool); 2] = [("redrawn", false), ("carried", true)];
-const ALPHAS: [(&str, bool); 2] = [("literal", false), ("fixed", true)];
+/// What is printed, or what is meant.
+const FIXES: [(&str, bool); 2] = [("literal", false), ("fixed", true)];
+const COLUMNS: [(&str, bool); 2] = [("literal", false), ("zero", true)];
 const PREDICTIONS: [(&str, bool); 2] = [("motion", false), ("matrix", true)];
 const FORMS: [(&str, NoiseForm); 2] =
     [("continuous", NoiseForm::Continuous), ("discrete", NoiseForm::Discrete)];
@@ -110,8 +114,14 @@ impl FusionConfig {
         }
         Ok(Model::Paper(Paper {
             reading: choice("published.reading", &self.published.reading, &READINGS)?,
-            fixed_alpha: choice("published.alpha", &self.published.alpha, &ALPHAS)?,
+            fixed_alpha: choice("published.alpha", &self.published.alpha, &FIXES)?,
             by_matrix: choice("published.prediction", &self.published.prediction, &PREDICTIONS)?,
+            fixed_straight_y: choice("published.straight_y", &self.published.straight_y, &FIXES)?,
+            zero_platform_column: choice(
+                "published.platform_column",
+                &self.published.platform_column,
+                &COLUMNS,
+            )?,
             speed: self.published.speed,
             elevation: self.published.elevation,
             std: [0.0; 3], // those of the strengths

@@ -22,8 +22,11 @@ impl VoxelMap {
     /// Write the map to `path`: the file is either the old or the new one, never a torn one.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// [`Error::Io`]; [`Error::Format`] where a pipe or a device is, whose place it would take.
     pub fn save(&self, path: &Path) -> Result<(), Error> {
+        if path.exists() {
+            check_regular(path)?;
+        }
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
         let folder = folder.unwrap_or_else(|| Path::new("."));
         let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -42,6 +45,7 @@ impl VoxelMap {
     /// # Errors
     /// [`Error::Io`], [`Error::Format`] with the byte offset, [`Error::Limit`], [`Error::Parameter`].
     pub fn load(path: &Path, threads: usize) -> Result<Self, Error> {
+        check_regular(path)?;
         let file = File::open(path)?;
         let size = file.metadata()?.len();
         if size > MAX_BYTES {
@@ -229,6 +233,16 @@ impl Reader<'_> {
         }
         Ok(())
     }
+}
+
+/// Refuse pipes and devices: the first block their readers, the second may never end.
+fn check_regular(path: &Path) -> Result<(), Error> {
+    let kind = fs::metadata(path)?.file_type();
+    if kind.is_file() || kind.is_dir() {
+        return Ok(()); // of a folder the system says so by itself
+    }
+    let text = format!("{}: expected a regular file, got a pipe or a device", path.display());
+    Err(format_error(0, &text))
 }
 
 fn format_error(offset: usize, what: &str) -> Error {

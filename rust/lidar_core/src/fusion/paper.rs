@@ -45,6 +45,11 @@ pub struct Paper {
     pub fixed_alpha: bool,
     /// Whether states are predicted by Phi, eq. 15, instead of eqs 8 and 9.
     pub by_matrix: bool,
+    /// Whether y of eq. 9 loses v_dy, as in eq. 8, instead of v_dx, as printed.
+    pub fixed_straight_y: bool,
+    /// Whether the column of w_d in eqs 18 and 19 is zero, as eq. 16 makes it of eqs 8 and 9, in
+    /// which w_d does not occur, instead of what is printed.
+    pub zero_platform_column: bool,
     /// Speed of the platform, V0 of eq. 7 [m/s].
     pub speed: f64,
     /// Elevation phi of the platform over the target [rad].
@@ -65,7 +70,8 @@ impl Paper {
         let v_dy = self.speed * cos_phi * sine;
         let own = [v_dx * cosine * cos_phi * dt, v_dy * cosine * sin_phi * dt];
         if w.abs() < STRAIGHT {
-            let own_y = v_dy * sine * sin_phi * dt; // eq. 9
+            let v_d = if self.fixed_straight_y { v_dy } else { v_dx }; // eq. 9
+            let own_y = v_d * cosine * sin_phi * dt;
             return Vector6::new(
                 x + v * cosine * dt - own[0],
                 y + v * sine * dt - own_y,
@@ -88,7 +94,9 @@ impl Paper {
         let (sin_phi, cos_phi) = libm::sincos(self.elevation);
         let own = [-self.speed * sine * cos_phi, self.speed * cosine * sin_phi];
         let mut Phi = Matrix6::identity();
-        (Phi[(0, 5)], Phi[(1, 5)]) = (own[0], own[1]);
+        if !self.zero_platform_column {
+            (Phi[(0, 5)], Phi[(1, 5)]) = (own[0], own[1]);
+        }
         if w.abs() < STRAIGHT {
             (Phi[(0, 2)], Phi[(1, 2)]) = (cosine * dt, sine * dt);
             (Phi[(0, 3)], Phi[(1, 3)]) = (-v * sine * dt, v * cosine * dt);
@@ -274,6 +282,8 @@ mod tests {
             reading: Reading::A,
             fixed_alpha,
             by_matrix: false,
+            fixed_straight_y: false,
+            zero_platform_column: false,
             speed: 0.0,
             elevation: 0.0,
             std: [3.0, 2.0, 0.5],
@@ -290,6 +300,32 @@ mod tests {
         assert!((Phi[(0, 4)] + 3660.0).abs() < 5.0);
         let Phi = paper(true).matrix(&s, 0.05);
         assert!((Phi[(0, 2)] - 0.0382).abs() < 5e-5);
+    }
+
+    /// V0 = 2 m/s, theta = 0.7, phi = 0.3: v_dx and v_dy by eq. 7, and what eq. 9 makes of them.
+    #[test]
+    fn equation_9_takes_v_dx_from_y_as_printed_and_v_dy_as_an_option() {
+        let s = Vector6::new(1.0, 2.0, 0.0, 0.7, 0.0, 0.0);
+        let moving = Paper { speed: 2.0, elevation: 0.3, ..paper(false) };
+        let (v_dx, v_dy) = (1.461363, 1.230889);
+        let way = 0.764842 * 0.295520 * 0.05; // cos(theta) sin(phi) dt
+        assert!((moving.moved(&s, 0.05)[1] - (2.0 - v_dx * way)).abs() < 1e-6);
+        let meant = Paper { fixed_straight_y: true, ..moving };
+        assert!((meant.moved(&s, 0.05)[1] - (2.0 - v_dy * way)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_column_of_the_platform_is_what_is_printed_or_zero() {
+        let s = Vector6::new(1.0, 2.0, 1.4, 0.7, 0.1, 0.2);
+        let moving = Paper { speed: 2.0, elevation: 0.3, ..paper(false) };
+        let Phi = moving.matrix(&s, 0.05);
+        assert!((Phi[(0, 5)] + 1.230889).abs() < 1e-6); // -V0 sin(theta) cos(phi)
+        assert!((Phi[(1, 5)] - 0.452052).abs() < 1e-6); // V0 cos(theta) sin(phi)
+        let zero = Paper { zero_platform_column: true, ..moving }.matrix(&s, 0.05);
+        assert_eq!((zero[(0, 5)], zero[(1, 5)], zero[(5, 5)]), (0.0, 0.0, 1.0));
+        assert_eq!(zero.fixed_columns::<5>(0), Phi.fixed_columns::<5>(0));
+        let rest = paper(false).matrix(&s, 0.05);
+        assert_eq!(rest[(0, 5)].abs() + rest[(1, 5)].abs(), 0.0);
     }
 
     #[test]

@@ -1,0 +1,110 @@
+"""Estimates and truth that have no time or place in common: scores of them mean nothing."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.config import as_config
+from lidar_core.evaluation.config import EvaluationConfig
+from lidar_core.evaluation.pairing import pair
+from lidar_core.evaluation.tables import aligned
+from lidar_core.evaluation.types import Estimates, Truth
+
+BESIDE = 0.1
+"""Times this share of the truth's interval from the nearest one are the same, a little shifted."""
+
+
+def overlap_warnings(
+    estimates: Estimates, truth: Truth, *, what: str, config: EvaluationConfig | None = None
+) -> list[str]:
+    """Say where estimates and truth have nothing in common; empty where all is well.
+
+    Parameters
+    ----------
+    estimates : Estimates
+        As they were reported, their times not yet `aligned`.
+    truth : Truth
+    what : str
+        What the estimates are, such as tracks.
+    config : EvaluationConfig, optional
+        `time_tolerance` and `gate`.
+
+    Returns
+    -------
+    warnings : list of str
+        No time in common, with both spans; times just outside the tolerance, with the typical
+        offset; nothing within the gate of any target, with the distances.
+    """
+    config = as_config(config, EvaluationConfig)
+    if not (len(estimates.stamp_ns) and len(truth.stamp_ns)):
+        return []
+    found = _of_times(estimates.stamp_ns, truth.stamp_ns, config.time_tolerance, what)
+    place = _of_places(aligned(estimates, truth, config=config), truth, config, what)
+    return [text for text in (found, place) if text]
+
+
+def time_offsets(stamps: NDArray[np.int64], truth: NDArray[np.int64]) -> NDArray[np.float64]:
+    """From the nearest time of the truth to every time [s]: positive is later."""
+    when = np.unique(truth)
+    after = np.minimum(np.searchsorted(when, stamps), len(when) - 1)
+    both = np.stack([stamps - when[np.maximum(after - 1, 0)], stamps - when[after]])
+    nearest = np.abs(both).argmin(axis=0)
+    offsets: NDArray[np.float64] = both[nearest, np.arange(len(stamps))].astype(np.float64)
+    return offsets * 1e-9
+
+
+def spans(stamps: NDArray[np.int64], truth: NDArray[np.int64]) -> str:
+    """When estimates and truth begin and end."""
+    texts = [f"{column.min() * 1e-9:.3f} to {column.max() * 1e-9:.3f} s"
+             for column in (stamps, truth)]  # fmt: skip
+    return f"{texts[0]} and {texts[1]}"
+
+
+def _of_times(
+    stamps: NDArray[np.int64], truth: NDArray[np.int64], tolerance: float, what: str
+) -> str:
+    offsets = time_offsets(stamps, truth)
+    outside = np.abs(offsets) > tolerance
+    if not outside.any():
+        return ""
+    if outside.all() and (stamps.max() < truth.min() or stamps.min() > truth.max()):
+        return (f"{what} and truth have no time in common: {spans(stamps, truth)};"
+                " of the same recording?")  # fmt: skip
+    cure = wider_tolerance(stamps[outside], truth)
+    if cure is None:
+        return ""  # times between those of the truth, or beyond its ends: not a shifted clock
+    return (
+        f"{outside.sum()} of {len(stamps)} {what} are just outside the tolerance of"
+        f" {1e3 * tolerance:g} ms, {typical_offset(offsets[outside])}, and have no truth;"
+        f" --set time_tolerance={cure:.2g} takes them in"
+    )
+
+
+def typical_offset(offsets: NDArray[np.float64]) -> str:
+    """How far from the nearest truth, and on which side."""
+    middle = float(np.median(offsets))
+    return f"typically {1e3 * abs(middle):.3g} ms {'after' if middle > 0 else 'before'} the truth"
+
+
+def wider_tolerance(stamps: NDArray[np.int64], truth: NDArray[np.int64]) -> float | None:
+    """Tolerance [s] that takes in times just beside those of the truth; None if they are not."""
+    offsets, when = np.abs(time_offsets(stamps, truth)), np.unique(truth)
+    interval = float(np.median(np.diff(when))) * 1e-9 if len(when) > 1 else np.inf
+    if np.median(offsets) > BESIDE * interval:
+        return None
+    return 1.1 * float(np.quantile(offsets, 0.95))
+
+
+def _of_places(estimates: Estimates, truth: Truth, config: EvaluationConfig, what: str) -> str:
+    nearest = pair(estimates, truth, config=config).nearest
+    known = np.isfinite(nearest)
+    if not known.any() or (nearest <= config.gate).any():
+        return ""
+    away = nearest[known]
+    places = [", ".join(f"{value:.1f}" for value in np.median(position, axis=0))
+              for position in (estimates.position[known], truth.position)]  # fmt: skip
+    return (
+        f"none of the {what} is within the gate of {config.gate:g} m of a target: the nearest is"
+        f" {away.min():.3g} m away, {np.median(away):.3g} m are typical; {what} lie about"
+        f" ({places[0]}), targets about ({places[1]}): are both in one frame? --gate METRES widens"
+        " the gate"
+    )

@@ -1,0 +1,130 @@
+"""Files that somebody names: regular files only, and text no longer than anybody writes."""
+
+import os
+import stat
+from pathlib import Path
+
+from lidar_core.errors import FormatError, InputError, LimitError
+
+MOST_TEXT_BYTES = 4 * 2**20
+"""Largest configuration or note that is read. Source: limits table of SECURITY.md."""
+_KINDS = {
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+}
+
+
+def check_regular(path: str | Path) -> Path:
+    """`path`, if a regular file is there: a pipe blocks its reader, a device may never end.
+
+    Raises
+    ------
+    FileNotFoundError
+        Nothing is there.
+    IsADirectoryError
+        A folder is there.
+    FormatError
+        A pipe, a device or a socket is there.
+    """
+    place = Path(path)
+    try:
+        mode = place.stat().st_mode
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{place}: No such file or directory") from None
+    except ValueError as error:  # a zero byte in the name
+        raise FormatError(f"{str(path)!r}: expected the name of a file: {error}") from error
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(f"{place}: expected a file, got a folder")
+    _refuse_special(place, mode)
+    return place
+
+
+def check_regular_or_folder(path: str | Path) -> Path:
+    """`path`, if a regular file or a folder is there; errors as of `check_regular`."""
+    place = Path(path)
+    if not place.exists():
+        raise FileNotFoundError(f"{place}: no such file or folder")
+    return place if place.is_dir() else check_regular(place)
+
+
+def check_name(path: Path) -> None:
+    """Refuse a name to write that is no UTF-8: notes and tables could not tell it.
+
+    Raises
+    ------
+    InputError
+        It is none.
+    """
+    try:
+        str(path).encode("utf-8")
+    except UnicodeEncodeError:
+        got = ascii(os.fsencode(path))
+        raise InputError(f"expected a name in UTF-8 to write, got {got}; choose another") from None
+
+
+def check_replaceable(path: str | Path) -> None:
+    """Refuse to write where a pipe, a device or a socket is: the new file would take its place.
+
+    Raises
+    ------
+    FormatError
+        One of these is there.
+    InputError
+        The name is no UTF-8.
+    """
+    place = Path(path)
+    check_name(place)
+    if place.exists():
+        mode = place.stat().st_mode
+        if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+            raise FormatError(f"{place}: expected a file to write, got {_KINDS[stat.S_IFMT(mode)]}")
+
+
+def read_whole(path: str | Path, *, limit: int = MOST_TEXT_BYTES) -> bytes:
+    """Content of a regular file.
+
+    Raises
+    ------
+    LimitError
+        It is longer than `limit` bytes.
+    FileNotFoundError, IsADirectoryError, FormatError
+        As of `check_regular`.
+    """
+    place = check_regular(path)
+    # Without O_NONBLOCK a pipe that took the file's place since would block here.
+    descriptor = os.open(
+        place, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    )
+    with open(descriptor, "rb") as file:
+        mode = os.fstat(descriptor)
+        _refuse_special(place, mode.st_mode)
+        content = file.read(limit + 1)
+    if len(content) > limit:
+        raise LimitError(f"{place}: more than {limit} bytes, the limit of such a file")
+    return content
+
+
+def read_text(path: str | Path, *, limit: int = MOST_TEXT_BYTES) -> str:
+    """Text of a regular file, which must be UTF-8.
+
+    Raises
+    ------
+    FormatError
+        It is no UTF-8.
+    LimitError, FileNotFoundError, IsADirectoryError
+        As of `read_whole`.
+    """
+    try:
+        return read_whole(path, limit=limit).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise FormatError(f"{path}: expected text in UTF-8: {error}") from error
+
+
+def _refuse_special(place: Path, mode: int) -> None:
+    if not stat.S_ISREG(mode):
+        kind = _KINDS.get(stat.S_IFMT(mode), "something else")
+        raise FormatError(
+            f"{place}: expected a regular file, got {kind}; save what it gives to a file first"
+        )

@@ -1,0 +1,293 @@
+"""Whether measurements can be what a filter takes them for, and what may be wrong with them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.estimation import chi2_quantile
+from lidar_core.fusion.config import FusionConfig
+from lidar_core.fusion.measurement import Measurement
+from lidar_core.fusion.run import Run, run
+
+LEAST = 20
+"""Measurements that have to be compared before anything is said (count)."""
+PROBABILITY = 1e-6
+"""Of a right recording being refused, noise being Gaussian and `FACTOR` times what is told."""
+FACTOR = 3.0
+"""Standard deviations may be so many times larger than told, or ten times that smaller."""
+KEPT = 0.8
+"""Share of the measurements whose NIS counts, the least ones: a fifth may be false, or follow a
+dropout or a turn that the model does not expect."""
+KEPT_SUM = 0.56
+"""What the least 80 % of chi-square values hold of their sum: 0.54 for the three values of a radar
+(P(chi2_5 < q) with q such that P(chi2_3 < q) = 0.8), 0.55 in samples of 20; less for fewer."""
+KEPT_SPREAD = 1.6
+"""Relative variance of that part over that of the whole sum: 1.57, 1.38 and 1.31 for one, two and
+three values, by the variance of values that are cut at their 80 % quantile."""
+DEGREES = np.pi / 180
+TURN = 2 * np.pi
+HEAD = 5000
+"""Measurements among which causes are looked for (count)."""
+FAR = 3.0
+"""Places so many times further apart than usual belong to different targets."""
+
+
+@dataclass(frozen=True, slots=True)
+class Implausible:
+    """Measurements whose NIS is beyond reason.
+
+    Attributes
+    ----------
+    n_compared : int
+        Measurements that were compared with what the filter expected.
+    ratio : float
+        Sum of the least 80 % of their NIS over what is expected of it (1 is expected).
+    limit : float
+        What it may be.
+    shown : tuple of str
+        Causes that the data shows.
+    possible : tuple of str
+        Other causes.
+    """
+
+    n_compared: int
+    ratio: float
+    limit: float
+    shown: tuple[str, ...]
+    possible: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """What is wrong, what the data shows of it, and what else it may be."""
+        how = f"{self.ratio:.3g} times what is expected"
+        bound = (f"at most {self.limit:.3g} with noise {FACTOR:g} times larger than told" if
+                 self.ratio > 1 else "far less than any target at rest would give")  # fmt: skip
+        text = f"after {self.n_compared} measurements the NIS is {how}, {bound}"
+        if self.shown:
+            text += f". The data shows: {'; '.join(self.shown)}"
+        if self.possible:
+            text += f". {'Also likely' if self.shown else 'Likely causes'}: "
+            text += "; ".join(self.possible)
+        return text
+
+
+def implausible(
+    measurements: Sequence[Measurement], result: Run, config: FusionConfig
+) -> Implausible | None:
+    """Say whether and why measurements cannot be those of one target in the expected units.
+
+    Parameters
+    ----------
+    measurements : sequence of Measurement
+    result : Run
+        What the filter made of them.
+    config : FusionConfig
+        Of that filter.
+
+    Returns
+    -------
+    Implausible or None
+        None where nothing is wrong, with less than 20 measurements compared, and for the model
+        as published, whose NIS means nothing: what it has for covariances are none.
+
+    Notes
+    -----
+    The sum of the NIS of a right recording is chi-square distributed. Noise may be three times
+    what the filter is told, which makes it nine times as large; a fifth of the measurements, those
+    with the largest NIS, is left out, and with it about half of the sum (`KEPT_SUM`). What is left
+    is beyond reason above the quantile of 1 - 1e-6 of a chi-square variable with its variance. A
+    sum, or a scatter of a LiDAR's places, below the quantile of 1e-6 with noise 30 times smaller
+    than told is refused only where places look like geographic coordinates: simulated
+    measurements without any noise are no mistake.
+    """
+    if config.model == "paper":
+        return None
+    found = _ratio(result)
+    if found is None:
+        return None
+    ratio, degrees, count = found
+    limit = FACTOR**2 * _quantile(1 - PROBABILITY, degrees)
+    geographic = _geographic(measurements[:HEAD], "lidar", "x and y of the LiDAR")
+    if ratio > limit:
+        head = measurements[:HEAD]
+        # Wrong angles make places jump, too: jumps say something where nothing else explains them.
+        shown = _repairs(head, config, ratio, limit) + geographic or _several(head)
+        return Implausible(count, ratio, limit, tuple(shown), _others(shown))
+    least = _quantile(PROBABILITY, degrees) / (10 * FACTOR) ** 2
+    if geographic and min(ratio, _scatter(measurements, config)) < least:
+        return Implausible(count, ratio, least, tuple(geographic), ())
+    return None
+
+
+def _ratio(result: Run) -> tuple[float, int, int] | None:
+    """Sum of the least NIS over what it should be, degrees of freedom of all, their count."""
+    degrees = np.isfinite(result.innovations).sum(axis=1)
+    compared = np.isfinite(result.nis) & (degrees > 0)
+    nis, degrees = result.nis[compared], degrees[compared]
+    if len(nis) < LEAST:
+        return None
+    kept = np.argsort(nis / degrees)[: int(np.ceil(KEPT * len(nis)))]
+    total = int(degrees.sum())
+    return float(nis[kept].sum()) / (KEPT_SUM * total), total, len(nis)
+
+
+def _quantile(probability: float, degrees: int) -> float:
+    """Of the sum of the least NIS, per degree of freedom."""
+    effective = max(1, int(degrees / KEPT_SPREAD))
+    return chi2_quantile(probability, degrees=effective) / effective
+
+
+def _scatter(measurements: Sequence[Measurement], config: FusionConfig) -> float:
+    """Variance of the places of a LiDAR in its own frame over that of its noise.
+
+    Whatever target and platform do adds to it: it cannot be less than about 1.
+    """
+    rows = [m for m in measurements[:HEAD] if m.sensor == "lidar" and np.isfinite(m.values).all()]
+    told = [np.square(config.lidar_std) if m.covariance is None else np.diag(m.covariance)
+            for m in rows]  # fmt: skip
+    variance = np.var([m.values for m in rows], axis=0) / np.mean(told, axis=0)
+    return float(np.mean(variance))
+
+
+Change = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+def _of(place: int, new: Callable[[float], float]) -> Change:
+    """A change of one value."""
+
+    def changed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        values = values.copy()
+        values[place] = new(float(values[place]))
+        return values
+
+    return changed
+
+
+def _level_of(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """With x and y in the place of each other."""
+    return values[[1, 0, *range(2, len(values))]]
+
+
+_ANGLES: tuple[tuple[str, Callable[[float], float]], ...] = (
+    ("clockwise: they fit with the other sign", lambda a: -a),
+    ("compass angles, clockwise from y: they fit as pi/2 minus the angle", lambda a: np.pi / 2 - a),
+    ("degrees: they fit times pi/180 (--angle-unit deg)", lambda a: a * DEGREES),
+    ("degrees, clockwise: they fit times -pi/180", lambda a: -a * DEGREES),
+    ("compass angles in degrees: they fit as pi/2 minus the angle times pi/180",
+     lambda a: np.pi / 2 - a * DEGREES),
+    ("radians that were taken as degrees (--angle-unit rad)", lambda a: a / DEGREES),
+)  # fmt: skip
+REPAIRS: tuple[tuple[str, str, Change], ...] = (
+    *(("radar", f"bearings are {what}", _of(1, change)) for what, change in _ANGLES),
+    *(("pose", f"yaws of the platform are {what}", _of(2, change)) for what, change in _ANGLES),
+    ("gyro", "turn rates are clockwise: they fit with the other sign", _of(0, lambda w: -w)),
+    ("lidar", "y of the LiDAR is mirrored (a clockwise azimuth): it fits with the other sign",
+     _of(1, lambda y: -y)),
+    ("lidar", "x and y of the LiDAR are exchanged", _level_of),
+    ("radar", "range rates are positive when the range shrinks: they fit with the other sign",
+     _of(2, lambda rate: -rate)),
+)  # fmt: skip
+"""Mistakes, by the sensor that makes them, and what undoes them."""
+
+
+def _repairs(
+    measurements: Sequence[Measurement], config: FusionConfig, ratio: float, limit: float
+) -> list[str]:
+    """Mistakes without which the NIS is within reason, and a tenth of what it was: the best."""
+    known = {m.sensor for m in measurements}
+    found = []
+    for sensor, text, change in REPAIRS:
+        if sensor not in known:
+            continue
+        again = _ratio(run([_changed(m, sensor, change) for m in measurements], config))
+        if again is not None and again[0] <= min(limit, ratio / 10):
+            found.append((again[0], text))
+    # Those about as good as the best one cannot be told apart from it.
+    least = min(found, default=(0.0, ""))[0]
+    shown = [text for value, text in sorted(found) if value <= 2 * least]
+    largest = max((abs(float(m.values[1])) for m in measurements
+                   if m.sensor == "radar" and np.isfinite(m.values[1])), default=0.0)  # fmt: skip
+    if largest > TURN and not any("degrees" in text for text in shown):
+        shown.append(f"bearings up to {largest:.4g} are more than a turn of radians: degrees"
+                     " (--angle-unit deg)")  # fmt: skip
+    return shown
+
+
+def _changed(m: Measurement, sensor: str, change: Change) -> Measurement:
+    if m.sensor != sensor:
+        return m
+    return Measurement(m.stamp_ns, m.sensor, change(m.values), m.covariance)
+
+
+def geographic_poses(measurements: Sequence[Measurement]) -> str | None:
+    """What to say about poses of the platform that may be latitude and longitude.
+
+    A target seen from a platform that seems to stand still moves smoothly, too: the NIS does not
+    tell. A platform that does stand still has such poses as well, so that they are not refused.
+    """
+    found = _geographic(measurements[:HEAD], "pose", "poses of the platform")
+    return found[0] if found else None
+
+
+def _geographic(measurements: Sequence[Measurement], sensor: str, what: str) -> list[str]:
+    """Places within the range of latitude and longitude that keep their first three digits."""
+    places = _places(measurements, sensor)
+    if len(places) < LEAST:
+        return []
+    middle, spread = np.median(places, axis=0), np.ptp(places, axis=0)
+    inside = np.sort(np.abs(places).max(axis=0)) <= (90.0, 180.0)
+    # 0.05 degrees are 5 km; what stands still exactly is no recording of a position
+    if inside.all() and 0 < spread.max() < 0.05 and spread.max() < 1e-3 * np.abs(middle).max():
+        return [f"{what} stay within {spread.max():.2g} of {middle[0]:.6g}, {middle[1]:.6g}:"
+                " latitude and longitude in degrees, which have to be metres"]  # fmt: skip
+    return []
+
+
+def _several(measurements: Sequence[Measurement]) -> list[str]:
+    """Places that jump to and fro, or measurements of one sensor and time that lie apart."""
+    for sensor in ("lidar", "radar"):
+        places = _places(measurements, sensor)
+        if len(places) < LEAST:
+            continue
+        last = np.linalg.norm(places[1:] - places[:-1], axis=1)
+        nearest = np.array([
+            np.linalg.norm(places[max(0, row - 9) : row] - places[row], axis=1).min()
+            for row in range(1, len(places))
+        ])  # fmt: skip
+        usual = float(np.median(nearest))
+        jumps = (last > FAR * usual) & (nearest < last / FAR)
+        # A false measurement makes one such jump, back; a fifth of them is more than may be false.
+        if jumps.mean() > 1 - KEPT:
+            return [f"{100 * jumps.mean():.0f} % of the places of the {sensor} are far from the one"
+                    " before and near to an earlier one: several targets in one table"]  # fmt: skip
+    return []
+
+
+def _places(measurements: Sequence[Measurement], sensor: str) -> NDArray[np.float64]:
+    """Places (K, 2) that a sensor measured, finite ones."""
+    rows = [m.values[:2] for m in measurements
+            if m.sensor == sensor and np.isfinite(m.values).all()]  # fmt: skip
+    values = np.array(rows, np.float64).reshape(-1, 2)
+    if sensor == "radar":
+        c, s = np.cos(values[:, 1]), np.sin(values[:, 1])
+        values = values[:, :1] * np.stack([c, s], axis=1)
+    return values
+
+
+CAUSES: Mapping[str, str] = {
+    "clockwise": "a clockwise or mirrored azimuth (bearings and yaws count counter-clockwise"
+    " from x)",
+    "degrees": "degrees instead of radians",
+    "several targets": "several targets in one table",
+    "latitude": "latitude and longitude taken as metres",
+    "noise": "noise of the sensors, or of the target's motion, that is set much too small"
+    " (--set lidar_std=..., fit_noise)",
+    "platform": "a platform that moves or turns, of which no pose or gyro tells",
+}
+"""What is likely, by a word that says that the data shows it."""
+
+
+def _others(shown: Sequence[str]) -> tuple[str, ...]:
+    """Likely causes that the data does not show already."""
+    return tuple(text for word, text in CAUSES.items() if not any(word in one for one in shown))

@@ -1,0 +1,72 @@
+"""What to do with files that are no recordings, by their names and how they begin."""
+
+import shlex
+from pathlib import Path
+
+_PACKED = "compressed; unpack it first: "
+_HINTS = {
+    ".bt": "a map, not a recording: `lidar-core detect --map`, `lidar_core.io.read_cloud`",
+    ".csv": "a table holds no scans; measurements are for `lidar-core fuse`",
+    ".json": "JSON holds no scans; tables of measurements are for `lidar-core fuse`, the metadata"
+    " of an Ouster capture is found beside its .pcap or named with --metadata",
+    ".lcvm": "a map, not a recording: `lidar-core detect --map`, `lidar_core.io.read_cloud`",
+    ".mat": "MATLAB files are not read; save its tables as CSV for `lidar-core fuse`",
+    ".parquet": "a table holds no scans; measurements are for `lidar-core fuse`",
+    ".txt": "text holds no scans; poses are for --pose, measurements of LiDAR and radar (L/R) for"
+    " `lidar-core fuse`",
+    ".yaml": "not a recording; of a ROS 2 recording open the folder",
+    ".bz2": f"{_PACKED}bunzip2 FILE",
+    ".gz": f"{_PACKED}gunzip FILE",
+    ".tar": "an archive; unpack it first: tar xf FILE",
+    ".xz": f"{_PACKED}unxz FILE",
+    ".zip": f"{_PACKED}unzip FILE",
+    ".zst": f"{_PACKED}unzstd FILE",
+    ".zstd": f"{_PACKED}unzstd FILE",
+}
+_ARCHIVE = "compressed; unpack it first: tar xf FILE"
+_LOOKED_AT = 4096  # bytes
+POSE_NUMBERS = (8, 12)
+"""Numbers in a row of poses: TUM, KITTI."""
+
+
+def hint_for(path: Path) -> str | None:
+    """What to do with a regular file; None where nothing is known of its kind."""
+    suffix = path.suffix.lower()
+    if Path(path.stem).suffix.lower() == ".tar" or suffix in (".tgz", ".tbz2", ".txz"):
+        return _ARCHIVE
+    if suffix in (".txt", ".json"):
+        with path.open("rb") as file:
+            head = file.read(_LOOKED_AT).decode("utf-8", "replace")
+        found = _of_text(path, head) if suffix == ".txt" else _of_json(path, head)
+        if found is not None:
+            return found
+    return _HINTS.get(suffix)
+
+
+def _of_text(path: Path, head: str) -> str | None:
+    rows = (line.partition("#")[0].split() for line in head.splitlines())
+    words = next((row for row in rows if row), [])
+    if words[:1] in (["L"], ["R"]):
+        return f"text holds no scans; measurements are read with: {_fuse(path)}"
+    if len(words) in POSE_NUMBERS and all(map(_is_number, words)):
+        pose = shlex.join(["--pose", str(path)])
+        return f"text holds no scans; these are poses, for the recording they belong to: {pose}"
+    return None
+
+
+def _of_json(path: Path, head: str) -> str | None:
+    if '"sensorID"' in head:
+        return f"JSON holds no scans; detections of Autoferry are read with: {_fuse(path)}"
+    return None
+
+
+def _fuse(path: Path) -> str:
+    return shlex.join(["lidar-core", "fuse", str(path), "-o", "run/"])
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,73 @@
+"""One writer at a time for files that belong together."""
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from shlex import join
+
+LARGEST = 4096
+"""Bytes that are read of what another process says of itself."""
+
+
+@contextmanager
+def sole_writer(path: Path) -> Iterator[None]:
+    """Keep others from writing what belongs to `path` until the block ends.
+
+    Files that differ in their endings belong together: NAME.npz, NAME.mcap and NAME.truth.csv.
+    The lock is one of the system on `.NAME.lock`, which a process loses when it ends in any way:
+    a file that a killed one left behind holds nobody up. Systems and file systems that know no
+    such locks go without.
+
+    Raises
+    ------
+    FileExistsError
+        Somebody is writing there; the text says who.
+    """
+    place = path.with_name(f".{path.with_suffix('').name}.lock")
+    held = _locked(place, path)
+    try:
+        yield
+    finally:
+        if held is not None:
+            place.unlink(missing_ok=True)
+            os.close(held)
+
+
+def _locked(place: Path, path: Path) -> int | None:
+    """The lock file, open and locked; None where there are no locks."""
+    if os.name != "posix" or not os.access(place.parent, os.W_OK):
+        return None  # who may not write there is told so by what writes
+    import fcntl
+
+    while True:
+        held = os.open(place, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            other = os.pread(held, LARGEST, 0).decode("utf-8", "replace").strip()
+            os.close(held)
+            raise FileExistsError(
+                f"{path}: {other or 'another process'} is writing there; wait for its end, or"
+                " choose another output"
+            ) from None
+        except OSError:  # a file system without locks
+            os.close(held)
+            place.unlink(missing_ok=True)
+            return None
+        if _is_there(place, held):
+            os.truncate(held, 0)
+            command = join(["lidar-core", *sys.argv[1:]])
+            os.pwrite(held, f"process {os.getpid()} ({command})".encode(), 0)
+            return held
+        os.close(held)  # its owner took it away between opening and locking
+
+
+def _is_there(place: Path, held: int) -> bool:
+    """Whether the open file still has this name."""
+    try:
+        named = place.stat()
+    except FileNotFoundError:
+        return False
+    return os.path.samestat(named, os.fstat(held))

@@ -1,0 +1,65 @@
+"""Rerun's program as a child process, quiet: on 127.0.0.1 alone, without usage data."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from lidar_core.extras import require
+from lidar_core.viz.origin_check import LOCAL
+
+PURPOSE = "the rerun viewer"
+NOWHERE = f"http://{LOCAL}:9"
+"""Proxy for whatever the program asks of others, such as its newest release: nobody listens."""
+NO_PROXY = f"{LOCAL},localhost"
+PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")
+
+
+def free_port() -> int:
+    """A port of 127.0.0.1 that nobody uses, and that nobody can know beforehand."""
+    with socket.socket() as place:
+        place.bind((LOCAL, 0))
+        return int(place.getsockname()[1])
+
+
+@contextmanager
+def rerun_process(
+    arguments: Sequence[str], *, quiet: bool = False
+) -> "Iterator[subprocess.Popen[bytes]]":
+    """Rerun's program, which ends with the `with` block.
+
+    It listens on 127.0.0.1 alone. The process itself collects no usage data: its settings are
+    those of an empty folder in which that was switched off, not the user's. What it asks of other
+    machines goes to a proxy that is not there. Pages that it can serve know nothing of all that;
+    `rerun_page` serves one that does not need to. A quiet process prints nothing.
+    """
+    require("rerun", extra="rerun", purpose=PURPOSE)
+    viewer = [sys.executable, "-m", "rerun"]
+    with tempfile.TemporaryDirectory(prefix="lidar-core-rerun-") as settings:
+        surroundings = {**os.environ, "XDG_CONFIG_HOME": settings, "XDG_DATA_HOME": settings}
+        for name in PROXIES:
+            surroundings |= {name: NOWHERE, name.lower(): NOWHERE}
+        surroundings |= {"NO_PROXY": NO_PROXY, "no_proxy": NO_PROXY}
+        subprocess.run([*viewer, "analytics", "disable"], env=surroundings, check=True,
+                       capture_output=True)  # fmt: skip
+        told = subprocess.DEVNULL if quiet else None
+        process = subprocess.Popen([*viewer, "--bind", LOCAL, *arguments], env=surroundings,
+                                   stdout=told, stderr=told, start_new_session=True)  # fmt: skip
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                _end(process)
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    """End the viewer, which is a child of the process that rerun's package starts."""
+    if os.name == "posix":
+        os.killpg(process.pid, signal.SIGTERM)
+    else:
+        process.terminate()
+    process.wait()
