@@ -69,6 +69,13 @@ SHORT = {
         range_max=36.0,
     ),
     "flying-false-tracks": Short(("false tracks, ideal", "false tracks per 1000 scans, dust")),
+    "flying-real": Short(
+        ("street_128_labelled/recall", "rs16_office/false_tracks", "livox_horizon_sway/scans"),
+        modes=("best_mode",),
+    ),
+    "flying-drivers": Short(
+        ("vlp-16/recall", "livox-avia/false_tracks", "xt32/target scans"), modes=("best_mode",)
+    ),
     "circles-table4": Short(("r = 0.6 m: radius, MSE", "ghosts")),
     "circles-table5": Short(("5 wandering: x, MSE", "ghosts")),
     "circles-fig7": Short(("trajectory 2: y, MSE",)),
@@ -97,7 +104,7 @@ def coarse_sensor(request, monkeypatch):
 
     def coarse(cls, name, **changes):
         full = preset(cls, name, **changes)
-        if isinstance(full.pattern, sim.Planar):
+        if not isinstance(full.pattern, sim.Spinning):
             return full
         pattern = sim.Spinning(elevations_deg=full.pattern.elevations_deg[::2], columns=512)
         return full.model_copy(update={"pattern": pattern, "range_max": range_max})
@@ -283,6 +290,7 @@ WITHOUT_JOBS |= {name for name in items() if name.startswith("fusion-")}
 
 
 @pytest.mark.parametrize("name", sorted(set(items()) - WITHOUT_JOBS))
+@pytest.mark.usefixtures("its_recordings")
 def test_the_parts_of_another_seed_have_other_names(name, monkeypatch, tmp_path):
     def noted(jobs, request):
         names.append({job.name for job in jobs})
