@@ -9,7 +9,13 @@ from typer.testing import CliRunner
 
 from lidar_core.cli import app
 from lidar_core.errors import ConfigError, FormatError
-from lidar_core.io import PoseOptions, open_recording, posed_laser_scans, posed_scans
+from lidar_core.io import (
+    NoTransformError,
+    PoseOptions,
+    open_recording,
+    posed_laser_scans,
+    posed_scans,
+)
 from lidar_core.io.nameless import carrier_of
 from lidar_core.io.options import mounting_of
 from lidar_core.io.recording import Topic
@@ -193,6 +199,25 @@ def test_a_stream_is_composed_with_the_static_mounting(is_late):
         poses.add(ODOM, Pose(100, "odom", "", matrix), "laser")
     posed = poses.posed(Scan(100, np.zeros((1, 3), np.float32), "laser"))
     np.testing.assert_allclose(posed.world_from_lidar[:3, 3], AHEAD[:3])
+
+
+@pytest.mark.parametrize("is_mounted", [False, True])
+def test_a_stream_whose_poses_move_as_a_frame_does_is_of_that_frame(is_mounted):
+    poses = LivePoses(PoseOptions(odom="/odom"), LiveConfig())
+    scan = Scan(900, np.zeros((1, 3), np.float32), "laser")
+    if is_mounted:
+        poses.add(TREE, mounting_of("ego_pose laser 0.14 0 0.3 0 0 0"), "laser")
+    for stamp in range(0, 1000, 100):
+        matrix = np.eye(4)
+        matrix[0, 3] = stamp
+        poses.add(ODOM, Pose(stamp, "map", "", matrix), "laser")
+        poses.add(TREE, Pose(stamp, "map", "ego_pose", matrix), "laser")
+    if is_mounted:
+        np.testing.assert_allclose(poses.posed(scan).world_from_lidar[:3, 3], [900.14, 0, 0.3])
+        return
+    assert not poses.is_complete(scan)
+    with pytest.raises(NoTransformError, match="--mounting"):
+        poses.posed(scan)
 
 
 def test_a_stream_asks_which_frame_is_meant():

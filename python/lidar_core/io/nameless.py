@@ -60,16 +60,14 @@ def carrier_of(
     """
     known = list(others)
     stated = {item.child_frame_id: item.frame_id for item in mountings}
-    same = _same_movement(poses, known)
+    same = same_movement(poses, _buffer(item for item in known if not item.is_static))
     moving = {item.child_frame_id for item in known if not item.is_static}
     if frame in stated and (same is None or stated[frame] not in moving):
         return stated[frame]
     if same is not None:
         return same
-    carriers, chain = _carriers(frame, known), TransformBuffer(max_gap=1.0, max_extrapolation=0.0)
-    for item in known:
-        if item.is_static:
-            chain.add(item)
+    carriers = _carriers(frame, known)
+    chain = _buffer(item for item in known if item.is_static)
     if parents := {item.frame_id for item in poses} & set(carriers):
         raise ConfigError(
             f"odom: poses of {topic!r} are in frame {min(parents)!r}, in which the recording's"
@@ -93,6 +91,13 @@ def carrier_of(
     )
 
 
+def _buffer(poses: Iterable[Pose]) -> TransformBuffer:
+    buffer = TransformBuffer(max_gap=1.0, max_extrapolation=0.01)
+    for pose in poses:
+        buffer.add(pose)
+    return buffer
+
+
 def _mounting(parent: str, frame: str, matrix: NDArray[np.float64]) -> str:
     """Text of the option that states a mounting."""
     values = (*matrix[:3, 3], *angles_from_matrix(matrix[:3, :3]))
@@ -110,17 +115,15 @@ def _carriers(frame: str, known: Iterable[Pose]) -> list[str]:
     return found
 
 
-def _same_movement(poses: Sequence[Pose], known: Iterable[Pose]) -> str | None:
-    """The frame whose transforms are those of `poses`; None where there is none, or several."""
+def same_movement(poses: Sequence[Pose], transforms: TransformBuffer) -> str | None:
+    """The frame that `transforms` move as `poses` move; None where there is none, or several."""
     looked_at = poses[:: max(1, len(poses) // LOOKED_AT)]
     parents = {item.frame_id for item in looked_at}
-    buffer = TransformBuffer(max_gap=1.0, max_extrapolation=0.01)
-    pairs = dict[tuple[str, str], None]()
-    for item in known:
-        if not item.is_static and item.frame_id in parents and item.child_frame_id:
-            buffer.add(item)
-            pairs[item.frame_id, item.child_frame_id] = None
-    found = [child for parent, child in pairs if _agree(buffer, parent, child, looked_at)]
+    found = [
+        child for (parent, child), is_static in transforms.edges().items()
+        if not is_static and child and parent in parents
+        and _agree(transforms, parent, child, looked_at)
+    ]  # fmt: skip
     return found[0] if len(found) == 1 else None
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from lidar_core.errors import ConfigError
 from lidar_core.io import NoTransformError, PosedScan, PoseOptions, TransformBuffer
-from lidar_core.io.nameless import carrier_of
+from lidar_core.io.nameless import LOOKED_AT, carrier_of, same_movement
 from lidar_core.io.posed import WORLD_FRAME, ScanT, pose_stamps, span_ns
 from lidar_core.io.recording import Topic
 from lidar_core.io.ros_messages import POSE_TYPES
@@ -52,6 +52,7 @@ class LivePoses:
         self._odometry: dict[str, TransformBuffer] = {}
         self._static: dict[tuple[str, str], Pose] = {}
         self._carriers: dict[str, str] = {}
+        self._nameless: dict[str, list[Pose]] = {}
         self._chosen: tuple[TransformBuffer, str] | None = None
         self.fixed_frame = options.fixed_frame or WORLD_FRAME
         self.dropped: Counter[str] = Counter()
@@ -122,6 +123,7 @@ class LivePoses:
 
     def _choice(self, frame: str) -> tuple[TransformBuffer, str]:
         """Buffer that moves `frame`, and the fixed frame."""
+        self._settle_nameless(frame)
         for buffer in self._candidates():
             root = self._options.fixed_frame or buffer.root_of(frame)
             if self._moves(buffer, root, frame):
@@ -168,10 +170,23 @@ class LivePoses:
         """Frame of a pose that names none; kept, so that all of its topic are of one frame."""
         if not frame:  # no scan yet
             return frame
+        early = self._nameless.setdefault(topic, [])
+        if len(early) < LOOKED_AT:
+            early.append(pose)
         if topic not in self._carriers:
             known, stated = self._static.values(), self._mountings
             self._carriers[topic] = carrier_of(frame, [pose], known, stated, topic)
         return self._carriers[topic]
+
+    def _settle_nameless(self, frame: str) -> None:
+        """Drop odometry that was taken for the sensor's and moves as another frame does."""
+        if frame in {item.child_frame_id for item in self._mountings}:
+            return
+        for topic, poses in self._nameless.items():
+            same = same_movement(poses, self._transforms)
+            if same is not None and same != self._carriers.get(topic):
+                self._carriers[topic] = same
+                self._odometry.pop(topic, None)
 
     def _add_to(self, buffer: TransformBuffer, topic: str, pose: Pose) -> bool:
         """Add a pose, unless it is of one pair of frames more than are kept."""
