@@ -177,7 +177,7 @@ impl Body {
             if state[first] == 2 {
                 let is_robot = self.take_part(first, &mut state, &mut part, up);
                 for &voxel in part.iter().filter(|_| is_robot) {
-                    around(voxel, 1, |beside| mask[beside / 64] |= 1 << (beside % 64));
+                    around(voxel, GAP, |beside| mask[beside / 64] |= 1 << (beside % 64));
                 }
             }
         }
@@ -328,14 +328,14 @@ mod tests {
             let pose = pose(0.5 * f64::from(step), 0.0);
             let mut points = scan(&pose);
             if step < 10 {
-                points.extend((0..50).map(|index| [0.01 * index as f32, 1.0, 0.5]));
+                points.extend((0..50).map(|index| [0.01 * index as f32, -1.0, 0.5]));
             }
             body.learn(&points, &pose);
             if step == 9 {
-                assert!(body.contains([0.2, 1.0, 0.5]));
+                assert!(body.contains([0.2, -1.0, 0.5]));
             }
         }
-        assert!(!body.contains([0.2, 1.0, 0.5]));
+        assert!(!body.contains([0.2, -1.0, 0.5]));
     }
 
     #[test]

@@ -37,6 +37,9 @@ const FLAT: f64 = 0.2;
 const GROUND_RATIO: f64 = 1.8;
 /// Holes in surfaces have fewer cells than this: 40 degrees by 40.
 const MOST_OF_HOLE: usize = 400;
+/// Returns in a cell and around it between which a sensor leaves gaps.
+const LEAST_AROUND: u32 = 7;
+const MOST_AROUND: u32 = 400;
 /// A ray may lie this much below the middle of its cell [rad]: 1.4 degrees.
 const CELL_TILT: f64 = 1.4 * PI / 180.0;
 /// Rays of sky go as far as this share of the distance that one return in fifty exceeds: in fog
@@ -298,16 +301,19 @@ impl Look {
         let (mut into_sky, mut all) = (0.0, 0.0);
         for cell in 0..CELLS {
             all += f64::from(self.expected[cell]);
-            let reach = self.reach_of(cell, visible);
-            if reach < LEAST_REACH || !self.is_empty[cell] {
+            let is_sky = self.is_empty[cell] && self.reach_of(cell, visible) >= LEAST_REACH;
+            let reach = if is_sky { self.reach_of(cell, visible) } else { self.reach_before(cell) };
+            if reach < LEAST_REACH {
                 continue;
             }
-            into_sky += f64::from(self.expected[cell]);
-            let was_sky = is_same_place && sky.since_ns[cell] != NEVER;
-            let since = if was_sky { sky.since_ns[cell] } else { self.stamp_ns };
-            self.since_ns[cell] = since;
-            self.is_sky[cell] = true;
-            let is_trusted = self.stamp_ns.saturating_sub(since) >= TRUSTED_NS;
+            let mut is_trusted = false;
+            if is_sky {
+                into_sky += f64::from(self.expected[cell]);
+                let was_sky = is_same_place && sky.since_ns[cell] != NEVER;
+                let since = if was_sky { sky.since_ns[cell] } else { self.stamp_ns };
+                (self.since_ns[cell], self.is_sky[cell]) = (since, true);
+                is_trusted = self.stamp_ns.saturating_sub(since) >= TRUSTED_NS;
+            }
             for part in 0..PARTS * PARTS {
                 if (part / PARTS + part % PARTS + sky.scans as usize) % PARTS != 0 {
                     continue;
@@ -391,14 +397,30 @@ impl Look {
         ranked(&mut self.ranks, share)
     }
 
+    /// How far it is free between the rays of a sparse sensor, in a cell that is no sky [m]: what is
+    /// nearer than all returns around would have been met. 0 for dense sensors, which leave no gaps.
+    fn reach_before(&self, cell: usize) -> f64 {
+        let beside = || GRID.beside(cell).iter().map(|&other| usize::from(other));
+        let rays: u32 = beside().map(|other| self.hits[other]).sum();
+        if !(LEAST_AROUND..MOST_AROUND).contains(&rays) {
+            return 0.0;
+        }
+        let nearest = beside().map(|other| self.nearest[other]).fold(f32::INFINITY, f32::min);
+        (f64::from(nearest) - BEFORE_SURFACE).min(self.reach_above_ground(cell))
+    }
+
     /// How far the rays of an empty cell clear [m].
     fn reach_of(&self, cell: usize, visible: f64) -> f64 {
         let before_surface = f64::from(self.limit[cell]) - BEFORE_SURFACE;
+        visible.min(before_surface).min(self.reach_above_ground(cell))
+    }
+
+    /// How far the rays of a cell stay above the ground [m].
+    fn reach_above_ground(&self, cell: usize) -> f64 {
         let tilt = libm::asin(GRID.centers[cell][2].clamp(-1.0, 1.0)) - CELL_TILT;
         let fall = -libm::sin(tilt.max(-PI / 2.0));
         let height = -self.lowest - ABOVE_GROUND;
-        let above_ground = if fall > 0.0 { height / fall } else { f64::INFINITY };
-        visible.min(before_surface).min(above_ground)
+        if fall > 0.0 { height / fall } else { f64::INFINITY }
     }
 }
 
