@@ -226,6 +226,12 @@ class SeparateConfig(Config):
         description="Observed voxels within `max_gap` of a removed one are pulled towards free"
         " too, as in the authors' code (no unit).",
     )
+    waits_for_background: bool = Field(
+        True,
+        description="Nothing is removed before one group holds `min_confident` confident voxels;"
+        " otherwise removal begins with the first scan, as in the paper, and pulls down the"
+        " background of sparse sensors faster than they build it up (no unit).",
+    )
 
 
 class SeedConfig(Config):
@@ -336,6 +342,7 @@ class FlyingConfig(Config):
     def paper(cls) -> Self:
         """The algorithms as published, with the parameters of Table II.
 
+        Nothing is dropped by range, and separate background is removed from the first scan on.
         What the paper leaves out is the burn-in that seeds the background, with an extent for
         targets of the paper's size, and d_sep, which stays at its default.
         """
@@ -343,8 +350,9 @@ class FlyingConfig(Config):
             voxel_map=VoxelMapConfig(ray_unit="metres"),
             cluster=ClusterConfig(max_angle=0.0),
             classify=ClassifyConfig.paper(),
+            separate=SeparateConfig(waits_for_background=False),
             seed=SeedConfig(burn_in_extent=1.0, standing_scans=0),
-            sensor=SensorConfig(learn_mask_scans=0),
+            sensor=SensorConfig.paper(),
             tracker=TrackerConfig.paper(),
             position="paper",
             pose=PoseConfig.paper(),

@@ -86,6 +86,11 @@ class SensorConfig(Config):
         near = max(sensor.model.get("range_min", 0.0), cls().min_range)
         return cls.load({"min_range": near, "beams": name if sensor.drops_rays else None})
 
+    @classmethod
+    def paper(cls) -> Self:
+        """Every return is used, however near, and no mask is learnt: the paper has neither."""
+        return cls(min_range=0.0, learn_mask_scans=0)
+
     @model_validator(mode="before")
     @classmethod
     def _fill_preset(cls, values: dict[str, object]) -> dict[str, object]:

@@ -67,6 +67,7 @@ struct SeparateConfig {
     max_gap: f64,
     min_confident: usize,
     dilate: bool,
+    waits_for_background: bool,
 }
 
 #[derive(FromPyObject)]
@@ -113,6 +114,7 @@ impl FlyingConfig {
                 min_confident: self.separate.min_confident,
                 dilate: self.separate.dilate,
             },
+            removal_waits: self.separate.waits_for_background,
             seed: self.seed.parameters(),
             sensors: self
                 .sensors
