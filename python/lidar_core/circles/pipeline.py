@@ -241,6 +241,7 @@ class CirclePipeline:
             segments=segments,
             circles=nobody,
             circles_world=nobody,
+            time_ns=numbers,
             shapes=Shapes(
                 np.empty(0, np.uint8), np.empty((0, 5)), np.empty((0, 5, 5)), rays, numbers
             ),
@@ -265,6 +266,7 @@ def _frame(stamp_ns: int, scanner: str, values: dict[str, Any]) -> CircleFrame:
         segments=segments_of(values["segments"]),
         circles=Circles(*values["circles"]),
         circles_world=Circles(*values["circles_world"]),
+        time_ns=values["time_ns"],
         shapes=Shapes(*values["shapes"]),
         element=values["element"],
         too_near=values["too_near"],
