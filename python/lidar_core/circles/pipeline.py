@@ -46,7 +46,8 @@ class CirclePipeline:
     Raises
     ------
     ConfigError
-        A parameter is outside its range, or `estimator` cannot be called.
+        A parameter is outside its range, the network of `config.detector` was trained for another
+        scanner, or `estimator` cannot be called.
 
     Notes
     -----
@@ -82,6 +83,9 @@ class CirclePipeline:
             fit = fit.load(fit.model_dump() | {"method": detector})
         elif estimator is None:
             self._network = CircleNetwork(detector)
+            self._network.check_scanner(self.config.scanner, "scanner")
+            for name, scanner in self.config.scanners.items():
+                self._network.check_scanner(scanner, f"scanners.{name}")
         self._pipeline = _core.CirclePipeline(self.config, fit=fit)
         self._estimator = estimator
         self._health = CirclesHealth()
