@@ -200,6 +200,13 @@ def test_a_network_needs_a_number_of_threads(threads):
         CircleDetector("cnn", threads=threads)
 
 
+@pytest.mark.parametrize(("model", "passes"), [("paper-cnn", 3), ("cnn", 4)])
+def test_cards_tell_passes_over_the_data_and_not_parts_of_them(model, passes):
+    card = CircleNetwork(model).card
+    assert card["passes"] == passes == len(card["metrics"]) / card["training"]["parts"]
+    assert "epochs" not in card
+
+
 PAPERS = "1081 rays from -135.0 to 135.0 deg with ranges from 0.1 to 10 m"
 
 
@@ -229,11 +236,11 @@ def test_paper_mode_uses_the_network_of_the_paper():
 )
 def test_the_network_of_the_paper_refuses_another_scanner(scanner, told):
     for changes, place in (({"scanner": scanner}, "scanner"),
-                           ({"scanners": {"front": scanner}}, r"scanners\.front")):  # fmt: skip
+                           ({"scanners": {"front": scanner}}, "scanners.front")):  # fmt: skip
         with pytest.raises(ConfigError) as caught:
             CirclePipeline(CirclesConfig.paper(**changes))
         text = str(caught.value)
-        assert text.startswith(place.replace("\\", "") + ": the network paper-cnn was trained for")
+        assert text.startswith(f"{place}: the network paper-cnn was trained for")
         assert PAPERS in text
         assert told in text
         assert "--set detector=taubin" in text
