@@ -254,3 +254,13 @@ def test_the_network_of_the_paper_takes_a_shorter_range_and_bearings_of_messages
         float(np.float32(0.1)), 8.0,
     )  # fmt: skip
     CirclePipeline(CirclesConfig.paper(scanner=message))
+
+
+def test_the_network_of_the_paper_refuses_rays_of_another_step():
+    bearings = SCANNER.bearings()[::2]
+    scan = np.full((1, len(bearings)), np.inf, np.float32)
+    scan[0, 250:260] = 4.0
+    with pytest.raises(InputError, match=r"bearings: paper-cnn\.onnx .*0\.25 deg; got .* 0\.5 deg"):
+        CircleDetector("paper-cnn").detect(scan, bearings)
+    part = CircleDetector("paper-cnn").detect(scan[:, 240:270], SCANNER.bearings()[500:530])
+    assert np.isfinite(np.asarray(part)).all()

@@ -98,6 +98,19 @@ class CircleNetwork:
             " (lidar-core train circles)"
         )
 
+    def _check_bearings(self, bearings: NDArray[np.float64]) -> None:
+        """Refuse rays of another scanner: beside each other they must be as those learnt."""
+        step = self._scanner.angle_increment
+        steps = np.diff(bearings)
+        if len(steps) and np.abs(steps - step).max() > _SAME_RAY * abs(step):
+            told = np.unique(np.degrees(steps).round(3))
+            got = f"{told[0]:g}" if len(told) == 1 else f"{told[0]:g} to {told[-1]:g}"
+            raise InputError(
+                f"bearings: {self.path.name} was trained for {_told(self._scanner)}, a step of"
+                f" {np.degrees(step):g} deg; got steps of {got} deg; use a fit, such as"
+                ' detector "ml", or a network trained for this scanner'
+            )
+
     def of_rows(
         self,
         ranges: NDArray[np.float32],
@@ -113,6 +126,7 @@ class CircleNetwork:
         covariance = np.full((len(ranges), 3, 3), np.nan)
         counts = hits.sum(axis=1, dtype=np.int64)
         if len(seen) and self.kind == "scans":
+            self._check_bearings(bearings)
             scan, ray = np.nonzero(hits[seen])
             parameters[seen] = self._of_hits(
                 ranges[seen[scan], ray], bearings[ray], scan, len(seen)
