@@ -68,7 +68,15 @@ SHORT = {
         seed=1002,
         range_max=36.0,
     ),
-    "flying-false-tracks": Short(("false tracks, ideal", "false tracks per 1000 scans, dust")),
+    "flying-false-tracks": Short(
+        (
+            "false tracks, ideal",
+            "false tracks per 1000 scans, dust",
+            "false tracks per 1000 scans, thick dust",
+            "false tracks per 1000 scans, swarm",
+            "false tracks per 1000 scans, sparse leaves",
+        )
+    ),
     "circles-table4": Short(("r = 0.6 m: radius, MSE", "ghosts")),
     "circles-table5": Short(("5 wandering: x, MSE", "ghosts")),
     "circles-fig7": Short(("trajectory 2: y, MSE",)),
