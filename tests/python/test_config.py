@@ -194,7 +194,7 @@ def test_paper_mode_is_table_ii():
     assert (rules.close_distance, rules.search_distance) == (0.7, 3.0)
     assert (rules.shadow, rules.own_voxels, rules.border) == ("paper", "paper", "closed")
     assert rules.max_extent is rules.background_extent is rules.group_distance is None
-    assert (paper.separate.min_confident, paper.separate.waits_for_background) == (24, False)
+    assert (paper.separate.min_confident, paper.separate.waits_for_background) == (24, True)
     assert (paper.sensor.min_range, paper.sensor.learn_mask_scans) == (0.0, 0)
     assert rules.max_distance is None
     assert tracker.model_dump()  # its own test holds the values

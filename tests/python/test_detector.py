@@ -102,9 +102,7 @@ def small(config):
             ),
             "cluster": config.cluster.model_copy(update={"max_distance": 0.7}),
             "classify": config.classify.model_copy(update={"search_distance": 2.0}),
-            "separate": config.separate.model_copy(
-                update={"max_gap": 1.0, "min_confident": 2, "waits_for_background": True}
-            ),
+            "separate": config.separate.model_copy(update={"max_gap": 1.0, "min_confident": 2}),
             "seed": config.seed.model_copy(
                 update={"burn_in_scans": 3, "burn_in_extent": 1.3, "standing_scans": 0}
             ),
@@ -221,14 +219,9 @@ def test_a_drone_in_a_yard_is_found_and_nothing_else():
 
 
 def test_paper_mode_finds_the_drone_too():
-    """Without gates on size and number, fragments of the far ground fly as well.
-
-    This sensor has an eighth of the rays of the paper's: removal has to wait for a background.
-    """
+    """Without gates on size and number, fragments of the far ground fly as well."""
     scans = scans_of(YARD_WITH_DRONE)
-    paper = FlyingConfig.paper()
-    waits = paper.separate.model_copy(update={"waits_for_background": True})
-    frames, _ = run(scans, paper.model_copy(update={"separate": waits}))
+    frames, _ = run(scans, FlyingConfig.paper())
     for simulated, frame in zip(scans[12:], frames[12:], strict=True):
         own = simulated.label == simulated.truth.id[0]
         assert (frame.point_class[own] == FLYING).mean() > 0.9
@@ -236,9 +229,12 @@ def test_paper_mode_finds_the_drone_too():
         assert misses.min() < 0.5
 
 
-def test_paper_mode_as_printed_says_why_a_sparse_sensor_finds_nothing():
-    """Sec. III-D from the first scan on pulls the background down before it has become one."""
-    frames, detector = run(scans_of(YARD_WITH_DRONE), FlyingConfig.paper())
+def test_removal_from_the_first_scan_leaves_a_sparse_sensor_nothing_and_says_so():
+    """It pulls the background down before it has become one: why paper mode waits with it."""
+    paper = FlyingConfig.paper()
+    at_once = paper.separate.model_copy(update={"waits_for_background": False})
+    config = paper.model_copy(update={"separate": at_once})
+    frames, detector = run(scans_of(YARD_WITH_DRONE), config)
     assert not any(frame.status.gate_open for frame in frames)
     assert "no background" in frames[-1].status.reason
     assert "separate.waits_for_background" in frames[-1].status.reason

@@ -342,15 +342,14 @@ class FlyingConfig(Config):
     def paper(cls) -> Self:
         """The algorithms as published, with the parameters of Table II.
 
-        Nothing is dropped by range, and separate background is removed from the first scan on.
-        What the paper leaves out is the burn-in that seeds the background, with an extent for
-        targets of the paper's size, and d_sep, which stays at its default.
+        No return is dropped by its range. What the paper leaves out is the burn-in that seeds the
+        background, with an extent for targets of the paper's size, and d_sep, which stays at its
+        default. Removal of separate background begins once there is a background.
         """
         return cls(
             voxel_map=VoxelMapConfig(ray_unit="metres"),
             cluster=ClusterConfig(max_angle=0.0),
             classify=ClassifyConfig.paper(),
-            separate=SeparateConfig(waits_for_background=False),
             seed=SeedConfig(burn_in_extent=1.0, standing_scans=0),
             sensor=SensorConfig.paper(),
             tracker=TrackerConfig.paper(),
