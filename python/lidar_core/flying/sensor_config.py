@@ -20,7 +20,7 @@ BeamPreset: TypeAlias = Literal[
 class SensorConfig(Config):
     """One LiDAR: its own robot in view, and the rays that its driver drops."""
 
-    min_range: float = Field(0.3, ge=0, description="Nearer returns are not used [m].")
+    min_range: float = Field(0.3, ge=0, le=20, description="Nearer returns are not used [m].")
     self_box: Box | None = Field(
         None, description="Lower and upper corner of the robot, lidar frame [m]."
     )
@@ -41,6 +41,7 @@ class SensorConfig(Config):
     learn_mask_range: float = Field(
         1.0,
         gt=0,
+        le=20,
         description="Where returns keep coming from nearer than this, there is the robot: they,"
         " and rays without return in their directions, are not used [m].",
     )
