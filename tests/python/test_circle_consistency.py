@@ -91,6 +91,7 @@ def test_the_command_warns_if_detections_have_no_times_of_their_own(hall):
 def test_a_few_values_are_no_ground_for_a_warning():
     assert consistency([40.0] * 49, degrees=2).warning is None
     assert "too small" in consistency([40.0] * 50, degrees=2).warning
+    assert "errors are 200 times as large" in consistency([80_000.0] * 50, degrees=2).warning
 
 
 def test_every_circle_says_when_it_was_measured(hall):

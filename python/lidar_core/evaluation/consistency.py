@@ -66,9 +66,10 @@ class Consistency:
         ratio = self.mean / self.degrees
         if self.count < FEWEST or LEAST_RATIO <= ratio <= MOST_RATIO:
             return None
-        size = "small" if ratio > 1 else "large"
+        size, times = "small" if ratio > 1 else "large", ratio**0.5
+        told = f"{times:.0f}" if times >= 10 else f"{times:.2g}"
         return (
-            f"NEES {self.mean:.2f} where {self.degrees} is right: errors are {ratio**0.5:.2g} times"
+            f"NEES {self.mean:.2f} where {self.degrees} is right: errors are {told} times"
             f" as large as the covariances say, which are too {size}"
         )
 
