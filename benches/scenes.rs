@@ -210,6 +210,7 @@ pub fn flying_parameters() -> FlyingParameters {
         cluster_voxels: false,
         classify: classify_parameters(),
         separation: SEPARATION,
+        removal_waits: true,
         seed: SeedParameters {
             burn_in_scans: 4,
             burn_in_extent: 1.0,

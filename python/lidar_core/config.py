@@ -146,6 +146,8 @@ def _told(problem: Any, model: type[BaseModel]) -> str:
             header = ".".join(part for part in problem["loc"] if isinstance(part, str))
             as_tables = f", its tables as [[{header}]]" if isinstance(received, dict) else ""
             text = f"expected a list{as_tables}"
+        case "less_than_equal" if place in fields and "[m]" in (fields[place].description or ""):
+            text += " m: lengths are in metres"
         case "string_pattern_mismatch" if place in fields and fields[place].examples:
             text = f"expected a text such as {', '.join(map(str, fields[place].examples or ()))}"
     return f"{text}, got {_short(received)}"

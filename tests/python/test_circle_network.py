@@ -198,3 +198,69 @@ def test_models_that_are_none_are_refused(tmp_path):
 def test_a_network_needs_a_number_of_threads(threads):
     with pytest.raises(ConfigError, match="threads: expected a whole number >= 1, got"):
         CircleDetector("cnn", threads=threads)
+
+
+@pytest.mark.parametrize(("model", "passes"), [("paper-cnn", 3), ("cnn", 4)])
+def test_cards_tell_passes_over_the_data_and_not_parts_of_them(model, passes):
+    card = CircleNetwork(model).card
+    assert card["passes"] == passes == len(card["metrics"]) / card["training"]["parts"]
+    assert "epochs" not in card
+
+
+PAPERS = "1081 rays from -135.0 to 135.0 deg with ranges from 0.1 to 10 m"
+
+
+def test_paper_mode_uses_the_network_of_the_paper():
+    """Sec. IV: the same circles as `detector="paper-cnn"`, and not those of an algebraic fit."""
+    assert CirclesConfig.paper().detector == "paper-cnn"
+    samples = make_samples(ANYWHERE, count=40, seed=38)
+    whole = np.flatnonzero((samples.n_hits >= 10) & samples.is_whole(SCANNER))[:1]
+    (scan,) = samples.take(whole).scans(SCANNER)
+    frame, fitted = (
+        CirclePipeline(CirclesConfig.paper(**changes)).process(scan, np.eye(4), 0)
+        for changes in ({}, {"detector": "taubin"})
+    )
+    expected = CircleDetector("paper-cnn").detect([scan], SCANNER.bearings())
+    assert np.allclose(np.asarray(frame.circles), np.asarray(expected), atol=1e-5)
+    assert not np.allclose(np.asarray(frame.circles), np.asarray(fitted.circles), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("scanner", "told"),
+    [
+        (ROUND, "720 rays from -180.0 to 179.5 deg with ranges from 0.1 to 15 m"),
+        (SCANNER.model_copy(update={"range_max": 30.0}), "ranges from 0.1 to 30 m"),
+        (SCANNER.model_copy(update={"range_min": 0.02}), "ranges from 0.02 to 10 m"),
+        (SCANNER.model_copy(update={"angle_min": -2.3}), "1081 rays from -131.8"),
+    ],
+)
+def test_the_network_of_the_paper_refuses_another_scanner(scanner, told):
+    for changes, place in (({"scanner": scanner}, "scanner"),
+                           ({"scanners": {"front": scanner}}, "scanners.front")):  # fmt: skip
+        with pytest.raises(ConfigError) as caught:
+            CirclePipeline(CirclesConfig.paper(**changes))
+        text = str(caught.value)
+        assert text.startswith(f"{place}: the network paper-cnn was trained for")
+        assert PAPERS in text
+        assert told in text
+        assert "--set detector=taubin" in text
+        CirclePipeline(CirclesConfig.paper(detector="taubin", **changes))
+        CirclePipeline(CirclesConfig(detector="cnn", **changes))
+
+
+def test_the_network_of_the_paper_takes_a_shorter_range_and_bearings_of_messages():
+    message = Scanner(
+        float(np.float32(SCANNER.angle_min)), float(np.float32(SCANNER.angle_increment)), 1081,
+        float(np.float32(0.1)), 8.0,
+    )  # fmt: skip
+    CirclePipeline(CirclesConfig.paper(scanner=message))
+
+
+def test_the_network_of_the_paper_refuses_rays_of_another_step():
+    bearings = SCANNER.bearings()[::2]
+    scan = np.full((1, len(bearings)), np.inf, np.float32)
+    scan[0, 250:260] = 4.0
+    with pytest.raises(InputError, match=r"bearings: paper-cnn\.onnx .*0\.25 deg; got .* 0\.5 deg"):
+        CircleDetector("paper-cnn").detect(scan, bearings)
+    part = CircleDetector("paper-cnn").detect(scan[:, 240:270], SCANNER.bearings()[500:530])
+    assert np.isfinite(np.asarray(part)).all()

@@ -128,7 +128,7 @@ def test_shapes_at_changes_nothing_and_bad_scans_leave_them():
 
 
 def test_the_paper_has_no_lines():
-    paper = CirclesConfig.paper().model_copy(update={"scanner": SCANNER})
+    paper = CirclesConfig.paper(scanner=SCANNER, detector="taubin")
     frame = CirclePipeline(paper).process(
         sweep(np.eye(4), np.random.default_rng(5600)), np.eye(4), 0
     )

@@ -215,9 +215,10 @@ def test_labels_without_points_and_points_that_are_not_finite_are_unknown():
 
 @pytest.mark.parametrize("name", ["close_distance", "search_distance"])
 def test_distances_of_the_rules_are_bounded(name):
-    rules = ClassifyConfig(**{name: 1e12})
+    rules = ClassifyConfig(**{name: 10.0})
+    fine = VoxelMapConfig(voxel_size=0.05)
     with pytest.raises(ConfigError, match=f"{name}: expected 0 to 128 voxels, got"):
-        VoxelMap().classify([[0, 0, 0]], [0], [0, 0, 0], config=rules)
+        VoxelMap(fine).classify([[0, 0, 0]], [0], [0, 0, 0], config=rules)
 
 
 def test_no_cluster_has_no_class():

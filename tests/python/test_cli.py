@@ -194,7 +194,7 @@ def test_init_explains_every_parameter():
     for number, line in enumerate(lines):
         if " = " in line and not line.startswith("#"):
             assert lines[number - 1].startswith("# "), line
-    assert "# Edge of a voxel, v_s [m]. Allowed: > 0." in lines
+    assert "# Edge of a voxel, v_s [m]. Allowed: > 0, <= 5." in lines
 
 
 def test_init_replaces_a_file_only_on_request(tmp_path):

@@ -380,3 +380,19 @@ def test_a_vehicle_is_followed_as_motion_capture_says(recordings, tmp_path):
     scores = json.loads(out.stdout)["track_scores"]
     assert scores["recall"] > 0.95
     assert scores["position_error"]["rmse"] < ERROR_OF_THE_VEHICLE
+
+
+def test_paper_mode_refuses_a_recording_of_another_scanner(tmp_path):
+    """The paper's network knows one scanner; a fit in its place is for any."""
+    scene = sim.circle_scenes.single(RADIUS, 2)
+    planar = scene.lidar.pattern.model_copy(update={"beams": 541, "angle_increment": 0.00873})
+    lidar = scene.lidar.model_copy(update={"pattern": planar})
+    path = tmp_path / "other.npz"
+    sim.record(scene.model_copy(update={"lidar": lidar}), path, seed=1101, scans=5)
+    out = run_command(path, "-o", tmp_path / "run", "--mode", "paper")
+    assert isinstance(out.exception, ConfigError)
+    text = str(out.exception)
+    assert "paper-cnn was trained for 1081 rays from -135.0 to 135.0 deg" in text
+    assert "got 541 rays" in text
+    result_of(path, "-o", tmp_path / "run", "--mode", "paper", "--set", "detector=taubin",
+              "--no-picture", "--no-mcap")  # fmt: skip

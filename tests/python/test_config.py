@@ -10,7 +10,8 @@ from pydantic import ValidationError
 
 import lidar_core
 from lidar_core import ConfigError, VoxelMap, VoxelMapConfig
-from lidar_core.config import Config
+from lidar_core.circles import CirclesConfig
+from lidar_core.config import Config, _fields
 from lidar_core.flying import FlyingConfig
 from lidar_core.io import PoseOptions, ReadOptions
 
@@ -194,7 +195,9 @@ def test_paper_mode_is_table_ii():
     assert (rules.close_distance, rules.search_distance) == (0.7, 3.0)
     assert (rules.shadow, rules.own_voxels, rules.border) == ("paper", "paper", "closed")
     assert rules.max_extent is rules.background_extent is rules.group_distance is None
-    assert paper.separate.min_confident == 24
+    assert (paper.separate.min_confident, paper.separate.waits_for_background) == (24, True)
+    assert (paper.sensor.min_range, paper.sensor.learn_mask_scans) == (0.0, 0)
+    assert rules.max_distance is None
     assert tracker.model_dump()  # its own test holds the values
 
 
@@ -227,3 +230,50 @@ def test_a_file_with_a_bad_value_is_named_and_the_value_cut(tmp_path):
     with pytest.raises(ConfigError, match=r"bad\.toml: voxel_size: ") as caught:
         VoxelMapConfig.read(path)
     assert len(str(caught.value)) < 300 + len(str(path))
+
+
+def lengths():
+    """Single lengths [m] of the configurations of the pipelines, with their defaults."""
+    for model in (FlyingConfig, CirclesConfig):
+        for path, field in _fields(model).items():
+            if "[m]" in (field.description or "") and isinstance(field.default, float):
+                yield model, path, field.default
+
+
+def with_value(path, value):
+    *tables, name = path.split(".")
+    found = {name: value}
+    for table in reversed(tables):
+        found = {table: found}
+    return found
+
+
+WITHOUT_LIMIT = {"max_deviation"}  # paper mode takes 1e6 for "no limit"
+
+
+@pytest.mark.parametrize("factor", [100, 1000], ids=["centimetres", "millimetres"])
+def test_lengths_in_a_smaller_unit_are_refused(factor):
+    """The default of every length, told in centimetres or millimetres, is outside its range."""
+    checked = 0
+    for model, path, default in lengths():
+        if not default or path in WITHOUT_LIMIT:
+            continue
+        table = path.rpartition(".")[0]  # names a value that does not fit the one beside it
+        with pytest.raises(ConfigError, match=rf"^{path}: |^{table}: expected"):
+            model.load(with_value(path, factor * default))
+        checked += 1
+    assert checked > 45
+
+
+def test_a_voxel_of_99_metres_is_refused_with_place_value_and_cure():
+    text = r"^voxel_map\.voxel_size: .*less than or equal to 5 m: lengths are in metres, got 99$"
+    with pytest.raises(ConfigError, match=text):
+        FlyingConfig.load({"voxel_map": {"voxel_size": 99}})
+    with pytest.raises(ConfigError, match=text.replace("voxel_map", "", 1).replace("\\.", "", 1)):
+        VoxelMap(VoxelMapConfig(voxel_size=99))
+
+
+def test_modes_and_uses_lie_within_the_ranges_of_lengths():
+    for made in (FlyingConfig.paper(), FlyingConfig.long_range(), CirclesConfig.paper(),
+                 CirclesConfig.posts()):  # fmt: skip
+        assert type(made).load(made.model_dump()) == made

@@ -141,6 +141,24 @@ def test_the_detector_does_what_the_specification_says(mode, stream):
     assert met["classes"] == {0, BACKGROUND, FLYING, UNKNOWN}
 
 
+@pytest.mark.parametrize("min_confident", [1, 2])
+def test_removal_from_the_first_scan_does_what_the_specification_says(min_confident):
+    config = small(FlyingConfig.paper())
+    at_once = config.separate.model_copy(
+        update={"min_confident": min_confident, "waits_for_background": False}
+    )
+    config = config.model_copy(update={"separate": at_once})
+    waiting = FlyingObjectDetector(small(FlyingConfig.paper()))
+    detector, specification = FlyingObjectDetector(config), Specification(config)
+    for scan in random_world(3, stream=False):
+        given = (scan["points"], scan["poses"], scan["stamp"])
+        named = {"no_return": scan["no_return"], "directions": scan["directions"]}
+        same(detector.process(*given, **named), specification.process(**scan))
+        waiting.process(*given, **named)
+    if min_confident > 1:
+        assert len(detector.occupied_points()) < len(waiting.occupied_points())
+
+
 def same(frame, expected):
     assert frame.status.gate_open == (expected.gate == "open")
     np.testing.assert_array_equal(frame.point_class, expected.point_class)
@@ -209,6 +227,30 @@ def test_paper_mode_finds_the_drone_too():
         assert (frame.point_class[own] == FLYING).mean() > 0.9
         misses = np.linalg.norm(frame.tracks.position - simulated.truth.position[0], axis=1)
         assert misses.min() < 0.5
+
+
+def test_removal_from_the_first_scan_leaves_a_sparse_sensor_nothing_and_says_so():
+    """It pulls the background down before it has become one: why paper mode waits with it."""
+    paper = FlyingConfig.paper()
+    at_once = paper.separate.model_copy(update={"waits_for_background": False})
+    config = paper.model_copy(update={"separate": at_once})
+    frames, detector = run(scans_of(YARD_WITH_DRONE), config)
+    assert not any(frame.status.gate_open for frame in frames)
+    assert "no background" in frames[-1].status.reason
+    assert "separate.waits_for_background" in frames[-1].status.reason
+    assert len(detector.occupied_points()) == 0
+
+
+def test_paper_mode_drops_no_return_by_its_range():
+    """But a point at the sensor itself is how drivers mark a ray without return."""
+    scan = scans_of(YARD_WITH_DRONE)[0]
+    points = scan.scan.points.reshape(-1, 3).copy()
+    points[:2] = [[0.2, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    given = {"points_lidar": points, "no_return": None}
+    paper, best = (feed(FlyingObjectDetector(config), scan, **given).point_class
+                   for config in (FlyingConfig.paper(), FlyingConfig()))  # fmt: skip
+    assert paper[:2].tolist() == [UNKNOWN, 0]
+    assert best[:2].tolist() == [0, 0]
 
 
 @pytest.mark.parametrize("threads", [2, 4])

@@ -312,7 +312,13 @@ def test_a_scan_without_points_clears_nothing():
             },
             "max_gap",
         ),
-        ({"classify": ClassifyConfig(close_distance=40.0)}, "close_distance"),
+        (
+            {
+                "voxel_map": VoxelMapConfig(voxel_size=0.05),
+                "classify": ClassifyConfig(close_distance=10.0),
+            },
+            "close_distance",
+        ),
     ],
 )
 def test_values_that_cannot_work_together_are_refused_at_once(config, text):

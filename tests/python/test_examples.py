@@ -83,8 +83,10 @@ def test_quickstart_prints_two_tracks():
     assert {line.split()[3] for line in lines} == {"0", "1"}
 
 
-def test_both_detectors_of_circles_are_honest():
-    text = output_of(sys.executable, "circle_detectors.py")
+@pytest.mark.parametrize("rule", ["square", "lattice", "disc", "polar"])
+def test_both_detectors_of_circles_are_honest(rule):
+    """Whatever rule draws the circles."""
+    text = output_of(sys.executable, "circle_detectors.py", 5_000, rule)
     assert all(2.6 < figure(text, f"NEES of {name}") < 3.4 for name in ("cnn", "ml"))
 
 

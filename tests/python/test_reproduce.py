@@ -68,7 +68,15 @@ SHORT = {
         seed=1002,
         range_max=36.0,
     ),
-    "flying-false-tracks": Short(("false tracks, ideal", "false tracks per 1000 scans, dust")),
+    "flying-false-tracks": Short(
+        (
+            "false tracks, ideal",
+            "false tracks per 1000 scans, dust",
+            "false tracks per 1000 scans, thick dust",
+            "false tracks per 1000 scans, swarm",
+            "false tracks per 1000 scans, sparse leaves",
+        )
+    ),
     "flying-real": Short(
         ("street_128_labelled/recall", "rs16_office/false_tracks", "livox_horizon_sway/scans"),
         modes=("best_mode",),

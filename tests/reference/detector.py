@@ -221,7 +221,7 @@ class Detector:
         return found
 
     def remove_separate(self) -> None:
-        """Sec. III-D, once there is something to be separate from."""
+        """Sec. III-D: at once, or as soon as there is something to be separate from."""
         options = self.c.separate
         reach = options.max_gap / self.map.config.voxel_size
         enough = [
@@ -229,7 +229,7 @@ class Detector:
             for group in separate.groups(self.map.occupied(), reach)
         ]
         self.has_background = any(enough)
-        if self.has_background:
+        if self.has_background or not options.waits_for_background:
             separate.remove_separate(
                 self.map, max_gap=options.max_gap, min_confident=options.min_confident
             )

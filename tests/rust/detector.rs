@@ -42,6 +42,7 @@ fn parameters() -> FlyingParameters {
         cluster_voxels: false,
         classify: classify(),
         separation: Separation { max_gap: 0.8, min_confident: 4, dilate: false },
+        removal_waits: true,
         seed: SeedParameters {
             burn_in_scans: 3,
             burn_in_extent: 1.0,

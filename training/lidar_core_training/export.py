@@ -14,7 +14,6 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
 from lidar_core.circles.architecture import ANSWERS, CONTEXT, SLOT_NUMBERS, SLOTS
-from lidar_core.config import Config
 from lidar_core.errors import FormatError, NumericalError
 from lidar_core.io.atomic import written_whole
 from lidar_core_training import checkpoint
@@ -214,7 +213,7 @@ def _windows(network: WindowNet, graph: Graph) -> str:
 
 
 def _card(
-    config: Config, results: dict[str, Any], run: Path, model: Path, network: nn.Module,
+    config: TrainConfig, results: dict[str, Any], run: Path, model: Path, network: nn.Module,
     difference: float, name: str,
 ) -> dict[str, Any]:  # fmt: skip
     with (run / METRICS).open(newline="", encoding="utf-8") as file:
@@ -229,7 +228,7 @@ def _card(
         "parameters": sum(weight.numel() for weight in network.parameters()),
         "opset": OPSET,
         **json.loads((run / ORIGIN).read_text(encoding="utf-8")),
-        "epochs": len(metrics),
+        "passes": len(metrics) / config.parts,
         "best_epoch": best["epoch"],
         "metrics": metrics,
         "largest_difference_from_torch": difference,

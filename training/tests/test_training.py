@@ -144,6 +144,7 @@ def test_exported_models_answer_as_torch_does(run, tmp_path):
     assert card["largest_difference_from_torch"] <= PARITY
     assert card == json.loads((tmp_path / "m.json").read_text())
     assert card["training"]["network"] == name
+    assert card["passes"] == len(card["metrics"]) / card["training"]["parts"]
     losses = [row["validation_loss"] for row in card["metrics"]]
     assert losses[int(card["best_epoch"]) - 1] == min(losses)
     samples = make_samples(DatasetConfig.continuous(circles=1), count=20, seed=74)

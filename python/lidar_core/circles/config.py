@@ -58,11 +58,12 @@ class CirclesConfig(Config):
     def paper(cls, **changes: Any) -> Self:
         """The stages as published, with given changes.
 
-        The paper's circles come from its network, `detector="paper-cnn"`, which knows one scanner;
-        the default here is an algebraic fit, for any.
+        Circles come from the paper's network, which knows the paper's scanner: a pipeline with
+        another one raises ConfigError. `CirclesConfig.paper(detector="taubin")` has all other
+        stages as published, and is for any scanner.
         """
         paper = {
-            "detector": "taubin",
+            "detector": "paper-cnn",
             "preprocess": PreprocessConfig.paper(),
             "segment": SegmentConfig.paper(),
             "max_deviation": 1e6,

@@ -24,7 +24,7 @@ class FitConfig(Config):
         " the expected or the most likely circle; or an algebraic fit to the points.",
     )
     range_std: float = Field(
-        0.01, gt=0, le=1.0, description="Standard deviation of a range [m]. Source: sec. IV-A."
+        0.01, gt=0, le=0.5, description="Standard deviation of a range [m]. Source: sec. IV-A."
     )
     beam_half_width: float = Field(
         0.0,
@@ -33,11 +33,12 @@ class FitConfig(Config):
         description="Half the width of a beam as far as a surface returns it: a circle seems"
         " wider by it on both sides [rad].",
     )
-    min_radius: float = Field(0.02, gt=0, description="Smallest radius [m].")
-    max_radius: float = Field(1.0, gt=0, le=100.0, description="Largest radius [m].")
+    min_radius: float = Field(0.02, gt=0, le=20, description="Smallest radius [m].")
+    max_radius: float = Field(1.0, gt=0, le=50, description="Largest radius [m].")
     usual_radius: float = Field(
         0.5,
         gt=0,
+        le=20,
         description="Circles up to this radius are all as likely, of larger ones the probability"
         ' falls with its eighth power; for "ml" [m]. Source: sec. IV-A.',
     )

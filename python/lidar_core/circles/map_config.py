@@ -79,6 +79,7 @@ class CircleMapConfig(Config):
     merge_gap: float = Field(
         0.15,
         ge=0,
+        le=5,
         description="Elements with a smaller gap between their surfaces are one object, as arms"
         " and trunk of a person are [m]; 0: only those whose centre lies inside another.",
     )
@@ -95,11 +96,12 @@ class CircleMapConfig(Config):
     max_position_std: float = Field(
         1.0,
         gt=0,
+        le=50,
         description="An element that is not hidden goes when the standard deviation of its centre"
         " in its worst direction is larger, eq. 33 for a block of the covariance [m].",
     )
     max_velocity_std: float = Field(3.0, gt=0, description="Same of the velocity [m/s].")
-    max_radius_std: float = Field(0.3, gt=0, description="Same of the radius [m].")
+    max_radius_std: float = Field(0.3, gt=0, le=10, description="Same of the radius [m].")
     min_misses: int = Field(
         3,
         ge=1,
@@ -128,6 +130,7 @@ class CircleMapConfig(Config):
     see_margin: float = Field(
         0.15,
         ge=0,
+        le=5,
         description="A ray that ends nearer to the surface of an element than this belongs to it"
         " [m].",
     )
@@ -153,16 +156,19 @@ class CircleMapConfig(Config):
     line_std: float = Field(
         0.01,
         ge=0,
+        le=0.5,
         description="Standard deviation of how far surfaces depart from a straight line [m].",
     )
     line_gap: float = Field(
         0.5,
         ge=0,
+        le=20,
         description="Stretches of one line with a longer gap between them are two [m].",
     )
     line_length: float = Field(
         0.5,
         ge=0,
+        le=20,
         description="Shorter stretches make no new line: they may be parts of anything [m].",
     )
     line_reach: float = Field(

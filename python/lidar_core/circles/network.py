@@ -24,6 +24,8 @@ from lidar_core.errors import ConfigError, FormatError, InputError
 Kind: TypeAlias = Literal["windows", "scans"]
 
 _SMALLEST_RADIUS = 1e-3
+_SAME_RAY = 0.1  # of the step between rays: bearings of messages are float32
+_ROUNDING = 1e-6  # of range limits, which are float32 in messages [m]
 _LEARNT = ("range_low", "range_high", "variance_x", "variance_y", "variance_radius")
 _SHAPES: dict[Kind, tuple[dict[str, tuple[int | None, ...]], int]] = {
     "windows": ({"slots": (None, 32, 4), "context": (None, 21)}, 9),
@@ -77,6 +79,46 @@ class CircleNetwork:
                     f"{self.path}: takes {beams} rays, but was trained on {self._scanner.n_beams}"
                 )
 
+    def check_scanner(self, scanner: Scanner, place: str) -> None:
+        """Refuse a scanner that a network on whole scans was not trained for.
+
+        Networks on windows are for any scanner.
+
+        Parameters
+        ----------
+        scanner : Scanner
+            What gives the scans.
+        place : str
+            Its name in the configuration, with which the text of the error begins.
+
+        Raises
+        ------
+        ConfigError
+            Its rays or range limits are others.
+        """
+        if self.kind != "scans" or _is_like(scanner, self._scanner):
+            return
+        name = self.path.stem if self.path.parent == MODELS else self.path.name
+        raise ConfigError(
+            f"{place}: the network {name} was trained for {_told(self._scanner)}, got"
+            f" {_told(scanner)}; use a fit in its place, which is for any scanner, as in"
+            ' detector = "taubin" (--set detector=taubin), or train the network for this scanner'
+            " (lidar-core train circles)"
+        )
+
+    def _check_bearings(self, bearings: NDArray[np.float64]) -> None:
+        """Refuse rays of another scanner: beside each other they must be as those learnt."""
+        step = self._scanner.angle_increment
+        steps = np.diff(bearings)
+        if len(steps) and np.abs(steps - step).max() > _SAME_RAY * abs(step):
+            told = np.unique(np.degrees(steps).round(3))
+            got = f"{told[0]:g}" if len(told) == 1 else f"{told[0]:g} to {told[-1]:g}"
+            raise InputError(
+                f"bearings: {self.path.name} was trained for {_told(self._scanner)}, a step of"
+                f" {np.degrees(step):g} deg; got steps of {got} deg; use a fit, such as"
+                ' detector "ml", or a network trained for this scanner'
+            )
+
     def of_rows(
         self,
         ranges: NDArray[np.float32],
@@ -92,6 +134,7 @@ class CircleNetwork:
         covariance = np.full((len(ranges), 3, 3), np.nan)
         counts = hits.sum(axis=1, dtype=np.int64)
         if len(seen) and self.kind == "scans":
+            self._check_bearings(bearings)
             scan, ray = np.nonzero(hits[seen])
             parameters[seen] = self._of_hits(
                 ranges[seen[scan], ray], bearings[ray], scan, len(seen)
@@ -181,6 +224,28 @@ def checked_model(model: str | Path) -> tuple[Path, bytes, dict[str, Any]]:
     card = _card_of(path, content)
     check_graph(path, content)
     return path, content, card
+
+
+def _is_like(scanner: Scanner, known: Scanner) -> bool:
+    """Whether `scanner` has the rays of `known`, and ranges within its limits."""
+    rays = (scanner.n_beams, known.n_beams)
+    if rays[0] != rays[1]:
+        return False
+    apart = np.abs(scanner.bearings() - known.bearings()).max()
+    return bool(
+        apart < _SAME_RAY * abs(known.angle_increment)
+        and scanner.range_min >= known.range_min - _ROUNDING
+        and scanner.range_max <= known.range_max + _ROUNDING
+    )
+
+
+def _told(scanner: Scanner) -> str:
+    """Rays and range limits of a scanner, for somebody who has to compare two."""
+    first, last = np.degrees(scanner.bearings()[[0, -1]])
+    return (
+        f"{scanner.n_beams} rays from {first:.1f} to {last:.1f} deg with ranges from"
+        f" {scanner.range_min:g} to {scanner.range_max:g} m"
+    )
 
 
 def _file_of(model: str | Path) -> Path:

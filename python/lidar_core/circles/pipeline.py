@@ -49,7 +49,8 @@ class CirclePipeline:
     Raises
     ------
     ConfigError
-        A parameter is outside its range, a model is not trusted, or `estimator` cannot be called.
+        A parameter is outside its range, a model is not trusted, the network of `config.detector`
+        was trained for another scanner, or `estimator` cannot be called.
 
     Notes
     -----
@@ -89,6 +90,9 @@ class CirclePipeline:
             fit = fit.load(fit.model_dump() | {"method": detector})
         elif estimator is None:
             self._network = CircleNetwork(detector, allow_untrusted=allow_untrusted)
+            self._network.check_scanner(self.config.scanner, "scanner")
+            for name, scanner in self.config.scanners.items():
+                self._network.check_scanner(scanner, f"scanners.{name}")
         self._pipeline = _core.CirclePipeline(self.config, fit=fit)
         self._estimator = estimator
         self._health = CirclesHealth()
@@ -248,6 +252,7 @@ class CirclePipeline:
             segments=segments,
             circles=nobody,
             circles_world=nobody,
+            time_ns=numbers,
             shapes=Shapes(
                 np.empty(0, np.uint8), np.empty((0, 5)), np.empty((0, 5, 5)), rays, numbers
             ),
@@ -272,6 +277,7 @@ def _frame(stamp_ns: int, scanner: str, values: dict[str, Any]) -> CircleFrame:
         segments=segments_of(values["segments"]),
         circles=Circles(*values["circles"]),
         circles_world=Circles(*values["circles_world"]),
+        time_ns=values["time_ns"],
         shapes=Shapes(*values["shapes"]),
         element=values["element"],
         too_near=values["too_near"],

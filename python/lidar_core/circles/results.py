@@ -36,6 +36,9 @@ class CircleFrame:
         Groups of rays, one per object.
     circles, circles_world : Circles
         One circle per segment, in the level frame and in the world.
+    time_ns : ndarray, shape (C,), int64
+        When each was measured: the mean time of the rays of its segment [ns]. An object that moves
+        was there then, and not at `stamp_ns`.
     shapes : Shapes
         One shape per segment, in the level frame; empty if `shapes` of the configuration is off.
     element : ndarray, shape (C,), int64
@@ -67,6 +70,7 @@ class CircleFrame:
     segments: Segments
     circles: Circles
     circles_world: Circles
+    time_ns: NDArray[np.int64]
     shapes: Shapes
     element: NDArray[np.int64]
     too_near: NDArray[np.bool_]

@@ -43,8 +43,10 @@ class Scanner(Config):
     n_beams: int = Field(
         1081, ge=2, le=_MOST_BEAMS, description="Rays of one sweep (count, no unit)."
     )
-    range_min: float = Field(0.1, ge=0, description="Nearest surface that is measured [m].")
-    range_max: float = Field(10.0, gt=0, description="Farthest surface that is measured [m].")
+    range_min: float = Field(0.1, ge=0, le=20, description="Nearest surface that is measured [m].")
+    range_max: float = Field(
+        10.0, gt=0, le=500, description="Farthest surface that is measured [m]."
+    )
 
     def __init__(self, *values: float, **named: Any) -> None:
         fields = type(self).model_fields

@@ -30,12 +30,14 @@ class ShapeConfig(Config):
     max_size: float = Field(
         0.5,
         gt=0,
+        le=20,
         description="Largest half length of an ellipse, rectangle or free standing line that is a"
         " circle of the map [m].",
     )
     model_std: float = Field(
         0.03,
         gt=0,
+        le=1,
         description="Standard deviation of how far the outline of such an object departs from the"
         " circle that stands for it, added to its covariance [m].",
     )

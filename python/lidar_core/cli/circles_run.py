@@ -41,6 +41,7 @@ class _Found:
     """Circles of one scan that went into the map: all that tables need of a frame."""
 
     scanner: str
+    time_ns: NDArray[np.int64]
     circles: NDArray[np.float64]
     covariance: NDArray[np.float64]
     n_hits: NDArray[np.int64]
@@ -52,6 +53,7 @@ class _Found:
         in_map, circles = frame.element >= 0, frame.circles_world
         return cls(
             frame.scanner,
+            frame.time_ns[in_map],
             circles.parameters[in_map],
             circles.covariance[in_map],
             circles.n_hits[in_map],
@@ -199,6 +201,7 @@ class CirclesRun:
         names = ("x", "y", "radius")
         return {
             "t_ns": np.repeat(stamps, counts),
+            "time_ns": np.concatenate([no_rows, *(item.time_ns for item in found)]),
             "sensor": [item.scanner for item in found for _ in item.element],
             "frame_id": [self.frame_id] * sum(counts),
             **{name: circles[:, axis] for axis, name in enumerate(names)},

@@ -8,6 +8,7 @@ import typer
 
 from lidar_core.cli.common import JsonFile, Row, consoles, given, result_table, write_json
 from lidar_core.cli.score_rows import (
+    consistency_warnings,
     counted_caption,
     detail_rows,
     distance_table,
@@ -21,7 +22,13 @@ from lidar_core.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from lidar_core.evaluation import Evaluation, EvaluationConfig, Prediction, Truth
+    from lidar_core.evaluation import (
+        DetectionScores,
+        Evaluation,
+        EvaluationConfig,
+        Prediction,
+        Truth,
+    )
 
 PREDICTED = (
     "Run folder of detect, circles or demo, or a table of tracks: CSV, Parquet, .npz, TUM, MCAP."
@@ -71,6 +78,9 @@ def command(
     out, _ = consoles(json)
     without = _without_truth(prediction, truth, config, f"{predicted} and {true}")
     _print(out, report, config, f"{predicted} against {true}")
+    warnings = consistency_warnings(_scores(report))
+    for text in warnings:
+        out.print(f"warning: {text}")
     if without:
         out.print(f"note: {without} tracks lie at times without truth, and count as false")
     for text in report.warnings:
@@ -82,6 +92,7 @@ def command(
             "truth": str(true),
             "config": config.model_dump(mode="json"),
             "tracks_without_truth": without,
+            "warnings": warnings,
             **report.to_dict(),
         },
         json,
@@ -117,10 +128,15 @@ def _without_truth(
     return int(without.sum())
 
 
+def _scores(report: "Evaluation") -> "list[tuple[str, DetectionScores]]":
+    """Scores of tracks and of detections, by name, of those that there are."""
+    both = (("tracks", report.tracks), ("detections", report.detections))
+    return [(what, item) for what, item in both if item is not None]
+
+
 def _print(out: "Console", report: "Evaluation", config: "EvaluationConfig", title: str) -> None:
     rows: list[Row | None] = [*main_rows(report)]
-    scores = [(what, item) for what, item in (("tracks", report.tracks),
-              ("detections", report.detections)) if item is not None]  # fmt: skip
+    scores = _scores(report)
     for what, item in scores:
         rows += detail_rows(item, what)
     if report.identities is not None:

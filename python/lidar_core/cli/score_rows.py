@@ -99,6 +99,22 @@ def latency_rows(latency: "Latency") -> list[Row | None]:
     return [None, Row("time per scan", f"{total.mean:.0f} ms", tail)]
 
 
+CAUSES = (
+    "likely causes: noise of ranges or poses that is told wrong, clocks of truth and recording that"
+    " differ, another point of the object than its centre as truth"
+)
+
+
+def consistency_warnings(scores: "Iterable[tuple[str, DetectionScores]]") -> list[str]:
+    """Say whose covariances do not fit the errors, with the likely causes."""
+    found = [(what, item.position_nees) for what, item in scores]
+    return [
+        f"{what}: {nees.warning}; {CAUSES}"
+        for what, nees in found
+        if nees is not None and nees.warning is not None
+    ]
+
+
 def counted_caption(config: "EvaluationConfig") -> str:
     """Which sightings count."""
     return (

@@ -15,6 +15,13 @@ ASYMMETRY = 1e-6
 """Of a covariance, beside its largest entry: rounding to float32 is allowed."""
 
 
+LEAST_RATIO, MOST_RATIO = 0.5, 2.0
+"""Means of NEES over its degrees of freedom outside of these are worth a warning: errors are then
+0.7 or 1.4 times as large as the covariances say."""
+FEWEST = 50
+"""Values of which a mean says something: fewer are no ground for a warning."""
+
+
 @dataclass(frozen=True, slots=True)
 class Consistency:
     """Normalised squared errors against their chi-square distribution.
@@ -48,6 +55,23 @@ class Consistency:
     n_runs: int
     share_of_steps_inside: float
     step_band: tuple[float, float]
+
+    @property
+    def warning(self) -> str | None:
+        """What is wrong with the covariances, in words; None if the mean is about right.
+
+        Covariances that are too large count as those that are too small: below half the right mean,
+        or above twice it.
+        """
+        ratio = self.mean / self.degrees
+        if self.count < FEWEST or LEAST_RATIO <= ratio <= MOST_RATIO:
+            return None
+        size, times = "small" if ratio > 1 else "large", ratio**0.5
+        told = f"{times:.0f}" if times >= 10 else f"{times:.2g}"
+        return (
+            f"NEES {self.mean:.2f} where {self.degrees} is right: errors are {told} times"
+            f" as large as the covariances say, which are too {size}"
+        )
 
 
 def nees(error: ArrayLike, covariance: ArrayLike) -> NDArray[np.float64]:

@@ -17,7 +17,8 @@ class VoxelMapConfig(Config):
     Source: Vrba et al., eqs 6-12 and 20-22; defaults: Table II.
     """
 
-    voxel_size: float = Field(0.25, gt=0, description="Edge of a voxel, v_s [m].")
+    # A voxel above 5 m holds target and background at once.
+    voxel_size: float = Field(0.25, gt=0, le=5, description="Edge of a voxel, v_s [m].")
     g_occ: float = Field(0.0, description="G that background points pull a voxel to (no unit).")
     g_unk: float = Field(-740.0, description="Same for unknown and flying points (no unit).")
     g_free: float = Field(-1000.0, description="Same for rays (no unit).")
@@ -31,10 +32,10 @@ class VoxelMapConfig(Config):
         (), max_length=16, description="Further levels that `state_at` counts, eq. 6 (no unit)."
     )
     max_range: float = Field(
-        20.0, gt=0, description="Rays clear no further than this, d_max of eq. 20 [m]."
+        20.0, gt=0, le=1000, description="Rays clear no further than this, d_max of eq. 20 [m]."
     )
     end_margin: float = Field(
-        0.0, ge=0, description="Rays that hit something end this much earlier [m]."
+        0.0, ge=0, le=10, description="Rays that hit something end this much earlier [m]."
     )
     rays: Literal["all", "one_per_end"] = Field(
         "all",
@@ -79,7 +80,7 @@ class ClusterConfig(Config):
     """Clusters of points. Source: Vrba et al., eqs 13-15; defaults: Table II."""
 
     max_distance: float = Field(
-        0.25, gt=0, description="Largest gap inside a cluster, d_cluster [m]."
+        0.25, gt=0, le=10, description="Largest gap inside a cluster, d_cluster [m]."
     )
     max_angle: float = Field(
         0.02,
@@ -110,12 +111,14 @@ class ClassifyConfig(Config):
     close_distance: float = Field(
         0.7,
         gt=0,
+        le=10,
         description="Rule A: a point closer than this to the centre of an occupied voxel is"
         " background, d_close [m].",
     )
     search_distance: float = Field(
         3.0,
         gt=0,
+        le=100,
         description="Rule B: a path of uncertain voxels this long (L1) connects a cluster,"
         " d_search [m].",
     )
@@ -148,11 +151,12 @@ class ClassifyConfig(Config):
     max_extent: float | None = Field(
         2.0,
         gt=0,
+        le=50,
         description="Groups of clusters with a larger diagonal of their box are no flying object"
         " [m]; the visible side of a sphere has one of up to 3.1 radii.",
     )
     background_extent: float | None = Field(
-        3.0, gt=0, description="Larger clusters are background at any time [m]."
+        3.0, gt=0, le=100, description="Larger clusters are background at any time [m]."
     )
     min_points: int = Field(
         3,
@@ -163,11 +167,13 @@ class ClassifyConfig(Config):
     max_distance: float | None = Field(
         20.0,
         gt=0,
+        le=1000,
         description="Clusters further from the sensor are no flying object [m].",
     )
     group_distance: float | None = Field(
         0.7,
         gt=0,
+        le=10,
         description="Clusters with gaps up to this are judged together: by their common extent,"
         " and as background if background of this scan is among them [m]; none: each by itself.",
     )
@@ -181,8 +187,8 @@ class ClassifyConfig(Config):
     upright_height: float | None = Field(
         1.2,
         gt=0,
-        description="Clusters at least this high, whose diagonal on the ground is at most two fifths of"
-        " their height, stand on something and do not fly, such as signs and people [m].",
+        description="Clusters at least this high, whose diagonal on the ground is at most two"
+        " fifths of their height, stand on something and do not fly, such as signs and people [m].",
     )
     follow_tracks: bool = Field(
         True,
@@ -218,6 +224,7 @@ class SeparateConfig(Config):
     max_gap: float = Field(
         0.8,
         ge=0,
+        le=10,
         description="Largest distance between the centres of neighbouring voxels of a group,"
         " d_sep; not in Table II, taken from the authors' code [m].",
     )
@@ -232,6 +239,12 @@ class SeparateConfig(Config):
         False,
         description="Observed voxels within `max_gap` of a removed one are pulled towards free"
         " too, as in the authors' code (no unit).",
+    )
+    waits_for_background: bool = Field(
+        True,
+        description="Nothing is removed before one group holds `min_confident` confident voxels;"
+        " otherwise removal begins with the first scan, as in the paper, and pulls down the"
+        " background of sparse sensors faster than they build it up (no unit).",
     )
 
 
@@ -250,6 +263,7 @@ class SeedConfig(Config):
     burn_in_extent: float = Field(
         2.0,
         gt=0,
+        le=50,
         description="During the burn-in clusters with a larger diagonal of their box are"
         " background; must exceed that of the largest target [m].",
     )
@@ -263,12 +277,14 @@ class SeedConfig(Config):
     standing_shift: float = Field(
         0.04,
         ge=0,
+        le=1,
         description="Its points move this much at most between the halves of the burn-in; those"
         " of a target that flies through a voxel move across it [m].",
     )
     standing_track_distance: float = Field(
         0.5,
         ge=0,
+        le=10,
         description="A track this far from where it began follows no such thing [m].",
     )
     ground_height: float | None = Field(
@@ -301,6 +317,7 @@ class FlyingConfig(Config):
     range_margin: float = Field(
         2.0,
         ge=0,
+        le=100,
         description="Rays clear this much further than `voxel_map.max_range`, so that what is"
         " around a target at that range has been observed [m].",
     )
@@ -310,11 +327,15 @@ class FlyingConfig(Config):
         " hit, or the centroid of these points, eq. 19 (no unit).",
     )
     range_std: float = Field(
-        0.03, ge=0, description="Standard deviation of a range, for detection covariances [m]."
+        0.03,
+        ge=0,
+        le=1,
+        description="Standard deviation of a range, for detection covariances [m].",
     )
     target_radius: float = Field(
         0.325,
         gt=0,
+        le=10,
         description="Radius of the smallest target: where its rays are free, a track should be"
         " seen [m].",
     )
@@ -351,15 +372,16 @@ class FlyingConfig(Config):
     def paper(cls) -> Self:
         """The algorithms as published, with the parameters of Table II.
 
-        What the paper leaves out is the burn-in that seeds the background, with an extent for
-        targets of the paper's size, and d_sep, which stays at its default.
+        No return is dropped by its range. What the paper leaves out is the burn-in that seeds the
+        background, with an extent for targets of the paper's size, and d_sep, which stays at its
+        default. Removal of separate background begins once there is a background.
         """
         return cls(
             voxel_map=VoxelMapConfig(ray_unit="metres"),
             cluster=ClusterConfig(max_angle=0.0),
             classify=ClassifyConfig.paper(),
             seed=SeedConfig(burn_in_extent=1.0, standing_scans=0),
-            sensor=SensorConfig(learn_mask_scans=0, beams=None, find_body=False),
+            sensor=SensorConfig.paper(),
             tracker=TrackerConfig.paper(),
             position="paper",
             pose=PoseConfig.paper(),

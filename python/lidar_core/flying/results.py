@@ -117,8 +117,8 @@ class FlyingStatus:
         The scan was held: `reanchor` or `reset` go on from here.
     sky : str
         How rays without return are known: "given" by the caller or the recording, found by the
-        "pattern" of a sensor with rows or by the "density" of the returns, or "unknown". While it is
-        unknown, open sky is never cleared, and objects in front of it are unknown, not flying.
+        "pattern" of a sensor with rows or by the "density" of the returns, or "unknown". While it
+        is unknown, open sky is never cleared, and objects in front of it are unknown, not flying.
     sky_share : float
         Share of the sensor's rays that go into the sky.
     n_sky_rays : int

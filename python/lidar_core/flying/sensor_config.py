@@ -19,14 +19,14 @@ Beams: TypeAlias = Literal[
 """How rays without return are known; the names below are those of 3D sensors."""
 
 BeamTable: TypeAlias = tuple[str, tuple[float, ...], int]
-"""given or learnt; or rows with their elevations [rad] and the rays of each; or view with lowest and
-highest elevation, largest azimuth [rad] and the rays of a scan."""
+"""given or learnt; or rows with their elevations [rad] and the rays of each; or view with lowest
+and highest elevation, largest azimuth [rad] and the rays of a scan."""
 
 
 class SensorConfig(Config):
     """One LiDAR: its own robot in view, and the rays that its driver drops."""
 
-    min_range: float = Field(0.3, ge=0, description="Nearer returns are not used [m].")
+    min_range: float = Field(0.3, ge=0, le=20, description="Nearer returns are not used [m].")
     self_box: Box | None = Field(
         None, description="Lower and upper corner of the robot, lidar frame [m]."
     )
@@ -47,6 +47,7 @@ class SensorConfig(Config):
     learn_mask_range: float = Field(
         1.0,
         gt=0,
+        le=20,
         description="Where returns keep coming from nearer than this, there is the robot: they,"
         " and rays without return in their directions, are not used [m].",
     )
@@ -56,8 +57,8 @@ class SensorConfig(Config):
     )
     find_body: bool = Field(
         True,
-        description="What stays in place in the sensor's frame while the sensor moves, and is joined"
-        " to something near, is the robot: neither target nor background (no unit).",
+        description="What stays in place in the sensor's frame while the sensor moves, and is"
+        " joined to something near, is the robot: neither target nor background (no unit).",
     )
     beams: Beams | None = Field(
         "auto",
@@ -96,6 +97,11 @@ class SensorConfig(Config):
             raise ConfigError(f"preset: expected a 3D LiDAR, got {name!r}")
         near = max(sensor.model.get("range_min", 0.0), cls().min_range)
         return cls.load({"min_range": near, "beams": name if sensor.drops_rays else "auto"})
+
+    @classmethod
+    def paper(cls) -> Self:
+        """Every return is used, however near, and nothing is looked for: the paper has neither."""
+        return cls(min_range=0.0, learn_mask_scans=0, beams=None, find_body=False)
 
     @property
     def beam_table(self) -> BeamTable:

@@ -20,7 +20,7 @@ class TrackerConfig(Config):
         10, ge=1, le=1000, description="Clouds kept for late detections, N_buf (count, no unit)."
     )
     cluster_distance: float = Field(
-        0.5, gt=0, description="Largest gap inside a cluster [m]; paper: d_cluster, 0.25 m."
+        0.5, gt=0, le=10, description="Largest gap inside a cluster [m]; paper: d_cluster, 0.25 m."
     )
     cluster_min_points: int = Field(
         1, ge=1, le=MOST_POINTS, description="Smaller clusters are no targets (count, no unit)."
@@ -34,12 +34,14 @@ class TrackerConfig(Config):
     max_extent: float | None = Field(
         2.0,
         ge=0,
+        le=50,
         description="Clusters with a longer side of their bounding box are no targets [m];"
         " none, as in the paper: no limit.",
     )
     occupied_distance: float = Field(
         0.7,
         ge=0,
+        le=10,
         description="A centroid this close to an occupied voxel's centre is background, d_min [m];"
         " the paper gives no value, its mode takes 1.0 m.",
     )
@@ -56,9 +58,14 @@ class TrackerConfig(Config):
     radius_scale: float = Field(
         1.22, gt=0, description="Multiplier of the uncertainty radius, c_r (no unit); paper: 0.5."
     )
-    radius_min: float = Field(1.5, gt=0, description="Smallest uncertainty radius, r_min [m].")
+    radius_min: float = Field(
+        1.5, gt=0, le=100, description="Smallest uncertainty radius, r_min [m]."
+    )
     radius_max: float = Field(
-        3.0, gt=0, description="Tracks with a larger uncertainty radius are removed, r_max [m]."
+        3.0,
+        gt=0,
+        le=100,
+        description="Tracks with a larger uncertainty radius are removed, r_max [m].",
     )
     acceleration_time: float | None = Field(
         1.0,
@@ -80,6 +87,7 @@ class TrackerConfig(Config):
     process_position: float = Field(
         0.0,
         ge=0,
+        le=10,
         description="Noise of the position, Xi_r: per step [m], or root of a density [m/s^0.5];"
         " paper: 0.5 m.",
     )
@@ -98,6 +106,7 @@ class TrackerConfig(Config):
     initial_position: float = Field(
         0.3,
         gt=0,
+        le=20,
         description="Standard deviation of a new track's position where the detection has no"
         " covariance, P_0,r [m]; paper: 0.5 m.",
     )
@@ -115,7 +124,7 @@ class TrackerConfig(Config):
         " `cluster` (no unit).",
     )
     measurement_std: float = Field(
-        0.07, gt=0, description="Standard deviation of a centroid, Z [m]; paper: 1 m."
+        0.07, gt=0, le=5, description="Standard deviation of a centroid, Z [m]; paper: 1 m."
     )
     hidden_share: float | None = Field(
         0.75,
@@ -156,6 +165,7 @@ class TrackerConfig(Config):
     split_distance: float | None = Field(
         0.8,
         gt=0,
+        le=10,
         description="A cluster this near to several confirmed tracks, which are further apart from"
         " each other, is divided among them [m]; none, as in the paper: it stays whole; global"
         " association.",
@@ -181,12 +191,14 @@ class TrackerConfig(Config):
     confirm_distance: float = Field(
         0.5,
         ge=0,
+        le=10,
         description="A track this far from where it began has moved, with two standard deviations"
         " of its position on top [m].",
     )
     confirm_cleared: float = Field(
         0.3,
         ge=0,
+        le=10,
         description="But only while the newest scan shows that nothing is this near to where it"
         " began: what leaps along the leaves of a tree, or shows itself in a gap that glides along,"
         " has moved as well [m].",
@@ -201,7 +213,10 @@ class TrackerConfig(Config):
         20, ge=1, le=64, description="Sets of detections looked back on for them (count, no unit)."
     )
     merge_distance: float | None = Field(
-        0.3, ge=0, description="Tracks this close are one target [m]; none, as in the paper: never."
+        0.3,
+        ge=0,
+        le=10,
+        description="Tracks this close are one target [m]; none, as in the paper: never.",
     )
     merge_speed: float = Field(
         1.0, ge=0, description="Tracks whose velocities differ by more are two targets [m/s]."

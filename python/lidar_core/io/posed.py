@@ -15,7 +15,7 @@ from lidar_core.io.nameless import carrier_of
 from lidar_core.io.options import NS, PoseOptions
 from lidar_core.io.pose_files import read_poses
 from lidar_core.io.pose_frames import PoseFrameCheck, Verdict, advice
-from lidar_core.io.recording import Recording, Topic
+from lidar_core.io.recording import Recording
 from lidar_core.io.ros_messages import POSE_TYPES
 from lidar_core.io.scan_topics import WORDS, listed, scan_topic
 from lidar_core.io.tf_buffer import NoTransformError, TransformBuffer

@@ -53,7 +53,7 @@ def config_of(scene: "Scene", network: str) -> "CirclesConfig":
         range_max=lidar.range_max,
     )
     if network:
-        return circles.CirclesConfig.paper(scanner=scanner, detector=PAPER_NETWORK)
+        return circles.CirclesConfig.paper(scanner=scanner)
     return circles.CirclesConfig(scanner=scanner)
 
 

@@ -20,13 +20,18 @@ if TYPE_CHECKING:
 SCANS_PER_FLIGHT = 100
 SHARES = {"ideal": 1, "noisy": 10, "rain": 1, "dust": 1, "insects": 1, "foliage": 1}
 """Conditions, and how the scans are shared among them."""
+WORSE = ("thick dust", "swarm", "sparse leaves")
+"""Conditions that were added later, each with the scans of one share on top."""
+CONDITIONS = (*SHARES, *WORSE)
 NOISY_RANGE, IDEAL_RANGE = 0.05, 0.0
 """Standard deviation of the ranges [m]."""
 POSITION_STD, ANGLE_STD_DEG = 0.1, 0.5
 """Noise of the poses, white, per scan and axis [m], [deg]."""
 SWAY = 0.25
-INSECTS = 20
-PUFFS = 6
+LEAVES, LEAF_RADIUS, WALK = 60, 0.06, 2.0
+"""Of sparse trees [m], and the speed of the sensor among them [m/s]."""
+INSECTS, SWARM = 20, 60
+PUFFS, THICK_PUFFS = 6, 16
 
 
 def _run(request: Request) -> Result:
@@ -37,7 +42,7 @@ def _run(request: Request) -> Result:
             part for job, part in zip(todo, parts, strict=True)
             if job.arguments["condition"] == condition
         ]
-        for condition in SHARES
+        for condition in CONDITIONS
     }  # fmt: skip
     return Result(
         rows=tuple(_rows(of)),
@@ -54,8 +59,8 @@ def jobs(request: Request) -> list[Job]:
     """Streets of every condition, at least one each."""
     each = min(SCANS_PER_FLIGHT, request.scans)
     found = []
-    for condition, share in SHARES.items():
-        scans = request.scans * share / sum(SHARES.values())
+    for condition in CONDITIONS:
+        scans = request.scans * SHARES.get(condition, 1) / sum(SHARES.values())
         for number in range(max(1, round(scans / each))):
             arguments = {
                 "seed": request.seed, "number": number, "scans": each, "condition": condition
@@ -109,27 +114,53 @@ def _scene(seed: int, number: int, scans: int, condition: str) -> "Scene":
     base = sim.scenes.demo(int(rng.integers(2**31)), scans=scans)
     drones = base.targets if number % 2 else ()
     noise = NOISY_RANGE if condition == "noisy" else IDEAL_RANGE
-    return base.model_copy(
-        update={
-            "bodies": _swaying(base.bodies) if condition == "foliage" else base.bodies,
-            "targets": (*drones, *(_insects(rng) if condition == "insects" else ())),
-            "air": _air(rng, condition, scans * 0.1),
-            "lidar": sim.LidarModel.preset("os1-128", ideal=True, range_std=noise),
-        }
-    )
+    insects = {"insects": INSECTS, "swarm": SWARM}.get(condition, 0)
+    changes = {
+        "targets": (*drones, *_insects(rng, insects)),
+        "air": _air(rng, condition, scans * 0.1),
+        "lidar": sim.LidarModel.preset("os1-128", ideal=True, range_std=noise),
+    }
+    if condition == "foliage":
+        changes["bodies"] = _trees_with(base.bodies, sway=SWAY)
+    if condition == "sparse leaves":
+        changes["bodies"] = _trees_with(
+            (*base.bodies, *_grove(rng)), sway=SWAY, leaves=LEAVES, leaf_radius=LEAF_RADIUS
+        )
+        changes["sensor"] = sim.Shuttle(
+            start=(-10.0, 0.0, 3.0), end=(10.0, 0.0, 3.0), speed=WALK, acceleration=WALK
+        )
+    return base.model_copy(update=changes)
 
 
-def _swaying(bodies: "Sequence[Body]") -> "tuple[Body, ...]":
-    """Let the leaves of all trees swing, the outermost by 0.25 m to either side."""
+def _grove(rng: np.random.Generator) -> "list[Body]":
+    """Trees on both sides of the x axis, some 5 m from one another."""
+    from lidar_core import sim
+
+    return [
+        sim.Body(
+            shape=sim.Tree(
+                crown_radius=rng.uniform(1.2, 2.2),
+                trunk_height=rng.uniform(3.0, 5.0),
+                seed=int(rng.integers(2**31)),
+            ),
+            position=(x + rng.uniform(-1, 1), y + rng.uniform(-1, 1), 0.0),
+        )
+        for x in range(-15, 16, 5)
+        for y in (-10, -5, 5, 10)
+    ]
+
+
+def _trees_with(bodies: "Sequence[Body]", **values: float) -> "tuple[Body, ...]":
+    """Give all trees other leaves; with `sway` the outermost swing so far to either side."""
     return tuple(
-        body.model_copy(update={"shape": body.shape.model_copy(update={"sway": SWAY})})
+        body.model_copy(update={"shape": body.shape.model_copy(update=values)})
         if body.shape.kind == "tree"
         else body
         for body in bodies
     )
 
 
-def _insects(rng: np.random.Generator) -> "list[Target]":
+def _insects(rng: np.random.Generator, count: int) -> "list[Target]":
     """Specks of 1 to 3 cm that circle within a few metres of the sensor's way."""
     from lidar_core import sim
 
@@ -144,7 +175,7 @@ def _insects(rng: np.random.Generator) -> "list[Target]":
             ),
             clutter=True,
         )
-        for _ in range(INSECTS)
+        for _ in range(count)
     ]
 
 
@@ -154,10 +185,9 @@ def _air(rng: np.random.Generator, condition: str, seconds: float) -> "tuple[Par
 
     if condition == "rain":
         return (sim.Rain(),)
-    if condition != "dust":
-        return ()
+    count = {"dust": PUFFS, "thick dust": THICK_PUFFS}.get(condition, 0)
     puffs = []
-    for _ in range(PUFFS):
+    for _ in range(count):
         velocity = np.array([rng.uniform(-2, 2), rng.uniform(-2, 2), rng.uniform(0, 0.3)])
         middle = np.array([rng.uniform(-12, 12), rng.uniform(-8, 8), rng.uniform(1, 5)])
         x, y, z = (middle - seconds / 2 * velocity).tolist()
@@ -213,6 +243,6 @@ ITEM = Item(
     name="flying-false-tracks",
     title="tracks of nothing: ideal, with noise, in rain, dust, insects and swaying trees",
     scans=4500,
-    minutes=12,
+    minutes=30,
     run=_run,
 )

@@ -204,6 +204,7 @@ fn frame_dict(py: Python<'_>, frame: CircleFrame) -> Result<Bound<'_, PyDict>, B
     values.set_item("segments", segment_arrays(py, frame.segments)?)?;
     values.set_item("circles", all_circles(py, &frame.circles)?)?;
     values.set_item("circles_world", all_circles(py, &frame.circles_world)?)?;
+    values.set_item("time_ns", frame.times_ns.into_pyarray(py))?;
     values.set_item("shapes", shape_arrays(py, &frame.shapes)?)?;
     values.set_item("element", numbers(&frame.elements).into_pyarray(py))?;
     values.set_item("too_near", frame.too_near.into_pyarray(py))?;

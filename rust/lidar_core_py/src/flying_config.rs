@@ -68,6 +68,7 @@ struct SeparateConfig {
     max_gap: f64,
     min_confident: usize,
     dilate: bool,
+    waits_for_background: bool,
 }
 
 #[derive(FromPyObject)]
@@ -115,6 +116,7 @@ impl FlyingConfig {
                 min_confident: self.separate.min_confident,
                 dilate: self.separate.dilate,
             },
+            removal_waits: self.separate.waits_for_background,
             seed: self.seed.parameters(),
             sensors: self
                 .sensors

@@ -32,6 +32,15 @@ pub struct PreparedSweep {
 const NEAR: f64 = 10.0;
 
 impl PreparedSweep {
+    /// When every segment was measured [ns].
+    pub(super) fn times_ns(&self) -> Vec<i64> {
+        let time = |&delay: &f64| self.stamp_ns + libm::round(delay * 1e9) as i64;
+        match &self.delays {
+            Some(delays) => delays.iter().map(time).collect(),
+            None => vec![self.stamp_ns; self.segments.len()],
+        }
+    }
+
     /// Whether rays beside the hits of a segment may have met it nearer than the scanner measures,
     /// with ranges of deviation `std`: the hits that are left lie too far away in the mean.
     pub(super) fn is_too_near(&self, number: usize, std: f64) -> bool {
@@ -80,6 +89,8 @@ pub struct CircleFrame {
     pub circles: Vec<CircleEstimate>,
     /// The same in the world.
     pub circles_world: Vec<CircleEstimate>,
+    /// When each circle was measured: the mean time of the rays of its segment [ns].
+    pub times_ns: Vec<i64>,
     /// One shape per segment, level frame; empty where shapes are not told apart.
     pub shapes: Vec<ShapeEstimate>,
     /// Element of the map of every segment; None for what is not taken into it: it has another

@@ -235,6 +235,7 @@ impl CirclePipeline {
         let map_shapes = self.map.shapes_at(prepared.stamp_ns);
         Ok(CircleFrame {
             circles_world: in_world(&circles, &prepared.world_from_level),
+            times_ns: prepared.times_ns(),
             level: prepared.level,
             segments: prepared.segments,
             circles,

@@ -134,7 +134,11 @@ impl FlyingObjectDetector {
         self.fill_pockets(&judged.verdicts, scan);
         self.keep_standing(scan);
         timing.integrate = clock.lap();
-        self.map.remove_separate_from_background(self.parameters.separation)?;
+        if self.parameters.removal_waits {
+            self.map.remove_separate_from_background(self.parameters.separation)?;
+        } else {
+            self.map.remove_separate(self.parameters.separation)?;
+        }
         timing.separate = clock.lap();
 
         let FlyingParameters { target_radius, range_std, .. } = self.parameters;

@@ -57,7 +57,7 @@ impl fmt::Display for Gate {
             Self::NoBackground { needed } => write!(
                 f,
                 "no background: no group of occupied voxels holds {needed} confident ones yet; see \
-                 the `seed` options"
+                 the `seed` options, and `separate.waits_for_background` for sparse sensors"
             ),
             Self::PoseMismatch { per_mille } => write!(
                 f,

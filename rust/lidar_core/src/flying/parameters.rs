@@ -25,6 +25,9 @@ pub struct FlyingParameters {
     pub classify: ClassifyParameters,
     /// Removal of separate voxels (sec. III-D).
     pub separation: Separation,
+    /// Nothing is removed before some group holds enough confident voxels; otherwise removal
+    /// begins with the first scan.
+    pub removal_waits: bool,
     /// Seeds of the background.
     pub seed: SeedParameters,
     /// LiDARs by name; `default_sensor` for the others.

@@ -92,7 +92,9 @@ impl Sensor {
         });
         let is_robot = range < p.learn_mask_range
             && (self.learnt_scans < p.learn_mask_scans || self.is_learnt(point));
-        range < p.min_range
+        // Drivers mark a ray without return by a point at the sensor: it is never a measurement.
+        range <= 0.0
+            || range < p.min_range
             || in_box
             || is_robot
             || self.body.as_ref().is_some_and(|body| body.contains(point))
