@@ -32,6 +32,8 @@ const PLACES_PER_SEARCH: u32 = 5;
 const DECIDING_TURN: f64 = 30.0 * PI / 180.0;
 /// A voxel of the robot holds returns from this share of the places; one beside it from half of it.
 const HELD_SHARE: f64 = 0.6;
+/// A voxel that was found before stays one with this share: parts of the robot may be hidden.
+const KEPT_SHARE: f64 = 0.2;
 /// Parts of the robot may have gaps of a voxel.
 const GAP: i32 = 2;
 /// Returns this much above the lowest ones are on the ground [m].
@@ -170,6 +172,12 @@ impl Body {
             .iter()
             .map(|&count| u8::from(count >= likely) + u8::from(count >= sure))
             .collect();
+        let kept = enough(KEPT_SHARE).max(1);
+        for (voxel, (state, &count)) in state.iter_mut().zip(counts).enumerate() {
+            if count >= kept && !self.mask.is_empty() && has(&self.mask, voxel) {
+                *state = 2;
+            }
+        }
         let up = self.last.map_or([0.0, 0.0, 1.0], |pose| pose.inverse().rotate([0.0, 0.0, 1.0]));
         let mut mask = vec![0; VOLUME / 64];
         let mut part = Vec::new();
