@@ -513,8 +513,9 @@ mod tests {
         let mut sky = Sky::of(&Beams::Learnt).ok_or(Error::Interrupted)?;
         let look = looks(&mut sky, &map, &vec![wall(30.0, 0.5); 5]);
         assert!(gap_is_sky(&look) && look.share > 0.05 && look.share < 0.2, "{}", look.share);
-        for direction in &look.directions {
-            assert!(f64::from(direction[2]) < 0.56, "{direction:?}");
+        for cell in (0..CELLS).filter(|&cell| look.is_sky[cell]) {
+            let direction = GRID.centers[cell];
+            assert!(direction[2] < 0.58, "{direction:?}"); // a cell beside the highest returns
             assert!(direction[0] > 0.8 * direction[1].abs() || direction[2] > 0.4, "{direction:?}");
         }
         Ok(())
