@@ -78,6 +78,7 @@ def test_where_rays_are_to_be_given_and_are_not_the_sky_stays_unknown(beams):
     for simulated in scans_of(SCENE):
         frame = feed(detector, simulated, **dropped(simulated))
         assert (frame.status.sky, frame.status.n_sky_rays) == ("unknown", 0)
+        assert detector.health().sky == "unknown"
         assert len(frame.detections) == len(frame.tracks) == 0
     assert frame.status.gate_open
     assert detector.state_at(IN_THE_SKY) == [1]
@@ -179,6 +180,8 @@ def test_the_own_body_is_neither_target_nor_background():
         if number > 12:
             assert set(frame.point_class[-len(plate) :].tolist()) == {UNKNOWN}
             assert 0 < frame.status.own_body < 0.1
+            assert detector.health().own_body == frame.status.own_body
+    assert frame.status.own_body_is_decided
 
 
 def test_what_escorts_the_robot_at_a_distance_is_a_target():

@@ -133,6 +133,8 @@ class FlyingObjectDetector:
             self._count("rejected")
             raise
         frame = _frame(stamp_ns, values)
+        with self._counting:
+            self._health = replace(self._health, **_known(frame.status))
         self._count("held" if frame.status.map_pose_mismatch else "processed")
         return frame
 
@@ -251,6 +253,11 @@ class FlyingObjectDetector:
         )
 
 
+def _known(status: FlyingStatus) -> dict[str, Any]:
+    """What a scan tells of the sensor's rays and of the robot."""
+    return {"sky": status.sky, "sky_share": status.sky_share, "own_body": status.own_body}
+
+
 _NO_DETECTIONS = (
     np.empty((0, 3)),
     np.empty((0, 3, 3)),
@@ -278,6 +285,7 @@ def _frame(stamp_ns: int, values: dict[str, Any]) -> FlyingFrame:
             sky_share=values["sky_share"],
             n_sky_rays=values["sky_rays"],
             own_body=values["own_body"],
+            own_body_is_decided=values["own_body_is_decided"],
         ),
         timing_ms=values["timing_ms"],
         n_rays=values["rays"],

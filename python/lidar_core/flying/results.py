@@ -125,6 +125,9 @@ class FlyingStatus:
         Rays into the sky that were found, not given.
     own_body : float
         Share of the returns that are on the robot itself.
+    own_body_is_decided : bool
+        The sensor has turned by 30 degrees: what was found is the robot, and nothing that goes
+        along with it.
     """
 
     gate_open: bool
@@ -134,6 +137,7 @@ class FlyingStatus:
     sky_share: float = 0.0
     n_sky_rays: int = 0
     own_body: float = 0.0
+    own_body_is_decided: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,15 +184,20 @@ class FlyingFrame:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """Scans counted: received = processed + held + rejected.
+    """Scans counted: received = processed + held + rejected; what the last one told of the sensor.
 
     Attributes
     ----------
     received, processed, held, rejected : int
         All scans; those used; those held for a pose that contradicts the map; those refused.
+    sky, sky_share, own_body : str, float, float
+        Of the last scan used, as in `FlyingStatus`.
     """
 
     received: int = 0
     processed: int = 0
     held: int = 0
     rejected: int = 0
+    sky: str = "unknown"
+    sky_share: float = 0.0
+    own_body: float = 0.0

@@ -181,6 +181,7 @@ fn frame_dict(py: Python<'_>, frame: Frame) -> Result<Bound<'_, PyDict>, BorderE
     values.set_item("sky_share", frame.sky_share)?;
     values.set_item("sky_rays", frame.sky_rays)?;
     values.set_item("own_body", frame.own_body)?;
+    values.set_item("own_body_is_decided", frame.own_body_is_decided)?;
     let stats = frame.integrated.unwrap_or_default();
     values.set_item("rays", stats.rays)?;
     values.set_item("visits", stats.visits)?;

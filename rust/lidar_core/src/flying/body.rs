@@ -40,8 +40,12 @@ const GAP: i32 = 2;
 const GROUND: f64 = 0.35;
 /// Share of the returns below the ground that is assumed.
 const LOWEST: usize = 50;
-/// Scans that count before the sensor has moved.
+/// Scans that tell of a robot that has not moved yet: fewest, and most that are looked at.
 const FIRST_SCANS: u32 = 5;
+const STILL_SCANS: u32 = 50;
+/// After so many places the next ones are further apart, by this factor: little is new.
+const MANY_PLACES: u32 = 100;
+const RARER: f64 = 5.0;
 
 /// What is known of the robot.
 #[derive(Clone, Debug)]
@@ -100,22 +104,31 @@ impl Body {
         !self.maybe.is_empty() && voxel_of(point).is_some_and(|voxel| has(&self.maybe, voxel))
     }
 
+    /// Whether anything was found.
+    pub(crate) fn is_found(&self) -> bool {
+        !self.mask.is_empty()
+    }
+
+    /// Whether anything may be found, as long as the sensor has not moved.
+    pub(crate) fn may_be_found(&self) -> bool {
+        !self.maybe.is_empty()
+    }
+
     /// Whether turns have shown that what was found belongs to the robot.
     pub(crate) fn is_decided(&self) -> bool {
-        self.is_turned && !self.mask.is_empty()
+        self.is_turned && self.is_found()
     }
 
     /// Count an accepted scan: points in the sensor's frame, and where the sensor was.
     pub(crate) fn learn(&mut self, points: &[[f32; 3]], pose: &Transform) {
         let first = *self.first.get_or_insert(*pose);
         let (moved, turned) = self.last.as_ref().map_or((0.0, 0.0), |last| apart(last, pose));
-        let is_next = self.last.is_none() || moved > NEXT_PLACE || turned > NEXT_TURN;
-        let is_still = self.n_places <= 1;
-        if !is_next && !(is_still && self.n_scans < u32::from(u16::MAX)) {
-            return;
-        }
-        if self.n_places >= u32::from(u16::MAX) {
-            return; // known by now
+        let rarer = if self.n_places < MANY_PLACES { 1.0 } else { RARER };
+        let is_next =
+            self.last.is_none() || moved > rarer * NEXT_PLACE || turned > rarer * NEXT_TURN;
+        let is_still = self.n_places <= 1 && self.n_scans < STILL_SCANS;
+        if !(is_next || is_still) || self.n_places >= u32::from(u16::MAX) {
+            return; // nothing new
         }
         self.number = self.number.wrapping_add(1);
         self.count(points, is_next, is_still);

@@ -293,6 +293,7 @@ impl FlyingObjectDetector {
             sky_share: scan.sky_share,
             sky_rays: scan.rebuilt,
             own_body,
+            own_body_is_decided: self.knows_own_body(raw),
             integrated,
             timing,
         }
@@ -300,10 +301,15 @@ impl FlyingObjectDetector {
 }
 
 impl FlyingObjectDetector {
+    fn knows_own_body(&self, raw: &RawScan<'_>) -> bool {
+        let body = self.sensors.get(raw.sensor).and_then(|sensor| sensor.body.as_ref());
+        body.is_some_and(|body| body.is_decided())
+    }
+
     /// Points on the robot are unknown, not invalid; their share of the returns.
     fn tell_own_body(&self, raw: &RawScan<'_>, class: &mut [u8]) -> f64 {
         let body = self.sensors.get(raw.sensor).and_then(|sensor| sensor.body.as_ref());
-        let Some(body) = body else { return 0.0 };
+        let Some(body) = body.filter(|body| body.is_found()) else { return 0.0 };
         let (mut own, mut all) = (0usize, 0usize);
         for (class, &point) in class.iter_mut().zip(raw.points) {
             all += usize::from(point.iter().all(|value| value.is_finite()));

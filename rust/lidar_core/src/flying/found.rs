@@ -74,9 +74,9 @@ impl FlyingObjectDetector {
     /// with nothing but sky around it has this share of the confidence.
     fn trust(scan: &Prepared, cluster: &Cluster<'_>) -> f64 {
         const ONLY_SKY: f64 = 0.7;
-        let direction = minus(cluster.centroid, scan.pose.translation);
+        let target = minus(cluster.centroid, scan.pose.translation);
         let found = scan.look.as_ref().filter(|_| scan.rebuilt > 0);
-        let share = found.map_or(0.0, |look| look.share_around(direction));
+        let share = found.map_or(0.0, |look| look.share_around(target));
         1.0 - (1.0 - ONLY_SKY) * share
     }
 

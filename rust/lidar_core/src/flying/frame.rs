@@ -73,6 +73,8 @@ pub struct Frame {
     pub sky_rays: usize,
     /// Share of the returns that are on the robot itself.
     pub own_body: f64,
+    /// Whether turns have shown that what was found is the robot, and nothing that goes along.
+    pub own_body_is_decided: bool,
     /// What the scan did to the map; None if it was held.
     pub integrated: Option<IntegrateStats>,
     /// Time per stage.

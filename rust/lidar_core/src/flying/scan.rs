@@ -159,7 +159,7 @@ impl Prepared {
     /// Note the rows that may be on the robot, before the sensor has moved.
     fn take_body(&mut self, raw: &RawScan<'_>, sensor: &Sensor) {
         self.maybe_own.clear();
-        if let Some(body) = &sensor.body {
+        if let Some(body) = sensor.body.as_ref().filter(|body| body.may_be_found()) {
             let maybe = raw.points.iter().map(|&point| body.may_contain(wide(point)));
             self.maybe_own.extend(maybe);
         }

@@ -269,7 +269,7 @@ impl Elevations {
             || self.azimuths[index].abs() > azimuth + BEYOND
     }
 
-    /// Whether most returns lie between the rows.
+    /// Whether most returns lie between the rows, or many rows between those that return anything.
     fn miss_rows(&self, rays: &RayPattern) -> bool {
         let RayPattern::Rows { elevations, .. } = rays else { return false };
         let gap = |pair: &[f64]| pair[1] - pair[0];
@@ -284,7 +284,12 @@ impl Elevations {
             !near(elevations.get(above))
                 && !near(above.checked_sub(1).and_then(|at| elevations.get(at)))
         };
-        2 * self.values.iter().filter(is_off).count() > self.values.len()
+        let is_used =
+            |row: usize| self.values.iter().any(|value| (value - elevations[row]).abs() <= OFF_ROW);
+        let used: Vec<usize> = (0..elevations.len()).filter(|&row| is_used(row)).collect();
+        let (Some(first), Some(last)) = (used.first(), used.last()) else { return true };
+        let is_between = 5 * used.len() < 3 * (last - first + 1);
+        is_between || 2 * self.values.iter().filter(is_off).count() > self.values.len()
     }
 }
 
@@ -342,6 +347,8 @@ mod tests {
         assert!(seen.are_rows());
         assert!(!seen.contradict(&RayPattern::Rows { elevations: vlp16, columns: 1800 }));
         assert!(seen.contradict(&RayPattern::Rows { elevations: hdl32.clone(), columns: 2170 }));
+        let xt32 = degrees((0..32).map(|row| f64::from(row) - 16.0).collect()); // every other row
+        assert!(seen.contradict(&RayPattern::Rows { elevations: xt32, columns: 2000 }));
         let points: Vec<[f32; 3]> = hdl32.iter().flat_map(|&elevation| row(elevation)).collect();
         let seen = Elevations::of(&points);
         let mid360 = RayPattern::FieldOfView {

@@ -5,7 +5,7 @@ use super::{NEVER, Sky};
 use crate::flying::blocks::Cursor;
 use crate::flying::voxel_map::VoxelMap;
 use crate::geometry::lattice::{floor, wide};
-use crate::geometry::transform::{Transform, minus, norm};
+use crate::geometry::transform::{Transform, dot, minus, norm};
 use std::f64::consts::PI;
 
 /// So many rays into a cell and its neighbours, and no return: were there a surface that returns
@@ -40,6 +40,8 @@ const MOST_OF_HOLE: usize = 400;
 /// Returns in a cell and around it between which a sensor leaves gaps.
 const LEAST_AROUND: u32 = 7;
 const MOST_AROUND: u32 = 400;
+/// Directions within this angle are around a target: cosine of 12 degrees.
+const AROUND_COSINE: f64 = 0.978;
 /// A ray may lie this much below the middle of its cell [rad]: 1.4 degrees.
 const CELL_TILT: f64 = 1.4 * PI / 180.0;
 /// Rays of sky go as far as this share of the distance that one return in fifty exceeds: in fog
@@ -143,12 +145,19 @@ impl Look {
         }
     }
 
-    /// Share of sky among the directions around one that leads to a target, frame of the map.
-    pub(crate) fn share_around(&self, direction: [f64; 3]) -> f64 {
-        let beside = GRID.beside(GRID.cell(direction));
-        let around = || beside.iter().flat_map(|&cell| GRID.beside(usize::from(cell)));
-        let sky = around().filter(|&&cell| self.is_sky[usize::from(cell)]).count();
-        sky as f64 / around().count().max(1) as f64
+    /// Of the directions around a target that are known to be free beyond it, the share that only
+    /// the sky supports; `target` is relative to the sensor, frame of the map [m].
+    pub(crate) fn share_around(&self, target: [f64; 3]) -> f64 {
+        let range = norm(target);
+        let is_near = |cell: &usize| dot(GRID.centers[*cell], target) > AROUND_COSINE * range;
+        let (mut sky, mut all) = (0usize, 0usize);
+        for cell in (0..CELLS).filter(is_near) {
+            let is_behind = f64::from(self.nearest[cell]) > range + BEFORE_SURFACE;
+            let is_seen = self.hits[cell] > 0 && is_behind;
+            sky += usize::from(self.is_sky[cell]);
+            all += usize::from(self.is_sky[cell] || is_seen);
+        }
+        sky as f64 / all.max(1) as f64
     }
 
     /// Height below which things are on the ground, relative to the sensor [m].
@@ -315,7 +324,8 @@ impl Look {
                 is_trusted = self.stamp_ns.saturating_sub(since) >= TRUSTED_NS;
             }
             for part in 0..PARTS * PARTS {
-                if (part / PARTS + part % PARTS + sky.scans as usize) % PARTS != 0 {
+                let turn = part / PARTS + part % PARTS + sky.scans as usize;
+                if !turn.is_multiple_of(PARTS) {
                     continue;
                 }
                 let direction = GRID.parts[cell * PARTS * PARTS + part];
@@ -468,7 +478,6 @@ mod tests {
     use super::*;
     use crate::Error;
     use crate::flying::integrate::tests::parameters;
-    use crate::geometry::transform::dot;
 
     /// Returns on a ring wall from -0.3 to `top` in height, all around, with a gap of 60 degrees.
     fn wall(range: f64, top: f64) -> Vec<[f32; 3]> {
