@@ -11,6 +11,10 @@ use crate::clock::Clock;
 use crate::geometry::gaps::{AngularGap, SeenLabeller};
 use crate::geometry::lattice::{floor, wide};
 
+/// Things that are no higher than this and lie as low as the lowest returns are patches of ground
+/// [m].
+const FLAT: f64 = 0.1;
+
 /// A scan in clusters, and memory for the next one.
 #[derive(Default)]
 pub(super) struct Judged {
@@ -133,7 +137,8 @@ impl FlyingObjectDetector {
                 .filter(|&&row| scan.maybe_own.get(row as usize).copied().unwrap_or(false));
             let may_be_own = !scan.maybe_own.is_empty() && 2 * own.count() > cluster.members.len();
             let is_low = |height: f64| world_from_map.apply(cluster.low)[2] < height;
-            let is_on_ground = cluster.low[2] < scan.ground;
+            let is_flat = cluster.extent()[2] < FLAT && cluster.low[2] < scan.low;
+            let is_on_ground = is_flat || cluster.low[2] < scan.ground;
             if seed.ground_height.is_some_and(is_low) {
                 *verdict = Verdict { class: BACKGROUND, ..Verdict::default() };
             } else if verdict.class == FLYING

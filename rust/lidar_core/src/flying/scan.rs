@@ -70,6 +70,9 @@ pub(crate) struct Prepared {
     pub(crate) sky_share: f64,
     /// What reaches below this height is on the ground, frame of the map [m].
     pub(crate) ground: f64,
+    /// What is flat and reaches below this height is, too, even if the lowest returns need not be
+    /// those of the ground [m].
+    pub(crate) low: f64,
     /// What the scan shows of the sky, if that had to be looked for.
     pub(crate) look: Option<Box<Look>>,
     poses: Poses,
@@ -108,7 +111,8 @@ impl Prepared {
         self.rows = raw.points.len();
         self.pose = poses.middle;
         (self.sky, self.sky_share, self.rebuilt) = (SkySource::Unknown, 0.0, 0);
-        (self.reach, self.directions, self.ground) = (None, None, f64::NEG_INFINITY);
+        (self.reach, self.directions) = (None, None);
+        (self.ground, self.low) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
         self.no_return.clear();
         self.no_return.resize(self.rows, false);
         refill(&mut self.origins, poses.of_rows().map(|poses| poses.map(|pose| pose.translation)));
@@ -151,6 +155,7 @@ impl Prepared {
             (self.sky, self.sky_share) = (sensor.sky_source(), look.share);
             self.append_sky(&look.directions, &look.reach);
             self.ground = self.pose.translation[2] + look.ground();
+            self.low = self.pose.translation[2] + look.low();
         }
         self.look = Some(look);
         Ok(())

@@ -162,7 +162,12 @@ impl Look {
 
     /// Height below which things are on the ground, relative to the sensor [m].
     pub(crate) fn ground(&self) -> f64 {
-        if self.has_ground { self.lowest + ON_GROUND } else { f64::NEG_INFINITY }
+        if self.has_ground { self.low() } else { f64::NEG_INFINITY }
+    }
+
+    /// Height up to which returns are among the lowest, relative to the sensor [m].
+    pub(crate) fn low(&self) -> f64 {
+        self.lowest + ON_GROUND
     }
 
     /// Whether the scan holds any return.
