@@ -31,6 +31,8 @@ mod near;
 pub mod parameters;
 mod persist;
 mod plan;
+mod poses;
+mod raw_scan;
 mod raycast;
 mod rule;
 pub mod scan;

@@ -2,44 +2,21 @@
 
 use super::frame::SkySource;
 use super::integrate::UNKNOWN;
+use super::poses::Poses;
+pub use super::raw_scan::RawScan;
 use super::sensor::Sensor;
 use super::sky::{Look, Moment};
 use super::voxel_map::VoxelMap;
 use crate::Error;
 use crate::budget::check_points;
 use crate::geometry::lattice::wide;
-use crate::geometry::motion::{Motion, PointPoses};
+use crate::geometry::motion::Motion;
 use crate::geometry::transform::{Transform, norm};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
 /// Fewer points are not worth a second thread.
 const POINTS_PER_TASK: usize = 8192;
-
-/// One scan as the sensor delivered it, in its own frame.
-#[derive(Clone, Copy, Debug)]
-pub struct RawScan<'a> {
-    /// Which of the robot's LiDARs.
-    pub sensor: &'a str,
-    /// Start of the scan [ns].
-    pub stamp_ns: i64,
-    /// Whether the rays come in the same order in every scan.
-    pub organised: bool,
-    /// Coordinates [m]; not finite where there is no information.
-    pub points: &'a [[f32; 3]],
-    /// Rays that met nothing within range.
-    pub no_return: Option<&'a [bool]>,
-    /// Direction of every ray.
-    pub directions: Option<&'a [[f32; 3]]>,
-    /// Time of every point [ns].
-    pub point_time_ns: Option<&'a [i64]>,
-    /// `world_from_lidar`, 4x4 row-major: one, or a stream.
-    pub poses: &'a [[f64; 16]],
-    /// Stamps of the stream [ns].
-    pub pose_stamps_ns: Option<&'a [i64]>,
-    /// Covariance of the pose: translation, then the angles about x, y, z (eq. 38).
-    pub pose_covariance: Option<[[f64; 6]; 6]>,
-}
 
 /// A scan in the frame of the map, and memory for the next one. Rows beyond `rows` are rebuilt rays
 /// without return.
@@ -297,58 +274,6 @@ impl Prepared {
     }
 }
 
-/// Pose of every row in the frame of the map.
-#[derive(Default)]
-struct Poses {
-    /// Those of the rows, unless all rows share `middle`.
-    rows: PointPoses,
-    differ: bool,
-    middle: Transform,
-}
-
-impl Poses {
-    fn find(
-        &mut self,
-        raw: &RawScan<'_>,
-        motion: &Motion<'_>,
-        map_from_world: &Transform,
-    ) -> Result<(), Error> {
-        let times = raw.point_time_ns.filter(|_| motion.is_stream());
-        let mut middle_ns = raw.stamp_ns;
-        if let Some(times) = times {
-            self.rows.fill(motion, "point_time_ns", times, |row| is_informative(raw, row))?;
-            self.rows.move_to(map_from_world);
-            middle_ns = middle_of(raw).unwrap_or(raw.stamp_ns);
-        }
-        let middle = motion.at(middle_ns).ok_or_else(|| Error::Value {
-            name: "stamp_ns",
-            expected: "a stamp within 20 ms of `pose_stamps_ns`",
-            index: 0,
-            got: raw.stamp_ns.to_string(),
-        })?;
-        (self.differ, self.middle) = (times.is_some(), map_from_world.after(&middle));
-        Ok(())
-    }
-
-    /// Those of all rows, if they differ.
-    fn of_rows(&self) -> Option<impl Iterator<Item = &Transform>> {
-        self.differ.then(|| (0..self.rows.points()).map(|row| self.rows.at(row)))
-    }
-
-    #[inline]
-    fn at(&self, row: usize) -> &Transform {
-        if self.differ { self.rows.at(row) } else { &self.middle }
-    }
-}
-
-/// Half way between the first and the last time of a row that tells anything [ns].
-fn middle_of(raw: &RawScan<'_>) -> Option<i64> {
-    let times = raw.point_time_ns?;
-    let known = || (0..times.len()).filter(|&row| is_informative(raw, row)).map(|row| times[row]);
-    let (first, last) = (known().min()?, known().max()?);
-    Some(first + (last - first) / 2) // no overflow: both are near `stamp_ns`
-}
-
 fn check(raw: &RawScan<'_>, sensor: &Sensor) -> Result<(), Error> {
     let expected = raw.points.len();
     check_points(expected)?;
@@ -380,7 +305,7 @@ fn check_times(raw: &RawScan<'_>) -> Result<(), Error> {
     const LONGEST_SCAN_NS: u64 = 10_000_000_000;
     let Some(times) = raw.point_time_ns else { return Ok(()) };
     let is_off = |&(row, time): &(usize, &i64)| {
-        time.abs_diff(raw.stamp_ns) > LONGEST_SCAN_NS && is_informative(raw, row)
+        time.abs_diff(raw.stamp_ns) > LONGEST_SCAN_NS && raw.is_informative(row)
     };
     match times.iter().enumerate().find(is_off) {
         Some((index, time)) => Err(Error::Value {
@@ -391,12 +316,6 @@ fn check_times(raw: &RawScan<'_>) -> Result<(), Error> {
         }),
         None => Ok(()),
     }
-}
-
-/// Whether a row tells anything; drivers leave the times of others at 0.
-fn is_informative(raw: &RawScan<'_>, row: usize) -> bool {
-    raw.no_return.is_some_and(|flags| flags[row])
-        || raw.points[row].iter().all(|value| value.is_finite())
 }
 
 /// Keep `values` in the memory of what was kept before.

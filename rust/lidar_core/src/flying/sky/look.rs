@@ -1,10 +1,10 @@
 //! One scan, held against what is known of its sensor: which directions are sky, and how far.
 
 use super::grid::{CELLS, GRID, PARTS};
+use super::way::Way;
 use super::{NEVER, Sky};
-use crate::flying::blocks::Cursor;
 use crate::flying::voxel_map::VoxelMap;
-use crate::geometry::lattice::{floor, wide};
+use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, dot, minus, norm};
 use std::f64::consts::PI;
 
@@ -436,34 +436,6 @@ impl Look {
         let fall = -libm::sin(tilt.max(-PI / 2.0));
         let height = -self.lowest - ABOVE_GROUND;
         if fall > 0.0 { height / fall } else { f64::INFINITY }
-    }
-}
-
-/// Rays through the map, which end before what returns have shown.
-struct Way<'a> {
-    map: &'a VoxelMap,
-    cursor: Cursor<'a>,
-    origin: [f64; 3],
-}
-
-impl<'a> Way<'a> {
-    fn through(map: &'a VoxelMap, origin: [f64; 3]) -> Self {
-        Self { map, cursor: Cursor::new(&map.blocks), origin }
-    }
-
-    /// How far the way is free of voxels that are at least tentatively occupied, up to `reach` [m].
-    fn free(&mut self, direction: [f64; 3], reach: f64) -> f64 {
-        let size = self.map.lattice().voxel_size();
-        let steps = (2.0 * reach / size) as usize;
-        for step in 1..=steps {
-            let along = 0.5 * size * step as f64;
-            let place = std::array::from_fn(|axis| self.origin[axis] + along * direction[axis]);
-            let Some(voxel) = floor(self.map.lattice().scaled(place)) else { return along };
-            if self.cursor.is_tentative(voxel) {
-                return along - size;
-            }
-        }
-        reach
     }
 }
 

@@ -13,6 +13,7 @@
 mod emission;
 mod grid;
 mod look;
+mod way;
 
 pub use emission::RayPattern;
 use emission::{Elevations, Emission};

@@ -1,0 +1,33 @@
+//! How far a ray goes through the map before it meets what returns have shown.
+
+use crate::flying::blocks::Cursor;
+use crate::flying::voxel_map::VoxelMap;
+use crate::geometry::lattice::floor;
+
+/// Rays through the map, which end before what returns have shown.
+pub(super) struct Way<'a> {
+    map: &'a VoxelMap,
+    cursor: Cursor<'a>,
+    origin: [f64; 3],
+}
+
+impl<'a> Way<'a> {
+    pub(super) fn through(map: &'a VoxelMap, origin: [f64; 3]) -> Self {
+        Self { map, cursor: Cursor::new(&map.blocks), origin }
+    }
+
+    /// How far the way is free of voxels that are at least tentatively occupied, up to `reach` [m].
+    pub(super) fn free(&mut self, direction: [f64; 3], reach: f64) -> f64 {
+        let size = self.map.lattice().voxel_size();
+        let steps = (2.0 * reach / size) as usize;
+        for step in 1..=steps {
+            let along = 0.5 * size * step as f64;
+            let place = std::array::from_fn(|axis| self.origin[axis] + along * direction[axis]);
+            let Some(voxel) = floor(self.map.lattice().scaled(place)) else { return along };
+            if self.cursor.is_tentative(voxel) {
+                return along - size;
+            }
+        }
+        reach
+    }
+}
