@@ -124,6 +124,21 @@ def test_a_sensor_that_cannot_have_given_the_scans_is_refused_with_those_that_fi
     assert detector.health().rejected == 5
 
 
+def test_directions_that_the_robot_hides_are_no_sky():
+    """The sector lies about +y, where the sky is known without it."""
+    _, frame, detector = tracked(with_sensor(blind_sectors=((0.9, 2.2, -1.5, 1.5),)), dropped)
+    assert frame.status.sky == "pattern"
+    assert detector.state_at(IN_THE_SKY) == [1]
+
+
+def test_rows_given_with_beams_given_are_not_looked_for():
+    config = with_sensor(beams="given", beam_elevations=(-0.1, 0.1))
+    detector = FlyingObjectDetector(config)
+    for simulated in scans_of(SCENE)[:5]:
+        frame = feed(detector, simulated, **dropped(simulated))
+        assert frame.status.n_sky_rays == 0
+
+
 def test_results_do_not_depend_on_the_number_of_threads():
     found = []
     for threads in (1, 2, 3):

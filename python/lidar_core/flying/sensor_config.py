@@ -106,11 +106,13 @@ class SensorConfig(Config):
     @property
     def beam_table(self) -> BeamTable:
         """What `beams` and the rows given stand for."""
+        if self.beams in (None, "given"):
+            return ("given", (), 0)
         if self.beam_elevations:
             return ("rows", tuple(sorted(self.beam_elevations)), self.beam_columns or 1800)
         if self.beams in BEAM_TABLES:
             return BEAM_TABLES[str(self.beams)]
-        return ("given" if self.beams in (None, "given") else "learnt", (), 0)
+        return ("learnt", (), 0)
 
     @property
     def known_sensors(self) -> tuple[tuple[str, BeamTable], ...]:

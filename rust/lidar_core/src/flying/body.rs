@@ -11,6 +11,8 @@ use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, dot, minus, norm};
 use std::f64::consts::PI;
 
+/// Returns nearer than this are placeholders of drivers for rays without return [m].
+const LEAST_RANGE: f64 = 0.2;
 /// Edge of a voxel [m].
 const SIZE: f64 = 0.2;
 /// Voxels along an edge of the cube around the sensor: 6.4 m to each side.
@@ -40,7 +42,7 @@ const GAP: i32 = 2;
 const GROUND: f64 = 0.35;
 /// Share of the returns below the ground that is assumed.
 const LOWEST: usize = 50;
-/// Scans that tell of a robot that has not moved yet: fewest, and most that are looked at.
+/// Scans that tell of a robot that has not moved yet: fewest, and so many that older ones count half.
 const FIRST_SCANS: u32 = 5;
 const STILL_SCANS: u32 = 50;
 /// After so many places the next ones are further apart, by this factor: little is new.
@@ -120,30 +122,39 @@ impl Body {
     }
 
     /// Count an accepted scan: points in the sensor's frame, and where the sensor was.
-    pub(crate) fn learn(&mut self, points: &[[f32; 3]], pose: &Transform) {
+    pub(crate) fn learn(
+        &mut self,
+        points: &[[f32; 3]],
+        no_return: Option<&[bool]>,
+        pose: &Transform,
+    ) {
         let first = *self.first.get_or_insert(*pose);
         let (moved, turned) = self.last.as_ref().map_or((0.0, 0.0), |last| apart(last, pose));
         let rarer = if self.n_places < MANY_PLACES { 1.0 } else { RARER };
         let is_next =
             self.last.is_none() || moved > rarer * NEXT_PLACE || turned > rarer * NEXT_TURN;
-        let is_still = self.n_places <= 1 && self.n_scans < STILL_SCANS;
+        let is_still = !self.may_tell();
         if !(is_next || is_still) || self.n_places >= u32::from(u16::MAX) {
             return; // nothing new
         }
         self.number = self.number.wrapping_add(1);
-        self.count(points, is_next, is_still);
+        self.count(points, no_return, is_next, is_still);
         self.n_scans += u32::from(is_still);
+        if self.n_scans >= STILL_SCANS {
+            self.n_scans /= 2; // what has left is forgotten
+            self.scans.iter_mut().for_each(|scans| *scans /= 2);
+        }
         if is_next {
             (self.n_places, self.way, self.last) =
                 (self.n_places + 1, self.way + moved, Some(*pose));
             self.is_turned |= apart(&first, pose).1 > DECIDING_TURN;
             self.see_ground(points, pose);
         }
-        let may_tell = self.n_places >= ENOUGH_PLACES && self.way >= ENOUGH_WAY;
-        if may_tell && is_next && self.n_places.is_multiple_of(PLACES_PER_SEARCH) {
+        if self.may_tell() && is_next && self.n_places.is_multiple_of(PLACES_PER_SEARCH) {
             self.mask = self.found(&self.places, self.n_places);
             self.maybe = Vec::new();
-        } else if !may_tell && self.n_scans >= FIRST_SCANS && is_still {
+        } else if is_still && self.n_scans >= FIRST_SCANS && self.number.is_multiple_of(FIRST_SCANS)
+        {
             self.maybe = self.found(&self.scans, self.n_scans);
         }
     }
@@ -151,11 +162,25 @@ impl Body {
     /// The poses of another map cannot be compared with those so far.
     pub(crate) fn forget_places(&mut self) {
         (self.first, self.last) = (None, None);
+        self.maybe = Vec::new();
     }
 
-    fn count(&mut self, points: &[[f32; 3]], is_next: bool, is_still: bool) {
-        for &point in points {
-            let Some(voxel) = voxel_of(wide(point)) else { continue };
+    /// Whether the sensor has moved far enough to tell the robot from the world.
+    fn may_tell(&self) -> bool {
+        self.n_places >= ENOUGH_PLACES && self.way >= ENOUGH_WAY
+    }
+
+    fn count(
+        &mut self,
+        points: &[[f32; 3]],
+        no_return: Option<&[bool]>,
+        is_next: bool,
+        is_still: bool,
+    ) {
+        for (row, &point) in points.iter().enumerate() {
+            let point = wide(point);
+            let is_return = norm(point) > LEAST_RANGE && no_return.is_none_or(|flags| !flags[row]);
+            let Some(voxel) = voxel_of(point).filter(|_| is_return) else { continue };
             if std::mem::replace(&mut self.met[voxel], self.number) == self.number {
                 continue;
             }
@@ -317,7 +342,7 @@ mod tests {
         let mut body = Body::default();
         for step in 0..12 {
             let pose = pose(0.5 * f64::from(step), 0.0);
-            body.learn(&scan(&pose), &pose);
+            body.learn(&scan(&pose), None, &pose);
         }
         assert!(body.contains([-1.8, 0.0, -0.4]) && !body.is_decided());
         for other in [[2.0, 1.5, 0.0], [0.0, 1.5, 0.5], [3.0, 0.0, -2.0], [-1.8, 0.0, -2.0]] {
@@ -325,7 +350,7 @@ mod tests {
         }
         for step in 0..12 {
             let pose = pose(6.0, 0.06 * f64::from(step));
-            body.learn(&scan(&pose), &pose);
+            body.learn(&scan(&pose), None, &pose);
         }
         assert!(body.is_decided() && body.contains([-1.8, 0.0, -0.4]));
     }
@@ -337,7 +362,7 @@ mod tests {
             let pose = pose(0.5 * f64::from(step), 0.02 * f64::from(step));
             let mut points = scan(&pose);
             points.extend((0..50).map(|index| [0.01 * index as f32, 5.0, 0.5]));
-            body.learn(&points, &pose);
+            body.learn(&points, None, &pose);
         }
         assert!(!body.contains([0.2, 5.0, 0.5]) && body.contains([-1.8, 0.0, -0.4]));
     }
@@ -351,7 +376,7 @@ mod tests {
             if step < 10 {
                 points.extend((0..50).map(|index| [0.01 * index as f32, -1.0, 0.5]));
             }
-            body.learn(&points, &pose);
+            body.learn(&points, None, &pose);
             if step == 9 {
                 assert!(body.contains([0.2, -1.0, 0.5]));
             }
@@ -360,10 +385,39 @@ mod tests {
     }
 
     #[test]
+    fn what_stood_near_and_has_left_is_no_robot_before_the_sensor_moves() {
+        let mut body = Body::default();
+        let still = pose(0.0, 0.0);
+        let thing: Vec<[f32; 3]> = (0..50).map(|index| [1.5, 0.01 * index as f32, 0.5]).collect();
+        for scan in 0..100 {
+            body.learn(if scan < 60 { &thing } else { &[[4.0, 4.0, 0.5]] }, None, &still);
+            if scan == 59 {
+                assert!(body.may_contain([1.5, 0.2, 0.5]));
+            }
+        }
+        assert!(!body.may_contain([1.5, 0.2, 0.5]));
+    }
+
+    #[test]
+    fn rows_without_return_are_no_part_of_the_robot() {
+        let mut body = Body::default();
+        for step in 0..40 {
+            let mut points = vec![[0.0f32; 3]; 20];
+            points.extend([[0.1f32; 3]; 20]);
+            points.extend([[1.0f32, 0.0, 0.0]; 20]);
+            let flags: Vec<bool> = (0..60).map(|row| row >= 40).collect();
+            body.learn(&points, Some(&flags), &pose(0.5 * f64::from(step), 0.0));
+        }
+        for place in [[0.0; 3], [0.1; 3], [1.0, 0.0, 0.0]] {
+            assert!(!body.contains(place), "{place:?}");
+        }
+    }
+
+    #[test]
     fn before_it_moves_a_sensor_may_see_its_robot() {
         let mut body = Body::default();
         for _ in 0..8 {
-            body.learn(&scan(&pose(0.0, 0.0)), &pose(0.0, 0.0));
+            body.learn(&scan(&pose(0.0, 0.0)), None, &pose(0.0, 0.0));
         }
         assert!(body.may_contain([-1.8, 0.0, -0.4]) && !body.contains([-1.8, 0.0, -0.4]));
         assert!(!body.may_contain([0.0, 1.5, 0.5]));

@@ -232,7 +232,14 @@ impl FlyingObjectDetector {
         let needs_directions = raw.organised && raw.no_return.is_some() && raw.directions.is_none();
         if let Some(sensor) = self.sensors.get_mut(raw.sensor) {
             let look = scan.look.as_deref_mut();
-            sensor.learn(raw.stamp_ns, raw.points, &scan.pose, look, needs_directions);
+            sensor.learn(
+                raw.stamp_ns,
+                raw.points,
+                raw.no_return,
+                &scan.pose,
+                look,
+                needs_directions,
+            );
         }
         // Scans of one sensor come in order, so that no detection is older than a cloud.
         let sensors = self.sensors.len().max(self.parameters.sensors.len());
@@ -311,8 +318,12 @@ impl FlyingObjectDetector {
         let body = self.sensors.get(raw.sensor).and_then(|sensor| sensor.body.as_ref());
         let Some(body) = body.filter(|body| body.is_found()) else { return 0.0 };
         let (mut own, mut all) = (0usize, 0usize);
-        for (class, &point) in class.iter_mut().zip(raw.points) {
-            all += usize::from(point.iter().all(|value| value.is_finite()));
+        for (row, (class, &point)) in class.iter_mut().zip(raw.points).enumerate() {
+            let is_marked = raw.no_return.is_some_and(|flags| flags[row]);
+            if is_marked || !point.iter().all(|value| value.is_finite()) {
+                continue;
+            }
+            all += 1;
             if body.contains(wide(point)) {
                 own += 1;
                 *class = UNKNOWN;

@@ -126,6 +126,7 @@ impl Prepared {
             no_return: raw.no_return,
             map_from_lidar: &self.pose,
             stamp_ns: raw.stamp_ns,
+            is_masked: &|direction| sensor.is_masked(usize::MAX, direction),
             map,
         };
         if sensor.look_at_sky(&moment, &mut look) {
@@ -224,7 +225,8 @@ impl Prepared {
         }
         if n_known > 0 || n_empty == 0 {
             self.sky = SkySource::Given;
-            self.sky_share = n_known as f64 / flags.len().max(1) as f64;
+            let rays = flags.len() / sensor.parameters.returns_per_ray;
+            self.sky_share = n_known as f64 / rays.max(1) as f64;
         }
     }
 

@@ -175,6 +175,7 @@ impl Sensor {
         &mut self,
         stamp_ns: i64,
         points: &[[f32; 3]],
+        no_return: Option<&[bool]>,
         pose: &Transform,
         look: Option<&mut Look>,
         needs_directions: bool,
@@ -185,7 +186,7 @@ impl Sensor {
             sky.take(look, points);
         }
         if let Some(body) = &mut self.body {
-            body.learn(points, pose);
+            body.learn(points, no_return, pose);
         }
         if self.learnt_scans < self.parameters.learn_mask_scans {
             self.learnt_scans += 1;
@@ -259,7 +260,7 @@ pub(crate) mod tests {
         for scan in 0..6 {
             let passer_by = if scan == 0 { 0.5 } else { 9.0 };
             let points = [[0.5, 0.0, 0.0], [0.0, passer_by, 0.0]];
-            sensor.learn(scan, &points, &Transform::IDENTITY, None, false);
+            sensor.learn(scan, &points, None, &Transform::IDENTITY, None, false);
         }
         assert!(sensor.is_masked(0, [1.0, 0.0, 0.0]) && sensor.is_own(0, [0.6, 0.0, 0.0]));
         assert!(!sensor.is_masked(0, [0.0, 1.0, 0.0]) && !sensor.is_own(0, [0.0, 0.5, 0.0]));

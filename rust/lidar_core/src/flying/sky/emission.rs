@@ -18,14 +18,14 @@ const RANK: usize = 3;
 /// Directions inside a fixed field of view that never returned get this share of those that did.
 const TYPICAL: f64 = 0.25;
 
-/// RayPattern of a sensor that is known.
+/// Rays of a sensor that is known.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RayPattern {
     /// Rows that turn.
     Rows {
         /// Elevations [rad], ascending.
         elevations: Vec<f64>,
-        /// RayPattern per turn of each row.
+        /// Rays per turn of each row.
         columns: usize,
     },
     /// A field of view that is filled by and by, without rows.
@@ -34,7 +34,7 @@ pub enum RayPattern {
         elevation: [f64; 2],
         /// Largest azimuth to either side [rad]; pi for a sensor that turns.
         azimuth: f64,
-        /// RayPattern per scan.
+        /// Rays per scan.
         rays: usize,
     },
 }
@@ -50,7 +50,7 @@ pub(super) struct Emission {
     is_known: bool,
 }
 
-/// RayPattern per steradian and scan.
+/// Rays per steradian and scan.
 #[derive(Clone, Debug, Default)]
 enum Density {
     /// Nothing is known yet.
@@ -92,7 +92,7 @@ impl Emission {
         !matches!(self.density, Density::Unknown)
     }
 
-    /// RayPattern per steradian and scan towards a unit direction in the sensor's frame.
+    /// Rays per steradian and scan towards a unit direction in the sensor's frame.
     pub(super) fn towards(&self, direction: [f64; 3]) -> f64 {
         match &self.density {
             Density::Unknown => 0.0,
@@ -219,6 +219,11 @@ impl Elevations {
             }
         }
         all
+    }
+
+    /// Whether there are enough returns to tell a sensor by.
+    pub(super) fn tell_enough(&self) -> bool {
+        self.values.len() >= ENOUGH_RETURNS
     }
 
     /// Whether the returns show rows: nine of ten lie in a fifth of the bins between the lowest and

@@ -35,6 +35,8 @@ const ON_GROUND: f64 = 0.35;
 /// The ground is this flat [m], and its far part this many times further away than its near one.
 const FLAT: f64 = 0.2;
 const GROUND_RATIO: f64 = 1.8;
+/// Fewer samples may be of one thing.
+const ENOUGH_LOW: usize = 50;
 /// Holes in surfaces have fewer cells than this: 40 degrees by 40.
 const MOST_OF_HOLE: usize = 400;
 /// Returns in a cell and around it between which a sensor leaves gaps.
@@ -51,10 +53,14 @@ const VISIBLE_SHARE: f64 = 0.8;
 const LEAST_REACH: f64 = 2.0;
 /// With fewer returns than this share of a usual scan the sensor is covered, or its data cut.
 const COVERED_SHARE: f64 = 0.5;
-/// Weight of the newest scan in what is usual.
+/// Weight of the newest scan in what is usual, and of one that shows far less: a cover stays longer
+/// than it takes to get used to it.
 const NEWEST: f64 = 0.1;
+const NEWEST_COVERED: f64 = 0.002;
 /// A direction that was empty for so long clears what returns have shown [ns].
 const TRUSTED_NS: i64 = 2_000_000_000;
+/// After a longer pause between scans the sky is seen anew [ns].
+const LONGEST_PAUSE_NS: i64 = 1_000_000_000;
 /// Points of which ranges and heights are ranked.
 const SAMPLES: usize = 4096;
 
@@ -66,6 +72,8 @@ pub(crate) struct Moment<'a> {
     pub(crate) no_return: Option<&'a [bool]>,
     pub(crate) map_from_lidar: &'a Transform,
     pub(crate) stamp_ns: i64,
+    /// Whether the robot hides a direction in the frame of the sensor.
+    pub(crate) is_masked: &'a dyn Fn([f64; 3]) -> bool,
     /// The map before the scan.
     pub(crate) map: &'a VoxelMap,
 }
@@ -95,7 +103,7 @@ pub(crate) struct Look {
     samples: Vec<[f64; 2]>,
     /// Values that are ranked.
     ranks: Vec<f64>,
-    /// Cells that are empty, and those of them that are known to be enclosed by surfaces.
+    /// Cells without returns into which enough rays were cast.
     is_empty: Vec<bool>,
     /// Cells of a thing, while it is looked at.
     thing: Vec<u16>,
@@ -109,6 +117,8 @@ pub(crate) struct Look {
     lowest: f64,
     /// Whether the lowest returns are those of the ground.
     has_ground: bool,
+    /// Samples at the height of the lowest returns.
+    n_low: usize,
     usual: f64,
     stamp_ns: i64,
 }
@@ -139,8 +149,10 @@ impl Look {
         self.has_ground = self.sees_ground(low);
         let returns = self.hits.iter().map(|&hits| f64::from(hits)).sum::<f64>();
         let usual = if sky.last_ns.is_some() { sky.usual } else { returns };
-        self.usual = usual + NEWEST * (returns - usual);
-        if returns >= COVERED_SHARE * usual && sky.is_known() {
+        let is_covered = returns < COVERED_SHARE * usual;
+        let newest = if is_covered { NEWEST_COVERED } else { NEWEST };
+        self.usual = usual + newest * (returns - usual);
+        if !is_covered && sky.is_known() {
             self.cast(sky, moment, visible);
         }
     }
@@ -165,9 +177,10 @@ impl Look {
         if self.has_ground { self.low() } else { f64::NEG_INFINITY }
     }
 
-    /// Height up to which returns are among the lowest, relative to the sensor [m].
+    /// Height up to which returns are among the lowest, relative to the sensor [m]; none if these
+    /// are few, such as those of a target below the sensor.
     pub(crate) fn low(&self) -> f64 {
-        self.lowest + ON_GROUND
+        if self.n_low >= ENOUGH_LOW { self.lowest + ON_GROUND } else { f64::NEG_INFINITY }
     }
 
     /// Whether the scan holds any return.
@@ -309,14 +322,17 @@ impl Look {
     /// Find the sky, and the rays into it: of each cell every third part, others in the next scan.
     fn cast(&mut self, sky: &Sky, moment: &Moment<'_>, visible: f64) {
         let visible = visible.min(moment.map.parameters().max_range);
-        let is_same_place = sky.sees_the_same_from(self.place);
+        let pause = sky.last_ns.map_or(0, |last| self.stamp_ns.saturating_sub(last));
+        let is_same_place = sky.sees_the_same_from(self.place) && pause <= LONGEST_PAUSE_NS;
         let mut way = Way::through(moment.map, self.place);
+        let lidar_from_map = moment.map_from_lidar.inverse();
         self.limit_holes();
         let (mut into_sky, mut all) = (0.0, 0.0);
         for cell in 0..CELLS {
             all += f64::from(self.expected[cell]);
             let is_sky = self.is_empty[cell] && self.reach_of(cell, visible) >= LEAST_REACH;
-            let reach = if is_sky { self.reach_of(cell, visible) } else { self.reach_before(cell) };
+            let before = || self.reach_before(cell).min(moment.map.parameters().max_range);
+            let reach = if is_sky { self.reach_of(cell, visible) } else { before() };
             if reach < LEAST_REACH {
                 continue;
             }
@@ -334,6 +350,9 @@ impl Look {
                     continue;
                 }
                 let direction = GRID.parts[cell * PARTS * PARTS + part];
+                if (moment.is_masked)(lidar_from_map.rotate(wide(direction))) {
+                    continue; // the robot hides it
+                }
                 let free = if is_trusted { reach } else { way.free(wide(direction), reach) };
                 if free >= LEAST_REACH {
                     self.directions.push(direction);
@@ -402,7 +421,8 @@ impl Look {
         let on_ground = |[range, height]: [f64; 2]| ((height - low).abs() < FLAT).then_some(range);
         let near = self.ranked(0.1, on_ground);
         let far = self.ranked(0.9, on_ground);
-        20 * self.ranks.len() >= self.samples.len() && far >= GROUND_RATIO * near
+        self.n_low = self.ranks.len();
+        20 * self.n_low >= self.samples.len() && far >= GROUND_RATIO * near
     }
 
     /// The value that has a share of all values below it; 0 without any.
@@ -479,6 +499,7 @@ mod tests {
                 no_return: None,
                 map_from_lidar: &Transform::IDENTITY,
                 stamp_ns: number as i64 * 100_000_000,
+                is_masked: &|_| false,
                 map,
             };
             look.fill(sky, &moment);
@@ -520,6 +541,7 @@ mod tests {
             no_return: None,
             map_from_lidar: &Transform::IDENTITY,
             stamp_ns: 700_000_000,
+            is_masked: &|_| false,
             map: &map,
         };
         look.fill(&sky, &moment);
@@ -537,6 +559,28 @@ mod tests {
         scans.push(few);
         let look = looks(&mut sky, &map, &scans);
         assert!(look.directions.is_empty() && look.share == 0.0);
+        Ok(())
+    }
+
+    #[test]
+    fn nobody_gets_used_to_a_covered_sensor() -> Result<(), Error> {
+        let map = VoxelMap::new(parameters(), 1)?;
+        let mut sky = Sky::of(&Beams::Learnt).ok_or(Error::Interrupted)?;
+        let mut scans = vec![wall(30.0, 0.5); 6];
+        let few: Vec<[f32; 3]> =
+            scans[0].iter().copied().filter(|point| point[1] < -15.0).collect();
+        scans.extend(vec![few; 60]);
+        assert!(looks(&mut sky, &map, &scans).directions.is_empty());
+        Ok(())
+    }
+
+    #[test]
+    fn far_returns_do_not_make_rays_longer_than_those_of_the_map() -> Result<(), Error> {
+        let map = VoxelMap::new(parameters(), 1)?;
+        let mut sky = Sky::of(&Beams::Learnt).ok_or(Error::Interrupted)?;
+        let look = looks(&mut sky, &map, &vec![wall(1e6, 0.5); 5]);
+        assert!(!look.reach.is_empty());
+        assert!(look.reach.iter().all(|&reach| reach <= 20.0));
         Ok(())
     }
 

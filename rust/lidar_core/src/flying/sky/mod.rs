@@ -68,6 +68,8 @@ pub(crate) struct Sky {
     usual: f64,
     last_ns: Option<i64>,
     scans: u32,
+    /// Scans with enough returns to tell the sensor by.
+    checked: u32,
 }
 
 impl Sky {
@@ -91,6 +93,7 @@ impl Sky {
             usual: 0.0,
             last_ns: None,
             scans: 0,
+            checked: 0,
         })
     }
 
@@ -103,7 +106,7 @@ impl Sky {
         points: &[[f32; 3]],
         others: &[(String, RayPattern)],
     ) -> Result<(), Error> {
-        let Some(rays) = self.known.as_ref().filter(|_| self.scans < CHECKED_SCANS) else {
+        let Some(rays) = self.known.as_ref().filter(|_| self.checked < CHECKED_SCANS) else {
             return Ok(());
         };
         let seen = Elevations::of(points);
@@ -144,8 +147,10 @@ impl Sky {
         if self.scans < LEARNING_SCANS || self.scans.is_multiple_of(LEARNING_STEP) {
             self.emission.learn(look.seen_by_sensor());
         }
-        if self.scans < CHECKED_SCANS {
-            self.has_rows = Elevations::of(points).are_rows();
+        if self.checked < CHECKED_SCANS {
+            let seen = Elevations::of(points);
+            self.has_rows = seen.are_rows();
+            self.checked += u32::from(seen.tell_enough());
         }
         self.scans = self.scans.saturating_add(1);
     }
