@@ -90,6 +90,9 @@ class RunFolder:
         is_cut = (path / UNFINISHED).exists()
         if not is_cut and not (path / RUN_FILE).exists():
             raise FileExistsError(f"{path}: holds files that no run wrote; choose another folder")
+        if is_cut:
+            lock(path)  # refuses where the run is still being written
+            unlock(path)
         if not overwrite:
             told = "a run that did not come to its end" if is_cut else "an earlier run"
             raise FileExistsError(f"{path}: holds {told}; --overwrite replaces it")

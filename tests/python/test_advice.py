@@ -152,4 +152,4 @@ def test_a_missing_package_is_told_with_the_command_that_brings_it(tmp_path):
     path.write_bytes(b"osf")
     _, error = answer(path)
     if isinstance(error, MissingExtraError):
-        assert "lidar-core[ouster]" in str(error)
+        assert "[ouster]" in str(error)

@@ -279,7 +279,7 @@ def test_scans_with_little_in_them_are_scans(points):
 
 def test_a_scan_without_points_clears_nothing():
     """Nor does one of NaN: no information is not open sky."""
-    beams = SensorConfig(beams="vlp-16")
+    beams = SensorConfig(beams="learnt")
     ground = CONFIG.seed.model_copy(update={"ground_height": 5.0})
     seeded = CONFIG.model_copy(update={"seed": ground})
     for config in (seeded, seeded.model_copy(update={"sensor": beams})):

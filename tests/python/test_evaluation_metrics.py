@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -17,6 +18,7 @@ from scipy.stats import chi2
 from lidar_core import ConfigError, InputError, MissingExtraError, NumericalError, evaluation
 from lidar_core.estimation import chi2_quantile
 from lidar_core.evaluation import Estimates, EvaluationConfig, Spread, Truth
+from lidar_core.extras import install_command
 from reference import evaluation as reference
 
 PARITY = 1e-9
@@ -546,7 +548,7 @@ def test_identities_without_targets_or_without_the_library(monkeypatch):
         raise ImportError(name)
 
     monkeypatch.setattr(extras, "import_module", refuse)
-    with pytest.raises(MissingExtraError, match=r"pip install 'lidar-core\[eval\]'"):
+    with pytest.raises(MissingExtraError, match=re.escape(install_command("eval"))):
         evaluation.evaluate(truth, tracks=tracks, with_identities=True)
     assert evaluation.evaluate(truth, tracks=tracks).identities is None
 

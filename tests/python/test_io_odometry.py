@@ -1,6 +1,7 @@
 """Poses by KISS-ICP while a recording is read: accuracy, frames, times, doubt, lost tracking."""
 
 import json
+import re
 import warnings
 from collections import Counter
 from dataclasses import replace
@@ -15,6 +16,7 @@ import lidar_core as lc
 import lidar_core.sim as sim
 from lidar_core.cli import app
 from lidar_core.errors import ConfigError, InputError, MissingExtraError, OdometryWarning
+from lidar_core.extras import install_command
 from lidar_core.flying import FlyingObjectDetector
 from lidar_core.io import odometry as module
 from lidar_core.io.odometry import LOST_IN_A_ROW, KissOdometry, placed_scans
@@ -273,7 +275,7 @@ def test_without_the_package_the_extra_is_named(monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "kiss_icp", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'lidar-core\[odometry\]'"):
+    with pytest.raises(MissingExtraError, match=re.escape(install_command("odometry"))):
         KissOdometry()
 
 

@@ -1,6 +1,7 @@
 """Track tables, trajectories and scenes hold what was tracked."""
 
 import csv
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 import lidar_core as lc
 import lidar_core.io
+from lidar_core.extras import install_command
 from lidar_core.io import tracks as module
 
 BASE_NS = 1_700_000_000_000_000_001
@@ -148,8 +150,8 @@ def test_a_missing_extra_is_named(tmp_path, monkeypatch):
         raise ImportError(name)
 
     monkeypatch.setattr(extras, "import_module", refuse)
-    with pytest.raises(lc.MissingExtraError, match=r"pip install 'lidar-core\[viz\]'"):
+    with pytest.raises(lc.MissingExtraError, match=re.escape(install_command("viz"))):
         lc.io.write_mcap(tmp_path / "a.mcap", [])
     (tmp_path / "b.mcap").write_bytes(b"x")
-    with pytest.raises(lc.MissingExtraError, match=r"pip install 'lidar-core\[io\]'"):
+    with pytest.raises(lc.MissingExtraError, match=re.escape(install_command("io"))):
         lc.io.open_recording(tmp_path / "b.mcap")

@@ -95,7 +95,9 @@ def test_two_runs_do_not_write_to_one_folder(drone, tmp_path):
             f"{tmp_path / 'other'}: another run is being written there"
         )
         other.stdin.close()
-    assert fuse(drone, tmp_path / "other").exit_code == 0
+    cut = fuse(drone, tmp_path / "other")  # the other one ended without finishing its run
+    assert str(cut.exception).endswith("did not come to its end; --overwrite replaces it")
+    assert fuse(drone, tmp_path / "other", "--overwrite").exit_code == 0
     assert {path.name for path in folder.iterdir() if path.is_file()} == set(before)
 
 

@@ -14,7 +14,7 @@ from lidar_core.circles import CirclesConfig, Scanner
 from lidar_core.cli import app
 from lidar_core.cli.simulate import BUILT_IN
 from lidar_core.flying import FlyingConfig, SensorConfig
-from lidar_core.flying.sensor_config import BEAM_PRESETS, BeamPreset
+from lidar_core.flying.sensor_config import BEAM_TABLES, Beams
 from lidar_core.io import open_recording
 from lidar_core.messages import LaserScan
 from lidar_core.sensors import SENSORS
@@ -52,7 +52,8 @@ def angles(scan):
 def test_every_sensor_is_here():
     assert set(SENSORS) == {*SPATIAL, *PLANAR, *LIVOX}
     assert all(sensor.note and sensor.title for sensor in SENSORS.values())
-    assert set(get_args(BeamPreset)) == set(BEAM_PRESETS) == {*SPATIAL, "learnt"}
+    assert set(get_args(Beams)) == {*BEAM_TABLES, "auto", "given", "learnt"}
+    assert {*SPATIAL} <= {*BEAM_TABLES}
 
 
 @pytest.mark.parametrize("name", SPATIAL)

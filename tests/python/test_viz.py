@@ -1,5 +1,6 @@
 """Pictures: drawn for any run, whole, and named when their package is missing."""
 
+import re
 import sys
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ import pytest
 from matplotlib.image import imread
 
 from lidar_core import MissingExtraError
+from lidar_core.extras import install_command
 from lidar_core.flying import Tracks
 from lidar_core.viz import FlyingView, draw_flying
 
@@ -93,6 +95,6 @@ def test_the_same_view_gives_the_same_picture(view, tmp_path):
 
 def test_without_matplotlib_the_extra_is_named(view, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'lidar-core\[plot\]'"):
+    with pytest.raises(MissingExtraError, match=re.escape(install_command("plot"))):
         draw_flying(view, tmp_path / "picture.png")
     assert list(tmp_path.iterdir()) == []

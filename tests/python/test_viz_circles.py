@@ -1,5 +1,6 @@
 """Pictures of circle maps: drawn for any run, whole, and named when their package is missing."""
 
+import re
 import sys
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ from matplotlib.image import imread
 from test_io_circles import Circles
 
 from lidar_core import MissingExtraError
+from lidar_core.extras import install_command
 from lidar_core.viz import CirclesView, animate_circles, draw_circles
 
 SHAPE = (630, 1080)
@@ -99,6 +101,6 @@ def film(view, path):
 @pytest.mark.parametrize("draw", [draw_circles, film])
 def test_without_matplotlib_the_extra_is_named(view, tmp_path, monkeypatch, draw):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'lidar-core\[plot\]'"):
+    with pytest.raises(MissingExtraError, match=re.escape(install_command("plot"))):
         draw(view, tmp_path / "picture.png")
     assert list(tmp_path.iterdir()) == []

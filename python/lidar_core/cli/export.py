@@ -14,10 +14,11 @@ def command(
     model: Annotated[Path, typer.Argument(help="ONNX file to write; its card comes beside it.")],
 ) -> None:
     """Write the best weights of RUN as MODEL, checked against torch, with a card (JSON)."""
+    export = training("export").export
     if not run.is_dir():
         check_regular(run)  # says what else it is
         raise NotADirectoryError(f"{run}: expected the folder of a run, got a file")
-    card = training("export").export(run, model)
+    card = export(run, model)
     from lidar_core.circles import trust_model
 
     listed = trust_model(model)

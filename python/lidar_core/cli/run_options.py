@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _POSE = (
     "auto: transforms or odometry of the recording; static: the sensor does not move; kiss:"
-    " KISS-ICP finds them (extra `odometry`); else a poses file, KITTI or TUM."
+    " by KISS-ICP; else a poses file, KITTI or TUM."
 )
 _MOUNTING = "Where a sensor sits: PARENT FRAME x y z roll pitch yaw \\[m, rad]; again for more."
 _SET = "Single value, as SECTION.NAME=VALUE of `config show`; again for more."

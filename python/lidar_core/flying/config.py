@@ -187,6 +187,7 @@ class ClassifyConfig(Config):
     upright_height: float | None = Field(
         1.2,
         gt=0,
+        le=50,
         description="Clusters at least this high, whose diagonal on the ground is at most two"
         " fifths of their height, stand on something and do not fly, such as signs and people [m].",
     )

@@ -237,8 +237,9 @@ def inspect(recording: Recording) -> RecordingInfo:
             for message in messages
             if isinstance(message, Pose)
         }
+    rejected = dict(recording.noticed().rejected)
     if any(not is_static for is_static in edges.values()):
-        _check_pose_frames(recording)
+        _check_pose_frames(recording)  # reads again, and counts what is rejected again
     infos = tuple(streams[name].info() for name in sorted(streams))
     found = recording.noticed()
     times = [t for info in infos for t in (info.start_ns, info.end_ns) if t is not None]
@@ -251,7 +252,7 @@ def inspect(recording: Recording) -> RecordingInfo:
         transforms=tuple((*edge, static) for edge, static in sorted(edges.items())),
         point_time=dict(found.point_time),
         no_return=dict(found.no_return),
-        defects=tuple(_defects(recording, streams, edges)),
+        defects=tuple(_defects(recording, streams, edges, rejected)),
         looked_at={stream.name: (stream.decoded, len(stream.times)) for stream in streams.values()
                    if stream.decoded < len(stream.times) and stream.topic.kind in SCAN_KINDS},
         stamps={stream.topic.name: stream.other_times for stream in streams.values()
@@ -277,10 +278,11 @@ def _defects(
     recording: Recording,
     streams: dict[tuple[str, str], _Stream],
     edges: dict[tuple[str, str], bool],
+    rejected: dict[str, int],
 ) -> list[str]:
     found = [text for name in sorted(streams) for text in streams[name].defects()]
     noticed = recording.noticed()
-    found += [f"{topic}: {count} messages rejected" for topic, count in noticed.rejected.items()]
+    found += [f"{topic}: {count} messages rejected" for topic, count in rejected.items()]
     found += noticed.notes
     scans = [s for s in streams.values() if s.topic.kind in SCAN_KINDS]
     if not scans:

@@ -18,6 +18,8 @@ MOST_SCANS, MOST_PAIRS = 40, 8
 """Scans that are looked at, and pairs of them."""
 POINTS = 4000
 """Of a scan, at most."""
+LEAST_POINTS = 200
+"""Scans with fewer points away from the sensor may fit by chance."""
 TURN_REACH = 10.0
 """Distance at which a turn counts as a motion [m]."""
 LEAST_MOTION, GOOD_MOTION = 0.3, 1.5
@@ -94,7 +96,9 @@ class PoseFrameCheck:
         """Take in one scan; a verdict where the poses are in another frame."""
         if self._is_done:
             return None
-        self._views.append(_View(pose, _thinned(points)))
+        view = _View(pose, _thinned(points))
+        if len(view.points) >= LEAST_POINTS:
+            self._views.append(view)
         if len(self._views) < MOST_SCANS:
             return None
         return self.decide()

@@ -59,7 +59,8 @@ def _locked(place: Path, path: Path) -> int | None:
         if _is_there(place, held):
             os.truncate(held, 0)
             command = join(["lidar-core", *sys.argv[1:]])
-            os.pwrite(held, f"process {os.getpid()} ({command})".encode(), 0)
+            told = f"process {os.getpid()} ({command})"
+            os.pwrite(held, told.encode("utf-8", "backslashreplace"), 0)
             return held
         os.close(held)  # its owner took it away between opening and locking
 

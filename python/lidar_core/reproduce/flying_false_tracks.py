@@ -225,7 +225,8 @@ def _draw(figure: Any, of: dict[str, list[Part]]) -> None:
     axes = figure.subplots()
     axes.set_title("Tracks of nothing", loc="left", fontweight="bold")
     rows = {row.name: row for row in _rows(of)}
-    for offset, (mode, colour) in zip((-0.2, 0.2), COLOURS.items(), strict=True):
+    for offset, mode in zip((-0.2, 0.2), MODES, strict=True):
+        colour = COLOURS[mode]
         rates = [
             rows[f"false tracks per 1000 scans, {condition}"]._asdict()[f"{mode}_mode"]
             for condition in of

@@ -187,7 +187,7 @@ def _draw(figure: Any, parts: Sequence[Part]) -> None:
     panels = figure.subplots(1, len(SHAPES), sharey=True)
     figure.suptitle("Far drones, d_max 50 m", x=0.06, ha="left", fontweight="bold")
     for panel, shape in zip(panels, SHAPES, strict=True):
-        for mode, colour in COLOURS.items():
+        for mode, colour in ((mode, COLOURS[mode]) for mode in MODES):
             for kind, line in zip(KINDS, ("-", "--"), strict=True):
                 curve = np.array(_curve(parts, f"{mode}_far", kind, shape), float)
                 panel.plot(_middles(), curve, line, marker=".", color=colour,
