@@ -106,7 +106,8 @@ def small(config):
             "seed": config.seed.model_copy(
                 update={"burn_in_scans": 3, "burn_in_extent": 1.3, "standing_scans": 0}
             ),
-            "sensor": config.sensor.model_copy(update={"learn_mask_scans": 0}),
+            # The specification knows nothing of the robot itself: test_sky.py does.
+            "sensor": config.sensor.model_copy(update={"learn_mask_scans": 0, "find_body": False}),
         }
     )
 
