@@ -59,9 +59,16 @@ stands for them has their field of view, their rate, and does not repeat.
 
 """
 SENSOR_COLUMNS = (
-    "Name", "Sensor", "Rays per scan", "Elevation [deg]", "Azimuth [deg]", "Rate [Hz]",
-    "Range [m]", "Noise [m]", "Note",
-)  # fmt: skip
+    "Name",
+    "Sensor",
+    "Rays per scan",
+    "Elevation [deg]",
+    "Azimuth [deg]",
+    "Rate [Hz]",
+    "Range [m]",
+    "Noise [m]",
+    "Note",
+)
 
 
 def page() -> str:
@@ -93,10 +100,16 @@ def _sensor(name: str) -> str:
         width = math.degrees(model.pattern.angle_increment) * (model.pattern.beams - 1)
     rays = " x ".join(f"{count:,}" for count in model.shape)
     cells = (
-        f"`{name}`", SENSORS[name].title, rays, f"{low:g} to {high:g}" if high > low else "0",
-        f"{width:.4g}", f"{model.scan_rate:g}", f"{model.range_min:g} to {model.range_max:g}",
-        f"{model.range_std:g}", SENSORS[name].note,
-    )  # fmt: skip
+        f"`{name}`",
+        SENSORS[name].title,
+        rays,
+        f"{low:g} to {high:g}" if high > low else "0",
+        f"{width:.4g}",
+        f"{model.scan_rate:g}",
+        f"{model.range_min:g} to {model.range_max:g}",
+        f"{model.range_std:g}",
+        SENSORS[name].note,
+    )
     return "| " + " | ".join(cells) + " |"
 
 
@@ -112,9 +125,12 @@ def _row(parameter: Parameter) -> str:
     if len(default) > LONGEST_DEFAULT:
         default = f"{default[:LONGEST_DEFAULT].rstrip(', ')} ..."
     cells = (
-        f"`{parameter.name}`", f"`{parameter.type}`", f"`{default}`",
-        f"`{parameter.range}`" if parameter.range else "", parameter.description,
-    )  # fmt: skip
+        f"`{parameter.name}`",
+        f"`{parameter.type}`",
+        f"`{default}`",
+        f"`{parameter.range}`" if parameter.range else "",
+        parameter.description,
+    )
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 

@@ -42,15 +42,18 @@ def by_sklearn(points: Points) -> int:
 
 def measure(yardstick: Path, folder: Path, scans: list[int], title: str) -> Turns:
     """All systems in turn; stops unless they find the same number of clusters."""
-    points = [np.ascontiguousarray(rays[np.isfinite(rays[:, 3]), 3:])
-              for _, rays in read_scans(folder)]  # fmt: skip
+    points = [
+        np.ascontiguousarray(rays[np.isfinite(rays[:, 3]), 3:]) for _, rays in read_scans(folder)
+    ]
     systems = [
         System.program(YARDSTICK, yardstick, "cluster", folder),
         System(OURS, lambda scan: by_lidar_core(points[scan])),
     ]
     try:
-        systems += [System.program(f"{PCL} ({kind})", path, folder)
-                    for kind, path in programs("pcl").items()]  # fmt: skip
+        systems += [
+            System.program(f"{PCL} ({kind})", path, folder)
+            for kind, path in programs("pcl").items()
+        ]
     except MissingError as why:
         print(f"PCL is left out: {why}.\n")
     systems += [

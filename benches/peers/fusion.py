@@ -30,12 +30,23 @@ AGREEMENT = 1e-6
 """Largest difference of two states, beside 1 and the state."""
 TRACKS = 200
 """Of a batch."""
-CONFIG = lc.fusion.FusionConfig.load({
-    "model": "ctra", "process": "discrete", "jerk_noise": JERK, "turn_noise": TURN,
-    "start_rows": 1, "gate_probability": None, "loss_ratio": None, "buffer_time": 0.0,
-    "initial_position": 0.5**0.5, "initial_speed": 5.0, "initial_heading": 3.0**0.5,
-    "initial_turn_rate": 1.0, "initial_acceleration": 3.0,
-})  # fmt: skip
+CONFIG = lc.fusion.FusionConfig.load(
+    {
+        "model": "ctra",
+        "process": "discrete",
+        "jerk_noise": JERK,
+        "turn_noise": TURN,
+        "start_rows": 1,
+        "gate_probability": None,
+        "loss_ratio": None,
+        "buffer_time": 0.0,
+        "initial_position": 0.5**0.5,
+        "initial_speed": 5.0,
+        "initial_heading": 3.0**0.5,
+        "initial_turn_rate": 1.0,
+        "initial_acceleration": 3.0,
+    }
+)
 
 
 def recording(seed: int) -> list[tuple[bool, Array]]:
@@ -59,12 +70,17 @@ def moments(rate: float, dt: float) -> list[tuple[float, float]]:
     u = rate * dt
     if abs(u) < 1e-2:  # Taylor series, to 1e-16
         return [
-            (dt ** (k + 1) * sum((-u * u) ** j / math.factorial(2 * j) / (2 * j + k + 1)
-                                 for j in range(4)),
-             dt ** (k + 1) * u * sum((-u * u) ** j / math.factorial(2 * j + 1) / (2 * j + k + 2)
-                                     for j in range(4)))
+            (
+                dt ** (k + 1)
+                * sum((-u * u) ** j / math.factorial(2 * j) / (2 * j + k + 1) for j in range(4)),
+                dt ** (k + 1)
+                * u
+                * sum(
+                    (-u * u) ** j / math.factorial(2 * j + 1) / (2 * j + k + 2) for j in range(4)
+                ),
+            )
             for k in range(3)
-        ]  # fmt: skip
+        ]
     s, c = math.sin(u), math.cos(u)
     a0, b0 = s / rate, (1 - c) / rate
     a1, b1 = (dt * s - b0) / rate, (a0 - dt * c) / rate
@@ -158,9 +174,12 @@ def filterpy_loop(rows: list[tuple[bool, Array]]) -> Array:
         ekf.predict()
         h, R = (place, LIDAR) if is_lidar else (polar, RADAR)
         ekf.update(
-            z, lambda s, h=h: h(s)[1], lambda s, h=h: h(s)[0], R=R,
+            z,
+            lambda s, h=h: h(s)[1],
+            lambda s, h=h: h(s)[0],
+            R=R,
             residual=np.subtract if is_lidar else minus,
-        )  # fmt: skip
+        )
         found.append(ekf.x)
     return np.array(found)
 
@@ -225,8 +244,10 @@ def stonesoup_loop(rows: list[tuple[bool, Array]]) -> Array:
             raise NotImplementedError
 
     model = Ctra()
-    sensors = [Sensor(noise_covar=CovarianceMatrix(RADAR), is_lidar=False),
-               Sensor(noise_covar=CovarianceMatrix(LIDAR), is_lidar=True)]  # fmt: skip
+    sensors = [
+        Sensor(noise_covar=CovarianceMatrix(RADAR), is_lidar=False),
+        Sensor(noise_covar=CovarianceMatrix(LIDAR), is_lidar=True),
+    ]
     predictor, updater = ExtendedKalmanPredictor(model), ExtendedKalmanUpdater(use_joseph_cov=True)
     start = datetime(2026, 1, 1)
     first = StateVector([*rows[0][1], 0.0, 0.0, 0.0, 0.0])
@@ -245,8 +266,10 @@ def stonesoup_loop(rows: list[tuple[bool, Array]]) -> Array:
 
 def ours(rows: list[tuple[bool, Array]]) -> dict[str, tuple[Callable[[], Any], int]]:
     """One call per measurement, and one for many tracks."""
-    seen = [lc.fusion.Measurement(round(k * STEP * 1e9), "lidar" if is_lidar else "radar", z)
-            for k, (is_lidar, z) in enumerate(rows)]  # fmt: skip
+    seen = [
+        lc.fusion.Measurement(round(k * STEP * 1e9), "lidar" if is_lidar else "radar", z)
+        for k, (is_lidar, z) in enumerate(rows)
+    ]
     tracks = [lc.fusion.Measurements(seen) for _ in range(TRACKS)]
 
     def steps() -> list[Any]:
@@ -285,8 +308,10 @@ def main() -> None:
     print("| system | us per predict and update | of the reference |\n|---|---|---|")
     for name, spent in best.items():
         print(f"| {name} | {spent:.3g} | {spent / reference:.3g} |")
-    print(f"\n{processor()}, Python {platform.python_version()}, numpy {version('numpy')},"
-          f" lidar_core {lc.__version__}; best of {rounds} rounds, one thread.")  # fmt: skip
+    print(
+        f"\n{processor()}, Python {platform.python_version()}, numpy {version('numpy')},"
+        f" lidar_core {lc.__version__}; best of {rounds} rounds, one thread."
+    )
 
 
 def check(name: str, found: Any, expected: Array) -> None:

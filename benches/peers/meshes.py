@@ -31,8 +31,11 @@ def prism(radius: float, height: float) -> Triangles:
     levels = [np.column_stack([ring, np.full(SIDES, z)]) for z in (-height / 2, height / 2)]
     low, after = np.arange(SIDES), np.roll(np.arange(SIDES), -1)
     top = np.full(SIDES, 2 * SIDES)
-    faces = [(low, after, after + SIDES), (low, after + SIDES, low + SIDES),
-             (low + SIDES, after + SIDES, top)]  # fmt: skip
+    faces = [
+        (low, after, after + SIDES),
+        (low, after + SIDES, low + SIDES),
+        (low + SIDES, after + SIDES, top),
+    ]
     corners = np.concatenate([*levels, [[0.0, 0.0, height / 2]]])
     return corners, np.concatenate([np.stack(face, axis=-1) for face in faces]).astype(np.uint32)
 
@@ -61,8 +64,14 @@ def scene_of(scene: lc.sim.Scene) -> tuple[Triangles, list[tuple[SimShape, NDArr
     """All bodies and targets as one mesh, and as exact shapes with their poses."""
     corners, faces, exact, held = [], [], [], 0
     placed = [(triangles(body.shape), body.shape, body.position) for body in scene.bodies]
-    placed += [(lc.sim.sphere_mesh(target.shape.radius, **SPHERE), target.shape,
-                target.motion.positions[0]) for target in scene.targets]  # fmt: skip
+    placed += [
+        (
+            lc.sim.sphere_mesh(target.shape.radius, **SPHERE),
+            target.shape,
+            target.motion.positions[0],
+        )
+        for target in scene.targets
+    ]
     for (vertices, sides), shape, position in placed:
         corners.append(vertices + position)
         faces.append(sides + held)

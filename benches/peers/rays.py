@@ -22,8 +22,10 @@ GATES = [Gate(PYOCTOMAP, YARDSTICK, 16)]
 def read_scans(folder: Path) -> list[tuple[NDArray[np.float64], NDArray[np.float32]]]:
     """Origin of every scan, and its rays (N, 6): direction and end, NaN without return."""
     origins = np.fromfile(folder / "origins.f64", "<f8").reshape(-1, 3)
-    return [(origin, np.fromfile(folder / f"{number}.f32", "<f4").reshape(-1, 6))
-            for number, origin in enumerate(origins)]  # fmt: skip
+    return [
+        (origin, np.fromfile(folder / f"{number}.f32", "<f4").reshape(-1, 6))
+        for number, origin in enumerate(origins)
+    ]
 
 
 def ours(folder: Path, *, threads: int = 1, exact: bool = True) -> System:
@@ -72,8 +74,11 @@ def octomap_trees(folder: Path) -> list[System]:
         print(f"OctoMap in C++ is left out: {why}.\n")
         return []
     modes = {"default": "default", "lazy": "lazy + discretize"}
-    return [System.program(f"OctoMap, {title} ({kind})", path, folder, mode)
-            for mode, title in modes.items() for kind, path in built.items()]  # fmt: skip
+    return [
+        System.program(f"OctoMap, {title} ({kind})", path, folder, mode)
+        for mode, title in modes.items()
+        for kind, path in built.items()
+    ]
 
 
 def measure(yardstick: Path, folder: Path, scans: list[int], title: str) -> Turns:

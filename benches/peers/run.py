@@ -50,8 +50,9 @@ def of_clusters(yardstick: Path, scans: list[int]) -> str:
     for scene in (1, 2):
         title = f"scene {scene}, clusters of all returns"
         turns = clusters.measure(yardstick, scans_of(yardstick, scene), scans, title)
-        tables.append(turns.table(yardstick=clusters.YARDSTICK, ours=clusters.OURS,
-                                  gates=clusters.GATES))  # fmt: skip
+        tables.append(
+            turns.table(yardstick=clusters.YARDSTICK, ours=clusters.OURS, gates=clusters.GATES)
+        )
     return "\n\n".join(tables)
 
 
@@ -100,8 +101,10 @@ def made_with() -> str:
         except ModuleNotFoundError:
             found.append(f"no {name}")
     built = f"; {native.versions()}" if native.SYSTEM.exists() else ""
-    return (f"{date.today()}, {processor()}, one thread; lidar_core {lc.__version__}, Python"
-            f" {platform.python_version()}, {', '.join(found)}{built}.")  # fmt: skip
+    return (
+        f"{date.today()}, {processor()}, one thread; lidar_core {lc.__version__}, Python"
+        f" {platform.python_version()}, {', '.join(found)}{built}."
+    )
 
 
 def main() -> None:

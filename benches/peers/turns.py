@@ -18,8 +18,11 @@ class Program:
     def __init__(self, *command: str | Path) -> None:
         self._process = subprocess.Popen(
             [str(word) for word in command],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1,
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            bufsize=1,
+        )
         if self._answer() != "ready":
             raise RuntimeError(f"{command[0]}: does not say that it is ready")
 
@@ -95,8 +98,10 @@ class Turns:
     def _verdict(self, gate: Gate) -> str:
         found = self.slower(gate.peer, gate.yardstick)
         verdict = "fair" if found >= gate.factor else "**not fair, these ratios do not count**"
-        return (f"\n{gate.peer} takes {found:.3g} times as long as `{gate.yardstick}`,"
-                f" at least {gate.factor:g} expected: {verdict}.")  # fmt: skip
+        return (
+            f"\n{gate.peer} takes {found:.3g} times as long as `{gate.yardstick}`,"
+            f" at least {gate.factor:g} expected: {verdict}."
+        )
 
 
 def take_turns(title: str, systems: Sequence[System], scans: Sequence[int]) -> Turns:

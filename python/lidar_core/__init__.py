@@ -39,9 +39,18 @@ _HOMES = {
     "VoxelMap": "flying.voxel_map",
 }
 _LAZY = (
-    "batch", "circles", "estimation", "evaluation", "flying", "fusion", "io", "live", "reproduce",
-    "sim", "viz",
-)  # fmt: skip
+    "batch",
+    "circles",
+    "estimation",
+    "evaluation",
+    "flying",
+    "fusion",
+    "io",
+    "live",
+    "reproduce",
+    "sim",
+    "viz",
+)
 """What is imported when it is first used."""
 
 __all__ = [

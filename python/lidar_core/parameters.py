@@ -38,8 +38,15 @@ MODELS = {
 }
 """Models that a file or a command line fills, by the name the command gives them."""
 
-_BOUNDS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<=", "min_length": "length >=",
-           "max_length": "length <=", "pattern": "matches"}  # fmt: skip
+_BOUNDS = {
+    "gt": ">",
+    "ge": ">=",
+    "lt": "<",
+    "le": "<=",
+    "min_length": "length >=",
+    "max_length": "length <=",
+    "pattern": "matches",
+}
 _EDGE = re.compile(r"(?<=\[)\n\s*|,\n\s*(?=\])")
 _BREAK = re.compile(r"\n\s*")
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
@@ -136,8 +143,9 @@ def _section(config: Config, path: str, header: str, described: set[type[BaseMod
             continue
         is_table = bool(_models_in(type(config).model_fields[parameter.name].annotation))
         if explain:
-            lines += _comment(f"[{below}] {_explained(parameter)}" if is_table
-                              else _explained(parameter))  # fmt: skip
+            lines += _comment(
+                f"[{below}] {_explained(parameter)}" if is_table else _explained(parameter)
+            )
         if not is_table:
             lines.append(f"{parameter.name} = {toml_value(values[parameter.name])}")
     return lines + inner

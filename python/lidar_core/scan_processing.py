@@ -96,8 +96,9 @@ def check_no_rays(config: CirclesConfig) -> None:
     ConfigError
         There are some.
     """
-    nominal = [Scanner.load({"preset": name}) for name, sensor in SENSORS.items()
-               if sensor.is_planar]  # fmt: skip
+    nominal = [
+        Scanner.load({"preset": name}) for name, sensor in SENSORS.items() if sensor.is_planar
+    ]
     if config.scanners or any(_rays(one) == _rays(config.scanner) for one in nominal):
         return
     usual = _rays(Scanner())

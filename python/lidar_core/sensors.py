@@ -85,9 +85,12 @@ def _rosette(elevation_deg: tuple[float, float], **pattern: Any) -> dict[str, An
 def _planar(angle_deg: float, beams: int, sweep_time: float, **more: Any) -> dict[str, Any]:
     angle = radians(angle_deg)
     pattern = {
-        "kind": "planar", "beams": beams, "angle_min": -angle / 2,
-        "angle_increment": angle / (beams - 1), "sweep_time": sweep_time,
-    }  # fmt: skip
+        "kind": "planar",
+        "beams": beams,
+        "angle_min": -angle / 2,
+        "angle_increment": angle / (beams - 1),
+        "sweep_time": sweep_time,
+    }
     return {"pattern": pattern, **more}
 
 
@@ -98,32 +101,46 @@ _OUSTER = {
 }
 _HDL64 = (*_even(2.0, -8.33, 32), *_even(-8.83, -24.33, 32))
 _PANDAR64 = (
-    15.0, 11.0, 8.0, 5.0, 3.0, 2.0, *_even(11 / 6, -6.0, 48),
-    *_even(-7.0, -14.0, 8), -19.0, -25.0,
-)  # fmt: skip
+    15.0,
+    11.0,
+    8.0,
+    5.0,
+    3.0,
+    2.0,
+    *_even(11 / 6, -6.0, 48),
+    *_even(-7.0, -14.0, 8),
+    -19.0,
+    -25.0,
+)
 
 SENSORS: Mapping[str, Sensor] = {
     **{
         f"{name}-{rows}": Sensor(
             f"Ouster {name.upper()}-{rows}",
             "1024 columns at 10 Hz",
-            _spinning(_even(half, -half, rows), 1024, **ranges), delivery="organised",
+            _spinning(_even(half, -half, rows), 1024, **ranges),
+            delivery="organised",
         )
         for name, (half, ranges) in _OUSTER.items()
         for rows in (32, 64, 128)
     },
     "vlp-16": Sensor(
-        "Velodyne VLP-16", "0.2° at 10 Hz",
-        _spinning(_even(15.0, -15.0, 16), 1800, range_min=0.5, range_max=100.0), delivery="dropped",
+        "Velodyne VLP-16",
+        "0.2° at 10 Hz",
+        _spinning(_even(15.0, -15.0, 16), 1800, range_min=0.5, range_max=100.0),
+        delivery="dropped",
     ),
     "hdl-32e": Sensor(
-        "Velodyne HDL-32E", "46.08 us per firing",
+        "Velodyne HDL-32E",
+        "46.08 us per firing",
         _spinning(_even(10.67, -30.67, 32), 2170, range_min=0.9, range_max=80.0, range_std=0.02),
         delivery="dropped",
     ),
     "hdl-64e": Sensor(
-        "Velodyne HDL-64E", "two blocks of even rows",
-        _spinning(_HDL64, 2083, range_min=0.9, range_max=120.0, range_std=0.02), delivery="dropped",
+        "Velodyne HDL-64E",
+        "two blocks of even rows",
+        _spinning(_HDL64, 2083, range_min=0.9, range_max=120.0, range_std=0.02),
+        delivery="dropped",
     ),
     "vls-128": Sensor(
         "Velodyne VLS-128 (Alpha Prime)",
@@ -132,22 +149,26 @@ SENSORS: Mapping[str, Sensor] = {
         delivery="dropped",
     ),
     "xt32": Sensor(
-        "Hesai PandarXT-32", "0.18° at 10 Hz",
+        "Hesai PandarXT-32",
+        "0.18° at 10 Hz",
         _spinning(_even(15.0, -16.0, 32), 2000, range_min=0.05, range_max=80.0, range_std=0.01),
         delivery="dropped",
     ),
     "pandar64": Sensor(
-        "Hesai Pandar64", "0.2° at 10 Hz",
+        "Hesai Pandar64",
+        "0.2° at 10 Hz",
         _spinning(_PANDAR64, 1800, range_max=200.0, range_std=0.02),
         delivery="dropped",
     ),
     "qt128": Sensor(
-        "Hesai QT128", "105.2° and 0.4° at 10 Hz; the real rows are not quite even",
+        "Hesai QT128",
+        "105.2° and 0.4° at 10 Hz; the real rows are not quite even",
         _spinning(_even(52.6, -52.6, 128), 900, range_min=0.05, range_max=20.0, range_std=0.02),
         delivery="dropped",
     ),
     "rs16": Sensor(
-        "RoboSense RS-LiDAR-16", "0.2° at 10 Hz",
+        "RoboSense RS-LiDAR-16",
+        "0.2° at 10 Hz",
         _spinning(_even(15.0, -15.0, 16), 1800, range_min=0.4, range_max=150.0, range_std=0.02),
         delivery="dropped",
     ),
@@ -155,65 +176,84 @@ SENSORS: Mapping[str, Sensor] = {
         "Livox Mid-360",
         "field of view, 200,000 points/s; turns and a triangle wave of elevation stand for"
         " the real pattern, which is not published",
-        {"pattern": _rosette((-7.0, 52.0)), "range_min": 0.1, "range_max": 40.0,
-         "range_std": 0.02},
+        {"pattern": _rosette((-7.0, 52.0)), "range_min": 0.1, "range_max": 40.0, "range_std": 0.02},
         delivery="zeros",
     ),
     "livox-avia": Sensor(
         "Livox Avia",
         "field of view 70.4° x 77.2°, 240,000 points/s; two triangle waves, which fill the"
         " rectangle, stand for the real petals of six lines",
-        {"pattern": _rosette((-38.6, 38.6), rays=24_000, azimuth_half_deg=35.2),
-         "range_min": 1.0, "range_max": 190.0, "range_std": 0.02},
+        {
+            "pattern": _rosette((-38.6, 38.6), rays=24_000, azimuth_half_deg=35.2),
+            "range_min": 1.0,
+            "range_max": 190.0,
+            "range_std": 0.02,
+        },
         delivery="zeros",
     ),
     "livox-hap": Sensor(
         "Livox HAP",
-        "field of view 120° x 25°, 452,000 points/s; two triangle waves stand for the real"
-        " pattern",
-        {"pattern": _rosette((-12.5, 12.5), rays=45_200, azimuth_half_deg=60.0),
-         "range_min": 0.5, "range_max": 150.0, "range_std": 0.02},
+        "field of view 120° x 25°, 452,000 points/s; two triangle waves stand for the real pattern",
+        {
+            "pattern": _rosette((-12.5, 12.5), rays=45_200, azimuth_half_deg=60.0),
+            "range_min": 0.5,
+            "range_max": 150.0,
+            "range_std": 0.02,
+        },
         delivery="zeros",
     ),
     "livox-horizon": Sensor(
         "Livox Horizon",
         "field of view 81.7° x 25.1°, 240,000 points/s; two triangle waves stand for the real"
         " pattern",
-        {"pattern": _rosette((-12.55, 12.55), rays=24_000, azimuth_half_deg=40.85),
-         "range_min": 0.5, "range_max": 90.0, "range_std": 0.02},
+        {
+            "pattern": _rosette((-12.55, 12.55), rays=24_000, azimuth_half_deg=40.85),
+            "range_min": 0.5,
+            "range_max": 90.0,
+            "range_std": 0.02,
+        },
         delivery="zeros",
     ),
     "utm-30lx": Sensor(
-        "Hokuyo UTM-30LX", "1440 steps per turn of 25 ms",
-        {"pattern": {"kind": "planar"}, "scan_rate": 40.0, "range_min": 0.1, "range_max": 30.0,
-         "range_std": 0.01},
+        "Hokuyo UTM-30LX",
+        "1440 steps per turn of 25 ms",
+        {
+            "pattern": {"kind": "planar"},
+            "scan_rate": 40.0,
+            "range_min": 0.1,
+            "range_max": 30.0,
+            "range_std": 0.01,
+        },
     ),
     "urg-04lx": Sensor(
-        "Hokuyo URG-04LX", "1024 steps per turn",
+        "Hokuyo URG-04LX",
+        "1024 steps per turn",
         _planar(239.77, 683, 0.0667, range_min=0.06, range_max=4.095, range_std=0.01),
     ),
     "rplidar-s1": Sensor(
-        "Slamtec RPLIDAR S1", "9,200 points/s at 10 Hz; 10 m on black, 40 m on white",
-        _planar(360.0 - 360.0 / 920, 920, 0.0998, range_min=0.1, range_max=40.0,
-                range_std=0.05),
+        "Slamtec RPLIDAR S1",
+        "9,200 points/s at 10 Hz; 10 m on black, 40 m on white",
+        _planar(360.0 - 360.0 / 920, 920, 0.0998, range_min=0.1, range_max=40.0, range_std=0.05),
     ),
     "lms111": Sensor(
-        "SICK LMS111", "0.5° at 50 Hz",
-        _planar(270.0, 541, 0.015, scan_rate=50.0, range_min=0.5, range_max=20.0,
-                range_std=0.012),
+        "SICK LMS111",
+        "0.5° at 50 Hz",
+        _planar(270.0, 541, 0.015, scan_rate=50.0, range_min=0.5, range_max=20.0, range_std=0.012),
     ),
     "lms151": Sensor(
-        "SICK LMS151", "0.5° at 50 Hz, 50 m",
-        _planar(270.0, 541, 0.015, scan_rate=50.0, range_min=0.5, range_max=50.0,
-                range_std=0.012),
+        "SICK LMS151",
+        "0.5° at 50 Hz, 50 m",
+        _planar(270.0, 541, 0.015, scan_rate=50.0, range_min=0.5, range_max=50.0, range_std=0.012),
     ),
     "tim551": Sensor(
-        "SICK TiM551", "1° at 15 Hz",
+        "SICK TiM551",
+        "1° at 15 Hz",
         _planar(270.0, 271, 0.05, scan_rate=15.0, range_min=0.05, range_max=10.0, range_std=0.02),
     ),
     "tim571": Sensor(
-        "SICK TiM571", "0.33° at 15 Hz",
+        "SICK TiM571",
+        "0.33° at 15 Hz",
         _planar(270.0, 811, 0.05, scan_rate=15.0, range_min=0.05, range_max=25.0, range_std=0.02),
     ),
-}  # fmt: skip
+}
 """By the name that presets have."""

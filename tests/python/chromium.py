@@ -17,18 +17,31 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 NOWHERE = "http://127.0.0.1:9/"  # where the browser's own services are sent to
 # No name is looked up, so nothing leaves this machine; what was asked for is listed all the same.
 FLAGS = (
-    "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist", "--window-size=1280,800", "--remote-allow-origins=*",
+    "--headless=new",
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--window-size=1280,800",
+    "--remote-allow-origins=*",
     "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
-    "--no-first-run", "--no-pings", "--no-service-autorun", "--disable-background-networking",
-    "--disable-client-side-phishing-detection", "--disable-component-update",
-    "--disable-component-extensions-with-background-pages", "--disable-default-apps",
-    "--disable-domain-reliability", "--disable-extensions", "--disable-sync",
+    "--no-first-run",
+    "--no-pings",
+    "--no-service-autorun",
+    "--disable-background-networking",
+    "--disable-client-side-phishing-detection",
+    "--disable-component-update",
+    "--disable-component-extensions-with-background-pages",
+    "--disable-default-apps",
+    "--disable-domain-reliability",
+    "--disable-extensions",
+    "--disable-sync",
     "--disable-features=AutofillServerCommunication,MediaRouter,NetworkTimeServiceQuerying,"
     "OptimizationGuideModelDownloading,OptimizationHints,OptimizationHintsFetching,Translate",
-    f"--gaia-url={NOWHERE}", f"--google-apis-url={NOWHERE}",
+    f"--gaia-url={NOWHERE}",
+    f"--google-apis-url={NOWHERE}",
     f"--component-updater=url-source={NOWHERE}",
-)  # fmt: skip
+)
 
 
 def free_port():
@@ -45,10 +58,17 @@ class Browser:
 
         port, self._log, self._number = free_port(), folder / "net.json", 0
         self._process = subprocess.Popen(
-            [CHROMIUM, *FLAGS, f"--user-data-dir={folder / 'profile'}",
-             f"--log-net-log={self._log}", f"--remote-debugging-port={port}", "about:blank"],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            [
+                CHROMIUM,
+                *FLAGS,
+                f"--user-data-dir={folder / 'profile'}",
+                f"--log-net-log={self._log}",
+                f"--remote-debugging-port={port}",
+                "about:blank",
+            ],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         until = time.monotonic() + 60
         while True:
             try:

@@ -107,9 +107,13 @@ def pose_facts(data: Path, scratch: Path) -> dict[str, Any]:
         except lidar_core.FormatError as error:
             text = str(error)
     return {
-        "edges": kinds, "scans": len(posed), "poses_per_scan": len(posed[1].pose_stamps_ns),
-        "worst": worst, "kitti_x": kitti, "without": text,
-    }  # fmt: skip
+        "edges": kinds,
+        "scans": len(posed),
+        "poses_per_scan": len(posed[1].pose_stamps_ns),
+        "worst": worst,
+        "kitti_x": kitti,
+        "without": text,
+    }
 
 
 def damage_facts(data: Path, scratch: Path) -> dict[str, dict[str, int]]:

@@ -102,8 +102,22 @@ def unpack(command, place, folder):
 def with_map(place, folder):
     recording = folder / "cloud.npz"
     write_recording(recording, [Scan(1, np.ones((4, 3), np.float32))])
-    works(shlex.join(["lidar-core", "detect", str(recording), "--map", str(place), "--pose",
-                      "static", "-o", "run/"]), folder)  # fmt: skip
+    works(
+        shlex.join(
+            [
+                "lidar-core",
+                "detect",
+                str(recording),
+                "--map",
+                str(place),
+                "--pose",
+                "static",
+                "-o",
+                "run/",
+            ]
+        ),
+        folder,
+    )
 
 
 @pytest.mark.parametrize("place", PLACES, ids=str)

@@ -278,10 +278,11 @@ def test_the_whole_sphere_is_made_of_bands():
     cuts = [-np.pi / 2, -0.7, -0.1, 0.4, 1.1, np.pi / 2]
     (whole,) = detection_probability(directions, radius=0.4, distance=5.0)
     parts = [
-        (np.sin(high) - np.sin(low)) / 2
+        (np.sin(high) - np.sin(low))
+        / 2
         * detection_probability(directions, radius=0.4, distance=5.0, field_of_view=(low, high))[0]
         for low, high in pairwise(cuts)
-    ]  # fmt: skip
+    ]
     assert sum(parts) == pytest.approx(whole, abs=1e-9)
 
 
@@ -322,8 +323,13 @@ def test_the_simulated_share_of_scans_is_predicted():
     hits = []
     for place in places:
         target = sim.Target(shape=sim.Sphere(radius=0.5), motion=sim.Hover(position=tuple(place)))
-        scene = sim.Scene(bodies=(), targets=(target,), lidar=lidar,
-                          sensor=sim.Hover(position=(0.0, 0.0, 0.0)), scans=1)  # fmt: skip
+        scene = sim.Scene(
+            bodies=(),
+            targets=(target,),
+            lidar=lidar,
+            sensor=sim.Hover(position=(0.0, 0.0, 0.0)),
+            scans=1,
+        )
         (simulated,) = sim.simulate(scene, seed=1)
         hits.append(np.isfinite(simulated.scan.points).all(axis=-1).any())
     view = (-np.radians(25), np.radians(25))

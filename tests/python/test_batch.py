@@ -100,20 +100,40 @@ def group(**values):
 def test_jobs_are_every_combination_with_every_row(tmp_path):
     for name in ("b b.bin", "a.bin"):
         (tmp_path / name).write_text("")
-    made = jobs_of(BatchConfig(jobs=(group(
-        commands=["info {file} --x {mode}", "detect '{file}' -o {output}/{seed} --set a={flag}"],
-        grid={"flag": [True, 0.5]}, ranges={"seed": [3, 5]}, files={"file": "*.bin"},
-        rows=[{"mode": "one two"}, {"mode": "three"}],
-    ),)), tmp_path)  # fmt: skip
+    made = jobs_of(
+        BatchConfig(
+            jobs=(
+                group(
+                    commands=[
+                        "info {file} --x {mode}",
+                        "detect '{file}' -o {output}/{seed} --set a={flag}",
+                    ],
+                    grid={"flag": [True, 0.5]},
+                    ranges={"seed": [3, 5]},
+                    files={"file": "*.bin"},
+                    rows=[{"mode": "one two"}, {"mode": "three"}],
+                ),
+            )
+        ),
+        tmp_path,
+    )
     assert len(made) == 2 * 2 * 2 * 2
     first = made[0]
     assert first.values == {
-        "mode": "one two", "file": str(tmp_path / "a.bin"), "flag": True, "seed": 3,
-    }  # fmt: skip
+        "mode": "one two",
+        "file": str(tmp_path / "a.bin"),
+        "flag": True,
+        "seed": 3,
+    }
     assert first.commands[0] == ("info", str(tmp_path / "a.bin"), "--x", "one two")
     assert first.commands_into(Path("out"))[1] == (
-        "detect", str(tmp_path / "a.bin"), "-o", "out/3", "--set", "a=true",
-    )  # fmt: skip
+        "detect",
+        str(tmp_path / "a.bin"),
+        "-o",
+        "out/3",
+        "--set",
+        "a=true",
+    )
     assert len({job.commands for job in made}) == len(made)
 
 
@@ -198,13 +218,25 @@ def test_rows_of_a_list_go_by_their_names():
 def test_the_table_has_a_column_per_number(tmp_path, suffix):
     if suffix == ".parquet":
         pytest.importorskip("pyarrow")
-    path = write_results(tmp_path / f"r{suffix}", [
-        JobRecord("a", "g", "k", "done", 1.5, values={"seed": 1}, numbers={"n": 1, "t": "x"}),
-        JobRecord("b", "g", "l", "failed", 0.5, "no", values={"seed": 2}, numbers={"n": 2.5}),
-    ])  # fmt: skip
+    path = write_results(
+        tmp_path / f"r{suffix}",
+        [
+            JobRecord("a", "g", "k", "done", 1.5, values={"seed": 1}, numbers={"n": 1, "t": "x"}),
+            JobRecord("b", "g", "l", "failed", 0.5, "no", values={"seed": 2}, numbers={"n": 2.5}),
+        ],
+    )
     columns = read_columns(path)
-    assert list(columns) == ["job", "group", "key", "status", "seconds", "error", "value.seed",
-                             "n", "t"]  # fmt: skip
+    assert list(columns) == [
+        "job",
+        "group",
+        "key",
+        "status",
+        "seconds",
+        "error",
+        "value.seed",
+        "n",
+        "t",
+    ]
     assert columns["n"].tolist() == [1.0, 2.5]
     assert columns["value.seed"].tolist() == [1, 2]
 
@@ -259,8 +291,11 @@ def test_what_is_done_is_left_alone_and_failures_are_told(batch):
     assert {path: path.stat().st_mtime_ns for path in folder.glob("good-*/made.npz")} == made
     (batch.parent / "scene.toml").write_text(SCENE.replace("scans = 2", "scans = 3"))
     assert run_batch(batch).exit_code == 1
-    assert sorted(one["numbers"].get("simulate.scans") for one in records(folder).values()
-                  if one["status"] == "done") == [2, 2, 3, 3]  # fmt: skip
+    assert sorted(
+        one["numbers"].get("simulate.scans")
+        for one in records(folder).values()
+        if one["status"] == "done"
+    ) == [2, 2, 3, 3]
 
 
 def test_jobs_of_two_workers_and_of_one_are_the_same(batch):
@@ -371,14 +406,19 @@ def test_files_of_others_are_left_alone(batch):
 
 
 def test_ctrl_c_leaves_whole_files_and_the_same_command_goes_on(batch):
-    batch.write_text(batch.read_text().replace("1002", "1008").replace(
-        "--seed {seed}", "--seed {seed} --scans 40"))  # fmt: skip
+    batch.write_text(
+        batch.read_text()
+        .replace("1002", "1008")
+        .replace("--seed {seed}", "--seed {seed} --scans 40")
+    )
     folder = batch.parent / "out"
     program = "from lidar_core.cli import main; main()"
     process = subprocess.Popen(
         [sys.executable, "-c", program, "batch", batch, "-o", folder, "--workers", "1"],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
     limit = time.monotonic() + 120
     while time.monotonic() < limit and not any(
         one["status"] == "done" for one in records(folder).values()

@@ -78,12 +78,21 @@ ranges.seed = [1100, 1103]
     made = {}
     for executor in ("ray", "local"):
         folder = tmp_path / executor
-        out = CliRunner().invoke(app, [
-            "batch", str(file), "-o", str(folder), "--workers", "2", "--executor", executor,
-        ])  # fmt: skip
+        out = CliRunner().invoke(
+            app,
+            [
+                "batch",
+                str(file),
+                "-o",
+                str(folder),
+                "--workers",
+                "2",
+                "--executor",
+                executor,
+            ],
+        )
         assert out.exit_code == 0, out.output
-        made[executor] = {path.parent.name: path.read_bytes()
-                          for path in folder.glob("*/made.npz")}  # fmt: skip
+        made[executor] = {path.parent.name: path.read_bytes() for path in folder.glob("*/made.npz")}
         columns = read_columns(next(folder.glob("results.*")))
         assert columns["simulate.scans"].tolist() == [3, 3, 3]
     assert len(made["ray"]) == 3

@@ -56,9 +56,12 @@ def _detector(flight):
     first = flight[0]
     for number in range(SCANS):
         detector.process(
-            first.scan.points, first.world_from_lidar, number * 10**8,
-            no_return=first.scan.no_return, directions=first.scan.directions,
-        )  # fmt: skip
+            first.scan.points,
+            first.world_from_lidar,
+            number * 10**8,
+            no_return=first.scan.no_return,
+            directions=first.scan.directions,
+        )
     return watched
 
 
@@ -69,9 +72,12 @@ def _map(flight):
     points = scan.points.reshape(-1, 3)
     for _ in range(SCANS):
         voxel_map.integrate(
-            points, (~scan.no_return).astype(np.uint8), (0.0, 0.0, 3.0),
-            ray_directions=scan.directions, no_return=scan.no_return,
-        )  # fmt: skip
+            points,
+            (~scan.no_return).astype(np.uint8),
+            (0.0, 0.0, 3.0),
+            ray_directions=scan.directions,
+            no_return=scan.no_return,
+        )
     return watched
 
 
@@ -80,9 +86,13 @@ def _clusters(flight):
     points = flight[0].scan.points.reshape(-1, 3)
     for _ in range(SCANS):
         watched.cluster_points(
-            points, max_distance=0.25, min_points=1, max_points=None, max_angle=0.0,
+            points,
+            max_distance=0.25,
+            min_points=1,
+            max_points=None,
+            max_angle=0.0,
             origin=np.zeros(3),
-        )  # fmt: skip
+        )
     return watched
 
 
@@ -102,9 +112,12 @@ def _circles(flight):
 def printed(program):
     """Words of a process of its own, in which no threads but its own run or come to their end."""
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False,
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        check=False,
         cwd=Path(__file__).parent,
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout.split()
 

@@ -41,10 +41,13 @@ def check_training(folder, *, requires, index="", told="48 passed"):
         (folder / "index.json").write_text(json.dumps(report))
     lines = ["set -euo pipefail", "clean_dir=. training_log=log training_told=told", MAKE]
     done = subprocess.run(
-        ["bash", "-c", "\n".join([*lines, functions, "check_training"])], cwd=folder,
+        ["bash", "-c", "\n".join([*lines, functions, "check_training"])],
+        cwd=folder,
         env={"PATH": "/usr/bin:/bin", "LIDAR_CORE_TORCH_INDEX": index, "TOLD": told},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     return done.returncode, done.stdout.splitlines()
 
 
@@ -67,8 +70,9 @@ def test_without_torch_for_cpus_ci_says_that_training_was_not_tested(tmp_path):
 def test_an_index_without_torch_is_told(tmp_path):
     status, lines = check_training(tmp_path, requires=None, index="http://nowhere")
     assert status == 0
-    assert lines == ["training tests did not run: no torch for this Python at"
-                     " LIDAR_CORE_TORCH_INDEX"]  # fmt: skip
+    assert lines == [
+        "training tests did not run: no torch for this Python at LIDAR_CORE_TORCH_INDEX"
+    ]
 
 
 def test_a_training_test_that_fails_fails_the_run(tmp_path):

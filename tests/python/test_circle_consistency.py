@@ -54,8 +54,9 @@ def test_detections_of_the_tour_are_as_far_off_as_their_covariances_say(hall):
 
 def test_the_page_of_the_tour_prints_the_number_of_the_tour(hall):
     shown = re.search(r"NEES of positions +\| +([\d.]+)", PAGE.read_text(encoding="utf-8"))
-    result = json.loads(run_command("evaluate", hall / "hall", hall / "hall.truth.csv",
-                                    "--json", "-"))  # fmt: skip
+    result = json.loads(
+        run_command("evaluate", hall / "hall", hall / "hall.truth.csv", "--json", "-")
+    )
     nees = result["detection_scores"]["position_nees"]["mean"]
     assert float(shown[1]) == pytest.approx(nees, abs=0.02)
 
@@ -80,8 +81,11 @@ def test_the_command_warns_if_detections_have_no_times_of_their_own(hall):
     assert found.mean > 10
     tracks = hall / "hall" / "circles.parquet"
     table = read_columns(tracks)
-    small = {name: column * 0.1 if name.startswith("cov_") else column
-             for name, column in table.items() if name != "frame_id"}  # fmt: skip
+    small = {
+        name: column * 0.1 if name.startswith("cov_") else column
+        for name, column in table.items()
+        if name != "frame_id"
+    }
     np.savez(hall / "small.npz", **small)
     out = run_command("evaluate", hall / "small.npz", hall / "hall.truth.csv")
     assert "warning: tracks: NEES" in out

@@ -76,9 +76,14 @@ def test_the_oracle_agrees():
         lows = (low - (step if hits[0] > 0 else wide), low)
         highs = (high, high + (step if hits[-1] < len(BEARINGS) - 1 else wide))
         expected, spread = reference.posterior(
-            row[hits].astype(float), BEARINGS[hits], lows, highs, std=STD,
-            radius=(config.min_radius, config.max_radius), usual=config.usual_radius,
-        )  # fmt: skip
+            row[hits].astype(float),
+            BEARINGS[hits],
+            lows,
+            highs,
+            std=STD,
+            radius=(config.min_radius, config.max_radius),
+            usual=config.usual_radius,
+        )
         std = np.sqrt(np.diag(spread))
         assert (abs(mean - expected) < 0.2 * std).all()  # two grids
         assert np.sqrt(np.diag(covariance)) == pytest.approx(std, rel=0.15)
@@ -111,10 +116,16 @@ def test_the_oracle_agrees_on_circles_cut_by_the_range_limit():
         low, high = BEARINGS[hits[[0, -1]]]
         near = (abs(BEARINGS - (low + high) / 2) < wide + (high - low) / 2) & np.isinf(ranges)
         expected, spread = reference.posterior(
-            ranges[hits], BEARINGS[hits], (low - wide, low), (high, high + wide), std=STD,
-            radius=(config.min_radius, config.max_radius), usual=config.usual_radius,
-            missed=BEARINGS[near], limits=(SCANNER.range_min, SCANNER.range_max),
-        )  # fmt: skip
+            ranges[hits],
+            BEARINGS[hits],
+            (low - wide, low),
+            (high, high + wide),
+            std=STD,
+            radius=(config.min_radius, config.max_radius),
+            usual=config.usual_radius,
+            missed=BEARINGS[near],
+            limits=(SCANNER.range_min, SCANNER.range_max),
+        )
         found = CircleDetector("ml").detect([ranges], BEARINGS)
         std = np.sqrt(np.diag(spread))
         off.append(abs(np.asarray(found)[0] - expected) / std.max())

@@ -206,16 +206,19 @@ def test_merges_that_a_late_scan_brings_are_told():
         ({"delays": [1e300]}, "delays"),
         ({"sensor": -1}, "sensor"),
     ],
-)  # fmt: skip
+)
 def test_refused_calls_change_nothing(config, change, text):
     circles = CircleMap(config)
     for step in range(8):
         feed(circles, step, [3.0, 1.0, 0.3])
     before = circles.map_at(8 * STEP_NS)
     call = {
-        "circles": [[3.0, 1.0, 0.3]], "covariance": [R], "world_from_lidar": HERE,
-        "stamp_ns": 8 * STEP_NS, **change,
-    }  # fmt: skip
+        "circles": [[3.0, 1.0, 0.3]],
+        "covariance": [R],
+        "world_from_lidar": HERE,
+        "stamp_ns": 8 * STEP_NS,
+        **change,
+    }
     with pytest.raises(InputError, match=text):
         circles.update(**call)
     after = circles.map_at(8 * STEP_NS)

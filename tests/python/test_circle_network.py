@@ -235,8 +235,10 @@ def test_paper_mode_uses_the_network_of_the_paper():
     ],
 )
 def test_the_network_of_the_paper_refuses_another_scanner(scanner, told):
-    for changes, place in (({"scanner": scanner}, "scanner"),
-                           ({"scanners": {"front": scanner}}, "scanners.front")):  # fmt: skip
+    for changes, place in (
+        ({"scanner": scanner}, "scanner"),
+        ({"scanners": {"front": scanner}}, "scanners.front"),
+    ):
         with pytest.raises(ConfigError) as caught:
             CirclePipeline(CirclesConfig.paper(**changes))
         text = str(caught.value)
@@ -250,9 +252,12 @@ def test_the_network_of_the_paper_refuses_another_scanner(scanner, told):
 
 def test_the_network_of_the_paper_takes_a_shorter_range_and_bearings_of_messages():
     message = Scanner(
-        float(np.float32(SCANNER.angle_min)), float(np.float32(SCANNER.angle_increment)), 1081,
-        float(np.float32(0.1)), 8.0,
-    )  # fmt: skip
+        float(np.float32(SCANNER.angle_min)),
+        float(np.float32(SCANNER.angle_increment)),
+        1081,
+        float(np.float32(0.1)),
+        8.0,
+    )
     CirclePipeline(CirclesConfig.paper(scanner=message))
 
 

@@ -145,11 +145,16 @@ def test_a_configuration_cannot_trust_a_model(foreign, settings, tmp_path):
     with pytest.raises(ConfigError, match="allow_untrusted"):
         CirclesConfig.load({"detector": str(foreign), "allow_untrusted": True})
     recording = tmp_path / "r.npz"
-    made = CliRunner().invoke(app, ["simulate", "circles", "-o", str(recording),
-                                    "--scans", "3"])  # fmt: skip
+    made = CliRunner().invoke(app, ["simulate", "circles", "-o", str(recording), "--scans", "3"])
     assert made.exit_code == 0, made.output
-    arguments = ["circles", str(recording), "--no-picture", "--no-mcap", "--set",
-                 f"detector={foreign}"]  # fmt: skip
+    arguments = [
+        "circles",
+        str(recording),
+        "--no-picture",
+        "--no-mcap",
+        "--set",
+        f"detector={foreign}",
+    ]
     done = CliRunner().invoke(app, [*arguments, "-o", str(tmp_path / "a")])
     assert isinstance(done.exception, ConfigError)
     assert "--trust-model" in str(done.exception)

@@ -134,9 +134,13 @@ def test_motion_during_the_sweep_is_taken_out(yaw_rate):
     truth = np.array([4.0, 3.0, 0.3])
     ranges = oracle.cylinder_ranges(BEARINGS, np.array([at(t) for t in times]), truth)
     ranges, bearings, _ = project_horizontal(
-        ranges, BEARINGS, np.array([at(t) for t in ticks]),
-        stamp_ns=stamp, ray_time_ns=times, pose_stamps_ns=ticks,
-    )  # fmt: skip
+        ranges,
+        BEARINGS,
+        np.array([at(t) for t in ticks]),
+        stamp_ns=stamp,
+        ray_time_ns=times,
+        pose_stamps_ns=ticks,
+    )
     x, y, radius = circle_through(ranges, bearings)
     cosine, sine = math.cos(0.4), math.sin(0.4)
     # Poses between stamps are interpolated: a turn at a constant rate exactly.
@@ -151,9 +155,12 @@ def test_misses_of_a_moving_scanner_keep_their_place_beside_objects():
     each = np.array([oracle.pose((0.0, 0.1 * t / times[-1], 0.0)) for t in times])
     truth = np.array([5.0, 1.0, 0.3])
     ranges, bearings, _ = project_horizontal(
-        oracle.cylinder_ranges(BEARINGS, each, truth), BEARINGS, ends,
-        ray_time_ns=times, pose_stamps_ns=[0, times[-1]],
-    )  # fmt: skip
+        oracle.cylinder_ranges(BEARINGS, each, truth),
+        BEARINGS,
+        ends,
+        ray_time_ns=times,
+        pose_stamps_ns=[0, times[-1]],
+    )
     hits = np.flatnonzero(np.isfinite(ranges))
     middle, half = math.atan2(1.0, 5.0), math.asin(0.3 / math.hypot(1.0, 5.0))
     step = Scanner().angle_increment
@@ -176,12 +183,20 @@ def assert_like_the_oracle(ranges, bearings, corner_depth=0.0):
     config = SegmentConfig(merge_distance=0.0, min_points=2, max_gap=1, corner_depth=corner_depth)
     found = segment(ranges, bearings, config=config)
     groups, sides = oracle.segment(
-        ranges, bearings, incidence=config.incidence, slack=config.slack, max_gap=1,
-        corner=(config.corner_depth, config.corner_width), min_points=2, limits=(0.1, 10.0),
+        ranges,
+        bearings,
+        incidence=config.incidence,
+        slack=config.slack,
+        max_gap=1,
+        corner=(config.corner_depth, config.corner_width),
+        min_points=2,
+        limits=(0.1, 10.0),
         margins=(config.near_margin, config.far_margin),
-    )  # fmt: skip
-    got = {tuple(found.rays_of(number)): found.sides[number - 1].tolist()
-           for number in range(1, len(found) + 1)}  # fmt: skip
+    )
+    got = {
+        tuple(found.rays_of(number)): found.sides[number - 1].tolist()
+        for number in range(1, len(found) + 1)
+    }
     assert got == dict(zip(map(tuple, groups), sides, strict=True))
     for number in range(1, len(found) + 1):
         assert (np.sort(found.rays_of(number)) == np.flatnonzero(found.labels == number)).all()
@@ -228,9 +243,10 @@ def test_segments_of_unequal_steps_equal_plain_loops(ranges, shift, jitter):
     bearings = shift + np.cumsum(steps)
     found = assert_like_the_oracle(ranges, bearings)
     mirrored = segment(
-        ranges[::-1], bearings[::-1],
+        ranges[::-1],
+        bearings[::-1],
         config=SegmentConfig(merge_distance=0.0, min_points=2, max_gap=1, corner_depth=0.0),
-    )  # fmt: skip
+    )
     assert sorted(map(sorted, _groups(found))) == sorted(
         sorted(len(ranges) - 1 - ray for ray in group) for group in _groups(mirrored)
     )
@@ -321,8 +337,11 @@ def test_the_papers_reading():
     ranges[30:40] = [3.0, 3.1, 3.2, 3.3, 3.4, 3.7, 3.7, 3.7, 3.7, 3.7]
     labels = segment(ranges, BEARINGS, config=config).labels
     assert [set(labels[i:j]) for i, j in [(10, 13), (20, 24), (30, 35), (35, 40)]] == [
-        {0}, {1}, {2}, {3},
-    ]  # fmt: skip
+        {0},
+        {1},
+        {2},
+        {3},
+    ]
 
 
 def test_sides_at_the_limits_of_the_range():

@@ -157,8 +157,12 @@ FINE = lc.circles.Scanner(-np.pi * 0.75, np.pi / 720, 1081, 0.1, 10.0)
 @pytest.fixture
 def fine(monkeypatch):
     monkeypatch.setitem(globals(), "SCANNER", FINE)
-    return CirclesConfig(scanner=FINE, map=CircleMapConfig(process_noise=(1e-6,),
-                         mode_weight=(1.0,), mode_time=(1.0,), turn_noise=0.0))  # fmt: skip
+    return CirclesConfig(
+        scanner=FINE,
+        map=CircleMapConfig(
+            process_noise=(1e-6,), mode_weight=(1.0,), mode_time=(1.0,), turn_noise=0.0
+        ),
+    )
 
 
 def test_boxes_keep_their_place_heading_and_size(fine):

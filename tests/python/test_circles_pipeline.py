@@ -43,14 +43,27 @@ def tilting(seconds):
 
 
 def elements_as_bytes(elements):
-    arrays = (elements.id, elements.center, elements.velocity, elements.radius,
-              elements.covariance, elements.age, elements.visible)  # fmt: skip
+    arrays = (
+        elements.id,
+        elements.center,
+        elements.velocity,
+        elements.radius,
+        elements.covariance,
+        elements.age,
+        elements.visible,
+    )
     return b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
 
 
 def frame_as_bytes(frame):
-    arrays = (frame.ranges, frame.bearings, frame.segments.labels, frame.circles.parameters,
-              frame.circles_world.covariance, frame.element)  # fmt: skip
+    arrays = (
+        frame.ranges,
+        frame.bearings,
+        frame.segments.labels,
+        frame.circles.parameters,
+        frame.circles_world.covariance,
+        frame.element,
+    )
     return b"".join(array.tobytes() for array in arrays) + elements_as_bytes(frame.map)
 
 
@@ -128,8 +141,9 @@ def test_any_estimator_may_stand_between_segments_and_map():
         calls.append((ranges, bearings, segments))
         rows = [segments.rays_of(number + 1) for number in range(len(segments))]
         middle = [row[len(row) // 2] for row in rows]
-        center = [(ranges[m] + 0.3) * np.array([np.cos(bearings[m]), np.sin(bearings[m])])
-                  for m in middle]  # fmt: skip
+        center = [
+            (ranges[m] + 0.3) * np.array([np.cos(bearings[m]), np.sin(bearings[m])]) for m in middle
+        ]
         parameters = np.column_stack([np.reshape(center, (-1, 2)), np.full(len(rows), 0.3)])
         covariance = np.tile(1e-4 * np.eye(3), (len(rows), 1, 1))
         return Circles(parameters, covariance, np.array([len(row) for row in rows], np.int64))
@@ -202,8 +216,10 @@ def test_what_moves_during_the_sweep_is_where_it_was_at_the_stamp():
         pipeline = CirclePipeline()
         for k in range(40):
             y = -1.5 + 1.5 * (k * PERIOD_NS + after) * 1e-9
-            seen = [oracle.cylinder_ranges(BEARINGS, oracle.pose((0.0, -one, 0.0)), (4, 0, 0.3))
-                    for one in y[::20]]  # fmt: skip
+            seen = [
+                oracle.cylinder_ranges(BEARINGS, oracle.pose((0.0, -one, 0.0)), (4, 0, 0.3))
+                for one in y[::20]
+            ]
             ranges = np.array(seen)[np.arange(1081) // 20, np.arange(1081)]
             times = dict.fromkeys(options, k * PERIOD_NS + after)
             frame = pipeline.process(ranges, np.eye(4), k * PERIOD_NS, **times)
@@ -230,9 +246,11 @@ def test_an_uncertain_pose_makes_uncertain_elements():
         pipeline = CirclePipeline()
         for k in range(10):
             frame = pipeline.process(
-                scan_of((5, 0, 0.3), np.eye(4)), np.eye(4), k * PERIOD_NS,
+                scan_of((5, 0, 0.3), np.eye(4)),
+                np.eye(4),
+                k * PERIOD_NS,
                 pose_covariance=doubt**2 * np.eye(6),
-            )  # fmt: skip
+            )
         spread[doubt] = frame.map.covariance[0, 1, 1]
     assert spread[0.02] > 3 * spread[0.0]
 

@@ -29,8 +29,11 @@ def run(*arguments):
     program = "from lidar_core.cli import main; main()"
     return subprocess.run(
         [sys.executable, "-c", program, *map(str, arguments)],
-        capture_output=True, text=True, check=False, timeout=60,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
 
 
 def output_of(*arguments):
@@ -111,11 +114,22 @@ def test_output_fits_an_encoding_of_few_letters(tmp_path):
     program = "from lidar_core.cli import main; main()"
     for encoding in ("cp1252", "ascii"):
         done = subprocess.run(
-            [sys.executable, "-c", program, "demo", "--scans", "2", "--no-picture",
-             "-o", str(tmp_path / encoding)],
-            capture_output=True, check=False, timeout=120,
+            [
+                sys.executable,
+                "-c",
+                program,
+                "demo",
+                "--scans",
+                "2",
+                "--no-picture",
+                "-o",
+                str(tmp_path / encoding),
+            ],
+            capture_output=True,
+            check=False,
+            timeout=120,
             env=os.environ | {"PYTHONIOENCODING": encoding},
-        )  # fmt: skip
+        )
         assert done.returncode == 0, done.stderr
         assert b"##" in done.stdout
         assert "▪".encode() not in done.stdout
@@ -125,9 +139,12 @@ def test_a_name_in_other_letters_is_told_all_the_same(tmp_path):
     program = "from lidar_core.cli import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", program, "info", "飛行.bag"],
-        capture_output=True, check=False, timeout=60, cwd=tmp_path,
+        capture_output=True,
+        check=False,
+        timeout=60,
+        cwd=tmp_path,
         env=os.environ | {"PYTHONIOENCODING": "cp1252"},
-    )  # fmt: skip
+    )
     assert done.returncode == 2
     assert done.stderr.startswith(b"error: ??.bag: no such file or folder")
 

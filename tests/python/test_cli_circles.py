@@ -71,9 +71,18 @@ def test_the_folder_is_complete_and_noted(recording, run):
     folder, result = run
     names = {path.name for path in folder.iterdir()}
     assert names == set(result["files"])
-    assert {"circles.parquet", "detections.parquet", "shapes.parquet", "timing.parquet",
-            "tracks_tum", "run.toml", "run.mcap", "picture.png", f"film{film_ending()}",
-            "summary.json"} == names  # fmt: skip
+    assert {
+        "circles.parquet",
+        "detections.parquet",
+        "shapes.parquet",
+        "timing.parquet",
+        "tracks_tum",
+        "run.toml",
+        "run.mcap",
+        "picture.png",
+        f"film{film_ending()}",
+        "summary.json",
+    } == names
     note = tomllib.loads((folder / "run.toml").read_text())
     assert note["input"]["recording"]["path"] == str(recording)
     (scanner,) = note["config"]["circles"]["scanners"].values()
@@ -115,8 +124,15 @@ def test_the_mcap_file_holds_scans_poses_and_elements(run):
 
 def test_a_run_is_repeated_by_its_note(recording, run, tmp_path):
     folder, first = run
-    again = result_of(recording, "-o", tmp_path / "b", "--config", folder / "run.toml",
-                      "--no-picture", "--no-mcap")  # fmt: skip
+    again = result_of(
+        recording,
+        "-o",
+        tmp_path / "b",
+        "--config",
+        folder / "run.toml",
+        "--no-picture",
+        "--no-mcap",
+    )
     assert again["circles"] == first["circles"]
     one, other = (read_columns(place / "circles.parquet") for place in (folder, tmp_path / "b"))
     for name, column in one.items():
@@ -124,8 +140,19 @@ def test_a_run_is_repeated_by_its_note(recording, run, tmp_path):
 
 
 def test_limits_and_values_come_from_the_configuration(recording, tmp_path):
-    result_of(recording, "-o", tmp_path / "a", "--set", "scanner.range_max=2", "--mode", "paper",
-              "--set", "map.confirm_hits=2", "--no-picture", "--no-mcap")  # fmt: skip
+    result_of(
+        recording,
+        "-o",
+        tmp_path / "a",
+        "--set",
+        "scanner.range_max=2",
+        "--mode",
+        "paper",
+        "--set",
+        "map.confirm_hits=2",
+        "--no-picture",
+        "--no-mcap",
+    )
     config = tomllib.loads((tmp_path / "a" / "run.toml").read_text())["config"]["circles"]
     (scanner,) = config["scanners"].values()
     assert scanner["range_max"] == 2
@@ -170,8 +197,12 @@ def half(recording, first, topic):
             else:
                 ranges = item.ranges.copy()
                 ranges[slice(0, 540) if first else slice(540, None)] = np.nan
-                yield replace(item, ranges=ranges, topic=topic,
-                              frame_id=item.frame_id if topic == "left" else "right")  # fmt: skip
+                yield replace(
+                    item,
+                    ranges=ranges,
+                    topic=topic,
+                    frame_id=item.frame_id if topic == "left" else "right",
+                )
 
 
 def test_two_scanners_feed_one_map(recording, tmp_path):
@@ -179,8 +210,17 @@ def test_two_scanners_feed_one_map(recording, tmp_path):
     write_npz(tmp_path / "a.npz", sorted(both, key=lambda item: item.stamp_ns))
     out = run_command(tmp_path / "a.npz", "-o", tmp_path / "run")
     assert "several topics with 2D scans" in str(out.exception)
-    result = result_of(tmp_path / "a.npz", "-o", tmp_path / "run", "--scan", "left",
-                       "--scan", "right", "--no-picture", "--no-mcap")  # fmt: skip
+    result = result_of(
+        tmp_path / "a.npz",
+        "-o",
+        tmp_path / "run",
+        "--scan",
+        "left",
+        "--scan",
+        "right",
+        "--no-picture",
+        "--no-mcap",
+    )
     assert result["scans"]["processed"] == 2 * SCANS
     assert result["elements"] == 1
     sensors = read_columns(tmp_path / "run" / "detections.parquet")["sensor"]
@@ -196,8 +236,15 @@ def test_a_scan_that_cannot_be_used_is_counted(recording, tmp_path):
     result = result_of(tmp_path / "a.npz", "-o", tmp_path / "run", "--no-picture", "--no-mcap")
     assert result["scans"]["processed"] == SCANS - 1
     assert sum(result["scans"]["rejected"].values()) == 1
-    out = run_command(tmp_path / "a.npz", "-o", tmp_path / "b", "--no-picture", "--no-mcap",
-                      "--set", "on_bad_scan=raise")  # fmt: skip
+    out = run_command(
+        tmp_path / "a.npz",
+        "-o",
+        tmp_path / "b",
+        "--no-picture",
+        "--no-mcap",
+        "--set",
+        "on_bad_scan=raise",
+    )
     assert isinstance(out.exception, InputError)
     summary = json.loads((tmp_path / "b" / "summary.json").read_text())
     assert summary["scans"]["processed"] == 5
@@ -205,8 +252,10 @@ def test_a_scan_that_cannot_be_used_is_counted(recording, tmp_path):
 
 def log_of(path, lengths):
     """A CARMEN log with a scan of each of these numbers of readings."""
-    lines = [f"FLASER {rays} {'2.0 ' * rays}0 0 0 0 0 0 {number}.0 host 0\n"
-             for number, rays in enumerate(lengths)]  # fmt: skip
+    lines = [
+        f"FLASER {rays} {'2.0 ' * rays}0 0 0 0 0 0 {number}.0 host 0\n"
+        for number, rays in enumerate(lengths)
+    ]
     path.write_text("".join(lines))
     return path
 
@@ -227,8 +276,13 @@ def test_scans_of_two_lengths_are_two_scanners(tmp_path):
 
 def test_a_run_that_rejects_most_scans_fails_and_says_why(tmp_path):
     log = log_of(tmp_path / "a.clf", [180] * 5 + [181] * 15)
-    arguments = ["--set", "scanners.FLASER.n_beams=180", "--set",
-                 "scanners.FLASER.angle_increment=0.017", *QUICK]  # fmt: skip
+    arguments = [
+        "--set",
+        "scanners.FLASER.n_beams=180",
+        "--set",
+        "scanners.FLASER.angle_increment=0.017",
+        *QUICK,
+    ]
     out = run_command(log, "-o", tmp_path / "run", *arguments)
     assert "15 of 20 scans were rejected" in str(out.exception)
     reason = "ranges: expected 180 rows"
@@ -318,8 +372,10 @@ def test_ctrl_c_leaves_whole_files_and_ends_with_130(recordings, tmp_path):
     log = recordings / "2d/radish/intel.clf.bz2"
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, "circles", str(log), "-o", str(folder), "--no-picture"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     for _ in count():
         assert process.poll() is None, process.communicate()
         if folder.exists():
@@ -338,13 +394,20 @@ REAL = {
     "datmo/overtake_red.bag": ["--mounting", "ego_pose laser -0.12 0 0 0 0 0"],
     "leg_tracker/positive_6_extracted.bag": ["--pose", "static"],
     "obstacle_detector/scans_demo.bag": [
-        "--pose", "static", "--scan", "/front_scan", "--scan", "/rear_scan",
-        "--mounting", "robot front_scanner 0.23565 -0.0005 0.06795 0 0 0",
-        "--mounting", "robot rear_scanner -0.23832 0.00542 0.09888 0 0 3.141592",
+        "--pose",
+        "static",
+        "--scan",
+        "/front_scan",
+        "--scan",
+        "/rear_scan",
+        "--mounting",
+        "robot front_scanner 0.23565 -0.0005 0.06795 0 0 0",
+        "--mounting",
+        "robot rear_scanner -0.23832 0.00542 0.09888 0 0 3.141592",
     ],
     "radish/mit-csail.clf.bz2": [],
     "sick_rms_lms/rms_1xxx_lms_1xx_movement_off.bag": ["--pose", "static"],
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("name", "arguments"), REAL.items())
@@ -369,8 +432,12 @@ def test_a_vehicle_is_followed_as_motion_capture_says(recordings, tmp_path):
     bag, run, truth = recordings / "2d/datmo/overtake_red.bag", tmp_path / "run", tmp_path / "t.csv"
     result_of(bag, "-o", run, "--no-mcap", "--no-picture", *REAL["datmo/overtake_red.bag"])
     example = Path(__file__).parents[2] / "examples" / "motion_capture_truth.py"
-    done = subprocess.run([sys.executable, example, bag, "/red_pose", run, truth],
-                          capture_output=True, text=True, check=False)  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, example, bag, "/red_pose", run, truth],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert "129 of 130 scans" in done.stdout
     out = CliRunner().invoke(
@@ -394,5 +461,14 @@ def test_paper_mode_refuses_a_recording_of_another_scanner(tmp_path):
     text = str(out.exception)
     assert "paper-cnn was trained for 1081 rays from -135.0 to 135.0 deg" in text
     assert "got 541 rays" in text
-    result_of(path, "-o", tmp_path / "run", "--mode", "paper", "--set", "detector=taubin",
-              "--no-picture", "--no-mcap")  # fmt: skip
+    result_of(
+        path,
+        "-o",
+        tmp_path / "run",
+        "--mode",
+        "paper",
+        "--set",
+        "detector=taubin",
+        "--no-picture",
+        "--no-mcap",
+    )

@@ -237,9 +237,17 @@ def test_values_come_from_mode_file_and_assignments_in_this_order(recording, tmp
     arguments = (path, "--pose", "static", "--no-picture", "--no-mcap")
     changes = ("--set", "voxel_map.voxel_size=0.5", "--set", "sensor.beams=vlp-16")
     out = run_command(
-        *arguments, "-o", tmp_path / "a", "--mode", "paper", "--config", tmp_path / "own.toml",
-        *changes, "--set", 'sensors."/a.b/c".min_range=2.0',
-    )  # fmt: skip
+        *arguments,
+        "-o",
+        tmp_path / "a",
+        "--mode",
+        "paper",
+        "--config",
+        tmp_path / "own.toml",
+        *changes,
+        "--set",
+        'sensors."/a.b/c".min_range=2.0',
+    )
     assert out.exit_code == 0, out.exception
     note = tomllib.loads((tmp_path / "a" / "run.toml").read_text())
     config = FlyingConfig.load(note["config"]["flying"])
@@ -335,9 +343,11 @@ def test_ctrl_c_leaves_whole_files_and_ends_with_130(recording, tmp_path):
     arguments = ["detect", recording, "-o", folder, "--repeat", "100000", "--pose", "static"]
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, *map(str, arguments)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
-    )  # fmt: skip
+    )
     for _ in count():
         if list(folder.glob(".run.mcap*")) or process.poll() is not None:
             break
@@ -396,8 +406,10 @@ OUSTER = {
 def check_short(result, scans):
     assert result["scans"]["processed"] == scans
     assert result["gate"] == {
-        "open": False, "reason": f"burn-in: scan {scans} of 10", "opened_at_scan": None,
-    }  # fmt: skip
+        "open": False,
+        "reason": f"burn-in: scan {scans} of 10",
+        "opened_at_scan": None,
+    }
     assert (result["detections"], result["tracks"]) == (0, 0)
     assert result["class_shares"]["flying"] == 0
     assert result["class_shares"]["background"] > 0.65
@@ -417,8 +429,11 @@ def test_real_ouster_recordings_without_a_flyer(name, recordings, ouster_python,
     arguments = ["detect", data / name, "-o", tmp_path / "a", "--pose", given, "--json", "-"]
     done = subprocess.run(
         [ouster_python, "-c", PROGRAM, *map(str, arguments)],
-        capture_output=True, text=True, check=False, timeout=120,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
     assert done.returncode == 0, done.stderr
     check_short(json.loads(done.stdout), scans)
 
@@ -430,8 +445,11 @@ def test_broken_ouster_files_are_refused(recordings, ouster_python, tmp_path):
         arguments = ["detect", file, "-o", tmp_path / "a", "--pose", "static"]
         done = subprocess.run(
             [ouster_python, "-c", PROGRAM, *map(str, arguments)],
-            capture_output=True, text=True, check=False, timeout=60,
-        )  # fmt: skip
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
         assert done.returncode == 2
         assert done.stderr.startswith(f"error: {file}")
         assert not (tmp_path / "a").exists()

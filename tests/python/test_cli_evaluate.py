@@ -154,10 +154,14 @@ def states(columns):
         yield Tracks(
             id=columns["track_id"][one],
             position=np.stack([columns[name][one] for name in "xyz"], axis=1),
-            velocity=np.zeros((1, 3)), acceleration=np.zeros((1, 3)), covariance=np.eye(9)[None],
-            extent=np.ones((1, 3)), n_detections=np.ones(1, np.int64), age=np.ones(1),
+            velocity=np.zeros((1, 3)),
+            acceleration=np.zeros((1, 3)),
+            covariance=np.eye(9)[None],
+            extent=np.ones((1, 3)),
+            n_detections=np.ones(1, np.int64),
+            age=np.ones(1),
             stamp_ns=int(columns["t_ns"][row]),
-        )  # fmt: skip
+        )
 
 
 def test_detections_keep_when_and_how_large_they_were(place):
@@ -194,8 +198,11 @@ def test_tracks_can_stand_for_the_truth(place):
 
 def test_a_covariance_that_is_none_is_named(place, tracks, tmp_path):
     path = tmp_path / "tracks.npz"
-    np.savez(path, **{name: column for name, column in tracks.items() if name != "frame_id"}
-             | {"cov_x_x": -tracks["cov_x_x"]})  # fmt: skip
+    np.savez(
+        path,
+        **{name: column for name, column in tracks.items() if name != "frame_id"}
+        | {"cov_x_x": -tracks["cov_x_x"]},
+    )
     text = str(refusal_of(path, place / "yard.npz"))
     assert "tracks.npz: row 0: its covariance is not positive definite" in text
 
@@ -300,8 +307,13 @@ def test_tracks_between_the_times_of_a_slower_truth_are_no_shifted_clock(place, 
 
 def test_circles_and_fused_targets_beside_the_truth_are_told(tmp_path):
     stamps = np.arange(20) * 100_000_000
-    circles = {"t_ns": stamps, "track_id": np.zeros(20, int), "x": np.full(20, 3.0),
-               "y": np.zeros(20), "radius": np.full(20, 0.3)}  # fmt: skip
+    circles = {
+        "t_ns": stamps,
+        "track_id": np.zeros(20, int),
+        "x": np.full(20, 3.0),
+        "y": np.zeros(20),
+        "radius": np.full(20, 0.3),
+    }
     true = {**circles, "target_id": circles["track_id"]}
     for name, columns in (("circles", circles), ("fused", circles | {"z": np.zeros(20)})):
         truth = write_csv(tmp_path / f"{name}-truth.csv", true | columns)
@@ -345,7 +357,7 @@ def bad_files(folder):
         (folder / "empty", FormatError, "empty: expected a run folder"),
         (folder / "half", FormatError, "half: the run folder holds no table of tracks"),
         (folder / "broken", FormatError, "run.toml: cannot be read"),
-    ]  # fmt: skip
+    ]
 
 
 def test_what_cannot_be_read_is_named(place, tmp_path):
@@ -362,8 +374,13 @@ def whole_files(place):
     columns = read_columns(run / "tracks.parquet")
     np.savez(place / "tracks.npz", **{name: columns[name] for name in ("t_ns", "track_id", *"xyz")})
     write_csv(place / "tracks.csv", columns)
-    paths = (place / "tracks.csv", place / "tracks.npz", run / "tracks.parquet",
-             run / "run.mcap", run / "tracks_tum" / "track_0.txt")  # fmt: skip
+    paths = (
+        place / "tracks.csv",
+        place / "tracks.npz",
+        run / "tracks.parquet",
+        run / "run.mcap",
+        run / "tracks_tum" / "track_0.txt",
+    )
     return {path.suffix: path.read_bytes() for path in paths}
 
 
@@ -438,23 +455,35 @@ def test_the_commands_of_the_guide_run(tmp_path):
         assert name == "lidar-core"
         done = subprocess.run(
             [sys.executable, "-c", PROGRAM, *arguments],
-            capture_output=True, text=True, check=False, cwd=tmp_path, timeout=300,
-        )  # fmt: skip
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=tmp_path,
+            timeout=300,
+        )
         assert done.returncode == 0, done.stderr
     scores = json.loads((tmp_path / "scores.json").read_text())
     assert scores["track_scores"]["false_ids"] == []
     code = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     done = subprocess.run(
-        [sys.executable, "-"], input="\n".join(code), capture_output=True, text=True, check=False,
-        cwd=tmp_path, timeout=300,
-    )  # fmt: skip
+        [sys.executable, "-"],
+        input="\n".join(code),
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
 
 
 def test_errors_of_the_program_are_one_line(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, "evaluate", "none", "truth.csv"],
-        capture_output=True, text=True, check=False, cwd=tmp_path,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
     assert done.returncode == 2
     assert done.stderr == "error: none: no such file or folder\n"

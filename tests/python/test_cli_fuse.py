@@ -109,8 +109,9 @@ def test_a_run_is_scored_by_evaluate(recordings, tmp_path):
 def test_smoothing_is_better_and_the_run_file_is_a_configuration(recordings, tmp_path):
     arguments = (recordings / OBJ_POSE, "--no-picture", "--method", "ukf")
     filtered = result_of(*arguments, "-o", tmp_path / "a", "--set", "turn_noise=0.4")
-    smoothed = result_of(*arguments, "-o", tmp_path / "b", "--lag", 0.5,
-                         "--config", tmp_path / "a" / "run.toml")  # fmt: skip
+    smoothed = result_of(
+        *arguments, "-o", tmp_path / "b", "--lag", 0.5, "--config", tmp_path / "a" / "run.toml"
+    )
     assert smoothed["rmse"]["position_2d"] < 0.8 * filtered["rmse"]["position_2d"]
     recording = read_laser_radar(recordings / OBJ_POSE)
     config = FusionConfig(method="ukf", turn_noise=0.4)
@@ -147,8 +148,14 @@ def looking_around(count=60):
         x, y, yaw = 0.02 * k, -0.01 * k, 0.05 * k
         away = np.array([5 + 0.05 * k - x, 2.0 - y]) + rng.normal(0, 0.1, 2)
         c, s = np.cos(yaw), np.sin(yaw)
-        yield {"t_ns": 50_000_000 * k, "pose_x": x, "pose_y": y, "pose_yaw": yaw,
-               "x": c * away[0] + s * away[1], "y": -s * away[0] + c * away[1]}  # fmt: skip
+        yield {
+            "t_ns": 50_000_000 * k,
+            "pose_x": x,
+            "pose_y": y,
+            "pose_yaw": yaw,
+            "x": c * away[0] + s * away[1],
+            "y": -s * away[0] + c * away[1],
+        }
 
 
 def test_a_run_is_played_in_the_world(tmp_path):
@@ -207,13 +214,24 @@ def test_without_a_column_of_sensors_rows_give_what_they_hold(tmp_path):
 def test_columns_and_units_are_mapped(tmp_path):
     content = []
     for row in rows():
-        a, b, c = (row["x"], row["y"], "") if row["sensor"] == "L" else (
-            row["range"], np.degrees(row["bearing"]), row["range_rate"])  # fmt: skip
-        content.append({"time": f"{row['t_ns'] * 1e-9:.3f}", "kind": row["sensor"], "a": a,
-                        "b": b, "c": c})  # fmt: skip
+        a, b, c = (
+            (row["x"], row["y"], "")
+            if row["sensor"] == "L"
+            else (row["range"], np.degrees(row["bearing"]), row["range_rate"])
+        )
+        content.append(
+            {"time": f"{row['t_ns'] * 1e-9:.3f}", "kind": row["sensor"], "a": a, "b": b, "c": c}
+        )
     path = write(tmp_path / "other.csv", content)
-    names = {"t_ns": "time", "sensor": "kind", "x": "a", "y": "b", "range": "a", "bearing": "b",
-             "range_rate": "c"}  # fmt: skip
+    names = {
+        "t_ns": "time",
+        "sensor": "kind",
+        "x": "a",
+        "y": "b",
+        "range": "a",
+        "bearing": "b",
+        "range_rate": "c",
+    }
     log = read_measurements(path, TableOptions(columns=names, time_unit="s", angle_unit="deg"))
     for m, row in zip(log.measurements, rows(), strict=True):
         assert m.stamp_ns == row["t_ns"]
@@ -221,16 +239,18 @@ def test_columns_and_units_are_mapped(tmp_path):
             assert m.values[1] == pytest.approx(row["bearing"], rel=EXACT)
     assert log.truth is None
     options = [f"--column={ours}={theirs}" for ours, theirs in names.items()]
-    result = result_of(path, "-o", tmp_path / "run", *options, "--time-unit", "s",
-                       "--angle-unit", "deg")  # fmt: skip
+    result = result_of(
+        path, "-o", tmp_path / "run", *options, "--time-unit", "s", "--angle-unit", "deg"
+    )
     assert result["rmse"] is None
     assert result["measurements"] == {"radar": 30, "lidar": 30}
 
 
 def test_poses_bring_their_deviations(tmp_path):
     known = {"pose_std_x": 0.1, "pose_std_y": 0.2, "pose_std_yaw": 3.0}
-    content = [row | (dict.fromkeys(known, "") if row["t_ns"] else known)
-               for row in looking_around(4)]  # fmt: skip
+    content = [
+        row | (dict.fromkeys(known, "") if row["t_ns"] else known) for row in looking_around(4)
+    ]
     log = read_measurements(write(tmp_path / "told.csv", content), TableOptions(angle_unit="deg"))
     first, second = [m for m in log.measurements if m.sensor == "pose"][:2]
     expected = np.diag([0.01, 0.04, np.radians(3) ** 2])
@@ -317,10 +337,15 @@ def test_a_table_without_commas_is_told_so(table, tmp_path, separator):
 
 @pytest.mark.parametrize(
     ("name", "option", "value"),
-    [("a.bag", "--column", "x=y"), ("a.bag", "--time-unit", "s"), ("a.json", "--topic", "radar=/a"),
-     ("a.json", "--angle-unit", "deg"), ("a.txt", "--column", "x=y"),
-     ("a.txt", "--time-unit", "s")],
-)  # fmt: skip
+    [
+        ("a.bag", "--column", "x=y"),
+        ("a.bag", "--time-unit", "s"),
+        ("a.json", "--topic", "radar=/a"),
+        ("a.json", "--angle-unit", "deg"),
+        ("a.txt", "--column", "x=y"),
+        ("a.txt", "--time-unit", "s"),
+    ],
+)
 def test_options_of_other_recordings_are_refused(tmp_path, name, option, value):
     (tmp_path / name).write_text("")
     out = command(tmp_path / name, "-o", tmp_path / "run", option, value)

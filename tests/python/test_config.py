@@ -274,6 +274,10 @@ def test_a_voxel_of_99_metres_is_refused_with_place_value_and_cure():
 
 
 def test_modes_and_uses_lie_within_the_ranges_of_lengths():
-    for made in (FlyingConfig.paper(), FlyingConfig.long_range(), CirclesConfig.paper(),
-                 CirclesConfig.posts()):  # fmt: skip
+    for made in (
+        FlyingConfig.paper(),
+        FlyingConfig.long_range(),
+        CirclesConfig.paper(),
+        CirclesConfig.posts(),
+    ):
         assert type(made).load(made.model_dump()) == made

@@ -248,8 +248,10 @@ def test_paper_mode_drops_no_return_by_its_range():
     points = scan.scan.points.reshape(-1, 3).copy()
     points[:2] = [[0.2, 0.0, 0.0], [0.0, 0.0, 0.0]]
     given = {"points_lidar": points, "no_return": None}
-    paper, best = (feed(FlyingObjectDetector(config), scan, **given).point_class
-                   for config in (FlyingConfig.paper(), FlyingConfig()))  # fmt: skip
+    paper, best = (
+        feed(FlyingObjectDetector(config), scan, **given).point_class
+        for config in (FlyingConfig.paper(), FlyingConfig())
+    )
     assert paper[:2].tolist() == [UNKNOWN, 0]
     assert best[:2].tolist() == [0, 0]
 

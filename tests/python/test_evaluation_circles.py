@@ -38,23 +38,37 @@ def maps():
 def files(tmp_path):
     table = lidar_core.io.write_circles_table(tmp_path / "circles.csv", maps())
     truth = tmp_path / "a.truth.csv"
-    columns = ("t_ns", "target_id", "kind", "x", "y", "vx", "vy", "radius", "hits",
-               "sensor_x", "sensor_y", "sensor_z")  # fmt: skip
+    columns = (
+        "t_ns",
+        "target_id",
+        "kind",
+        "x",
+        "y",
+        "vx",
+        "vy",
+        "radius",
+        "hits",
+        "sensor_x",
+        "sensor_y",
+        "sensor_z",
+    )
     with truth.open("w", newline="") as file:
         rows = csv.writer(file)
         rows.writerow(columns)
         for number in range(SCANS):
             t = number * STEP_NS * 1e-9
-            rows.writerow([number * STEP_NS, 1, "cylinder", 3 + t, 1, 1, 0, TRUE_RADIUS, 20,
-                           0, 0, 1.0])  # fmt: skip
+            rows.writerow(
+                [number * STEP_NS, 1, "cylinder", 3 + t, 1, 1, 0, TRUE_RADIUS, 20, 0, 0, 1.0]
+            )
     return table, truth
 
 
 def test_what_is_not_round_has_no_radius_to_compare(files):
     table, truth = files
     first, *rows = truth.read_text().splitlines()
-    person = [row.replace(f",{TRUE_RADIUS},", ",nan,").replace("cylinder", "person")
-              for row in rows[:-1]]  # fmt: skip
+    person = [
+        row.replace(f",{TRUE_RADIUS},", ",nan,").replace("cylinder", "person") for row in rows[:-1]
+    ]
     truth.write_text("\n".join([first, *person, rows[-1]]) + "\n")
     scores = evaluate(read_truth(truth), tracks=read_prediction(table).tracks).tracks
     assert scores.position_error.count == SCANS

@@ -265,9 +265,13 @@ def flights(seed, *, n_scans=30, noise=0.1):
     position = np.tile([[6.0, 0, 3], [0.0, 12, 4]], (n_scans, 1))
     position = position + np.tile(velocity, (n_scans, 1)) * stamps[:, None] * 1e-9
     truth = Truth(
-        stamp_ns=stamps, id=ids, position=position, is_eligible=rng.random(2 * n_scans) < 0.8,
-        velocity=np.tile(velocity, (n_scans, 1)), sensor=rng.normal(size=(2 * n_scans, 3)),
-    )  # fmt: skip
+        stamp_ns=stamps,
+        id=ids,
+        position=position,
+        is_eligible=rng.random(2 * n_scans) < 0.8,
+        velocity=np.tile(velocity, (n_scans, 1)),
+        sensor=rng.normal(size=(2 * n_scans, 3)),
+    )
     kept = rng.random(2 * n_scans) < 0.7
     covariance = np.tile(noise**2 * np.eye(6), (kept.sum(), 1, 1))
     tracks = Estimates(
@@ -288,8 +292,10 @@ def test_errors_and_losses_of_two_flights(seed):
     row[kept] = np.arange(kept.sum())
     found = np.flatnonzero(kept & truth.is_eligible)
     away = tracks.position[row[found]] - truth.position[found]
-    parts = [reference.line_of_sight(e, truth.position[k], truth.sensor[k])
-             for e, k in zip(away, found, strict=True)]  # fmt: skip
+    parts = [
+        reference.line_of_sight(e, truth.position[k], truth.sensor[k])
+        for e, k in zip(away, found, strict=True)
+    ]
     speed = np.linalg.norm(tracks.velocity[row[found]] - truth.velocity[found], axis=1)
     for name, values in (
         ("radial_error", [along for along, _ in parts]),
@@ -379,8 +385,9 @@ def test_an_object_twice_at_one_time_is_refused():
     with pytest.raises(InputError, match=r"truth\.id: .* got 4 twice at 0 ns"):
         evaluation.score_tracks(none, truth)
     with pytest.raises(InputError, match=r"^id: .* got 4 twice"):
-        evaluation.score_tracks(Estimates(truth.stamp_ns, truth.position, truth.id),
-                                evaluation.joined([]))  # fmt: skip
+        evaluation.score_tracks(
+            Estimates(truth.stamp_ns, truth.position, truth.id), evaluation.joined([])
+        )
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -416,8 +423,14 @@ def late_pass(*, with_velocity=True, with_times=True):
     stamps = np.repeat(np.array([0, 100_000_000]), 2)
     velocity = np.tile([10.0, 0.0, 0.0], (4, 1))
     start = np.array([[0.0, 5, 0], [1, 5, 0], [1, 5, 0], [2, 5, 0]])
-    truth = Truth(stamps, np.array([0, 1, 0, 1]), start, np.ones(4, bool),
-                  velocity if with_velocity else None, np.zeros((4, 3)))  # fmt: skip
+    truth = Truth(
+        stamps,
+        np.array([0, 1, 0, 1]),
+        start,
+        np.ones(4, bool),
+        velocity if with_velocity else None,
+        np.zeros((4, 3)),
+    )
     found = start + delays[:, None] * 1e-9 * velocity
     times = stamps + delays if with_times else None
     covariance = np.tile(1e-4 * np.eye(3), (4, 1, 1))
@@ -560,9 +573,12 @@ def test_a_report_is_plain_values():
     tracks, truth, _ = flights(2)
     latency = evaluation.Latency.of([1.0, 3.0], {"track": [0.5, 0.7]})
     report = evaluation.evaluate(
-        truth, tracks=tracks, detections=Estimates(tracks.stamp_ns, tracks.position),
-        latency=latency, with_identities=True,
-    )  # fmt: skip
+        truth,
+        tracks=tracks,
+        detections=Estimates(tracks.stamp_ns, tracks.position),
+        latency=latency,
+        with_identities=True,
+    )
     values = json.loads(json.dumps(report.to_dict()))
     assert values["latency_ms"]["total"]["mean"] == 2.0
     assert values["latency_ms"]["stages"]["track"]["largest"] == 0.7

@@ -30,8 +30,11 @@ OS1 = "OS-1-128_v2.3.0_1024x10_lb_n3.pcap"
 def output_of(python, name, *arguments):
     done = subprocess.run(
         [python, FOLDER / name, *map(str, arguments)],
-        capture_output=True, text=True, check=False, timeout=300,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -233,10 +233,11 @@ def part_of(rows, places, sensors=None, hits=None):
 def test_a_track_and_a_target_are_matched_one_to_one_within_the_gate():
     places = [[[5, 0, 0], [9, 0, 0]]] * 3
     rows = [
-        (0, 1, (5.3, 0, 0)), (0, 2, (5.1, 0, 0)),  # the nearer one counts
+        (0, 1, (5.3, 0, 0)),
+        (0, 2, (5.1, 0, 0)),  # the nearer one counts
         (1, 1, (5.6, 0, 0)),  # too far
         (2, 3, (9.0, 0.4, 0)),
-    ]  # fmt: skip
+    ]
     found = matches(part_of(rows, places))
     assert found.tolist() == [[1, -1], [-1, -1], [-1, 3]]
 

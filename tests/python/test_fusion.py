@@ -74,9 +74,14 @@ def walk(rng, rows=200, *, rate=0.3, speed=1.5):
 def test_the_extended_filter_of_courses(recordings, file, published):
     recording = read_laser_radar(recordings / file)
     config = FusionConfig(
-        model="cv", process="discrete", acceleration_noise=3.0, start_speed="zero",
-        initial_position=1.0, initial_speed=1000**0.5, **OPEN,
-    )  # fmt: skip
+        model="cv",
+        process="discrete",
+        acceleration_noise=3.0,
+        start_speed="zero",
+        initial_position=1.0,
+        initial_speed=1000**0.5,
+        **OPEN,
+    )
     got = rmse(run(recording.measurements, config), recording.truth, polar=False)
     np.testing.assert_allclose(got, published, atol=PUBLISHED)
 
@@ -102,11 +107,21 @@ def test_discrete_noise_gives_the_table_of_the_audit(recordings, file, model, no
 def test_the_unscented_filter_of_courses(recordings):
     recording = read_laser_radar(recordings / OBJ_POSE)
     config = FusionConfig(
-        model="ctrv", method="ukf", sigma_spread=3.0, sigma_points="carried",
-        process="discrete", acceleration_noise=0.5, turn_noise=0.5, start_rows=1,
-        start_speed="zero", initial_position=1.0, initial_speed=1.0, initial_heading=1.0,
-        initial_turn_rate=1.0, **OPEN,
-    )  # fmt: skip
+        model="ctrv",
+        method="ukf",
+        sigma_spread=3.0,
+        sigma_points="carried",
+        process="discrete",
+        acceleration_noise=0.5,
+        turn_noise=0.5,
+        start_rows=1,
+        start_speed="zero",
+        initial_position=1.0,
+        initial_speed=1.0,
+        initial_heading=1.0,
+        initial_turn_rate=1.0,
+        **OPEN,
+    )
     got = rmse(run(recording.measurements, config), recording.truth, polar=True)
     np.testing.assert_allclose(got, [0.0610, 0.0862, 0.3298, 0.2129], atol=PUBLISHED)
 
@@ -222,9 +237,14 @@ OPTIONS_OF_THE_PAPER = (
     {"speed": 1.5, "elevation": 0.4},
     {"speed": 1.5, "elevation": 0.4, "straight_y": "fixed"},
     {"speed": 1.5, "elevation": 0.4, "platform_column": "zero"},
-    {"speed": 1.5, "elevation": 0.4, "straight_y": "fixed", "platform_column": "zero",
-     "alpha": "fixed"},
-)  # fmt: skip
+    {
+        "speed": 1.5,
+        "elevation": 0.4,
+        "straight_y": "fixed",
+        "platform_column": "zero",
+        "alpha": "fixed",
+    },
+)
 
 
 @pytest.mark.parametrize("options", OPTIONS_OF_THE_PAPER, ids=str)
@@ -239,9 +259,16 @@ def test_the_options_of_the_paper_are_those_of_the_oracle(options, turns):
     # Matrices come column by column, which shows in printed ones alone: they are not symmetric.
     covariances = np.swapaxes(result.covariances, 1, 2)
     for k, m in enumerate(seen[1:], 1):
-        s, P = reference.paper_step(result.states[k - 1], covariances[k - 1], 0.05, m.sensor,
-                                    m.values, (3.0, 2.0, 0.5), reading=reading,
-                                    **options)  # fmt: skip
+        s, P = reference.paper_step(
+            result.states[k - 1],
+            covariances[k - 1],
+            0.05,
+            m.sensor,
+            m.values,
+            (3.0, 2.0, 0.5),
+            reading=reading,
+            **options,
+        )
         s[3] = reference.wrap(s[3])
         scale = max(1.0, np.abs(P).max())
         np.testing.assert_allclose(result.states[k], s, atol=1e-8 * scale)
@@ -264,8 +291,11 @@ def test_the_platform_changes_nothing_at_rest_and_something_when_it_moves():
 
 def test_the_guide_s_audit_has_every_defect_and_names_options_that_exist():
     page = (Path(__file__).parents[2] / "docs/fusion-paper.md").read_text("utf-8")
-    rows = [line.strip("| ").split(" | ") for line in page.splitlines()
-            if line.startswith("|") and line[2].isdigit()]  # fmt: skip
+    rows = [
+        line.strip("| ").split(" | ")
+        for line in page.splitlines()
+        if line.startswith("|") and line[2].isdigit()
+    ]
     assert [int(row[0]) for row in rows] == list(range(1, 33))
     last = [line.rsplit(" |", 2)[1] for line in page.splitlines() if line.startswith("| ")]
     named = set(re.findall(r"`(\w+)`", " ".join(last)))
@@ -378,9 +408,16 @@ def test_poses_with_covariances_agree_with_the_oracle(model, by_option):
         step = tracker.step(Measurement(k * STEP_NS, sensor, z))
         if k:
             s, P, y, nis = reference.ekf_step(
-                model, s, P, 0.05, sensor, z, noise[sensor], strengths,
+                model,
+                s,
+                P,
+                0.05,
+                sensor,
+                z,
+                noise[sensor],
+                strengths,
                 (pose, spread, np.array(LEVER)),
-            )  # fmt: skip
+            )
             if model == "ctrv":
                 s[3] = reference.wrap(s[3])
             np.testing.assert_allclose(step.state, s, atol=ORACLE)
@@ -392,8 +429,9 @@ def test_poses_with_covariances_agree_with_the_oracle(model, by_option):
 
 @pytest.mark.parametrize("method", ["ekf", "ukf", "ckf", "imm"])
 def test_a_filter_that_knows_how_wrong_poses_are_is_consistent(method):
-    config = FusionConfig(model="ctrv", method=method, lever_arm=LEVER, turn_noise=0.2,
-                          acceleration_noise=0.3, **OPEN)  # fmt: skip
+    config = FusionConfig(
+        model="ctrv", method=method, lever_arm=LEVER, turn_noise=0.2, acceleration_noise=0.3, **OPEN
+    )
     nis = {True: {"lidar": [], "radar": []}, False: {"lidar": [], "radar": []}}
     for seed in range(4):
         rows = list(looked_at(np.random.default_rng(50 + seed), 300))
@@ -442,9 +480,15 @@ def test_a_lost_filter_starts_anew():
 
 @pytest.mark.parametrize(
     ("sensor", "values"),
-    [("lidar", [np.nan, 0.0]), ("radar", [0.0, 0.0, 0.0]), ("radar", [-1.0, 0, 0]),
-     ("radar", [np.inf, 0, 0]), ("gyro", [np.nan]), ("pose", [0, np.inf, 0])],
-)  # fmt: skip
+    [
+        ("lidar", [np.nan, 0.0]),
+        ("radar", [0.0, 0.0, 0.0]),
+        ("radar", [-1.0, 0, 0]),
+        ("radar", [np.inf, 0, 0]),
+        ("gyro", [np.nan]),
+        ("pose", [0, np.inf, 0]),
+    ],
+)
 def test_values_that_cannot_be_used_change_nothing(sensor, values):
     seen, _ = walk(np.random.default_rng(10))
     flt = TargetFilter()
@@ -464,10 +508,17 @@ def test_a_target_at_the_sensor_breaks_nothing():
     assert np.linalg.eigvalsh(step.covariance).min() > 0
 
 
-@given(st.lists(st.tuples(
-    st.sampled_from(["lidar", "radar"]), st.integers(0, 10**10),
-    st.tuples(*[st.floats(-1e6, 1e6)] * 3)), max_size=30),
-    st.sampled_from(["cv", "ca", "ct", "ctrv", "ctra", "ctrv-drone"]))  # fmt: skip
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["lidar", "radar"]),
+            st.integers(0, 10**10),
+            st.tuples(*[st.floats(-1e6, 1e6)] * 3),
+        ),
+        max_size=30,
+    ),
+    st.sampled_from(["cv", "ca", "ct", "ctrv", "ctra", "ctrv-drone"]),
+)
 def test_no_input_leads_to_nan(rows, model):
     seen = [Measurement(t, s, z[: 2 if s == "lidar" else 3]) for s, t, z in rows]
     result = run(seen, FusionConfig(model=model))
@@ -476,10 +527,17 @@ def test_no_input_leads_to_nan(rows, model):
     assert np.isfinite(result.covariances[known]).all()
 
 
-@given(st.lists(st.tuples(
-    st.sampled_from(["lidar", "radar"]), st.integers(0, 10**10),
-    st.tuples(*[st.floats(-1e3, 1e3)] * 3)), max_size=30),
-    st.sampled_from(["ukf", "ckf", "imm"]))  # fmt: skip
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["lidar", "radar"]),
+            st.integers(0, 10**10),
+            st.tuples(*[st.floats(-1e3, 1e3)] * 3),
+        ),
+        max_size=30,
+    ),
+    st.sampled_from(["ukf", "ckf", "imm"]),
+)
 def test_no_method_needs_a_factor_that_is_not_there(rows, method):
     seen = [Measurement(t, s, z[: 2 if s == "lidar" else 3]) for s, t, z in rows]
     result = run(seen, FusionConfig(method=method, sigma_spread=3.0))
@@ -540,8 +598,11 @@ def test_arrays_make_the_same_measurements():
     assert len(made) == 60
     np.testing.assert_array_equal(run(made).states, run(seen).states)
     noise = np.tile(np.diag([0.09, 0.001, 0.09]), (60, 1, 1))
-    told = [Measurement(m.stamp_ns, m.sensor, m.values, noise[0, :n, :n])
-            for m in seen for n in [len(m.values)]]  # fmt: skip
+    told = [
+        Measurement(m.stamp_ns, m.sensor, m.values, noise[0, :n, :n])
+        for m in seen
+        for n in [len(m.values)]
+    ]
     made = Measurements.from_arrays(
         [m.stamp_ns for m in seen], [m.sensor for m in seen], values, covariances=noise
     )

@@ -37,11 +37,17 @@ class Radar(Ros):
         made = []
         for x, y, vx, vy in targets:
             upper = [np.array([v, 0, 0, v, 0, 0], np.float32) for v in (*variances, 0.0, 0.0)]
-            made.append(self.types["radar_msgs/msg/RadarTrack"](
-                self.types[UUID[self.version]](np.zeros(16, np.uint8)),
-                self.vector([x, y], "Point"), self.vector([vx, vy]), self.vector([0, 0]),
-                self.vector([1, 1]), 0, *upper,
-            ))  # fmt: skip
+            made.append(
+                self.types["radar_msgs/msg/RadarTrack"](
+                    self.types[UUID[self.version]](np.zeros(16, np.uint8)),
+                    self.vector([x, y], "Point"),
+                    self.vector([vx, vy]),
+                    self.vector([0, 0]),
+                    self.vector([1, 1]),
+                    0,
+                    *upper,
+                )
+            )
         return self.types["radar_msgs/msg/RadarTracks"](self.header(stamp_ns, "radar"), made)
 
     def scan(self, stamp_ns, returns):
@@ -74,10 +80,14 @@ class Radar(Ros):
         unknown = np.zeros(9)
         unknown[0] = -1.0 if angles is None else 0.0
         return make["sensor_msgs/msg/Imu"](
-            self.header(stamp_ns, "imu"), make["geometry_msgs/msg/Quaternion"](*map(float, q)),
-            unknown, self.vector(rates), np.diag([1e-4, 1e-4, 4e-4]).reshape(-1),
-            make["geometry_msgs/msg/Vector3"](0.0, 0.0, 9.8), np.zeros(9),
-        )  # fmt: skip
+            self.header(stamp_ns, "imu"),
+            make["geometry_msgs/msg/Quaternion"](*map(float, q)),
+            unknown,
+            self.vector(rates),
+            np.diag([1e-4, 1e-4, 4e-4]).reshape(-1),
+            make["geometry_msgs/msg/Vector3"](0.0, 0.0, 9.8),
+            np.zeros(9),
+        )
 
 
 def stored(folder, version, storage, messages):
@@ -118,14 +128,19 @@ def passing(ros, count=80, *, targets=1):
 @pytest.mark.parametrize(("version", "storage"), STORAGES)
 def test_every_type_gives_its_measurement(version, storage, tmp_path):
     ros = Radar(version)
-    path = stored(tmp_path, version, storage, [
-        ("/tracks", 1, ros.tracks(1, [(3, 4, 1, 2), (6, -8, 0, 1)], (0.04, 0.09))),
-        ("/scan", 2, ros.scan(2, [(10, 0.5, 0.3, -2), (5, -0.2, 0, 1)])),
-        ("/lidar", 3, ros.point(3, (1.5, -2.5))),
-        ("/odom", 4, ros.moving(4, (1, 2), np.pi / 2, (3, 0), 0.25)),
-        ("/imu", 5, ros.imu(5, (0.1, 0.2, 0.3), (0.2, -0.1, 0.7))),
-        ("/imu", 6, ros.imu(6, (0.1, 0.2, 0.3))),
-    ])  # fmt: skip
+    path = stored(
+        tmp_path,
+        version,
+        storage,
+        [
+            ("/tracks", 1, ros.tracks(1, [(3, 4, 1, 2), (6, -8, 0, 1)], (0.04, 0.09))),
+            ("/scan", 2, ros.scan(2, [(10, 0.5, 0.3, -2), (5, -0.2, 0, 1)])),
+            ("/lidar", 3, ros.point(3, (1.5, -2.5))),
+            ("/odom", 4, ros.moving(4, (1, 2), np.pi / 2, (3, 0), 0.25)),
+            ("/imu", 5, ros.imu(5, (0.1, 0.2, 0.3), (0.2, -0.1, 0.7))),
+            ("/imu", 6, ros.imu(6, (0.1, 0.2, 0.3))),
+        ],
+    )
     scans = read_bag(path)
     assert [scan.stamp_ns for scan in scans] == [1, 2, 3, 4, 5, 6]
     assert [scan.source for scan in scans[:3]] == ["/tracks", "/scan", "/lidar"]
@@ -135,8 +150,9 @@ def test_every_type_gives_its_measurement(version, storage, tmp_path):
     across = (np.array([1, 2]) - 2.2 * np.array([3, 4]) / 5) / 5
     variances = [0.04, 0.04 / 25, 0.09 + 0.04 * across @ across]
     np.testing.assert_allclose(np.diag(first.covariance), variances, rtol=FLOAT32)
-    np.testing.assert_allclose(scans[1].measurements[0].values,
-                               [10 * np.cos(0.3), 0.5, -2 / np.cos(0.3)], rtol=FLOAT32)  # fmt: skip
+    np.testing.assert_allclose(
+        scans[1].measurements[0].values, [10 * np.cos(0.3), 0.5, -2 / np.cos(0.3)], rtol=FLOAT32
+    )
     assert scans[2].measurements[0].values.tolist() == [1.5, -2.5]
     (pose,) = scans[3].measurements
     np.testing.assert_allclose(pose.values, [1, 2, np.pi / 2, 0, 3, 0.25], atol=EXACT)
@@ -171,8 +187,10 @@ def test_several_targets_are_tracked_in_the_world(tmp_path):
     assert (result["tracks"], result["association"]) == (2, "joint")
     assert set(result["scans"]) == {"/lidar", "/odom", "/radar"}
     assert set(result["nis"]) == {"/lidar", "/radar"}
-    ends = [(tmp_path / "out" / "tracks_tum" / f"track_{n}.txt").read_text().splitlines()[-1]
-            for n in (0, 1)]  # fmt: skip
+    ends = [
+        (tmp_path / "out" / "tracks_tum" / f"track_{n}.txt").read_text().splitlines()[-1]
+        for n in (0, 1)
+    ]
     found = np.array([[float(value) for value in line.split()[1:3]] for line in ends])
     apart = np.linalg.norm(found[:, None] - places, axis=2)
     assert apart.min(axis=1).max() < 0.4
@@ -180,10 +198,17 @@ def test_several_targets_are_tracked_in_the_world(tmp_path):
 
 def test_topics_are_chosen_by_name(tmp_path):
     ros = Radar(2)
-    path = stored(tmp_path, 2, "mcap", [
-        ("/ours", 1, ros.pose(1, (1, 2), 0.5)), ("/target", 1, ros.pose(1, (7, 8))),
-        ("/far", 1, ros.point(1, (3, 4))), ("/near", 2, ros.point(2, (5, 6))),
-    ])  # fmt: skip
+    path = stored(
+        tmp_path,
+        2,
+        "mcap",
+        [
+            ("/ours", 1, ros.pose(1, (1, 2), 0.5)),
+            ("/target", 1, ros.pose(1, (7, 8))),
+            ("/far", 1, ros.point(1, (3, 4))),
+            ("/near", 2, ros.point(2, (5, 6))),
+        ],
+    )
     with pytest.raises(ConfigError, match=r"several with poses, /ours, /target"):
         read_bag(path)
     scans = read_bag(path, BagOptions(topics={"pose": ("/ours",), "lidar": ("/target", "/near")}))
@@ -197,9 +222,12 @@ def test_topics_are_chosen_by_name(tmp_path):
 
 @pytest.mark.parametrize(
     ("topics", "text"),
-    [({"radar": ("/none",)}, "'/none' is not there"), ({"radar": ("/far",)}, "PointStamped"),
-     ({"sonar": ("/far",)}, "topics")],
-)  # fmt: skip
+    [
+        ({"radar": ("/none",)}, "'/none' is not there"),
+        ({"radar": ("/far",)}, "PointStamped"),
+        ({"sonar": ("/far",)}, "topics"),
+    ],
+)
 def test_wrong_topics_are_told(topics, text, tmp_path):
     path = stored(tmp_path, 2, "mcap", [("/far", 1, Radar(2).point(1, (3, 4)))])
     with pytest.raises(ConfigError, match=text):

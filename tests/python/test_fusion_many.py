@@ -30,10 +30,15 @@ ORACLE = 1e-9
 """Inverses instead of factors, over tens of scans, relative to metres."""
 GATE = 0.99
 SMALL = MultiTargetConfig(
-    target=FusionConfig(model="cv", method="kf", lidar_std=(0.5, 0.4), acceleration_noise=0.7,
-                        gate_probability=GATE),
-    confirm_hits=2, confirm_window=3, max_coast=1.6, max_position_std=8.0, birth_distance=1.5,
-)  # fmt: skip
+    target=FusionConfig(
+        model="cv", method="kf", lidar_std=(0.5, 0.4), acceleration_noise=0.7, gate_probability=GATE
+    ),
+    confirm_hits=2,
+    confirm_window=3,
+    max_coast=1.6,
+    max_position_std=8.0,
+    birth_distance=1.5,
+)
 SCENARIOS = (2, 3, 4, 5, 13, 17)
 COVERED = {"nearest": 0.85, "joint": 0.65}
 """Least share of the time for which a target has a track of its own; 0.85 is the goal."""
@@ -46,8 +51,10 @@ def lidar(stamp_ns, places):
 
 
 def feed(tracker, scans, source="lidar"):
-    return [tracker.process(k * STEP_NS, lidar(k * STEP_NS, scan), source=source).id.tolist()
-            for k, scan in enumerate(scans)]  # fmt: skip
+    return [
+        tracker.process(k * STEP_NS, lidar(k * STEP_NS, scan), source=source).id.tolist()
+        for k, scan in enumerate(scans)
+    ]
 
 
 @pytest.mark.parametrize("association", ["nearest", "joint"])
@@ -101,8 +108,13 @@ def test_a_single_target_in_clutter_is_followed_by_its_probabilities(model, meth
 def test_scans_in_any_order_give_what_the_oracle_gets_in_order(association, seed):
     """Up to the numbers, which are those of the order of arrival."""
     rng = np.random.default_rng(seed)
-    config = SMALL.model_copy(update={"association": association, "lidar_clutter": 0.02,
-        "target": SMALL.target.model_copy(update={"buffer_time": 2.0})})  # fmt: skip
+    config = SMALL.model_copy(
+        update={
+            "association": association,
+            "lidar_clutter": 0.02,
+            "target": SMALL.target.model_copy(update={"buffer_time": 2.0}),
+        }
+    )
     kind = ManyTargets if association == "nearest" else JointTargets
     oracle, tracker = kind(config, gate=chi2_quantile(GATE, degrees=2)), MultiTargetTracker(config)
     place, scans = rng.uniform(-5, 5, (3, 2)), []
@@ -128,16 +140,18 @@ def test_scans_in_any_order_give_what_the_oracle_gets_in_order(association, seed
 def test_a_late_scan_leaves_the_numbers_of_tracks():
     tracker = MultiTargetTracker(SMALL)
     feed(tracker, [[[0, 0]], [[0.1, 0]]])
-    third = tracker.process(3 * STEP_NS // 2, lidar(3 * STEP_NS // 2, [[0.1, 0], [9, 9]]),
-                            source="lidar")  # fmt: skip
+    third = tracker.process(
+        3 * STEP_NS // 2, lidar(3 * STEP_NS // 2, [[0.1, 0], [9, 9]]), source="lidar"
+    )
     assert third.id.tolist() == [0, 1]
     assert np.isfinite(third.nis[0])
     assert np.isnan(third.nis[1])
     late = tracker.process(5 * STEP_NS // 4, lidar(5 * STEP_NS // 4, [[-9, 9]]), source="lidar")
     assert late.id.tolist() == [2]
     assert tracker.tracks_at(2 * STEP_NS, confirmed=False).id.tolist() == [0, 1, 2]
-    again = tracker.process(3 * STEP_NS // 2, lidar(3 * STEP_NS // 2, [[0.1, 0], [9, 9]]),
-                            source="lidar")  # fmt: skip
+    again = tracker.process(
+        3 * STEP_NS // 2, lidar(3 * STEP_NS // 2, [[0.1, 0], [9, 9]]), source="lidar"
+    )
     assert again.id.tolist() == [0, 1]
     assert tracker.tracks_at(2 * STEP_NS, confirmed=False).hits.tolist() == [3, 1, 1]
 
@@ -282,8 +296,12 @@ def test_impossible_settings_are_refused():
 
 
 def entry(sensor=1, time=10.0, measurement=(), own=(2.0, 1.0)):
-    return {"sensorID": sensor, "time": time, "measurement": measurement,
-            "ownshipPosition": list(own)}  # fmt: skip
+    return {
+        "sensorID": sensor,
+        "time": time,
+        "measurement": measurement,
+        "ownshipPosition": list(own),
+    }
 
 
 def scenario(folder, entries, truth=None):
@@ -296,9 +314,11 @@ def scenario(folder, entries, truth=None):
 
 def test_north_and_east_become_y_and_x(tmp_path):
     entries = [
-        entry(2, 11.5, [[4.0, 0.0], [10.0, -100.0]]), entry(4, 11.0, 0.3),
-        entry(1, 10.25, [3.0, 5.0]), entry(1, 12.0, []),
-    ]  # fmt: skip
+        entry(2, 11.5, [[4.0, 0.0], [10.0, -100.0]]),
+        entry(4, 11.0, 0.3),
+        entry(1, 10.25, [3.0, 5.0]),
+        entry(1, 12.0, []),
+    ]
     truth = [[{"targetID": 7, "position": [20.0, 30.0, 0.0], "time": 11.4}], [], [], []]
     scans = read_autoferry(
         scenario(tmp_path, entries, truth), AutoferryOptions(radar_std=4.0, radar_bearing_std=0.1)
@@ -372,11 +392,17 @@ def held(folder, scans, places_of):
     for scan, places in zip(read, places_of, strict=True):
         count = len(places)
         states = np.array([[x, 0.0, 0.0, 0.0] for _, x in places]).reshape(-1, 4)
-        tracks.append(TargetTracks(
-            scan.stamp_ns, np.array([number for number, _ in places], np.int64), states,
-            np.zeros((count, 4, 4)), np.zeros((count, 2)), *np.zeros((3, count), np.int64),
-            np.ones(count, bool),
-        ))  # fmt: skip
+        tracks.append(
+            TargetTracks(
+                scan.stamp_ns,
+                np.array([number for number, _ in places], np.int64),
+                states,
+                np.zeros((count, 4, 4)),
+                np.zeros((count, 2)),
+                *np.zeros((3, count), np.int64),
+                np.ones(count, bool),
+            )
+        )
     return read, tracks
 
 
@@ -400,10 +426,19 @@ def test_two_tracks_serve_two_boats_also_where_one_is_nearer_to_both(tmp_path):
 def test_a_gap_is_three_seconds_without_a_detection_of_either_sensor(tmp_path):
     truth = [{"targetID": 1, "position": [0.0, 0.0]}]
     near, far = [[0.0, 14.0]], [[0.0, 16.0]]  # within 15 m, and beyond
-    seen = [(1, 0.0, near), (2, 2.0, near), (1, 4.0, far), (2, 5.0, near), (1, 6.0, far),
-            (1, 8.1, near), (2, 9.0, near)]  # fmt: skip
-    entries = [entry(sensor, time, [list(place) for place in zip(*there, strict=True)], own=(0, 0))
-               for sensor, time, there in seen]  # fmt: skip
+    seen = [
+        (1, 0.0, near),
+        (2, 2.0, near),
+        (1, 4.0, far),
+        (2, 5.0, near),
+        (1, 6.0, far),
+        (1, 8.1, near),
+        (2, 9.0, near),
+    ]
+    entries = [
+        entry(sensor, time, [list(place) for place in zip(*there, strict=True)], own=(0, 0))
+        for sensor, time, there in seen
+    ]
     scans = read_autoferry(scenario(tmp_path, entries, [truth] * len(entries)))
     nothing = [MultiTargetTracker().tracks_at(0)] * len(scans)
     # 5.0 to 8.1 s is a gap: the scan at 6 s is out; 0 to 2 and 2 to 5 s, of both sensors, are none
@@ -439,8 +474,18 @@ def test_boats_are_tracked(recordings, number, association):
 def test_fuse_tracks_many(recordings, tmp_path, association):
     path = recordings / "2d" / "autoferry" / "scenario13" / "scenario13_detections.json"
     folder = tmp_path / "run"
-    arguments = ["fuse", str(path), "-o", str(folder), "--json", "-", "--model", "ct",
-                 "--association", association]  # fmt: skip
+    arguments = [
+        "fuse",
+        str(path),
+        "-o",
+        str(folder),
+        "--json",
+        "-",
+        "--model",
+        "ct",
+        "--association",
+        association,
+    ]
     out = CliRunner().invoke(app, arguments)
     assert out.exit_code == 0, out.output or out.exception
     result = json.loads(out.stdout)
@@ -452,8 +497,20 @@ def test_fuse_tracks_many(recordings, tmp_path, association):
     assert result["gospa_empty"]["distance"] == pytest.approx(30.0)
     assert set(result["files"]) <= {file.name for file in folder.iterdir()}
     pytest.importorskip("pyarrow")
-    scored = CliRunner().invoke(app, ["evaluate", str(folder), str(folder), "--gate", "15",
-                                      "--max-distance", "500", "--json", "-"])  # fmt: skip
+    scored = CliRunner().invoke(
+        app,
+        [
+            "evaluate",
+            str(folder),
+            str(folder),
+            "--gate",
+            "15",
+            "--max-distance",
+            "500",
+            "--json",
+            "-",
+        ],
+    )
     scores = json.loads(scored.stdout)["track_scores"]
     assert scores["n_found"] > 0.5 * scores["n_eligible"]
 

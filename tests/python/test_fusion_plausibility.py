@@ -35,8 +35,10 @@ SEED = 6300
 
 
 def changed(seen, sensor, new):
-    return [Measurement(m.stamp_ns, m.sensor, new(m.values), m.covariance)
-            if m.sensor == sensor else m for m in seen]  # fmt: skip
+    return [
+        Measurement(m.stamp_ns, m.sensor, new(m.values), m.covariance) if m.sensor == sensor else m
+        for m in seen
+    ]
 
 
 def geographic(place):
@@ -63,10 +65,12 @@ def mixed(seen):
 
 WRONG = {
     "clockwise bearings": (
-        lambda seen: changed(seen, "radar", lambda v: [v[0], -v[1], v[2]]), "bearings are clockwise"
+        lambda seen: changed(seen, "radar", lambda v: [v[0], -v[1], v[2]]),
+        "bearings are clockwise",
     ),
     "compass bearings": (
-        lambda seen: changed(seen, "radar", lambda v: [v[0], np.pi / 2 - v[1], v[2]]), "compass"
+        lambda seen: changed(seen, "radar", lambda v: [v[0], np.pi / 2 - v[1], v[2]]),
+        "compass",
     ),
     "degrees": (
         lambda seen: changed(seen, "radar", lambda v: [v[0], np.degrees(v[1]), v[2]]),
@@ -75,12 +79,13 @@ WRONG = {
     "mirrored": (lambda seen: changed(seen, "lidar", lambda v: [v[0], -v[1]]), "mirrored"),
     "geographic": (lambda seen: changed(seen, "lidar", geographic), "latitude and longitude"),
     "geographic, LiDAR alone": (
-        lambda seen: changed([m for m in seen if m.sensor in ("lidar", "pose")],
-                             "lidar", geographic),
+        lambda seen: changed(
+            [m for m in seen if m.sensor in ("lidar", "pose")], "lidar", geographic
+        ),
         "latitude and longitude",
     ),
     "several": (mixed, "several targets in one table"),
-}  # fmt: skip
+}
 """How a recording goes wrong, and what has to be said of it."""
 
 
@@ -203,8 +208,13 @@ def test_noise_far_too_small_is_refused_and_all_likely_causes_are_named(right):
     config = FusionConfig(lidar_std=(1e-4, 1e-4), radar_std=(1e-4, 1e-5, 1e-3))
     found = doubt(right, config)
     assert found.ratio > found.limit
-    for cause in ("clockwise or mirrored azimuth", "degrees instead of radians",
-                  "several targets in one table", "taken as metres", "noise"):  # fmt: skip
+    for cause in (
+        "clockwise or mirrored azimuth",
+        "degrees instead of radians",
+        "several targets in one table",
+        "taken as metres",
+        "noise",
+    ):
         assert cause in str(found)
 
 
@@ -228,8 +238,11 @@ def fuse(*arguments):
     code = "from lidar_core.cli import main; main()"
     return subprocess.run(
         [sys.executable, "-c", code, "fuse", *map(str, arguments), "--no-picture", "--no-mcap"],
-        capture_output=True, text=True, check=False, timeout=120,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
 
 
 def table(path, seen):

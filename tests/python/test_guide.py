@@ -56,8 +56,12 @@ def run_command(arguments, folder):
     code = "from lidar_core.cli import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", code, *arguments],
-        cwd=folder, capture_output=True, text=True, check=False, timeout=600,
-    )  # fmt: skip
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
+    )
     assert done.returncode == 0, f"{arguments}: {done.stderr}"
 
 

@@ -92,9 +92,12 @@ def test_a_face_that_names_no_vertex_is_refused(tmp_path, corner):
 
 @pytest.mark.parametrize(
     ("fields", "told"),
-    [("no_return x y", "no field z"), ("no_return", "no field x, y, z"),
-     ("x y z dx no_return", "no field dy, dz")],
-)  # fmt: skip
+    [
+        ("no_return x y", "no field z"),
+        ("no_return", "no field x, y, z"),
+        ("x y z dx no_return", "no field dy, dz"),
+    ],
+)
 def test_a_cloud_with_some_of_our_fields_is_refused(tmp_path, fields, told):
     names = fields.split()
     ones = " ".join("1" for _ in names)
@@ -202,11 +205,14 @@ def test_a_configuration_longer_than_anybody_writes_is_refused(tmp_path):
         FlyingConfig.read(path)
 
 
-@pytest.mark.parametrize("group", [
-    {"ranges": {"seed": [0, 10**12]}},
-    {"ranges": {"seed": [-(10**30), 10**30]}},
-    {"ranges": {"seed": [0, 999], "more": [0, 999]}, "commands": ["demo --seed {seed}{more}"]},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "group",
+    [
+        {"ranges": {"seed": [0, 10**12]}},
+        {"ranges": {"seed": [-(10**30), 10**30]}},
+        {"ranges": {"seed": [0, 999], "more": [0, 999]}, "commands": ["demo --seed {seed}{more}"]},
+    ],
+)
 def test_a_batch_of_a_million_million_jobs_is_refused(tmp_path, group):
     made = {"name": "many", "commands": ["demo --seed {seed} -o {output}"], **group}
     config = BatchConfig.load({"jobs": [made]})
@@ -215,17 +221,25 @@ def test_a_batch_of_a_million_million_jobs_is_refused(tmp_path, group):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are bytes on Linux")
-@pytest.mark.parametrize("command", [
-    ["simulate", "circles", "--scans", "2", "-o", "\udcff.npz"],
-    ["demo", "--scans", "2", "--no-picture", "-o", "\udcff"],
-    ["config", "init", "-o", "\udcff.toml"],
-    ["circles", "in.npz", "--pose", "static", "-o", "\udcff"],
-    ["convert", "in.npz", "\udcff.mcap"],
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["simulate", "circles", "--scans", "2", "-o", "\udcff.npz"],
+        ["demo", "--scans", "2", "--no-picture", "-o", "\udcff"],
+        ["config", "init", "-o", "\udcff.toml"],
+        ["circles", "in.npz", "--pose", "static", "-o", "\udcff"],
+        ["convert", "in.npz", "\udcff.mcap"],
+    ],
+)
 def test_a_name_to_write_that_is_no_utf8_is_refused(tmp_path, command):
     write_recording(tmp_path / "in.npz", [SWEEP])
-    done = subprocess.run([sys.executable, "-m", "lidar_core", *command], cwd=tmp_path, timeout=60,
-                          capture_output=True, check=False)  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-m", "lidar_core", *command],
+        cwd=tmp_path,
+        timeout=60,
+        capture_output=True,
+        check=False,
+    )
     assert done.returncode == 2, done.stderr
     assert done.stderr.startswith(b"error: expected a name in UTF-8 to write")
     assert done.stderr.count(b"\n") == 1
@@ -239,10 +253,23 @@ def test_a_recording_whose_name_is_no_utf8_can_be_read(tmp_path):
     (tmp_path / "in.npz").rename(path)
     run = tmp_path / "run"
     done = subprocess.run(
-        [sys.executable, "-m", "lidar_core", "circles", str(path), "--pose", "static", "-o",
-         str(run), "--no-picture", "--no-mcap"],
-        timeout=60, capture_output=True, check=False,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "lidar_core",
+            "circles",
+            str(path),
+            "--pose",
+            "static",
+            "-o",
+            str(run),
+            "--no-picture",
+            "--no-mcap",
+        ],
+        timeout=60,
+        capture_output=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert "?.npz" in (run / "run.toml").read_text(encoding="utf-8")
     assert json.loads((run / "summary.json").read_text())["scans"]["received"] == 1

@@ -22,9 +22,11 @@ from lidar_core.parameters import MODELS, model_named, models_within
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "python" / "lidar_core"
 PAPERS = [
-    *ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("tests/**/*.md"),
+    *ROOT.glob("*.md"),
+    *ROOT.glob("docs/**/*.md"),
+    *ROOT.glob("tests/**/*.md"),
     ROOT / "training/README.md",
-]  # fmt: skip
+]
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__"}
 FORBIDDEN_IMPORTS = {"pickle", "marshal", "shelve", "dill"}
 TARGETS = {"bench", "ci", "clean", "demo", "dev", "docs", "fmt", "help", "lint", "test", "wheel"}
@@ -66,8 +68,9 @@ def test_architecture_names_every_folder_of_code():
     text = text_of("ARCHITECTURE.md")
     sources = [*ROOT.glob("rust/*/src"), *ROOT.glob("rust/*/src/**/"), *PACKAGE.glob("**/")]
     folders = {path.relative_to(ROOT).as_posix() for path in sources}
-    assert [path for path in sorted(folders)
-            if "__pycache__" not in path and f"`{path}/" not in text] == []  # fmt: skip
+    assert [
+        path for path in sorted(folders) if "__pycache__" not in path and f"`{path}/" not in text
+    ] == []
 
 
 def test_architecture_names_every_module_of_the_core():
@@ -84,8 +87,11 @@ def test_links_between_papers_lead_somewhere(paper):
     links = re.findall(r"\]\(([^)#\s]+)[^)]*\)", paper.read_text(encoding="utf-8"))
     made_by_the_build = {"parameters.md", "sensors.md"}
     local = [link for link in links if not re.match(r"[a-z]+:", link)]
-    broken = [link for link in local
-              if link not in made_by_the_build and not (paper.parent / link).exists()]  # fmt: skip
+    broken = [
+        link
+        for link in local
+        if link not in made_by_the_build and not (paper.parent / link).exists()
+    ]
     assert broken == []
 
 
@@ -107,8 +113,11 @@ def test_ci_finds_the_test_command_of_the_readme():
     expression = re.search(r'^test_command="(\$\(.*?\))"\n', script, re.DOTALL | re.MULTILINE)[1]
     done = subprocess.run(
         ["bash", "-c", f'printf %s "{expression}"'],
-        capture_output=True, text=True, check=True, cwd=ROOT,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
+    )
     assert done.stdout == set_up_commands()[1]
 
 
@@ -146,8 +155,11 @@ def test_the_guide_has_an_api_page_for_every_public_module():
 def test_make_help_lists_the_targets():
     done = subprocess.run(
         ["make", "--no-print-directory", "help"],
-        capture_output=True, text=True, check=True, cwd=ROOT,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
+    )
     assert set(re.findall(r"^  make (\S+)", done.stdout, re.MULTILINE)) >= TARGETS
 
 
@@ -206,9 +218,10 @@ def test_the_parameter_page_has_a_row_for_every_parameter():
 def test_the_stub_lists_what_the_module_holds():
     tree = ast.parse(text_of("python/lidar_core/_core.pyi"))
     (listed,) = [
-        ast.literal_eval(node.value) for node in tree.body
+        ast.literal_eval(node.value)
+        for node in tree.body
         if isinstance(node, ast.Assign) and node.targets[0].id == "__all__"
-    ]  # fmt: skip
+    ]
     assert listed == sorted(listed)
     held = {name for name in dir(_core) if not name.startswith("_")} | {"__version__"}
     assert set(listed) == held == set(_core.__all__) | {"__version__"}

@@ -105,6 +105,9 @@ def test_a_pose_without_a_frame_of_its_own_is_the_sensors(tmp_path, storage):
 def test_the_package_runs_as_a_module():
     done = subprocess.run(
         [sys.executable, "-m", "lidar_core", "--version"],
-        capture_output=True, text=True, check=True, timeout=60,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
     assert done.stdout == f"lidar-core {lc.__version__}\n"

@@ -25,8 +25,11 @@ def told(path, *options):
     """What `info` prints, and the command that goes on."""
     done = CliRunner().invoke(app, ["info", str(path), *options])
     assert done.exit_code == 0, done.output
-    steps = [line.removeprefix("next: ").partition("  (")[0]
-             for line in done.stdout.splitlines() if line.startswith("next: ")]  # fmt: skip
+    steps = [
+        line.removeprefix("next: ").partition("  (")[0]
+        for line in done.stdout.splitlines()
+        if line.startswith("next: ")
+    ]
     return done.stdout, steps
 
 
@@ -44,8 +47,10 @@ def run(step, folder):
 def carmen(folder, stamps):
     """A log whose messages have these times [s]."""
     ranges = " ".join(f"{3 + 0.01 * beam:.2f}" for beam in range(90))
-    lines = [f"FLASER 90 {ranges} {k * 0.1} 0 0 {k * 0.1} 0 0 {stamp} robot {stamp}"
-             for k, stamp in enumerate(stamps)]  # fmt: skip
+    lines = [
+        f"FLASER 90 {ranges} {k * 0.1} 0 0 {k * 0.1} 0 0 {stamp} robot {stamp}"
+        for k, stamp in enumerate(stamps)
+    ]
     path = folder / "a.clf"
     path.write_text("\n".join(lines) + "\n")
     return path
@@ -65,8 +70,10 @@ def bag(folder, stamps):
     ros = Ros(2)
     rows = np.zeros(30, np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")]))
     rows["x"] = np.arange(1, 31)
-    items = [("/points", BASE_NS + k * STEP_NS, ros.cloud(rows, stamp, "lidar"))
-             for k, stamp in enumerate(stamps)]  # fmt: skip
+    items = [
+        ("/points", BASE_NS + k * STEP_NS, ros.cloud(rows, stamp, "lidar"))
+        for k, stamp in enumerate(stamps)
+    ]
     return ros.write(folder / "bag", items, "sqlite3")
 
 

@@ -48,8 +48,12 @@ def without(made):
     scan, is_it = made.scan, made.label == len(STREET)
     if made.scan.points.ndim == 2 and not (made.label == -1).any():
         left = ~is_it
-        return replace(scan, points=scan.points[left], point_time_ns=scan.point_time_ns[left],
-                       ring=None if scan.ring is None else scan.ring[left])  # fmt: skip
+        return replace(
+            scan,
+            points=scan.points[left],
+            point_time_ns=scan.point_time_ns[left],
+            ring=None if scan.ring is None else scan.ring[left],
+        )
     points = scan.points.copy()
     points.reshape(-1, 3)[is_it] = np.nan if points.ndim == 3 else 0
     return replace(scan, points=points)
@@ -61,9 +65,16 @@ def put_back(made, shape, flight, pattern, *, deskewed=False):
         for one in made
     ]
     return sim.with_moving_target(
-        posed, SHAPES[shape], FLIGHTS[flight], seed=1, pattern=pattern, deskewed=deskewed,
-        range_max=100.0, range_std=0.02, seconds=2.0,
-    )  # fmt: skip
+        posed,
+        SHAPES[shape],
+        FLIGHTS[flight],
+        seed=1,
+        pattern=pattern,
+        deskewed=deskewed,
+        range_max=100.0,
+        range_std=0.02,
+        seconds=2.0,
+    )
 
 
 def deskew(made):
@@ -79,13 +90,18 @@ def deskew(made):
 @pytest.mark.parametrize(
     ("preset", "shape", "flight"),
     [
-        ("vlp-16", "sphere", "sky"), ("vlp-16", "hexacopter", "house"),
-        ("hdl-32e", "hexacopter", "sky"), ("hdl-32e", "quadcopter", "house"),
-        ("xt32", "quadcopter", "sky"), ("xt32", "sphere", "house"),
-        ("os1-64", "hexacopter", "sky"), ("os1-64", "quadcopter", "house"),
-        ("livox-mid360", "sphere", "sky"), ("livox-mid360", "hexacopter", "house"),
+        ("vlp-16", "sphere", "sky"),
+        ("vlp-16", "hexacopter", "house"),
+        ("hdl-32e", "hexacopter", "sky"),
+        ("hdl-32e", "quadcopter", "house"),
+        ("xt32", "quadcopter", "sky"),
+        ("xt32", "sphere", "house"),
+        ("os1-64", "hexacopter", "sky"),
+        ("os1-64", "quadcopter", "house"),
+        ("livox-mid360", "sphere", "sky"),
+        ("livox-mid360", "hexacopter", "house"),
     ],
-)  # fmt: skip
+)
 def test_what_is_put_back_has_as_many_returns_as_what_was_taken_out(preset, shape, flight):
     check(preset, shape, flight)
 
@@ -111,9 +127,10 @@ def check(preset, shape, flight, *, deskewed=False, **changes):
     made = list(sim.simulate(world, seed=3))
     dropped = world.lidar.delivery == "dropped" and world.lidar.pattern.kind == "rosette"
     pattern = (
-        sim.RayPattern.of_model(world.lidar) if dropped
+        sim.RayPattern.of_model(world.lidar)
+        if dropped
         else sim.RayPattern.of_scans([without(one) for one in made])
-    )  # fmt: skip
+    )
     back = list(put_back(made, shape, flight, pattern, deskewed=deskewed))
     truly = sum(int(one.truth.hits[0]) for one in made)
     again = sum(int(one.truth.hits[0]) for one in back)
@@ -166,9 +183,14 @@ def test_a_real_thing_that_is_put_back_has_as_many_returns(name, outdoor):
         points = np.where(gone[:, None], np.float32(np.nan), scan.points)
         bare = replace(scan, points=points, no_return=scan.no_return | gone)
         _, is_hit = sim.insert_target(
-            bare, (0, 0, 0), shape=shape, range_max=150.0, range_std=0.02, pattern=pattern,
+            bare,
+            (0, 0, 0),
+            shape=shape,
+            range_max=150.0,
+            range_std=0.02,
+            pattern=pattern,
             rng=np.random.default_rng(number),
-        )  # fmt: skip
+        )
         truly += gone.sum()
         again += is_hit.sum()
     assert truly > 500
@@ -192,8 +214,12 @@ def street(**changes):
 
 
 def put(scan, **changes):
-    settings = {"shape": sim.Sphere(radius=0.5), "range_max": 100.0, "range_std": 0.0,
-                "rng": np.random.default_rng(0)} | changes  # fmt: skip
+    settings = {
+        "shape": sim.Sphere(radius=0.5),
+        "range_max": 100.0,
+        "range_std": 0.0,
+        "rng": np.random.default_rng(0),
+    } | changes
     return sim.insert_target(scan, (6.0, 0.0, 1.0), **settings)
 
 
@@ -222,8 +248,14 @@ def test_rows_of_what_it_hides_are_dropped_and_rows_before_it_stay():
     near, hit = put(scan, range_min=8.0)
     assert hit.sum() == 0
     assert len(near.points) == len(scan.points) - is_hit.sum()
-    hidden = sim.insert_target(scan, (30.0, 0.0, 1.0), radius=0.5, range_max=100.0, range_std=0.0,
-                               rng=np.random.default_rng(0))  # fmt: skip
+    hidden = sim.insert_target(
+        scan,
+        (30.0, 0.0, 1.0),
+        radius=0.5,
+        range_max=100.0,
+        range_std=0.0,
+        rng=np.random.default_rng(0),
+    )
     assert hidden[1].sum() == 0
 
 
@@ -248,8 +280,11 @@ def test_several_returns_of_a_ray_become_one_and_nearer_ones_stay():
 def test_meshes_come_as_arrays_as_shapes_or_from_trimesh():
     scan = street()
     vertices, faces = sim.sphere_mesh(0.5, rings=24, sectors=48)
-    ways = [(vertices, faces), trimesh.Trimesh(vertices, faces),
-            sim.Mesh(vertices=vertices.tolist(), faces=faces.tolist())]  # fmt: skip
+    ways = [
+        (vertices, faces),
+        trimesh.Trimesh(vertices, faces),
+        sim.Mesh(vertices=vertices.tolist(), faces=faces.tolist()),
+    ]
     masks = [put(scan, shape=shape)[1] for shape in ways]
     assert masks[0].sum() > 20
     for mask in masks[1:]:
@@ -282,8 +317,11 @@ def test_single_poses_are_joined_to_a_way_and_a_target_can_keep_up():
     posed = [PosedScan(without(one), one.world_from_lidar) for one in made]
     escort = sim.Hover(position=(-5.0, 0.0, 1.0))
     pattern = sim.RayPattern.of_scans([one.scan for one in posed])
-    found = list(sim.with_moving_target(posed, SHAPES["sphere"], escort, seed=0, follows=True,
-                                        pattern=pattern, range_std=0.0))  # fmt: skip
+    found = list(
+        sim.with_moving_target(
+            posed, SHAPES["sphere"], escort, seed=0, follows=True, pattern=pattern, range_std=0.0
+        )
+    )
     for one, other in zip(found, made, strict=True):
         expected = other.world_from_lidar[:3, 3] + [-5.0, 0.0, 1.0]
         np.testing.assert_allclose(one.truth.position[0], expected, atol=1e-9)
@@ -291,7 +329,10 @@ def test_single_poses_are_joined_to_a_way_and_a_target_can_keep_up():
         away = np.linalg.norm(one.scan.points[one.label == 1] - [-5.0, 0.0, 1.0], axis=1)
         np.testing.assert_allclose(away, 0.325, atol=1e-5)
     np.testing.assert_allclose(found[3].truth.velocity[0], [0.0, 2.0, 0.0], atol=1e-6)
-    again = list(sim.with_moving_target(posed, SHAPES["sphere"], escort, seed=0, follows=True,
-                                        pattern=pattern, range_std=0.0))  # fmt: skip
+    again = list(
+        sim.with_moving_target(
+            posed, SHAPES["sphere"], escort, seed=0, follows=True, pattern=pattern, range_std=0.0
+        )
+    )
     for one, other in zip(found, again, strict=True):
         np.testing.assert_array_equal(one.scan.points, other.scan.points)

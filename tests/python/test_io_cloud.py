@@ -12,8 +12,16 @@ from lidar_core.io.cloud import CloudDecoder, Field, Layout, unpack
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import Findings
 
-STRUCT_CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I",
-                "f4": "f", "f8": "d"}  # fmt: skip
+STRUCT_CODES = {
+    "i1": "b",
+    "u1": "B",
+    "i2": "h",
+    "u2": "H",
+    "i4": "i",
+    "u4": "I",
+    "f4": "f",
+    "f8": "d",
+}
 BASE_NS = 1_700_000_000_000_000_000
 
 

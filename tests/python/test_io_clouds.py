@@ -18,8 +18,9 @@ from lidar_core.cli import app
 from lidar_core.errors import ConfigError, FormatError, InputError, LimitError
 from lidar_core.messages import Pose, Scan
 
-POINTS = hnp.arrays(np.float64, st.tuples(st.integers(1, 60), st.just(3)),
-                    elements=st.floats(-900, 900))  # fmt: skip
+POINTS = hnp.arrays(
+    np.float64, st.tuples(st.integers(1, 60), st.just(3)), elements=st.floats(-900, 900)
+)
 
 
 def keys_of(points, resolution):
@@ -75,14 +76,20 @@ def test_a_leaf_above_the_lowest_level_stands_for_all_below(tmp_path):
         (b"# Octomap OcTree binary file\nid ColorOcTree\nres 1\ndata\n", "expected a binary"),
         (b"# Octomap OcTree binary file\nid OcTree\nres nan\ndata\n", "resolution of nan m"),
         (b"# Octomap OcTree binary file\nid OcTree\nres x\ndata\n", "cannot be read"),
-        (b"# Octomap OcTree binary file\nid OcTree\nres 1\ndata\n\x03\x00",
-         "ends early, at node 1"),
-        (b"# Octomap OcTree binary file\nid OcTree\nres 1\ndata\n" + b"\x03\x00" * 17,
-         "deeper than 16 levels"),
-        (b"# Octomap OcTree binary file\nid OcTree\nres 1\ndata\n\x02\x00\x02\x00",
-         "1 nodes belong to no tree"),
+        (
+            b"# Octomap OcTree binary file\nid OcTree\nres 1\ndata\n\x03\x00",
+            "ends early, at node 1",
+        ),
+        (
+            b"# Octomap OcTree binary file\nid OcTree\nres 1\ndata\n" + b"\x03\x00" * 17,
+            "deeper than 16 levels",
+        ),
+        (
+            b"# Octomap OcTree binary file\nid OcTree\nres 1\ndata\n\x02\x00\x02\x00",
+            "1 nodes belong to no tree",
+        ),
     ],
-)  # fmt: skip
+)
 def test_broken_trees_are_refused(tmp_path, data, text):
     (tmp_path / "a.bt").write_bytes(data)
     with pytest.raises(FormatError, match=text):
@@ -168,13 +175,25 @@ def test_a_map_becomes_known_to_the_detector(tmp_path):
     """A wall as OctoMap's file: the detector takes its voxels for occupied for good."""
     wall = np.stack(np.meshgrid([5.0], np.arange(-3, 3, 0.1), np.arange(0, 3, 0.1)), -1)
     lc.io.write_cloud(tmp_path / "wall.bt", wall.reshape(-1, 3), resolution=0.1)
-    assert CliRunner().invoke(
-        app, ["simulate", "demo", "-o", str(tmp_path / "r.npz"), "--scans", "1"]
-    ).exit_code == 0  # fmt: skip
+    assert (
+        CliRunner()
+        .invoke(app, ["simulate", "demo", "-o", str(tmp_path / "r.npz"), "--scans", "1"])
+        .exit_code
+        == 0
+    )
     done = CliRunner().invoke(
-        app, ["detect", str(tmp_path / "r.npz"), "-o", str(tmp_path / "run"), "--map",
-              str(tmp_path / "wall.bt"), "--no-picture", "--no-mcap"]
-    )  # fmt: skip
+        app,
+        [
+            "detect",
+            str(tmp_path / "r.npz"),
+            "-o",
+            str(tmp_path / "run"),
+            "--map",
+            str(tmp_path / "wall.bt"),
+            "--no-picture",
+            "--no-mcap",
+        ],
+    )
     assert done.exit_code == 0, done.output
     known = lc.VoxelMap.load(tmp_path / "run" / "map.lcvm")
     centres = wall.reshape(-1, 3) + np.array([0.05, 0, 0.05])
@@ -210,9 +229,14 @@ def test_what_cannot_be_written_or_read_is_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "cure"),
-    [("a.bt", "detect --map"), ("metadata.yaml", "open the folder"), ("a.txt", "--pose"),
-     ("a.mat", "save its tables as CSV"), ("a.csv", "lidar-core fuse")],
-)  # fmt: skip
+    [
+        ("a.bt", "detect --map"),
+        ("metadata.yaml", "open the folder"),
+        ("a.txt", "--pose"),
+        ("a.mat", "save its tables as CSV"),
+        ("a.csv", "lidar-core fuse"),
+    ],
+)
 def test_files_that_are_no_recordings_are_told_apart(tmp_path, name, cure):
     (tmp_path / name).write_bytes(b"x")
     with pytest.raises(FormatError, match=cure):

@@ -109,8 +109,10 @@ def test_ros_tools_read_what_is_written(tmp_path, name):
     lc.io.write_ros(tmp_path / name, items)
     with AnyReader([tmp_path / name]) as reader:
         types = {item.topic: item.msgtype for item in reader.connections}
-        stored = [(item.topic, time, reader.deserialize(raw, item.msgtype))
-                  for item, time, raw in reader.messages()]  # fmt: skip
+        stored = [
+            (item.topic, time, reader.deserialize(raw, item.msgtype))
+            for item, time, raw in reader.messages()
+        ]
     assert types == {
         "/tf_static": "tf2_msgs/msg/TFMessage",
         "/tf": "tf2_msgs/msg/TFMessage",
@@ -118,9 +120,7 @@ def test_ros_tools_read_what_is_written(tmp_path, name):
         "/scan": "sensor_msgs/msg/LaserScan",
         "/odom": "nav_msgs/msg/Odometry",
     }
-    assert [time for _, time, _ in stored] == [
-        BASE_NS, *(item.stamp_ns for item in items[1:])
-    ]  # fmt: skip
+    assert [time for _, time, _ in stored] == [BASE_NS, *(item.stamp_ns for item in items[1:])]
     cloud = next(message for topic, _, message in stored if topic == "/points")
     assert (cloud.height, cloud.width, cloud.is_dense) == (4, 6, False)
     assert cloud.header.frame_id == "os_sensor"
@@ -193,8 +193,9 @@ def source(tmp_path):
 
 def test_the_command_converts_a_span_of_some_topics(source, tmp_path):
     output = tmp_path / "out.bag"
-    told = convert(source, output, "--topic", "/points", "--start", 0.1, "--end", 0.2, "--json",
-                   "-")  # fmt: skip
+    told = convert(
+        source, output, "--topic", "/points", "--start", 0.1, "--end", 0.2, "--json", "-"
+    )
     assert told.exit_code == 0, told.output
     result = json.loads(told.stdout)
     assert result["written"] == {"/tf_static": 1, "/odom": 1, "/points": 1}

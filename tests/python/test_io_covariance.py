@@ -21,13 +21,20 @@ def test_a_matrix_comes_back_from_its_columns(size, rows, seed):
 
 def test_titles_name_the_pairs_row_by_row():
     assert covariance_titles("xyz") == [
-        "cov_x_x", "cov_x_y", "cov_x_z", "cov_y_y", "cov_y_z", "cov_z_z",
-    ]  # fmt: skip
+        "cov_x_x",
+        "cov_x_y",
+        "cov_x_z",
+        "cov_y_y",
+        "cov_y_z",
+        "cov_z_z",
+    ]
 
 
 def test_columns_of_the_first_states_alone():
     matrix = np.arange(9.0).reshape(1, 3, 3)
     columns = covariance_columns(("x", "y"), matrix)
     assert {title: values.tolist() for title, values in columns.items()} == {
-        "cov_x_x": [0.0], "cov_x_y": [1.0], "cov_y_y": [4.0],
-    }  # fmt: skip
+        "cov_x_x": [0.0],
+        "cov_x_y": [1.0],
+        "cov_y_y": [4.0],
+    }

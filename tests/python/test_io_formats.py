@@ -368,8 +368,11 @@ def split_and_packed(folder, storage, *, checksum=False):
     for part in range(2):
         plain = folder.parent / f"plain_{part}"
         stamps = [BASE_NS + (2 * part + k) * 10**8 for k in range(2)]
-        ros.write(plain, [("/points", s, ros.cloud(np.zeros(900, CLOUD), s, "os")) for s in stamps],
-                  storage)  # fmt: skip
+        ros.write(
+            plain,
+            [("/points", s, ros.cloud(np.zeros(900, CLOUD), s, "os")) for s in stamps],
+            storage,
+        )
         (file,) = plain.glob(f"*.{ending}")
         packed = zstandard.ZstdCompressor(write_checksum=checksum).compress(file.read_bytes())
         (folder / f"b_{part}.{ending}.zstd").write_bytes(packed)
@@ -599,9 +602,17 @@ def test_truncated_pcd_is_refused(tmp_path, encoding):
 
 def pcd_header(**changes):
     lines = {
-        "VERSION": "0.7", "FIELDS": "x y z", "SIZE": "4 4 4", "TYPE": "F F F", "COUNT": "1 1 1",
-        "WIDTH": "2", "HEIGHT": "1", "VIEWPOINT": "0 0 0 1 0 0 0", "POINTS": "2", "DATA": "binary",
-    }  # fmt: skip
+        "VERSION": "0.7",
+        "FIELDS": "x y z",
+        "SIZE": "4 4 4",
+        "TYPE": "F F F",
+        "COUNT": "1 1 1",
+        "WIDTH": "2",
+        "HEIGHT": "1",
+        "VIEWPOINT": "0 0 0 1 0 0 0",
+        "POINTS": "2",
+        "DATA": "binary",
+    }
     return "".join(f"{k} {v}\n" for k, v in (lines | changes).items()).encode() + bytes(24)
 
 

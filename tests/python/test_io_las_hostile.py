@@ -50,8 +50,17 @@ def mutant(data, rng):
     """One of many ways to break a file: sizes, counts, offsets, bytes, cuts."""
     interesting = [0, 1, 255, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 2, 2**32 - 1]
     points_at = struct.unpack_from("<I", data, 96)[0]
-    fields = [(94, "<H"), (96, "<I"), (100, "<I"), (104, "<B"), (105, "<H"), (107, "<I"),
-              (points_at, "<q"), (len(data) - 8, "<I"), (len(data) - 12, "<I")]  # fmt: skip
+    fields = [
+        (94, "<H"),
+        (96, "<I"),
+        (100, "<I"),
+        (104, "<B"),
+        (105, "<H"),
+        (107, "<I"),
+        (points_at, "<q"),
+        (len(data) - 8, "<I"),
+        (len(data) - 12, "<I"),
+    ]
     if b"laszip encoded" in data:
         record = laszip_at(data)
         fields += [(record + at, "<I") for at in (0, 4, 12, 16, 32, 34, 36, 38, 42)]
@@ -117,8 +126,11 @@ def test_mutated_las_and_laz_files_end_in_typed_errors_or_are_read(tmp_path):
                 (folder / name).write_bytes(mutant(data, rng))
     done = subprocess.run(
         [sys.executable, "-c", CHILD, str(folder), str(BUDGET)],
-        capture_output=True, text=True, timeout=280, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
+    )
     lines = done.stdout.splitlines()
     assert done.returncode == 0, (done.returncode, lines[-1:], done.stderr[-500:])
     told = [json.loads(line) for line in lines if line.startswith("[")]
@@ -136,8 +148,9 @@ def test_las_and_laz_of_every_kind_are_read_as_before(tmp_path, point_format, co
     """Several chunks, extra bytes, one point: the same numbers as laspy gives."""
     for suffix in (".las", ".laz"):
         path = tmp_path / f"a{suffix}"
-        points = las_file(path, version=FORMATS[point_format], point_format=point_format,
-                          count=count, extra=extra)  # fmt: skip
+        points = las_file(
+            path, version=FORMATS[point_format], point_format=point_format, count=count, extra=extra
+        )
         places, intensity = read_las(path, ReadOptions())
         cloud = laspy.read(path)
         np.testing.assert_array_equal(places, np.stack([cloud.x, cloud.y, cloud.z], axis=1))
@@ -190,8 +203,11 @@ def test_a_laz_file_states_why_it_is_refused(tmp_path):
 
     refused(changed(good, 247, "<Q", promised), LimitError, f"{promised} points .* are promised by")
     refused(changed(good, 247, "<Q", 2**60), LimitError, "max_points")
-    refused(changed(good, points_at + 8 + 30 + 4, "<I", 2**32 - 1), FormatError,
-            "layers of the chunk at byte .* follow")  # fmt: skip
+    refused(
+        changed(good, points_at + 8 + 30 + 4, "<I", 2**32 - 1),
+        FormatError,
+        "layers of the chunk at byte .* follow",
+    )
     refused(changed(good, record + 32, "<H", 60_000), FormatError, "compressed parts")
     refused(changed(good, record + 12, "<I", 1), FormatError, "compressed data ends early")
     refused(good[: points_at + 60], FormatError, "table of chunks at byte")

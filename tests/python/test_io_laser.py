@@ -179,8 +179,9 @@ def ros_scan(ros, scan, kind="LaserScan"):
 @pytest.mark.parametrize("kind", ["LaserScan", "MultiEchoLaserScan"])
 def test_ros_scans(tmp_path, version, storage, kind):
     ros = Ros(version)
-    given_scan = sweep([1, 0, 3], time_increment_ns=10**7, range_min=0.125, angle_min=-0.5,
-                       angle_increment=0.25)  # exact in float32  # fmt: skip
+    given_scan = sweep(
+        [1, 0, 3], time_increment_ns=10**7, range_min=0.125, angle_min=-0.5, angle_increment=0.25
+    )  # exact in float32
     path = ros.write(
         tmp_path / ("a.bag" if version == 1 else "a"),
         [("/scan", BASE_NS, ros_scan(ros, given_scan, kind))],
@@ -189,8 +190,16 @@ def test_ros_scans(tmp_path, version, storage, kind):
     with lc.io.open_recording(path) as recording:
         (scan,) = recording
         info = recording.info()
-    assert_same_sweep(scan, sweep([1, INF, 3], time_increment_ns=10**7, range_min=0.125,
-                                  angle_min=-0.5, angle_increment=0.25))  # fmt: skip
+    assert_same_sweep(
+        scan,
+        sweep(
+            [1, INF, 3],
+            time_increment_ns=10**7,
+            range_min=0.125,
+            angle_min=-0.5,
+            angle_increment=0.25,
+        ),
+    )
     (topic,) = info.topics
     assert (topic.kind, topic.rays, topic.points) == ("planar", 3, 2)
     assert info.no_return == {"/scan": "zero: 1 of 3 ranges of a scan are zero"}
@@ -439,8 +448,9 @@ def test_a_mounting_also_holds_for_standing_sensors_and_poses_files(tmp_path):
     np.testing.assert_allclose(items[0].world_from_lidar[0, 3], 0.5 + 0.123456789)
 
 
-@pytest.mark.parametrize("text", ["", "body laser 1 2 3", "body laser 1 2 3 4 5 x",
-                                  "body laser 1 2 3 4 5 nan"])  # fmt: skip
+@pytest.mark.parametrize(
+    "text", ["", "body laser 1 2 3", "body laser 1 2 3 4 5 x", "body laser 1 2 3 4 5 nan"]
+)
 def test_mountings_that_cannot_be_read(text):
     with pytest.raises(ConfigError, match="mounting"):
         lc.io.PoseOptions(mounting=[text])
@@ -513,8 +523,9 @@ def test_every_file_of_2d_opens_or_is_refused_in_words(recordings):
 
 
 def test_a_moving_sensor_with_motion_capture(recordings):
-    items, scans = posed(recordings / "2d/datmo/parallel.bag",
-                         mounting=["ego_pose laser -0.12 0 0 0 0 0"])  # fmt: skip
+    items, scans = posed(
+        recordings / "2d/datmo/parallel.bag", mounting=["ego_pose laser -0.12 0 0 0 0 0"]
+    )
     assert scans.fixed_frame == "map"
     assert 200 <= len(items) <= 219
     moved = np.ptp([item.world_from_lidar[:2, 3] for item in items], axis=0)
@@ -522,11 +533,17 @@ def test_a_moving_sensor_with_motion_capture(recordings):
 
 
 def test_two_scanners_of_one_robot(recordings):
-    mounting = ["robot front_scanner 0.23565 -0.0005 0.06795 0 0 0",
-                "robot rear_scanner -0.23832 0.00542 0.09888 0 0 3.141592"]  # fmt: skip
+    mounting = [
+        "robot front_scanner 0.23565 -0.0005 0.06795 0 0 0",
+        "robot rear_scanner -0.23832 0.00542 0.09888 0 0 3.141592",
+    ]
     sums = {}
     for topic in ("/front_scan", "/rear_scan"):
-        items, _ = posed(recordings / "2d/obstacle_detector/scans_demo.bag", cloud=topic,
-                         pose="static", mounting=mounting)  # fmt: skip
+        items, _ = posed(
+            recordings / "2d/obstacle_detector/scans_demo.bag",
+            cloud=topic,
+            pose="static",
+            mounting=mounting,
+        )
         sums[topic] = items[0].world_from_lidar[0, 3]
     assert sums == {"/front_scan": 0.23565, "/rear_scan": -0.23832}

@@ -44,10 +44,14 @@ def message_of(ros, package, count, *, seed=SEED, frame_id="livox_frame", stamp_
     rng = np.random.default_rng(seed)
     make = ros.types[f"{package}/msg/CustomPoint"]
     points = [
-        make(5000 * k, *rng.normal(size=3).astype(np.float32).tolist(),
-             *rng.integers(0, 256, 2).tolist(), k % 4)
+        make(
+            5000 * k,
+            *rng.normal(size=3).astype(np.float32).tolist(),
+            *rng.integers(0, 256, 2).tolist(),
+            k % 4,
+        )
         for k in range(count)
-    ]  # fmt: skip
+    ]
     return ros.types[f"{package}/msg/CustomMsg"](
         ros.header(stamp_ns, frame_id), stamp_ns, count, 3, np.zeros(3, np.uint8), points
     )

@@ -21,9 +21,15 @@ ROOT = Path(__file__).parents[2]
 BASE_NS = 1_700_000_000_000_000_000
 FRAMES = [[3, 8], [], [8]]
 NUSCENES_BOX = {
-    "sample_token": str, "translation": list, "size": list, "rotation": list, "velocity": list,
-    "tracking_id": str, "tracking_name": str, "tracking_score": float,
-}  # fmt: skip
+    "sample_token": str,
+    "translation": list,
+    "size": list,
+    "rotation": list,
+    "velocity": list,
+    "tracking_id": str,
+    "tracking_name": str,
+    "tracking_score": float,
+}
 """Fields of a box of nuScenes' tracking challenge."""
 
 
@@ -44,8 +50,10 @@ def objects(numbers, *, are_circles=False):
 
 @pytest.fixture(params=[False, True], ids=["boxes", "circles"])
 def steps(request):
-    return [(BASE_NS + k * 10**8, objects(numbers, are_circles=request.param))
-            for k, numbers in enumerate(FRAMES)]  # fmt: skip
+    return [
+        (BASE_NS + k * 10**8, objects(numbers, are_circles=request.param))
+        for k, numbers in enumerate(FRAMES)
+    ]
 
 
 def test_nuscenes_results_have_a_sample_per_time_and_all_fields(tmp_path, steps):
@@ -53,9 +61,12 @@ def test_nuscenes_results_have_a_sample_per_time_and_all_fields(tmp_path, steps)
     write_nuscenes(path, steps, name="pedestrian", sensors=("lidar", "radar"))
     read = json.loads(path.read_text())
     assert read["meta"] == {
-        "use_camera": False, "use_lidar": True, "use_radar": True, "use_map": False,
+        "use_camera": False,
+        "use_lidar": True,
+        "use_radar": True,
+        "use_map": False,
         "use_external": False,
-    }  # fmt: skip
+    }
     assert list(read["results"]) == [str(stamp) for stamp, _ in steps]
     for stamp, found in steps:
         boxes = read["results"][str(stamp)]
@@ -203,8 +214,10 @@ def run(tmp_path):
 def test_the_times_without_objects_are_there(run):
     played = Playback(run)
     assert [(stamp, found.id.tolist()) for stamp, found in played.steps()] == [
-        (100, [7]), (200, []), (300, [7]),
-    ]  # fmt: skip
+        (100, [7]),
+        (200, []),
+        (300, [7]),
+    ]
     assert played.frame_id == "odom"
 
 
@@ -255,8 +268,9 @@ def test_walls_of_a_map_of_circles_become_segments(tmp_path):
     assert len(second.segments) == 0
 
 
-@pytest.mark.parametrize("option", ["--topic", "--start", "--end", "--point-time", "--metadata",
-                                    "--resolution"])  # fmt: skip
+@pytest.mark.parametrize(
+    "option", ["--topic", "--start", "--end", "--point-time", "--metadata", "--resolution"]
+)
 def test_options_that_say_nothing_about_a_run_are_refused(run, tmp_path, option):
     out = CliRunner().invoke(app, ["convert", str(run), str(tmp_path / "r.json"), option, "1"])
     assert isinstance(out.exception, ConfigError)

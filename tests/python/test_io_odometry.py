@@ -189,8 +189,10 @@ def test_lost_scans_are_left_out_told_and_the_way_is_found_again(flights):
 def test_after_ten_lost_scans_kiss_begins_anew(flights):
     items, _ = flights[SEEDS[0]]
     first = [without_time(item.scan) for item in items[:2]]
-    lost = [replace(noise(first[1], 1), stamp_ns=first[1].stamp_ns + (k + 1) * 10**8)
-            for k in range(LOST_IN_A_ROW + 2)]  # fmt: skip
+    lost = [
+        replace(noise(first[1], 1), stamp_ns=first[1].stamp_ns + (k + 1) * 10**8)
+        for k in range(LOST_IN_A_ROW + 2)
+    ]
     odometry = KissOdometry()
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
@@ -237,8 +239,19 @@ def test_detect_with_pose_kiss(tmp_path, flights, monkeypatch):
         return process(self, points, pose, stamp, **options)
 
     monkeypatch.setattr(FlyingObjectDetector, "process", watched)
-    done = CliRunner().invoke(app, ["detect", str(tmp_path / "r.npz"), "-o", str(tmp_path / "run"),
-                                    "--pose", "kiss", "--no-picture", "--no-mcap"])  # fmt: skip
+    done = CliRunner().invoke(
+        app,
+        [
+            "detect",
+            str(tmp_path / "r.npz"),
+            "-o",
+            str(tmp_path / "run"),
+            "--pose",
+            "kiss",
+            "--no-picture",
+            "--no-mcap",
+        ],
+    )
     assert done.exit_code == 0, done.output
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert summary["poses"].startswith("KISS-ICP")

@@ -152,7 +152,9 @@ def test_the_command_shows_a_capture(ouster_python, recordings):
     file = recordings / "3d/ouster/OS-2-128-U1_v2.3.0_1024x10.pcap"
     done = subprocess.run(
         [ouster_python, "-c", COMMAND, "info", file, "--json"],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     (topic,) = json.loads(done.stdout)["topics"]
     assert (topic["rays"], topic["points"]) == (131_072, 119_682)

@@ -41,8 +41,9 @@ def interface(order="<", resolution=None, offset=None):
 
 
 def packet(ticks, data, order="<", number=0):
-    head = struct.pack(f"{order}IIIII", number, ticks >> 32, ticks & 0xFFFFFFFF, len(data),
-                       len(data))  # fmt: skip
+    head = struct.pack(
+        f"{order}IIIII", number, ticks >> 32, ticks & 0xFFFFFFFF, len(data), len(data)
+    )
     return block(6, head + data, order)
 
 
@@ -55,10 +56,16 @@ def test_a_capture_of_wireshark_gives_the_scans_of_its_pcap(
         stored = list(dpkt.pcap.Reader(file))
     ticks = 10 ** (MICRO if resolution is None else resolution)
     path = tmp_path / name
-    path.write_bytes(b"".join([
-        section(order), interface(order, resolution), block(5, bytes(12), order),
-        *(packet(round(stamp * ticks), data, order) for stamp, data in stored),
-    ]))  # fmt: skip
+    path.write_bytes(
+        b"".join(
+            [
+                section(order),
+                interface(order, resolution),
+                block(5, bytes(12), order),
+                *(packet(round(stamp * ticks), data, order) for stamp, data in stored),
+            ]
+        )
+    )
     with lc.io.open_recording(recordings / CAPTURE) as expected, lc.io.open_recording(path) as got:
         assert got.format == "Velodyne pcap"
         pairs = list(zip(expected, got, strict=True))
@@ -74,9 +81,11 @@ def test_a_capture_of_wireshark_gives_the_scans_of_its_pcap(
 @given(st.lists(st.integers(0, 2**40), max_size=5), st.sampled_from(["<", ">"]))
 def test_dpkt_reads_the_same(tmp_path_factory, ticks, order):
     path = tmp_path_factory.mktemp("a") / "a.pcapng"
-    path.write_bytes(section(order) + interface(order, NANO) + b"".join(
-        packet(tick, bytes(k), order) for k, tick in enumerate(ticks)
-    ))  # fmt: skip
+    path.write_bytes(
+        section(order)
+        + interface(order, NANO)
+        + b"".join(packet(tick, bytes(k), order) for k, tick in enumerate(ticks))
+    )
     got = list(packets(path))
     with path.open("rb") as file:
         expected = list(dpkt.pcapng.Reader(file))
@@ -89,14 +98,25 @@ def test_dpkt_reads_the_same(tmp_path_factory, ticks, order):
 
 def test_every_interface_has_its_own_clock_and_sections_begin_anew(tmp_path):
     path = tmp_path / "a.pcapng"
-    path.write_bytes(b"".join([
-        section("<"), interface("<"), interface("<", BINARY, offset=-5),
-        packet(BASE_NS // 1000, b"a"), packet(7 << 20 | 1 << 19, b"b", number=1),
-        section(">"), interface(">", NANO), packet(BASE_NS, b"c", ">"),
-    ]))  # fmt: skip
+    path.write_bytes(
+        b"".join(
+            [
+                section("<"),
+                interface("<"),
+                interface("<", BINARY, offset=-5),
+                packet(BASE_NS // 1000, b"a"),
+                packet(7 << 20 | 1 << 19, b"b", number=1),
+                section(">"),
+                interface(">", NANO),
+                packet(BASE_NS, b"c", ">"),
+            ]
+        )
+    )
     assert list(packets(path)) == [
-        (BASE_NS, b"a"), (2_500_000_000, b"b"), (BASE_NS, b"c"),
-    ]  # fmt: skip
+        (BASE_NS, b"a"),
+        (2_500_000_000, b"b"),
+        (BASE_NS, b"c"),
+    ]
 
 
 def test_every_cut_is_refused_and_flipped_bytes_raise_nothing_else(tmp_path):

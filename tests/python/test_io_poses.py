@@ -221,8 +221,14 @@ def test_missing_poses_say_what_was_found_and_what_helps(tmp_path):
     with pytest.raises(FormatError) as caught:
         posed(path)
     text = str(caught.value)
-    for part in (str(path), "no pose for frame 'lidar' of topic '/points'", "odom -> base",
-                 "odometry topics: /odom", "--fixed-frame", "--pose static"):  # fmt: skip
+    for part in (
+        str(path),
+        "no pose for frame 'lidar' of topic '/points'",
+        "odom -> base",
+        "odometry topics: /odom",
+        "--fixed-frame",
+        "--pose static",
+    ):
         assert part in text
 
 

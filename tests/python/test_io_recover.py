@@ -105,9 +105,9 @@ def test_a_broken_chunk_is_left_out_and_the_others_are_read(whole, messages, tmp
     stamps = [item.stamp_ns for item in messages if isinstance(item, Scan)]
     kept = [item for item in found if isinstance(item, Scan)]
     for scan in kept:
-        assert_same_scan(scan, [m for m in messages if isinstance(m, Scan)][
-            stamps.index(scan.stamp_ns)
-        ])  # fmt: skip
+        assert_same_scan(
+            scan, [m for m in messages if isinstance(m, Scan)][stamps.index(scan.stamp_ns)]
+        )
     assert any("broken chunks left out" in note for note in notes)
 
 

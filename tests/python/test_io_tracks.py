@@ -56,8 +56,10 @@ def tracks():
 
 def check_rows(rows, tracks):
     assert [(int(row["t_ns"]), int(row["track_id"])) for row in rows] == [
-        (BASE_NS, 4), (BASE_NS, 9), (BASE_NS + 2 * 10**8, 9),
-    ]  # fmt: skip
+        (BASE_NS, 4),
+        (BASE_NS, 9),
+        (BASE_NS + 2 * 10**8, 9),
+    ]
     for row, (state, k) in zip(rows, [(tracks[0], 0), (tracks[0], 1), (tracks[2], 0)], strict=True):
         assert row["frame_id"] == "map"
         got = [float(row[name]) for name in ("x", "y", "z", "vx", "vy", "vz")]

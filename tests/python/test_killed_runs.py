@@ -38,10 +38,22 @@ def long_recording(tmp_path_factory):
 def killed(recording, folder, *options):
     """Start a run in a process of its own, and kill it at its first file; its number."""
     with subprocess.Popen(
-        [sys.executable, "-m", "lidar_core", "circles", str(recording), "-o", str(folder),
-         "--pose", "static", "--no-picture", *options],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    ) as run:  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "lidar_core",
+            "circles",
+            str(recording),
+            "-o",
+            str(folder),
+            "--pose",
+            "static",
+            "--no-picture",
+            *options,
+        ],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    ) as run:
         end = time.monotonic() + PATIENCE_S
         while not (folder / UNFINISHED).exists() and run.poll() is None and time.monotonic() < end:
             time.sleep(0.002)
@@ -119,10 +131,19 @@ def test_a_run_killed_before_its_first_whole_file_left_an_empty_folder(long_reco
 def test_a_run_that_goes_on_is_left_alone(long_recording, tmp_path):
     folder = tmp_path / "run"
     with subprocess.Popen(
-        [sys.executable, "-m", "lidar_core", "circles", str(long_recording), "-o", str(folder),
-         *QUIET],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    ) as run:  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "lidar_core",
+            "circles",
+            str(long_recording),
+            "-o",
+            str(folder),
+            *QUIET,
+        ],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    ) as run:
         while not (folder / UNFINISHED).exists() and run.poll() is None:
             time.sleep(0.002)
         refused = again(long_recording, folder, "--overwrite")
@@ -176,10 +197,20 @@ def test_the_workers_of_a_killed_batch_end(long_recording, tmp_path):
     jobs.write_text(f'[[jobs]]\nname = "long"\ncommands = ["{command}"]\n')
     results = tmp_path / "results"
     with subprocess.Popen(
-        [sys.executable, "-m", "lidar_core", "batch", str(jobs), "-o", str(results),
-         "--workers", "1"],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    ) as batch:  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "lidar_core",
+            "batch",
+            str(jobs),
+            "-o",
+            str(results),
+            "--workers",
+            "1",
+        ],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    ) as batch:
         end = time.monotonic() + PATIENCE_S
         while not list(results.glob(f"long-*/run/{UNFINISHED}")) and time.monotonic() < end:
             time.sleep(0.01)
@@ -193,13 +224,15 @@ def test_the_workers_of_a_killed_batch_end(long_recording, tmp_path):
 
 
 def children_of(process):
-    listed = subprocess.run(["ps", "-o", "pid=", "--ppid", str(process)], capture_output=True,
-                            text=True, check=False)  # fmt: skip
+    listed = subprocess.run(
+        ["ps", "-o", "pid=", "--ppid", str(process)], capture_output=True, text=True, check=False
+    )
     return [int(word) for word in listed.stdout.split()]
 
 
 def is_there(process):
     """Whether a process is there, and no more than waiting to be collected."""
-    state = subprocess.run(["ps", "-o", "stat=", "-p", str(process)], capture_output=True,
-                           text=True, check=False).stdout.strip()  # fmt: skip
+    state = subprocess.run(
+        ["ps", "-o", "stat=", "-p", str(process)], capture_output=True, text=True, check=False
+    ).stdout.strip()
     return bool(state) and not state.startswith("Z")

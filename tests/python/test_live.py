@@ -221,8 +221,13 @@ class Slow(LivePipeline):
 
 def run_loop(source, pipeline, *, pose="static", **config):
     poses = LivePoses(PoseOptions(pose=pose), LiveConfig(**config))
-    loop = LiveLoop(source, lambda sort: pipeline if sort is LaserScan else None, poses, [],
-                    LiveConfig(**config))  # fmt: skip
+    loop = LiveLoop(
+        source,
+        lambda sort: pipeline if sort is LaserScan else None,
+        poses,
+        [],
+        LiveConfig(**config),
+    )
     loop.run(PATIENCE_S)
     return loop.summary()
 
@@ -351,9 +356,12 @@ def test_objects_become_detections_and_odometry():
     covariance = np.diag([1.0, 2, 3, 4, 5, 6])[None]
     covariance[0, 0, 1] = covariance[0, 1, 0] = 0.5
     objects = lc.viz.Objects(
-        id=np.array([7]), position=np.array([[1.0, 2, 3]]), velocity=np.array([[4.0, 5, 6]]),
-        covariance=covariance[:, :3, :3], size=np.array([[0.1, 0.2, 0.3]]),
-    )  # fmt: skip
+        id=np.array([7]),
+        position=np.array([[1.0, 2, 3]]),
+        velocity=np.array([[4.0, 5, 6]]),
+        covariance=covariance[:, :3, :3],
+        size=np.array([[0.1, 0.2, 0.3]]),
+    )
     messages = RosMessages(2)
     make = ObstacleArrays(messages, frame_id="map", name="flying")
     raw = messages.packed(make.message(DETECTIONS_TYPE, 1_000_000_005, objects))
@@ -425,8 +433,10 @@ def test_flying_objects_go_to_viewers_by_class_and_with_numbers(street, tmp_path
     if len(outputs) == 2:
         done = subprocess.run(
             [sys.executable, "-m", "rerun", "rrd", "verify", tmp_path / "a.rrd"],
-            capture_output=True, text=True, check=False,
-        )  # fmt: skip
+            capture_output=True,
+            text=True,
+            check=False,
+        )
         assert "without error" in done.stdout + done.stderr
 
 
@@ -828,8 +838,14 @@ def free_udp_port():
 
 def test_scans_that_cannot_be_read_are_something_that_came():
     items = [(None, Record(LASER, 0, lambda: []))]
-    loop = LiveLoop(Played(*items), lambda sort: Slow(0), LivePoses(PoseOptions(), LiveConfig()),
-                    [], LiveConfig(), topics=["/scan"])  # fmt: skip
+    loop = LiveLoop(
+        Played(*items),
+        lambda sort: Slow(0),
+        LivePoses(PoseOptions(), LiveConfig()),
+        [],
+        LiveConfig(),
+        topics=["/scan"],
+    )
     assert loop.heard_nothing
     loop.run()
     assert not loop.heard_nothing
@@ -1075,9 +1091,19 @@ def test_packets_of_a_sensor_become_scans(recordings):
 def test_a_replay_is_processed_and_leaves_whole_files(circles, tmp_path):
     file = tmp_path / "out.mcap"
     done = CliRunner().invoke(
-        app, ["live", "--replay", str(circles), "--rate", "0.5", "--out", f"mcap:{file}",
-              "--json", str(tmp_path / "live.json")],
-    )  # fmt: skip
+        app,
+        [
+            "live",
+            "--replay",
+            str(circles),
+            "--rate",
+            "0.5",
+            "--out",
+            f"mcap:{file}",
+            "--json",
+            str(tmp_path / "live.json"),
+        ],
+    )
     assert done.exit_code == 0, done.output
     summary = json.loads((tmp_path / "live.json").read_text())
     assert summary["processed"] + sum(summary["dropped"].values()) == SCANS
@@ -1265,8 +1291,9 @@ def test_a_run_without_its_mcap_keeps_its_tables(circles, tmp_path, monkeypatch)
         raise OSError(f"{folder}/run.mcap: cannot be written: disk full")
 
     monkeypatch.setattr(lc.io.McapWriter, "close", full)
-    done = CliRunner().invoke(app, ["live", "--replay", str(circles), "--rate", "50",
-                                    "-o", str(folder)])  # fmt: skip
+    done = CliRunner().invoke(
+        app, ["live", "--replay", str(circles), "--rate", "50", "-o", str(folder)]
+    )
     assert isinstance(done.exception, OSError)
     assert "run.mcap: cannot be written" in str(done.exception)
     told = json.loads((folder / "summary.json").read_text())

@@ -214,7 +214,10 @@ def test_nothing_is_published_once_ros_has_ended(example):
     output = example["NodeOutput"](node, lambda name: name)
     frame = SimpleNamespace()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(output.publish.__func__.__globals__, "ros_messages",
-                      lambda update, messages: [("tracks", None)])  # fmt: skip
+        patch.setitem(
+            output.publish.__func__.__globals__,
+            "ros_messages",
+            lambda update, messages: [("tracks", None)],
+        )
         output.publish(frame)
     assert node.publishers["lidar_core/tracks"].sent == []

@@ -62,10 +62,11 @@ def driven(values):
     """The sensor's poses on that drive, mounted at `values`."""
     sensor = pose_matrix(np.array(values[:3]), np.array(values[3:]))
     base = [
-        pose_matrix(np.array([number, 0.5 * number, 0.0]),
-                    quaternion_from_angles(0.0, 0.0, 0.2 * number))
+        pose_matrix(
+            np.array([number, 0.5 * number, 0.0]), quaternion_from_angles(0.0, 0.0, 0.2 * number)
+        )
         for number in range(5)
-    ]  # fmt: skip
+    ]
     return np.array(base) @ sensor
 
 
@@ -88,8 +89,11 @@ def test_a_stated_mounting_counts_more(tmp_path):
 
 
 def test_odometry_that_moves_as_a_frame_does_is_of_that_frame(tmp_path):
-    path = bag(tmp_path, static=[("base_link", "laser", AHEAD)],
-               moving=[("base_link", True), ("other", False)])  # fmt: skip
+    path = bag(
+        tmp_path,
+        static=[("base_link", "laser", AHEAD)],
+        moving=[("base_link", True), ("other", False)],
+    )
     np.testing.assert_allclose(poses_of(path, odom="/odom"), driven(AHEAD), atol=1e-6)
 
 
@@ -170,8 +174,18 @@ def test_nameless_poses_of_the_real_cars_are_not_the_lasers(recordings, name):
 
 def test_the_command_says_what_to_give_and_works_with_it(recordings, tmp_path):
     path = recordings / "2d" / "datmo" / "intersection.bag"
-    words = ["circles", str(path), "-o", str(tmp_path / "run"), "--odom", "/ego_pose",
-             "--no-picture", "--no-mcap", "--end", "1"]  # fmt: skip
+    words = [
+        "circles",
+        str(path),
+        "-o",
+        str(tmp_path / "run"),
+        "--odom",
+        "/ego_pose",
+        "--no-picture",
+        "--no-mcap",
+        "--end",
+        "1",
+    ]
     refused = CliRunner().invoke(app, words)
     told = str(refused.exception).split("--mounting ")[1]
     (mounting,) = shlex.split(told[: told.index("', or") + 1])
@@ -188,8 +202,13 @@ TREE = Topic("/tf_static", "tf2_msgs/msg/TFMessage", "pose")
 @pytest.mark.parametrize("is_late", [False, True])
 def test_a_stream_is_composed_with_the_static_mounting(is_late):
     poses = LivePoses(PoseOptions(odom="/odom"), LiveConfig())
-    mounted = Pose(0, "base_link", "laser", pose_matrix(np.array(AHEAD[:3]), np.array(AHEAD[3:])),
-                   is_static=True)  # fmt: skip
+    mounted = Pose(
+        0,
+        "base_link",
+        "laser",
+        pose_matrix(np.array(AHEAD[:3]), np.array(AHEAD[3:])),
+        is_static=True,
+    )
     matrix = np.eye(4)
     if not is_late:
         poses.add(TREE, mounted, "laser")

@@ -38,9 +38,19 @@ def test_programs_and_pages_that_may_connect(host, origin):
 
 @pytest.mark.parametrize(
     "host",
-    ["evil.example:8765", "127.0.0.1.evil.example", "localhost.evil.example:8765", "0.0.0.0:8765",
-     "evil@127.0.0.1", "127.0.0.1/evil", "", "127.0.0.1:x", "[::1", "localhost#evil"],
-)  # fmt: skip
+    [
+        "evil.example:8765",
+        "127.0.0.1.evil.example",
+        "localhost.evil.example:8765",
+        "0.0.0.0:8765",
+        "evil@127.0.0.1",
+        "127.0.0.1/evil",
+        "",
+        "127.0.0.1:x",
+        "[::1",
+        "localhost#evil",
+    ],
+)
 def test_a_foreign_host_is_refused_as_dns_rebinding(host):
     assert "this server is 127.0.0.1 or localhost" in refusal([host], [])
     same = f"http://{host}"
@@ -49,10 +59,20 @@ def test_a_foreign_host_is_refused_as_dns_rebinding(host):
 
 @pytest.mark.parametrize(
     "origin",
-    ["http://evil.example", "https://app.foxglove.dev.evil.example", "null", "file://",
-     "http://127.0.0.1.evil.example", "http://localhost@evil.example", "ftp://localhost", "",
-     "chrome-extension://abc", "https://app.foxglove.dev:444", "http://app.foxglove.dev"],
-)  # fmt: skip
+    [
+        "http://evil.example",
+        "https://app.foxglove.dev.evil.example",
+        "null",
+        "file://",
+        "http://127.0.0.1.evil.example",
+        "http://localhost@evil.example",
+        "ftp://localhost",
+        "",
+        "chrome-extension://abc",
+        "https://app.foxglove.dev:444",
+        "http://app.foxglove.dev",
+    ],
+)
 def test_a_foreign_origin_is_refused(origin):
     assert refusal(["127.0.0.1:1"], [origin], {FOXGLOVE}) is not None
 
@@ -87,18 +107,23 @@ def connected(port):
     """A WebSocket to a server on 127.0.0.1, of a program that is no browser."""
     client = pytest.importorskip("websocket")
     return client.create_connection(
-        f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], timeout=PATIENCE_S,
+        f"ws://127.0.0.1:{port}",
+        subprotocols=["foxglove.sdk.v1"],
+        timeout=PATIENCE_S,
         suppress_origin=True,
-    )  # fmt: skip
+    )
 
 
 def status_of(port, *, host=None, origin=None):
     """Status of the handshake of a WebSocket with these headers, as browsers would send them."""
     headers = {
-        "Host": host or f"127.0.0.1:{port}", "Upgrade": "websocket", "Connection": "Upgrade",
-        "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==", "Sec-WebSocket-Version": "13",
+        "Host": host or f"127.0.0.1:{port}",
+        "Upgrade": "websocket",
+        "Connection": "Upgrade",
+        "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+        "Sec-WebSocket-Version": "13",
         "Sec-WebSocket-Protocol": "foxglove.sdk.v1",
-    }  # fmt: skip
+    }
     headers |= {} if origin is None else {"Origin": origin}
     lines = "".join(f"{name}: {value}\r\n" for name, value in headers.items())
     with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as link:
@@ -121,8 +146,9 @@ def check_server(port, *, allowed):
 @pytest.mark.parametrize("allowed", [False, True])
 def test_the_foxglove_server_asks_for_host_and_origin(allowed):
     refused = []
-    server = FoxgloveServer(0, option="--port ", allowed={FOXGLOVE} if allowed else (),
-                            on_refused=refused.append)  # fmt: skip
+    server = FoxgloveServer(
+        0, option="--port ", allowed={FOXGLOVE} if allowed else (), on_refused=refused.append
+    )
     try:
         check_server(server.port, allowed=allowed)
     finally:
@@ -134,8 +160,10 @@ def test_the_foxglove_server_asks_for_host_and_origin(allowed):
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
-    for command in (["simulate", "circles", "-o", folder / "a.npz", "--scans", 15],
-                    ["circles", folder / "a.npz", "-o", folder / "run"]):  # fmt: skip
+    for command in (
+        ["simulate", "circles", "-o", folder / "a.npz", "--scans", 15],
+        ["circles", folder / "a.npz", "-o", folder / "run"],
+    ):
         assert CliRunner().invoke(app, list(map(str, command))).exit_code == 0
     return folder / "run"
 
@@ -144,9 +172,12 @@ def run(tmp_path_factory):
 def served(*arguments):
     """A command that serves; yields what it says first, as lines of both streams."""
     process = subprocess.Popen(
-        [sys.executable, "-c", MAIN, *map(str, arguments)], text=True, bufsize=1,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-    )  # fmt: skip
+        [sys.executable, "-c", MAIN, *map(str, arguments)],
+        text=True,
+        bufsize=1,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
     try:
         yield process
     finally:
@@ -175,8 +206,9 @@ def test_view_and_live_ask_for_host_and_origin(run, command, allowed):
             for line in process.stdout:
                 if FOXGLOVE in line:
                     break
-            assert line == (f"refused: a web page of {FOXGLOVE!r}; --allow-origin {FOXGLOVE} lets"
-                            " it in\n")  # fmt: skip
+            assert line == (
+                f"refused: a web page of {FOXGLOVE!r}; --allow-origin {FOXGLOVE} lets it in\n"
+            )
 
 
 def test_a_viewer_gets_every_message_as_it_is_stored(run):
@@ -192,8 +224,10 @@ def test_a_viewer_gets_every_message_as_it_is_stored(run):
         assert time.monotonic() < until
         time.sleep(0.01)
     with (run / "run.mcap").open("rb") as file:
-        stored = [(schema.name, channel.topic, message.log_time, message.data)
-                  for schema, channel, message in make_reader(file).iter_messages()]  # fmt: skip
+        stored = [
+            (schema.name, channel.topic, message.log_time, message.data)
+            for schema, channel, message in make_reader(file).iter_messages()
+        ]
     link = connected(ready[0])
     while set(stored) - set(messages):
         assert time.monotonic() < until
@@ -207,8 +241,9 @@ def test_a_viewer_gets_every_message_as_it_is_stored(run):
         answer = json.loads(data)
         if answer["op"] == "advertise":
             channels.update({told["id"]: told for told in answer["channels"]})
-            pairs = [{"id": told["id"] + 100, "channelId": told["id"]}
-                     for told in answer["channels"]]  # fmt: skip
+            pairs = [
+                {"id": told["id"] + 100, "channelId": told["id"]} for told in answer["channels"]
+            ]
             link.send(json.dumps({"op": "subscribe", "subscriptions": pairs}))
     link.close()
     assert set(messages) == set(stored)
@@ -226,8 +261,9 @@ def test_a_viewer_that_reads_nothing_is_sent_the_newest():
         (told,) = json.loads(link.recv())["channels"]
         link.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": 7, "channelId": 99}]}))
         assert json.loads(link.recv())["message"] == "Unknown channel ID: 99"
-        link.send(json.dumps({"op": "subscribe",
-                              "subscriptions": [{"id": 7, "channelId": told["id"]}]}))  # fmt: skip
+        link.send(
+            json.dumps({"op": "subscribe", "subscriptions": [{"id": 7, "channelId": told["id"]}]})
+        )
         (channel,) = server._channels.values()
         until = time.monotonic() + PATIENCE_S
         while not server._viewers[0].subscriptions_to(channel.id):
@@ -282,8 +318,11 @@ def test_reruns_page_asks_for_host_and_origin():
         port = int(page.address.rpartition(":")[2])
         assert answer_of(port, "/recording.rrd")[2] == b"the recording"
         for name in ("/", "/page.js", "/re_viewer.js", "/recording.rrd"):
-            for headers in ({"Host": f"evil.example:{port}"}, {"Origin": "http://evil.example"},
-                            {"Origin": "null"}):  # fmt: skip
+            for headers in (
+                {"Host": f"evil.example:{port}"},
+                {"Origin": "http://evil.example"},
+                {"Origin": "null"},
+            ):
                 status, _, body = answer_of(port, name, **headers)
                 assert (status, body[:7]) == (403, b"refused")
         assert answer_of(port, "/../../etc/passwd")[0] == 404

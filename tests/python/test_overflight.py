@@ -17,9 +17,12 @@ from lidar_core.fusion import (
 from lidar_core.sim import Overflight, overfly
 
 EXACT = {
-    "lidar_std": 0.0, "radar_std": (0.0, 0.0, 0.0), "swivel_std": 0.0, "pitch_std": 0.0,
+    "lidar_std": 0.0,
+    "radar_std": (0.0, 0.0, 0.0),
+    "swivel_std": 0.0,
+    "pitch_std": 0.0,
     "gyro_std": 0.0,
-}  # fmt: skip
+}
 STD = np.array([0.1, 0.01, 0.1])
 
 
@@ -36,9 +39,13 @@ def polar(made):
 def test_without_errors_the_level_frame_and_the_height_are_the_truth():
     made = overfly(Overflight(seconds=10.0, pitch_deg=15.0, **EXACT), seed=0)
     sight = level_sight(
-        polar(made), made.swivel, made.pitch, std=np.tile(STD, (200, 1)), swivel_std=0.0,
+        polar(made),
+        made.swivel,
+        made.pitch,
+        std=np.tile(STD, (200, 1)),
+        swivel_std=0.0,
         pitch_std=0.0,
-    )  # fmt: skip
+    )
     flat = (made.position - made.drone)[:, :2]
     direction = sight.values[:, 1] + made.yaw
     rho = sight.values[:, 0]
@@ -48,9 +55,12 @@ def test_without_errors_the_level_frame_and_the_height_are_the_truth():
     relative = (made.velocity - made.drone_velocity)[:, :2]
     np.testing.assert_allclose(sight.values[:, 2], (flat * relative).sum(axis=1) / rho, atol=1e-9)
     track = in_space(
-        made.position[:, :2], np.tile(np.eye(2), (200, 1, 1)), sight.elevation,
-        sight.elevation_variance, made.drone,
-    )  # fmt: skip
+        made.position[:, :2],
+        np.tile(np.eye(2), (200, 1, 1)),
+        sight.elevation,
+        sight.elevation_variance,
+        made.drone,
+    )
     np.testing.assert_allclose(track.position, made.position, atol=1e-9)
     np.testing.assert_allclose(track.cylindrical[:, 2], -6.0, atol=1e-9)
 
@@ -74,9 +84,10 @@ def test_covariances_of_the_level_sight_are_those_of_many_draws():
 
     n = 40_000
     drawn = level(
-        true + rng.normal(size=(n, 3)) * STD, swivel + 0.01 * rng.normal(size=n),
+        true + rng.normal(size=(n, 3)) * STD,
+        swivel + 0.01 * rng.normal(size=n),
         pitch + 0.005 * rng.normal(size=n),
-    )  # fmt: skip
+    )
     said = level(true[None], [swivel], [pitch])
     got = np.cov(drawn.values.T)
     np.testing.assert_allclose(np.diag(said.covariances[0]), np.diag(got), rtol=0.1)
@@ -90,9 +101,12 @@ def test_covariances_in_space_are_those_of_many_draws(form):
     P, n = np.array([[0.04, 0.01], [0.01, 0.02]]), 40_000
     place, sensor = np.array([8.0, 3.0]), np.array([1.0, 2.0, 6.0])
     drawn = in_space(
-        rng.multivariate_normal(place, P, n), np.tile(P, (n, 1, 1)),
-        -0.7 + 0.01 * rng.normal(size=n), np.full(n, 1e-4), np.tile(sensor, (n, 1)),
-    )  # fmt: skip
+        rng.multivariate_normal(place, P, n),
+        np.tile(P, (n, 1, 1)),
+        -0.7 + 0.01 * rng.normal(size=n),
+        np.full(n, 1e-4),
+        np.tile(sensor, (n, 1)),
+    )
     said = in_space(place[None], P[None], [-0.7], [1e-4], sensor[None])
     covariance = said.covariance if form == "position" else said.cylindrical_covariance
     got = np.cov(getattr(drawn, form).T)

@@ -110,8 +110,9 @@ def test_two_batches_do_not_write_to_one_folder(tmp_path):
     arguments = ["batch", str(jobs), "-o", str(tmp_path / "b"), "--workers", "1"]
     with subprocess.Popen(
         [sys.executable, "-c", HOLDS, str(tmp_path / "b")],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-    ) as other:  # fmt: skip
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as other:
         assert other.stdout.readline() == b"held\n"
         refused = CliRunner().invoke(app, arguments)
         assert isinstance(refused.exception, FileExistsError)

@@ -41,18 +41,22 @@ def flight():
 
 def verdict_on(scans, poses):
     check = PoseFrameCheck()
-    found = [check.add(getattr(scan, "points", scan), pose)
-             for scan, pose in zip(scans, poses, strict=True)]  # fmt: skip
+    found = [
+        check.add(getattr(scan, "points", scan), pose)
+        for scan, pose in zip(scans, poses, strict=True)
+    ]
     return next((one for one in [*found, check.decide()] if one is not None), None)
 
 
 @pytest.mark.parametrize("lever", [(0, 0, 0), (0.3, -0.2, 0.5)])
 @pytest.mark.parametrize(
     ("turn", "words"),
-    [(CAMERA, "a camera's (x right, y down, z forward)"),
-     (DOWN, "a body's with z down (x forward, y right, z down)"),
-     (HALF, "one turned half round")],
-)  # fmt: skip
+    [
+        (CAMERA, "a camera's (x right, y down, z forward)"),
+        (DOWN, "a body's with z down (x forward, y right, z down)"),
+        (HALF, "one turned half round"),
+    ],
+)
 def test_poses_of_a_camera_or_a_body_are_named(flight, turn, words, lever):
     scans, poses = flight
     for world in (np.eye(4), pose_of(turn)):  # the world may have the other axes, too

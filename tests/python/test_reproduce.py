@@ -170,9 +170,18 @@ def test_an_item_in_short_gives_a_table_a_picture_and_json(name, tmp_path):
     result = tmp_path / "result.json"
     short = SHORT[name]
     out = run_command(
-        name, "--scans", short.scans, "--seed", short.seed, "--threads", 1, "-o", tmp_path,
-        "--json", result,
-    )  # fmt: skip
+        name,
+        "--scans",
+        short.scans,
+        "--seed",
+        short.seed,
+        "--threads",
+        1,
+        "-o",
+        tmp_path,
+        "--json",
+        result,
+    )
     assert out.exit_code == 0, out.output
     values = json.loads(result.read_text())
     assert set(values) == {"item", "seed", "command", "rows"}
@@ -217,8 +226,12 @@ def test_without_an_item_the_list_names_all_of_them_also_on_a_narrow_terminal(mo
 def test_long_runs_are_told_in_hours():
     one = item("first", counted)  # a minute for ten
     assert [one.duration(scans) for scans in (1, 10, 15, 1190, 4000)] == [
-        "6 s", "60 s", "2 min", "119 min", "6.7 h"
-    ]  # fmt: skip
+        "6 s",
+        "60 s",
+        "2 min",
+        "119 min",
+        "6.7 h",
+    ]
 
 
 def test_an_unknown_item_is_named_with_the_known_ones(tmp_path):
@@ -238,9 +251,15 @@ def test_all_writes_a_list_and_says_beforehand_how_long_it_takes(tmp_path):
     values = json.loads(out.stdout)
     assert [one["item"] for one in values] == ["first", "second"]
     assert values[0]["rows"] == [
-        {"name": "recall@10m", "unit": "1", "paper": None, "paper_mode": 0.5,
-         "equations_corrected": None, "best_mode": 0.0}
-    ]  # fmt: skip
+        {
+            "name": "recall@10m",
+            "unit": "1",
+            "paper": None,
+            "paper_mode": 0.5,
+            "equations_corrected": None,
+            "best_mode": 0.0,
+        }
+    ]
     assert "first: 5 scans, about 30 s on two cores" in out.stderr
     assert {path.name for path in tmp_path.iterdir()} == {
         f"{name}.{kind}" for name in ("first", "second") for kind in ("json", "png", "toml")
@@ -281,8 +300,10 @@ def test_stopped_with_ctrl_c_the_files_of_what_was_finished_are_whole(tmp_path, 
     assert out.exit_code == 130
     assert [one["item"] for one in json.loads((tmp_path / "result.json").read_text())] == ["first"]
     assert {path.name for path in (tmp_path / "a").iterdir()} == {
-        "first.json", "first.png", "first.toml"
-    }  # fmt: skip
+        "first.json",
+        "first.png",
+        "first.toml",
+    }
 
 
 # Parts of long runs

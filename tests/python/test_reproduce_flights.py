@@ -59,8 +59,11 @@ def part_of(speed):
     made = list(simulator)
     part = truth_columns(simulator, made)
     number = np.arange(12)
-    part |= {"best_detections_scan": number, "best_tracks_scan": number,
-             "best_tracks_id": np.zeros(12, np.int64)}  # fmt: skip
+    part |= {
+        "best_detections_scan": number,
+        "best_tracks_scan": number,
+        "best_tracks_id": np.zeros(12, np.int64),
+    }
     centres = [one.scan.points.reshape(-1, 3)[one.label == 0].mean(axis=0) for one in made]
     part["best_detections_position"] = np.array(centres, float)
     part["best_tracks_position"] = part["position"][:, 0] + (0.3, 0, 0)
@@ -99,10 +102,16 @@ def tracks(ids, places):
     places = np.reshape(np.array(places, float), (-1, 3))
     count = len(ids)
     return Tracks(
-        id=np.array(ids, np.int64), position=places, velocity=0.1 * places,
-        acceleration=0 * places, covariance=np.zeros((count, 9, 9)), extent=0 * places,
-        n_detections=np.ones(count, np.int64), age=np.ones(count), stamp_ns=0,
-    )  # fmt: skip
+        id=np.array(ids, np.int64),
+        position=places,
+        velocity=0.1 * places,
+        acceleration=0 * places,
+        covariance=np.zeros((count, 9, 9)),
+        extent=0 * places,
+        n_detections=np.ones(count, np.int64),
+        age=np.ones(count),
+        stamp_ns=0,
+    )
 
 
 def test_one_track_is_followed_as_long_as_it_lives():

@@ -79,13 +79,22 @@ def test_the_bound_of_a_linear_filter_is_its_covariance():
     of = circle(100)
     noise = [0.15**2 * np.eye(2)] * 100
     bound = position_bound(
-        of.truth.position, of.truth.velocity, of.truth.stamps_ns * 1e-9, noise,
+        of.truth.position,
+        of.truth.velocity,
+        of.truth.stamps_ns * 1e-9,
+        noise,
         acceleration_noise=2.0,
-    )  # fmt: skip
+    )
     config = FusionConfig(
-        model="cv", method="kf", process="discrete", acceleration_noise=2.0, start_rows=1,
-        gate_probability=None, loss_ratio=None, initial_position=0.5**0.5,
-    )  # fmt: skip
+        model="cv",
+        method="kf",
+        process="discrete",
+        acceleration_noise=2.0,
+        start_rows=1,
+        gate_probability=None,
+        loss_ratio=None,
+        initial_position=0.5**0.5,
+    )
     lidar = Course(np.ones(100, bool), places(of.values, of.is_lidar), of.truth)
     result = run(measurements(lidar, lidar.values, "fixed", FIXED, 0.0), config)
     variances = result.covariances[20:, [0, 1], [0, 1]].mean(axis=0)
@@ -178,8 +187,11 @@ def test_paper_mode_is_the_printed_algorithm_and_the_corrected_one_has_its_own_c
     assert row.paper_mode > 5 * row.equations_corrected
     assert row.best_mode < 1.2 * row.equations_corrected
     assert not any("corrected" in one or one.startswith("equations as printed") for one in rows)
-    printed_alone = {name: one.model for name, one in result.config.items()
-                     if name.startswith("paper ") and "linear" not in name}  # fmt: skip
+    printed_alone = {
+        name: one.model
+        for name, one in result.config.items()
+        if name.startswith("paper ") and "linear" not in name
+    }
     assert set(printed_alone.values()) <= {"paper"}
 
 

@@ -26,8 +26,15 @@ def test_layers_are_those_of_table_1():
     layers = paper_layers(1081)
     assert [layer.length for layer in layers] == [1075, 535, 529, 262, 256, 125, 1, 1]
     assert [layer.parameters for layer in layers] == [
-        400, 17_550, 35_100, 70_100, 70_100, 70_100, 1_562_625, 375
-    ]  # fmt: skip
+        400,
+        17_550,
+        35_100,
+        70_100,
+        70_100,
+        70_100,
+        1_562_625,
+        375,
+    ]
     assert sum(layer.parameters for layer in layers) == 1_826_350
 
 
@@ -119,15 +126,19 @@ def test_curves_are_those_of_the_cards():
     rows = {
         row.name: row for row in circles_fig5.ITEM.run(Request(seed=0, scans=1, threads=1)).rows
     }
-    small, paper = (min(row[f"validation_{name}"] for row in CircleNetwork(model).card["metrics"])
-                    for model, name in (("cnn", "mse"), ("paper-cnn", "loss")))  # fmt: skip
+    small, paper = (
+        min(row[f"validation_{name}"] for row in CircleNetwork(model).card["metrics"])
+        for model, name in (("cnn", "mse"), ("paper-cnn", "loss"))
+    )
     assert rows["loss of the shipped weights, validation"].best_mode == pytest.approx(3 * small)
     assert rows["loss of the shipped weights, validation"].paper_mode == paper
 
 
 def test_errors_of_groups_add_up_to_those_of_the_test():
-    rows = {row.name: row for row in circles_table3.ITEM.run(
-        Request(seed=1064, scans=2000, threads=1)).rows}  # fmt: skip
+    rows = {
+        row.name: row
+        for row in circles_table3.ITEM.run(Request(seed=1064, scans=2000, threads=1)).rows
+    }
     by_hits = [row for name, row in rows.items() if name.endswith("hits: MSE") and "ml" not in name]
     for mode in ("paper_mode", "best_mode"):
         values = [getattr(row, mode) for row in by_hits]

@@ -117,9 +117,10 @@ def test_steps_count_only_while_nearly_all_runs_have_a_track():
 
 
 def test_modes_that_lose_their_tracks_have_no_share_of_steps():
-    rows = {row.name: row for row in flying_consistency.ITEM.run(
-        Request(seed=1000, scans=12, threads=1)
-    ).rows}  # fmt: skip
+    rows = {
+        row.name: row
+        for row in flying_consistency.ITEM.run(Request(seed=1000, scans=12, threads=1)).rows
+    }
     inside = rows["own model: steps inside the 95 % band"]
     steps = rows["own model: steps that count"]
     assert inside.paper_mode is None

@@ -21,26 +21,41 @@ from lidar_core.sensors import SENSORS
 
 ROOT = Path(__file__).parents[2]
 SPATIAL = {
-    "os0-32": (32, 1024, -45, 45), "os0-64": (64, 1024, -45, 45), "os0-128": (128, 1024, -45, 45),
-    "os1-32": (32, 1024, -22.5, 22.5), "os1-64": (64, 1024, -22.5, 22.5),
-    "os1-128": (128, 1024, -22.5, 22.5), "os2-32": (32, 1024, -11.25, 11.25),
-    "os2-64": (64, 1024, -11.25, 11.25), "os2-128": (128, 1024, -11.25, 11.25),
-    "vlp-16": (16, 1800, -15, 15), "hdl-32e": (32, 2170, -30.67, 10.67),
-    "hdl-64e": (64, 2083, -24.33, 2), "vls-128": (128, 1876, -25, 15),
-    "xt32": (32, 2000, -16, 15), "pandar64": (64, 1800, -25, 15),
-    "qt128": (128, 900, -52.6, 52.6), "rs16": (16, 1800, -15, 15),
-}  # fmt: skip
+    "os0-32": (32, 1024, -45, 45),
+    "os0-64": (64, 1024, -45, 45),
+    "os0-128": (128, 1024, -45, 45),
+    "os1-32": (32, 1024, -22.5, 22.5),
+    "os1-64": (64, 1024, -22.5, 22.5),
+    "os1-128": (128, 1024, -22.5, 22.5),
+    "os2-32": (32, 1024, -11.25, 11.25),
+    "os2-64": (64, 1024, -11.25, 11.25),
+    "os2-128": (128, 1024, -11.25, 11.25),
+    "vlp-16": (16, 1800, -15, 15),
+    "hdl-32e": (32, 2170, -30.67, 10.67),
+    "hdl-64e": (64, 2083, -24.33, 2),
+    "vls-128": (128, 1876, -25, 15),
+    "xt32": (32, 2000, -16, 15),
+    "pandar64": (64, 1800, -25, 15),
+    "qt128": (128, 900, -52.6, 52.6),
+    "rs16": (16, 1800, -15, 15),
+}
 """Rows, columns and elevations [deg] of data sheets."""
 PLANAR = {
-    "utm-30lx": (1081, 270, 40, 30), "urg-04lx": (683, 239.77, 10, 4.095),
-    "rplidar-s1": (920, 359.6, 10, 40), "lms111": (541, 270, 50, 20), "lms151": (541, 270, 50, 50),
-    "tim551": (271, 270, 15, 10), "tim571": (811, 270, 15, 25),
-}  # fmt: skip
+    "utm-30lx": (1081, 270, 40, 30),
+    "urg-04lx": (683, 239.77, 10, 4.095),
+    "rplidar-s1": (920, 359.6, 10, 40),
+    "lms111": (541, 270, 50, 20),
+    "lms151": (541, 270, 50, 50),
+    "tim551": (271, 270, 15, 10),
+    "tim571": (811, 270, 15, 25),
+}
 """Rays, angle [deg], rate [Hz] and range [m] of data sheets."""
 LIVOX = {
-    "livox-mid360": (20_000, 360, -7, 52), "livox-avia": (24_000, 70.4, -38.6, 38.6),
-    "livox-hap": (45_200, 120, -12.5, 12.5), "livox-horizon": (24_000, 81.7, -12.55, 12.55),
-}  # fmt: skip
+    "livox-mid360": (20_000, 360, -7, 52),
+    "livox-avia": (24_000, 70.4, -38.6, 38.6),
+    "livox-hap": (45_200, 120, -12.5, 12.5),
+    "livox-horizon": (24_000, 81.7, -12.55, 12.55),
+}
 """Rays in 0.1 s, azimuth and elevations [deg]."""
 
 
@@ -100,8 +115,13 @@ def test_patterns_that_do_not_repeat_fill_the_field_of_view(name):
         assert np.abs(azimuth).max() <= width / 2 + 1e-3
         assert elevation.min() >= low - 1e-3
         assert elevation.max() <= high + 1e-3
-        cells |= set(zip(np.floor(azimuth).astype(int).tolist(),
-                         np.floor(elevation).astype(int).tolist(), strict=True))  # fmt: skip
+        cells |= set(
+            zip(
+                np.floor(azimuth).astype(int).tolist(),
+                np.floor(elevation).astype(int).tolist(),
+                strict=True,
+            )
+        )
         shares.append(len(cells) / (width * (high - low)))
         assert first is None or (first != azimuth).mean() > 0.99
         first = azimuth
@@ -157,8 +177,9 @@ def test_config_writes_a_file_of_a_preset(model, tmp_path):
     else:
         assert read.lidar == sim.LidarModel.preset(name)
     shown = output_of("config", "show", "--model", model, "--preset", name, "--changed")
-    assert {"flying": "sensor.beams", "circles": "scanner.n_beams",
-            "scene": "lidar.range_max"}[model] in shown  # fmt: skip
+    assert {"flying": "sensor.beams", "circles": "scanner.n_beams", "scene": "lidar.range_max"}[
+        model
+    ] in shown
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
@@ -173,8 +194,16 @@ def test_circles_takes_a_file_of_a_preset_for_any_recording(name, tmp_path):
     config, recording = tmp_path / "c.toml", tmp_path / "a.npz"
     output_of("config", "init", "--model", "circles", "--preset", name, "-o", config)
     output_of("simulate", "circles", "-o", recording, "--scans", 2)
-    output_of("circles", recording, "-o", tmp_path / "run", "--config", config, "--no-picture",
-              "--no-mcap")  # fmt: skip
+    output_of(
+        "circles",
+        recording,
+        "-o",
+        tmp_path / "run",
+        "--config",
+        config,
+        "--no-picture",
+        "--no-mcap",
+    )
     note = tomllib.loads((tmp_path / "run" / "run.toml").read_text())["config"]["circles"]
     (found,) = note["scanners"].values()
     limits = Scanner.load({"preset": name})

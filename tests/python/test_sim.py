@@ -224,8 +224,10 @@ def test_points_of_a_moving_target_lie_on_it_at_their_own_time():
     flight = sim.Waypoints(times=(0.0, 1.0), positions=((8, -10, 0), (8, 10, 0)))
     target = sim.Target(shape=sim.Sphere(radius=1.0), motion=flight)
     lidar = sim.LidarModel.preset("os1-128", ideal=True, range_std=0.0)
-    simulator = sim.Simulator(sim.Scene(targets=[target], lidar=lidar, scans=10,
-                                        sensor=sim.Hover(position=(0, 0, 0))), seed=0)  # fmt: skip
+    simulator = sim.Simulator(
+        sim.Scene(targets=[target], lidar=lidar, scans=10, sensor=sim.Hover(position=(0, 0, 0))),
+        seed=0,
+    )
     for made in simulator:
         hit = made.label == 0
         assert hit.sum() == made.truth.hits[0] > 50
@@ -238,8 +240,17 @@ def test_points_of_a_moving_target_lie_on_it_at_their_own_time():
 
 def arrays_of(made):
     truth = made.truth
-    return [made.scan.points, made.scan.no_return, made.scan.directions, made.scan.point_time_ns,
-            made.label, made.poses, truth.position, truth.hits, truth.rays]  # fmt: skip
+    return [
+        made.scan.points,
+        made.scan.no_return,
+        made.scan.directions,
+        made.scan.point_time_ns,
+        made.label,
+        made.poses,
+        truth.position,
+        truth.hits,
+        truth.rays,
+    ]
 
 
 def test_the_same_bits_for_any_number_of_threads():
@@ -399,10 +410,15 @@ def test_other_seeds_are_other_worlds():
 
 @pytest.mark.parametrize(
     ("name", "shape", "elevation"),
-    [("os0-128", (128, 1024), (-45, 45)), ("os1-128", (128, 1024), (-22.5, 22.5)),
-     ("os2-128", (128, 1024), (-11.25, 11.25)), ("vlp-16", (16, 1800), (-15, 15)),
-     ("hdl-32e", (32, 2170), (-30.67, 10.67)), ("livox-mid360", (20_000,), (-7, 52))],
-)  # fmt: skip
+    [
+        ("os0-128", (128, 1024), (-45, 45)),
+        ("os1-128", (128, 1024), (-22.5, 22.5)),
+        ("os2-128", (128, 1024), (-11.25, 11.25)),
+        ("vlp-16", (16, 1800), (-15, 15)),
+        ("hdl-32e", (32, 2170), (-30.67, 10.67)),
+        ("livox-mid360", (20_000,), (-7, 52)),
+    ],
+)
 def test_presets(name, shape, elevation):
     model = sim.LidarModel.preset(name, ideal=True)
     assert model.shape == shape
@@ -522,28 +538,73 @@ NO_ROOM = sim.RandomMotion(box_min=(-1, -1, -1), box_max=(1, 1, 1), clearance=5)
         (lambda: sim.simulate(sim.Scene(), seed=0, scans=0), ConfigError, "scans: expected >= 1"),
         (lambda: sim.simulate(sim.Scene(), seed=0, threads=0), ConfigError, "threads: expected"),
         (lambda: sim.Simulator(sim.Scene(), seed=0).scan(60), ConfigError, "number: expected 0 to"),
-        (lambda: only(sim.Scene(targets=[sim.Target(shape=sim.Sphere(radius=1), motion=NO_ROOM)],
-                                sensor=sim.Hover(position=(0, 0, 0)))),
-         ConfigError, "bounds: expected a box with room"),
-        (lambda: only(sim.Scene(bodies=[sim.Body(shape=sim.Mesh(vertices=[(0, 0, 0)] * 3,
-                                                                faces=[(0, 1, -3)]))])),
-         InputError, r"faces\[0\]: expected indices of vertices"),
-        (lambda: only(sim.Scene(bodies=[sim.Body(shape=sim.HeightField(heights=[[1, 2], [3]],
-                                                                       cell=1))])),
-         ConfigError, "heights: expected at least 2 x 2"),
-        (lambda: only(sim.Scene(lidar=sim.LidarModel(pattern=sim.Spinning(
-            elevations_deg=[0.0] * 100, columns=65_000)))), LimitError, "the limit is 4000000"),
+        (
+            lambda: only(
+                sim.Scene(
+                    targets=[sim.Target(shape=sim.Sphere(radius=1), motion=NO_ROOM)],
+                    sensor=sim.Hover(position=(0, 0, 0)),
+                )
+            ),
+            ConfigError,
+            "bounds: expected a box with room",
+        ),
+        (
+            lambda: only(
+                sim.Scene(
+                    bodies=[sim.Body(shape=sim.Mesh(vertices=[(0, 0, 0)] * 3, faces=[(0, 1, -3)]))]
+                )
+            ),
+            InputError,
+            r"faces\[0\]: expected indices of vertices",
+        ),
+        (
+            lambda: only(
+                sim.Scene(bodies=[sim.Body(shape=sim.HeightField(heights=[[1, 2], [3]], cell=1))])
+            ),
+            ConfigError,
+            "heights: expected at least 2 x 2",
+        ),
+        (
+            lambda: only(
+                sim.Scene(
+                    lidar=sim.LidarModel(
+                        pattern=sim.Spinning(elevations_deg=[0.0] * 100, columns=65_000)
+                    )
+                )
+            ),
+            LimitError,
+            "the limit is 4000000",
+        ),
     ],
-)  # fmt: skip
+)
 def test_errors_name_what_and_why(call, error, text):
     with pytest.raises(error, match=text):
         call()
 
 
 def models():
-    return [sim.Body, sim.Box, sim.Circle, sim.Cylinder, sim.HeightField, sim.Hexacopter, sim.Hover,
-            sim.LidarModel, sim.Loop, sim.Mesh, sim.Plane, sim.RandomMotion, sim.Rosette, sim.Scene,
-            sim.Sphere, sim.Spinning, sim.TakeOff, sim.Target, sim.Tree, sim.Waypoints]  # fmt: skip
+    return [
+        sim.Body,
+        sim.Box,
+        sim.Circle,
+        sim.Cylinder,
+        sim.HeightField,
+        sim.Hexacopter,
+        sim.Hover,
+        sim.LidarModel,
+        sim.Loop,
+        sim.Mesh,
+        sim.Plane,
+        sim.RandomMotion,
+        sim.Rosette,
+        sim.Scene,
+        sim.Sphere,
+        sim.Spinning,
+        sim.TakeOff,
+        sim.Target,
+        sim.Tree,
+        sim.Waypoints,
+    ]
 
 
 @pytest.mark.parametrize("model", models(), ids=lambda model: model.__name__)

@@ -98,9 +98,13 @@ def test_leaves_sway_around_their_places_and_the_trunk_stands():
     reach, rate, phase = leaf
     body = sim.Body(shape=tree, position=(4.0, 0.0, 0.0))
     dense = LIDAR.model_copy(
-        update={"pattern": sim.Spinning(elevations_deg=tuple(np.linspace(20, -5, 100).tolist()),
-                                        columns=2000), "snapshot": True}
-    )  # fmt: skip
+        update={
+            "pattern": sim.Spinning(
+                elevations_deg=tuple(np.linspace(20, -5, 100).tolist()), columns=2000
+            ),
+            "snapshot": True,
+        }
+    )
     world = sim.Scene(lidar=dense, sensor=SENSOR, bodies=(body,), scans=8)
     for made in sim.simulate(world, seed=0):
         swing = np.sin(2 * np.pi * rate * made.scan.stamp_ns * 1e-9 + phase)

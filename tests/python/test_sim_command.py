@@ -100,8 +100,13 @@ with sole_writer(Path(sys.stdin.readline().strip())):
 
 
 def started(*arguments, **more):
-    return subprocess.Popen([sys.executable, "-c", *map(str, arguments)], text=True,
-                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, **more)  # fmt: skip
+    return subprocess.Popen(
+        [sys.executable, "-c", *map(str, arguments)],
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        **more,
+    )
 
 
 def holding(path):

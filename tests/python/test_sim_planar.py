@@ -155,9 +155,14 @@ def test_a_wide_beam_sees_objects_wider_by_its_width(half_width):
 
 @pytest.mark.parametrize(
     ("returns", "behind", "mixed"),
-    [("first", 0.2, False), ("mean", 0.2, True), ("mean", 2, True),
-     ("mixed", 0.2, True), ("mixed", 2, False)],
-)  # fmt: skip
+    [
+        ("first", 0.2, False),
+        ("mean", 0.2, True),
+        ("mean", 2, True),
+        ("mixed", 0.2, True),
+        ("mixed", 2, False),
+    ],
+)
 def test_pixels_mix_at_edges_as_the_option_says(returns, behind, mixed):
     beam = {"half_width": 0.006, "returns": returns, "pulse_length": 0.5}
     wall = sim.Body(shape=sim.Box(size=(0.1, 30, 3)), position=(4 + behind + 0.05, 0, 1))

@@ -54,10 +54,13 @@ def test_dropout_by_incidence_is_that_of_the_oracle():
     azimuth = np.arctan2(made.scan.directions[:, 1], made.scan.directions[:, 0])
     for low in np.deg2rad(np.arange(10, 90, 8)):
         bins = np.abs(azimuth - low) < np.deg2rad(2)
-        expected = np.mean([
-            oracle.seen(0.15, np.sin(a), 20 / np.sin(a), RANGE_MAX) * (20 / np.sin(a) < RANGE_MAX)
-            for a in azimuth[bins]
-        ])  # fmt: skip
+        expected = np.mean(
+            [
+                oracle.seen(0.15, np.sin(a), 20 / np.sin(a), RANGE_MAX)
+                * (20 / np.sin(a) < RANGE_MAX)
+                for a in azimuth[bins]
+            ]
+        )
         assert_share((made.label[bins] == 0).mean(), expected, bins.sum())
 
 
@@ -118,9 +121,12 @@ def test_the_own_body_moves_and_turns_with_the_sensor_and_hides_what_is_behind()
     way = sim.Loop(center=(0, 0, 3), straight=8, radius=2, speed=3, yaw_rate=1.0, tilt_deg=10)
     pattern = sim.Spinning(elevations_deg=(-20.0, -30.0), columns=720)
     world = sim.Scene(
-        bodies=(sim.Body(shape=sim.Plane()),), own_body=(roof,), sensor=way, scans=20,
+        bodies=(sim.Body(shape=sim.Plane()),),
+        own_body=(roof,),
+        sensor=way,
+        scans=20,
         lidar=sim.LidarModel(pattern=pattern, range_std=0.0, range_min=0.75),
-    )  # fmt: skip
+    )
     scans = list(sim.simulate(world, seed=0))
     own = scans[0].label == OWN
     assert own.sum() > 200
@@ -151,8 +157,9 @@ STREETS = [sim.scenes.moving_car, sim.scenes.fog_street, sim.scenes.dark_street]
 def test_streets_show_the_own_body_and_lose_returns_that_are_no_sky(scene):
     world = scene(1, scans=40, drone=True)
     simulator = sim.Simulator(world, seed=1)
-    rays = sim.Simulator(world.model_copy(update={
-        "lidar": world.lidar.model_copy(update={"ideal": True})}), seed=1).scan(20)  # fmt: skip
+    rays = sim.Simulator(
+        world.model_copy(update={"lidar": world.lidar.model_copy(update={"ideal": True})}), seed=1
+    ).scan(20)
     ideal = sim.Simulator(world.idealised(), seed=1).scan(20)
     made = simulator.scan(20)
     assert world.lidar.delivery == "dropped"
@@ -170,8 +177,10 @@ def test_streets_show_the_own_body_and_lose_returns_that_are_no_sky(scene):
 
 
 def test_fog_loses_more_than_clear_air_and_dark_fronts_more_than_concrete():
-    points = {scene: len(sim.Simulator(scene(2, scans=20), seed=1).scan(10).scan.points)
-              for scene in STREETS}  # fmt: skip
+    points = {
+        scene: len(sim.Simulator(scene(2, scans=20), seed=1).scan(10).scan.points)
+        for scene in STREETS
+    }
     clear, fog, dark = (points[scene] for scene in STREETS)
     assert fog < 0.95 * clear
     assert dark < 0.95 * clear

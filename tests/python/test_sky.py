@@ -59,10 +59,15 @@ def tracked(config, deliver):
 @pytest.mark.parametrize("beams", ["auto", "learnt", "vlp-16"])
 @pytest.mark.parametrize(
     "deliver",
-    [dropped, marked, lambda one: replaced(one, 0.0), lambda one: replaced(one, 0.01),
-     lambda one: replaced(one, 0.1)],
+    [
+        dropped,
+        marked,
+        lambda one: replaced(one, 0.0),
+        lambda one: replaced(one, 0.01),
+        lambda one: replaced(one, 0.1),
+    ],
     ids=["dropped rows", "marks without directions", "zeros", "tiny vectors", "placeholders"],
-)  # fmt: skip
+)
 def test_what_flies_before_the_sky_is_tracked_however_the_driver_says_no_return(beams, deliver):
     share, frame, detector = tracked(with_sensor(beams=beams), deliver)
     assert share == 1.0

@@ -50,9 +50,21 @@ COMMANDS = {
     "train circles": f"train circles -c {OPENED} -o out",
 }
 ENDINGS = (
-    ".csv", ".npz", ".bag", ".db3", ".mcap", ".pcd", ".las", ".clf", ".pcap", ".osf", ".txt",
-    ".parquet", ".json", ".db3.zstd",
-)  # fmt: skip
+    ".csv",
+    ".npz",
+    ".bag",
+    ".db3",
+    ".mcap",
+    ".pcd",
+    ".las",
+    ".clf",
+    ".pcap",
+    ".osf",
+    ".txt",
+    ".parquet",
+    ".json",
+    ".db3.zstd",
+)
 WRITING = {
     "convert": f"convert cloud.npz {OPENED}",
     "simulate": f"simulate circles --scans 2 -o {OPENED}",
@@ -139,9 +151,17 @@ def test_no_command_takes_the_place_of_a_pipe_or_a_device(place, name, kind):
 @pytest.mark.parametrize("kind", ["pipe", "device"])
 @pytest.mark.parametrize(
     ("opener", "ending"),
-    [(VoxelMap.load, ".lcvm"), (open_recording, ".npz"), (read_cloud, ".lcvm"), (read_cloud, ".bt"),
-     (read_columns, ".csv"), (read_poses, ".txt"), (check_regular, ""), (read_whole, "")],
-)  # fmt: skip
+    [
+        (VoxelMap.load, ".lcvm"),
+        (open_recording, ".npz"),
+        (read_cloud, ".lcvm"),
+        (read_cloud, ".bt"),
+        (read_columns, ".csv"),
+        (read_poses, ".txt"),
+        (check_regular, ""),
+        (read_whole, ""),
+    ],
+)
 def test_every_function_that_opens_a_path_refuses_it(place, opener, ending, kind):
     path = special(place, kind, ending)
     with pytest.raises(FormatError, match=r"special.*: expected a regular file, got a"):
@@ -159,8 +179,13 @@ def test_a_map_is_not_saved_over_a_pipe(place):
 @pytest.mark.parametrize("kind", ["pipe", "device"])
 def test_the_command_says_so_in_a_line(place, kind):
     path = special(place, kind, ".csv")
-    done = subprocess.run([sys.executable, "-m", "lidar_core", "fuse", str(path), "-o", "out"],
-                          capture_output=True, text=True, timeout=20, check=False)  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-m", "lidar_core", "fuse", str(path), "-o", "out"],
+        capture_output=True,
+        text=True,
+        timeout=20,
+        check=False,
+    )
     assert done.returncode == 2
     told = f"expected a regular file, got a {kind}; save what it gives to a file first"
     assert done.stderr == f"error: {path}: {told}\n"

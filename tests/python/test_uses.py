@@ -55,14 +55,16 @@ def test_a_use_goes_with_a_sensor_and_with_a_file(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--use", "post"], "expected one of long-range, posts, turning-sensor, got 'post'; did you"
-         " mean posts?"),
+        (
+            ["--use", "post"],
+            "expected one of long-range, posts, turning-sensor, got 'post'; did you mean posts?",
+        ),
         (["--use", "boats"], "got 'boats'"),
         (["--use", "posts", "--model", "flying"], "posts is for circles, got --model flying"),
         (["--use", "posts", "--mode", "paper"], "posts is of best mode, got --mode paper"),
         (["--use", "turning-sensor", "--preset", "vlp-16"], "preset: fusion has none"),
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("command", ["show", "init"])
 def test_what_is_no_use_is_refused(command, arguments, text):
     done = run("config", command, *arguments)

@@ -86,11 +86,16 @@ def test_walls_and_other_shapes_are_played_as_the_table_says(tmp_path):
     ranges[ahead] = 5 / np.cos(bearings[ahead])
     scans = [
         lc.messages.LaserScan(
-            number * 50_000_000, ranges, scanner.angle_min, scanner.angle_increment, 0.1, 10.0,
+            number * 50_000_000,
+            ranges,
+            scanner.angle_min,
+            scanner.angle_increment,
+            0.1,
+            10.0,
             "laser",
         )
         for number in range(SCANS)
-    ]  # fmt: skip
+    ]
     lc.io.write_npz(tmp_path / "a.npz", scans)
     done = invoke("circles", tmp_path / "a.npz", "-o", tmp_path / "run", "--pose", "static")
     assert done.exit_code == 0, done.output
@@ -232,8 +237,10 @@ def test_foxglove_gets_every_message_as_it_is_stored(circles, monkeypatch):
     )
     assert ports[0] > 0
     with (circles / "run.mcap").open("rb") as file:
-        stored = [(channel.topic, message.log_time, message.data)
-                  for _, channel, message in make_reader(file).iter_messages()]  # fmt: skip
+        stored = [
+            (channel.topic, message.log_time, message.data)
+            for _, channel, message in make_reader(file).iter_messages()
+        ]
     assert sorted(sent) == sorted(stored)
     assert [time for _, time, _ in sent] == sorted(time for _, time, _ in sent)
 
@@ -243,8 +250,10 @@ def test_ctrl_c_and_sigterm_end_the_server(circles, by):
     program = "from lidar_core.cli import main; main()"
     process = subprocess.Popen(
         [sys.executable, "-c", program, "view", str(circles), "--foxglove", "--port", "0"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     killer = threading.Timer(60, process.kill)
     killer.start()
     try:
@@ -308,12 +317,22 @@ def test_rerun_files_hold_everything_that_is_played(kind, request, tmp_path):
     path = tmp_path / "run.rrd"
     done = invoke("view", folder, "--rrd", path)
     assert done.exit_code == 0, done.output
-    check = subprocess.run([sys.executable, "-m", "rerun", "rrd", "verify", str(path)],
-                           capture_output=True, text=True, check=False)  # fmt: skip
+    check = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "verify", str(path)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert check.returncode == 0, check.stderr
-    shown = subprocess.run([sys.executable, "-m", "rerun", "rrd", "print", "-v", str(path)],
-                           capture_output=True, text=True, check=True).stdout  # fmt: skip
-    wanted = {"circles": ["/world/objects/outlines"], "flying": ["/world/objects/boxes",
-              "/world/map"]}  # fmt: skip
+    shown = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "print", "-v", str(path)],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    wanted = {
+        "circles": ["/world/objects/outlines"],
+        "flying": ["/world/objects/boxes", "/world/map"],
+    }
     for entity in ["/world/points", "/world/objects/covariance", *wanted[kind]]:
         assert entity in shown

@@ -42,8 +42,10 @@ needs_rerun = pytest.mark.skipif(
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
-    for command in (["simulate", "circles", "-o", folder / "a.npz", "--scans", 20],
-                    ["circles", folder / "a.npz", "-o", folder / "run"]):  # fmt: skip
+    for command in (
+        ["simulate", "circles", "-o", folder / "a.npz", "--scans", 20],
+        ["circles", folder / "a.npz", "-o", folder / "run"],
+    ):
         assert CliRunner().invoke(app, list(map(str, command))).exit_code == 0
     return folder / "run"
 
@@ -53,8 +55,11 @@ def served(*arguments):
     """A command in a process of its own; yields the address that it prints."""
     process = subprocess.Popen(
         [sys.executable, "-c", MAIN, *map(str, arguments)],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, bufsize=1,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        bufsize=1,
+    )
     try:
         told = ""
         for line in process.stdout:
@@ -104,8 +109,9 @@ class References(HTMLParser):
     def handle_starttag(self, tag, attrs):
         told = dict(attrs)
         self._tag = tag
-        self.found += [told[name] for name in ("src", "href", "action", "data", "srcset")
-                       if name in told]  # fmt: skip
+        self.found += [
+            told[name] for name in ("src", "href", "action", "data", "srcset") if name in told
+        ]
         if tag == "link":
             self.links.append(told.get("rel"))
         assert told.get("http-equiv") is None

@@ -76,15 +76,24 @@ def test_a_run_with_truth_shows_its_tracks(view, tmp_path):
 def test_a_run_without_truth_tracks_or_points_is_drawn(view, tmp_path):
     nothing = np.empty((0, 3))
     empty = replace(
-        view, cloud=nothing, cloud_class=np.empty(0, np.uint8), flying=nothing, occupied=nothing,
-        tracks=[tracks_at(n, [], []) for n in range(20)], truth={}, recall={},
-    )  # fmt: skip
+        view,
+        cloud=nothing,
+        cloud_class=np.empty(0, np.uint8),
+        flying=nothing,
+        occupied=nothing,
+        tracks=[tracks_at(n, [], []) for n in range(20)],
+        truth={},
+        recall={},
+    )
     full = shares(draw_flying(view, tmp_path / "full.png"))
     assert shares(draw_flying(empty, tmp_path / "a.png"))[0] < full[0]
     no_scans = replace(
-        empty, sensor=nothing, stamp_ns=np.empty(0, np.int64), tracks=[],
+        empty,
+        sensor=nothing,
+        stamp_ns=np.empty(0, np.int64),
+        tracks=[],
         n_detections=np.empty(0, np.int64),
-    )  # fmt: skip
+    )
     assert imread(draw_flying(no_scans, tmp_path / "b.png")).shape[:2] == SHAPE
 
 

@@ -53,8 +53,15 @@ def view():
 
 def empty(view):
     none = np.empty((0, 2))
-    return replace(view, points=[], sensor=none, stamp_ns=np.empty(0, np.int64), maps=[],
-                   n_circles=np.empty(0, np.int64), truth={})  # fmt: skip
+    return replace(
+        view,
+        points=[],
+        sensor=none,
+        stamp_ns=np.empty(0, np.int64),
+        maps=[],
+        n_circles=np.empty(0, np.int64),
+        truth={},
+    )
 
 
 def share_of(path, colour):
@@ -66,9 +73,19 @@ def test_elements_are_drawn_in_their_colour(view, tmp_path):
     path = draw_circles(view, tmp_path / "picture.png")
     assert imread(path).shape[:2] == SHAPE
     assert share_of(path, FIRST) > 2e-4
-    without = replace(view, maps=[replace(state, id=state.id[:0], center=state.center[:0],
-                      radius=state.radius[:0], covariance=state.covariance[:0])
-                      for state in view.maps])  # fmt: skip
+    without = replace(
+        view,
+        maps=[
+            replace(
+                state,
+                id=state.id[:0],
+                center=state.center[:0],
+                radius=state.radius[:0],
+                covariance=state.covariance[:0],
+            )
+            for state in view.maps
+        ],
+    )
     assert share_of(draw_circles(without, tmp_path / "b.png"), FIRST) == 0
 
 

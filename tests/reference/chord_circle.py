@@ -11,8 +11,9 @@ def circle(ranges, bearings):
         return np.array([*points[0], 0.0])
     middle = points.mean(axis=0)
     direction = np.linalg.svd(points - middle)[2][0]  # the longest axis
-    first, last = (middle + direction * (point - middle).dot(direction)
-                   for point in (points[0], points[-1]))  # fmt: skip
+    first, last = (
+        middle + direction * (point - middle).dot(direction) for point in (points[0], points[-1])
+    )
     length = np.linalg.norm(last - first)
     foot = (first + last) / 2
     normal = np.array([-direction[1], direction[0]])

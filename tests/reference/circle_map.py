@@ -153,10 +153,13 @@ class JointMap:
         F = transition(dt)
         Q = self.step_noise() * (dt != 0)
         return [
-            (i, F @ self.x[5 * k : 5 * k + 5],
-             F @ self.P[3 + 5 * k : 8 + 5 * k, 3 + 5 * k : 8 + 5 * k] @ F.T + Q)
+            (
+                i,
+                F @ self.x[5 * k : 5 * k + 5],
+                F @ self.P[3 + 5 * k : 8 + 5 * k, 3 + 5 * k : 8 + 5 * k] @ F.T + Q,
+            )
             for k, i in enumerate(self.ids)
-        ]  # fmt: skip
+        ]
 
 
 # --- a filter per element -------------------------------------------------------------------------
@@ -410,11 +413,13 @@ def in_world(z, R, pose, doubt):
 
 def pose_jacobian(pose, at, step=1e-6):
     """Derivative of the place, seen from above, of a point that the tilted scan saw there."""
-    angles = np.array([
-        np.arctan2(pose[2, 1], pose[2, 2]),
-        np.arcsin(-pose[2, 0]),
-        np.arctan2(pose[1, 0], pose[0, 0]),
-    ])  # fmt: skip
+    angles = np.array(
+        [
+            np.arctan2(pose[2, 1], pose[2, 2]),
+            np.arcsin(-pose[2, 0]),
+            np.arctan2(pose[1, 0], pose[0, 0]),
+        ]
+    )
     point = np.linalg.solve(pose[:2, :2], at - pose[:2, 3])  # in the plane of the scan
     columns = []
     for parameter in range(6):

@@ -36,8 +36,9 @@ def face_ranges(parameters, bearings):
     x, y, length, width, heading = parameters
     ahead = 0.5 * length * np.array([np.cos(heading), np.sin(heading)])
     aside = 0.5 * width * np.array([-np.sin(heading), np.cos(heading)])
-    corners = [np.array([x, y]) + a * ahead + b * aside
-               for a, b in [(1, 1), (-1, 1), (-1, -1), (1, -1)]]  # fmt: skip
+    corners = [
+        np.array([x, y]) + a * ahead + b * aside for a, b in [(1, 1), (-1, 1), (-1, -1), (1, -1)]
+    ]
     return np.array([line_ranges((corners[k], corners[k - 1]), bearings) for k in range(4)])
 
 

@@ -31,13 +31,21 @@ def shown(bearings, ranges, sides, gaps, range_std, beam_half_width, limits):
     noise = max(range_std, 1e-4) / scale
     far = np.clip(limits[1] - ranges[[0, -1]], -0.1, 1.0)
     context = [
-        np.log(max(distance, 1e-3)), np.log(max(radius, 1e-4)), np.log(noise), np.log(count),
-        np.log(max(np.abs(gaps).mean() * distance / scale, 1e-6)), half / (np.pi / 2),
+        np.log(max(distance, 1e-3)),
+        np.log(max(radius, 1e-4)),
+        np.log(noise),
+        np.log(count),
+        np.log(max(np.abs(gaps).mean() * distance / scale, 1e-6)),
+        half / (np.pi / 2),
         np.log(max(np.sqrt(np.mean(difference**2)) / noise, 1e-2)),
-        beam_half_width * distance / scale, 1 - count / n_rays, *far,
+        beam_half_width * distance / scale,
+        1 - count / n_rays,
+        *far,
         np.clip((ranges.min() - limits[0]) / 0.3, -0.1, 1.0),
-        np.log(noise / np.sqrt(max(count / SLOTS, 1))), *np.eye(4)[sides[0]], *np.eye(4)[sides[1]],
-    ]  # fmt: skip
+        np.log(noise / np.sqrt(max(count / SLOTS, 1))),
+        *np.eye(4)[sides[0]],
+        *np.eye(4)[sides[1]],
+    ]
     return slots, np.array(context), np.array([middle, scale, distance, radius, count])
 
 

@@ -36,9 +36,13 @@ def pairs_of(estimates, targets, gate):
 def scores(scans, gate):
     """Scores of scans (stamp, truth ids, truth positions, eligible, track ids, positions)."""
     result = {
-        "n_eligible": 0, "n_found": 0, "n_estimates": 0, "n_matched": 0, "n_false": 0,
+        "n_eligible": 0,
+        "n_found": 0,
+        "n_estimates": 0,
+        "n_matched": 0,
+        "n_false": 0,
         "n_switches": 0,
-    }  # fmt: skip
+    }
     errors, false_ids, last_track, first, delay = [], set(), {}, {}, {}
     for stamp, names, places, eligible, tracks, found in scans:
         pairs = pairs_of(found, places, gate)

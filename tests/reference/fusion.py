@@ -42,8 +42,16 @@ def ctrv(s, dt):
 def ctra(s, dt):
     a, b = integrals(s[3], s[4], dt, 0)
     c, d = integrals(s[3], s[4], dt, 1)
-    return np.array([s[0] + s[2] * a + s[5] * c, s[1] + s[2] * b + s[5] * d, s[2] + s[5] * dt,
-                     s[3] + s[4] * dt, s[4], s[5]])  # fmt: skip
+    return np.array(
+        [
+            s[0] + s[2] * a + s[5] * c,
+            s[1] + s[2] * b + s[5] * d,
+            s[2] + s[5] * dt,
+            s[3] + s[4] * dt,
+            s[4],
+            s[5],
+        ]
+    )
 
 
 def drone(s, dt, rate, u, lever):
@@ -60,9 +68,12 @@ def drone(s, dt, rate, u, lever):
 
 MODELS = {"cv": cv, "ca": ca, "ct": ct, "ctrv": ctrv, "ctra": ctra}
 NOISE = {  # states that white noise enters: a for acceleration, j for jerk, t for turn
-    "cv": [(2, "a"), (3, "a")], "ca": [(4, "j"), (5, "j")], "ct": [(2, "a"), (3, "a"), (4, "t")],
-    "ctrv": [(2, "a"), (4, "t")], "ctra": [(5, "j"), (4, "t")],
-}  # fmt: skip
+    "cv": [(2, "a"), (3, "a")],
+    "ca": [(4, "j"), (5, "j")],
+    "ct": [(2, "a"), (3, "a"), (4, "t")],
+    "ctrv": [(2, "a"), (4, "t")],
+    "ctra": [(5, "j"), (4, "t")],
+}
 
 
 def jacobian(f, s):
@@ -152,9 +163,20 @@ def rts(model, states, covariances, dt, strengths):
 
 
 def paper_step(
-    s, P, dt, sensor, z, std, *, alpha="literal", straight_y="literal", platform_column="literal",
-    speed=0.0, elevation=0.0, reading="a",
-):  # fmt: skip
+    s,
+    P,
+    dt,
+    sensor,
+    z,
+    std,
+    *,
+    alpha="literal",
+    straight_y="literal",
+    platform_column="literal",
+    speed=0.0,
+    elevation=0.0,
+    reading="a",
+):
     """Eqs 7-28 of the paper, reading A or B of the radar, states moved by eqs 8 and 9."""
     v, theta, w = s[2:5]
     cp, sp = np.cos(elevation), np.sin(elevation)

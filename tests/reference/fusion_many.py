@@ -48,8 +48,13 @@ class ManyTargets:
             if source in track["sources"]:
                 track["history"].append(0)
         for confirmed in (True, False):
-            self.associate([t for t in self.tracks if t["confirmed"] is confirmed], stamp, places,
-                           source, numbers)  # fmt: skip
+            self.associate(
+                [t for t in self.tracks if t["confirmed"] is confirmed],
+                stamp,
+                places,
+                source,
+                numbers,
+            )
         measured = [track["mean"][:2] for track in self.tracks if track["seen"] == stamp]
         for track in self.tracks:
             self.judge(track)
@@ -59,9 +64,17 @@ class ManyTargets:
             if numbers[column] >= 0 or near:
                 continue
             spread = np.repeat([target.initial_position**2, target.initial_speed**2], 2)
-            track = {"id": self.next_id, "mean": np.array([*place, 0.0, 0.0]),
-                     "cov": np.diag(spread), "history": [1], "sources": {source}, "seen": stamp,
-                     "stamp": stamp, "confirmed": False, "hits": 1}  # fmt: skip
+            track = {
+                "id": self.next_id,
+                "mean": np.array([*place, 0.0, 0.0]),
+                "cov": np.diag(spread),
+                "history": [1],
+                "sources": {source},
+                "seen": stamp,
+                "stamp": stamp,
+                "confirmed": False,
+                "hits": 1,
+            }
             self.judge(track)
             self.tracks.append(track)
             numbers[column] = self.next_id
@@ -107,8 +120,11 @@ class ManyTargets:
         misses = self.config.confirm_window - self.config.confirm_hits
         alive = track["confirmed"] or len(recent) - sum(recent) <= misses
         spread = np.sqrt(np.diag(track["cov"])[:2].max())
-        return (alive and (stamp - track["seen"]) * 1e-9 <= self.config.max_coast
-                and spread <= self.config.max_position_std)  # fmt: skip
+        return (
+            alive
+            and (stamp - track["seen"]) * 1e-9 <= self.config.max_coast
+            and spread <= self.config.max_position_std
+        )
 
 
 class JointTargets(ManyTargets):

@@ -155,14 +155,17 @@ def _model(network: nn.Module, metadata: dict[str, str]) -> onnx.ModelProto:
     if isinstance(network, WindowNet):
         answer, size = _windows(network, graph), ANSWERS
         shapes: dict[str, list[Any]] = {
-            "slots": ["batch", SLOTS, SLOT_NUMBERS], "context": ["batch", CONTEXT]
-        }  # fmt: skip
+            "slots": ["batch", SLOTS, SLOT_NUMBERS],
+            "context": ["batch", CONTEXT],
+        }
     else:
         answer, size = _scans(network, graph), 3
         shapes = {"scans": ["batch", 1, int(metadata["n_beams"])]}
     graph.nodes.append(helper.make_node("Identity", [answer], ["answer"]))
-    inputs = [helper.make_tensor_value_info(*pair) for pair in
-              ((name, TensorProto.FLOAT, shape) for name, shape in shapes.items())]  # fmt: skip
+    inputs = [
+        helper.make_tensor_value_info(*pair)
+        for pair in ((name, TensorProto.FLOAT, shape) for name, shape in shapes.items())
+    ]
     output = helper.make_tensor_value_info("answer", TensorProto.FLOAT, ["batch", size])
     made = helper.make_graph(graph.nodes, "circle", inputs, [output], graph.weights)
     model = helper.make_model(made, opset_imports=[helper.make_opsetid("", OPSET)])
@@ -198,8 +201,9 @@ def _windows(network: WindowNet, graph: Graph) -> str:
     hidden = graph.add("Add", graph.linear(network.ray, features), of_context)
     hidden = graph.linear(network.ray_mix, graph.silu(hidden))
     width = network.ray_mix.out_features
-    first, second = (graph.part(hidden, 2, *ends) for ends in
-                     ((0, network.half), (network.half, width)))  # fmt: skip
+    first, second = (
+        graph.part(hidden, 2, *ends) for ends in ((0, network.half), (network.half, width))
+    )
     count = graph.sum(used, 1)
     linear = graph.add("Div", graph.sum(graph.add("Mul", first, difference), 1), count)
     general = graph.sum(graph.add("Mul", graph.silu(second), used), 1)
@@ -213,9 +217,14 @@ def _windows(network: WindowNet, graph: Graph) -> str:
 
 
 def _card(
-    config: TrainConfig, results: dict[str, Any], run: Path, model: Path, network: nn.Module,
-    difference: float, name: str,
-) -> dict[str, Any]:  # fmt: skip
+    config: TrainConfig,
+    results: dict[str, Any],
+    run: Path,
+    model: Path,
+    network: nn.Module,
+    difference: float,
+    name: str,
+) -> dict[str, Any]:
     with (run / METRICS).open(newline="", encoding="utf-8") as file:
         metrics = [
             {key: float(value) for key, value in row.items()} for row in csv.DictReader(file)

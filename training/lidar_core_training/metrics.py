@@ -60,8 +60,12 @@ def breakdown(
 ) -> dict[str, Any]:
     """Summaries of all samples, by number of hits, and of whole and cut circles."""
     hits, whole = samples.n_hits, samples.is_whole(scanner)
-    groups = {"all": np.ones(len(samples), np.bool_), "whole": whole, "cut": ~whole,
-              "whole, 4 hits or more": whole & (hits >= 4)}  # fmt: skip
+    groups = {
+        "all": np.ones(len(samples), np.bool_),
+        "whole": whole,
+        "cut": ~whole,
+        "whole, 4 hits or more": whole & (hits >= 4),
+    }
     groups |= dict(_by_hits(hits))
     return {
         name: summary(errors[chosen], None if nees is None else nees[chosen])

@@ -168,10 +168,14 @@ class OneStepTask:
     def crowds(self, data: Data, numbers: NDArray[np.int64]) -> list[tuple[Scanner, Crowds]]:
         """Scans that these circles share, by scanner."""
         return [
-            (scanner, crowds(samples, scanner, per_scan=self.per_scan, walls=self.walls,
-                             seed=int(numbers[0])))
+            (
+                scanner,
+                crowds(
+                    samples, scanner, per_scan=self.per_scan, walls=self.walls, seed=int(numbers[0])
+                ),
+            )
             for scanner, samples in data.chosen(numbers)
-        ]  # fmt: skip
+        ]
 
     def batch(self, data: Data, numbers: NDArray[np.int64]) -> Batch:
         """Scans, and what their rays met."""

@@ -128,11 +128,14 @@ def _datasets(
     """Make, or find, the data of a run: one seed per dataset."""
     return [
         dataset.generate(
-            one, folder / f"data/{index}", seed=config.seed + index,
-            threads=config.threads, on_shard=on_data,
+            one,
+            folder / f"data/{index}",
+            seed=config.seed + index,
+            threads=config.threads,
+            on_shard=on_data,
         )
         for index, one in enumerate(config.datasets)
-    ]  # fmt: skip
+    ]
 
 
 def key_of(config: TrainConfig) -> str:
@@ -291,8 +294,11 @@ class Run:
         loss, errors, nees = errors_of(self.network, self.task, data, numbers, self.group.device)
         if isinstance(self.task, OneStepTask):
             ((scanner, made),) = self.task.crowds(data, numbers[:_DETECTED])
-            return {"loss": loss, "rays": summary(errors, nees),
-                    "circles": compared(self.network, made, scanner)}  # fmt: skip
+            return {
+                "loss": loss,
+                "rays": summary(errors, nees),
+                "circles": compared(self.network, made, scanner),
+            }
         return {"loss": loss, "errors": breakdown(errors, nees, *data.parts[0])}
 
 

@@ -70,8 +70,9 @@ def test_the_layers_that_are_told_are_those_of_the_networks():
     layers = window_layers(network.ray.out_features, network.enter.out_features)
     assert {layer.name: layer.parameters for layer in layers} == {
         name: parameter_count(module)
-        for name, module in network.named_children() if parameter_count(module)
-    }  # fmt: skip
+        for name, module in network.named_children()
+        if parameter_count(module)
+    }
     assert [layer.length for layer in paper_layers(1081)][:6] == [1075, 535, 529, 262, 256, 125]
 
 
@@ -106,10 +107,12 @@ def test_the_likelihood_is_that_of_the_normal_distribution():
     assert float(found) == pytest.approx(float(expected), rel=1e-12)
     assert_allclose(
         whitened(answer, true)[0].square().sum(1),
-        normal.covariance_matrix.inverse().matmul((true - answer[:, :3])[:, :, None])[:, :, 0]
-        .mul(true - answer[:, :3]).sum(1),
+        normal.covariance_matrix.inverse()
+        .matmul((true - answer[:, :3])[:, :, None])[:, :, 0]
+        .mul(true - answer[:, :3])
+        .sum(1),
         rtol=1e-9,
-    )  # fmt: skip
+    )
 
 
 def test_slots_that_are_not_used_change_nothing():

@@ -57,8 +57,9 @@ def test_true_votes_give_the_circles_back(made):
         expected = made.circles[rays >= LEAST_RAYS]
         found = grouped(answer, scan, SCANNER)
         assert len(found) == len(expected)
-        assert_allclose(found[np.argsort(found[:, 0])], expected[np.argsort(expected[:, 0])],
-                        atol=1e-4)  # fmt: skip
+        assert_allclose(
+            found[np.argsort(found[:, 0])], expected[np.argsort(expected[:, 0])], atol=1e-4
+        )
 
 
 def test_true_votes_cost_nothing_and_walls_teach_no_circle(made):
@@ -85,11 +86,18 @@ def test_precision_and_recall():
 
 
 def test_a_run_tells_what_was_found_beside_the_pipeline(tmp_path):
-    config = TrainConfig.load({
-        "network": "one-step", "threads": 1, "batch_size": 64, "epochs": 1, "seed": 78,
-        "per_scan": 4, "walls": 1,
-        "datasets": [DatasetConfig.continuous(circles=400).model_dump(mode="json")],
-    })  # fmt: skip
+    config = TrainConfig.load(
+        {
+            "network": "one-step",
+            "threads": 1,
+            "batch_size": 64,
+            "epochs": 1,
+            "seed": 78,
+            "per_scan": 4,
+            "walls": 1,
+            "datasets": [DatasetConfig.continuous(circles=400).model_dump(mode="json")],
+        }
+    )
     (test,) = train(config, tmp_path)["test"]
     assert test["circles"]["scans"] == 20
     assert test["circles"]["pipeline"]["recall"] > 0.8

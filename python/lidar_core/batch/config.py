@@ -144,8 +144,9 @@ def _of_group(group: BatchGroup, folder: Path) -> Iterator[BatchJob]:
     for row in group.rows or ({},):
         for chosen in product(*choices.values()):
             values = {**row, **dict(zip(choices, chosen, strict=True))}
-            yield BatchJob(group.name, values, tuple(_filled(text, values)
-                                                     for text in group.commands))  # fmt: skip
+            yield BatchJob(
+                group.name, values, tuple(_filled(text, values) for text in group.commands)
+            )
 
 
 def _matching(group: str, name: str, pattern: str, folder: Path) -> tuple[str, ...]:

@@ -81,9 +81,12 @@ def lattice(config: DatasetConfig) -> NDArray[np.float64]:
     """All circles of a lattice that the scanner sees, shape (N, 3): x, y, radius [m]."""
     low, high = (round(radius / config.radius_step) for radius in config.radius)
     return _core.circle_lattice(
-        config.scanner, reach=config.reach, spacing=config.spacing,
-        radius_steps=(low, high), radius_step=config.radius_step,
-    )  # fmt: skip
+        config.scanner,
+        reach=config.reach,
+        spacing=config.spacing,
+        radius_steps=(low, high),
+        radius_step=config.radius_step,
+    )
 
 
 def split(config: DatasetConfig, n_samples: int, part: Part, *, seed: int) -> NDArray[np.int64]:

@@ -49,8 +49,11 @@ def check_graph(path: Path, content: bytes) -> None:
         _check_message(path, kind, fields)
         has_graph |= kind == "graph"
         inner = _MESSAGES.get(kind, {})
-        left += [(inner[number], value, depth + 1) for number, value in fields
-                 if number in inner and isinstance(value, bytes)]  # fmt: skip
+        left += [
+            (inner[number], value, depth + 1)
+            for number, value in fields
+            if number in inner and isinstance(value, bytes)
+        ]
     if not has_graph:
         raise FormatError(f"{path}: expected an ONNX model: there is no graph in it")
 
@@ -94,8 +97,10 @@ def _fields(path: Path, data: bytes) -> Iterator[tuple[int, int | bytes]]:
         else:
             raise FormatError(f"{path}: expected an ONNX model: entry of sort {wire} at byte {at}")
         if size > len(data) - at:
-            raise FormatError(f"{path}: expected an ONNX model: {size} bytes are promised, "
-                              f"{len(data) - at} follow")  # fmt: skip
+            raise FormatError(
+                f"{path}: expected an ONNX model: {size} bytes are promised, "
+                f"{len(data) - at} follow"
+            )
         yield number, data[at : at + size]
         at += size
 

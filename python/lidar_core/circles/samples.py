@@ -102,9 +102,11 @@ class Samples:
 def joined(parts: list[Samples]) -> Samples:
     """All samples of several collections, one collection after the other."""
     return Samples(
-        *(np.concatenate([getattr(part, field.name) for part in parts])
-          for field in fields(Samples))
-    )  # fmt: skip
+        *(
+            np.concatenate([getattr(part, field.name) for part in parts])
+            for field in fields(Samples)
+        )
+    )
 
 
 def make_samples(
@@ -149,7 +151,12 @@ def make_samples(
     (5, (5, 1081))
     """
     arrays = _core.make_circle_samples(
-        config, circles=circles, draws=config.draws, seed=seed,
-        start=start, count=count, threads=threads,
-    )  # fmt: skip
+        config,
+        circles=circles,
+        draws=config.draws,
+        seed=seed,
+        start=start,
+        count=count,
+        threads=threads,
+    )
     return Samples(*arrays)

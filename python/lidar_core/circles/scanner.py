@@ -93,6 +93,9 @@ class Scanner(Config):
 def _values_of(preset: str) -> dict[str, Any]:
     model = sensor_named(preset, kind="planar").model
     names = {"beams": "n_beams"}
-    shape = {names.get(name, name): value for name, value in model["pattern"].items()
-             if name in ("beams", "angle_min", "angle_increment")}  # fmt: skip
+    shape = {
+        names.get(name, name): value
+        for name, value in model["pattern"].items()
+        if name in ("beams", "angle_min", "angle_increment")
+    }
     return {**shape, "range_min": model["range_min"], "range_max": model["range_max"]}

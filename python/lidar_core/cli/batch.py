@@ -62,8 +62,12 @@ def command(
             for record in batch.run(executor=executor, workers=workers):
                 progress.advance(task)
                 if record.status == "failed":
-                    errors.print(f"{output / record.job}: {record.error}", markup=False,
-                                 highlight=False, soft_wrap=True)  # fmt: skip
+                    errors.print(
+                        f"{output / record.job}: {record.error}",
+                        markup=False,
+                        highlight=False,
+                        soft_wrap=True,
+                    )
         except KeyboardInterrupt:
             was_stopped = True
     table = batch.write({"batch": config}, jobs)
@@ -72,8 +76,11 @@ def command(
     result = summary(records, kept=len(batch.kept), jobs=len(batch.jobs))
     write_json({**result, "results": str(table)}, json)
     out.print(_table(records))
-    out.print(f"{table}: {len(records)} of {len(batch.jobs)} jobs, {len(batch.kept)} done before",
-              highlight=False, soft_wrap=True)  # fmt: skip
+    out.print(
+        f"{table}: {len(records)} of {len(batch.jobs)} jobs, {len(batch.kept)} done before",
+        highlight=False,
+        soft_wrap=True,
+    )
     if was_stopped:
         errors.print("interrupted: the same command goes on from here")
         raise typer.Exit(INTERRUPTED)

@@ -67,11 +67,17 @@ class Batch:
         for job in jobs:
             _check(job)
         named = {f"{job.group}-{_key(job)[:KEY_LENGTH]}": job for job in jobs}
-        kept = {} if is_fresh else {
-            name: record for name, job in named.items()
-            if (record := JobRecord.read(folder / name)) is not None
-            and record.status == "done" and record.key == _key(job)
-        }  # fmt: skip
+        kept = (
+            {}
+            if is_fresh
+            else {
+                name: record
+                for name, job in named.items()
+                if (record := JobRecord.read(folder / name)) is not None
+                and record.status == "done"
+                and record.key == _key(job)
+            }
+        )
         return cls(folder, named, kept, {})
 
     def run(self, *, executor: Executor, workers: int) -> Iterator[JobRecord]:
@@ -116,10 +122,18 @@ class Batch:
 
     def _task(self, name: str, threads: int) -> Task:
         folder = (self.folder / name).resolve()
-        return Task(name, run_job, {
-            "record": self._record(name), "commands": self.jobs[name].commands_into(folder),
-            "folder": folder, "place": Path.cwd(), "threads": threads, "build": build_digest(),
-        })  # fmt: skip
+        return Task(
+            name,
+            run_job,
+            {
+                "record": self._record(name),
+                "commands": self.jobs[name].commands_into(folder),
+                "folder": folder,
+                "place": Path.cwd(),
+                "threads": threads,
+                "build": build_digest(),
+            },
+        )
 
 
 def run_job(
@@ -259,8 +273,12 @@ def _begin(folder: Path, record: JobRecord) -> None:
 
 def _key(job: BatchJob) -> str:
     """Digest of what makes the result: build, commands, and size and time of the files named."""
-    files = {part: _seen(Path(part)) for command in job.commands for part in command
-             if os.path.exists(part)}  # fmt: skip
+    files = {
+        part: _seen(Path(part))
+        for command in job.commands
+        for part in command
+        if os.path.exists(part)
+    }
     made_of = json.dumps([build_digest(), job.commands, files], sort_keys=True)
     return hashlib.sha256(made_of.encode()).hexdigest()
 
@@ -271,7 +289,9 @@ def _seen(path: Path) -> list[tuple[str, int, int]]:
 
 
 def _told(error: Exception) -> str:
-    text = str(error) if isinstance(error, LidarCoreError | OSError) else (
-        f"{type(error).__name__}: {error}"
-    )  # fmt: skip
+    text = (
+        str(error)
+        if isinstance(error, LidarCoreError | OSError)
+        else (f"{type(error).__name__}: {error}")
+    )
     return text.strip() or type(error).__name__

@@ -54,9 +54,15 @@ def command(
 
     folder, recording = options.folder(), options.recording
     read = ReadOptions.load(
-        given({"no_return": no_return, "point_time": point_time, "stamps": stamps,
-               "scan_rate": scan_rate})
-    )  # fmt: skip
+        given(
+            {
+                "no_return": no_return,
+                "point_time": point_time,
+                "stamps": stamps,
+                "scan_rate": scan_rate,
+            }
+        )
+    )
     base = CirclesConfig() if options.mode == "best" else CirclesConfig.paper()
     config = run_config(base, "circles", options.config, options.values)
     chosen = _with_scanners(config, recording, read, scan, options.poses())
@@ -78,9 +84,12 @@ def command(
 
 
 def _with_scanners(
-    config: "CirclesConfig", recording: Path, read: "ReadOptions", topics: Sequence[str],
+    config: "CirclesConfig",
+    recording: Path,
+    read: "ReadOptions",
+    topics: Sequence[str],
     span: "Span",
-) -> "CirclesConfig":  # fmt: skip
+) -> "CirclesConfig":
     """`config` with the scanners of the recording, where it does not name them itself.
 
     Their ranges are limited to those of `config.scanner`.

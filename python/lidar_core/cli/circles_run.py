@@ -155,8 +155,9 @@ class CirclesRun:
         picture, film = folder.path / "picture.png", folder.path / f"film{film_ending()}"
         paint = [(picture, lambda: draw_circles(view, picture))]
         if self._films:
-            paint.append((film, lambda: animate_circles(view, film, frames=FILM_FRAMES,
-                                                        rate=FILM_RATE)))  # fmt: skip
+            paint.append(
+                (film, lambda: animate_circles(view, film, frames=FILM_FRAMES, rate=FILM_RATE))
+            )
         return draw(paint, console)
 
     def view(self, title: str, **more: Any) -> CirclesView:

@@ -131,9 +131,13 @@ def result_table(title: str, rows: Sequence[Row | None], *, caption: str = "") -
     from rich.table import Table
 
     table = Table(
-        title=escape(title), title_justify="left", title_style="bold", show_header=False,
-        caption=escape(caption), caption_justify="left",
-    )  # fmt: skip
+        title=escape(title),
+        title_justify="left",
+        title_style="bold",
+        show_header=False,
+        caption=escape(caption),
+        caption_justify="left",
+    )
     table.add_column(style="cyan", no_wrap=True)
     table.add_column(justify="right", style="bold", overflow="fold")
     table.add_column(style="dim", overflow="fold")
@@ -149,8 +153,11 @@ def stage_rows(ms_per_scan: Mapping[str, float]) -> list[Row]:
     """Rows of the mean time per scan: the total, then every stage."""
     total = ms_per_scan["total"]
     digits = 0 if total >= SLOW_MS else 2
-    stages = [Row(f"  {name}", f"{value:.{digits + 1}f} ms", _bar(value / total))
-              for name, value in ms_per_scan.items() if name != "total" and total > 0]  # fmt: skip
+    stages = [
+        Row(f"  {name}", f"{value:.{digits + 1}f} ms", _bar(value / total))
+        for name, value in ms_per_scan.items()
+        if name != "total" and total > 0
+    ]
     rate = f"{1e3 / total:.1f} scans per second" if total > 0 else ""
     return [Row("time per scan", f"{total:.{digits}f} ms", rate), *stages]
 
@@ -158,10 +165,13 @@ def stage_rows(ms_per_scan: Mapping[str, float]) -> list[Row]:
 def map_rows(size: Mapping[str, int]) -> list[Row]:
     """Rows of the size of a map."""
     return [
-        Row("voxels observed", f"{size['observed_voxels']:,}",
-            f"{size['occupied_voxels']:,} occupied"),
+        Row(
+            "voxels observed",
+            f"{size['observed_voxels']:,}",
+            f"{size['occupied_voxels']:,} occupied",
+        ),
         Row("map memory", f"{size['memory_bytes'] / 2**20:.1f} MiB", ""),
-    ]  # fmt: skip
+    ]
 
 
 def _bar(share: float) -> str:

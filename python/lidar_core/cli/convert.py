@@ -68,9 +68,16 @@ def command(
 
     if output.exists() and output.resolve() == recording.resolve():
         raise InputError(f"{output}: expected another file than the one to read")
-    values = given({"point_time": point_time, "no_return": no_return, "metadata": metadata,
-                    "stamps": stamps, "scan_rate": scan_rate,
-                    "recover": recover or None})  # fmt: skip
+    values = given(
+        {
+            "point_time": point_time,
+            "no_return": no_return,
+            "metadata": metadata,
+            "stamps": stamps,
+            "scan_rate": scan_rate,
+            "recover": recover or None,
+        }
+    )
     chosen = given({"topic": topic or None, "start": start or None, "end": end})
     of_run, of_map = given({"class": class_name}), given({"resolution": resolution})
     console, errors = consoles(json_file)
@@ -78,12 +85,18 @@ def command(
         _refuse(values | chosen | of_map, "the objects of a run")
         told = convert_run(recording, output, name=class_name)
         write_json(told, json_file)
-        console.print(f"{told['states']} states of {told['objects']} objects at {told['times']}"
-                      f" times in {output}", markup=False, soft_wrap=True)  # fmt: skip
+        console.print(
+            f"{told['states']} states of {told['objects']} objects at {told['times']}"
+            f" times in {output}",
+            markup=False,
+            soft_wrap=True,
+        )
         return
     if output.suffix.lower() in WRITABLE:
-        _refuse(chosen | of_run | ({} if output.suffix.lower() == ".bt" else of_map),
-                f"one cloud or map as {output.suffix}")  # fmt: skip
+        _refuse(
+            chosen | of_run | ({} if output.suffix.lower() == ".bt" else of_map),
+            f"one cloud or map as {output.suffix}",
+        )
         count = _write_cloud(recording, output, ReadOptions.load(values), resolution)
         write_json({"input": str(recording), "output": str(output), "points": count}, json_file)
         console.print(f"{count} points in {output}", markup=False, soft_wrap=True)
@@ -136,8 +149,12 @@ def _write_recording(
 
         write_recording(output, counted())
         left_out = {**opened.skipped, **opened.noticed().rejected}
-    return {"input": str(source), "output": str(output), "written": dict(written),
-            "left_out": left_out}  # fmt: skip
+    return {
+        "input": str(source),
+        "output": str(output),
+        "written": dict(written),
+        "left_out": left_out,
+    }
 
 
 def _write_cloud(
@@ -159,8 +176,10 @@ def _check_topics(recording: "Recording", wanted: list[str] | None) -> None:
     for name in wanted or []:
         if name not in known:
             listed = ", ".join(known) or "none"
-            raise ConfigError(f"topic: no scans on {name!r} in {recording.path}; found {listed}"
-                              f"{meant(name, known)}")  # fmt: skip
+            raise ConfigError(
+                f"topic: no scans on {name!r} in {recording.path}; found {listed}"
+                f"{meant(name, known)}"
+            )
 
 
 def _chosen(recording: "Recording", topics: list[str] | None, span: "Span") -> Iterator["Message"]:

@@ -42,5 +42,11 @@ def convert_run(run: Path, output: Path, *, name: str | None) -> dict[str, Any]:
     else:
         raise ConfigError(f"{output}: unknown ending {suffix!r}; a run becomes: {WRITABLE}")
     numbers = [number for _, found in steps for number in found.id.tolist()]
-    return {"input": str(run), "output": str(output), "times": len(steps), "states": len(numbers),
-            "objects": len(set(numbers)), "topics": topics}  # fmt: skip
+    return {
+        "input": str(run),
+        "output": str(output),
+        "times": len(steps),
+        "states": len(numbers),
+        "objects": len(set(numbers)),
+        "topics": topics,
+    }

@@ -60,8 +60,12 @@ def command(
     """
     from lidar_core.evaluation import EvaluationConfig, evaluate, read_prediction, read_truth
 
-    options = {"gate": gate, "max_distance": max_distance, "min_hits": min_hits,
-               "burn_in_scans": burn_in}  # fmt: skip
+    options = {
+        "gate": gate,
+        "max_distance": max_distance,
+        "min_hits": min_hits,
+        "burn_in_scans": burn_in,
+    }
     prediction = read_prediction(predicted)
     of_run = {"burn_in_scans": prediction.burn_in_scans}
     chosen = with_assignments(given(of_run), values) | given(options)

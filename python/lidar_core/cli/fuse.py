@@ -89,9 +89,11 @@ def command(
     from lidar_core.run_folder import RunFolder, fingerprint
 
     folder, writes_mcap = RunFolder(output, overwrite=overwrite, reads=recording), wants_mcap(mcap)
-    read = {"columns": _pairs("column", column, "x=pos_x"),
-            "topics": _pairs("topic", topic, "radar=/front"),
-            **given({"time_unit": time_unit, "angle_unit": angle_unit})}  # fmt: skip
+    read = {
+        "columns": _pairs("column", column, "x=pos_x"),
+        "topics": _pairs("topic", topic, "radar=/front"),
+        **given({"time_unit": time_unit, "angle_unit": angle_unit}),
+    }
     ways = given({"model": model, "method": method, "association": association})
     span = Span.load(given({"start": start, "end": end}))
     run = _run(_Asked(recording, mode, config, values, lag, ways, read, span, force))
@@ -198,8 +200,10 @@ def _one(asked: _Asked, log: "MeasurementLog", reading: Mapping[str, "Config"]) 
     chosen = run_config(base, "fusion", asked.file, [*asked.values, *_texts(asked.ways)])
     kept = log.rows(asked.kept([m.stamp_ns for m in log.measurements]))
     if chosen.model == "ctrv-drone" and any(m.sensor == "pose" for m in kept.measurements):
-        raise ConfigError(f"{asked.recording}: model ctrv-drone is for measurements without poses"
-                          " of the platform, which are here; ctrv takes them in")  # fmt: skip
+        raise ConfigError(
+            f"{asked.recording}: model ctrv-drone is for measurements without poses"
+            " of the platform, which are here; ctrv takes them in"
+        )
     made = TargetRun.of(kept, chosen, {**reading, "span": asked.span}, lag=asked.lag)
     doubt = None if asked.force else implausible(made.log.measurements, made.result, chosen)
     if doubt is not None:
@@ -216,8 +220,10 @@ def _many(
     if asked.lag is not None or asked.mode == "paper":
         raise ConfigError(f"{asked.recording}: many targets; --lag and --mode paper are for one")
     base = MultiTargetConfig.boats() if source == "Autoferry" else MultiTargetConfig()
-    ways = {name if name == "association" else f"target.{name}": value
-            for name, value in asked.ways.items()}  # fmt: skip
+    ways = {
+        name if name == "association" else f"target.{name}": value
+        for name, value in asked.ways.items()
+    }
     chosen = run_config(base, "fusion_many", asked.file, [*asked.values, *_texts(ways)])
     kept = [scans[row] for row in asked.kept([scan.stamp_ns for scan in scans])]
     return ManyRun.of(kept, chosen, {**reading, "span": asked.span}, source=source)
@@ -264,35 +270,45 @@ def _many_rows(summary: Mapping[str, Any]) -> list[Row | None]:
         parts = {name: summary["gospa"][name] for name in ("localisation", "missed", "false")}
         remark = ", ".join(f"{name} {value:.0f}" for name, value in parts.items())
         empty = f"{summary['gospa_empty']['distance']:.1f} m"
-        rows += [Row("GOSPA", f"{summary['gospa']['distance']:.1f} m", remark),
-                 Row("GOSPA of an empty output", empty, "without a single track")]  # fmt: skip
+        rows += [
+            Row("GOSPA", f"{summary['gospa']['distance']:.1f} m", remark),
+            Row("GOSPA of an empty output", empty, "without a single track"),
+        ]
     return [*rows, None, Row("time per scan", f"{summary['us_per_scan']:.0f} us", "")]
 
 
 def _nis_rows(summary: Mapping[str, Any]) -> list[Row]:
     return [
-        Row(f"NIS {sensor}", f"{values['mean']:.2f}",
-            f"{100 * values['share_below_limit']:.0f} % below the limit of 95 %")
+        Row(
+            f"NIS {sensor}",
+            f"{values['mean']:.2f}",
+            f"{100 * values['share_below_limit']:.0f} % below the limit of 95 %",
+        )
         for sensor, values in summary["nis"].items()
-    ]  # fmt: skip
+    ]
 
 
 def _one_rows(summary: Mapping[str, Any]) -> list[Row | None]:
     counts = summary["measurements"]
     outcomes = ", ".join(f"{count} {what}" for what, count in summary["outcomes"].items())
     rows: list[Row | None] = [
-        Row("measurements", str(sum(counts.values())),
-            ", ".join(f"{count} {sensor}" for sensor, count in counts.items())),
+        Row(
+            "measurements",
+            str(sum(counts.values())),
+            ", ".join(f"{count} {sensor}" for sensor, count in counts.items()),
+        ),
         Row("time", f"{summary['duration']:.1f} s", ""),
         Row("what became of them", "", outcomes),
-    ]  # fmt: skip
+    ]
     rows += _nis_rows(summary)
     rmse = summary["rmse"]
     if rmse is not None:
         rows += [
             None,
-            *(Row(f"RMSE {axis}", number(rmse[axis], 4, " m" if axis in "xy" else " m/s"), "")
-              for axis in ("x", "y", "vx", "vy")),
+            *(
+                Row(f"RMSE {axis}", number(rmse[axis], 4, " m" if axis in "xy" else " m/s"), "")
+                for axis in ("x", "y", "vx", "vy")
+            ),
             Row("NEES of the position", number(rmse["position_nees"], 2), "2 is expected"),
-        ]  # fmt: skip
+        ]
     return [*rows, None, Row("time per measurement", f"{summary['us_per_measurement']:.1f} us", "")]

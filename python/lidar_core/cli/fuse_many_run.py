@@ -120,8 +120,11 @@ class ManyRun:
     def summary(self) -> dict[str, Any]:
         """What the run gave, as plain values."""
         stamps, with_truth = self.stamps, [bool(scan.truth) for scan in self.scans]
-        pairs = [(scan, state) for scan, state, known in
-                 zip(self.scans, self.tracks, with_truth, strict=True) if known]  # fmt: skip
+        pairs = [
+            (scan, state)
+            for scan, state, known in zip(self.scans, self.tracks, with_truth, strict=True)
+            if known
+        ]
         scans, tracks = [scan for scan, _ in pairs], [state for _, state in pairs]
         coverage = target_coverage(scans, tracks, reach=REACH, gap=GAP)
         return {
@@ -151,25 +154,37 @@ class ManyRun:
         table = planar_table("track_id", stamps, states[:, :2], velocity, numbers)
         files = [
             folder.write_table("tracks", table | covariance_columns("xy", covariances)),
-            folder.write_table("states", {
-                "t_ns": stamps, "track_id": numbers,
-                **{name: states[:, n] for n, name in enumerate(names)},
-                **covariance_columns(names, covariances),
-            }),
+            folder.write_table(
+                "states",
+                {
+                    "t_ns": stamps,
+                    "track_id": numbers,
+                    **{name: states[:, n] for n, name in enumerate(names)},
+                    **covariance_columns(names, covariances),
+                },
+            ),
             folder.write_table("detections", self._detections()),
-        ]  # fmt: skip
-        rows = [(scan.stamp_ns, number, place) for scan in self.scans
-                for number, place in scan.truth.items()]  # fmt: skip
+        ]
+        rows = [
+            (scan.stamp_ns, number, place)
+            for scan in self.scans
+            for number, place in scan.truth.items()
+        ]
         if rows:
             place = np.array([row[2] for row in rows])
-            table = planar_table("target_id", np.array([row[0] for row in rows], np.int64), place,
-                                 place, np.array([row[1] for row in rows], np.int64))  # fmt: skip
+            table = planar_table(
+                "target_id",
+                np.array([row[0] for row in rows], np.int64),
+                place,
+                place,
+                np.array([row[1] for row in rows], np.int64),
+            )
             table = {name: column for name, column in table.items() if name[0] != "v"}
             files.append(folder.write_table("truth", table))
-        write_trajectories(folder.path / TRACKS_FOLDER, (
-            (state.stamp_ns, state.id, in_plane(state.position))
-            for state in self.tracks
-        ))  # fmt: skip
+        write_trajectories(
+            folder.path / TRACKS_FOLDER,
+            ((state.stamp_ns, state.id, in_plane(state.position)) for state in self.tracks),
+        )
         return [*(file.name for file in files), TRACKS_FOLDER]
 
     def _stacked(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -180,28 +195,37 @@ class ManyRun:
 
     def _detections(self) -> dict[str, Any]:
         """Detections of targets, in the world."""
-        is_target = np.array([m.sensor in TARGET_SENSORS for scan in self.scans
-                              for m in scan.measurements], np.bool_)  # fmt: skip
+        is_target = np.array(
+            [m.sensor in TARGET_SENSORS for scan in self.scans for m in scan.measurements], np.bool_
+        )
         counts = [len(places) for places in self._places]
         places = np.concatenate([np.empty((0, 2)), *self._in_world()])
         numbers = [np.empty(0, np.int64), *(result.id for result in self.results)]
         nis = [np.empty(0), *(result.nis for result in self.results)]
         return {
             "t_ns": np.repeat(self.stamps, counts),
-            "sensor": [scan.source for scan, count in zip(self.scans, counts, strict=True)
-                       for _ in range(count)],
-            "x": places[:, 0], "y": places[:, 1], "z": np.zeros(len(places)),
+            "sensor": [
+                scan.source
+                for scan, count in zip(self.scans, counts, strict=True)
+                for _ in range(count)
+            ],
+            "x": places[:, 0],
+            "y": places[:, 1],
+            "z": np.zeros(len(places)),
             "track_id": np.concatenate(numbers)[is_target],
             "nis": np.concatenate(nis)[is_target],
-        }  # fmt: skip
+        }
 
     @property
     def _places(self) -> list[NDArray[np.float64]]:
         """Places (M, 2) that each scan saw, from its sensor."""
         return [
-            np.array([measured_place(m) for m in scan.measurements if m.sensor in TARGET_SENSORS])
-            .reshape(-1, 2) - scan.sensor for scan in self.scans
-        ]  # fmt: skip
+            np.array(
+                [measured_place(m) for m in scan.measurements if m.sensor in TARGET_SENSORS]
+            ).reshape(-1, 2)
+            - scan.sensor
+            for scan in self.scans
+        ]
 
     @property
     def _sensors(self) -> NDArray[np.float64]:
@@ -221,8 +245,9 @@ class ManyRun:
     def _steps(self) -> Iterator[PlanarStep]:
         rows = zip(self._places, self._sensors, self.tracks, strict=True)
         for places, sensor, state in rows:
-            yield PlanarStep(state.stamp_ns, places, sensor, state.id, state.position,
-                             state.velocity)  # fmt: skip
+            yield PlanarStep(
+                state.stamp_ns, places, sensor, state.id, state.position, state.velocity
+            )
 
     def draw(self, folder: RunFolder, name: str, console: Console) -> list[str]:
         """Draw picture.png; return the names of what was drawn."""
@@ -247,8 +272,11 @@ class ManyRun:
         )
 
     def _line(self, number: int) -> PlanarLine:
-        rows = [(state, int(np.argmax(state.id == number))) for state in self.tracks
-                if number in state.id]  # fmt: skip
+        rows = [
+            (state, int(np.argmax(state.id == number)))
+            for state in self.tracks
+            if number in state.id
+        ]
         return PlanarLine(
             np.array([state.stamp_ns for state, _ in rows], np.int64),
             np.array([state.position[row] for state, row in rows]),
@@ -263,5 +291,7 @@ class ManyRun:
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
     """The same with None for NaN, which JSON does not have."""
-    return {name: None if isinstance(value, float) and isnan(value) else value
-            for name, value in values.items()}  # fmt: skip
+    return {
+        name: None if isinstance(value, float) and isnan(value) else value
+        for name, value in values.items()
+    }

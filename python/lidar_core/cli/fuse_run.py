@@ -122,10 +122,12 @@ class TargetRun:
         if truth is None:
             return None
         states = self.states
-        return np.hstack([
-            states[:, :2] - truth.position[rows],
-            velocities(states, self.config) - truth.velocity[rows],
-        ])  # fmt: skip
+        return np.hstack(
+            [
+                states[:, :2] - truth.position[rows],
+                velocities(states, self.config) - truth.velocity[rows],
+            ]
+        )
 
     def nis(self) -> "NisBySensor":
         """By sensor, as `nis_by_sensor`."""
@@ -198,17 +200,25 @@ class TargetRun:
         table = planar_table("track_id", stamps[rows], place, speed)
         if rows.any():
             table |= covariance_columns("xy", self.result.covariances[rows])
-        files = [folder.write_table("states", self.states_table()),
-                 folder.write_table("tracks", table)]  # fmt: skip
+        files = [
+            folder.write_table("states", self.states_table()),
+            folder.write_table("tracks", table),
+        ]
         truth = self.log.truth
         if truth is not None:
-            files.append(folder.write_table("truth", planar_table(
-                "target_id", stamps[last], truth.position[last], truth.velocity[last]
-            )))  # fmt: skip
+            files.append(
+                folder.write_table(
+                    "truth",
+                    planar_table(
+                        "target_id", stamps[last], truth.position[last], truth.velocity[last]
+                    ),
+                )
+            )
         steps = zip(stamps[rows].tolist(), place, strict=True)
-        write_trajectories(folder.path / TRACKS_FOLDER, (
-            (stamp, np.zeros(1, np.int64), in_plane(at[None])) for stamp, at in steps
-        ))  # fmt: skip
+        write_trajectories(
+            folder.path / TRACKS_FOLDER,
+            ((stamp, np.zeros(1, np.int64), in_plane(at[None])) for stamp, at in steps),
+        )
         return [*(file.name for file in files), TRACKS_FOLDER]
 
     def write_mcap(self, folder: RunFolder) -> str:
@@ -226,9 +236,13 @@ class TargetRun:
             places = measured_places(self.log.measurements[first : end + 1]).values()
             tracks = np.flatnonzero(known[end : end + 1])
             yield PlanarStep(
-                int(self.stamps[end]), np.concatenate([np.empty((0, 2)), *places]), sensor, tracks,
-                place[end + tracks], speed[end + tracks],
-            )  # fmt: skip
+                int(self.stamps[end]),
+                np.concatenate([np.empty((0, 2)), *places]),
+                sensor,
+                tracks,
+                place[end + tracks],
+                speed[end + tracks],
+            )
             first = end + 1
 
     def draw(self, folder: RunFolder, name: str, console: Console) -> list[str]:
@@ -240,8 +254,7 @@ class TargetRun:
         """What a picture shows."""
         rows, truth, result = self.seen, self.log.truth, self.result
         stamps = result.stamps_ns
-        line = PlanarLine(stamps[rows], self.states[:, :2],
-                          result.covariances[rows][:, :2, :2])  # fmt: skip
+        line = PlanarLine(stamps[rows], self.states[:, :2], result.covariances[rows][:, :2, :2])
         fixed = not any(m.sensor == "pose" for m in self.log.measurements)
         return FusionView(
             title=f"{name}: {self.config.model}, {self.config.method}",
@@ -303,9 +316,13 @@ def planar_table(
     return {
         "t_ns": stamps,
         number_name: np.zeros(len(stamps), np.int64) if numbers is None else numbers,
-        "x": position[:, 0], "y": position[:, 1], "z": zero,
-        "vx": velocity[:, 0], "vy": velocity[:, 1], "vz": zero,
-    }  # fmt: skip
+        "x": position[:, 0],
+        "y": position[:, 1],
+        "z": zero,
+        "vx": velocity[:, 0],
+        "vy": velocity[:, 1],
+        "vz": zero,
+    }
 
 
 def measured_places(measurements: Iterable[Measurement]) -> Mapping[str, NDArray[np.float64]]:

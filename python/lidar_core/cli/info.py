@@ -30,9 +30,17 @@ def command(
     from lidar_core.io import ReadOptions, open_recording
 
     options = ReadOptions.load(
-        given({"point_time": point_time, "no_return": no_return, "metadata": metadata,
-               "stamps": stamps, "scan_rate": scan_rate, "recover": recover or None})
-    )  # fmt: skip
+        given(
+            {
+                "point_time": point_time,
+                "no_return": no_return,
+                "metadata": metadata,
+                "stamps": stamps,
+                "scan_rate": scan_rate,
+                "recover": recover or None,
+            }
+        )
+    )
     with open_recording(recording, options) as opened:
         info = opened.info()
         steps = [] if as_json else list(next_steps(opened, info))
@@ -81,8 +89,9 @@ def _print(info: "RecordingInfo", steps: list[str], console: "Console") -> None:
             f"rays without return of {escape(name or NAMELESS)}: {escape(verdict)}", soft_wrap=True
         )
     for name, (decoded, total) in info.looked_at.items():
-        console.print(f"looked at the first {decoded:,} of {total:,} scans of {escape(name)}",
-                      soft_wrap=True)  # fmt: skip
+        console.print(
+            f"looked at the first {decoded:,} of {total:,} scans of {escape(name)}", soft_wrap=True
+        )
     for defect in info.defects:
         console.print(f"[yellow]note[/yellow] {escape(defect)}", soft_wrap=True)
     if not info.defects:

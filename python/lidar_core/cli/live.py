@@ -49,23 +49,36 @@ def command(options: LiveOptions) -> None:
     record = options.record(chosen)
     out, errors = consoles(options.json)
     with ExitStack() as stack:
-        listening = open_source(options.source, options.replay, rate=options.rate, read=read,
-                                live=settings, topics=chosen.topics(options.odom))  # fmt: skip
+        listening = open_source(
+            options.source,
+            options.replay,
+            rate=options.rate,
+            read=read,
+            live=settings,
+            topics=chosen.topics(options.odom),
+        )
         stack.callback(listening.close)
         opened = [stack.enter_context(closing(item)) for item in outputs(settings, errors)]
         opened += [] if record is None else [record]
         loop = LiveLoop(
-            listening, chosen.pipeline if record is None else record.pipeline, where, opened,
-            settings, topics=(*options.clouds, *options.scans),
+            listening,
+            chosen.pipeline if record is None else record.pipeline,
+            where,
+            opened,
+            settings,
+            topics=(*options.clouds, *options.scans),
             on_report=lambda report: _tell(errors, report),
             on_silence=partial(_tell_what_there_is, errors, chosen, listening),
-        )  # fmt: skip
+        )
         _announce(errors, listening, opened)
         try:
             is_interrupted = _run(loop, options.seconds)
         finally:
-            summary = {"command": "live", "outputs": [item.name for item in opened],
-                       **loop.summary()}  # fmt: skip
+            summary = {
+                "command": "live",
+                "outputs": [item.name for item in opened],
+                **loop.summary(),
+            }
             if record is not None:
                 summary = _recorded(record, summary, options, settings, errors)
     _conclude(out, summary, options)
@@ -141,13 +154,18 @@ def _tell_what_there_is(
     """Say that nothing comes, and what there is instead."""
     named = (*chosen.clouds, *chosen.scans)
     sorts = " or ".join(
-        name for name, wanted in (("clouds", chosen.wants_clouds), ("2D scans", chosen.wants_scans))
+        name
+        for name, wanted in (("clouds", chosen.wants_clouds), ("2D scans", chosen.wants_scans))
         if wanted
-    )  # fmt: skip
+    )
     there = "; ".join(advertised) or "nothing"
-    console.print(f"no scan yet of {', '.join(named) or f'any topic with {sorts}'};"
-                  f" {source.name} has: {there}",
-                  markup=False, highlight=False, soft_wrap=True)  # fmt: skip
+    console.print(
+        f"no scan yet of {', '.join(named) or f'any topic with {sorts}'};"
+        f" {source.name} has: {there}",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
+    )
 
 
 def _tell(console: "Console", report: "Report") -> None:
@@ -185,8 +203,9 @@ def _table(summary: Mapping[str, Any]) -> "Table":
     for name, what in (("from_arrival", "from arrival"), ("from_stamp", "from stamp")):
         delay = latency[name]
         if delay is not None:
-            rows.append(Row(f"latency {what}", f"{delay['median']:.1f} ms",
-                            f"95 %: {delay['p95']:.1f} ms"))  # fmt: skip
+            rows.append(
+                Row(f"latency {what}", f"{delay['median']:.1f} ms", f"95 %: {delay['p95']:.1f} ms")
+            )
     if summary["clocks_differ_ms"] is not None:
         told = told_difference(summary["clocks_differ_ms"])
         rows.append(Row("latency from stamp", "-", told))

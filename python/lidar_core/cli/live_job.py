@@ -106,9 +106,14 @@ def live_config(domain: int | None, stream: Sequence[str]) -> LiveConfig:
 
 
 def open_source(
-    text: str | None, replay: Path | None, *, rate: float | None, read: ReadOptions,
-    live: LiveConfig, topics: StreamTopics,
-) -> Source:  # fmt: skip
+    text: str | None,
+    replay: Path | None,
+    *,
+    rate: float | None,
+    read: ReadOptions,
+    live: LiveConfig,
+    topics: StreamTopics,
+) -> Source:
     """Source that --in or --replay names.
 
     Raises
@@ -165,8 +170,9 @@ def check_files(
         if path in of_run and counts[path.resolve()]:
             raise ConfigError(f"--out mcap:{path}: -o {folder} writes this file; leave --out away")
         if counts[path.resolve()] > 1:
-            raise ConfigError(f"--out {path}: expected once, it is given"
-                              f" {counts[path.resolve()]} times")  # fmt: skip
+            raise ConfigError(
+                f"--out {path}: expected once, it is given {counts[path.resolve()]} times"
+            )
         if not path.exists():
             continue
         if replayed is not None and path.resolve().is_relative_to(replayed.resolve()):
@@ -183,9 +189,12 @@ def _file(text: str) -> Path | None:
 
 
 def open_output(
-    text: str, live: LiveConfig, *, allowed: Collection[str] = (),
+    text: str,
+    live: LiveConfig,
+    *,
+    allowed: Collection[str] = (),
     on_refused: Callable[[str], None] = lambda reason: None,
-) -> Output:  # fmt: skip
+) -> Output:
     """Output that an --out names.
 
     Parameters

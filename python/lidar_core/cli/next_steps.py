@@ -56,8 +56,12 @@ def next_steps(recording: Recording, info: RecordingInfo) -> Iterator[str]:
         stamps = info.stamps.get(topic.name)
         times = [] if stamps is None else ["--stamps", stamps]
         poses, remark = _poses(recording, info, topic, stamps)
-        own = [word for pair in zip(read[::2], read[1::2], strict=True) for word in pair
-               if command == "detect" or pair[0] != "--metadata"]  # fmt: skip
+        own = [
+            word
+            for pair in zip(read[::2], read[1::2], strict=True)
+            for word in pair
+            if command == "detect" or pair[0] != "--metadata"
+        ]
         yield _told(command, info.path, *choice, *own, *times, *poses) + remark
     if any(topic.type.startswith(RADAR) for topic in info.topics):
         yield _told("fuse", info.path)
@@ -71,10 +75,16 @@ def _read_options(options: ReadOptions) -> list[str]:
     """Those that are not the defaults, as words of a command line."""
     names = ("no_return", "point_time", "metadata", "stamps", "scan_rate")
     defaults = type(options)()
-    given = {name: getattr(options, name) for name in names
-             if getattr(options, name) != getattr(defaults, name)}  # fmt: skip
-    return [word for name, value in given.items()
-            for word in (f"--{name.replace('_', '-')}", f"{value}")]  # fmt: skip
+    given = {
+        name: getattr(options, name)
+        for name in names
+        if getattr(options, name) != getattr(defaults, name)
+    }
+    return [
+        word
+        for name, value in given.items()
+        for word in (f"--{name.replace('_', '-')}", f"{value}")
+    ]
 
 
 def _poses(
@@ -91,8 +101,10 @@ def _poses(
         one = tries.pop(0)
         found = _tried(recording, topic, one)
         if isinstance(found, list):
-            tries[:0] = [_Try({**one.values, "mounting": text}, UNCLEAR.format(text.split()[0]))
-                         for text in found]  # fmt: skip
+            tries[:0] = [
+                _Try({**one.values, "mounting": text}, UNCLEAR.format(text.split()[0]))
+                for text in found
+            ]
         elif found:
             return one.words(), f"  ({one.remark})" if one.remark else ""
     return ["--pose", "static"], f"  ({STANDS})"

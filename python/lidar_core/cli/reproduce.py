@@ -79,8 +79,11 @@ def _all(console: "Console") -> "list[Item]":
 
     missing = [one.name for one in items().values() if is_missing(one.data)]
     if missing:
-        console.print(f"left out, {FOLDER} does not hold their recordings: {', '.join(missing)}",
-                      highlight=False, soft_wrap=True)  # fmt: skip
+        console.print(
+            f"left out, {FOLDER} does not hold their recordings: {', '.join(missing)}",
+            highlight=False,
+            soft_wrap=True,
+        )
     return [one for one in items().values() if one.name not in missing]
 
 
@@ -105,9 +108,11 @@ def _table(item: "Item", result: "Result") -> "Table":
 
     table = Table(
         title=escape(f"{item.name}: {item.title} ({result.scans:,} {item.counts})"),
-        title_justify="left", title_style="bold",
-        caption=escape(result.note), caption_justify="left",
-    )  # fmt: skip
+        title_justify="left",
+        title_style="bold",
+        caption=escape(result.note),
+        caption_justify="left",
+    )
     table.add_column("", style="cyan", overflow="fold")
     table.add_column("unit", style="dim")
     columns = _columns(result)

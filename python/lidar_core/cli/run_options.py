@@ -137,10 +137,11 @@ def with_options(
     """Decorator that gives typer every field of a command's first argument, a `sort`, as option."""
     hints = get_type_hints(sort, include_extras=True)
     shared = [
-        Parameter(one.name, Parameter.KEYWORD_ONLY, default=_default(one),
-                  annotation=hints[one.name])
+        Parameter(
+            one.name, Parameter.KEYWORD_ONLY, default=_default(one), annotation=hints[one.name]
+        )
         for one in fields(sort)
-    ]  # fmt: skip
+    ]
 
     def decorated(command: Callable[..., None]) -> Callable[..., None]:
         @wraps(command)

@@ -54,18 +54,24 @@ def detail_rows(scores: "DetectionScores", what: str) -> list[Row | None]:
     """Errors, sets and consistency of tracks or of detections, under a line."""
     return [
         None,
-        Row(f"precision of {what}", number(scores.precision, 3),
-            f"{scores.n_matched} of {scores.n_estimates}, {scores.n_duplicate} duplicate"),
+        Row(
+            f"precision of {what}",
+            number(scores.precision, 3),
+            f"{scores.n_matched} of {scores.n_estimates}, {scores.n_duplicate} duplicate",
+        ),
         _spread_row("  position error", scores.position_error, " m"),
         _spread_row("  along the line of sight", scores.radial_error, " m"),
         _spread_row("  across it", scores.across_error, " m"),
         _spread_row("  velocity error", scores.velocity_error, " m/s"),
-        *([] if scores.radius_error is None else
-          [_spread_row("  radius error", scores.radius_error, " m")]),
+        *(
+            []
+            if scores.radius_error is None
+            else [_spread_row("  radius error", scores.radius_error, " m")]
+        ),
         _consistency_row("  NEES of positions", scores.position_nees),
         *_set_rows(scores),
         Row("  lost and found again", str(scores.n_fragmentations), _gap(scores)),
-    ]  # fmt: skip
+    ]
 
 
 def _set_rows(scores: "DetectionScores") -> list[Row]:
@@ -132,9 +138,13 @@ def distance_table(scores: "Iterable[tuple[str, DetectionScores]]") -> "Table | 
         for group in item.over_distance:
             error = None if group.position_error is None else group.position_error.mean
             table.add_row(
-                f"{group.near:g} to {group.far:g} m", what, str(group.n_eligible),
-                number(group.recall, 3), number(group.precision, 3), number(error, 3, " m"),
-            )  # fmt: skip
+                f"{group.near:g} to {group.far:g} m",
+                what,
+                str(group.n_eligible),
+                number(group.recall, 3),
+                number(group.precision, 3),
+                number(error, 3, " m"),
+            )
     return table if table.row_count else None
 
 

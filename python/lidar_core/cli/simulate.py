@@ -12,9 +12,14 @@ if TYPE_CHECKING:
     from lidar_core.sim import Scene
 
 BUILT_IN = (
-    "demo", "performance-1", "performance-2",
-    "circles", "circles-room", "circles-lab", "circles-trees",
-)  # fmt: skip
+    "demo",
+    "performance-1",
+    "performance-2",
+    "circles",
+    "circles-room",
+    "circles-lab",
+    "circles-trees",
+)
 OVERFLIGHT = "overflight"
 
 
@@ -72,8 +77,10 @@ def command(
             threads=threads or 1,
             on_scan=lambda made: progress.advance(task),
         )
-    told = {name: str(value) if isinstance(value, Path) else value
-            for name, value in asdict(done).items()}  # fmt: skip
+    told = {
+        name: str(value) if isinstance(value, Path) else value
+        for name, value in asdict(done).items()
+    }
     write_json(told, json)
     out.print(f"{done.scans} scans, {done.points} points, {done.target_hits} of them on targets")
     for path in (done.recording, done.truth, done.scene, done.run):
@@ -130,6 +137,8 @@ def scene_named(name: str, seed: int) -> "Scene":
         return circle_scenes.trees(seed)
     if not Path(name).exists():
         built_in = (*BUILT_IN, OVERFLIGHT)
-        raise FileNotFoundError(f"{name}: no such scene file; built-in scenes are"
-                                f" {', '.join(built_in)}{meant(name, built_in)}")  # fmt: skip
+        raise FileNotFoundError(
+            f"{name}: no such scene file; built-in scenes are"
+            f" {', '.join(built_in)}{meant(name, built_in)}"
+        )
     return Scene.read(name)

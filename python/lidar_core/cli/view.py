@@ -51,8 +51,18 @@ def command(
     from lidar_core.viz.playback import Playback
     from lidar_core.viz.playback_picture import draw_film, draw_moment
 
-    chosen = [name for name, value in (("rerun", rerun), ("web", web), ("rrd", rrd),
-              ("foxglove", foxglove), ("png", png), ("film", film)) if value]  # fmt: skip
+    chosen = [
+        name
+        for name, value in (
+            ("rerun", rerun),
+            ("web", web),
+            ("rrd", rrd),
+            ("foxglove", foxglove),
+            ("png", png),
+            ("film", film),
+        )
+        if value
+    ]
     if len(chosen) > 1:
         named = ", ".join(f"--{name}" for name in chosen)
         raise ConfigError(f"view: expected one way to look at it, got {named}")

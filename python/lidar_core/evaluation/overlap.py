@@ -54,8 +54,9 @@ def time_offsets(stamps: NDArray[np.int64], truth: NDArray[np.int64]) -> NDArray
 
 def spans(stamps: NDArray[np.int64], truth: NDArray[np.int64]) -> str:
     """When estimates and truth begin and end."""
-    texts = [f"{column.min() * 1e-9:.3f} to {column.max() * 1e-9:.3f} s"
-             for column in (stamps, truth)]  # fmt: skip
+    texts = [
+        f"{column.min() * 1e-9:.3f} to {column.max() * 1e-9:.3f} s" for column in (stamps, truth)
+    ]
     return f"{texts[0]} and {texts[1]}"
 
 
@@ -67,8 +68,10 @@ def _of_times(
     if not outside.any():
         return ""
     if outside.all() and (stamps.max() < truth.min() or stamps.min() > truth.max()):
-        return (f"{what} and truth have no time in common: {spans(stamps, truth)};"
-                " of the same recording?")  # fmt: skip
+        return (
+            f"{what} and truth have no time in common: {spans(stamps, truth)};"
+            " of the same recording?"
+        )
     cure = wider_tolerance(stamps[outside], truth)
     if cure is None:
         return ""  # times between those of the truth, or beyond its ends: not a shifted clock
@@ -100,8 +103,10 @@ def _of_places(estimates: Estimates, truth: Truth, config: EvaluationConfig, wha
     if not known.any() or (nearest <= config.gate).any():
         return ""
     away = nearest[known]
-    places = [", ".join(f"{value:.1f}" for value in np.median(position, axis=0))
-              for position in (estimates.position[known], truth.position)]  # fmt: skip
+    places = [
+        ", ".join(f"{value:.1f}" for value in np.median(position, axis=0))
+        for position in (estimates.position[known], truth.position)
+    ]
     return (
         f"none of the {what} is within the gate of {config.gate:g} m of a target: the nearest is"
         f" {away.min():.3g} m away, {np.median(away):.3g} m are typical; {what} lie about"

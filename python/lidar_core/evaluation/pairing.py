@@ -217,8 +217,12 @@ def _radius(values: NDArray[np.float64] | None, rows: int) -> NDArray[np.float64
     if values is None:
         return None
     radius = as_rows(values, name="truth.radius", rows=rows, shape=(), dtype=np.float64)
-    as_finite_rows(np.nan_to_num(radius, posinf=np.inf, neginf=-np.inf), name="truth.radius",
-                   rows=rows, shape=())  # fmt: skip
+    as_finite_rows(
+        np.nan_to_num(radius, posinf=np.inf, neginf=-np.inf),
+        name="truth.radius",
+        rows=rows,
+        shape=(),
+    )
     return radius
 
 

@@ -82,9 +82,12 @@ def evaluate(
     """
     config = as_config(config, EvaluationConfig)
     track_scores = detection_scores = identities = None
-    told = [text for what, table in (("tracks", tracks), ("detections", detections))
-            if table is not None
-            for text in overlap_warnings(table, truth, what=what, config=config)]  # fmt: skip
+    told = [
+        text
+        for what, table in (("tracks", tracks), ("detections", detections))
+        if table is not None
+        for text in overlap_warnings(table, truth, what=what, config=config)
+    ]
     if tracks is not None:
         tracks = aligned(tracks, truth, config=config)
         track_scores = score_tracks(tracks, truth, config=config)

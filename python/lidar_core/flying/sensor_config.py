@@ -11,11 +11,31 @@ from lidar_core.flying.config_types import MOST_SCANS, Box
 from lidar_core.sensors import SENSORS, Sensor, sensor_named
 
 Beams: TypeAlias = Literal[
-    "auto", "given", "learnt",
-    "os0-32", "os0-64", "os0-128", "os1-32", "os1-64", "os1-128", "os2-32", "os2-64", "os2-128",
-    "vlp-16", "hdl-32e", "hdl-64e", "vls-128", "xt32", "pandar64", "qt128",
-    "rs16", "livox-mid360", "livox-avia", "livox-hap", "livox-horizon",
-]  # fmt: skip
+    "auto",
+    "given",
+    "learnt",
+    "os0-32",
+    "os0-64",
+    "os0-128",
+    "os1-32",
+    "os1-64",
+    "os1-128",
+    "os2-32",
+    "os2-64",
+    "os2-128",
+    "vlp-16",
+    "hdl-32e",
+    "hdl-64e",
+    "vls-128",
+    "xt32",
+    "pandar64",
+    "qt128",
+    "rs16",
+    "livox-mid360",
+    "livox-avia",
+    "livox-hap",
+    "livox-horizon",
+]
 """How rays without return are known; the names below are those of 3D sensors."""
 
 BeamTable: TypeAlias = tuple[str, tuple[float, ...], int]

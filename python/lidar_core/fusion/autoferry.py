@@ -84,8 +84,9 @@ def read_autoferry(
     beside = place.with_name(place.name.replace(DETECTIONS, TRUTH))
     truths = _entries(beside) if beside != place and beside.is_file() else [[]] * len(entries)
     if len(truths) != len(entries):
-        raise FormatError(f"{beside}: expected {len(entries)} entries as {place.name} has,"
-                          f" got {len(truths)}")  # fmt: skip
+        raise FormatError(
+            f"{beside}: expected {len(entries)} entries as {place.name} has, got {len(truths)}"
+        )
     scans = []
     for number, (entry, truth) in enumerate(zip(entries, truths, strict=True)):
         with reading(f"{place}, entry {number}"):
@@ -95,8 +96,13 @@ def read_autoferry(
 
 
 def _entries(place: Path) -> list[Any]:
-    check_size(str(place), check_regular(place).stat().st_size, limit=MAX_FILE_BYTES, key="nothing",
-               what="a file of bytes")  # fmt: skip
+    check_size(
+        str(place),
+        check_regular(place).stat().st_size,
+        limit=MAX_FILE_BYTES,
+        key="nothing",
+        what="a file of bytes",
+    )
     with reading(str(place)):
         entries = json.loads(place.read_text("utf-8"))
     if not isinstance(entries, list):
@@ -114,8 +120,10 @@ def _scan(entry: Mapping[str, Any], truth: Any, options: AutoferryOptions) -> De
     if sensor.shape != (2,) or not (np.isfinite(sensor).all() and np.isfinite(offsets).all()):
         raise FormatError("expected finite positions, north and east")
     targets = truth if isinstance(truth, list) else [truth]
-    places = {int(target["targetID"]): np.array(target["position"][1::-1], np.float64)
-              for target in targets}  # fmt: skip
+    places = {
+        int(target["targetID"]): np.array(target["position"][1::-1], np.float64)
+        for target in targets
+    }
     measurements = [
         Measurement(stamp_ns, "lidar", sensor + offset, _covariance(offset, source, options))
         for offset in offsets

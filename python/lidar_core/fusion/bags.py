@@ -91,9 +91,14 @@ def read_bag(path: str | Path, options: BagOptions | None = None) -> list[Detect
             DetectionScan(stamp, record.topic.name, found, np.zeros(2), {})
             for number, record in enumerate(recording.records(KINDS))
             if record.topic.name in sensors and record.parse is not None
-            for stamp, found in _read(record.parse(), sensors[record.topic.name], record.topic,
-                                      f"{place}, message {number}", chosen)
-        ]  # fmt: skip
+            for stamp, found in _read(
+                record.parse(),
+                sensors[record.topic.name],
+                record.topic,
+                f"{place}, message {number}",
+                chosen,
+            )
+        ]
         if not scans:
             listed = ", ".join(f"{t.name} ({t.type})" for t in recording.topics()) or "none"
             raise FormatError(f"{place}: no measurements in it; topics: {listed}")
@@ -115,8 +120,10 @@ def _sensors(place: Path, topics: Sequence[Topic], options: BagOptions) -> dict[
     for sensor in set(BY_ITSELF) - set(options.topics):
         fitting = [n for n, t in types.items() if t in BY_ITSELF[sensor] and n not in found]
         if sensor == "pose" and len(fitting) > 1:
-            raise ConfigError(f"{place}: topics: several with poses, {', '.join(sorted(fitting))};"
-                              " name that of the platform with --topic pose=NAME")  # fmt: skip
+            raise ConfigError(
+                f"{place}: topics: several with poses, {', '.join(sorted(fitting))};"
+                " name that of the platform with --topic pose=NAME"
+            )
         found |= dict.fromkeys(fitting, sensor)
     return found
 
@@ -126,10 +133,13 @@ def _read(
 ) -> Iterator[tuple[int, Found]]:
     """Stamp and measurements of a message."""
     readers: dict[SensorName, Callable[[int, Any, str], Found]] = {
-        "lidar": _positions, "gyro": _turn_rate, "pose": _pose,
-        "radar": lambda stamp, m, _: _tracks(stamp, m) if hasattr(m, "tracks")
-        else _returns(stamp, m, options.doppler),
-    }  # fmt: skip
+        "lidar": _positions,
+        "gyro": _turn_rate,
+        "pose": _pose,
+        "radar": lambda stamp, m, _: (
+            _tracks(stamp, m) if hasattr(m, "tracks") else _returns(stamp, m, options.doppler)
+        ),
+    }
     with reading(f"{place} on {topic.name}"):
         stamp = stamp_of(message.header.stamp)
         yield stamp, readers[sensor](stamp, message, place)

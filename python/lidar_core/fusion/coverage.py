@@ -97,8 +97,10 @@ def _paired(scan: DetectionScan, state: TargetTracks, reach: float) -> dict[int,
     truth = np.array([scan.truth[number] for number in numbers]).reshape(-1, 2)
     distance = np.linalg.norm(state.position[:, None] - truth[None], axis=-1)
     rows, columns = assign(distance, gate=reach)
-    return {numbers[column]: (int(state.id[row]), float(distance[row, column]))
-            for row, column in zip(rows.tolist(), columns.tolist(), strict=True)}  # fmt: skip
+    return {
+        numbers[column]: (int(state.id[row]), float(distance[row, column]))
+        for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
+    }
 
 
 def _coverage(
@@ -109,8 +111,11 @@ def _coverage(
     gap: float,
 ) -> TargetCoverage:
     counted = _seen_times(number, scans, reach, gap)
-    served = [pair[number] for pair, counts in zip(pairs, counted, strict=True)
-              if counts and number in pair]  # fmt: skip
+    served = [
+        pair[number]
+        for pair, counts in zip(pairs, counted, strict=True)
+        if counts and number in pair
+    ]
     found, errors = [track for track, _ in served], [away for _, away in served]
     total = int(counted.sum())
     return TargetCoverage(
@@ -129,10 +134,11 @@ def _seen_times(
     stamps = np.array([scan.stamp_ns for scan in scans], np.int64)
     has_truth = np.array([number in scan.truth for scan in scans], np.bool_)
     hits = [
-        row for row, scan in enumerate(scans) if number in scan.truth and any(
-            np.linalg.norm(m.values - scan.truth[number]) <= reach for m in scan.measurements
-        )
-    ]  # fmt: skip
+        row
+        for row, scan in enumerate(scans)
+        if number in scan.truth
+        and any(np.linalg.norm(m.values - scan.truth[number]) <= reach for m in scan.measurements)
+    ]
     counted = np.zeros(len(scans), np.bool_)
     for before, after in pairwise(hits):
         if stamps[after] - stamps[before] <= gap * 1e9:

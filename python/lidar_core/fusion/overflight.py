@@ -13,9 +13,10 @@ if TYPE_CHECKING:
     from lidar_core.sim import Overflown
 
 _COLUMNS: dict[str, type] = {
-    "t_ns": int, **{name: float for names in VALUES.values() for name in names},
+    "t_ns": int,
+    **{name: float for names in VALUES.values() for name in names},
     **dict.fromkeys(TRUTH, float),
-}  # fmt: skip
+}
 
 
 def level_overflight(made: "Overflown") -> LevelSight:
@@ -36,10 +37,13 @@ def level_overflight(made: "Overflown") -> LevelSight:
     std = np.stack([0 * far + config.lidar_std, config.lidar_std / far, 0 * far + 1], axis=1)
     kind = made.is_lidar[:, None]
     return level_sight(
-        np.where(kind, lidar, made.values), made.swivel, made.pitch,
+        np.where(kind, lidar, made.values),
+        made.swivel,
+        made.pitch,
         std=np.where(kind, std, config.radar_std),
-        swivel_std=config.swivel_std, pitch_std=config.pitch_std,
-    )  # fmt: skip
+        swivel_std=config.swivel_std,
+        pitch_std=config.pitch_std,
+    )
 
 
 def write_overflight(path: str | Path, made: "Overflown") -> None:

@@ -61,8 +61,11 @@ class Implausible:
     def __str__(self) -> str:
         """What is wrong, what the data shows of it, and what else it may be."""
         how = f"{self.ratio:.3g} times what is expected"
-        bound = (f"at most {self.limit:.3g} with noise {FACTOR:g} times larger than told" if
-                 self.ratio > 1 else "far less than any target at rest would give")  # fmt: skip
+        bound = (
+            f"at most {self.limit:.3g} with noise {FACTOR:g} times larger than told"
+            if self.ratio > 1
+            else "far less than any target at rest would give"
+        )
         text = f"after {self.n_compared} measurements the NIS is {how}, {bound}"
         if self.shown:
             text += f". The data shows: {'; '.join(self.shown)}"
@@ -144,8 +147,9 @@ def _scatter(measurements: Sequence[Measurement], config: FusionConfig) -> float
     Whatever target and platform do adds to it: it cannot be less than about 1.
     """
     rows = [m for m in measurements[:HEAD] if m.sensor == "lidar" and np.isfinite(m.values).all()]
-    told = [np.square(config.lidar_std) if m.covariance is None else np.diag(m.covariance)
-            for m in rows]  # fmt: skip
+    told = [
+        np.square(config.lidar_std) if m.covariance is None else np.diag(m.covariance) for m in rows
+    ]
     variance = np.var([m.values for m in rows], axis=0) / np.mean(told, axis=0)
     return float(np.mean(variance))
 
@@ -174,20 +178,28 @@ _ANGLES: tuple[tuple[str, Callable[[float], float]], ...] = (
     ("compass angles, clockwise from y: they fit as pi/2 minus the angle", lambda a: np.pi / 2 - a),
     ("degrees: they fit times pi/180 (--angle-unit deg)", lambda a: a * DEGREES),
     ("degrees, clockwise: they fit times -pi/180", lambda a: -a * DEGREES),
-    ("compass angles in degrees: they fit as pi/2 minus the angle times pi/180",
-     lambda a: np.pi / 2 - a * DEGREES),
+    (
+        "compass angles in degrees: they fit as pi/2 minus the angle times pi/180",
+        lambda a: np.pi / 2 - a * DEGREES,
+    ),
     ("radians that were taken as degrees (--angle-unit rad)", lambda a: a / DEGREES),
-)  # fmt: skip
+)
 REPAIRS: tuple[tuple[str, str, Change], ...] = (
     *(("radar", f"bearings are {what}", _of(1, change)) for what, change in _ANGLES),
     *(("pose", f"yaws of the platform are {what}", _of(2, change)) for what, change in _ANGLES),
     ("gyro", "turn rates are clockwise: they fit with the other sign", _of(0, lambda w: -w)),
-    ("lidar", "y of the LiDAR is mirrored (a clockwise azimuth): it fits with the other sign",
-     _of(1, lambda y: -y)),
+    (
+        "lidar",
+        "y of the LiDAR is mirrored (a clockwise azimuth): it fits with the other sign",
+        _of(1, lambda y: -y),
+    ),
     ("lidar", "x and y of the LiDAR are exchanged", _level_of),
-    ("radar", "range rates are positive when the range shrinks: they fit with the other sign",
-     _of(2, lambda rate: -rate)),
-)  # fmt: skip
+    (
+        "radar",
+        "range rates are positive when the range shrinks: they fit with the other sign",
+        _of(2, lambda rate: -rate),
+    ),
+)
 """Mistakes, by the sensor that makes them, and what undoes them."""
 
 
@@ -206,11 +218,19 @@ def _repairs(
     # Those about as good as the best one cannot be told apart from it.
     least = min(found, default=(0.0, ""))[0]
     shown = [text for value, text in sorted(found) if value <= 2 * least]
-    largest = max((abs(float(m.values[1])) for m in measurements
-                   if m.sensor == "radar" and np.isfinite(m.values[1])), default=0.0)  # fmt: skip
+    largest = max(
+        (
+            abs(float(m.values[1]))
+            for m in measurements
+            if m.sensor == "radar" and np.isfinite(m.values[1])
+        ),
+        default=0.0,
+    )
     if largest > TURN and not any("degrees" in text for text in shown):
-        shown.append(f"bearings up to {largest:.4g} are more than a turn of radians: degrees"
-                     " (--angle-unit deg)")  # fmt: skip
+        shown.append(
+            f"bearings up to {largest:.4g} are more than a turn of radians: degrees"
+            " (--angle-unit deg)"
+        )
     return shown
 
 
@@ -239,8 +259,10 @@ def _geographic(measurements: Sequence[Measurement], sensor: str, what: str) -> 
     inside = np.sort(np.abs(places).max(axis=0)) <= (90.0, 180.0)
     # 0.05 degrees are 5 km; what stands still exactly is no recording of a position
     if inside.all() and 0 < spread.max() < 0.05 and spread.max() < 1e-3 * np.abs(middle).max():
-        return [f"{what} stay within {spread.max():.2g} of {middle[0]:.6g}, {middle[1]:.6g}:"
-                " latitude and longitude in degrees, which have to be metres"]  # fmt: skip
+        return [
+            f"{what} stay within {spread.max():.2g} of {middle[0]:.6g}, {middle[1]:.6g}:"
+            " latitude and longitude in degrees, which have to be metres"
+        ]
     return []
 
 
@@ -251,23 +273,28 @@ def _several(measurements: Sequence[Measurement]) -> list[str]:
         if len(places) < LEAST:
             continue
         last = np.linalg.norm(places[1:] - places[:-1], axis=1)
-        nearest = np.array([
-            np.linalg.norm(places[max(0, row - 9) : row] - places[row], axis=1).min()
-            for row in range(1, len(places))
-        ])  # fmt: skip
+        nearest = np.array(
+            [
+                np.linalg.norm(places[max(0, row - 9) : row] - places[row], axis=1).min()
+                for row in range(1, len(places))
+            ]
+        )
         usual = float(np.median(nearest))
         jumps = (last > FAR * usual) & (nearest < last / FAR)
         # A false measurement makes one such jump, back; a fifth of them is more than may be false.
         if jumps.mean() > 1 - KEPT:
-            return [f"{100 * jumps.mean():.0f} % of the places of the {sensor} are far from the one"
-                    " before and near to an earlier one: several targets in one table"]  # fmt: skip
+            return [
+                f"{100 * jumps.mean():.0f} % of the places of the {sensor} are far from the one"
+                " before and near to an earlier one: several targets in one table"
+            ]
     return []
 
 
 def _places(measurements: Sequence[Measurement], sensor: str) -> NDArray[np.float64]:
     """Places (K, 2) that a sensor measured, finite ones."""
-    rows = [m.values[:2] for m in measurements
-            if m.sensor == sensor and np.isfinite(m.values).all()]  # fmt: skip
+    rows = [
+        m.values[:2] for m in measurements if m.sensor == sensor and np.isfinite(m.values).all()
+    ]
     values = np.array(rows, np.float64).reshape(-1, 2)
     if sensor == "radar":
         c, s = np.cos(values[:, 1]), np.sin(values[:, 1])

@@ -87,8 +87,13 @@ def read_laser_radar(path: str | Path) -> TargetRecording:
         The file is too large.
     """
     place = Path(path)
-    check_size(str(place), check_regular(place).stat().st_size, limit=MAX_FILE_BYTES, key="nothing",
-               what="a file of bytes")  # fmt: skip
+    check_size(
+        str(place),
+        check_regular(place).stat().st_size,
+        limit=MAX_FILE_BYTES,
+        key="nothing",
+        what="a file of bytes",
+    )
     with reading(str(place)):
         lines = place.read_text("utf-8").splitlines()
     rows = [_row(place, n, line.split()) for n, line in enumerate(lines, 1) if line.strip()]

@@ -48,9 +48,14 @@ class SpaceTrack:
 
 
 def level_sight(
-    values: ArrayLike, swivel: ArrayLike, pitch: ArrayLike, *, std: ArrayLike,
-    swivel_std: float, pitch_std: float,
-) -> LevelSight:  # fmt: skip
+    values: ArrayLike,
+    swivel: ArrayLike,
+    pitch: ArrayLike,
+    *,
+    std: ArrayLike,
+    swivel_std: float,
+    pitch_std: float,
+) -> LevelSight:
     """Turn what was measured in a swivelled plane into the horizontal plane.
 
     Parameters
@@ -118,9 +123,14 @@ def _directions(
 
 
 def in_space(
-    position: ArrayLike, covariance: ArrayLike, elevation: ArrayLike,
-    elevation_variance: ArrayLike, sensor: ArrayLike, *, drift: ArrayLike | None = None,
-) -> SpaceTrack:  # fmt: skip
+    position: ArrayLike,
+    covariance: ArrayLike,
+    elevation: ArrayLike,
+    elevation_variance: ArrayLike,
+    sensor: ArrayLike,
+    *,
+    drift: ArrayLike | None = None,
+) -> SpaceTrack:
     """Give a track in the plane its height.
 
     Parameters
@@ -171,10 +181,11 @@ def in_space(
     about[:, 1, 0], about[:, 1, 1] = -along[:, 1] / rho, along[:, 0] / rho
     direction = np.arctan2(flat[:, 1], flat[:, 0])
     return SpaceTrack(
-        np.column_stack([place, height]), cov,
+        np.column_stack([place, height]),
+        cov,
         np.column_stack([rho, direction, height - origin[:, 2]]),
         about @ cov @ np.swapaxes(about, 1, 2),
-    )  # fmt: skip
+    )
 
 
 def _filtered(

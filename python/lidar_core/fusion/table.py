@@ -24,13 +24,24 @@ VALUES: dict[SensorName, tuple[str, ...]] = {
 POSE_STD = ("pose_std_x", "pose_std_y", "pose_std_yaw")
 TRUTH = ("true_x", "true_y", "true_vx", "true_vy")
 NAMES = (
-    "t_ns", "sensor", *(name for names in VALUES.values() for name in names), *POSE_STD, *TRUTH
-)  # fmt: skip
+    "t_ns",
+    "sensor",
+    *(name for names in VALUES.values() for name in names),
+    *POSE_STD,
+    *TRUTH,
+)
 """Columns that a table may have."""
 WORDS: dict[str, SensorName] = {
-    "lidar": "lidar", "laser": "lidar", "l": "lidar", "radar": "radar", "r": "radar",
-    "gyro": "gyro", "imu": "gyro", "pose": "pose", "odometry": "pose",
-}  # fmt: skip
+    "lidar": "lidar",
+    "laser": "lidar",
+    "l": "lidar",
+    "radar": "radar",
+    "r": "radar",
+    "gyro": "gyro",
+    "imu": "gyro",
+    "pose": "pose",
+    "odometry": "pose",
+}
 """What a column of sensors may say, in any case."""
 UNITS_NS = {"ns": 1, "us": 1000, "ms": 1_000_000, "s": 1_000_000_000}
 TABLES = (".csv", ".npz", ".parquet")
@@ -111,9 +122,18 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
     values = _values(place, columns, angle)
     rows = _rows_of_sensors(place, columns, values, len(stamps))
     spread = _pose_covariances(place, columns, angle)
-    made = [(row, Measurement(int(stamps[row]), sensor, values[sensor][row],
-                              spread.get(row) if sensor == "pose" else None))
-            for row, sensor in rows]  # fmt: skip
+    made = [
+        (
+            row,
+            Measurement(
+                int(stamps[row]),
+                sensor,
+                values[sensor][row],
+                spread.get(row) if sensor == "pose" else None,
+            ),
+        )
+        for row, sensor in rows
+    ]
     if not made:
         raise FormatError(f"{place}: no row holds all values of a sensor")
     kept = np.array([row for row, _ in made])
@@ -169,10 +189,12 @@ def _values(place: Path, columns: Columns, angle: float) -> dict[SensorName, NDA
     """Values (K, n) of every sensor whose columns are all there."""
     scale = dict.fromkeys(("bearing", "turn_rate", "pose_yaw"), angle)
     found = {
-        sensor: np.stack([_numbers(place, columns, name) * scale.get(name, 1.0)
-                          for name in names], axis=1)
-        for sensor, names in VALUES.items() if set(names) <= set(columns)
-    }  # fmt: skip
+        sensor: np.stack(
+            [_numbers(place, columns, name) * scale.get(name, 1.0) for name in names], axis=1
+        )
+        for sensor, names in VALUES.items()
+        if set(names) <= set(columns)
+    }
     if not found:
         wanted = "; ".join(f"{sensor}: {', '.join(names)}" for sensor, names in VALUES.items())
         raise FormatError(
@@ -189,8 +211,13 @@ def _pose_covariances(
     if not set(POSE_STD) <= set(columns):
         return {}
     scales = (1.0, 1.0, angle)
-    stds = np.stack([_numbers(place, columns, name) * scale
-                     for name, scale in zip(POSE_STD, scales, strict=True)], axis=1)  # fmt: skip
+    stds = np.stack(
+        [
+            _numbers(place, columns, name) * scale
+            for name, scale in zip(POSE_STD, scales, strict=True)
+        ],
+        axis=1,
+    )
     whole = np.isfinite(stds).all(axis=1) & (stds > 0).all(axis=1)
     return {row: np.diag(stds[row] ** 2) for row in np.flatnonzero(whole).tolist()}
 
@@ -200,12 +227,18 @@ def _rows_of_sensors(
 ) -> list[tuple[int, SensorName]]:
     """Row and sensor of every measurement, in the order of the table."""
     if "sensor" in columns:
-        return [(row, _sensor(place, row, word, values))
-                for row, word in enumerate(columns["sensor"].tolist())]  # fmt: skip
+        return [
+            (row, _sensor(place, row, word, values))
+            for row, word in enumerate(columns["sensor"].tolist())
+        ]
     whole = {sensor: [bool(row.all()) for row in np.isfinite(values[sensor])] for sensor in values}
     order: tuple[SensorName, ...] = ("pose", "gyro", "lidar", "radar")  # the platform moves first
-    return [(row, sensor) for row in range(count) for sensor in order
-            if sensor in whole and whole[sensor][row]]  # fmt: skip
+    return [
+        (row, sensor)
+        for row in range(count)
+        for sensor in order
+        if sensor in whole and whole[sensor][row]
+    ]
 
 
 def _sensor(

@@ -40,9 +40,13 @@ LARGEST_RANGE = 80.0  # of the SICK LMS that these logs come from; its codes for
 NEAREST_LIMIT = 8.0  # of such a scanner when it counts in millimetres
 FEWEST_AT_LIMIT = 10  # readings at the greatest value of a log that make it a limit
 LAYOUTS = {
-    180: (-90.0, 1.0), 181: (-90.0, 1.0), 360: (-90.0, 0.5), 361: (-90.0, 0.5),
-    400: (-50.0, 0.25), 401: (-50.0, 0.25),
-}  # fmt: skip
+    180: (-90.0, 1.0),
+    181: (-90.0, 1.0),
+    360: (-90.0, 0.5),
+    361: (-90.0, 0.5),
+    400: (-50.0, 0.25),
+    401: (-50.0, 0.25),
+}
 """Bearing of the first reading, and between two [deg], by the number of readings."""
 LINES_TO_RECOGNISE = 1000
 MAX_UNPACKED_BYTES = 4 * 2**30
@@ -224,9 +228,10 @@ class CarmenRecording(Recording):
                 if len(text) > limit or total > MAX_UNPACKED_BYTES:
                     raise LimitError(
                         f"{place}: a line of more than {limit} bytes; raise it with"
-                        " max_record_bytes" if len(text) > limit else
-                        f"{place}: unpacks to more than {MAX_UNPACKED_BYTES} bytes"
-                    )  # fmt: skip
+                        " max_record_bytes"
+                        if len(text) > limit
+                        else f"{place}: unpacks to more than {MAX_UNPACKED_BYTES} bytes"
+                    )
                 if is_packed:
                     check_ratio(total, size, place)
                 words = text.decode("ascii", "replace").split()

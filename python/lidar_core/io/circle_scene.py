@@ -49,9 +49,13 @@ class CircleScene:
         colour = self._colour(WALL if shapes.visible[row] else HIDDEN)
         speed = float(np.linalg.norm(shapes.velocity[row]))
         label = m.TextPrimitive(
-            pose=self._pose(shapes.center[row], height=2 * HEIGHT), billboard=True, font_size=12.0,
-            scale_invariant=True, color=colour, text=number,
-        )  # fmt: skip
+            pose=self._pose(shapes.center[row], height=2 * HEIGHT),
+            billboard=True,
+            font_size=12.0,
+            scale_invariant=True,
+            color=colour,
+            text=number,
+        )
         return m.SceneEntity(
             timestamp=self._stamp,
             frame_id=self._frame_id,
@@ -70,13 +74,20 @@ class CircleScene:
         radius = float(circles.radius[row])
         speed = float(np.linalg.norm(circles.velocity[row]))
         label = m.TextPrimitive(
-            pose=self._pose(center, height=2 * HEIGHT), billboard=True, font_size=14.0,
-            scale_invariant=True, color=colour, text=str(int(circles.id[row])),
-        )  # fmt: skip
+            pose=self._pose(center, height=2 * HEIGHT),
+            billboard=True,
+            font_size=14.0,
+            scale_invariant=True,
+            color=colour,
+            text=str(int(circles.id[row])),
+        )
         disc = m.CylinderPrimitive(
-            pose=self._pose(center), size=m.Vector3(x=2 * radius, y=2 * radius, z=HEIGHT),
-            bottom_scale=1.0, top_scale=1.0, color=colour,
-        )  # fmt: skip
+            pose=self._pose(center),
+            size=m.Vector3(x=2 * radius, y=2 * radius, z=HEIGHT),
+            bottom_scale=1.0,
+            top_scale=1.0,
+            color=colour,
+        )
         return m.SceneEntity(
             timestamp=self._stamp,
             frame_id=self._frame_id,
@@ -96,18 +107,26 @@ class CircleScene:
         m = self._m
         corners = [m.Point3(x=float(x), y=float(y), z=2 * HEIGHT) for x, y in around]
         return m.LinePrimitive(
-            type=m.LinePrimitiveLineType.LineLoop, pose=self._pose(np.zeros(2)),
-            thickness=thickness, scale_invariant=True, points=corners, color=colour,
-        )  # fmt: skip
+            type=m.LinePrimitiveLineType.LineLoop,
+            pose=self._pose(np.zeros(2)),
+            thickness=thickness,
+            scale_invariant=True,
+            points=corners,
+            color=colour,
+        )
 
     def _arrow(
         self, center: NDArray[np.float64], velocity: NDArray[np.float64], speed: float
     ) -> Any:
         pose = self._pose(center, yaw=math.atan2(velocity[1], velocity[0]), height=2 * HEIGHT)
         return self._m.ArrowPrimitive(
-            pose=pose, shaft_length=0.8 * speed, shaft_diameter=0.03, head_length=0.2 * speed,
-            head_diameter=0.08, color=self._colour(SEEN),
-        )  # fmt: skip
+            pose=pose,
+            shaft_length=0.8 * speed,
+            shaft_diameter=0.03,
+            head_length=0.2 * speed,
+            head_diameter=0.08,
+            color=self._colour(SEEN),
+        )
 
     def _pose(self, at: NDArray[np.float64], *, yaw: float = 0.0, height: float = 0.0) -> Any:
         m = self._m

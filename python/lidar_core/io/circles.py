@@ -13,10 +13,14 @@ from lidar_core.io.tracks import write_trajectories
 
 STATE = ("x", "y", "vx", "vy", "radius")
 COLUMNS: dict[str, type] = {
-    "t_ns": int, "track_id": int, "frame_id": str, **dict.fromkeys(STATE, float),
-    "age": float, "visible": int,
+    "t_ns": int,
+    "track_id": int,
+    "frame_id": str,
+    **dict.fromkeys(STATE, float),
+    "age": float,
+    "visible": int,
     **dict.fromkeys(covariance_titles(STATE), float),
-}  # fmt: skip
+}
 """Columns of the circles table: SI units, world frame."""
 
 
@@ -93,8 +97,13 @@ def _rows(maps: Iterable[CirclesLike], frame_id: str) -> Iterator[Sequence[Any]]
         covariance = upper_triangle(state.covariance, len(STATE)).tolist()
         for row, number in enumerate(state.id.tolist()):
             yield (
-                int(state.stamp_ns), number, frame_id,
-                *state.center[row].tolist(), *state.velocity[row].tolist(),
-                float(state.radius[row]), float(state.age[row]), int(state.visible[row]),
+                int(state.stamp_ns),
+                number,
+                frame_id,
+                *state.center[row].tolist(),
+                *state.velocity[row].tolist(),
+                float(state.radius[row]),
+                float(state.age[row]),
+                int(state.visible[row]),
                 *covariance[row],
-            )  # fmt: skip
+            )

@@ -73,8 +73,13 @@ def read_cloud(
     """
     place, chosen = Path(path), options or ReadOptions()
     suffix = place.suffix.lower()
-    check_size(str(place), check_regular(place).stat().st_size, limit=chosen.max_record_bytes,
-               key="max_record_bytes", what="a file of bytes")  # fmt: skip
+    check_size(
+        str(place),
+        check_regular(place).stat().st_size,
+        limit=chosen.max_record_bytes,
+        key="max_record_bytes",
+        what="a file of bytes",
+    )
     if suffix == ".bt":
         return Cloud(*read_octomap(place, options=chosen))
     if suffix == ".lcvm":
@@ -145,8 +150,9 @@ def _load(path: Path, suffix: str, options: ReadOptions) -> Any:
         faces = getattr(loaded, "faces", None)
         if faces is not None and len(faces) and not 0 <= np.min(faces) <= np.max(faces) < count:
             raise FormatError(f"{path}: a face names a vertex that is none of its {count}")
-    check_size(str(path), count, limit=options.max_points, key="max_points",
-               what="a cloud of points")  # fmt: skip
+    check_size(
+        str(path), count, limit=options.max_points, key="max_points", what="a cloud of points"
+    )
     return loaded
 
 
@@ -162,8 +168,13 @@ def _read_mesh(
     if not np.isfinite(loaded.vertices).all():
         raise FormatError(f"{path}: a corner of the surface is not finite")
     needed = 2 * float(loaded.area) / spacing**2 + len(loaded.vertices)
-    check_size(str(path), int(min(needed, 2**62)), limit=options.max_points, key="max_points",
-               what=f"a surface with a point every {spacing:g} m, of points")  # fmt: skip
+    check_size(
+        str(path),
+        int(min(needed, 2**62)),
+        limit=options.max_points,
+        key="max_points",
+        what=f"a surface with a point every {spacing:g} m, of points",
+    )
     library = require("trimesh.remesh", extra="io", purpose="reading meshes and PLY")
     with reading(str(path)):
         fine, _ = library.subdivide_to_size(loaded.vertices, faces, max_edge=spacing, max_iter=32)

@@ -54,8 +54,14 @@ def read_columns(path: str | Path) -> Columns:
     place = Path(path)
     if check_regular_or_folder(place).is_dir():
         return _read_trajectories(place)
-    readers = {".csv": _read_csv, ".npz": _read_npz, ".parquet": _read_parquet,
-               ".mcap": _read_mcap, ".txt": _read_trajectory, ".tum": _read_trajectory}  # fmt: skip
+    readers = {
+        ".csv": _read_csv,
+        ".npz": _read_npz,
+        ".parquet": _read_parquet,
+        ".mcap": _read_mcap,
+        ".txt": _read_trajectory,
+        ".tum": _read_trajectory,
+    }
     reader = readers.get(place.suffix)
     if reader is None:
         raise FormatError(f"{place}: expected a table: {', '.join(sorted(readers))}, or a folder")
@@ -77,8 +83,9 @@ def _read_csv(path: Path) -> Columns:
         names = next(lines, [])
         for separator in ";\t":
             if len(names) == 1 and separator in names[0]:
-                raise FormatError(f"{path}: expected values between commas, these are between"
-                                  f" {separator!r}")  # fmt: skip
+                raise FormatError(
+                    f"{path}: expected values between commas, these are between {separator!r}"
+                )
         rows = []
         for row in lines:
             if len(row) != len(names):
@@ -104,13 +111,18 @@ def _read_npz(path: Path) -> Columns:
     with reading(str(path)), ZipFile(path) as archive:
         _check(path, sum(member.file_size for member in archive.infolist()))
         names = [name.removesuffix(".npy") for name in archive.namelist()]
-        columns = {name: array_in(archive, name, place=f"{path}, column {name}",
-                                  limit=MAX_FILE_BYTES, key="nothing")
-                   for name in names}  # fmt: skip
+        columns = {
+            name: array_in(
+                archive, name, place=f"{path}, column {name}", limit=MAX_FILE_BYTES, key="nothing"
+            )
+            for name in names
+        }
     for name, column in columns.items():
         if column.ndim != 1:
-            raise FormatError(f"{path}: {name}: expected one dimension, got shape"
-                              f" {column.shape}; a recording of scans is no table")  # fmt: skip
+            raise FormatError(
+                f"{path}: {name}: expected one dimension, got shape"
+                f" {column.shape}; a recording of scans is no table"
+            )
     return columns
 
 
@@ -153,8 +165,11 @@ def _read_mcap(path: Path) -> Columns:
                 rows.append((stamp.seconds * 1_000_000_000 + stamp.nanos, int(entity.id)))
                 places.append((position.x, position.y, position.z))
     numbers = np.array(rows, np.int64).reshape(-1, 2)
-    return {"t_ns": numbers[:, 0], "track_id": numbers[:, 1],
-            **_by_axis(np.array(places, np.float64).reshape(-1, 3))}  # fmt: skip
+    return {
+        "t_ns": numbers[:, 0],
+        "track_id": numbers[:, 1],
+        **_by_axis(np.array(places, np.float64).reshape(-1, 3)),
+    }
 
 
 def _by_axis(position: NDArray[np.float64]) -> Columns:

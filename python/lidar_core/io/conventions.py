@@ -14,8 +14,17 @@ from lidar_core.errors import FormatError
 from lidar_core.io.options import ReadOptions
 
 NS_PER_UNIT = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
-TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "timestamps", "stamps", "offset_time",
-               "time_offset", "point_time")  # fmt: skip
+TIME_FIELDS = (
+    "t",
+    "time",
+    "timestamp",
+    "time_stamp",
+    "timestamps",
+    "stamps",
+    "offset_time",
+    "time_offset",
+    "point_time",
+)
 SHORTEST_SCAN_S, LONGEST_SCAN_S = 0.002, 1.1  # a factor below 1000: at most one unit fits
 NEAR_STAMP_S = 60.0  # an absolute point time lies this close to its scan's stamp
 

@@ -110,8 +110,13 @@ class FoxgloveDecoder:
         rows = unpack(data, layout, place=place, max_points=self._options.max_points).reshape(-1)
         if OWN_HEIGHT in metadata:
             self._findings.point_time[topic] = self._findings.no_return[topic] = OWN_VERDICT
-            return own_scan(rows, _stamp_ns(message.timestamp), message.frame_id, topic,
-                            int(metadata[OWN_HEIGHT]))  # fmt: skip
+            return own_scan(
+                rows,
+                _stamp_ns(message.timestamp),
+                message.frame_id,
+                topic,
+                int(metadata[OWN_HEIGHT]),
+            )
         if topic not in self._clouds:
             self._clouds[topic] = CloudDecoder(topic, self._options, self._findings)
         return self._clouds[topic].scan(

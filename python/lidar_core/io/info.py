@@ -146,10 +146,18 @@ class _Stream:
         rate = (len(self.times) - 1) / span if span > 0 else None
         topic = self.topic
         return TopicInfo(
-            topic.name, topic.type, topic.kind, len(self.times), rate, tuple(self.frames),
-            self.rays, self.points, min(self.times, default=None), max(self.times, default=None),
+            topic.name,
+            topic.type,
+            topic.kind,
+            len(self.times),
+            rate,
+            tuple(self.frames),
+            self.rays,
+            self.points,
+            min(self.times, default=None),
+            max(self.times, default=None),
             topic.note,
-        )  # fmt: skip
+        )
 
     def defects(self) -> list[str]:
         """Times that jump, and empty scans."""
@@ -253,11 +261,17 @@ def inspect(recording: Recording) -> RecordingInfo:
         point_time=dict(found.point_time),
         no_return=dict(found.no_return),
         defects=tuple(_defects(recording, streams, edges, rejected)),
-        looked_at={stream.name: (stream.decoded, len(stream.times)) for stream in streams.values()
-                   if stream.decoded < len(stream.times) and stream.topic.kind in SCAN_KINDS},
-        stamps={stream.topic.name: stream.other_times for stream in streams.values()
-                if stream.wants_other_times},
-    )  # fmt: skip
+        looked_at={
+            stream.name: (stream.decoded, len(stream.times))
+            for stream in streams.values()
+            if stream.decoded < len(stream.times) and stream.topic.kind in SCAN_KINDS
+        },
+        stamps={
+            stream.topic.name: stream.other_times
+            for stream in streams.values()
+            if stream.wants_other_times
+        },
+    )
 
 
 def _check_pose_frames(recording: Recording) -> None:
@@ -287,8 +301,11 @@ def _defects(
     scans = [s for s in streams.values() if s.topic.kind in SCAN_KINDS]
     if not scans:
         measured = any(stream.topic.kind == "measurement" for stream in streams.values())
-        found.append("no scans; measurements are for `lidar-core fuse`" if measured
-                     else "no topic with scans that can be read")  # fmt: skip
+        found.append(
+            "no scans; measurements are for `lidar-core fuse`"
+            if measured
+            else "no topic with scans that can be read"
+        )
     elif not any(not static for static in edges.values()):
         found.append("no poses: use --pose FILE, or --pose static for a sensor that does not move")
     children = {child for _, child in edges} | {parent for parent, _ in edges}

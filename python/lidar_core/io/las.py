@@ -40,9 +40,18 @@ _CHUNK_SIZE_AT, _ITEMS_AT, _ITEM = 12, 32, struct.Struct("<3H")
 _RAW_BYTES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Bytes of a point without extra bytes, by point format."""
 _ITEMS: dict[int, tuple[int, ...]] = {
-    0: (6,), 1: (6, 7), 2: (6, 8), 3: (6, 7, 8), 4: (6, 7, 9), 5: (6, 7, 8, 9),
-    6: (10,), 7: (10, 11), 8: (10, 12), 9: (10, 13), 10: (10, 12, 13),
-}  # fmt: skip
+    0: (6,),
+    1: (6, 7),
+    2: (6, 8),
+    3: (6, 7, 8),
+    4: (6, 7, 9),
+    5: (6, 7, 8, 9),
+    6: (10,),
+    7: (10, 11),
+    8: (10, 12),
+    9: (10, 13),
+    10: (10, 12, 13),
+}
 """Parts that LASzip makes of each point format; extra bytes follow as part 0 or 14."""
 _ITEM_BYTES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
 _ITEM_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
@@ -87,8 +96,13 @@ def read_las(path: Path, options: ReadOptions) -> tuple[NDArray[np.float64], NDA
     place, data = str(path), path.read_bytes()
     with reading(place):
         head = _head(place, data)
-        check_size(place, head.n_points, limit=options.max_points, key="max_points",
-                   what="a cloud of points")  # fmt: skip
+        check_size(
+            place,
+            head.n_points,
+            limit=options.max_points,
+            key="max_points",
+            what="a cloud of points",
+        )
         blocks = _unpacked(place, data, head) if head.is_packed else [_plain(place, data, head)]
         places, intensities, done = np.empty((head.n_points, 3)), np.empty(head.n_points, "f4"), 0
         for block in blocks:
@@ -111,8 +125,9 @@ def _head(place: str, data: bytes) -> Head:
     if point_format >= len(_RAW_BYTES) or length < _RAW_BYTES[point_format]:
         raise FormatError(f"{place}: {length} bytes a point are no point of format {point_format}")
     if not _SCALES_AT + 48 <= size <= points_at <= len(data):
-        raise FormatError(f"{place}: header of {size} bytes, points at byte {points_at}, in a file"
-                          f" of {len(data)}")  # fmt: skip
+        raise FormatError(
+            f"{place}: header of {size} bytes, points at byte {points_at}, in a file of {len(data)}"
+        )
     numbers = np.frombuffer(data, "<f8", 6, _SCALES_AT)
     if not np.isfinite(numbers).all():
         raise FormatError(f"{place}: scales and offsets are not finite: {numbers.tolist()}")
@@ -123,8 +138,10 @@ def _head(place: str, data: bytes) -> Head:
 def _plain(place: str, data: bytes, head: Head) -> NDArray[np.uint8]:
     needed, held = head.n_points * head.point_bytes, len(data) - head.points_at
     if needed > held:
-        raise FormatError(f"{place}: {head.n_points} points of {head.point_bytes} bytes are"
-                          f" promised, {held} bytes follow")  # fmt: skip
+        raise FormatError(
+            f"{place}: {head.n_points} points of {head.point_bytes} bytes are"
+            f" promised, {held} bytes follow"
+        )
     rows = np.frombuffer(data, np.uint8, needed, head.points_at)
     return rows.reshape(head.n_points, head.point_bytes)
 
@@ -166,11 +183,14 @@ def _packing(place: str, data: bytes, head: Head) -> Packing:
     if kind not in ((_LAYERED,) if is_new else (_ONE_STREAM, _POINTWISE)):
         raise FormatError(f"{place}: compressor {kind} does not write format {head.point_format}")
     if head.point_bytes > MOST_RECORD:
-        raise LimitError(f"{place}: compressed points of {head.point_bytes} bytes, limit"
-                         f" {MOST_RECORD}; unpack the file to LAS first")  # fmt: skip
+        raise LimitError(
+            f"{place}: compressed points of {head.point_bytes} bytes, limit"
+            f" {MOST_RECORD}; unpack the file to LAS first"
+        )
     layers = sum(_ITEM_LAYERS[item] for item, _ in expected if item in _ITEM_LAYERS)
-    return Packing(_with_one_chunk(record), kind, chunk_points or _VARIABLE,
-                   layers + extra * is_new)  # fmt: skip
+    return Packing(
+        _with_one_chunk(record), kind, chunk_points or _VARIABLE, layers + extra * is_new
+    )
 
 
 def _with_one_chunk(record: bytes) -> bytes:
@@ -201,8 +221,10 @@ def _span(place: str, data: bytes, head: Head, packing: Packing) -> tuple[int, i
     if table_at == -1 and len(data) >= start + 8:  # a writer that could not go back
         (table_at,) = struct.unpack("<q", data[-8:])
     if not start < table_at <= len(data):
-        raise FormatError(f"{place}: table of chunks at byte {table_at}, points begin at {start},"
-                          f" the file has {len(data)} bytes")  # fmt: skip
+        raise FormatError(
+            f"{place}: table of chunks at byte {table_at}, points begin at {start},"
+            f" the file has {len(data)} bytes"
+        )
     return start, table_at
 
 
@@ -232,8 +254,10 @@ def _chunks(
         count = held if packing.chunk_points == _VARIABLE else min(packing.chunk_points, left)
         begun += 1
         if not 0 < count <= left or begun > most:
-            raise FormatError(f"{place}: chunk {begun} at byte {at} holds {count} points, {left}"
-                              f" are left, at most {most} chunks are read")  # fmt: skip
+            raise FormatError(
+                f"{place}: chunk {begun} at byte {at} holds {count} points, {left}"
+                f" are left, at most {most} chunks are read"
+            )
         yield at, stop, count
         at, left = stop, left - count
 
@@ -248,8 +272,10 @@ def _layered_chunk(
         raise FormatError(f"{place}: compressed data ends early, in the chunk at byte {at}")
     held, *layers = struct.unpack_from(f"<{1 + packing.n_layers}I", data, sizes_at)
     if layers_at + sum(layers) > end:
-        raise FormatError(f"{place}: layers of the chunk at byte {at} have {sum(layers)} bytes,"
-                          f" {end - layers_at} follow")  # fmt: skip
+        raise FormatError(
+            f"{place}: layers of the chunk at byte {at} have {sum(layers)} bytes,"
+            f" {end - layers_at} follow"
+        )
     return layers_at + sum(layers), held
 
 
@@ -277,8 +303,10 @@ def _pointwise_chunks(
     for points, size in table:
         count = points if packing.chunk_points == _VARIABLE else min(packing.chunk_points, left)
         if not 0 < count <= left or not head.point_bytes <= size <= end - start:
-            raise FormatError(f"{place}: chunk of {count} points in {size} bytes at byte {start},"
-                              f" {left} points and {end - start} bytes are left")  # fmt: skip
+            raise FormatError(
+                f"{place}: chunk of {count} points in {size} bytes at byte {start},"
+                f" {left} points and {end - start} bytes are left"
+            )
         yield start, start + size, count
         start, left = start + size, left - count
         if not left:
@@ -290,8 +318,11 @@ def _points_of(
     place: str, stream: bytes, record: bytes, point_bytes: int, count: int
 ) -> Iterator[NDArray[np.uint8]]:
     lazrs = _lazrs()
-    wanted = (lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL | lazrs.SELECTIVE_DECOMPRESS_Z
-              | lazrs.SELECTIVE_DECOMPRESS_INTENSITY)  # fmt: skip
+    wanted = (
+        lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL
+        | lazrs.SELECTIVE_DECOMPRESS_Z
+        | lazrs.SELECTIVE_DECOMPRESS_INTENSITY
+    )
     with _no_panic(place):
         selection = lazrs.DecompressionSelection(wanted)
         source = lazrs.LasZipDecompressor(BytesIO(stream), record, selection)

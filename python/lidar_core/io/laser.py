@@ -94,8 +94,9 @@ class LaserDecoder:
             More rays than the options allow.
         """
         rays = len(raw.ranges)
-        check_size(place, rays, limit=self._options.max_points, key="max_points",
-                   what="a scan of rays")  # fmt: skip
+        check_size(
+            place, rays, limit=self._options.max_points, key="max_points", what="a scan of rays"
+        )
         _check(raw, place)
         ranges = self._ranges.apply(raw)
         increment, self._findings.point_time[self._topic] = self._increment(raw)
@@ -139,8 +140,9 @@ def ros_laser_scan(topic: str, message: Any, stamp_ns: int, frame_id: str) -> La
 def _first_echoes(values: Sequence[Any]) -> NDArray[np.float32]:
     """One number per ray; zero for a ray without any echo."""
     if len(values) and hasattr(values[0], "echoes"):
-        return np.array([item.echoes[0] if len(item.echoes) else 0.0 for item in values],
-                        np.float32)  # fmt: skip
+        return np.array(
+            [item.echoes[0] if len(item.echoes) else 0.0 for item in values], np.float32
+        )
     return np.asarray(values, np.float32)
 
 

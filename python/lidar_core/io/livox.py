@@ -13,8 +13,15 @@ from lidar_core.errors import FormatError
 from lidar_core.io.guard import check_size
 
 LIVOX_TYPES = ("livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg")
-_FIELDS = {"offset_time": "u4", "x": "f4", "y": "f4", "z": "f4",
-           "reflectivity": "u1", "tag": "u1", "line": "u1"}  # fmt: skip
+_FIELDS = {
+    "offset_time": "u4",
+    "x": "f4",
+    "y": "f4",
+    "z": "f4",
+    "reflectivity": "u1",
+    "tag": "u1",
+    "line": "u1",
+}
 _ROW_BYTES = 19
 _BETWEEN = 8 + 4 + 1 + 3  # timebase, point_num, lidar_id, rsvd: between frame and number of rows
 

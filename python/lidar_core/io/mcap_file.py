@@ -125,8 +125,9 @@ class McapRecording(Recording):
             summary = reader.SeekingReader(self._file, record_size_limit=limit).get_summary()
         if summary is None or (not summary.chunk_indexes and not summary.channels):
             summary = self._scan_for_channels()
-        check_size(place, len(summary.channels), limit=MAX_TOPICS, key="nothing",
-                   what="a number of topics")  # fmt: skip
+        check_size(
+            place, len(summary.channels), limit=MAX_TOPICS, key="nothing", what="a number of topics"
+        )
         return summary
 
     def _salvaged(self) -> Any:
@@ -206,8 +207,13 @@ class McapRecording(Recording):
             if not isinstance(chunk, self._records.Chunk):
                 raise FormatError(f"{place}: the index points to something else")
             limit = self.options.max_record_bytes
-            check_size(place, chunk.uncompressed_size, limit=limit, key="max_record_bytes",
-                       what="a chunk of bytes")  # fmt: skip
+            check_size(
+                place,
+                chunk.uncompressed_size,
+                limit=limit,
+                key="max_record_bytes",
+                what="a chunk of bytes",
+            )
             chunk.data = _decompressed(chunk, place, limit)
             chunk.compression = ""
             return list(self._mcap.breakup_chunk(chunk, validate_crc=True))

@@ -81,8 +81,9 @@ def carrier_of(
         return carriers[0]
     if carriers[-1] in moving:  # only the top of what is mounted together can move
         return carriers[-1]
-    texts = [_mounting(carrier, frame, matrix)
-             for carrier, matrix in zip(carriers, sensor, strict=True)]  # fmt: skip
+    texts = [
+        _mounting(carrier, frame, matrix) for carrier, matrix in zip(carriers, sensor, strict=True)
+    ]
     choices = " or ".join(f"--mounting '{text}'" for text in texts)
     raise UnclearCarrierError(
         f"odom: poses of {topic!r} name no frame of their own; they may be those of"
@@ -120,10 +121,13 @@ def same_movement(poses: Sequence[Pose], transforms: TransformBuffer) -> str | N
     looked_at = poses[:: max(1, len(poses) // LOOKED_AT)]
     parents = {item.frame_id for item in looked_at}
     found = [
-        child for (parent, child), is_static in transforms.edges().items()
-        if not is_static and child and parent in parents
+        child
+        for (parent, child), is_static in transforms.edges().items()
+        if not is_static
+        and child
+        and parent in parents
         and _agree(transforms, parent, child, looked_at)
-    ]  # fmt: skip
+    ]
     return found[0] if len(found) == 1 else None
 
 

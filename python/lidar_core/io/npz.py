@@ -144,13 +144,19 @@ class NpzRecording(Recording):
         prefix = f"laser_{number:06d}_"
         place = f"{self.path}, 2D scan {number}"
         with reading(place):
-            ranges = as_rows(self._member(archive, f"{prefix}ranges"), name="ranges", rows=None,
-                             shape=(), dtype=np.float32)  # fmt: skip
+            ranges = as_rows(
+                self._member(archive, f"{prefix}ranges"),
+                name="ranges",
+                rows=None,
+                shape=(),
+                dtype=np.float32,
+            )
             intensity = None
             if f"{prefix}intensity" in self._names:
                 values = self._member(archive, f"{prefix}intensity")
-                intensity = as_rows(values, name="intensity", rows=len(ranges), shape=(),
-                                    dtype=np.float32)  # fmt: skip
+                intensity = as_rows(
+                    values, name="intensity", rows=len(ranges), shape=(), dtype=np.float32
+                )
             index = self._index
             return [
                 LaserScan(
@@ -177,12 +183,26 @@ class NpzRecording(Recording):
         layout = int(self._member(archive, "layout").item())
         if layout != LAYOUT:
             raise FormatError(f"{self.path}: layout {layout}, this version reads {LAYOUT}")
-        names = ["scan_stamp_ns", "scan_frame_id", "scan_topic", "pose_stamp_ns", "pose_frame_id",
-                 "pose_child_frame_id", "pose_topic", "pose_matrix", "pose_is_static",
-                 "pose_covariance"]  # fmt: skip
+        names = [
+            "scan_stamp_ns",
+            "scan_frame_id",
+            "scan_topic",
+            "pose_stamp_ns",
+            "pose_frame_id",
+            "pose_child_frame_id",
+            "pose_topic",
+            "pose_matrix",
+            "pose_is_static",
+            "pose_covariance",
+        ]
         if "laser_stamp_ns" in self._names:
-            names += ["laser_stamp_ns", "laser_frame_id", "laser_topic", "laser_scanner",
-                      "laser_time_increment_ns"]  # fmt: skip
+            names += [
+                "laser_stamp_ns",
+                "laser_frame_id",
+                "laser_topic",
+                "laser_scanner",
+                "laser_time_increment_ns",
+            ]
         index = {name: self._member(archive, name) for name in names}
         for prefix in ("scan", "laser", "pose"):
             lengths = {name: len(a) for name, a in index.items() if name.startswith(prefix)}
@@ -258,8 +278,14 @@ def write_npz(path: str | Path, messages: Iterable[Message]) -> None:
                 value = getattr(message, name)
                 if value is not None:
                     _put(archive, prefix + name, value)
-            scans.append(Scan(message.stamp_ns, np.empty((0, 3), np.float32), message.frame_id,
-                              topic=message.topic))  # fmt: skip
+            scans.append(
+                Scan(
+                    message.stamp_ns,
+                    np.empty((0, 3), np.float32),
+                    message.frame_id,
+                    topic=message.topic,
+                )
+            )
         _put(archive, "layout", np.array(LAYOUT))
         _put(archive, "scan_stamp_ns", np.array([s.stamp_ns for s in scans], np.int64))
         _put(archive, "scan_frame_id", np.array([s.frame_id for s in scans], np.str_))

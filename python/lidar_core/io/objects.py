@@ -60,10 +60,11 @@ def write_nuscenes(
     """
     used = {f"use_{one}": one in sensors for one in ("camera", "lidar", "radar", "map", "external")}
     results = {
-        str(stamp): [_nuscenes_box(str(stamp), objects, row, name)
-                     for row in range(len(objects.id))]
+        str(stamp): [
+            _nuscenes_box(str(stamp), objects, row, name) for row in range(len(objects.id))
+        ]
         for stamp, objects in steps
-    }  # fmt: skip
+    }
     with written_whole(path) as temporary:
         temporary.write_text(json.dumps({"meta": used, "results": results}), encoding="utf-8")
 

@@ -37,16 +37,26 @@ def read_octomap(
         A larger file, or more voxels, than the options allow.
     """
     place, chosen = Path(path), options or ReadOptions()
-    check_size(str(place), check_regular(place).stat().st_size, limit=chosen.max_record_bytes,
-               key="max_record_bytes", what="a file of bytes")  # fmt: skip
+    check_size(
+        str(place),
+        check_regular(place).stat().st_size,
+        limit=chosen.max_record_bytes,
+        key="max_record_bytes",
+        what="a file of bytes",
+    )
     data = place.read_bytes()
     resolution, start = _header(place, data)
     with reading(str(place)):
         nodes = np.frombuffer(data, "<u2", offset=start).tolist()
     corners, depths = _occupied_leaves(place, nodes)
     sizes = 2 ** (DEPTH - depths)
-    check_size(str(place), int((sizes.astype(np.float64) ** 3).sum()), limit=chosen.max_points,
-               key="max_points", what="a tree of occupied voxels")  # fmt: skip
+    check_size(
+        str(place),
+        int((sizes.astype(np.float64) ** 3).sum()),
+        limit=chosen.max_points,
+        key="max_points",
+        what="a tree of occupied voxels",
+    )
     keys = _expanded(corners, sizes)
     return (keys - HALF + 0.5) * resolution, resolution
 

@@ -255,11 +255,17 @@ class _Parts:
         chosen = config.KISSConfig(
             data={"max_range": reach, "min_range": nearest, "deskew": True},
             mapping={"voxel_size": reach / VOXELS, "max_points_per_voxel": 20},
-            registration={"max_num_threads": 1, "max_num_iterations": 500,
-                          "convergence_criterion": 1e-4},
-            adaptive_threshold={"initial_threshold": 2.0, "min_motion_th": 0.1,
-                                "fixed_threshold": None},
-        )  # fmt: skip
+            registration={
+                "max_num_threads": 1,
+                "max_num_iterations": 500,
+                "convergence_criterion": 1e-4,
+            },
+            adaptive_threshold={
+                "initial_threshold": 2.0,
+                "min_motion_th": 0.1,
+                "fixed_threshold": None,
+            },
+        )
         package = require("kiss_icp.kiss_icp", extra="odometry", purpose="--pose kiss")
         engine: Any = package.KissICP(chosen)
         self.map, self.threshold = engine.local_map, engine.adaptive_threshold
@@ -279,9 +285,12 @@ class _Parts:
     ) -> NDArray[np.float64]:
         sigma = self.threshold.get_threshold()
         pose = self._engine.registration.align_points_to_map(
-            points=source, voxel_map=self.map, initial_guess=guess,
-            max_correspondance_distance=3 * sigma, kernel=sigma,
-        )  # fmt: skip
+            points=source,
+            voxel_map=self.map,
+            initial_guess=guess,
+            max_correspondance_distance=3 * sigma,
+            kernel=sigma,
+        )
         return np.asarray(pose, np.float64)
 
     def share_near(self, source: NDArray[np.float64], pose: NDArray[np.float64]) -> float:
@@ -330,8 +339,9 @@ def _angles_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
     pitch = -np.arcsin(np.clip(rotation[2, 0], -1, 1))
     c, s = np.cos(yaw), np.sin(yaw)
-    turns = np.array([[c * np.cos(pitch), -s, 0], [s * np.cos(pitch), c, 0],
-                      [-np.sin(pitch), 0, 1.0]])  # fmt: skip
+    turns = np.array(
+        [[c * np.cos(pitch), -s, 0], [s * np.cos(pitch), c, 0], [-np.sin(pitch), 0, 1.0]]
+    )
     return np.linalg.pinv(turns, rcond=1e-3)
 
 

@@ -121,8 +121,10 @@ def _open_folder(path: Path, options: ReadOptions) -> Recording:
     kinds = {kind: found for kind in KINDS if (found := _of_kind(files, kind))}
     if len(kinds) > 1 and not (path / "metadata.yaml").exists():
         listed = ", ".join(f"{len(found)} of {_names(kind)}" for kind, found in kinds.items())
-        raise FormatError(f"{path}: several kinds of recordings in this folder: {listed}; name one"
-                          " file, or a folder with one kind")  # fmt: skip
+        raise FormatError(
+            f"{path}: several kinds of recordings in this folder: {listed}; name one"
+            " file, or a folder with one kind"
+        )
     if not kinds:
         return _open_kitti(path, files, options)
     kind, found = next(iter(kinds.items()))
@@ -159,8 +161,10 @@ def _open_kitti(path: Path, files: list[Path], options: ReadOptions) -> Recordin
     found = ", ".join(sorted({file.suffix or file.name for file in files})) or "no files"
     folders = sorted(one.name for one in path.iterdir() if one.is_dir())[:MOST_FOLDERS]
     if folders:
-        raise FormatError(f"{path}: no recording in this folder, found {found}; name one of the"
-                          f" folders in it: {', '.join(folders)}")  # fmt: skip
+        raise FormatError(
+            f"{path}: no recording in this folder, found {found}; name one of the"
+            f" folders in it: {', '.join(folders)}"
+        )
     raise FormatError(f"{path}: no recording in this folder, found {found}; readable are: {KNOWN}")
 
 

@@ -105,8 +105,13 @@ class _OusterFrames(Recording):
         return SENSOR_FRAME if len(self._sensors) == 1 else f"{SENSOR_FRAME}_{sensor}"
 
     def _messages(self, sensor: int, frame: Any, place: str) -> list[Message]:
-        check_size(place, frame.h * frame.w, limit=self.options.max_points, key="max_points",
-                   what="a scan of points")  # fmt: skip
+        check_size(
+            place,
+            frame.h * frame.w,
+            limit=self.options.max_points,
+            key="max_points",
+            what="a scan of points",
+        )
         received = (frame.status & COLUMN_IS_VALID).astype(bool)
         if not received.any():
             return []

@@ -13,9 +13,11 @@ from lidar_core.errors import FormatError
 from lidar_core.io import pcapng
 
 _ORDERS = {
-    b"\xd4\xc3\xb2\xa1": "<", b"\x4d\x3c\xb2\xa1": "<",
-    b"\xa1\xb2\xc3\xd4": ">", b"\xa1\xb2\x3c\x4d": ">",
-}  # fmt: skip
+    b"\xd4\xc3\xb2\xa1": "<",
+    b"\x4d\x3c\xb2\xa1": "<",
+    b"\xa1\xb2\xc3\xd4": ">",
+    b"\xa1\xb2\x3c\x4d": ">",
+}
 _FILE_HEADER, _PACKET_HEADER = 24, 16
 _LARGEST_PACKET = 262_144
 VELODYNE_PAYLOAD = 1206  # data packet as it is sent

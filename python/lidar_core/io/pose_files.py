@@ -80,8 +80,13 @@ def stamp_from_text(text: str) -> int:
 def _numbers(path: Path) -> NDArray[np.float64]:
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such poses file")
-    check_size(str(path), check_regular(path).stat().st_size, limit=MAX_FILE_BYTES, key="nothing",
-               what="a file of bytes")  # fmt: skip
+    check_size(
+        str(path),
+        check_regular(path).stat().st_size,
+        limit=MAX_FILE_BYTES,
+        key="nothing",
+        what="a file of bytes",
+    )
     with reading(str(path)), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of an empty file: said below
         rows = np.loadtxt(path, ndmin=2)

@@ -71,13 +71,18 @@ def _candidates() -> list[tuple[str, NDArray[np.float64], bool]]:
         if np.linalg.det(turn) > 0 and not any(np.array_equal(turn, one) for _, one in known):
             known.append((f"one whose axes are {_axes(turn)} of the LiDAR's", turn))
     first, others = known[:OFTEN_INVERTED], known[OFTEN_INVERTED:]
-    return [(name, turn, inverse) for part in (first, others) for inverse in (False, True)
-            for name, turn in part]  # fmt: skip
+    return [
+        (name, turn, inverse)
+        for part in (first, others)
+        for inverse in (False, True)
+        for name, turn in part
+    ]
 
 
 def _axes(turn: NDArray[np.float64]) -> str:
-    return ", ".join(("" if row.sum() > 0 else "-") + "xyz"[int(np.abs(row).argmax())]
-                     for row in turn)  # fmt: skip
+    return ", ".join(
+        ("" if row.sum() > 0 else "-") + "xyz"[int(np.abs(row).argmax())] for row in turn
+    )
 
 
 class _View(NamedTuple):
@@ -162,8 +167,10 @@ def _shares(
     """Share of the second scan's points that meet the first, for every frame."""
     edge = float(np.clip(CELL_SHARE * _motion(first, second), *CELL_LIMITS))
     known = surrounding_keys(first.points, edge)
-    given = {False: np.linalg.inv(first.pose) @ second.pose,
-             True: first.pose @ np.linalg.inv(second.pose)}  # fmt: skip
+    given = {
+        False: np.linalg.inv(first.pose) @ second.pose,
+        True: first.pose @ np.linalg.inv(second.pose),
+    }
     found = []
     for _, turn, inverse in candidates:
         motion = given[inverse]
@@ -176,16 +183,24 @@ def _shares(
 
 def advice(verdict: Verdict, *, frame: str, source: str) -> str:
     """The verdict in words, with the cure."""
-    fits = (f"{verdict.found:.0%} of the points of one scan then meet those of another, as given"
-            f" {verdict.given:.0%}")  # fmt: skip
+    fits = (
+        f"{verdict.found:.0%} of the points of one scan then meet those of another, as given"
+        f" {verdict.given:.0%}"
+    )
     turn, angles = verdict.turn, _angles(verdict.turn)
     is_own = np.array_equal(turn, np.eye(3))
     mounting = f'--mounting "carrier {frame or "lidar"} 0 0 0 {angles}"'
     cure = [
         *(["give the inverse of every matrix"] if verdict.is_inverse else []),
-        *([] if is_own else [f"say how the LiDAR sits on what the poses are of: {mounting}, with"
-                             " its place in metres instead of 0 0 0"]),
-    ]  # fmt: skip
+        *(
+            []
+            if is_own
+            else [
+                f"say how the LiDAR sits on what the poses are of: {mounting}, with"
+                " its place in metres instead of 0 0 0"
+            ]
+        ),
+    ]
     inverted = "inverted, of the world in the sensor's frame" if verdict.is_inverse else ""
     named = "" if is_own else f"in another frame than the scans: {verdict.name}"
     what = ", and ".join(text for text in (inverted, named) if text)

@@ -240,8 +240,10 @@ class PosedScans(Generic[ScanT]):
         topics = sorted({topic.name for topic, _ in odometry})
         chosen = self._options.odom
         if chosen is not None and chosen not in {topic.name for topic, _ in gathered}:
-            raise ConfigError(f"odom: no topic {chosen!r} with poses; found {listed(topics)}"
-                              f"{meant(chosen, topics)}")  # fmt: skip
+            raise ConfigError(
+                f"odom: no topic {chosen!r} with poses; found {listed(topics)}"
+                f"{meant(chosen, topics)}"
+            )
         transforms = [item for item in gathered if item[0].type not in POSE_TYPES]
         if chosen is None:
             buffer = self._with(pose for _, pose in transforms)
@@ -255,8 +257,10 @@ class PosedScans(Generic[ScanT]):
         if nameless := [pose for pose in moving if not pose.child_frame_id]:
             mountings = self._options.mountings()
             carrier = carrier_of(frame, nameless, known, mountings, chosen)
-            moving = [pose if pose.child_frame_id else replace(pose, child_frame_id=carrier)
-                      for pose in moving]  # fmt: skip
+            moving = [
+                pose if pose.child_frame_id else replace(pose, child_frame_id=carrier)
+                for pose in moving
+            ]
         return self._with(fixed + moving)
 
     def _with(self, poses: Iterable[Pose]) -> TransformBuffer:

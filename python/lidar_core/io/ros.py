@@ -96,8 +96,13 @@ class RosRecording(Recording):
     def _list_topics(self) -> dict[str, Topic]:
         topics: dict[str, Topic] = {}
         for file, reader in self._readers:
-            check_size(str(file), len(reader.connections), limit=MAX_TOPICS, key="nothing",
-                       what="a number of topics")  # fmt: skip
+            check_size(
+                str(file),
+                len(reader.connections),
+                limit=MAX_TOPICS,
+                key="nothing",
+                what="a number of topics",
+            )
             for item in reader.connections:
                 before = topics.get(item.topic)
                 count = int(item.msgcount) + (before.count or 0 if before else 0)

@@ -147,15 +147,22 @@ class RosDecoder:
                     f"{place}: field {item.name!r} has unknown datatype {item.datatype}"
                 )
             fields.append(Field(item.name, code, item.offset, item.count))
-        layout = Layout(fields, message.point_step, message.row_step, message.width,
-                        message.height, bool(message.is_bigendian))  # fmt: skip
+        layout = Layout(
+            fields,
+            message.point_step,
+            message.row_step,
+            message.width,
+            message.height,
+            bool(message.is_bigendian),
+        )
         rows = unpack(message.data, layout, place=place, max_points=self._options.max_points)
         header = message.header
         return self._scan(topic, rows, stamp_of(header.stamp), header.frame_id, place)
 
     def _livox(self, topic: str, raw: bytes, place: str) -> Scan:
-        cloud = livox_cloud(self._plain(raw, place), self._version, place=place,
-                            max_points=self._options.max_points)  # fmt: skip
+        cloud = livox_cloud(
+            self._plain(raw, place), self._version, place=place, max_points=self._options.max_points
+        )
         return self._scan(topic, *cloud, place)
 
     def _scan(

@@ -150,16 +150,25 @@ class ObstacleArrays:
     def _detection2(self, header: Any, objects: ObjectsLike, row: int) -> Any:
         meant = self._types["vision_msgs/msg/ObjectHypothesis"](self._name, SCORE)
         return self._types["vision_msgs/msg/Detection3D"](
-            header, [self._hypothesis(objects, row, meant)], self._box(objects, row),
+            header,
+            [self._hypothesis(objects, row, meant)],
+            self._box(objects, row),
             str(int(objects.id[row])),
-        )  # fmt: skip
+        )
 
     def _detection1(self, header: Any, objects: ObjectsLike, row: int) -> Any:
         """ROS 1 has one number per hypothesis: that of the object."""
         cloud = self._types["sensor_msgs/msg/PointCloud2"](
-            header=header, height=0, width=0, fields=[], is_bigendian=False, point_step=0,
-            row_step=0, data=np.empty(0, np.uint8), is_dense=True,
-        )  # fmt: skip
+            header=header,
+            height=0,
+            width=0,
+            fields=[],
+            is_bigendian=False,
+            point_step=0,
+            row_step=0,
+            data=np.empty(0, np.uint8),
+            is_dense=True,
+        )
         found = self._hypothesis(objects, row, int(objects.id[row]), SCORE)
         return self._types["vision_msgs/msg/Detection3D"](
             header, [found], self._box(objects, row), cloud
@@ -187,9 +196,11 @@ class ObstacleArrays:
         number = UUID(int=int(objects.id[row])).bytes
         return self._types["nav2_dynamic_msgs/msg/Obstacle"](
             self._types["unique_identifier_msgs/msg/UUID"](np.frombuffer(number, np.uint8)),
-            SCORE, self._point(objects.position[row]), self._vector(objects.velocity[row]),
+            SCORE,
+            self._point(objects.position[row]),
+            self._vector(objects.velocity[row]),
             self._vector(objects.size[row]),
-        )  # fmt: skip
+        )
 
     def _costmap(self, header: Any, objects: ObjectsLike, row: int) -> Any:
         """A point with a radius for circles and unknown sizes, else the rectangle of the box."""

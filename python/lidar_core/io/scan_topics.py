@@ -54,15 +54,19 @@ def scan_topics(
     for name in names:
         if name not in known:
             option = " or ".join(word.option for word in words)
-            raise ConfigError(f"{option}: no topic {name!r} with {plural} in {recording.path};"
-                              f" found {listed(known)}{meant(name, known)}")  # fmt: skip
+            raise ConfigError(
+                f"{option}: no topic {name!r} with {plural} in {recording.path};"
+                f" found {listed(known)}{meant(name, known)}"
+            )
     if not with_scans:
         found = listed(
             [f"{t.name or NAMELESS} ({t.type}{', ' + t.note if t.note else ''})" for t in topics]
         )
-        other = "".join(f"; {word.plural} are for `lidar-core {word.command}`"
-                        for sort, word in WORDS.items() if sort not in sorts
-                        and any(topic.kind in word.kinds for topic in topics))  # fmt: skip
+        other = "".join(
+            f"; {word.plural} are for `lidar-core {word.command}`"
+            for sort, word in WORDS.items()
+            if sort not in sorts and any(topic.kind in word.kinds for topic in topics)
+        )
         raise FormatError(f"{recording.path}: no {plural} to read; found {found}{other}")
     return [topic for topic in with_scans if not names or topic.name in names]
 
@@ -72,8 +76,10 @@ def scan_topic(recording: Recording, name: str | None, sort: type) -> Topic:
     chosen = scan_topics(recording, [sort], [] if name is None else [name])
     if name is None and len(chosen) > 1:
         words, found = WORDS[sort], listed([topic.name for topic in chosen])
-        raise ConfigError(f"{words.option}: several topics with {words.plural} in {recording.path}:"
-                          f" {found}; name one with --{words.option}")  # fmt: skip
+        raise ConfigError(
+            f"{words.option}: several topics with {words.plural} in {recording.path}:"
+            f" {found}; name one with --{words.option}"
+        )
     return chosen[0]
 
 

@@ -64,8 +64,13 @@ class SequenceRecording(Recording):
 
     def _scan(self, file: Path, stamp_ns: int) -> list[Message]:
         limit = self.options.max_record_bytes
-        check_size(str(file), file.stat().st_size, limit=limit, key="max_record_bytes",
-                   what="a file of bytes")  # fmt: skip
+        check_size(
+            str(file),
+            file.stat().st_size,
+            limit=limit,
+            key="max_record_bytes",
+            what="a file of bytes",
+        )
         scan: Scan = self._decoder.scan(self._rows(file), stamp_ns, FRAME, place=str(file))
         return [scan]
 
@@ -80,8 +85,10 @@ class SequenceRecording(Recording):
                     seconds = np.loadtxt(folder / "times.txt", ndmin=1)
                 self._expect_rows(folder / "times.txt", len(seconds))
                 if not (np.abs(seconds) <= LONGEST).all():
-                    raise FormatError(f"{folder / 'times.txt'}: expected times in seconds, at most"
-                                      f" {LONGEST:.0f} s from 1970")  # fmt: skip
+                    raise FormatError(
+                        f"{folder / 'times.txt'}: expected times in seconds, at most"
+                        f" {LONGEST:.0f} s from 1970"
+                    )
                 return [round(float(value) * 1e9) for value in seconds]
         named = [_stamp_of(file) for file in self._files]
         stamps = [stamp for stamp in named if stamp is not None]
@@ -151,8 +158,13 @@ class PcdRecording(SequenceRecording):
         columns = sum(header.count)
         if columns > MAX_COLUMNS:
             raise FormatError(f"{file}: {columns} columns, more than {MAX_COLUMNS}")
-        check_size(str(file), header.points, limit=self.options.max_points, key="max_points",
-                   what="a scan of points")  # fmt: skip
+        check_size(
+            str(file),
+            header.points,
+            limit=self.options.max_points,
+            key="max_points",
+            what="a scan of points",
+        )
         if header.width * header.height != header.points:
             size_text = f"width {header.width} x height {header.height}"
             raise FormatError(f"{file}: {size_text} is not {header.points} points")
@@ -241,8 +253,13 @@ class KittiRecording(SequenceRecording):
                 f"{file}: {size} bytes are no multiple of {KITTI_POINT.itemsize}, a point's"
                 " x, y, z, intensity in float32"
             )
-        check_size(str(file), size // KITTI_POINT.itemsize, limit=self.options.max_points,
-                   key="max_points", what="a scan of points")  # fmt: skip
+        check_size(
+            str(file),
+            size // KITTI_POINT.itemsize,
+            limit=self.options.max_points,
+            key="max_points",
+            what="a scan of points",
+        )
         return np.fromfile(file, KITTI_POINT)
 
 

@@ -16,11 +16,15 @@ from lidar_core.io.long_table import write_long_table
 STATE = ("x", "y", "vx", "vy", "heading", "half_length", "half_width")
 ENDS = ("x1", "y1", "x2", "y2")
 COLUMNS: dict[str, type] = {
-    "t_ns": int, "track_id": int, "frame_id": str, "kind": str,
+    "t_ns": int,
+    "track_id": int,
+    "frame_id": str,
+    "kind": str,
     **dict.fromkeys((*STATE, *ENDS), float),
-    "age": float, "visible": int,
+    "age": float,
+    "visible": int,
     **dict.fromkeys(covariance_titles(STATE), float),
-}  # fmt: skip
+}
 """Columns of the shapes table: SI units, world frame; ends of lines only, NaN for others."""
 
 
@@ -111,10 +115,16 @@ def _rows(shapes: Iterable[ShapesLike], frame_id: str) -> Iterator[Sequence[Any]
         covariance = upper_triangle(state.covariance, len(STATE)).tolist()
         for row, number in enumerate(state.id.tolist()):
             yield (
-                int(state.stamp_ns), number, frame_id, ShapeKind(int(state.kind[row])).name.lower(),
-                *state.center[row].tolist(), *state.velocity[row].tolist(),
-                float(state.heading[row]), *state.half_size[row].tolist(),
+                int(state.stamp_ns),
+                number,
+                frame_id,
+                ShapeKind(int(state.kind[row])).name.lower(),
+                *state.center[row].tolist(),
+                *state.velocity[row].tolist(),
+                float(state.heading[row]),
+                *state.half_size[row].tolist(),
                 *state.ends[row].ravel().tolist(),
-                float(state.age[row]), int(state.visible[row]),
+                float(state.age[row]),
+                int(state.visible[row]),
                 *covariance[row],
-            )  # fmt: skip
+            )

@@ -14,10 +14,17 @@ from lidar_core.io.long_table import write_long_table
 
 STATE = ("x", "y", "z", "vx", "vy", "vz")
 COLUMNS: dict[str, type] = {
-    "t_ns": int, "track_id": int, "frame_id": str, **dict.fromkeys(STATE, float),
-    "extent_x": float, "extent_y": float, "extent_z": float, "n_detections": int, "age": float,
+    "t_ns": int,
+    "track_id": int,
+    "frame_id": str,
+    **dict.fromkeys(STATE, float),
+    "extent_x": float,
+    "extent_y": float,
+    "extent_z": float,
+    "n_detections": int,
+    "age": float,
     **dict.fromkeys(covariance_titles(STATE), float),
-}  # fmt: skip
+}
 """Columns of the tracks table: SI units; covariance is of position and velocity."""
 
 
@@ -129,8 +136,13 @@ def _rows(tracks: Iterable[TracksLike], frame_id: str) -> Iterator[Sequence[Any]
         numbers = state.id.tolist()
         for row, number in enumerate(numbers):
             yield (
-                int(state.stamp_ns), number, frame_id,
-                *state.position[row].tolist(), *state.velocity[row].tolist(),
-                *state.extent[row].tolist(), int(state.n_detections[row]), float(state.age[row]),
+                int(state.stamp_ns),
+                number,
+                frame_id,
+                *state.position[row].tolist(),
+                *state.velocity[row].tolist(),
+                *state.extent[row].tolist(),
+                int(state.n_detections[row]),
+                float(state.age[row]),
                 *covariance[row],
-            )  # fmt: skip
+            )

@@ -151,8 +151,9 @@ def _scan(
     rows = np.asarray(points, np.float32)
     if rows.ndim != 2 or rows.shape[1] <= RING:
         raise FormatError(f"{place}: decoded to shape {rows.shape}")
-    check_size(place, len(rows), limit=options.max_points, key="max_points",
-               what="a scan of points")  # fmt: skip
+    check_size(
+        place, len(rows), limit=options.max_points, key="max_points", what="a scan of points"
+    )
     offsets = np.rint(rows[:, TIME].astype(np.float64) * 1e9).astype(np.int64)
     first = min(int(offsets.min()), 0) if len(rows) else 0
     return Scan(

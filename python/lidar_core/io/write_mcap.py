@@ -172,9 +172,13 @@ class FoxgloveLog:
         )
         speed = float(np.linalg.norm(tracks.velocity[row]))
         label = m.TextPrimitive(
-            pose=above, billboard=True, font_size=14.0, scale_invariant=True, color=colour,
+            pose=above,
+            billboard=True,
+            font_size=14.0,
+            scale_invariant=True,
+            color=colour,
             text=f"{number}: {speed:.1f} m/s",
-        )  # fmt: skip
+        )
         return m.SceneEntity(
             timestamp=stamp,
             frame_id=self._tracks_frame,

@@ -77,8 +77,9 @@ class FoxgloveSource(Source):
     ) -> None:
         super().__init__(f"foxglove, {address}")
         if not address.startswith(("ws://", "wss://")):
-            raise ConfigError(f"foxglove: expected an address such as {DEFAULT_ADDRESS},"
-                              f" got {address!r}")  # fmt: skip
+            raise ConfigError(
+                f"foxglove: expected an address such as {DEFAULT_ADDRESS}, got {address!r}"
+            )
         self._client = require("websockets.sync.client", extra="live", purpose="Foxglove's stream")
         self._address, self._topics = address, topics
         self._options, self._config = options, config
@@ -151,9 +152,12 @@ class FoxgloveSource(Source):
 
     def _connect(self) -> Any:
         return self._client.connect(
-            self._address, subprotocols=list(PROTOCOLS), compression=None,
-            max_size=self._options.max_record_bytes, open_timeout=self._config.connect_timeout,
-        )  # fmt: skip
+            self._address,
+            subprotocols=list(PROTOCOLS),
+            compression=None,
+            max_size=self._options.max_record_bytes,
+            open_timeout=self._config.connect_timeout,
+        )
 
     def _unreachable(self) -> LinkError:
         return LinkError(
@@ -224,8 +228,10 @@ class FoxgloveSource(Source):
             return
         self._tries[number] += 1
         if self._tries[number] >= MAX_TRIES:
-            self.findings.note(f"{self._address}, channel {self._channels[number].topic.name}:"
-                               " the server told of it, but does not know it")  # fmt: skip
+            self.findings.note(
+                f"{self._address}, channel {self._channels[number].topic.name}:"
+                " the server told of it, but does not know it"
+            )
             return
         self._refused.add(number)
         soon = time.monotonic() + self._config.retry_interval

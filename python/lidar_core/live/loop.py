@@ -299,8 +299,14 @@ class LiveLoop(Generic[ScanT]):
         counts["dropped"] += self.inbox.dropped.total()
         scans = self.stats.processed - self._reported_scans
         self._on_report(
-            Report(now - self._began, scans / passed, self.stats.from_stamp.recent(),
-                   self.stats.from_arrival.recent(), counts, self._objects,
-                   self._source.trouble())
-        )  # fmt: skip
+            Report(
+                now - self._began,
+                scans / passed,
+                self.stats.from_stamp.recent(),
+                self.stats.from_arrival.recent(),
+                counts,
+                self._objects,
+                self._source.trouble(),
+            )
+        )
         self._reported, self._reported_scans = now, self.stats.processed

@@ -64,9 +64,12 @@ class FoxgloveOutput(Output):
     """
 
     def __init__(
-        self, port: int, *, allowed: Collection[str] = (),
+        self,
+        port: int,
+        *,
+        allowed: Collection[str] = (),
         on_refused: Callable[[str], None] = lambda reason: None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         require("foxglove", extra="viz", purpose="the Foxglove server")
         self._server = FoxgloveServer(
             port, option="foxglove:", backlog=BACKLOG, allowed=allowed, on_refused=on_refused
@@ -171,8 +174,14 @@ class RerunWindowOutput(Output):
         super().__init__("rerun, window")
         self._log, self._stack = _new_log(), ExitStack()
         port = free_port()
-        arguments = ["--port", str(port), "--memory-limit", VIEWER_MEMORY,
-                     "--server-memory-limit", VIEWER_MEMORY]  # fmt: skip
+        arguments = [
+            "--port",
+            str(port),
+            "--memory-limit",
+            VIEWER_MEMORY,
+            "--server-memory-limit",
+            VIEWER_MEMORY,
+        ]
         self._stack.enter_context(rerun_process(arguments))
         self._log.stream.connect_grpc(f"rerun+http://{LOCAL}:{port}/proxy")
         self._log.begin()

@@ -44,8 +44,10 @@ class ReplaySource(Source):
         self, path: Path, options: ReadOptions, *, rate: float, topics: StreamTopics
     ) -> None:
         super().__init__(f"{path} at {rate:g} times its pace")
-        sorts = [*([Scan] if topics.wants_clouds else []),
-                 *([LaserScan] if topics.wants_scans else [])]  # fmt: skip
+        sorts = [
+            *([Scan] if topics.wants_clouds else []),
+            *([LaserScan] if topics.wants_scans else []),
+        ]
         with ExitStack() as stack:
             self._recording: Recording = stack.enter_context(open_recording(path, options))
             scan_topics(self._recording, sorts, (*topics.clouds, *topics.scans))

@@ -105,8 +105,11 @@ class ZenohSource(Source):
 
         with suppress(Exception):  # what a broken link tells is nothing
             listening = self._session.declare_subscriber("**", note)
-            answers = [reply for place in GRAPH for reply in
-                       self._session.liveliness().get(place, timeout=ANSWER_S)]  # fmt: skip
+            answers = [
+                reply
+                for place in GRAPH
+                for reply in self._session.liveliness().get(place, timeout=ANSWER_S)
+            ]
             time.sleep(LISTEN_S)
             listening.undeclare()
             tokens = [topic_of_token(str(answer.ok.key_expr)) for answer in answers if answer.ok]

@@ -54,8 +54,12 @@ def _run(request: Request) -> Result:
 def _jobs(request: Request) -> Iterator[Job]:
     for start in range(0, request.scans, PER_JOB):
         count = min(PER_JOB, request.scans - start)
-        arguments = {"seed": request.seed, "start": start, "count": count,
-                     "models": tuple(checksums().items())}  # fmt: skip
+        arguments = {
+            "seed": request.seed,
+            "start": start,
+            "count": count,
+            "models": tuple(checksums().items()),
+        }
         name = f"circles-detectors-{request.seed}-{start}-{count}"
         yield Job(name, estimated, arguments, count)
 
@@ -132,8 +136,10 @@ def _draw(figure: Any, joined: Part, chosen: dict[str, NDArray[np.bool_]]) -> No
             colour = RED if name == PAPER_NETWORK else f"C{number}"
             line = [np.nan if value is None else value for value in values]
             axes.plot(range(len(BY_HITS)), line, marker=".", color=colour, label=name)
-        labels = [f"{low}+" if high is None else f"{low}-{high}" if high > low else f"{low}"
-                  for low, high in HITS]  # fmt: skip
+        labels = [
+            f"{low}+" if high is None else f"{low}-{high}" if high > low else f"{low}"
+            for low, high in HITS
+        ]
         axes.set_xticks(range(len(BY_HITS)), labels, rotation=60, fontsize=7)
         axes.set(yscale="log", xlabel="hits", ylabel=f"{measure} [{MEASURES[measure]}]")
         axes.grid(visible=True)

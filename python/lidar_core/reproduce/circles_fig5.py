@@ -50,9 +50,12 @@ def _rows(paper: dict[str, Any], small: dict[str, Any]) -> Iterator[Row]:
     }
     yield Row("loss of the shipped weights, training", "m^2", PAPER, shipped["training"])
     yield Row(
-        "loss of the shipped weights, validation", "m^2", PAPER, shipped["validation"],
+        "loss of the shipped weights, validation",
+        "m^2",
+        PAPER,
+        shipped["validation"],
         shipped[SMALL],
-    )  # fmt: skip
+    )
     for name in ("training", "validation"):
         for passes, value in curves[name].items():
             yield Row(f"loss, {name}@{passes:g}", "m^2", None, value, None)
@@ -70,8 +73,9 @@ def _draw(figure: Any, paper: dict[str, Any], small: dict[str, Any]) -> None:
     }
     colours = {"training": GREY, "validation": RED, SMALL: BLUE}
     for name, values in _curves(paper, small).items():
-        axes.plot(list(values), list(values.values()), marker=".", color=colours[name],
-                  label=labels[name])  # fmt: skip
+        axes.plot(
+            list(values), list(values.values()), marker=".", color=colours[name], label=labels[name]
+        )
     axes.axhline(PAPER, color=GREY, ls=":", label="the paper's, 106 epochs")
     axes.set(yscale="log", xlabel="passes over the training data", ylabel="loss of eq. 7 [m^2]")
     axes.grid(visible=True)

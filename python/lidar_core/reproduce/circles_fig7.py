@@ -64,8 +64,9 @@ def _draw(figure: Any, one: MapRun) -> None:
     for column, name in enumerate(("x", "y", "radius")):
         truth = radius if name == "radius" else center[:, column]
         panels[0, column].plot(one.seconds, truth, color=BLUE, label="truth")
-        panels[0, column].plot(one.seconds, truth + errors[:, column], color=RED, ls=":",
-                               label="map")  # fmt: skip
+        panels[0, column].plot(
+            one.seconds, truth + errors[:, column], color=RED, ls=":", label="map"
+        )
         panels[1, column].plot(one.seconds, 1e3 * errors[:, column], color=RED, lw=0.8)
         panels[1, column].axhline(0, color=GREY, lw=0.8)
         panels[0, column].set(title=f"{name} [m]")

@@ -72,11 +72,12 @@ def _run(request: Request) -> Result:
     from lidar_core.circles import CirclesConfig
 
     share = min(1.0, request.scans / ITEM.scans)
-    jobs = {mode: [*_world_jobs(request, share, mode), *_case_jobs(request, share, mode)]
-            for mode in MODES}  # fmt: skip
+    jobs = {
+        mode: [*_world_jobs(request, share, mode), *_case_jobs(request, share, mode)]
+        for mode in MODES
+    }
     parts = iter(run([job for some in jobs.values() for job in some], request))
-    made = {mode: {job.name: MapRun.of(next(parts)) for job in some}
-            for mode, some in jobs.items()}  # fmt: skip
+    made = {mode: {job.name: MapRun.of(next(parts)) for job in some} for mode, some in jobs.items()}
     return Result(
         rows=both(_measures(made["paper"]), _measures(made["best"])),
         draw=lambda figure: _draw(figure, _worlds(made["best"])),

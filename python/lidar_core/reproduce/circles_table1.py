@@ -24,10 +24,11 @@ def _run(request: Request) -> Result:
     request.advance(request.scans)
     totals = (
         Row("parameters", "count", PARAMETERS, _sum(paper), card["parameters"]),
-        Row("multiply-adds per object", "count", None, _multiply_adds(paper),
-            _multiply_adds(small)),
+        Row(
+            "multiply-adds per object", "count", None, _multiply_adds(paper), _multiply_adds(small)
+        ),
         Row("size of the file", "byte", None, None, card["bytes"]),
-    )  # fmt: skip
+    )
     return Result(
         rows=(*totals, Row("input", "count", INPUT, scanner.n_beams), *_layers(paper, small)),
         draw=lambda figure: _draw(figure, paper, small),
@@ -54,8 +55,10 @@ def _layers(paper: list[Layer], small: list[Layer]) -> list[Row]:
         if layer.name.startswith("C"):
             rows.append(Row(f"{layer.name}: length", "count", None, layer.length))
         rows.append(Row(f"{layer.name}: parameters", "count", None, layer.parameters))
-    named = (Row(f"cnn, {layer.name}: parameters", "count", None, None, layer.parameters)
-             for layer in small)  # fmt: skip
+    named = (
+        Row(f"cnn, {layer.name}: parameters", "count", None, None, layer.parameters)
+        for layer in small
+    )
     return [*rows, *named]
 
 

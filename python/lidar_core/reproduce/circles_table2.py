@@ -19,14 +19,14 @@ def _run(request: Request) -> Result:
     config = DatasetConfig()
     circles = len(lattice(config))
     paper = _counts([(config, circles * config.draws)], request.seed)
-    learnt = [DatasetConfig.load(one)
-              for one in CircleNetwork("cnn").card["training"]["datasets"]]  # fmt: skip
+    learnt = [DatasetConfig.load(one) for one in CircleNetwork("cnn").card["training"]["datasets"]]
     best = _counts([(one, one.circles) for one in learnt], request.seed)
     request.advance(request.scans)
     rows = [Row("circles", "count", PAPER["all"] / 2, circles, sum(one.circles for one in learnt))]
     rows += [Row(part, "count", PAPER[part], paper[part], best[part]) for part in PARTS]
-    rows.append(Row("share of the test whose twin is in train", "1", None, paper["twins"],
-                    best["twins"]))  # fmt: skip
+    rows.append(
+        Row("share of the test whose twin is in train", "1", None, paper["twins"], best["twins"])
+    )
     return Result(
         rows=tuple(rows),
         draw=lambda figure: _draw(figure, paper, best),
@@ -61,8 +61,13 @@ def _draw(figure: Any, paper: dict[str, float], best: dict[str, float]) -> None:
         ("best mode", best, BLUE),
     )
     for offset, (name, counts, colour) in zip((-0.25, 0, 0.25), columns, strict=True):
-        bars = axes.bar(np.arange(len(PARTS)) + offset, [counts[part] for part in PARTS], 0.24,
-                        color=colour, label=name)  # fmt: skip
+        bars = axes.bar(
+            np.arange(len(PARTS)) + offset,
+            [counts[part] for part in PARTS],
+            0.24,
+            color=colour,
+            label=name,
+        )
         axes.bar_label(bars, fmt="{:,.0f}", fontsize=6)
     axes.set_xticks(range(len(PARTS)), PARTS)
     axes.grid(visible=True, axis="y")

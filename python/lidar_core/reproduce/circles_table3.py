@@ -44,8 +44,9 @@ def _run(request: Request) -> Result:
     parts = run(list(_jobs(request, models)), request)
     errors = {
         (name, where): _quantities(parts, name, where)
-        for name in DETECTORS for where in (*PAPER, *GROUPS)
-    }  # fmt: skip
+        for name in DETECTORS
+        for where in (*PAPER, *GROUPS)
+    }
     return Result(
         rows=tuple(_rows(errors)),
         draw=lambda figure: _draw(figure, errors),
@@ -81,8 +82,11 @@ def _jobs(request: Request, models: tuple[tuple[str, str], ...]) -> Iterator[Job
     enough = int(np.searchsorted(np.cumsum(sizes), request.scans)) + 1
     for first in range(0, min(enough, len(order)), BLOCKS_PER_JOB):
         chosen = slice(first, min(first + BLOCKS_PER_JOB, enough))
-        arguments = {"seed": request.seed, "starts": tuple(map(int, order[chosen])),
-                     "models": models}  # fmt: skip
+        arguments = {
+            "seed": request.seed,
+            "starts": tuple(map(int, order[chosen])),
+            "models": models,
+        }
         name = f"circles-table3-{request.seed}-{first}-{len(order[chosen])}"
         yield Job(name, sums, arguments, int(sizes[chosen].sum()))
 
@@ -101,8 +105,10 @@ def sums(seed: int, starts: tuple[int, ...], models: tuple[tuple[str, str], ...]
         count = min(BLOCK, len(is_test) - start)
         samples = make_samples(config, count=count, seed=seed, start=start, circles=_circles())
         here = is_test[start : start + count]
-        chosen = {"test": np.flatnonzero(here),
-                  "train + validation": np.flatnonzero(~here)[::OTHERS]}  # fmt: skip
+        chosen = {
+            "test": np.flatnonzero(here),
+            "train + validation": np.flatnonzero(~here)[::OTHERS],
+        }
         for where, numbers in chosen.items():
             some = samples.take(numbers)
             places = groups(some.n_hits, some.is_whole(config.scanner)) if where == "test" else {}
@@ -148,8 +154,11 @@ def _draw(figure: Any, errors: Table) -> None:
     values = {"paper": PAPER["test"]}
     values |= {name: found for name in DETECTORS if (found := errors[name, "test"]) is not None}
     for axes, place, scale in zip(panels, (1, 2), ("log", "linear"), strict=True):
-        bars = axes.bar(list(values), [found[place] for found in values.values()],
-                        color=[colours.get(name, BLUE) for name in values])  # fmt: skip
+        bars = axes.bar(
+            list(values),
+            [found[place] for found in values.values()],
+            color=[colours.get(name, BLUE) for name in values],
+        )
         axes.bar_label(bars, fmt="{:.2g}")
         axes.set(yscale=scale, ylabel=" [".join(QUANTITIES[place]) + "]")
         axes.grid(visible=True, axis="y")

@@ -21,8 +21,10 @@ def _run(request: Request) -> Result:
     found = runs("circles-table4", [(radius, TRAJECTORY) for radius in PAPER], request)
     table = []
     for radius, paper in PAPER.items():
-        some = {mode: [one for key, one in made.items() if (key[0], key[2]) == (radius, 1.0)]
-                for mode, made in found.items()}  # fmt: skip
+        some = {
+            mode: [one for key, one in made.items() if (key[0], key[2]) == (radius, 1.0)]
+            for mode, made in found.items()
+        }
         table += rows(f"r = {radius:g} m", some, paper)
     best = found["best"]
     shown = {f"r = {key[0]:g} m": one for key, one in best.items() if key[2:] == (1.0, "swinging")}

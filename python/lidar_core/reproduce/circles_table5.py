@@ -23,8 +23,10 @@ def _run(request: Request) -> Result:
     found = runs("circles-table5", [(RADIUS, number) for number in PAPER], request)
     table = []
     for number, paper in PAPER.items():
-        some = {mode: [one for key, one in made.items() if key[1:3] == (number, 1.0)]
-                for mode, made in found.items()}  # fmt: skip
+        some = {
+            mode: [one for key, one in made.items() if key[1:3] == (number, 1.0)]
+            for mode, made in found.items()
+        }
         table += rows(f"{number} {NAMES[number]}", some, paper)
     best = found["best"]
     shown = {NAMES[key[1]]: one for key, one in best.items() if key[2:] == (1.0, "swinging")}

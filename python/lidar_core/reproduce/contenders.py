@@ -27,17 +27,28 @@ def printed() -> dict[str, Contender]:
 
 def corrected() -> dict[str, Contender]:
     """The paper's filter with correct equations, and others in its place; noise as in `printed`."""
-    ways = {"EKF-CV": ("cv", "ekf"), EKF: ("ctrv", "ekf"), "UKF-CTRV": ("ctrv", "ukf"),
-            "CKF-CTRV": ("ctrv", "ckf")}  # fmt: skip
+    ways = {
+        "EKF-CV": ("cv", "ekf"),
+        EKF: ("ctrv", "ekf"),
+        "UKF-CTRV": ("ctrv", "ukf"),
+        "CKF-CTRV": ("ctrv", "ckf"),
+    }
     return {name: Contender("fixed", _of_courses(*way), FIXED) for name, way in ways.items()}
 
 
 def _of_courses(model: str, method: str) -> FusionConfig:
     """Process noise constant over a step, no gate, no way back for a lost filter."""
-    return FusionConfig.load({
-        "model": model, "method": method, "process": "discrete", "acceleration_noise": 5.0,
-        "turn_noise": 3.0, "gate_probability": None, "loss_ratio": None,
-    })  # fmt: skip
+    return FusionConfig.load(
+        {
+            "model": model,
+            "method": method,
+            "process": "discrete",
+            "acceleration_noise": 5.0,
+            "turn_noise": 3.0,
+            "gate_probability": None,
+            "loss_ratio": None,
+        }
+    )
 
 
 def ours() -> dict[str, Contender]:

@@ -83,8 +83,9 @@ def in_sight(places: NDArray[np.float64]) -> bool:
     steepest = np.abs(offset[..., 2] / distance).max()
     is_near = distance.min() > 4.0 and distance.max() < 19.0
     is_inside = np.hypot(places[..., 0], places[..., 1]).max() < 16.0
-    return bool(is_near and is_inside and steepest < np.sin(np.deg2rad(18.0))
-                and places[..., 2].min() > 1.8)  # fmt: skip
+    return bool(
+        is_near and is_inside and steepest < np.sin(np.deg2rad(18.0)) and places[..., 2].min() > 1.8
+    )
 
 
 def scores(part: Part, mode: str) -> "TrackScores":
@@ -114,9 +115,14 @@ def draw_numbers(figure: Any, parts: Sequence[Part], title: str) -> None:
         picture = np.concatenate([_states(part, mode).T for part in parts])
         seconds = parts[0]["stamp_ns"] * 1e-9
         axes.pcolormesh(
-            seconds, np.arange(len(picture)), picture, cmap=_map(colours), vmin=0, vmax=3,
+            seconds,
+            np.arange(len(picture)),
+            picture,
+            cmap=_map(colours),
+            vmin=0,
+            vmax=3,
             shading="nearest",
-        )  # fmt: skip
+        )
         axes.set(title=f"{mode} mode", xlabel="time [s]")
     panels[0].set_ylabel("target")
     names = ("first track", "another track", "hidden, no track")

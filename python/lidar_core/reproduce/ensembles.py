@@ -25,12 +25,22 @@ SOJOURN = 5.0
 TURN = 0.5
 """Standard deviation of its turn rates [rad/s]."""
 TRUE = {
-    "process": "continuous", "acceleration_noise": 0.3, "jerk_noise": 0.1, "turn_noise": 0.1,
-    "lidar_std": (0.15, 0.15), "radar_std": (0.3, 0.03, 0.3), "gyro_std": GYRO_STD,
-    "start_rows": 1, "initial_position": 0.3, "initial_speed": 0.5, "initial_heading": 0.1,
-    "initial_turn_rate": 0.1, "initial_acceleration": 0.1,
-    "gate_probability": None, "loss_ratio": None,
-}  # fmt: skip
+    "process": "continuous",
+    "acceleration_noise": 0.3,
+    "jerk_noise": 0.1,
+    "turn_noise": 0.1,
+    "lidar_std": (0.15, 0.15),
+    "radar_std": (0.3, 0.03, 0.3),
+    "gyro_std": GYRO_STD,
+    "start_rows": 1,
+    "initial_position": 0.3,
+    "initial_speed": 0.5,
+    "initial_heading": 0.1,
+    "initial_turn_rate": 0.1,
+    "initial_acceleration": 0.1,
+    "gate_probability": None,
+    "loss_ratio": None,
+}
 """How targets move and what sensors measure, in the words of `FusionConfig`."""
 SWITCHING = "switching"
 
@@ -59,8 +69,9 @@ def drawn(model: str, runs: int, rng: np.random.Generator) -> Ensemble:
     states = _moved(model, _started(model, runs, rng), rng)
     stamps, names = np.arange(STEPS) * STEP_NS, np.where(_is_lidar(), "lidar", "radar")
     if model != "ctrv-drone":
-        targets = [Measurements.from_arrays(stamps, names, one)
-                   for one in _seen(model, states, rng)]  # fmt: skip
+        targets = [
+            Measurements.from_arrays(stamps, names, one) for one in _seen(model, states, rng)
+        ]
         return Ensemble(states, targets, slice(None))
     ride = Ride.of(np.arange(STEPS).astype(np.float64) * SECONDS, GREATEST_RATE, 0.0)
     states[..., :2] = turned_back(
@@ -99,11 +110,14 @@ def _moved(model: str, state: Array, rng: np.random.Generator) -> Array:
     pushes, jerks = config.acceleration_noise, config.jerk_noise
     turns = config.turn_noise
     driven = {
-        "cv": {2: pushes, 3: pushes}, "ca": {4: jerks, 5: jerks},
-        "ct": {2: pushes, 3: pushes, 4: turns}, "ctrv": {2: pushes, 4: turns},
-        "ctra": {5: jerks, 4: turns}, "ctrv-drone": {2: pushes, 4: turns},
+        "cv": {2: pushes, 3: pushes},
+        "ca": {4: jerks, 5: jerks},
+        "ct": {2: pushes, 3: pushes, 4: turns},
+        "ctrv": {2: pushes, 4: turns},
+        "ctra": {5: jerks, 4: turns},
+        "ctrv-drone": {2: pushes, 4: turns},
         SWITCHING: {2: pushes, 3: pushes},
-    }[model]  # fmt: skip
+    }[model]
     strength = np.zeros(state.shape[1])
     strength[list(driven)] = list(driven.values())
     moved = partial(_polar if model.startswith("ctr") else _cartesian, half=SECONDS / SUBSTEPS / 2)

@@ -166,8 +166,10 @@ def _own_rows(found: list[Consistency | None], own: list[Array]) -> list[Row]:
         return [None if one is None else getattr(one, name) for one in found]
 
     mean = [None if one is None else one.mean / one.degrees for one in found]
-    inside = [one if n == STEPS else None
-              for one, n in zip(of("share_of_steps_inside"), steps, strict=True)]  # fmt: skip
+    inside = [
+        one if n == STEPS else None
+        for one, n in zip(of("share_of_steps_inside"), steps, strict=True)
+    ]
     return [
         Row("own model: steps that count", "1", None, *steps),
         Row("own model: steps inside the 95 % band", "1", None, *inside),
@@ -178,8 +180,12 @@ def _own_rows(found: list[Consistency | None], own: list[Array]) -> list[Row]:
 
 
 def _circle_rows(circles: list[list[list[float | None]]]) -> list[Row]:
-    names = (("position error", "m"), ("velocity error", "m/s"),
-             ("position error 100 ms ahead", "m"), ("NEES / 6", "1"))  # fmt: skip
+    names = (
+        ("position error", "m"),
+        ("velocity error", "m/s"),
+        ("position error 100 ms ahead", "m"),
+        ("NEES / 6", "1"),
+    )
     return [
         Row(f"circles: {name}@{acceleration:g}m/s^2", unit, None, paper[place], best[place])
         for place, (name, unit) in enumerate(names)
@@ -190,8 +196,7 @@ def _circle_rows(circles: list[list[list[float | None]]]) -> list[Row]:
 def _draw(figure: Any, own: list[Array], found: list[Consistency | None]) -> None:
     """Mean NEES over the runs at every step, with its band."""
     panels = figure.subplots(1, 2)
-    figure.suptitle("NEES, truth from the filter's own model", x=0.06, ha="left",
-                    fontweight="bold")  # fmt: skip
+    figure.suptitle("NEES, truth from the filter's own model", x=0.06, ha="left", fontweight="bold")
     for axes, values, one, name in zip(
         panels, own, found, ("paper mode", "best mode"), strict=True
     ):

@@ -100,12 +100,17 @@ def _rows(parts: list[Part]) -> list[Row]:
         Row("crossings", "1", None, len(parts), len(parts)),
         Row("id switches", "1", None, *map(sum, switches)),
         Row("crossings with a switch", "1", None, *(sum(map(bool, one)) for one in switches)),
-        Row("recall of tracks", "1", None,
-            *(n / of if of else None for n, of in zip(hit, eligible, strict=True))),
-        Row("false tracks", "1", None,
-            *(sum(len(one.false_ids) for one in mode) for mode in found)),
+        Row(
+            "recall of tracks",
+            "1",
+            None,
+            *(n / of if of else None for n, of in zip(hit, eligible, strict=True)),
+        ),
+        Row(
+            "false tracks", "1", None, *(sum(len(one.false_ids) for one in mode) for mode in found)
+        ),
         Row("mean least distance at a scan", "m", None, *[float(np.mean(distance))] * 2),
-    ]  # fmt: skip
+    ]
 
 
 ITEM = Item(

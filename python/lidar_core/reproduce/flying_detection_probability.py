@@ -29,9 +29,10 @@ COLOURS = (RED, "#f472b6", BLUE, "#38bdf8")
 def _run(request: Request) -> Result:
     cases = [
         {"sensor": sensor, "distance": distance, "whole": whole}
-        for sensor, distances in SENSORS.items() for whole in (True, False)
+        for sensor, distances in SENSORS.items()
+        for whole in (True, False)
         for distance in distances
-    ]  # fmt: skip
+    ]
     scans = max(1, request.scans // len(cases))
     same = {"seed": request.seed, "scans": scans}
     jobs = [
@@ -61,8 +62,10 @@ def share(*, sensor: str, distance: float, whole: bool, seed: int, scans: int) -
     met, directions = [], np.empty((0, 3))
     for number in range(scans):
         places = distance * _apart(rng, view, 3 * RADIUS / distance)
-        targets = [sim.Target(shape=ball, motion=sim.Hover(position=tuple(place)))
-                   for place in places.tolist()]  # fmt: skip
+        targets = [
+            sim.Target(shape=ball, motion=sim.Hover(position=tuple(place)))
+            for place in places.tolist()
+        ]
         scene = sim.Scene(bodies=(), targets=tuple(targets), lidar=lidar, sensor=observer, scans=1)
         made = sim.Simulator(scene, seed=number).scan(0)
         met.append(made.truth.hits > 0)
@@ -108,8 +111,11 @@ def _rows(parts: list[Part]) -> list[Row]:
     rows = []
     for part in parts:
         predicted, met = float(part["predicted"][0]), float(part["met"].mean())
-        for what, value in (("predicted", predicted), ("simulated", met),
-                            ("difference", abs(predicted - met))):  # fmt: skip
+        for what, value in (
+            ("predicted", predicted),
+            ("simulated", met),
+            ("difference", abs(predicted - met)),
+        ):
             rows.append(Row(f"{what}, {part['name']}", "1", None, value, value))
         error = standard_error(part)
         rows.append(Row(f"standard error, {part['name']}", "1", None, error, error))

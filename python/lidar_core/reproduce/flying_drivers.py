@@ -33,8 +33,12 @@ HEIGHT = 4.0
 def _run(request: Request) -> Result:
     todo = jobs(request)
     parts = run(todo, request)
-    of = {name: [part for job, part in zip(todo, parts, strict=True)
-                 if job.arguments["sensor"] == name] for name in SENSORS}  # fmt: skip
+    of = {
+        name: [
+            part for job, part in zip(todo, parts, strict=True) if job.arguments["sensor"] == name
+        ]
+        for name in SENSORS
+    }
     return Result(
         rows=tuple(_rows(of)),
         draw=lambda figure: _draw(figure, of),
@@ -52,10 +56,15 @@ def jobs(request: Request) -> list[Job]:
     each = max(15, min(SCANS_PER_FLIGHT, request.scans // (2 * len(SENSORS))))
     count = max(2, round(request.scans / (each * len(SENSORS))))
     return [
-        Job(f"flying-drivers-{name}-{request.seed}-{number}-{each}", flight,
-            {"seed": request.seed, "number": number, "scans": each, "sensor": name}, each)
-        for name in SENSORS for number in range(count)
-    ]  # fmt: skip
+        Job(
+            f"flying-drivers-{name}-{request.seed}-{number}-{each}",
+            flight,
+            {"seed": request.seed, "number": number, "scans": each, "sensor": name},
+            each,
+        )
+        for name in SENSORS
+        for number in range(count)
+    ]
 
 
 def flight(*, seed: int, number: int, scans: int, sensor: str) -> Part:

@@ -39,11 +39,12 @@ def _run(request: Request) -> Result:
     parts = run(todo, request)
     of = {
         condition: [
-            part for job, part in zip(todo, parts, strict=True)
+            part
+            for job, part in zip(todo, parts, strict=True)
             if job.arguments["condition"] == condition
         ]
         for condition in CONDITIONS
-    }  # fmt: skip
+    }
     return Result(
         rows=tuple(_rows(of)),
         draw=lambda figure: _draw(figure, of),
@@ -63,8 +64,11 @@ def jobs(request: Request) -> list[Job]:
         scans = request.scans * SHARES.get(condition, 1) / sum(SHARES.values())
         for number in range(max(1, round(scans / each))):
             arguments = {
-                "seed": request.seed, "number": number, "scans": each, "condition": condition
-            }  # fmt: skip
+                "seed": request.seed,
+                "number": number,
+                "scans": each,
+                "condition": condition,
+            }
             name = f"false-{condition}-{request.seed}-{number}-{each}"
             found.append(Job(name, street, arguments, each))
     return found
@@ -231,8 +235,9 @@ def _draw(figure: Any, of: dict[str, list[Part]]) -> None:
             rows[f"false tracks per 1000 scans, {condition}"]._asdict()[f"{mode}_mode"]
             for condition in of
         ]
-        bars = axes.bar(np.arange(len(of)) + offset, rates, 0.38, color=colour,
-                        label=f"{mode} mode")  # fmt: skip
+        bars = axes.bar(
+            np.arange(len(of)) + offset, rates, 0.38, color=colour, label=f"{mode} mode"
+        )
         axes.bar_label(bars, fmt="%.2g", fontsize=8)
     axes.set_xticks(range(len(of)), list(of))
     axes.set_yscale("symlog", linthresh=1.0)

@@ -120,16 +120,18 @@ def _draw(
     figure.suptitle("A flying object crosses a voxel", x=0.06, ha="left", fontweight="bold")
     panels[0].step(times, log_odds, where="post", color="#57606a")
     panels[0].set_ylabel("L(v)")
-    panels[2].step(times, np.where(log_odds >= 0, 2, 0), where="post", color="#57606a",
-                   label="log-odds")  # fmt: skip
+    panels[2].step(
+        times, np.where(log_odds >= 0, 2, 0), where="post", color="#57606a", label="log-odds"
+    )
     for (name, one), colour in zip(values.items(), (RED, BLUE), strict=True):
         occupied, free = _states(one)
         panels[1].step(times, one, where="post", color=colour)
         state = np.where(occupied, 2, np.where(free, 0, 1))
         panels[2].step(times, state, where="post", color=colour, label=f"G(v), {name} mode")
     panels[1].set_ylabel("G(v)")
-    panels[2].set(yticks=[0, 1, 2], yticklabels=["free", "uncertain", "occupied"],
-                  xlabel="time [s]")  # fmt: skip
+    panels[2].set(
+        yticks=[0, 1, 2], yticklabels=["free", "uncertain", "occupied"], xlabel="time [s]"
+    )
     panels[2].legend(fontsize=8)
     for panel in panels:
         panel.axvspan(ENTERS, LEAVES, color=GREY, alpha=0.2)

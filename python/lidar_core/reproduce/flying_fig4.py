@@ -28,10 +28,14 @@ def _run(request: Request) -> Result:
     scans = min(request.scans, SCANS_PER_FLIGHT)
     same = {"seed": request.seed, "scans": scans}
     jobs = [
-        Job(f"flying-fig4-{request.seed}-{number}-{scans}", flight,
-            {"number": number, **same}, scans)
+        Job(
+            f"flying-fig4-{request.seed}-{number}-{scans}",
+            flight,
+            {"number": number, **same},
+            scans,
+        )
         for number in range(flights)
-    ]  # fmt: skip
+    ]
     parts = run(jobs, request)
     return Result(
         rows=tuple(_rows(parts)),

@@ -52,9 +52,11 @@ def _shares(
     points = distance * directions
     shift = rng.uniform(0, size, 3)
     covariance = point_covariance(
-        points, np.eye(4),
-        pose_covariance=np.diag([position**2] * 3 + [angle**2] * 3), range_std=along,
-    )  # fmt: skip
+        points,
+        np.eye(4),
+        pose_covariance=np.diag([position**2] * 3 + [angle**2] * 3),
+        range_std=along,
+    )
     expected = hit_probability(points, covariance, voxel_size=size, origin=tuple(shift.tolist()))
     ranges = distance + along * rng.normal(size=(count, 1))
     turned = _turned(ranges * directions, angle * rng.normal(size=(count, 3)))

@@ -81,11 +81,11 @@ def _draw(figure: Any, seen: dict[tuple[str, Kind], Sightings]) -> None:
     figure.suptitle("Simulated flights, ideal", x=0.06, ha="left", fontweight="bold")
     for column, (axis, unit, edges) in enumerate(AXES):
         for (mode, kind), one in seen.items():
-            style = {"color": COLOURS[mode],
-                     "ls": "-" if kind == "detections" else "--"}  # fmt: skip
+            style = {"color": COLOURS[mode], "ls": "-" if kind == "detections" else "--"}
             for row, curve in enumerate(_curves(one, axis, edges)):
-                panels[row, column].plot(_middles(edges), curve, marker=".",
-                                         label=f"{mode} mode, {kind}", **style)  # fmt: skip
+                panels[row, column].plot(
+                    _middles(edges), curve, marker=".", label=f"{mode} mode, {kind}", **style
+                )
         panels[1, column].set_xlabel(f"{axis} [{unit}]")
     for panel in panels.flat:
         panel.grid(visible=True)

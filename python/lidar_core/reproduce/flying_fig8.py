@@ -38,11 +38,13 @@ def _run(request: Request) -> Result:
     made = dict(zip([job.name for job in todo], run(todo, request), strict=True))
     parts = {
         (kind, mode): [
-            part for name, part in made.items()
+            part
+            for name, part in made.items()
             if f"-{kind}-" in name and (kind == "manual" or f"-{mode}-" in name)
         ]
-        for kind in FLIGHTS for mode in MODES
-    }  # fmt: skip
+        for kind in FLIGHTS
+        for mode in MODES
+    }
     noise = _noise()
     return Result(
         rows=tuple(_rows(parts)),
@@ -60,8 +62,13 @@ def _jobs(seed: int, rounds: int, scans: int) -> Iterator[Job]:
     for number in range(rounds):
         for kind in FLIGHTS:
             for mode in ("both",) if kind == "manual" else MODES:
-                arguments = {"kind": kind, "mode": mode, "seed": seed, "number": number,
-                             "scans": scans}  # fmt: skip
+                arguments = {
+                    "kind": kind,
+                    "mode": mode,
+                    "seed": seed,
+                    "number": number,
+                    "scans": scans,
+                }
                 share = scans if mode != "best" else 0  # both modes fly the same scans
                 yield Job(f"fig8-{seed}-{kind}-{mode}-{number}-{scans}", flight, arguments, share)
 
@@ -75,8 +82,10 @@ def flight(*, kind: str, mode: str, seed: int, number: int, scans: int) -> Part:
     noise = NoisyPoses(_noise(), seed=name)
     if kind == "manual":
         return fly(simulator, both_modes(), scans=scans, noise=noise)
-    low, high = (np.array([side, side, height]) for side, height in
-                 zip((-FIELD - 2, FIELD + 2), HEIGHTS, strict=True))  # fmt: skip
+    low, high = (
+        np.array([side, side, height])
+        for side, height in zip((-FIELD - 2, FIELD + 2), HEIGHTS, strict=True)
+    )
     guide = follow if kind == "following" else Interceptor()
     config = both_modes()[mode]
     return pursue(simulator, mode, config, guide, scans=scans, noise=noise, box=(low, high))
@@ -181,8 +190,9 @@ def _draw(figure: Any, parts: Parts) -> None:
             panels[1, column].plot(seconds, _distances(part), color=colour)
             for kind, style in zip(KINDS, (".", "-"), strict=True):
                 error = _errors_over_time(part, mode, kind)
-                panels[0, column].plot(seconds, error, style, color=colour, ms=2, lw=1,
-                                       label=f"{mode} mode, {kind}")  # fmt: skip
+                panels[0, column].plot(
+                    seconds, error, style, color=colour, ms=2, lw=1, label=f"{mode} mode, {kind}"
+                )
         panels[0, column].set_title(flight_kind)
         panels[1, column].set_xlabel("time [s]")
     for panel in panels.flat:

@@ -132,11 +132,16 @@ def _rows(parts: list[Part]) -> list[Row]:
         Row("occlusions", "1", None, len(parts), len(parts)),
         Row("share of ids kept", "1", None, *map(float, kept)),
         Row("mean time without a hit", "s", None, hidden, hidden),
-        Row("recall of tracks", "1", None,
-            *(n / of if of else None for n, of in zip(hit, eligible, strict=True))),
-        Row("false tracks", "1", None,
-            *(sum(len(one.false_ids) for one in mode) for mode in found)),
-    ]  # fmt: skip
+        Row(
+            "recall of tracks",
+            "1",
+            None,
+            *(n / of if of else None for n, of in zip(hit, eligible, strict=True)),
+        ),
+        Row(
+            "false tracks", "1", None, *(sum(len(one.false_ids) for one in mode) for mode in found)
+        ),
+    ]
 
 
 ITEM = Item(

@@ -52,10 +52,14 @@ class JitterAndDrift:
 def _run(request: Request) -> Result:
     each = min(request.scans, SCANS_PER_FLIGHT)
     jobs = [
-        Job(f"pose-noise-{request.seed}-{number}-{each}", flight,
-            {"seed": request.seed, "number": number, "scans": each}, each)
+        Job(
+            f"pose-noise-{request.seed}-{number}-{each}",
+            flight,
+            {"seed": request.seed, "number": number, "scans": each},
+            each,
+        )
         for number in range(max(1, round(request.scans / SCANS_PER_FLIGHT)))
-    ]  # fmt: skip
+    ]
     parts = run(jobs, request)
     scans = sum(job.scans for job in jobs)
     return Result(
@@ -121,8 +125,12 @@ def _rows(parts: Sequence[Part], scans: int) -> list[Row]:
     """False detections and tracks, and recall: of the modes, and of best mode's other ways."""
     names = ("paper", "best", "off", "ends", "spread")
     counts = {name: _counts(parts, name) for name in names}
-    kinds = (("false detections per 1000 scans", "1"), ("false tracks per 1000 scans", "1"),
-             ("recall of detections", "1"), ("share of sightings with a track", "1"))  # fmt: skip
+    kinds = (
+        ("false detections per 1000 scans", "1"),
+        ("false tracks per 1000 scans", "1"),
+        ("recall of detections", "1"),
+        ("share of sightings with a track", "1"),
+    )
     rows = []
     for number, (what, unit) in enumerate(kinds):
         scale = 1000 / scans if number < 2 else 1.0
@@ -137,10 +145,13 @@ def _counts(parts: Sequence[Part], name: str) -> tuple[int, int, float, float]:
     from lidar_core.evaluation import score_detections, score_tracks
 
     config = _evaluation()
-    found = [score_detections(*tables(part, name, "detections", config=config), config=config)
-             for part in parts]  # fmt: skip
-    followed = [score_tracks(*tables(part, name, "tracks", config=config), config=config)
-                for part in parts]  # fmt: skip
+    found = [
+        score_detections(*tables(part, name, "detections", config=config), config=config)
+        for part in parts
+    ]
+    followed = [
+        score_tracks(*tables(part, name, "tracks", config=config), config=config) for part in parts
+    ]
     seen = max(1, sum(one.n_eligible for one in found))
     return (
         sum(one.n_false for one in found),

@@ -176,10 +176,12 @@ def _false_tracks(parts: Sequence[Part], name: str) -> float:
     from lidar_core.evaluation import score_tracks
 
     config = _evaluation()
-    return float(sum(
-        len(score_tracks(*tables(part, name, "tracks", config=config), config=config).false_ids)
-        for part in parts
-    ))  # fmt: skip
+    return float(
+        sum(
+            len(score_tracks(*tables(part, name, "tracks", config=config), config=config).false_ids)
+            for part in parts
+        )
+    )
 
 
 def _draw(figure: Any, parts: Sequence[Part]) -> None:
@@ -190,8 +192,9 @@ def _draw(figure: Any, parts: Sequence[Part]) -> None:
         for mode, colour in ((mode, COLOURS[mode]) for mode in MODES):
             for kind, line in zip(KINDS, ("-", "--"), strict=True):
                 curve = np.array(_curve(parts, f"{mode}_far", kind, shape), float)
-                panel.plot(_middles(), curve, line, marker=".", color=colour,
-                           label=f"{mode} mode, {kind}")  # fmt: skip
+                panel.plot(
+                    _middles(), curve, line, marker=".", color=colour, label=f"{mode} mode, {kind}"
+                )
         panel.set(title=shape, xlabel="distance [m]", ylim=(0, 1.05))
         panel.grid(visible=True)
     panels[0].set_ylabel("recall")

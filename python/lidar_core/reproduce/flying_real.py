@@ -26,9 +26,12 @@ FLIGHTS = 20
 """Runs with targets per sequence, one target of every shape in each."""
 SHORTEST = 14
 LENGTHS = {
-    "radiate_tiny_foggy": 60, "street_128_labelled": 30, "livox_hap_outdoor": 30,
-    "livox_horizon_sway": 24, "rs16_office": 56,
-}  # fmt: skip
+    "radiate_tiny_foggy": 60,
+    "street_128_labelled": 30,
+    "livox_hap_outdoor": 30,
+    "livox_horizon_sway": 24,
+    "rs16_office": 56,
+}
 """Scans of the sequences, for the progress."""
 BARE, LOSSES = -1, -2
 """Numbers of the runs without targets: as it is, and with returns lost in patches."""
@@ -39,8 +42,12 @@ def _run(request: Request) -> Result:
         recording(name)  # refuses before the first long run
     todo = jobs(request)
     parts = run(todo, request)
-    of = {one.name: [part for job, part in zip(todo, parts, strict=True)
-                     if job.arguments["name"] == one.name] for one in SEQUENCES}  # fmt: skip
+    of = {
+        one.name: [
+            part for job, part in zip(todo, parts, strict=True) if job.arguments["name"] == one.name
+        ]
+        for one in SEQUENCES
+    }
     return Result(
         rows=tuple(_rows(of)),
         draw=lambda figure: _draw(figure, of),
@@ -90,9 +97,11 @@ def flight(*, seed: int, name: str, number: int, scans: int) -> Part:
     part = reported(items, FlyingConfig())
     stamps = np.array([item.scan.stamp_ns for item in items])
     return part | {
-        "place": places, "hits": hits, "seconds": (stamps - stamps[0]) * 1e-9,
+        "place": places,
+        "hits": hits,
+        "seconds": (stamps - stamps[0]) * 1e-9,
         "number": np.array(number),
-    }  # fmt: skip
+    }
 
 
 @lru_cache(maxsize=1)

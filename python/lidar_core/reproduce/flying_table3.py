@@ -22,8 +22,9 @@ SLOW = 4.5
 
 def _run(request: Request) -> Result:
     ideal = list(jobs(request, max(1, round(IDEAL_SHARE * request.scans)), is_noisy=False))
-    noisy = list(jobs(request, max(1, request.scans - sum(job.scans for job in ideal)),
-                      is_noisy=True))  # fmt: skip
+    noisy = list(
+        jobs(request, max(1, request.scans - sum(job.scans for job in ideal)), is_noisy=True)
+    )
     parts = run([*ideal, *noisy], request)
     exact, rough = parts[: len(ideal)], parts[len(ideal) :]
     ways = ", ".join(f"{way.kind} {way.speed:g} m/s {way.acceleration:g} m/s2" for way in WAYS)
@@ -82,10 +83,13 @@ def _counts(parts: Sequence[Part], mode: str) -> tuple[int, ...]:
     from lidar_core.evaluation import score_detections, score_tracks
 
     config = evaluation_config()
-    tracks = [score_tracks(*tables(part, mode, "tracks", config=config), config=config)
-              for part in parts]  # fmt: skip
-    found = [score_detections(*tables(part, mode, "detections", config=config), config=config)
-             for part in parts]  # fmt: skip
+    tracks = [
+        score_tracks(*tables(part, mode, "tracks", config=config), config=config) for part in parts
+    ]
+    found = [
+        score_detections(*tables(part, mode, "detections", config=config), config=config)
+        for part in parts
+    ]
     return (
         sum(len(one.false_ids) for one in tracks),
         sum(one.n_switches for one in tracks),
@@ -97,16 +101,23 @@ def _counts(parts: Sequence[Part], mode: str) -> tuple[int, ...]:
 def _draw(figure: Any, parts: Sequence[Part]) -> None:
     """Distributions of the errors per shape, with the paper's mean."""
     panels = figure.subplots(1, 2, sharey=True)
-    figure.suptitle("Simulated flights, ideal: position error", x=0.06, ha="left",
-                    fontweight="bold")  # fmt: skip
+    figure.suptitle(
+        "Simulated flights, ideal: position error", x=0.06, ha="left", fontweight="bold"
+    )
     kinds: tuple[Kind, Kind] = ("detections", "tracks")
     for axes, kind in zip(panels, kinds, strict=True):
         for offset, mode, colour in ((-0.2, "paper", "#be185d"), (0.2, "best", "#0369a1")):
             seen = [sample(parts, mode, kind, shape) for shape in SHAPES]
             errors = [one.error[one.is_found] for one in seen]
-            drawn = axes.boxplot(errors, positions=np.arange(len(SHAPES)) + offset, widths=0.3,
-                                 whis=(5, 95), showfliers=False, showmeans=True,
-                                 manage_ticks=False)  # fmt: skip
+            drawn = axes.boxplot(
+                errors,
+                positions=np.arange(len(SHAPES)) + offset,
+                widths=0.3,
+                whis=(5, 95),
+                showfliers=False,
+                showmeans=True,
+                manage_ticks=False,
+            )
             for line in (line for lines in drawn.values() for line in lines):
                 line.set(color=colour, markerfacecolor=colour, markeredgecolor=colour)
             axes.plot([], [], color=colour, label=f"{mode} mode")

@@ -21,8 +21,14 @@ from lidar_core.reproduce.ensembles import (
 from lidar_core.reproduce.types import Item, Request, Result, Row
 
 SIGMA = ("ekf", "ukf", "ckf")
-METHODS = {"cv": ("kf", *SIGMA), "ca": ("kf", *SIGMA), "ct": SIGMA, "ctrv": SIGMA, "ctra": SIGMA,
-           "ctrv-drone": SIGMA}  # fmt: skip
+METHODS = {
+    "cv": ("kf", *SIGMA),
+    "ca": ("kf", *SIGMA),
+    "ct": SIGMA,
+    "ctrv": SIGMA,
+    "ctra": SIGMA,
+    "ctrv-drone": SIGMA,
+}
 RIGHT = "right"
 WRONG: Mapping[str, Mapping[str, float]] = {
     "half the process noise": {"process": 0.5},
@@ -61,8 +67,9 @@ def values(some: Ensemble, filters: FusionConfig, *, threads: int) -> Array:
     """NEES of the states, of position and velocity for a mixture, (runs, steps)."""
     count = 4 if filters.method == "imm" else some.states.shape[2]
     found = []
-    for run, truth in zip(run_batch(some.targets, filters, threads=threads), some.states,
-                          strict=True):  # fmt: skip
+    for run, truth in zip(
+        run_batch(some.targets, filters, threads=threads), some.states, strict=True
+    ):
         wrong = run.states[some.rows, :count] - truth[:, :count]
         if filters.model.startswith("ctr") and filters.method != "imm":
             wrong[:, 3] = (wrong[:, 3] + np.pi) % (2 * np.pi) - np.pi
@@ -108,8 +115,10 @@ def _rows(found: Mapping[tuple[str, str, str], Array]) -> list[Row]:
         what = f"{model}, {method}" + ("" if name == RIGHT else f", {name}")
         if one is not None:
             share, mean = one.share_of_steps_inside, one.mean / degrees
-            rows += [Row(f"{what}: steps inside the band", "1", None, None, share),
-                     Row(f"{what}: mean NEES / {degrees}", "1", None, None, mean)]  # fmt: skip
+            rows += [
+                Row(f"{what}: steps inside the band", "1", None, None, share),
+                Row(f"{what}: mean NEES / {degrees}", "1", None, None, mean),
+            ]
     return rows
 
 
@@ -121,8 +130,12 @@ def degrees_of(model: str) -> int:
 def _draw(figure: Any, found: Mapping[tuple[str, str, str], Array]) -> None:
     """Mean NEES of EKF-CTRV at every step, right and wrong, with the band."""
     panel = figure.subplots()
-    figure.suptitle("EKF-CTRV: squared errors against what covariances say", x=0.06, ha="left",
-                    fontweight="bold")  # fmt: skip
+    figure.suptitle(
+        "EKF-CTRV: squared errors against what covariances say",
+        x=0.06,
+        ha="left",
+        fontweight="bold",
+    )
     degrees, seconds = degrees_of("ctrv"), np.arange(STEPS) * SECONDS
     for name, colour in ((RIGHT, BLUE), *zip(WRONG, (RED, GREY, RED, GREY), strict=True)):
         line = "--" if "sensors" in name else "-"

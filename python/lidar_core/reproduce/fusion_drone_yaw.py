@@ -28,8 +28,13 @@ SWING = 4.0
 GYRO_STD = 0.01
 """Of the turn rate that the gyro says [rad/s]."""
 PRINTED, IGNORED, BEST = "equations as printed", "motion ignored", "gyro told"
-STYLES = {PRINTED: (RED, ":"), IGNORED: (RED, "-"), "gyro measured": (GREY, "-"),
-          "no gyro": (GREY, "--"), BEST: (BLUE, "-")}  # fmt: skip
+STYLES = {
+    PRINTED: (RED, ":"),
+    IGNORED: (RED, "-"),
+    "gyro measured": (GREY, "-"),
+    "no gyro": (GREY, "--"),
+    BEST: (BLUE, "-"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +74,9 @@ class Ride:
         ahead = np.stack([np.cos(self.yaw), np.sin(self.yaw)], axis=1)
         own = self.speed[:, None] * ahead
         place = turned_back(truth.position - self.position, ahead)
-        return TargetTruth(truth.stamps_ns, place, turned_back(truth.velocity - own, ahead),
-                           None, None)  # fmt: skip
+        return TargetTruth(
+            truth.stamps_ns, place, turned_back(truth.velocity - own, ahead), None, None
+        )
 
 
 def turned_back(vectors: NDArray[np.float64], ahead: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -171,13 +177,22 @@ def _rows(found: Found) -> list[Row]:
             at = f"RMSE of {name}@{_name(motion)}"
             rows.append(Row(at, "m", None, values[PRINTED], values[BEST]))
             rows.append(Row(f"{at}, {IGNORED}", "m", equations_corrected=values[IGNORED]))
-            rows += [Row(f"{at}, {who}", "m", None, None, values[who])
-                     for who in ("gyro measured", "no gyro")]  # fmt: skip
+            rows += [
+                Row(f"{at}, {who}", "m", None, None, values[who])
+                for who in ("gyro measured", "no gyro")
+            ]
     rest = {who: np.hypot(*error) for who, error in found[MOTIONS[0]].items()}
     for motion in MOTIONS[1:]:
         ratio = {who: float(np.hypot(*error) / rest[who]) for who, error in found[motion].items()}
-        rows.append(Row(f"2-D RMSE over that at rest@{_name(motion)}", "1", None, ratio[PRINTED],
-                        ratio[BEST]))  # fmt: skip
+        rows.append(
+            Row(
+                f"2-D RMSE over that at rest@{_name(motion)}",
+                "1",
+                None,
+                ratio[PRINTED],
+                ratio[BEST],
+            )
+        )
     return rows
 
 
@@ -190,8 +205,9 @@ def _draw(figure: Any, found: Found) -> None:
         values = [float(np.hypot(*errors[who])) for errors in found.values()]
         panel.plot(spots, values, line, color=colour, marker="o", label=who)
     panel.set_xticks(spots, [_name(motion) for motion in found])
-    panel.set(xlabel="turn rate of the sensor, to and fro", ylabel="RMSE in the plane [m]",
-              yscale="log")  # fmt: skip
+    panel.set(
+        xlabel="turn rate of the sensor, to and fro", ylabel="RMSE in the plane [m]", yscale="log"
+    )
     panel.grid(visible=True, axis="y")
     panel.legend()
 

@@ -27,7 +27,7 @@ from lidar_core.reproduce.laser_radar import (
     plane,
     polar_covariances,
     power_std,
-)  # fmt: skip
+)
 from lidar_core.reproduce.types import Item, Request, Result, Row
 
 RAW, BOUND = "measured positions", "posterior bound"
@@ -44,8 +44,9 @@ def _run(request: Request) -> Result:
     raw, bound = _raw(of, request), [_bound(of, level) for level in LEVELS]
     rows = [Row(f"{RAW}@{level}dBW", "m", None, raw[k], raw[k]) for k, level in enumerate(LEVELS)]
     rows += rows_of(modes["paper"], modes["best"], modes["corrected"])
-    rows += [Row(f"{BOUND}@{level}dBW", "m", None, None, bound[k])
-             for k, level in enumerate(LEVELS)]  # fmt: skip
+    rows += [
+        Row(f"{BOUND}@{level}dBW", "m", None, None, bound[k]) for k, level in enumerate(LEVELS)
+    ]
     return Result(
         rows=tuple(rows),
         draw=lambda figure: _draw(figure, modes, raw, bound),
@@ -55,9 +56,12 @@ def _run(request: Request) -> Result:
         " mode: noise known. The paper shows a curve without numbers."
         " The bound holds for speeds that jump all the time, as those of the file sometimes do:"
         " a filter that expects less may be below it.",
-        config={f"{mode} {name}": one.config for mode, some in filters.items()
-                for name, one in some.items()},
-    )  # fmt: skip
+        config={
+            f"{mode} {name}": one.config
+            for mode, some in filters.items()
+            for name, one in some.items()
+        },
+    )
 
 
 def sweep(
@@ -78,11 +82,17 @@ def rows_of(paper: Curves, best: Curves, right: Curves | None = None) -> list[Ro
     """One per filter and level; `right` is that of corrected equations."""
     nothing, right = [None] * len(LEVELS), right or {}
     return [
-        Row(f"{name}@{level}dBW", "m", None, paper.get(name, nothing)[k],
-            best.get(name, nothing)[k], right.get(name, nothing)[k])
+        Row(
+            f"{name}@{level}dBW",
+            "m",
+            None,
+            paper.get(name, nothing)[k],
+            best.get(name, nothing)[k],
+            right.get(name, nothing)[k],
+        )
         for name in best  # has all that the others have
         for k, level in enumerate(LEVELS)
-    ]  # fmt: skip
+    ]
 
 
 def _raw(of: Course, request: Request) -> list[float]:
@@ -97,13 +107,18 @@ def _raw(of: Course, request: Request) -> list[float]:
 
 def _bound(of: Course, level: float) -> float:
     noise = polar_covariances(of.is_lidar, of.values, SAMPLE_1_NOISE, power_std(level))
-    rows = [one[:2, :2] if is_lidar else one for one, is_lidar in
-            zip(noise, of.is_lidar.tolist(), strict=True)]  # fmt: skip
+    rows = [
+        one[:2, :2] if is_lidar else one
+        for one, is_lidar in zip(noise, of.is_lidar.tolist(), strict=True)
+    ]
     stamps = of.truth.stamps_ns
     bound = position_bound(
-        of.truth.position, of.truth.velocity, (stamps - stamps[0]) * 1e-9, rows,
+        of.truth.position,
+        of.truth.velocity,
+        (stamps - stamps[0]) * 1e-9,
+        rows,
         acceleration_noise=CLEAN_NOISE,
-    )  # fmt: skip
+    )
     return float(np.hypot(*bound))
 
 

@@ -22,9 +22,12 @@ def _run(request: Request) -> Result:
         note="Mean over draws of the error in the plane. Radar as a position, without its range"
         " rate. Paper mode: fixed noise; best mode: noise known. The paper shows a curve without"
         " numbers.",
-        config={f"{mode} {name}": one.config for mode, some in
-                zip(("paper", "best"), filters, strict=True) for name, one in some.items()},
-    )  # fmt: skip
+        config={
+            f"{mode} {name}": one.config
+            for mode, some in zip(("paper", "best"), filters, strict=True)
+            for name, one in some.items()
+        },
+    )
 
 
 def _draw(figure: Any, paper: Curves, best: Curves) -> None:

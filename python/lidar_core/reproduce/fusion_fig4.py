@@ -33,8 +33,9 @@ def scenes() -> "dict[str, Overflight]":
     """Somebody who walks, and a car."""
     from lidar_core.sim import Overflight
 
-    car = Overflight(height=15.0, speed=7.5, target_start=20.0, target_speed=8.0,
-                     target_turn_rate=0.2)  # fmt: skip
+    car = Overflight(
+        height=15.0, speed=7.5, target_start=20.0, target_speed=8.0, target_turn_rate=0.2
+    )
     return {"walking": Overflight(), "driving": car}
 
 
@@ -74,8 +75,14 @@ def _follow(made: "Overflown", mode: str) -> SpaceTrack:
     seen = [one for pair in zip(_poses(made), _flat(made, sight), strict=True) for one in pair]
     found = run(seen, FusionConfig())
     drift = np.full(len(made.yaw), DRIFT**2 / made.config.rate)
-    return in_space(found.states[1::2, :2], found.covariances[1::2, :2, :2], sight.elevation,
-                    sight.elevation_variance, made.drone, drift=drift)  # fmt: skip
+    return in_space(
+        found.states[1::2, :2],
+        found.covariances[1::2, :2, :2],
+        sight.elevation,
+        sight.elevation_variance,
+        made.drone,
+        drift=drift,
+    )
 
 
 def _flat(made: "Overflown", sight: LevelSight) -> list[Measurement]:
@@ -95,8 +102,10 @@ def _flat(made: "Overflown", sight: LevelSight) -> list[Measurement]:
 
 def _poses(made: "Overflown") -> list[Measurement]:
     rows = np.column_stack([made.drone[:, :2], made.yaw, made.drone_velocity[:, :2], made.gyro])
-    return [Measurement(stamp_ns, "pose", row)
-            for stamp_ns, row in zip(made.stamps_ns.tolist(), rows, strict=True)]  # fmt: skip
+    return [
+        Measurement(stamp_ns, "pose", row)
+        for stamp_ns, row in zip(made.stamps_ns.tolist(), rows, strict=True)
+    ]
 
 
 def _cylindrical(made: "Overflown") -> NDArray[np.float64]:
@@ -110,15 +119,20 @@ def _rows(
     """Errors of both forms, and how well their covariances are right."""
     values: dict[str, list[float]] = {}
     for mode, tracks in found.items():
-        wrong = np.array([track.position - one.position
-                          for track, one in zip(tracks, made, strict=True)])  # fmt: skip
-        about = np.array([track.cylindrical - _cylindrical(one)
-                          for track, one in zip(tracks, made, strict=True)])  # fmt: skip
+        wrong = np.array(
+            [track.position - one.position for track, one in zip(tracks, made, strict=True)]
+        )
+        about = np.array(
+            [track.cylindrical - _cylindrical(one) for track, one in zip(tracks, made, strict=True)]
+        )
         about[..., 1] -= 2 * np.pi * np.round(about[..., 1] / (2 * np.pi))
         both = np.concatenate([wrong, about], axis=2)[:, SETTLED:]
         rmse = np.sqrt(np.square(both).mean(axis=(0, 1))).tolist()
-        values[mode] = [*rmse, float(np.hypot(np.hypot(rmse[0], rmse[1]), rmse[2])),
-                        _nees(wrong, [track.covariance for track in tracks])]  # fmt: skip
+        values[mode] = [
+            *rmse,
+            float(np.hypot(np.hypot(rmse[0], rmse[1]), rmse[2])),
+            _nees(wrong, [track.covariance for track in tracks]),
+        ]
     names = [(f"RMSE of {name}", unit) for name, unit in (*NAMES, *ROUND)]
     names += [("3-D RMSE", "m"), ("mean NEES / 3", "1")]
     return [
@@ -141,10 +155,16 @@ def _draw(figure: Any, shown: Mapping[str, Any]) -> None:
     for column, (scene, (made, tracks)) in zip(panels.T, shown.items(), strict=True):
         for panel, (axis, name) in zip(column, ((1, "y"), (2, "z")), strict=True):
             for mode, track in tracks.items():
-                panel.plot(track.position[:, 0], track.position[:, axis], color=COLOURS[mode],
-                           lw=0.9, label=f"{mode} mode")  # fmt: skip
-            panel.plot(made.position[:, 0], made.position[:, axis], color="black", lw=1.2,
-                       label="truth")  # fmt: skip
+                panel.plot(
+                    track.position[:, 0],
+                    track.position[:, axis],
+                    color=COLOURS[mode],
+                    lw=0.9,
+                    label=f"{mode} mode",
+                )
+            panel.plot(
+                made.position[:, 0], made.position[:, axis], color="black", lw=1.2, label="truth"
+            )
             panel.plot(made.drone[:, 0], made.drone[:, axis], color=BLUE, ls=":", label="drone")
             panel.set(xlabel="x [m]", ylabel=f"{name} [m]", title=scene)
             panel.grid(visible=True)

@@ -16,7 +16,7 @@ from lidar_core.reproduce.noisy_tracks import (
     rows,
     truth,
     ways,
-)  # fmt: skip
+)
 from lidar_core.reproduce.types import Item, Request, Result
 
 ZOOM = ((4.0, 7.0), (-13.0, -7.0))
@@ -30,10 +30,13 @@ def _run(request: Request) -> Result:
     turn = {name: way[:, is_inside] - truth()[is_inside] for name, way in found.items()}
     table = rows("2-D RMSE in the figure", {name: plane(wrong) for name, wrong in turn.items()})
     table += rows("2-D RMSE of the whole way", each(found, plane))
-    table += rows("largest error in the figure", {
-        name: float(np.hypot(wrong[..., 0], wrong[..., 1]).max(axis=1).mean())
-        for name, wrong in turn.items()
-    })  # fmt: skip
+    table += rows(
+        "largest error in the figure",
+        {
+            name: float(np.hypot(wrong[..., 0], wrong[..., 1]).max(axis=1).mean())
+            for name, wrong in turn.items()
+        },
+    )
     return Result(
         rows=tuple(table),
         draw=lambda figure: _draw(figure, found),

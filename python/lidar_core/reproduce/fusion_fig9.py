@@ -14,7 +14,7 @@ from lidar_core.reproduce.noisy_tracks import (
     plane,
     rows,
     ways,
-)  # fmt: skip
+)
 from lidar_core.reproduce.types import Item, Request, Result
 
 LEVELS = {16: -16.0, 8: -8.0, 0: 0.0}

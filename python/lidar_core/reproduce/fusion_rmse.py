@@ -17,7 +17,7 @@ from lidar_core.reproduce.contenders import (
     corrected,
     ours,
     printed,
-)  # fmt: skip
+)
 from lidar_core.reproduce.laser_radar import (
     LEVELS,
     OBJ_POSE,
@@ -33,7 +33,7 @@ from lidar_core.reproduce.laser_radar import (
     measurements,
     plane,
     power_std,
-)  # fmt: skip
+)
 from lidar_core.reproduce.types import Item, Request, Result, Row
 
 PAPER = {LINEAR: 0.21, EKF: 0.163}
@@ -54,14 +54,24 @@ def _run(request: Request) -> Result:
     modes = _contenders()
 
     def scored(some: Mapping[str, Contender]) -> dict[str, float]:
-        return {name: plane(one.rmse(of, draws, std, threads=request.threads))
-                for name, one in some.items()}  # fmt: skip
+        return {
+            name: plane(one.rmse(of, draws, std, threads=request.threads))
+            for name, one in some.items()
+        }
 
     found = {mode: scored(some) for mode, some in modes.items()}
     paper, right, best = found.values()
-    rows = [Row(f"2-D RMSE, {name}", "m", PAPER.get(name), paper.get(name), best.get(name),
-                right.get(name))
-            for name in _names(found)]  # fmt: skip
+    rows = [
+        Row(
+            f"2-D RMSE, {name}",
+            "m",
+            PAPER.get(name),
+            paper.get(name),
+            best.get(name),
+            right.get(name),
+        )
+        for name in _names(found)
+    ]
     request.advance(request.scans)
     rows += _lost(of, request)
     rows += _clean(of)
@@ -74,9 +84,12 @@ def _run(request: Request) -> Result:
         " paper's errors can be matched; the paper does not say how much noise it means. Its"
         " matrices as printed (paper mode) do not get there: corrected equations do. Best mode"
         " knows the noise.",
-        config={f"{mode} {name}": one.config for mode, some in modes.items()
-                for name, one in some.items()},
-    )  # fmt: skip
+        config={
+            f"{mode} {name}": one.config
+            for mode, some in modes.items()
+            for name, one in some.items()
+        },
+    )
 
 
 def _names(found: Mapping[str, Mapping[str, float]]) -> list[str]:
@@ -122,14 +135,17 @@ def _clean(of: Course) -> list[Row]:
         one = course(name)
         found = _full_rmse(one, Contender("fixed", _of_courses(), FIXED))
         for axis, value in zip(("x", "y", "vx", "vy"), found, strict=True):
-            rows.append(Row(f"{title} as it is, EKF-CV of courses, {axis}", _unit(axis), None,
-                            None, value))  # fmt: skip
+            rows.append(
+                Row(f"{title} as it is, EKF-CV of courses, {axis}", _unit(axis), None, None, value)
+            )
     config = FusionConfig(
         model="cv", process="discrete", acceleration_noise=CLEAN_NOISE, gate_probability=None
     )
     found = _full_rmse(of, Contender("polar", config, SAMPLE_1_NOISE))
-    rows += [Row(f"sample-1 as it is, EKF-CV, {axis}", "m", None, None, value)
-             for axis, value in zip("xy", found[:2], strict=True)]  # fmt: skip
+    rows += [
+        Row(f"sample-1 as it is, EKF-CV, {axis}", "m", None, None, value)
+        for axis, value in zip("xy", found[:2], strict=True)
+    ]
     return rows
 
 
@@ -139,9 +155,15 @@ CLEAN_NOISE = 12.0
 
 def _of_courses() -> FusionConfig:
     return FusionConfig(
-        model="cv", process="discrete", acceleration_noise=3.0, start_speed="zero",
-        initial_position=1.0, initial_speed=1000**0.5, gate_probability=None, loss_ratio=None,
-    )  # fmt: skip
+        model="cv",
+        process="discrete",
+        acceleration_noise=3.0,
+        start_speed="zero",
+        initial_position=1.0,
+        initial_speed=1000**0.5,
+        gate_probability=None,
+        loss_ratio=None,
+    )
 
 
 def _unit(axis: str) -> str:

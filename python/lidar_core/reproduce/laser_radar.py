@@ -135,8 +135,9 @@ def polar_covariances(
     """Covariances (K, 3, 3) of all values, white noise of `std` per axis on top of `noise`."""
     rho, bearing, rate = noise.radar
     turned = std / np.maximum(values[:, 0], RANGE_FLOOR)
-    radar = np.stack([0 * turned + rho**2 + std**2, bearing**2 + turned**2,
-                      0 * turned + rate**2], axis=1)  # fmt: skip
+    radar = np.stack(
+        [0 * turned + rho**2 + std**2, bearing**2 + turned**2, 0 * turned + rate**2], axis=1
+    )
     lidar = np.array([noise.lidar**2 + std**2] * 2 + [1.0])
     return np.where(is_lidar[:, None], lidar, radar)[:, :, None] * np.eye(3)
 

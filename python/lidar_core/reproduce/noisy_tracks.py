@@ -17,7 +17,7 @@ from lidar_core.reproduce.laser_radar import (
     estimates,
     places,
     power_std,
-)  # fmt: skip
+)
 from lidar_core.reproduce.types import Request, Row
 
 PRINTED = "equations as printed"

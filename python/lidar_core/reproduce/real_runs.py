@@ -34,18 +34,29 @@ class Reported:
         place = tracks.position[is_flying]
         in_body = (place - world_from_lidar[:3, 3]) @ world_from_lidar[:3, :3]
         spread = np.trace(tracks.covariance[is_flying, :3, :3], axis1=1, axis2=2)
-        self.rows.append(np.column_stack([
-            np.full(len(place), number), tracks.id[is_flying], place, in_body,
-            tracks.extent[is_flying], tracks.velocity[is_flying], np.sqrt(spread),
-        ]))  # fmt: skip
+        self.rows.append(
+            np.column_stack(
+                [
+                    np.full(len(place), number),
+                    tracks.id[is_flying],
+                    place,
+                    in_body,
+                    tracks.extent[is_flying],
+                    tracks.velocity[is_flying],
+                    np.sqrt(spread),
+                ]
+            )
+        )
         self.sensors.append(world_from_lidar[:3, 3])
         status = frame.status
-        self.states.append({
-            "sky": getattr(status, "sky", None),
-            "sky_share": getattr(status, "sky_share", None),
-            "own_body": getattr(status, "own_body", None),
-            "gate_open": status.gate_open,
-        })  # fmt: skip
+        self.states.append(
+            {
+                "sky": getattr(status, "sky", None),
+                "sky_share": getattr(status, "sky_share", None),
+                "own_body": getattr(status, "own_body", None),
+                "gate_open": status.gate_open,
+            }
+        )
 
     def columns(self) -> Part:
         """Everything as arrays: one row per track and scan, one per scan."""

@@ -74,38 +74,52 @@ class RealSequence:
 
 SEQUENCES = (
     RealSequence(
-        "radiate_tiny_foggy", f"{ROOT}/radiate_tiny_foggy/velo_lidar_and_gps.tar.xz", "kiss",
-        elevation_deg=(-30.67, 10.67), is_printable=False,
+        "radiate_tiny_foggy",
+        f"{ROOT}/radiate_tiny_foggy/velo_lidar_and_gps.tar.xz",
+        "kiss",
+        elevation_deg=(-30.67, 10.67),
+        is_printable=False,
     ),
     RealSequence(
-        "street_128_labelled", f"{ROOT}/street_128_labelled/lidar_rounded_000000-000029.tar.xz",
-        f"{ROOT}/street_128_labelled/poses_icp.txt", range_max=200.0,
+        "street_128_labelled",
+        f"{ROOT}/street_128_labelled/lidar_rounded_000000-000029.tar.xz",
+        f"{ROOT}/street_128_labelled/poses_icp.txt",
+        range_max=200.0,
         elevation_deg=(-25.0, 15.0),
     ),
     RealSequence(
-        "livox_hap_outdoor", f"{ROOT}/livox_hap_outdoor/scans.tar.xz", spacing=0.5,
-        range_max=150.0, azimuth_deg=(-60.0, 60.0), elevation_deg=(-12.5, 12.5),
+        "livox_hap_outdoor",
+        f"{ROOT}/livox_hap_outdoor/scans.tar.xz",
+        spacing=0.5,
+        range_max=150.0,
+        azimuth_deg=(-60.0, 60.0),
+        elevation_deg=(-12.5, 12.5),
     ),
     RealSequence(
-        "livox_horizon_sway", f"{ROOT}/livox_horizon_sway/scans.tar.xz", range_max=90.0,
-        azimuth_deg=(-40.85, 40.85), elevation_deg=(-12.55, 12.55),
+        "livox_horizon_sway",
+        f"{ROOT}/livox_horizon_sway/scans.tar.xz",
+        range_max=90.0,
+        azimuth_deg=(-40.85, 40.85),
+        elevation_deg=(-12.55, 12.55),
     ),
     RealSequence("rs16_office", f"{ROOT}/rs16_office/scans.tar.xz", spacing=None, range_max=150.0),
-)  # fmt: skip
+)
 """Sequences of 20 scans and more, in which nothing flies."""
 
 SHORT_SEQUENCES = (
     RealSequence("robosense_placeholder", f"{ROOT}/robosense_placeholder/100002.pcd"),
     RealSequence(
-        "ouster_lb_n3", "3d/ouster/OS-1-128_v2.3.0_1024x10_lb_n3.pcap",
-        "3d/ouster/OS-1-128_v2.3.0_1024x10_lb_n3_poses_kitti.txt", range_max=200.0,
+        "ouster_lb_n3",
+        "3d/ouster/OS-1-128_v2.3.0_1024x10_lb_n3.pcap",
+        "3d/ouster/OS-1-128_v2.3.0_1024x10_lb_n3_poses_kitti.txt",
+        range_max=200.0,
     ),
     RealSequence("ouster_10_scans", "3d/ouster/osf_fw_3.2_10scans.osf"),
     RealSequence("ouster_os0_128", "3d/ouster/OS-0-128-U1_v2.3.0_1024x10.pcap"),
     RealSequence("ouster_os2_128", "3d/ouster/OS-2-128-U1_v2.3.0_1024x10.pcap", range_max=200.0),
     RealSequence("velodyne_hdl32", "3d/velodyne_mrpt/sample_velodyne_hdl32.pcap"),
     RealSequence("velodyne_vlp16", "3d/velodyne_mrpt/sample_velodyne_vlp16_gps.pcap"),
-)  # fmt: skip
+)
 """Recordings of 1 to 10 scans."""
 
 
@@ -285,16 +299,18 @@ def _write_rows(path: Path, rows: NDArray[np.void]) -> None:
     """Write rows as a binary PCD file with all their fields."""
     kinds = {"f": "F", "u": "U"}
     types = [CSV_ROW[name] for name in CSV_ROW.names or ()]
-    header = "\n".join([
-        "VERSION .7",
-        "FIELDS " + " ".join(CSV_ROW.names or ()),
-        "SIZE " + " ".join(str(one.itemsize) for one in types),
-        "TYPE " + " ".join(kinds[one.kind] for one in types),
-        "COUNT " + " ".join("1" for _ in types),
-        f"WIDTH {len(rows)}",
-        "HEIGHT 1",
-        "VIEWPOINT 0 0 0 1 0 0 0",
-        f"POINTS {len(rows)}",
-        "DATA binary\n",
-    ])  # fmt: skip
+    header = "\n".join(
+        [
+            "VERSION .7",
+            "FIELDS " + " ".join(CSV_ROW.names or ()),
+            "SIZE " + " ".join(str(one.itemsize) for one in types),
+            "TYPE " + " ".join(kinds[one.kind] for one in types),
+            "COUNT " + " ".join("1" for _ in types),
+            f"WIDTH {len(rows)}",
+            "HEIGHT 1",
+            "VIEWPOINT 0 0 0 1 0 0 0",
+            f"POINTS {len(rows)}",
+            "DATA binary\n",
+        ]
+    )
     path.write_bytes(header.encode("ascii") + rows.tobytes())

@@ -89,9 +89,13 @@ def windy_trees(
     for _ in range(12):
         x, y = rng.uniform(4, 22), rng.uniform(-14, 14)
         tree = Tree(
-            trunk_height=rng.uniform(3, 5), crown_radius=rng.uniform(1.3, 2.2), leaves=leaves,
-            leaf_radius=size, sway=0.25, seed=int(rng.integers(2**31)),
-        )  # fmt: skip
+            trunk_height=rng.uniform(3, 5),
+            crown_radius=rng.uniform(1.3, 2.2),
+            leaves=leaves,
+            leaf_radius=size,
+            sway=0.25,
+            seed=int(rng.integers(2**31)),
+        )
         trees.append(_body(tree, (x, y, 0.0), surfaces.LEAVES))
     way = Waypoints(times=(0.0, scans * 0.1), positions=((-4, 0, 1.5), (-4 + 0.2 * scans, 0, 1.5)))
     return Scene(

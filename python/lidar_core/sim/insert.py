@@ -126,8 +126,16 @@ def insert_target(
     if centre.shape not in {(3,), count}:
         raise InputError(f"position: expected shape (3,) or {count}, got {centre.shape}")
     target = SolidTarget(Sphere(radius=radius) if radius is not None else shape)
-    done = _inserted(scan, target, centre, as_real(rotation, name="rotation"),
-                     (range_min, range_max), range_std, pattern, rng)  # fmt: skip
+    done = _inserted(
+        scan,
+        target,
+        centre,
+        as_real(rotation, name="rotation"),
+        (range_min, range_max),
+        range_std,
+        pattern,
+        rng,
+    )
     return done.scan, done.is_hit
 
 
@@ -215,8 +223,16 @@ def _made(
     centre = circle.at(_angle(per_ray, circle, flight))
     position = circle.at(_angle(start, circle, flight))
     target, pattern = what
-    done = _inserted(scan, target, centre, np.array(UPRIGHT), (0.0, flight.range_max),
-                     flight.range_std, pattern, rng)  # fmt: skip
+    done = _inserted(
+        scan,
+        target,
+        centre,
+        np.array(UPRIGHT),
+        (0.0, flight.range_max),
+        flight.range_std,
+        pattern,
+        rng,
+    )
     step = 1e-3
     velocity = (circle.at(_angle(start + step, circle, flight)) - position) / step
     return SimulatedScan(
@@ -294,9 +310,9 @@ def _random_circle(flight: InsertedFlight, rng: np.random.Generator) -> _Circle:
         [away * np.cos(azimuth), away * np.sin(azimuth), rng.uniform(-0.3, 0.3) * far]
     )
     level = np.array([-np.sin(tilt_azimuth), np.cos(tilt_azimuth), 0.0])
-    slope = np.array([
-        np.cos(tilt) * np.cos(tilt_azimuth), np.cos(tilt) * np.sin(tilt_azimuth), np.sin(tilt)
-    ])  # fmt: skip
+    slope = np.array(
+        [np.cos(tilt) * np.cos(tilt_azimuth), np.cos(tilt) * np.sin(tilt_azimuth), np.sin(tilt)]
+    )
     return _Circle(center, radius * np.stack([level, slope]))
 
 

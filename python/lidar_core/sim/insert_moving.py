@@ -83,9 +83,15 @@ def with_moving_target(
         way = _way(now, after, deskewed=deskewed)
         places = _places(way_of_target, way if follows else None)
         done = insert_solid(
-            now.scan, target, places, way=way, pattern=pattern,
-            range_limits=(range_min, range_max), range_std=range_std, rng=rng,
-        )  # fmt: skip
+            now.scan,
+            target,
+            places,
+            way=way,
+            pattern=pattern,
+            range_limits=(range_min, range_max),
+            range_std=range_std,
+            rng=rng,
+        )
         start = np.array([now.scan.stamp_ns, now.scan.stamp_ns + STEP_NS], np.int64)
         position = places(start)[:, :3, 3]
         yield SimulatedScan(

@@ -224,8 +224,14 @@ def written(
         source = np.setdiff1d(source, hidden)
     added = np.flatnonzero(is_seen & (rays.row < 0))
     near = np.concatenate([source, rays.near[added]])
-    made = _picked(replace(scan, points=rows.reshape(scan.points.shape), no_return=no_return),
-                   near, len(source), points[added], rays, added)  # fmt: skip
+    made = _picked(
+        replace(scan, points=rows.reshape(scan.points.shape), no_return=no_return),
+        near,
+        len(source),
+        points[added],
+        rays,
+        added,
+    )
     hit = np.concatenate([is_hit[source], np.ones(len(added), bool)])
     if made.intensity is not None and hit.any():
         made.intensity.reshape(-1)[hit] = np.float32(np.median(made.intensity))

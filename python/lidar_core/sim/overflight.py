@@ -17,11 +17,22 @@ from lidar_core.io.long_table import write_long_table
 COLUMNS: dict[str, type] = {
     "t_ns": int,
     **dict.fromkeys(
-        ("x", "y", "z", "vx", "vy", "vz", "drone_x", "drone_y", "drone_z", "drone_yaw",
-         "drone_pitch"),
+        (
+            "x",
+            "y",
+            "z",
+            "vx",
+            "vy",
+            "vz",
+            "drone_x",
+            "drone_y",
+            "drone_z",
+            "drone_yaw",
+            "drone_pitch",
+        ),
         float,
     ),
-}  # fmt: skip
+}
 
 
 class Overflight(Config):
@@ -32,8 +43,9 @@ class Overflight(Config):
     """
 
     seconds: float = Field(30.0, gt=0, le=3600, description="Duration [s].")
-    rate: float = Field(20.0, gt=0, le=1000, description="Rows per second, LiDAR and radar in"
-                        " turn [Hz].")  # fmt: skip
+    rate: float = Field(
+        20.0, gt=0, le=1000, description="Rows per second, LiDAR and radar in turn [Hz]."
+    )
     height: float = Field(6.0, gt=0, le=1000, description="Of the sensors above the target [m].")
     speed: float = Field(1.2, ge=0, le=100, description="Of the drone, along x [m/s].")
     yaw_rate: float = Field(0.5, ge=0, le=10, description="Greatest, to and fro [rad/s].")

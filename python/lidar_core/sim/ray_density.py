@@ -73,8 +73,10 @@ class RayDensity:
 
         It is that of the band of elevation that returns most; 1 where even that loses many.
         """
-        bands = [_along(one, PACE).reshape(-1, BAND, one.shape[1]).sum(axis=1)
-                 for one in (self.rays, counts)]  # fmt: skip
+        bands = [
+            _along(one, PACE).reshape(-1, BAND, one.shape[1]).sum(axis=1)
+            for one in (self.rays, counts)
+        ]
         usable = bands[0] >= 2 * ENOUGH
         expected = np.maximum(bands[0], 1e-9)
         ratio = bands[1] / expected

@@ -66,9 +66,10 @@ class RayPattern:
             elevations = _rows(directions)
         if elevations is None:
             return cls(np.empty(0), 0.0, RayDensity.of_directions(directions))
-        step = _step([
-            row_of(one, elevations, ring) for one, ring in zip(directions, rings, strict=True)
-        ], directions)  # fmt: skip
+        step = _step(
+            [row_of(one, elevations, ring) for one, ring in zip(directions, rings, strict=True)],
+            directions,
+        )
         return cls(elevations, step)
 
     @classmethod
@@ -204,8 +205,10 @@ def _rows(directions: list[NDArray[np.float64]]) -> NDArray[np.float64] | None:
     is_clean = in_peaks > ROW_SHARE * len(elevation) and narrowest_gap >= 0.3 * widest
     if not (FEWEST_ROWS <= len(starts) <= MOST_ROWS and is_clean):
         return None
-    rows = [np.median(elevation[(elevation >= edges[a]) & (elevation < edges[b])])
-            for a, b in zip(starts, ends, strict=True)]  # fmt: skip
+    rows = [
+        np.median(elevation[(elevation >= edges[a]) & (elevation < edges[b])])
+        for a, b in zip(starts, ends, strict=True)
+    ]
     return np.deg2rad(np.array(rows, np.float64))
 
 

@@ -61,8 +61,13 @@ class Rays:
 
     def chosen(self, wanted: NDArray[np.bool_]) -> "Rays":
         """Those that are `wanted`."""
-        return Rays(self.directions[wanted], self.lengths[wanted], self.row[wanted],
-                    self.near[wanted], self.ring[wanted])  # fmt: skip
+        return Rays(
+            self.directions[wanted],
+            self.lengths[wanted],
+            self.row[wanted],
+            self.near[wanted],
+            self.ring[wanted],
+        )
 
 
 def rays_of(

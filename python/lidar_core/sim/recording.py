@@ -26,13 +26,38 @@ Made: TypeAlias = SimulatedScan | SimulatedSweep
 WORLD_FRAME = "world"
 POSE_TOPIC = "tf"
 TRUTH_COLUMNS = (
-    "scan", "t_ns", "target_id", "x", "y", "z", "vx", "vy", "vz", "radius", "hits", "rays",
-    "sensor_x", "sensor_y", "sensor_z",
-)  # fmt: skip
+    "scan",
+    "t_ns",
+    "target_id",
+    "x",
+    "y",
+    "z",
+    "vx",
+    "vy",
+    "vz",
+    "radius",
+    "hits",
+    "rays",
+    "sensor_x",
+    "sensor_y",
+    "sensor_z",
+)
 SWEEP_TRUTH_COLUMNS = (
-    "scan", "t_ns", "target_id", "kind", "x", "y", "vx", "vy", "radius", "hits", "rays",
-    "sensor_x", "sensor_y", "sensor_z",
-)  # fmt: skip
+    "scan",
+    "t_ns",
+    "target_id",
+    "kind",
+    "x",
+    "y",
+    "vx",
+    "vy",
+    "radius",
+    "hits",
+    "rays",
+    "sensor_x",
+    "sensor_y",
+    "sensor_z",
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -166,8 +166,10 @@ class Tree(Config):
     def sways(self) -> list[Sway | None]:
         """Reach [m], rate [Hz] and phase [rad] of every surface: the further out, the wider."""
         rng = np.random.default_rng([self.seed, 1])
-        out = [float(np.linalg.norm(place - [0, 0, self.trunk_height]))
-               for _, place in self.surfaces()[1:]]  # fmt: skip
+        out = [
+            float(np.linalg.norm(place - [0, 0, self.trunk_height]))
+            for _, place in self.surfaces()[1:]
+        ]
         wind = rng.uniform(0, 2 * np.pi)
         along = np.array([np.cos(wind), np.sin(wind), 0.2])
         swings: list[Sway | None] = [None]

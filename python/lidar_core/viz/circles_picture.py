@@ -85,17 +85,31 @@ def animate_circles(view: CirclesView, path: str | Path, *, frames: int, rate: f
 
 def _compose(figure: Any, view: CirclesView) -> None:
     grid = figure.add_gridspec(
-        2, 2, width_ratios=(1.35, 1.0), height_ratios=(1.3, 1.0),
-        left=0.06, right=0.985, top=0.9, bottom=0.08, wspace=0.16, hspace=0.36,
-    )  # fmt: skip
+        2,
+        2,
+        width_ratios=(1.35, 1.0),
+        height_ratios=(1.3, 1.0),
+        left=0.06,
+        right=0.985,
+        top=0.9,
+        bottom=0.08,
+        wspace=0.16,
+        hspace=0.36,
+    )
     figure.suptitle(view.title, x=0.06, y=0.975, ha="left", fontsize=13, fontweight="bold")
     above = figure.add_subplot(grid[:, 0])
     _earlier(above, view)
     _above(above, view, len(view.maps) - 1, _limits(view, TALL))
     above.set_title("from above, at the end")
     if view.maps:
-        above.legend(loc="upper left", fontsize=8, frameon=True, facecolor="white",
-                     framealpha=0.88, edgecolor="none")  # fmt: skip
+        above.legend(
+            loc="upper left",
+            fontsize=8,
+            frameon=True,
+            facecolor="white",
+            framealpha=0.88,
+            edgecolor="none",
+        )
     _radii(figure.add_subplot(grid[0, 1]), view)
     _counts(figure.add_subplot(grid[1, 1]), view)
 
@@ -136,19 +150,31 @@ def _above(
     low, high = limits
     if scan >= 0:
         points = view.points[scan]
-        axes.scatter(points[:, 0], points[:, 1], s=3, c=POINT, linewidths=0, zorder=2,
-                     label="scan")  # fmt: skip
+        axes.scatter(points[:, 0], points[:, 1], s=3, c=POINT, linewidths=0, zorder=2, label="scan")
         way = view.sensor[: scan + 1]
         axes.plot(way[:, 0], way[:, 1], color=INK, lw=1.4, zorder=4, label="sensor")
         axes.plot(*way[-1], marker="^", ms=8, color=INK, zorder=4)
         for order, line in enumerate(view.truth.values()):
-            axes.plot(line[: scan + 1, 0], line[: scan + 1, 1], color="black", lw=1.1,
-                      ls=(0, (3, 2)), zorder=6, label=None if order else "truth")  # fmt: skip
+            axes.plot(
+                line[: scan + 1, 0],
+                line[: scan + 1, 1],
+                color="black",
+                lw=1.1,
+                ls=(0, (3, 2)),
+                zorder=6,
+                label=None if order else "truth",
+            )
         _elements(axes, view, scan)
         if view.shapes:
             _shapes(axes, view.shapes[scan])
-    axes.set(aspect="equal", adjustable="box", xlim=(low[0], high[0]), ylim=(low[1], high[1]),
-             xlabel="x [m]", ylabel="y [m]")  # fmt: skip
+    axes.set(
+        aspect="equal",
+        adjustable="box",
+        xlim=(low[0], high[0]),
+        ylim=(low[1], high[1]),
+        xlabel="x [m]",
+        ylabel="y [m]",
+    )
     axes.grid(visible=True)
 
 
@@ -160,8 +186,13 @@ def _elements(axes: Any, view: CirclesView, scan: int) -> None:
         colour = colour_of(number)
         center, seen = state.center[row], bool(state.visible[row])
         disc = patches.Circle(center, state.radius[row])
-        disc.set(facecolor=(colour, 0.2 if seen else 0.05), edgecolor=colour, lw=1.5,
-                 ls="-" if seen else ":", zorder=5)  # fmt: skip
+        disc.set(
+            facecolor=(colour, 0.2 if seen else 0.05),
+            edgecolor=colour,
+            lw=1.5,
+            ls="-" if seen else ":",
+            zorder=5,
+        )
         axes.add_patch(disc)
         around = center + ellipse(state.covariance[row][:2, :2], SIGMAS, CORNERS)
         outline = patches.Polygon(around, closed=True, fill=False, ec=colour, lw=0.8, zorder=5)
@@ -169,12 +200,25 @@ def _elements(axes: Any, view: CirclesView, scan: int) -> None:
         axes.plot(*ways[number].T, color=colour, lw=1.0, alpha=0.7, zorder=4.5)
         _arrow(axes, center, state.velocity[row], colour)
         axes.annotate(
-            str(number), center, xytext=(7, 7), textcoords="offset points", color="white",
-            fontsize=8, fontweight="bold", zorder=8, annotation_clip=True,
+            str(number),
+            center,
+            xytext=(7, 7),
+            textcoords="offset points",
+            color="white",
+            fontsize=8,
+            fontweight="bold",
+            zorder=8,
+            annotation_clip=True,
             bbox={"boxstyle": "round,pad=0.2", "facecolor": colour, "edgecolor": "white"},
-        )  # fmt: skip
-    axes.scatter([], [], s=60, facecolor=(COLOURS[0], 0.2), edgecolor=COLOURS[0],
-                 label="element, 2σ ellipse, velocity")  # fmt: skip
+        )
+    axes.scatter(
+        [],
+        [],
+        s=60,
+        facecolor=(COLOURS[0], 0.2),
+        edgecolor=COLOURS[0],
+        label="element, 2σ ellipse, velocity",
+    )
 
 
 def _shapes(axes: Any, shapes: ShapesLike) -> None:
@@ -182,8 +226,15 @@ def _shapes(axes: Any, shapes: ShapesLike) -> None:
     for row in range(len(shapes.id)):
         around = outline(shapes, row, CORNERS)
         closed = around if len(around) == 2 else np.vstack([around, around[:1]])
-        axes.plot(*closed.T, color=WALL, lw=2.2, ls="-" if shapes.visible[row] else ":",
-                  alpha=0.85, zorder=3, label=None if row else "wall or other shape")  # fmt: skip
+        axes.plot(
+            *closed.T,
+            color=WALL,
+            lw=2.2,
+            ls="-" if shapes.visible[row] else ":",
+            alpha=0.85,
+            zorder=3,
+            label=None if row else "wall or other shape",
+        )
 
 
 def _arrow(
@@ -191,9 +242,13 @@ def _arrow(
 ) -> None:
     if np.hypot(*velocity) > SLOWEST:
         axes.annotate(
-            "", center + velocity, center, zorder=7,
-            arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.6}, annotation_clip=True,
-        )  # fmt: skip
+            "",
+            center + velocity,
+            center,
+            zorder=7,
+            arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.6},
+            annotation_clip=True,
+        )
 
 
 def colour_of(number: int) -> str:
@@ -224,8 +279,14 @@ def _radii(axes: Any, view: CirclesView) -> None:
         scans, radius, spread = np.array(curves[number]).T
         at = time[scans.astype(np.intp)]
         axes.plot(at, radius, color=colour_of(number), lw=1.4, label=str(number))
-        axes.fill_between(at, radius - SIGMAS * spread, radius + SIGMAS * spread,
-                          color=colour_of(number), alpha=0.15, lw=0)  # fmt: skip
+        axes.fill_between(
+            at,
+            radius - SIGMAS * spread,
+            radius + SIGMAS * spread,
+            color=colour_of(number),
+            alpha=0.15,
+            lw=0,
+        )
     top = max((radius for curve in curves.values() for _, radius, _ in curve), default=1.0)
     more = f": {MOST_CURVES} longest" if len(curves) > MOST_CURVES else ""
     axes.set(title="radius, 2σ band" + more, ylabel="[m]", ylim=(0, 1.3 * top))
@@ -250,11 +311,13 @@ def _curves(view: CirclesView) -> dict[int, list[tuple[float, float, float]]]:
 def _counts(axes: Any, view: CirclesView) -> None:
     time = _seconds(view)
     elements = [len(state.id) for state in view.maps]
-    axes.plot(time, view.n_circles, color="#f59e0b", lw=1.2, label="circles found",
-              drawstyle="steps-mid")  # fmt: skip
+    axes.plot(
+        time, view.n_circles, color="#f59e0b", lw=1.2, label="circles found", drawstyle="steps-mid"
+    )
     axes.plot(time, elements, color=COLOURS[0], lw=1.8, label="elements", drawstyle="steps-mid")
     top = max([1, *elements, *view.n_circles.tolist()])
-    axes.set(title="circles and elements per scan", xlabel="time [s]",
-             ylim=(-0.05 * top, 1.3 * top))  # fmt: skip
+    axes.set(
+        title="circles and elements per scan", xlabel="time [s]", ylim=(-0.05 * top, 1.3 * top)
+    )
     axes.grid(visible=True)
     axes.legend(fontsize=8, loc="upper left", ncols=2)

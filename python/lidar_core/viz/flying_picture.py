@@ -52,16 +52,32 @@ def draw_flying(view: FlyingView, path: str | Path) -> Path:
 
 def _compose(figure: Any, view: FlyingView) -> None:
     grid = figure.add_gridspec(
-        3, 2, width_ratios=(1.15, 1.0), height_ratios=(1.25, 1.0, 0.8),
-        left=0.045, right=0.985, top=0.9, bottom=0.065, wspace=0.1, hspace=0.4,
-    )  # fmt: skip
+        3,
+        2,
+        width_ratios=(1.15, 1.0),
+        height_ratios=(1.25, 1.0, 0.8),
+        left=0.045,
+        right=0.985,
+        top=0.9,
+        bottom=0.065,
+        wspace=0.1,
+        hspace=0.4,
+    )
     figure.suptitle(view.title, x=0.045, y=0.975, ha="left", fontsize=13, fontweight="bold")
     low, high = _limits(view)
     above, side = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
     _map(above, view, (0, 1), low, high)
     above.set(title="from above", xlabel="x [m]", ylabel="y [m]")
-    above.legend(loc="upper left", ncols=2, fontsize=8, labelspacing=0.35, frameon=True,
-                 facecolor="white", framealpha=0.88, edgecolor="none")  # fmt: skip
+    above.legend(
+        loc="upper left",
+        ncols=2,
+        fontsize=8,
+        labelspacing=0.35,
+        frameon=True,
+        facecolor="white",
+        framealpha=0.88,
+        edgecolor="none",
+    )
     _map(side, view, (0, 2), low, high)
     side.set(title="from the side", xlabel="x [m]", ylabel="z [m]")
     _distances(figure.add_subplot(grid[1, 1]), view)
@@ -111,16 +127,25 @@ def _map(
     _voxels(axes, view, plane, low, high)
     for cloud, (name, colour, size) in zip(_by_class(view), CLOUDS, strict=True):
         rows = _shown(cloud, low, high)
-        axes.scatter(rows[:, across], rows[:, up], s=size, c=colour, linewidths=0, zorder=2,
-                     rasterized=True)  # fmt: skip
+        axes.scatter(
+            rows[:, across], rows[:, up], s=size, c=colour, linewidths=0, zorder=2, rasterized=True
+        )
         axes.scatter([], [], s=24, c=colour, linewidths=0, label=name)
-    axes.plot(view.sensor[:, across], view.sensor[:, up], color=INK, lw=1.6, zorder=4,
-              label="sensor")  # fmt: skip
+    axes.plot(
+        view.sensor[:, across], view.sensor[:, up], color=INK, lw=1.6, zorder=4, label="sensor"
+    )
     if len(view.sensor):
         axes.plot(*view.sensor[-1, list(plane)], marker="^", ms=8, color=INK, zorder=4)
     for order, way in enumerate(view.truth.values()):
-        axes.plot(way[:, across], way[:, up], color="black", lw=1.1, ls=(0, (3, 2)), zorder=6,
-                  label="truth" if order == 0 else None)  # fmt: skip
+        axes.plot(
+            way[:, across],
+            way[:, up],
+            color="black",
+            lw=1.1,
+            ls=(0, (3, 2)),
+            zorder=6,
+            label="truth" if order == 0 else None,
+        )
     _tracks(axes, view, plane)
     axes.set(
         aspect="equal",
@@ -174,16 +199,29 @@ def _tracks(axes: Any, view: FlyingView, plane: tuple[int, int]) -> None:
     for order, (number, rows) in enumerate(_by_track(view).items()):
         colour = TRACK_COLOURS[order % len(TRACK_COLOURS)]
         way = np.array([view.tracks[scan].position[row] for scan, row in rows])
-        axes.plot(way[:, across], way[:, up], color=colour, lw=2.0, zorder=5,
-                  label="track, 2σ ellipses" if order == 0 else None)  # fmt: skip
+        axes.plot(
+            way[:, across],
+            way[:, up],
+            color=colour,
+            lw=2.0,
+            zorder=5,
+            label="track, 2σ ellipses" if order == 0 else None,
+        )
         every = max(1, -(-len(rows) // ELLIPSES))
         for scan, row in rows[::-every]:
             _ellipse(axes, view.tracks[scan], row, plane, colour)
         badge = {"boxstyle": "round,pad=0.25", "facecolor": colour, "edgecolor": "white"}
         axes.annotate(
-            f"{number}", way[-1, list(plane)], xytext=(9, 9), textcoords="offset points",
-            color="white", fontsize=9, fontweight="bold", zorder=8, bbox=badge,
-        )  # fmt: skip
+            f"{number}",
+            way[-1, list(plane)],
+            xytext=(9, 9),
+            textcoords="offset points",
+            color="white",
+            fontsize=9,
+            fontweight="bold",
+            zorder=8,
+            bbox=badge,
+        )
 
 
 def _ellipse(axes: Any, tracks: TracksLike, row: int, plane: tuple[int, int], colour: str) -> None:
@@ -236,10 +274,20 @@ def _recall(axes: Any, view: FlyingView) -> None:
     for (name, (stamps, share)), (colour, width, order) in zip(
         view.recall.items(), styles, strict=False
     ):
-        axes.plot(_seconds(view, stamps), share, color=colour, lw=width, label=name, zorder=order,
-                  drawstyle="steps-mid")  # fmt: skip
-    axes.set(title="share of the sighted targets that were found",
-             xlim=_span(_seconds(view, view.stamp_ns)), ylim=(-0.05, 1.08))  # fmt: skip
+        axes.plot(
+            _seconds(view, stamps),
+            share,
+            color=colour,
+            lw=width,
+            label=name,
+            zorder=order,
+            drawstyle="steps-mid",
+        )
+    axes.set(
+        title="share of the sighted targets that were found",
+        xlim=_span(_seconds(view, view.stamp_ns)),
+        ylim=(-0.05, 1.08),
+    )
     axes.grid(visible=True)
     axes.legend(fontsize=8, loc="lower left", ncols=2)
 
@@ -247,8 +295,9 @@ def _recall(axes: Any, view: FlyingView) -> None:
 def _counts(axes: Any, view: FlyingView) -> None:
     time = _seconds(view, view.stamp_ns)
     tracks = [len(item.id) for item in view.tracks]
-    axes.plot(time, view.n_detections, color=UNKNOWN, lw=1.4, label="detections",
-              drawstyle="steps-mid")  # fmt: skip
+    axes.plot(
+        time, view.n_detections, color=UNKNOWN, lw=1.4, label="detections", drawstyle="steps-mid"
+    )
     axes.plot(time, tracks, color=TRACK_COLOURS[0], lw=2.0, label="tracks", drawstyle="steps-mid")
     top = max([1, *tracks, *view.n_detections.tolist()])
     axes.set(title="detections and tracks per scan", xlim=_span(time), ylim=(-0.1 * top, 1.2 * top))

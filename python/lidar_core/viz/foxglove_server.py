@@ -93,9 +93,14 @@ class FoxgloveServer:
     """
 
     def __init__(
-        self, port: int, *, option: str, backlog: int = BACKLOG, allowed: Collection[str] = (),
+        self,
+        port: int,
+        *,
+        option: str,
+        backlog: int = BACKLOG,
+        allowed: Collection[str] = (),
         on_refused: Told = lambda reason: None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         serving = require("websockets.sync.server", extra="viz", purpose=PURPOSE)
         self._allowed, self._on_refused, self._backlog = allowed, on_refused, backlog
         self._told: set[str] = set()
@@ -106,10 +111,18 @@ class FoxgloveServer:
         self._numbers, self._lock = count(1), Lock()
         try:
             self._server = serving.serve(
-                self._serve, LOCAL, port, subprotocols=list(PROTOCOLS), compression=None,
-                process_request=self._check, max_size=MAX_REQUEST_BYTES, server_header=None,
-                logger=quiet, open_timeout=HANDSHAKE_S, close_timeout=CLOSING_S,
-            )  # fmt: skip
+                self._serve,
+                LOCAL,
+                port,
+                subprotocols=list(PROTOCOLS),
+                compression=None,
+                process_request=self._check,
+                max_size=MAX_REQUEST_BYTES,
+                server_header=None,
+                logger=quiet,
+                open_timeout=HANDSHAKE_S,
+                close_timeout=CLOSING_S,
+            )
         except OSError as error:
             raise LinkError(
                 f"foxglove: port {port} cannot be opened ({error}); end the program that uses it,"
@@ -140,10 +153,18 @@ class FoxgloveServer:
         text = given.decode(errors="replace") if is_text else base64.b64encode(given).decode()
         with self._lock:
             number = next(self._numbers)
-            made = ServedChannel(self._viewers, {
-                "id": number, "topic": topic, "encoding": encoding, "schemaName": schema.name,
-                "schemaEncoding": schema.encoding, "schema": text, "metadata": dict(metadata),
-            })  # fmt: skip
+            made = ServedChannel(
+                self._viewers,
+                {
+                    "id": number,
+                    "topic": topic,
+                    "encoding": encoding,
+                    "schemaName": schema.name,
+                    "schemaEncoding": schema.encoding,
+                    "schema": text,
+                    "metadata": dict(metadata),
+                },
+            )
             self._channels[number] = made
             for viewer in self._viewers:
                 viewer.put(_advertised([made]), keep=True)
@@ -180,8 +201,17 @@ class FoxgloveServer:
     def _serve(self, link: Any) -> None:
         """Work for one viewer until it goes."""
         viewer = _Viewer(link, self._backlog)
-        viewer.put(json.dumps({"op": "serverInfo", "name": "lidar_core", "capabilities": [],
-                               "sessionId": str(time.time_ns())}), keep=True)  # fmt: skip
+        viewer.put(
+            json.dumps(
+                {
+                    "op": "serverInfo",
+                    "name": "lidar_core",
+                    "capabilities": [],
+                    "sessionId": str(time.time_ns()),
+                }
+            ),
+            keep=True,
+        )
         with self._lock:
             if self._channels:
                 viewer.put(_advertised(self._channels.values()), keep=True)
@@ -348,17 +378,21 @@ def serve_foxglove(
 
 
 def _play(
-    server: FoxgloveServer, recording: McapRecording, channels: dict[int, ServedChannel],
+    server: FoxgloveServer,
+    recording: McapRecording,
+    channels: dict[int, ServedChannel],
     speed: float,
-) -> None:  # fmt: skip
+) -> None:
     """Send every message once, at its time."""
     last: int | None = None
     for channel, schema, message in recording.stored():
         if channel.id not in channels:
             channels[channel.id] = server.channel(
-                channel.topic, encoding=channel.message_encoding, schema=schema,
+                channel.topic,
+                encoding=channel.message_encoding,
+                schema=schema,
                 metadata=channel.metadata,
-            )  # fmt: skip
+            )
         if last is not None and message.log_time > last:
             time.sleep(min((message.log_time - last) * 1e-9 / speed, LONGEST_PAUSE_S))
         last = message.log_time

@@ -42,9 +42,16 @@ def draw_fusion(view: FusionView, path: str | Path) -> Path:
 
 def _compose(figure: Any, view: FusionView) -> None:
     grid = figure.add_gridspec(
-        3, 2, width_ratios=(1.2, 1.0), left=0.06, right=0.985, top=0.9, bottom=0.08, wspace=0.16,
+        3,
+        2,
+        width_ratios=(1.2, 1.0),
+        left=0.06,
+        right=0.985,
+        top=0.9,
+        bottom=0.08,
+        wspace=0.16,
         hspace=0.42,
-    )  # fmt: skip
+    )
     figure.suptitle(view.title, x=0.06, y=0.975, ha="left", fontsize=13, fontweight="bold")
     _above(figure.add_subplot(grid[:, 0]), view)
     stamps = [line.stamp_ns for line in (*view.tracks.values(), *view.truth.values())]
@@ -58,23 +65,52 @@ def _compose(figure: Any, view: FusionView) -> None:
 
 def _above(axes: Any, view: FusionView) -> None:
     for sensor, places in view.seen.items():
-        axes.scatter(places[:, 0], places[:, 1], s=4, c=SENSORS.get(sensor, OTHER), linewidths=0,
-                     alpha=0.5, zorder=2, label=sensor, rasterized=True)  # fmt: skip
+        axes.scatter(
+            places[:, 0],
+            places[:, 1],
+            s=4,
+            c=SENSORS.get(sensor, OTHER),
+            linewidths=0,
+            alpha=0.5,
+            zorder=2,
+            label=sensor,
+            rasterized=True,
+        )
     for order, line in enumerate(view.truth.values()):
-        axes.plot(*line.position.T, color="black", lw=1.1, ls=(0, (3, 2)), zorder=5,
-                  label=None if order else "truth")  # fmt: skip
+        axes.plot(
+            *line.position.T,
+            color="black",
+            lw=1.1,
+            ls=(0, (3, 2)),
+            zorder=5,
+            label=None if order else "truth",
+        )
     longest = sorted(view.tracks, key=lambda number: len(view.tracks[number].stamp_ns))[-NAMED:]
     for order, (number, line) in enumerate(view.tracks.items()):
         _track(axes, line, colour_of(number), None if order else "track, 2σ ellipses")
         if number in longest and len(view.tracks) > 1 and len(line.position):
-            axes.annotate(str(number), line.position[-1], xytext=(5, 5), fontsize=8, zorder=7,
-                          textcoords="offset points", color=colour_of(number))  # fmt: skip
-    axes.set(aspect="equal", adjustable="datalim", title="from above", xlabel="x [m]",
-             ylabel="y [m]")  # fmt: skip
+            axes.annotate(
+                str(number),
+                line.position[-1],
+                xytext=(5, 5),
+                fontsize=8,
+                zorder=7,
+                textcoords="offset points",
+                color=colour_of(number),
+            )
+    axes.set(
+        aspect="equal", adjustable="datalim", title="from above", xlabel="x [m]", ylabel="y [m]"
+    )
     axes.grid(visible=True)
     if view.seen or view.tracks:
-        axes.legend(loc="best", fontsize=8, frameon=True, facecolor="white", framealpha=0.88,
-                    edgecolor="none")  # fmt: skip
+        axes.legend(
+            loc="best",
+            fontsize=8,
+            frameon=True,
+            facecolor="white",
+            framealpha=0.88,
+            edgecolor="none",
+        )
 
 
 def _track(axes: Any, line: PlanarLine, colour: str, label: str | None) -> None:
@@ -98,15 +134,28 @@ def _over_time(axes: Any, view: FusionView, axis: int, name: str, first: int) ->
         if line.covariance is not None:
             spread = SIGMAS * np.sqrt(np.maximum(line.covariance[:, axis, axis], 0))
             middle = np.zeros_like(value) if of_error else value
-            axes.fill_between(time, middle - spread, middle + spread, color=colour_of(number),
-                              alpha=0.18, lw=0, zorder=3)  # fmt: skip
+            axes.fill_between(
+                time,
+                middle - spread,
+                middle + spread,
+                color=colour_of(number),
+                alpha=0.18,
+                lw=0,
+                zorder=3,
+            )
             if of_error and len(spread):
                 reach = max(BAND / SIGMAS * np.median(spread), np.percentile(np.abs(value), 99))
                 axes.set_ylim(-reach, reach)
     if not of_error:
         for line in view.truth.values():
-            axes.plot((line.stamp_ns - first) * 1e-9, line.position[:, axis], color="black",
-                      lw=0.9, ls=(0, (3, 2)), zorder=5)  # fmt: skip
+            axes.plot(
+                (line.stamp_ns - first) * 1e-9,
+                line.position[:, axis],
+                color="black",
+                lw=0.9,
+                ls=(0, (3, 2)),
+                zorder=5,
+            )
     title = f"error of {name}, 2σ band" if of_error else f"{name}, 2σ band"
     axes.set(title=title, ylabel="[m]")
     axes.grid(visible=True)
@@ -127,9 +176,14 @@ def _at(line: PlanarLine, stamps: NDArray[np.int64], axis: int) -> NDArray[np.fl
 def _consistency(axes: Any, view: FusionView, first: int) -> None:
     top = 2.0
     for sensor, (stamps, ratio) in view.nis.items():
-        axes.plot((stamps - first) * 1e-9, ratio, ".", ms=2.5, color=SENSORS.get(sensor, OTHER),
-                  label=f"{sensor}: {100 * np.mean(ratio <= 1):.0f} % below" if len(ratio)
-                  else sensor)  # fmt: skip
+        axes.plot(
+            (stamps - first) * 1e-9,
+            ratio,
+            ".",
+            ms=2.5,
+            color=SENSORS.get(sensor, OTHER),
+            label=f"{sensor}: {100 * np.mean(ratio <= 1):.0f} % below" if len(ratio) else sensor,
+        )
         top = max(top, 1.2 * float(np.percentile(ratio, 98))) if len(ratio) else top
     axes.axhline(1.0, color="black", lw=0.9, ls=(0, (3, 2)))
     axes.set(title="NIS over its 95 % limit", xlabel="time [s]", ylim=(0, top))

@@ -213,9 +213,14 @@ class Playback:
         self, stamp_ns: int, points: NDArray[np.float32], classes: NDArray[np.uint8]
     ) -> Moment:
         rows = self._rows.get(stamp_ns, _NO_ROWS)
-        outlines = () if self._shapes is None else tuple(
-            _outline(self._shapes, row) for row in self._shape_rows.get(stamp_ns, _NO_ROWS).tolist()
-        )  # fmt: skip
+        outlines = (
+            ()
+            if self._shapes is None
+            else tuple(
+                _outline(self._shapes, row)
+                for row in self._shape_rows.get(stamp_ns, _NO_ROWS).tolist()
+            )
+        )
         objects = _objects(self._columns, rows, least=SMALLEST)
         return Moment(stamp_ns, points, classes, objects, outlines)
 

@@ -135,40 +135,60 @@ def _limits(moments: list[Moment]) -> NDArray[np.float64]:
 
 
 def _compose(
-    figure: Any, run: Playback, moment: Moment, trails: Trails, seconds: float,
+    figure: Any,
+    run: Playback,
+    moment: Moment,
+    trails: Trails,
+    seconds: float,
     limits: NDArray[np.float64],
-) -> None:  # fmt: skip
+) -> None:
     figure.set_layout_engine("constrained")
     planes = PLANES if run.capability == "flying" else PLANES[:1]
     panels = figure.subplots(1, len(planes), squeeze=False)[0]
     count = len(moment.objects.id)
     figure.suptitle(
         f"{run.folder.name}: {seconds:.2f} s, {count} object{'' if count == 1 else 's'}",
-        x=0.06, ha="left", fontweight="bold",
-    )  # fmt: skip
+        x=0.06,
+        ha="left",
+        fontweight="bold",
+    )
     for panel, plane in zip(panels, planes, strict=True):
         _draw_plane(panel, moment, trails, plane, limits)
 
 
 def _draw_plane(
-    panel: Any, moment: Moment, trails: Trails, plane: tuple[int, int, str, str],
+    panel: Any,
+    moment: Moment,
+    trails: Trails,
+    plane: tuple[int, int, str, str],
     limits: NDArray[np.float64],
-) -> None:  # fmt: skip
+) -> None:
     across, up, *labels = plane
     axes = [across, up]
     step = max(1, len(moment.points) // MOST_POINTS)
     points, classes = moment.points[::step], moment.point_class[::step]
     for number, colour in enumerate(POINT_COLOURS):
         chosen = points[classes == number]
-        panel.plot(chosen[:, across], chosen[:, up], ".", ms=1 + 2 * (number > 1), color=colour,
-                   rasterized=True)  # fmt: skip
+        panel.plot(
+            chosen[:, across],
+            chosen[:, up],
+            ".",
+            ms=1 + 2 * (number > 1),
+            color=colour,
+            rasterized=True,
+        )
     for outline in moment.outlines:
         line = outline.points[:, axes]
         panel.plot(*line.T, "-" if outline.visible else ":", lw=2.0, color=WALL)
     for row, name in enumerate(moment.objects.id.tolist()):
         _draw_object(panel, moment, row, axes, trails[name])
-    panel.set(xlabel=f"{labels[0]} [m]", ylabel=f"{labels[1]} [m]", aspect="equal",
-              xlim=limits[:, across], ylim=limits[:, up])  # fmt: skip
+    panel.set(
+        xlabel=f"{labels[0]} [m]",
+        ylabel=f"{labels[1]} [m]",
+        aspect="equal",
+        xlim=limits[:, across],
+        ylim=limits[:, up],
+    )
     panel.grid(visible=True)
 
 
@@ -185,6 +205,13 @@ def _draw_object(
     panel.plot(*np.vstack([band, band[:1]]).T, "-", lw=1.0, color=BAND)
     if np.linalg.norm(velocity) > SLOWEST:
         panel.annotate("", at + velocity, at, arrowprops={"arrowstyle": "->", "color": INK})
-    panel.annotate(str(objects.id[row]), at, xytext=(5, 5), textcoords="offset points",
-                   color=INK, fontsize=9, bbox={"fc": "white", "ec": PALE, "lw": 0.5, "pad": 1.5},
-                   annotation_clip=True)  # fmt: skip
+    panel.annotate(
+        str(objects.id[row]),
+        at,
+        xytext=(5, 5),
+        textcoords="offset points",
+        color=INK,
+        fontsize=9,
+        bbox={"fc": "white", "ec": PALE, "lw": 0.5, "pad": 1.5},
+        annotation_clip=True,
+    )

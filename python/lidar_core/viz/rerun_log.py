@@ -83,16 +83,29 @@ class RerunLog:
     def _log_extents(self, objects: Objects) -> None:
         """Boxes around what has a height, circles around what has none."""
         speeds = np.linalg.norm(objects.velocity, axis=1).tolist()
-        labels = [f"{name}: {speed:.1f} m/s"
-                  for name, speed in zip(objects.id.tolist(), speeds, strict=True)]  # fmt: skip
+        labels = [
+            f"{name}: {speed:.1f} m/s"
+            for name, speed in zip(objects.id.tolist(), speeds, strict=True)
+        ]
         heights = objects.size[:, 2]
         tall, flat = (np.flatnonzero(rows).tolist() for rows in (heights > 0, heights == 0))
-        self._log_or_clear("world/objects/boxes", len(tall), self._rr.Boxes3D(
-            centers=objects.position[tall], sizes=objects.size[tall],
-            labels=[labels[row] for row in tall], colors=OBJECT_COLOUR, show_labels=True,
-        ))  # fmt: skip
-        self._log_lines("world/objects/outlines", [objects.outline(row) for row in flat],
-                        [labels[row] for row in flat], OBJECT_COLOUR)  # fmt: skip
+        self._log_or_clear(
+            "world/objects/boxes",
+            len(tall),
+            self._rr.Boxes3D(
+                centers=objects.position[tall],
+                sizes=objects.size[tall],
+                labels=[labels[row] for row in tall],
+                colors=OBJECT_COLOUR,
+                show_labels=True,
+            ),
+        )
+        self._log_lines(
+            "world/objects/outlines",
+            [objects.outline(row) for row in flat],
+            [labels[row] for row in flat],
+            OBJECT_COLOUR,
+        )
 
     def _log_lines(
         self, place: str, lines: Sequence[NDArray[np.float64]], labels: list[str], colours: Any
@@ -171,15 +184,30 @@ def _log_motion(
     for name in set(trails) - set(names):
         del trails[name]
     half, turns = _axes(objects.covariance)
-    stream.log("world/objects/covariance", rr.Ellipsoids3D(
-        centers=objects.position, half_sizes=half, quaternions=turns, colors=ELLIPSE_COLOUR,
-    ))  # fmt: skip
-    stream.log("world/objects/velocity", rr.Arrows3D(
-        origins=objects.position, vectors=objects.velocity, colors=OBJECT_COLOUR,
-    ))  # fmt: skip
-    stream.log("world/objects/trails", rr.LineStrips3D(
-        [np.array(trails[name]) for name in names], colors=OBJECT_COLOUR,
-    ))  # fmt: skip
+    stream.log(
+        "world/objects/covariance",
+        rr.Ellipsoids3D(
+            centers=objects.position,
+            half_sizes=half,
+            quaternions=turns,
+            colors=ELLIPSE_COLOUR,
+        ),
+    )
+    stream.log(
+        "world/objects/velocity",
+        rr.Arrows3D(
+            origins=objects.position,
+            vectors=objects.velocity,
+            colors=OBJECT_COLOUR,
+        ),
+    )
+    stream.log(
+        "world/objects/trails",
+        rr.LineStrips3D(
+            [np.array(trails[name]) for name in names],
+            colors=OBJECT_COLOUR,
+        ),
+    )
 
 
 def _axes(covariance: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

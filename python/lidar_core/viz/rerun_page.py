@@ -26,16 +26,18 @@ from lidar_core.viz.rerun_feed import Feed
 from lidar_core.viz.rerun_process import free_port, rerun_process
 
 PAGE_PORT, LAST_PORT = 9090, 65535
-POLICY = "; ".join((
-    "default-src 'none'",
-    "script-src 'self' 'wasm-unsafe-eval'",
-    "connect-src 'self'",
-    "img-src 'self' data: blob:",
-    "style-src 'unsafe-inline'",
-    "base-uri 'none'",
-    "form-action 'none'",
-    "frame-ancestors 'none'",
-))  # fmt: skip
+POLICY = "; ".join(
+    (
+        "default-src 'none'",
+        "script-src 'self' 'wasm-unsafe-eval'",
+        "connect-src 'self'",
+        "img-src 'self' data: blob:",
+        "style-src 'unsafe-inline'",
+        "base-uri 'none'",
+        "form-action 'none'",
+        "frame-ancestors 'none'",
+    )
+)
 """What the browser may load: scripts and data of this server, and nothing of any other one."""
 HEADERS = {
     "Content-Security-Policy": POLICY,
@@ -136,8 +138,10 @@ def _fetched(address: str, server: "subprocess.Popen[bytes]") -> bytes:
         except OSError:
             time.sleep(0.05)
     name = address.rpartition("/")[2]
-    raise InternalError(f"rerun-sdk: its program gave no {name}; `lidar-core view RUN --rrd FILE`"
-                        " writes a file that rerun's window opens")  # fmt: skip
+    raise InternalError(
+        f"rerun-sdk: its program gave no {name}; `lidar-core view RUN --rrd FILE`"
+        " writes a file that rerun's window opens"
+    )
 
 
 class _Server(ThreadingHTTPServer):

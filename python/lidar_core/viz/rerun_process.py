@@ -44,11 +44,17 @@ def rerun_process(
         for name in PROXIES:
             surroundings |= {name: NOWHERE, name.lower(): NOWHERE}
         surroundings |= {"NO_PROXY": NO_PROXY, "no_proxy": NO_PROXY}
-        subprocess.run([*viewer, "analytics", "disable"], env=surroundings, check=True,
-                       capture_output=True)  # fmt: skip
+        subprocess.run(
+            [*viewer, "analytics", "disable"], env=surroundings, check=True, capture_output=True
+        )
         told = subprocess.DEVNULL if quiet else None
-        process = subprocess.Popen([*viewer, "--bind", LOCAL, *arguments], env=surroundings,
-                                   stdout=told, stderr=told, start_new_session=True)  # fmt: skip
+        process = subprocess.Popen(
+            [*viewer, "--bind", LOCAL, *arguments],
+            env=surroundings,
+            stdout=told,
+            stderr=told,
+            start_new_session=True,
+        )
         try:
             yield process
         finally:
