@@ -84,6 +84,11 @@ SHORT = {
     "flying-drivers": Short(
         ("vlp-16/recall", "livox-avia/false_tracks", "xt32/target scans"), modes=("best_mode",)
     ),
+    "flying-surfaces": Short(
+        ("fog/sky known@4m", "wet/surfaces cleared", "glass/false_tracks", "all/target scans"),
+        modes=("best_mode",),
+        range_max=60.0,
+    ),
     "circles-table4": Short(("r = 0.6 m: radius, MSE", "ghosts")),
     "circles-table5": Short(("5 wandering: x, MSE", "ghosts")),
     "circles-fig7": Short(("trajectory 2: y, MSE",)),

@@ -21,6 +21,7 @@ MODULES = (
     "flying_false_tracks",
     "flying_real",
     "flying_drivers",
+    "flying_surfaces",
     "circles_table1",
     "circles_table2",
     "circles_fig5",
