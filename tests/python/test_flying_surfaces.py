@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from lidar_core import sim
-from lidar_core.reproduce import Request, flying_surfaces
-from lidar_core.reproduce.flying_surfaces import CONDITIONS, RANGES, SENSORS, Truth
+from lidar_core.reproduce import Request
+from lidar_core.reproduce.flying import surfaces
+from lidar_core.reproduce.flying.surfaces import CONDITIONS, RANGES, SENSORS, Truth
 
 PATTERN = sim.Spinning(elevations_deg=(20.0, 10.0, 0.0, -10.0), columns=90)
 
@@ -36,15 +37,15 @@ class FreeUpTo:
 
 
 def test_flights_take_turns_in_sensor_motion_and_target():
-    todo = flying_surfaces.jobs(Request(seed=0, scans=16_000, threads=1))
+    todo = surfaces.jobs(Request(seed=0, scans=16_000, threads=1))
     assert {job.arguments["condition"] for job in todo} == set(CONDITIONS)
     for with_target in (False, True):
-        numbers = [n for n in range(50) if flying_surfaces.is_with_target(n) == with_target]
+        numbers = [n for n in range(50) if surfaces.is_with_target(n) == with_target]
         seen = set()
         for number in numbers:
-            made = flying_surfaces.scene(0, number, 30, "wet")
+            made = surfaces.scene(0, number, 30, "wet")
             way = made.sensor.knots(3.0)[1][:, :3, 3]
-            seen.add((flying_surfaces.turn_of(number)[0], bool(np.ptp(way[:, 0]) > 1.0)))
+            seen.add((surfaces.turn_of(number)[0], bool(np.ptp(way[:, 0]) > 1.0)))
             assert len(made.targets) == with_target
         assert seen == {(name, moves) for name in SENSORS for moves in (False, True)}
 
