@@ -150,7 +150,7 @@ class _Asked(NamedTuple):
 
 def _run(asked: _Asked) -> "TargetRun | ManyRun":
     from lidar_core.fusion import AutoferryOptions, TableOptions, read_autoferry, read_measurements
-    from lidar_core.fusion.table import TABLES
+    from lidar_core.fusion.recordings.table import TABLES
 
     recording, read = asked.recording, asked.read
     if recording.suffix == ".json":

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core._core import SimShape, SimTrajectory
-from lidar_core.sim.people import Person, Placed
-from lidar_core.sim.shapes import Solid
+from lidar_core.sim.solids.people import Person, Placed
+from lidar_core.sim.solids.shapes import Solid
 
 
 def reach_of(surfaces: Placed) -> float:

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lidar_core.fusion.recordings.table import TRUTH, VALUES
 from lidar_core.fusion.space import LevelSight, level_sight
-from lidar_core.fusion.table import TRUTH, VALUES
 from lidar_core.io.long_table import write_long_table
 
 if TYPE_CHECKING:

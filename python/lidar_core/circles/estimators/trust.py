@@ -12,7 +12,7 @@ from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
-from lidar_core.circles.detector_name import MODELS
+from lidar_core.circles.estimators.detector_name import MODELS
 from lidar_core.errors import ConfigError, LimitError
 from lidar_core.io.atomic import written_whole
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidar_core import _core
 from lidar_core.arrays import as_finite_rows, as_pose, as_rows, as_stamp
-from lidar_core.circles.map_config import CircleMapConfig
+from lidar_core.circles.mapping.map_config import CircleMapConfig
 from lidar_core.config import as_config
 from lidar_core.errors import InputError
 

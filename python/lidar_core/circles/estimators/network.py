@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core import _core
-from lidar_core.circles.detector_name import MODELS, shipped
-from lidar_core.circles.fit_config import FitConfig
-from lidar_core.circles.fitting import Circles
-from lidar_core.circles.onnx_graph import check_graph
+from lidar_core.circles.estimators.detector_name import MODELS, shipped
+from lidar_core.circles.estimators.fit_config import FitConfig
+from lidar_core.circles.estimators.fitting import Circles
+from lidar_core.circles.estimators.onnx_graph import check_graph
+from lidar_core.circles.estimators.trust import check_trusted, content_of
+from lidar_core.circles.estimators.windows import normalised, windows_of_rows, windows_of_segments
 from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments
-from lidar_core.circles.trust import check_trusted, content_of
-from lidar_core.circles.windows import normalised, windows_of_rows, windows_of_segments
 from lidar_core.errors import ConfigError, FormatError, InputError
 
 Kind: TypeAlias = Literal["windows", "scans"]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from lidar_core.config import Config
-from lidar_core.sim.knots import STEP, Knots, from_angles, poses, times_of, upright
+from lidar_core.sim.motion.knots import STEP, Knots, from_angles, poses, times_of, upright
 from lidar_core.sim.types import Vector
 
 WANDERING_STEP = 0.005

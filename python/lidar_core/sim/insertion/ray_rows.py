@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.sim.ray_density import angles_of, unit
+from lidar_core.sim.insertion.ray_density import angles_of, unit
 
 LONGEST_GAP = 12
 """Rows without return in a row of a line that are placed between their neighbours (count)."""

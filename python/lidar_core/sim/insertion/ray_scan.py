@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from lidar_core._core import SimTrajectory
 from lidar_core.messages import Scan
-from lidar_core.sim.ray_pattern import NEAREST_RETURN, RayPattern
-from lidar_core.sim.ray_rows import between_neighbours, grid_directions
+from lidar_core.sim.insertion.ray_pattern import NEAREST_RETURN, RayPattern
+from lidar_core.sim.insertion.ray_rows import between_neighbours, grid_directions
 
 
 @dataclass(frozen=True, slots=True)

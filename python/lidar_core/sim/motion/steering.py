@@ -8,7 +8,7 @@ from lidar_core._core import SimTrajectory
 from lidar_core.arrays import as_stamp
 from lidar_core.config import Config, as_config
 from lidar_core.errors import InputError
-from lidar_core.sim.knots import STEP, poses
+from lidar_core.sim.motion.knots import STEP, poses
 
 
 class Steering(Config):

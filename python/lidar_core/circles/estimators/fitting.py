@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from lidar_core import _core
-from lidar_core.circles.fit_config import FitConfig, FitMethod
+from lidar_core.circles.estimators.fit_config import FitConfig, FitMethod
 from lidar_core.circles.preprocess import as_scan
 from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments, arrays_of

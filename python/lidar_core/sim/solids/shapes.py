@@ -7,8 +7,8 @@ from pydantic import Field
 
 from lidar_core._core import SimShape
 from lidar_core.config import Config
-from lidar_core.sim.meshes import hexacopter_mesh, quadcopter_mesh
-from lidar_core.sim.people import Barrel, Length, Person, Placed
+from lidar_core.sim.solids.meshes import hexacopter_mesh, quadcopter_mesh
+from lidar_core.sim.solids.people import Barrel, Length, Person, Placed
 from lidar_core.sim.types import Vector
 
 Sway: TypeAlias = tuple[Vector, float, float]

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from lidar_core._core import SimScene, SimTrajectory
 from lidar_core.errors import InputError
 from lidar_core.messages import Scan
+from lidar_core.sim.insertion.ray_density import RayDensity, angles_of, unit
 from lidar_core.sim.lidar import LidarModel, Planar, Spinning
-from lidar_core.sim.ray_density import RayDensity, angles_of, unit
 
 NEAREST_RETURN = 0.05
 """Rows nearer than this are no returns: zeros, also ones that a motion correction moved [m]."""

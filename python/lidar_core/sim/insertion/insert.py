@@ -12,7 +12,7 @@ from lidar_core.arrays import as_real
 from lidar_core.config import Config
 from lidar_core.errors import InputError
 from lidar_core.messages import Scan
-from lidar_core.sim.inserted import (
+from lidar_core.sim.insertion.inserted import (
     Inserted,
     Meeting,
     SolidTarget,
@@ -20,10 +20,10 @@ from lidar_core.sim.inserted import (
     truth_of_one,
     written,
 )
-from lidar_core.sim.knots import poses
-from lidar_core.sim.ray_pattern import RayPattern
-from lidar_core.sim.ray_scan import SensorWay, inverse, rays_of
-from lidar_core.sim.shapes import Sphere
+from lidar_core.sim.insertion.ray_pattern import RayPattern
+from lidar_core.sim.insertion.ray_scan import SensorWay, inverse, rays_of
+from lidar_core.sim.motion.knots import poses
+from lidar_core.sim.solids.shapes import Sphere
 from lidar_core.sim.truth import SimulatedScan
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)

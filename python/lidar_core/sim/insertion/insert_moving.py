@@ -11,10 +11,16 @@ from lidar_core._core import SimTrajectory
 from lidar_core.errors import InputError
 from lidar_core.io.posed import PosedScan
 from lidar_core.messages import Scan
-from lidar_core.sim.inserted import Poses, SolidTarget, insert_solid, labels_of, truth_of_one
-from lidar_core.sim.motions import Scripted
-from lidar_core.sim.ray_pattern import RayPattern
-from lidar_core.sim.ray_scan import SensorWay
+from lidar_core.sim.insertion.inserted import (
+    Poses,
+    SolidTarget,
+    insert_solid,
+    labels_of,
+    truth_of_one,
+)
+from lidar_core.sim.insertion.ray_pattern import RayPattern
+from lidar_core.sim.insertion.ray_scan import SensorWay
+from lidar_core.sim.motion.motions import Scripted
 from lidar_core.sim.truth import SimulatedScan
 
 STEP_NS = 1_000_000

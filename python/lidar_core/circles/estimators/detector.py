@@ -8,10 +8,10 @@ from numpy.typing import ArrayLike
 
 from lidar_core import _core
 from lidar_core.arrays import as_finite_rows, as_rows
-from lidar_core.circles.detector_name import checked
-from lidar_core.circles.fit_config import FitConfig, FitMethod
-from lidar_core.circles.fitting import Circles
-from lidar_core.circles.network import CircleNetwork
+from lidar_core.circles.estimators.detector_name import checked
+from lidar_core.circles.estimators.fit_config import FitConfig, FitMethod
+from lidar_core.circles.estimators.fitting import Circles
+from lidar_core.circles.estimators.network import CircleNetwork
 from lidar_core.circles.scanner import Scanner
 from lidar_core.config import as_config
 from lidar_core.errors import ConfigError, InputError

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import get_args
 
-from lidar_core.circles.fit_config import FitMethod
+from lidar_core.circles.estimators.fit_config import FitMethod
 
-MODELS = Path(__file__).parent / "models"
+MODELS = Path(__file__).parents[1] / "models"
 
 
 def shipped() -> list[str]:

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from lidar_core.config import Config
-from lidar_core.sim.knots import Knots, from_angles, poses, times_of, upright
-from lidar_core.sim.paths import FigureEight, StopAndGo, Swinging, Wandering
+from lidar_core.sim.motion.knots import Knots, from_angles, poses, times_of, upright
+from lidar_core.sim.motion.paths import FigureEight, StopAndGo, Swinging, Wandering
 from lidar_core.sim.types import Quaternion, Vector
 
 

@@ -10,8 +10,8 @@ from pydantic import Field
 
 from lidar_core.config import Config, as_config
 from lidar_core.errors import ConfigError, FormatError
-from lidar_core.fusion.autoferry import DetectionScan
 from lidar_core.fusion.measurement import Measurement, SensorName
+from lidar_core.fusion.recordings.autoferry import DetectionScan
 from lidar_core.io.guard import reading
 from lidar_core.io.opening import open_recording
 from lidar_core.io.recording import Topic

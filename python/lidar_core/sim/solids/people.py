@@ -9,7 +9,7 @@ from pydantic import Field
 
 from lidar_core._core import SimShape
 from lidar_core.config import Config
-from lidar_core.sim.knots import poses
+from lidar_core.sim.motion.knots import poses
 
 Length: TypeAlias = Annotated[float, Field(gt=0)]
 Placed: TypeAlias = list[tuple[SimShape, NDArray[np.float64]]]
