@@ -11,12 +11,10 @@ from lidar_core import sim
 from lidar_core.errors import ConfigError, FormatError, LimitError
 from lidar_core.io import PosedScan
 from lidar_core.messages import Scan
-from lidar_core.reproduce import Request, flying_real, item_named, real_sequences
-from lidar_core.reproduce.real_losses import drawn_patches, with_losses
-from lidar_core.reproduce.real_runs import false_tracks
-from lidar_core.reproduce.real_scores import matches, scores
-from lidar_core.reproduce.real_sequences import RealSequence, sequence_named, sequence_scans
-from lidar_core.reproduce.real_targets import (
+from lidar_core.reproduce import Request, item_named
+from lidar_core.reproduce.flying import real
+from lidar_core.reproduce.flying.real_data import sequences
+from lidar_core.reproduce.flying.real_data.inserted_targets import (
     CLEARANCE,
     DISTANCES,
     EDGE_DEG,
@@ -25,6 +23,14 @@ from lidar_core.reproduce.real_targets import (
     inserted,
     real_scans,
     with_targets,
+)
+from lidar_core.reproduce.flying.real_data.lost_returns import drawn_patches, with_losses
+from lidar_core.reproduce.flying.real_data.reported import false_tracks
+from lidar_core.reproduce.flying.real_data.scores import matches, scores
+from lidar_core.reproduce.flying.real_data.sequences import (
+    RealSequence,
+    sequence_named,
+    sequence_scans,
 )
 from lidar_core.sim.inserted import SolidTarget
 
@@ -99,7 +105,7 @@ def test_an_archive_that_reaches_out_of_its_folder_is_refused(folder, tmp_path):
 
 
 def test_an_archive_that_unpacks_to_too_much_is_refused(folder, monkeypatch):
-    monkeypatch.setattr(real_sequences, "LARGEST", 10)
+    monkeypatch.setattr(sequences, "LARGEST", 10)
     sequence = archive_of(folder, {"velo_lidar/1.csv": b"1,2,3,4,5\n" * 2})
     with pytest.raises(LimitError, match=r"room\.tar\.xz.*10 bytes"):
         list(sequence_scans(sequence))
@@ -127,11 +133,11 @@ def test_without_the_recordings_the_item_names_their_variable(monkeypatch, tmp_p
 # Recordings
 
 
-@pytest.mark.parametrize("name", sorted(flying_real.LENGTHS))
+@pytest.mark.parametrize("name", sorted(real.LENGTHS))
 def test_every_sequence_is_read_whole_with_its_poses(name, recordings, monkeypatch):
     monkeypatch.setenv("LIDAR_CORE_DATA", str(recordings))
     items = list(sequence_scans(sequence_named(name)))
-    assert len(items) == flying_real.LENGTHS[name]
+    assert len(items) == real.LENGTHS[name]
     stamps = np.array([item.scan.stamp_ns for item in items])
     assert (np.diff(stamps) > 0).all()
     way = np.array([item.world_from_lidar.reshape(-1, 4, 4)[0, :3, 3] for item in items])

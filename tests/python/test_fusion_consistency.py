@@ -7,8 +7,7 @@ import pytest
 
 from lidar_core.evaluation import consistency
 from lidar_core.fusion import FusionConfig
-from lidar_core.reproduce.ensembles import SECONDS, STEPS, SWITCHING, drawn
-from lidar_core.reproduce.fusion_consistency import (
+from lidar_core.reproduce.fusion.consistency import (
     METHODS,
     MIXTURE,
     WRONG,
@@ -17,6 +16,7 @@ from lidar_core.reproduce.fusion_consistency import (
     ensemble,
     values,
 )
+from lidar_core.reproduce.fusion.ensembles import SECONDS, STEPS, SWITCHING, drawn
 
 RUNS = 500
 GOAL = 0.85

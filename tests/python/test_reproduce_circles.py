@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from lidar_core.reproduce import circles_fig8, circles_lab, circles_runs, circles_single
-from lidar_core.reproduce.circles_runs import MapRun
+from lidar_core.reproduce.circles import fig8, lab, runs, single
+from lidar_core.reproduce.circles.runs import MapRun
 
 PERIOD_NS = 50_000_000
 HIDDEN = 99  # number of an element that the map holds to be out of sight
@@ -50,7 +50,7 @@ def test_errors_belong_to_the_paired_element():
 def test_pairs_are_one_to_one_and_within_the_gate():
     run = run_of(still(1, (4, 0), (4, 0.6)), [(0, 1, 4, 0.1, 0.3), (0, 2, 4, 0.7, 0.3)])
     assert [run.ids(0)[0], run.ids(1)[0]] == [1, 2]
-    far = run_of(still(1, (4, 0)), [(0, 1, 4 + circles_runs.GATE + 0.01, 0, 0.3)])
+    far = run_of(still(1, (4, 0)), [(0, 1, 4 + runs.GATE + 0.01, 0, 0.3)])
     assert far.ids(0)[0] == -1
 
 
@@ -59,11 +59,11 @@ def test_ghosts_are_timed_at_a_stretch():
     ghost = [(scan, 5, 1, 2, 0.3) for scan in [*range(3, 9), *range(20, 36)]]
     run = run_of(still(40, (4, 0)), at_rest + ghost)
     np.testing.assert_allclose(np.sort(run.ghosts()), [0.3, 0.8])
-    assert circles_runs.lasting(run.ghosts()) == 1
+    assert runs.lasting(run.ghosts()) == 1
     none = run_of(still(40, (4, 0)), at_rest)
     assert len(none.ghosts()) == 0
     twin = run_of(still(40, (4, 0)), at_rest + [(scan, 2, 4.2, 0, 0.3) for scan in range(40)])
-    assert circles_runs.lasting(twin.ghosts()) == 1
+    assert runs.lasting(twin.ghosts()) == 1
 
 
 def test_ghosts_out_of_sight_count_apart():
@@ -75,7 +75,7 @@ def test_ghosts_out_of_sight_count_apart():
 
 def test_ten_scans_are_no_longer_than_half_a_second():
     ghost = [(scan, 5, 1, 2, 0.3) for scan in range(10)]
-    assert circles_runs.lasting(run_of(still(20, (4, 0)), ghost).ghosts()) == 0
+    assert runs.lasting(run_of(still(20, (4, 0)), ghost).ghosts()) == 0
 
 
 def test_delays_and_presence_count_visible_time_only():
@@ -106,13 +106,13 @@ def test_changes_of_identity_are_counted_over_gaps():
 def test_largest_errors_count_two_seconds_after_the_first_report():
     elements = [(scan, 1, 4 + (0.1 if scan < 45 else 0.01), 0, 0.3) for scan in range(5, 60)]
     run = run_of(still(60, (4, 0)), elements)
-    np.testing.assert_allclose(circles_single.settled(run)[:, 0], [0.01] * 15)
-    rows = {row.name: row for row in circles_single.rows("a", in_both(run), (1.0,) * 6)}
+    np.testing.assert_allclose(single.settled(run)[:, 0], [0.01] * 15)
+    rows = {row.name: row for row in single.rows("a", in_both(run), (1.0,) * 6)}
     assert rows["a: x, largest error"].best_mode == pytest.approx(0.01)
     assert rows["a: x, MSE"].best_mode == pytest.approx((40 * 0.1**2 + 15 * 0.01**2) / 55)
     assert rows["a: y, MSE"].best_mode == 0
     assert rows["a: radius, MSE"].paper == 1.0
-    worst = {row.name: row.best_mode for row in circles_single.worst_rows(in_both(run, run))}
+    worst = {row.name: row.best_mode for row in single.worst_rows(in_both(run, run))}
     assert worst["worst of 2 runs: x, largest error"] == pytest.approx(0.01)
     assert worst["present while visible"] == 1
     assert worst["reported within 0.5 s"] == 1
@@ -120,12 +120,12 @@ def test_largest_errors_count_two_seconds_after_the_first_report():
 
 def test_runs_without_a_report_give_no_numbers():
     run = run_of(still(60, (4, 0)), [])
-    assert all(row.best_mode is None for row in circles_single.rows("a", in_both(run)))
-    worst = {row.name: row.best_mode for row in circles_single.worst_rows(in_both(run))}
+    assert all(row.best_mode is None for row in single.rows("a", in_both(run)))
+    worst = {row.name: row.best_mode for row in single.worst_rows(in_both(run))}
     assert worst["reported within 0.5 s"] == 0
     assert worst["present while visible"] == 0
     assert worst["worst of 1 runs: x, MSE"] is None
-    measures = {name: value for name, _, value in circles_fig8.world_measures("a", run)}
+    measures = {name: value for name, _, value in fig8.world_measures("a", run)}
     assert measures["a: x, RMS"] is None
     assert measures["a: ghosts"] == 0
 
@@ -134,17 +134,17 @@ def test_an_identity_is_kept_if_it_is_the_same_before_and_after():
     scans = 200
     same = [(scan, 3, 4, 0, 0.3) for scan in [*range(100), *range(140, 200)]]
     other = [(scan, 3 if scan < 120 else 4, 4, 0, 0.3) for scan in range(200)]
-    assert circles_fig8.is_kept(run_of(still(scans, (4, 0)), same))
-    assert not circles_fig8.is_kept(run_of(still(scans, (4, 0)), other))
-    assert not circles_fig8.is_kept(run_of(still(scans, (4, 0)), []))
+    assert fig8.is_kept(run_of(still(scans, (4, 0)), same))
+    assert not fig8.is_kept(run_of(still(scans, (4, 0)), other))
+    assert not fig8.is_kept(run_of(still(scans, (4, 0)), []))
 
 
 def test_neighbours_need_an_element_each():
     places = still(20, (5, -0.4), (5, 0.4))
     both = [(scan, n, 5, y, 0.25) for scan in range(20) for n, y in ((1, -0.4), (2, 0.4))]
     one = [(scan, 1, 5, 0, 0.6) for scan in range(20)]
-    assert circles_fig8.are_apart(run_of(places, both)).tolist() == [True] * 10
-    assert not circles_fig8.are_apart(run_of(places, one)).any()
+    assert fig8.are_apart(run_of(places, both)).tolist() == [True] * 10
+    assert not fig8.are_apart(run_of(places, one)).any()
 
 
 def test_hidden_posts_count_while_they_are_hidden_in_part():
@@ -152,7 +152,7 @@ def test_hidden_posts_count_while_they_are_hidden_in_part():
     hits[15:, 0] = 18
     elements = [(scan, 1, 5.03, -0.4, 0.3) for scan in range(13)]
     run = run_of(still(20, (5, -0.4), (3, 0.4)), elements, hits=hits)
-    errors = circles_fig8.hidden_errors(run)
+    errors = fig8.hidden_errors(run)
     assert errors.shape == (5, 3)
     np.testing.assert_allclose(errors[:3, 0], 0.03)
     assert np.isnan(errors[3:, 0]).all()
@@ -162,4 +162,4 @@ def test_parts_of_a_person_are_counted():
     elements = [(scan, 1, 1, 0, 0.2) for scan in range(20)]
     elements += [(scan, 2, 1, 0.3, 0.05) for scan in range(15, 20)]
     run = run_of(still(20, (1, 0), (0, 1)), elements)
-    assert circles_lab.elements_near(run, 0).tolist() == [1] * 5 + [2] * 5
+    assert lab.elements_near(run, 0).tolist() == [1] * 5 + [2] * 5

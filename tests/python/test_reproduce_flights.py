@@ -5,17 +5,24 @@ import pytest
 
 from lidar_core import evaluation, sim
 from lidar_core.flying import Tracks
-from lidar_core.reproduce import flying_fig8, street_flights
 from lidar_core.reproduce.common import GATE, evaluation_config
-from lidar_core.reproduce.flights import tables, truth_columns
-from lidar_core.reproduce.pursuit import ATTACK_TO, FOLLOW_DISTANCE, Interceptor, Quarry, follow
-from lidar_core.reproduce.sightings import sightings
+from lidar_core.reproduce.flying import fig8
+from lidar_core.reproduce.flying.simulated import street
+from lidar_core.reproduce.flying.simulated.flights import tables, truth_columns
+from lidar_core.reproduce.flying.simulated.pursuit import (
+    ATTACK_TO,
+    FOLLOW_DISTANCE,
+    Interceptor,
+    Quarry,
+    follow,
+)
+from lidar_core.reproduce.flying.simulated.sightings import sightings
 
 
 def test_a_walk_through_the_ways_keeps_speeds_accelerations_ranges_and_distances():
     ranges = []
-    for number, way in enumerate(street_flights.WAYS):
-        scene = street_flights.scene(1000, number, 100, is_noisy=False)
+    for number, way in enumerate(street.WAYS):
+        scene = street.scene(1000, number, 100, is_noisy=False)
         places = []
         for target in scene.targets:
             times, matrices = target.motion.knots(10.0)
@@ -28,7 +35,7 @@ def test_a_walk_through_the_ways_keeps_speeds_accelerations_ranges_and_distances
         places = np.array(places)
         for one, other in np.array(np.triu_indices(4, 1)).T:
             apart = np.linalg.norm(places[one] - places[other], axis=1)
-            assert apart.min() > GATE + 2 * street_flights.RADII[1]
+            assert apart.min() > GATE + 2 * street.RADII[1]
         ranges.append(np.linalg.norm(places[..., :2], axis=-1).ravel())
     ranges = np.concatenate(ranges)
     share, _ = np.histogram(ranges, np.linspace(5, 20, 6))
@@ -37,10 +44,10 @@ def test_a_walk_through_the_ways_keeps_speeds_accelerations_ranges_and_distances
 
 
 def test_flights_differ_and_repeat():
-    first = street_flights.scene(0, 0, 10, is_noisy=False)
-    assert first == street_flights.scene(0, 0, 10, is_noisy=False)
-    assert first.targets != street_flights.scene(1, 0, 10, is_noisy=False).targets
-    noisy = street_flights.scene(0, 0, 10, is_noisy=True)
+    first = street.scene(0, 0, 10, is_noisy=False)
+    assert first == street.scene(0, 0, 10, is_noisy=False)
+    assert first.targets != street.scene(1, 0, 10, is_noisy=False).targets
+    noisy = street.scene(0, 0, 10, is_noisy=True)
     assert noisy.targets == first.targets
     assert first.lidar.snapshot
     assert (first.lidar.range_std, noisy.lidar.range_std) == (0.0, 0.03)
@@ -147,9 +154,9 @@ def test_the_interceptor_attacks_turns_away_and_attacks_again():
 
 
 def test_the_follower_of_a_short_flight_finds_its_target():
-    part = flying_fig8.flight(kind="following", mode="best", seed=1000, number=0, scans=45)
+    part = fig8.flight(kind="following", mode="best", seed=1000, number=0, scans=45)
     sensor = part["sensor"]
-    assert (sensor[:12] == flying_fig8.START).all()
+    assert (sensor[:12] == fig8.START).all()
     assert np.linalg.norm(sensor[-1] - sensor[0]) > 2
     seen = sightings([part], "best", "tracks", target=0, config=evaluation_config())
     assert seen.is_found[-10:].all()

@@ -7,10 +7,19 @@ from lidar_core.errors import ConfigError
 from lidar_core.fusion import FusionConfig, run
 from lidar_core.fusion.reading import TargetTruth
 from lidar_core.reproduce import Request, item_named
-from lidar_core.reproduce.bounds import position_bound
-from lidar_core.reproduce.contenders import BEST, EKF, FIXED, LINEAR, OURS, corrected, ours, printed
-from lidar_core.reproduce.fusion_drone_yaw import Ride
-from lidar_core.reproduce.laser_radar import (
+from lidar_core.reproduce.fusion.bounds import position_bound
+from lidar_core.reproduce.fusion.contenders import (
+    BEST,
+    EKF,
+    FIXED,
+    LINEAR,
+    OURS,
+    corrected,
+    ours,
+    printed,
+)
+from lidar_core.reproduce.fusion.drone_yaw import Ride
+from lidar_core.reproduce.fusion.laser_radar import (
     OBJ_POSE,
     SAMPLE_1,
     Contender,

@@ -8,15 +8,10 @@ from numpy.testing import assert_allclose
 
 from lidar_core.circles import CircleNetwork, DatasetConfig, Scanner, make_samples
 from lidar_core.circles.architecture import paper_layers, window_layers
-from lidar_core.reproduce import (
-    Request,
-    circles_detectors,
-    circles_fig5,
-    circles_table1,
-    circles_table3,
-)
-from lidar_core.reproduce.chord_circles import chord_circles
-from lidar_core.reproduce.circle_errors import groups, measures
+from lidar_core.reproduce import Request
+from lidar_core.reproduce.circles import detectors, fig5, table1, table3
+from lidar_core.reproduce.circles.chord_circles import chord_circles
+from lidar_core.reproduce.circles.errors import groups, measures
 from reference import chord_circle
 
 EXACT = 1e-9  # rounding of sums over some hundred numbers
@@ -39,7 +34,7 @@ def test_layers_are_those_of_table_1():
 
 
 def test_layers_of_the_small_network_are_those_of_its_card():
-    layers = window_layers(*circles_table1.WIDTHS)
+    layers = window_layers(*table1.WIDTHS)
     assert sum(layer.parameters for layer in layers) == CircleNetwork("cnn").card["parameters"]
 
 
@@ -74,7 +69,7 @@ def test_every_circle_is_in_one_group_by_hits():
     hits = np.array([1, 2, 3, 4, 6, 9, 12, 19, 30, 40, 500])
     is_whole = np.arange(len(hits)) % 2 == 0
     found = groups(hits, is_whole)
-    assert (sum(found[name] for name in circles_detectors.BY_HITS) == 1).all()
+    assert (sum(found[name] for name in detectors.BY_HITS) == 1).all()
     assert found["40 or more hits"].tolist() == [False] * 9 + [True] * 2
     assert found["whole, 4 hits or more"].sum() == 4
     assert not (found["cut"] & is_whole).any()
@@ -102,17 +97,17 @@ def test_the_loss_of_table_3_is_that_of_the_four_points():
     ends = [(x + radius, y), (x, y + radius), (x - radius, y), (x, y - radius)]
     loss = np.mean([np.square(one).sum(axis=0) for one in ends])
     parts = [{}, {}]
-    circles_table3._add(parts[0], "cnn, test", errors[:15])
-    circles_table3._add(parts[0], "cnn, test", errors[15:20])
-    circles_table3._add(parts[1], "cnn, test", errors[20:])
-    found = circles_table3._quantities(parts, "cnn", "test")
+    table3._add(parts[0], "cnn, test", errors[:15])
+    table3._add(parts[0], "cnn, test", errors[15:20])
+    table3._add(parts[1], "cnn, test", errors[20:])
+    found = table3._quantities(parts, "cnn", "test")
     assert_allclose(found, [loss, np.square(errors).mean(), np.abs(errors).mean()], rtol=EXACT)
-    circles_table3._add(parts[0], "cnn, 1 hits", errors[:0])
-    assert circles_table3._quantities(parts[:1], "cnn", "1 hits") is None
+    table3._add(parts[0], "cnn, 1 hits", errors[:0])
+    assert table3._quantities(parts[:1], "cnn", "1 hits") is None
 
 
 def test_each_network_has_its_column():
-    rows = circles_detectors.ITEM.run(Request(seed=1063, scans=8, threads=1)).rows
+    rows = detectors.ITEM.run(Request(seed=1063, scans=8, threads=1)).rows
     assert all((row.paper_mode is None) or "paper-cnn" in row.name for row in rows)
     assert next(row for row in rows if row.name == "all, paper-cnn: MSE").paper_mode > 0
 
@@ -122,10 +117,8 @@ def test_curves_are_those_of_the_cards():
         "training": {"parts": 4},
         "metrics": [{"epoch": 1.0, "a": 3.0}, {"epoch": 2.0, "a": 2.0}],
     }
-    assert circles_fig5.curve(card, "a") == {0.25: 3.0, 0.5: 2.0}
-    rows = {
-        row.name: row for row in circles_fig5.ITEM.run(Request(seed=0, scans=1, threads=1)).rows
-    }
+    assert fig5.curve(card, "a") == {0.25: 3.0, 0.5: 2.0}
+    rows = {row.name: row for row in fig5.ITEM.run(Request(seed=0, scans=1, threads=1)).rows}
     small, paper = (
         min(row[f"validation_{name}"] for row in CircleNetwork(model).card["metrics"])
         for model, name in (("cnn", "mse"), ("paper-cnn", "loss"))
@@ -136,8 +129,7 @@ def test_curves_are_those_of_the_cards():
 
 def test_errors_of_groups_add_up_to_those_of_the_test():
     rows = {
-        row.name: row
-        for row in circles_table3.ITEM.run(Request(seed=1064, scans=2000, threads=1)).rows
+        row.name: row for row in table3.ITEM.run(Request(seed=1064, scans=2000, threads=1)).rows
     }
     by_hits = [row for name, row in rows.items() if name.endswith("hits: MSE") and "ml" not in name]
     for mode in ("paper_mode", "best_mode"):

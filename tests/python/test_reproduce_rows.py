@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from lidar_core.flying import FlyingConfig
-from lidar_core.reproduce import (
-    Request,
-    flying_consistency,
-    flying_detection_probability,
-    flying_occlusions,
-    flying_pose_noise,
+from lidar_core.reproduce import Request
+from lidar_core.reproduce.flying import (
+    consistency,
+    detection_probability,
+    occlusions,
+    pose_noise,
 )
 
 BURN_IN = FlyingConfig().seed.burn_in_scans
@@ -66,13 +66,13 @@ def occluded(table):
     ],
 )
 def test_an_id_is_kept_if_the_drone_had_it_before_and_at_the_end(table, is_kept):
-    assert flying_occlusions.is_kept(occluded(table), "best") is is_kept
+    assert occlusions.is_kept(occluded(table), "best") is is_kept
 
 
 def test_a_drone_that_never_was_hidden_kept_nothing():
     part = occluded({4: range(30)})
     part["hits"][:] = 20
-    assert not flying_occlusions.is_kept(part, "best")
+    assert not occlusions.is_kept(part, "best")
 
 
 # Pose noise
@@ -83,7 +83,7 @@ def test_a_track_that_ever_leaves_its_target_is_false():
     away = [(scan, 3, (5 + 0.1 * (scan - BURN_IN), 0, 0)) for scan in scans]  # up to 1.9 m
     near = [(scan, 4, (0, 5.2, 0)) for scan in scans]
     part = part_of(still((5, 0, 0), (0, 5, 0)), away + near)
-    false_detections, false_tracks, found, followed = flying_pose_noise._counts([part], "best")
+    false_detections, false_tracks, found, followed = pose_noise._counts([part], "best")
     assert (false_detections, false_tracks) == (4, 1)  # 1.6 to 1.9 m
     assert found == followed == pytest.approx(36 / 40)
 
@@ -91,7 +91,7 @@ def test_a_track_that_ever_leaves_its_target_is_false():
 def test_one_estimate_finds_one_target_only():
     scans = range(BURN_IN, SCANS)
     between = [(scan, 3, (5, 0.4, 0)) for scan in scans]
-    counts = flying_pose_noise._counts([part_of(still((5, 0, 0), (5, 1, 0)), between)], "best")
+    counts = pose_noise._counts([part_of(still((5, 0, 0), (5, 1, 0)), between)], "best")
     assert counts == (0, 0, 0.5, 0.5)
 
 
@@ -100,11 +100,11 @@ def test_one_estimate_finds_one_target_only():
 
 def test_the_standard_error_is_that_of_the_means_of_the_scans():
     rng = np.random.default_rng(1000)
-    scans, targets = 400, flying_detection_probability.TARGETS
+    scans, targets = 400, detection_probability.TARGETS
     met = rng.random((scans, targets)) < 0.3
-    error = flying_detection_probability.standard_error({"met": met.reshape(-1)})
+    error = detection_probability.standard_error({"met": met.reshape(-1)})
     assert error == pytest.approx(np.sqrt(0.3 * 0.7 / (scans * targets)), rel=0.15)
-    assert flying_detection_probability.standard_error({"met": met[0]}) is None
+    assert detection_probability.standard_error({"met": met[0]}) is None
 
 
 # Consistency
@@ -113,18 +113,17 @@ def test_the_standard_error_is_that_of_the_means_of_the_scans():
 def test_steps_count_only_while_nearly_all_runs_have_a_track():
     values = np.full((20, 4), 9.0)
     values[0, 1] = values[:3, 2] = values[:, 3] = np.nan
-    assert flying_consistency.counts(values).tolist() == [True, True, False, False]
+    assert consistency.counts(values).tolist() == [True, True, False, False]
 
 
 def test_modes_that_lose_their_tracks_have_no_share_of_steps():
     rows = {
-        row.name: row
-        for row in flying_consistency.ITEM.run(Request(seed=1000, scans=12, threads=1)).rows
+        row.name: row for row in consistency.ITEM.run(Request(seed=1000, scans=12, threads=1)).rows
     }
     inside = rows["own model: steps inside the 95 % band"]
     steps = rows["own model: steps that count"]
     assert inside.paper_mode is None
     assert steps.paper_mode < 20
     assert inside.best_mode > 0.8
-    assert steps.best_mode == flying_consistency.STEPS
+    assert steps.best_mode == consistency.STEPS
     assert rows["own model: tracks lost"].paper_mode == 1.0

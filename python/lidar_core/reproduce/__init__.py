@@ -2,7 +2,8 @@
 
 Where printed equations contradict each other, a column `equations_corrected` has them put right.
 
-One file per item. An item is a module with an `ITEM`, named in `registry.MODULES`.
+One folder per paper: `flying`, `circles`, `fusion`; in it one file per item. An item is a module
+with an `ITEM`, named in `registry.MODULES`.
 """
 
 from lidar_core.reproduce.registry import item_named, items

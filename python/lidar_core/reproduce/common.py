@@ -1,14 +1,14 @@
 """What the items share: modes, what counts, how it is drawn, and the seeds of flights."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
-
-from lidar_core.reproduce.flights import Kind
 
 if TYPE_CHECKING:
     from lidar_core.evaluation import EvaluationConfig
 
+Kind: TypeAlias = Literal["detections", "tracks"]
+"""What the detector of flying objects gives."""
 MODES = ("paper", "best")
 KINDS: tuple[Kind, Kind] = ("detections", "tracks")
 BLUE, RED, GREY, PALE = "#0369a1", "#be185d", "#9aa5b1", "#d5dae1"

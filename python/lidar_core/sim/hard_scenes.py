@@ -73,10 +73,14 @@ def dark_street(
     sensor: str = "hdl-32e",
     speed: float = 8.0,
     drone: bool = False,
+    fronts: tuple[Surface, ...] = (surfaces.DARK, surfaces.GLASS, surfaces.GLOSSY),
+    road: Surface = surfaces.WET,
 ) -> Scene:
-    """Make the street of `moving_car` after rain: wet road, dark, glossy and glass fronts."""
-    fronts = (surfaces.DARK, surfaces.GLASS, surfaces.GLOSSY)
-    return _street(seed, scans, sensor, speed, drone=drone, fronts=fronts, road=surfaces.WET)
+    """Make the street of `moving_car` after rain: wet road, dark, glossy and glass fronts.
+
+    Houses take the surfaces `fronts` in turn.
+    """
+    return _street(seed, scans, sensor, speed, drone=drone, fronts=fronts, road=road)
 
 
 def windy_trees(

@@ -1,0 +1,1 @@
+"""Items of the paper on round obstacles in 2D scans."""

@@ -1,0 +1,103 @@
+"""`flying-fig7`: errors and recall over distance, speed and acceleration, simulated."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.reproduce.common import COLOURS, KINDS, MODES, Kind, evaluation_config
+from lidar_core.reproduce.flying.simulated.flights import both_modes
+from lidar_core.reproduce.flying.simulated.sightings import Sightings
+from lidar_core.reproduce.flying.simulated.street import jobs, sample
+from lidar_core.reproduce.jobs import Part, run
+from lidar_core.reproduce.types import Item, Request, Result, Row
+
+SHAPES = ("sphere", "mesh")
+"""Drones of the paper's size."""
+AXES = (
+    ("distance", "m", (2.5, 5.0, 7.5, 10.0, 12.5, 15.0, 17.5, 20.0)),
+    ("speed", "m/s", (0.0, 0.5, 1.5, 2.5, 3.5, 4.5, 6.0, 8.0, 10.5)),
+    ("acceleration", "m/s2", (0.0, 0.5, 1.5, 3.0, 5.0, 9.0)),
+)
+"""What the sightings are grouped by: column of `Sightings`, unit, edges."""
+
+
+def _run(request: Request) -> Result:
+    todo = list(jobs(request, request.scans, is_noisy=False))
+    parts = run(todo, request)
+    seen = {(mode, kind): _joined(parts, mode, kind) for mode in MODES for kind in KINDS}
+    return Result(
+        rows=tuple(_rows(seen)),
+        draw=lambda figure: _draw(figure, seen),
+        scans=sum(job.scans for job in todo),
+        note="The ideal flights of flying-table3, sphere and mesh together; a point stands for the"
+        " group around it. The paper shows curves without numbers.",
+        config={**both_modes(), "evaluation": evaluation_config()},
+    )
+
+
+def _joined(parts: Sequence[Part], mode: str, kind: Kind) -> Sightings:
+    both = [sample(parts, mode, kind, shape) for shape in SHAPES]
+    names = Sightings.__slots__
+    return Sightings(*(np.concatenate([getattr(one, name) for one in both]) for name in names))
+
+
+def _rows(seen: dict[tuple[str, Kind], Sightings]) -> list[Row]:
+    rows = []
+    for axis, unit, edges in AXES:
+        for kind in KINDS:
+            curves = [_curves(seen[mode, kind], axis, edges) for mode in MODES]
+            for place, (name, of) in enumerate((("error", "m"), ("recall", "1"))):
+                for number, middle in enumerate(_middles(edges)):
+                    paper, best = (_value(curve[place][number]) for curve in curves)
+                    rows.append(Row(f"{name} of {kind}@{middle:g}{unit}", of, None, paper, best))
+    return rows
+
+
+def _curves(
+    seen: Sightings, axis: str, edges: Sequence[float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean error of what was found, and recall, per group; NaN in empty groups."""
+    from lidar_core.evaluation import binned
+
+    keys, found = getattr(seen, axis), seen.is_found
+    error = binned(keys[found], seen.error[found], edges=edges)
+    return error.mean, binned(keys, found.astype(float), edges=edges).mean
+
+
+def _middles(edges: Sequence[float]) -> list[float]:
+    return [(near + far) / 2 for near, far in pairwise(edges)]
+
+
+def _value(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _draw(figure: Any, seen: dict[tuple[str, Kind], Sightings]) -> None:
+    """Errors above, recall below, one column per quantity."""
+    panels = figure.subplots(2, len(AXES), sharey="row", sharex="col")
+    figure.suptitle("Simulated flights, ideal", x=0.06, ha="left", fontweight="bold")
+    for column, (axis, unit, edges) in enumerate(AXES):
+        for (mode, kind), one in seen.items():
+            style = {"color": COLOURS[mode], "ls": "-" if kind == "detections" else "--"}
+            for row, curve in enumerate(_curves(one, axis, edges)):
+                panels[row, column].plot(
+                    _middles(edges), curve, marker=".", label=f"{mode} mode, {kind}", **style
+                )
+        panels[1, column].set_xlabel(f"{axis} [{unit}]")
+    for panel in panels.flat:
+        panel.grid(visible=True)
+    panels[0, 0].set(ylabel="mean position error [m]", ylim=(0, None))
+    panels[1, 0].set(ylabel="recall", ylim=(0, 1.05))
+    panels[0, 0].legend(fontsize=8)
+
+
+ITEM = Item(
+    name="flying-fig7",
+    title="simulated flights: error and recall over distance, speed, acceleration (Fig. 7)",
+    scans=3000,
+    minutes=12,
+    run=_run,
+)

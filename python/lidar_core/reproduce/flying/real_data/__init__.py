@@ -1,0 +1,1 @@
+"""Recorded sequences, targets inserted into them, and what a detector reports."""

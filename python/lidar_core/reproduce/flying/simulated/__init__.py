@@ -1,0 +1,1 @@
+"""Simulated flights through detectors, and what is kept of them."""

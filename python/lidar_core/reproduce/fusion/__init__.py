@@ -1,0 +1,1 @@
+"""Items of the paper on LiDAR and radar fusion."""

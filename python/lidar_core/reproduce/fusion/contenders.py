@@ -1,0 +1,73 @@
+"""Filters that the items of the third paper compare, as others publish them and as they do best."""
+
+from lidar_core.fusion import FusionConfig
+from lidar_core.reproduce.fusion.laser_radar import Contender, Noise
+
+FIXED = Noise(0.15, (0.3, 0.03, 0.3))
+"""What courses and the paper take for the noise, whatever is added."""
+SAMPLE_1_NOISE = Noise(0.01, (0.1, 0.001, 0.1))
+"""Of the sensors of the first recording."""
+JUMPS = 0.6
+"""Deviation of its range rates from a smooth motion [m/s]: the true speed jumps."""
+OURS = Noise(0.01, (0.1, 0.001, JUMPS))
+LINEAR = "linear KF"
+LINEAR_LIDAR = "linear KF, LiDAR alone"
+EKF = "EKF-CTRV"
+BEST = "IMM of CV and CTRV"
+
+
+def printed() -> dict[str, Contender]:
+    """What the paper runs: linear filters, and its own with the equations as printed."""
+    return {
+        LINEAR_LIDAR: Contender("fixed-lidar", _of_courses("cv", "kf"), FIXED),
+        LINEAR: Contender("fixed", _of_courses("cv", "kf"), FIXED),
+        EKF: Contender("fixed", FusionConfig.paper(), FIXED),
+    }
+
+
+def corrected() -> dict[str, Contender]:
+    """The paper's filter with correct equations, and others in its place; noise as in `printed`."""
+    ways = {
+        "EKF-CV": ("cv", "ekf"),
+        EKF: ("ctrv", "ekf"),
+        "UKF-CTRV": ("ctrv", "ukf"),
+        "CKF-CTRV": ("ctrv", "ckf"),
+    }
+    return {name: Contender("fixed", _of_courses(*way), FIXED) for name, way in ways.items()}
+
+
+def _of_courses(model: str, method: str) -> FusionConfig:
+    """Process noise constant over a step, no gate, no way back for a lost filter."""
+    return FusionConfig.load(
+        {
+            "model": model,
+            "method": method,
+            "process": "discrete",
+            "acceleration_noise": 5.0,
+            "turn_noise": 3.0,
+            "gate_probability": None,
+            "loss_ratio": None,
+        }
+    )
+
+
+def ours() -> dict[str, Contender]:
+    """Noise known, densities of the process noise, gate and way back.
+
+    The densities were found with seeds from 1000 on.
+    """
+    linear = FusionConfig(model="cv", method="kf", acceleration_noise=1.0)
+    smooth = {"acceleration_noise": 0.08, "turn_noise": 0.9}
+
+    def filter_of(method: str) -> FusionConfig:
+        return FusionConfig.load({"model": "ctrv", "method": method, **smooth})
+
+    return {
+        LINEAR_LIDAR: Contender("lidar", linear, SAMPLE_1_NOISE),
+        LINEAR: Contender("polar", linear, SAMPLE_1_NOISE),
+        "EKF-CV": Contender("position", FusionConfig(model="cv", acceleration_noise=1.0), OURS),
+        EKF: Contender("position", filter_of("ekf"), OURS),
+        "UKF-CTRV": Contender("position", filter_of("ukf"), OURS),
+        "CKF-CTRV": Contender("position", filter_of("ckf"), OURS),
+        BEST: Contender("position", filter_of("imm"), OURS),
+    }

@@ -1,0 +1,223 @@
+"""`fusion-drone-yaw`: what becomes of a track while the sensor itself turns."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.fusion import FusionConfig, Measurement, fit_noise, run_batch
+from lidar_core.fusion.reading import TargetTruth
+from lidar_core.reproduce.common import BLUE, GREY, RED
+from lidar_core.reproduce.fusion.contenders import FIXED
+from lidar_core.reproduce.fusion.laser_radar import (
+    OBJ_POSE,
+    course,
+    in_turn,
+    measured,
+    measurements,
+)
+from lidar_core.reproduce.fusion.rmse import SETTLED
+from lidar_core.reproduce.types import Item, Request, Result, Row
+
+MOTIONS = ((0.0, 0.0), (0.3, 0.0), (1.0, 0.0), (1.0, 3.0))
+"""Greatest turn rate [rad/s], to and fro, and speed ahead [m/s] of the platform."""
+SWING = 4.0
+"""Time until it turns the other way [s]."""
+GYRO_STD = 0.01
+"""Of the turn rate that the gyro says [rad/s]."""
+PRINTED, IGNORED, BEST = "equations as printed", "motion ignored", "gyro told"
+STYLES = {
+    PRINTED: (RED, ":"),
+    IGNORED: (RED, "-"),
+    "gyro measured": (GREY, "-"),
+    "no gyro": (GREY, "--"),
+    BEST: (BLUE, "-"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Ride:
+    """How the sensor moves, a row per row of the recording.
+
+    Attributes
+    ----------
+    rate, speed : ndarray, shape (K,)
+        Turn rate [rad/s] and speed ahead [m/s] from each row to the next.
+    yaw : ndarray, shape (K,)
+        Heading at each row [rad].
+    position : ndarray, shape (K, 2)
+        Place at each row [m].
+    """
+
+    rate: NDArray[np.float64]
+    speed: NDArray[np.float64]
+    yaw: NDArray[np.float64]
+    position: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, seconds: NDArray[np.float64], rate: float, speed: float) -> "Ride":
+        """Turn to and fro like a pendulum, on a way of arcs."""
+        swings = np.pi / SWING
+        yaw = rate / swings * np.sin(swings * seconds)
+        steps = np.diff(seconds, append=2 * seconds[-1] - seconds[-2])
+        turns = np.diff(yaw, append=rate / swings * np.sin(swings * (seconds[-1] + steps[-1])))
+        rates = turns / steps
+        # the chord of an arc: sin(u)/u of its length, ahead at its middle
+        chord = speed * steps * np.sinc(turns / 2 / np.pi)
+        legs = chord[:, None] * np.stack([np.cos(yaw + turns / 2), np.sin(yaw + turns / 2)], axis=1)
+        return cls(rates, np.full(len(yaw), speed), yaw, np.cumsum(legs, axis=0) - legs)
+
+    def seen(self, truth: TargetTruth) -> TargetTruth:
+        """Position in the sensor's frame, and velocity relative to it in the same axes."""
+        ahead = np.stack([np.cos(self.yaw), np.sin(self.yaw)], axis=1)
+        own = self.speed[:, None] * ahead
+        place = turned_back(truth.position - self.position, ahead)
+        return TargetTruth(
+            truth.stamps_ns, place, turned_back(truth.velocity - own, ahead), None, None
+        )
+
+
+def turned_back(vectors: NDArray[np.float64], ahead: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors (..., 2) in axes whose first points along `ahead`, unit vectors."""
+    x, y, c, s = vectors[..., 0], vectors[..., 1], ahead[..., 0], ahead[..., 1]
+    return np.stack([c * x + s * y, c * y - s * x], axis=-1)
+
+
+def configs() -> dict[str, FusionConfig]:
+    """Filters, by what they know of the sensor's motion.
+
+    Their process noise is the most likely one of the recording as it is.
+    """
+    of = course(OBJ_POSE)
+    fitted = fit_noise(measurements(of, of.values, "fixed", FIXED, 0.0), sensors=False)
+    open_gates = {"gate_probability": None, "loss_ratio": None}
+
+    def drone(gyro: str) -> FusionConfig:
+        changes = {"model": "ctrv-drone", "gyro": gyro, "gyro_std": GYRO_STD}
+        return FusionConfig.load(fitted.model_dump() | changes)
+
+    return {
+        PRINTED: FusionConfig.paper(),
+        IGNORED: FusionConfig.load(fitted.model_dump() | open_gates),
+        "no gyro": drone("none"),
+        "gyro measured": drone("measurement"),
+        BEST: drone("input"),
+    }
+
+
+def _run(request: Request) -> Result:
+    filters = configs()
+    found = {motion: _errors(motion, filters, request) for motion in MOTIONS}
+    request.advance(request.scans)
+    return Result(
+        rows=tuple(_rows(found)),
+        draw=lambda figure: _draw(figure, found),
+        scans=request.scans,
+        note=f"Measurements drawn anew along the true way of obj_pose, seen by a sensor that turns"
+        f" to and fro every {SWING:g} s; errors in its own frame, without the first {SETTLED}"
+        f" rows. The gyro's error is {GYRO_STD:g} rad/s. The paper has no number for this.",
+        config=filters,
+    )
+
+
+def _errors(
+    motion: tuple[float, float], filters: Mapping[str, FusionConfig], request: Request
+) -> dict[str, NDArray[np.float64]]:
+    """Root mean square errors of x and y over all draws, by filter."""
+    truth = course(OBJ_POSE).truth
+    ride = Ride.of((truth.stamps_ns - truth.stamps_ns[0]) * 1e-9, *motion)
+    seen = ride.seen(truth)
+    targets = []
+    for number in range(request.scans):
+        rng = np.random.default_rng([20230702, request.seed, number, round(10 * sum(motion))])
+        targets.append(_told(measured(seen, FIXED, rng), seen, ride, rng))
+    found = {}
+    for name, config in filters.items():
+        skip = 2 if name in (PRINTED, IGNORED) else 1
+        own = [target[skip - 1 :: skip] for target in targets]
+        runs = run_batch(own, config, threads=request.threads)
+        states = np.array([one.states[2 - skip :: 3 - skip, :2] for one in runs])
+        wrong = (states - seen.position)[:, SETTLED:]
+        found[name] = np.sqrt(np.square(wrong).mean(axis=(0, 1)))
+    return found
+
+
+def _told(
+    values: NDArray[np.float64], seen: TargetTruth, ride: Ride, rng: np.random.Generator
+) -> list[Measurement]:
+    """Every measurement, and before it what the gyro says of the step that follows."""
+    told: list[Measurement] = []
+    stamps, is_lidar = seen.stamps_ns.tolist(), in_turn(len(values))
+    for row, stamp_ns in enumerate(stamps):
+        rate = ride.rate[row] + GYRO_STD * rng.normal()
+        told.append(Measurement(stamp_ns, "gyro", [rate, ride.speed[row], 0.0]))
+        if is_lidar[row]:
+            told.append(Measurement(stamp_ns, "lidar", values[row, :2]))
+        else:
+            told.append(Measurement(stamp_ns, "radar", values[row]))
+    return told
+
+
+Found = Mapping[tuple[float, float], Mapping[str, NDArray[np.float64]]]
+
+
+def _name(motion: Sequence[float]) -> str:
+    rate, speed = motion
+    return f"{rate:g}rad/s" + (f", {speed:g} m/s ahead" if speed else "")
+
+
+def _rows(found: Found) -> list[Row]:
+    """Errors per axis, then the ratio to a sensor at rest."""
+    rows = []
+    for motion, errors in found.items():
+        for axis, name in enumerate("xy"):
+            values = {who: float(error[axis]) for who, error in errors.items()}
+            at = f"RMSE of {name}@{_name(motion)}"
+            rows.append(Row(at, "m", None, values[PRINTED], values[BEST]))
+            rows.append(Row(f"{at}, {IGNORED}", "m", equations_corrected=values[IGNORED]))
+            rows += [
+                Row(f"{at}, {who}", "m", None, None, values[who])
+                for who in ("gyro measured", "no gyro")
+            ]
+    rest = {who: np.hypot(*error) for who, error in found[MOTIONS[0]].items()}
+    for motion in MOTIONS[1:]:
+        ratio = {who: float(np.hypot(*error) / rest[who]) for who, error in found[motion].items()}
+        rows.append(
+            Row(
+                f"2-D RMSE over that at rest@{_name(motion)}",
+                "1",
+                None,
+                ratio[PRINTED],
+                ratio[BEST],
+            )
+        )
+    return rows
+
+
+def _draw(figure: Any, found: Found) -> None:
+    """Errors in the plane over the motion of the sensor."""
+    panel = figure.subplots()
+    figure.suptitle("A sensor that turns", x=0.06, ha="left", fontweight="bold")
+    spots = list(range(len(found)))
+    for who, (colour, line) in STYLES.items():
+        values = [float(np.hypot(*errors[who])) for errors in found.values()]
+        panel.plot(spots, values, line, color=colour, marker="o", label=who)
+    panel.set_xticks(spots, [_name(motion) for motion in found])
+    panel.set(
+        xlabel="turn rate of the sensor, to and fro", ylabel="RMSE in the plane [m]", yscale="log"
+    )
+    panel.grid(visible=True, axis="y")
+    panel.legend()
+
+
+ITEM = Item(
+    name="fusion-drone-yaw",
+    title="LiDAR and radar on a sensor that turns: ignored, as published, correct",
+    scans=40,
+    minutes=0.5,
+    run=_run,
+    counts="draws",
+    data=(OBJ_POSE,),
+)
