@@ -7,8 +7,8 @@ import numpy as np
 from lidar_core.circles import CircleFrame, CirclePipeline, CirclesConfig, Scanner
 from lidar_core.errors import ConfigError, FormatError
 from lidar_core.flying import FlyingFrame, FlyingObjectDetector
-from lidar_core.io.posed import PosedScan
-from lidar_core.io.write_mcap import FoxgloveLog
+from lidar_core.io.poses.posed import PosedScan
+from lidar_core.io.write.mcap import FoxgloveLog
 from lidar_core.messages import LaserScan, Pose, Scan
 from lidar_core.sensors import SENSORS
 

@@ -19,8 +19,8 @@ from lidar_core.errors import ConfigError, FormatError, InputError, LimitError
 from lidar_core.evaluation import read_prediction
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 from lidar_core.io import open_recording, read_cloud, read_columns, write_recording
-from lidar_core.io.guard import reading
-from lidar_core.io.pose_files import read_poses
+from lidar_core.io.files.guard import reading
+from lidar_core.io.poses.pose_files import read_poses
 from lidar_core.messages import LaserScan, Scan
 
 BASE_NS = 1_700_000_000_000_000_000

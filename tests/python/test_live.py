@@ -34,12 +34,12 @@ from lidar_core.errors import ConfigError, FormatError, InputError, LinkError
 from lidar_core.flying import FlyingObjectDetector
 from lidar_core.io import NoTransformError, PoseOptions, ReadOptions, Topic
 from lidar_core.io.columns import read_columns
-from lidar_core.io.posed import span_ns
-from lidar_core.io.recording import Record, decoded
-from lidar_core.io.ros_obstacles import ObstacleArrays
-from lidar_core.io.ros_types import DETECTIONS_TYPE, ros_store
-from lidar_core.io.write_mcap import FoxgloveLog
-from lidar_core.io.write_ros import RosMessages
+from lidar_core.io.messages.ros_types import DETECTIONS_TYPE, ros_store
+from lidar_core.io.poses.posed import span_ns
+from lidar_core.io.records import Record, decoded
+from lidar_core.io.write.mcap import FoxgloveLog
+from lidar_core.io.write.ros import RosMessages
+from lidar_core.io.write.ros_obstacles import ObstacleArrays
 from lidar_core.live import Inbox, LiveConfig, LiveLoop, Output, Source
 from lidar_core.live.foxglove_source import FoxgloveSource
 from lidar_core.live.loop import Report

@@ -17,8 +17,9 @@ from lidar_core.circles.scan_config import PreprocessConfig, SegmentConfig
 from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments, Side, segment
 from lidar_core.circles.shape_config import ShapeConfig
-from lidar_core.circles.shapes import ShapeKind, Shapes, fit_shapes
+from lidar_core.circles.shapes import Shapes, fit_shapes
 from lidar_core.circles.trust import trust_model
+from lidar_core.shape_kind import ShapeKind
 
 __all__ = [
     "CircleDetector",

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from lidar_core.circles.detector_name import MODELS
 from lidar_core.errors import ConfigError, LimitError
-from lidar_core.io.atomic import written_whole
+from lidar_core.io.files.atomic import written_whole
 
 MOST_BYTES = 256 * 2**20
 """Size of a model, and of the list."""

@@ -23,7 +23,7 @@ from lidar_core.cli.common import all_threads
 from lidar_core.cli.simulate import OVERFLIGHT
 from lidar_core.config import Config
 from lidar_core.errors import ConfigError, LidarCoreError
-from lidar_core.io.atomic import is_temporary, remove_stale, written_whole
+from lidar_core.io.files.atomic import is_temporary, remove_stale, written_whole
 from lidar_core.run_folder import build_digest, note_of
 
 LOG, RESULTS = "log.txt", "results.parquet"

@@ -25,7 +25,7 @@ from lidar_core.io import (
     write_circles_tum,
     write_shapes_table,
 )
-from lidar_core.io.covariance import covariance_columns
+from lidar_core.io.write.covariance import covariance_columns
 from lidar_core.messages import LaserScan
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.scan_processing import log_circles, map_circles

@@ -50,7 +50,7 @@ OverwriteFile: TypeAlias = Annotated[
 
 def _writable(file: Path | None) -> Path | None:
     """Refuse, before any work, a file that could not be written; its folder may be made later."""
-    from lidar_core.io.atomic import check_place
+    from lidar_core.io.files.atomic import check_place
 
     if file is not None and str(file) != "-" and file.parent.exists():
         check_place(file)
@@ -204,7 +204,7 @@ def write_json(result: Mapping[str, Any] | list[Any], json_file: Path | None) ->
     if str(json_file) == "-":
         print(text)
         return
-    from lidar_core.io.atomic import written_whole
+    from lidar_core.io.files.atomic import written_whole
 
     json_file.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(json_file) as temporary:

@@ -97,7 +97,7 @@ def init(
 ) -> None:
     """Write a file with every parameter, its meaning, unit and range."""
     from lidar_core.errors import ConfigError
-    from lidar_core.io.atomic import written_whole
+    from lidar_core.io.files.atomic import written_whole
     from lidar_core.parameters import commented_toml
 
     text = commented_toml(_chosen(model, mode, use, preset)[1])

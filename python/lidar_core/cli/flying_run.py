@@ -12,7 +12,7 @@ from lidar_core.cli.scan_times import ScanTimes
 from lidar_core.evaluation import Latency
 from lidar_core.flying import FlyingFrame, FlyingObjectDetector, Tracks
 from lidar_core.io import PosedScan, write_tracks_table, write_tum
-from lidar_core.io.covariance import covariance_columns
+from lidar_core.io.write.covariance import covariance_columns
 from lidar_core.messages import Scan
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.scan_processing import detect

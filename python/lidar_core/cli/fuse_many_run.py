@@ -35,8 +35,8 @@ from lidar_core.fusion import (
 )
 from lidar_core.fusion.plausibility import geographic_poses
 from lidar_core.fusion.states import state_names
-from lidar_core.io.covariance import covariance_columns
-from lidar_core.io.tracks import write_trajectories
+from lidar_core.io.write.covariance import covariance_columns
+from lidar_core.io.write.tracks import write_trajectories
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.viz import FusionView, PlanarLine, draw_fusion
 

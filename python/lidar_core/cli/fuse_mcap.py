@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lidar_core.cli.recording_job import MCAP
 from lidar_core.fusion import Measurement
 from lidar_core.io import McapWriter
-from lidar_core.io.posed import WORLD_FRAME
+from lidar_core.io.poses.posed import WORLD_FRAME
 from lidar_core.messages import Pose, Scan
 from lidar_core.run_folder import RunFolder
 

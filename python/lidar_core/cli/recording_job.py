@@ -17,7 +17,7 @@ from lidar_core.cli.scan_source import ScanSource
 from lidar_core.config import Config
 from lidar_core.errors import FormatError, LidarCoreError
 from lidar_core.io import PosedScan, PoseOptions, ReadOptions
-from lidar_core.io.posed import ScanT
+from lidar_core.io.poses.posed import ScanT
 from lidar_core.run_folder import RunFolder, fingerprint
 
 MCAP = "run.mcap"

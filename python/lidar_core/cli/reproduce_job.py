@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from lidar_core.cli.common import progress_on
 from lidar_core.errors import MissingExtraError
-from lidar_core.io.atomic import written_whole
+from lidar_core.io.files.atomic import written_whole
 from lidar_core.reproduce import Item, Request, Result
 from lidar_core.run_folder import command_line, note_of
 

@@ -11,7 +11,7 @@ from typing import Generic, Self
 
 from lidar_core.errors import ConfigError
 from lidar_core.io import PosedScan, PosedScans, PoseOptions, ReadOptions, open_recording
-from lidar_core.io.posed import ScanT
+from lidar_core.io.poses.posed import ScanT
 from lidar_core.io.recording import Recording
 from lidar_core.messages import Scan
 

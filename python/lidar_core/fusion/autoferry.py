@@ -14,7 +14,7 @@ from lidar_core.errors import FormatError
 from lidar_core.files import check_regular
 from lidar_core.fusion.many_config import AutoferryOptions
 from lidar_core.fusion.measurement import Measurement
-from lidar_core.io.guard import check_size, reading
+from lidar_core.io.files.guard import check_size, reading
 
 MAX_FILE_BYTES = 256 * 2**20
 DETECTIONS, TRUTH = "_detections.json", "_groundTruth.json"

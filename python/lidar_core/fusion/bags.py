@@ -12,10 +12,8 @@ from lidar_core.config import Config, as_config
 from lidar_core.errors import ConfigError, FormatError
 from lidar_core.fusion.autoferry import DetectionScan
 from lidar_core.fusion.measurement import Measurement, SensorName
-from lidar_core.io.guard import reading
-from lidar_core.io.opening import open_recording
-from lidar_core.io.recording import Topic
-from lidar_core.io.ros_messages import (
+from lidar_core.io.files.guard import reading
+from lidar_core.io.messages.ros import (
     IMU_TYPE,
     POINT_TYPE,
     POSE_TYPES,
@@ -23,7 +21,9 @@ from lidar_core.io.ros_messages import (
     ros_name,
     stamp_of,
 )
-from lidar_core.io.ros_types import RADAR_SCAN_TYPE, RADAR_TRACKS_TYPE
+from lidar_core.io.messages.ros_types import RADAR_SCAN_TYPE, RADAR_TRACKS_TYPE
+from lidar_core.io.opening import open_recording
+from lidar_core.io.records import Topic
 
 KINDS = frozenset({"measurement", "pose"})
 TYPES: dict[SensorName, tuple[str, ...]] = {

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lidar_core.errors import FormatError
 from lidar_core.files import check_regular
 from lidar_core.fusion.measurement import Measurement
-from lidar_core.io.guard import check_size, reading
+from lidar_core.io.files.guard import check_size, reading
 
 MAX_FILE_BYTES = 256 * 2**20
 SENSORS = {"L": ("lidar", 2), "R": ("radar", 3)}

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lidar_core._core import SimTrajectory
 from lidar_core.errors import InputError
-from lidar_core.io.posed import PosedScan
+from lidar_core.io.poses.posed import PosedScan
 from lidar_core.messages import Scan
 from lidar_core.sim.inserted import Poses, SolidTarget, insert_solid, labels_of, truth_of_one
 from lidar_core.sim.motions import Scripted

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
-from lidar_core.io.circle_scene import ellipse
+from lidar_core.io.write.circle_scene import ellipse
 from lidar_core.viz.figure import INK, PALE, write_figure
 from lidar_core.viz.film import write_film
 from lidar_core.viz.playback import Moment, Playback

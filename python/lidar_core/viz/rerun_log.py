@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.extras import require
-from lidar_core.io.atomic import check_place, written_whole
+from lidar_core.io.files.atomic import check_place, written_whole
 from lidar_core.viz.playback import Moment, Objects, Playback
 from lidar_core.viz.rerun_process import PURPOSE, free_port, rerun_process
 
