@@ -5,6 +5,7 @@ from functools import cache, partial
 from typing import get_args
 
 import numpy as np
+from lidar_core.circles.estimators.fit_config import FitMethod
 
 from golden.digest import Record
 from lidar_core.circles import (
@@ -24,7 +25,6 @@ from lidar_core.circles import (
     project_horizontal,
     segment,
 )
-from lidar_core.circles.fit_config import FitMethod
 from lidar_core.sim import circle_scenes, sweeps
 
 SEED = 18
