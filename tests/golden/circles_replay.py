@@ -5,7 +5,6 @@ from functools import cache, partial
 from typing import get_args
 
 import numpy as np
-from lidar_core.circles.estimators.fit_config import FitMethod
 
 from golden.digest import Record
 from lidar_core.circles import (
@@ -25,6 +24,7 @@ from lidar_core.circles import (
     project_horizontal,
     segment,
 )
+from lidar_core.circles.estimators.fit_config import FitMethod
 from lidar_core.sim import circle_scenes, sweeps
 
 SEED = 18
