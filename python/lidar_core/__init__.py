@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from lidar_core import io as io
     from lidar_core import live as live
     from lidar_core import reproduce as reproduce
+    from lidar_core import runs as runs
     from lidar_core import sim as sim
     from lidar_core import viz as viz
     from lidar_core.flying.config import VoxelMapConfig as VoxelMapConfig
@@ -48,6 +49,7 @@ _LAZY = (
     "io",
     "live",
     "reproduce",
+    "runs",
     "sim",
     "viz",
 )
@@ -77,6 +79,7 @@ __all__ = [
     "io",
     "live",
     "reproduce",
+    "runs",
     "sim",
     "traverse",
     "viz",

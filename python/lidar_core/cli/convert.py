@@ -61,10 +61,10 @@ def command(
 
     Of a recording scans and poses, of a run its objects.
     """
-    from lidar_core.cli.convert_run import convert_run, is_run
     from lidar_core.errors import InputError
     from lidar_core.io import ReadOptions, Span
     from lidar_core.io.maps.cloud_files import WRITABLE
+    from lidar_core.runs.convert import convert_run, is_run
 
     if output.exists() and output.resolve() == recording.resolve():
         raise InputError(f"{output}: expected another file than the one to read")

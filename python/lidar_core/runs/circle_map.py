@@ -1,26 +1,31 @@
-"""A run of the circle pipeline: what it gave, scan by scan, and the files about it."""
+"""The circle map of a recording of 2D scans: the run, its tables, trajectories and pictures."""
 
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
 from time import perf_counter
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 
 from lidar_core.circles import (
     CircleElements,
     CircleFrame,
     CirclePipeline,
+    CirclesConfig,
     ShapeElements,
 )
-from lidar_core.cli.common import draw
-from lidar_core.cli.recording_job import MCAP
-from lidar_core.cli.scan_times import ScanTimes
 from lidar_core.io import (
     McapWriter,
     PosedScan,
+    PoseOptions,
+    ReadOptions,
+    open_recording,
+    posed_laser_scans,
     write_circles_table,
     write_circles_tum,
     write_shapes_table,
@@ -28,12 +33,129 @@ from lidar_core.io import (
 from lidar_core.io.write.covariance import covariance_columns
 from lidar_core.messages import LaserScan
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
-from lidar_core.scan_processing import log_circles, map_circles
+from lidar_core.runs.recording import RecordingJob, folder_to_write, no_progress
+from lidar_core.runs.result import MCAP, OnProgress, Picture, RunResult
+from lidar_core.runs.scan_times import ScanTimes
+from lidar_core.runs.settings import ConfigChoice, config_of_run
+from lidar_core.scan_processing import (
+    check_no_rays,
+    layout_name,
+    log_circles,
+    map_circles,
+    scanner_of,
+    sensor_name,
+)
 from lidar_core.viz import CirclesView, animate_circles, draw_circles
 from lidar_core.viz.film import film_ending
 
 MOST_POINTS = 4_000_000  # kept for the pictures; beyond, points of every other scan are dropped
 FILM_FRAMES, FILM_RATE = 120, 10.0
+SHARE = 0.05  # of a LiDAR's scans that have a length which is no defect
+
+
+def circles(
+    recording: str | PathLike[str],
+    config: CirclesConfig | ConfigChoice | None,
+    output: str | PathLike[str],
+    *,
+    pose: PoseOptions | None = None,
+    read: ReadOptions | None = None,
+    scans: Sequence[str] = (),
+    allow_untrusted: bool = False,
+    mcap: bool | None = None,
+    picture: bool = True,
+    film: bool = False,
+    overwrite: bool = False,
+    on_progress: OnProgress = no_progress,
+) -> RunResult:
+    """Map the round obstacles in a recording of 2D scans, as `lidar-core circles` does.
+
+    The scanners are those of the recording, within the range limits of `config.scanner`; scans of
+    one length that less than one in twenty have are rejected.
+
+    Parameters
+    ----------
+    recording, config, output, pose, read, mcap, picture, overwrite, on_progress
+        As in `detect`; `config` is a `CirclesConfig`.
+    scans : sequence of str
+        Topics of the 2D LiDARs; empty for the only one.
+    allow_untrusted : bool
+        Run an ONNX file that was not exported by this user: a model is a program.
+    film : bool
+        Whether to draw film.mp4, or film.gif without ffmpeg, beside the picture.
+
+    Returns
+    -------
+    RunResult
+        As in `detect`.
+
+    Raises
+    ------
+    ConfigError, FormatError, FileExistsError, MissingExtraError
+        As in `detect`; also if a model is not trusted, or rays are configured that the recording
+        states.
+    """
+    source = Path(recording)
+    folder, writes_mcap = folder_to_write(output, mcap=mcap, overwrite=overwrite, reads=source)
+    reading, poses = read or ReadOptions(), pose or PoseOptions()
+    chosen = _with_scanners(
+        config_of_run(config, CirclesConfig, "circles"), source, reading, scans, poses
+    )
+    job = RecordingJob(
+        command="circles",
+        sort=LaserScan,
+        recording=source,
+        folder=folder,
+        config={"circles": chosen},
+        read=reading,
+        pose=poses,
+        topics=tuple(scans),
+        mcap=writes_mcap,
+        picture=picture,
+        on_progress=on_progress,
+        note={"scans": list(scans)},
+    )
+    pipeline = CirclePipeline(chosen, allow_untrusted=allow_untrusted)
+    return job.run(CirclesRun(pipeline, film=film))
+
+
+def _with_scanners(
+    config: CirclesConfig,
+    recording: Path,
+    read: ReadOptions,
+    topics: Sequence[str],
+    span: PoseOptions,
+) -> CirclesConfig:
+    """`config` with the scanners of the recording, where it does not name them itself.
+
+    Their ranges are limited to those of `config.scanner`.
+    """
+    check_no_rays(config)
+    found = dict(config.scanners)
+    for topic in topics or (None,):
+        with open_recording(recording, read) as opened:
+            posed = posed_laser_scans(
+                opened, cloud=topic, pose="static", start=span.start, end=span.end
+            )
+            if posed.cloud in config.scanners:
+                continue
+            layouts = _layouts(item.scan for item in posed)
+        for number, scan in enumerate(layouts):
+            name = sensor_name(scan)
+            scanner = scanner_of(scan, config, f"{recording}: {name}")
+            found.setdefault(layout_name(name, len(scan.ranges)) if number else name, scanner)
+    return type(config).load(config.model_dump() | {"scanners": found})
+
+
+def _layouts(scans: Iterable[LaserScan]) -> list[LaserScan]:
+    """A scan of every length that is no exception, the most frequent length first."""
+    first: dict[int, LaserScan] = {}
+    counts: Counter[int] = Counter()
+    for scan in scans:
+        first.setdefault(len(scan.ranges), scan)
+        counts[len(scan.ranges)] += 1
+    usual = [rays for rays, count in counts.most_common() if count >= SHARE * counts.total()]
+    return [first[rays] for rays in usual]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,16 +191,16 @@ class CirclesRun:
     ----------
     pipeline : CirclePipeline
         Gets every scan.
-    films : bool
-        Whether `draw` makes a film as well.
+    film : bool
+        Whether a film is among the pictures.
     """
 
-    def __init__(self, pipeline: CirclePipeline, *, films: bool) -> None:
+    def __init__(self, pipeline: CirclePipeline, *, film: bool = False) -> None:
         self.pipeline = pipeline
         self.frame_id = "world"
         self.maps: list[CircleElements] = []
         self.shapes: list[ShapeElements] = []
-        self._films = films
+        self._film = film
         self._times = ScanTimes()
         self._mcap: McapWriter | None = None
         self._found: list[_Found] = []
@@ -113,8 +235,8 @@ class CirclesRun:
         if self._mcap is not None:
             log_circles(self._mcap, item, frame, frame_id=self.frame_id)
 
-    def mcap(self, folder: RunFolder) -> AbstractContextManager[Any]:
-        """Open run.mcap for what `take` gives from here on."""
+    def open_mcap(self, folder: RunFolder) -> AbstractContextManager[Any]:
+        """Open run.mcap for the results of the scans from here on."""
         self._mcap = McapWriter(folder.path / MCAP, tracks_frame=self.frame_id)
         return self._mcap
 
@@ -149,16 +271,16 @@ class CirclesRun:
         write_circles_tum(folder.path / TRACKS_FOLDER, self.maps)
         return [table.name, shapes.name, found.name, timing.name, TRACKS_FOLDER]
 
-    def draw(self, folder: RunFolder, name: str, console: Console) -> list[str]:
-        """Draw picture.png and, where it is wanted, film.mp4 or film.gif."""
+    def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
+        """The picture of a run on the recording `name`, and the film where it is wanted."""
         view = self.view(f"{name}: {len(self.maps)} scans, {len(self.element_ids)} elements")
         picture, film = folder.path / "picture.png", folder.path / f"film{film_ending()}"
-        paint = [(picture, lambda: draw_circles(view, picture))]
-        if self._films:
-            paint.append(
+        found: list[Picture] = [(picture, lambda: draw_circles(view, picture))]
+        if self._film:
+            found.append(
                 (film, lambda: animate_circles(view, film, frames=FILM_FRAMES, rate=FILM_RATE))
             )
-        return draw(paint, console)
+        return found
 
     def view(self, title: str, **more: Any) -> CirclesView:
         """What pictures of the run show; `more` are further fields of `CirclesView`."""

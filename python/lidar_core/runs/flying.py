@@ -1,29 +1,157 @@
-"""A run of the flying-object detector: what it gave, scan by scan, and the files about it."""
+"""Flying objects in a recording: the run, its tables, trajectories, map and picture."""
 
 from collections import Counter
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
+from os import PathLike
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.cli.scan_times import ScanTimes
 from lidar_core.evaluation import Latency
-from lidar_core.flying import FlyingFrame, FlyingObjectDetector, Tracks
-from lidar_core.io import PosedScan, write_tracks_table, write_tum
+from lidar_core.flying import FlyingConfig, FlyingFrame, FlyingObjectDetector, Tracks
+from lidar_core.io import (
+    McapWriter,
+    PosedScan,
+    PoseOptions,
+    ReadOptions,
+    read_cloud,
+    write_tracks_table,
+    write_tum,
+)
 from lidar_core.io.write.covariance import covariance_columns
 from lidar_core.messages import Scan
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
-from lidar_core.scan_processing import detect
-from lidar_core.viz import FlyingView
+from lidar_core.runs.recording import RecordingJob, folder_to_write, no_progress
+from lidar_core.runs.result import MCAP, OnProgress, Picture, RunResult
+from lidar_core.runs.scan_times import ScanTimes
+from lidar_core.runs.settings import ConfigChoice, config_of_run
+from lidar_core.scan_processing import detect as process
+from lidar_core.scan_processing import log_flying, sensor_name
+from lidar_core.viz import FlyingView, draw_flying
 
 CLASSES = ("invalid", "background", "flying", "unknown")
 FLYING = CLASSES.index("flying")
 
 
+def detect(
+    recording: str | PathLike[str],
+    config: FlyingConfig | ConfigChoice | None,
+    output: str | PathLike[str],
+    *,
+    pose: PoseOptions | None = None,
+    read: ReadOptions | None = None,
+    clouds: Sequence[str] = (),
+    repeat: int = 1,
+    known_map: str | PathLike[str] | None = None,
+    threads: int = 1,
+    mcap: bool | None = None,
+    picture: bool = True,
+    overwrite: bool = False,
+    on_progress: OnProgress = no_progress,
+) -> RunResult:
+    """Find and track flying objects in a recording, as `lidar-core detect` does.
+
+    Parameters
+    ----------
+    recording : str or Path
+        File or folder of any format that `lidar_core.io.open_recording` reads.
+    config : FlyingConfig, ConfigChoice or None
+        Configuration of the detector; None is best mode. Scans that cannot be used are counted,
+        unless it sets `on_bad_scan`.
+    output : str or Path
+        Folder to write: tables of tracks and detections in SI units in the world frame,
+        trajectories, the map, summary.json, run.toml, run.mcap, picture.png.
+    pose : PoseOptions, optional
+        Where the poses come from, and the part of the recording to use [s].
+    read : ReadOptions, optional
+        How the recording is read.
+    clouds : sequence of str
+        Topics of the LiDARs; empty for the only one.
+    repeat : int
+        How often the recording is played: opens the burn-in gate on short recordings.
+    known_map : str or Path, optional
+        Map of an earlier run (.lcvm), or a cloud or mesh in the fixed frame [m].
+    threads : int
+        Threads used, >= 1; results do not depend on it.
+    mcap : bool, optional
+        Whether to write run.mcap for viewers; None: if the extra `viz` is installed.
+    picture : bool
+        Whether to draw picture.png (extra `plot`).
+    overwrite : bool
+        Whether to replace an earlier run in the folder.
+    on_progress : callable
+        Is called with what is done, how many scans of it, and of how many or None.
+
+    Returns
+    -------
+    RunResult
+        Ctrl-C and errors after the first scan end the run early: the folder then holds the scans
+        so far, and `ended_by` says what ended it; `raise_if_failed` raises that.
+
+    Raises
+    ------
+    ConfigError
+        A value or topic that cannot be used.
+    FormatError
+        The recording cannot be read, or has no poses; no folder is left.
+    FileExistsError
+        The folder holds an earlier run, or files that no run wrote.
+    MissingExtraError
+        The format, or run.mcap, needs an extra that is not installed.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import mkdtemp
+    >>> import lidar_core as lc
+    >>> folder = Path(mkdtemp())
+    >>> made = lc.sim.record(lc.sim.scenes.demo(0, scans=2), folder / "street.npz", seed=0)
+    >>> result = lc.runs.detect(made.recording, None, folder / "run", mcap=False, picture=False)
+    >>> result.summary["scans"]["processed"], "tracks_tum" in result.files
+    (2, True)
+    """
+    source = Path(recording)
+    folder, writes_mcap = folder_to_write(output, mcap=mcap, overwrite=overwrite, reads=source)
+    chosen = config_of_run(config, FlyingConfig, "flying")
+    known = None if known_map is None else Path(known_map)
+    job = RecordingJob(
+        command="detect",
+        sort=Scan,
+        recording=source,
+        folder=folder,
+        config={"flying": chosen},
+        read=read or ReadOptions(),
+        pose=pose or PoseOptions(),
+        topics=tuple(clouds),
+        mcap=writes_mcap,
+        picture=picture,
+        on_progress=on_progress,
+        repeat=repeat,
+        inputs={"map": known},
+        note={"clouds": list(clouds), "repeat": repeat},
+    )
+    run = FlyingRun(FlyingObjectDetector(chosen, threads=threads))
+    if known is not None:
+        load_known_map(run.detector, known)
+    return job.run(run)
+
+
+def load_known_map(detector: FlyingObjectDetector, path: Path) -> None:
+    """Load a map of an earlier run, or make occupied for good what another file holds."""
+    if path.suffix.lower() == ".lcvm":
+        detector.load_map(path)
+        return
+    spacing = detector.config.voxel_map.voxel_size / 2
+    detector.set_occupied(read_cloud(path, spacing=spacing).points)
+
+
 class FlyingRun:
-    """Passes scans to a detector and keeps what a summary, tables and a picture need.
+    """Passes scans to a detector and keeps what summary, tables, run.mcap and picture need.
 
     Parameters
     ----------
@@ -49,31 +177,40 @@ class FlyingRun:
         self._flying: list[NDArray[np.float64]] = []
         self._cloud = np.empty((0, 3))
         self._cloud_class = np.empty(0, np.uint8)
+        self._mcap: McapWriter | None = None
 
-    def process(self, item: PosedScan[Scan], *, sensor: str = "lidar") -> FlyingFrame:
+    def take(self, item: PosedScan[Scan]) -> FlyingFrame:
         """Process one scan, with everything the recording knows about it."""
         start = perf_counter()
-        frame = detect(self.detector, item, sensor=sensor)
-        wall_ms = (perf_counter() - start) * 1e3
+        sensor = sensor_name(item.scan)
+        frame = process(self.detector, item, sensor=sensor)
         if frame.rejected is not None:
             self.rejected[frame.rejected] += 1
-            return frame
-        self.keep(item, frame, wall_ms, sensor=sensor)
+        else:
+            self.keep(item, frame, (perf_counter() - start) * 1e3, sensor=sensor)
         return frame
+
+    def open_mcap(self, folder: RunFolder) -> AbstractContextManager[Any]:
+        """Open run.mcap for the results of the scans from here on."""
+        self._mcap = McapWriter(folder.path / MCAP, tracks_frame=self.frame_id)
+        return self._mcap
+
+    def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
+        """The picture of a run on the recording `name`."""
+        view = self.view(f"{name}: {self.n_scans} scans, {len(self.track_ids)} tracks")
+        path = folder.path / "picture.png"
+        return [(path, lambda: draw_flying(view, path))]
 
     def keep(
         self, item: PosedScan[Scan], frame: FlyingFrame, wall_ms: float, *, sensor: str
     ) -> None:
-        """Keep what a scan gave that took `wall_ms`."""
+        """Keep the results of a scan that took `wall_ms`, and write them to run.mcap."""
         self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms)
-        self._note(frame, sensor)
         poses = item.world_from_lidar.reshape(-1, 4, 4)
         self._path.append(poses[0, :3, 3])
         self._cloud = _placed(item.scan, poses, item.pose_stamps_ns)
         self._cloud_class = frame.point_class
         self._flying.append(self._cloud[frame.point_class == FLYING])
-
-    def _note(self, frame: FlyingFrame, sensor: str) -> None:
         status = frame.status
         self.gate_reason, self.gate_is_open = status.reason, status.gate_open
         if status.gate_open and self.gate_opened_at is None:
@@ -85,6 +222,8 @@ class FlyingRun:
         self.frames.append(replace(frame, point_class=frame.point_class[:0]))
         self._sensors.append(sensor)
         self.tracks.append(frame.tracks)
+        if self._mcap is not None:
+            log_flying(self._mcap, item, frame, frame_id=self.frame_id)
 
     @property
     def n_received(self) -> int:

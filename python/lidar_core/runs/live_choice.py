@@ -1,4 +1,4 @@
-"""What the options of `lidar-core live` name: sources, outputs, pipelines."""
+"""Sources, outputs and pipelines of a live run, by their names."""
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -6,16 +6,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from lidar_core.cli.config import Mode
-from lidar_core.cli.detect import know_map
-from lidar_core.cli.recording_job import MCAP
-from lidar_core.cli.settings import run_config, with_assignments
+from lidar_core.circles import CirclesConfig
 from lidar_core.errors import ConfigError
+from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 from lidar_core.io import ReadOptions
 from lidar_core.live import LiveConfig, Output, Source
 from lidar_core.live.pipelines import CirclesLive, FlyingLive, LivePipeline
 from lidar_core.live.source import StreamTopics
 from lidar_core.messages import LaserScan, Scan
+from lidar_core.runs.flying import load_known_map
+from lidar_core.runs.result import MCAP
+from lidar_core.runs.settings import ConfigChoice, config_of_run
 
 SOURCES = "zenoh[:tcp/HOST:PORT], foxglove[:ws://HOST:PORT], udp[:PORT]"
 OUTPUTS = "foxglove[:PORT], zenoh[:tcp/HOST:PORT], rerun[:web[:PORT]|:FILE.rrd], mcap:FILE"
@@ -31,12 +32,10 @@ class PipelineChoice:
     capability: Literal["auto", "flying", "circles"]
     clouds: tuple[str, ...]
     scans: tuple[str, ...]
-    mode: Mode
-    config: Path | None
-    values: tuple[str, ...]
+    config: FlyingConfig | CirclesConfig | ConfigChoice | None
     known_map: Path | None
     threads: int
-    trust_model: bool = False
+    allow_untrusted: bool = False
 
     def __post_init__(self) -> None:
         """Refuse options that contradict each other."""
@@ -62,6 +61,16 @@ class PipelineChoice:
         """What to ask a stream for."""
         return StreamTopics(self.clouds, self.scans, self.wants_clouds, self.wants_scans, odometry)
 
+    def silence(self, name: str, advertised: Sequence[str]) -> str:
+        """Say that the source `name` brings no scan that is wanted, and what it has instead."""
+        sorts = " or ".join(
+            what
+            for what, wanted in (("clouds", self.wants_clouds), ("2D scans", self.wants_scans))
+            if wanted
+        )
+        named = ", ".join((*self.clouds, *self.scans)) or f"any topic with {sorts}"
+        return f"no scan yet of {named}; {name} has: {'; '.join(advertised) or 'nothing'}"
+
     def pipeline(self, sort: type) -> LivePipeline[Any] | None:
         """Pipeline for scans of a sort; None if it is not wanted."""
         if sort is Scan and self.wants_clouds:
@@ -69,40 +78,21 @@ class PipelineChoice:
         return self._circles() if sort is LaserScan and self.wants_scans else None
 
     def _flying(self) -> FlyingLive:
-        from lidar_core.flying import FlyingConfig, FlyingObjectDetector
-
-        base = FlyingConfig() if self.mode == "best" else FlyingConfig.paper()
-        config = run_config(base, "flying", self.config, self.values)
-        detector = FlyingObjectDetector(config, threads=self.threads)
+        config: Any = self.config
+        detector = FlyingObjectDetector(
+            config_of_run(config, FlyingConfig, "flying"), threads=self.threads
+        )
         if self.known_map is not None:
-            know_map(detector, self.known_map)
+            load_known_map(detector, self.known_map)
         return FlyingLive(detector)
 
     def _circles(self) -> CirclesLive:
-        from lidar_core.circles import CirclesConfig
-
-        base = CirclesConfig() if self.mode == "best" else CirclesConfig.paper()
-        config = run_config(base, "circles", self.config, self.values)
+        config: Any = self.config
         return CirclesLive(
-            config, n_scanners=max(1, len(self.scans)), allow_untrusted=self.trust_model
+            config_of_run(config, CirclesConfig, "circles"),
+            n_scanners=max(1, len(self.scans)),
+            allow_untrusted=self.allow_untrusted,
         )
-
-
-def live_config(domain: int | None, stream: Sequence[str]) -> LiveConfig:
-    """What --domain and --stream set.
-
-    Raises
-    ------
-    ConfigError
-        No such value, or outside its range.
-    """
-    set_by_name = with_assignments({}, stream, option="--stream", example="pose_wait=0.5")
-    try:
-        config = LiveConfig.load(set_by_name)
-    except ConfigError as error:
-        known = ", ".join(LiveConfig.model_fields)
-        raise ConfigError(f"--stream {error}; known are {known}") from error
-    return config if domain is None else LiveConfig.load({"domain": domain} | set_by_name)
 
 
 def open_source(

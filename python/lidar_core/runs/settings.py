@@ -1,16 +1,80 @@
-"""Configuration from the command line: a mode, a file, single values."""
+"""Configuration of a run: a mode, a file, single values."""
 
 import json
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar
 
-from lidar_core.config import Config, toml_values
+from lidar_core.config import Config, as_config, toml_values
 from lidar_core.errors import ConfigError
 from lidar_core.files import read_whole
 from lidar_core.parameters import MODELS, model_named
 
 ConfigT = TypeVar("ConfigT", bound=Config)
+Mode: TypeAlias = Literal["best", "paper"]
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigChoice:
+    """Which configuration a run gets: that of a mode, then a file's values, then single ones.
+
+    Attributes
+    ----------
+    mode : str
+        "best" or "paper".
+    file : Path, optional
+        TOML file; the run.toml of an earlier run, or its folder, is also accepted.
+    values : tuple of str
+        Single values as "SECTION.NAME=VALUE".
+    """
+
+    mode: Mode = "best"
+    file: Path | None = None
+    values: tuple[str, ...] = ()
+
+
+def config_of_run(
+    config: ConfigT | ConfigChoice | None,
+    model: type[ConfigT],
+    section: str,
+    *,
+    base: ConfigT | None = None,
+) -> ConfigT:
+    """Configuration of a run.
+
+    A scan that cannot be used is counted, unless the configuration says otherwise: one bad scan
+    is no reason to give a recording up.
+
+    Parameters
+    ----------
+    config : Config, ConfigChoice or None
+        A configuration, what to make it of, or None for best mode.
+    model : type
+        `FlyingConfig`, `CirclesConfig`, `FusionConfig` or `MultiTargetConfig`.
+    section : str
+        Its name in a run.toml.
+    base : Config, optional
+        Configuration of best mode, if not `model()`.
+
+    Raises
+    ------
+    ConfigError
+        Another class, a file or value that cannot be used, or a mode that there is not.
+    """
+    if config is None or isinstance(config, ConfigChoice):
+        choice = config or ConfigChoice()
+        start = base or model()
+        if choice.mode == "paper":
+            paper = getattr(model, "paper", None)
+            if paper is None:
+                raise ConfigError(f"mode: {section} has no paper mode")
+            start = paper()
+        return run_config(start, section, choice.file, choice.values)
+    given = as_config(config, model)
+    if "on_bad_scan" in type(given).model_fields.keys() - given.model_fields_set:
+        return given.model_copy(update={"on_bad_scan": "count"})
+    return given
 
 
 def run_config(

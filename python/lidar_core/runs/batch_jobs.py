@@ -1,11 +1,11 @@
-"""The jobs of `lidar-core batch`: which are done, what doing one means, and the table of all."""
+"""Jobs of a batch, which are commands: which are done, how one is run, and the table of all."""
 
 import hashlib
 import json
 import os
 import shutil
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,25 +15,115 @@ from typing import Any, Self, cast
 from typer import BadParameter
 from typer.main import get_command
 
-from lidar_core.batch import BatchJob, Failure, JobRecord, Task, completed, write_results
+from lidar_core.batch import (
+    BatchConfig,
+    BatchJob,
+    Failure,
+    JobRecord,
+    Task,
+    completed,
+    jobs_of,
+    write_results,
+)
 from lidar_core.batch.config import OUTPUT
 from lidar_core.batch.executors import Executor
 from lidar_core.batch.results import NOTE, flat
-from lidar_core.cli.common import all_threads
-from lidar_core.cli.simulate import OVERFLIGHT
 from lidar_core.config import Config
 from lidar_core.errors import ConfigError, LidarCoreError
 from lidar_core.io.files.atomic import is_temporary, remove_stale, written_whole
-from lidar_core.run_folder import build_digest, note_of
+from lidar_core.run_folder import build_digest, lock, note_of, unlock
+from lidar_core.runs.result import OnProgress, RunResult
+from lidar_core.threads import all_threads
 
 LOG, RESULTS = "log.txt", "results.parquet"
 KEY_LENGTH = 12
+OVERFLIGHT = "overflight"
+"""Scene of `simulate` that takes no threads."""
 WITHOUT = ("batch", "view")
 """Commands that are no jobs: they do not end by themselves, or would start jobs of their own."""
 UsageError = cast("type[Exception]", BadParameter.__base__)
 """What a parser raises; typer hands out this one of its errors alone."""
 WRITTEN = {("export", "model")}
 """Arguments, besides those called output, that name what a command writes."""
+
+
+@dataclass(frozen=True, slots=True)
+class BatchResult(RunResult):
+    """Result of a batch.
+
+    Attributes
+    ----------
+    records : tuple of JobRecord
+        Of the jobs that have ended, in the order of the file.
+    """
+
+    records: tuple[JobRecord, ...] = ()
+
+
+def batch(
+    jobs: str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    *,
+    executor: Executor = "local",
+    workers: int | None = None,
+    fresh: bool = False,
+    on_progress: OnProgress = lambda what, done, total: None,
+    on_job: Callable[[JobRecord], None] = lambda record: None,
+) -> BatchResult:
+    """Run commands over many recordings, seeds and values, as `lidar-core batch` does.
+
+    Jobs that an earlier run finished are kept, unless something changed.
+
+    Parameters
+    ----------
+    jobs : str or Path
+        Batch file (TOML), as `BatchConfig` describes it.
+    output : str or Path
+        Folder to write: results.parquet (or .csv) with a row per job, a folder per job.
+    executor : str
+        "local": processes of this machine. "ray": a Ray cluster (extra `cluster`).
+    workers : int, optional
+        Jobs at a time; None: as many as this process may use threads.
+    fresh : bool
+        Run every job again.
+    on_progress : callable
+        Is called with "batch", how many jobs are done, and of how many.
+    on_job : callable
+        Is called with the `JobRecord` of every job that has ended.
+
+    Returns
+    -------
+    BatchResult
+        Its summary counts jobs and names those that failed; `ended_by` is a KeyboardInterrupt
+        after Ctrl-C: the next run goes on from there.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be used, or a command is unknown or cannot be a job.
+    FileExistsError
+        Another batch is being written there.
+    """
+    file, folder = Path(jobs), Path(output)
+    config = BatchConfig.read(file)
+    made = Batch.of(folder, jobs_of(config, file.parent), is_fresh=fresh)
+    folder.mkdir(parents=True, exist_ok=True)
+    lock(folder)
+    done, ended_by = len(made.kept), None
+    on_progress("batch", done, len(made.jobs))
+    try:
+        for record in made.run(executor=executor, workers=workers or all_threads()):
+            done += 1
+            on_progress("batch", done, len(made.jobs))
+            on_job(record)
+    except KeyboardInterrupt as interrupt:
+        ended_by = interrupt
+    table = made.write({"batch": config}, file)
+    unlock(folder)
+    files = (table.name, "batch.toml")
+    records = tuple(made.records())
+    summary = {**made.summary(), "results": str(table)}
+    return BatchResult(folder, summary, files, (), ended_by, records)
 
 
 @dataclass(slots=True)
@@ -102,6 +192,13 @@ class Batch:
         known = {**self.kept, **self.made}
         found = (known.get(name) or JobRecord.read(self.folder / name) for name in self.jobs)
         return [record for record in found if record is not None and record.status != "running"]
+
+    def summary(self) -> dict[str, Any]:
+        """Counts of jobs, and the errors of those that failed."""
+        records = self.records()
+        failed = {record.job: record.error for record in records if record.status == "failed"}
+        done = sum(record.status == "done" for record in records)
+        return {"jobs": len(self.jobs), "done": done, "kept": len(self.kept), "failed": failed}
 
     def write(self, config: Mapping[str, Config], file: Path) -> Path:
         """Write the table and what made it; return the table."""

@@ -1,4 +1,4 @@
-"""The run of `lidar-core fuse` on many targets: tracker, summary, tables, picture."""
+"""A run on many targets: tracker, summary, tables, picture."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -9,19 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 
-from lidar_core.cli.common import draw
-from lidar_core.cli.fuse_mcap import PlanarStep, in_plane, in_world, sensor_at, write_run_mcap
-from lidar_core.cli.fuse_run import (
-    TARGET_SENSORS,
-    NisBySensor,
-    measured_place,
-    nis_by_sensor,
-    nis_ratios,
-    nis_summary,
-    planar_table,
-)
 from lidar_core.config import Config
 from lidar_core.fusion import (
     DetectionScan,
@@ -38,6 +26,17 @@ from lidar_core.fusion.states import state_names
 from lidar_core.io.write.covariance import covariance_columns
 from lidar_core.io.write.tracks import write_trajectories
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
+from lidar_core.runs.planar import PlanarStep, in_plane, in_world, sensor_at, write_run_mcap
+from lidar_core.runs.result import Picture
+from lidar_core.runs.target import (
+    TARGET_SENSORS,
+    NisBySensor,
+    measured_place,
+    nis_by_sensor,
+    nis_ratios,
+    nis_summary,
+    planar_table,
+)
 from lidar_core.viz import FusionView, PlanarLine, draw_fusion
 
 REACH, GAP, CUTOFF = 15.0, 3.0, 30.0
@@ -249,10 +248,10 @@ class ManyRun:
                 state.stamp_ns, places, sensor, state.id, state.position, state.velocity
             )
 
-    def draw(self, folder: RunFolder, name: str, console: Console) -> list[str]:
-        """Draw picture.png; return the names of what was drawn."""
+    def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
+        """The picture of a run on the recording `name`."""
         path = folder.path / "picture.png"
-        return draw([(path, lambda: draw_fusion(self.view(name), path))], console)
+        return [(path, lambda: draw_fusion(self.view(name), path))]
 
     def view(self, name: str) -> FusionView:
         """What a picture shows."""

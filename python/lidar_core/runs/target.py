@@ -1,4 +1,4 @@
-"""The run of `lidar-core fuse` on one target: filter, summary, tables, picture."""
+"""A run on one target: filter, summary, tables, picture."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -8,10 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 
-from lidar_core.cli.common import draw
-from lidar_core.cli.fuse_mcap import PlanarStep, in_plane, sensor_at, write_run_mcap
 from lidar_core.config import Config
 from lidar_core.errors import InputError, NumericalError
 from lidar_core.estimation import chi2_quantile
@@ -29,6 +26,8 @@ from lidar_core.fusion.states import state_names, velocities
 from lidar_core.io.write.covariance import covariance_columns
 from lidar_core.io.write.tracks import write_trajectories
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
+from lidar_core.runs.planar import PlanarStep, in_plane, sensor_at, write_run_mcap
+from lidar_core.runs.result import Picture
 from lidar_core.viz import FusionView, PlanarLine, draw_fusion
 
 LIMIT = 0.95
@@ -245,10 +244,10 @@ class TargetRun:
             )
             first = end + 1
 
-    def draw(self, folder: RunFolder, name: str, console: Console) -> list[str]:
-        """Draw picture.png; return the names of what was drawn."""
+    def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
+        """The picture of a run on the recording `name`."""
         path = folder.path / "picture.png"
-        return draw([(path, lambda: draw_fusion(self.view(name), path))], console)
+        return [(path, lambda: draw_fusion(self.view(name), path))]
 
     def view(self, name: str) -> FusionView:
         """What a picture shows."""

@@ -1,4 +1,4 @@
-"""The run of `lidar-core fuse` as MCAP, for viewers: measured places, sensor, tracks."""
+"""Targets in the plane as MCAP, for viewers: measured places, sensor, tracks."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.cli.recording_job import MCAP
 from lidar_core.fusion import Measurement
 from lidar_core.io import McapWriter
 from lidar_core.io.poses.posed import WORLD_FRAME
 from lidar_core.messages import Pose, Scan
 from lidar_core.run_folder import RunFolder
+from lidar_core.runs.result import MCAP
 
 SENSOR_FRAME, MEASUREMENTS_TOPIC = "sensor", "/measurements"
 

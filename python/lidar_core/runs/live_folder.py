@@ -5,23 +5,20 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from lidar_core.circles import CirclePipeline
-from lidar_core.cli.circles_run import CirclesRun
-from lidar_core.cli.detect_job import DetectRun
-from lidar_core.cli.recording_job import MCAP
-from lidar_core.cli.run_options import wants_mcap
 from lidar_core.config import Config
 from lidar_core.flying import FlyingObjectDetector
 from lidar_core.live import Output, Update
 from lidar_core.live.pipelines import CirclesLive, FlyingLive, LivePipeline
 from lidar_core.live.update import CirclesUpdate, FlyingUpdate
 from lidar_core.run_folder import RunFolder, fingerprint
+from lidar_core.runs.circle_map import CirclesRun
+from lidar_core.runs.flying import FlyingRun
+from lidar_core.runs.result import MCAP, draw, wants_mcap
 from lidar_core.scan_processing import sensor_name
 
 
-class LiveRun(Output):
+class LiveFolder(Output):
     """Keeps what tables need, some kilobytes a scan; `write` makes whole files of it.
 
     Parameters
@@ -43,7 +40,7 @@ class LiveRun(Output):
         super().__init__(str(folder.path))
         self._folder, self._make = folder, pipeline
         self._pipeline: LivePipeline[Any] | None = None
-        self._run: DetectRun | CirclesRun | None = None
+        self._run: FlyingRun | CirclesRun | None = None
         self._stack = ExitStack()
         self.failed: OSError | None = None
 
@@ -55,7 +52,7 @@ class LiveRun(Output):
     def publish(self, update: Update) -> None:
         """Keep what a scan gave."""
         run = self._run or self._begun(update.frame_id)
-        if isinstance(update, FlyingUpdate) and isinstance(run, DetectRun):
+        if isinstance(update, FlyingUpdate) and isinstance(run, FlyingRun):
             name = sensor_name(update.item.scan)
             run.keep(update.item, update.frame, _computed_ms(update), sensor=name)
         elif isinstance(update, CirclesUpdate) and isinstance(run, CirclesRun):
@@ -73,36 +70,39 @@ class LiveRun(Output):
         summary: dict[str, Any],
         config: Mapping[str, Config],
         inputs: Mapping[str, Path | None],
-        console: Console,
-    ) -> dict[str, Any]:
-        """Write tables, picture, run.toml and summary.json; the summary with what is in them.
+    ) -> tuple[dict[str, Any], list[str], list[str]]:
+        """Write tables, picture, run.toml and summary.json.
 
         Without a scan nothing is written.
+
+        Returns
+        -------
+        summary : dict
+            `summary` with the results of the pipeline.
+        files, notes : list of str
+            Names of the files; what could not be written because an extra is missing.
         """
         self.close()
         run, folder = self._run, self._folder
         if run is None:
-            return {**summary, "files": []}
-        files = [*run.write(folder), *run.draw(folder, summary["source"], console)]
+            return summary, [], []
+        drawn, notes = draw(run.pictures(folder, summary["source"]))
+        files = [*run.write(folder), *drawn]
         files += [name for name in (MCAP,) if (folder.path / name).exists()]
         told = {**summary, **run.summary()}
         folder.write_summary(told)
         made_of = {name: fingerprint(path) for name, path in inputs.items() if path is not None}
         folder.write_note({"stream": summary["source"], **made_of}, {**self._config(), **config})
-        return {**told, "files": sorted([*files, "run.toml", "summary.json"])}
+        return told, sorted([*files, "run.toml", "summary.json"]), notes
 
-    def _begun(self, frame_id: str) -> DetectRun | CirclesRun:
+    def _begun(self, frame_id: str) -> FlyingRun | CirclesRun:
         """The run of the pipeline, at its first scan."""
         used = self._used()
-        run = (
-            DetectRun(used)
-            if isinstance(used, FlyingObjectDetector)
-            else CirclesRun(used, films=False)
-        )
+        run = FlyingRun(used) if isinstance(used, FlyingObjectDetector) else CirclesRun(used)
         run.frame_id = frame_id
         self._folder.begin()
         if wants_mcap(None):
-            self._stack.enter_context(run.mcap(self._folder))
+            self._stack.enter_context(run.open_mcap(self._folder))
         self._run = run
         return run
 
