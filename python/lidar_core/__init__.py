@@ -33,11 +33,13 @@ if TYPE_CHECKING:
     from lidar_core.flying.config import VoxelMapConfig as VoxelMapConfig
     from lidar_core.flying.voxel_map import IntegrateStats as IntegrateStats
     from lidar_core.flying.voxel_map import VoxelMap as VoxelMap
+    from lidar_core.messages import PointClass as PointClass
 
 _HOMES = {
     "VoxelMapConfig": "flying.config",
     "IntegrateStats": "flying.voxel_map",
     "VoxelMap": "flying.voxel_map",
+    "PointClass": "messages",
 }
 _LAZY = (
     "batch",
@@ -66,6 +68,7 @@ __all__ = [
     "LinkError",
     "MissingExtraError",
     "NumericalError",
+    "PointClass",
     "VoxelMap",
     "VoxelMapConfig",
     "__version__",

@@ -24,6 +24,7 @@ from typer.testing import CliRunner
 
 import lidar_core as lc
 import lidar_core.io
+from lidar_core import PointClass
 from lidar_core.circles import CirclesConfig
 from lidar_core.cli import app
 from lidar_core.cli.live import _since_stamp
@@ -423,7 +424,7 @@ def test_flying_objects_go_to_viewers_by_class_and_with_numbers(street, tmp_path
     assert update.covariance.shape == (2, 6, 6)
     assert set(np.unique(moment.point_class)) <= {1, 2, 3}
     assert np.quantile(moment.points[:, 2], 0.05) == pytest.approx(0.0, abs=0.15)
-    flying = moment.points[moment.point_class == 2]
+    flying = moment.points[moment.point_class == PointClass.FLYING]
     away = np.linalg.norm(flying[:, None] - moment.objects.position[None], axis=2).min(axis=1)
     assert np.median(away) < 0.5
     with lc.io.open_recording(tmp_path / "a.mcap") as recording:

@@ -24,7 +24,7 @@ from lidar_core.io import (
     write_tum,
 )
 from lidar_core.io.write.covariance import covariance_columns
-from lidar_core.messages import Scan
+from lidar_core.messages import PointClass, Scan
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.runs.recording import RecordingJob, folder_to_write, no_progress
 from lidar_core.runs.result import MCAP, OnProgress, Picture, RunResult
@@ -34,8 +34,8 @@ from lidar_core.scan_processing import detect as process
 from lidar_core.scan_processing import log_flying, sensor_name
 from lidar_core.viz import FlyingView, draw_flying
 
-CLASSES = ("invalid", "background", "flying", "unknown")
-FLYING = CLASSES.index("flying")
+CLASSES = (PointClass.BACKGROUND, PointClass.FLYING, PointClass.UNKNOWN)
+"""Classes of points with information that the detector gives."""
 
 
 def detect(
@@ -169,7 +169,7 @@ class FlyingRun:
         self._shares: list[tuple[float, float]] = []
         self.rejected: Counter[str] = Counter()
         self.frame_id = "world"
-        self._class_counts = np.zeros(len(CLASSES), np.int64)
+        self._class_counts = np.zeros(len(PointClass), np.int64)
         self._times = ScanTimes()
         self.frames: list[FlyingFrame] = []
         self._sensors: list[str] = []
@@ -210,14 +210,14 @@ class FlyingRun:
         self._path.append(poses[0, :3, 3])
         self._cloud = _placed(item.scan, poses, item.pose_stamps_ns)
         self._cloud_class = frame.point_class
-        self._flying.append(self._cloud[frame.point_class == FLYING])
+        self._flying.append(self._cloud[frame.point_class == PointClass.FLYING])
         status = frame.status
         self.gate_reason, self.gate_is_open = status.reason, status.gate_open
         if status.gate_open and self.gate_opened_at is None:
             self.gate_opened_at = len(self.frames)
         self.sky = status.sky if status.sky != "unknown" else self.sky
         self._shares.append((status.sky_share, status.own_body))
-        self._class_counts += np.bincount(frame.point_class, minlength=len(CLASSES))
+        self._class_counts += np.bincount(frame.point_class, minlength=len(PointClass))
         # Classes of every point of every scan would fill the memory on a long recording.
         self.frames.append(replace(frame, point_class=frame.point_class[:0]))
         self._sensors.append(sensor)
@@ -243,8 +243,9 @@ class FlyingRun:
     @property
     def class_shares(self) -> dict[str, float]:
         """Share of each class among the points with information."""
-        counts = self._class_counts[1:]
-        return dict(zip(CLASSES[1:], (counts / max(1, counts.sum())).tolist(), strict=True))
+        counts = self._class_counts
+        total = max(1, int(counts[PointClass.BACKGROUND :].sum()))
+        return {kind.name.lower(): float(counts[kind] / total) for kind in CLASSES}
 
     @property
     def sky_share(self) -> float:
@@ -298,7 +299,7 @@ class FlyingRun:
                 "held": health.held,
                 "rejected": dict(self.rejected),
             },
-            "points": int(self._class_counts[1:].sum()),
+            "points": int(self._class_counts[PointClass.BACKGROUND :].sum()),
             "class_shares": self.class_shares,
             "gate": {
                 "open": self.gate_is_open,

@@ -89,7 +89,7 @@ class Moment:
     points : ndarray, shape (N, 3), float32
         Points of the scan, world frame [m]; none between scans.
     point_class : ndarray, shape (N,), uint8
-        1 background, 2 flying, 3 unknown; 0 where points have no class.
+        A `PointClass` each; INVALID where points have no class.
     objects : Objects
         What was found.
     outlines : tuple of Outline
