@@ -11,9 +11,8 @@ from typing import Generic, Self
 
 from lidar_core.errors import ConfigError
 from lidar_core.io import PosedScan, PosedScans, PoseOptions, ReadOptions, open_recording
-from lidar_core.io.poses.posed import ScanT
 from lidar_core.io.recording import Recording
-from lidar_core.messages import Scan
+from lidar_core.messages import Scan, ScanT
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.messages import LaserScan, Scan
+from lidar_core.messages import LaserScan, PosedScan, Scan
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +63,11 @@ class SimulatedScan:
     poses: NDArray[np.float64]
     truth: TargetTruth
     label: NDArray[np.int32]
+
+    @property
+    def posed(self) -> PosedScan[Scan]:
+        """The scan with its poses, as readers give it and detectors take it."""
+        return PosedScan(self.scan, self.poses, self.pose_stamps_ns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,3 +132,8 @@ class SimulatedSweep:
     poses: NDArray[np.float64]
     truth: ObjectTruth
     label: NDArray[np.int32]
+
+    @property
+    def posed(self) -> PosedScan[LaserScan]:
+        """The scan with its poses, as readers give it and pipelines take it."""
+        return PosedScan(self.scan, self.poses, self.pose_stamps_ns)

@@ -3,9 +3,9 @@
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from lidar_core.io.poses.pose_files import read_poses
 from lidar_core.io.poses.pose_frames import PoseFrameCheck, Verdict, advice
 from lidar_core.io.poses.tf_buffer import NoTransformError, TransformBuffer
 from lidar_core.io.scan_topics import WORDS, listed, scan_topic
-from lidar_core.messages import LaserScan, Pose, Scan
+from lidar_core.messages import LaserScan, Pose, PosedScan, Scan, ScanT
 
 if TYPE_CHECKING:
     from lidar_core.io.recording import Recording
@@ -29,30 +29,6 @@ KISS = "kiss"
 MOST_POSES_PER_SCAN = 64
 PAST_THE_END = 10
 """Scans in a row after the end of a span that end it: a single one may have a wrong stamp."""
-
-ScanT = TypeVar("ScanT", Scan, LaserScan)
-
-
-@dataclass(frozen=True, slots=True)
-class PosedScan(Generic[ScanT]):
-    """A scan and where the sensor was.
-
-    Attributes
-    ----------
-    scan : Scan or LaserScan
-        As recorded.
-    world_from_lidar : ndarray, shape (4, 4) or (K, 4, 4), float64
-        One pose, or poses over the scan.
-    pose_stamps_ns : ndarray, shape (K,), int64, optional
-        Times of the poses [ns].
-    pose_covariance : ndarray, shape (6, 6), float64, optional
-        Of translation [m^2] and angles about x, y, z [rad^2], where the source of the poses tells.
-    """
-
-    scan: ScanT
-    world_from_lidar: NDArray[np.float64]
-    pose_stamps_ns: NDArray[np.int64] | None = None
-    pose_covariance: NDArray[np.float64] | None = None
 
 
 class PosedScans(Generic[ScanT]):
