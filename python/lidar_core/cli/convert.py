@@ -63,7 +63,7 @@ def command(
     """
     from lidar_core.errors import InputError
     from lidar_core.io import ReadOptions, Span
-    from lidar_core.io.maps.cloud_files import WRITABLE
+    from lidar_core.io.writers import writers_of
     from lidar_core.runs.convert import convert_run, is_run
 
     if output.exists() and output.resolve() == recording.resolve():
@@ -92,9 +92,10 @@ def command(
             soft_wrap=True,
         )
         return
-    if output.suffix.lower() in WRITABLE:
+    writer = writers_of("points").get(output.suffix.lower())
+    if writer is not None:
         _refuse(
-            chosen | of_run | ({} if output.suffix.lower() == ".bt" else of_map),
+            chosen | of_run | ({} if writer.needs_resolution else of_map),
             f"one cloud or map as {output.suffix}",
         )
         count = _write_cloud(recording, output, ReadOptions.load(values), resolution)
