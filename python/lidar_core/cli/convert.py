@@ -26,6 +26,22 @@ if TYPE_CHECKING:
     from lidar_core.messages import Message
 
 
+def _print_formats(wanted: bool) -> None:
+    if not wanted:
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    from lidar_core.io.writers import WRITERS
+
+    table = Table("Format", "Files", "Holds", "Extra")
+    for one in WRITERS.parts():
+        ends = " ".join(end or "(a new folder)" for end in one.suffixes)
+        table.add_row(one.format, ends, one.takes, one.extra)
+    Console().print(table)
+    raise typer.Exit
+
+
 def command(
     recording: Annotated[Path, typer.Argument(help="Recording, or folder of a run.")],
     output: Annotated[
@@ -56,6 +72,12 @@ def command(
         str | None, typer.Option("--class", help="Class of a run's objects, such as pedestrian.")
     ] = None,
     json_file: JsonFile = None,
+    formats: Annotated[
+        bool,
+        typer.Option(
+            "--formats", callback=_print_formats, is_eager=True, help="List what can be written."
+        ),
+    ] = False,
 ) -> None:
     """Write what RECORDING holds to OUTPUT; the ending of its name chooses the format.
 

@@ -11,6 +11,7 @@ from lidar_core.plugins import Registry
 Takes: TypeAlias = Literal["messages", "objects", "points"]
 Write: TypeAlias = Callable[..., Any]
 WriteT = TypeVar("WriteT", bound=Write)
+SOURCES: dict[Takes, str] = {"messages": "a recording", "objects": "a run", "points": "a cloud"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +147,6 @@ def writer_of(path: Path, takes: Takes) -> Writer:
         listed = ", ".join(dict.fromkeys(map(str, known.values())))
         broken = "".join(f"; {error}" for error in WRITERS.broken())
         raise ConfigError(
-            f"{path}: unknown ending {suffix!r}; writable are: {listed}, with {takes}{broken}"
+            f"{path}: unknown ending {suffix!r}; {SOURCES[takes]} becomes: {listed}{broken}"
         )
     return known[suffix]

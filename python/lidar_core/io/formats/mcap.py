@@ -30,7 +30,7 @@ _MAGIC_BYTES = 8
     extra="io",
     folder="merged",
     marker="metadata.yaml",
-    note="messages of ROS 2 or Foxglove",
+    note="messages of ROS 2, or PointCloud, LaserScan and FrameTransform of Foxglove",
 )
 class McapRecording(Recording):
     """One MCAP file, read chunk by chunk in time order."""
