@@ -225,9 +225,9 @@ class OusterRecording(_OusterFrames):
     format = "Ouster packets"
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
-        super().__init__(path, options)
         if path.name.lower().endswith(".pcapng"):
             raise FormatError(f"{path}: ouster-sdk reads pcap; convert it: editcap -F pcap IN OUT")
+        super().__init__(path, options)
         library = _require("ouster.sdk.open_source")
         beside = Path(options.metadata) if options.metadata is not None else metadata_beside(path)
         meta = {} if beside is None or path.suffix == ".bag" else {"meta": [str(beside)]}
