@@ -7,9 +7,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.io.write.covariance import covariance_titles, upper_triangle
-from lidar_core.io.write.long_table import write_long_table
-from lidar_core.io.write.tracks import write_trajectories
+from lidar_core.io.tables.covariance import covariance_titles, upper_triangle
+from lidar_core.io.tables.long_table import write_long_table
+from lidar_core.io.tables.tracks import write_trajectories
 
 STATE = ("x", "y", "vx", "vy", "radius")
 COLUMNS: dict[str, type] = {

@@ -7,11 +7,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.io.columns import Columns
-from lidar_core.io.write.circles import ElementsLike
-from lidar_core.io.write.covariance import covariance_titles, upper_triangle
-from lidar_core.io.write.long_table import write_long_table
-from lidar_core.shape_kind import ShapeKind
+from lidar_core.io.tables.circles import ElementsLike
+from lidar_core.io.tables.columns import Columns
+from lidar_core.io.tables.covariance import covariance_titles, upper_triangle
+from lidar_core.io.tables.long_table import write_long_table
+from lidar_core.messages import ShapeKind
 
 STATE = ("x", "y", "vx", "vy", "heading", "half_length", "half_width")
 ENDS = ("x1", "y1", "x2", "y2")

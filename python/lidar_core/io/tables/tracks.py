@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.io.files.atomic import written_whole
-from lidar_core.io.write.covariance import covariance_titles, upper_triangle
-from lidar_core.io.write.long_table import write_long_table
+from lidar_core.io.tables.covariance import covariance_titles, upper_triangle
+from lidar_core.io.tables.long_table import write_long_table
 
 STATE = ("x", "y", "z", "vx", "vy", "vz")
 COLUMNS: dict[str, type] = {
