@@ -14,8 +14,8 @@ from lidar_core.circles.config import CirclesConfig
 from lidar_core.circles.estimators.fit_config import FitMethod
 from lidar_core.circles.estimators.fitting import Circles
 from lidar_core.circles.estimators.network import CircleNetwork
-from lidar_core.circles.mapping.map import CircleElements, MapEvents, elements_of
-from lidar_core.circles.mapping.map_shapes import ShapeElements, shape_elements_of
+from lidar_core.circles.mapping.map import MapEvents, elements_of
+from lidar_core.circles.mapping.map_shapes import shape_elements_of
 from lidar_core.circles.preprocess import times
 from lidar_core.circles.results import CircleFrame, CirclesHealth
 from lidar_core.circles.scanner import scanner_name
@@ -24,6 +24,7 @@ from lidar_core.circles.shapes import Shapes
 from lidar_core.config import as_config
 from lidar_core.errors import ConfigError, InputError, LimitError, NumericalError
 from lidar_core.messages import LaserScan, PosedScan
+from lidar_core.objects import CircleElements, ShapeElements
 
 if TYPE_CHECKING:
     from lidar_core.sim import SimulatedSweep

@@ -15,14 +15,9 @@ from lidar_core.errors import InputError
 from lidar_core.files import naming
 from lidar_core.flying.analysis import as_pose_covariance
 from lidar_core.flying.config import FlyingConfig
-from lidar_core.flying.results import (
-    FlyingDetections,
-    FlyingFrame,
-    FlyingStatus,
-    Health,
-    Tracks,
-)
+from lidar_core.flying.results import FlyingFrame, FlyingStatus, Health
 from lidar_core.messages import PosedScan, Scan
+from lidar_core.objects import FlyingDetections, Tracks
 
 if TYPE_CHECKING:
     from lidar_core.sim import SimulatedScan
