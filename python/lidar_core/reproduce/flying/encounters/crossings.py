@@ -1,12 +1,11 @@
 """`flying-crossings`: two drones pass each other closely, and keep their tracks or not."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core import sim
 from lidar_core.reproduce.common import MODES
-from lidar_core.reproduce.flying.simulated.encounters import (
+from lidar_core.reproduce.flying.encounters.common import (
     SENSOR,
     cases,
     draw_numbers,
@@ -15,14 +14,13 @@ from lidar_core.reproduce.flying.simulated.encounters import (
     in_sight,
     os1,
     scores,
+    tracking_rows,
     yard,
 )
 from lidar_core.reproduce.flying.simulated.flights import both_modes
 from lidar_core.reproduce.jobs import Part
-from lidar_core.reproduce.types import Item, Request, Result, Row
-
-if TYPE_CHECKING:
-    from lidar_core.sim import Scene
+from lidar_core.reproduce.types import Item, Measured, Request, Row
+from lidar_core.sim import Scene
 
 SCANS = 45
 MIDDLE = 2.7
@@ -35,11 +33,10 @@ ANGLE_DEG = (20.0, 180.0)
 """Between their horizontal directions [deg]."""
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     parts = cases(crossing, "flying-crossings", request, SCANS)
-    return Result(
-        rows=tuple(_rows(parts)),
-        draw=lambda figure: draw_numbers(figure, parts, "Crossings"),
+    return Measured(
+        (parts,),
         scans=len(parts),
         note=f"{len(parts)} pairs of drones at {SPEED[0]:g}-{SPEED[1]:g} m/s, closest approach"
         f" {APPROACH[0]:g}-{APPROACH[1]:g} m, 4-19 m from an OS1-128.",
@@ -52,9 +49,7 @@ def crossing(*, seed: int, number: int, scans: int) -> Part:
     return flown(_scene(np.random.default_rng([1, seed, number]), scans), seed)
 
 
-def _scene(rng: np.random.Generator, scans: int) -> "Scene":
-    from lidar_core import sim
-
+def _scene(rng: np.random.Generator, scans: int) -> Scene:
     times = np.array([0.0, SCANS * 0.1])
     places = _ways(rng, times)
     while not in_sight(places):
@@ -89,10 +84,6 @@ def _ways(rng: np.random.Generator, times: NDArray[np.float64]) -> NDArray[np.fl
 def _rows(parts: list[Part]) -> list[Row]:
     found = [[scores(part, mode) for part in parts] for mode in MODES]
     switches = [[one.n_switches for one in mode] for mode in found]
-    eligible, hit = (
-        [sum(getattr(one, name) for one in mode) for mode in found]
-        for name in ("n_eligible", "n_found")
-    )
     distance = [
         np.linalg.norm(np.diff(part["position"], axis=1)[:, 0], axis=1).min() for part in parts
     ]
@@ -100,15 +91,7 @@ def _rows(parts: list[Part]) -> list[Row]:
         Row("crossings", "1", None, len(parts), len(parts)),
         Row("id switches", "1", None, *map(sum, switches)),
         Row("crossings with a switch", "1", None, *(sum(map(bool, one)) for one in switches)),
-        Row(
-            "recall of tracks",
-            "1",
-            None,
-            *(n / of if of else None for n, of in zip(hit, eligible, strict=True)),
-        ),
-        Row(
-            "false tracks", "1", None, *(sum(len(one.false_ids) for one in mode) for mode in found)
-        ),
+        *tracking_rows(found),
         Row("mean least distance at a scan", "m", None, *[float(np.mean(distance))] * 2),
     ]
 
@@ -118,6 +101,9 @@ ITEM = Item(
     title="ids of drones that pass each other at 1-2 m",
     scans=100,
     minutes=6,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=draw_numbers,
+    heading="Crossings",
     counts="crossings",
 )

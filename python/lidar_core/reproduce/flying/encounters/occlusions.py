@@ -1,12 +1,11 @@
 """`flying-occlusions`: a drone is hidden by a building for 2 s, and keeps its track or not."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core import sim
 from lidar_core.reproduce.common import MODES
-from lidar_core.reproduce.flying.simulated.encounters import (
+from lidar_core.reproduce.flying.encounters.common import (
     SENSOR,
     cases,
     draw_numbers,
@@ -16,14 +15,13 @@ from lidar_core.reproduce.flying.simulated.encounters import (
     numbers,
     os1,
     scores,
+    tracking_rows,
     yard,
 )
 from lidar_core.reproduce.flying.simulated.flights import both_modes
 from lidar_core.reproduce.jobs import Part
-from lidar_core.reproduce.types import Item, Request, Result, Row
-
-if TYPE_CHECKING:
-    from lidar_core.sim import Body, Scene
+from lidar_core.reproduce.types import Item, Measured, Request, Row
+from lidar_core.sim import Body, Scene
 
 SCANS = 64
 MIDDLE, HIDDEN = 3.7, 2.0
@@ -38,11 +36,10 @@ STEP = 0.05
 """Between points of the way [s]."""
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     parts = cases(occlusion, "flying-occlusions", request, SCANS)
-    return Result(
-        rows=tuple(_rows(parts)),
-        draw=lambda figure: draw_numbers(figure, parts, "Behind a building"),
+    return Measured(
+        (parts,),
         scans=len(parts),
         note=f"{len(parts)} drones at {SPEED[0]:g}-{SPEED[1]:g} m/s, hidden for about {HIDDEN:g} s"
         f" with up to {ACCELERATION:g} m/s^2 meanwhile. An id is kept if the track from before"
@@ -56,9 +53,7 @@ def occlusion(*, seed: int, number: int, scans: int) -> Part:
     return flown(_scene(np.random.default_rng([2, seed, number]), scans), seed)
 
 
-def _scene(rng: np.random.Generator, scans: int) -> "Scene":
-    from lidar_core import sim
-
+def _scene(rng: np.random.Generator, scans: int) -> Scene:
     times = np.linspace(0.0, SCANS * 0.1, round(SCANS * 0.1 / STEP) + 1)
     while True:
         azimuth, distance, speed = rng.uniform([0, 9, SPEED[0]], [2 * np.pi, 14, SPEED[1]])
@@ -76,10 +71,8 @@ def _scene(rng: np.random.Generator, scans: int) -> "Scene":
     )
 
 
-def _building(azimuth: float, near: float, half_width: float) -> "Body":
+def _building(azimuth: float, near: float, half_width: float) -> Body:
     """Make a wall across the line of sight; its front is `near` metres away."""
-    from lidar_core import sim
-
     centre = near + THICKNESS / 2
     return sim.Body(
         shape=sim.Box(size=(THICKNESS, 2 * half_width, HEIGHT)),
@@ -124,23 +117,11 @@ def _rows(parts: list[Part]) -> list[Row]:
     kept = [np.mean([is_kept(part, mode) for part in parts]) for mode in MODES]
     found = [[scores(part, mode) for part in parts] for mode in MODES]
     hidden = float(np.mean([(part["hits"] == 0).sum() for part in parts])) * 0.1
-    eligible, hit = (
-        [sum(getattr(one, name) for one in mode) for mode in found]
-        for name in ("n_eligible", "n_found")
-    )
     return [
         Row("occlusions", "1", None, len(parts), len(parts)),
         Row("share of ids kept", "1", None, *map(float, kept)),
         Row("mean time without a hit", "s", None, hidden, hidden),
-        Row(
-            "recall of tracks",
-            "1",
-            None,
-            *(n / of if of else None for n, of in zip(hit, eligible, strict=True)),
-        ),
-        Row(
-            "false tracks", "1", None, *(sum(len(one.false_ids) for one in mode) for mode in found)
-        ),
+        *tracking_rows(found),
     ]
 
 
@@ -149,6 +130,9 @@ ITEM = Item(
     title="ids of drones that are hidden for 2 s",
     scans=100,
     minutes=10,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=draw_numbers,
+    heading="Behind a building",
     counts="occlusions",
 )
