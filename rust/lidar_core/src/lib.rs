@@ -14,6 +14,7 @@ mod clock;
 mod error;
 pub mod estimation;
 pub mod flying;
+mod full_state;
 pub mod fusion;
 pub mod geometry;
 pub mod probability;
