@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Self
 from lidar_core.config import Config
 from lidar_core.errors import FormatError
 from lidar_core.files import read_whole
-from lidar_core.io.atomic import written_whole
+from lidar_core.io.files.atomic import written_whole
 
 MAGIC = b"LCST"
 VERSION = 1

@@ -10,7 +10,6 @@ import pytest
 
 import lidar_core as lc
 from lidar_core.errors import ConfigError, FormatError
-from lidar_core.full_state import FullState
 
 FILTERS = [
     {"model": "cv", "method": "kf"},
@@ -172,7 +171,9 @@ def test_damage_with_a_right_checksum_is_typed():
 def test_errors_name_the_file_and_the_kind(tmp_path):
     path = tmp_path / "tracker"
     lc.fusion.MultiTargetTracker().save(path)
-    with pytest.raises(FormatError, match="tracker.*TargetFilter, got that of a MultiTargetTracker"):
+    with pytest.raises(
+        FormatError, match="tracker.*TargetFilter, got that of a MultiTargetTracker"
+    ):
         lc.fusion.TargetFilter.load(path)
     path.write_bytes(b"LCVM and more")
     with pytest.raises(FormatError, match="byte 0: expected a saved state"):
@@ -180,6 +181,7 @@ def test_errors_name_the_file_and_the_kind(tmp_path):
 
 
 def test_nothing_is_pickled_inside():
-    for kind in FullState.__subclasses__():
-        assert "pickle" not in (kind.__module__ or "")
-    assert b"\x80\x04\x95" not in sample()
+    """Pickle's own bytes hold ours; ours hold no pickle."""
+    content = sample()
+    assert content in pickle.dumps(lc.fusion.TargetFilter.from_bytes(content))
+    assert not any(content[at:].startswith(b"\x80\x04\x95") for at in range(len(content)))
