@@ -38,7 +38,7 @@ def measurements(count=60, seed=0):
             values = [np.hypot(x, y) + noise[0], np.arctan2(y, x) + 0.1 * noise[1], noise[2]]
             made.append(lc.fusion.Measurement(k * 50_000_000, "radar", values))
         else:
-            made.append(lc.fusion.Measurement(k * 50_000_000, "lidar", [x, y] + noise[:2]))
+            made.append(lc.fusion.Measurement(k * 50_000_000, "lidar", [x, y, *noise[:2]]))
     return made
 
 
@@ -172,7 +172,7 @@ def test_errors_name_the_file_and_the_kind(tmp_path):
     path = tmp_path / "tracker"
     lc.fusion.MultiTargetTracker().save(path)
     with pytest.raises(
-        FormatError, match="tracker.*TargetFilter, got that of a MultiTargetTracker"
+        FormatError, match=r"tracker.*TargetFilter, got that of a MultiTargetTracker"
     ):
         lc.fusion.TargetFilter.load(path)
     path.write_bytes(b"LCVM and more")

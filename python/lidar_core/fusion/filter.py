@@ -79,8 +79,10 @@ class TargetFilter(FullState):
         return self._filter.to_state(), {}
 
     @classmethod
-    def _from_state(cls, config: FusionConfig, core: bytes, extra: dict[str, Any]) -> Self:
-        made = cls(config)
+    def _from_state(
+        cls, config: FusionConfig, core: bytes, extra: dict[str, Any], **options: Any
+    ) -> Self:
+        made = cls(config, **options)
         made._filter = _core.TargetFilter.from_state(config, core)
         return made
 

@@ -117,8 +117,10 @@ class MultiTargetTracker(FullState):
         return self._tracker.to_state(), {"sources": list(self._sources)}
 
     @classmethod
-    def _from_state(cls, config: MultiTargetConfig, core: bytes, extra: dict[str, Any]) -> Self:
-        made = cls(config)
+    def _from_state(
+        cls, config: MultiTargetConfig, core: bytes, extra: dict[str, Any], **options: Any
+    ) -> Self:
+        made = cls(config, **options)
         made._tracker = _core.MultiTargetTracker.from_state(config, core)
         made._sources = {str(name): number for number, name in enumerate(extra["sources"])}
         return made
