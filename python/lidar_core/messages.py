@@ -1,10 +1,50 @@
 """What flows between readers, the simulator and the pipelines: scans in 3D and 2D, poses."""
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+class PointClass(IntEnum):
+    """Class of a point of a 3D scan; arrays of classes hold its numbers as uint8.
+
+    Attributes
+    ----------
+    INVALID
+        No information: NaN, masked, or no return.
+    BACKGROUND
+        Part of the environment.
+    FLYING
+        Part of an object with free space around it.
+    UNKNOWN
+        Neither is known.
+    MOVING
+        Part of an object that moves on the ground; `VoxelMap.integrate` takes it as UNKNOWN.
+    """
+
+    INVALID = 0
+    BACKGROUND = 1
+    FLYING = 2
+    UNKNOWN = 3
+    MOVING = 4
+
+
+class ShapeKind(IntEnum):
+    """What a segment is, and what its parameters mean."""
+
+    CIRCLE = 0
+    """Centre x, y, radius [m]."""
+    ELLIPSE = 1
+    """Centre x, y, longer and shorter semi-axis [m], bearing of the longer one [rad]."""
+    RECTANGLE = 2
+    """Centre x, y, longer and shorter side [m], bearing of the longer one [rad]. Two sides were
+    seen; of one alone nothing tells whether there is a box behind it: it is a line."""
+    LINE = 3
+    """Bearing of the normal [rad], distance from the origin [m], both ends as positions along the
+    line, counted counter-clockwise from the foot of the normal [m]."""
 
 
 @dataclass(frozen=True, slots=True)

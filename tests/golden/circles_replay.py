@@ -24,7 +24,7 @@ from lidar_core.circles import (
     project_horizontal,
     segment,
 )
-from lidar_core.circles.fit_config import FitMethod
+from lidar_core.circles.estimators.fit_config import FitMethod
 from lidar_core.sim import circle_scenes, sweeps
 
 SEED = 18

@@ -1,9 +1,11 @@
 """All scenes whose results are kept, by the file that keeps them."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 from golden import circles_replay, flying_replay, fusion_replay, runs_replay
 from golden.digest import Record
+from golden.recordings_replay import READ
 
 FILES: dict[str, dict[str, Callable[[Record, int], None]]] = {
     "flying": flying_replay.SCENES,
@@ -39,4 +41,11 @@ def played(file: str, scene: str, threads: int) -> dict[str, dict]:
     """Digests of what a scene gives."""
     record = Record()
     FILES[file][scene](record, threads)
+    return record.entries()
+
+
+def read(name: str, data: Path) -> dict[str, dict]:
+    """Digests of what is read from a recording."""
+    record = Record()
+    READ[name](record, data)
     return record.entries()

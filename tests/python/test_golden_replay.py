@@ -5,7 +5,8 @@ import pytest
 
 from golden import digest
 from golden.digest import Record, differences
-from golden.scenes import FILES, played, threads_of
+from golden.recordings_replay import READ
+from golden.scenes import FILES, played, read, threads_of
 from lidar_core.circles import Circles
 
 CASES = [
@@ -25,13 +26,22 @@ def test_results_are_those_of_the_golden_files(file, scene, threads):
     assert not found, "\n".join([*found, CURE])
 
 
+@pytest.mark.parametrize("name", READ)
+def test_what_is_read_is_that_of_the_golden_files(recordings, name):
+    expected = digest.golden("recordings")[name]
+    got = digest.under_old_names(read(name, recordings), expected, digest.renames())
+    found = differences(name, expected, got)
+    assert not found, "\n".join([*found, CURE])
+
+
 def test_the_golden_files_hold_the_scenes_and_no_others():
-    for file, scenes in FILES.items():
+    for file, scenes in (FILES | {"recordings": READ}).items():
         assert set(digest.golden(file)) == set(scenes), f"{file}: {CURE}"
 
 
 def test_every_rename_is_of_a_name_in_the_golden_files():
-    paths = {path for file in FILES for scene in digest.golden(file).values() for path in scene}
+    files = [*FILES, "recordings"]
+    paths = {path for file in files for scene in digest.golden(file).values() for path in scene}
     for old in digest.renames():
         assert any(digest.holds(path, old) for path in paths), f"renames.toml: no {old}"
 

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidar_core import _core
-from lidar_core.circles.fit_config import FitConfig
+from lidar_core.circles.estimators.fit_config import FitConfig
 from lidar_core.circles.preprocess import as_scan
 from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments, arrays_of
 from lidar_core.config import as_config
-from lidar_core.shape_kind import ShapeKind
+from lidar_core.messages import ShapeKind
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,5 @@
 """The voxel map: occupancy of the environment with an exponential update."""
 
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from typing import Self
@@ -13,8 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from lidar_core import _core
 from lidar_core.arrays import Points, as_mask, as_points, as_real, as_rows, as_vector
 from lidar_core.config import as_config
-from lidar_core.errors import FormatError, InputError
+from lidar_core.errors import InputError
+from lidar_core.files import naming
 from lidar_core.flying.config import ClassifyConfig, VoxelMapConfig
+from lidar_core.messages import PointClass
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +99,7 @@ class VoxelMap:
         points_world : array_like, shape (N, 3), float32
             Ends of the rays [m], world frame. Entries that are not finite are skipped.
         point_class : array_like, shape (N,), uint8
-            0 invalid (skipped, no ray), 1 background, 2 flying, 3 unknown.
+            A `PointClass` each: INVALID is skipped and casts no ray, MOVING counts as UNKNOWN.
         sensor_origin : array_like, shape (3,) or (N, 3), float64
             Where the rays start [m], world frame.
         ray_directions : array_like, shape (N, 3), float32, optional
@@ -132,10 +131,14 @@ class VoxelMap:
         if not np.isfinite(origins).all():
             raise InputError("sensor_origin: expected finite coordinates, got NaN or infinity")
         classes = as_real(point_class, name="point_class")
-        if classes.dtype.kind == "f" or (classes.size and (classes.min() < 0 or classes.max() > 3)):
-            raise InputError(
-                "point_class: expected integers 0 invalid, 1 background, 2 flying, 3 unknown"
-            )
+        highest = max(PointClass)
+        if classes.dtype.kind == "f" or (
+            classes.size and (classes.min() < 0 or classes.max() > highest)
+        ):
+            known = ", ".join(f"{one.value} {one.name.lower()}" for one in PointClass)
+            raise InputError(f"point_class: expected integers {known}")
+        if classes.size and classes.max() == PointClass.MOVING:
+            classes = np.minimum(classes, PointClass.UNKNOWN)
         points_of, skipped, rays, no_return_rays, visits, voxels = self._map.integrate(
             points,
             as_rows(classes, name="point_class", rows=len(points), shape=(), dtype=np.uint8),
@@ -297,17 +300,3 @@ class VoxelMap:
             if points.shape[-1:] == (3,):
                 points = points - self.origin
         return as_points(points)
-
-
-@contextmanager
-def naming(path: str | PathLike[str]) -> Iterator[None]:
-    """Errors about a file name it."""
-    name = os.fspath(path)
-    try:
-        yield
-    except FormatError as error:
-        raise FormatError(f"{name}: {error}") from error
-    except OSError as error:
-        if error.errno is None:
-            raise
-        raise OSError(error.errno, os.strerror(error.errno), name) from error

@@ -4,15 +4,16 @@ use crate::arrays::{self, Threads};
 use crate::errors::BorderError;
 use crate::fusion_config::FusionConfig;
 use crate::guard::{Guarded, detached};
+use lidar_core::Error;
 use lidar_core::estimation::minimise::Search;
-use lidar_core::fusion::engine::Output;
-use lidar_core::fusion::life::Outcome;
-use lidar_core::fusion::likelihood::{fit, quantities};
-use lidar_core::fusion::target::Step;
+use lidar_core::fusion::filter::engine::Output;
+use lidar_core::fusion::targets::lifecycle::Outcome;
+use lidar_core::fusion::targets::noise_search::{fit, quantities};
+use lidar_core::fusion::targets::target::Step;
 use lidar_core::fusion::{
     Filter, FusionParameters, Measurement, Record, Sensor, run, run_batch, smooth,
 };
-use lidar_core::{Error, threads};
+use lidar_core::util::threads;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
