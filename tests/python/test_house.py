@@ -163,7 +163,7 @@ def test_one_version_everywhere():
 
 def test_the_limits_of_the_security_paper_are_those_of_the_code():
     paper = text_of("SECURITY.md")
-    budget = text_of("rust/lidar_core/src/budget.rs")
+    budget = text_of("rust/lidar_core/src/util/budget.rs")
     for name in ["MAX_POINTS", "MAX_VOXELS_PER_RAY"]:
         value = int(re.search(rf"{name}: usize = ([\d_]+);", budget)[1].replace("_", ""))
         assert f"{value:,}" in paper
@@ -272,7 +272,14 @@ def test_no_pickle_and_no_code_from_strings(folder):
 
 def test_the_core_needs_no_python_and_no_simulator():
     manifest = tomllib.loads(text_of("rust/lidar_core/Cargo.toml"))
-    assert set(manifest["dependencies"]) == {"libm", "nalgebra", "pulp", "rayon"}
+    assert set(manifest["dependencies"]) == {
+        "libm",
+        "nalgebra",
+        "postcard",
+        "pulp",
+        "rayon",
+        "serde",
+    }
     bindings = re.compile(r"\b(pyo3|numpy|parry|glam)\b")
     for path in (ROOT / "rust/lidar_core/src").rglob("*.rs"):
         assert not bindings.search(re.sub(r"//.*", "", path.read_text(encoding="utf-8"))), path
