@@ -122,7 +122,8 @@ class FlyingObjectDetector:
             "sensor": sensor,
         }
         try:
-            posed = getattr(points_lidar, "posed", None)
+            is_posed = isinstance(points_lidar, PosedScan)
+            posed = points_lidar if is_posed else getattr(points_lidar, "posed", None)
             if isinstance(posed, PosedScan):
                 given = _arrays_of(posed, given)
             stamp, values = self._process(**given)
