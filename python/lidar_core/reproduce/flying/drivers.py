@@ -157,4 +157,5 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=_draw,
+    grid="",
 )
