@@ -6,7 +6,7 @@ from typing import Generic
 from lidar_core.circles import CirclePipeline, CirclesConfig, Scanner
 from lidar_core.circles.scan_layout import check_no_rays, scanner_of
 from lidar_core.flying import FlyingObjectDetector
-from lidar_core.live.update import CirclesUpdate, FlyingUpdate, LiveCapability, Update
+from lidar_core.live.outputs.update import CirclesUpdate, FlyingUpdate, LiveCapability, Update
 from lidar_core.messages import LaserScan, PosedScan, Scan, ScanT
 
 

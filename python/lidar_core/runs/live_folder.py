@@ -9,8 +9,8 @@ from lidar_core.circles import CirclePipeline
 from lidar_core.config import Config
 from lidar_core.flying import FlyingObjectDetector
 from lidar_core.live import Output, Update
+from lidar_core.live.outputs.update import CirclesUpdate, FlyingUpdate
 from lidar_core.live.pipelines import CirclesLive, FlyingLive, LivePipeline
-from lidar_core.live.update import CirclesUpdate, FlyingUpdate
 from lidar_core.run_folder import RunFolder, fingerprint
 from lidar_core.runs.circle_map import CirclesRun
 from lidar_core.runs.flying import FlyingRun
