@@ -9,29 +9,33 @@ from reference import sky as oracle
 
 SCANS = 24
 """Longer than the two seconds after which a direction is trusted."""
+LOOKS = (2, 3, 14, 23)
+"""Scans whose rays are compared: without any, before and after they are trusted."""
 
 
 def compared(scans, poses, *, least_rays):
     """Feed a detector and the oracle; the shares of the sky in all scans.
 
-    Every ray has to be the same: its direction, and its length to the rounding of a float32.
+    Rays are compared in the scans of `LOOKS`: all of them have to be the same, their directions
+    and, to the rounding of a float32, their lengths.
     """
     detector = FlyingObjectDetector(FlyingConfig())
-    core, given = detector._detector, detector.config
-    expected = oracle.SkyOracle(given.map.voxel_size, given.map.max_range)
+    core, given = detector._detector, detector.config.map
+    expected = oracle.SkyOracle(given.voxel_size, given.max_range)
     shares, rays = [], 0
     for number, (points, pose) in enumerate(zip(scans, poses, strict=True)):
         stamp_ns = 1_000_000_000 + number * 100_000_000
-        seen = expected.process(points, pose[:3, :3], pose[:3, 3], stamp_ns, detector.state_at)
+        state_at = detector.state_at if number in LOOKS else None
+        seen = expected.process(points, pose[:3, :3], pose[:3, 3], stamp_ns, state_at)
         frame = detector.process(points, pose, stamp_ns)
-        directions, reach = core.sky_rays()
-        assert frame.status.gate_open or number < 20
-        assert len(directions) == len(seen.directions) == frame.status.n_sky_rays
-        np.testing.assert_allclose(directions, seen.directions, rtol=0, atol=3e-7)
-        np.testing.assert_allclose(reach, seen.reach, rtol=2e-6, atol=0)
         assert frame.status.sky_share == pytest.approx(seen.share, rel=1e-5, abs=1e-9)
         shares.append(seen.share)
-        rays += len(reach)
+        if number in LOOKS:
+            directions, reach = core.sky_rays()
+            assert len(directions) == len(seen.directions) == frame.status.n_sky_rays
+            np.testing.assert_allclose(directions, seen.directions, rtol=0, atol=3e-7)
+            np.testing.assert_allclose(reach, seen.reach, rtol=2e-6, atol=0)
+            rays += len(reach)
     assert rays >= least_rays
     return np.array(shares)
 
@@ -59,33 +63,28 @@ def random_scans(rng, *, half_width=None):
         yield (points + rng.normal(0, 0.01, points.shape)).astype(np.float32)
 
 
-@pytest.mark.parametrize(("seed", "half_width"), [(0, None), (1, None), (2, 0.7)])
-def test_random_worlds_have_the_sky_that_the_oracle_finds(seed, half_width):
-    rng = np.random.default_rng(seed)
-    way = np.cumsum(rng.normal(0, 0.03 * (seed % 2), (SCANS, 2)), axis=0)
+def test_a_turning_sensor_that_drifts_has_the_sky_that_the_oracle_finds():
+    rng = np.random.default_rng(1)
     poses = np.broadcast_to(np.eye(4), (SCANS, 4, 4)).copy()
-    poses[:, :2, 3] = way
-    scans = list(random_scans(rng, half_width=half_width))
-    shares = compared(scans, poses, least_rays=5000)
+    poses[:, :2, 3] = np.cumsum(rng.normal(0, 0.02, (SCANS, 2)), axis=0)
+    shares = compared(list(random_scans(rng)), poses, least_rays=5000)
     assert 0.02 < shares[-1] < 0.9
 
 
-@pytest.mark.parametrize("name", ["vlp-16", "livox-mid360", "livox-avia"])
-def test_simulated_sensors_have_the_sky_that_the_oracle_finds(name):
-    scene = sim.scenes.dark_street(3, scans=SCANS, sensor=name, speed=2.0)
-    made = [sim.Simulator(scene, seed=3).scan(number) for number in range(SCANS)]
-    scans = [one.scan.points.reshape(-1, 3) for one in made]
-    poses = [one.world_from_lidar for one in made]
-    shares = compared(scans, poses, least_rays=2000)
-    assert shares[-1] > 0.01
-
-
-def test_a_cover_takes_the_sky_away_and_gives_it_back():
-    scans = list(random_scans(np.random.default_rng(5)))
-    for number in (12, 13):
+def test_a_fixed_field_of_view_that_is_covered_for_two_scans_has_that_sky_too():
+    scans = list(random_scans(np.random.default_rng(2), half_width=0.7))
+    for number in (15, 16):
         scans[number] = scans[number][:900]
-    poses = np.broadcast_to(np.eye(4), (SCANS, 4, 4))
-    shares = compared(scans, poses, least_rays=5000)
-    assert (shares[12:14] == 0).all()
-    assert shares[11] > 0.02
+    shares = compared(scans, np.broadcast_to(np.eye(4), (SCANS, 4, 4)), least_rays=500)
+    assert (shares[15:17] == 0).all()
     assert shares[14] > 0.02
+    assert shares[17] > 0.02
+
+
+@pytest.mark.parametrize("name", ["vlp-16", "livox-avia"])
+def test_simulated_sensors_have_the_sky_that_the_oracle_finds(name):
+    simulator = sim.Simulator(sim.scenes.dark_street(3, sensor=name, speed=2.0), seed=3)
+    made = [simulator.scan(number) for number in range(SCANS)]
+    scans = [one.scan.points.reshape(-1, 3) for one in made]
+    shares = compared(scans, [one.world_from_lidar for one in made], least_rays=2000)
+    assert shares[-1] > 0.01

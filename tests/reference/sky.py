@@ -130,11 +130,7 @@ class Seen:
 
 @dataclass
 class SkyOracle:
-    """The sky of one sensor over its scans.
-
-    `state_at` tells the state of the map at points, before the scan; `voxel_size` is that of
-    the map.
-    """
+    """The sky of one sensor over its scans; `voxel_size` and `max_range` are those of the map."""
 
     voxel_size: float
     max_range: float
@@ -151,8 +147,11 @@ class SkyOracle:
     learnt: int = 0
     density: object = None
 
-    def process(self, points, turn, origin, stamp_ns, state_at):
-        """One scan: returns in the sensor's frame, attitude and place of the sensor."""
+    def process(self, points, turn, origin, stamp_ns, state_at=None):
+        """One scan: returns in the sensor's frame, attitude and place of the sensor.
+
+        Rays are cast if `state_at` is given: the state of the map at points, before the scan.
+        """
         length = np.linalg.norm(points.astype(np.float64), axis=1)
         rows = np.flatnonzero(np.isfinite(length) & (length > 0.1))
         found, length = points[rows].astype(np.float64), length[rows]
@@ -251,34 +250,32 @@ class SkyOracle:
         is_same &= self.last_ns is None or stamp_ns - self.last_ns <= 1_000_000_000
         began = np.where(is_same & (self.since_ns >= 0), self.since_ns, stamp_ns)
         since = np.where(is_sky, began, -1)
-        directions, lengths = [], []
-        for cell in np.flatnonzero(reach >= 2.0):
-            is_trusted = is_sky[cell] and stamp_ns - since[cell] >= 2_000_000_000
-            for part in range(PARTS * PARTS):
-                row, column = divmod(part, PARTS)
-                if (row + column + self.scans) % PARTS:
-                    continue
-                middle = ((place + 0.5) / PARTS for place in (row, column))
-                way = part_of([cell], *middle)[0].astype(F32)
-                free = reach[cell]
-                if not is_trusted:
-                    free = self._free(way.astype(float), reach[cell], origin, state_at)
-                if free >= 2.0:
-                    directions.append(way)
-                    lengths.append(free)
-        seen.directions, seen.reach = np.reshape(directions, (-1, 3)), np.array(lengths)
-        seen.is_sky, seen.share = (
-            is_sky,
-            float(
-                seen.expected[is_sky].sum(dtype=float) / max(seen.expected.sum(dtype=float), 1e-300)
-            ),
-        )
+        seen.is_sky, all_rays = is_sky, seen.expected.sum(dtype=float)
+        seen.share = float(seen.expected[is_sky].sum(dtype=float) / all_rays) if all_rays else 0.0
+        if state_at is not None:
+            is_trusted = is_sky & (stamp_ns - since >= 2_000_000_000)
+            self._rays(seen, reach, is_trusted, lambda ways: state_at(origin + ways))
         return since
 
-    def _free(self, way, reach, origin, state_at):
+    def _rays(self, seen, reach, is_trusted, state_of):
+        """Rays through a third of the parts of every cell, another third in every scan."""
+        parts = [
+            divmod(part, PARTS)
+            for part in range(PARTS * PARTS)
+            if (sum(divmod(part, PARTS)) + self.scans) % PARTS == 0
+        ]
+        cells = np.repeat(np.flatnonzero(reach >= 2.0), len(parts))
+        shares = (np.tile(parts, (len(cells) // len(parts), 1)) + 0.5) / PARTS
+        ways = part_of(cells, shares[:, 0], shares[:, 1]).astype(F32)
+        free = reach[cells]
+        for ray in np.flatnonzero(~is_trusted[cells]):
+            free[ray] = self._free(ways[ray].astype(float), free[ray], state_of)
+        seen.directions, seen.reach = ways[free >= 2.0], free[free >= 2.0]
+
+    def _free(self, way, reach, state_of):
         """Up to the first voxel that is at least tentatively occupied."""
         along = 0.5 * self.voxel_size * np.arange(1, int(2 * reach / self.voxel_size) + 1)
-        met = np.flatnonzero(state_at(origin + along[:, None] * way) >= 2)
+        met = np.flatnonzero(state_of(along[:, None] * way) >= 2)
         return along[met[0]] - self.voxel_size if len(met) else reach
 
 
