@@ -104,7 +104,7 @@ docs: ## Build the guide with the parameter reference into site/.
 	$(BIN)/mkdocs build --strict
 
 golden: ## Write the golden files again, after an intended change.
-	$(BIN)/python tests/golden/generate.py
+	PYTHONPATH=tests:$$PYTHONPATH $(BIN)/python tests/golden/generate.py
 
 # Files of a source distribution all carry one old time, so that cargo takes what it built of them
 # before for fresh: it is removed first. On Linux zig links against an old glibc, so that the wheel

@@ -17,7 +17,7 @@ from threading import Event
 import zenoh
 
 import lidar_core as lc
-from lidar_core.io.write_ros import RosMessages
+from lidar_core.io.write.ros import RosMessages
 from lidar_core.live.replay import ReplaySource
 from lidar_core.live.source import StreamTopics
 from lidar_core.live.zenoh_link import key_of

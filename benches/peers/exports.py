@@ -6,7 +6,7 @@ import numpy as np
 import pyoctomap
 
 import lidar_core as lc
-from lidar_core.io.octomap import write_octomap
+from lidar_core.io.maps.octomap import write_octomap
 
 RESOLUTION = 0.25
 SEED, POINTS = 7, 4000

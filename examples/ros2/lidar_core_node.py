@@ -15,9 +15,9 @@ from threading import Thread
 from lidar_core.circles import CirclesConfig
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 from lidar_core.io import PoseOptions, ReadOptions, Topic
-from lidar_core.io.recording import Record
-from lidar_core.io.ros_messages import RosDecoder, kind_of
-from lidar_core.io.write_ros import RosMessages
+from lidar_core.io.messages.ros import RosDecoder, kind_of
+from lidar_core.io.records import Record
+from lidar_core.io.write.ros import RosMessages
 from lidar_core.live import LiveConfig, LiveLoop, Output, Source
 from lidar_core.live.pipelines import CirclesLive, FlyingLive
 from lidar_core.live.poses import LivePoses

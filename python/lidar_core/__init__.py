@@ -27,16 +27,19 @@ if TYPE_CHECKING:
     from lidar_core import io as io
     from lidar_core import live as live
     from lidar_core import reproduce as reproduce
+    from lidar_core import runs as runs
     from lidar_core import sim as sim
     from lidar_core import viz as viz
     from lidar_core.flying.config import VoxelMapConfig as VoxelMapConfig
     from lidar_core.flying.voxel_map import IntegrateStats as IntegrateStats
     from lidar_core.flying.voxel_map import VoxelMap as VoxelMap
+    from lidar_core.messages import PointClass as PointClass
 
 _HOMES = {
     "VoxelMapConfig": "flying.config",
     "IntegrateStats": "flying.voxel_map",
     "VoxelMap": "flying.voxel_map",
+    "PointClass": "messages",
 }
 _LAZY = (
     "batch",
@@ -48,6 +51,7 @@ _LAZY = (
     "io",
     "live",
     "reproduce",
+    "runs",
     "sim",
     "viz",
 )
@@ -64,6 +68,7 @@ __all__ = [
     "LinkError",
     "MissingExtraError",
     "NumericalError",
+    "PointClass",
     "VoxelMap",
     "VoxelMapConfig",
     "__version__",
@@ -77,6 +82,7 @@ __all__ = [
     "io",
     "live",
     "reproduce",
+    "runs",
     "sim",
     "traverse",
     "viz",

@@ -1,10 +1,35 @@
 """What flows between readers, the simulator and the pipelines: scans in 3D and 2D, poses."""
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+class PointClass(IntEnum):
+    """Class of a point of a 3D scan; arrays of classes hold its numbers as uint8.
+
+    Attributes
+    ----------
+    INVALID
+        No information: NaN, masked, or no return.
+    BACKGROUND
+        Part of the environment.
+    FLYING
+        Part of an object with free space around it.
+    UNKNOWN
+        Neither is known.
+    MOVING
+        Part of an object that moves on the ground; `VoxelMap.integrate` takes it as UNKNOWN.
+    """
+
+    INVALID = 0
+    BACKGROUND = 1
+    FLYING = 2
+    UNKNOWN = 3
+    MOVING = 4
 
 
 @dataclass(frozen=True, slots=True)

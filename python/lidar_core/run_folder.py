@@ -25,7 +25,7 @@ from lidar_core.config import Config
 from lidar_core.errors import FormatError
 from lidar_core.extras import require
 from lidar_core.files import check_name, check_regular_or_folder
-from lidar_core.io.atomic import is_temporary, remove_stale, written_whole
+from lidar_core.io.files.atomic import is_temporary, remove_stale, written_whole
 
 RUN_FILE = "run.toml"
 UNFINISHED = "run.unfinished"

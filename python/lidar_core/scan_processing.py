@@ -7,9 +7,9 @@ import numpy as np
 from lidar_core.circles import CircleFrame, CirclePipeline, CirclesConfig, Scanner
 from lidar_core.errors import ConfigError, FormatError
 from lidar_core.flying import FlyingFrame, FlyingObjectDetector
-from lidar_core.io.posed import PosedScan
-from lidar_core.io.write_mcap import FoxgloveLog
-from lidar_core.messages import LaserScan, Pose, Scan
+from lidar_core.io.poses.posed import PosedScan
+from lidar_core.io.write.mcap import FoxgloveLog
+from lidar_core.messages import LaserScan, PointClass, Pose, Scan
 from lidar_core.sensors import SENSORS
 
 CLASSES_TOPIC = "/classes"
@@ -117,13 +117,13 @@ def _rays(scanner: Scanner) -> dict[str, float]:
 def log_flying(
     log: FoxgloveLog, item: PosedScan[Scan], frame: FlyingFrame, *, frame_id: str
 ) -> None:
-    """Pose, cloud and tracks of one scan; the cloud's `intensity` is the class of the point.
+    """Pose, cloud and tracks of one scan; `intensity` is the `PointClass` of the point.
 
-    Clouds hold the points with information: 1 background, 2 flying, 3 unknown.
+    Clouds hold the points with information.
     """
     scan = item.scan
     _log_pose(log, item, frame_id)
-    is_point = frame.point_class > 0
+    is_point = frame.point_class != PointClass.INVALID
     log.write(
         Scan(
             stamp_ns=scan.stamp_ns,

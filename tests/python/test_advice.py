@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from lidar_core.cli import app
 from lidar_core.errors import LidarCoreError, MissingExtraError
 from lidar_core.io import write_recording
-from lidar_core.io.pose_files import read_poses
+from lidar_core.io.poses.pose_files import read_poses
 from lidar_core.messages import LaserScan, Scan
 
 ROOT = Path(os.environ.get("LIDAR_CORE_DATA", Path(__file__).parents[3] / "shared" / "data"))

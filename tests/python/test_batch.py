@@ -27,8 +27,8 @@ from lidar_core.batch import (
 )
 from lidar_core.batch.results import flat
 from lidar_core.cli import app
-from lidar_core.cli.batch_job import Batch
 from lidar_core.io import read_columns
+from lidar_core.runs.batch_jobs import Batch
 
 ROOT = Path(__file__).parents[2]
 SCENE = """

@@ -20,8 +20,8 @@ from lidar_core.circles import (
     make_samples,
     segment,
 )
-from lidar_core.circles.detector_name import MODELS, shipped
-from lidar_core.circles.windows import windows_of_samples
+from lidar_core.circles.estimators.detector_name import MODELS, shipped
+from lidar_core.circles.estimators.windows import windows_of_samples
 from lidar_core.errors import ConfigError, FormatError, InputError
 from reference import circle_window as reference
 

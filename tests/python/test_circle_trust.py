@@ -16,8 +16,8 @@ from lidar_core.circles import (
     Scanner,
     trust_model,
 )
-from lidar_core.circles.detector_name import MODELS
-from lidar_core.circles.onnx_graph import check_graph
+from lidar_core.circles.estimators.detector_name import MODELS
+from lidar_core.circles.estimators.onnx_graph import check_graph
 from lidar_core.cli import app
 from lidar_core.errors import ConfigError, FormatError, LimitError
 from lidar_core.live.pipelines import CirclesLive

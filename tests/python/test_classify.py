@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lidar_core import ConfigError, InputError, VoxelMap, VoxelMapConfig, cluster_points
+from lidar_core import ConfigError, InputError, PointClass, VoxelMap, VoxelMapConfig, cluster_points
 from lidar_core.flying import ClassifyConfig
 from reference import classify as oracle
 from reference import raycast
 from reference.voxel_map import VoxelMap as MapOracle
 
-BACKGROUND, FLYING, UNKNOWN = 1, 2, 3
+BACKGROUND, FLYING, UNKNOWN = PointClass.BACKGROUND, PointClass.FLYING, PointClass.UNKNOWN
 SIZE = 0.25
 
 

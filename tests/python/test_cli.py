@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 import lidar_core
 from lidar_core.cli import app, doctor
-from lidar_core.cli.settings import merged
 from lidar_core.parameters import MODELS, model_named
+from lidar_core.runs.settings import merged
 
 COMMANDS = sorted(
     [*(command.name for command in app.registered_commands)]

@@ -18,10 +18,10 @@ import lidar_core.io
 from lidar_core import ConfigError, FormatError, InputError, sim
 from lidar_core.circles import CirclePipeline, CirclesConfig
 from lidar_core.cli import app, main
-from lidar_core.cli.circles_run import CirclesRun
-from lidar_core.cli.scan_times import ScanTimes
 from lidar_core.io import PosedScan, open_recording, posed_laser_scans, read_columns, write_npz
 from lidar_core.messages import LaserScan, Pose
+from lidar_core.runs.circle_map import CirclesRun
+from lidar_core.runs.scan_times import ScanTimes
 from lidar_core.viz.film import film_ending
 
 SCANS, RADIUS = 60, 0.3
@@ -295,9 +295,7 @@ def test_a_run_that_rejects_most_scans_fails_and_says_why(tmp_path):
 def test_late_scans_have_one_reason(tmp_path):
     scan = LaserScan(0, np.full(181, 2.0, np.float32), -1.5, 0.017, 0.1, 30.0, "laser")
     scanner = lidar_core.circles.Scanner(-1.5, 0.017, 181, 0.1, 10.0)
-    run = CirclesRun(
-        CirclePipeline(CirclesConfig(scanner=scanner, on_bad_scan="count")), films=False
-    )
+    run = CirclesRun(CirclePipeline(CirclesConfig(scanner=scanner, on_bad_scan="count")))
     for stamp in (10**12, 1, 2, 3):
         run.take(PosedScan(replace(scan, stamp_ns=stamp), np.eye(4)))
     ((reason, count),) = run.pipeline.health().reasons.items()
@@ -352,12 +350,12 @@ def test_the_first_scan_does_not_count_for_the_time_per_scan():
 
 
 def test_points_of_long_runs_are_thinned(recording, monkeypatch):
-    monkeypatch.setattr("lidar_core.cli.circles_run.MOST_POINTS", 500)
+    monkeypatch.setattr("lidar_core.runs.circle_map.MOST_POINTS", 500)
     with open_recording(recording) as opened:
         items = list(posed_laser_scans(opened))
     scan = items[0].scan
     scanner = lidar_core.circles.Scanner(scan.angle_min, scan.angle_increment, 1081, 0.1, 10.0)
-    run = CirclesRun(CirclePipeline(CirclesConfig(scanner=scanner)), films=False)
+    run = CirclesRun(CirclePipeline(CirclesConfig(scanner=scanner)))
     for item in items:
         run.take(PosedScan(item.scan, item.world_from_lidar, item.pose_stamps_ns))
     points = run.view("a").points

@@ -5,11 +5,12 @@ import pytest
 from flying_scenes import VLP_16, drone, feed, scans_of, yard
 from scipy.spatial.transform import Rotation
 
+from lidar_core import PointClass
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 from reference import raycast
 from reference.detector import Detector as Specification
 
-BACKGROUND, FLYING, UNKNOWN = 1, 2, 3
+BACKGROUND, FLYING, UNKNOWN = PointClass.BACKGROUND, PointClass.FLYING, PointClass.UNKNOWN
 STEP_NS = 100_000_000
 BALL = 0.5  # [m]
 # Points are float32: a rotation that differs in the last bit of float64 moves them by this much.

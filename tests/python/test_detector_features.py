@@ -7,7 +7,7 @@ import pytest
 from flying_scenes import drone, feed, lidar, scans_of, wall, yard
 from scipy.spatial.transform import Rotation
 
-from lidar_core import VoxelMapConfig, sim
+from lidar_core import PointClass, VoxelMapConfig, sim
 from lidar_core.errors import InputError
 from lidar_core.flying import (
     ClassifyConfig,
@@ -18,7 +18,7 @@ from lidar_core.flying import (
 )
 from lidar_core.sim import Body, Circle, Cylinder, Hover, Plane, Tree, Waypoints
 
-FLYING, UNKNOWN = 2, 3
+FLYING, UNKNOWN = PointClass.FLYING, PointClass.UNKNOWN
 IN_THE_SKY = yard(drone((6.0, 4.0, 3.5), (-4.0, 7.0, 4.5)), scans=20)
 
 

@@ -32,7 +32,7 @@ from lidar_core.reproduce.flying.real_data.sequences import (
     sequence_named,
     sequence_scans,
 )
-from lidar_core.sim.inserted import SolidTarget
+from lidar_core.sim.insertion.inserted import SolidTarget
 
 ROOM = RealSequence("room", "room.tar.xz", elevation_deg=(-25.0, 25.0), range_max=60.0)
 

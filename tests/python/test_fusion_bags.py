@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from lidar_core.cli import app
 from lidar_core.errors import ConfigError, FormatError
 from lidar_core.fusion import BagOptions, read_bag
-from lidar_core.io.ros_types import ros_store
+from lidar_core.io.messages.ros_types import ros_store
 from lidar_core.io.rotations import quaternion_from_angles
 
 SEED = 9600

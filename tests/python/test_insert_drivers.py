@@ -10,9 +10,9 @@ from scipy.spatial import Delaunay
 
 from lidar_core import InputError, sim
 from lidar_core.io import open_recording
-from lidar_core.io.posed import PosedScan
+from lidar_core.io.poses.posed import PosedScan
 from lidar_core.messages import Scan
-from lidar_core.sim.ray_scan import SensorWay
+from lidar_core.sim.insertion.ray_scan import SensorWay
 
 SCANS = 12
 SHAPES = {

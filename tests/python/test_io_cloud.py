@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lidar_core.errors import FormatError, LimitError
-from lidar_core.io.cloud import CloudDecoder, Field, Layout, unpack
+from lidar_core.io.messages.cloud import CloudDecoder, Field, Layout, unpack
 from lidar_core.io.options import ReadOptions
-from lidar_core.io.recording import Findings
+from lidar_core.io.records import Findings
 
 STRUCT_CODES = {
     "i1": "b",

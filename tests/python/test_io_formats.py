@@ -23,7 +23,7 @@ from rosbags.rosbag2 import Writer as Writer2
 import lidar_core as lc
 import lidar_core.io
 from lidar_core.errors import ConfigError, FormatError, InputError, LimitError
-from lidar_core.io.compressed import unpack_zstd, zstd_data
+from lidar_core.io.files.compressed import unpack_zstd, zstd_data
 from lidar_core.messages import Pose, Scan
 
 BASE_NS = 1_700_000_000_123_456_789
@@ -747,7 +747,7 @@ def test_bz2_bombs_in_bags_are_refused(tmp_path):
     """A bag's chunk may decompress a millionfold."""
     import bz2
 
-    from lidar_core.io.ros import bounded_decompressor
+    from lidar_core.io.formats.ros import bounded_decompressor
 
     bomb = bz2.compress(bytes(80 * 2**20))
     with pytest.raises(LimitError, match=r"chunk 1: \d+ compressed bytes become more than 1000"):

@@ -12,7 +12,7 @@ import pytest
 
 import lidar_core as lc
 from lidar_core.errors import FormatError, LimitError
-from lidar_core.io.las import MOST_RECORD, POINTS_PER_BYTE, read_las
+from lidar_core.io.files.las import MOST_RECORD, POINTS_PER_BYTE, read_las
 from lidar_core.io.options import ReadOptions
 
 FORMATS = {0: "1.2", 3: "1.2", 5: "1.3", 6: "1.4", 7: "1.4", 10: "1.4"}

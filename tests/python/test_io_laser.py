@@ -15,9 +15,9 @@ import lidar_core as lc
 import lidar_core.io
 from lidar_core.cli import app
 from lidar_core.errors import ConfigError, FormatError, LimitError
-from lidar_core.io.laser import LaserDecoder
+from lidar_core.io.messages.laser import LaserDecoder
 from lidar_core.io.options import ReadOptions
-from lidar_core.io.recording import Findings
+from lidar_core.io.records import Findings
 from lidar_core.messages import LaserScan, Pose, Scan
 
 BASE_NS = 1_700_000_000_123_456_789

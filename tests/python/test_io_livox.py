@@ -13,7 +13,7 @@ from rosbags.typesys import get_types_from_msg
 import lidar_core as lc
 import lidar_core.io
 from lidar_core.errors import FormatError, LimitError
-from lidar_core.io.livox import livox_cloud
+from lidar_core.io.messages.livox import livox_cloud
 from lidar_core.messages import Scan
 
 BASE_NS = 1_700_000_000_123_456_789

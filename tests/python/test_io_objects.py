@@ -10,11 +10,16 @@ from typer.testing import CliRunner
 
 from lidar_core import ConfigError, InputError
 from lidar_core.cli import app
-from lidar_core.cli.flying_run import FlyingRun
 from lidar_core.flying import FlyingObjectDetector
 from lidar_core.io import circles, shapes, tracks, write_mot, write_nuscenes, write_ros_objects
-from lidar_core.io.ros_obstacles import TOPICS
-from lidar_core.io.ros_types import COSTMAP_TYPES, DETECTIONS_TYPE, DYNAMIC_TYPE, OBSTACLES_TYPE
+from lidar_core.io.messages.ros_types import (
+    COSTMAP_TYPES,
+    DETECTIONS_TYPE,
+    DYNAMIC_TYPE,
+    OBSTACLES_TYPE,
+)
+from lidar_core.io.write.ros_obstacles import TOPICS
+from lidar_core.runs.flying import FlyingRun
 from lidar_core.viz import Objects, Playback
 
 ROOT = Path(__file__).parents[2]

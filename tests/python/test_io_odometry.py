@@ -18,8 +18,8 @@ from lidar_core.cli import app
 from lidar_core.errors import ConfigError, InputError, MissingExtraError, OdometryWarning
 from lidar_core.extras import install_command
 from lidar_core.flying import FlyingObjectDetector
-from lidar_core.io import odometry as module
-from lidar_core.io.odometry import LOST_IN_A_ROW, KissOdometry, placed_scans
+from lidar_core.io.poses import odometry as module
+from lidar_core.io.poses.odometry import LOST_IN_A_ROW, KissOdometry, placed_scans
 from lidar_core.live.config import LiveConfig
 from lidar_core.live.poses import LivePoses
 from lidar_core.messages import Scan

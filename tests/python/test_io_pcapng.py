@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import lidar_core as lc
 import lidar_core.io
 from lidar_core.errors import FormatError
-from lidar_core.io.pcapng import AsPcap, packets
+from lidar_core.io.files.pcapng import AsPcap, packets
 
 dpkt = pytest.importorskip("dpkt")
 

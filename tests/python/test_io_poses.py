@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import lidar_core as lc
 import lidar_core.io
-import lidar_core.io.posed as posed_module
+import lidar_core.io.poses.posed as posed_module
 from lidar_core.errors import ConfigError, FormatError
 from lidar_core.io.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
 from lidar_core.messages import Pose, Scan

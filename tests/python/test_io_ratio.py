@@ -9,8 +9,8 @@ import zstandard
 
 import lidar_core as lc
 from lidar_core.errors import FormatError, LimitError
-from lidar_core.io import compressed
-from lidar_core.io.compressed import bounded_decompressor, unpack_zstd, zstd_data
+from lidar_core.io.files import compressed
+from lidar_core.io.files.compressed import bounded_decompressor, unpack_zstd, zstd_data
 
 MIB = 2**20
 RATIO = "compressed bytes become more than 1000 times as many"

@@ -12,8 +12,8 @@ import lidar_core as lc
 import lidar_core.io
 from lidar_core.errors import FormatError, MissingExtraError
 from lidar_core.io import ReadOptions
-from lidar_core.io.recording import Findings
-from lidar_core.io.velodyne import PacketStream
+from lidar_core.io.messages.velodyne import PacketStream
+from lidar_core.io.records import Findings
 from lidar_core.messages import Pose, Scan
 
 VELODYNE = {

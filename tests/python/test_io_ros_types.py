@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("rosbags")
 
-from lidar_core.io.ros_types import (
+from lidar_core.io.messages.ros_types import (
     COSTMAP_TYPES,
     DETECTIONS_TYPE,
     DYNAMIC_TYPE,

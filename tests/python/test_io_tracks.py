@@ -13,7 +13,7 @@ from mcap_protobuf.decoder import DecoderFactory
 import lidar_core as lc
 import lidar_core.io
 from lidar_core.extras import install_command
-from lidar_core.io import tracks as module
+from lidar_core.io.write import tracks as module
 
 BASE_NS = 1_700_000_000_000_000_001
 
@@ -78,7 +78,7 @@ def test_parquet_table(tmp_path, tracks):
 
 @pytest.mark.parametrize("name", ["tracks.csv", "tracks.parquet"])
 def test_csv_table_on_request_or_without_pyarrow(tmp_path, tracks, monkeypatch, name):
-    monkeypatch.setattr("lidar_core.io.long_table.find_spec", lambda _: None)
+    monkeypatch.setattr("lidar_core.io.write.long_table.find_spec", lambda _: None)
     path = lc.io.write_tracks_table(tmp_path / name, tracks, frame_id="map")
     assert path == tmp_path / "tracks.csv"
     with path.open(newline="") as file:
@@ -101,7 +101,7 @@ def test_tum_trajectories(tmp_path, tracks):
     np.testing.assert_allclose(values[1, 1:4], tracks[2].position[0], atol=1e-6)
     np.testing.assert_array_equal(values[:, 4:], [[0, 0, 0, 1]] * 2)
     assert lc.io.open_recording  # a trajectory is a poses file, too:
-    from lidar_core.io.pose_files import read_poses
+    from lidar_core.io.poses.pose_files import read_poses
 
     stamps, _ = read_poses(paths[1])
     assert stamps.tolist() == [BASE_NS, BASE_NS + 2 * 10**8]

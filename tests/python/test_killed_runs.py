@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from lidar_core.cli import app
 from lidar_core.io import write_recording
-from lidar_core.io.atomic import remove_stale, temporary_for, written_whole
+from lidar_core.io.files.atomic import remove_stale, temporary_for, written_whole
 from lidar_core.messages import LaserScan
 from lidar_core.run_folder import UNFINISHED
 

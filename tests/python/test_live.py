@@ -19,27 +19,25 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rich.console import Console
 from ros_files import packets_of
 from typer.testing import CliRunner
 
 import lidar_core as lc
 import lidar_core.io
+from lidar_core import PointClass
 from lidar_core.circles import CirclesConfig
 from lidar_core.cli import app
 from lidar_core.cli.live import _since_stamp
-from lidar_core.cli.live_job import PipelineChoice
-from lidar_core.cli.live_run import LiveRun
 from lidar_core.errors import ConfigError, FormatError, InputError, LinkError
 from lidar_core.flying import FlyingObjectDetector
 from lidar_core.io import NoTransformError, PoseOptions, ReadOptions, Topic
 from lidar_core.io.columns import read_columns
-from lidar_core.io.posed import span_ns
-from lidar_core.io.recording import Record, decoded
-from lidar_core.io.ros_obstacles import ObstacleArrays
-from lidar_core.io.ros_types import DETECTIONS_TYPE, ros_store
-from lidar_core.io.write_mcap import FoxgloveLog
-from lidar_core.io.write_ros import RosMessages
+from lidar_core.io.messages.ros_types import DETECTIONS_TYPE, ros_store
+from lidar_core.io.poses.posed import span_ns
+from lidar_core.io.records import Record, decoded
+from lidar_core.io.write.mcap import FoxgloveLog
+from lidar_core.io.write.ros import RosMessages
+from lidar_core.io.write.ros_obstacles import ObstacleArrays
 from lidar_core.live import Inbox, LiveConfig, LiveLoop, Output, Source
 from lidar_core.live.foxglove_source import FoxgloveSource
 from lidar_core.live.loop import Report
@@ -54,6 +52,8 @@ from lidar_core.live.zenoh_link import key_of, topic_of
 from lidar_core.live.zenoh_source import ZenohSource
 from lidar_core.messages import LaserScan, Pose, Scan
 from lidar_core.run_folder import RunFolder
+from lidar_core.runs.live_choice import PipelineChoice
+from lidar_core.runs.live_folder import LiveFolder
 
 PATIENCE_S = 60
 MAIN = "from lidar_core.cli import main; main()"
@@ -424,7 +424,7 @@ def test_flying_objects_go_to_viewers_by_class_and_with_numbers(street, tmp_path
     assert update.covariance.shape == (2, 6, 6)
     assert set(np.unique(moment.point_class)) <= {1, 2, 3}
     assert np.quantile(moment.points[:, 2], 0.05) == pytest.approx(0.0, abs=0.15)
-    flying = moment.points[moment.point_class == 2]
+    flying = moment.points[moment.point_class == PointClass.FLYING]
     away = np.linalg.norm(flying[:, None] - moment.objects.position[None], axis=2).min(axis=1)
     assert np.median(away) < 0.5
     with lc.io.open_recording(tmp_path / "a.mcap") as recording:
@@ -1224,13 +1224,14 @@ def live_run(path, folder):
         scans = [item for item in recording if isinstance(item, Scan | LaserScan)]
     topic = Topic("", "", "scan" if isinstance(scans[0], Scan) else "planar")
     source = Played(*((None, record(topic, scan)) for scan in scans))
-    chosen = PipelineChoice("auto", (), (), "best", None, (), None, 2)
-    kept = LiveRun(RunFolder(folder, overwrite=False), chosen.pipeline)
+    chosen = PipelineChoice("auto", (), (), None, None, 2)
+    kept = LiveFolder(RunFolder(folder, overwrite=False), chosen.pipeline)
     poses, config = PoseOptions(pose="static"), LiveConfig(max_waiting=1000)
     loop = LiveLoop(source, kept.pipeline, LivePoses(poses, config), [kept], config)
     loop.run()
     told = {"live": config, "read": ReadOptions(), "pose": poses}
-    return kept.write(loop.summary(), told, {"recording": path, "map": None}, Console())
+    summary, files, _ = kept.write(loop.summary(), told, {"recording": path, "map": None})
+    return {**summary, "files": files}
 
 
 @pytest.mark.parametrize("capability", ["circles", "flying"])

@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 import lidar_core as lc
 import lidar_core.io
 from lidar_core.cli import app
-from lidar_core.io.ros_types import DETECTIONS_TYPE
-from lidar_core.io.write_ros import RosMessages
+from lidar_core.io.messages.ros_types import DETECTIONS_TYPE
+from lidar_core.io.write.ros import RosMessages
 
 NODE = Path(__file__).parents[2] / "examples" / "ros2" / "lidar_core_node.py"
 PATIENCE_S = 60

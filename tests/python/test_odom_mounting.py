@@ -16,9 +16,9 @@ from lidar_core.io import (
     posed_laser_scans,
     posed_scans,
 )
-from lidar_core.io.nameless import carrier_of
 from lidar_core.io.options import mounting_of
-from lidar_core.io.recording import Topic
+from lidar_core.io.poses.nameless import carrier_of
+from lidar_core.io.records import Topic
 from lidar_core.io.rotations import angles_from_matrix, pose_matrix, quaternion_from_angles
 from lidar_core.live import LiveConfig
 from lidar_core.live.poses import LivePoses

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from lidar_core import ConfigError
 from lidar_core.batch import BatchConfig
 from lidar_core.cli import app
-from lidar_core.io.atomic import check_place
+from lidar_core.io.files.atomic import check_place
 from lidar_core.run_folder import RunFolder, lock, unlock
 
 HOLDS = """

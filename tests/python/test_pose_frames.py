@@ -11,7 +11,7 @@ import lidar_core as lc
 import lidar_core.sim as sim
 from lidar_core.cli import app
 from lidar_core.errors import PoseFrameWarning
-from lidar_core.io.pose_frames import PoseFrameCheck, _turn, advice
+from lidar_core.io.poses.pose_frames import PoseFrameCheck, _turn, advice
 from lidar_core.messages import Pose, Scan
 
 CAMERA = _turn("-y", "-z", "x")

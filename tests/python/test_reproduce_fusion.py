@@ -5,7 +5,7 @@ import pytest
 
 from lidar_core.errors import ConfigError
 from lidar_core.fusion import FusionConfig, run
-from lidar_core.fusion.reading import TargetTruth
+from lidar_core.fusion.recordings.reading import TargetTruth
 from lidar_core.reproduce import Request, item_named
 from lidar_core.reproduce.fusion.bounds import position_bound
 from lidar_core.reproduce.fusion.contenders import (

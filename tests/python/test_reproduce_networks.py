@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lidar_core.circles import CircleNetwork, DatasetConfig, Scanner, make_samples
-from lidar_core.circles.architecture import paper_layers, window_layers
+from lidar_core.circles.estimators.architecture import paper_layers, window_layers
 from lidar_core.reproduce import Request
 from lidar_core.reproduce.circles import detectors, fig5, table1, table3
 from lidar_core.reproduce.circles.chord_circles import chord_circles

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from lidar_core import ConfigError, InputError, LimitError, sim
 from lidar_core._core import SimScene, SimShape, SimTrajectory
 from lidar_core.io import open_recording, posed_scans
-from lidar_core.sim.knots import poses
+from lidar_core.sim.motion.knots import poses
 from reference import raycast
 
 DISTANCE_TOLERANCE = 1e-8  # [m], of the oracle's quadratic formulas at 100 m

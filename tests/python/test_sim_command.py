@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from lidar_core import ConfigError, sim
 from lidar_core.cli import app
 from lidar_core.io import open_recording
-from lidar_core.io.sole import sole_writer
+from lidar_core.io.files.sole import sole_writer
 from lidar_core.messages import LaserScan
 
 
@@ -91,7 +91,7 @@ POSIX = pytest.mark.skipif(os.name != "posix", reason="locks of files are POSIX"
 HOLDS = """
 import sys
 from pathlib import Path
-from lidar_core.io.sole import sole_writer
+from lidar_core.io.files.sole import sole_writer
 sys.argv = ["lidar-core", "simulate", "demo", "-o", "same.npz", "--seed", "1"]
 with sole_writer(Path(sys.stdin.readline().strip())):
     print("held", flush=True)

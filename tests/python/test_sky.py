@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from flying_scenes import VLP_16, drone, feed, scans_of, yard
 
+from lidar_core import PointClass
 from lidar_core.errors import ConfigError
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector, SensorConfig
 from lidar_core.sim import Circle
 
-UNKNOWN = 3
+UNKNOWN = PointClass.UNKNOWN
 SCENE = yard(drone((4.5, 2.5, 3.2), (1.0, 5.0, 3.6)), lidar=VLP_16, scans=18)
 IN_THE_SKY = [[0.0, 15.0, 3.8]]
 

@@ -15,7 +15,7 @@ from lidar_core.cli import app
 from lidar_core.errors import FormatError, LidarCoreError, MissingExtraError
 from lidar_core.files import check_regular, read_whole
 from lidar_core.io import open_recording, read_cloud, read_columns, write_recording
-from lidar_core.io.pose_files import read_poses
+from lidar_core.io.poses.pose_files import read_poses
 from lidar_core.messages import LaserScan, Scan
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and devices in the file system")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_core import FormatError, InputError, LimitError, VoxelMap, VoxelMapConfig
+from lidar_core import FormatError, InputError, LimitError, PointClass, VoxelMap, VoxelMapConfig
 from lidar_core.flying import FlyingObjectDetector
 from reference import separate as separate_oracle
 from reference.traverse import Segment
@@ -391,7 +391,7 @@ def test_a_ray_whose_span_underflows_ends():
     [
         {"points_world": np.zeros((3, 2))},
         {"point_class": [1, 2]},
-        {"point_class": [1, 2, 4]},
+        {"point_class": [1, 2, 5]},
         {"point_class": [1, 2, -1]},
         {"point_class": [1.0, 2.0, 3.0]},
         {"sensor_origin": [0, 0]},
@@ -512,3 +512,19 @@ def test_searches_at_the_edge_of_the_index_range_do_not_overflow():
         assert not vmap.is_floating([[x, 0, 0]], search_distance=128 * size)
     with pytest.raises(InputError):
         vmap.set_occupied([[1.00001, 0, 0]])
+
+
+def test_moving_points_count_as_unknown_ones():
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-4, 4, (300, 3)).astype(np.float32)
+    classes = rng.integers(0, 4, 300).astype(np.uint8)
+    moving = np.where(classes == PointClass.UNKNOWN, PointClass.MOVING, classes)
+    maps = [VoxelMap(), VoxelMap()]
+    stats = [
+        vmap.integrate(points, kinds, (0, 0, 0))
+        for vmap, kinds in zip(maps, (classes, moving), strict=True)
+    ]
+    assert stats[0] == stats[1]
+    assert (maps[0].values_at(points) == maps[1].values_at(points)).all()
+    with pytest.raises(InputError, match="4 moving"):
+        maps[0].integrate(points[:1], [5], (0, 0, 0))

@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from lidar_core.errors import FormatError
-from lidar_core.io.atomic import written_whole
+from lidar_core.io.files.atomic import written_whole
 from lidar_core_training.optimiser import Optimiser
 
 STATE = "state.json"

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from lidar_core.extras import require
-from lidar_core.io.atomic import written_whole
+from lidar_core.io.files.atomic import written_whole
 
 
 def draw(metrics: list[dict[str, float]], path: Path) -> None:

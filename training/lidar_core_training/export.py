@@ -13,9 +13,9 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
-from lidar_core.circles.architecture import ANSWERS, CONTEXT, SLOT_NUMBERS, SLOTS
+from lidar_core.circles.estimators.architecture import ANSWERS, CONTEXT, SLOT_NUMBERS, SLOTS
 from lidar_core.errors import FormatError, NumericalError
-from lidar_core.io.atomic import written_whole
+from lidar_core.io.files.atomic import written_whole
 from lidar_core_training import checkpoint
 from lidar_core_training.config import TrainConfig
 from lidar_core_training.networks import PaperNet, WindowNet

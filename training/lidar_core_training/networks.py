@@ -3,8 +3,14 @@
 import torch
 from torch import Tensor, nn
 
-from lidar_core.circles.architecture import ANSWERS, CONTEXT, CONVOLUTIONS, NEURONS, SLOT_FEATURES
-from lidar_core.circles.windows import MISSING
+from lidar_core.circles.estimators.architecture import (
+    ANSWERS,
+    CONTEXT,
+    CONVOLUTIONS,
+    NEURONS,
+    SLOT_FEATURES,
+)
+from lidar_core.circles.estimators.windows import MISSING
 
 _LOG_NOISE = 12  # place in the context: log of the noise of a slot, in units of the window's frame
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from lidar_core.circles import Samples, Scanner
 from lidar_core.circles.crowds import Crowds, crowds
-from lidar_core.circles.windows import normalised, windows_of_samples
+from lidar_core.circles.estimators.windows import normalised, windows_of_samples
 from lidar_core_training.config import TrainConfig
 from lidar_core_training.losses import four_points, gaussian, whitened
 from lidar_core_training.networks import PaperNet, WindowNet

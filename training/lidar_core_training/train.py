@@ -22,7 +22,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 from lidar_core import __version__
 from lidar_core.circles import dataset
-from lidar_core.io.atomic import written_whole
+from lidar_core.io.files.atomic import written_whole
 from lidar_core_training import checkpoint
 from lidar_core_training.checkpoint import Progress
 from lidar_core_training.config import TrainConfig

@@ -8,7 +8,7 @@ import torch
 from onnx import numpy_helper
 from torch import Tensor, nn
 
-from lidar_core.circles.network import checked_model
+from lidar_core.circles.estimators.network import checked_model
 from lidar_core.errors import FormatError
 
 TURNED = "^T"

@@ -5,8 +5,8 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from lidar_core.circles.architecture import paper_layers, window_layers
-from lidar_core.circles.windows import MISSING
+from lidar_core.circles.estimators.architecture import paper_layers, window_layers
+from lidar_core.circles.estimators.windows import MISSING
 from lidar_core_training.losses import characteristic_points, four_points, gaussian, whitened
 from lidar_core_training.networks import PaperNet, WindowNet, parameter_count
 

@@ -2,13 +2,14 @@
 
 from lidar_core.circles.config import CirclesConfig
 from lidar_core.circles.dataset_config import DatasetConfig
-from lidar_core.circles.detector import CircleDetector
-from lidar_core.circles.fit_config import FitConfig
-from lidar_core.circles.fitting import Circles, fit_circles
-from lidar_core.circles.map import CircleElements, CircleMap, MapEvents
-from lidar_core.circles.map_config import CircleMapConfig
-from lidar_core.circles.map_shapes import ShapeElements
-from lidar_core.circles.network import CircleNetwork
+from lidar_core.circles.estimators.detector import CircleDetector
+from lidar_core.circles.estimators.fit_config import FitConfig
+from lidar_core.circles.estimators.fitting import Circles, fit_circles
+from lidar_core.circles.estimators.network import CircleNetwork
+from lidar_core.circles.estimators.trust import trust_model
+from lidar_core.circles.mapping.map import CircleElements, CircleMap, MapEvents
+from lidar_core.circles.mapping.map_config import CircleMapConfig
+from lidar_core.circles.mapping.map_shapes import ShapeElements
 from lidar_core.circles.pipeline import CirclePipeline
 from lidar_core.circles.preprocess import limit_range, project_horizontal
 from lidar_core.circles.results import CircleFrame, CirclesHealth
@@ -17,8 +18,8 @@ from lidar_core.circles.scan_config import PreprocessConfig, SegmentConfig
 from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments, Side, segment
 from lidar_core.circles.shape_config import ShapeConfig
-from lidar_core.circles.shapes import ShapeKind, Shapes, fit_shapes
-from lidar_core.circles.trust import trust_model
+from lidar_core.circles.shapes import Shapes, fit_shapes
+from lidar_core.shape_kind import ShapeKind
 
 __all__ = [
     "CircleDetector",

@@ -4,9 +4,9 @@ from typing import Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import BeforeValidator, Field
 
-from lidar_core.circles.detector_name import checked
-from lidar_core.circles.fit_config import FitConfig, FitMethod
-from lidar_core.circles.map_config import CircleMapConfig
+from lidar_core.circles.estimators.detector_name import checked
+from lidar_core.circles.estimators.fit_config import FitConfig, FitMethod
+from lidar_core.circles.mapping.map_config import CircleMapConfig
 from lidar_core.circles.scan_config import PreprocessConfig, SegmentConfig
 from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.shape_config import ShapeConfig

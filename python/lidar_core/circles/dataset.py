@@ -16,7 +16,7 @@ from lidar_core.circles.dataset_config import DatasetConfig
 from lidar_core.circles.samples import Samples, joined, make_samples
 from lidar_core.errors import ConfigError, FormatError
 from lidar_core.files import check_regular, read_text
-from lidar_core.io.atomic import written_whole
+from lidar_core.io.files.atomic import written_whole
 
 Part: TypeAlias = Literal["train", "validation", "test", "all"]
 

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from lidar_core import _core
 from lidar_core.arrays import as_finite_rows, as_mask, as_poses, as_rows, as_stamp
 from lidar_core.circles.config import CirclesConfig
-from lidar_core.circles.fit_config import FitMethod
-from lidar_core.circles.fitting import Circles
-from lidar_core.circles.map import CircleElements, MapEvents, elements_of
-from lidar_core.circles.map_shapes import ShapeElements, shape_elements_of
-from lidar_core.circles.network import CircleNetwork
+from lidar_core.circles.estimators.fit_config import FitMethod
+from lidar_core.circles.estimators.fitting import Circles
+from lidar_core.circles.estimators.network import CircleNetwork
+from lidar_core.circles.mapping.map import CircleElements, MapEvents, elements_of
+from lidar_core.circles.mapping.map_shapes import ShapeElements, shape_elements_of
 from lidar_core.circles.preprocess import times
 from lidar_core.circles.results import CircleFrame, CirclesHealth
 from lidar_core.circles.segmentation import Segments, segments_of

@@ -8,9 +8,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.circles.fitting import Circles
-from lidar_core.circles.map import CircleElements, MapEvents
-from lidar_core.circles.map_shapes import ShapeElements
+from lidar_core.circles.estimators.fitting import Circles
+from lidar_core.circles.mapping.map import CircleElements, MapEvents
+from lidar_core.circles.mapping.map_shapes import ShapeElements
 from lidar_core.circles.segmentation import Segments
 from lidar_core.circles.shapes import Shapes
 

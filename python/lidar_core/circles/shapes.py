@@ -1,32 +1,17 @@
 """Which shape a group of rays shows: circle, ellipse, rectangle or line."""
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidar_core import _core
-from lidar_core.circles.fit_config import FitConfig
+from lidar_core.circles.estimators.fit_config import FitConfig
 from lidar_core.circles.preprocess import as_scan
 from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments, arrays_of
 from lidar_core.config import as_config
-
-
-class ShapeKind(IntEnum):
-    """What a segment is, and what its parameters mean."""
-
-    CIRCLE = 0
-    """Centre x, y, radius [m]."""
-    ELLIPSE = 1
-    """Centre x, y, longer and shorter semi-axis [m], bearing of the longer one [rad]."""
-    RECTANGLE = 2
-    """Centre x, y, longer and shorter side [m], bearing of the longer one [rad]. Two sides were
-    seen; of one alone nothing tells whether there is a box behind it: it is a line."""
-    LINE = 3
-    """Bearing of the normal [rad], distance from the origin [m], both ends as positions along the
-    line, counted counter-clockwise from the foot of the normal [m]."""
+from lidar_core.shape_kind import ShapeKind
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,18 +1,19 @@
 """`lidar-core batch`: commands over many recordings, seeds and values."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from lidar_core.cli.common import (
     INTERRUPTED,
     JsonFile,
-    all_threads,
     consoles,
-    progress_on,
+    shown_progress,
     write_json,
 )
+from lidar_core.threads import all_threads
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -46,56 +47,42 @@ def command(
 
     Ctrl-C leaves whole files; the same command goes on. Exit status 1 if a job failed.
     """
-    from lidar_core.batch import BatchConfig, jobs_of
-    from lidar_core.cli.batch_job import Batch
-    from lidar_core.run_folder import lock, unlock
+    from lidar_core import runs
 
     out, errors = consoles(json)
-    config = BatchConfig.read(jobs)
-    batch = Batch.of(output, jobs_of(config, jobs.parent), is_fresh=fresh)
-    output.mkdir(parents=True, exist_ok=True)
-    lock(output)
-    was_stopped = False
-    with progress_on(errors, counts="jobs") as progress:
-        task = progress.add_task("batch", total=len(batch.jobs), completed=len(batch.kept))
-        try:
-            for record in batch.run(executor=executor, workers=workers):
-                progress.advance(task)
-                if record.status == "failed":
-                    errors.print(
-                        f"{output / record.job}: {record.error}",
-                        markup=False,
-                        highlight=False,
-                        soft_wrap=True,
-                    )
-        except KeyboardInterrupt:
-            was_stopped = True
-    table = batch.write({"batch": config}, jobs)
-    unlock(output)
-    records = batch.records()
-    result = summary(records, kept=len(batch.kept), jobs=len(batch.jobs))
-    write_json({**result, "results": str(table)}, json)
-    out.print(_table(records))
+
+    def tell(record: "JobRecord") -> None:
+        if record.status == "failed":
+            text = f"{output / record.job}: {record.error}"
+            errors.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    with shown_progress(errors, counts="jobs") as on_progress:
+        result = runs.batch(
+            jobs,
+            output,
+            executor=executor,
+            workers=workers,
+            fresh=fresh,
+            on_progress=on_progress,
+            on_job=tell,
+        )
+    summary = result.summary
+    write_json(summary, json)
+    out.print(_table(result.records))
     out.print(
-        f"{table}: {len(records)} of {len(batch.jobs)} jobs, {len(batch.kept)} done before",
+        f"{summary['results']}: {len(result.records)} of {summary['jobs']} jobs,"
+        f" {summary['kept']} done before",
         highlight=False,
         soft_wrap=True,
     )
-    if was_stopped:
+    if result.ended_by is not None:
         errors.print("interrupted: the same command goes on from here")
         raise typer.Exit(INTERRUPTED)
-    if result["failed"]:
+    if summary["failed"]:
         raise typer.Exit(FAILED)
 
 
-def summary(records: "list[JobRecord]", *, kept: int, jobs: int) -> dict[str, Any]:
-    """What came out, as plain values."""
-    failed = {record.job: record.error for record in records if record.status == "failed"}
-    done = sum(record.status == "done" for record in records)
-    return {"jobs": jobs, "done": done, "kept": kept, "failed": failed}
-
-
-def _table(records: "list[JobRecord]") -> "Table":
+def _table(records: "Sequence[JobRecord]") -> "Table":
     from rich.table import Table
 
     table = Table("group")

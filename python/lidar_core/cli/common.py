@@ -1,37 +1,33 @@
 """What the commands share: consoles, progress, pictures, results for people and machines."""
 
 import json
-import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
 
 import typer
 
-from lidar_core.errors import MissingExtraError
+from lidar_core.threads import all_threads
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
     from rich.table import Table
 
+    from lidar_core.runs.result import OnProgress, RunResult
+
 SLOW_MS = 10.0  # times below are printed with more digits
+REASONS = 3  # that a table shows for rejected scans
 NOTHING_CAME = 3
 """Exit status of a live run to which no scan ever came."""
 INTERRUPTED = 130
 """Exit status after Ctrl-C or SIGTERM."""
 READ, WRITTEN = "What is read", "What is written"
 """Groups of options in a `--help`: each is a table as wide as its own names need."""
-
-
-def all_threads() -> int:
-    """Threads that this process may use."""
-    with suppress(AttributeError):  # not on every platform
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 Threads: TypeAlias = Annotated[
@@ -50,7 +46,7 @@ OverwriteFile: TypeAlias = Annotated[
 
 def _writable(file: Path | None) -> Path | None:
     """Refuse, before any work, a file that could not be written; its folder may be made later."""
-    from lidar_core.io.atomic import check_place
+    from lidar_core.io.files.atomic import check_place
 
     if file is not None and str(file) != "-" and file.parent.exists():
         check_place(file)
@@ -125,6 +121,54 @@ def progress_on(console: "Console", *, counts: str = "scans") -> "Progress":
     )
 
 
+@contextmanager
+def shown_progress(console: "Console", *, counts: str = "scans") -> "Iterator[OnProgress]":
+    """What runs call to say how far they are: each of their steps gets a bar."""
+    with progress_on(console, counts=counts) as progress:
+        tasks: dict[str, Any] = {}
+
+        def show(what: str, done: int, total: int | None) -> None:
+            if what not in tasks:
+                tasks[what] = progress.add_task(what)
+            progress.update(tasks[what], completed=done, total=total)
+
+        yield show
+
+
+def report(
+    result: "RunResult", table: "Table", json_file: Path | None, *, notes: Sequence[str] = ()
+) -> None:
+    """Print the table, notes and files of a run; end the command as the run ended."""
+    out, errors = consoles(json_file)
+    for note in result.notes:
+        errors.print(note, markup=False, highlight=False, soft_wrap=True)
+    out.print(table)
+    for note in notes:
+        out.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
+    out.print(f"{result.folder}: {', '.join(result.files)}", highlight=False, soft_wrap=True)
+    write_json({**result.summary, "files": result.files}, json_file)
+    if isinstance(result.ended_by, KeyboardInterrupt):
+        errors.print("interrupted: the files hold the scans up to here")
+        raise typer.Exit(INTERRUPTED)
+    result.raise_if_failed()
+
+
+def left_out(summary: Mapping[str, Any]) -> Iterator[str]:
+    """Say which scans of a summary were not processed, and why, in words."""
+    scans = summary["scans"]
+    for count, what in (
+        (sum(summary["without_pose"].values()), "without pose"),
+        (scans.get("held", 0), "held for their pose"),
+    ):
+        if count:
+            yield f"{count} {what}"
+    rejected = Counter(scans["rejected"])
+    if rejected:
+        told = [f"{count} x {reason}" for reason, count in rejected.most_common(REASONS)]
+        more = [f"{len(rejected) - REASONS} more reasons"] if len(rejected) > REASONS else []
+        yield f"{rejected.total()} rejected: {'; '.join(told + more)}"
+
+
 def result_table(title: str, rows: Sequence[Row | None], *, caption: str = "") -> "Table":
     """Measure, value, remark; None draws a line."""
     from rich.markup import escape
@@ -179,18 +223,6 @@ def _bar(share: float) -> str:
     return mark * round(share * 20)
 
 
-def draw(pictures: Iterable[tuple[Path, Callable[[], object]]], console: "Console") -> list[str]:
-    """Draw pictures, and name those drawn; without matplotlib say which extra brings them."""
-    names = []
-    try:
-        for path, paint in pictures:
-            paint()
-            names.append(path.name)
-    except MissingExtraError as error:
-        console.print(f"no picture: {error}", markup=False, soft_wrap=True)
-    return names
-
-
 def given(options: Mapping[str, Any]) -> dict[str, Any]:
     """Those options that somebody gave."""
     return {name: value for name, value in options.items() if value not in (None, [])}
@@ -204,7 +236,7 @@ def write_json(result: Mapping[str, Any] | list[Any], json_file: Path | None) ->
     if str(json_file) == "-":
         print(text)
         return
-    from lidar_core.io.atomic import written_whole
+    from lidar_core.io.files.atomic import written_whole
 
     json_file.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(json_file) as temporary:

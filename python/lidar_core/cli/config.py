@@ -56,7 +56,7 @@ def show(
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
 ) -> None:
     """Every value in force, FILE's over those of PRESET, USE and MODE; marked if no default."""
-    from lidar_core.cli.settings import file_values, loaded, merged, model_of
+    from lidar_core.runs.settings import file_values, loaded, merged, model_of
 
     if model is None and use is None and file is not None:
         model = model_of(file)
@@ -97,7 +97,7 @@ def init(
 ) -> None:
     """Write a file with every parameter, its meaning, unit and range."""
     from lidar_core.errors import ConfigError
-    from lidar_core.io.atomic import written_whole
+    from lidar_core.io.files.atomic import written_whole
     from lidar_core.parameters import commented_toml
 
     text = commented_toml(_chosen(model, mode, use, preset)[1])

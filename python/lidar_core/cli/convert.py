@@ -61,10 +61,10 @@ def command(
 
     Of a recording scans and poses, of a run its objects.
     """
-    from lidar_core.cli.convert_run import convert_run, is_run
     from lidar_core.errors import InputError
     from lidar_core.io import ReadOptions, Span
-    from lidar_core.io.cloud_files import WRITABLE
+    from lidar_core.io.maps.cloud_files import WRITABLE
+    from lidar_core.runs.convert import convert_run, is_run
 
     if output.exists() and output.resolve() == recording.resolve():
         raise InputError(f"{output}: expected another file than the one to read")
@@ -170,7 +170,7 @@ def _write_cloud(
 
 def _check_topics(recording: "Recording", wanted: list[str] | None) -> None:
     from lidar_core.errors import ConfigError, meant
-    from lidar_core.io.recording import SCAN_KINDS
+    from lidar_core.io.records import SCAN_KINDS
 
     known = [topic.name for topic in recording.topics() if topic.kind in SCAN_KINDS]
     for name in wanted or []:

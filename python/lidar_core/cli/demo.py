@@ -10,7 +10,6 @@ from lidar_core.cli.common import (
     JsonFile,
     Threads,
     consoles,
-    draw,
     map_rows,
     progress_on,
     result_table,
@@ -22,9 +21,9 @@ from lidar_core.cli.score_rows import counted_caption, main_rows
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from lidar_core.cli.flying_run import FlyingRun
     from lidar_core.evaluation import Evaluation, EvaluationConfig, Truth
     from lidar_core.run_folder import RunFolder
+    from lidar_core.runs.flying import FlyingRun
     from lidar_core.sim import SimulatedScan, Simulator
     from lidar_core.viz import FlyingView
 
@@ -44,11 +43,12 @@ def command(
 
     A 128-line LiDAR flies a loop at 3 m/s between houses, poles and trees. Needs no input.
     """
-    from lidar_core.cli.flying_run import FlyingRun
     from lidar_core.evaluation import EvaluationConfig
     from lidar_core.flying import FlyingConfig, FlyingObjectDetector
     from lidar_core.io import PosedScan
     from lidar_core.run_folder import RunFolder
+    from lidar_core.runs.flying import FlyingRun
+    from lidar_core.runs.result import draw
     from lidar_core.sim import Simulator, scenes
     from lidar_core.viz import draw_flying
 
@@ -61,7 +61,7 @@ def command(
         task = progress.add_task("simulate and detect", total=scans)
         for made in simulator:
             truth.add(made)
-            run.process(PosedScan(made.scan, made.poses, made.pose_stamps_ns))
+            run.take(PosedScan(made.scan, made.poses, made.pose_stamps_ns))
             progress.advance(task)
     report = _compared(run, truth)
     summary = {"command": "demo", "seed": seed, **report.to_dict(), **run.summary()}
@@ -70,7 +70,10 @@ def command(
     view = _view(simulator, run, truth, report)
     if picture:
         path = output / "picture.png"
-        files += draw([(path, lambda: draw_flying(view, path))], errors)
+        drawn, notes = draw([(path, lambda: draw_flying(view, path))])
+        files += drawn
+        for note in notes:
+            errors.print(note, markup=False, soft_wrap=True)
     out.print(_table(view.title, summary, report, truth.rule))
     out.print(f"{output}: {', '.join(sorted(files))}", highlight=False, soft_wrap=True)
     write_json(summary, json)

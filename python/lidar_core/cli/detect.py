@@ -12,17 +12,17 @@ from lidar_core.cli.common import (
     Threads,
     consoles,
     given,
+    left_out,
     map_rows,
+    report,
     result_table,
+    shown_progress,
     stage_rows,
 )
 from lidar_core.cli.run_options import RunOptions, ScanRate, Stamps, with_options
-from lidar_core.cli.settings import run_config
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-    from lidar_core.flying import FlyingObjectDetector
 
 POINT_TIME = "Time of each point as field:unit:reference, auto or none."
 NO_RETURN = "What marks a ray without return: auto, zero, nan or none."
@@ -55,45 +55,28 @@ def command(
     A recording that is too short for the burn-in is no error: the table says which gate stayed
     closed, and why. Ctrl-C ends the run early and leaves whole files.
     """
-    from lidar_core.cli.detect_job import DetectRun
-    from lidar_core.cli.recording_job import RecordingJob, do, report
-    from lidar_core.flying import FlyingConfig, FlyingObjectDetector
+    from lidar_core import runs
     from lidar_core.io import ReadOptions
-    from lidar_core.messages import Scan
 
     read = {"point_time": point_time, "no_return": no_return, "metadata": metadata}
-    base = FlyingConfig() if options.mode == "best" else FlyingConfig.paper()
-    chosen = run_config(base, "flying", options.config, options.values)
-    job = RecordingJob(
-        command="detect",
-        sort=Scan,
-        options=options,
-        folder=options.folder(),
-        config={"flying": chosen},
-        read=ReadOptions.load(given({**read, "stamps": stamps, "scan_rate": scan_rate})),
-        topics=tuple(cloud),
-        repeat=repeat,
-        inputs={"map": known_map},
-        note={"clouds": cloud, "repeat": repeat},
-    )
-    run = DetectRun(FlyingObjectDetector(chosen, threads=threads))
-    if known_map is not None:
-        know_map(run.detector, known_map)
-    out, errors = consoles(options.json)
-    result = do(job, run, errors)
-    report(result, _table(result.summary, options.recording.name), job, out)
-
-
-def know_map(detector: "FlyingObjectDetector", known_map: Path) -> None:
-    """Load our own map, or make occupied for good what another file holds."""
-    if known_map.suffix.lower() == ".lcvm":
-        detector.load_map(known_map)
-        return
-    from lidar_core.io import read_cloud
-
-    detector.set_occupied(
-        read_cloud(known_map, spacing=detector.config.voxel_map.voxel_size / 2).points
-    )
+    with shown_progress(consoles(options.json)[1]) as on_progress:
+        result = runs.detect(
+            options.recording,
+            options.choice(),
+            options.output,
+            pose=options.poses(),
+            read=ReadOptions.load(given({**read, "stamps": stamps, "scan_rate": scan_rate})),
+            clouds=cloud,
+            repeat=repeat,
+            known_map=known_map,
+            threads=threads,
+            mcap=options.mcap,
+            picture=options.picture,
+            overwrite=options.overwrite,
+            on_progress=on_progress,
+        )
+    table = _table(result.summary, options.recording.name)
+    report(result, table, options.json, notes=result.summary["notes"])
 
 
 SKY = {
@@ -106,8 +89,6 @@ SKY = {
 
 
 def _table(summary: Mapping[str, Any], name: str) -> "Table":
-    from lidar_core.cli.recording_job import left_out
-
     scans, gate, shares = summary["scans"], summary["gate"], summary["class_shares"]
     opened = f"since scan {gate['opened_at_scan']}" if gate["open"] else gate["reason"]
     rows = (

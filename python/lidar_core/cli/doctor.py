@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
-from lidar_core.cli.common import all_threads
 from lidar_core.extras import install_command
+from lidar_core.threads import all_threads
 
 _REQUIREMENT = re.compile(r"(?P<name>[A-Za-z0-9._-]+).*;.*extra\s*==\s*['\"](?P<extra>[\w-]+)['\"]")
 _CORE = ("numpy", "pydantic", "onnxruntime", "typer", "rich", "tomli-w")
@@ -78,7 +78,7 @@ def _check_core() -> str:
     try:
         vmap = lc.VoxelMap(threads=2)
         wall = np.stack([np.full(50, 5.0), np.linspace(-2, 2, 50), np.zeros(50)], axis=1)
-        vmap.integrate(wall, np.ones(50, np.uint8), (0, 0, 0))
+        vmap.integrate(wall, np.full(50, lc.PointClass.BACKGROUND), (0, 0, 0))
         states = vmap.state_at([[2.6, 0.0, 0.0], [5.0, 0.0, 0.0]]).tolist()
     except Exception as error:  # whatever it is, the user is to see it
         return f"fails: {type(error).__name__}: {error}"

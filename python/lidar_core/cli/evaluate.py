@@ -16,7 +16,6 @@ from lidar_core.cli.score_rows import (
     latency_rows,
     main_rows,
 )
-from lidar_core.cli.settings import with_assignments
 from lidar_core.errors import InputError
 
 if TYPE_CHECKING:
@@ -59,6 +58,7 @@ def command(
     What each figure means is in the guide, under "Evaluation".
     """
     from lidar_core.evaluation import EvaluationConfig, evaluate, read_prediction, read_truth
+    from lidar_core.runs.settings import with_assignments
 
     options = {
         "gate": gate,

@@ -1,8 +1,8 @@
 """`lidar-core fuse`: targets from the LiDAR and radar of a recording."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -10,13 +10,11 @@ from lidar_core.cli.common import (
     READ,
     JsonFile,
     Row,
-    consoles,
     given,
     number,
+    report,
     result_table,
-    write_json,
 )
-from lidar_core.cli.config import Mode
 from lidar_core.cli.run_options import (
     ChosenMode,
     ConfigFile,
@@ -27,21 +25,12 @@ from lidar_core.cli.run_options import (
     Picture,
     Start,
     Values,
-    wants_mcap,
 )
-from lidar_core.cli.settings import run_config
-from lidar_core.errors import ConfigError, InputError
+from lidar_core.errors import ConfigError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from lidar_core.cli.fuse_many_run import ManyRun
-    from lidar_core.cli.fuse_run import TargetRun
-    from lidar_core.config import Config
-    from lidar_core.fusion import DetectionScan, MeasurementLog
-    from lidar_core.io import Span
-
-BAGS = (".bag", ".db3", ".mcap")
 RECORDING = (
     "L/R text, a table (CSV, Parquet, .npz), a ROS recording (.bag, .db3, .mcap, folder), or"
     " detections of Autoferry (.json)."
@@ -85,152 +74,29 @@ def command(
     With the truth in the recording, the table and the summary hold what was right. Measurements
     of one target whose NIS is beyond reason end the run; the text names the likely causes.
     """
+    from lidar_core import runs
     from lidar_core.io import Span
-    from lidar_core.run_folder import RunFolder, fingerprint
 
-    folder, writes_mcap = RunFolder(output, overwrite=overwrite, reads=recording), wants_mcap(mcap)
-    read = {
-        "columns": _pairs("column", column, "x=pos_x"),
-        "topics": _pairs("topic", topic, "radar=/front"),
-        **given({"time_unit": time_unit, "angle_unit": angle_unit}),
-    }
-    ways = given({"model": model, "method": method, "association": association})
-    span = Span.load(given({"start": start, "end": end}))
-    run = _run(_Asked(recording, mode, config, values, lag, ways, read, span, force))
-    out, errors = consoles(json)
-    if run.doubt:
-        errors.print(f"note: {run.doubt}", markup=False, highlight=False, soft_wrap=True)
-    folder.begin()
-    files = run.write(folder)
-    summary = {"command": "fuse", "recording": str(recording), **run.summary()}
-    folder.write_summary(summary)
-    folder.write_note({"recording": fingerprint(recording)}, run.configs)
-    if writes_mcap and (mcap or not (run.stamps < 0).any()):
-        files.append(run.write_mcap(folder))
-    if picture:
-        files += run.draw(folder, recording.name, errors)
-    files = sorted([*files, "run.toml", "summary.json"])
-    out.print(_table(summary, recording.name))
-    out.print(f"{folder.path}: {', '.join(files)}", highlight=False, soft_wrap=True)
-    write_json({**summary, "files": files}, json)
-
-
-class _Asked(NamedTuple):
-    """What to fuse, and how."""
-
-    recording: Path
-    mode: Mode
-    file: Path | None
-    values: list[str]
-    lag: float | None
-    ways: dict[str, str]
-    read: dict[str, Any]
-    span: "Span"
-    force: bool
-
-    def kept(self, stamps: Sequence[int]) -> list[int]:
-        """Rows within the span, of those with these times.
-
-        Raises
-        ------
-        InputError
-            There are none.
-        """
-        from lidar_core.io.options import NS
-
-        first = min(stamps, default=0)
-        rows = [row for row, stamp in enumerate(stamps) if self.span.holds(stamp, first)]
-        if stamps and not rows:
-            end = (max(stamps) - first) / NS
-            raise InputError(
-                f"{self.recording}: no measurements {self.span}; they end at {end:g} s"
-            )
-        return rows
-
-
-def _run(asked: _Asked) -> "TargetRun | ManyRun":
-    from lidar_core.fusion import AutoferryOptions, TableOptions, read_autoferry, read_measurements
-    from lidar_core.fusion.table import TABLES
-
-    recording, read = asked.recording, asked.read
-    if recording.suffix == ".json":
-        _check_read(asked, "detections of Autoferry", ())
-        reading = {"fusion_autoferry": AutoferryOptions()}
-        return _many(asked, read_autoferry(recording), reading, "Autoferry")
-    if recording.is_dir() or recording.suffix.lower() in BAGS:
-        _check_read(asked, "a ROS recording", ("topics",))
-        return _bag(asked)
-    is_table = recording.suffix in TABLES
-    of_tables = ("columns", "time_unit", "angle_unit")
-    _check_read(asked, *(("a table", of_tables) if is_table else ("L/R text", ())))
-    columns = {ours: theirs[-1] for ours, theirs in read["columns"].items()}
-    units = {name: value for name, value in read.items() if name.endswith("_unit")}
-    options = TableOptions.load({"columns": columns, **units})
-    return _one(asked, read_measurements(recording, options), {"fusion_table": options})
-
-
-def _check_read(asked: _Asked, what: str, used: tuple[str, ...]) -> None:
-    """Refuse options of reading that would do nothing."""
-    for name, value in asked.read.items():
-        if value and name not in used:
-            option = name.removesuffix("s").replace("_", "-")
-            raise ConfigError(f"{asked.recording}: --{option} says nothing about {what}")
-
-
-def _bag(asked: _Asked) -> "TargetRun | ManyRun":
-    """One target, unless a message holds several or a way to share them out was asked for."""
-    from lidar_core.fusion import BagOptions, MeasurementLog, read_bag
-
-    options = BagOptions.load({"topics": asked.read["topics"]})
-    scans, reading = read_bag(asked.recording, options), {"fusion_bag": options}
-    if "association" in asked.ways or any(len(scan.measurements) > 1 for scan in scans):
-        return _many(asked, scans, reading, "ROS")
-    measurements = [m for scan in scans for m in scan.measurements]
-    return _one(asked, MeasurementLog(measurements, None, "ROS"), reading)
-
-
-def _one(asked: _Asked, log: "MeasurementLog", reading: Mapping[str, "Config"]) -> "TargetRun":
-    from lidar_core.cli.fuse_run import TargetRun
-    from lidar_core.fusion import FusionConfig
-    from lidar_core.fusion.plausibility import implausible
-
-    if "association" in asked.ways:
-        raise ConfigError(f"{asked.recording}: one target; --association is for many")
-    base = FusionConfig() if asked.mode == "best" else FusionConfig.paper()
-    chosen = run_config(base, "fusion", asked.file, [*asked.values, *_texts(asked.ways)])
-    kept = log.rows(asked.kept([m.stamp_ns for m in log.measurements]))
-    if chosen.model == "ctrv-drone" and any(m.sensor == "pose" for m in kept.measurements):
-        raise ConfigError(
-            f"{asked.recording}: model ctrv-drone is for measurements without poses"
-            " of the platform, which are here; ctrv takes them in"
-        )
-    made = TargetRun.of(kept, chosen, {**reading, "span": asked.span}, lag=asked.lag)
-    doubt = None if asked.force else implausible(made.log.measurements, made.result, chosen)
-    if doubt is not None:
-        raise InputError(f"{asked.recording}: {doubt}. --force goes on nevertheless")
-    return made
-
-
-def _many(
-    asked: _Asked, scans: "list[DetectionScan]", reading: Mapping[str, "Config"], source: str
-) -> "ManyRun":
-    from lidar_core.cli.fuse_many_run import ManyRun
-    from lidar_core.fusion import MultiTargetConfig
-
-    if asked.lag is not None or asked.mode == "paper":
-        raise ConfigError(f"{asked.recording}: many targets; --lag and --mode paper are for one")
-    base = MultiTargetConfig.boats() if source == "Autoferry" else MultiTargetConfig()
-    ways = {
-        name if name == "association" else f"target.{name}": value
-        for name, value in asked.ways.items()
-    }
-    chosen = run_config(base, "fusion_many", asked.file, [*asked.values, *_texts(ways)])
-    kept = [scans[row] for row in asked.kept([scan.stamp_ns for scan in scans])]
-    return ManyRun.of(kept, chosen, {**reading, "span": asked.span}, source=source)
-
-
-def _texts(options: Mapping[str, Any]) -> list[str]:
-    return [f'{name}="{value}"' for name, value in options.items()]
+    columns = _pairs("column", column, "x=pos_x")
+    result = runs.fuse(
+        recording,
+        runs.ConfigChoice(mode, config, tuple(values)),
+        output,
+        model=model,
+        method=method,
+        association=association,
+        lag=lag,
+        columns={ours: theirs[-1] for ours, theirs in columns.items()},
+        topics=_pairs("topic", topic, "radar=/front"),
+        time_unit=time_unit,
+        angle_unit=angle_unit,
+        span=Span.load(given({"start": start, "end": end})),
+        force=force,
+        mcap=mcap,
+        picture=picture,
+        overwrite=overwrite,
+    )
+    report(result, _table(result.summary, recording.name), json)
 
 
 def _pairs(option: str, texts: list[str], example: str) -> dict[str, list[str]]:

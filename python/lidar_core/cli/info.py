@@ -26,8 +26,8 @@ def command(
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
 ) -> None:
     """Topics, rates, frames, time span and defects of a recording; the command that goes on."""
-    from lidar_core.cli.next_steps import next_steps
     from lidar_core.io import ReadOptions, open_recording
+    from lidar_core.runs.next_steps import next_steps
 
     options = ReadOptions.load(
         given(

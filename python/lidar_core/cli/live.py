@@ -1,8 +1,6 @@
 """`lidar-core live`: a running robot, or a recording as if it were one."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing
-from functools import partial
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -18,14 +16,13 @@ from lidar_core.cli.common import (
 )
 from lidar_core.cli.live_options import LiveOptions
 from lidar_core.cli.run_options import with_options
+from lidar_core.errors import ConfigError
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from lidar_core.cli.live_job import PipelineChoice
-    from lidar_core.cli.live_run import LiveRun
-    from lidar_core.live import LiveConfig, LiveLoop, Output, Source
+    from lidar_core.live import LiveConfig
     from lidar_core.live.loop import Report
     from lidar_core.live.stats import Delay
 
@@ -38,134 +35,72 @@ def command(options: LiveOptions) -> None:
     from its arrival to the end of the outputs) and drops. Ctrl-C or SIGTERM ends with a
     summary. If no scan comes, what is there instead is listed; status 3 if none ever came.
     """
-    from lidar_core.cli.live_job import check_files, live_config, open_source
-    from lidar_core.live import LiveLoop
-    from lidar_core.live.poses import LivePoses
+    from lidar_core import runs
 
-    outputs = _outputs(options)
-    read, settings = options.read(), live_config(options.domain, options.stream)
-    chosen, where = options.pipeline(), LivePoses(options.poses(), settings)
-    check_files(options.outputs, options.replay, options.output, overwrite=options.overwrite)
-    record = options.record(chosen)
     out, errors = consoles(options.json)
-    with ExitStack() as stack:
-        listening = open_source(
-            options.source,
-            options.replay,
-            rate=options.rate,
-            read=read,
-            live=settings,
-            topics=chosen.topics(options.odom),
-        )
-        stack.callback(listening.close)
-        opened = [stack.enter_context(closing(item)) for item in outputs(settings, errors)]
-        opened += [] if record is None else [record]
-        loop = LiveLoop(
-            listening,
-            chosen.pipeline if record is None else record.pipeline,
-            where,
-            opened,
-            settings,
-            topics=(*options.clouds, *options.scans),
-            on_report=lambda report: _tell(errors, report),
-            on_silence=partial(_tell_what_there_is, errors, chosen, listening),
-        )
-        _announce(errors, listening, opened)
-        try:
-            is_interrupted = _run(loop, options.seconds)
-        finally:
-            summary = {
-                "command": "live",
-                "outputs": [item.name for item in opened],
-                **loop.summary(),
-            }
-            if record is not None:
-                summary = _recorded(record, summary, options, settings, errors)
-    _conclude(out, summary, options)
-    if record is not None and record.failed is not None:
-        raise record.failed
-    if loop.heard_nothing:
-        raise typer.Exit(NOTHING_CAME)
-    if is_interrupted:
-        raise typer.Exit(INTERRUPTED)
 
+    def tell(text: str) -> None:
+        errors.print(text, markup=False, highlight=False, soft_wrap=True)
 
-def _outputs(options: LiveOptions) -> "Callable[[LiveConfig, Console], Iterator[Output]]":
-    """What opens the outputs one by one; options that name no web page are refused before."""
-    from lidar_core.cli.live_job import open_output
-    from lidar_core.viz.origin_check import allowed_origins
-
-    allowed = allowed_origins(options.allow_origin)
-
-    def opened(settings: "LiveConfig", console: "Console") -> "Iterator[Output]":
-        for text in options.outputs:
-            refused = partial(_refused, console)
-            yield open_output(text, settings, allowed=allowed, on_refused=refused)
-
-    return opened
-
-
-def _recorded(
-    record: "LiveRun",
-    summary: dict[str, Any],
-    options: LiveOptions,
-    settings: "LiveConfig",
-    console: "Console",
-) -> dict[str, Any]:
-    """Write the folder of the run; the summary with what is in it."""
-    config = {"live": settings, "read": options.read(), "pose": options.poses()}
-    inputs = {"recording": options.replay, "map": options.known_map}
-    return record.write(summary, config, inputs, console)
-
-
-def _conclude(out: "Console", summary: Mapping[str, Any], options: LiveOptions) -> None:
-    """Say how it went, and which files there are."""
+    result = runs.live(
+        options.source,
+        options.choice(),
+        options.output,
+        replay=options.replay,
+        rate=options.rate,
+        outputs=options.outputs,
+        allow_origin=options.allow_origin,
+        capability=options.capability,
+        clouds=options.clouds,
+        scans=options.scans,
+        pose=options.poses(),
+        read=options.read(),
+        stream=live_config(options.domain, options.stream),
+        known_map=options.known_map,
+        threads=options.threads,
+        allow_untrusted=options.trust_model,
+        seconds=options.seconds,
+        overwrite=options.overwrite,
+        on_message=tell,
+        on_report=lambda report: _tell(errors, report),
+    )
+    summary = result.summary
+    for note in result.notes:
+        tell(note)
     out.print(_table(summary))
-    if summary.get("files"):
-        files = ", ".join(summary["files"])
+    if result.files:
+        files = ", ".join(result.files)
         out.print(f"{options.output}: {files}", highlight=False, soft_wrap=True)
     for note in summary["notes"]:
         out.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
-    write_json(summary, options.json)
+    more = {} if options.output is None else {"files": result.files}
+    write_json({**summary, **more}, options.json)
+    if isinstance(result.ended_by, OSError):
+        raise result.ended_by
+    if result.heard_nothing:
+        raise typer.Exit(NOTHING_CAME)
+    if result.ended_by is not None:
+        raise typer.Exit(INTERRUPTED)
 
 
-def _run(loop: "LiveLoop[Any]", seconds: float | None) -> bool:
-    """Work until the end; True if that was Ctrl-C."""
+def live_config(domain: int | None, stream: Sequence[str]) -> "LiveConfig":
+    """Return the values that --domain and --stream set.
+
+    Raises
+    ------
+    ConfigError
+        No such value, or outside its range.
+    """
+    from lidar_core.live import LiveConfig
+    from lidar_core.runs.settings import with_assignments
+
+    set_by_name = with_assignments({}, stream, option="--stream", example="pose_wait=0.5")
     try:
-        loop.run(seconds)
-    except KeyboardInterrupt:
-        return True
-    return False
-
-
-def _announce(console: "Console", source: "Source", outputs: Sequence["Output"]) -> None:
-    for text in (f"from {source.name}", *(f"to {item.name}" for item in outputs)):
-        console.print(text, markup=False, highlight=False, soft_wrap=True)
-
-
-def _refused(console: "Console", reason: str) -> None:
-    """Say that somebody was not let in, and what would let them in."""
-    console.print(f"refused: {reason}", markup=False, highlight=False, soft_wrap=True)
-
-
-def _tell_what_there_is(
-    console: "Console", chosen: "PipelineChoice", source: "Source", advertised: Sequence[str]
-) -> None:
-    """Say that nothing comes, and what there is instead."""
-    named = (*chosen.clouds, *chosen.scans)
-    sorts = " or ".join(
-        name
-        for name, wanted in (("clouds", chosen.wants_clouds), ("2D scans", chosen.wants_scans))
-        if wanted
-    )
-    there = "; ".join(advertised) or "nothing"
-    console.print(
-        f"no scan yet of {', '.join(named) or f'any topic with {sorts}'};"
-        f" {source.name} has: {there}",
-        markup=False,
-        highlight=False,
-        soft_wrap=True,
-    )
+        config = LiveConfig.load(set_by_name)
+    except ConfigError as error:
+        known = ", ".join(LiveConfig.model_fields)
+        raise ConfigError(f"--stream {error}; known are {known}") from error
+    return config if domain is None else LiveConfig.load({"domain": domain} | set_by_name)
 
 
 def _tell(console: "Console", report: "Report") -> None:

@@ -13,8 +13,6 @@ from lidar_core.cli.run_options import PipelineOptions
 from lidar_core.cli.view import ALLOW_ORIGIN
 
 if TYPE_CHECKING:
-    from lidar_core.cli.live_job import PipelineChoice
-    from lidar_core.cli.live_run import LiveRun
     from lidar_core.io import ReadOptions
 
 _IN = (
@@ -106,29 +104,3 @@ class LiveOptions(PipelineOptions):
 
         told = {"point_time": self.point_time, "no_return": self.no_return}
         return ReadOptions.load(given(told))
-
-    def pipeline(self) -> "PipelineChoice":
-        """What scans go through."""
-        from lidar_core.cli.live_job import PipelineChoice
-
-        return PipelineChoice(
-            self.capability,
-            tuple(self.clouds),
-            tuple(self.scans),
-            self.mode,
-            self.config,
-            tuple(self.values),
-            self.known_map,
-            self.threads,
-            self.trust_model,
-        )
-
-    def record(self, chosen: "PipelineChoice") -> "LiveRun | None":
-        """The folder of the run, if one is wanted."""
-        from lidar_core.cli.live_run import LiveRun
-        from lidar_core.run_folder import RunFolder
-
-        if self.output is None:
-            return None
-        folder = RunFolder(self.output, overwrite=self.overwrite, reads=self.replay)
-        return LiveRun(folder, chosen.pipeline)

@@ -5,7 +5,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lidar_core.cli.common import INTERRUPTED, JsonFile, Threads, consoles, write_json
+from lidar_core.cli.common import (
+    INTERRUPTED,
+    JsonFile,
+    Threads,
+    consoles,
+    shown_progress,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -41,8 +48,8 @@ def command(
 
     Ctrl-C leaves whole files; the same command goes on where it stopped.
     """
-    from lidar_core.cli.reproduce_job import ReproduceJob
     from lidar_core.reproduce import item_named, items
+    from lidar_core.runs.reproduction import ReproduceJob
 
     out, errors = consoles(json)
     if item is None:
@@ -59,8 +66,12 @@ def command(
     done: list[dict[str, Any]] = []
     try:
         for one in chosen:
-            result = job.run(one, errors)
-            done.append(job.write(one, result, errors))
+            with shown_progress(errors, counts=one.counts) as on_progress:
+                result = job.run(one, on_progress)
+            values, notes = job.write(one, result)
+            done.append(values)
+            for note in notes:
+                errors.print(note, markup=False, soft_wrap=True)
             out.print(_table(one, result))
             if str(json) != "-":  # a file holds what is finished, at any time
                 write_json(done if item == ALL else done[0], json)

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import MISSING, Field, dataclass, field, fields
 from functools import wraps
-from importlib.util import find_spec
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
@@ -12,11 +11,10 @@ import typer
 
 from lidar_core.cli.common import READ, WRITTEN, JsonFile, given
 from lidar_core.cli.config import Mode
-from lidar_core.extras import require
 
 if TYPE_CHECKING:
     from lidar_core.io import PoseOptions
-    from lidar_core.run_folder import RunFolder
+    from lidar_core.runs import ConfigChoice
 
 _POSE = (
     "auto: transforms or odometry of the recording; static: the sensor does not move; kiss:"
@@ -72,19 +70,6 @@ Overwrite: TypeAlias = Annotated[
 ]
 
 
-def wants_mcap(mcap: bool | None) -> bool:
-    """Whether to write run.mcap: as somebody said, or where the package is there.
-
-    Raises
-    ------
-    MissingExtraError
-        Somebody said so, and the package is not there.
-    """
-    if mcap:
-        require("foxglove", extra="viz", purpose="writing MCAP")
-    return find_spec("foxglove") is not None if mcap is None else mcap
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PipelineOptions:
     """What every command is told that passes scans through a pipeline."""
@@ -105,6 +90,12 @@ class PipelineOptions:
         names = [name for name in PoseOptions.model_fields if hasattr(self, name)]
         return PoseOptions.load(given({name: getattr(self, name) for name in names}))
 
+    def choice(self) -> "ConfigChoice":
+        """Which configuration the pipeline gets."""
+        from lidar_core.runs import ConfigChoice
+
+        return ConfigChoice(self.mode, self.config, tuple(self.values))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunOptions(PipelineOptions):
@@ -117,18 +108,6 @@ class RunOptions(PipelineOptions):
     mcap: Mcap = None
     picture: Picture = True
     overwrite: Overwrite = False
-
-    @property
-    def writes_mcap(self) -> bool:
-        """Whether to write run.mcap."""
-        return wants_mcap(self.mcap)
-
-    def folder(self) -> "RunFolder":
-        """Folder of the run, if all that it takes is there."""
-        from lidar_core.run_folder import RunFolder
-
-        wants_mcap(self.mcap)
-        return RunFolder(self.output, overwrite=self.overwrite, reads=self.recording)
 
 
 def with_options(

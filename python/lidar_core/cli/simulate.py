@@ -90,7 +90,7 @@ def command(
 def _overfly(output: Path, seed: int, rows: int | None, *, json: Path | None) -> None:
     """A table of LiDAR and radar of a drone above a target, which holds the truth."""
     from lidar_core.fusion import write_overflight
-    from lidar_core.io.sole import sole_writer
+    from lidar_core.io.files.sole import sole_writer
     from lidar_core.sim import Overflight, overfly
 
     if output.suffix != ".csv":

@@ -149,7 +149,7 @@ class FlyingFrame:
     stamp_ns : int
         Time of the scan [ns].
     point_class : ndarray, shape (N,), uint8
-        Row-major order of the input: 0 invalid, 1 background, 2 flying, 3 unknown.
+        A `lidar_core.PointClass` each, row-major order of the input.
     detections : FlyingDetections
         Flying objects in this scan.
     tracks : Tracks

@@ -15,6 +15,7 @@ from lidar_core.arrays import Points, as_mask, as_points, as_real, as_rows, as_v
 from lidar_core.config import as_config
 from lidar_core.errors import FormatError, InputError
 from lidar_core.flying.config import ClassifyConfig, VoxelMapConfig
+from lidar_core.messages import PointClass
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +101,7 @@ class VoxelMap:
         points_world : array_like, shape (N, 3), float32
             Ends of the rays [m], world frame. Entries that are not finite are skipped.
         point_class : array_like, shape (N,), uint8
-            0 invalid (skipped, no ray), 1 background, 2 flying, 3 unknown.
+            A `PointClass` each: INVALID is skipped and casts no ray, MOVING counts as UNKNOWN.
         sensor_origin : array_like, shape (3,) or (N, 3), float64
             Where the rays start [m], world frame.
         ray_directions : array_like, shape (N, 3), float32, optional
@@ -132,10 +133,14 @@ class VoxelMap:
         if not np.isfinite(origins).all():
             raise InputError("sensor_origin: expected finite coordinates, got NaN or infinity")
         classes = as_real(point_class, name="point_class")
-        if classes.dtype.kind == "f" or (classes.size and (classes.min() < 0 or classes.max() > 3)):
-            raise InputError(
-                "point_class: expected integers 0 invalid, 1 background, 2 flying, 3 unknown"
-            )
+        highest = max(PointClass)
+        if classes.dtype.kind == "f" or (
+            classes.size and (classes.min() < 0 or classes.max() > highest)
+        ):
+            known = ", ".join(f"{one.value} {one.name.lower()}" for one in PointClass)
+            raise InputError(f"point_class: expected integers {known}")
+        if classes.size and classes.max() == PointClass.MOVING:
+            classes = np.minimum(classes, PointClass.UNKNOWN)
         points_of, skipped, rays, no_return_rays, visits, voxels = self._map.integrate(
             points,
             as_rows(classes, name="point_class", rows=len(points), shape=(), dtype=np.uint8),

@@ -1,18 +1,18 @@
 """Targets, one or many, seen by LiDAR and radar from a platform that may move."""
 
-from lidar_core.fusion.autoferry import DetectionScan, read_autoferry
-from lidar_core.fusion.bags import BagOptions, read_bag
 from lidar_core.fusion.config import FusionConfig, PublishedModel
 from lidar_core.fusion.coverage import TargetCoverage, empty_gospa, mean_gospa, target_coverage
 from lidar_core.fusion.filter import TargetFilter
 from lidar_core.fusion.many import MultiTargetTracker, ScanResult, TargetTracks
 from lidar_core.fusion.many_config import AutoferryOptions, MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, Measurements
-from lidar_core.fusion.overflight import level_overflight, write_overflight
-from lidar_core.fusion.reading import TargetRecording, TargetTruth, read_laser_radar
+from lidar_core.fusion.recordings.autoferry import DetectionScan, read_autoferry
+from lidar_core.fusion.recordings.bags import BagOptions, read_bag
+from lidar_core.fusion.recordings.overflight import level_overflight, write_overflight
+from lidar_core.fusion.recordings.reading import TargetRecording, TargetTruth, read_laser_radar
+from lidar_core.fusion.recordings.table import MeasurementLog, TableOptions, read_measurements
 from lidar_core.fusion.run import Run, run, run_batch, smooth
 from lidar_core.fusion.space import LevelSight, SpaceTrack, in_space, level_sight
-from lidar_core.fusion.table import MeasurementLog, TableOptions, read_measurements
 from lidar_core.fusion.tuning import fit_noise
 
 __all__ = [

@@ -1,22 +1,23 @@
 """Recordings in and out: one iterator over every readable format, poses, and writers."""
 
-from lidar_core.io.circles import write_circles_table, write_circles_tum
-from lidar_core.io.cloud_files import Cloud, read_cloud, write_cloud
 from lidar_core.io.columns import read_columns
+from lidar_core.io.formats.npz import write_npz
 from lidar_core.io.info import RecordingInfo, TopicInfo
-from lidar_core.io.npz import write_npz
-from lidar_core.io.objects import write_mot, write_nuscenes
+from lidar_core.io.maps.cloud_files import Cloud, read_cloud, write_cloud
 from lidar_core.io.opening import open_recording
 from lidar_core.io.options import PoseOptions, ReadOptions, Span
-from lidar_core.io.posed import PosedScan, PosedScans, posed_laser_scans, posed_scans
-from lidar_core.io.recording import Recording, Topic
-from lidar_core.io.ros_obstacles import write_ros_objects
-from lidar_core.io.shapes import write_shapes_table
-from lidar_core.io.tf_buffer import NoTransformError, TransformBuffer
-from lidar_core.io.tracks import write_tracks_table, write_tum
-from lidar_core.io.write_mcap import McapWriter, write_mcap
-from lidar_core.io.write_ros import RosWriter, write_ros
-from lidar_core.io.writing import write_recording
+from lidar_core.io.poses.posed import PosedScan, PosedScans, posed_laser_scans, posed_scans
+from lidar_core.io.poses.tf_buffer import NoTransformError, TransformBuffer
+from lidar_core.io.recording import Recording
+from lidar_core.io.records import Topic
+from lidar_core.io.write.circles import write_circles_table, write_circles_tum
+from lidar_core.io.write.mcap import McapWriter, write_mcap
+from lidar_core.io.write.objects import write_mot, write_nuscenes
+from lidar_core.io.write.recording import write_recording
+from lidar_core.io.write.ros import RosWriter, write_ros
+from lidar_core.io.write.ros_obstacles import write_ros_objects
+from lidar_core.io.write.shapes import write_shapes_table
+from lidar_core.io.write.tracks import write_tracks_table, write_tum
 
 __all__ = [
     "Cloud",

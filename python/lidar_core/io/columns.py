@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from lidar_core.errors import FormatError
 from lidar_core.extras import require
 from lidar_core.files import check_regular_or_folder
-from lidar_core.io.guard import check_size, reading
-from lidar_core.io.mcap_file import McapRecording
-from lidar_core.io.npz import array_in
+from lidar_core.io.files.guard import check_size, reading
+from lidar_core.io.formats.mcap import McapRecording
+from lidar_core.io.formats.npz import array_in
 from lidar_core.io.options import ReadOptions
-from lidar_core.io.pose_files import MAX_FILE_BYTES, read_poses
+from lidar_core.io.poses.pose_files import MAX_FILE_BYTES, read_poses
 
 Columns: TypeAlias = dict[str, NDArray[Any]]
 """Columns of equal length by name; those of `write_tracks_table`, as far as they are known."""

@@ -5,17 +5,20 @@ import warnings
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from itertools import accumulate, pairwise
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import LidarCoreError, PoseFrameWarning
-from lidar_core.io.pose_frames import MOST_SCANS
-from lidar_core.io.posed import posed_scans
-from lidar_core.io.recording import SCAN_KINDS, Record, Recording, Topic
+from lidar_core.io.poses.pose_frames import MOST_SCANS
+from lidar_core.io.poses.posed import posed_scans
+from lidar_core.io.records import SCAN_KINDS, Record, Topic
 from lidar_core.io.scan_topics import NAMELESS
 from lidar_core.messages import LaserScan, Message, Pose, Scan
+
+if TYPE_CHECKING:
+    from lidar_core.io.recording import Recording
 
 FEWEST_DECODED = 10
 """Scans per topic that are decoded, whatever they cost: conventions show early."""
@@ -228,7 +231,7 @@ def _has_point(scan: Scan | LaserScan) -> NDArray[np.bool_]:
     return np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
 
 
-def inspect(recording: Recording) -> RecordingInfo:
+def inspect(recording: "Recording") -> RecordingInfo:
     """Read a recording through, decoding its poses, and its scans as far as that is quick."""
     streams = {_key(topic): _Stream(topic) for topic in recording.topics()}
     edges: dict[tuple[str, str], bool] = {}
@@ -274,7 +277,7 @@ def inspect(recording: Recording) -> RecordingInfo:
     )
 
 
-def _check_pose_frames(recording: Recording) -> None:
+def _check_pose_frames(recording: "Recording") -> None:
     """Let the first scans say whether the poses are in their frame; it becomes a note."""
     with suppress(LidarCoreError), warnings.catch_warnings():
         warnings.simplefilter("ignore", PoseFrameWarning)
@@ -289,7 +292,7 @@ def _key(topic: Topic) -> tuple[str, str]:
 
 
 def _defects(
-    recording: Recording,
+    recording: "Recording",
     streams: dict[tuple[str, str], _Stream],
     edges: dict[tuple[str, str], bool],
     rejected: dict[str, int],

@@ -6,10 +6,10 @@ from typing import Any
 
 from lidar_core.errors import FormatError, meant
 from lidar_core.files import check_regular, check_regular_or_folder
+from lidar_core.io.formats.unpacked import PACKED, UnpackedRecording
 from lidar_core.io.hints import hint_for
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import Recording
-from lidar_core.io.unpacked import PACKED, UnpackedRecording
 
 KNOWN = (
     "ROS 1 .bag, ROS 2 folder or .db3, .mcap, Ouster .pcap with .json or .osf, Velodyne .pcap or"
@@ -72,7 +72,7 @@ def open_recording(
     if chosen.metadata is not None:
         check_regular(chosen.metadata)
     if chosen.stamps != "own":
-        from lidar_core.io.restamped import RestampedRecording
+        from lidar_core.io.formats.restamped import RestampedRecording
 
         own = open_recording(place, chosen, stamps="own")
         return RestampedRecording(own, chosen)
@@ -93,7 +93,7 @@ def _open_file(path: Path, options: ReadOptions) -> Recording:
     if suffix == ".bz2" and Path(path.stem).suffix.lower() == ".clf":
         suffix = ".clf"
     if path.name.lower().endswith(PACKED):
-        return UnpackedRecording(path, options, [path])
+        return UnpackedRecording(path, options, [path], open_recording)
     openers: dict[str, Callable[[Path, ReadOptions], Recording]] = {
         ".bag": _open_bag,
         ".bin": _open_scan,
@@ -131,15 +131,15 @@ def _open_folder(path: Path, options: ReadOptions) -> Recording:
     if kind is ROS2:
         return _open_ros2(path, found, options)
     if kind is PACKED:
-        return UnpackedRecording(path, options, found)
+        return UnpackedRecording(path, options, found, open_recording)
     if kind in SEQUENCES:
         return _open_sequence(path, found, found[0].suffix.lower(), options)
     if len(found) == 1:
         return _open_file(found[0], options)
     if kind in CHAINS:
-        from lidar_core.io.chain import ChainedRecording
+        from lidar_core.io.formats.chain import ChainedRecording
 
-        return ChainedRecording(path, options, found)
+        return ChainedRecording(path, options, found, open_recording)
     listed = ", ".join(file.name for file in found)
     raise FormatError(f"{path}: several recordings in this folder; name one of {listed}")
 
@@ -170,11 +170,11 @@ def _open_kitti(path: Path, files: list[Path], options: ReadOptions) -> Recordin
 
 def _open_bag(path: Path, options: ReadOptions) -> Recording:
     """A bag of Ouster packets, where their library is installed; else any ROS 1 bag."""
-    from lidar_core.io.ouster import OusterRecording, holds_ouster_packets
+    from lidar_core.io.formats.ouster import OusterRecording, holds_ouster_packets
 
     if holds_ouster_packets(path):
         return OusterRecording(path, options)
-    from lidar_core.io.ros import RosRecording
+    from lidar_core.io.formats.ros import RosRecording
 
     return RosRecording(path, options, [path], version=1)
 
@@ -184,25 +184,25 @@ def _open_database(path: Path, options: ReadOptions) -> Recording:
 
 
 def _open_log(path: Path, options: ReadOptions) -> Recording:
-    from lidar_core.io.carmen import CarmenRecording
+    from lidar_core.io.formats.carmen import CarmenRecording
 
     return CarmenRecording(path, options)
 
 
 def _open_mcap(path: Path, options: ReadOptions) -> Recording:
-    from lidar_core.io.mcap_file import McapRecording
+    from lidar_core.io.formats.mcap import McapRecording
 
     return McapRecording(path, options)
 
 
 def _open_npz(path: Path, options: ReadOptions) -> Recording:
-    from lidar_core.io.npz import NpzRecording
+    from lidar_core.io.formats.npz import NpzRecording
 
     return NpzRecording(path, options)
 
 
 def _open_osf(path: Path, options: ReadOptions) -> Recording:
-    from lidar_core.io.ouster import OsfRecording
+    from lidar_core.io.formats.ouster import OsfRecording
 
     return OsfRecording(path, options)
 
@@ -212,13 +212,13 @@ def _open_scan(path: Path, options: ReadOptions) -> Recording:
 
 
 def _open_ros2(path: Path, files: list[Path], options: ReadOptions) -> Recording:
-    from lidar_core.io.ros import RosRecording
+    from lidar_core.io.formats.ros import RosRecording
 
     return RosRecording(path, options, files, version=2)
 
 
 def _open_sequence(path: Path, files: list[Path], suffix: str, options: ReadOptions) -> Recording:
-    from lidar_core.io import sequence
+    from lidar_core.io.formats import sequence
 
     readers: dict[str, type[sequence.SequenceRecording]] = {
         ".bin": sequence.KittiRecording,
@@ -231,9 +231,9 @@ def _open_sequence(path: Path, files: list[Path], suffix: str, options: ReadOpti
 
 
 def _open_pcap(path: Path, options: ReadOptions) -> Recording:
-    from lidar_core.io.ouster import OusterRecording, metadata_beside
-    from lidar_core.io.pcap import VELODYNE_BYTES, packet_sizes
-    from lidar_core.io.velodyne import VelodyneRecording
+    from lidar_core.io.files.pcap import VELODYNE_BYTES, packet_sizes
+    from lidar_core.io.formats.ouster import OusterRecording, metadata_beside
+    from lidar_core.io.formats.velodyne import VelodyneRecording
 
     sizes = packet_sizes(path)
     if options.metadata is not None or metadata_beside(path) is not None:

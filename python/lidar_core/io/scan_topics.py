@@ -1,11 +1,14 @@
 """Which topic of a recording has the scans that are wanted."""
 
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from lidar_core.errors import ConfigError, FormatError, meant
-from lidar_core.io.recording import Recording, Topic
+from lidar_core.io.records import Topic
 from lidar_core.messages import LaserScan, Scan
+
+if TYPE_CHECKING:
+    from lidar_core.io.recording import Recording
 
 NAMELESS = "(no topic)"
 
@@ -26,7 +29,7 @@ WORDS: dict[type, _Words] = {
 
 
 def scan_topics(
-    recording: Recording, sorts: Collection[type], names: Collection[str] = ()
+    recording: "Recording", sorts: Collection[type], names: Collection[str] = ()
 ) -> list[Topic]:
     """Topics with scans: those named, else all.
 
@@ -71,7 +74,7 @@ def scan_topics(
     return [topic for topic in with_scans if not names or topic.name in names]
 
 
-def scan_topic(recording: Recording, name: str | None, sort: type) -> Topic:
+def scan_topic(recording: "Recording", name: str | None, sort: type) -> Topic:
     """The only topic with scans of a sort, or the one that is named; otherwise as `scan_topics`."""
     chosen = scan_topics(recording, [sort], [] if name is None else [name])
     if name is None and len(chosen) > 1:

@@ -17,9 +17,9 @@ from typing import Any
 from lidar_core.errors import ConfigError, LidarCoreError, LinkError
 from lidar_core.extras import require
 from lidar_core.io import ReadOptions, Topic
-from lidar_core.io.foxglove_messages import FoxgloveDecoder, foxglove_kind
-from lidar_core.io.recording import POSE_KINDS, SCAN_KINDS, Record
-from lidar_core.io.ros_messages import RosDecoder, kind_of, ros_name
+from lidar_core.io.messages.foxglove import FoxgloveDecoder, foxglove_kind
+from lidar_core.io.messages.ros import RosDecoder, kind_of, ros_name
+from lidar_core.io.records import POSE_KINDS, SCAN_KINDS, Record
 from lidar_core.live.config import LiveConfig
 from lidar_core.live.inbox import Inbox
 from lidar_core.live.source import Source, StreamTopics

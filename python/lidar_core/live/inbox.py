@@ -5,7 +5,7 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 from threading import Condition
 
-from lidar_core.io.recording import SCAN_KINDS, Record
+from lidar_core.io.records import SCAN_KINDS, Record
 
 MAX_TOPICS = 64  # with scans that wait at once
 

@@ -8,7 +8,7 @@ from typing import Any, Generic
 
 from lidar_core.errors import FormatError, LidarCoreError
 from lidar_core.io import NoTransformError, PosedScan
-from lidar_core.io.posed import ScanT
+from lidar_core.io.poses.posed import ScanT
 from lidar_core.live.config import LiveConfig
 from lidar_core.live.inbox import Arrival, Batch, Inbox
 from lidar_core.live.outputs import Output

@@ -5,7 +5,7 @@ from typing import Generic
 
 from lidar_core.circles import CirclePipeline, CirclesConfig, Scanner
 from lidar_core.flying import FlyingObjectDetector
-from lidar_core.io.posed import PosedScan, ScanT
+from lidar_core.io.poses.posed import PosedScan, ScanT
 from lidar_core.live.update import CirclesUpdate, FlyingUpdate, LiveCapability, Update
 from lidar_core.messages import LaserScan, Scan
 from lidar_core.scan_processing import (

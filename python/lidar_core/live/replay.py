@@ -10,8 +10,9 @@ from threading import Event, Thread
 
 from lidar_core.errors import LidarCoreError
 from lidar_core.io import ReadOptions, open_recording
-from lidar_core.io.posed import span_ns
-from lidar_core.io.recording import POSE_KINDS, SCAN_KINDS, Record, Recording, decoded
+from lidar_core.io.poses.posed import span_ns
+from lidar_core.io.recording import Recording
+from lidar_core.io.records import POSE_KINDS, SCAN_KINDS, Record, decoded
 from lidar_core.io.scan_topics import scan_topics
 from lidar_core.live.inbox import Inbox
 from lidar_core.live.source import Source, StreamTopics

@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 from typing import Any
 
-from lidar_core.io.ros_obstacles import ObstacleArrays
-from lidar_core.io.ros_types import DETECTIONS_TYPE
-from lidar_core.io.write_ros import RosMessages
+from lidar_core.io.messages.ros_types import DETECTIONS_TYPE
+from lidar_core.io.write.ros import RosMessages
+from lidar_core.io.write.ros_obstacles import ObstacleArrays
 from lidar_core.live.update import Update
 
 TRACKS, ODOMETRY = "tracks", "odometry"

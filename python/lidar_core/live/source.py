@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
-from lidar_core.io.recording import Findings
+from lidar_core.io.records import Findings
 from lidar_core.live.inbox import Inbox
 
 

@@ -6,8 +6,8 @@ from threading import Event, Thread
 
 from lidar_core.errors import FormatError, LinkError
 from lidar_core.io import ReadOptions, Topic
-from lidar_core.io.recording import Record, decoded
-from lidar_core.io.velodyne import TOPIC, PacketStream
+from lidar_core.io.messages.velodyne import TOPIC, PacketStream
+from lidar_core.io.records import Record, decoded
 from lidar_core.live.inbox import Inbox
 from lidar_core.live.source import Source
 

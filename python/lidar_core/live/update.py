@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from lidar_core.circles import CircleElements, CircleFrame
 from lidar_core.flying import FlyingFrame, Tracks
-from lidar_core.io.posed import PosedScan
-from lidar_core.io.write_mcap import FoxgloveLog
-from lidar_core.messages import LaserScan, Scan
+from lidar_core.io.poses.posed import PosedScan
+from lidar_core.io.write.mcap import FoxgloveLog
+from lidar_core.messages import LaserScan, PointClass, Scan
 from lidar_core.scan_processing import log_circles, log_flying
 from lidar_core.viz.playback import SMALLEST, Moment, Objects, in_world, outlines_of, swept
 
@@ -63,7 +63,7 @@ class FlyingUpdate(Update):
 
     def moment(self) -> Moment:
         """Points with information, by class."""
-        is_point = self.frame.point_class > 0
+        is_point = self.frame.point_class != PointClass.INVALID
         local = self.item.scan.points.reshape(-1, 3)[is_point]
         points = in_world(local, self.item.world_from_lidar.reshape(-1, 4, 4)[0])
         return Moment(self.stamp_ns, points, self.frame.point_class[is_point], self.objects)

@@ -6,7 +6,7 @@ from typing import Any
 from uuid import uuid4
 
 from lidar_core.extras import require
-from lidar_core.io.write_ros import RosMessages
+from lidar_core.io.write.ros import RosMessages
 from lidar_core.live.config import LiveConfig
 from lidar_core.live.outputs import Output
 from lidar_core.live.ros_update import TRACKS, TYPES, ros_messages

@@ -8,8 +8,7 @@ from typing import Any
 
 from lidar_core.extras import require
 from lidar_core.io import ReadOptions, Topic
-from lidar_core.io.recording import Record
-from lidar_core.io.ros_messages import (
+from lidar_core.io.messages.ros import (
     PLANAR_TYPES,
     POSE_TYPES,
     SCAN_TYPES,
@@ -17,6 +16,7 @@ from lidar_core.io.ros_messages import (
     RosDecoder,
     kind_of,
 )
+from lidar_core.io.records import Record
 from lidar_core.live.config import LiveConfig
 from lidar_core.live.inbox import Inbox
 from lidar_core.live.source import Source, StreamTopics

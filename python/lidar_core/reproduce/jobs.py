@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lidar_core.batch import Failure, Task, completed
 from lidar_core.config import Config
-from lidar_core.io.atomic import written_whole
+from lidar_core.io.files.atomic import written_whole
 from lidar_core.reproduce.types import Request
 from lidar_core.run_folder import build_digest
 

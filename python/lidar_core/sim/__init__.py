@@ -3,12 +3,12 @@
 from lidar_core.sim import circle_scenes, scenes, surfaces
 from lidar_core.sim.air import Dust, Fog, Rain
 from lidar_core.sim.config import Body, Scene, Target
-from lidar_core.sim.insert import InsertedFlight, insert_target, with_target
-from lidar_core.sim.insert_moving import with_moving_target
-from lidar_core.sim.inserted import SolidTarget
+from lidar_core.sim.insertion.insert import InsertedFlight, insert_target, with_target
+from lidar_core.sim.insertion.insert_moving import with_moving_target
+from lidar_core.sim.insertion.inserted import SolidTarget
+from lidar_core.sim.insertion.ray_pattern import RayPattern
 from lidar_core.sim.lidar import Beam, LidarModel, Planar, Rosette, Spinning
-from lidar_core.sim.meshes import hexacopter_mesh, quadcopter_mesh, sphere_mesh
-from lidar_core.sim.motions import (
+from lidar_core.sim.motion.motions import (
     Circle,
     Hover,
     Loop,
@@ -17,13 +17,15 @@ from lidar_core.sim.motions import (
     TakeOff,
     Waypoints,
 )
+from lidar_core.sim.motion.paths import FigureEight, StopAndGo, Swinging, Wandering
+from lidar_core.sim.motion.steering import SteeredSensor, Steering
 from lidar_core.sim.noise import NoisyPoses, PoseNoise
 from lidar_core.sim.overflight import Overflight, Overflown, overfly
-from lidar_core.sim.paths import FigureEight, StopAndGo, Swinging, Wandering
-from lidar_core.sim.people import Barrel, Person
-from lidar_core.sim.ray_pattern import RayPattern
 from lidar_core.sim.recording import Recorded, record
-from lidar_core.sim.shapes import (
+from lidar_core.sim.simulator import Simulator, simulate, sweeps
+from lidar_core.sim.solids.meshes import hexacopter_mesh, quadcopter_mesh, sphere_mesh
+from lidar_core.sim.solids.people import Barrel, Person
+from lidar_core.sim.solids.shapes import (
     Box,
     Cylinder,
     EllipticCylinder,
@@ -35,8 +37,6 @@ from lidar_core.sim.shapes import (
     Sphere,
     Tree,
 )
-from lidar_core.sim.simulator import Simulator, simulate, sweeps
-from lidar_core.sim.steering import SteeredSensor, Steering
 from lidar_core.sim.surfaces import Surface
 from lidar_core.sim.truth import ObjectTruth, SimulatedScan, SimulatedSweep, TargetTruth
 

@@ -10,10 +10,10 @@ import numpy as np
 from lidar_core.errors import ConfigError
 from lidar_core.sim.config import Body, Scene, Target
 from lidar_core.sim.lidar import LidarModel
-from lidar_core.sim.motions import Circle, Hover, Loop, Motion, Scripted, Shuttle, Waypoints
-from lidar_core.sim.paths import FigureEight, StopAndGo, Swinging, Wandering
-from lidar_core.sim.people import Barrel, Person
-from lidar_core.sim.shapes import Box, Cylinder, Plane
+from lidar_core.sim.motion.motions import Circle, Hover, Loop, Motion, Scripted, Shuttle, Waypoints
+from lidar_core.sim.motion.paths import FigureEight, StopAndGo, Swinging, Wandering
+from lidar_core.sim.solids.people import Barrel, Person
+from lidar_core.sim.solids.shapes import Box, Cylinder, Plane
 from lidar_core.sim.types import Vector
 
 HEIGHT = 1.0

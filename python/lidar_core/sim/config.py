@@ -7,8 +7,8 @@ from pydantic import Field, model_validator
 from lidar_core.config import Config
 from lidar_core.sim.air import Particles
 from lidar_core.sim.lidar import LidarModel
-from lidar_core.sim.motions import Hover, Motion, Scripted
-from lidar_core.sim.shapes import Shape, Solid
+from lidar_core.sim.motion.motions import Hover, Motion, Scripted
+from lidar_core.sim.solids.shapes import Shape, Solid
 from lidar_core.sim.surfaces import Surface
 from lidar_core.sim.types import Quaternion, Vector
 

@@ -10,8 +10,8 @@ from lidar_core.sim import surfaces
 from lidar_core.sim.air import Fog
 from lidar_core.sim.config import Body, Scene, Target
 from lidar_core.sim.lidar import LidarModel
-from lidar_core.sim.motions import Circle, Hover, Waypoints
-from lidar_core.sim.shapes import (
+from lidar_core.sim.motion.motions import Circle, Hover, Waypoints
+from lidar_core.sim.solids.shapes import (
     Box,
     Cylinder,
     Hexacopter,

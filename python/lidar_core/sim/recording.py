@@ -11,9 +11,9 @@ import numpy as np
 import tomli_w
 
 from lidar_core._core import __version__
-from lidar_core.io.atomic import written_whole
-from lidar_core.io.sole import sole_writer
-from lidar_core.io.writing import writer_of
+from lidar_core.io.files.atomic import written_whole
+from lidar_core.io.files.sole import sole_writer
+from lidar_core.io.write.recording import writer_of
 from lidar_core.messages import Message, Pose
 from lidar_core.sim.config import Scene
 from lidar_core.sim.lidar import Planar

@@ -18,8 +18,8 @@ from lidar_core.sim.hard_scenes import (
     windy_trees,
 )
 from lidar_core.sim.lidar import LidarModel, Spinning
-from lidar_core.sim.motions import Loop, RandomMotion, Waypoints
-from lidar_core.sim.shapes import Box, Cylinder, Plane, Sphere, Tree
+from lidar_core.sim.motion.motions import Loop, RandomMotion, Waypoints
+from lidar_core.sim.solids.shapes import Box, Cylinder, Plane, Sphere, Tree
 
 __all__ = [
     "DRONE_RADIUS",

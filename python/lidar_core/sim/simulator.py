@@ -10,12 +10,12 @@ from lidar_core.errors import ConfigError
 from lidar_core.messages import LaserScan, Scan
 from lidar_core.sim.config import Body, Scene
 from lidar_core.sim.delivery import delivered
-from lidar_core.sim.knots import poses, times_of
 from lidar_core.sim.lidar import Planar, Spinning
-from lidar_core.sim.motions import RandomMotion
-from lidar_core.sim.movers import movers_of, reach_of
-from lidar_core.sim.people import Barrel
-from lidar_core.sim.shapes import Cylinder, Sway, Tree
+from lidar_core.sim.motion.knots import poses, times_of
+from lidar_core.sim.motion.motions import RandomMotion
+from lidar_core.sim.solids.movers import movers_of, reach_of
+from lidar_core.sim.solids.people import Barrel
+from lidar_core.sim.solids.shapes import Cylinder, Sway, Tree
 from lidar_core.sim.surfaces import Answers
 from lidar_core.sim.truth import ObjectTruth, SimulatedScan, SimulatedSweep, TargetTruth
 

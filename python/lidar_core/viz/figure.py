@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from lidar_core.extras import require
-from lidar_core.io.atomic import written_whole
+from lidar_core.io.files.atomic import written_whole
 
 PURPOSE = "the picture"
 INK, PALE = "#1f2933", "#9aa5b1"

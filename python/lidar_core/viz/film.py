@@ -6,7 +6,7 @@ from typing import Any
 
 from lidar_core.errors import ConfigError, MissingExtraError
 from lidar_core.extras import require
-from lidar_core.io.atomic import written_whole
+from lidar_core.io.files.atomic import written_whole
 from lidar_core.viz.figure import PURPOSE, figure_with_style
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.extras import require
-from lidar_core.io.tracks import TracksLike
+from lidar_core.io.write.tracks import TracksLike
+from lidar_core.messages import PointClass
 from lidar_core.viz.figure import INK, PALE, PURPOSE, write_figure
 from lidar_core.viz.views import FlyingView
 
@@ -159,7 +160,8 @@ def _map(
 
 def _by_class(view: FlyingView) -> list[NDArray[np.float64]]:
     """Points in the order of `CLOUDS`."""
-    background, unknown = (view.cloud[view.cloud_class == number] for number in (1, 3))
+    background = view.cloud[view.cloud_class == PointClass.BACKGROUND]
+    unknown = view.cloud[view.cloud_class == PointClass.UNKNOWN]
     return [background, unknown, view.flying]
 
 

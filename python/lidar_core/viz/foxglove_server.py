@@ -19,9 +19,9 @@ from typing import Any
 
 from lidar_core.errors import LinkError
 from lidar_core.extras import require
-from lidar_core.io.mcap_file import McapRecording
+from lidar_core.io.formats.mcap import McapRecording
 from lidar_core.io.options import ReadOptions
-from lidar_core.io.write_mcap import FoxgloveLog
+from lidar_core.io.write.mcap import FoxgloveLog
 from lidar_core.viz.origin_check import LOCAL, refusal
 
 PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.io.circle_scene import ellipse
+from lidar_core.io.write.circle_scene import ellipse
 from lidar_core.viz.circles_picture import colour_of
 from lidar_core.viz.figure import PALE, write_figure
 from lidar_core.viz.views import FusionView, PlanarLine

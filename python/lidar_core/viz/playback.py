@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
 from lidar_core.io.columns import Columns, read_columns
-from lidar_core.io.covariance import covariance_titles, symmetric
 from lidar_core.io.opening import open_recording
-from lidar_core.io.posed import posed_laser_scans, posed_scans
-from lidar_core.io.recording import SCAN_KINDS, Recording
-from lidar_core.io.shapes import ShapesLike, outline, outline_of_row
+from lidar_core.io.poses.posed import posed_laser_scans, posed_scans
+from lidar_core.io.recording import Recording
+from lidar_core.io.records import SCAN_KINDS
+from lidar_core.io.write.covariance import covariance_titles, symmetric
+from lidar_core.io.write.shapes import ShapesLike, outline, outline_of_row
 from lidar_core.messages import LaserScan, Scan
 from lidar_core.run_folder import RUN_FILE
 
@@ -88,7 +89,7 @@ class Moment:
     points : ndarray, shape (N, 3), float32
         Points of the scan, world frame [m]; none between scans.
     point_class : ndarray, shape (N,), uint8
-        1 background, 2 flying, 3 unknown; 0 where points have no class.
+        A `PointClass` each; INVALID where points have no class.
     objects : Objects
         What was found.
     outlines : tuple of Outline

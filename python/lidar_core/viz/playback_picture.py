@@ -9,15 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
-from lidar_core.io.circle_scene import ellipse
+from lidar_core.io.write.circle_scene import ellipse
+from lidar_core.messages import PointClass
 from lidar_core.viz.figure import INK, PALE, write_figure
 from lidar_core.viz.film import write_film
 from lidar_core.viz.playback import Moment, Playback
 
 SIZE, DPI = (12.0, 6.0), 90
 FILM_DPI = 70
-POINT_COLOURS = ("#94a3b8", "#94a3b8", "#dc2626", "#d97706")
-"""Of points without a class, of background, flying and unknown ones."""
+POINT_COLOURS = {
+    PointClass.INVALID: "#94a3b8",
+    PointClass.BACKGROUND: "#94a3b8",
+    PointClass.FLYING: "#dc2626",
+    PointClass.UNKNOWN: "#d97706",
+    PointClass.MOVING: "#2563eb",
+}
+"""Colours of points by class; INVALID is that of points without one."""
 OBJECT, BAND, WALL = "#c2410c", "#0369a1", "#0f766e"
 SIGMAS, CORNERS = 2.0, 36
 TRAIL = 50  # positions of an object that stay in view
@@ -167,13 +174,13 @@ def _draw_plane(
     axes = [across, up]
     step = max(1, len(moment.points) // MOST_POINTS)
     points, classes = moment.points[::step], moment.point_class[::step]
-    for number, colour in enumerate(POINT_COLOURS):
-        chosen = points[classes == number]
+    for kind, colour in POINT_COLOURS.items():
+        chosen = points[classes == kind]
         panel.plot(
             chosen[:, across],
             chosen[:, up],
             ".",
-            ms=1 + 2 * (number > 1),
+            ms=1 + 2 * (kind > PointClass.BACKGROUND),
             color=colour,
             rasterized=True,
         )

@@ -9,14 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.extras import require
-from lidar_core.io.atomic import check_place, written_whole
+from lidar_core.io.files.atomic import check_place, written_whole
+from lidar_core.messages import PointClass
 from lidar_core.viz.playback import Moment, Objects, Playback
 from lidar_core.viz.rerun_process import PURPOSE, free_port, rerun_process
 
-CLASS_COLOURS = np.array(
-    [[140, 150, 160], [140, 150, 160], [225, 60, 40], [230, 180, 60]], np.uint8
-)
-"""Of points without a class, of background, flying and unknown ones."""
+_COLOURS = {
+    PointClass.INVALID: (140, 150, 160),
+    PointClass.BACKGROUND: (140, 150, 160),
+    PointClass.FLYING: (225, 60, 40),
+    PointClass.UNKNOWN: (230, 180, 60),
+    PointClass.MOVING: (70, 130, 230),
+}
+CLASS_COLOURS = np.array([_COLOURS[one] for one in PointClass], np.uint8)
+"""Colours of points by class; INVALID is that of points without one."""
 OBJECT_COLOUR, ELLIPSE_COLOUR, VOXEL_COLOUR = (255, 90, 25), (60, 130, 240), (95, 110, 125, 90)
 SEEN_COLOUR, HIDDEN_COLOUR = (20, 160, 145), (130, 150, 150)
 """Of walls and other shapes, in sight and out of sight."""

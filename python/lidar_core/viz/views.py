@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.io.circles import CirclesLike
-from lidar_core.io.shapes import ShapesLike
-from lidar_core.io.tracks import TracksLike
+from lidar_core.io.write.circles import CirclesLike
+from lidar_core.io.write.shapes import ShapesLike
+from lidar_core.io.write.tracks import TracksLike
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +20,7 @@ class FlyingView:
     title : str
         Headline.
     cloud, cloud_class : ndarray, shapes (N, 3), float64, and (N,), uint8
-        The last scan [m], and 0 invalid, 1 background, 2 flying, 3 unknown.
+        The last scan [m], and the `PointClass` of its points.
     flying : ndarray, shape (K, 3), float64
         Points classified as flying, of all scans [m].
     occupied : ndarray, shape (V, 3), float64

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.circles import CircleDetector, CircleNetwork, Samples, Scanner
-from lidar_core.circles.detector_name import shipped
+from lidar_core.circles.estimators.detector_name import shipped
 from lidar_core.circles.samples import HITS
 
 PAPER_NETWORK = "paper-cnn"

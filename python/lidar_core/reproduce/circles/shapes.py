@@ -13,7 +13,7 @@ from lidar_core.reproduce.jobs import Job, Part, run
 from lidar_core.reproduce.types import Item, Request, Result, Row
 
 if TYPE_CHECKING:
-    from lidar_core.sim.shapes import Shape
+    from lidar_core.sim.solids.shapes import Shape
 
 NAMES = ("circle", "ellipse", "rectangle", "line")
 """In the order of `lidar_core.circles.ShapeKind`."""

@@ -3,7 +3,12 @@
 from typing import Any
 
 from lidar_core.circles import CircleNetwork, Scanner
-from lidar_core.circles.architecture import CONVOLUTIONS, Layer, paper_layers, window_layers
+from lidar_core.circles.estimators.architecture import (
+    CONVOLUTIONS,
+    Layer,
+    paper_layers,
+    window_layers,
+)
 from lidar_core.reproduce.common import BLUE, RED
 from lidar_core.reproduce.types import Item, Request, Result, Row
 

@@ -15,7 +15,7 @@ from lidar_core.scan_processing import detect
 
 if TYPE_CHECKING:
     from lidar_core.sim import Scene
-    from lidar_core.sim.motions import Scripted
+    from lidar_core.sim.motion.motions import Scripted
 
 SENSORS = ("livox-mid360", "livox-avia", "vlp-16", "hdl-32e", "xt32")
 SCANS_PER_FLIGHT = 100

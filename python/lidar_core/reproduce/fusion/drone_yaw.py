@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.fusion import FusionConfig, Measurement, fit_noise, run_batch
-from lidar_core.fusion.reading import TargetTruth
+from lidar_core.fusion.recordings.reading import TargetTruth
 from lidar_core.reproduce.common import BLUE, GREY, RED
 from lidar_core.reproduce.fusion.contenders import FIXED
 from lidar_core.reproduce.fusion.laser_radar import (

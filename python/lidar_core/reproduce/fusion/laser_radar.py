@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.fusion import FusionConfig, Measurements, Run, read_laser_radar, run_batch
-from lidar_core.fusion.reading import TargetTruth
+from lidar_core.fusion.recordings.reading import TargetTruth
 from lidar_core.reproduce.recordings import recording
 
 SAMPLE_1 = "fusion/sample-laser-radar-measurement-data-1.txt"

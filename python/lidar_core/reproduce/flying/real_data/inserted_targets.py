@@ -14,8 +14,8 @@ from lidar_core.io import PosedScan
 from lidar_core.messages import Scan
 from lidar_core.reproduce.flying.real_data.sequences import RealSequence
 from lidar_core.sim import Hexacopter, Quadcopter, RayPattern, Sphere
-from lidar_core.sim.inserted import SolidTarget
-from lidar_core.sim.shapes import Solid
+from lidar_core.sim.insertion.inserted import SolidTarget
+from lidar_core.sim.solids.shapes import Solid
 
 DISTANCES, CLEARANCE, EDGE_DEG = (3.0, 15.0), 1.0, 5.0
 """Of a target from the sensor and from every return [m], and from the edge of the view [deg]."""

@@ -208,7 +208,7 @@ def _kiss_poses(path: Path) -> Path:
 
 
 def _write(target: Path, text: str) -> None:
-    from lidar_core.io.atomic import written_whole
+    from lidar_core.io.files.atomic import written_whole
 
     with written_whole(target) as temporary:
         temporary.write_text(text, encoding="utf-8")

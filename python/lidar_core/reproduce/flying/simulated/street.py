@@ -18,7 +18,7 @@ from lidar_core.reproduce.types import Request
 
 if TYPE_CHECKING:
     from lidar_core.sim import Scene
-    from lidar_core.sim.motions import Scripted
+    from lidar_core.sim.motion.motions import Scripted
 
 SCANS_PER_FLIGHT, SHORTEST = 100, 25
 PAPER_RADIUS = 0.325

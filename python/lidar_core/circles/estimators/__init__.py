@@ -1,0 +1,1 @@
+"""Fits and networks that estimate circles from groups of rays."""

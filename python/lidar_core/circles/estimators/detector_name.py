@@ -1,0 +1,29 @@
+"""Names of ways to estimate a circle: fits, networks of the package, files."""
+
+from pathlib import Path
+from typing import get_args
+
+from lidar_core.circles.estimators.fit_config import FitMethod
+
+MODELS = Path(__file__).parents[1] / "models"
+
+
+def shipped() -> list[str]:
+    """Names of the models that come with the package."""
+    return sorted(path.stem for path in MODELS.glob("*.onnx"))
+
+
+def checked(detector: object) -> object:
+    """`detector`, if there is such a fit or network, or if it is the path of an .onnx file.
+
+    Raises
+    ------
+    ValueError
+        It is none of these: what was expected.
+    """
+    known = (*get_args(FitMethod), *shipped())
+    if isinstance(detector, str | Path) and (
+        str(detector) in known or Path(detector).suffix == ".onnx"
+    ):
+        return detector
+    raise ValueError(f"expected one of {', '.join(known)}, or an .onnx file")

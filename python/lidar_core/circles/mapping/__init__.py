@@ -1,0 +1,1 @@
+"""The semantic map of circles and other shapes."""

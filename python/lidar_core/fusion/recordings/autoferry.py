@@ -1,0 +1,141 @@
+"""Reader of the Autoferry recordings: LiDAR and radar detections of boats, with the truth."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.config import as_config
+from lidar_core.errors import FormatError
+from lidar_core.files import check_regular
+from lidar_core.fusion.many_config import AutoferryOptions
+from lidar_core.fusion.measurement import Measurement
+from lidar_core.io.files.guard import check_size, reading
+
+MAX_FILE_BYTES = 256 * 2**20
+DETECTIONS, TRUTH = "_detections.json", "_groundTruth.json"
+SOURCES = {1: "lidar", 2: "radar"}
+MAX_TIME = 9e9
+"""Largest time that int64 nanoseconds hold [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class DetectionScan:
+    """What one scanner saw at one time.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        [ns].
+    source : str
+        "lidar" or "radar".
+    measurements : list of Measurement
+        Positions in the world, each with its covariance.
+    sensor : ndarray, shape (2,)
+        Where the scanner was [m].
+    truth : mapping of int to ndarray, shape (2,)
+        Where the targets were [m]; empty without truth.
+    """
+
+    stamp_ns: int
+    source: str
+    measurements: list[Measurement]
+    sensor: NDArray[np.float64]
+    truth: Mapping[int, NDArray[np.float64]]
+
+
+def read_autoferry(
+    path: str | Path, options: AutoferryOptions | None = None
+) -> list[DetectionScan]:
+    """Read the LiDAR and radar scans of a scenario; x is east and y north of its origin.
+
+    Parameters
+    ----------
+    path : str or Path
+        NAME_detections.json; NAME_groundTruth.json is read where it lies beside it.
+    options : AutoferryOptions, optional
+        Errors of the scanners.
+
+    Returns
+    -------
+    scans : list of DetectionScan
+        By time, empty ones included. Cameras are left out.
+
+    Raises
+    ------
+    FormatError
+        Not such a file; the text names the entry.
+    LimitError
+        More than 256 MiB.
+
+    Notes
+    -----
+    A true position is that at its own time, up to 0.4 s from the scan's; it is taken as it is.
+
+    Source: Helgesen et al., "Heterogeneous multi-sensor tracking for an autonomous surface
+    vehicle in a littoral environment", Ocean Engineering 252, 2022.
+    """
+    place, options = Path(path), as_config(options, AutoferryOptions)
+    entries = _entries(place)
+    beside = place.with_name(place.name.replace(DETECTIONS, TRUTH))
+    truths = _entries(beside) if beside != place and beside.is_file() else [[]] * len(entries)
+    if len(truths) != len(entries):
+        raise FormatError(
+            f"{beside}: expected {len(entries)} entries as {place.name} has, got {len(truths)}"
+        )
+    scans = []
+    for number, (entry, truth) in enumerate(zip(entries, truths, strict=True)):
+        with reading(f"{place}, entry {number}"):
+            if int(entry["sensorID"]) in SOURCES:
+                scans.append(_scan(entry, truth, options))
+    return sorted(scans, key=lambda scan: scan.stamp_ns)
+
+
+def _entries(place: Path) -> list[Any]:
+    check_size(
+        str(place),
+        check_regular(place).stat().st_size,
+        limit=MAX_FILE_BYTES,
+        key="nothing",
+        what="a file of bytes",
+    )
+    with reading(str(place)):
+        entries = json.loads(place.read_text("utf-8"))
+    if not isinstance(entries, list):
+        raise FormatError(f"{place}: expected a list of detections")
+    return entries
+
+
+def _scan(entry: Mapping[str, Any], truth: Any, options: AutoferryOptions) -> DetectionScan:
+    time = float(entry["time"])
+    if not abs(time) <= MAX_TIME:
+        raise FormatError(f"expected a time in seconds, got {time}")
+    stamp_ns, source = round(time * 1e9), SOURCES[int(entry["sensorID"])]
+    sensor = np.array(entry["ownshipPosition"], np.float64)[1::-1]  # north, east
+    offsets = np.array(entry["measurement"], np.float64).reshape(2, -1)[::-1].T
+    if sensor.shape != (2,) or not (np.isfinite(sensor).all() and np.isfinite(offsets).all()):
+        raise FormatError("expected finite positions, north and east")
+    targets = truth if isinstance(truth, list) else [truth]
+    places = {
+        int(target["targetID"]): np.array(target["position"][1::-1], np.float64)
+        for target in targets
+    }
+    measurements = [
+        Measurement(stamp_ns, "lidar", sensor + offset, _covariance(offset, source, options))
+        for offset in offsets
+    ]
+    return DetectionScan(stamp_ns, source, measurements, sensor, places)
+
+
+def _covariance(
+    offset: NDArray[np.float64], source: str, options: AutoferryOptions
+) -> NDArray[np.float64]:
+    if source == "lidar":
+        return np.eye(2) * options.lidar_std**2
+    across = np.array([-offset[1], offset[0]]) * options.radar_bearing_std  # as long as the range
+    covariance: NDArray[np.float64] = np.eye(2) * options.radar_std**2 + np.outer(across, across)
+    return covariance

@@ -1,0 +1,228 @@
+"""Measurements from ROS recordings: radar tracks and scans, positions, poses, turn rates."""
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from lidar_core.config import Config, as_config
+from lidar_core.errors import ConfigError, FormatError
+from lidar_core.fusion.measurement import Measurement, SensorName
+from lidar_core.fusion.recordings.autoferry import DetectionScan
+from lidar_core.io.files.guard import reading
+from lidar_core.io.messages.ros import (
+    IMU_TYPE,
+    POINT_TYPE,
+    POSE_TYPES,
+    matrix_of,
+    ros_name,
+    stamp_of,
+)
+from lidar_core.io.messages.ros_types import RADAR_SCAN_TYPE, RADAR_TRACKS_TYPE
+from lidar_core.io.opening import open_recording
+from lidar_core.io.records import Topic
+
+KINDS = frozenset({"measurement", "pose"})
+TYPES: dict[SensorName, tuple[str, ...]] = {
+    "lidar": (POINT_TYPE, *POSE_TYPES[1:]),
+    "radar": (RADAR_TRACKS_TYPE, RADAR_SCAN_TYPE),
+    "gyro": (IMU_TYPE,),
+    "pose": POSE_TYPES,
+}
+"""What each sensor may speak; poses without a twist may be a LiDAR's positions, if named so."""
+BY_ITSELF: dict[SensorName, tuple[str, ...]] = {**TYPES, "lidar": (POINT_TYPE,)}
+STEEPEST = 1e-3  # least cosine of the elevation of a radar's return
+
+Found: TypeAlias = list[Measurement]
+
+
+class BagOptions(Config):
+    """Which topics of a ROS recording are measurements of which sensor."""
+
+    topics: dict[SensorName, tuple[str, ...]] = Field(
+        {},
+        description="Topics of `lidar`, `radar`, `gyro` or `pose` (no unit); of sensors that are"
+        " not named, those whose type says so: PointStamped; RadarTracks and RadarScan; Imu; and"
+        " Odometry, PoseStamped or PoseWithCovarianceStamped, if it is one topic.",
+    )
+    doppler: Literal["receding", "approaching"] = Field(
+        "receding",
+        description="Targets whose doppler_velocity is positive in a RadarScan, whose definition"
+        " does not say (no unit).",
+    )
+
+
+def read_bag(path: str | Path, options: BagOptions | None = None) -> list[DetectionScan]:
+    """Read what LiDAR and radar saw, and how the platform moved, from a ROS recording.
+
+    Parameters
+    ----------
+    path : str or Path
+        ROS 1 bag, ROS 2 folder, .db3 or .mcap with ROS messages.
+    options : BagOptions, optional
+
+    Returns
+    -------
+    scans : list of DetectionScan
+        One per message, by the stamps in their headers; `source` is the topic. Places are in the
+        frames of the sensors, which are taken to look along the platform's axes.
+
+    Raises
+    ------
+    FormatError
+        No such recording, no such message in it, or a broken one.
+    ConfigError
+        A topic that is not there or has another type; or several topics with poses, none named.
+
+    Notes
+    -----
+    A radar's track gives range, bearing and range rate of its position and velocity, which are
+    relative to the radar, with their covariance, if it has one. Such tracks are filtered already:
+    their errors hang together over time, and the covariances of what follows are too small.
+    Elevated returns are levelled, as if target and radar kept their heights.
+    """
+    chosen, place = as_config(options, BagOptions), Path(path)
+    with open_recording(place) as recording:
+        sensors = _sensors(place, recording.topics(), chosen)
+        scans = [
+            DetectionScan(stamp, record.topic.name, found, np.zeros(2), {})
+            for number, record in enumerate(recording.records(KINDS))
+            if record.topic.name in sensors and record.parse is not None
+            for stamp, found in _read(
+                record.parse(),
+                sensors[record.topic.name],
+                record.topic,
+                f"{place}, message {number}",
+                chosen,
+            )
+        ]
+        if not scans:
+            listed = ", ".join(f"{t.name} ({t.type})" for t in recording.topics()) or "none"
+            raise FormatError(f"{place}: no measurements in it; topics: {listed}")
+    return sorted(scans, key=lambda scan: scan.stamp_ns)
+
+
+def _sensors(place: Path, topics: Sequence[Topic], options: BagOptions) -> dict[str, SensorName]:
+    """Sensor of every topic that is read."""
+    types = {topic.name: ros_name(topic.type) for topic in topics}
+    found: dict[str, SensorName] = {}
+    for sensor, names in options.topics.items():
+        for name in names:
+            if types.get(name) not in TYPES[sensor]:
+                raise ConfigError(
+                    f"{place}: topics: {sensor}: {name!r} is"
+                    f" {types.get(name, 'not there')}, expected {', '.join(TYPES[sensor])}"
+                )
+            found[name] = sensor
+    for sensor in set(BY_ITSELF) - set(options.topics):
+        fitting = [n for n, t in types.items() if t in BY_ITSELF[sensor] and n not in found]
+        if sensor == "pose" and len(fitting) > 1:
+            raise ConfigError(
+                f"{place}: topics: several with poses, {', '.join(sorted(fitting))};"
+                " name that of the platform with --topic pose=NAME"
+            )
+        found |= dict.fromkeys(fitting, sensor)
+    return found
+
+
+def _read(
+    message: Any, sensor: SensorName, topic: Topic, place: str, options: BagOptions
+) -> Iterator[tuple[int, Found]]:
+    """Stamp and measurements of a message."""
+    readers: dict[SensorName, Callable[[int, Any, str], Found]] = {
+        "lidar": _positions,
+        "gyro": _turn_rate,
+        "pose": _pose,
+        "radar": lambda stamp, m, _: (
+            _tracks(stamp, m) if hasattr(m, "tracks") else _returns(stamp, m, options.doppler)
+        ),
+    }
+    with reading(f"{place} on {topic.name}"):
+        stamp = stamp_of(message.header.stamp)
+        yield stamp, readers[sensor](stamp, message, place)
+
+
+def _tracks(stamp: int, message: Any) -> Found:
+    found = []
+    for track in message.tracks:
+        p = np.array([track.position.x, track.position.y], np.float64)
+        v = np.array([track.velocity.x, track.velocity.y], np.float64)
+        far = float(np.hypot(*p))
+        if not far > 0:
+            continue
+        rate = float(p @ v) / far
+        by_place = np.stack(
+            [p / far, np.array([-p[1], p[0]]) / far**2, v / far - rate * p / far**2]
+        )
+        by_speed = np.stack([np.zeros(2), np.zeros(2), p / far])
+        spread = by_place @ _planar(track.position_covariance) @ by_place.T
+        spread += by_speed @ _planar(track.velocity_covariance) @ by_speed.T
+        values = [far, float(np.arctan2(p[1], p[0])), rate]
+        found.append(Measurement(stamp, "radar", values, _definite(spread)))
+    return found
+
+
+def _planar(upper: Any) -> NDArray[np.float64]:
+    """X and y of a covariance of three axes, of which a message has the upper triangle."""
+    return np.array([[upper[0], upper[1]], [upper[1], upper[3]]], np.float64)
+
+
+def _definite(covariance: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """A covariance that can be used; None for zeros, which say that nobody knows, and others."""
+    covariance = (covariance + covariance.T) / 2
+    scale = np.sqrt(np.abs(np.diag(covariance)))
+    if not (np.isfinite(covariance).all() and (scale > 0).all()):
+        return None
+    least = np.linalg.eigvalsh(covariance / np.outer(scale, scale))[0]
+    return covariance if least > 1e-9 else None
+
+
+def _returns(stamp: int, message: Any, doppler: str) -> Found:
+    sign = 1.0 if doppler == "receding" else -1.0
+    found = []
+    for item in message.returns:
+        level = max(float(np.cos(item.elevation)), STEEPEST)
+        values = [item.range * level, float(item.azimuth), sign * item.doppler_velocity / level]
+        found.append(Measurement(stamp, "radar", values))
+    return found
+
+
+def _positions(stamp: int, message: Any, place: str) -> Found:
+    if hasattr(message, "point"):
+        return [Measurement(stamp, "lidar", [message.point.x, message.point.y])]
+    matrix, covariance = matrix_of(message, place)
+    known = None if covariance is None else _definite(covariance[:2, :2])
+    return [Measurement(stamp, "lidar", matrix[:2, 3], known)]
+
+
+def _turn_rate(stamp: int, message: Any, place: str) -> Found:
+    """About the vertical: from the rates of the body, where the orientation is known."""
+    rates, q = message.angular_velocity, message.orientation
+    rate, variance = float(rates.z), float(message.angular_velocity_covariance[8])
+    norm = float(np.linalg.norm([q.x, q.y, q.z, q.w]))
+    if message.orientation_covariance[0] != -1 and abs(norm - 1) < 0.1:
+        roll = np.arctan2(2 * (q.w * q.x + q.y * q.z), 1 - 2 * (q.x**2 + q.y**2))
+        pitch = np.arcsin(np.clip(2 * (q.w * q.y - q.z * q.x), -1, 1))
+        level = max(float(np.cos(pitch)), STEEPEST)
+        rate = float(rates.y * np.sin(roll) + rates.z * np.cos(roll)) / level
+    known = [[variance]] if np.isfinite(variance) and variance > 0 else None
+    return [Measurement(stamp, "gyro", [rate], known)]
+
+
+def _pose(stamp: int, message: Any, place: str) -> Found:
+    """With the velocity in the world and the turn rate, where a twist tells them."""
+    matrix, covariance = matrix_of(message, place)
+    yaw = float(np.arctan2(matrix[1, 0], matrix[0, 0]))
+    values = [*matrix[:2, 3].tolist(), yaw]
+    if hasattr(message, "twist"):
+        linear, turning = message.twist.twist.linear, message.twist.twist.angular
+        twist = np.array([linear.x, linear.y, linear.z, turning.z], np.float64)
+        if twist.any():  # many drivers leave it zero
+            values += [*(matrix[:2, :3] @ twist[:3]).tolist(), float(twist[3])]
+    known = None
+    if covariance is not None:
+        known = _definite(covariance[np.ix_([0, 1, 5], [0, 1, 5])])
+    return [Measurement(stamp, "pose", values, known)]

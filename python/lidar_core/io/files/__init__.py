@@ -1,0 +1,1 @@
+"""Files: what is inside them, read with limits and written whole."""

@@ -1,0 +1,281 @@
+"""CARMEN logs, .clf or .clf.bz2: one message a line, 2D scans with the odometry they belong to.
+
+Line formats are those that the header of such a log states. Old scans (FLASER, RLASER) carry no
+bearings and no limits: bearings follow from the number of readings, as CARMEN's own drivers set
+them, and the readings that mean "no return" are those at the limit that the whole log shows.
+"""
+
+import bz2
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import FormatError, LimitError
+from lidar_core.io.files.compressed import check_ratio
+from lidar_core.io.files.guard import reading
+from lidar_core.io.messages.laser import LaserDecoder
+from lidar_core.io.options import ReadOptions
+from lidar_core.io.poses.pose_files import stamp_from_text
+from lidar_core.io.recording import Recording
+from lidar_core.io.records import Kind, Record, Topic, decoded
+from lidar_core.io.rotations import pose_matrix, quaternion_from_angles
+from lidar_core.messages import LaserScan, Message, Pose
+
+ODOM_FRAME, BASE_FRAME = "odom", "base_link"
+OLD_SCANS = {"FLASER": "front_laser", "RLASER": "rear_laser"}
+KINDS: dict[str, Kind] = {
+    "ODOM": "pose",
+    **dict.fromkeys(OLD_SCANS, "planar+pose"),
+    **{f"ROBOTLASER{number}": "planar+pose" for number in range(5)},
+    **{f"RAWLASER{number}": "planar" for number in range(1, 5)},
+}
+OTHER = ("PARAM", "SYNC", "TRUEPOS", "GPS", "NMEA-GGA", "NMEA-RMC", "IMU", "SONAR", "MARKER")
+RANGE_PARAMETERS = ("robot_front_laser_max", "robot_frontlaser_max", "laser_front_laser_max")
+LARGEST_RANGE = 80.0  # of the SICK LMS that these logs come from; its codes for failures lie above
+NEAREST_LIMIT = 8.0  # of such a scanner when it counts in millimetres
+FEWEST_AT_LIMIT = 10  # readings at the greatest value of a log that make it a limit
+LAYOUTS = {
+    180: (-90.0, 1.0),
+    181: (-90.0, 1.0),
+    360: (-90.0, 0.5),
+    361: (-90.0, 0.5),
+    400: (-50.0, 0.25),
+    401: (-50.0, 0.25),
+}
+"""Bearing of the first reading, and between two [deg], by the number of readings."""
+LINES_TO_RECOGNISE = 1000
+MAX_UNPACKED_BYTES = 4 * 2**30
+LATEST_S = 9.2e9  # what int64 [ns] can hold
+
+
+class _Line(NamedTuple):
+    """One message: where it stands, its name, and the words after it."""
+
+    place: str
+    name: str
+    words: list[str]
+
+    def numbers(self, start: int, count: int) -> NDArray[np.float64]:
+        """Numbers `start` to `start + count` after the name."""
+        words = self.words[start : start + count]
+        try:
+            values = np.array(words, np.float64)
+        except ValueError:
+            raise FormatError(f"{self.place}: {self.name} holds a word for a number") from None
+        if len(words) != count:
+            raise FormatError(
+                f"{self.place}: {self.name} ends early, {len(self.words)} values follow its name"
+            )
+        return values
+
+    def count(self, at: int) -> int:
+        """The number of readings that word `at` states, all of them there."""
+        text = self.words[at] if at < len(self.words) else ""
+        if not text.isdecimal() or len(text) > 9 or int(text) > len(self.words):
+            raise FormatError(
+                f"{self.place}: {self.name} states {text or 'no'!r} readings,"
+                f" {len(self.words)} values follow its name"
+            )
+        return int(text)
+
+    def stamp_ns(self, end: int) -> int:
+        """Time [ns]: the first of the words that end a message, after its `end` values."""
+        (seconds,) = self.numbers(end, 1)
+        if not abs(seconds) < LATEST_S:
+            raise FormatError(f"{self.place}: {self.name} has no time, got {self.words[end]!r}")
+        return stamp_from_text(self.words[end])
+
+
+class CarmenRecording(Recording):
+    """One log; it is read once to learn its topics, and again for its messages."""
+
+    format = "CARMEN log"
+
+    def __init__(self, path: Path, options: ReadOptions) -> None:
+        super().__init__(path, options)
+        self._counts: Counter[str] = Counter()
+        self._range_max = LARGEST_RANGE
+        self._first_ns = 0
+        self._lasers: dict[str, LaserDecoder] = {}
+        self._rejected: set[str] = set()
+        self._survey()
+
+    def topics(self) -> list[Topic]:
+        """Streams of the log, by the names of its messages."""
+        return [
+            Topic(name, f"CARMEN {name}", KINDS.get(name, "other"), count)
+            for name, count in sorted(self._counts.items())
+        ]
+
+    def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
+        """Messages in the order of the log; one without a time has that of the one before."""
+        topics = {
+            topic.name: topic for topic in self.topics() if kinds is None or topic.kind in kinds
+        }
+        last_ns = self._first_ns
+        for line in self._lines():
+            topic = topics.get(line.name)
+            if topic is None:
+                continue
+            decode: Callable[[], list[Message]] = decoded()
+            if topic.kind != "other":
+                try:
+                    parts = _parts(line)
+                    last_ns = line.stamp_ns(parts.end)
+                except FormatError:  # counted by the survey
+                    continue
+                decode = partial(self._decode, line, parts, last_ns)
+            yield Record(topic, last_ns, decode)
+
+    def _reject(self, line: _Line, error: FormatError) -> None:
+        """Count a line that cannot be read, once; the first of its name is told."""
+        if line.place in self._rejected:
+            return
+        self._rejected.add(line.place)
+        self.findings.rejected[line.name] += 1
+        if self.findings.rejected[line.name] == 1:
+            self.findings.note(f"left out: {error}")
+
+    def _decode(self, line: _Line, parts: "_Parts", stamp_ns: int) -> list[Message]:
+        try:
+            return self._messages(line, parts, stamp_ns)
+        except FormatError as error:
+            self._reject(line, error)
+            return []
+
+    def _messages(self, line: _Line, parts: "_Parts", stamp_ns: int) -> list[Message]:
+        messages: list[Message] = []
+        if parts.pose_at is not None:
+            x, y, angle = line.numbers(parts.pose_at, 3)
+            if not np.isfinite([x, y, angle]).all():
+                raise FormatError(f"{line.place}: pose {x} {y} {angle} is not finite")
+            matrix = pose_matrix(np.array([x, y, 0.0]), quaternion_from_angles(0.0, 0.0, angle))
+            messages.append(Pose(stamp_ns, ODOM_FRAME, parts.frame, matrix, topic=line.name))
+        if parts.readings_at is not None:
+            if line.name not in self._lasers:
+                self._lasers[line.name] = LaserDecoder(line.name, self.options, self.findings)
+            raw = self._raw(line, parts, stamp_ns)
+            messages.append(self._lasers[line.name].scan(raw, place=line.place))
+        return messages
+
+    def _raw(self, line: _Line, parts: "_Parts", stamp_ns: int) -> LaserScan:
+        ranges = line.numbers(parts.readings_at or 0, parts.readings).astype(np.float32)
+        start, step, limit = _layout(line, parts)
+        return LaserScan(
+            stamp_ns=stamp_ns,
+            ranges=ranges,
+            angle_min=start,
+            angle_increment=step,
+            range_min=0.0,
+            range_max=limit or self._range_max,
+            frame_id=parts.frame,
+            topic=line.name,
+        )
+
+    def _survey(self) -> None:
+        """Count the messages, and find the limit of the readings that state none."""
+        readings: Counter[float] = Counter()
+        stated: list[float] = []
+        for number, line in enumerate(self._lines()):
+            try:
+                self._count(line, readings, stated)
+            except FormatError as error:
+                self._reject(line, error)
+            if number == LINES_TO_RECOGNISE and not self._counts and not self._rejected:
+                break
+        if not self._counts.keys() & KINDS.keys():
+            found = f"found none of {', '.join(KINDS)}"
+            raise FormatError(
+                "; ".join(self.findings.notes) or f"{self.path}: no CARMEN log: {found}"
+            )
+        greatest = max(readings, default=0.0)
+        if greatest >= NEAREST_LIMIT and readings[greatest] >= FEWEST_AT_LIMIT:
+            stated.append(greatest)
+        self._range_max = min([value for value in stated if value > 0] + [LARGEST_RANGE])
+
+    def _count(self, line: _Line, readings: Counter[float], stated: list[float]) -> None:
+        """Count a message, and what it says of the limit of the readings."""
+        values = np.empty(0)
+        if line.name in OLD_SCANS:
+            values = line.numbers(1, line.count(0))
+        if line.name in KINDS:
+            stamp_ns = line.stamp_ns(_parts(line).end)
+            if not self._counts.keys() & KINDS.keys():
+                self._first_ns = stamp_ns
+        if line.name == "PARAM" and line.words[:1] and line.words[0] in RANGE_PARAMETERS:
+            stated.append(float(line.numbers(1, 1)[0]))
+        if line.name in KINDS or line.name in OTHER:
+            self._counts[line.name] += 1
+        readings.update(values[values == values.max(initial=0.0)].tolist())
+
+    def _lines(self) -> Iterator[_Line]:
+        """Messages with the numbers of their lines; comments and empty lines left out."""
+        limit, total = self.options.max_record_bytes, 0
+        is_packed, size = self.path.suffix.lower() == ".bz2", self.path.stat().st_size
+        with self._opened() as stream:
+            for number in range(1, 2**62):
+                place = f"{self.path}, line {number}"
+                with reading(place):
+                    text = stream.readline(limit + 1)
+                if not text:
+                    return
+                total += len(text)
+                if len(text) > limit or total > MAX_UNPACKED_BYTES:
+                    raise LimitError(
+                        f"{place}: a line of more than {limit} bytes; raise it with"
+                        " max_record_bytes"
+                        if len(text) > limit
+                        else f"{place}: unpacks to more than {MAX_UNPACKED_BYTES} bytes"
+                    )
+                if is_packed:
+                    check_ratio(total, size, place)
+                words = text.decode("ascii", "replace").split()
+                if words and not words[0].startswith("#"):
+                    yield _Line(place, words[0], words[1:])
+
+    def _opened(self) -> IO[bytes] | bz2.BZ2File:
+        if self.path.suffix.lower() == ".bz2":
+            return bz2.BZ2File(self.path)
+        return self.path.open("rb")
+
+
+class _Parts(NamedTuple):
+    """Where in the words of a message its readings, its pose and its time are."""
+
+    frame: str
+    readings_at: int | None
+    readings: int
+    pose_at: int | None
+    end: int
+
+
+def _parts(line: _Line) -> _Parts:
+    name = line.name
+    if name == "ODOM":
+        return _Parts(BASE_FRAME, None, 0, 0, 6)
+    if name in OLD_SCANS:
+        count = line.count(0)
+        return _Parts(OLD_SCANS[name], 1, count, 1 + count, 7 + count)
+    count = line.count(7)
+    remissions = line.count(8 + count)
+    after = 9 + count + remissions
+    frame = f"laser_{name[-1]}"
+    if name.startswith("RAW"):
+        return _Parts(frame, 8, count, None, after)
+    return _Parts(frame, 8, count, after, after + 11)
+
+
+def _layout(line: _Line, parts: _Parts) -> tuple[float, float, float | None]:
+    """Bearing of the first reading, from one to the next [rad], and the limit [m] if stated."""
+    if line.name in OLD_SCANS:
+        few = max(parts.readings - 1, 1)
+        start, step = LAYOUTS.get(parts.readings, (-90.0, 180.0 / few))
+        return math.radians(start), math.radians(step), None
+    _, start, _, step, limit = line.numbers(0, 5).tolist()
+    return start, step, limit

@@ -1,0 +1,67 @@
+"""Several files of one recording, one after another."""
+
+import heapq
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TypeAlias
+
+from lidar_core.io.options import ReadOptions
+from lidar_core.io.recording import Recording
+from lidar_core.io.records import Findings, Record, Topic
+
+Opener: TypeAlias = Callable[[Path, ReadOptions], Recording]
+
+
+class ChainedRecording(Recording):
+    """A folder of recordings of one format, merged by time.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+    options : ReadOptions
+        How to read the files.
+    files : list of Path
+        The recordings in it.
+    opened : callable
+        Opens one of them.
+    """
+
+    def __init__(self, path: Path, options: ReadOptions, files: list[Path], opened: Opener) -> None:
+        super().__init__(path, options)
+        self._stack = ExitStack()
+        with ExitStack() as stack:
+            self._parts = [stack.enter_context(opened(file, options)) for file in files]
+            self._stack = stack.pop_all()
+        self.format = f"folder of {self._parts[0].format}"
+
+    def topics(self) -> list[Topic]:
+        """Streams of all files, by name, with their messages added up."""
+        merged: dict[str, Topic] = {}
+        for topic in (topic for part in self._parts for topic in part.topics()):
+            before = merged.get(topic.name)
+            known = topic.count is not None and (before is None or before.count is not None)
+            count = (topic.count or 0) + (before.count or 0 if before else 0) if known else None
+            merged[topic.name] = Topic(topic.name, topic.type, topic.kind, count, topic.note)
+        return [merged[name] for name in sorted(merged)]
+
+    def noticed(self) -> Findings:
+        """What the reads of all files detected and left out."""
+        merged = Findings()
+        for found in (part.noticed() for part in self._parts):
+            merged.point_time |= found.point_time
+            merged.no_return |= found.no_return
+            merged.rejected += found.rejected
+            for text in found.notes:
+                merged.note(text)
+        return merged
+
+    def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
+        """Records of all files in time order."""
+        parts = [part.records(kinds) for part in self._parts]
+        yield from heapq.merge(*parts, key=lambda record: record.time_ns)
+
+    def close(self) -> None:
+        """Close every file."""
+        self._stack.close()

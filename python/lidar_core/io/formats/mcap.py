@@ -1,0 +1,282 @@
+"""MCAP files: ROS 2 and ROS 1 messages, and Foxglove's protobuf messages."""
+
+import heapq
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import IO, Any
+
+from lidar_core.errors import FormatError, LidarCoreError, LimitError
+from lidar_core.extras import require
+from lidar_core.io.files.compressed import lz4_data, zstd_data
+from lidar_core.io.files.guard import check_size, reading
+from lidar_core.io.files.mcap_salvage import Salvage
+from lidar_core.io.formats.ros import MAX_TOPICS
+from lidar_core.io.messages.foxglove import FoxgloveDecoder, foxglove_kind
+from lidar_core.io.messages.ros import RosDecoder, kind_of, note_of, ros_name
+from lidar_core.io.options import ReadOptions
+from lidar_core.io.recording import Recording
+from lidar_core.io.records import Kind, Record, Topic
+from lidar_core.messages import Message
+
+_MAGIC_BYTES = 8
+
+
+class McapRecording(Recording):
+    """One MCAP file, read chunk by chunk in time order."""
+
+    format = "MCAP"
+
+    def __init__(self, path: Path, options: ReadOptions) -> None:
+        super().__init__(path, options)
+        self._mcap = require("mcap.stream_reader", extra="io", purpose="reading MCAP")
+        self._records = require("mcap.records", extra="io", purpose="reading MCAP")
+        require("mcap.reader", extra="io", purpose="reading MCAP")
+        self._file: IO[bytes] = path.open("rb")
+        try:
+            self._summary = self._read_summary()
+            self._topics = self._list_topics()
+        except BaseException:
+            self._file.close()
+            raise
+        self._ros = {
+            encoding: RosDecoder(version, options, self.findings)
+            for encoding, version in (("cdr", 2), ("ros1", 1))
+            if any(c.message_encoding == encoding for c in self._summary.channels.values())
+        }
+        self._foxglove = FoxgloveDecoder(options, self.findings)
+
+    def topics(self) -> list[Topic]:
+        """Streams of the recording, by name."""
+        return list({topic.name: topic for topic in self._topics.values()}.values())
+
+    def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
+        """Messages in order of log time; chunks that overlap in time are merged."""
+        wanted = {
+            number for number, topic in self._topics.items() if kinds is None or topic.kind in kinds
+        }
+        for order, message in self._messages(wanted):
+            yield self._record(order, message)
+
+    def foxglove(self, type_name: str) -> Iterator[tuple[str, Any]]:
+        """Protobuf messages of one schema, as they are, with their places, in order of log time."""
+        wanted = {
+            number
+            for number, channel in self._summary.channels.items()
+            if self._topics[number].type == type_name and channel.message_encoding == "protobuf"
+        }
+        for order, message in self._messages(wanted):
+            topic = self._topics[message.channel_id]
+            channel = self._summary.channels[message.channel_id]
+            place = f"{self.path}, message {order} on {topic.name}"
+            schema = self._summary.schemas[channel.schema_id]
+            yield place, self._foxglove.message(schema, message.data, place)
+
+    def stored(self) -> Iterator[tuple[Any, Any, Any]]:
+        """Every message as it is stored, with its channel and schema, in order of log time."""
+        for _, message in self._messages(set(self._topics)):
+            channel = self._summary.channels[message.channel_id]
+            yield channel, self._summary.schemas.get(channel.schema_id), message
+
+    def _messages(self, wanted: set[int]) -> Iterator[tuple[int, Any]]:
+        """Stored messages of these channels with their order in the file, by log time."""
+        chunks = sorted(
+            (index for index in self._summary.chunk_indexes if self._may_hold(index, wanted)),
+            key=lambda index: (index.message_start_time, index.chunk_start_offset),
+        )
+        if not self._summary.chunk_indexes:
+            yield from self._unchunked(wanted)
+            return
+        pending: list[tuple[int, int, Any]] = []
+        order = 0
+        for index in chunks:
+            while pending and pending[0][0] < index.message_start_time:
+                yield heapq.heappop(pending)[1:]
+            for message in self._chunk_messages(index.chunk_start_offset):
+                if message.channel_id in wanted:
+                    heapq.heappush(pending, (message.log_time, order, message))
+                    order += 1
+        while pending:
+            yield heapq.heappop(pending)[1:]
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    @contextmanager
+    def _reading(self, place: str) -> Iterator[None]:
+        """As `reading`, for a library that has a limit of its own on records."""
+        exceptions = require("mcap.exceptions", extra="io", purpose="reading MCAP")
+        with reading(place):
+            try:
+                yield
+            except exceptions.RecordLengthLimitExceeded as error:
+                if self.path.stat().st_size <= self.options.max_record_bytes:
+                    raise  # no honest length: the file is smaller
+                raise LimitError(f"{place}: {error}; raise it with max_record_bytes") from error
+
+    def _read_summary(self) -> Any:
+        reader = require("mcap.reader", extra="io", purpose="reading MCAP")
+        limit = self.options.max_record_bytes
+        place = f"{self.path}: MCAP summary"
+        if self.options.recover:
+            return self._salvaged()
+        with self._reading(f"{place} (a file that was not closed has none; recover reads it)"):
+            summary = reader.SeekingReader(self._file, record_size_limit=limit).get_summary()
+        if summary is None or (not summary.chunk_indexes and not summary.channels):
+            summary = self._scan_for_channels()
+        check_size(
+            place, len(summary.channels), limit=MAX_TOPICS, key="nothing", what="a number of topics"
+        )
+        return summary
+
+    def _salvaged(self) -> Any:
+        """Index of what is whole in the file, read from its start to where it breaks."""
+        summary = require("mcap.summary", extra="io", purpose="reading MCAP").Summary()
+        salvage = Salvage(summary, self._records)
+        self._file.seek(0)
+        stored = iter(self._stream(emit_chunks=True).records)
+        while True:
+            try:
+                with self._reading(f"{self.path}: MCAP data"):
+                    record = next(stored, None)
+            except LidarCoreError as error:
+                salvage.end = str(error)
+                break
+            if record is None or isinstance(record, self._records.DataEnd):
+                break
+            salvage.see(record, self._file.tell(), self._whole_chunk)
+        lost = self.path.stat().st_size - salvage.known_bytes if salvage.end else 0
+        self.findings.notes.extend(salvage.notes(lost))
+        return summary
+
+    def _whole_chunk(self, offset: int) -> list[Any]:
+        """Records of the chunk at byte `offset`; the file stays where it is."""
+        position = self._file.tell()
+        try:
+            return self._chunk_records(offset)
+        finally:
+            self._file.seek(position)
+
+    def _scan_for_channels(self) -> Any:
+        """Channels and schemas of a file whose summary repeats none."""
+        summary = require("mcap.summary", extra="io", purpose="reading MCAP").Summary()
+        with self._reading(f"{self.path}: MCAP data"):
+            self._file.seek(0)
+            for record in self._stream(emit_chunks=False).records:
+                if isinstance(record, self._records.Schema):
+                    summary.schemas[record.id] = record
+                elif isinstance(record, self._records.Channel):
+                    summary.channels[record.id] = record
+        return summary
+
+    def _list_topics(self) -> dict[int, Topic]:
+        counts = {}
+        if self._summary.statistics is not None:
+            counts = self._summary.statistics.channel_message_counts
+        topics = {}
+        for number, channel in sorted(self._summary.channels.items()):
+            schema = self._summary.schemas.get(channel.schema_id)
+            name = schema.name if schema is not None else ""
+            kind, note = _kind(channel.message_encoding, name)
+            topics[number] = Topic(channel.topic, name, kind, counts.get(number), note)
+        return topics
+
+    def _may_hold(self, index: Any, wanted: set[int]) -> bool:
+        offsets = index.message_index_offsets
+        return not offsets or not wanted.isdisjoint(offsets)
+
+    def _stream(self, *, emit_chunks: bool) -> Any:
+        return self._mcap.StreamReader(
+            self._file,
+            skip_magic=self._file.tell() >= _MAGIC_BYTES,
+            emit_chunks=emit_chunks,
+            record_size_limit=self.options.max_record_bytes,
+        )
+
+    def _chunk_messages(self, offset: int) -> list[Any]:
+        records = self._chunk_records(offset)
+        return [record for record in records if isinstance(record, self._records.Message)]
+
+    def _chunk_records(self, offset: int) -> list[Any]:
+        """Records of the chunk at byte `offset`, its checksum and its size checked."""
+        place = f"{self.path}, chunk at byte {offset}"
+        with self._reading(place):
+            self._file.seek(offset)
+            chunk = next(self._stream(emit_chunks=True).records, None)
+            if not isinstance(chunk, self._records.Chunk):
+                raise FormatError(f"{place}: the index points to something else")
+            limit = self.options.max_record_bytes
+            check_size(
+                place,
+                chunk.uncompressed_size,
+                limit=limit,
+                key="max_record_bytes",
+                what="a chunk of bytes",
+            )
+            chunk.data = _decompressed(chunk, place, limit)
+            chunk.compression = ""
+            return list(self._mcap.breakup_chunk(chunk, validate_crc=True))
+
+    def _unchunked(self, wanted: set[int]) -> Iterator[tuple[int, Any]]:
+        self._file.seek(0)
+        messages = []
+        try:
+            with self._reading(f"{self.path}: MCAP data"):
+                for order, record in enumerate(self._stream(emit_chunks=False).records):
+                    if isinstance(record, self._records.Message) and record.channel_id in wanted:
+                        messages.append((record.log_time, order, record))
+        except LidarCoreError:
+            if not self.options.recover:
+                raise
+        for _, number, message in sorted(messages, key=lambda item: item[:2]):
+            yield number, message
+
+    def _record(self, number: int, message: Any) -> Record:
+        topic = self._topics.get(message.channel_id)
+        if topic is None:
+            raise FormatError(
+                f"{self.path}, message {number}: channel {message.channel_id} unknown"
+            )
+        place = f"{self.path}, message {number} on {topic.name}"
+        decode = partial(self._decode, message, topic, place)
+        ros = self._ros.get(self._summary.channels[message.channel_id].message_encoding)
+        said = (ros_name(topic.type), message.data, place)
+        parse = None if ros is None else partial(ros.message, *said)
+        return Record(topic, message.log_time, decode, parse)
+
+    def _decode(self, message: Any, topic: Topic, place: str) -> list[Message]:
+        channel = self._summary.channels[message.channel_id]
+        ros = self._ros.get(channel.message_encoding)
+        if ros is not None:
+            return ros.decode(topic.name, ros_name(topic.type), message.data, place)
+        if channel.message_encoding == "protobuf":
+            schema = self._summary.schemas[channel.schema_id]
+            return self._foxglove.decode(topic.name, schema, channel.metadata, message.data, place)
+        return []
+
+
+def _kind(encoding: str, type_name: str) -> tuple[Kind, str]:
+    if encoding in ("cdr", "ros1"):
+        name = ros_name(type_name)
+        return kind_of(name), note_of(name)
+    if encoding == "protobuf":
+        return foxglove_kind(type_name), ""
+    return "other", f"message encoding {encoding!r} is not read"
+
+
+def _decompressed(chunk: Any, place: str, limit: int) -> bytes:
+    """Data of a chunk, at most `limit` bytes: the size that the file declares is not trusted."""
+    data: bytes = chunk.data
+    if chunk.compression == "zstd":
+        data = zstd_data(data, place, limit)
+    elif chunk.compression == "lz4":
+        data = lz4_data(data, place, limit)
+    elif chunk.compression:
+        raise FormatError(f"{place}: unknown compression {chunk.compression!r}")
+    if len(data) != chunk.uncompressed_size:
+        raise FormatError(
+            f"{place}: declared {chunk.uncompressed_size} bytes, holds {len(data)} or more"
+        )
+    return data

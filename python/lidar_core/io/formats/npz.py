@@ -1,0 +1,353 @@
+"""lidar_core's own .npz recording: exact, needs no extra package, opens with `numpy.load`.
+
+Layout (version 1), a zip of .npy members, nothing pickled:
+
+- `layout`: 1
+- `scan_stamp_ns` (S,), `scan_frame_id` (S,), `scan_topic` (S,)
+- `scan_000000_points` (N, 3) or (H, W, 3), and, where known, `scan_000000_no_return`,
+  `_directions`, `_point_time_ns`, `_intensity`, `_ring`
+- with 2D scans, `laser_stamp_ns` (L,), `laser_frame_id` (L,), `laser_topic` (L,),
+  `laser_scanner` (L, 4): angle_min, angle_increment, range_min, range_max,
+  `laser_time_increment_ns` (L,), and `laser_000000_ranges` (B,), where known `_intensity` (B,)
+- `pose_stamp_ns` (P,), `pose_matrix` (P, 4, 4), `pose_frame_id`, `pose_child_frame_id`,
+  `pose_topic` (P,), `pose_is_static` (P,), `pose_covariance` (P, 6, 6), NaN where unknown
+
+A file with a single array `points` is one scan at time 0.
+"""
+
+import heapq
+import math
+from collections.abc import Iterable, Iterator
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+from zipfile import ZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.arrays import as_mask, as_points, as_pose, as_rows
+from lidar_core.errors import FormatError, InputError
+from lidar_core.io.files.atomic import written_whole
+from lidar_core.io.files.guard import check_size, reading
+from lidar_core.io.messages.own_cloud import OWN_VERDICT
+from lidar_core.io.options import ReadOptions
+from lidar_core.io.recording import Recording
+from lidar_core.io.records import Record, Topic, decoded
+from lidar_core.messages import LaserScan, Message, Pose, Scan
+
+LAYOUT = 1
+OPTIONAL = ("no_return", "directions", "point_time_ns", "intensity", "ring")
+SCANNER = ("angle_min", "angle_increment", "range_min", "range_max")
+
+
+class NpzRecording(Recording):
+    """One .npz file; scans are read one by one."""
+
+    format = "npz"
+
+    def __init__(self, path: Path, options: ReadOptions) -> None:
+        super().__init__(path, options)
+        with reading(str(path)), ZipFile(path) as archive:
+            self._names = {name.removesuffix(".npy") for name in archive.namelist()}
+            self._has_index = "layout" in self._names
+            self._index = self._read_index(archive) if self._has_index else {}
+        if not self._has_index and "points" not in self._names:
+            raise FormatError(
+                f"{path}: neither 'layout' nor 'points' among {sorted(self._names)[:8]}"
+            )
+        scans = [*self._index.get("scan_topic", ["points"]), *self._index.get("laser_topic", [])]
+        for topic in set(scans):
+            self.findings.no_return[str(topic)] = OWN_VERDICT
+            self.findings.point_time[str(topic)] = OWN_VERDICT
+
+    def topics(self) -> list[Topic]:
+        """Streams of scans, of 2D scans and of poses."""
+        if not self._has_index:
+            return [Topic("points", "array", "scan", 1)]
+        result = []
+        for prefix, kind in (("scan", "scan"), ("laser", "planar"), ("pose", "pose")):
+            if f"{prefix}_topic" not in self._index:
+                continue
+            names, counts = np.unique(self._index[f"{prefix}_topic"], return_counts=True)
+            result += [
+                Topic(str(name), f"npz {prefix}", kind, int(count))  # type: ignore[arg-type]
+                for name, count in zip(names, counts, strict=True)
+            ]
+        return result
+
+    def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
+        """Poses and scans in time order; poses come first at equal times."""
+        topics = {(topic.name, topic.kind): topic for topic in self.topics()}
+        with reading(str(self.path)), closing(ZipFile(self.path)) as archive:
+            if not self._has_index:
+                yield Record(topics["points", "scan"], 0, partial(self._bare, archive))
+                return
+            parts = []
+            if kinds is None or "pose" in kinds:
+                parts.append(self._pose_records(topics))
+            if kinds is None or "scan" in kinds:
+                parts.append(self._scan_records(archive, topics))
+            if "laser_topic" in self._index and (kinds is None or "planar" in kinds):
+                parts.append(self._laser_records(archive, topics))
+            yield from heapq.merge(*parts, key=lambda record: record.time_ns)
+
+    def _scan_records(self, archive: ZipFile, topics: Any) -> Iterator[Record]:
+        names = self._index["scan_topic"]
+        for number, stamp_ns in enumerate(self._index["scan_stamp_ns"].tolist()):
+            topic = topics[str(names[number]), "scan"]
+            yield Record(topic, stamp_ns, partial(self._scan, archive, number))
+
+    def _laser_records(self, archive: ZipFile, topics: Any) -> Iterator[Record]:
+        names = self._index["laser_topic"]
+        for number, stamp_ns in enumerate(self._index["laser_stamp_ns"].tolist()):
+            topic = topics[str(names[number]), "planar"]
+            yield Record(topic, stamp_ns, partial(self._laser, archive, number))
+
+    def _pose_records(self, topics: Any) -> Iterator[Record]:
+        index = self._index
+        for number, stamp_ns in enumerate(index["pose_stamp_ns"].tolist()):
+            topic = topics[str(index["pose_topic"][number]), "pose"]
+            covariance = index["pose_covariance"][number]
+            pose = Pose(
+                stamp_ns,
+                str(index["pose_frame_id"][number]),
+                str(index["pose_child_frame_id"][number]),
+                as_pose(index["pose_matrix"][number], name=f"{self.path}, pose {number}"),
+                None if np.isnan(covariance).all() else covariance,
+                bool(index["pose_is_static"][number]),
+                topic.name,
+            )
+            yield Record(topic, stamp_ns, decoded(pose))
+
+    def _scan(self, archive: ZipFile, number: int) -> list[Message]:
+        prefix = f"scan_{number:06d}_"
+        place = f"{self.path}, scan {number}"
+        with reading(place):
+            fields = {
+                name: self._member(archive, prefix + name)
+                for name in ("points", *OPTIONAL)
+                if prefix + name in self._names
+            }
+            return [
+                _checked_scan(
+                    fields,
+                    int(self._index["scan_stamp_ns"][number]),
+                    str(self._index["scan_frame_id"][number]),
+                    str(self._index["scan_topic"][number]),
+                )
+            ]
+
+    def _laser(self, archive: ZipFile, number: int) -> list[Message]:
+        prefix = f"laser_{number:06d}_"
+        place = f"{self.path}, 2D scan {number}"
+        with reading(place):
+            ranges = as_rows(
+                self._member(archive, f"{prefix}ranges"),
+                name="ranges",
+                rows=None,
+                shape=(),
+                dtype=np.float32,
+            )
+            intensity = None
+            if f"{prefix}intensity" in self._names:
+                values = self._member(archive, f"{prefix}intensity")
+                intensity = as_rows(
+                    values, name="intensity", rows=len(ranges), shape=(), dtype=np.float32
+                )
+            index = self._index
+            return [
+                LaserScan(
+                    stamp_ns=int(index["laser_stamp_ns"][number]),
+                    ranges=ranges,
+                    frame_id=str(index["laser_frame_id"][number]),
+                    intensity=intensity,
+                    time_increment_ns=int(index["laser_time_increment_ns"][number]),
+                    topic=str(index["laser_topic"][number]),
+                    **dict(zip(SCANNER, index["laser_scanner"][number].tolist(), strict=True)),
+                )
+            ]
+
+    def _bare(self, archive: ZipFile) -> list[Message]:
+        with reading(str(self.path)):
+            fields = {
+                name: self._member(archive, name)
+                for name in ("points", *OPTIONAL)
+                if name in self._names
+            }
+            return [_checked_scan(fields, 0, "lidar", "points")]
+
+    def _read_index(self, archive: ZipFile) -> dict[str, NDArray[Any]]:
+        layout = int(self._member(archive, "layout").item())
+        if layout != LAYOUT:
+            raise FormatError(f"{self.path}: layout {layout}, this version reads {LAYOUT}")
+        names = [
+            "scan_stamp_ns",
+            "scan_frame_id",
+            "scan_topic",
+            "pose_stamp_ns",
+            "pose_frame_id",
+            "pose_child_frame_id",
+            "pose_topic",
+            "pose_matrix",
+            "pose_is_static",
+            "pose_covariance",
+        ]
+        if "laser_stamp_ns" in self._names:
+            names += [
+                "laser_stamp_ns",
+                "laser_frame_id",
+                "laser_topic",
+                "laser_scanner",
+                "laser_time_increment_ns",
+            ]
+        index = {name: self._member(archive, name) for name in names}
+        for prefix in ("scan", "laser", "pose"):
+            lengths = {name: len(a) for name, a in index.items() if name.startswith(prefix)}
+            if len(set(lengths.values())) > 1:
+                raise FormatError(f"{self.path}: arrays of unequal length: {lengths}")
+        return index
+
+    def _member(self, archive: ZipFile, name: str) -> NDArray[Any]:
+        """One array, its stated size checked against the member's before it is allocated."""
+        place = f"{self.path}, array {name}"
+        limit = self.options.max_record_bytes
+        return array_in(archive, name, place=place, limit=limit, key="max_record_bytes")
+
+
+def array_in(archive: ZipFile, name: str, *, place: str, limit: int, key: str) -> NDArray[Any]:
+    """The array `name` of an archive, of at most `limit` bytes.
+
+    Raises
+    ------
+    FormatError
+        Its header states another size than its data has: nothing is allocated for it.
+    LimitError
+        It is larger; the text names the option `key`.
+    """
+    info = archive.getinfo(f"{name}.npy")
+    check_size(place, info.file_size, limit=limit, key=key, what="bytes")
+    with archive.open(info) as stream:
+        data = stream.read(limit + 1)
+    check_size(place, len(data), limit=limit, key=key, what="bytes")
+    content = BytesIO(data)
+    version = np.lib.format.read_magic(content)
+    read_header = (
+        np.lib.format.read_array_header_1_0
+        if version == (1, 0)
+        else np.lib.format.read_array_header_2_0
+    )
+    shape, _, dtype = read_header(content)
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(data) - content.tell():
+        raise FormatError(f"{place}: header states {dtype} {shape}, data has another size")
+    content.seek(0)
+    array: NDArray[Any] = np.lib.format.read_array(content, allow_pickle=False)
+    return array
+
+
+def write_npz(path: str | Path, messages: Iterable[Message]) -> None:
+    """Write scans in 3D and 2D and poses to one .npz recording, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to write; an older one is replaced when the new one is complete.
+    messages : iterable of Scan, LaserScan and Pose
+        Written as they come: a generator is not gathered in memory.
+
+    Examples
+    --------
+    >>> write_npz("scans.npz", [Scan(0, np.zeros((3, 3), np.float32))])  # doctest: +SKIP
+    """
+    scans: list[Scan] = []
+    lasers: list[LaserScan] = []
+    poses: list[Pose] = []
+    with written_whole(path) as temporary, ZipFile(temporary, "w") as archive:
+        for message in messages:
+            if isinstance(message, Pose):
+                poses.append(message)
+                continue
+            if isinstance(message, LaserScan):
+                _put_laser(archive, len(lasers), message)
+                lasers.append(replace(message, ranges=np.empty(0, np.float32), intensity=None))
+                continue
+            prefix = f"scan_{len(scans):06d}_"
+            for name in ("points", *OPTIONAL):
+                value = getattr(message, name)
+                if value is not None:
+                    _put(archive, prefix + name, value)
+            scans.append(
+                Scan(
+                    message.stamp_ns,
+                    np.empty((0, 3), np.float32),
+                    message.frame_id,
+                    topic=message.topic,
+                )
+            )
+        _put(archive, "layout", np.array(LAYOUT))
+        _put(archive, "scan_stamp_ns", np.array([s.stamp_ns for s in scans], np.int64))
+        _put(archive, "scan_frame_id", np.array([s.frame_id for s in scans], np.str_))
+        _put(archive, "scan_topic", np.array([s.topic for s in scans], np.str_))
+        if lasers:
+            _put_scanners(archive, lasers)
+        _put_poses(archive, poses)
+
+
+def _put_laser(archive: ZipFile, number: int, scan: LaserScan) -> None:
+    _put(archive, f"laser_{number:06d}_ranges", scan.ranges)
+    if scan.intensity is not None:
+        _put(archive, f"laser_{number:06d}_intensity", scan.intensity)
+
+
+def _put_scanners(archive: ZipFile, scans: list[LaserScan]) -> None:
+    _put(archive, "laser_stamp_ns", np.array([s.stamp_ns for s in scans], np.int64))
+    _put(archive, "laser_frame_id", np.array([s.frame_id for s in scans], np.str_))
+    _put(archive, "laser_topic", np.array([s.topic for s in scans], np.str_))
+    limits = [[getattr(scan, name) for name in SCANNER] for scan in scans]
+    _put(archive, "laser_scanner", np.array(limits, np.float64))
+    steps = [scan.time_increment_ns for scan in scans]
+    _put(archive, "laser_time_increment_ns", np.array(steps, np.int64))
+
+
+def _put_poses(archive: ZipFile, poses: list[Pose]) -> None:
+    unknown = np.full((6, 6), np.nan)
+    covariance = [unknown if p.covariance is None else p.covariance for p in poses]
+    _put(archive, "pose_stamp_ns", np.array([p.stamp_ns for p in poses], np.int64))
+    _put(archive, "pose_frame_id", np.array([p.frame_id for p in poses], np.str_))
+    _put(archive, "pose_child_frame_id", np.array([p.child_frame_id for p in poses], np.str_))
+    _put(archive, "pose_topic", np.array([p.topic for p in poses], np.str_))
+    _put(archive, "pose_matrix", np.array([p.matrix for p in poses]).reshape(-1, 4, 4))
+    _put(archive, "pose_is_static", np.array([p.is_static for p in poses], np.bool_))
+    _put(archive, "pose_covariance", np.array(covariance, np.float64).reshape(-1, 6, 6))
+
+
+def _put(archive: ZipFile, name: str, array: NDArray[Any]) -> None:
+    with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
+        np.lib.format.write_array(stream, np.ascontiguousarray(array), allow_pickle=False)
+
+
+def _checked_scan(
+    fields: dict[str, NDArray[Any]], stamp_ns: int, frame_id: str, topic: str
+) -> Scan:
+    """Scan from arrays of a file, every shape and dtype checked."""
+    rows = len(as_points(fields["points"]))
+    shapes: dict[str, tuple[tuple[int, ...], Any]] = {
+        "directions": ((3,), np.float32),
+        "point_time_ns": ((), np.int64),
+        "intensity": ((), np.float32),
+        "ring": ((), np.uint16),
+    }
+    known: dict[str, Any] = {
+        name: as_rows(fields[name], name=name, rows=rows, shape=shape, dtype=dtype)
+        for name, (shape, dtype) in shapes.items()
+        if name in fields
+    }
+    if "no_return" in fields:
+        known["no_return"] = as_mask(fields["no_return"], name="no_return", rows=rows)
+    points = np.ascontiguousarray(fields["points"], np.float32)
+    if points.ndim not in (2, 3):
+        raise InputError(f"points: expected shape (N, 3) or (H, W, 3), got {points.shape}")
+    return Scan(stamp_ns=stamp_ns, points=points, frame_id=frame_id, topic=topic, **known)

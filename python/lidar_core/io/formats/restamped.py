@@ -1,0 +1,78 @@
+"""Recordings whose scans carry stamps that cannot be used: other times in their place."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+
+from lidar_core.io.options import NS, ReadOptions
+from lidar_core.io.recording import Recording
+from lidar_core.io.records import SCAN_KINDS, Findings, Record, Topic
+from lidar_core.messages import Message, Scan
+
+
+class RestampedRecording(Recording):
+    """A recording with the times at which messages were stored, or counted ones, as stamps.
+
+    Static poses keep theirs: they hold at all times.
+
+    Parameters
+    ----------
+    recording : Recording
+        As it is; closed with this one.
+    options : ReadOptions
+        `stamps` is recorded or counted.
+    """
+
+    def __init__(self, recording: Recording, options: ReadOptions) -> None:
+        super().__init__(recording.path, options)
+        self._recording = recording
+        self.format = recording.format
+
+    def topics(self) -> list[Topic]:
+        """Streams of the recording."""
+        return self._recording.topics()
+
+    def noticed(self) -> Findings:
+        """What the reads so far detected and left out."""
+        return self._recording.noticed()
+
+    def close(self) -> None:
+        """Release the recording."""
+        self._recording.close()
+
+    def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
+        """Stored messages in the order of the recording, with other stamps.
+
+        Counted are the scans of every topic on its own; poses have the time of the last scan.
+        """
+        if self.options.stamps == "recorded":
+            for record in self._recording.records(kinds):
+                yield _at(record, record.time_ns)
+            return
+        step_ns = round(NS / self.options.scan_rate)
+        counts, last_ns = dict[str, int](), 0
+        # All kinds are passed through, so that poses have the same times whoever asks for them.
+        for record in self._recording.records():
+            if record.topic.kind in SCAN_KINDS:
+                number = counts.get(record.topic.name, 0)
+                counts[record.topic.name] = number + 1
+                last_ns = number * step_ns
+            if kinds is None or record.topic.kind in kinds:
+                yield _at(record, last_ns)
+
+
+def _at(record: Record, stamp_ns: int) -> Record:
+    return replace(record, time_ns=stamp_ns, decode=partial(_decoded, record, stamp_ns))
+
+
+def _decoded(record: Record, stamp_ns: int) -> list[Message]:
+    return [_stamped(message, stamp_ns) for message in record.decode()]
+
+
+def _stamped(message: Message, stamp_ns: int) -> Message:
+    if isinstance(message, Scan) and message.point_time_ns is not None:
+        moved = message.point_time_ns + (stamp_ns - message.stamp_ns)
+        return replace(message, stamp_ns=stamp_ns, point_time_ns=moved)
+    if getattr(message, "is_static", False):
+        return message
+    return replace(message, stamp_ns=stamp_ns)

@@ -1,0 +1,292 @@
+"""Files of one scan, and folders of them: PCD, PLY, LAS and KITTI .bin."""
+
+import re
+from abc import abstractmethod
+from collections.abc import Iterator
+from functools import partial
+from io import SEEK_END
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import FormatError
+from lidar_core.extras import require
+from lidar_core.io.files.guard import check_size, reading
+from lidar_core.io.files.las import read_las
+from lidar_core.io.files.mesh import load_mesh
+from lidar_core.io.messages.cloud import CloudDecoder
+from lidar_core.io.options import LONGEST, NS, ReadOptions
+from lidar_core.io.poses.pose_files import read_matrices
+from lidar_core.io.recording import Recording
+from lidar_core.io.records import Record, Topic
+from lidar_core.messages import Message, Pose, Scan
+
+FRAME, WORLD_FRAME = "lidar", "world"
+MAX_COLUMNS = 4096
+MOST_PER_LZF_BYTE = 88
+"""LZF repeats at most 264 bytes by three."""
+FAR = 1000.0  # coordinates beyond are given from a nearer corner [m]
+KITTI_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
+_NANOSECONDS = re.compile(r"^\d{18,19}$")
+_SECONDS = re.compile(r"^(\d{9,10})[._](\d{1,9})$")
+
+
+class SequenceRecording(Recording):
+    """Scans that lie one to a file, ordered by number or time in their names."""
+
+    def __init__(self, path: Path, options: ReadOptions, files: list[Path]) -> None:
+        super().__init__(path, options)
+        self._files = sorted(files, key=_natural_key)
+        self._folder = path if path.is_dir() else path.parent
+        self._topic = Topic(FRAME, self.format, "scan", len(files))
+        self._stamps = self._find_stamps()
+        self._decoder = CloudDecoder(FRAME, options, self.findings)
+        self._poses = self._find_poses()
+
+    def topics(self) -> list[Topic]:
+        """The scans, and the poses if there are any."""
+        poses = [Topic("poses", "poses.txt", "pose", len(self._poses))] if len(self._poses) else []
+        return [self._topic, *poses]
+
+    def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
+        """One record per file, each after its pose."""
+        pose_topic = self.topics()[-1]
+        for number, (file, stamp_ns) in enumerate(zip(self._files, self._stamps, strict=True)):
+            if len(self._poses) and (kinds is None or "pose" in kinds):
+                yield Record(pose_topic, stamp_ns, partial(self._pose, number, stamp_ns))
+            if kinds is None or "scan" in kinds:
+                yield Record(self._topic, stamp_ns, partial(self._scan, file, stamp_ns))
+
+    @abstractmethod
+    def _rows(self, file: Path) -> NDArray[Any]:
+        """Structured rows of one file, (N,) or (H, W)."""
+
+    def _scan(self, file: Path, stamp_ns: int) -> list[Message]:
+        limit = self.options.max_record_bytes
+        check_size(
+            str(file),
+            file.stat().st_size,
+            limit=limit,
+            key="max_record_bytes",
+            what="a file of bytes",
+        )
+        scan: Scan = self._decoder.scan(self._rows(file), stamp_ns, FRAME, place=str(file))
+        return [scan]
+
+    def _pose(self, number: int, stamp_ns: int) -> list[Message]:
+        return [Pose(stamp_ns, WORLD_FRAME, FRAME, self._poses[number], topic="poses")]
+
+    def _find_stamps(self) -> list[int]:
+        """Times from times.txt, else from the names, else counted from the rate."""
+        for folder in (self._folder, self._folder.parent):
+            if len(self._files) > 1 and (folder / "times.txt").is_file():
+                with reading(str(folder / "times.txt")):
+                    seconds = np.loadtxt(folder / "times.txt", ndmin=1)
+                self._expect_rows(folder / "times.txt", len(seconds))
+                if not (np.abs(seconds) <= LONGEST).all():
+                    raise FormatError(
+                        f"{folder / 'times.txt'}: expected times in seconds, at most"
+                        f" {LONGEST:.0f} s from 1970"
+                    )
+                return [round(float(value) * 1e9) for value in seconds]
+        named = [_stamp_of(file) for file in self._files]
+        stamps = [stamp for stamp in named if stamp is not None]
+        if len(stamps) == len(named):
+            return stamps
+        if len(named) > 1:
+            self.findings.note(
+                f"no times.txt and no times in the names: {self.options.scan_rate:g} Hz assumed"
+                " (scan_rate)"
+            )
+        return [round(number * 1e9 / self.options.scan_rate) for number in range(len(named))]
+
+    def _find_poses(self) -> NDArray[np.float64]:
+        """Poses of the LiDAR from poses.txt; KITTI's are of a camera, which calib.txt places."""
+        none = np.empty((0, 4, 4))
+        for folder in (self._folder, self._folder.parent):
+            file = folder / "poses.txt"
+            if len(self._files) > 1 and file.is_file():
+                break
+        else:
+            return none
+        poses = read_matrices(file)
+        self._expect_rows(file, len(poses))
+        camera_from_lidar = _calibration(file.parent / "calib.txt")
+        if camera_from_lidar is None:
+            return poses
+        return np.asarray(np.linalg.inv(camera_from_lidar) @ poses @ camera_from_lidar)
+
+    def _expect_rows(self, file: Path, count: int) -> None:
+        if count != len(self._files):
+            raise FormatError(f"{file}: {count} lines for {len(self._files)} scans")
+
+
+class PcdRecording(SequenceRecording):
+    """PCD files, through pypcd4."""
+
+    format = "PCD"
+
+    def _rows(self, file: Path) -> NDArray[Any]:
+        library = require("pypcd4", extra="io", purpose="reading PCD")
+        with reading(str(file)), file.open("rb") as stream:
+            header = self._header(file, library)
+            cloud = library.PointCloud.from_fileobj(stream)
+        rows: NDArray[Any] = np.atleast_1d(cloud.pc_data)
+        if len(rows) != header.points:
+            raise FormatError(f"{file}: header states {header.points} points, found {len(rows)}")
+        if header.viewpoint != (0, 0, 0, 1, 0, 0, 0):
+            self.findings.note(f"{file}: VIEWPOINT {header.viewpoint} is not applied")
+        return rows.reshape(header.height, header.width) if header.height > 1 else rows
+
+    def _header(self, file: Path, library: Any) -> Any:
+        """Header of a file, its sizes checked before the data is read."""
+        lines: list[str] = []
+        with file.open("rb") as stream:
+            while len(lines) < 64:
+                raw = stream.readline(65_536)
+                if not raw:
+                    raise FormatError(f"{file}: the header has no DATA line")
+                line = raw.decode("utf-8", "replace").strip()
+                lines.append(line)
+                if line.startswith("DATA"):
+                    break
+            left = file.stat().st_size - stream.tell()
+        header = library.MetaData.parse_header(lines)
+        if len({len(header.fields), len(header.size), len(header.type), len(header.count)}) != 1:
+            raise FormatError(f"{file}: FIELDS, SIZE, TYPE and COUNT differ in length")
+        columns = sum(header.count)
+        if columns > MAX_COLUMNS:
+            raise FormatError(f"{file}: {columns} columns, more than {MAX_COLUMNS}")
+        check_size(
+            str(file),
+            header.points,
+            limit=self.options.max_points,
+            key="max_points",
+            what="a scan of points",
+        )
+        if header.width * header.height != header.points:
+            size_text = f"width {header.width} x height {header.height}"
+            raise FormatError(f"{file}: {size_text} is not {header.points} points")
+        size = header.build_dtype().itemsize * header.points
+        if header.data.value == "binary" and left < size:
+            raise FormatError(f"{file}: {left} bytes of points, the header promises {size}")
+        limit = self.options.max_record_bytes
+        check_size(str(file), size, limit=limit, key="max_record_bytes", what="points of bytes")
+        if header.data.value == "binary_compressed":
+            _check_compressed(file, left, size)
+        return header
+
+
+def _check_compressed(file: Path, left: int, size: int) -> None:
+    """Refuse sizes of compressed points, the last `left` bytes of a file, that cannot be true.
+
+    The library allocates what they say before it decompresses anything.
+    """
+    with file.open("rb") as stream:
+        stream.seek(-left, SEEK_END)
+        stated = np.frombuffer(stream.read(8), "<u4")
+    if len(stated) != 2:
+        raise FormatError(f"{file}: the file ends before the sizes of its compressed points")
+    packed, unpacked = stated.tolist()
+    if packed > left - 8 or unpacked != size or unpacked > MOST_PER_LZF_BYTE * packed:
+        raise FormatError(
+            f"{file}: states {packed} bytes that unpack to {unpacked}; there are {left - 8} bytes,"
+            f" and its points take {size}"
+        )
+
+
+class LasRecording(SequenceRecording):
+    """LAS and LAZ files: coordinates from a corner near the cloud, which is a pose.
+
+    Coordinates of a country's grid have more digits than float32 holds.
+    """
+
+    format = "LAS"
+
+    def _rows(self, file: Path) -> NDArray[Any]:
+        points, intensity = read_las(file, self.options)
+        corner = self._corner(points)
+        rows = np.empty(len(points), KITTI_POINT)
+        for axis, name in enumerate("xyz"):
+            rows[name] = points[:, axis] - corner[axis]
+        rows["intensity"] = intensity
+        return rows
+
+    def _find_poses(self) -> NDArray[np.float64]:
+        corners = [self._corner(read_las(file, self.options)[0]) for file in self._files]
+        if not np.any(corners):
+            return np.empty((0, 4, 4))
+        poses = np.tile(np.eye(4), (len(corners), 1, 1))
+        poses[:, :3, 3] = corners
+        return poses
+
+    def _corner(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where the scan's origin is put: zero, or full kilometres near a cloud that is far."""
+        lowest = points.min(axis=0) if len(points) else np.zeros(3)
+        far = np.abs(lowest) > FAR
+        return np.asarray(np.where(far, np.floor(lowest / FAR) * FAR, 0.0))
+
+
+class PlyRecording(SequenceRecording):
+    """PLY files, through trimesh: their vertices."""
+
+    format = "PLY"
+
+    def _rows(self, file: Path) -> NDArray[Any]:
+        vertices = np.asarray(load_mesh(file, ".ply", self.options).vertices, np.float32)
+        rows = np.empty(len(vertices), [(name, "<f4") for name in "xyz"])
+        for axis, name in enumerate("xyz"):
+            rows[name] = vertices[:, axis]
+        return rows
+
+
+class KittiRecording(SequenceRecording):
+    """KITTI .bin files: x, y, z, intensity as little-endian float32."""
+
+    format = "KITTI bin"
+
+    def _rows(self, file: Path) -> NDArray[Any]:
+        size = file.stat().st_size
+        if size % KITTI_POINT.itemsize:
+            raise FormatError(
+                f"{file}: {size} bytes are no multiple of {KITTI_POINT.itemsize}, a point's"
+                " x, y, z, intensity in float32"
+            )
+        check_size(
+            str(file),
+            size // KITTI_POINT.itemsize,
+            limit=self.options.max_points,
+            key="max_points",
+            what="a scan of points",
+        )
+        return np.fromfile(file, KITTI_POINT)
+
+
+def _natural_key(file: Path) -> tuple[int, str]:
+    """Numbers by value, so that 2.pcd comes before 10.pcd."""
+    digits = re.sub(r"\D", "", file.stem)
+    return (int(digits) if digits else 0, file.name)
+
+
+def _stamp_of(file: Path) -> int | None:
+    """Time in a file name: nanoseconds, or seconds with a fraction."""
+    if _NANOSECONDS.match(file.stem):
+        stamp_ns = int(file.stem)
+        return stamp_ns if stamp_ns <= LONGEST * NS else None  # else a number, not a time
+    match = _SECONDS.match(file.stem)
+    return int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0")) if match else None
+
+
+def _calibration(file: Path) -> NDArray[np.float64] | None:
+    """`camera_from_lidar` of a KITTI calib.txt, or None without one."""
+    if not file.is_file():
+        return None
+    for line in file.read_text("utf-8", "replace").splitlines():
+        key, _, rest = line.partition(":")
+        if key.strip() in ("Tr", "Tr_velo_to_cam", "Tr_velo_cam"):
+            with reading(str(file)):
+                top = np.array(rest.split(), np.float64).reshape(3, 4)
+            return np.vstack([top, [0, 0, 0, 1]])
+    raise FormatError(f"{file}: no line Tr, which places the LiDAR in the camera's frame")

@@ -1,0 +1,187 @@
+"""Single clouds and maps in files: what is known beforehand, and maps for other programs."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidar_core.arrays import as_finite_rows
+from lidar_core.errors import ConfigError, FormatError, InputError
+from lidar_core.extras import require
+from lidar_core.files import check_regular
+from lidar_core.io.files.atomic import written_whole
+from lidar_core.io.files.guard import check_size, reading
+from lidar_core.io.files.las import read_las
+from lidar_core.io.files.mesh import load_mesh
+from lidar_core.io.maps.octomap import read_octomap, write_octomap
+from lidar_core.io.options import ReadOptions
+from lidar_core.messages import Scan
+
+SPACING = 0.1
+"""Between points on the surfaces of a mesh [m]."""
+MESHES = (".glb", ".obj", ".off", ".stl")
+READABLE = ".pcd, .ply, .las, .laz, .bt (OctoMap), .lcvm (our map), .bin (KITTI), " + ", ".join(
+    MESHES
+)
+WRITABLE = (".pcd", ".ply", ".bt")
+
+
+class Cloud(NamedTuple):
+    """Points of one file.
+
+    Attributes
+    ----------
+    points : ndarray, shape (N, 3), float64
+        [m], as the file gives them.
+    resolution : float or None
+        Edge of the voxels whose centres they are [m]; None for points that were measured.
+    """
+
+    points: NDArray[np.float64]
+    resolution: float | None = None
+
+
+def read_cloud(
+    path: str | Path, *, spacing: float = SPACING, options: ReadOptions | None = None
+) -> Cloud:
+    """Read the points of one file: a cloud, a map, or the surface of a mesh.
+
+    Parameters
+    ----------
+    path : str or Path
+        PCD, PLY, LAS, LAZ, KITTI .bin; OctoMap's .bt and lidar_core's .lcvm (centres of occupied
+        voxels); a mesh as STL, OBJ, OFF, GLB or PLY with faces.
+    spacing : float
+        Greatest distance of neighbouring points on the surface of a mesh [m].
+    options : ReadOptions, optional
+        Limits.
+
+    Returns
+    -------
+    cloud : Cloud
+        Points that are finite; rows of zeros in PCD and KITTI files are no points.
+
+    Raises
+    ------
+    FormatError
+        Unknown or broken format.
+    LimitError
+        More than the options allow.
+    MissingExtraError
+        The format needs a package that is not installed.
+    """
+    place, chosen = Path(path), options or ReadOptions()
+    suffix = place.suffix.lower()
+    check_size(
+        str(place),
+        check_regular(place).stat().st_size,
+        limit=chosen.max_record_bytes,
+        key="max_record_bytes",
+        what="a file of bytes",
+    )
+    if suffix == ".bt":
+        return Cloud(*read_octomap(place, options=chosen))
+    if suffix == ".lcvm":
+        return _read_map(place)
+    if suffix in (".ply", *MESHES):
+        points = _read_mesh(place, suffix, spacing, chosen)
+    elif suffix in (".las", ".laz"):
+        points = read_las(place, chosen)[0]
+    elif suffix in (".pcd", ".bin"):
+        points = _read_scan(place, chosen)
+    else:
+        raise FormatError(f"{place}: unknown format {suffix!r}; readable are: {READABLE}")
+    return Cloud(points[np.isfinite(points).all(axis=1)])
+
+
+def write_cloud(path: str | Path, points: ArrayLike, *, resolution: float | None = None) -> Path:
+    """Write points as .pcd or .ply, or the voxels they are in as OctoMap's .bt; whole or not.
+
+    Parameters
+    ----------
+    path : str or Path
+        Its ending chooses the format.
+    points : array_like, shape (N, 3)
+        [m]; float64 in PLY, float32 in PCD.
+    resolution : float, optional
+        Edge of the voxels of .bt [m], which needs it.
+
+    Raises
+    ------
+    ConfigError
+        Another ending.
+    InputError
+        Points that are not finite, .bt without resolution, or points too far for it.
+    MissingExtraError
+        PCD without pypcd4.
+    """
+    place = Path(path)
+    suffix = place.suffix.lower()
+    if suffix not in WRITABLE:
+        raise ConfigError(
+            f"{place}: unknown ending {suffix!r}; writable are: {', '.join(WRITABLE)}"
+        )
+    rows = as_finite_rows(points, name="points", rows=None, shape=(3,))
+    if suffix == ".bt":
+        if resolution is None:
+            raise InputError("resolution: .bt needs the edge of its voxels [m], got None")
+        return write_octomap(place, rows, resolution=resolution)
+    write: Callable[[Path, NDArray[np.float64]], None] = (
+        _write_pcd if suffix == ".pcd" else _write_ply
+    )
+    with written_whole(place) as temporary:
+        write(temporary, rows)
+    return place
+
+
+def _read_mesh(
+    path: Path, suffix: str, spacing: float, options: ReadOptions
+) -> NDArray[np.float64]:
+    if not 0 < spacing < np.inf:
+        raise InputError(f"spacing: expected a finite number > 0, got {spacing}")
+    loaded = load_mesh(path, suffix, options)
+    faces = getattr(loaded, "faces", None)
+    if faces is None or len(faces) == 0:
+        return np.asarray(loaded.vertices, np.float64)
+    if not np.isfinite(loaded.vertices).all():
+        raise FormatError(f"{path}: a corner of the surface is not finite")
+    needed = 2 * float(loaded.area) / spacing**2 + len(loaded.vertices)
+    check_size(
+        str(path),
+        int(min(needed, 2**62)),
+        limit=options.max_points,
+        key="max_points",
+        what=f"a surface with a point every {spacing:g} m, of points",
+    )
+    library = require("trimesh.remesh", extra="io", purpose="reading meshes and PLY")
+    with reading(str(path)):
+        fine, _ = library.subdivide_to_size(loaded.vertices, faces, max_edge=spacing, max_iter=32)
+    return np.unique(np.asarray(fine, np.float64), axis=0)
+
+
+def _read_map(path: Path) -> Cloud:
+    from lidar_core import VoxelMap
+
+    known = VoxelMap.load(path)
+    return Cloud(known.occupied_points(), known.config.voxel_size)
+
+
+def _read_scan(path: Path, options: ReadOptions) -> NDArray[np.float64]:
+    from lidar_core.io.opening import open_recording
+
+    with open_recording(path, options, no_return="none") as recording:
+        scans = [message for message in recording if isinstance(message, Scan)]
+    return np.asarray(scans[0].points.reshape(-1, 3), np.float64)
+
+
+def _write_pcd(path: Path, points: NDArray[np.float64]) -> None:
+    library = require("pypcd4", extra="io", purpose="writing PCD")
+    library.PointCloud.from_xyz_points(points.astype(np.float32)).save(path)
+
+
+def _write_ply(path: Path, points: NDArray[np.float64]) -> None:
+    axes = "".join(f"property double {axis}\n" for axis in "xyz")
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{axes}end_header\n"
+    path.write_bytes(head.encode() + points.astype("<f8").tobytes())

@@ -1,0 +1,1 @@
+"""Messages that recordings and streams share, to scans and poses."""

@@ -1,0 +1,364 @@
+"""Poses from the scans themselves, while a recording is read: KISS-ICP, with a covariance.
+
+Source: Vizzo et al., "KISS-ICP: In Defense of Point-to-Point ICP", RA-L 2023; its package does the
+registration. Its poses are those of the end of a scan, to which it deskews; here they become a
+pose, or one at the start and one at the end, in the frame of the first scan's end.
+"""
+
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import chain, islice
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import InputError, OdometryWarning
+from lidar_core.extras import require
+from lidar_core.io.poses.cells import cell_keys, surrounding_keys
+from lidar_core.io.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
+from lidar_core.messages import Scan
+
+LEAST_RANGE, MOST_RANGE = 10.0, 100.0
+"""Reach of the odometry [m]: 1.25 times what 95 % of the first scan's points are within."""
+NEAREST_SHARE, NEAREST = 0.04, (0.5, 2.5)
+"""Points nearer than this share of the reach, within limits [m], are of the sensor's own carrier
+more often than not, and pull towards standing still."""
+VOXELS = 100
+"""Edge of KISS-ICP's voxels: its reach divided by this, as its authors have it."""
+FEWEST, LEAST_SHARE = 50, 0.35
+"""Points, and share of them near the map, below which a scan is not placed."""
+LOST_IN_A_ROW = 10
+JUMP, JUMP_ANGLE = 3.0, np.radians(30.0)
+"""Departure from constant velocity within one scan that is told as a jump [m, rad]."""
+MOST_PERIODS = 5.0
+"""Over a gap in the recording the last motion goes on for so many scans at most."""
+MEMORY = 0.95
+"""Weight that the deviations of before keep with every scan: some 20 of them count."""
+STEP_SHARE = 0.75
+"""Variance of a step's error over that of its deviation from constant velocity: 1/2 where errors of
+steps are independent; more as registration also pulls towards standing still, which no deviation
+shows. Found on simulated flights, seeds from 1000 on."""
+USUAL = np.array([0.1] * 3 + [0.01] * 3) ** 2
+USUAL_WEIGHT = 2.0
+"""Deviations before any was seen [m^2, rad^2], and how many scans they count for."""
+FLOOR = np.array([0.002] * 3 + [2e-4] * 3) ** 2
+"""Least variances: what the voxels of the map round away [m^2, rad^2]."""
+
+
+class Placed(NamedTuple):
+    """Where a scan was taken.
+
+    `poses` (4, 4), or (2, 4, 4) at `stamps_ns` where the scan tells the times of its points;
+    `covariance` (6, 6) of translation and angles about x, y, z, against the scan before: errors of
+    steps add up, so over K scans that of the motion is about the sum of K of them.
+    """
+
+    poses: NDArray[np.float64]
+    stamps_ns: NDArray[np.int64] | None
+    covariance: NDArray[np.float64]
+
+
+@dataclass(slots=True)
+class _Last:
+    """The scan before: when its last point was measured, where, and how it had moved since."""
+
+    end_ns: int
+    pose: NDArray[np.float64]
+    motion: NDArray[np.float64]
+    period_ns: int
+
+
+class KissOdometry:
+    """Places one scan after the other; scans of one LiDAR, in time order.
+
+    Parameters
+    ----------
+    note : callable, optional
+        Is given the text of every warning.
+
+    Attributes
+    ----------
+    lost : int
+        Scans that could not be placed.
+
+    Raises
+    ------
+    MissingExtraError
+        kiss-icp is not installed.
+    """
+
+    def __init__(self, note: Callable[[str], None] | None = None) -> None:
+        self._note = note
+        require("kiss_icp", extra="odometry", purpose="--pose kiss")
+        self._parts: _Parts | None = None
+        self._first_motion = np.eye(4)
+        self._doubt = _Doubt()
+        self._last: _Last | None = None
+        self._lost_in_a_row = 0
+        self.lost = 0
+
+    def prepare(self, first: Scan, second: Scan) -> None:
+        """Find how the sensor moved during `first`, so that its map is deskewed as others are."""
+        clouds = _usable(first), _usable(second)
+        if any(len(cloud.points) < FEWEST or cloud.part is None for cloud in clouds):
+            return
+        trial = KissOdometry()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", OdometryWarning)
+            is_placed = trial.place(first) is not None and trial.place(second) is not None
+        if is_placed and trial._last is not None:
+            sweep = (clouds[0].end_ns - clouds[0].start_ns) / trial._last.period_ns
+            self._first_motion = _part_of(trial._last.motion, sweep)
+
+    def place(self, scan: Scan) -> Placed | None:
+        """Where `scan` was taken; None if it cannot be told.
+
+        Warns
+        -----
+        OdometryWarning
+            Tracking is lost, begins anew, or the sensor seems to have jumped.
+
+        Raises
+        ------
+        InputError
+            The stamps do not increase.
+        """
+        cloud = _usable(scan)
+        if self._last is not None and cloud.end_ns <= self._last.end_ns:
+            raise InputError(f"scan at {scan.stamp_ns} ns: not later than the one before")
+        if len(cloud.points) < FEWEST:
+            return self._lose(cloud, f"{len(cloud.points)} points within reach")
+        if self._parts is None or self._last is None:
+            return self._begin(cloud, np.eye(4))
+        return self._follow(cloud, self._parts, self._last)
+
+    def _begin(self, cloud: "_Cloud", pose: NDArray[np.float64]) -> Placed:
+        self._parts = _Parts(cloud.points)
+        motion, self._first_motion, self._doubt = self._first_motion, np.eye(4), _Doubt()
+        frame, _ = self._parts.prepared(cloud, motion)
+        self._parts.map.update(frame, pose)
+        self._last = _Last(cloud.end_ns, pose, motion, cloud.end_ns - cloud.start_ns)
+        covariance = self._doubt.covariance(pose)
+        if cloud.part is None or np.array_equal(motion, np.eye(4)):
+            return Placed(pose, None, covariance)
+        since = (cloud.span_ns - cloud.end_ns) / (cloud.end_ns - cloud.start_ns)
+        poses = np.stack([pose @ _part_of(motion, float(part)) for part in since])
+        return Placed(poses, cloud.span_ns, covariance)
+
+    def _follow(self, cloud: "_Cloud", parts: "_Parts", last: _Last) -> Placed | None:
+        elapsed = cloud.end_ns - last.end_ns
+        periods = min(elapsed / last.period_ns, MOST_PERIODS) if last.period_ns else 1.0
+        motion = _part_of(last.motion, periods)
+        sweep = (cloud.end_ns - cloud.start_ns) / elapsed
+        frame, source = parts.prepared(cloud, _part_of(motion, sweep))
+        guess = last.pose @ motion
+        pose = parts.registered(source, guess)
+        share = parts.share_near(source, pose)
+        if share < LEAST_SHARE:
+            return self._lose(cloud, f"{share:.0%} of its points are near the map")
+        deviation = np.linalg.inv(guess) @ pose
+        self._tell_jump(cloud, deviation)
+        parts.threshold.update_model_deviation(deviation)
+        if not np.array_equal(motion, np.eye(4)):  # else it is the whole motion, not a deviation
+            self._doubt.add(deviation)
+        covariance = self._doubt.covariance(pose)
+        parts.map.update(frame, pose)
+        moved = np.linalg.inv(last.pose) @ pose
+        self._last, self._lost_in_a_row = _Last(cloud.end_ns, pose, moved, elapsed), 0
+        if cloud.part is None:
+            return Placed(pose, None, covariance)
+        since = (cloud.span_ns - last.end_ns) / elapsed
+        poses = np.stack([last.pose @ _part_of(moved, float(part)) for part in since])
+        return Placed(poses, cloud.span_ns, covariance)
+
+    def _lose(self, cloud: "_Cloud", reason: str) -> Placed | None:
+        self.lost += 1
+        self._lost_in_a_row += 1
+        if self._lost_in_a_row == 1:
+            self._warn(
+                f"KISS-ICP lost its way at {cloud.stamp_ns} ns: {reason}; the scan is left out"
+            )
+        if self._lost_in_a_row < LOST_IN_A_ROW or self._last is None or not len(cloud.points):
+            return None
+        self._warn(
+            f"KISS-ICP begins anew at {cloud.stamp_ns} ns, after {self._lost_in_a_row} scans that"
+            " it could not place: what is mapped from here on does not fit what was before"
+        )
+        self._lost_in_a_row = 0
+        return self._begin(cloud, self._last.pose)
+
+    def _tell_jump(self, cloud: "_Cloud", deviation: NDArray[np.float64]) -> None:
+        distance, angle = float(np.linalg.norm(deviation[:3, 3])), _angle(deviation)
+        if distance > JUMP or angle > JUMP_ANGLE:
+            self._warn(
+                f"KISS-ICP: the sensor jumps by {distance:.1f} m and {np.degrees(angle):.0f} deg at"
+                f" {cloud.stamp_ns} ns, or the scans do not fit: the map may be wrong"
+            )
+
+    def _warn(self, text: str) -> None:
+        if self._note is not None:
+            self._note(text)
+        warnings.warn(text, OdometryWarning, stacklevel=4)
+
+
+class _Cloud(NamedTuple):
+    """Points of a scan that say something.
+
+    `part` is when each was measured, 0 at the first of them (`start_ns`) and 1 at the last
+    (`end_ns`), None where the scan does not tell; `span_ns` are first and last time of all rays.
+    """
+
+    stamp_ns: int
+    points: NDArray[np.float64]
+    part: NDArray[np.float64] | None
+    start_ns: int
+    end_ns: int
+    span_ns: NDArray[np.int64]
+
+
+class _Doubt:
+    """How much steps depart from constant velocity.
+
+    That holds errors of the registration, and what the sensor really did otherwise. Along and about
+    the axes of the sensor, which are taken for independent.
+    """
+
+    def __init__(self) -> None:
+        self._sum, self._weight = USUAL_WEIGHT * USUAL, USUAL_WEIGHT
+
+    def add(self, deviation: NDArray[np.float64]) -> None:
+        turn = (deviation[:3, :3] - deviation[:3, :3].T)[(2, 0, 1), (1, 2, 0)] / 2
+        squares = np.concatenate([deviation[:3, 3], turn]) ** 2
+        self._sum = MEMORY * self._sum + squares
+        self._weight = MEMORY * self._weight + 1
+
+    def covariance(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Of the translation in the world and the angles of R = Rz Ry Rx."""
+        turned = np.zeros((6, 6))
+        turned[:3, :3] = pose[:3, :3]
+        turned[3:, 3:] = _angles_from_rotation(pose[:3, :3]) @ pose[:3, :3]
+        found = turned * (STEP_SHARE * self._sum / self._weight + FLOOR) @ turned.T
+        return np.asarray((found + found.T) / 2)
+
+
+class _Parts:
+    """KISS-ICP's parts, set for the reach of the scans; one thread, so that runs repeat."""
+
+    def __init__(self, points: NDArray[np.float64]) -> None:
+        config = require("kiss_icp.config", extra="odometry", purpose="--pose kiss")
+        reach = 1.25 * float(np.percentile(np.linalg.norm(points, axis=1), 95))
+        reach = float(np.clip(reach, LEAST_RANGE, MOST_RANGE))
+        nearest = float(np.clip(NEAREST_SHARE * reach, *NEAREST))
+        chosen = config.KISSConfig(
+            data={"max_range": reach, "min_range": nearest, "deskew": True},
+            mapping={"voxel_size": reach / VOXELS, "max_points_per_voxel": 20},
+            registration={
+                "max_num_threads": 1,
+                "max_num_iterations": 500,
+                "convergence_criterion": 1e-4,
+            },
+            adaptive_threshold={
+                "initial_threshold": 2.0,
+                "min_motion_th": 0.1,
+                "fixed_threshold": None,
+            },
+        )
+        package = require("kiss_icp.kiss_icp", extra="odometry", purpose="--pose kiss")
+        engine: Any = package.KissICP(chosen)
+        self.map, self.threshold = engine.local_map, engine.adaptive_threshold
+        self._engine, self._voxel = engine, reach / VOXELS
+
+    def prepared(
+        self, cloud: _Cloud, motion: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Points for the map and for the registration, as seen from the end of the scan."""
+        part = np.empty(0) if cloud.part is None else cloud.part
+        near = self._engine.preprocessor.preprocess(cloud.points, part, motion)
+        source, frame = self._engine.voxelize(near)
+        return frame, source
+
+    def registered(
+        self, source: NDArray[np.float64], guess: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        sigma = self.threshold.get_threshold()
+        pose = self._engine.registration.align_points_to_map(
+            points=source,
+            voxel_map=self.map,
+            initial_guess=guess,
+            max_correspondance_distance=3 * sigma,
+            kernel=sigma,
+        )
+        return np.asarray(pose, np.float64)
+
+    def share_near(self, source: NDArray[np.float64], pose: NDArray[np.float64]) -> float:
+        """Share of a scan's points that lie in or beside a voxel of the map."""
+        known = surrounding_keys(np.asarray(self.map.point_cloud(), np.float64), self._voxel)
+        keys = cell_keys(source @ pose[:3, :3].T + pose[:3, 3], self._voxel)
+        return float(np.isin(keys, known).mean()) if len(keys) else 0.0
+
+
+def _usable(scan: Scan) -> _Cloud:
+    points = np.asarray(scan.points, np.float64).reshape(-1, 3)
+    is_point = np.isfinite(points).all(axis=1) & points.any(axis=1)
+    if scan.no_return is not None:
+        is_point &= ~scan.no_return.reshape(-1)
+    points, stamp = points[is_point], scan.stamp_ns
+    standing = _Cloud(stamp, points, None, stamp, stamp, np.array([stamp, stamp]))
+    if scan.point_time_ns is None or not len(points):
+        return standing
+    every = scan.point_time_ns.reshape(-1)
+    times = every[is_point]
+    start, end = int(times.min()), int(times.max())
+    if start == end:
+        return standing
+    span = np.array([min(stamp, int(every.min())), int(every.max())], np.int64)
+    return _Cloud(stamp, points, (times - start) / (end - start), start, end, span)
+
+
+def _part_of(motion: NDArray[np.float64], part: float) -> NDArray[np.float64]:
+    """A motion scaled: translation in proportion, rotation on its arc."""
+    if not part:
+        return np.eye(4)
+    end = quaternion_from_matrix(motion[None, :3, :3])
+    scaled = np.eye(4)
+    start = np.array([[0.0, 0.0, 0.0, 1.0]])
+    scaled[:3, :3] = matrix_from_quaternion(slerp(start, end, np.array([part])))[0]
+    scaled[:3, 3] = part * motion[:3, 3]
+    return scaled
+
+
+def _angle(motion: NDArray[np.float64]) -> float:
+    return float(np.arccos(np.clip((np.trace(motion[:3, :3]) - 1) / 2, -1, 1)))
+
+
+def _angles_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What a small turn about the axes of the world adds to the angles of R = Rz Ry Rx."""
+    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
+    pitch = -np.arcsin(np.clip(rotation[2, 0], -1, 1))
+    c, s = np.cos(yaw), np.sin(yaw)
+    turns = np.array(
+        [[c * np.cos(pitch), -s, 0], [s * np.cos(pitch), c, 0], [-np.sin(pitch), 0, 1.0]]
+    )
+    return np.linalg.pinv(turns, rcond=1e-3)
+
+
+def placed_scans(
+    scans: Iterable[Any], left_out: Counter[str], note: Callable[[str], None]
+) -> Iterator[tuple[Any, Placed]]:
+    """Scans of one LiDAR with where they were taken; those that cannot be told are counted.
+
+    Warnings are given to `note`, too.
+    """
+    odometry, source = KissOdometry(note), iter(scans)
+    held = list(islice(source, 2))
+    if len(held) == 2:
+        odometry.prepare(*held)
+    for scan in chain(held, source):
+        placed = odometry.place(scan)
+        if placed is None:
+            left_out["KISS-ICP lost its way"] += 1
+        else:
+            yield scan, placed

@@ -1,0 +1,217 @@
+"""Poses in a wrong frame: told by the scans, which fit each other only where their poses are right.
+
+Poses of a camera or of another body have the right motion about the wrong axes. So pairs of scans
+are laid over each other by the motion as it was given, and by the same motion about the axes of the
+24 ways to turn a frame by right angles, as it is and inverted: which of them fits best, by far?
+"""
+
+from collections.abc import Iterator
+from itertools import permutations, product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.io.poses.cells import cell_keys, surrounding_keys
+
+MOST_SCANS, MOST_PAIRS = 40, 8
+"""Scans that are looked at, and pairs of them."""
+POINTS = 4000
+"""Of a scan, at most."""
+LEAST_POINTS = 200
+"""Scans with fewer points away from the sensor may fit by chance."""
+TURN_REACH = 10.0
+"""Distance at which a turn counts as a motion [m]."""
+LEAST_MOTION, GOOD_MOTION = 0.3, 1.5
+"""Of a pair, to be looked at, and above which no later scan is waited for [m]."""
+CELL_SHARE, CELL_LIMITS = 0.25, (0.06, 0.5)
+"""Edge of the cells in which points must meet: this share of the motion, within limits [m]."""
+LEAST_PAIRS, LEAST_GAIN, LEAST_WINS = 3, 0.1, 0.8
+"""Pairs; share of the points that fit only otherwise; share of pairs that say so."""
+TIED = 0.03
+"""Shares nearer than this are the same, and the more usual frame is named."""
+NEAREST = 2.5
+"""Points nearer than this are often of the carrier itself, which fits without any motion [m]."""
+
+
+class Verdict(NamedTuple):
+    """What fits: the frame in words, its turn `frame_from_lidar` (3, 3), and how many points."""
+
+    name: str
+    turn: NDArray[np.float64]
+    is_inverse: bool
+    given: float
+    found: float
+
+
+def _turn(*axes: str) -> NDArray[np.float64]:
+    """Rotation whose rows are the axes of the LiDAR, such as "-y"."""
+    rows = [(-1 if axis[0] == "-" else 1) * np.eye(3)["xyz".index(axis[-1])] for axis in axes]
+    return np.array(rows)
+
+
+USUAL = (
+    ("the LiDAR's own (x forward, y left, z up)", _turn("x", "y", "z")),
+    ("a camera's (x right, y down, z forward)", _turn("-y", "-z", "x")),
+    ("a body's with z down (x forward, y right, z down)", _turn("x", "-y", "-z")),
+    ("a body's with y forward (x right, y forward, z up)", _turn("-y", "x", "z")),
+    ("one turned half round (x back, y right, z up)", _turn("-x", "-y", "z")),
+    ("one turned to the right (x left, y back, z up)", _turn("y", "-x", "z")),
+    ("a graphics camera's (x right, y up, z back)", _turn("-y", "z", "-x")),
+)
+"""Frames that poses are given in, by their axes in the LiDAR's where its x is forward."""
+OFTEN_INVERTED = 2
+"""Inverted poses of so many of them are more usual than the others."""
+
+
+def _candidates() -> list[tuple[str, NDArray[np.float64], bool]]:
+    known = [(name, turn) for name, turn in USUAL]
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        turn = np.diag(signs) @ np.eye(3)[list(order)]
+        if np.linalg.det(turn) > 0 and not any(np.array_equal(turn, one) for _, one in known):
+            known.append((f"one whose axes are {_axes(turn)} of the LiDAR's", turn))
+    first, others = known[:OFTEN_INVERTED], known[OFTEN_INVERTED:]
+    return [
+        (name, turn, inverse)
+        for part in (first, others)
+        for inverse in (False, True)
+        for name, turn in part
+    ]
+
+
+def _axes(turn: NDArray[np.float64]) -> str:
+    return ", ".join(
+        ("" if row.sum() > 0 else "-") + "xyz"[int(np.abs(row).argmax())] for row in turn
+    )
+
+
+class _View(NamedTuple):
+    pose: NDArray[np.float64]
+    points: NDArray[np.float64]
+
+
+class PoseFrameCheck:
+    """Watches the first scans and their poses; says once whether another frame fits better."""
+
+    def __init__(self) -> None:
+        self._views: list[_View] = []
+        self._is_done = False
+
+    def add(self, points: NDArray[np.float32], pose: NDArray[np.float64]) -> Verdict | None:
+        """Take in one scan; a verdict where the poses are in another frame."""
+        if self._is_done:
+            return None
+        view = _View(pose, _thinned(points))
+        if len(view.points) >= LEAST_POINTS:
+            self._views.append(view)
+        if len(self._views) < MOST_SCANS:
+            return None
+        return self.decide()
+
+    def decide(self) -> Verdict | None:
+        """A verdict on what was seen so far, if it shows that the poses are in another frame."""
+        if self._is_done:
+            return None
+        self._is_done = True
+        pairs = list(_pairs(self._views))
+        self._views.clear()
+        if len(pairs) < LEAST_PAIRS:
+            return None
+        candidates = _candidates()
+        shares = np.array([_shares(first, second, candidates) for first, second in pairs])
+        total = shares.mean(axis=0)
+        best = int(np.argmax(total >= total.max() - TIED))
+        gains = shares[:, best] - shares[:, 0]
+        if gains.mean() < LEAST_GAIN or (gains > 0).mean() < LEAST_WINS:
+            return None
+        name, turn, inverse = candidates[best]
+        return Verdict(name, turn, inverse, float(total[0]), float(total[best]))
+
+
+def _thinned(points: NDArray[np.float32]) -> NDArray[np.float64]:
+    rows = np.asarray(points, np.float64).reshape(-1, 3)
+    far = np.linalg.norm(rows, axis=1) > NEAREST
+    rows = rows[far & np.isfinite(rows).all(axis=1)]
+    # Every so many-th of a shuffled order: rows of an organised cloud would leave out whole rings.
+    order = np.random.default_rng(0).permutation(len(rows))
+    return np.asarray(rows[order[:POINTS]])
+
+
+def _pairs(views: list[_View]) -> Iterator[tuple[_View, _View]]:
+    """Scans far enough apart in motion to tell frames apart, near enough to see the same."""
+    at = 0
+    for _ in range(MOST_PAIRS):
+        later = [(_motion(views[at], view), view) for view in views[at + 1 :]]
+        good = next((number for number, (size, _) in enumerate(later) if size >= GOOD_MOTION), None)
+        if good is None:
+            if later and later[-1][0] >= LEAST_MOTION:
+                yield views[at], later[-1][1]
+            at += 1
+        else:
+            yield views[at], later[good][1]
+            at += max(1, (good + 1) // 2)
+        if at >= len(views) - 1:
+            return
+
+
+def _motion(first: _View, second: _View) -> float:
+    """How far a scan moved, turns included [m]."""
+    relative = np.linalg.inv(first.pose) @ second.pose
+    angle = np.arccos(np.clip((np.trace(relative[:3, :3]) - 1) / 2, -1, 1))
+    return float(np.linalg.norm(relative[:3, 3]) + TURN_REACH * angle)
+
+
+def _shares(
+    first: _View, second: _View, candidates: list[tuple[str, NDArray[np.float64], bool]]
+) -> list[float]:
+    """Share of the second scan's points that meet the first, for every frame."""
+    edge = float(np.clip(CELL_SHARE * _motion(first, second), *CELL_LIMITS))
+    known = surrounding_keys(first.points, edge)
+    given = {
+        False: np.linalg.inv(first.pose) @ second.pose,
+        True: first.pose @ np.linalg.inv(second.pose),
+    }
+    found = []
+    for _, turn, inverse in candidates:
+        motion = given[inverse]
+        rotation, translation = turn.T @ motion[:3, :3] @ turn, turn.T @ motion[:3, 3]
+        keys = cell_keys(second.points @ rotation.T + translation, edge)
+        at = np.minimum(np.searchsorted(known, keys), len(known) - 1)
+        found.append(float((known[at] == keys).mean()) if len(keys) and len(known) else 0.0)
+    return found
+
+
+def advice(verdict: Verdict, *, frame: str, source: str) -> str:
+    """The verdict in words, with the cure."""
+    fits = (
+        f"{verdict.found:.0%} of the points of one scan then meet those of another, as given"
+        f" {verdict.given:.0%}"
+    )
+    turn, angles = verdict.turn, _angles(verdict.turn)
+    is_own = np.array_equal(turn, np.eye(3))
+    mounting = f'--mounting "carrier {frame or "lidar"} 0 0 0 {angles}"'
+    cure = [
+        *(["give the inverse of every matrix"] if verdict.is_inverse else []),
+        *(
+            []
+            if is_own
+            else [
+                f"say how the LiDAR sits on what the poses are of: {mounting}, with"
+                " its place in metres instead of 0 0 0"
+            ]
+        ),
+    ]
+    inverted = "inverted, of the world in the sensor's frame" if verdict.is_inverse else ""
+    named = "" if is_own else f"in another frame than the scans: {verdict.name}"
+    what = ", and ".join(text for text in (inverted, named) if text)
+    return f"poses ({source}) seem to be {what}; {fits}. Cure: {'; and '.join(cure)}"
+
+
+def _angles(turn: NDArray[np.float64]) -> str:
+    """Roll, pitch and yaw of a turn."""
+    pitch = np.arcsin(np.clip(-turn[2, 0], -1, 1))
+    if abs(turn[2, 0]) > 1 - 1e-9:  # roll and yaw turn about one axis: all of it is yaw
+        roll, yaw = 0.0, np.arctan2(-turn[0, 1], turn[1, 1])
+    else:
+        roll, yaw = np.arctan2(turn[2, 1], turn[2, 2]), np.arctan2(turn[1, 0], turn[0, 0])
+    return " ".join(f"{float(value) + 0.0:.4f}" for value in (roll, pitch, yaw))

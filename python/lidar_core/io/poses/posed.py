@@ -1,0 +1,358 @@
+"""Scans in 3D or 2D with the sensor's pose, from transforms, odometry or a poses file."""
+
+import warnings
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import ConfigError, FormatError, InputError, PoseFrameWarning, meant
+from lidar_core.io.messages.ros import POSE_TYPES
+from lidar_core.io.options import NS, PoseOptions
+from lidar_core.io.poses.nameless import carrier_of
+from lidar_core.io.poses.pose_files import read_poses
+from lidar_core.io.poses.pose_frames import PoseFrameCheck, Verdict, advice
+from lidar_core.io.poses.tf_buffer import NoTransformError, TransformBuffer
+from lidar_core.io.scan_topics import WORDS, listed, scan_topic
+from lidar_core.messages import LaserScan, Pose, Scan
+
+if TYPE_CHECKING:
+    from lidar_core.io.recording import Recording
+
+WORLD_FRAME = "world"
+KISS = "kiss"
+"""Option `pose`: from the scans themselves."""
+MOST_POSES_PER_SCAN = 64
+PAST_THE_END = 10
+"""Scans in a row after the end of a span that end it: a single one may have a wrong stamp."""
+
+ScanT = TypeVar("ScanT", Scan, LaserScan)
+
+
+@dataclass(frozen=True, slots=True)
+class PosedScan(Generic[ScanT]):
+    """A scan and where the sensor was.
+
+    Attributes
+    ----------
+    scan : Scan or LaserScan
+        As recorded.
+    world_from_lidar : ndarray, shape (4, 4) or (K, 4, 4), float64
+        One pose, or poses over the scan.
+    pose_stamps_ns : ndarray, shape (K,), int64, optional
+        Times of the poses [ns].
+    pose_covariance : ndarray, shape (6, 6), float64, optional
+        Of translation [m^2] and angles about x, y, z [rad^2], where the source of the poses tells.
+    """
+
+    scan: ScanT
+    world_from_lidar: NDArray[np.float64]
+    pose_stamps_ns: NDArray[np.int64] | None = None
+    pose_covariance: NDArray[np.float64] | None = None
+
+
+class PosedScans(Generic[ScanT]):
+    """Iterable of `PosedScan`; made by `posed_scans` and `posed_laser_scans`.
+
+    Attributes
+    ----------
+    cloud : str
+        Topic of the scans.
+    fixed_frame : str
+        Frame that the poses are in.
+    source : str
+        Where the poses come from, in words.
+    without_pose : Counter
+        Scans left out, per reason.
+    """
+
+    def __init__(self, recording: "Recording", options: PoseOptions, sort: type[ScanT]) -> None:
+        self._recording = recording
+        self._options = options
+        self._sort: type[ScanT] = sort
+        self._cloud = scan_topic(recording, options.cloud, sort)
+        self.cloud = self._cloud.name
+        self.fixed_frame = options.fixed_frame or WORLD_FRAME
+        self.source = options.pose
+        self.without_pose: Counter[str] = Counter()
+
+    def __iter__(self) -> Iterator[PosedScan[ScanT]]:
+        self.without_pose.clear()
+        if self._options.pose == "static":
+            yield from self._standing()
+            return
+        if self._options.pose == KISS:
+            yield from self._by_odometry()
+            return
+        is_file = self._options.pose != "auto"
+        found = self._from_file(Path(self._options.pose)) if is_file else self._from_buffer()
+        yield from found if self._sort is LaserScan else self._checked(found)
+
+    def _checked(self, found: Iterator[PosedScan[ScanT]]) -> Iterator[PosedScan[ScanT]]:
+        """The same scans; a warning if the first say that the poses are in another frame."""
+        check, frame = PoseFrameCheck(), ""
+        for item in found:
+            poses, frame = item.world_from_lidar.reshape(-1, 4, 4), item.scan.frame_id
+            scan: Any = item.scan
+            self._tell(check.add(scan.points, poses[len(poses) // 2]), frame)
+            yield item
+        self._tell(check.decide(), frame)
+
+    def _tell(self, verdict: Verdict | None, frame: str) -> None:
+        if verdict is not None:
+            text = advice(verdict, frame=frame, source=self.source)
+            self._recording.findings.note(text)
+            warnings.warn(text, PoseFrameWarning, stacklevel=3)
+
+    def _scans(self) -> Iterator[tuple[int, ScanT]]:
+        """Scans that are wanted, each with its place among all of its topic.
+
+        Raises
+        ------
+        InputError
+            None of them is within the span that was asked for.
+        """
+        span = self._options
+        first_ns = 0 if span.is_whole else self._recording.first_stamp() or 0
+        is_found, past, latest_ns = span.is_whole, 0, first_ns
+        for number, scan in enumerate(self._recorded()):
+            past = past + 1 if span.is_past(scan.stamp_ns, first_ns) else 0
+            if past == PAST_THE_END:
+                break
+            latest_ns = max(latest_ns, scan.stamp_ns)
+            if span.holds(scan.stamp_ns, first_ns):
+                is_found = True
+                yield number, scan
+        if not is_found:
+            latest = (latest_ns - first_ns) / NS
+            raise InputError(f"{self._recording.path}: no scans {span}; they end at {latest:g} s")
+
+    def _recorded(self) -> Iterator[ScanT]:
+        for record in self._recording.records(WORDS[self._sort].kinds):
+            if record.topic.name == self._cloud.name:
+                yield from (item for item in record.decode() if isinstance(item, self._sort))
+
+    def _first_frame(self) -> str:
+        return next((scan.frame_id for _, scan in self._scans()), "")
+
+    def _standing(self) -> Iterator[PosedScan[ScanT]]:
+        """Every scan from one place: where the sensor is mounted, or the origin."""
+        self.source = "static: the sensor does not move"
+        buffer, frame = self._buffer(), ""
+        world_from_lidar = np.eye(4)
+        for _, scan in self._scans():
+            if scan.frame_id != frame:
+                frame = scan.frame_id
+                root = buffer.root_of(frame)
+                world_from_lidar = buffer.lookup(root, frame, [scan.stamp_ns])[0]
+                if root != frame and self._options.fixed_frame is None:
+                    self.fixed_frame = root
+            yield PosedScan(scan, world_from_lidar)
+
+    def _by_odometry(self) -> Iterator[PosedScan[ScanT]]:
+        """Clouds placed by KISS-ICP, one after the other: in the frame of the first scan's end."""
+        if self._sort is not Scan:
+            raise ConfigError(
+                "pose: kiss places clouds, not 2D scans; name poses or a topic of them"
+            )
+        from lidar_core.io.poses.odometry import placed_scans
+
+        self.source = "KISS-ICP, in the frame of the first scan"
+        clouds: Any = (scan for _, scan in self._scans())
+        note = self._recording.findings.note
+        for scan, placed in placed_scans(clouds, self.without_pose, note):
+            yield PosedScan(scan, placed.poses, placed.stamps_ns, placed.covariance)
+
+    def _from_file(self, path: Path) -> Iterator[PosedScan[ScanT]]:
+        stamps, matrices = read_poses(path)
+        self.source = f"{path}, {len(matrices)} poses"
+        if stamps is not None:
+            buffer = self._buffer()
+            frame = self._first_frame() if self._options.mounting else ""
+            carrier = self._carrier(frame)
+            for stamp, matrix in zip(stamps.tolist(), matrices, strict=True):
+                buffer.add(Pose(stamp, WORLD_FRAME, carrier, matrix))
+            yield from self._looked_up(buffer, WORLD_FRAME, frame)
+            return
+        mountings = {item.child_frame_id: item.matrix for item in self._options.mountings()}
+        count = 0
+        for number, scan in self._scans():
+            if number >= len(matrices):
+                raise FormatError(f"{path}: {len(matrices)} poses for a recording of more scans")
+            mounted = mountings.get(scan.frame_id, np.eye(4))
+            yield PosedScan(scan, matrices[number] @ mounted)
+            count = number + 1
+        if count != len(matrices) and self._options.end is None:
+            raise FormatError(f"{path}: {len(matrices)} poses for {count} scans of the recording")
+
+    def _from_buffer(self) -> Iterator[PosedScan[ScanT]]:
+        frame = self._first_frame()
+        buffer = self._filled(frame)
+        root = self._options.fixed_frame or buffer.root_of(frame)
+        try:
+            is_static = root == frame or buffer.is_static(root, frame)
+        except NoTransformError as error:
+            raise self._missing(frame, buffer, str(error)) from error
+        if root == frame or (is_static and self._options.fixed_frame is None):
+            raise self._missing(frame, buffer, f"nothing moves {frame!r}")
+        self.fixed_frame = root
+        self.source = f"transforms {root} -> {frame}"
+        yield from self._looked_up(buffer, root, frame)
+
+    def _looked_up(
+        self, buffer: TransformBuffer, root: str, frame: str
+    ) -> Iterator[PosedScan[ScanT]]:
+        given = 0
+        for _, scan in self._scans():
+            stamps = pose_stamps(scan, buffer, root, frame)
+            try:
+                poses = buffer.lookup(root, frame, stamps)
+            except NoTransformError as error:
+                self.without_pose[str(error)] += 1
+                continue
+            given += 1
+            single = len(stamps) == 1
+            yield PosedScan(scan, poses[0] if single else poses, None if single else stamps)
+        if given == 0:
+            reason = next(iter(self.without_pose), "no scans")
+            raise self._missing(frame, buffer, f"no scan has a pose: {reason}")
+
+    def _buffer(self) -> TransformBuffer:
+        options = self._options
+        buffer = TransformBuffer(
+            max_gap=options.max_gap, max_extrapolation=options.max_extrapolation
+        )
+        for mounting in options.mountings():
+            buffer.add(mounting)
+        return buffer
+
+    def _carrier(self, frame: str) -> str:
+        """Frame whose poses are known where a mounting of `frame` is stated, else `frame`."""
+        parents = {item.child_frame_id: item.frame_id for item in self._options.mountings()}
+        return parents.get(frame, frame)
+
+    def _filled(self, frame: str) -> TransformBuffer:
+        """Poses of the recording: transforms first; odometry where asked for, or without them."""
+        gathered = list(self._recording.poses())
+        odometry = [item for item in gathered if item[0].type in POSE_TYPES]
+        topics = sorted({topic.name for topic, _ in odometry})
+        chosen = self._options.odom
+        if chosen is not None and chosen not in {topic.name for topic, _ in gathered}:
+            raise ConfigError(
+                f"odom: no topic {chosen!r} with poses; found {listed(topics)}"
+                f"{meant(chosen, topics)}"
+            )
+        transforms = [item for item in gathered if item[0].type not in POSE_TYPES]
+        if chosen is None:
+            buffer = self._with(pose for _, pose in transforms)
+            root = self._options.fixed_frame or buffer.root_of(frame)
+            if _moves(buffer, root, frame) or len(topics) != 1:
+                return buffer
+            chosen = topics[0]
+        known = [pose for _, pose in transforms]
+        fixed = [pose for pose in known if pose.is_static]
+        moving = [pose for topic, pose in gathered if topic.name == chosen]
+        if nameless := [pose for pose in moving if not pose.child_frame_id]:
+            mountings = self._options.mountings()
+            carrier = carrier_of(frame, nameless, known, mountings, chosen)
+            moving = [
+                pose if pose.child_frame_id else replace(pose, child_frame_id=carrier)
+                for pose in moving
+            ]
+        return self._with(fixed + moving)
+
+    def _with(self, poses: Iterable[Pose]) -> TransformBuffer:
+        buffer = self._buffer()
+        for pose in poses:
+            buffer.add(pose)
+        return buffer
+
+    def _missing(self, frame: str, buffer: TransformBuffer, reason: str) -> FormatError:
+        edges = [f"{parent} -> {child}" for parent, child in buffer.edges()]
+        odometry = [t.name for t in self._recording.topics() if t.type in POSE_TYPES]
+        moving = [child for (_, child), is_static in buffer.edges().items() if not is_static]
+        mounting = f" '{moving[0]} {frame} x y z roll pitch yaw'" if moving else ""
+        return FormatError(
+            f"{self._recording.path}: no pose for frame {frame!r} of topic {self._cloud.name!r}:"
+            f" {reason}. Found transforms: {listed(edges)}; odometry topics: {listed(odometry)}."
+            " Name a frame with --fixed-frame, a topic with --odom, a poses file with --pose FILE,"
+            f" where the sensor sits with --mounting{mounting}, or --pose static for a sensor that"
+            " does not move"
+        )
+
+
+def posed_scans(
+    recording: "Recording", options: PoseOptions | None = None, **values: Any
+) -> PosedScans[Scan]:
+    """Clouds of one topic with the sensor's poses.
+
+    Parameters
+    ----------
+    recording : Recording
+        Open recording; it is read twice, first for its poses.
+    options : PoseOptions, optional
+        Where the poses come from.
+    **values
+        Single fields of `PoseOptions`, such as pose, cloud or start; they override `options`.
+
+    Returns
+    -------
+    scans : PosedScans
+        Iterate it; scans outside the poses' time are left out and counted.
+
+    Raises
+    ------
+    FormatError
+        No poses (while iterating); the text says what was found and which option helps.
+    InputError
+        No scans within the span that was asked for (while iterating).
+    ConfigError
+        No such topic, or several to choose from.
+    """
+    return PosedScans(recording, _merged(options, values), Scan)
+
+
+def posed_laser_scans(
+    recording: "Recording", options: PoseOptions | None = None, **values: Any
+) -> PosedScans[LaserScan]:
+    """2D scans of one topic with the sensor's poses; otherwise as `posed_scans`."""
+    return PosedScans(recording, _merged(options, values), LaserScan)
+
+
+def _merged(options: PoseOptions | None, values: dict[str, Any]) -> PoseOptions:
+    given = options.model_dump() if options is not None else {}
+    return PoseOptions(**(given | values))
+
+
+def _moves(buffer: TransformBuffer, root: str, frame: str) -> bool:
+    try:
+        return root != frame and not buffer.is_static(root, frame)
+    except NoTransformError:
+        return False
+
+
+def span_ns(scan: Scan | LaserScan) -> tuple[int, int]:
+    """Times of the first and the last ray [ns]."""
+    if isinstance(scan, LaserScan):
+        return scan.stamp_ns, scan.stamp_ns + scan.time_increment_ns * (len(scan.ranges) - 1)
+    if scan.point_time_ns is None or scan.point_time_ns.size == 0:
+        return scan.stamp_ns, scan.stamp_ns
+    start = min(scan.stamp_ns, int(scan.point_time_ns.min()))
+    return start, int(scan.point_time_ns.max())
+
+
+def pose_stamps(
+    scan: Scan | LaserScan, buffer: TransformBuffer, root: str, frame: str
+) -> NDArray[np.int64]:
+    """Times to ask poses for: the scan's span and what was recorded inside it."""
+    start, end = span_ns(scan)
+    if end <= start:
+        return np.array([start], np.int64)
+    inside = buffer.knots(root, frame, start, end)
+    if len(inside) > MOST_POSES_PER_SCAN:
+        inside = np.linspace(start, end, MOST_POSES_PER_SCAN).astype(np.int64)[1:-1]
+    return np.unique(np.concatenate([[start], inside, [end]])).astype(np.int64)

@@ -1,0 +1,96 @@
+"""What a recording consists of: topics, stored messages, and what a reader noticed on the way."""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+from lidar_core.messages import Message
+
+Kind: TypeAlias = Literal[
+    "scan", "planar", "pose", "scan+pose", "planar+pose", "measurement", "packets", "other"
+]
+
+PACKETS: dict[str, str] = {
+    "velodyne_msgs/msg/VelodyneScan": "Velodyne packets",
+    "ouster_msgs/msg/PacketMsg": "Ouster packets: readable where ouster-sdk is installed",
+    "ouster_ros/msg/PacketMsg": "Ouster packets: readable where ouster-sdk is installed",
+    "ouster_sensor_msgs/msg/PacketMsg": "Ouster packets: readable where ouster-sdk is installed",
+    "pandar_msgs/msg/PandarScan": "Hesai packets: no library decodes them; record the"
+    " driver's PointCloud2",
+    "nebula_msgs/msg/NebulaPackets": "Nebula packets: no library decodes them; record the"
+    " driver's PointCloud2",
+}
+"""Message types that hold raw sensor packets, and what to say about them."""
+
+POSE_KINDS = frozenset({"pose", "scan+pose", "planar+pose"})
+SCAN_KINDS = frozenset({"scan", "scan+pose", "planar", "planar+pose"})
+"""Kinds of topics that bring poses, and of those that bring scans: in 3D, or planar in 2D."""
+UNREAD_KINDS = frozenset({"measurement", "packets", "other"})
+"""Kinds whose messages are neither: measurements are for `lidar_core.fusion`."""
+MOST_NOTES = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One stream of a recording.
+
+    Attributes
+    ----------
+    name, type : str
+        As the recording names them.
+    kind : str
+        What a reader makes of it.
+    count : int or None
+        Messages, where the recording states it.
+    note : str
+        Why it is not read, or what was assumed.
+    """
+
+    name: str
+    type: str
+    kind: Kind
+    count: int | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One stored message.
+
+    Attributes
+    ----------
+    topic : Topic
+        Stream it belongs to.
+    time_ns : int
+        When it was stored [ns].
+    decode : callable
+        Its messages; none for a record that no reader understands or that was rejected.
+    parse : callable, optional
+        The message as its ROS type says, where it has one.
+    """
+
+    topic: Topic
+    time_ns: int
+    decode: Callable[[], list[Message]]
+    parse: Callable[[], Any] | None = None
+
+
+@dataclass(slots=True)
+class Findings:
+    """What a reader noticed on the way: conventions it detected, messages it left out."""
+
+    point_time: dict[str, str] = field(default_factory=dict)
+    no_return: dict[str, str] = field(default_factory=dict)
+    rejected: Counter[str] = field(default_factory=Counter)
+    notes: list[str] = field(default_factory=list)
+
+    def note(self, text: str) -> None:
+        """Keep `text` once, and no more texts than anybody reads."""
+        if len(self.notes) < MOST_NOTES and text not in self.notes:
+            self.notes.append(text)
+
+
+def decoded(*messages: Message) -> Callable[[], list[Message]]:
+    """`Record.decode` of a reader that has the messages at hand."""
+    return lambda: list(messages)

@@ -1,0 +1,1 @@
+"""Recordings, tables and messages out."""

@@ -1,0 +1,21 @@
+"""What the commands do, as functions: each reads a recording and writes the folder of a run."""
+
+from lidar_core.runs.batch_jobs import BatchResult, batch
+from lidar_core.runs.circle_map import circles
+from lidar_core.runs.flying import detect
+from lidar_core.runs.fusion import fuse
+from lidar_core.runs.live_run import LiveResult, live
+from lidar_core.runs.result import RunResult
+from lidar_core.runs.settings import ConfigChoice
+
+__all__ = [
+    "BatchResult",
+    "ConfigChoice",
+    "LiveResult",
+    "RunResult",
+    "batch",
+    "circles",
+    "detect",
+    "fuse",
+    "live",
+]

@@ -1,0 +1,346 @@
+"""The circle map of a recording of 2D scans: the run, its tables, trajectories and pictures."""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.circles import (
+    CircleElements,
+    CircleFrame,
+    CirclePipeline,
+    CirclesConfig,
+    ShapeElements,
+)
+from lidar_core.io import (
+    McapWriter,
+    PosedScan,
+    PoseOptions,
+    ReadOptions,
+    open_recording,
+    posed_laser_scans,
+    write_circles_table,
+    write_circles_tum,
+    write_shapes_table,
+)
+from lidar_core.io.write.covariance import covariance_columns
+from lidar_core.messages import LaserScan
+from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
+from lidar_core.runs.recording import RecordingJob, folder_to_write, no_progress
+from lidar_core.runs.result import MCAP, OnProgress, Picture, RunResult
+from lidar_core.runs.scan_times import ScanTimes
+from lidar_core.runs.settings import ConfigChoice, config_of_run
+from lidar_core.scan_processing import (
+    check_no_rays,
+    layout_name,
+    log_circles,
+    map_circles,
+    scanner_of,
+    sensor_name,
+)
+from lidar_core.viz import CirclesView, animate_circles, draw_circles
+from lidar_core.viz.film import film_ending
+
+MOST_POINTS = 4_000_000  # kept for the pictures; beyond, points of every other scan are dropped
+FILM_FRAMES, FILM_RATE = 120, 10.0
+SHARE = 0.05  # of a LiDAR's scans that have a length which is no defect
+
+
+def circles(
+    recording: str | PathLike[str],
+    config: CirclesConfig | ConfigChoice | None,
+    output: str | PathLike[str],
+    *,
+    pose: PoseOptions | None = None,
+    read: ReadOptions | None = None,
+    scans: Sequence[str] = (),
+    allow_untrusted: bool = False,
+    mcap: bool | None = None,
+    picture: bool = True,
+    film: bool = False,
+    overwrite: bool = False,
+    on_progress: OnProgress = no_progress,
+) -> RunResult:
+    """Map the round obstacles in a recording of 2D scans, as `lidar-core circles` does.
+
+    The scanners are those of the recording, within the range limits of `config.scanner`; scans of
+    one length that less than one in twenty have are rejected.
+
+    Parameters
+    ----------
+    recording, config, output, pose, read, mcap, picture, overwrite, on_progress
+        As in `detect`; `config` is a `CirclesConfig`.
+    scans : sequence of str
+        Topics of the 2D LiDARs; empty for the only one.
+    allow_untrusted : bool
+        Run an ONNX file that was not exported by this user: a model is a program.
+    film : bool
+        Whether to draw film.mp4, or film.gif without ffmpeg, beside the picture.
+
+    Returns
+    -------
+    RunResult
+        As in `detect`.
+
+    Raises
+    ------
+    ConfigError, FormatError, FileExistsError, MissingExtraError
+        As in `detect`; also if a model is not trusted, or rays are configured that the recording
+        states.
+    """
+    source = Path(recording)
+    folder, writes_mcap = folder_to_write(output, mcap=mcap, overwrite=overwrite, reads=source)
+    reading, poses = read or ReadOptions(), pose or PoseOptions()
+    chosen = _with_scanners(
+        config_of_run(config, CirclesConfig, "circles"), source, reading, scans, poses
+    )
+    job = RecordingJob(
+        command="circles",
+        sort=LaserScan,
+        recording=source,
+        folder=folder,
+        config={"circles": chosen},
+        read=reading,
+        pose=poses,
+        topics=tuple(scans),
+        mcap=writes_mcap,
+        picture=picture,
+        on_progress=on_progress,
+        note={"scans": list(scans)},
+    )
+    pipeline = CirclePipeline(chosen, allow_untrusted=allow_untrusted)
+    return job.run(CirclesRun(pipeline, film=film))
+
+
+def _with_scanners(
+    config: CirclesConfig,
+    recording: Path,
+    read: ReadOptions,
+    topics: Sequence[str],
+    span: PoseOptions,
+) -> CirclesConfig:
+    """`config` with the scanners of the recording, where it does not name them itself.
+
+    Their ranges are limited to those of `config.scanner`.
+    """
+    check_no_rays(config)
+    found = dict(config.scanners)
+    for topic in topics or (None,):
+        with open_recording(recording, read) as opened:
+            posed = posed_laser_scans(
+                opened, cloud=topic, pose="static", start=span.start, end=span.end
+            )
+            if posed.cloud in config.scanners:
+                continue
+            layouts = _layouts(item.scan for item in posed)
+        for number, scan in enumerate(layouts):
+            name = sensor_name(scan)
+            scanner = scanner_of(scan, config, f"{recording}: {name}")
+            found.setdefault(layout_name(name, len(scan.ranges)) if number else name, scanner)
+    return type(config).load(config.model_dump() | {"scanners": found})
+
+
+def _layouts(scans: Iterable[LaserScan]) -> list[LaserScan]:
+    """A scan of every length that is no exception, the most frequent length first."""
+    first: dict[int, LaserScan] = {}
+    counts: Counter[int] = Counter()
+    for scan in scans:
+        first.setdefault(len(scan.ranges), scan)
+        counts[len(scan.ranges)] += 1
+    usual = [rays for rays, count in counts.most_common() if count >= SHARE * counts.total()]
+    return [first[rays] for rays in usual]
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """Circles of one scan that went into the map: all that tables need of a frame."""
+
+    scanner: str
+    time_ns: NDArray[np.int64]
+    circles: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    n_hits: NDArray[np.int64]
+    is_fallback: NDArray[np.bool_]
+    element: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, frame: CircleFrame) -> Self:
+        in_map, circles = frame.element >= 0, frame.circles_world
+        return cls(
+            frame.scanner,
+            frame.time_ns[in_map],
+            circles.parameters[in_map],
+            circles.covariance[in_map],
+            circles.n_hits[in_map],
+            circles.is_fallback[in_map],
+            frame.element[in_map],
+        )
+
+
+class CirclesRun:
+    """Passes 2D scans to a pipeline and keeps what a summary, tables and pictures need.
+
+    Parameters
+    ----------
+    pipeline : CirclePipeline
+        Gets every scan.
+    film : bool
+        Whether a film is among the pictures.
+    """
+
+    def __init__(self, pipeline: CirclePipeline, *, film: bool = False) -> None:
+        self.pipeline = pipeline
+        self.frame_id = "world"
+        self.maps: list[CircleElements] = []
+        self.shapes: list[ShapeElements] = []
+        self._film = film
+        self._times = ScanTimes()
+        self._mcap: McapWriter | None = None
+        self._found: list[_Found] = []
+        self._sensor: list[NDArray[np.float64]] = []
+        self._points: list[NDArray[np.float64]] = []
+        self._last_points = np.empty((0, 2))
+        self._kept, self._stride = 0, 1
+        self._too_near = 0
+
+    @property
+    def n_received(self) -> int:
+        """Scans so far, rejected ones included."""
+        return self.pipeline.health().received
+
+    @property
+    def element_ids(self) -> list[int]:
+        """Numbers of the elements that were reported."""
+        return sorted({number for state in self.maps for number in state.id.tolist()})
+
+    def take(self, item: PosedScan[LaserScan]) -> None:
+        """Process one scan."""
+        start = perf_counter()
+        frame = map_circles(self.pipeline, item)
+        wall_ms = (perf_counter() - start) * 1e3
+        if frame.rejected is None:
+            self.keep(item, frame, wall_ms)
+
+    def keep(self, item: PosedScan[LaserScan], frame: CircleFrame, wall_ms: float) -> None:
+        """Keep what a scan gave that took `wall_ms`, and write it to run.mcap."""
+        self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms)
+        self._note(frame, item.world_from_lidar.reshape(-1, 4, 4)[0])
+        if self._mcap is not None:
+            log_circles(self._mcap, item, frame, frame_id=self.frame_id)
+
+    def open_mcap(self, folder: RunFolder) -> AbstractContextManager[Any]:
+        """Open run.mcap for the results of the scans from here on."""
+        self._mcap = McapWriter(folder.path / MCAP, tracks_frame=self.frame_id)
+        return self._mcap
+
+    def summary(self) -> dict[str, Any]:
+        """What the run gave, as plain values."""
+        health = self.pipeline.health()
+        return {
+            "scans": {
+                "received": health.received,
+                "processed": health.processed,
+                "rejected": dict(health.reasons),
+            },
+            "circles": sum(len(item.element) for item in self._found),
+            "too_near": self._too_near,
+            "elements": len(self.element_ids),
+            "elements_at_end": len(self.maps[-1].id) if self.maps else 0,
+            "shapes": len({number for state in self.shapes for number in state.id.tolist()}),
+            "shapes_at_end": len(self.shapes[-1].id) if self.shapes else 0,
+            "ms_per_scan": self._times.ms_per_scan,
+        }
+
+    def write(self, folder: RunFolder) -> list[str]:
+        """Write tables and trajectories; return their names."""
+        table = write_circles_table(
+            folder.path / "circles.parquet", self.maps, frame_id=self.frame_id
+        )
+        shapes = write_shapes_table(
+            folder.path / "shapes.parquet", self.shapes, frame_id=self.frame_id
+        )
+        found = folder.write_table("detections", self._detections())
+        timing = folder.write_table("timing", self._times.table())
+        write_circles_tum(folder.path / TRACKS_FOLDER, self.maps)
+        return [table.name, shapes.name, found.name, timing.name, TRACKS_FOLDER]
+
+    def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
+        """The picture of a run on the recording `name`, and the film where it is wanted."""
+        view = self.view(f"{name}: {len(self.maps)} scans, {len(self.element_ids)} elements")
+        picture, film = folder.path / "picture.png", folder.path / f"film{film_ending()}"
+        found: list[Picture] = [(picture, lambda: draw_circles(view, picture))]
+        if self._film:
+            found.append(
+                (film, lambda: animate_circles(view, film, frames=FILM_FRAMES, rate=FILM_RATE))
+            )
+        return found
+
+    def view(self, title: str, **more: Any) -> CirclesView:
+        """What pictures of the run show; `more` are further fields of `CirclesView`."""
+        counts = [len(item.element) for item in self._found]
+        return CirclesView(
+            title=title,
+            points=[*self._points[:-1], self._last_points] if self._points else [],
+            sensor=np.array(self._sensor).reshape(-1, 2),
+            stamp_ns=np.array([state.stamp_ns for state in self.maps], np.int64),
+            maps=self.maps,
+            shapes=self.shapes,
+            n_circles=np.array(counts, np.int64),
+            **more,
+        )
+
+    def _note(self, frame: CircleFrame, pose: NDArray[np.float64]) -> None:
+        self.maps.append(frame.map)
+        self.shapes.append(frame.map_shapes)
+        self._too_near += int(frame.too_near.sum())
+        self._found.append(_Found.of(frame))
+        self._sensor.append(pose[:2, 3])
+        self._last_points = _points_world(frame, pose)
+        is_kept = (len(self._points)) % self._stride == 0
+        self._points.append(self._last_points if is_kept else np.empty((0, 2)))
+        self._kept += len(self._points[-1])
+        if self._kept > MOST_POINTS:
+            self._stride *= 2
+            for number in range(len(self._points)):
+                if number % self._stride:
+                    self._points[number] = np.empty((0, 2))
+            self._kept = sum(map(len, self._points))
+
+    def _detections(self) -> dict[str, Any]:
+        """Circles of all scans that went into the map, as columns; SI units, world frame."""
+        found = self._found
+        circles = np.concatenate([np.empty((0, 3)), *(item.circles for item in found)])
+        covariance = np.concatenate([np.empty((0, 3, 3)), *(item.covariance for item in found)])
+        counts = [len(item.element) for item in found]
+        stamps = np.array([state.stamp_ns for state in self.maps], np.int64)
+        no_rows = np.empty(0, np.int64)
+        names = ("x", "y", "radius")
+        return {
+            "t_ns": np.repeat(stamps, counts),
+            "time_ns": np.concatenate([no_rows, *(item.time_ns for item in found)]),
+            "sensor": [item.scanner for item in found for _ in item.element],
+            "frame_id": [self.frame_id] * sum(counts),
+            **{name: circles[:, axis] for axis, name in enumerate(names)},
+            "n_points": np.concatenate([no_rows, *(item.n_hits for item in found)]),
+            "is_fallback": np.concatenate(
+                [np.empty(0, np.bool_), *(item.is_fallback for item in found)]
+            ),
+            "element": np.concatenate([no_rows, *(item.element for item in found)]),
+            **covariance_columns(names, covariance),
+        }
+
+
+def _points_world(frame: CircleFrame, pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points of the level frame, seen from above, in the world."""
+    hit = np.isfinite(frame.ranges)
+    angles = frame.bearings[hit] + np.arctan2(pose[1, 0], pose[0, 0])
+    away = frame.ranges[hit, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    points: NDArray[np.float64] = pose[:2, 3] + away
+    return points

@@ -1,0 +1,236 @@
+"""Targets from the LiDAR and radar of a recording: one target, or many."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from lidar_core.config import Config
+from lidar_core.errors import ConfigError, InputError
+from lidar_core.fusion import (
+    AutoferryOptions,
+    BagOptions,
+    DetectionScan,
+    FusionConfig,
+    MeasurementLog,
+    MultiTargetConfig,
+    TableOptions,
+    read_autoferry,
+    read_bag,
+    read_measurements,
+)
+from lidar_core.fusion.plausibility import implausible
+from lidar_core.fusion.recordings.table import TABLES
+from lidar_core.io import Span
+from lidar_core.io.options import NS
+from lidar_core.run_folder import fingerprint
+from lidar_core.runs.recording import folder_to_write
+from lidar_core.runs.result import RunResult, draw
+from lidar_core.runs.settings import ConfigChoice, config_of_run, with_assignments
+from lidar_core.runs.target import TargetRun
+from lidar_core.runs.targets import ManyRun
+
+BAGS = (".bag", ".db3", ".mcap")
+
+
+def fuse(
+    recording: str | PathLike[str],
+    config: FusionConfig | MultiTargetConfig | ConfigChoice | None,
+    output: str | PathLike[str],
+    *,
+    model: str | None = None,
+    method: str | None = None,
+    association: str | None = None,
+    lag: float | None = None,
+    columns: Mapping[str, str] | None = None,
+    topics: Mapping[str, Sequence[str]] | None = None,
+    time_unit: str | None = None,
+    angle_unit: str | None = None,
+    span: Span | None = None,
+    force: bool = False,
+    mcap: bool | None = None,
+    picture: bool = True,
+    overwrite: bool = False,
+) -> RunResult:
+    """Track the target of a recording, or many, as `lidar-core fuse` does.
+
+    Parameters
+    ----------
+    recording : str or Path
+        L/R text, a table (CSV, Parquet, .npz), a ROS recording, or detections of Autoferry.
+    config : FusionConfig, MultiTargetConfig, ConfigChoice or None
+        Configuration of the filter of one target, or of the tracker of many; None is best mode.
+    output : str or Path
+        Folder to write: tables of states with covariances, innovations and NIS, and of tracks,
+        SI units; trajectories, summary.json, run.toml, run.mcap, picture.png.
+    model, method, association : str, optional
+        These values of the configuration instead of its own; `association` is for many targets.
+    lag : float, optional
+        Smooth: every state uses what came up to this much later [s]; for one target.
+    columns : mapping of str to str, optional
+        Names of a table's columns, such as {"x": "pos_x"}.
+    topics : mapping of str to sequence of str, optional
+        Topics of a ROS recording, such as {"radar": ["/front"]}.
+    time_unit, angle_unit : str, optional
+        Of a table: ns, us, ms or s; rad or deg.
+    span : Span, optional
+        Part of the recording to use, from its first measurement [s].
+    force : bool
+        Go on with measurements of one target whose NIS is beyond reason.
+    mcap, picture, overwrite
+        As in `detect`.
+
+    Returns
+    -------
+    RunResult
+
+    Raises
+    ------
+    InputError
+        No measurements in `span`, or their NIS is beyond reason; the text names likely causes.
+    ConfigError
+        A value that cannot be used, or that says nothing about this recording.
+    FormatError, FileExistsError, MissingExtraError
+        As in `detect`.
+    """
+    source = Path(recording)
+    folder, writes_mcap = folder_to_write(output, mcap=mcap, overwrite=overwrite, reads=source)
+    read = {
+        "columns": columns,
+        "topics": topics,
+        "time_unit": time_unit,
+        "angle_unit": angle_unit,
+    }
+    ways = {"model": model, "method": method, "association": association}
+    job = _FuseJob(
+        source,
+        config,
+        {name: value for name, value in ways.items() if value is not None},
+        {name: value for name, value in read.items() if value},
+        span or Span(),
+        lag,
+        force,
+    )
+    run = job.run()
+    folder.begin()
+    files = run.write(folder)
+    summary = {"command": "fuse", "recording": str(recording), **run.summary()}
+    folder.write_summary(summary)
+    folder.write_note({"recording": fingerprint(source)}, run.configs)
+    if writes_mcap and (mcap or not (run.stamps < 0).any()):
+        files.append(run.write_mcap(folder))
+    notes = [f"note: {run.doubt}"] if run.doubt else []
+    if picture:
+        drawn, missing = draw(run.pictures(folder, source.name))
+        files += drawn
+        notes += missing
+    files = sorted([*files, "run.toml", "summary.json"])
+    return RunResult(folder.path, summary, tuple(files), tuple(notes))
+
+
+@dataclass(frozen=True, slots=True)
+class _FuseJob:
+    """A recording of measurements, and how to fuse them."""
+
+    recording: Path
+    config: FusionConfig | MultiTargetConfig | ConfigChoice | None
+    ways: Mapping[str, str]
+    read: Mapping[str, Any]
+    span: Span
+    lag: float | None
+    force: bool
+
+    def run(self) -> TargetRun | ManyRun:
+        """Read the recording, and filter or track."""
+        recording = self.recording
+        if recording.suffix == ".json":
+            self._check_read("detections of Autoferry", ())
+            reading = {"fusion_autoferry": AutoferryOptions()}
+            return self._many(read_autoferry(recording), reading, "Autoferry")
+        if recording.is_dir() or recording.suffix.lower() in BAGS:
+            self._check_read("a ROS recording", ("topics",))
+            return self._bag()
+        is_table = recording.suffix in TABLES
+        of_tables = ("columns", "time_unit", "angle_unit")
+        self._check_read(*(("a table", of_tables) if is_table else ("L/R text", ())))
+        options = TableOptions.load(dict(self.read))
+        return self._one(read_measurements(recording, options), {"fusion_table": options})
+
+    def _bag(self) -> TargetRun | ManyRun:
+        """One target, unless a message holds several or an association was asked for."""
+        options = BagOptions.load(dict(self.read))
+        scans, reading = read_bag(self.recording, options), {"fusion_bag": options}
+        if (
+            "association" in self.ways
+            or isinstance(self.config, MultiTargetConfig)
+            or any(len(scan.measurements) > 1 for scan in scans)
+        ):
+            return self._many(scans, reading, "ROS")
+        measurements = [m for scan in scans for m in scan.measurements]
+        return self._one(MeasurementLog(measurements, None, "ROS"), reading)
+
+    def _one(self, log: MeasurementLog, reading: Mapping[str, Config]) -> TargetRun:
+        if "association" in self.ways or isinstance(self.config, MultiTargetConfig):
+            raise ConfigError(f"{self.recording}: one target; --association is for many")
+        chosen = config_of_run(_with(self.config, self.ways), FusionConfig, "fusion")
+        kept = log.rows(self._kept([m.stamp_ns for m in log.measurements]))
+        if chosen.model == "ctrv-drone" and any(m.sensor == "pose" for m in kept.measurements):
+            raise ConfigError(
+                f"{self.recording}: model ctrv-drone is for measurements without poses"
+                " of the platform, which are here; ctrv takes them in"
+            )
+        made = TargetRun.of(kept, chosen, {**reading, "span": self.span}, lag=self.lag)
+        doubt = None if self.force else implausible(made.log.measurements, made.result, chosen)
+        if doubt is not None:
+            raise InputError(f"{self.recording}: {doubt}. --force goes on nevertheless")
+        return made
+
+    def _many(
+        self, scans: list[DetectionScan], reading: Mapping[str, Config], source: str
+    ) -> ManyRun:
+        choice = self.config
+        is_paper = isinstance(choice, ConfigChoice) and choice.mode == "paper"
+        if self.lag is not None or is_paper or isinstance(choice, FusionConfig):
+            raise ConfigError(f"{self.recording}: many targets; --lag and --mode paper are for one")
+        base = MultiTargetConfig.boats() if source == "Autoferry" else MultiTargetConfig()
+        ways = {
+            name if name == "association" else f"target.{name}": value
+            for name, value in self.ways.items()
+        }
+        chosen = config_of_run(_with(choice, ways), MultiTargetConfig, "fusion_many", base=base)
+        kept = [scans[row] for row in self._kept([scan.stamp_ns for scan in scans])]
+        return ManyRun.of(kept, chosen, {**reading, "span": self.span}, source=source)
+
+    def _kept(self, stamps: Sequence[int]) -> list[int]:
+        """Rows within the span, of those with these times.
+
+        Raises
+        ------
+        InputError
+            There are none.
+        """
+        first = min(stamps, default=0)
+        rows = [row for row, stamp in enumerate(stamps) if self.span.holds(stamp, first)]
+        if stamps and not rows:
+            end = (max(stamps) - first) / NS
+            raise InputError(
+                f"{self.recording}: no measurements {self.span}; they end at {end:g} s"
+            )
+        return rows
+
+    def _check_read(self, what: str, used: tuple[str, ...]) -> None:
+        """Refuse options of reading that would do nothing."""
+        for name in self.read:
+            if name not in used:
+                option = name.removesuffix("s").replace("_", "-")
+                raise ConfigError(f"{self.recording}: --{option} says nothing about {what}")
+
+
+def _with(config: Any, ways: Mapping[str, str]) -> Any:
+    """`config` with single values by their dotted names."""
+    values = tuple(f'{name}="{value}"' for name, value in ways.items())
+    if not isinstance(config, Config):
+        choice = config or ConfigChoice()
+        return ConfigChoice(choice.mode, choice.file, (*choice.values, *values))
+    return config.load(with_assignments(config.model_dump(), values)) if values else config

@@ -1,0 +1,231 @@
+"""Sources, outputs and pipelines of a live run, by their names."""
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from lidar_core.circles import CirclesConfig
+from lidar_core.errors import ConfigError
+from lidar_core.flying import FlyingConfig, FlyingObjectDetector
+from lidar_core.io import ReadOptions
+from lidar_core.live import LiveConfig, Output, Source
+from lidar_core.live.pipelines import CirclesLive, FlyingLive, LivePipeline
+from lidar_core.live.source import StreamTopics
+from lidar_core.messages import LaserScan, Scan
+from lidar_core.runs.flying import load_known_map
+from lidar_core.runs.result import MCAP
+from lidar_core.runs.settings import ConfigChoice, config_of_run
+
+SOURCES = "zenoh[:tcp/HOST:PORT], foxglove[:ws://HOST:PORT], udp[:PORT]"
+OUTPUTS = "foxglove[:PORT], zenoh[:tcp/HOST:PORT], rerun[:web[:PORT]|:FILE.rrd], mcap:FILE"
+OTHER_SENSORS = ("hesai", "livox", "ouster", "robosense")
+"""Whose packets nobody decodes here: ouster-sdk needs an environment of its own."""
+FOXGLOVE_PORT, PAGE_PORT = 8765, 9090
+
+
+@dataclass(frozen=True, slots=True)
+class PipelineChoice:
+    """Which pipeline scans go through; made when the first scan tells its sort."""
+
+    capability: Literal["auto", "flying", "circles"]
+    clouds: tuple[str, ...]
+    scans: tuple[str, ...]
+    config: FlyingConfig | CirclesConfig | ConfigChoice | None
+    known_map: Path | None
+    threads: int
+    allow_untrusted: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse options that contradict each other."""
+        if self.clouds and self.scans:
+            raise ConfigError("cloud, scan: expected topics of one sort, got both")
+        for wanted, named in (("flying", self.scans), ("circles", self.clouds)):
+            if named and self.capability == wanted:
+                raise ConfigError(f"capability: {wanted} does not read {', '.join(named)}")
+        if self.known_map is not None and not self.wants_clouds:
+            raise ConfigError("map: is for flying objects in clouds, got 2D scans")
+
+    @property
+    def wants_clouds(self) -> bool:
+        """Whether clouds go through."""
+        return self.capability != "circles" and not self.scans
+
+    @property
+    def wants_scans(self) -> bool:
+        """Whether 2D scans go through."""
+        return self.capability != "flying" and not self.clouds and self.known_map is None
+
+    def topics(self, odometry: str | None) -> StreamTopics:
+        """What to ask a stream for."""
+        return StreamTopics(self.clouds, self.scans, self.wants_clouds, self.wants_scans, odometry)
+
+    def silence(self, name: str, advertised: Sequence[str]) -> str:
+        """Say that the source `name` brings no scan that is wanted, and what it has instead."""
+        sorts = " or ".join(
+            what
+            for what, wanted in (("clouds", self.wants_clouds), ("2D scans", self.wants_scans))
+            if wanted
+        )
+        named = ", ".join((*self.clouds, *self.scans)) or f"any topic with {sorts}"
+        return f"no scan yet of {named}; {name} has: {'; '.join(advertised) or 'nothing'}"
+
+    def pipeline(self, sort: type) -> LivePipeline[Any] | None:
+        """Pipeline for scans of a sort; None if it is not wanted."""
+        if sort is Scan and self.wants_clouds:
+            return self._flying()
+        return self._circles() if sort is LaserScan and self.wants_scans else None
+
+    def _flying(self) -> FlyingLive:
+        config: Any = self.config
+        detector = FlyingObjectDetector(
+            config_of_run(config, FlyingConfig, "flying"), threads=self.threads
+        )
+        if self.known_map is not None:
+            load_known_map(detector, self.known_map)
+        return FlyingLive(detector)
+
+    def _circles(self) -> CirclesLive:
+        config: Any = self.config
+        return CirclesLive(
+            config_of_run(config, CirclesConfig, "circles"),
+            n_scanners=max(1, len(self.scans)),
+            allow_untrusted=self.allow_untrusted,
+        )
+
+
+def open_source(
+    text: str | None,
+    replay: Path | None,
+    *,
+    rate: float | None,
+    read: ReadOptions,
+    live: LiveConfig,
+    topics: StreamTopics,
+) -> Source:
+    """Source that --in or --replay names.
+
+    Raises
+    ------
+    ConfigError
+        None or both, or no such source.
+    """
+    if (text is None) == (replay is None):
+        raise ConfigError(f"live: expected one of --in and --replay; --in is {SOURCES}")
+    if replay is not None:
+        from lidar_core.live.replay import ReplaySource
+
+        return ReplaySource(replay, read, rate=rate or 1.0, topics=topics)
+    if rate is not None:
+        raise ConfigError("--rate: says nothing about a stream; it is for --replay")
+    kind, _, place = str(text).partition(":")
+    if kind == "zenoh":
+        from lidar_core.live.zenoh_link import DEFAULT_ENDPOINT
+        from lidar_core.live.zenoh_source import ZenohSource
+
+        return ZenohSource(place or DEFAULT_ENDPOINT, topics, read, live)
+    if kind == "foxglove":
+        from lidar_core.live.foxglove_source import DEFAULT_ADDRESS, FoxgloveSource
+
+        return FoxgloveSource(place or DEFAULT_ADDRESS, topics, read, live)
+    if kind == "udp":
+        from lidar_core.live.udp_source import DEFAULT_PORT, UdpSource
+
+        return UdpSource(_port(place or str(DEFAULT_PORT), "--in udp"), read)
+    drivers = (
+        "; of sensors that are not Velodyne's run the driver, and listen to its topic:"
+        " --in zenoh --cloud TOPIC"
+    )
+    raise ConfigError(
+        f"--in {text}: expected one of {SOURCES}{drivers if kind in OTHER_SENSORS else ''}"
+    )
+
+
+def check_files(
+    outputs: Iterable[str], replayed: Path | None, folder: Path | None, *, overwrite: bool
+) -> None:
+    """Refuse files that hold something, before anything is opened; also that of a run's `folder`.
+
+    Raises
+    ------
+    ConfigError
+        A file is there that must not be replaced, belongs to the recording that is played, or is
+        named twice.
+    """
+    places = [path for text in outputs if (path := _file(text)) is not None]
+    counts = Counter(path.resolve() for path in places)
+    of_run = [] if folder is None else [folder / MCAP]
+    for path in (*places, *of_run):
+        if path in of_run and counts[path.resolve()]:
+            raise ConfigError(f"--out mcap:{path}: -o {folder} writes this file; leave --out away")
+        if counts[path.resolve()] > 1:
+            raise ConfigError(
+                f"--out {path}: expected once, it is given {counts[path.resolve()]} times"
+            )
+        if not path.exists():
+            continue
+        if replayed is not None and path.resolve().is_relative_to(replayed.resolve()):
+            raise ConfigError(f"{path}: expected another file than the one to read")
+        if not overwrite:
+            raise ConfigError(f"{path}: exists; --overwrite replaces it")
+
+
+def _file(text: str) -> Path | None:
+    """File that an --out names; None for what is no file."""
+    kind, _, place = text.partition(":")
+    is_file = (kind == "mcap" and place) or (kind == "rerun" and place.endswith(".rrd"))
+    return Path(place) if is_file else None
+
+
+def open_output(
+    text: str,
+    live: LiveConfig,
+    *,
+    allowed: Collection[str] = (),
+    on_refused: Callable[[str], None] = lambda reason: None,
+) -> Output:
+    """Output that an --out names.
+
+    Parameters
+    ----------
+    text : str
+        As given.
+    live : LiveConfig
+        Names of what goes out over Zenoh.
+    allowed : collection of str
+        Web pages that may connect to a server, from `allowed_origins`.
+    on_refused : callable
+        Told why somebody was refused.
+
+    Raises
+    ------
+    ConfigError
+        No such output.
+    """
+    from lidar_core.live import outputs
+
+    kind, _, place = text.partition(":")
+    file = _file(text)
+    if file is not None:
+        return outputs.McapOutput(file) if kind == "mcap" else outputs.RerunOutput(file)
+    if kind == "foxglove":
+        port = _port(place or str(FOXGLOVE_PORT), "--out foxglove")
+        return outputs.FoxgloveOutput(port, allowed=allowed, on_refused=on_refused)
+    if kind == "rerun" and place in ("", "window"):
+        return outputs.RerunWindowOutput()
+    if kind == "rerun" and place.partition(":")[0] == "web":
+        port = _port(place.partition(":")[2] or str(PAGE_PORT), "--out rerun:web")
+        return outputs.RerunPageOutput(port)
+    if kind == "zenoh":
+        from lidar_core.live.zenoh_link import DEFAULT_ENDPOINT
+        from lidar_core.live.zenoh_output import ZenohOutput
+
+        return ZenohOutput(place or DEFAULT_ENDPOINT, live)
+    raise ConfigError(f"--out {text}: expected one of {OUTPUTS}")
+
+
+def _port(text: str, option: str) -> int:
+    if not text.isdigit() or int(text) > 65535:
+        raise ConfigError(f"{option}: expected a port from 0 to 65535, got {text!r}")
+    return int(text)

@@ -1,0 +1,174 @@
+"""A live run: a stream, or a recording as if it were one, through a pipeline to outputs."""
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal
+
+from lidar_core.circles import CirclesConfig
+from lidar_core.flying import FlyingConfig
+from lidar_core.io import PoseOptions, ReadOptions
+from lidar_core.live import LiveConfig, LiveLoop
+from lidar_core.live.loop import Report
+from lidar_core.live.poses import LivePoses
+from lidar_core.run_folder import RunFolder
+from lidar_core.runs.live_choice import PipelineChoice, check_files, open_output, open_source
+from lidar_core.runs.live_folder import LiveFolder
+from lidar_core.runs.result import RunResult
+from lidar_core.runs.settings import ConfigChoice
+from lidar_core.viz.origin_check import allowed_origins
+
+
+@dataclass(frozen=True, slots=True)
+class LiveResult(RunResult):
+    """Result of a live run.
+
+    Attributes
+    ----------
+    heard_nothing : bool
+        The stream brought no scan that was asked for.
+    """
+
+    heard_nothing: bool = False
+
+
+def live(
+    source: str | None,
+    config: FlyingConfig | CirclesConfig | ConfigChoice | None,
+    output: str | PathLike[str] | None,
+    *,
+    replay: str | PathLike[str] | None = None,
+    rate: float | None = None,
+    outputs: Sequence[str] = (),
+    allow_origin: Sequence[str] = (),
+    capability: Literal["auto", "flying", "circles"] = "auto",
+    clouds: Sequence[str] = (),
+    scans: Sequence[str] = (),
+    pose: PoseOptions | None = None,
+    read: ReadOptions | None = None,
+    stream: LiveConfig | None = None,
+    known_map: str | PathLike[str] | None = None,
+    threads: int = 1,
+    allow_untrusted: bool = False,
+    seconds: float | None = None,
+    overwrite: bool = False,
+    on_message: Callable[[str], None] = lambda text: None,
+    on_report: Callable[[Report], None] = lambda report: None,
+) -> LiveResult:
+    """Process scans as they arrive, as `lidar-core live` does; only the newest scan is kept.
+
+    Parameters
+    ----------
+    source : str or None
+        zenoh[:tcp/HOST:PORT], foxglove[:ws://HOST:PORT], udp[:PORT]; None with `replay`.
+    config : FlyingConfig, CirclesConfig, ConfigChoice or None
+        Configuration of the pipeline; None is best mode.
+    output : str, Path or None
+        Folder to write when the run ends, as `detect` and `circles` write it; None for none.
+    replay : str or Path, optional
+        Recording to play instead of a stream.
+    rate : float, optional
+        Seconds of the recording per second.
+    outputs : sequence of str
+        foxglove[:PORT], zenoh[:tcp/HOST:PORT], rerun[:web[:PORT]|:FILE.rrd], mcap:FILE.
+    allow_origin : sequence of str
+        Web pages that may connect to a server, besides those of this machine.
+    capability : str
+        "auto": flying objects if clouds arrive, circles if 2D scans do.
+    clouds, scans : sequence of str
+        Topics of the LiDARs, 3D or 2D; empty for the first that brings a scan.
+    pose, read, known_map, threads, allow_untrusted, overwrite
+        As in `detect` and `circles`.
+    stream : LiveConfig, optional
+        How long to wait for poses, names of topics.
+    seconds : float, optional
+        Length of the run [s]; without it until the source or Ctrl-C ends it.
+    on_message : callable
+        Is called with texts: source and outputs, clients refused, what a silent stream has instead.
+    on_report : callable
+        Is called with a `Report` every `stream.report_interval`.
+
+    Returns
+    -------
+    LiveResult
+        `ended_by` is a KeyboardInterrupt after Ctrl-C, or an OSError if run.mcap could not be
+        completed; the other files are there.
+
+    Raises
+    ------
+    ConfigError
+        An option that cannot be used, or options that contradict each other.
+    LinkError
+        The source cannot be reached; the folder is written.
+    """
+    place = None if replay is None else Path(replay)
+    reading, settings, poses = read or ReadOptions(), stream or LiveConfig(), pose or PoseOptions()
+    allowed = allowed_origins(list(allow_origin))
+    chosen = PipelineChoice(
+        capability,
+        tuple(clouds),
+        tuple(scans),
+        config,
+        None if known_map is None else Path(known_map),
+        threads,
+        allow_untrusted,
+    )
+    where = LivePoses(poses, settings)
+    path = None if output is None else Path(output)
+    check_files(outputs, place, path, overwrite=overwrite)
+    folder = None
+    if path is not None:
+        folder = LiveFolder(RunFolder(path, overwrite=overwrite, reads=place), chosen.pipeline)
+    ended_by: KeyboardInterrupt | OSError | None = None
+    files, notes = list[str](), list[str]()
+    with ExitStack() as stack:
+        topics = chosen.topics(poses.odom)
+        listening = open_source(
+            source, place, rate=rate, read=reading, live=settings, topics=topics
+        )
+        stack.callback(listening.close)
+        opened = [
+            stack.enter_context(
+                closing(
+                    open_output(
+                        text,
+                        settings,
+                        allowed=allowed,
+                        on_refused=lambda reason: on_message(f"refused: {reason}"),
+                    )
+                )
+            )
+            for text in outputs
+        ]
+        opened += [] if folder is None else [folder]
+        loop: LiveLoop[Any] = LiveLoop(
+            listening,
+            chosen.pipeline if folder is None else folder.pipeline,
+            where,
+            opened,
+            settings,
+            topics=(*clouds, *scans),
+            on_report=on_report,
+            on_silence=lambda there: on_message(chosen.silence(listening.name, there)),
+        )
+        on_message(f"from {listening.name}")
+        for item in opened:
+            on_message(f"to {item.name}")
+        try:
+            loop.run(seconds)
+        except KeyboardInterrupt as interrupt:
+            ended_by = interrupt
+        finally:
+            names = [item.name for item in opened]
+            summary = {"command": "live", "outputs": names, **loop.summary()}
+            if folder is not None:
+                summary, files, notes = folder.write(
+                    summary,
+                    {"live": settings, "read": reading, "pose": poses},
+                    {"recording": place, "map": chosen.known_map},
+                )
+    if folder is not None and folder.failed is not None:
+        ended_by = folder.failed
+    return LiveResult(path, summary, tuple(files), tuple(notes), ended_by, loop.heard_nothing)

@@ -1,0 +1,167 @@
+"""Commands that go on from a recording, tried out as far as the first scan with a pose."""
+
+import shlex
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from lidar_core.errors import LidarCoreError
+from lidar_core.io import PosedScans, PoseOptions, ReadOptions, RecordingInfo, TopicInfo
+from lidar_core.io.formats.restamped import RestampedRecording
+from lidar_core.io.poses.nameless import UnclearCarrierError
+from lidar_core.io.recording import Recording
+from lidar_core.io.records import Record, Topic
+from lidar_core.messages import LaserScan, Pose, Scan
+
+COMMANDS = (
+    ("detect", "--cloud", ("scan", "scan+pose")),
+    ("circles", "--scan", ("planar", "planar+pose")),
+)
+"""What goes on from a recording: command, option of its topic, kinds of topics."""
+RADAR = "radar_msgs/"
+RECOVERED = "recovered.npz"
+TRIED_S = 20.0
+"""How much of a recording is looked at for a scan with a pose [s]."""
+AT_ORIGIN = "0 0 0 0 0 0"
+STANDS = "if the sensor moved: --pose FILE"
+MOUNTED = "zeros: the sensor sits at the origin of {}; else put x y z roll pitch yaw, in m and rad"
+
+UNCLEAR = "if the poses are those of {}: the recording does not say"
+
+
+class _Try(NamedTuple):
+    """Options that may tell where scans were taken, and what is to be said about them."""
+
+    values: dict[str, str]
+    remark: str = ""
+
+    def words(self) -> list[str]:
+        return [word for name, value in self.values.items() for word in (f"--{name}", value)]
+
+
+def next_steps(recording: Recording, info: RecordingInfo) -> Iterator[str]:
+    """Commands that go on from an open recording, with the options that it needs.
+
+    Options that somebody gave to read it are in them.
+    """
+    read = _read_options(recording.options)
+    if recording.options.recover:
+        words = ["lidar-core", "convert", info.path, RECOVERED, *read, "--recover"]
+        yield f"{shlex.join(words)}  (then go on with {RECOVERED})"
+        return
+    for command, option, kinds in COMMANDS:
+        topics = [topic for topic in info.topics if topic.kind in kinds]
+        if not topics:
+            continue
+        topic = max(topics, key=lambda one: one.points or 0)
+        choice = [option, topic.name] if len(topics) > 1 else []
+        stamps = info.stamps.get(topic.name)
+        times = [] if stamps is None else ["--stamps", stamps]
+        poses, remark = _poses(recording, info, topic, stamps)
+        own = [
+            word
+            for pair in zip(read[::2], read[1::2], strict=True)
+            for word in pair
+            if command == "detect" or pair[0] != "--metadata"
+        ]
+        yield _told(command, info.path, *choice, *own, *times, *poses) + remark
+    if any(topic.type.startswith(RADAR) for topic in info.topics):
+        yield _told("fuse", info.path)
+
+
+def _told(command: str, path: str, *options: str) -> str:
+    return shlex.join(["lidar-core", command, path, "-o", "run/", *options])
+
+
+def _read_options(options: ReadOptions) -> list[str]:
+    """Those that are not the defaults, as words of a command line."""
+    names = ("no_return", "point_time", "metadata", "stamps", "scan_rate")
+    defaults = type(options)()
+    given = {
+        name: getattr(options, name)
+        for name in names
+        if getattr(options, name) != getattr(defaults, name)
+    }
+    return [
+        word
+        for name, value in given.items()
+        for word in (f"--{name.replace('_', '-')}", f"{value}")
+    ]
+
+
+def _poses(
+    recording: Recording, info: RecordingInfo, topic: TopicInfo, stamps: str | None
+) -> tuple[list[str], str]:
+    """Options that tell where the scans of a topic were taken, and a remark."""
+    if "pose" in topic.kind:
+        return [], ""
+    if stamps is not None:
+        chosen = recording.options.model_copy(update={"stamps": stamps})
+        recording = RestampedRecording(recording, chosen)
+    recording, tries = _Remembered(recording), list(_tries(info, topic))
+    while tries:
+        one = tries.pop(0)
+        found = _tried(recording, topic, one)
+        if isinstance(found, list):
+            tries[:0] = [
+                _Try({**one.values, "mounting": text}, UNCLEAR.format(text.split()[0]))
+                for text in found
+            ]
+        elif found:
+            return one.words(), f"  ({one.remark})" if one.remark else ""
+    return ["--pose", "static"], f"  ({STANDS})"
+
+
+class _Remembered(Recording):
+    """A recording whose poses are read once, however many options are tried."""
+
+    def __init__(self, recording: Recording) -> None:
+        super().__init__(recording.path, recording.options)
+        self._recording, self.format = recording, recording.format
+        self._poses: list[tuple[Topic, Pose]] | None = None
+
+    def topics(self) -> list[Topic]:
+        """Streams of the recording."""
+        return self._recording.topics()
+
+    def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
+        """Stored messages."""
+        return self._recording.records(kinds)
+
+    def poses(self) -> Iterator[tuple[Topic, Pose]]:
+        """Poses alone."""
+        if self._poses is None:
+            self._poses = list(self._recording.poses())
+        return iter(self._poses)
+
+
+def _tries(info: RecordingInfo, topic: TopicInfo) -> Iterator[_Try]:
+    """The recording as it is, its odometry, a mounting on what moves."""
+    moving = [child for _, child, is_static in info.transforms if not is_static]
+    if not moving:
+        return
+    yield _Try({})
+    yield from (_Try({"odom": one.name}) for one in info.topics if one.kind == "pose" and one.name)
+    if topic.frames:
+        named = [child for child in moving if child and child not in topic.frames]
+        yield from (
+            _Try({"mounting": f"{child} {topic.frames[0]} {AT_ORIGIN}"}, MOUNTED.format(child))
+            for child in named
+        )
+
+
+def _tried(recording: Recording, topic: TopicInfo, one: _Try) -> bool | list[str]:
+    """Whether a scan has a pose with these options; or the mountings one of which must be given."""
+    is_planar = topic.kind.startswith("planar")
+    values = {name: (value,) if name == "mounting" else value for name, value in one.values.items()}
+    options = PoseOptions.load({**values, "cloud": topic.name, "end": TRIED_S})
+    try:
+        scans: PosedScans[LaserScan] | PosedScans[Scan] = (
+            PosedScans(recording, options, LaserScan)
+            if is_planar
+            else PosedScans(recording, options, Scan)
+        )
+        return next(iter(scans), None) is not None
+    except UnclearCarrierError as error:
+        return error.mountings
+    except LidarCoreError:
+        return False

@@ -1,0 +1,104 @@
+"""Targets in the plane as MCAP, for viewers: measured places, sensor, tracks."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.fusion import Measurement
+from lidar_core.io import McapWriter
+from lidar_core.io.poses.posed import WORLD_FRAME
+from lidar_core.messages import Pose, Scan
+from lidar_core.run_folder import RunFolder
+from lidar_core.runs.result import MCAP
+
+SENSOR_FRAME, MEASUREMENTS_TOPIC = "sensor", "/measurements"
+
+
+@dataclass(frozen=True, slots=True)
+class PlanarStep:
+    """What was measured, and what is known of the targets, at one time.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        [ns].
+    places : ndarray, shape (M, 2)
+        Measured positions in the frame of the sensor [m].
+    sensor : ndarray, shape (3,)
+        x, y [m] and yaw [rad] of the sensor in the world.
+    id : ndarray, shape (T,), int64
+        Numbers of the tracks.
+    planar_position, planar_velocity : ndarray, shape (T, 2)
+        [m], [m/s].
+    """
+
+    stamp_ns: int
+    places: NDArray[np.float64]
+    sensor: NDArray[np.float64]
+    id: NDArray[np.int64]
+    planar_position: NDArray[np.float64]
+    planar_velocity: NDArray[np.float64]
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Positions (T, 3), heights zero [m]."""
+        return in_plane(self.planar_position)
+
+    @property
+    def velocity(self) -> NDArray[np.float64]:
+        """Velocities (T, 3) [m/s]."""
+        return in_plane(self.planar_velocity)
+
+    @property
+    def extent(self) -> NDArray[np.float64]:
+        """Sides of bounding boxes (T, 3), which nobody knows: zero [m]."""
+        return np.zeros((len(self.id), 3))
+
+
+def in_plane(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows (K, 2) with a zero as third value."""
+    return np.pad(rows, ((0, 0), (0, 1)))
+
+
+def in_world(places: NDArray[np.float64], sensor: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Places (M, 2) in the frame of a sensor at x, y, yaw, in the world."""
+    matrix = _matrix(sensor)
+    found: NDArray[np.float64] = places @ matrix[:2, :2].T + sensor[:2]
+    return found
+
+
+def write_run_mcap(folder: RunFolder, steps: Iterable[PlanarStep]) -> str:
+    """Write run.mcap: the sensor in the world, measured places as clouds, tracks; its name."""
+    with McapWriter(folder.path / MCAP, tracks_frame=WORLD_FRAME) as writer:
+        for step in steps:
+            writer.write(Pose(step.stamp_ns, WORLD_FRAME, SENSOR_FRAME, _matrix(step.sensor)))
+            if len(step.places):
+                points = in_plane(step.places).astype(np.float32)
+                writer.write(Scan(step.stamp_ns, points, SENSOR_FRAME, topic=MEASUREMENTS_TOPIC))
+            writer.write(step)
+    return MCAP
+
+
+def sensor_at(
+    measurements: Sequence[Measurement], stamps: NDArray[np.int64], lever: tuple[float, float]
+) -> NDArray[np.float64]:
+    """x, y, yaw (K, 3) of the sensor between the poses that were measured; zero without one."""
+    poses = [m for m in measurements if m.sensor == "pose" and np.isfinite(m.values).all()]
+    if not poses:
+        return np.zeros((len(stamps), 3))
+    first = poses[0].stamp_ns
+    times = np.array([m.stamp_ns - first for m in poses])
+    x, y, yaw = np.array([m.values[:3] for m in poses]).T
+    x, y, yaw = (np.interp(stamps - first, times, values) for values in (x, y, np.unwrap(yaw)))
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.stack([x + c * lever[0] - s * lever[1], y + s * lever[0] + c * lever[1], yaw], axis=1)
+
+
+def _matrix(sensor: NDArray[np.float64]) -> NDArray[np.float64]:
+    x, y, yaw = sensor
+    matrix = np.eye(4)
+    matrix[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    matrix[:2, 3] = x, y
+    return matrix

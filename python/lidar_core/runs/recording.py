@@ -1,0 +1,186 @@
+"""Runs on recordings: scans through a pipeline, into a run folder."""
+
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import Any, Generic, Protocol
+
+from lidar_core.config import Config
+from lidar_core.errors import LidarCoreError
+from lidar_core.io import PoseOptions, ReadOptions
+from lidar_core.io.poses.posed import PosedScan, ScanT
+from lidar_core.run_folder import RunFolder, fingerprint
+from lidar_core.runs.result import MCAP, OnProgress, Picture, RunResult, draw, wants_mcap
+from lidar_core.runs.scan_source import ScanSource
+
+
+class ScanRun(Protocol[ScanT]):
+    """A pipeline, and what it found so far."""
+
+    frame_id: str
+
+    @property
+    def n_received(self) -> int:
+        """Scans so far, rejected ones included."""
+
+    def take(self, item: PosedScan[ScanT]) -> object:
+        """Process one scan."""
+
+    def open_mcap(self, folder: RunFolder) -> AbstractContextManager[object]:
+        """Open run.mcap for the results of the scans from here on."""
+
+    def summary(self) -> dict[str, Any]:
+        """The results as plain values."""
+
+    def write(self, folder: RunFolder) -> list[str]:
+        """Write tables and trajectories; return their names."""
+
+    def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
+        """Pictures of a run on the recording `name`."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingJob(Generic[ScanT]):
+    """A recording, how it is read, and what is written.
+
+    Attributes
+    ----------
+    command : str
+        Name of the command.
+    sort : type
+        `Scan` or `LaserScan`: what is read.
+    recording : Path
+        File or folder.
+    folder : RunFolder
+        Folder to write.
+    config : mapping of str to Config
+        Configurations that run.toml keeps, by name.
+    read : ReadOptions
+        How the recording is read.
+    pose : PoseOptions
+        Where the poses come from, and which part of the recording is used.
+    topics : tuple of str
+        Topics of the sensors; empty for the only one.
+    repeat : int
+        How often the recording is played.
+    inputs : mapping of str to Path or None
+        Further files that run.toml names with their hashes.
+    note : mapping of str to Any
+        Further values that run.toml keeps.
+    mcap : bool
+        Whether run.mcap is written.
+    picture : bool
+        Whether pictures are drawn.
+    on_progress : callable
+        Is told how far the run is.
+    """
+
+    command: str
+    sort: type[ScanT]
+    recording: Path
+    folder: RunFolder
+    config: Mapping[str, Config]
+    read: ReadOptions
+    pose: PoseOptions
+    topics: tuple[str, ...]
+    mcap: bool
+    picture: bool
+    on_progress: OnProgress
+    repeat: int = 1
+    inputs: Mapping[str, Path | None] = field(default_factory=dict)
+    note: Mapping[str, Any] = field(default_factory=dict)
+
+    def run(self, run: ScanRun[ScanT]) -> RunResult:
+        """Process the recording and write the folder.
+
+        Ctrl-C and errors on the way end it early; the folder then holds the scans so far. Errors
+        before the first scan are raised, and leave no folder.
+        """
+        source = ScanSource(
+            self.recording, self.read, self.pose, self.topics, self.repeat, self.sort
+        )
+        with source:
+            ended_by = self._process(source, run)
+            if not run.n_received:
+                self.folder.begin()
+            summary = {
+                "command": self.command,
+                "recording": str(self.recording),
+                "format": source.format,
+                "poses": source.pose_source,
+                "frame_id": source.frame_id,
+                **run.summary(),
+                "without_pose": source.without_pose,
+                "notes": source.notes,
+                "ended_early": None if ended_by is None else str(ended_by) or "interrupted",
+            }
+        files = [*run.write(self.folder), "run.toml", "summary.json"]
+        self.folder.write_summary(summary)
+        self._write_note()
+        notes: list[str] = []
+        if self.picture:
+            drawn, notes = draw(run.pictures(self.folder, self.recording.name))
+            files += drawn
+        if (self.folder.path / MCAP).exists():
+            files.append(MCAP)
+        return RunResult(self.folder.path, summary, tuple(sorted(files)), tuple(notes), ended_by)
+
+    def _process(
+        self, source: ScanSource[ScanT], run: ScanRun[ScanT]
+    ) -> KeyboardInterrupt | LidarCoreError | OSError | None:
+        """Pass every scan through the pipeline; return what ended it early."""
+        scans = iter(source)
+        try:
+            first = next(scans, None)
+            if first is None:
+                return None
+            run.frame_id = source.frame_id
+            self.folder.begin()
+            total = source.total
+            with run.open_mcap(self.folder) if self.mcap else nullcontext():
+                run.take(first)
+                for done, item in enumerate(scans, start=1):
+                    self.on_progress(self.command, done, total)
+                    run.take(item)
+        except KeyboardInterrupt as interrupt:
+            return interrupt
+        except (LidarCoreError, OSError) as error:  # OSError: also a run.mcap that filled the disk
+            if not run.n_received:
+                raise
+            return error
+        return None
+
+    def _write_note(self) -> None:
+        """Write run.toml, with the hashes of everything that was read."""
+        files = {"recording": self.recording, "poses": Path(self.pose.pose), **self.inputs}
+        self.on_progress("hashing the recording", 0, None)
+        inputs = {
+            name: fingerprint(path)
+            for name, path in files.items()
+            if path is not None and path.exists()
+        }
+        self.folder.write_note(
+            inputs, {**self.config, "read": self.read, "pose": self.pose}, **self.note
+        )
+
+
+def folder_to_write(
+    output: str | PathLike[str], *, mcap: bool | None, overwrite: bool, reads: Path | None
+) -> tuple[RunFolder, bool]:
+    """Folder of a run, and whether it gets a run.mcap; refused before any work.
+
+    Raises
+    ------
+    FileExistsError
+        The folder holds other files, or an earlier run and `overwrite` is not given.
+    MissingExtraError
+        `mcap` is true, and the package for it is not installed.
+    """
+    writes_mcap = wants_mcap(mcap)
+    return RunFolder(Path(output), overwrite=overwrite, reads=reads), writes_mcap
+
+
+def no_progress(what: str, done: int, total: int | None) -> None:
+    """Ignore how far a run is."""

@@ -1,0 +1,87 @@
+"""What a run returns: its folder, its summary, its files, and what ended it early."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from lidar_core.errors import FormatError, LidarCoreError, MissingExtraError
+from lidar_core.extras import require
+
+MCAP = "run.mcap"
+OnProgress: TypeAlias = Callable[[str, int, int | None], None]
+"""Is called with what is done, how much of it, and of how much, where that is known."""
+Picture: TypeAlias = tuple[Path, Callable[[], object]]
+"""A file, and what draws it."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """Result of a run.
+
+    Attributes
+    ----------
+    folder : Path or None
+        Folder that was written; None for a live run without one.
+    summary : dict
+        Plain values, as in summary.json.
+    files : tuple of str
+        Names of the files in the folder, sorted.
+    notes : tuple of str
+        What looks wrong, and what could not be written because an extra is missing.
+    ended_by : KeyboardInterrupt, LidarCoreError or OSError, optional
+        What ended the run early; the files hold the scans up to there.
+    """
+
+    folder: Path | None
+    summary: dict[str, Any] = field(repr=False)
+    files: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    ended_by: KeyboardInterrupt | LidarCoreError | OSError | None = None
+
+    def raise_if_failed(self) -> None:
+        """Raise what ended the run early, or that most of its scans were rejected.
+
+        Raises
+        ------
+        FormatError
+            More than half of the scans were rejected.
+        KeyboardInterrupt, LidarCoreError, OSError
+            `ended_by`.
+        """
+        if self.ended_by is not None:
+            raise self.ended_by
+        scans = self.summary.get("scans", {})
+        rejected = Counter(scans.get("rejected", {}))
+        if 2 * rejected.total() > scans.get("received", 0):
+            raise FormatError(
+                f"{rejected.total()} of {scans['received']} scans were rejected, most of them:"
+                f" {rejected.most_common(1)[0][0]}; the files hold the others"
+            )
+
+
+def wants_mcap(mcap: bool | None) -> bool:
+    """Whether to write run.mcap: None means where the package for it is installed.
+
+    Raises
+    ------
+    MissingExtraError
+        `mcap` is true, and the package is not installed.
+    """
+    if mcap:
+        require("foxglove", extra="viz", purpose="writing MCAP")
+    return find_spec("foxglove") is not None if mcap is None else mcap
+
+
+def draw(pictures: Iterable[Picture]) -> tuple[list[str], list[str]]:
+    """Draw pictures; return names of those drawn, and a note if matplotlib is missing."""
+    names: list[str] = []
+    try:
+        for path, paint in pictures:
+            paint()
+            names.append(path.name)
+    except MissingExtraError as error:
+        return names, [f"no picture: {error}"]
+    return names, []

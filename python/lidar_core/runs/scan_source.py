@@ -1,0 +1,167 @@
+"""Scans with poses from a recording: one or several LiDARs, once or over and over."""
+
+import heapq
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Generic, Self
+
+from lidar_core.errors import ConfigError
+from lidar_core.io import PosedScan, PosedScans, PoseOptions, ReadOptions, open_recording
+from lidar_core.io.poses.posed import ScanT
+from lidar_core.io.recording import Recording
+from lidar_core.messages import Scan
+
+
+@dataclass(frozen=True, slots=True)
+class _Lidar(Generic[ScanT]):
+    recording: Recording
+    scans: PosedScans[ScanT]
+
+
+class ScanSource(Generic[ScanT]):
+    """The posed scans of one recording, in time order; a context manager.
+
+    Parameters
+    ----------
+    path : Path
+        Recording.
+    read : ReadOptions
+        How to read it.
+    pose : PoseOptions
+        Where the poses come from; its `cloud` is not used.
+    clouds : sequence of str
+        Topics of the LiDARs; empty for the only one. Each is read through a handle of its own.
+    repeat : int
+        How often the recording is played, one after the other: opens the gate of the background
+        on recordings that are too short for it.
+    sort : type
+        `Scan` or `LaserScan`: what is wanted of the recording.
+
+    Raises
+    ------
+    ConfigError
+        Several LiDARs and no poses to tell their mountings by, a topic twice, or no such topic.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        read: ReadOptions,
+        pose: PoseOptions,
+        clouds: Sequence[str],
+        repeat: int,
+        sort: type[ScanT],
+    ) -> None:
+        if twice := [topic for topic, count in Counter(clouds).items() if count > 1]:
+            raise ConfigError(
+                f"topic {twice[0]!r}: expected once, it is given {clouds.count(twice[0])} times"
+            )
+        if len(clouds) > 1 and pose.pose == "static" and not pose.mounting:
+            raise ConfigError(
+                "pose: static puts several LiDARs at one place; say where each sits with"
+                " --mounting, or leave it out, and name the frame that they are mounted on with"
+                " --fixed-frame"
+            )
+        self._read = read
+        self._repeat = repeat
+        self._stack = ExitStack()
+        self._lidars: list[_Lidar[ScanT]] = []
+        with ExitStack() as stack:
+            for cloud in clouds or (None,):
+                recording = stack.enter_context(open_recording(path, read))
+                chosen = pose.model_copy(update={"cloud": cloud})
+                self._lidars.append(_Lidar(recording, PosedScans(recording, chosen, sort)))
+            self._stack = stack.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.close()
+
+    def __iter__(self) -> Iterator[PosedScan[ScanT]]:
+        first_ns = last_ns = 0
+        count: Counter[str] = Counter()
+        shift_ns = 0
+        for turn in range(self._repeat):
+            for item in heapq.merge(*(lidar.scans for lidar in self._lidars), key=_stamp_ns):
+                if turn == 0:
+                    first_ns = _stamp_ns(item) if not count else first_ns
+                    last_ns = _stamp_ns(item)
+                    count[item.scan.topic] += 1
+                yield _shifted(item, turn * shift_ns)
+            if not count:
+                return
+            most = max(count.values())
+            period = (last_ns - first_ns) // (most - 1) if most > 1 else 0
+            shift_ns = last_ns - first_ns + (period or round(1e9 / self._read.scan_rate))
+
+    @property
+    def total(self) -> int | None:
+        """Scans to come, where the recording states their number."""
+        counts = [
+            topic.count
+            for lidar in self._lidars
+            for topic in lidar.recording.topics()
+            if topic.name == lidar.scans.cloud
+        ]
+        known = [count for count in counts if count is not None]
+        return self._repeat * sum(known) if len(known) == len(self._lidars) else None
+
+    @property
+    def frame_id(self) -> str:
+        """Frame that the poses are in."""
+        return self._lidars[0].scans.fixed_frame
+
+    @property
+    def pose_source(self) -> str:
+        """Where the poses come from, in words."""
+        return self._lidars[0].scans.source
+
+    @property
+    def format(self) -> str:
+        """Format of the recording."""
+        return self._lidars[0].recording.format
+
+    @property
+    def notes(self) -> list[str]:
+        """What the readers noticed: defects, conventions they assumed, messages left out."""
+        found = [lidar.recording.noticed() for lidar in self._lidars]
+        rejected = Counter[str]()
+        for item in found:
+            rejected |= item.rejected
+        texts = [note for item in found for note in item.notes]
+        texts += [f"{topic}: {count} messages rejected" for topic, count in rejected.items()]
+        return list(dict.fromkeys(texts))
+
+    @property
+    def without_pose(self) -> dict[str, int]:
+        """Scans left out because they have no pose, per reason."""
+        total = Counter[str]()
+        for lidar in self._lidars:
+            total += lidar.scans.without_pose
+        return dict(total)
+
+
+def _stamp_ns(item: PosedScan[ScanT]) -> int:
+    return item.scan.stamp_ns
+
+
+def _shifted(item: PosedScan[ScanT], shift_ns: int) -> PosedScan[ScanT]:
+    """`item` as if recorded later."""
+    if shift_ns == 0:
+        return item
+    scan, stamps = replace(item.scan, stamp_ns=item.scan.stamp_ns + shift_ns), item.pose_stamps_ns
+    if isinstance(scan, Scan) and scan.point_time_ns is not None:
+        scan = replace(scan, point_time_ns=scan.point_time_ns + shift_ns)
+    later = None if stamps is None else stamps + shift_ns
+    return PosedScan(scan, item.world_from_lidar, later, item.pose_covariance)

@@ -1,0 +1,228 @@
+"""Configuration of a run: a mode, a file, single values."""
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeAlias, TypeVar
+
+from lidar_core.config import Config, as_config, toml_values
+from lidar_core.errors import ConfigError
+from lidar_core.files import read_whole
+from lidar_core.parameters import MODELS, model_named
+
+ConfigT = TypeVar("ConfigT", bound=Config)
+Mode: TypeAlias = Literal["best", "paper"]
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigChoice:
+    """Which configuration a run gets: that of a mode, then a file's values, then single ones.
+
+    Attributes
+    ----------
+    mode : str
+        "best" or "paper".
+    file : Path, optional
+        TOML file; the run.toml of an earlier run, or its folder, is also accepted.
+    values : tuple of str
+        Single values as "SECTION.NAME=VALUE".
+    """
+
+    mode: Mode = "best"
+    file: Path | None = None
+    values: tuple[str, ...] = ()
+
+
+def config_of_run(
+    config: ConfigT | ConfigChoice | None,
+    model: type[ConfigT],
+    section: str,
+    *,
+    base: ConfigT | None = None,
+) -> ConfigT:
+    """Configuration of a run.
+
+    A scan that cannot be used is counted, unless the configuration says otherwise: one bad scan
+    is no reason to give a recording up.
+
+    Parameters
+    ----------
+    config : Config, ConfigChoice or None
+        A configuration, what to make it of, or None for best mode.
+    model : type
+        `FlyingConfig`, `CirclesConfig`, `FusionConfig` or `MultiTargetConfig`.
+    section : str
+        Its name in a run.toml.
+    base : Config, optional
+        Configuration of best mode, if not `model()`.
+
+    Raises
+    ------
+    ConfigError
+        Another class, a file or value that cannot be used, or a mode that there is not.
+    """
+    if config is None or isinstance(config, ConfigChoice):
+        choice = config or ConfigChoice()
+        start = base or model()
+        if choice.mode == "paper":
+            paper = getattr(model, "paper", None)
+            if paper is None:
+                raise ConfigError(f"mode: {section} has no paper mode")
+            start = paper()
+        return run_config(start, section, choice.file, choice.values)
+    given = as_config(config, model)
+    if "on_bad_scan" in type(given).model_fields.keys() - given.model_fields_set:
+        return given.model_copy(update={"on_bad_scan": "count"})
+    return given
+
+
+def run_config(
+    base: ConfigT, section: str, file: Path | None, assignments: Iterable[str]
+) -> ConfigT:
+    """Configuration of a run: that of its mode, then the file's values, then `a.b=c` ones.
+
+    A scan that cannot be used is counted, unless the file or an assignment says otherwise: one
+    bad scan is no reason to give a recording up.
+
+    Parameters
+    ----------
+    base : Config
+        Configuration of a pipeline in the mode of the run.
+    section : str
+        Its name in a run.toml.
+    file, assignments
+        As the command line gives them.
+
+    Raises
+    ------
+    ConfigError
+        A file or assignment is no TOML, or a value is unknown or outside its range.
+    """
+    values = base.model_dump()
+    if "on_bad_scan" in values:
+        values["on_bad_scan"] = "count"
+    if file is not None:
+        values = merged(values, file_values(file, section))
+        if section in values.keys() - type(base).model_fields.keys():
+            raise ConfigError(
+                f"{file}: {section}: expected its values without this table around them, or as"
+                f" [config.{section}], as a run.toml has them"
+            )
+        loaded(type(base), values, file)
+    return type(base).load(with_assignments(values, assignments))
+
+
+def loaded(model: type[ConfigT], values: dict[str, Any], file: Path) -> ConfigT:
+    """Configuration of these values, which are those of a file.
+
+    Raises
+    ------
+    ConfigError
+        A value is unknown or outside its range; the text names the file.
+    """
+    try:
+        return model.load(values)
+    except ConfigError as error:
+        raise ConfigError(f"{file}: {error}") from error
+
+
+def with_assignments(
+    values: dict[str, Any],
+    assignments: Iterable[str],
+    *,
+    option: str = "--set",
+    example: str = "voxel_map.voxel_size=0.5",
+) -> dict[str, Any]:
+    """`values` with those of `a.b=c` texts; `option` and `example` are for the error.
+
+    Raises
+    ------
+    ConfigError
+        A text is no assignment.
+    """
+    for text in assignments:
+        change = _assignment(text)
+        if change is None:
+            raise ConfigError(f"{option} {text}: expected name=value, such as {example}")
+        values = merged(values, change)
+    return values
+
+
+def merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """`values` with `changes`, table by table; a table of another `kind` replaces the whole one."""
+    result = dict(values)
+    for name, change in changes.items():
+        before = result.get(name)
+        if isinstance(change, dict) and isinstance(before, dict) and _is_alike(before, change):
+            result[name] = merged(before, change)
+        else:
+            result[name] = change
+    return result
+
+
+def _is_alike(before: dict[str, Any], change: dict[str, Any]) -> bool:
+    kind = before.get("kind")
+    return bool(change.get("kind", kind) == kind)
+
+
+def file_values(file: Path, section: str) -> dict[str, Any]:
+    """Values that a configuration file has of the model `section`, or a run.toml of its run.
+
+    Raises
+    ------
+    ConfigError
+        The file is for another model.
+    """
+    values = _toml(file)
+    of_run = _noted(values).get(section)
+    if isinstance(of_run, dict):
+        return of_run
+    is_unknown = bool(values.keys() - model_named(section).model_fields.keys() - {section})
+    other = next(_models_of(file), section) if is_unknown else section
+    if other != section:
+        raise ConfigError(f"{file}: holds values of {other}, expected those of {section}")
+    return values
+
+
+def model_of(file: Path) -> str:
+    """Name of the model that a file fills: the first of a run.toml, which is its pipeline's.
+
+    Of other files the first that has all their values; "flying" where none has.
+    """
+    return next(_models_of(file), "flying")
+
+
+def _models_of(file: Path) -> Iterator[str]:
+    """Names of the models that a file may be for, the likeliest first."""
+    values = _toml(file)
+    yield from (name for name in _noted(values) if name in MODELS)
+    for name in ("flying", *MODELS):
+        if values.keys() <= model_named(name).model_fields.keys():
+            yield name
+
+
+def _toml(file: Path) -> dict[str, Any]:
+    """Values of a file; a folder stands for the run.toml that a run left in it."""
+    from lidar_core.run_folder import RUN_FILE
+
+    file = file / RUN_FILE if file.is_dir() else file
+    return toml_values(read_whole(file), file)
+
+
+def _noted(values: dict[str, Any]) -> dict[str, Any]:
+    """Configurations of a run.toml by their models; none of other files."""
+    noted = values.get("config")
+    return noted if isinstance(noted, dict) else {}
+
+
+def _assignment(text: str) -> dict[str, Any] | None:
+    """`a.b=c` as tables; what is no TOML value is taken as text. None for other texts."""
+    key, equals, value = text.partition("=")
+    for candidate in (text, f"{key}={json.dumps(value.strip())}"):
+        try:
+            return toml_values(candidate.encode(), text)
+        except (ConfigError, UnicodeEncodeError):  # the latter: a text that is no UTF-8
+            if not equals or not key.strip():
+                break
+    return None

@@ -1,0 +1,345 @@
+"""A run on one target: filter, summary, tables, picture."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.config import Config
+from lidar_core.errors import InputError, NumericalError
+from lidar_core.estimation import chi2_quantile
+from lidar_core.evaluation import nees
+from lidar_core.fusion import (
+    FusionConfig,
+    Measurement,
+    MeasurementLog,
+    Run,
+    run,
+    smooth,
+)
+from lidar_core.fusion.plausibility import geographic_poses
+from lidar_core.fusion.states import state_names, velocities
+from lidar_core.io.write.covariance import covariance_columns
+from lidar_core.io.write.tracks import write_trajectories
+from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
+from lidar_core.runs.planar import PlanarStep, in_plane, sensor_at, write_run_mcap
+from lidar_core.runs.result import Picture
+from lidar_core.viz import FusionView, PlanarLine, draw_fusion
+
+LIMIT = 0.95
+"""Share of the NIS of a consistent filter that is below its limit."""
+TARGET_SENSORS = ("lidar", "radar")
+COORDINATES = ("x", "y", "vx", "vy")
+
+
+@dataclass(frozen=True, slots=True)
+class TargetRun:
+    """One target filtered, and what is told about it.
+
+    Attributes
+    ----------
+    log : MeasurementLog
+        Sorted by time, the truth along with it.
+    result : Run
+        Row for row as the log.
+    config : FusionConfig
+    reading : mapping of str to Config
+        How it was read, as run.toml keeps it.
+    lag : float or None
+        Of the smoother [s].
+    seconds : float
+        Time that the filter took [s].
+    """
+
+    log: MeasurementLog
+    result: Run
+    config: FusionConfig
+    reading: Mapping[str, Config]
+    lag: float | None
+    seconds: float
+
+    @classmethod
+    def of(
+        cls,
+        log: MeasurementLog,
+        config: FusionConfig,
+        reading: Mapping[str, Config],
+        *,
+        lag: float | None,
+    ) -> "TargetRun":
+        """Filter a log, or smooth it with a lag [s]."""
+        ordered = _in_order(log)
+        start = perf_counter()
+        if lag is None:
+            result = run(ordered.measurements, config)
+        else:
+            result = smooth(ordered.measurements, config, lag=lag)
+        return cls(ordered, result, config, reading, lag, perf_counter() - start)
+
+    @property
+    def doubt(self) -> str | None:
+        """What looks wrong and may be right."""
+        return geographic_poses(self.log.measurements)
+
+    @property
+    def configs(self) -> dict[str, Config]:
+        """What run.toml keeps."""
+        return {"fusion": self.config, **self.reading}
+
+    @property
+    def sensors(self) -> NDArray[np.str_]:
+        """Sensor of every measurement."""
+        return np.array([m.sensor for m in self.log.measurements], np.str_)
+
+    @property
+    def stamps(self) -> NDArray[np.int64]:
+        """Times of the measurements [ns]."""
+        return np.array([m.stamp_ns for m in self.log.measurements], np.int64)
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Rows with a state."""
+        states = self.result.states
+        known = states.shape[1] > 0
+        return np.array([known and bool(row.all()) for row in np.isfinite(states)], np.bool_)
+
+    @property
+    def states(self) -> NDArray[np.float64]:
+        """Those states."""
+        rows = self.seen
+        width = len(state_names(self.config))
+        return self.result.states[rows] if rows.any() else np.empty((0, width))
+
+    @property
+    def errors(self) -> NDArray[np.float64] | None:
+        """Estimate minus truth, (K, 4) of x, y, vx, vy, rows with a state; None without truth."""
+        truth, rows = self.log.truth, self.seen
+        if truth is None:
+            return None
+        states = self.states
+        return np.hstack(
+            [
+                states[:, :2] - truth.position[rows],
+                velocities(states, self.config) - truth.velocity[rows],
+            ]
+        )
+
+    def nis(self) -> "NisBySensor":
+        """By sensor, as `nis_by_sensor`."""
+        result = self.result
+        return nis_by_sensor(self.sensors, result.stamps_ns, result.innovations, result.nis)
+
+    def summary(self) -> dict[str, Any]:
+        """What the run gave, as plain values."""
+        sensors, stamps = self.sensors, self.result.stamps_ns
+        duration = float(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) else 0.0
+        errors = self.errors
+        return {
+            "format": self.log.format,
+            "model": self.config.model,
+            "method": self.config.method,
+            "lag": self.lag,
+            "measurements": dict(Counter(sensors.tolist())),
+            "outcomes": dict(Counter(self.result.outcomes.tolist())),
+            "duration": duration,
+            "states": list(state_names(self.config)),
+            "nis": nis_summary(self.nis()),
+            "rmse": None if errors is None else self._rmse(errors),
+            "us_per_measurement": 1e6 * self.seconds / max(1, len(stamps)),
+        }
+
+    def _rmse(self, errors: NDArray[np.float64]) -> dict[str, float | None] | None:
+        if not len(errors):
+            return None
+        rmse = np.sqrt((errors**2).mean(axis=0))
+        position = self.result.covariances[self.seen][:, :2, :2]
+        try:
+            consistency = float(nees(errors[:, :2], position).mean())
+        except (InputError, NumericalError):  # the published filter's are no covariances
+            consistency = None
+        return {
+            **dict(zip(COORDINATES, rmse.tolist(), strict=True)),
+            "position_2d": float(np.hypot(*rmse[:2])),
+            "position_nees": consistency,
+        }
+
+    def states_table(self) -> dict[str, Any]:
+        """A row per measurement: state, covariance, innovation, NIS, truth; SI units."""
+        result, names = self.result, state_names(self.config)
+        table: dict[str, Any] = {
+            "t_ns": result.stamps_ns,
+            "sensor": self.sensors.tolist(),
+            "outcome": result.outcomes.tolist(),
+        }
+        if result.states.shape[1]:
+            table |= {name: result.states[:, n] for n, name in enumerate(names)}
+            table |= covariance_columns(names, result.covariances)
+        table |= {f"innovation_{n + 1}": result.innovations[:, n] for n in range(3)}
+        table["nis"] = result.nis
+        truth = self.log.truth
+        if truth is not None:
+            values = np.hstack([truth.position, truth.velocity])
+            table |= {f"true_{name}": values[:, n] for n, name in enumerate(COORDINATES)}
+        return table
+
+    @property
+    def last(self) -> NDArray[np.bool_]:
+        """The last row of every time."""
+        return np.append(np.diff(self.stamps) > 0, True)
+
+    def write(self, folder: RunFolder) -> list[str]:
+        """Write tables and trajectory; return their names."""
+        last, stamps = self.last, self.stamps
+        chosen, rows = last[self.seen], last & self.seen
+        place, speed = self.states[chosen, :2], velocities(self.states[chosen], self.config)
+        table = planar_table("track_id", stamps[rows], place, speed)
+        if rows.any():
+            table |= covariance_columns("xy", self.result.covariances[rows])
+        files = [
+            folder.write_table("states", self.states_table()),
+            folder.write_table("tracks", table),
+        ]
+        truth = self.log.truth
+        if truth is not None:
+            files.append(
+                folder.write_table(
+                    "truth",
+                    planar_table(
+                        "target_id", stamps[last], truth.position[last], truth.velocity[last]
+                    ),
+                )
+            )
+        steps = zip(stamps[rows].tolist(), place, strict=True)
+        write_trajectories(
+            folder.path / TRACKS_FOLDER,
+            ((stamp, np.zeros(1, np.int64), in_plane(at[None])) for stamp, at in steps),
+        )
+        return [*(file.name for file in files), TRACKS_FOLDER]
+
+    def write_mcap(self, folder: RunFolder) -> str:
+        """Write run.mcap; return its name."""
+        return write_run_mcap(folder, self._steps())
+
+    def _steps(self) -> Iterator[PlanarStep]:
+        """Every time once: what was measured then, and the last state of that time."""
+        known, ends = self.seen, np.flatnonzero(self.last)
+        place, speed = np.zeros((len(known), 2)), np.zeros((len(known), 2))
+        place[known], speed[known] = self.states[:, :2], velocities(self.states, self.config)
+        sensors = sensor_at(self.log.measurements, self.stamps[ends], self.config.lever_arm)
+        first = 0
+        for end, sensor in zip(ends.tolist(), sensors, strict=True):
+            places = measured_places(self.log.measurements[first : end + 1]).values()
+            tracks = np.flatnonzero(known[end : end + 1])
+            yield PlanarStep(
+                int(self.stamps[end]),
+                np.concatenate([np.empty((0, 2)), *places]),
+                sensor,
+                tracks,
+                place[end + tracks],
+                speed[end + tracks],
+            )
+            first = end + 1
+
+    def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
+        """The picture of a run on the recording `name`."""
+        path = folder.path / "picture.png"
+        return [(path, lambda: draw_fusion(self.view(name), path))]
+
+    def view(self, name: str) -> FusionView:
+        """What a picture shows."""
+        rows, truth, result = self.seen, self.log.truth, self.result
+        stamps = result.stamps_ns
+        line = PlanarLine(stamps[rows], self.states[:, :2], result.covariances[rows][:, :2, :2])
+        fixed = not any(m.sensor == "pose" for m in self.log.measurements)
+        return FusionView(
+            title=f"{name}: {self.config.model}, {self.config.method}",
+            seen=measured_places(self.log.measurements) if fixed else {},
+            tracks={0: line} if rows.any() else {},
+            truth={} if truth is None else {0: PlanarLine(stamps, truth.position)},
+            nis=nis_ratios(self.nis()),
+        )
+
+
+NisBySensor: TypeAlias = dict[
+    str, tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
+]
+"""Times [ns], NIS, and the limit that `LIMIT` of them are below."""
+
+
+def nis_by_sensor(
+    sensors: NDArray[np.str_],
+    stamps: NDArray[np.int64],
+    innovations: NDArray[np.float64],
+    nis: NDArray[np.float64],
+) -> NisBySensor:
+    """NIS by sensor, of rows where something was compared."""
+    degrees = np.isfinite(innovations).sum(axis=1)
+    limit = np.array([np.inf, *(chi2_quantile(LIMIT, degrees=n) for n in (1, 2, 3))])[degrees]
+    compared = np.isfinite(nis) & (degrees > 0)
+    found = {}
+    for sensor in sorted(set(sensors[compared].tolist())):
+        rows = compared & (sensors == sensor)
+        found[sensor] = (stamps[rows], nis[rows], limit[rows])
+    return found
+
+
+def nis_summary(found: NisBySensor) -> dict[str, dict[str, float]]:
+    """Mean by sensor, and the share below the limit."""
+    return {
+        sensor: {
+            "mean": float(values.mean()),
+            "share_below_limit": float((values <= limit).mean()),
+        }
+        for sensor, (_, values, limit) in found.items()
+    }
+
+
+def nis_ratios(found: NisBySensor) -> dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]:
+    """Times and NIS over the limit, as pictures show it."""
+    return {sensor: (times, values / limit) for sensor, (times, values, limit) in found.items()}
+
+
+def planar_table(
+    number_name: str,
+    stamps: NDArray[np.int64],
+    position: NDArray[np.float64],
+    velocity: NDArray[np.float64],
+    numbers: NDArray[np.int64] | None = None,
+) -> dict[str, Any]:
+    """Places in the plane as columns that `lidar-core evaluate` reads; heights are zero."""
+    zero = np.zeros(len(stamps))
+    return {
+        "t_ns": stamps,
+        number_name: np.zeros(len(stamps), np.int64) if numbers is None else numbers,
+        "x": position[:, 0],
+        "y": position[:, 1],
+        "z": zero,
+        "vx": velocity[:, 0],
+        "vy": velocity[:, 1],
+        "vz": zero,
+    }
+
+
+def measured_places(measurements: Iterable[Measurement]) -> Mapping[str, NDArray[np.float64]]:
+    """Positions (M, 2) of LiDAR and radar in the frame of the sensor, where they are finite."""
+    found: dict[str, list[list[float]]] = {}
+    for m in measurements:
+        if m.sensor in TARGET_SENSORS and np.isfinite(m.values).all():
+            found.setdefault(m.sensor, []).append(measured_place(m))
+    return {sensor: np.array(places) for sensor, places in found.items()}
+
+
+def measured_place(m: Measurement) -> list[float]:
+    """Position that a LiDAR or a radar measured, in its frame."""
+    x, y = m.values[:2].tolist()
+    return [x * np.cos(y), x * np.sin(y)] if m.sensor == "radar" else [x, y]
+
+
+def _in_order(log: MeasurementLog) -> MeasurementLog:
+    """The log by time, as the filter takes it; rows of one time keep their order."""
+    stamps = [m.stamp_ns for m in log.measurements]
+    return log.rows(np.argsort(stamps, kind="stable").tolist())

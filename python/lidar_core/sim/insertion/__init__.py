@@ -1,0 +1,1 @@
+"""Targets put into recorded scans."""

@@ -1,0 +1,1 @@
+"""Ways of sensors and targets."""

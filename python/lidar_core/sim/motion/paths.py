@@ -1,0 +1,143 @@
+"""Ways in a horizontal plane, and a vehicle that tilts: motions that tell 2D scanners apart."""
+
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from lidar_core.config import Config
+from lidar_core.sim.motion.knots import STEP, Knots, from_angles, poses, times_of, upright
+from lidar_core.sim.types import Vector
+
+WANDERING_STEP = 0.005
+"""Time between the draws of a wandering velocity [s]."""
+
+
+class FigureEight(Config):
+    """A lying eight about a point: twice along x while once along y."""
+
+    kind: Literal["figure_eight"] = "figure_eight"
+    center: Vector = Field(description="Middle, where it starts [m].")
+    half_size: tuple[float, float] = Field((1.25, 2.5), description="Reach along x and y [m].")
+    speed: float = Field(gt=0, description="Greatest speed, in the middle [m/s].")
+
+    def knots(self, seconds: float) -> Knots:
+        """X = a sin 2wt, y = b sin wt from the middle."""
+        times = times_of(seconds)
+        a, b = self.half_size
+        angle = self.speed / float(np.hypot(2 * a, b)) * times
+        way = np.stack([a * np.sin(2 * angle), b * np.sin(angle), 0 * angle], axis=-1)
+        heading = np.arctan2(b * np.cos(angle), 2 * a * np.cos(2 * angle))
+        return times, poses(way + np.array(self.center), upright(heading))
+
+    @model_validator(mode="after")
+    def _has_a_size(self) -> Self:
+        if self.half_size == (0, 0):
+            raise ValueError("expected a half_size that is not zero")
+        return self
+
+
+class StopAndGo(Config):
+    """Legs along a line with a rest after each; after every few of them it turns back."""
+
+    kind: Literal["stop_and_go"] = "stop_and_go"
+    start: Vector = Field(description="Place at the start [m].")
+    velocity: Vector = Field(description="Of the steady part of the first leg [m/s].")
+    ramp: float = Field(1.0, gt=0, description="Time of speeding up, and of braking [s].")
+    steady: float = Field(2.0, ge=0, description="Time at the full velocity [s].")
+    rest: float = Field(2.0, ge=0, description="Time at rest after a leg [s].")
+    legs: int = Field(2, ge=1, description="Legs before it turns back (no unit).")
+
+    def knots(self, seconds: float) -> Knots:
+        """Places along the line."""
+        times = times_of(seconds)
+        period = 2 * self.ramp + self.steady + self.rest
+        leg = np.floor(times / period)
+        clock = times - leg * period
+        way = self._way(clock)
+        length = self.ramp + self.steady  # in seconds at the full velocity
+        turn, number = np.divmod(leg, self.legs)
+        is_back = turn % 2 == 1
+        out = np.where(is_back, (self.legs - number) * length - way, number * length + way)
+        places = np.array(self.start) + out[:, None] * np.array(self.velocity)
+        heading = np.arctan2(self.velocity[1], self.velocity[0]) + np.pi * is_back
+        return times, poses(places, upright(heading))
+
+    def _way(self, clock: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Way within a leg, in seconds at the full velocity."""
+        left = np.clip(2 * self.ramp + self.steady - clock, 0, None)  # time to the stop
+        speeding = np.minimum(clock, self.ramp) ** 2 / (2 * self.ramp)
+        braking = np.minimum(left, self.ramp) ** 2 / (2 * self.ramp)
+        going = speeding + np.clip(clock - self.ramp, 0, None)
+        return np.where(left > self.ramp, going, self.ramp + self.steady - braking)
+
+
+class Wandering(Config):
+    """A velocity that forgets itself (Ornstein-Uhlenbeck per axis), reflected at a rectangle."""
+
+    kind: Literal["wandering"] = "wandering"
+    start: Vector = Field(description="Place at the start [m].")
+    speed: float = Field(gt=0, description="Root mean square of the speed [m/s].")
+    time_constant: float = Field(2.0, gt=0, description="Memory of the velocity [s].")
+    low: tuple[float, float] = Field((1.5, -4.0), description="Least x and y [m].")
+    high: tuple[float, float] = Field((7.0, 4.0), description="Greatest x and y [m].")
+    seed: int = Field(0, ge=0, description="Seed of the velocity (no unit).")
+
+    @model_validator(mode="after")
+    def _starts_inside(self) -> Self:
+        inside = zip(self.low, self.start[:2], self.high, strict=True)
+        if not all(low <= value <= high and low < high for low, value, high in inside):
+            raise ValueError("expected low <= start <= high, low < high")
+        return self
+
+    def knots(self, seconds: float) -> Knots:
+        """Velocities drawn every 5 ms, places by the trapezoidal rule."""
+        count = int(np.ceil(seconds / STEP)) * round(STEP / WANDERING_STEP) + 1
+        times = np.arange(count, dtype=np.float64) * WANDERING_STEP
+        velocity = self._velocity(count)
+        steps = (velocity[1:] + velocity[:-1]) * (WANDERING_STEP / 2)
+        free = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)]) + self.start[:2]
+        places = np.column_stack([self._reflected(free), np.full(count, self.start[2])])
+        return times, poses(places, upright(0 * times))
+
+    def _velocity(self, count: int) -> NDArray[np.float64]:
+        """Shape (count, 2), at rest first."""
+        drawn = np.random.default_rng([20240607, self.seed]).normal(size=(count - 1, 2))
+        keep = float(np.exp(-WANDERING_STEP / self.time_constant))
+        drawn *= np.sqrt(1 - keep**2) * self.speed / np.sqrt(2)
+        velocity = np.zeros((count, 2))
+        for number, kick in enumerate(drawn):
+            velocity[number + 1] = keep * velocity[number] + kick
+        return velocity
+
+    def _reflected(self, free: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Places of a way without walls, folded into the rectangle."""
+        low, side = np.array(self.low), np.subtract(self.high, self.low)
+        folded = np.mod(free - low, 2 * side)
+        inside: NDArray[np.float64] = low + np.where(folded > side, 2 * side - folded, folded)
+        return inside
+
+
+class Swinging(Config):
+    """A vehicle about a place: it moves along a line, turns, pitches and rolls, all as sines."""
+
+    kind: Literal["swinging"] = "swinging"
+    position: Vector = Field(description="Middle [m].")
+    reach: Vector = Field((0.5, 0.0, 0.0), description="Greatest way from it [m].")
+    reach_rate: float = Field(0.8, description="Angular rate of the way [rad/s].")
+    yaw: float = Field(0.3, description="Greatest turn [rad].")
+    yaw_rate: float = Field(0.5, description="Angular rate of the turn [rad/s].")
+    pitch_deg: float = Field(15.0, ge=0, lt=90, description="Greatest pitch [deg].")
+    pitch_period: float = Field(4.0, gt=0, description="Period of the pitch [s].")
+    roll_deg: float = Field(10.0, ge=0, lt=90, description="Greatest roll [deg].")
+    roll_period: float = Field(5.0, gt=0, description="Period of the roll [s].")
+
+    def knots(self, seconds: float) -> Knots:
+        """Rz(yaw) Ry(pitch) Rx(roll), all angles zero at the start."""
+        times = times_of(seconds)
+        way = np.sin(self.reach_rate * times)[:, None] * np.array(self.reach)
+        roll = np.deg2rad(self.roll_deg) * np.sin(2 * np.pi * times / self.roll_period)
+        pitch = np.deg2rad(self.pitch_deg) * np.sin(2 * np.pi * times / self.pitch_period)
+        half = np.stack([roll, pitch, self.yaw * np.sin(self.yaw_rate * times)]) / 2
+        return times, poses(way + np.array(self.position), from_angles(np.sin(half), np.cos(half)))

@@ -1,0 +1,1 @@
+"""Shapes of targets and bodies, and those that move by themselves."""

@@ -1,0 +1,184 @@
+"""`lidar_core.runs`: what the commands do, as functions, leaves the same folders."""
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+from flying_scenes import drone, yard
+from typer.testing import CliRunner
+
+import lidar_core as lc
+from lidar_core import ConfigError, FormatError, runs
+from lidar_core.circles import CirclesConfig
+from lidar_core.cli import app
+from lidar_core.flying import FlyingConfig
+from lidar_core.fusion import FusionConfig, MultiTargetConfig
+from lidar_core.io import PoseOptions, Span, read_columns
+from lidar_core.sim import Overflight, circle_scenes, overfly
+
+SCANS = 14
+TIMES = ("ms_per_scan", "us_per_measurement", "us_per_scan", "seconds", "latency_ms")
+"""Entries of a summary that depend on the clock."""
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    """One recording per capability, by the name of its command."""
+    folder = tmp_path_factory.mktemp("recordings")
+    yard_with_drone = yard(drone((6.0, 4.0, 3.5), (5.0, 6.0, 4.0)), scans=SCANS)
+    lc.sim.record(yard_with_drone, folder / "yard.npz", seed=0)
+    lc.sim.record(circle_scenes.several(0), folder / "poles.npz", seed=0, scans=8)
+    lc.fusion.write_overflight(folder / "flight.csv", overfly(Overflight(seconds=4), seed=0))
+    return {
+        "detect": folder / "yard.npz",
+        "circles": folder / "poles.npz",
+        "fuse": folder / "flight.csv",
+    }
+
+
+def by_command(name, *arguments):
+    out = CliRunner().invoke(app, [name, *map(str, arguments)])
+    assert out.exit_code == 0, out.output
+
+
+def summary_of(folder):
+    summary = json.loads((folder / "summary.json").read_text())
+    return {name: value for name, value in summary.items() if name not in TIMES}
+
+
+def note_of(folder):
+    note = tomllib.loads((folder / "run.toml").read_text())
+    del note["command"]
+    return note
+
+
+def assert_same_folder(first, second):
+    names = [sorted(path.name for path in folder.iterdir()) for folder in (first, second)]
+    assert names[0] == names[1]
+    assert summary_of(first) == summary_of(second)
+    assert note_of(first) == note_of(second)
+    tables = [name for name in names[0] if name.endswith((".parquet", ".csv"))]
+    assert "detections.parquet" in tables or "states.parquet" in tables
+    for name in tables:
+        one, other = read_columns(first / name), read_columns(second / name)
+        assert list(one) == list(other)
+        for column in one:
+            if not column.endswith("_ms"):
+                np.testing.assert_array_equal(one[column], other[column], err_msg=column)
+    for path in (first / "tracks_tum").iterdir():
+        assert path.read_text() == (second / "tracks_tum" / path.name).read_text()
+
+
+@pytest.mark.parametrize("name", ["detect", "circles", "fuse"])
+def test_a_function_leaves_the_folder_of_its_command(recordings, tmp_path, name):
+    by_command(name, recordings[name], "-o", tmp_path / "command", "--no-picture", "--mcap")
+    folder = tmp_path / "function"
+    run = getattr(runs, name)
+    result = run(recordings[name], None, folder, picture=False, mcap=True)
+    assert_same_folder(tmp_path / "command", folder)
+    assert result.folder == folder
+    assert set(result.files) == {path.name for path in folder.iterdir()}
+    assert result.summary == json.loads((folder / "summary.json").read_text())
+    assert result.ended_by is None
+    result.raise_if_failed()
+
+
+@pytest.mark.parametrize(
+    ("name", "config", "values"),
+    [
+        ("detect", FlyingConfig(voxel_map={"voxel_size": 0.5}), "voxel_map.voxel_size=0.5"),
+        ("circles", CirclesConfig(detector="taubin"), "detector=taubin"),
+        ("fuse", FusionConfig(model="cv"), "model=cv"),
+    ],
+)
+def test_a_configuration_does_what_its_assignment_does(recordings, tmp_path, name, config, values):
+    run = getattr(runs, name)
+    run(recordings[name], config, tmp_path / "config", picture=False, mcap=False)
+    choice = runs.ConfigChoice(values=(values,))
+    run(recordings[name], choice, tmp_path / "choice", picture=False, mcap=False)
+    assert_same_folder(tmp_path / "config", tmp_path / "choice")
+
+
+def test_bad_scans_are_counted_unless_the_configuration_says_otherwise(recordings, tmp_path):
+    copy = tmp_path / "yard.npz"
+    with lc.io.open_recording(recordings["detect"]) as opened:
+        messages = list(opened)
+    scans = [item for item in messages if isinstance(item, lc.messages.Scan)]
+    lc.io.write_npz(copy, [*messages, scans[-1]])  # the last stamp twice
+    options = {"picture": False, "mcap": False}
+    counted = runs.detect(copy, FlyingConfig(), tmp_path / "counted", **options)
+    assert sum(counted.summary["scans"]["rejected"].values()) == 1
+    config = FlyingConfig(on_bad_scan="raise")
+    ended = runs.detect(copy, config, tmp_path / "raised", **options)
+    assert ended.summary["scans"]["processed"] == SCANS
+    with pytest.raises(lc.InputError, match="stamp_ns"):
+        ended.raise_if_failed()
+
+
+def test_a_run_of_rejected_scans_fails_with_the_reason(tmp_path):
+    summary = {"scans": {"received": 3, "rejected": {"late": 1}}}
+    runs.RunResult(tmp_path, summary, ()).raise_if_failed()
+    summary["scans"]["rejected"]["late"] = 2
+    with pytest.raises(FormatError, match="2 of 3 scans were rejected, most of them: late"):
+        runs.RunResult(tmp_path, summary, ()).raise_if_failed()
+
+
+def test_what_cannot_be_used_is_refused_before_a_folder_is_made(recordings, tmp_path):
+    folder = tmp_path / "run"
+    with pytest.raises(ConfigError, match="expected a FlyingConfig, got CirclesConfig"):
+        runs.detect(recordings["detect"], CirclesConfig(), folder)
+    with pytest.raises(ConfigError, match="one target"):
+        runs.fuse(recordings["fuse"], MultiTargetConfig(), folder)
+    with pytest.raises(lc.InputError, match="no measurements"):
+        runs.fuse(recordings["fuse"], None, folder, span=Span(start=100.0))
+    with pytest.raises(ConfigError, match="no topic"):
+        runs.detect(recordings["detect"], None, folder, clouds=["/no"])
+    assert not folder.exists()
+
+
+def test_progress_counts_the_scans(recordings, tmp_path):
+    told = []
+    runs.detect(
+        recordings["detect"],
+        None,
+        tmp_path / "run",
+        pose=PoseOptions(end=0.35),
+        picture=False,
+        on_progress=lambda what, done, total: told.append((what, done, total)),
+    )
+    assert [done for what, done, _ in told if what == "detect"] == [1, 2, 3]
+    assert {total for what, _, total in told if what == "detect"} == {SCANS}
+
+
+@pytest.mark.parametrize("name", ["detect", "circles"])
+def test_a_live_run_of_a_recording_leaves_tables(recordings, tmp_path, name):
+    told = []
+    result = runs.live(
+        None,
+        None,
+        tmp_path / "run",
+        replay=recordings[name],
+        rate=4.0,
+        pose=PoseOptions(pose="static"),
+        on_message=told.append,
+    )
+    assert result.summary["processed"] + sum(result.summary["dropped"].values()) > 0
+    assert not result.heard_nothing
+    assert {"run.toml", "summary.json", "timing.parquet"} < set(result.files)
+    assert told[0].startswith("from ")
+
+
+def test_a_batch_runs_its_jobs_and_keeps_them(tmp_path):
+    file = tmp_path / "jobs.toml"
+    file.write_text(
+        '[[jobs]]\nname = "flight"\ncommands = ["simulate overflight -o {output}/f.csv'
+        ' --scans {rows}"]\ngrid = { rows = [20, 30] }\n'
+    )
+    told = []
+    first = runs.batch(file, tmp_path / "out", workers=1, on_job=told.append)
+    assert (first.summary["done"], first.summary["kept"], first.summary["failed"]) == (2, 0, {})
+    assert [record.status for record in told] == ["done", "done"]
+    assert [record.numbers["simulate.rows"] for record in first.records] == [20, 30]
+    again = runs.batch(file, tmp_path / "out", workers=1)
+    assert again.summary["kept"] == 2
