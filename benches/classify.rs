@@ -2,8 +2,8 @@
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
-use lidar_core::flying::classify::classify_clusters;
-use lidar_core::flying::voxel_map::VoxelMap;
+use lidar_core::flying::classify::classifier::classify_clusters;
+use lidar_core::flying::map::voxel_map::VoxelMap;
 use lidar_core::geometry::cluster::label;
 use scenes::{CLUSTERING, SEPARATION, classify_parameters, map_parameters, street};
 

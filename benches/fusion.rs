@@ -2,13 +2,13 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
-use lidar_core::fusion::life::{GyroUse, Life, Loss};
-use lidar_core::fusion::motion::{NoiseForm, Prior};
-use lidar_core::fusion::sensors::Sensing;
+use lidar_core::fusion::models::motion::{NoiseForm, Prior};
+use lidar_core::fusion::sensors::observation::Sensing;
+use lidar_core::fusion::targets::lifecycle::{GyroUse, Life, Loss};
 use lidar_core::fusion::{
     Filter, FusionParameters, Measurement, Method, Model, Sensor, Strengths, run, run_batch,
 };
-use lidar_core::threads;
+use lidar_core::util::threads;
 
 const STEPS: usize = 1223;
 const TARGETS: usize = 100;

@@ -227,7 +227,7 @@ mod tests {
     use super::*;
     use crate::{CLUSTERING, map_parameters, street};
     use lidar_core::Error;
-    use lidar_core::flying::voxel_map::VoxelMap;
+    use lidar_core::flying::map::voxel_map::VoxelMap;
     use lidar_core::geometry::cluster::label;
 
     #[test]

@@ -2,8 +2,8 @@
 //! linear, nought does not depend on the size. `cargo bench --bench scaling [rays|voxel|...]`.
 
 use lidar_core::Error;
+use lidar_core::flying::map::voxel_map::{MapParameters, VoxelMap};
 use lidar_core::flying::track::{Detections, OccupiedPoints, PointCloudTracker};
-use lidar_core::flying::voxel_map::{MapParameters, VoxelMap};
 use lidar_core::geometry::cluster::label;
 use scenes::{CLUSTERING, SEPARATION, Scan, map_parameters, tracker_parameters};
 use std::f64::consts::{PI, TAU};

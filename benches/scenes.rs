@@ -4,22 +4,22 @@ pub mod files;
 pub mod reference;
 
 use lidar_core::Error;
-use lidar_core::flying::classify::ClassifyParameters;
-use lidar_core::flying::gate::SeedParameters;
-use lidar_core::flying::integrate::{BACKGROUND, ClassifiedScan, INVALID, Origins};
+use lidar_core::flying::background::burn_in::SeedParameters;
+use lidar_core::flying::classify::classifier::ClassifyParameters;
+use lidar_core::flying::integrate::integrator::{BACKGROUND, ClassifiedScan, INVALID, Origins};
+use lidar_core::flying::integrate::pose_weights::PoseParameters;
+use lidar_core::flying::map::separate::Separation;
+use lidar_core::flying::map::voxel_map::{MapParameters, RayUnit, Rays};
 use lidar_core::flying::parameters::FlyingParameters;
-use lidar_core::flying::scan::RawScan;
-use lidar_core::flying::sensor::SensorParameters;
-use lidar_core::flying::separate::Separation;
+use lidar_core::flying::scan::prepared::RawScan;
+use lidar_core::flying::scan::sensor::SensorParameters;
 use lidar_core::flying::sky::Beams;
 use lidar_core::flying::track::{
     Ageing, Association, Confirmation, Hiding, MeasurementForm, Merging, Motion, NoiseForm, Radius,
     RadiusForm, TrackerParameters,
 };
-use lidar_core::flying::voxel_map::{MapParameters, RayUnit, Rays};
-use lidar_core::flying::weighting::PoseParameters;
 use lidar_core::geometry::cluster::Clustering;
-use lidar_core::threads;
+use lidar_core::util::threads;
 use lidar_sim::scenes::performance;
 use std::collections::BTreeMap;
 

@@ -1,15 +1,21 @@
-"""Write docs/parameters.md and sensors.md from the code: python docs/generate_parameters.py."""
+"""Write parts of the guide from the code: python docs/generate_parameters.py.
+
+These are parameters.md, sensors.md and the table of formats in recordings.md.
+"""
 
 import math
+import re
 from pathlib import Path
 
 from pydantic import BaseModel
 
+from lidar_core.io.readers import READERS, Reader
 from lidar_core.parameters import MODELS, Parameter, model_named, models_within, parameters_of
 from lidar_core.sensors import SENSORS
 from lidar_core.sim import LidarModel, Rosette, Spinning
 
 PAGE = Path(__file__).parent / "parameters.md"
+RECORDINGS = PAGE.with_name("recordings.md")
 USED_BY = {
     "batch": "`lidar-core batch`",
     "circle_dataset": "`circles.dataset`, `circles.make_samples`",
@@ -87,6 +93,28 @@ def sensors_page() -> str:
     return SENSORS_INTRODUCTION + "\n".join([*head, *map(_sensor, SENSORS)]) + "\n"
 
 
+def formats_table() -> str:
+    """The table of the recordings that can be read, as it stands in recordings.md."""
+    rows = ["| Format | Files | Extra | |", "|---|---|---|---|", *map(_format, READERS.parts())]
+    return "\n".join(rows) + "\n"
+
+
+def _format(reader: Reader) -> str:
+    files = ", ".join(f"`{end}`" for end in reader.suffixes)
+    folders = {
+        "single": "",
+        "merged": "; folder of them, merged by time",
+        "together": "; folder of them",
+    }
+    extra = f"`{reader.extra}`" if reader.extra else ""
+    return f"| {reader.name} | {files}{folders[reader.folder]} | {extra} | {reader.note} |"
+
+
+def with_formats(text: str) -> str:
+    """The text of recordings.md with the table of formats renewed."""
+    return re.sub(r"\| Format \| Files .*?\n(?=\n)", formats_table(), text, flags=re.DOTALL)
+
+
 def _sensor(name: str) -> str:
     model, pattern = LidarModel.preset(name), SENSORS[name].pattern
     low = high = 0.0
@@ -138,6 +166,8 @@ def main() -> None:
     """Write the pages."""
     PAGE.write_text(page(), encoding="utf-8")
     PAGE.with_name("sensors.md").write_text(sensors_page(), encoding="utf-8")
+    text = RECORDINGS.read_text(encoding="utf-8")
+    RECORDINGS.write_text(with_formats(text), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from lidar_core.errors import (
     LinkError,
     MissingExtraError,
     NumericalError,
+    PluginError,
 )
 from lidar_core.geometry import cluster_points, traverse
 
@@ -68,6 +69,7 @@ __all__ = [
     "LinkError",
     "MissingExtraError",
     "NumericalError",
+    "PluginError",
     "PointClass",
     "VoxelMap",
     "VoxelMapConfig",

@@ -36,12 +36,20 @@ class LinkError(LidarCoreError, ConnectionError):
     """A broker or server cannot be reached; the text says what to start or to name."""
 
 
+class PluginError(LidarCoreError, ImportError):
+    """A reader, writer or metric of another package is broken; the text names the package."""
+
+
 class InternalError(LidarCoreError, RuntimeError):
     """A bug in lidar_core; the object that raised it refuses further calls."""
 
 
 class OdometryWarning(UserWarning):
     """Poses that were estimated from the scans are missing for some, or doubtful."""
+
+
+class PluginWarning(UserWarning):
+    """A plugin is broken, and left out."""
 
 
 class PoseFrameWarning(UserWarning):

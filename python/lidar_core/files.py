@@ -2,6 +2,9 @@
 
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from os import PathLike
 from pathlib import Path
 
 from lidar_core.errors import FormatError, InputError, LimitError
@@ -128,3 +131,17 @@ def _refuse_special(place: Path, mode: int) -> None:
         raise FormatError(
             f"{place}: expected a regular file, got {kind}; save what it gives to a file first"
         )
+
+
+@contextmanager
+def naming(path: str | PathLike[str]) -> Iterator[None]:
+    """Errors about a file name it."""
+    name = os.fspath(path)
+    try:
+        yield
+    except FormatError as error:
+        raise FormatError(f"{name}: {error}") from error
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, os.strerror(error.errno), name) from error

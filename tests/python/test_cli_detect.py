@@ -323,7 +323,7 @@ def test_a_scan_that_cannot_be_used_is_counted(recording, tmp_path):
 
 
 def test_without_pyarrow_tables_are_csv(recording, tmp_path, monkeypatch):
-    for module in ("lidar_core.run_folder", "lidar_core.io.write.long_table"):
+    for module in ("lidar_core.run_folder", "lidar_core.io.tables.long_table"):
         monkeypatch.setattr(f"{module}.find_spec", lambda name: None)
     assert run_folder.find_spec("pyarrow") is None
     result_of(recording, "-o", tmp_path, "--no-picture", "--no-mcap")

@@ -22,7 +22,7 @@ from lidar_core.fusion import (
     smooth,
 )
 from lidar_core.fusion.states import STATES, state_names, velocities
-from lidar_core.io.columns import read_columns
+from lidar_core.io.tables.columns import read_columns
 from lidar_core.viz import Playback
 
 OBJ_POSE = "fusion/obj_pose-laser-radar-synthetic-input.txt"

@@ -13,9 +13,9 @@ import lidar_core as lc
 import lidar_core.io
 from lidar_core.circles import ShapeKind
 from lidar_core.errors import InputError
+from lidar_core.io.tables.circles import COLUMNS, STATE
+from lidar_core.io.tables.shapes import COLUMNS as SHAPE_COLUMNS
 from lidar_core.io.write.circle_scene import ellipse
-from lidar_core.io.write.circles import COLUMNS, STATE
-from lidar_core.io.write.shapes import COLUMNS as SHAPE_COLUMNS
 
 BASE_NS = 1_700_000_000_000_000_001
 

@@ -175,7 +175,7 @@ def test_times_that_ros_cannot_hold_are_refused(tmp_path, item, text):
 def test_folders_and_endings_are_checked_before_anything_is_written(tmp_path):
     with pytest.raises(InputError, match="exists already; a ROS 2 recording is a new folder"):
         lc.io.write_recording(tmp_path, everything())
-    with pytest.raises(ConfigError, match=r"unknown ending '\.las'; writable are: \.npz"):
+    with pytest.raises(ConfigError, match=r"unknown ending '\.las'; a recording becomes: \.mcap"):
         lc.io.write_recording(tmp_path / "a.las", everything())
     assert list(tmp_path.iterdir()) == []
 

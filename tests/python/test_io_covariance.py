@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lidar_core.io.write.covariance import (
+from lidar_core.io.tables.covariance import (
     covariance_columns,
     covariance_titles,
     symmetric,

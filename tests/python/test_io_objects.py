@@ -11,13 +11,14 @@ from typer.testing import CliRunner
 from lidar_core import ConfigError, InputError
 from lidar_core.cli import app
 from lidar_core.flying import FlyingObjectDetector
-from lidar_core.io import circles, shapes, tracks, write_mot, write_nuscenes, write_ros_objects
+from lidar_core.io import write_mot, write_nuscenes, write_ros_objects
 from lidar_core.io.messages.ros_types import (
     COSTMAP_TYPES,
     DETECTIONS_TYPE,
     DYNAMIC_TYPE,
     OBSTACLES_TYPE,
 )
+from lidar_core.io.tables import circles, shapes, tracks
 from lidar_core.io.write.ros_obstacles import TOPICS
 from lidar_core.runs.flying import FlyingRun
 from lidar_core.viz import Objects, Playback
@@ -306,7 +307,10 @@ def test_a_flat_box_is_no_circle(tmp_path):
 def test_an_ending_that_a_run_cannot_become_is_refused(run, tmp_path):
     out = CliRunner().invoke(app, ["convert", str(run), str(tmp_path / "r.pcd")])
     assert isinstance(out.exception, ConfigError)
-    assert "r.pcd: unknown ending '.pcd'; a run becomes: .json (nuScenes)" in str(out.exception)
+    assert (
+        "r.pcd: unknown ending '.pcd'; a run becomes: .txt (MOTChallenge), .json (nuScenes)"
+        in str(out.exception)
+    )
 
 
 def test_the_guide_names_every_column():

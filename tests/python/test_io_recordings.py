@@ -142,7 +142,7 @@ def test_every_3d_recording_opens_or_names_its_extra(recordings):
 
 
 def test_other_files_are_refused_with_the_readable_formats(recordings):
-    with pytest.raises(FormatError, match=r"unknown format.*readable are: ROS 1 \.bag"):
+    with pytest.raises(FormatError, match=r"unknown format.*readable are: CARMEN log \(\.clf or"):
         lc.io.open_recording(recordings / "3d/ouster/LICENSE")
 
 

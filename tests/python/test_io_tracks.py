@@ -13,7 +13,7 @@ from mcap_protobuf.decoder import DecoderFactory
 import lidar_core as lc
 import lidar_core.io
 from lidar_core.extras import install_command
-from lidar_core.io.write import tracks as module
+from lidar_core.io.tables import tracks as module
 
 BASE_NS = 1_700_000_000_000_000_001
 
@@ -78,7 +78,7 @@ def test_parquet_table(tmp_path, tracks):
 
 @pytest.mark.parametrize("name", ["tracks.csv", "tracks.parquet"])
 def test_csv_table_on_request_or_without_pyarrow(tmp_path, tracks, monkeypatch, name):
-    monkeypatch.setattr("lidar_core.io.write.long_table.find_spec", lambda _: None)
+    monkeypatch.setattr("lidar_core.io.tables.long_table.find_spec", lambda _: None)
     path = lc.io.write_tracks_table(tmp_path / name, tracks, frame_id="map")
     assert path == tmp_path / "tracks.csv"
     with path.open(newline="") as file:

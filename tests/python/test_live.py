@@ -31,10 +31,10 @@ from lidar_core.cli.live import _since_stamp
 from lidar_core.errors import ConfigError, FormatError, InputError, LinkError
 from lidar_core.flying import FlyingObjectDetector
 from lidar_core.io import NoTransformError, PoseOptions, ReadOptions, Topic
-from lidar_core.io.columns import read_columns
 from lidar_core.io.messages.ros_types import DETECTIONS_TYPE, ros_store
 from lidar_core.io.poses.posed import span_ns
 from lidar_core.io.records import Record, decoded
+from lidar_core.io.tables.columns import read_columns
 from lidar_core.io.write.mcap import FoxgloveLog
 from lidar_core.io.write.ros import RosMessages
 from lidar_core.io.write.ros_obstacles import ObstacleArrays

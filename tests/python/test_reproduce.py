@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from importlib import import_module
 from typing import NamedTuple
 
 import numpy as np
@@ -11,9 +12,9 @@ from typer.testing import CliRunner
 
 from lidar_core import ConfigError, reproduce, sim
 from lidar_core.cli import app
-from lidar_core.reproduce import COLUMNS, Item, Request, Result, Row
+from lidar_core.reproduce import COLUMNS, Item, Measured, Request, Row
 from lidar_core.reproduce.jobs import Job, run
-from lidar_core.reproduce.registry import MODULES, item_named, items
+from lidar_core.reproduce.registry import MODULES, declared, item_named, items
 
 
 class Short(NamedTuple):
@@ -136,20 +137,25 @@ def run_command(*arguments):
     return CliRunner().invoke(app, ["reproduce", *map(str, arguments)])
 
 
-def item(name, run, **more):
-    return Item(name=name, title=f"{name} in short", scans=10, minutes=1, run=run, **more)
-
-
-def counted(request: Request) -> Result:
-    request.advance(request.scans)
-    return Result(
-        rows=(Row("recall@10m", "1", None, 0.5, np.float64(request.seed)),),
-        draw=lambda figure: figure.subplots().plot([0, 1]),
-        scans=request.scans,
+def item(name, measure, **more):
+    return Item(
+        name=name,
+        title=f"{name} in short",
+        scans=10,
+        minutes=1,
+        measure=measure,
+        rows=lambda *rows: rows,
+        draw=lambda figure, *rows: figure.subplots().plot([0, 1]),
+        **more,
     )
 
 
-def stopped(request: Request) -> Result:
+def counted(request: Request) -> Measured:
+    request.advance(request.scans)
+    return Measured((Row("recall@10m", "1", None, 0.5, np.float64(request.seed)),), request.scans)
+
+
+def stopped(request: Request) -> Measured:
     raise KeyboardInterrupt
 
 
@@ -208,10 +214,12 @@ def test_an_item_in_short_gives_a_table_a_picture_and_json(name, tmp_path):
     assert imread(tmp_path / f"{name}.png").shape[0] > 300
 
 
-def test_items_are_named_once_and_like_their_modules():
-    assert len(items()) == len(MODULES)
-    papers = {"flying", "circles", "fusion"}
-    assert {name.partition("-")[0] for name in items()} == papers
+def test_items_are_named_once_and_after_the_paper_of_their_folder():
+    modules = {name: import_module(f"lidar_core.reproduce.{name}") for name in MODULES}
+    named = [(name, one.name) for name, module in modules.items() for one in declared(module)]
+    assert {name for name, _ in named} == set(MODULES)
+    assert [name for _, name in named] == list(items())
+    assert all(module.partition(".")[0] == name.partition("-")[0] for module, name in named)
     for one in items().values():
         assert one.title
         assert one.minutes <= 60
@@ -273,9 +281,8 @@ def test_all_writes_a_list_and_says_beforehand_how_long_it_takes(tmp_path):
 
 
 def test_the_column_of_corrected_equations_is_shown_where_an_item_has_it(two_items, tmp_path):
-    def corrected(request: Request) -> Result:
-        rows = (Row("error", "m", 0.163, 1.25, 0.124, 0.162),)
-        return Result(rows, lambda figure: figure.subplots(), request.scans)
+    def corrected(request: Request) -> Measured:
+        return Measured((Row("error", "m", 0.163, 1.25, 0.124, 0.162),), request.scans)
 
     two_items(item("first", counted), item("second", corrected))
     without, having = (

@@ -8,9 +8,9 @@ from lidar_core.reproduce import Request
 from lidar_core.reproduce.flying import (
     consistency,
     detection_probability,
-    occlusions,
     pose_noise,
 )
+from lidar_core.reproduce.flying.encounters import occlusions
 
 BURN_IN = FlyingConfig().seed.burn_in_scans
 SCANS = BURN_IN + 20

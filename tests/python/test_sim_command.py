@@ -44,7 +44,7 @@ def test_the_command_writes_the_same_bytes_again(tmp_path):
 def test_the_command_refuses_what_it_cannot_write(tmp_path):
     out = run_command("demo", "-o", tmp_path / "x.las")
     assert isinstance(out.exception, ConfigError)
-    assert "x.las: unknown ending '.las'; writable are: .npz, .mcap" in str(out.exception)
+    assert "x.las: unknown ending '.las'; a recording becomes: .mcap" in str(out.exception)
     assert list(tmp_path.iterdir()) == []
     out = run_command(tmp_path / "none.toml", "-o", tmp_path / "x.npz")
     assert isinstance(out.exception, FileNotFoundError)

@@ -20,8 +20,10 @@ def compared(scans, poses, *, least_rays):
     and, to the rounding of a float32, their lengths.
     """
     detector = FlyingObjectDetector(FlyingConfig())
-    core, given = detector._detector, detector.config.voxel_map
-    expected = oracle.SkyOracle(given.voxel_size, given.max_range)
+    core, given = detector._detector, detector.config
+    expected = oracle.SkyOracle(
+        given.voxel_map.voxel_size, given.voxel_map.max_range + given.range_margin
+    )
     shares, rays = [], 0
     for number, (points, pose) in enumerate(zip(scans, poses, strict=True)):
         stamp_ns = 1_000_000_000 + number * 100_000_000

@@ -8,7 +8,7 @@ from typing import Any, Literal, Self, TypeAlias
 
 from lidar_core.files import read_text
 from lidar_core.io.files.atomic import written_whole
-from lidar_core.io.write.long_table import write_long_table
+from lidar_core.io.tables.long_table import write_long_table
 
 NOTE = "job.json"
 Status: TypeAlias = Literal["running", "done", "failed"]

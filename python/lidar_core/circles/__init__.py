@@ -19,7 +19,7 @@ from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments, Side, segment
 from lidar_core.circles.shape_config import ShapeConfig
 from lidar_core.circles.shapes import Shapes, fit_shapes
-from lidar_core.shape_kind import ShapeKind
+from lidar_core.messages import ShapeKind
 
 __all__ = [
     "CircleDetector",

@@ -11,7 +11,7 @@ from lidar_core.circles.preprocess import as_scan
 from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments, arrays_of
 from lidar_core.config import as_config
-from lidar_core.shape_kind import ShapeKind
+from lidar_core.messages import ShapeKind
 
 
 @dataclass(frozen=True, slots=True)

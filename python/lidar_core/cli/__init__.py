@@ -3,15 +3,17 @@
 import signal
 import sys
 import warnings
+from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from io import TextIOWrapper
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from lidar_core.cli import config, train
 from lidar_core.cli.common import help_text, stoppable
-from lidar_core.errors import LidarCoreError, OdometryWarning, PoseFrameWarning
+from lidar_core.errors import LidarCoreError, OdometryWarning, PluginWarning, PoseFrameWarning
 
 app = typer.Typer(
     name="lidar-core",
@@ -70,6 +72,7 @@ def main() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     for told_as_note in (OdometryWarning, PoseFrameWarning):
         warnings.simplefilter("ignore", told_as_note)
+    warnings.formatwarning = partial(_formatted, warnings.formatwarning)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # a pipe on Windows knows few letters
             stream.reconfigure(errors="replace")
@@ -78,6 +81,15 @@ def main() -> None:
     except (LidarCoreError, OSError, MemoryError) as error:
         print(f"error: {_text(error)}", file=sys.stderr)
         sys.exit(2)
+
+
+def _formatted(
+    usual: Callable[..., str], message: Warning | str, category: type[Warning], *place: Any
+) -> str:
+    """One line for what users cause or cure; others keep the place in the code that warns."""
+    if issubclass(category, PluginWarning):
+        return f"warning: {message}\n"
+    return usual(message, category, *place)
 
 
 def _text(error: Exception) -> str:

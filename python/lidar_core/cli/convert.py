@@ -26,6 +26,22 @@ if TYPE_CHECKING:
     from lidar_core.messages import Message
 
 
+def _print_formats(wanted: bool) -> None:
+    if not wanted:
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    from lidar_core.io.writers import WRITERS
+
+    table = Table("Format", "Files", "Holds", "Extra")
+    for one in WRITERS.parts():
+        ends = " ".join(end or "(a new folder)" for end in one.suffixes)
+        table.add_row(one.format, ends, one.takes, one.extra)
+    Console().print(table)
+    raise typer.Exit
+
+
 def command(
     recording: Annotated[Path, typer.Argument(help="Recording, or folder of a run.")],
     output: Annotated[
@@ -56,6 +72,12 @@ def command(
         str | None, typer.Option("--class", help="Class of a run's objects, such as pedestrian.")
     ] = None,
     json_file: JsonFile = None,
+    formats: Annotated[
+        bool,
+        typer.Option(
+            "--formats", callback=_print_formats, is_eager=True, help="List what can be written."
+        ),
+    ] = False,
 ) -> None:
     """Write what RECORDING holds to OUTPUT; the ending of its name chooses the format.
 
@@ -63,7 +85,7 @@ def command(
     """
     from lidar_core.errors import InputError
     from lidar_core.io import ReadOptions, Span
-    from lidar_core.io.maps.cloud_files import WRITABLE
+    from lidar_core.io.writers import writers_of
     from lidar_core.runs.convert import convert_run, is_run
 
     if output.exists() and output.resolve() == recording.resolve():
@@ -92,9 +114,10 @@ def command(
             soft_wrap=True,
         )
         return
-    if output.suffix.lower() in WRITABLE:
+    writer = writers_of("points").get(output.suffix.lower())
+    if writer is not None:
         _refuse(
-            chosen | of_run | ({} if output.suffix.lower() == ".bt" else of_map),
+            chosen | of_run | ({} if writer.needs_resolution else of_map),
             f"one cloud or map as {output.suffix}",
         )
         count = _write_cloud(recording, output, ReadOptions.load(values), resolution)

@@ -15,8 +15,25 @@ if TYPE_CHECKING:
     from lidar_core.io import RecordingInfo
 
 
+def _print_formats(wanted: bool) -> None:
+    if not wanted:
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    from lidar_core.io.readers import READERS
+
+    table = Table("Format", "Files", "Extra", "")
+    for one in READERS.parts():
+        table.add_row(one.name, " ".join(one.suffixes), one.extra, one.note)
+    Console().print(table)
+    raise typer.Exit
+
+
 def command(
-    recording: Annotated[Path, typer.Argument(help="File or folder to look into.")],
+    recording: Annotated[
+        Path, typer.Argument(help="File or folder to look into; --formats lists what can be read.")
+    ],
     point_time: PointTime = None,
     no_return: NoReturn = None,
     metadata: Metadata = None,
@@ -24,6 +41,12 @@ def command(
     scan_rate: ScanRate = None,
     recover: Recover = False,
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
+    formats: Annotated[
+        bool,
+        typer.Option(
+            "--formats", callback=_print_formats, is_eager=True, help="List what can be read."
+        ),
+    ] = False,
 ) -> None:
     """Topics, rates, frames, time span and defects of a recording; the command that goes on."""
     from lidar_core.io import ReadOptions, open_recording

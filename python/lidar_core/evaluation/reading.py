@@ -15,8 +15,8 @@ from lidar_core.evaluation.latency import Latency
 from lidar_core.evaluation.pairing import checked_estimates, checked_truth, rows_of
 from lidar_core.evaluation.types import Estimates, Truth
 from lidar_core.files import read_whole
-from lidar_core.io.columns import Columns, read_columns
-from lidar_core.io.write.covariance import covariance_titles, symmetric
+from lidar_core.io.tables.columns import Columns, read_columns
+from lidar_core.io.tables.covariance import covariance_titles, symmetric
 from lidar_core.run_folder import RUN_FILE, table_in
 
 RECORDINGS = (".mcap", ".npz")

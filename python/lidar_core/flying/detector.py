@@ -12,6 +12,7 @@ from lidar_core import _core
 from lidar_core.arrays import as_mask, as_points, as_poses, as_real, as_rows, as_stamp
 from lidar_core.config import as_config
 from lidar_core.errors import InputError
+from lidar_core.files import naming
 from lidar_core.flying.analysis import as_pose_covariance
 from lidar_core.flying.config import FlyingConfig
 from lidar_core.flying.results import (
@@ -21,7 +22,6 @@ from lidar_core.flying.results import (
     Health,
     Tracks,
 )
-from lidar_core.flying.voxel_map import naming
 
 
 class FlyingObjectDetector:

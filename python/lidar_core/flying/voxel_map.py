@@ -1,8 +1,5 @@
 """The voxel map: occupancy of the environment with an exponential update."""
 
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from typing import Self
@@ -13,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from lidar_core import _core
 from lidar_core.arrays import Points, as_mask, as_points, as_real, as_rows, as_vector
 from lidar_core.config import as_config
-from lidar_core.errors import FormatError, InputError
+from lidar_core.errors import InputError
+from lidar_core.files import naming
 from lidar_core.flying.config import ClassifyConfig, VoxelMapConfig
 from lidar_core.messages import PointClass
 
@@ -302,17 +300,3 @@ class VoxelMap:
             if points.shape[-1:] == (3,):
                 points = points - self.origin
         return as_points(points)
-
-
-@contextmanager
-def naming(path: str | PathLike[str]) -> Iterator[None]:
-    """Errors about a file name it."""
-    name = os.fspath(path)
-    try:
-        yield
-    except FormatError as error:
-        raise FormatError(f"{name}: {error}") from error
-    except OSError as error:
-        if error.errno is None:
-            raise
-        raise OSError(error.errno, os.strerror(error.errno), name) from error

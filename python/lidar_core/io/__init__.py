@@ -1,23 +1,27 @@
 """Recordings in and out: one iterator over every readable format, poses, and writers."""
 
-from lidar_core.io.columns import read_columns
-from lidar_core.io.formats.npz import write_npz
 from lidar_core.io.info import RecordingInfo, TopicInfo
 from lidar_core.io.maps.cloud_files import Cloud, read_cloud, write_cloud
 from lidar_core.io.opening import open_recording
 from lidar_core.io.options import PoseOptions, ReadOptions, Span
 from lidar_core.io.poses.posed import PosedScan, PosedScans, posed_laser_scans, posed_scans
 from lidar_core.io.poses.tf_buffer import NoTransformError, TransformBuffer
+from lidar_core.io.readers import register_reader
 from lidar_core.io.recording import Recording
-from lidar_core.io.records import Topic
-from lidar_core.io.write.circles import write_circles_table, write_circles_tum
+from lidar_core.io.records import Record, Topic
+from lidar_core.io.tables.circles import write_circles_table, write_circles_tum
+from lidar_core.io.tables.columns import read_columns
+from lidar_core.io.tables.shapes import write_shapes_table
+from lidar_core.io.tables.tracks import write_tracks_table, write_tum
 from lidar_core.io.write.mcap import McapWriter, write_mcap
-from lidar_core.io.write.objects import write_mot, write_nuscenes
+from lidar_core.io.write.mot import write_mot
+from lidar_core.io.write.npz import write_npz
+from lidar_core.io.write.nuscenes import write_nuscenes
+from lidar_core.io.write.objects import RunObjects
 from lidar_core.io.write.recording import write_recording
 from lidar_core.io.write.ros import RosWriter, write_ros
 from lidar_core.io.write.ros_obstacles import write_ros_objects
-from lidar_core.io.write.shapes import write_shapes_table
-from lidar_core.io.write.tracks import write_tracks_table, write_tum
+from lidar_core.io.writers import register_writer
 
 __all__ = [
     "Cloud",
@@ -27,9 +31,11 @@ __all__ = [
     "PosedScan",
     "PosedScans",
     "ReadOptions",
+    "Record",
     "Recording",
     "RecordingInfo",
     "RosWriter",
+    "RunObjects",
     "Span",
     "Topic",
     "TopicInfo",
@@ -39,6 +45,8 @@ __all__ = [
     "posed_scans",
     "read_cloud",
     "read_columns",
+    "register_reader",
+    "register_writer",
     "write_circles_table",
     "write_circles_tum",
     "write_cloud",

@@ -2,11 +2,12 @@
 
 Where printed equations contradict each other, a column `equations_corrected` has them put right.
 
-One folder per paper: `flying`, `circles`, `fusion`; in it one file per item. An item is a module
-with an `ITEM`, named in `registry.MODULES`.
+One folder per paper: `flying`, `circles`, `fusion`. An item is a declaration: its name, how long it
+takes, what it measures, and how rows and picture are made of that. A module that declares items is
+named in `registry.MODULES`.
 """
 
 from lidar_core.reproduce.registry import item_named, items
-from lidar_core.reproduce.types import COLUMNS, Item, Request, Result, Row
+from lidar_core.reproduce.types import COLUMNS, Item, Measured, Request, Result, Row
 
-__all__ = ["COLUMNS", "Item", "Request", "Result", "Row", "item_named", "items"]
+__all__ = ["COLUMNS", "Item", "Measured", "Request", "Result", "Row", "item_named", "items"]

@@ -1,11 +1,11 @@
 """What the items share: modes, what counts, how it is drawn, and the seeds of flights."""
 
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from lidar_core.evaluation import EvaluationConfig
+from lidar_core.evaluation import EvaluationConfig
+from lidar_core.flying import FlyingConfig
 
 Kind: TypeAlias = Literal["detections", "tracks"]
 """What the detector of flying objects gives."""
@@ -20,11 +20,8 @@ GATE = 2.0
 """Estimates further from every target are false: simulated and real flights alike [m]."""
 
 
-def evaluation_config(**given: Any) -> "EvaluationConfig":
+def evaluation_config(**given: Any) -> EvaluationConfig:
     """What counts: after the burn-in, with a gate that a lagging track passes, else as `given`."""
-    from lidar_core.evaluation import EvaluationConfig
-    from lidar_core.flying import FlyingConfig
-
     burn_in = FlyingConfig().seed.burn_in_scans
     return EvaluationConfig(**{"gate": GATE, "burn_in_scans": burn_in, **given})
 

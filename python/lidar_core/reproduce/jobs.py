@@ -5,7 +5,7 @@ A part is a mapping of names to arrays, so that a finished one can lie on the di
 
 import json
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -76,6 +76,37 @@ def run(jobs: Sequence[Job], request: Request) -> list[Part]:
     else:
         parts |= _in_processes(left, request)
     return [parts[job.name] for job in jobs]
+
+
+def flights(
+    name: str, function: Callable[..., Part], request: Request, *, longest: int
+) -> list[Job]:
+    """Jobs `function(seed=, number=, scans=)` with `request.scans` scans in all, or nearly so.
+
+    A part has `longest` scans, or all of a shorter run.
+    """
+    scans = min(request.scans, longest)
+    return [
+        Job(
+            f"{name}-{request.seed}-{number}-{scans}",
+            function,
+            {"seed": request.seed, "number": number, "scans": scans},
+            scans,
+        )
+        for number in range(max(1, round(request.scans / longest)))
+    ]
+
+
+def grouped(
+    jobs: Sequence[Job], parts: Sequence[Part], argument: str, values: Iterable[str]
+) -> dict[str, list[Part]]:
+    """Parts by what their jobs were given for `argument`, in the order of `values`."""
+    return {
+        value: [
+            part for job, part in zip(jobs, parts, strict=True) if job.arguments[argument] == value
+        ]
+        for value in values
+    }
 
 
 def _in_processes(jobs: Sequence[Job], request: Request) -> dict[str, Part]:

@@ -1,6 +1,7 @@
 """The items of `lidar-core reproduce`."""
 
 from importlib import import_module
+from types import ModuleType
 
 from lidar_core.errors import ConfigError, unknown
 from lidar_core.reproduce.types import Item
@@ -13,8 +14,8 @@ MODULES = (
     "flying.table3",
     "flying.fig7",
     "flying.fig8",
-    "flying.crossings",
-    "flying.occlusions",
+    "flying.encounters.crossings",
+    "flying.encounters.occlusions",
     "flying.pose_noise",
     "flying.consistency",
     "flying.detection_range",
@@ -27,29 +28,29 @@ MODULES = (
     "circles.fig5",
     "circles.table3",
     "circles.detectors",
-    "circles.table4",
-    "circles.table5",
-    "circles.fig7",
+    "circles.single",
     "circles.fig8",
     "circles.lab",
     "circles.shapes",
     "fusion.rmse",
     "fusion.fig4",
-    "fusion.fig7",
-    "fusion.fig8",
-    "fusion.fig9",
-    "fusion.fig10",
-    "fusion.fig11",
+    "fusion.noisy_tracks",
+    "fusion.noise_power",
     "fusion.drone_yaw",
     "fusion.consistency",
 )
-"""Modules of this package, by paper, that hold an `ITEM`, in the order in which `all` runs them."""
+"""Modules of this package that declare items, by paper, in the order in which `all` runs them."""
 
 
 def items() -> dict[str, Item]:
     """Every item by its name."""
-    found = (import_module(f"lidar_core.reproduce.{name}").ITEM for name in MODULES)
-    return {item.name: item for item in found}
+    modules = (import_module(f"lidar_core.reproduce.{name}") for name in MODULES)
+    return {item.name: item for module in modules for item in declared(module)}
+
+
+def declared(module: ModuleType) -> list[Item]:
+    """Items of one module, in the order in which it declares them."""
+    return [value for value in vars(module).values() if isinstance(value, Item)]
 
 
 def item_named(name: str) -> Item:

@@ -1,6 +1,6 @@
 """What an item of `lidar-core reproduce` is, is asked for, and returns."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -100,6 +100,28 @@ class Result:
 
 
 @dataclass(frozen=True, slots=True)
+class Measured:
+    """What an item measured.
+
+    Attributes
+    ----------
+    data : tuple
+        What the rows are made of: the arguments of `Item.rows`.
+    scans, note, config
+        See `Result`.
+    drawn : tuple, optional
+        What the picture is made of: the arguments of `Item.draw` after the figure; None for those
+        of the rows.
+    """
+
+    data: tuple[Any, ...]
+    scans: int
+    note: str = ""
+    config: Mapping[str, Config] = field(default_factory=dict)
+    drawn: tuple[Any, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Item:
     """One table or figure.
 
@@ -113,8 +135,14 @@ class Item:
         Length of the full run.
     minutes : float
         Duration of the full run on two cores [min].
-    run : callable
-        Runs it; imports what it needs.
+    measure : callable
+        Does the work of a request.
+    rows : callable
+        Makes the table of what was measured.
+    draw : callable
+        Draws what was measured into an empty matplotlib Figure, its first argument.
+    heading : str
+        Above the picture; empty if `draw` writes its own.
     counts : str
         What `scans` counts.
     data : tuple of str
@@ -125,9 +153,23 @@ class Item:
     title: str
     scans: int
     minutes: float
-    run: Callable[[Request], Result]
+    measure: Callable[[Request], Measured]
+    rows: Callable[..., Iterable[Row]]
+    draw: Callable[..., None]
+    heading: str = ""
     counts: str = "scans"
     data: tuple[str, ...] = ()
+
+    def run(self, request: Request) -> Result:
+        """Measure, and make the table; the picture is drawn when somebody wants it."""
+        found = self.measure(request)
+
+        def draw(figure: Any) -> None:
+            if self.heading:
+                figure.suptitle(self.heading, x=0.06, ha="left", fontweight="bold")
+            self.draw(figure, *(found.data if found.drawn is None else found.drawn))
+
+        return Result(tuple(self.rows(*found.data)), draw, found.scans, found.note, found.config)
 
     def duration(self, scans: int) -> str:
         """Say how long `scans` take on two cores."""

@@ -30,7 +30,7 @@ from lidar_core.io import (
     write_circles_tum,
     write_shapes_table,
 )
-from lidar_core.io.write.covariance import covariance_columns
+from lidar_core.io.tables.covariance import covariance_columns
 from lidar_core.messages import LaserScan
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.runs.recording import RecordingJob, folder_to_write, no_progress

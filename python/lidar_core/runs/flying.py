@@ -23,7 +23,7 @@ from lidar_core.io import (
     write_tracks_table,
     write_tum,
 )
-from lidar_core.io.write.covariance import covariance_columns
+from lidar_core.io.tables.covariance import covariance_columns
 from lidar_core.messages import PointClass, Scan
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.runs.recording import RecordingJob, folder_to_write, no_progress

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 from lidar_core.errors import LidarCoreError
 from lidar_core.io import PosedScans, PoseOptions, ReadOptions, RecordingInfo, TopicInfo
-from lidar_core.io.formats.restamped import RestampedRecording
 from lidar_core.io.poses.nameless import UnclearCarrierError
 from lidar_core.io.recording import Recording
 from lidar_core.io.records import Record, Topic
+from lidar_core.io.restamped import RestampedRecording
 from lidar_core.messages import LaserScan, Pose, Scan
 
 COMMANDS = (

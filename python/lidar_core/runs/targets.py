@@ -23,8 +23,8 @@ from lidar_core.fusion import (
 )
 from lidar_core.fusion.plausibility import geographic_poses
 from lidar_core.fusion.states import state_names
-from lidar_core.io.write.covariance import covariance_columns
-from lidar_core.io.write.tracks import write_trajectories
+from lidar_core.io.tables.covariance import covariance_columns
+from lidar_core.io.tables.tracks import write_trajectories
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.runs.planar import PlanarStep, in_plane, in_world, sensor_at, write_run_mcap
 from lidar_core.runs.result import Picture

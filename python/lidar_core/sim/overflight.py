@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from lidar_core.config import Config
-from lidar_core.io.write.long_table import write_long_table
+from lidar_core.io.tables.long_table import write_long_table
 
 COLUMNS: dict[str, type] = {
     "t_ns": int,

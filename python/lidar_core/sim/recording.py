@@ -13,7 +13,7 @@ import tomli_w
 from lidar_core._core import __version__
 from lidar_core.io.files.atomic import written_whole
 from lidar_core.io.files.sole import sole_writer
-from lidar_core.io.write.recording import writer_of
+from lidar_core.io.writers import writer_of
 from lidar_core.messages import Message, Pose
 from lidar_core.sim.config import Scene
 from lidar_core.sim.lidar import Planar
@@ -125,7 +125,7 @@ def record(
         Another process or thread is writing a simulation there.
     """
     path = Path(path)
-    write = writer_of(path)
+    write = writer_of(path, "messages")
     simulator = Simulator(scene, seed=seed, scans=scans, threads=threads)
     with sole_writer(path):
         return _recorded(scene, path, write, simulator, on_scan)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.extras import require
+from lidar_core.io.tables.shapes import ShapesLike, outline
 from lidar_core.io.write.circle_scene import ellipse
-from lidar_core.io.write.shapes import ShapesLike, outline
 from lidar_core.viz.figure import INK, PALE, PURPOSE, write_figure
 from lidar_core.viz.film import write_film
 from lidar_core.viz.views import CirclesView

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.extras import require
-from lidar_core.io.write.tracks import TracksLike
+from lidar_core.io.tables.tracks import TracksLike
 from lidar_core.messages import PointClass
 from lidar_core.viz.figure import INK, PALE, PURPOSE, write_figure
 from lidar_core.viz.views import FlyingView

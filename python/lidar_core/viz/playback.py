@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
-from lidar_core.io.columns import Columns, read_columns
 from lidar_core.io.opening import open_recording
 from lidar_core.io.poses.posed import posed_laser_scans, posed_scans
 from lidar_core.io.recording import Recording
 from lidar_core.io.records import SCAN_KINDS
-from lidar_core.io.write.covariance import covariance_titles, symmetric
-from lidar_core.io.write.shapes import ShapesLike, outline, outline_of_row
+from lidar_core.io.tables.columns import Columns, read_columns
+from lidar_core.io.tables.covariance import covariance_titles, symmetric
+from lidar_core.io.tables.shapes import ShapesLike, outline, outline_of_row
 from lidar_core.messages import LaserScan, Scan
 from lidar_core.run_folder import RUN_FILE
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.io.write.circles import CirclesLike
-from lidar_core.io.write.shapes import ShapesLike
-from lidar_core.io.write.tracks import TracksLike
+from lidar_core.io.tables.circles import CirclesLike
+from lidar_core.io.tables.shapes import ShapesLike
+from lidar_core.io.tables.tracks import TracksLike
 
 
 @dataclass(frozen=True, slots=True)

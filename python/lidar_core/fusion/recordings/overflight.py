@@ -7,7 +7,7 @@ import numpy as np
 
 from lidar_core.fusion.recordings.table import TRUTH, VALUES
 from lidar_core.fusion.space import LevelSight, level_sight
-from lidar_core.io.write.long_table import write_long_table
+from lidar_core.io.tables.long_table import write_long_table
 
 if TYPE_CHECKING:
     from lidar_core.sim import Overflown

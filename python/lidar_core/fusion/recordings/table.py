@@ -13,7 +13,7 @@ from lidar_core.config import Config, as_config
 from lidar_core.errors import FormatError, InputError
 from lidar_core.fusion.measurement import Measurement, SensorName
 from lidar_core.fusion.recordings.reading import TargetTruth, read_laser_radar
-from lidar_core.io.columns import Columns, read_columns
+from lidar_core.io.tables.columns import Columns, read_columns
 
 VALUES: dict[SensorName, tuple[str, ...]] = {
     "lidar": ("x", "y"),

@@ -22,6 +22,7 @@ from lidar_core.io.files.guard import reading
 from lidar_core.io.messages.laser import LaserDecoder
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.poses.pose_files import stamp_from_text
+from lidar_core.io.readers import register_reader
 from lidar_core.io.recording import Recording
 from lidar_core.io.records import Kind, Record, Topic, decoded
 from lidar_core.io.rotations import pose_matrix, quaternion_from_angles
@@ -92,6 +93,7 @@ class _Line(NamedTuple):
         return stamp_from_text(self.words[end])
 
 
+@register_reader("CARMEN log", [".clf", ".clf.bz2"])
 class CarmenRecording(Recording):
     """One log; it is read once to learn its topics, and again for its messages."""
 

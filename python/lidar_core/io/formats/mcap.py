@@ -16,6 +16,7 @@ from lidar_core.io.formats.ros import MAX_TOPICS
 from lidar_core.io.messages.foxglove import FoxgloveDecoder, foxglove_kind
 from lidar_core.io.messages.ros import RosDecoder, kind_of, note_of, ros_name
 from lidar_core.io.options import ReadOptions
+from lidar_core.io.readers import register_reader
 from lidar_core.io.recording import Recording
 from lidar_core.io.records import Kind, Record, Topic
 from lidar_core.messages import Message
@@ -23,6 +24,14 @@ from lidar_core.messages import Message
 _MAGIC_BYTES = 8
 
 
+@register_reader(
+    "MCAP",
+    [".mcap"],
+    extra="io",
+    folder="merged",
+    marker="metadata.yaml",
+    note="messages of ROS 2, or PointCloud, LaserScan and FrameTransform of Foxglove",
+)
 class McapRecording(Recording):
     """One MCAP file, read chunk by chunk in time order."""
 

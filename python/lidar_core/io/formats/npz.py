@@ -16,12 +16,9 @@ A file with a single array `points` is one scan at time 0.
 """
 
 import heapq
-import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import replace
 from functools import partial
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 from zipfile import ZipFile
@@ -31,10 +28,11 @@ from numpy.typing import NDArray
 
 from lidar_core.arrays import as_mask, as_points, as_pose, as_rows
 from lidar_core.errors import FormatError, InputError
-from lidar_core.io.files.atomic import written_whole
-from lidar_core.io.files.guard import check_size, reading
+from lidar_core.io.files.guard import reading
+from lidar_core.io.files.npy import array_in
 from lidar_core.io.messages.own_cloud import OWN_VERDICT
 from lidar_core.io.options import ReadOptions
+from lidar_core.io.readers import register_reader
 from lidar_core.io.recording import Recording
 from lidar_core.io.records import Record, Topic, decoded
 from lidar_core.messages import LaserScan, Message, Pose, Scan
@@ -44,6 +42,7 @@ OPTIONAL = ("no_return", "directions", "point_time_ns", "intensity", "ring")
 SCANNER = ("angle_min", "angle_increment", "range_min", "range_max")
 
 
+@register_reader("lidar_core", [".npz"], folder="merged")
 class NpzRecording(Recording):
     """One .npz file; scans are read one by one."""
 
@@ -216,117 +215,6 @@ class NpzRecording(Recording):
         place = f"{self.path}, array {name}"
         limit = self.options.max_record_bytes
         return array_in(archive, name, place=place, limit=limit, key="max_record_bytes")
-
-
-def array_in(archive: ZipFile, name: str, *, place: str, limit: int, key: str) -> NDArray[Any]:
-    """The array `name` of an archive, of at most `limit` bytes.
-
-    Raises
-    ------
-    FormatError
-        Its header states another size than its data has: nothing is allocated for it.
-    LimitError
-        It is larger; the text names the option `key`.
-    """
-    info = archive.getinfo(f"{name}.npy")
-    check_size(place, info.file_size, limit=limit, key=key, what="bytes")
-    with archive.open(info) as stream:
-        data = stream.read(limit + 1)
-    check_size(place, len(data), limit=limit, key=key, what="bytes")
-    content = BytesIO(data)
-    version = np.lib.format.read_magic(content)
-    read_header = (
-        np.lib.format.read_array_header_1_0
-        if version == (1, 0)
-        else np.lib.format.read_array_header_2_0
-    )
-    shape, _, dtype = read_header(content)
-    if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(data) - content.tell():
-        raise FormatError(f"{place}: header states {dtype} {shape}, data has another size")
-    content.seek(0)
-    array: NDArray[Any] = np.lib.format.read_array(content, allow_pickle=False)
-    return array
-
-
-def write_npz(path: str | Path, messages: Iterable[Message]) -> None:
-    """Write scans in 3D and 2D and poses to one .npz recording, whole or not at all.
-
-    Parameters
-    ----------
-    path : str or Path
-        File to write; an older one is replaced when the new one is complete.
-    messages : iterable of Scan, LaserScan and Pose
-        Written as they come: a generator is not gathered in memory.
-
-    Examples
-    --------
-    >>> write_npz("scans.npz", [Scan(0, np.zeros((3, 3), np.float32))])  # doctest: +SKIP
-    """
-    scans: list[Scan] = []
-    lasers: list[LaserScan] = []
-    poses: list[Pose] = []
-    with written_whole(path) as temporary, ZipFile(temporary, "w") as archive:
-        for message in messages:
-            if isinstance(message, Pose):
-                poses.append(message)
-                continue
-            if isinstance(message, LaserScan):
-                _put_laser(archive, len(lasers), message)
-                lasers.append(replace(message, ranges=np.empty(0, np.float32), intensity=None))
-                continue
-            prefix = f"scan_{len(scans):06d}_"
-            for name in ("points", *OPTIONAL):
-                value = getattr(message, name)
-                if value is not None:
-                    _put(archive, prefix + name, value)
-            scans.append(
-                Scan(
-                    message.stamp_ns,
-                    np.empty((0, 3), np.float32),
-                    message.frame_id,
-                    topic=message.topic,
-                )
-            )
-        _put(archive, "layout", np.array(LAYOUT))
-        _put(archive, "scan_stamp_ns", np.array([s.stamp_ns for s in scans], np.int64))
-        _put(archive, "scan_frame_id", np.array([s.frame_id for s in scans], np.str_))
-        _put(archive, "scan_topic", np.array([s.topic for s in scans], np.str_))
-        if lasers:
-            _put_scanners(archive, lasers)
-        _put_poses(archive, poses)
-
-
-def _put_laser(archive: ZipFile, number: int, scan: LaserScan) -> None:
-    _put(archive, f"laser_{number:06d}_ranges", scan.ranges)
-    if scan.intensity is not None:
-        _put(archive, f"laser_{number:06d}_intensity", scan.intensity)
-
-
-def _put_scanners(archive: ZipFile, scans: list[LaserScan]) -> None:
-    _put(archive, "laser_stamp_ns", np.array([s.stamp_ns for s in scans], np.int64))
-    _put(archive, "laser_frame_id", np.array([s.frame_id for s in scans], np.str_))
-    _put(archive, "laser_topic", np.array([s.topic for s in scans], np.str_))
-    limits = [[getattr(scan, name) for name in SCANNER] for scan in scans]
-    _put(archive, "laser_scanner", np.array(limits, np.float64))
-    steps = [scan.time_increment_ns for scan in scans]
-    _put(archive, "laser_time_increment_ns", np.array(steps, np.int64))
-
-
-def _put_poses(archive: ZipFile, poses: list[Pose]) -> None:
-    unknown = np.full((6, 6), np.nan)
-    covariance = [unknown if p.covariance is None else p.covariance for p in poses]
-    _put(archive, "pose_stamp_ns", np.array([p.stamp_ns for p in poses], np.int64))
-    _put(archive, "pose_frame_id", np.array([p.frame_id for p in poses], np.str_))
-    _put(archive, "pose_child_frame_id", np.array([p.child_frame_id for p in poses], np.str_))
-    _put(archive, "pose_topic", np.array([p.topic for p in poses], np.str_))
-    _put(archive, "pose_matrix", np.array([p.matrix for p in poses]).reshape(-1, 4, 4))
-    _put(archive, "pose_is_static", np.array([p.is_static for p in poses], np.bool_))
-    _put(archive, "pose_covariance", np.array(covariance, np.float64).reshape(-1, 6, 6))
-
-
-def _put(archive: ZipFile, name: str, array: NDArray[Any]) -> None:
-    with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
-        np.lib.format.write_array(stream, np.ascontiguousarray(array), allow_pickle=False)
 
 
 def _checked_scan(

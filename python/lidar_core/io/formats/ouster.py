@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from lidar_core.errors import FormatError, MissingExtraError
 from lidar_core.extras import install_command, require
 from lidar_core.io.files.guard import check_size, reading
+from lidar_core.io.files.pcap import packet_sizes
 from lidar_core.io.options import ReadOptions
+from lidar_core.io.readers import register_reader
 from lidar_core.io.recording import Recording
 from lidar_core.io.records import Record, Topic, decoded
 from lidar_core.messages import Message, Pose, Scan
@@ -40,8 +42,11 @@ class _Beams(NamedTuple):
     shifts: NDArray[np.int64]
 
 
-def holds_ouster_packets(path: Path) -> bool:
-    """Whether ouster-sdk is installed and finds a sensor in a bag."""
+def holds_ouster_packets(path: Path, options: ReadOptions) -> bool:
+    """Whether a capture has its JSON file, or ouster-sdk is installed and knows a bag's sensor."""
+    if not path.name.lower().endswith(".bag"):
+        packet_sizes(path)  # refuses what is no capture
+        return options.metadata is not None or metadata_beside(path) is not None
     if find_spec("ouster") is None:
         return False
     try:
@@ -207,12 +212,21 @@ class _OusterFrames(Recording):
         return self._beams[sensor]
 
 
+@register_reader(
+    "Ouster packets",
+    [".pcap", ".pcapng", ".bag"],
+    sniff=holds_ouster_packets,
+    extra="ouster",
+    note="captures with their .json; an environment of its own",
+)
 class OusterRecording(_OusterFrames):
     """A packet capture with its JSON file, or a bag of packets."""
 
     format = "Ouster packets"
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
+        if path.name.lower().endswith(".pcapng"):
+            raise FormatError(f"{path}: ouster-sdk reads pcap; convert it: editcap -F pcap IN OUT")
         super().__init__(path, options)
         library = _require("ouster.sdk.open_source")
         beside = Path(options.metadata) if options.metadata is not None else metadata_beside(path)
@@ -231,6 +245,7 @@ class OusterRecording(_OusterFrames):
                 yield sensor, group[sensor]
 
 
+@register_reader("Ouster OSF", [".osf"], extra="ouster")
 class OsfRecording(_OusterFrames):
     """An OSF file; what its reader merely logs is an error here."""
 

@@ -14,6 +14,7 @@ from lidar_core.io.files.compressed import bounded_decompressor
 from lidar_core.io.files.guard import check_size, reading
 from lidar_core.io.messages.ros import RosDecoder, kind_of, note_of
 from lidar_core.io.options import ReadOptions
+from lidar_core.io.readers import register_reader
 from lidar_core.io.recording import Recording
 from lidar_core.io.records import Record, Topic
 
@@ -112,6 +113,18 @@ class RosRecording(Recording):
                     item.topic, item.msgtype, kind_of(item.msgtype), count, note
                 )
         return dict(sorted(topics.items()))
+
+
+@register_reader("ROS 1 bag", [".bag"], extra="io")
+def open_bag(path: Path, options: ReadOptions) -> RosRecording:
+    """A ROS 1 bag."""
+    return RosRecording(path, options, [path], version=1)
+
+
+@register_reader("ROS 2 sqlite3", [".db3"], extra="io", folder="together", marker="metadata.yaml")
+def open_database(path: Path, options: ReadOptions, files: list[Path]) -> RosRecording:
+    """The files of a ROS 2 recording with sqlite3 storage."""
+    return RosRecording(path, options, files, version=2)
 
 
 def _check_database(file: Path, options: ReadOptions) -> None:

@@ -1,10 +1,9 @@
-"""Files of one scan, and folders of them: PCD, PLY, LAS and KITTI .bin."""
+"""Folders of files that hold one scan each, ordered by number or time, with poses beside them."""
 
 import re
 from abc import abstractmethod
 from collections.abc import Iterator
 from functools import partial
-from io import SEEK_END
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
-from lidar_core.extras import require
 from lidar_core.io.files.guard import check_size, reading
-from lidar_core.io.files.las import read_las
-from lidar_core.io.files.mesh import load_mesh
 from lidar_core.io.messages.cloud import CloudDecoder
 from lidar_core.io.options import LONGEST, NS, ReadOptions
 from lidar_core.io.poses.pose_files import read_matrices
@@ -24,11 +20,7 @@ from lidar_core.io.records import Record, Topic
 from lidar_core.messages import Message, Pose, Scan
 
 FRAME, WORLD_FRAME = "lidar", "world"
-MAX_COLUMNS = 4096
-MOST_PER_LZF_BYTE = 88
-"""LZF repeats at most 264 bytes by three."""
-FAR = 1000.0  # coordinates beyond are given from a nearer corner [m]
-KITTI_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
+POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
 _NANOSECONDS = re.compile(r"^\d{18,19}$")
 _SECONDS = re.compile(r"^(\d{9,10})[._](\d{1,9})$")
 
@@ -121,147 +113,6 @@ class SequenceRecording(Recording):
     def _expect_rows(self, file: Path, count: int) -> None:
         if count != len(self._files):
             raise FormatError(f"{file}: {count} lines for {len(self._files)} scans")
-
-
-class PcdRecording(SequenceRecording):
-    """PCD files, through pypcd4."""
-
-    format = "PCD"
-
-    def _rows(self, file: Path) -> NDArray[Any]:
-        library = require("pypcd4", extra="io", purpose="reading PCD")
-        with reading(str(file)), file.open("rb") as stream:
-            header = self._header(file, library)
-            cloud = library.PointCloud.from_fileobj(stream)
-        rows: NDArray[Any] = np.atleast_1d(cloud.pc_data)
-        if len(rows) != header.points:
-            raise FormatError(f"{file}: header states {header.points} points, found {len(rows)}")
-        if header.viewpoint != (0, 0, 0, 1, 0, 0, 0):
-            self.findings.note(f"{file}: VIEWPOINT {header.viewpoint} is not applied")
-        return rows.reshape(header.height, header.width) if header.height > 1 else rows
-
-    def _header(self, file: Path, library: Any) -> Any:
-        """Header of a file, its sizes checked before the data is read."""
-        lines: list[str] = []
-        with file.open("rb") as stream:
-            while len(lines) < 64:
-                raw = stream.readline(65_536)
-                if not raw:
-                    raise FormatError(f"{file}: the header has no DATA line")
-                line = raw.decode("utf-8", "replace").strip()
-                lines.append(line)
-                if line.startswith("DATA"):
-                    break
-            left = file.stat().st_size - stream.tell()
-        header = library.MetaData.parse_header(lines)
-        if len({len(header.fields), len(header.size), len(header.type), len(header.count)}) != 1:
-            raise FormatError(f"{file}: FIELDS, SIZE, TYPE and COUNT differ in length")
-        columns = sum(header.count)
-        if columns > MAX_COLUMNS:
-            raise FormatError(f"{file}: {columns} columns, more than {MAX_COLUMNS}")
-        check_size(
-            str(file),
-            header.points,
-            limit=self.options.max_points,
-            key="max_points",
-            what="a scan of points",
-        )
-        if header.width * header.height != header.points:
-            size_text = f"width {header.width} x height {header.height}"
-            raise FormatError(f"{file}: {size_text} is not {header.points} points")
-        size = header.build_dtype().itemsize * header.points
-        if header.data.value == "binary" and left < size:
-            raise FormatError(f"{file}: {left} bytes of points, the header promises {size}")
-        limit = self.options.max_record_bytes
-        check_size(str(file), size, limit=limit, key="max_record_bytes", what="points of bytes")
-        if header.data.value == "binary_compressed":
-            _check_compressed(file, left, size)
-        return header
-
-
-def _check_compressed(file: Path, left: int, size: int) -> None:
-    """Refuse sizes of compressed points, the last `left` bytes of a file, that cannot be true.
-
-    The library allocates what they say before it decompresses anything.
-    """
-    with file.open("rb") as stream:
-        stream.seek(-left, SEEK_END)
-        stated = np.frombuffer(stream.read(8), "<u4")
-    if len(stated) != 2:
-        raise FormatError(f"{file}: the file ends before the sizes of its compressed points")
-    packed, unpacked = stated.tolist()
-    if packed > left - 8 or unpacked != size or unpacked > MOST_PER_LZF_BYTE * packed:
-        raise FormatError(
-            f"{file}: states {packed} bytes that unpack to {unpacked}; there are {left - 8} bytes,"
-            f" and its points take {size}"
-        )
-
-
-class LasRecording(SequenceRecording):
-    """LAS and LAZ files: coordinates from a corner near the cloud, which is a pose.
-
-    Coordinates of a country's grid have more digits than float32 holds.
-    """
-
-    format = "LAS"
-
-    def _rows(self, file: Path) -> NDArray[Any]:
-        points, intensity = read_las(file, self.options)
-        corner = self._corner(points)
-        rows = np.empty(len(points), KITTI_POINT)
-        for axis, name in enumerate("xyz"):
-            rows[name] = points[:, axis] - corner[axis]
-        rows["intensity"] = intensity
-        return rows
-
-    def _find_poses(self) -> NDArray[np.float64]:
-        corners = [self._corner(read_las(file, self.options)[0]) for file in self._files]
-        if not np.any(corners):
-            return np.empty((0, 4, 4))
-        poses = np.tile(np.eye(4), (len(corners), 1, 1))
-        poses[:, :3, 3] = corners
-        return poses
-
-    def _corner(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where the scan's origin is put: zero, or full kilometres near a cloud that is far."""
-        lowest = points.min(axis=0) if len(points) else np.zeros(3)
-        far = np.abs(lowest) > FAR
-        return np.asarray(np.where(far, np.floor(lowest / FAR) * FAR, 0.0))
-
-
-class PlyRecording(SequenceRecording):
-    """PLY files, through trimesh: their vertices."""
-
-    format = "PLY"
-
-    def _rows(self, file: Path) -> NDArray[Any]:
-        vertices = np.asarray(load_mesh(file, ".ply", self.options).vertices, np.float32)
-        rows = np.empty(len(vertices), [(name, "<f4") for name in "xyz"])
-        for axis, name in enumerate("xyz"):
-            rows[name] = vertices[:, axis]
-        return rows
-
-
-class KittiRecording(SequenceRecording):
-    """KITTI .bin files: x, y, z, intensity as little-endian float32."""
-
-    format = "KITTI bin"
-
-    def _rows(self, file: Path) -> NDArray[Any]:
-        size = file.stat().st_size
-        if size % KITTI_POINT.itemsize:
-            raise FormatError(
-                f"{file}: {size} bytes are no multiple of {KITTI_POINT.itemsize}, a point's"
-                " x, y, z, intensity in float32"
-            )
-        check_size(
-            str(file),
-            size // KITTI_POINT.itemsize,
-            limit=self.options.max_points,
-            key="max_points",
-            what="a scan of points",
-        )
-        return np.fromfile(file, KITTI_POINT)
 
 
 def _natural_key(file: Path) -> tuple[int, str]:

@@ -4,25 +4,32 @@ from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from lidar_core.errors import FormatError
+from lidar_core.io.chain import ChainedRecording
 from lidar_core.io.files.compressed import unpack_zstd
-from lidar_core.io.formats.chain import ChainedRecording, Opener
 from lidar_core.io.options import ReadOptions
+from lidar_core.io.readers import reader_of, register_reader
+from lidar_core.io.recording import Recording
 
-PACKED = (".db3.zstd", ".mcap.zstd")
-"""How the names of such files end."""
 
-
+@register_reader(
+    "ROS 2 compressed by file",
+    [".db3.zstd", ".mcap.zstd"],
+    extra="io",
+    folder="together",
+    marker="metadata.yaml",
+)
 class UnpackedRecording(ChainedRecording):
     """Files that `ros2 bag record --compression-mode file` left, in a temporary folder."""
 
-    def __init__(self, path: Path, options: ReadOptions, files: list[Path], opened: Opener) -> None:
+    def __init__(self, path: Path, options: ReadOptions, files: list[Path]) -> None:
         with ExitStack() as stack:
             folder = Path(stack.enter_context(TemporaryDirectory(prefix="lidar_core-")))
             left, unpacked = options.max_unpacked_bytes, []
             for file in files:
                 unpacked.append(folder / file.stem)
                 left -= unpack_zstd(file, unpacked[-1], left)
-            super().__init__(path, options, unpacked, opened)
+            super().__init__(path, options, unpacked, _opened)
             self.format = f"{self._parts[0].format}, unpacked"
             self._folder = stack.pop_all()
 
@@ -30,3 +37,10 @@ class UnpackedRecording(ChainedRecording):
         """Close every file, and remove them."""
         super().close()
         self._folder.close()
+
+
+def _opened(file: Path, options: ReadOptions) -> Recording:
+    reader = reader_of(file, options)
+    if reader is None:  # the compressed name ends as one that is known
+        raise FormatError(f"{file}: unknown format")
+    return reader.opened(file, options, [file])

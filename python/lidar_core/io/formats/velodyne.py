@@ -14,10 +14,12 @@ from lidar_core.io.messages.velodyne import (
     velodyne_library,
 )
 from lidar_core.io.options import ReadOptions
+from lidar_core.io.readers import register_reader
 from lidar_core.io.recording import Recording
 from lidar_core.io.records import Record, Topic, decoded
 
 
+@register_reader("Velodyne packets", [".pcap", ".pcapng"], extra="velodyne")
 class VelodyneRecording(Recording):
     """A packet capture of a Velodyne sensor; stamps are those of the capturing computer."""
 
@@ -25,10 +27,14 @@ class VelodyneRecording(Recording):
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
         super().__init__(path, options)
-        self._library = velodyne_library()
         packets = packet_sizes(path)
         if not packets[VELODYNE_BYTES]:
-            raise FormatError(f"{path}: no Velodyne data packets of {VELODYNE_BYTES} bytes")
+            sizes = ", ".join(f"{count} of {size}" for size, count in packets.most_common(3))
+            raise FormatError(
+                f"{path}: packets (number of bytes: {sizes or 'none'}) are not Velodyne's; for"
+                " Ouster, put its .json beside the file or name it with --metadata"
+            )
+        self._library = velodyne_library()
         self._topic = Topic(TOPIC, "velodyne packets", "scan")
         state_conventions(TOPIC, self.findings)
 

@@ -1,22 +1,23 @@
 """Single clouds and maps in files: what is known beforehand, and maps for other programs."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lidar_core import _core
 from lidar_core.arrays import as_finite_rows
-from lidar_core.errors import ConfigError, FormatError, InputError
+from lidar_core.errors import FormatError, InputError
 from lidar_core.extras import require
-from lidar_core.files import check_regular
-from lidar_core.io.files.atomic import written_whole
+from lidar_core.files import check_regular, naming
 from lidar_core.io.files.guard import check_size, reading
 from lidar_core.io.files.las import read_las
 from lidar_core.io.files.mesh import load_mesh
-from lidar_core.io.maps.octomap import read_octomap, write_octomap
+from lidar_core.io.maps.octomap import read_octomap
+from lidar_core.io.opening import open_recording
 from lidar_core.io.options import ReadOptions
+from lidar_core.io.writers import writer_of
 from lidar_core.messages import Scan
 
 SPACING = 0.1
@@ -25,7 +26,6 @@ MESHES = (".glb", ".obj", ".off", ".stl")
 READABLE = ".pcd, .ply, .las, .laz, .bt (OctoMap), .lcvm (our map), .bin (KITTI), " + ", ".join(
     MESHES
 )
-WRITABLE = (".pcd", ".ply", ".bt")
 
 
 class Cloud(NamedTuple):
@@ -118,21 +118,11 @@ def write_cloud(path: str | Path, points: ArrayLike, *, resolution: float | None
         PCD without pypcd4.
     """
     place = Path(path)
-    suffix = place.suffix.lower()
-    if suffix not in WRITABLE:
-        raise ConfigError(
-            f"{place}: unknown ending {suffix!r}; writable are: {', '.join(WRITABLE)}"
-        )
+    writer = writer_of(place, "points")
     rows = as_finite_rows(points, name="points", rows=None, shape=(3,))
-    if suffix == ".bt":
-        if resolution is None:
-            raise InputError("resolution: .bt needs the edge of its voxels [m], got None")
-        return write_octomap(place, rows, resolution=resolution)
-    write: Callable[[Path, NDArray[np.float64]], None] = (
-        _write_pcd if suffix == ".pcd" else _write_ply
-    )
-    with written_whole(place) as temporary:
-        write(temporary, rows)
+    if writer.needs_resolution and resolution is None:
+        raise InputError(f"resolution: {place.suffix} needs the edge of its voxels [m], got None")
+    writer(place, rows, resolution)
     return place
 
 
@@ -162,26 +152,13 @@ def _read_mesh(
 
 
 def _read_map(path: Path) -> Cloud:
-    from lidar_core import VoxelMap
-
-    known = VoxelMap.load(path)
-    return Cloud(known.occupied_points(), known.config.voxel_size)
+    with naming(path):
+        known = _core.VoxelMap.load(path, threads=1)
+    points = known.occupied_points() + np.array(known.origin())
+    return Cloud(points, float(known.parameters()["voxel_size"]))
 
 
 def _read_scan(path: Path, options: ReadOptions) -> NDArray[np.float64]:
-    from lidar_core.io.opening import open_recording
-
     with open_recording(path, options, no_return="none") as recording:
         scans = [message for message in recording if isinstance(message, Scan)]
     return np.asarray(scans[0].points.reshape(-1, 3), np.float64)
-
-
-def _write_pcd(path: Path, points: NDArray[np.float64]) -> None:
-    library = require("pypcd4", extra="io", purpose="writing PCD")
-    library.PointCloud.from_xyz_points(points.astype(np.float32)).save(path)
-
-
-def _write_ply(path: Path, points: NDArray[np.float64]) -> None:
-    axes = "".join(f"property double {axis}\n" for axis in "xyz")
-    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{axes}end_header\n"
-    path.write_bytes(head.encode() + points.astype("<f8").tobytes())

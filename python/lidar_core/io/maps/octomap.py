@@ -16,6 +16,7 @@ from lidar_core.files import check_regular
 from lidar_core.io.files.atomic import written_whole
 from lidar_core.io.files.guard import check_size, reading
 from lidar_core.io.options import ReadOptions
+from lidar_core.io.writers import register_writer
 
 DEPTH = 16
 HALF = 2 ** (DEPTH - 1)  # voxels from the lattice's edge to its middle
@@ -59,6 +60,12 @@ def read_octomap(
     )
     keys = _expanded(corners, sizes)
     return (keys - HALF + 0.5) * resolution, resolution
+
+
+@register_writer("OctoMap", [".bt"], takes="points", needs_resolution=True)
+def write_voxels(path: Path, points: NDArray[np.float64], resolution: float) -> None:
+    """Write the voxels that hold points."""
+    write_octomap(path, points, resolution=resolution)
 
 
 def write_octomap(path: str | Path, points: ArrayLike, *, resolution: float) -> Path:

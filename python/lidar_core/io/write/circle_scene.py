@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.io.write.circles import CirclesLike
-from lidar_core.io.write.shapes import ShapesLike, outline
+from lidar_core.io.tables.circles import CirclesLike
+from lidar_core.io.tables.shapes import ShapesLike, outline
 
 LIFETIME_NS = 500_000_000  # an element that is no longer written disappears from the view
 HEIGHT = 0.02  # of a disc [m]

@@ -13,11 +13,12 @@ from lidar_core.io.files.atomic import WrittenInBlock, check_place, commit, temp
 from lidar_core.io.messages.foxglove import FOXGLOVE_TYPES, OWN_HEIGHT, OWN_SCANNER
 from lidar_core.io.messages.own_cloud import packed
 from lidar_core.io.rotations import quaternion_from_matrix
+from lidar_core.io.tables.circles import CirclesLike
+from lidar_core.io.tables.shapes import ShapesLike
+from lidar_core.io.tables.tracks import BoxesLike
 from lidar_core.io.write.circle_scene import CircleScene
-from lidar_core.io.write.circles import CirclesLike
-from lidar_core.io.write.shapes import ShapesLike
 from lidar_core.io.write.topics import LASER_TOPIC, POSE_TOPIC, SCAN_TOPIC, STATIC_TOPIC
-from lidar_core.io.write.tracks import BoxesLike
+from lidar_core.io.writers import register_writer
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
 TRACKS_TOPIC, CIRCLES_TOPIC, SHAPES_TOPIC = "/tracks", "/circles", "/shapes"
@@ -261,6 +262,7 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
             self._temporary.unlink(missing_ok=True)
 
 
+@register_writer("Foxglove's messages", [".mcap"], "viz", takes="messages")
 def write_mcap(
     path: str | Path, items: Iterable[Message | BoxesLike], *, tracks_frame: str = "world"
 ) -> None:

@@ -1,37 +1,10 @@
 """Which writer a path needs, by its ending."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
-from lidar_core.errors import ConfigError
+from lidar_core.io.writers import writer_of
 from lidar_core.messages import Message
-
-WRITABLE = ".npz, .mcap (Foxglove's messages), .bag (ROS 1), a new folder (ROS 2)"
-Write = Callable[[str | Path, Iterable[Message]], None]
-
-
-def writer_of(path: Path) -> Write:
-    """The function that writes recordings of the format that the ending of `path` names.
-
-    Raises
-    ------
-    ConfigError
-        Another ending.
-    """
-    suffix = path.suffix.lower()
-    if suffix == ".npz":
-        from lidar_core.io.formats.npz import write_npz
-
-        return write_npz
-    if suffix == ".mcap":
-        from lidar_core.io.write.mcap import write_mcap
-
-        return write_mcap
-    if suffix in (".bag", ""):
-        from lidar_core.io.write.ros import write_ros
-
-        return write_ros
-    raise ConfigError(f"{path}: unknown ending {suffix!r}; writable are: {WRITABLE}")
 
 
 def write_recording(path: str | Path, items: Iterable[Message]) -> None:
@@ -55,4 +28,4 @@ def write_recording(path: str | Path, items: Iterable[Message]) -> None:
         The format needs a package that is not installed.
     """
     place = Path(path)
-    writer_of(place)(place, items)
+    writer_of(place, "messages")(place, items)

@@ -21,6 +21,7 @@ from lidar_core.io.write.topics import (
     SCAN_TOPIC,
     STATIC_TOPIC,
 )
+from lidar_core.io.writers import register_writer
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
 LAST_SECOND = {1: 2**32 - 1, 2: 2**31 - 1}
@@ -275,6 +276,7 @@ class RosWriter(WrittenInBlock):
         self._writer.write(self._connections[topic, name], time_ns, raw)
 
 
+@register_writer("ROS 1; ROS 2 as a folder", [".bag", ""], "io", takes="messages")
 def write_ros(path: str | Path, items: Iterable[Message]) -> None:
     """Write scans and poses to a ROS 1 bag (.bag) or to the folder of a ROS 2 recording.
 

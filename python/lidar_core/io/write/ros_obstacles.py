@@ -14,8 +14,9 @@ from lidar_core.io.messages.ros_types import (
     DYNAMIC_TYPE,
     OBSTACLES_TYPE,
 )
-from lidar_core.io.write.objects import SCORE, ObjectsLike, Steps
+from lidar_core.io.write.objects import SCORE, ObjectsLike, RunObjects, Steps
 from lidar_core.io.write.ros import RosMessages, RosWriter
+from lidar_core.io.writers import register_writer
 
 TOPICS = {
     DETECTIONS_TYPE: "/detections",
@@ -28,6 +29,18 @@ TOPICS = {
 
 
 NO_SEGMENTS = np.empty((0, 2, 3))
+
+
+@register_writer("obstacles of ROS 1; ROS 2 as a folder", [".bag", ""], "io", takes="objects")
+def write_run(path: Path, objects: RunObjects) -> list[str]:
+    """Write the objects of a run; returns the topics."""
+    return write_ros_objects(
+        path,
+        objects.steps,
+        frame_id=objects.frame_id,
+        name=objects.name,
+        segments=objects.segments,
+    )
 
 
 def write_ros_objects(

@@ -20,7 +20,7 @@ from lidar_core.reproduce.circles.errors import (
 )
 from lidar_core.reproduce.common import RED
 from lidar_core.reproduce.jobs import Job, Part, run
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.types import Item, Measured, Request, Row
 
 CHORD = "triangle"
 """Name of the rule of ROS packages, see `chord_circles`."""
@@ -35,13 +35,12 @@ TIMED = 500
 Estimate: TypeAlias = Callable[[NDArray[np.float32]], NDArray[np.float64]]
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     parts = run(list(_jobs(request)), request)
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     chosen = groups(joined["hits"], joined["is_whole"])
-    return Result(
-        rows=tuple(_rows(joined, chosen)),
-        draw=lambda figure: _draw(figure, joined, chosen),
+    return Measured(
+        (joined, chosen),
         scans=len(joined["hits"]),
         note="The paper's scanner, ranges with 0.01 m, circles anywhere. Paper mode: its network;"
         " best mode: each of the others. triangle: the circle around"
@@ -129,7 +128,6 @@ def _row(title: str, unit: str, name: str, value: float | None) -> Row:
 def _draw(figure: Any, joined: Part, chosen: dict[str, NDArray[np.bool_]]) -> None:
     """MSE and MAE by hits."""
     panels = figure.subplots(1, 2)
-    figure.suptitle("Ways to estimate a circle", x=0.06, ha="left", fontweight="bold")
     for place, (axes, measure) in enumerate(zip(panels, ("MSE", "MAE"), strict=True)):
         for number, name in enumerate(DETECTORS):
             values = [measures(joined[name][chosen[group]])[place] for group in BY_HITS]
@@ -151,6 +149,9 @@ ITEM = Item(
     title="networks, fits and a rule of thumb on circles anywhere: errors and times",
     scans=50_000,
     minutes=2,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="Ways to estimate a circle",
     counts="circles",
 )

@@ -6,19 +6,18 @@ from typing import Any
 from lidar_core.circles import CircleNetwork
 from lidar_core.reproduce.circles.errors import PAPER_NETWORK
 from lidar_core.reproduce.common import BLUE, GREY, RED
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.types import Item, Measured, Request, Row
 
 PAPER = 0.023907
 """Loss on training and validation data after 106 epochs [m^2], Table III."""
 SMALL = "cnn"
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     paper, small = (CircleNetwork(name).card for name in (PAPER_NETWORK, SMALL))
     request.advance(request.scans)
-    return Result(
-        rows=tuple(_rows(paper, small)),
-        draw=lambda figure: _draw(figure, paper, small),
+    return Measured(
+        (paper, small),
         scans=ITEM.scans,
         note="Read from the cards of the networks, which tell how each of them was trained; passes"
         " over the training data. Shipped are the weights that validation preferred. Paper mode:"
@@ -65,7 +64,6 @@ def _rows(paper: dict[str, Any], small: dict[str, Any]) -> Iterator[Row]:
 
 def _draw(figure: Any, paper: dict[str, Any], small: dict[str, Any]) -> None:
     axes = figure.subplots()
-    figure.suptitle("Loss while the networks learnt", x=0.06, ha="left", fontweight="bold")
     labels = {
         "training": f"{PAPER_NETWORK}, training",
         "validation": f"{PAPER_NETWORK}, validation",
@@ -87,6 +85,9 @@ ITEM = Item(
     title="loss of the networks while they learnt (Fig. 5)",
     scans=1,
     minutes=0.1,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="Loss while the networks learnt",
     counts="training",
 )

@@ -1,12 +1,11 @@
 """`circles-fig8`: posts at rest and on their ways, which hide one another (Fig. 8), and cases."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.reproduce.circles.errors import PAPER_NETWORK
 from lidar_core.reproduce.circles.runs import (
     CONFIRM_TIME,
     MODES,
@@ -14,6 +13,7 @@ from lidar_core.reproduce.circles.runs import (
     Measure,
     Mode,
     both,
+    both_modes,
     config_of,
     lasting,
     mapped,
@@ -22,11 +22,9 @@ from lidar_core.reproduce.circles.runs import (
 from lidar_core.reproduce.circles.single import share_of
 from lidar_core.reproduce.common import BLUE, GREY, RED, simulator_seed
 from lidar_core.reproduce.jobs import Job, Part, run
-from lidar_core.reproduce.types import Item, Request, Result
-
-if TYPE_CHECKING:
-    from lidar_core.sim import Scene
-    from lidar_core.sim.circle_scenes import SensorMotion
+from lidar_core.reproduce.types import Item, Measured, Request
+from lidar_core.sim import Scene, circle_scenes
+from lidar_core.sim.circle_scenes import SensorMotion
 
 WORLDS = ("open, hovering", "open, swinging", "room, hovering", "room, swinging")
 SCANS = {"world": 6000, "occlusion": 240, "neighbours": 60, "hidden": 100}
@@ -43,8 +41,6 @@ def several(*, seed: int, world: str, scans: int, network: str) -> Part:
 
     `network` is that of `config_of`, here and in `case`.
     """
-    from lidar_core.sim import circle_scenes
-
     place, motion = world.split(", ")
     sensor: SensorMotion = "hovering" if motion == "hovering" else "swinging"
     scene = circle_scenes.several(seed, walls=place == "room", sensor=sensor, scans=scans)
@@ -57,9 +53,7 @@ def case(*, seed: int, kind: str, number: int, scans: int, network: str) -> Part
     return mapped(scene, config_of(scene, network), seed=seed, scans=scans)
 
 
-def _case_scene(kind: str, seed: int, sensor: "SensorMotion") -> "Scene":
-    from lidar_core.sim import circle_scenes
-
+def _case_scene(kind: str, seed: int, sensor: SensorMotion) -> Scene:
     makers: dict[str, Callable[..., Scene]] = {
         "occlusion": circle_scenes.occlusion,
         "neighbours": circle_scenes.neighbours,
@@ -68,9 +62,7 @@ def _case_scene(kind: str, seed: int, sensor: "SensorMotion") -> "Scene":
     return makers[kind](seed, sensor=sensor)
 
 
-def _run(request: Request) -> Result:
-    from lidar_core.circles import CirclesConfig
-
+def _measure(request: Request) -> Measured:
     share = min(1.0, request.scans / ITEM.scans)
     jobs = {
         mode: [*_world_jobs(request, share, mode), *_case_jobs(request, share, mode)]
@@ -78,15 +70,15 @@ def _run(request: Request) -> Result:
     }
     parts = iter(run([job for some in jobs.values() for job in some], request))
     made = {mode: {job.name: MapRun.of(next(parts)) for job in some} for mode, some in jobs.items()}
-    return Result(
-        rows=both(_measures(made["paper"]), _measures(made["best"])),
-        draw=lambda figure: _draw(figure, _worlds(made["best"])),
+    return Measured(
+        (_measures(made["paper"]), _measures(made["best"])),
+        drawn=(_worlds(made["best"]),),
         scans=sum(len(one.seconds) for one in made["best"].values()),
         note="Seven posts at rest, four on their ways. A ghost has no post within 0.5 m for more"
         " than 0.5 s, in sight of the scanner; a post is visible with 5 rays and a quarter of its"
         " rays; errors are those of visible posts; the room has four walls. Paper"
         " mode: the network paper-cnn and all stages as published. The picture: best mode.",
-        config={"paper": CirclesConfig.paper(detector=PAPER_NETWORK), "best": CirclesConfig()},
+        config=both_modes(),
     )
 
 
@@ -206,7 +198,6 @@ def hidden_errors(one: MapRun) -> NDArray[np.float64]:
 def _draw(figure: Any, worlds: dict[str, MapRun]) -> None:
     """Ways of posts and of elements, seen from above."""
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
-    figure.suptitle("Posts at rest and on their ways", x=0.06, ha="left", fontweight="bold")
     for axes, name in zip(panels, ("open, swinging", "room, swinging"), strict=True):
         part = worlds[name].part
         for target in range(part["center"].shape[1]):
@@ -234,5 +225,8 @@ ITEM = Item(
     title="several posts, occlusions, ghosts on walls, neighbours, hidden ones (Fig. 8)",
     scans=4 * SCANS["world"] + sum(SCANS[kind] * count for kind, count in CASES.items()),
     minutes=18,
-    run=_run,
+    measure=_measure,
+    rows=both,
+    draw=_draw,
+    heading="Posts at rest and on their ways",
 )

@@ -4,13 +4,14 @@ from typing import Any
 
 import numpy as np
 
-from lidar_core.reproduce.circles.errors import PAPER_NETWORK
+from lidar_core import circles
 from lidar_core.reproduce.circles.runs import (
     GATE,
     MODES,
     MapRun,
     Measure,
     both,
+    both_modes,
     config_of,
     lasting,
     mapped,
@@ -19,7 +20,8 @@ from lidar_core.reproduce.circles.runs import (
 from lidar_core.reproduce.circles.single import share_of
 from lidar_core.reproduce.common import BLUE, GREY, RED, simulator_seed
 from lidar_core.reproduce.jobs import Job, Part, run
-from lidar_core.reproduce.types import Item, Request, Result
+from lidar_core.reproduce.types import Item, Measured, Request
+from lidar_core.sim import circle_scenes
 
 WALKS = 10
 PERSON, BARREL = 0, 1
@@ -27,9 +29,6 @@ PERSON, BARREL = 0, 1
 
 def walk(*, seed: int, scans: int, network: str) -> Part:
     """Simulate and map one walk; `network` is that of `config_of`."""
-    from lidar_core import circles
-    from lidar_core.sim import circle_scenes
-
     scene = circle_scenes.lab(seed, scans=scans)
     box = circles.PreprocessConfig.box(*circle_scenes.LAB_VOLUME)
     config = config_of(scene, network)
@@ -38,9 +37,7 @@ def walk(*, seed: int, scans: int, network: str) -> Part:
     return mapped(scene, config, seed=seed, scans=scans)
 
 
-def _run(request: Request) -> Result:
-    from lidar_core.circles import CirclesConfig
-
+def _measure(request: Request) -> Measured:
     scans = max(60, request.scans // WALKS)
     count = max(1, min(WALKS, request.scans // scans))
     jobs = [
@@ -59,14 +56,14 @@ def _run(request: Request) -> Result:
     ]
     walks = [MapRun.of(part) for part in run(jobs, request)]
     paper, best = walks[:count], walks[count:]
-    return Result(
-        rows=both(_measures(paper), _measures(best)),
-        draw=lambda figure: _draw(figure, best[0]),
+    return Measured(
+        (_measures(paper), _measures(best)),
+        drawn=(best[0],),
         scans=scans * count,
         note="The paper shows its experiment without numbers; its person became two or three"
         " circles at times. Volume 5 x 6 x 4.9 m; the walls lie outside."
         " Paper mode: the network paper-cnn and all stages as published. The picture: best mode.",
-        config={"paper": CirclesConfig.paper(detector=PAPER_NETWORK), "best": CirclesConfig()},
+        config=both_modes(),
     )
 
 
@@ -119,5 +116,7 @@ ITEM = Item(
     title="a person with swinging arms and a barrel in a volume (Figs 9, 10)",
     scans=12_000,
     minutes=2,
-    run=_run,
+    measure=_measure,
+    rows=both,
+    draw=_draw,
 )

@@ -3,18 +3,18 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core import circles, sim
+from lidar_core.circles import CircleFrame, CirclePipeline, CirclesConfig
+from lidar_core.evaluation.assignment import assign
 from lidar_core.reproduce.circles.errors import PAPER_NETWORK, checksums
 from lidar_core.reproduce.jobs import Part
 from lidar_core.reproduce.types import Row
-
-if TYPE_CHECKING:
-    from lidar_core.circles import CircleFrame, CirclePipeline, CirclesConfig
-    from lidar_core.sim import Scene, SimulatedSweep
+from lidar_core.sim import Scene, SimulatedSweep
 
 Mode: TypeAlias = Literal["paper", "best"]
 MODES: tuple[Mode, Mode] = ("paper", "best")
@@ -38,10 +38,16 @@ def network_of(mode: Mode) -> str:
     return checksums()[PAPER_NETWORK] if mode == "paper" else ""
 
 
-def config_of(scene: "Scene", network: str) -> "CirclesConfig":
-    """Best mode for the scanner of a scene; with a network all stages as published."""
-    from lidar_core import circles, sim
+def both_modes() -> dict[str, circles.CirclesConfig]:
+    """Return the paper's configuration, with its network, and the best one."""
+    return {
+        "paper": circles.CirclesConfig.paper(detector=PAPER_NETWORK),
+        "best": circles.CirclesConfig(),
+    }
 
+
+def config_of(scene: Scene, network: str) -> CirclesConfig:
+    """Best mode for the scanner of a scene; with a network all stages as published."""
     lidar = scene.lidar
     if not isinstance(lidar.pattern, sim.Planar):
         raise TypeError(f"expected a planar scene, got {lidar.pattern.kind}")
@@ -57,10 +63,8 @@ def config_of(scene: "Scene", network: str) -> "CirclesConfig":
     return circles.CirclesConfig(scanner=scanner)
 
 
-def mapped(scene: "Scene", config: "CirclesConfig", *, seed: int, scans: int) -> Part:
+def mapped(scene: Scene, config: CirclesConfig, *, seed: int, scans: int) -> Part:
     """Give the first `scans` scans of a scene to a pipeline; return the columns of `MapRun`."""
-    from lidar_core import circles, sim
-
     simulator = sim.Simulator(scene, seed=seed, scans=scans)
     pipeline = circles.CirclePipeline(config)
     truth, elements = [], []
@@ -84,7 +88,7 @@ def mapped(scene: "Scene", config: "CirclesConfig", *, seed: int, scans: int) ->
     }
 
 
-def processed(pipeline: "CirclePipeline", made: "SimulatedSweep") -> "CircleFrame":
+def processed(pipeline: CirclePipeline, made: SimulatedSweep) -> CircleFrame:
     """Give one scan to a pipeline, with everything that is known about it."""
     scan = made.scan
     return pipeline.process(
@@ -118,8 +122,6 @@ class MapRun:
     @classmethod
     def of(cls, part: Part) -> "MapRun":
         """Pair what `mapped` returned: as many pairs as possible, then the nearest."""
-        from lidar_core.evaluation.assignment import assign
-
         row = np.full(part["hits"].shape, -1, np.int64)
         starts = np.searchsorted(part["element_scan"], np.arange(len(row) + 1))
         for scan, (first, last) in enumerate(pairwise(starts)):

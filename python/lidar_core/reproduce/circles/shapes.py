@@ -3,17 +3,26 @@
 The paper lists shapes other than circles as future work: there is no number of its own.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core import circles
 from lidar_core.reproduce.common import BLUE, scene_rng, simulator_seed
 from lidar_core.reproduce.jobs import Job, Part, run
-from lidar_core.reproduce.types import Item, Request, Result, Row
-
-if TYPE_CHECKING:
-    from lidar_core.sim.solids.shapes import Shape
+from lidar_core.reproduce.types import Item, Measured, Request, Row
+from lidar_core.sim import (
+    Body,
+    Box,
+    Cylinder,
+    EllipticCylinder,
+    Hover,
+    Scene,
+    circle_scenes,
+    sweeps,
+)
+from lidar_core.sim.solids.shapes import Shape
 
 NAMES = ("circle", "ellipse", "rectangle", "line")
 """In the order of `lidar_core.circles.ShapeKind`."""
@@ -49,9 +58,6 @@ def shapes(*, seed: int, number: int, count: int) -> Part:
 
 def _taken_for(kind: int, rng: np.random.Generator, seed: int) -> int | None:
     """Draw a shape and say what it is taken for; None if the scan shows too little of it."""
-    from lidar_core import circles
-    from lidar_core.sim import Body, Hover, Scene, circle_scenes, sweeps
-
     body = _drawn(kind, rng)
     heading = rng.uniform(0, np.pi)
     distance, bearing = rng.uniform(1, 8), rng.uniform(-2.2, 2.2)
@@ -77,9 +83,7 @@ def _taken_for(kind: int, rng: np.random.Generator, seed: int) -> int | None:
     return int(found.kind[0]) if len(found) == 1 else -1
 
 
-def _drawn(kind: int, rng: np.random.Generator) -> "Shape":
-    from lidar_core.sim import Box, Cylinder, EllipticCylinder
-
+def _drawn(kind: int, rng: np.random.Generator) -> Shape:
     if NAMES[kind] == "circle":
         return Cylinder(radius=rng.uniform(0.05, 0.6))
     if NAMES[kind] == "ellipse":
@@ -104,7 +108,7 @@ def _shows_two_faces(
     return bool(min(np.sum(on_long), np.sum(~on_long)) >= FACE_HITS)
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     count = min(PER_JOB, request.scans)
     jobs = [
         Job(
@@ -119,9 +123,9 @@ def _run(request: Request) -> Result:
     true = np.concatenate([part["true"] for part in parts])
     taken = np.concatenate([part["taken"] for part in parts])
     table = np.array([[np.sum((true == a) & (taken == b)) for b in (0, 1, 2, 3)] for a in range(4)])
-    return Result(
-        rows=tuple(_rows(table, true, taken)),
-        draw=lambda figure: _draw(figure, table),
+    return Measured(
+        (table, true, taken),
+        drawn=(table,),
         scans=len(true),
         note=f"Goal: {GOAL:.0%} right. 1 to 8 m away, at least {LEAST_HITS} hits side by side;"
         " circles of 0.05-0.6 m, semi-axes of 0.15-0.6 m with ratios of 1.5-3, sides of 0.2-1.5 m"
@@ -161,6 +165,8 @@ ITEM = Item(
     title="circle, ellipse, rectangle or line: which shape a single object is taken for",
     scans=4000,
     minutes=1,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
     counts="shapes",
 )

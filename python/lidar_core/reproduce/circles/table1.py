@@ -1,5 +1,6 @@
 """`circles-table1`: the paper's network layer by layer, beside the small one."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from lidar_core.circles import CircleNetwork, Scanner
@@ -10,7 +11,7 @@ from lidar_core.circles.estimators.architecture import (
     window_layers,
 )
 from lidar_core.reproduce.common import BLUE, RED
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.types import Item, Measured, Request, Row
 
 PARAMETERS = 1_826_350
 """Sec. IV-A."""
@@ -22,21 +23,14 @@ WIDTHS = (64, 128)
 """Of the small network that comes with the package: per ray, and on the whole."""
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     scanner = Scanner()
     paper, small = paper_layers(scanner.n_beams), window_layers(*WIDTHS)
     card = CircleNetwork("cnn").card
     request.advance(request.scans)
-    totals = (
-        Row("parameters", "count", PARAMETERS, _sum(paper), card["parameters"]),
-        Row(
-            "multiply-adds per object", "count", None, _multiply_adds(paper), _multiply_adds(small)
-        ),
-        Row("size of the file", "byte", None, None, card["bytes"]),
-    )
-    return Result(
-        rows=(*totals, Row("input", "count", INPUT, scanner.n_beams), *_layers(paper, small)),
-        draw=lambda figure: _draw(figure, paper, small),
+    return Measured(
+        (paper, small, card, scanner.n_beams),
+        drawn=(paper, small),
         scans=ITEM.scans,
         note="Paper mode: Table I without padding and without bias in the last layer, the only way"
         " to the published sum. Best mode: the network on windows, cnn.",
@@ -44,17 +38,18 @@ def _run(request: Request) -> Result:
     )
 
 
-def _sum(layers: list[Layer]) -> int:
-    return sum(layer.parameters for layer in layers)
-
-
-def _multiply_adds(layers: list[Layer]) -> int:
-    return sum(layer.multiply_adds for layer in layers)
-
-
-def _layers(paper: list[Layer], small: list[Layer]) -> list[Row]:
-    """Rows of single layers; what the paper says of them is in Table I."""
-    rows = []
+def _rows(
+    paper: list[Layer], small: list[Layer], card: Mapping[str, Any], n_beams: int
+) -> list[Row]:
+    """Sums, then single layers; what the paper says of them is in Table I."""
+    parameters = sum(layer.parameters for layer in paper)
+    adds = (sum(layer.multiply_adds for layer in layers) for layers in (paper, small))
+    rows = [
+        Row("parameters", "count", PARAMETERS, parameters, card["parameters"]),
+        Row("multiply-adds per object", "count", None, *adds),
+        Row("size of the file", "byte", None, None, card["bytes"]),
+        Row("input", "count", INPUT, n_beams),
+    ]
     for layer, channels in zip(paper, (*FILTERS, *NEURONS), strict=True):
         rows.append(Row(f"{layer.name}: channels", "count", channels, layer.channels))
         if layer.name.startswith("C"):
@@ -70,7 +65,6 @@ def _layers(paper: list[Layer], small: list[Layer]) -> list[Row]:
 def _draw(figure: Any, paper: list[Layer], small: list[Layer]) -> None:
     """Parameters and multiply-adds of every layer."""
     panels = figure.subplots(1, 2, sharey=True)
-    figure.suptitle("Layers of the networks", x=0.06, ha="left", fontweight="bold")
     for axes, what in zip(panels, ("parameters", "multiply_adds"), strict=True):
         start = 0
         for layers, colour, name in ((paper, RED, "Table I"), (small, BLUE, "cnn")):
@@ -90,6 +84,9 @@ ITEM = Item(
     title="the network layer by layer: lengths, parameters, multiply-adds (Table I)",
     scans=len(CONVOLUTIONS) + len(NEURONS),
     minutes=0.05,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="Layers of the networks",
     counts="layers",
 )

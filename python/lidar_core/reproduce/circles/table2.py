@@ -8,34 +8,37 @@ import numpy as np
 from lidar_core.circles import CircleNetwork, DatasetConfig
 from lidar_core.circles.dataset import Part, lattice, split
 from lidar_core.reproduce.common import BLUE, GREY, RED
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.types import Item, Measured, Request, Row
 
 PAPER = {"train": 1_287_356, "validation": 321_839, "test": 402_299, "all": 2_011_494}
 """Samples, Table II."""
 PARTS: tuple[Part, ...] = ("train", "validation", "test", "all")
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     config = DatasetConfig()
     circles = len(lattice(config))
     paper = _counts([(config, circles * config.draws)], request.seed)
     learnt = [DatasetConfig.load(one) for one in CircleNetwork("cnn").card["training"]["datasets"]]
     best = _counts([(one, one.circles) for one in learnt], request.seed)
     request.advance(request.scans)
-    rows = [Row("circles", "count", PAPER["all"] / 2, circles, sum(one.circles for one in learnt))]
-    rows += [Row(part, "count", PAPER[part], paper[part], best[part]) for part in PARTS]
-    rows.append(
-        Row("share of the test whose twin is in train", "1", None, paper["twins"], best["twins"])
-    )
-    return Result(
-        rows=tuple(rows),
-        draw=lambda figure: _draw(figure, paper, best),
+    return Measured(
+        (circles, sum(one.circles for one in learnt), paper, best),
+        drawn=(paper, best),
         scans=ITEM.scans,
         note="Paper mode: the lattice of sec. IV-B, kept when a ray of the paper's scanner meets"
         " the circle in range; two measurements of each. Circles that rays just touch decide the"
         " last 50. Best mode: what the small network, cnn, learnt from; each circle once.",
         config={"lattice": config},
     )
+
+
+def _rows(circles: int, learnt: int, paper: dict[str, float], best: dict[str, float]) -> list[Row]:
+    return [
+        Row("circles", "count", PAPER["all"] / 2, circles, learnt),
+        *(Row(part, "count", PAPER[part], paper[part], best[part]) for part in PARTS),
+        Row("share of the test whose twin is in train", "1", None, paper["twins"], best["twins"]),
+    ]
 
 
 def _counts(datasets: list[tuple[DatasetConfig, int]], seed: int) -> dict[str, float]:
@@ -54,7 +57,6 @@ def _counts(datasets: list[tuple[DatasetConfig, int]], seed: int) -> dict[str, f
 def _draw(figure: Any, paper: dict[str, float], best: dict[str, float]) -> None:
     """Samples per part."""
     axes = figure.subplots()
-    figure.suptitle("Samples", x=0.06, ha="left", fontweight="bold")
     columns: tuple[tuple[str, Mapping[Any, float], str], ...] = (
         ("paper", PAPER, GREY),
         ("paper mode", paper, RED),
@@ -79,6 +81,9 @@ ITEM = Item(
     title="circles of the lattice, dealt out to train, validation and test (Table II)",
     scans=1,
     minutes=0.1,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="Samples",
     counts="dataset",
 )

@@ -19,7 +19,7 @@ from lidar_core.reproduce.circles.errors import (
 )
 from lidar_core.reproduce.common import BLUE, GREY, RED
 from lidar_core.reproduce.jobs import Job, Part, run
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.types import Item, Measured, Request, Row
 
 Errors: TypeAlias = tuple[float, float, float]
 Table: TypeAlias = dict[tuple[str, str], Errors | None]
@@ -39,7 +39,7 @@ OTHERS = 4
 """One in so many samples of train and validation is looked at: about as many as of the test."""
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     models = tuple(checksums().items())
     parts = run(list(_jobs(request, models)), request)
     errors = {
@@ -47,9 +47,8 @@ def _run(request: Request) -> Result:
         for name in DETECTORS
         for where in (*PAPER, *GROUPS)
     }
-    return Result(
-        rows=tuple(_rows(errors)),
-        draw=lambda figure: _draw(figure, errors),
+    return Measured(
+        (errors,),
         scans=int(sum(part["cnn, test"][0] for part in parts)),
         note="Paper mode: the network of Table I, paper-cnn. Best mode: cnn and the likelihood fit,"
         " ml. Neither of these learnt from the lattice; train + validation, of which every"
@@ -149,7 +148,6 @@ def _rows(errors: Table) -> Iterator[Row]:
 def _draw(figure: Any, errors: Table) -> None:
     """MSE and MAE on the test samples."""
     panels = figure.subplots(1, 2)
-    figure.suptitle("Circles of the lattice: test samples", x=0.06, ha="left", fontweight="bold")
     colours = {"paper": GREY, PAPER_NETWORK: RED}
     values = {"paper": PAPER["test"]}
     values |= {name: found for name in DETECTORS if (found := errors[name, "test"]) is not None}
@@ -169,6 +167,9 @@ ITEM = Item(
     title="errors of networks on the test samples of the lattice (Table III)",
     scans=402_308,
     minutes=17,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="Circles of the lattice: test samples",
     counts="test samples",
 )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lidar_core.evaluation import Consistency, consistency, nees
 from lidar_core.flying import PointCloudTracker, TrackerConfig
 from lidar_core.reproduce.common import BLUE, PALE
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.types import Item, Measured, Request, Row
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ SETTLED = 15
 EMPTY = np.empty((0, 3))
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     configs = {"paper": TrackerConfig.paper(), "best": TrackerConfig()}
     runs, stated = request.scans, [stated_std(config) for config in configs.values()]
     own = [_own_model(config, request.seed, runs) for config in configs.values()]
@@ -41,9 +41,9 @@ def _run(request: Request) -> Result:
         for config in configs.values()
     ]
     request.advance(runs)
-    return Result(
-        rows=(*_own_rows(found, own), *_circle_rows(circles)),
-        draw=lambda figure: _draw(figure, own, found),
+    return Measured(
+        (found, own, circles),
+        drawn=(found, own),
         scans=runs,
         note=f"{runs} runs of {STEPS} steps. Noise as each mode states it, {stated[0]:g} and"
         f" {stated[1]:.2g} m; on circles {CENTRE_STD} m. A step counts while {100 * ALIVE:g} % of"
@@ -158,7 +158,11 @@ def _circle(
     return table.mean(axis=1).tolist() if table.size else [None] * 4
 
 
-def _own_rows(found: list[Consistency | None], own: list[Array]) -> list[Row]:
+def _rows(
+    found: list[Consistency | None],
+    own: list[Array],
+    circles: list[list[list[float | None]]],
+) -> list[Row]:
     steps = [int(counts(values).sum()) for values in own]
     lost = [float(np.isnan(values[:, -1]).mean()) for values in own]
 
@@ -176,6 +180,7 @@ def _own_rows(found: list[Consistency | None], own: list[Array]) -> list[Row]:
         Row("own model: single values inside their band", "1", None, *of("share_inside")),
         Row("own model: mean NEES / 9", "1", None, *mean),
         Row("own model: tracks lost", "1", None, *lost),
+        *_circle_rows(circles),
     ]
 
 
@@ -193,10 +198,9 @@ def _circle_rows(circles: list[list[list[float | None]]]) -> list[Row]:
     ]
 
 
-def _draw(figure: Any, own: list[Array], found: list[Consistency | None]) -> None:
+def _draw(figure: Any, found: list[Consistency | None], own: list[Array]) -> None:
     """Mean NEES over the runs at every step, with its band."""
     panels = figure.subplots(1, 2)
-    figure.suptitle("NEES, truth from the filter's own model", x=0.06, ha="left", fontweight="bold")
     for axes, values, one, name in zip(
         panels, own, found, ("paper mode", "best mode"), strict=True
     ):
@@ -217,6 +221,9 @@ ITEM = Item(
     title="errors of tracks against their covariances (NEES)",
     scans=500,
     minutes=1,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="NEES, truth from the filter's own model",
     counts="runs",
 )

@@ -1,17 +1,16 @@
 """`flying-detection-probability`: is a target met by a ray at all? Eq. 49 against scans."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core import sim
 from lidar_core.flying import detection_probability
 from lidar_core.reproduce.common import BLUE, RED, scene_rng
 from lidar_core.reproduce.jobs import Job, Part, run
-from lidar_core.reproduce.types import Item, Request, Result, Row
-
-if TYPE_CHECKING:
-    from lidar_core.sim import LidarModel
+from lidar_core.reproduce.types import Item, Measured, Request, Row
+from lidar_core.sim import LidarModel
 
 SENSORS = {"os0-128": (5.0, 10.0, 20.0, 35.0, 49.0), "os1-128": (10.0, 25.0, 50.0, 75.0, 98.0)}
 """Distances up to the greatest range of each [m]."""
@@ -26,7 +25,7 @@ TRIES = 100
 COLOURS = (RED, "#f472b6", BLUE, "#38bdf8")
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     cases = [
         {"sensor": sensor, "distance": distance, "whole": whole}
         for sensor, distances in SENSORS.items()
@@ -40,9 +39,8 @@ def _run(request: Request) -> Result:
         for number, case in enumerate(cases)
     ]
     parts = run(jobs, request)
-    return Result(
-        rows=tuple(_rows(parts)),
-        draw=lambda figure: _draw(figure, parts),
+    return Measured(
+        (parts,),
         scans=scans * len(cases),
         note=f"Balls of {RADIUS} m, their centres anywhere on the sphere (eq. 47) or in the"
         f" vertical field of view; {scans * TARGETS} of them per point. Predicted: eq. 49;"
@@ -53,8 +51,6 @@ def _run(request: Request) -> Result:
 
 def share(*, sensor: str, distance: float, whole: bool, seed: int, scans: int) -> Part:
     """Predict the probability, and simulate scans with targets at random places."""
-    from lidar_core import sim
-
     lidar = sim.LidarModel.preset(sensor, ideal=True, snapshot=True, range_std=0.0)
     view = (-np.pi / 2, np.pi / 2) if whole else _field_of_view(lidar)
     rng = scene_rng(seed, round(distance), int(whole))
@@ -82,7 +78,7 @@ def share(*, sensor: str, distance: float, whole: bool, seed: int, scans: int) -
     }
 
 
-def _field_of_view(lidar: "LidarModel") -> tuple[float, float]:
+def _field_of_view(lidar: LidarModel) -> tuple[float, float]:
     """Least and largest elevation of a spinning LiDAR [rad]."""
     elevations = np.radians(getattr(lidar.pattern, "elevations_deg", (-90.0, 90.0)))
     return float(elevations.min()), float(elevations.max())
@@ -131,7 +127,6 @@ def standard_error(part: Part) -> float | None:
 def _draw(figure: Any, parts: list[Part]) -> None:
     """One curve per sensor and region."""
     axes = figure.subplots()
-    figure.suptitle("Is a target met by a ray?", x=0.06, ha="left", fontweight="bold")
     curves: dict[str, list[Part]] = {}
     for part in parts:
         curves.setdefault(str(part["name"]).partition("@")[0], []).append(part)
@@ -149,5 +144,8 @@ ITEM = Item(
     title="probability that a target is met by a ray, over distance (sec. IV-C)",
     scans=1600,
     minutes=3,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="Is a target met by a ray?",
 )

@@ -2,21 +2,20 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core import sim
+from lidar_core.evaluation import EvaluationConfig, score_tracks
 from lidar_core.flying import FlyingConfig
 from lidar_core.reproduce.common import COLOURS, KINDS, MODES, Kind, scene_rng, simulator_seed
 from lidar_core.reproduce.flying.simulated.flights import both_modes, fly, tables
 from lidar_core.reproduce.flying.simulated.sightings import sightings
-from lidar_core.reproduce.jobs import Job, Part, run
-from lidar_core.reproduce.types import Item, Request, Result, Row
-
-if TYPE_CHECKING:
-    from lidar_core.evaluation import EvaluationConfig
-    from lidar_core.sim import Body, Scene
+from lidar_core.reproduce.jobs import Part, flights, run
+from lidar_core.reproduce.types import Item, Measured, Request, Row
+from lidar_core.sim import Body, Scene, Simulator, scenes
 
 SCANS_PER_FLIGHT = 100
 RADIUS = 0.325
@@ -30,21 +29,11 @@ HOUSES, TREES = slice(1, 4), slice(31, None)
 """Bodies of a street that stand in the open country."""
 
 
-def _run(request: Request) -> Result:
-    each = min(request.scans, SCANS_PER_FLIGHT)
-    todo = [
-        Job(
-            f"flying-range-{request.seed}-{number}-{each}",
-            flight,
-            {"seed": request.seed, "number": number, "scans": each},
-            each,
-        )
-        for number in range(max(1, round(request.scans / SCANS_PER_FLIGHT)))
-    ]
+def _measure(request: Request) -> Measured:
+    todo = flights("flying-range", flight, request, longest=SCANS_PER_FLIGHT)
     parts = run(todo, request)
-    return Result(
-        rows=tuple(_rows(parts)),
-        draw=lambda figure: _draw(figure, parts),
+    return Measured(
+        (parts,),
         scans=sum(job.scans for job in todo),
         note=f"Counted: after the burn-in, 20 to 35 m away, at least 3 rays on the drone. Ranges"
         f" with {RANGE_STD} m, exact poses.",
@@ -65,17 +54,13 @@ def configs() -> dict[str, FlyingConfig]:
 
 def flight(*, seed: int, number: int, scans: int) -> Part:
     """Simulate one flight and detect in it with all configurations."""
-    from lidar_core.sim import Simulator
-
     name = simulator_seed(seed, number)
     simulator = Simulator(_scene(seed, number, scans), seed=name)
     return fly(simulator, configs(), scans=scans)
 
 
-def _scene(seed: int, number: int, scans: int) -> "Scene":
+def _scene(seed: int, number: int, scans: int) -> Scene:
     """Open country: ground, three houses, ten trees; a sensor on its way; two drones."""
-    from lidar_core import sim
-
     rng = scene_rng(seed, number)
     motion = sim.RandomMotion(
         box_min=(-45.0, -45.0, 2.0),
@@ -104,17 +89,13 @@ def _scene(seed: int, number: int, scans: int) -> "Scene":
     )
 
 
-def _country(seed: int, sensor: Any) -> "tuple[Body, ...]":
-    from lidar_core.sim import scenes
-
+def _country(seed: int, sensor: Any) -> tuple[Body, ...]:
     way = sensor.knots(10.0)[1][::25, :2, 3]
     street = scenes.street(seed, keep_clear=way, clearance=4.0)
     return (street[0], *street[HOUSES], *street[TREES])
 
 
-def _evaluation() -> "EvaluationConfig":
-    from lidar_core.evaluation import EvaluationConfig
-
+def _evaluation() -> EvaluationConfig:
     burn_in = FlyingConfig().seed.burn_in_scans
     return EvaluationConfig(max_distance=EDGES[-1], burn_in_scans=burn_in)
 
@@ -173,8 +154,6 @@ def _middles() -> list[float]:
 
 
 def _false_tracks(parts: Sequence[Part], name: str) -> float:
-    from lidar_core.evaluation import score_tracks
-
     config = _evaluation()
     return float(
         sum(
@@ -187,7 +166,6 @@ def _false_tracks(parts: Sequence[Part], name: str) -> float:
 def _draw(figure: Any, parts: Sequence[Part]) -> None:
     """Recall over distance, one panel per shape."""
     panels = figure.subplots(1, len(SHAPES), sharey=True)
-    figure.suptitle("Far drones, d_max 50 m", x=0.06, ha="left", fontweight="bold")
     for panel, shape in zip(panels, SHAPES, strict=True):
         for mode, colour in ((mode, COLOURS[mode]) for mode in MODES):
             for kind, line in zip(KINDS, ("-", "--"), strict=True):
@@ -206,5 +184,8 @@ ITEM = Item(
     title="drones 20 to 35 m away: recall and error, d_max 20 m and 50 m",
     scans=600,
     minutes=4,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="Far drones, d_max 50 m",
 )

@@ -1,21 +1,20 @@
 """`flying-drivers`: simulated sensors as their drivers deliver them, nothing configured."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from lidar_core import sim
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 from lidar_core.io import PosedScan
 from lidar_core.reproduce.common import BLUE, scene_rng, simulator_seed
 from lidar_core.reproduce.flying.real_data.reported import Reported, false_tracks
 from lidar_core.reproduce.flying.real_data.scores import FEWEST, START_S, scores
-from lidar_core.reproduce.jobs import Job, Part, run
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.jobs import Job, Part, grouped, run
+from lidar_core.reproduce.types import Item, Measured, Request, Row
 from lidar_core.scan_processing import detect
-
-if TYPE_CHECKING:
-    from lidar_core.sim import Scene
-    from lidar_core.sim.motion.motions import Scripted
+from lidar_core.sim import Scene, Simulator
+from lidar_core.sim.motion.motions import Scripted
 
 SENSORS = ("livox-mid360", "livox-avia", "vlp-16", "hdl-32e", "xt32")
 SCANS_PER_FLIGHT = 100
@@ -30,18 +29,11 @@ HEIGHT = 4.0
 """Of the sensor above the ground [m]."""
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     todo = jobs(request)
-    parts = run(todo, request)
-    of = {
-        name: [
-            part for job, part in zip(todo, parts, strict=True) if job.arguments["sensor"] == name
-        ]
-        for name in SENSORS
-    }
-    return Result(
-        rows=tuple(_rows(of)),
-        draw=lambda figure: _draw(figure, of),
+    of = grouped(todo, run(todo, request), "sensor", SENSORS)
+    return Measured(
+        (of,),
         scans=sum(job.scans for job in todo),
         note="Default configuration, scans as the sensor's driver gives them: rows without return"
         " dropped or zeros, no directions. Targets 3 to 12 m away; recall of tracks from"
@@ -69,8 +61,6 @@ def jobs(request: Request) -> list[Job]:
 
 def flight(*, seed: int, number: int, scans: int, sensor: str) -> Part:
     """Simulate one flight and run the detector over it; even ones have targets."""
-    from lidar_core.sim import Simulator
-
     simulator = Simulator(scene(seed, number, scans, sensor), seed=simulator_seed(seed, number))
     detector, kept = FlyingObjectDetector(FlyingConfig()), Reported()
     places, hits, seconds = [], [], []
@@ -89,10 +79,8 @@ def flight(*, seed: int, number: int, scans: int, sensor: str) -> Part:
     }
 
 
-def scene(seed: int, number: int, scans: int, sensor: str) -> "Scene":
+def scene(seed: int, number: int, scans: int, sensor: str) -> Scene:
     """Street with open sky, a sensor that hovers or drifts to and fro, and three targets."""
-    from lidar_core import sim
-
     rng = scene_rng(seed, number, SENSORS.index(sensor))
     observer: Scripted = sim.Hover(position=(0.0, 0.0, HEIGHT))
     if number % 4 >= 2:
@@ -117,10 +105,8 @@ def scene(seed: int, number: int, scans: int, sensor: str) -> "Scene":
     )
 
 
-def _circle(azimuth_deg: float, rng: np.random.Generator) -> "Scripted":
+def _circle(azimuth_deg: float, rng: np.random.Generator) -> Scripted:
     """Way of a target before the sensor."""
-    from lidar_core import sim
-
     azimuth, elevation = np.deg2rad(azimuth_deg), np.deg2rad(rng.uniform(*ELEVATIONS_DEG))
     distance = rng.uniform(*DISTANCES)
     level = distance * np.cos(elevation)
@@ -171,5 +157,7 @@ ITEM = Item(
     title="simulated sensors as their drivers deliver them, nothing configured",
     scans=4000,
     minutes=8,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
 )

@@ -1,21 +1,19 @@
 """`flying-false-tracks`: tracks of nothing, in ideal and in noisy scans, in bad weather."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.flying import FlyingObjectDetector
+from lidar_core import sim
+from lidar_core.flying import FlyingObjectDetector, Tracks
 from lidar_core.reproduce.common import COLOURS, GATE, MODES, scene_rng, simulator_seed
 from lidar_core.reproduce.flying.simulated.flights import both_modes, is_paper, processed
-from lidar_core.reproduce.jobs import Job, Part, run
-from lidar_core.reproduce.types import Item, Request, Result, Row
-
-if TYPE_CHECKING:
-    from lidar_core.flying import Tracks
-    from lidar_core.sim import Body, NoisyPoses, Scene, Target
-    from lidar_core.sim.air import Particles
+from lidar_core.reproduce.jobs import Job, Part, grouped, run
+from lidar_core.reproduce.types import Item, Measured, Request, Row
+from lidar_core.sim import Body, NoisyPoses, PoseNoise, Scene, Simulator, Target
+from lidar_core.sim.air import Particles
 
 SCANS_PER_FLIGHT = 100
 SHARES = {"ideal": 1, "noisy": 10, "rain": 1, "dust": 1, "insects": 1, "foliage": 1}
@@ -34,20 +32,11 @@ INSECTS, SWARM = 20, 60
 PUFFS, THICK_PUFFS = 6, 16
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     todo = jobs(request)
-    parts = run(todo, request)
-    of = {
-        condition: [
-            part
-            for job, part in zip(todo, parts, strict=True)
-            if job.arguments["condition"] == condition
-        ]
-        for condition in CONDITIONS
-    }
-    return Result(
-        rows=tuple(_rows(of)),
-        draw=lambda figure: _draw(figure, of),
+    of = grouped(todo, run(todo, request), "condition", CONDITIONS)
+    return Measured(
+        (of,),
         scans=sum(job.scans for job in todo),
         note=f"Tracks that were ever further than {GATE:g} m from every drone. Every second street"
         f" has two drones. noisy: ranges with {NOISY_RANGE} m, poses with {POSITION_STD} m and"
@@ -76,8 +65,6 @@ def jobs(request: Request) -> list[Job]:
 
 def street(*, seed: int, number: int, scans: int, condition: str) -> Part:
     """Fly through one street; NAME_false: scan, number and place of the false tracks of a mode."""
-    from lidar_core.sim import NoisyPoses, PoseNoise, Simulator
-
     name = simulator_seed(seed, number)
     simulator = Simulator(_scene(seed, number, scans, condition), seed=name)
     noise = None
@@ -88,7 +75,7 @@ def street(*, seed: int, number: int, scans: int, condition: str) -> Part:
     return _flown(simulator, scans, noise)
 
 
-def _flown(simulator: Any, scans: int, noise: "NoisyPoses | None") -> Part:
+def _flown(simulator: Any, scans: int, noise: NoisyPoses | None) -> Part:
     detectors = {name: FlyingObjectDetector(config) for name, config in both_modes().items()}
     false: dict[str, list[NDArray[np.float64]]] = {name: [] for name in detectors}
     for number in range(scans):
@@ -102,7 +89,7 @@ def _flown(simulator: Any, scans: int, noise: "NoisyPoses | None") -> Part:
     return part | {f"{name}_false": np.concatenate(rows) for name, rows in false.items()}
 
 
-def _false(number: int, tracks: "Tracks", targets: NDArray[np.float64]) -> NDArray[np.float64]:
+def _false(number: int, tracks: Tracks, targets: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rows of scan, number of the track and place, of the tracks far from every target."""
     away = np.linalg.norm(tracks.position[:, None] - targets, axis=2)
     is_false = np.min(away, axis=1, initial=np.inf) > GATE
@@ -110,10 +97,8 @@ def _false(number: int, tracks: "Tracks", targets: NDArray[np.float64]) -> NDArr
     return np.insert(found.astype(np.float64), 0, number, axis=1)
 
 
-def _scene(seed: int, number: int, scans: int, condition: str) -> "Scene":
+def _scene(seed: int, number: int, scans: int, condition: str) -> Scene:
     """Make a street of the demo, every second one without drones, in the given condition."""
-    from lidar_core import sim
-
     rng = scene_rng(seed, number)
     base = sim.scenes.demo(int(rng.integers(2**31)), scans=scans)
     drones = base.targets if number % 2 else ()
@@ -136,10 +121,8 @@ def _scene(seed: int, number: int, scans: int, condition: str) -> "Scene":
     return base.model_copy(update=changes)
 
 
-def _grove(rng: np.random.Generator) -> "list[Body]":
+def _grove(rng: np.random.Generator) -> list[Body]:
     """Trees on both sides of the x axis, some 5 m from one another."""
-    from lidar_core import sim
-
     return [
         sim.Body(
             shape=sim.Tree(
@@ -154,7 +137,7 @@ def _grove(rng: np.random.Generator) -> "list[Body]":
     ]
 
 
-def _trees_with(bodies: "Sequence[Body]", **values: float) -> "tuple[Body, ...]":
+def _trees_with(bodies: Sequence[Body], **values: float) -> tuple[Body, ...]:
     """Give all trees other leaves; with `sway` the outermost swing so far to either side."""
     return tuple(
         body.model_copy(update={"shape": body.shape.model_copy(update=values)})
@@ -164,10 +147,8 @@ def _trees_with(bodies: "Sequence[Body]", **values: float) -> "tuple[Body, ...]"
     )
 
 
-def _insects(rng: np.random.Generator, count: int) -> "list[Target]":
+def _insects(rng: np.random.Generator, count: int) -> list[Target]:
     """Specks of 1 to 3 cm that circle within a few metres of the sensor's way."""
-    from lidar_core import sim
-
     return [
         sim.Target(
             shape=sim.Sphere(radius=rng.uniform(0.01, 0.03)),
@@ -183,10 +164,8 @@ def _insects(rng: np.random.Generator, count: int) -> "list[Target]":
     ]
 
 
-def _air(rng: np.random.Generator, condition: str, seconds: float) -> "tuple[Particles, ...]":
+def _air(rng: np.random.Generator, condition: str, seconds: float) -> tuple[Particles, ...]:
     """Rain, or clouds of dust of 0.3 to 1.5 m that drift over the street and grow."""
-    from lidar_core import sim
-
     if condition == "rain":
         return (sim.Rain(),)
     count = {"dust": PUFFS, "thick dust": THICK_PUFFS}.get(condition, 0)
@@ -250,5 +229,7 @@ ITEM = Item(
     title="tracks of nothing: ideal, with noise, in rain, dust, insects and swaying trees",
     scans=4500,
     minutes=30,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
 )

@@ -9,7 +9,7 @@ from lidar_core.flying import FlyingConfig, VoxelMapConfig
 from lidar_core.flying.voxel_map import VoxelMap
 from lidar_core.reproduce.common import BLUE, GREY, RED
 from lidar_core.reproduce.flying.simulated.flights import both_modes
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.types import Item, Measured, Request, Row
 
 SECONDS_PER_SCAN = 0.1
 ENTERS, LEAVES = 2.0, 4.5
@@ -26,7 +26,7 @@ POINTS = 4
 FLYING = 2
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     times = np.asarray(SECONDS_PER_SCAN * np.arange(request.scans), np.float64)
     is_inside = (times >= ENTERS) & (times < LEAVES)
     log_odds = _log_odds(is_inside)
@@ -34,9 +34,8 @@ def _run(request: Request) -> Result:
     for name, config in both_modes().items():
         values[name] = _values(config, is_inside)
         request.advance(request.scans // 2)
-    return Result(
-        rows=tuple(_rows(times, is_inside, log_odds, values)),
-        draw=lambda figure: _draw(figure, times, log_odds, values),
+    return Measured(
+        (times, log_odds, values),
         scans=request.scans,
         note="The paper shows curves without numbers. Log-odds have no modes: their numbers stand"
         " in both columns. The points of the object are taken for flying, as in the paper.",
@@ -75,13 +74,12 @@ def _values(config: FlyingConfig, is_inside: NDArray[np.bool_]) -> NDArray[np.fl
 
 def _rows(
     times: NDArray[np.float64],
-    is_inside: NDArray[np.bool_],
     log_odds: NDArray[np.float64],
     values: dict[str, NDArray[np.float64]],
 ) -> list[Row]:
     rows = []
-    of_log_odds = _summary(times, is_inside, log_odds >= 0, log_odds < 0)
-    of_values = [_summary(times, is_inside, *_states(one)) for one in values.values()]
+    of_log_odds = _summary(times, log_odds >= 0, log_odds < 0)
+    of_values = [_summary(times, *_states(one)) for one in values.values()]
     names = (("scans taken for occupied", "1"), ("time until free again", "s"))
     for number, (name, unit) in enumerate(names):
         rows.append(Row(f"{name}, log-odds", unit, None, *[of_log_odds[number]] * 2))
@@ -97,7 +95,6 @@ def _states(values: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.
 
 def _summary(
     times: NDArray[np.float64],
-    is_inside: NDArray[np.bool_],
     is_occupied: NDArray[np.bool_],
     is_free: NDArray[np.bool_],
 ) -> tuple[float, float | None]:
@@ -105,8 +102,7 @@ def _summary(
     after = np.flatnonzero(is_free & (times >= LEAVES))
     # An object is gone with the first scan after it left: that scan may free the voxel at once.
     until = float(times[after[0]] - LEAVES) + SECONDS_PER_SCAN if len(after) else None
-    is_done = is_inside.any() and bool((times >= LEAVES).any())
-    return float(is_occupied.sum()), until if is_done else None
+    return float(is_occupied.sum()), until
 
 
 def _draw(
@@ -117,7 +113,6 @@ def _draw(
 ) -> None:
     """Values above, states below."""
     panels = figure.subplots(3, 1, sharex=True)
-    figure.suptitle("A flying object crosses a voxel", x=0.06, ha="left", fontweight="bold")
     panels[0].step(times, log_odds, where="post", color="#57606a")
     panels[0].set_ylabel("L(v)")
     panels[2].step(
@@ -143,5 +138,8 @@ ITEM = Item(
     title="G(v) against log-odds for an object that enters a voxel and leaves it (Fig. 3)",
     scans=70,
     minutes=0.1,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="A flying object crosses a voxel",
 )

@@ -1,18 +1,18 @@
 """`flying-fig4`: drones stand on the ground as part of it, and take off."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core import sim
+from lidar_core.evaluation import EvaluationConfig, pair
 from lidar_core.flying import FlyingConfig
 from lidar_core.reproduce.common import BLUE, GREY, KINDS, MODES, RED, Kind, scene_rng
 from lidar_core.reproduce.flying.simulated.flights import both_modes, fly, tables
-from lidar_core.reproduce.jobs import Job, Part, run
-from lidar_core.reproduce.types import Item, Request, Result, Row
-
-if TYPE_CHECKING:
-    from lidar_core.sim import Scene
+from lidar_core.reproduce.jobs import Part, flights, run
+from lidar_core.reproduce.types import Item, Measured, Request, Row
+from lidar_core.sim import Scene, Simulator
 
 SCANS_PER_FLIGHT = 80
 START, HEIGHT = 2.0, 3.5
@@ -23,25 +23,13 @@ RESTING = 0.16
 """Height of the centre of a drone that stands on its skids [m]."""
 
 
-def _run(request: Request) -> Result:
-    flights = max(1, round(request.scans / SCANS_PER_FLIGHT))
-    scans = min(request.scans, SCANS_PER_FLIGHT)
-    same = {"seed": request.seed, "scans": scans}
-    jobs = [
-        Job(
-            f"flying-fig4-{request.seed}-{number}-{scans}",
-            flight,
-            {"number": number, **same},
-            scans,
-        )
-        for number in range(flights)
-    ]
+def _measure(request: Request) -> Measured:
+    jobs = flights("flying-fig4", flight, request, longest=SCANS_PER_FLIGHT)
     parts = run(jobs, request)
-    return Result(
-        rows=tuple(_rows(parts)),
-        draw=lambda figure: _draw(figure, parts),
-        scans=flights * scans,
-        note=f"{flights * len(SPEEDS)} take-offs of a hexacopter, 6 to 14 m away; mean over those"
+    return Measured(
+        (parts,),
+        scans=sum(job.scans for job in jobs),
+        note=f"{len(jobs) * len(SPEEDS)} take-offs of a hexacopter, 6 to 14 m away; mean over those"
         " that were detected while the run lasted.",
         config=both_modes(),
     )
@@ -49,8 +37,6 @@ def _run(request: Request) -> Result:
 
 def flight(*, seed: int, number: int, scans: int) -> Part:
     """Simulate one flight and detect in it with both modes, with and without removal."""
-    from lidar_core.sim import Simulator
-
     simulator = Simulator(_scene(seed, number, scans), seed=seed)
     return fly(simulator, _configs(), scans=scans)
 
@@ -64,10 +50,8 @@ def _configs() -> dict[str, FlyingConfig]:
     return configs
 
 
-def _scene(seed: int, number: int, scans: int) -> "Scene":
+def _scene(seed: int, number: int, scans: int) -> Scene:
     """Four drones on the ground around a sensor that hovers; ideal, as in the paper."""
-    from lidar_core import sim
-
     rng = scene_rng(seed, number)
     azimuth = np.pi / 2 * np.arange(4) + rng.uniform(-0.5, 0.5, 4)
     distance = rng.permutation(np.linspace(6, 14, 4)) + rng.uniform(-0.5, 0.5, 4)
@@ -91,8 +75,6 @@ def _scene(seed: int, number: int, scans: int) -> "Scene":
 
 def first_scans(part: Part, name: str, kind: Kind) -> NDArray[np.float64]:
     """Return the first scan after the start in which each drone is found; infinite for none."""
-    from lidar_core.evaluation import EvaluationConfig, pair
-
     start = np.searchsorted(part["stamp_ns"], round(START * 1e9), side="right")
     config = EvaluationConfig()
     drones = len(part["id"])
@@ -132,7 +114,6 @@ def _summary(parts: list[Part], name: str, kind: Kind) -> tuple[float | None, fl
 def _draw(figure: Any, parts: list[Part]) -> None:
     """Heights over time, with the first detections."""
     panels = figure.subplots(1, 2, sharey=True)
-    figure.suptitle("Take-off: first detections", x=0.06, ha="left", fontweight="bold")
     drones = sum(len(part["id"]) for part in parts)
     for axes, mode in zip(panels, MODES, strict=True):
         for part in parts:
@@ -167,5 +148,8 @@ ITEM = Item(
     title="take-off from the ground, with and without removal of separate background",
     scans=160,
     minutes=6,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="Take-off: first detections",
 )

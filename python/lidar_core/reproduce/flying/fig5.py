@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.flying import VoxelMapConfig, hit_probability, point_covariance
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.types import Item, Measured, Request, Row
 
 LEVELS = (
     (0.01, 0.1, 0.01),
@@ -20,7 +20,7 @@ DISTANCES = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0)
 """[m]"""
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     curves = {}
     for level in LEVELS:
         curves[level] = [
@@ -28,9 +28,8 @@ def _run(request: Request) -> Result:
         ]
         request.advance(request.scans // len(LEVELS))
     config = VoxelMapConfig()
-    return Result(
-        rows=tuple(_rows(curves)),
-        draw=lambda figure: _draw(figure, curves),
+    return Measured(
+        (curves,),
         scans=request.scans,
         note=f"Mean over points in random directions, anywhere in their voxels of"
         f" {config.voxel_size} m. Linearised: eqs 41-46; drawn: share of drawn errors that leave"
@@ -92,7 +91,6 @@ def _rows(curves: dict[tuple[float, float, float], list[tuple[float, float]]]) -
 
 def _draw(figure: Any, curves: dict[tuple[float, float, float], list[tuple[float, float]]]) -> None:
     axes = figure.subplots()
-    figure.suptitle("Was the right voxel updated?", x=0.06, ha="left", fontweight="bold")
     for level, curve in curves.items():
         (line,) = axes.plot(DISTANCES, [shares[0] for shares in curve], label=_label(level))
         axes.plot(DISTANCES, [shares[1] for shares in curve], "x", color=line.get_color())
@@ -106,6 +104,9 @@ ITEM = Item(
     title="probability that the right voxel was updated, over distance and noise (Fig. 5)",
     scans=20_000,
     minutes=0.5,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="Was the right voxel updated?",
     counts="points per distance and noise",
 )

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.evaluation import binned
 from lidar_core.reproduce.common import COLOURS, KINDS, MODES, Kind, evaluation_config
 from lidar_core.reproduce.flying.simulated.flights import both_modes
 from lidar_core.reproduce.flying.simulated.sightings import Sightings
 from lidar_core.reproduce.flying.simulated.street import jobs, sample
 from lidar_core.reproduce.jobs import Part, run
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.types import Item, Measured, Request, Row
 
 SHAPES = ("sphere", "mesh")
 """Drones of the paper's size."""
@@ -24,13 +25,12 @@ AXES = (
 """What the sightings are grouped by: column of `Sightings`, unit, edges."""
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     todo = list(jobs(request, request.scans, is_noisy=False))
     parts = run(todo, request)
     seen = {(mode, kind): _joined(parts, mode, kind) for mode in MODES for kind in KINDS}
-    return Result(
-        rows=tuple(_rows(seen)),
-        draw=lambda figure: _draw(figure, seen),
+    return Measured(
+        (seen,),
         scans=sum(job.scans for job in todo),
         note="The ideal flights of flying-table3, sphere and mesh together; a point stands for the"
         " group around it. The paper shows curves without numbers.",
@@ -60,8 +60,6 @@ def _curves(
     seen: Sightings, axis: str, edges: Sequence[float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean error of what was found, and recall, per group; NaN in empty groups."""
-    from lidar_core.evaluation import binned
-
     keys, found = getattr(seen, axis), seen.is_found
     error = binned(keys[found], seen.error[found], edges=edges)
     return error.mean, binned(keys, found.astype(float), edges=edges).mean
@@ -78,7 +76,6 @@ def _value(value: float) -> float | None:
 def _draw(figure: Any, seen: dict[tuple[str, Kind], Sightings]) -> None:
     """Errors above, recall below, one column per quantity."""
     panels = figure.subplots(2, len(AXES), sharey="row", sharex="col")
-    figure.suptitle("Simulated flights, ideal", x=0.06, ha="left", fontweight="bold")
     for column, (axis, unit, edges) in enumerate(AXES):
         for (mode, kind), one in seen.items():
             style = {"color": COLOURS[mode], "ls": "-" if kind == "detections" else "--"}
@@ -99,5 +96,8 @@ ITEM = Item(
     title="simulated flights: error and recall over distance, speed, acceleration (Fig. 7)",
     scans=3000,
     minutes=12,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="Simulated flights, ideal",
 )

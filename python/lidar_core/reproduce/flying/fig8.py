@@ -1,11 +1,12 @@
 """`flying-fig8`: the three real flights, simulated: manual, following, interception."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core import sim
 from lidar_core.reproduce.common import KINDS, MODES, Kind, evaluation_config
 from lidar_core.reproduce.flying.simulated.flights import both_modes, fly
 from lidar_core.reproduce.flying.simulated.pursuit import (
@@ -16,10 +17,8 @@ from lidar_core.reproduce.flying.simulated.pursuit import (
 )
 from lidar_core.reproduce.flying.simulated.sightings import Sightings, sightings
 from lidar_core.reproduce.jobs import Job, Part, run
-from lidar_core.reproduce.types import Item, Request, Result, Row
-
-if TYPE_CHECKING:
-    from lidar_core.sim import PoseNoise, Scene
+from lidar_core.reproduce.types import Item, Measured, Request, Row
+from lidar_core.sim import NoisyPoses, PoseNoise, Scene, Simulator
 
 SCANS_PER_FLIGHT = 200
 FLIGHTS = ("manual", "following", "interception")
@@ -36,7 +35,7 @@ Parts = Mapping[tuple[str, str], Sequence[Part]]
 """Flights by their kind and mode."""
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     each = max(1, min(SCANS_PER_FLIGHT, request.scans // len(FLIGHTS)))
     rounds = max(1, round(request.scans / (len(FLIGHTS) * SCANS_PER_FLIGHT)))
     todo = list(_jobs(request.seed, rounds, each))
@@ -51,9 +50,8 @@ def _run(request: Request) -> Result:
         for mode in MODES
     }
     noise = _noise()
-    return Result(
-        rows=tuple(_rows(parts)),
-        draw=lambda figure: _draw(figure, parts),
+    return Measured(
+        (parts,),
         scans=rounds * each * len(FLIGHTS),
         note=f"OS0-128; ranges 0.03 m; poses {noise.position_std:g} m / {noise.angle_std_deg:g} deg"
         f" per axis, forgotten in {noise.time_constant:g} s. Following and interception are closed"
@@ -80,8 +78,6 @@ def _jobs(seed: int, rounds: int, scans: int) -> Iterator[Job]:
 
 def flight(*, kind: str, mode: str, seed: int, number: int, scans: int) -> Part:
     """Simulate one flight; `mode` is both for the manual one, which no detector steers."""
-    from lidar_core.sim import NoisyPoses, Simulator
-
     name = (seed * 1_000_003 + 10 * number + FLIGHTS.index(kind)) % 2**32
     simulator = Simulator(scene(kind, name, scans), seed=name)
     noise = NoisyPoses(_noise(), seed=name)
@@ -96,10 +92,8 @@ def flight(*, kind: str, mode: str, seed: int, number: int, scans: int) -> Part:
     return pursue(simulator, mode, config, guide, scans=scans, noise=noise, box=(low, high))
 
 
-def scene(kind: str, name: int, scans: int) -> "Scene":
+def scene(kind: str, name: int, scans: int) -> Scene:
     """A street with an open field, a hexacopter over it, and the observer."""
-    from lidar_core import sim
-
     side = np.arange(-FIELD - 2, FIELD + 3, 2.0)
     field = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     fast = kind == "manual"
@@ -126,9 +120,7 @@ def scene(kind: str, name: int, scans: int) -> "Scene":
     )
 
 
-def _noise() -> "PoseNoise":
-    from lidar_core.sim import PoseNoise
-
+def _noise() -> PoseNoise:
     return PoseNoise(time_constant=1.0)
 
 
@@ -187,7 +179,6 @@ def _passes(parts: Sequence[Part]) -> int:
 def _draw(figure: Any, parts: Parts) -> None:
     """Errors of the tracks over time above, distances below; the first flight of each kind."""
     panels = figure.subplots(2, len(FLIGHTS), sharey="row", sharex=True)
-    figure.suptitle("The three flights, simulated with noise", x=0.06, ha="left", fontweight="bold")
     for column, flight_kind in enumerate(FLIGHTS):
         for mode, colour in (("paper", "#be185d"), ("best", "#0369a1")):
             part = parts[flight_kind, mode][0]
@@ -220,5 +211,8 @@ ITEM = Item(
     title="the three real flights, simulated: manual, following, interception (Fig. 8)",
     scans=1200,
     minutes=3,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="The three flights, simulated with noise",
 )

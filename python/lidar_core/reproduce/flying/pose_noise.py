@@ -1,20 +1,19 @@
 """`flying-pose-noise`: poses that jitter and drift, and a map that knows or does not."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core import sim
+from lidar_core.evaluation import EvaluationConfig, score_detections, score_tracks
 from lidar_core.flying import FlyingConfig, PoseConfig
 from lidar_core.reproduce.common import BLUE, RED, evaluation_config, scene_rng, simulator_seed
 from lidar_core.reproduce.flying.simulated.flights import both_modes, fly, tables
-from lidar_core.reproduce.jobs import Job, Part, run
-from lidar_core.reproduce.types import Item, Request, Result, Row
-
-if TYPE_CHECKING:
-    from lidar_core.evaluation import EvaluationConfig
-    from lidar_core.sim import Scene, SimulatedScan
+from lidar_core.reproduce.jobs import Part, flights, run
+from lidar_core.reproduce.types import Item, Measured, Request, Row
+from lidar_core.sim import NoisyPoses, PoseNoise, Scene, SimulatedScan, Simulator
 
 SCANS_PER_FLIGHT = 150
 JITTER = (0.1, 0.5)
@@ -33,8 +32,6 @@ class JitterAndDrift:
     """Poses with two errors: one white per scan, one that wanders."""
 
     def __init__(self, *, seed: int) -> None:
-        from lidar_core.sim import NoisyPoses, PoseNoise
-
         jitter = PoseNoise(position_std=JITTER[0], angle_std_deg=JITTER[1])
         drift = PoseNoise(
             position_std=DRIFT[0], angle_std_deg=DRIFT[1], time_constant=DRIFT_SECONDS
@@ -42,29 +39,19 @@ class JitterAndDrift:
         self.covariance: NDArray[np.float64] = jitter.covariance + drift.covariance
         self._errors = [NoisyPoses(drift, seed=seed), NoisyPoses(jitter, seed=seed + 2**32)]
 
-    def observed(self, made: "SimulatedScan") -> "SimulatedScan":
+    def observed(self, made: SimulatedScan) -> SimulatedScan:
         """Return the scan as the detector gets it."""
         for error in self._errors:
             made = error.observed(made)
         return made
 
 
-def _run(request: Request) -> Result:
-    each = min(request.scans, SCANS_PER_FLIGHT)
-    jobs = [
-        Job(
-            f"pose-noise-{request.seed}-{number}-{each}",
-            flight,
-            {"seed": request.seed, "number": number, "scans": each},
-            each,
-        )
-        for number in range(max(1, round(request.scans / SCANS_PER_FLIGHT)))
-    ]
+def _measure(request: Request) -> Measured:
+    jobs = flights("pose-noise", flight, request, longest=SCANS_PER_FLIGHT)
     parts = run(jobs, request)
     scans = sum(job.scans for job in jobs)
-    return Result(
-        rows=tuple(_rows(parts, scans)),
-        draw=lambda figure: _draw(figure, parts, scans),
+    return Measured(
+        (parts, scans),
         scans=scans,
         note=f"Errors of the pose per axis: {JITTER[0]} m and {JITTER[1]} deg, white per scan, and"
         f" {DRIFT[0]} m and {DRIFT[1]} deg with a time constant of {DRIFT_SECONDS:g} s. Every"
@@ -85,17 +72,13 @@ def _configs() -> dict[str, FlyingConfig]:
 
 def flight(*, seed: int, number: int, scans: int) -> Part:
     """Simulate one flight and detect in it with every configuration."""
-    from lidar_core.sim import Simulator
-
     name = simulator_seed(seed, number)
     simulator = Simulator(_scene(seed, number, scans), seed=name)
     return fly(simulator, _configs(), scans=scans, noise=JitterAndDrift(seed=name))
 
 
-def _scene(seed: int, number: int, scans: int) -> "Scene":
+def _scene(seed: int, number: int, scans: int) -> Scene:
     """A street, a LiDAR with 64 rows on its way, and two drones on theirs."""
-    from lidar_core import sim
-
     rng = scene_rng(seed, number)
     seconds = scans * 0.1
     pattern = sim.Spinning(elevations_deg=tuple(np.linspace(22.5, -22.5, 64).tolist()), columns=512)
@@ -142,8 +125,6 @@ def _rows(parts: Sequence[Part], scans: int) -> list[Row]:
 
 def _counts(parts: Sequence[Part], name: str) -> tuple[int, int, float, float]:
     """False detections, false tracks, and shares of sightings with a detection, with a track."""
-    from lidar_core.evaluation import score_detections, score_tracks
-
     config = _evaluation()
     found = [
         score_detections(*tables(part, name, "detections", config=config), config=config)
@@ -161,7 +142,7 @@ def _counts(parts: Sequence[Part], name: str) -> tuple[int, int, float, float]:
     )
 
 
-def _evaluation() -> "EvaluationConfig":
+def _evaluation() -> EvaluationConfig:
     """Sightings that count: near enough, with enough rays."""
     return evaluation_config(gate=GATE, max_distance=SEEN_RANGE, min_hits=SEEN_HITS)
 
@@ -170,7 +151,6 @@ def _draw(figure: Any, parts: Sequence[Part], scans: int) -> None:
     """False detections and recall, a bar per configuration."""
     names = ("off", "ends", "spread")
     panels = figure.subplots(1, 2)
-    figure.suptitle("Poses that jitter and drift", x=0.06, ha="left", fontweight="bold")
     counts = [_counts(parts, name) for name in names]
     false = [1000 * one[0] / scans for one in counts]
     panels[0].bar(names, false, color=RED)
@@ -187,5 +167,8 @@ ITEM = Item(
     title="false detections with jittering and drifting poses, by what the map knows of them",
     scans=1500,
     minutes=30,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="Poses that jitter and drift",
 )

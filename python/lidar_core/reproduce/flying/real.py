@@ -22,9 +22,9 @@ from lidar_core.reproduce.flying.real_data.sequences import (
     sequence_named,
     sequence_scans,
 )
-from lidar_core.reproduce.jobs import Job, Part, run
+from lidar_core.reproduce.jobs import Job, Part, grouped, run
 from lidar_core.reproduce.recordings import recording
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.types import Item, Measured, Request, Row
 
 FLIGHTS = 20
 """Runs with targets per sequence, one target of every shape in each."""
@@ -41,20 +41,13 @@ BARE, LOSSES = -1, -2
 """Numbers of the runs without targets: as it is, and with returns lost in patches."""
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     for name in ITEM.data:
         recording(name)  # refuses before the first long run
     todo = jobs(request)
-    parts = run(todo, request)
-    of = {
-        one.name: [
-            part for job, part in zip(todo, parts, strict=True) if job.arguments["name"] == one.name
-        ]
-        for one in SEQUENCES
-    }
-    return Result(
-        rows=tuple(_rows(of)),
-        draw=lambda figure: _draw(figure, of),
+    of = grouped(todo, run(todo, request), "name", [one.name for one in SEQUENCES])
+    return Measured(
+        (of,),
         scans=sum(job.scans for job in todo),
         note=f"false_tracks: distinct numbers in the sequence as it is. With a sphere, a"
         f" hexacopter and a quadcopter that go along with the sensor: recall of tracks from"
@@ -155,6 +148,8 @@ ITEM = Item(
     title="real sequences of five sensors, as they are and with inserted targets",
     scans=4400,
     minutes=25,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
     data=tuple(file for one in SEQUENCES for file in one.files),
 )

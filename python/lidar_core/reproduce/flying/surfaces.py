@@ -1,21 +1,20 @@
 """`flying-surfaces`: fog, dark, wet and glass streets; what is sky, and what only looks like it."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core import sim
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 from lidar_core.io import PosedScan
 from lidar_core.reproduce.common import BLUE, GREY, RED, scene_rng, simulator_seed
 from lidar_core.reproduce.flying.real_data.reported import Reported, false_tracks
 from lidar_core.reproduce.flying.real_data.scores import FEWEST, START_S, scores
-from lidar_core.reproduce.jobs import Job, Part, run
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.jobs import Job, Part, grouped, run
+from lidar_core.reproduce.types import Item, Measured, Request, Row
 from lidar_core.scan_processing import detect
-
-if TYPE_CHECKING:
-    from lidar_core.sim import Scene, SimulatedScan
+from lidar_core.sim import Scene, SimulatedScan, Simulator
 
 CONDITIONS = ("fog", "dark", "wet", "glass")
 SENSORS = ("hdl-32e", "livox-mid360", "vlp-16", "livox-avia", "xt32")
@@ -37,20 +36,11 @@ BEFORE_SKY = 0.9
 """A target is before the sky if this share of the rays around it meets nothing behind it."""
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     todo = jobs(request)
-    parts = run(todo, request)
-    of = {
-        condition: [
-            part
-            for job, part in zip(todo, parts, strict=True)
-            if job.arguments["condition"] == condition
-        ]
-        for condition in CONDITIONS
-    }
-    return Result(
-        rows=tuple(_rows(of)),
-        draw=lambda figure: _draw(figure, of),
+    of = grouped(todo, run(todo, request), "condition", CONDITIONS)
+    return Measured(
+        (of,),
         scans=sum(job.scans for job in todo),
         note="Default configuration, scans as the sensor's driver gives them, a car whose roof is"
         " in view stands or drives at 8 m/s. sky known: share of the rays that would meet nothing"
@@ -94,8 +84,6 @@ def flight(*, seed: int, number: int, scans: int, condition: str) -> Part:
         The columns of `Reported`; `place` (S, T, 3), `hits` (S, T) of the target, 0 where it is
         not before the sky; `seconds` (S,), and `sky` and `lost`: rays, and how many are free.
     """
-    from lidar_core.sim import Simulator
-
     world, sensor = scene(seed, number, scans, condition), turn_of(number)[0]
     name = simulator_seed(seed, number)
     simulator, truth = Simulator(world, seed=name), Truth(world, name)
@@ -130,10 +118,8 @@ def turn_of(number: int) -> tuple[str, float]:
     return SENSORS[sensor], SPEEDS[speed % len(SPEEDS)]
 
 
-def scene(seed: int, number: int, scans: int, condition: str) -> "Scene":
+def scene(seed: int, number: int, scans: int, condition: str) -> Scene:
     """Street in the given condition, a car that stands or drives in it, a quadcopter or none."""
-    from lidar_core import sim
-
     rng = scene_rng(seed, number, CONDITIONS.index(condition))
     sensor, speed = turn_of(number)
     named: dict[str, Any] = {
@@ -164,15 +150,13 @@ class Truth:
         Of its simulator.
     """
 
-    def __init__(self, world: "Scene", seed: int) -> None:
-        from lidar_core.sim import Simulator
-
+    def __init__(self, world: Scene, seed: int) -> None:
         bare = world.model_copy(update={"targets": ()})
         ideal = bare.lidar.model_copy(update={"ideal": True})
         self._clear = Simulator(bare.idealised(), seed=seed)
         self._rays = Simulator(bare.model_copy(update={"lidar": ideal}), seed=seed)
 
-    def is_before_sky(self, step: int, made: "SimulatedScan") -> NDArray[np.bool_]:
+    def is_before_sky(self, step: int, made: SimulatedScan) -> NDArray[np.bool_]:
         """Whether nothing stands behind each target of a scan."""
         if not len(made.truth.position):
             return np.zeros(0, np.bool_)
@@ -212,7 +196,7 @@ class Truth:
         return [len(ahead), *free.tolist(), len(surfaces), int(cleared)]
 
 
-def _directions(made: "SimulatedScan") -> NDArray[np.float64]:
+def _directions(made: SimulatedScan) -> NDArray[np.float64]:
     """Unit directions of all rays of a scan that knows them."""
     points = made.scan.points.reshape(-1, 3).astype(np.float64)
     met = np.isfinite(points).all(axis=1, keepdims=True)
@@ -266,5 +250,7 @@ ITEM = Item(
     title="fog, dark, wet and glass streets: tracks of nothing, recall, share of the sky",
     scans=12_800,
     minutes=25,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
 )

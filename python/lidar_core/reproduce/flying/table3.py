@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from lidar_core.reproduce.common import MODES, Kind, evaluation_config
+from lidar_core.evaluation import score_detections, score_tracks
+from lidar_core.reproduce.common import COLOURS, KINDS, MODES, evaluation_config
 from lidar_core.reproduce.flying.simulated.flights import both_modes, tables
 from lidar_core.reproduce.flying.simulated.sightings import Sightings
 from lidar_core.reproduce.flying.simulated.street import RADII, SHAPES, WAYS, jobs, sample
 from lidar_core.reproduce.jobs import Part, run
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.types import Item, Measured, Request, Row
 
 IDEAL_SHARE = 2 / 3
 """Share of the scans that are ideal; the others are noisy."""
@@ -20,7 +21,7 @@ SLOW = 4.5
 """Limit of the rows on moments of up to 4 m/s^2; what differences of speeds tell of it swings."""
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     ideal = list(jobs(request, max(1, round(IDEAL_SHARE * request.scans)), is_noisy=False))
     noisy = list(
         jobs(request, max(1, request.scans - sum(job.scans for job in ideal)), is_noisy=True)
@@ -28,9 +29,9 @@ def _run(request: Request) -> Result:
     parts = run([*ideal, *noisy], request)
     exact, rough = parts[: len(ideal)], parts[len(ideal) :]
     ways = ", ".join(f"{way.kind} {way.speed:g} m/s {way.acceleration:g} m/s2" for way in WAYS)
-    return Result(
-        rows=(*_rows(exact, ""), *_rows(rough, "noisy ")),
-        draw=lambda figure: _draw(figure, exact),
+    return Measured(
+        (exact, rough),
+        drawn=(exact,),
         scans=sum(job.scans for job in (*ideal, *noisy)),
         note=f"OS1-128, 5 to 20 m; any: radius {RADII[0]:g} to {RADII[1]:g} m, unknown. Flights:"
         f" {ways}. noisy: ranges 0.03 m, poses 0.05 m / 0.5 deg per axis, white per scan.",
@@ -38,11 +39,14 @@ def _run(request: Request) -> Result:
     )
 
 
-def _rows(parts: Sequence[Part], prefix: str) -> list[Row]:
+def _rows(exact: Sequence[Part], rough: Sequence[Part]) -> list[Row]:
+    return [*_rows_of(exact, ""), *_rows_of(rough, "noisy ")]
+
+
+def _rows_of(parts: Sequence[Part], prefix: str) -> list[Row]:
     rows: list[Row] = []
-    kinds: tuple[Kind, Kind] = ("detections", "tracks")
     for shape in SHAPES:
-        for kind in kinds:
+        for kind in KINDS:
             known = PAPER[kind] if prefix == "" and not shape.startswith("any") else ()
             names = (f"{prefix}{shape}, {kind}: {name}" for name, _ in QUANTITIES)
             columns = (_numbers(sample(parts, mode, kind, shape)) for mode in MODES)
@@ -80,8 +84,6 @@ COUNTED = ("false tracks", "changes of identity", "false detections", "duplicate
 
 def _counts(parts: Sequence[Part], mode: str) -> tuple[int, ...]:
     """Sums of `COUNTED` over all flights."""
-    from lidar_core.evaluation import score_detections, score_tracks
-
     config = evaluation_config()
     tracks = [
         score_tracks(*tables(part, mode, "tracks", config=config), config=config) for part in parts
@@ -101,12 +103,9 @@ def _counts(parts: Sequence[Part], mode: str) -> tuple[int, ...]:
 def _draw(figure: Any, parts: Sequence[Part]) -> None:
     """Distributions of the errors per shape, with the paper's mean."""
     panels = figure.subplots(1, 2, sharey=True)
-    figure.suptitle(
-        "Simulated flights, ideal: position error", x=0.06, ha="left", fontweight="bold"
-    )
-    kinds: tuple[Kind, Kind] = ("detections", "tracks")
-    for axes, kind in zip(panels, kinds, strict=True):
-        for offset, mode, colour in ((-0.2, "paper", "#be185d"), (0.2, "best", "#0369a1")):
+    for axes, kind in zip(panels, KINDS, strict=True):
+        for offset, mode in zip((-0.2, 0.2), MODES, strict=True):
+            colour = COLOURS[mode]
             seen = [sample(parts, mode, kind, shape) for shape in SHAPES]
             errors = [one.error[one.is_found] for one in seen]
             drawn = axes.boxplot(
@@ -134,5 +133,8 @@ ITEM = Item(
     title="simulated flights: position errors and recall of detections and tracks (Table III)",
     scans=4500,
     minutes=18,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="Simulated flights, ideal: position error",
 )

@@ -18,7 +18,7 @@ from lidar_core.reproduce.fusion.ensembles import (
     Ensemble,
     drawn,
 )
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.types import Item, Measured, Request, Row
 
 SIGMA = ("ekf", "ukf", "ckf")
 METHODS = {
@@ -77,7 +77,7 @@ def values(some: Ensemble, filters: FusionConfig, *, threads: int) -> Array:
     return np.array(found)
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     found: dict[tuple[str, str, str], Array] = {}
     configs: dict[str, FusionConfig] = {}
 
@@ -96,9 +96,8 @@ def _run(request: Request) -> Result:
     some = ensemble(SWITCHING, request.scans, request.seed)
     follow(some, (SWITCHING, "imm", RIGHT), MIXTURE)
     request.advance(request.scans)
-    return Result(
-        rows=tuple(_rows(found)),
-        draw=lambda figure: _draw(figure, found),
+    return Measured(
+        (found,),
         scans=request.scans,
         note=f"{request.scans} targets of each model, LiDAR and radar in turn over {STEPS} steps"
         f" of {SECONDS:g} s. Goal: at least 0.85 of the steps inside, where noise is known. The"
@@ -130,12 +129,6 @@ def degrees_of(model: str) -> int:
 def _draw(figure: Any, found: Mapping[tuple[str, str, str], Array]) -> None:
     """Mean NEES of EKF-CTRV at every step, right and wrong, with the band."""
     panel = figure.subplots()
-    figure.suptitle(
-        "EKF-CTRV: squared errors against what covariances say",
-        x=0.06,
-        ha="left",
-        fontweight="bold",
-    )
     degrees, seconds = degrees_of("ctrv"), np.arange(STEPS) * SECONDS
     for name, colour in ((RIGHT, BLUE), *zip(WRONG, (RED, GREY, RED, GREY), strict=True)):
         line = "--" if "sensors" in name else "-"
@@ -155,6 +148,9 @@ ITEM = Item(
     title="LiDAR and radar: errors of every filter against its covariances",
     scans=500,
     minutes=1,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="EKF-CTRV: squared errors against what covariances say",
     counts="targets",
 )

@@ -19,7 +19,7 @@ from lidar_core.reproduce.fusion.laser_radar import (
     measurements,
 )
 from lidar_core.reproduce.fusion.rmse import SETTLED
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.types import Item, Measured, Request, Row
 
 MOTIONS = ((0.0, 0.0), (0.3, 0.0), (1.0, 0.0), (1.0, 3.0))
 """Greatest turn rate [rad/s], to and fro, and speed ahead [m/s] of the platform."""
@@ -107,13 +107,12 @@ def configs() -> dict[str, FusionConfig]:
     }
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     filters = configs()
     found = {motion: _errors(motion, filters, request) for motion in MOTIONS}
     request.advance(request.scans)
-    return Result(
-        rows=tuple(_rows(found)),
-        draw=lambda figure: _draw(figure, found),
+    return Measured(
+        (found,),
         scans=request.scans,
         note=f"Measurements drawn anew along the true way of obj_pose, seen by a sensor that turns"
         f" to and fro every {SWING:g} s; errors in its own frame, without the first {SETTLED}"
@@ -199,7 +198,6 @@ def _rows(found: Found) -> list[Row]:
 def _draw(figure: Any, found: Found) -> None:
     """Errors in the plane over the motion of the sensor."""
     panel = figure.subplots()
-    figure.suptitle("A sensor that turns", x=0.06, ha="left", fontweight="bold")
     spots = list(range(len(found)))
     for who, (colour, line) in STYLES.items():
         values = [float(np.hypot(*errors[who])) for errors in found.values()]
@@ -217,7 +215,10 @@ ITEM = Item(
     title="LiDAR and radar on a sensor that turns: ignored, as published, correct",
     scans=40,
     minutes=0.5,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="A sensor that turns",
     counts="draws",
     data=(OBJ_POSE,),
 )

@@ -1,7 +1,7 @@
 """`fusion-fig4`: a track in the plane, elevation and pose of the drone give three dimensions."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,9 @@ from lidar_core.fusion import (
     level_overflight,
     run,
 )
-from lidar_core.reproduce.common import BLUE, COLOURS
-from lidar_core.reproduce.types import Item, Request, Result, Row
-
-if TYPE_CHECKING:
-    from lidar_core.sim import Overflight, Overflown
+from lidar_core.reproduce.common import BLUE, COLOURS, MODES
+from lidar_core.reproduce.types import Item, Measured, Request, Row
+from lidar_core.sim import Overflight, Overflown, overfly
 
 SETTLED = 40
 """Rows at the start that do not count."""
@@ -29,30 +27,26 @@ NAMES = (("x", "m"), ("y", "m"), ("z", "m"))
 ROUND = (("distance", "m"), ("direction", "rad"), ("height", "m"))
 
 
-def scenes() -> "dict[str, Overflight]":
-    """Somebody who walks, and a car."""
-    from lidar_core.sim import Overflight
+Flown: TypeAlias = tuple[list[Overflown], dict[str, list[SpaceTrack]]]
+"""Flights of a scene, and the tracks of both modes in them."""
 
+
+def scenes() -> dict[str, Overflight]:
+    """Somebody who walks, and a car."""
     car = Overflight(
         height=15.0, speed=7.5, target_start=20.0, target_speed=8.0, target_turn_rate=0.2
     )
     return {"walking": Overflight(), "driving": car}
 
 
-def _run(request: Request) -> Result:
-    from lidar_core.sim import overfly
-
-    rows: list[Row] = []
-    shown: dict[str, Any] = {}
+def _measure(request: Request) -> Measured:
+    found: dict[str, Flown] = {}
     for name, scene in scenes().items():
         made = [overfly(scene, seed=request.seed * 1_000_003 + n) for n in range(request.scans)]
-        found = {mode: [_follow(one, mode) for one in made] for mode in ("paper", "best")}
-        rows += _rows(name, made, found)
-        shown[name] = (made[0], {mode: tracks[0] for mode, tracks in found.items()})
+        found[name] = made, {mode: [_follow(one, mode) for one in made] for mode in MODES}
     request.advance(request.scans)
-    return Result(
-        rows=tuple(rows),
-        draw=lambda figure: _draw(figure, shown),
+    return Measured(
+        (found,),
         scans=request.scans,
         note="Simulated: the paper shows a sketch. The drone swings in yaw and pitch. Paper mode:"
         " the equations as printed in the frame of the sensors, every elevation by itself. Best"
@@ -62,7 +56,7 @@ def _run(request: Request) -> Result:
     )
 
 
-def _follow(made: "Overflown", mode: str) -> SpaceTrack:
+def _follow(made: Overflown, mode: str) -> SpaceTrack:
     """Level what was measured, filter it in the plane, and give it its height."""
     sight = level_overflight(made)
     if mode == "paper":
@@ -85,7 +79,7 @@ def _follow(made: "Overflown", mode: str) -> SpaceTrack:
     )
 
 
-def _flat(made: "Overflown", sight: LevelSight) -> list[Measurement]:
+def _flat(made: Overflown, sight: LevelSight) -> list[Measurement]:
     """Level measurements, with what is known of their errors."""
     seen = []
     for row, stamp_ns in enumerate(made.stamps_ns.tolist()):
@@ -100,7 +94,7 @@ def _flat(made: "Overflown", sight: LevelSight) -> list[Measurement]:
     return seen
 
 
-def _poses(made: "Overflown") -> list[Measurement]:
+def _poses(made: Overflown) -> list[Measurement]:
     rows = np.column_stack([made.drone[:, :2], made.yaw, made.drone_velocity[:, :2], made.gyro])
     return [
         Measurement(stamp_ns, "pose", row)
@@ -108,14 +102,16 @@ def _poses(made: "Overflown") -> list[Measurement]:
     ]
 
 
-def _cylindrical(made: "Overflown") -> NDArray[np.float64]:
+def _cylindrical(made: Overflown) -> NDArray[np.float64]:
     x, y, z = (made.position - made.drone).T
     return np.stack([np.hypot(x, y), np.arctan2(y, x), z], axis=1)
 
 
-def _rows(
-    scene: str, made: "list[Overflown]", found: "Mapping[str, list[SpaceTrack]]"
-) -> list[Row]:
+def _rows(found: Mapping[str, Flown]) -> list[Row]:
+    return [row for scene, flown in found.items() for row in _rows_of(scene, *flown)]
+
+
+def _rows_of(scene: str, made: list[Overflown], found: Mapping[str, list[SpaceTrack]]) -> list[Row]:
     """Errors of both forms, and how well their covariances are right."""
     values: dict[str, list[float]] = {}
     for mode, tracks in found.items():
@@ -148,13 +144,14 @@ def _nees(wrong: NDArray[np.float64], covariances: list[NDArray[np.float64]]) ->
     return float((np.swapaxes(e, 2, 3) @ np.linalg.pinv(P) @ e).mean() / 3)
 
 
-def _draw(figure: Any, shown: Mapping[str, Any]) -> None:
+def _draw(figure: Any, found: Mapping[str, Flown]) -> None:
     """Both scenes from above and from the side."""
-    panels = figure.subplots(2, len(shown))
-    figure.suptitle("From the plane into space", x=0.06, ha="left", fontweight="bold")
-    for column, (scene, (made, tracks)) in zip(panels.T, shown.items(), strict=True):
+    panels = figure.subplots(2, len(found))
+    for column, (scene, (flights, follows)) in zip(panels.T, found.items(), strict=True):
+        made = flights[0]
         for panel, (axis, name) in zip(column, ((1, "y"), (2, "z")), strict=True):
-            for mode, track in tracks.items():
+            for mode, tracks in follows.items():
+                track = tracks[0]
                 panel.plot(
                     track.position[:, 0],
                     track.position[:, axis],
@@ -176,6 +173,9 @@ ITEM = Item(
     title="LiDAR and radar on a drone: the target in three dimensions (Fig. 4)",
     scans=20,
     minutes=0.3,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading="From the plane into space",
     counts="draws",
 )

@@ -34,7 +34,7 @@ from lidar_core.reproduce.fusion.laser_radar import (
     plane,
     power_std,
 )
-from lidar_core.reproduce.types import Item, Request, Result, Row
+from lidar_core.reproduce.types import Item, Measured, Request, Row
 
 PAPER = {LINEAR: 0.21, EKF: 0.163}
 """Their root mean square errors [m]; the paper does not say of what, nor at which noise."""
@@ -48,7 +48,7 @@ MONTE_CARLO = 100
 """Draws of the second recording, in a full run."""
 
 
-def _run(request: Request) -> Result:
+def _measure(request: Request) -> Measured:
     of, std = course(SAMPLE_1), power_std(PAPER_LEVEL)
     draws = draws_of(of, PAPER_LEVEL, request.scans, seed=request.seed)
     modes = _contenders()
@@ -60,25 +60,10 @@ def _run(request: Request) -> Result:
         }
 
     found = {mode: scored(some) for mode, some in modes.items()}
-    paper, right, best = found.values()
-    rows = [
-        Row(
-            f"2-D RMSE, {name}",
-            "m",
-            PAPER.get(name),
-            paper.get(name),
-            best.get(name),
-            right.get(name),
-        )
-        for name in _names(found)
-    ]
     request.advance(request.scans)
-    rows += _lost(of, request)
-    rows += _clean(of)
-    rows += _anew(request)
-    return Result(
-        rows=tuple(rows),
-        draw=lambda figure: _draw(figure, found),
+    return Measured(
+        (found, [*_lost(of, request), *_clean(of), *_anew(request)]),
+        drawn=(found,),
         scans=request.scans,
         note=f"White noise of {PAPER_LEVEL:g} dBW on x and y of sample-1, which is where the"
         " paper's errors can be matched; the paper does not say how much noise it means. Its"
@@ -90,6 +75,21 @@ def _run(request: Request) -> Result:
             for name, one in some.items()
         },
     )
+
+
+def _rows(found: Mapping[str, Mapping[str, float]], others: list[Row]) -> list[Row]:
+    paper, right, best = found.values()
+    return [
+        Row(
+            f"2-D RMSE, {name}",
+            "m",
+            PAPER.get(name),
+            paper.get(name),
+            best.get(name),
+            right.get(name),
+        )
+        for name in _names(found)
+    ] + others
 
 
 def _names(found: Mapping[str, Mapping[str, float]]) -> list[str]:
@@ -219,7 +219,6 @@ def _of_runs(runs: Sequence[Run], of: Course) -> list[Row]:
 def _draw(figure: Any, found: Mapping[str, Mapping[str, float]]) -> None:
     """Errors in the plane, a bar per filter and mode."""
     panel = figure.subplots()
-    figure.suptitle(f"Noise of {PAPER_LEVEL:g} dBW", x=0.06, ha="left", fontweight="bold")
     names = _names(found)
     for offset, (mode, some) in enumerate(found.items()):
         spots = np.arange(len(names)) + 0.27 * offset
@@ -240,7 +239,10 @@ ITEM = Item(
     title="LiDAR and radar: error of the linear filter and of EKF-CTRV",
     scans=1000,
     minutes=2,
-    run=_run,
+    measure=_measure,
+    rows=_rows,
+    draw=_draw,
+    heading=f"Noise of {PAPER_LEVEL:g} dBW",
     counts="draws",
     data=(SAMPLE_1, OBJ_POSE),
 )

@@ -4,20 +4,13 @@
 //! Sanchez-Lopez, Sampedro, Cazzato & Voos, "Deep learning based semantic situation awareness
 //! system for multirotor aerial robots using LIDAR", 2019. Equation numbers are the paper's.
 
-pub mod bodies;
-mod channel;
-pub mod circle;
-pub mod corner;
 pub mod fit;
 pub mod frame;
 pub mod map;
-mod merge;
-mod parts;
+mod map_input;
 pub mod pipeline;
-pub mod polar;
 pub mod preprocess;
+mod scanner;
 pub mod segment;
-pub mod segments;
+pub mod selection;
 pub mod shape;
-pub mod sweep;
-pub mod window;

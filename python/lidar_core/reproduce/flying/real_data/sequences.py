@@ -11,14 +11,16 @@ import shutil
 import tarfile
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError, LimitError
+from lidar_core.extras import require
 from lidar_core.io import PosedScan, ReadOptions, open_recording, posed_scans
+from lidar_core.io.files.atomic import written_whole
 from lidar_core.messages import Scan
 from lidar_core.reproduce.recordings import recording
 
@@ -158,8 +160,6 @@ def sequence_scans(sequence: RealSequence, *, static: bool = False) -> Iterator[
 
 def _moved_in_time(item: PosedScan[Scan], shift_ns: int) -> PosedScan[Scan]:
     """The scan at its true time; files of these sequences state no times of points."""
-    from dataclasses import replace
-
     return replace(item, scan=replace(item.scan, stamp_ns=item.scan.stamp_ns + shift_ns))
 
 
@@ -187,7 +187,6 @@ def _kiss_poses(path: Path) -> Path:
     target = path / "kiss_poses.txt"
     if target.is_file():
         return target
-    from lidar_core.extras import require
 
     pipeline = require("kiss_icp.kiss_icp", extra="odometry", purpose="poses by KISS-ICP")
     config = require("kiss_icp.config.parser", extra="odometry", purpose="poses by KISS-ICP")
@@ -208,8 +207,6 @@ def _kiss_poses(path: Path) -> Path:
 
 
 def _write(target: Path, text: str) -> None:
-    from lidar_core.io.files.atomic import written_whole
-
     with written_whole(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
 

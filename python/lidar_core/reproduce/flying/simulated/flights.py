@@ -2,18 +2,16 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.evaluation import Estimates, EvaluationConfig, Truth, eligible
 from lidar_core.flying import FlyingConfig, FlyingFrame, FlyingObjectDetector
 from lidar_core.reproduce.common import Kind
-
-if TYPE_CHECKING:
-    from lidar_core.evaluation import Estimates, EvaluationConfig, Truth
-    from lidar_core.reproduce.jobs import Part
-    from lidar_core.sim import SimulatedScan, Simulator
+from lidar_core.reproduce.jobs import Part
+from lidar_core.sim import SimulatedScan, Simulator
 
 DIFFERENCE_NS = 50_000_000
 """Half the time over which true velocities are compared, for accelerations [ns]."""
@@ -26,7 +24,7 @@ class PoseErrors(Protocol):
     def covariance(self) -> NDArray[np.float64]:
         """Of the error of a scan, shape (6, 6)."""
 
-    def observed(self, made: "SimulatedScan") -> "SimulatedScan":
+    def observed(self, made: SimulatedScan) -> SimulatedScan:
         """Return the scan as a detector gets it."""
 
 
@@ -36,12 +34,12 @@ def both_modes() -> dict[str, FlyingConfig]:
 
 
 def fly(
-    simulator: "Simulator",
+    simulator: Simulator,
     configs: Mapping[str, FlyingConfig],
     *,
     scans: int,
-    noise: "PoseErrors | None" = None,
-) -> "Part":
+    noise: PoseErrors | None = None,
+) -> Part:
     """Give the first `scans` scans to a detector of every configuration, with wrong poses.
 
     The detectors of best mode know how wrong the poses may be, the paper's does not ask.
@@ -75,7 +73,7 @@ def is_paper(name: str) -> bool:
 
 def processed(
     detector: FlyingObjectDetector,
-    made: "SimulatedScan",
+    made: SimulatedScan,
     *,
     pose_covariance: NDArray[np.float64] | None = None,
 ) -> FlyingFrame:
@@ -111,7 +109,7 @@ class Seen:
         self.tracks_id += frame.tracks.id.tolist()
         self.tracks_position += list(frame.tracks.position)
 
-    def columns(self) -> "Part":
+    def columns(self) -> Part:
         """Everything as arrays."""
         return {
             "detections_scan": np.array(self.detections_scan, np.int64),
@@ -122,7 +120,7 @@ class Seen:
         }
 
 
-def truth_columns(simulator: "Simulator", scans: "Iterable[SimulatedScan]") -> "Part":
+def truth_columns(simulator: Simulator, scans: Iterable[SimulatedScan]) -> Part:
     """What is true of every scan: arrays of shape (S,), (S, 3), (S, T) or (S, T, 3).
 
     All of it is at the start of the scan, but `position_hit` at the mean time of the target's
@@ -147,7 +145,7 @@ def truth_columns(simulator: "Simulator", scans: "Iterable[SimulatedScan]") -> "
     }
 
 
-def _position_hit(simulator: "Simulator", made: "SimulatedScan") -> NDArray[np.float64]:
+def _position_hit(simulator: Simulator, made: SimulatedScan) -> NDArray[np.float64]:
     """Where the targets were when the rays met them, (T, 3)."""
     times = made.scan.point_time_ns
     if times is None:
@@ -163,15 +161,13 @@ def _position_hit(simulator: "Simulator", made: "SimulatedScan") -> NDArray[np.f
 
 
 def tables(
-    part: "Part", name: str, kind: Kind, *, config: "EvaluationConfig"
-) -> "tuple[Estimates, Truth]":
+    part: Part, name: str, kind: Kind, *, config: EvaluationConfig
+) -> tuple[Estimates, Truth]:
     """Detections or tracks of the configuration `name`, and the targets, for the evaluation.
 
     The truth has one row per scan and target, in this order: tracks are where it says at the
     start of the scan, detections where the rays met the target.
     """
-    from lidar_core.evaluation import Estimates, Truth, eligible
-
     count = len(part["id"])
     stamps = part["stamp_ns"]
     position = part["position" if kind == "tracks" else "position_hit"].reshape(-1, 3)

@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector, Tracks
 from lidar_core.reproduce.flying.simulated.flights import Seen, is_paper, processed, truth_columns
 from lidar_core.reproduce.jobs import Part
-
-if TYPE_CHECKING:
-    from lidar_core.sim import NoisyPoses, SimulatedScan, Simulator
+from lidar_core.sim import NoisyPoses, SimulatedScan, Simulator, SteeredSensor
 
 Vector: TypeAlias = NDArray[np.float64]
 Guide: TypeAlias = Callable[[Vector, "Vector | None"], Vector]
@@ -80,13 +78,13 @@ class Quarry:
 
 
 def pursue(
-    simulator: "Simulator",
+    simulator: Simulator,
     name: str,
     config: FlyingConfig,
     guide: Guide,
     *,
     scans: int,
-    noise: "NoisyPoses",
+    noise: NoisyPoses,
     box: tuple[Vector, Vector],
 ) -> Part:
     """Fly a closed loop; the columns are those of `flights.fly`.
@@ -94,8 +92,6 @@ def pursue(
     What a scan shows steers the flight one scan after the scan's end: the time goes to the
     detector, and `tracks_at` bridges it.
     """
-    from lidar_core.sim import SteeredSensor
-
     detector = FlyingObjectDetector(config)
     covariance = None if is_paper(name) else noise.noise.covariance
     period = simulator.scene.lidar.period_ns

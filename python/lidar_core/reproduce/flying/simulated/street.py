@@ -6,19 +6,17 @@ hexacopter of the paper's size, and one of each whose radius nobody tells the es
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lidar_core import sim
 from lidar_core.reproduce.common import Kind, evaluation_config
 from lidar_core.reproduce.flying.simulated.flights import both_modes, fly
 from lidar_core.reproduce.flying.simulated.sightings import Sightings, sightings
 from lidar_core.reproduce.jobs import Job, Part
 from lidar_core.reproduce.types import Request
-
-if TYPE_CHECKING:
-    from lidar_core.sim import Scene
-    from lidar_core.sim.motion.motions import Scripted
+from lidar_core.sim import NoisyPoses, PoseNoise, Scene, Simulator
+from lidar_core.sim.motion.motions import Scripted
 
 SCANS_PER_FLIGHT, SHORTEST = 100, 25
 PAPER_RADIUS = 0.325
@@ -81,18 +79,14 @@ def flight(*, seed: int, number: int, scans: int, is_noisy: bool) -> Part:
     Noisy: ranges with 0.03 m, poses with 0.05 m and 0.5 deg per axis, white per scan; rays one
     after the other.
     """
-    from lidar_core.sim import NoisyPoses, PoseNoise, Simulator
-
     name = (seed * 1_000_003 + number) % 2**32
     simulator = Simulator(scene(seed, number, scans, is_noisy=is_noisy), seed=name)
     noise = NoisyPoses(PoseNoise(), seed=name) if is_noisy else None
     return fly(simulator, both_modes(), scans=scans, noise=noise)
 
 
-def scene(seed: int, number: int, scans: int, *, is_noisy: bool) -> "Scene":
+def scene(seed: int, number: int, scans: int, *, is_noisy: bool) -> Scene:
     """Street, sensor and drones of flight `number`."""
-    from lidar_core import sim
-
     rng = np.random.default_rng([20240607, seed, number])
     way = WAYS[number % len(WAYS)]
     turn = rng.uniform(0, 2 * np.pi)
@@ -124,10 +118,8 @@ def scene(seed: int, number: int, scans: int, *, is_noisy: bool) -> "Scene":
     )
 
 
-def _motion(way: Way, azimuth: float, share: float, rng: np.random.Generator) -> "Scripted":
+def _motion(way: Way, azimuth: float, share: float, rng: np.random.Generator) -> Scripted:
     """Way of one drone in the quarter around `azimuth`; `share` places it in the range."""
-    from lidar_core import sim
-
     near, far = RANGES
     low, high = rng.uniform(*HEIGHTS, 2).tolist()
     if way.kind == "circle":
@@ -158,10 +150,8 @@ def _place(azimuth: float, distance: float, height: float) -> tuple[float, float
     return (distance * float(np.cos(azimuth)), distance * float(np.sin(azimuth)), height)
 
 
-def _observer(number: int) -> "Scripted":
+def _observer(number: int) -> Scripted:
     """The sensor hovers, circles, or goes to and fro, in turn."""
-    from lidar_core import sim
-
     return (
         sim.Hover(position=(0.0, 0.0, SENSOR_HEIGHT)),
         sim.Circle(center=(0.0, 0.0, SENSOR_HEIGHT), radius=1.5, speed=1.5),

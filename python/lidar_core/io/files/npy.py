@@ -1,0 +1,42 @@
+"""Arrays of .npz archives, their sizes checked before memory is asked for."""
+
+import math
+from io import BytesIO
+from typing import Any
+from zipfile import ZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import FormatError
+from lidar_core.io.files.guard import check_size
+
+
+def array_in(archive: ZipFile, name: str, *, place: str, limit: int, key: str) -> NDArray[Any]:
+    """The array `name` of an archive, of at most `limit` bytes.
+
+    Raises
+    ------
+    FormatError
+        Its header states another size than its data has: nothing is allocated for it.
+    LimitError
+        It is larger; the text names the option `key`.
+    """
+    info = archive.getinfo(f"{name}.npy")
+    check_size(place, info.file_size, limit=limit, key=key, what="bytes")
+    with archive.open(info) as stream:
+        data = stream.read(limit + 1)
+    check_size(place, len(data), limit=limit, key=key, what="bytes")
+    content = BytesIO(data)
+    version = np.lib.format.read_magic(content)
+    read_header = (
+        np.lib.format.read_array_header_1_0
+        if version == (1, 0)
+        else np.lib.format.read_array_header_2_0
+    )
+    shape, _, dtype = read_header(content)
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(data) - content.tell():
+        raise FormatError(f"{place}: header states {dtype} {shape}, data has another size")
+    content.seek(0)
+    array: NDArray[Any] = np.lib.format.read_array(content, allow_pickle=False)
+    return array

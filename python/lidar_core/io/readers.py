@@ -1,0 +1,192 @@
+"""Readers of recordings: how one is registered, and which one a file needs."""
+
+import warnings
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias, TypeVar
+
+from lidar_core.errors import ConfigError, PluginError, PluginWarning
+from lidar_core.io.options import ReadOptions
+from lidar_core.io.recording import Recording
+from lidar_core.plugins import Registry
+
+Open: TypeAlias = Callable[..., Recording]
+Sniff: TypeAlias = Callable[[Path, ReadOptions], bool]
+Folder: TypeAlias = Literal["single", "merged", "together"]
+OpenT = TypeVar("OpenT", bound=Open)
+
+
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """One format of recordings.
+
+    Attributes
+    ----------
+    name : str
+        Of the format, for people; unique.
+    suffixes : tuple of str
+        Ends of the names of its files, with the dot.
+    open : callable
+        `open(path, options)`, with `folder="together"` `open(path, options, files)`.
+    sniff : callable or None
+        `sniff(path, options)`: whether a file is of this format. Readers with it are asked before
+        the one without.
+    extra : str or None
+        Optional feature of the package that it needs.
+    folder : str
+        What several files in a folder are: single recordings, of which one has to be named;
+        recordings to be merged by time; or together one recording.
+    subfolders : tuple of str
+        Where its files lie below a folder that has none itself.
+    marker : str or None
+        File by which a folder is known to be of this format, whatever else is in it.
+    note : str
+        What else a user has to know, for tables of formats.
+    module : str
+        Module that registers it.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    open: Open
+    sniff: Sniff | None = None
+    extra: str | None = None
+    folder: Folder = "single"
+    subfolders: tuple[str, ...] = ()
+    marker: str | None = None
+    note: str = ""
+    module: str = ""
+
+    def opened(self, path: Path, options: ReadOptions, files: list[Path]) -> Recording:
+        """Open a recording; `files` are those that `path` holds, or `path` itself.
+
+        Raises
+        ------
+        PluginError
+            The reader is of another package, and broken.
+        """
+        with READERS.calling(self):
+            if self.folder == "together":
+                return self.open(path, options, files)
+            return self.open(path, options)
+
+    def fits(self, path: Path, options: ReadOptions) -> bool:
+        """Whether a file is of this format, by its content; a broken plugin takes none."""
+        try:
+            with READERS.calling(self):
+                return self.sniff is None or self.sniff(path, options)
+        except PluginError as error:
+            warnings.warn(str(error), PluginWarning, stacklevel=2)
+            return False
+
+
+READERS: Registry[Reader] = Registry("reader", "lidar_core.readers", "lidar_core.io.formats")
+
+
+def register_reader(
+    name: str,
+    suffixes: Iterable[str],
+    sniff: Sniff | None = None,
+    extra: str | None = None,
+    *,
+    folder: Folder = "single",
+    subfolders: Iterable[str] = (),
+    marker: str | None = None,
+    note: str = "",
+) -> Callable[[OpenT], OpenT]:
+    """Register a reader: a subclass of `Recording`, or a function that returns one.
+
+    What it decorates is called as `open(path, options)`. From then on `open_recording`,
+    `lidar-core info`, the error for unknown files and the tables of formats know it. Another
+    package names the module of its reader as an entry point of the group `lidar_core.readers`.
+
+    Parameters
+    ----------
+    name : str
+        Of the format, for people; unique.
+    suffixes : iterable of str
+        Ends of the names of its files, with the dot.
+    sniff : callable, optional
+        `sniff(path, options)` says whether a file is of this format, where several share an
+        ending.
+    extra : str, optional
+        Extra of lidar_core that has to be installed.
+    folder : str
+        What several files in a folder are: "single" recordings, recordings to be "merged" by
+        time, or "together" one recording: then it is called as `open(path, options, files)`.
+    subfolders : iterable of str
+        Where its files lie below a folder that has none itself.
+    marker : str, optional
+        File by which a folder is known to be of this format, whatever else is in it.
+    note : str
+        What else a user has to know.
+
+    Raises
+    ------
+    ConfigError
+        Another reader has this name, or an ending has no dot.
+
+    Examples
+    --------
+    >>> @register_reader("Toy", [".toy"])  # doctest: +SKIP
+    ... class ToyRecording(Recording): ...
+    """
+    ends = tuple(suffix.lower() for suffix in suffixes)
+    for end in ends:
+        if not end.startswith(".") or len(end) < 2:
+            raise ConfigError(f"reader {name!r}: expected endings such as '.toy', got {end!r}")
+    if not ends:
+        raise ConfigError(f"reader {name!r}: expected at least one ending")
+
+    def register(opener: OpenT) -> OpenT:
+        READERS.add(
+            Reader(
+                name,
+                ends,
+                opener,
+                sniff,
+                extra,
+                folder,
+                tuple(subfolders),
+                marker,
+                note,
+                opener.__module__,
+            )
+        )
+        return opener
+
+    return register
+
+
+def suffix_of(path: Path) -> str | None:
+    """The longest registered ending that the name of a file has."""
+    name = path.name.lower()
+    ends = {end for reader in READERS.parts() for end in reader.suffixes if name.endswith(end)}
+    return max(ends, key=len, default=None)
+
+
+def owner_of(suffix: str) -> Reader:
+    """The reader that takes every file of an ending: the one that looks for nothing in them."""
+    takers = [reader for reader in READERS.parts() if suffix in reader.suffixes]
+    return min(takers, key=lambda reader: reader.sniff is not None)
+
+
+def reader_of(path: Path, options: ReadOptions) -> Reader | None:
+    """The reader that a file needs; None for an unknown ending.
+
+    Among readers of one ending, the first that recognises the file has it, else the one that
+    takes any.
+    """
+    suffix = suffix_of(path)
+    if suffix is None:
+        return None
+    takers = [reader for reader in READERS.parts() if suffix in reader.suffixes]
+    sniffed = (one for one in takers if one.sniff is not None and one.fits(path, options))
+    return next(sniffed, owner_of(suffix))
+
+
+def known_formats() -> str:
+    """All formats in words, and the packages that are broken."""
+    listed = ", ".join(f"{one.name} ({' or '.join(one.suffixes)})" for one in READERS.parts())
+    return "; ".join([listed, *map(str, READERS.broken())])

@@ -1,0 +1,1 @@
+"""Tables of tracks, circles and shapes: CSV, Parquet, TUM; and tables read back."""

@@ -1,0 +1,176 @@
+"""Tables of tracks and of targets, as columns: CSV, Parquet, .npz, TUM trajectories, MCAP."""
+
+import csv
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+from zipfile import ZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import FormatError
+from lidar_core.extras import require
+from lidar_core.files import check_regular_or_folder
+from lidar_core.io.files.guard import check_size, reading
+from lidar_core.io.files.npy import array_in
+from lidar_core.io.formats.mcap import McapRecording
+from lidar_core.io.options import ReadOptions
+from lidar_core.io.poses.pose_files import MAX_FILE_BYTES, read_poses
+
+Columns: TypeAlias = dict[str, NDArray[Any]]
+"""Columns of equal length by name; those of `write_tracks_table`, as far as they are known."""
+
+TRACK_FILE = re.compile(r"track_(\d+)\.txt")
+SCENE_UPDATE = "foxglove.SceneUpdate"
+
+
+def read_columns(path: str | Path) -> Columns:
+    """Read a table of tracks or targets.
+
+    Parameters
+    ----------
+    path : str or Path
+        A table with a row per object and time, .csv, .parquet or .npz (one array per column); a
+        TUM trajectory .txt or .tum, or a folder of track_ID.txt as `write_tum` writes; an MCAP
+        file with tracks as `write_mcap` writes.
+
+    Returns
+    -------
+    columns : dict of ndarray
+        By name, as `write_tracks_table` names them. Trajectories and MCAP give t_ns, track_id,
+        x, y, z.
+
+    Raises
+    ------
+    FormatError
+        Not such a file.
+    LimitError
+        More than 256 MiB.
+    MissingExtraError
+        Parquet without pyarrow, MCAP without mcap.
+    """
+    place = Path(path)
+    if check_regular_or_folder(place).is_dir():
+        return _read_trajectories(place)
+    readers = {
+        ".csv": _read_csv,
+        ".npz": _read_npz,
+        ".parquet": _read_parquet,
+        ".mcap": _read_mcap,
+        ".txt": _read_trajectory,
+        ".tum": _read_trajectory,
+    }
+    reader = readers.get(place.suffix)
+    if reader is None:
+        raise FormatError(f"{place}: expected a table: {', '.join(sorted(readers))}, or a folder")
+    _check(place, place.stat().st_size)
+    columns = reader(place)
+    sizes = {name: len(column) for name, column in columns.items()}
+    if len(set(sizes.values())) > 1:
+        raise FormatError(f"{place}: expected columns of equal length, got {sizes}")
+    return columns
+
+
+def _check(place: Path, size: int) -> None:
+    check_size(str(place), size, limit=MAX_FILE_BYTES, key="nothing", what="a table of bytes")
+
+
+def _read_csv(path: Path) -> Columns:
+    with reading(str(path)), path.open(newline="", encoding="utf-8") as file:
+        lines = csv.reader(file)
+        names = next(lines, [])
+        for separator in ";\t":
+            if len(names) == 1 and separator in names[0]:
+                raise FormatError(
+                    f"{path}: expected values between commas, these are between {separator!r}"
+                )
+        rows = []
+        for row in lines:
+            if len(row) != len(names):
+                raise FormatError(
+                    f"{path}, line {lines.line_num}: expected {len(names)} values, got {len(row)}"
+                )
+            rows.append(row)
+    values: Iterable[Sequence[str]] = zip(*rows, strict=True) if rows else [()] * len(names)
+    return {name: _parsed(column) for name, column in zip(names, values, strict=True)}
+
+
+def _parsed(column: Sequence[str]) -> NDArray[Any]:
+    """Integers if all are, else numbers if all are, else text."""
+    for dtype, parse in ((np.int64, int), (np.float64, float)):
+        try:
+            return np.array([parse(text) for text in column], dtype)
+        except (ValueError, OverflowError):
+            continue
+    return np.array(column, np.str_)
+
+
+def _read_npz(path: Path) -> Columns:
+    with reading(str(path)), ZipFile(path) as archive:
+        _check(path, sum(member.file_size for member in archive.infolist()))
+        names = [name.removesuffix(".npy") for name in archive.namelist()]
+        columns = {
+            name: array_in(
+                archive, name, place=f"{path}, column {name}", limit=MAX_FILE_BYTES, key="nothing"
+            )
+            for name in names
+        }
+    for name, column in columns.items():
+        if column.ndim != 1:
+            raise FormatError(
+                f"{path}: {name}: expected one dimension, got shape"
+                f" {column.shape}; a recording of scans is no table"
+            )
+    return columns
+
+
+def _read_parquet(path: Path) -> Columns:
+    parquet = require("pyarrow.parquet", extra="tables", purpose="reading Parquet")
+    with reading(str(path)), parquet.ParquetFile(path) as file:
+        _check(path, file.metadata.num_rows * file.metadata.num_columns * 8)
+        table = file.read()
+        return {name: table[name].to_numpy() for name in table.column_names}
+
+
+def _read_trajectories(folder: Path) -> Columns:
+    files = sorted(path for path in folder.iterdir() if TRACK_FILE.fullmatch(path.name))
+    if not files:
+        raise FormatError(f"{folder}: expected a run folder, or one with files track_ID.txt")
+    _check(folder, sum(path.stat().st_size for path in files))
+    parts = [_read_trajectory(path) for path in files]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _read_trajectory(path: Path) -> Columns:
+    """TUM; the number of the track is that of the file's name, else 0."""
+    stamps, poses = read_poses(path)
+    if stamps is None:
+        raise FormatError(f"{path}: expected TUM lines, t x y z qx qy qz qw; these have no times")
+    named = TRACK_FILE.fullmatch(path.name)
+    numbers = np.full(len(stamps), int(named[1]) if named else 0)
+    return {"t_ns": stamps, "track_id": numbers, **_by_axis(poses[:, :3, 3])}
+
+
+def _read_mcap(path: Path) -> Columns:
+    rows, places = [], []
+    with McapRecording(path, ReadOptions()) as recording:
+        for place, message in recording.foxglove(SCENE_UPDATE):
+            for entity in message.entities:
+                bodies = [*entity.cubes, *entity.cylinders]
+                if not entity.id.isdecimal() or len(entity.id) > 18 or not bodies:
+                    raise FormatError(f"{place}: entity {entity.id!r} is no track with a body")
+                stamp, position = entity.timestamp, bodies[0].pose.position
+                rows.append((stamp.seconds * 1_000_000_000 + stamp.nanos, int(entity.id)))
+                places.append((position.x, position.y, position.z))
+    numbers = np.array(rows, np.int64).reshape(-1, 2)
+    return {
+        "t_ns": numbers[:, 0],
+        "track_id": numbers[:, 1],
+        **_by_axis(np.array(places, np.float64).reshape(-1, 3)),
+    }
+
+
+def _by_axis(position: NDArray[np.float64]) -> Columns:
+    return {name: position[:, axis] for axis, name in enumerate("xyz")}

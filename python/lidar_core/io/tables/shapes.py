@@ -1,0 +1,130 @@
+"""Elements of a map that are no circles: tables and outlines."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.io.tables.circles import ElementsLike
+from lidar_core.io.tables.columns import Columns
+from lidar_core.io.tables.covariance import covariance_titles, upper_triangle
+from lidar_core.io.tables.long_table import write_long_table
+from lidar_core.messages import ShapeKind
+
+STATE = ("x", "y", "vx", "vy", "heading", "half_length", "half_width")
+ENDS = ("x1", "y1", "x2", "y2")
+COLUMNS: dict[str, type] = {
+    "t_ns": int,
+    "track_id": int,
+    "frame_id": str,
+    "kind": str,
+    **dict.fromkeys((*STATE, *ENDS), float),
+    "age": float,
+    "visible": int,
+    **dict.fromkeys(covariance_titles(STATE), float),
+}
+"""Columns of the shapes table: SI units, world frame; ends of lines only, NaN for others."""
+
+
+class ShapesLike(ElementsLike, Protocol):
+    """Others as `CirclePipeline.shapes_at` gives them.
+
+    Covariances are of centre, velocity, heading, half lengths, shape (K, 7, 7).
+    """
+
+    @property
+    def kind(self) -> NDArray[np.uint8]:
+        """A `ShapeKind` each, shape (K,)."""
+
+    @property
+    def heading(self) -> NDArray[np.float64]:
+        """Bearings of the longer half length [rad], shape (K,)."""
+
+    @property
+    def half_size(self) -> NDArray[np.float64]:
+        """Longer and shorter half length [m], shape (K, 2)."""
+
+    @property
+    def ends(self) -> NDArray[np.float64]:
+        """Both ends of lines [m], NaN for other kinds, shape (K, 2, 2)."""
+
+
+def write_shapes_table(
+    path: str | Path, shapes: Iterable[ShapesLike], *, frame_id: str = "world"
+) -> Path:
+    """Write the lines, ellipses and rectangles of successive times as one long table.
+
+    Parameters
+    ----------
+    path : str or Path
+        Parquet, if it ends in .parquet and pyarrow is installed; otherwise CSV, ending in .csv.
+        Whole or not at all.
+    shapes : iterable of map states
+        As `CirclePipeline.shapes_at` gives them.
+    frame_id : str
+        Frame of the states.
+
+    Returns
+    -------
+    path : Path
+        File that was written; `read_columns` reads it.
+    """
+    return write_long_table(path, COLUMNS, _rows(shapes, frame_id))
+
+
+def outline(shapes: ShapesLike, row: int, corners: int) -> NDArray[np.float64]:
+    """Points of an outline [m]: two of a line, four of a rectangle, `corners` of an ellipse."""
+    kind = ShapeKind(int(shapes.kind[row]))
+    if kind is ShapeKind.LINE:
+        ends: NDArray[np.float64] = shapes.ends[row]
+        return ends
+    around = _unit(kind, corners) * shapes.half_size[row]
+    return _placed(around, shapes.center[row], float(shapes.heading[row]))
+
+
+def outline_of_row(columns: Columns, row: int, corners: int) -> NDArray[np.float64]:
+    """The same from a row of the shapes table."""
+    kind = ShapeKind[str(columns["kind"][row]).upper()]
+    values = {name: float(columns[name][row]) for name in (*STATE, *ENDS)}
+    if kind is ShapeKind.LINE:
+        return np.array([values[name] for name in ENDS]).reshape(2, 2)
+    around = _unit(kind, corners) * (values["half_length"], values["half_width"])
+    return _placed(around, np.array([values["x"], values["y"]]), values["heading"])
+
+
+def _unit(kind: ShapeKind, corners: int) -> NDArray[np.float64]:
+    """Points of a rectangle or ellipse of half lengths 1."""
+    if kind is ShapeKind.RECTANGLE:
+        return np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)], np.float64)
+    angles = np.linspace(0, 2 * np.pi, corners, endpoint=False)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def _placed(
+    around: NDArray[np.float64], center: NDArray[np.float64], heading: float
+) -> NDArray[np.float64]:
+    cos, sin = np.cos(heading), np.sin(heading)
+    points: NDArray[np.float64] = center + around @ np.array([[cos, sin], [-sin, cos]])
+    return points
+
+
+def _rows(shapes: Iterable[ShapesLike], frame_id: str) -> Iterator[Sequence[Any]]:
+    for state in shapes:
+        covariance = upper_triangle(state.covariance, len(STATE)).tolist()
+        for row, number in enumerate(state.id.tolist()):
+            yield (
+                int(state.stamp_ns),
+                number,
+                frame_id,
+                ShapeKind(int(state.kind[row])).name.lower(),
+                *state.center[row].tolist(),
+                *state.velocity[row].tolist(),
+                float(state.heading[row]),
+                *state.half_size[row].tolist(),
+                *state.ends[row].ravel().tolist(),
+                float(state.age[row]),
+                int(state.visible[row]),
+                *covariance[row],
+            )

@@ -1,0 +1,148 @@
+"""Tracks in tables and trajectory files."""
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.io.files.atomic import written_whole
+from lidar_core.io.tables.covariance import covariance_titles, upper_triangle
+from lidar_core.io.tables.long_table import write_long_table
+
+STATE = ("x", "y", "z", "vx", "vy", "vz")
+COLUMNS: dict[str, type] = {
+    "t_ns": int,
+    "track_id": int,
+    "frame_id": str,
+    **dict.fromkeys(STATE, float),
+    "extent_x": float,
+    "extent_y": float,
+    "extent_z": float,
+    "n_detections": int,
+    "age": float,
+    **dict.fromkeys(covariance_titles(STATE), float),
+}
+"""Columns of the tracks table: SI units; covariance is of position and velocity."""
+
+
+class BoxesLike(Protocol):
+    """Boxes with numbers at one time, a row each: as much of tracks as viewers show."""
+
+    @property
+    def id(self) -> NDArray[np.int64]:
+        """Numbers of the tracks, shape (T,)."""
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Positions [m], shape (T, 3)."""
+
+    @property
+    def velocity(self) -> NDArray[np.float64]:
+        """Velocities [m/s], shape (T, 3)."""
+
+    @property
+    def extent(self) -> NDArray[np.float64]:
+        """Sides of the bounding boxes [m], shape (T, 3)."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Time of the states [ns]."""
+
+
+class TracksLike(BoxesLike, Protocol):
+    """Tracks at one time, one row per track, as `lidar_core.flying.Tracks` holds them."""
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Covariances, shape (T, >= 6, >= 6), position and velocity first."""
+
+    @property
+    def n_detections(self) -> NDArray[np.int64]:
+        """Detections that held each track, shape (T,)."""
+
+    @property
+    def age(self) -> NDArray[np.float64]:
+        """Time since the first detection [s], shape (T,)."""
+
+
+def write_tracks_table(
+    path: str | Path, tracks: Iterable[TracksLike], *, frame_id: str = "world"
+) -> Path:
+    """Write tracks as one long table, a row per track and time, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        Parquet, if it ends in .parquet and pyarrow is installed; otherwise CSV, ending in .csv.
+    tracks : iterable of Tracks
+        Tracks at successive times.
+    frame_id : str
+        Frame of the states.
+
+    Returns
+    -------
+    path : Path
+        File that was written.
+    """
+    return write_long_table(path, COLUMNS, _rows(tracks, frame_id))
+
+
+def write_tum(folder: str | Path, tracks: Iterable[TracksLike]) -> list[Path]:
+    """Write one TUM trajectory (t x y z qx qy qz qw) per track into `folder`.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Made if missing; files are named track_ID.txt.
+    tracks : iterable of Tracks
+        Tracks at successive times.
+
+    Returns
+    -------
+    paths : list of Path
+        Files that were written, by track.
+    """
+    return write_trajectories(folder, ((step.stamp_ns, step.id, step.position) for step in tracks))
+
+
+def write_trajectories(
+    folder: str | Path,
+    steps: Iterable[tuple[int, NDArray[np.int64], NDArray[np.float64]]],
+) -> list[Path]:
+    """Write files track_ID.txt, from (stamp [ns], numbers (T,), positions (T, 3)) at each time."""
+    lines: dict[int, list[str]] = defaultdict(list)
+    for stamp_ns, numbers, positions in steps:
+        seconds, nanoseconds = divmod(int(stamp_ns), 1_000_000_000)
+        for number, position in zip(numbers.tolist(), positions.tolist(), strict=True):
+            x, y, z = (f"{value:.6f}" for value in position)
+            lines[number].append(f"{seconds}.{nanoseconds:09d} {x} {y} {z} 0 0 0 1\n")
+    place = Path(folder)
+    place.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for number, text in sorted(lines.items()):
+        path = place / f"track_{number}.txt"
+        with written_whole(path) as temporary:
+            temporary.write_text("".join(text), encoding="utf-8")
+        paths.append(path)
+    return paths
+
+
+def _rows(tracks: Iterable[TracksLike], frame_id: str) -> Iterator[Sequence[Any]]:
+    for state in tracks:
+        covariance = upper_triangle(state.covariance, len(STATE)).tolist()
+        numbers = state.id.tolist()
+        for row, number in enumerate(numbers):
+            yield (
+                int(state.stamp_ns),
+                number,
+                frame_id,
+                *state.position[row].tolist(),
+                *state.velocity[row].tolist(),
+                *state.extent[row].tolist(),
+                int(state.n_detections[row]),
+                float(state.age[row]),
+                *covariance[row],
+            )

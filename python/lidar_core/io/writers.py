@@ -1,0 +1,152 @@
+"""Writers: how one is registered, and which one a file needs."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeAlias, TypeVar
+
+from lidar_core.errors import ConfigError
+from lidar_core.plugins import Registry
+
+Takes: TypeAlias = Literal["messages", "objects", "points"]
+Write: TypeAlias = Callable[..., Any]
+WriteT = TypeVar("WriteT", bound=Write)
+SOURCES: dict[Takes, str] = {"messages": "a recording", "objects": "a run", "points": "a cloud"}
+
+
+@dataclass(frozen=True, slots=True)
+class Writer:
+    """One output format.
+
+    Attributes
+    ----------
+    format : str
+        Of what it writes, for people.
+    suffixes : tuple of str
+        Ends of the names of its files, with the dot; empty for a new folder.
+    takes : str
+        What it writes: messages of a recording, objects of a run, points of a cloud or map.
+    write : callable
+        `write(path, messages)`, `write(path, objects)` with `RunObjects`, or
+        `write(path, points, resolution)`.
+    extra : str or None
+        Optional feature of the package that it needs.
+    needs_resolution : bool
+        Whether it writes voxels, of points.
+    module : str
+        Module that registers it.
+    """
+
+    format: str
+    suffixes: tuple[str, ...]
+    takes: Takes
+    write: Write
+    extra: str | None = None
+    needs_resolution: bool = False
+    module: str = ""
+
+    @property
+    def name(self) -> str:
+        """Unique among writers: formats can hold more than one sort of things."""
+        return f"{self.format} of {self.takes}"
+
+    def __call__(self, *values: Any) -> Any:
+        """Write.
+
+        Raises
+        ------
+        PluginError
+            The writer is of another package, and broken.
+        """
+        with WRITERS.calling(self):
+            return self.write(*values)
+
+    def __str__(self) -> str:
+        """The format, and how its files end."""
+        ends = " or ".join(end or "a new folder" for end in self.suffixes)
+        return f"{ends} ({self.format})"
+
+
+WRITERS: Registry[Writer] = Registry(
+    "writer", "lidar_core.writers", "lidar_core.io.write", "lidar_core.io.maps"
+)
+
+
+def register_writer(
+    name: str,
+    suffixes: Iterable[str],
+    extra: str | None = None,
+    *,
+    takes: Takes,
+    needs_resolution: bool = False,
+) -> Callable[[WriteT], WriteT]:
+    """Register a function that writes one output format, whole or not at all.
+
+    `lidar-core convert` and the errors for unknown endings know it from then on. Another package
+    names the module of its writer as an entry point of the group `lidar_core.writers`.
+
+    Parameters
+    ----------
+    name : str
+        Of the format, for people; unique among writers that take the same.
+    suffixes : iterable of str
+        Ends of the names of its files, with the dot; empty for a new folder.
+    extra : str, optional
+        Extra of lidar_core that has to be installed.
+    takes : str
+        "messages": the function is called as `write(path, messages)` with `Scan`, `LaserScan` and
+        `Pose` in the order of time. "objects": `write(path, objects)` with the `RunObjects` of a
+        run; it may return names of topics. "points": `write(path, points, resolution)` with an
+        array (N, 3) [m], and the edge of the voxels that they are the centres of [m], or None.
+    needs_resolution : bool
+        Whether it writes voxels, of points: then `resolution` is a number.
+
+    Raises
+    ------
+    ConfigError
+        Another writer has this name, or takes an ending for the same.
+
+    Examples
+    --------
+    >>> @register_writer("Toy", [".toy"], takes="objects")  # doctest: +SKIP
+    ... def write_toy(path, objects): ...
+    """
+    ends = tuple(suffix.lower() for suffix in suffixes)
+    for end in ends:
+        if end and (not end.startswith(".") or len(end) < 2):
+            raise ConfigError(f"writer {name!r}: expected endings such as '.toy', got {end!r}")
+    if not ends:
+        raise ConfigError(f"writer {name!r}: expected at least one ending")
+
+    def register(write: WriteT) -> WriteT:
+        WRITERS.add(Writer(name, ends, takes, write, extra, needs_resolution, write.__module__))
+        return write
+
+    return register
+
+
+def writers_of(takes: Takes) -> dict[str, Writer]:
+    """Writers of one sort of things by the endings of their files; the first one has an ending."""
+    known: dict[str, Writer] = {}
+    for writer in WRITERS.parts():
+        if writer.takes == takes:
+            known |= {end: writer for end in writer.suffixes if end not in known}
+    return known
+
+
+def writer_of(path: Path, takes: Takes) -> Writer:
+    """The writer of the format that the ending of a name chooses.
+
+    Raises
+    ------
+    ConfigError
+        Another ending.
+    """
+    suffix, known = path.suffix.lower(), writers_of(takes)
+    if suffix not in known:
+        listed = ", ".join(dict.fromkeys(map(str, known.values())))
+        broken = "".join(f"; {error}" for error in WRITERS.broken())
+        raise ConfigError(
+            f"{path}: unknown ending {suffix!r}; {SOURCES[takes]} becomes: {listed}{broken}"
+        )
+    return known[suffix]

@@ -1,0 +1,1 @@
+"""Short scripted encounters before a hovering sensor: drones that cross or hide."""
