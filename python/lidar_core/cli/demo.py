@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lidar_core.cli.common import (
+from lidar_core.cli.shared.common import (
     JsonFile,
     Threads,
     consoles,
@@ -16,7 +16,7 @@ from lidar_core.cli.common import (
     stage_rows,
     write_json,
 )
-from lidar_core.cli.score_rows import counted_caption, main_rows
+from lidar_core.cli.shared.score_rows import counted_caption, main_rows
 
 if TYPE_CHECKING:
     from rich.table import Table
