@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from flying_scenes import VLP_16, drone, feed, scans_of, yard
 
-from lidar_core import PointClass
+from lidar_core import PointClass, sim
 from lidar_core.errors import ConfigError
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector, SensorConfig
 from lidar_core.sim import Circle
@@ -227,3 +227,17 @@ def test_without_the_search_the_own_body_is_tracked():
         seen += len(frame.tracks)
     assert seen > 0
     assert frame.status.own_body == 0.0
+
+
+def test_a_wet_road_and_what_it_mirrors_do_not_fly():
+    street = sim.scenes.dark_street(
+        1, sensor="livox-avia", fronts=(sim.surfaces.CONCRETE,), road=sim.surfaces.WET
+    )
+    simulator, detector = sim.Simulator(street, seed=1), FlyingObjectDetector()
+    below = 0
+    for number in range(24):
+        made = simulator.scan(number)
+        frame = feed(detector, made, no_return=None, directions=None)
+        below += (made.label == -3).sum()  # seen in the mirror
+        assert len(frame.detections) == len(frame.tracks) == 0
+    assert below > 1000

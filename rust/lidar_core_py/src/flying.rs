@@ -20,6 +20,9 @@ use pyo3::types::PyDict;
 use std::path::PathBuf;
 
 /// Position, covariance, radius, extent, points, confidence, time after the scan's stamp [s].
+/// Directions of rays and their lengths.
+type SkyRays<'py> = (Rows3<'py, f64>, Bound<'py, PyArray1<f32>>);
+
 type DetectionArrays<'py> = (
     Rows3<'py, f64>,
     Bound<'py, PyArray3<f64>>,
@@ -131,6 +134,14 @@ impl PyFlyingObjectDetector {
             Ok(map.occupied_voxels().into_iter().map(center).collect())
         })?;
         arrays::rows_into(py, centers)
+    }
+
+    /// Rays into the sky that the last scan was given: unit directions in the world, and how far
+    /// they clear [m].
+    fn sky_rays<'py>(&self, py: Python<'py>) -> Result<SkyRays<'py>, BorderError> {
+        let (directions, reach): (Vec<_>, Vec<_>) =
+            self.0.with(py, |detector| Ok(detector.sky_rays().into_iter().unzip()))?;
+        Ok((arrays::rows_into(py, directions)?, reach.into_pyarray(py)))
     }
 
     fn save_map(&self, py: Python<'_>, path: PathBuf) -> Result<(), BorderError> {

@@ -208,6 +208,19 @@ impl FlyingObjectDetector {
         &self.map
     }
 
+    /// Rays into the sky that the last scan was given: unit directions in the world, and how far
+    /// they clear [m]. None of them where rays without return are given.
+    #[must_use]
+    pub fn sky_rays(&self) -> Vec<([f64; 3], f32)> {
+        let scan = &self.scratch.scan;
+        let Some(look) = scan.look.as_ref().filter(|_| scan.rebuilt > 0) else {
+            return Vec::new();
+        };
+        let world_from_map = self.world_from_map();
+        let turned = |&direction| world_from_map.rotate(wide(direction));
+        look.directions.iter().map(turned).zip(look.reach.iter().copied()).collect()
+    }
+
     /// A sensor that may be new.
     fn meet(&mut self, name: &str) {
         let FlyingParameters { sensors, default_sensor, .. } = &self.parameters;

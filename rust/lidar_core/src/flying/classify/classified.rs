@@ -2,11 +2,13 @@
 
 use super::classifier::{Classifier, Judge, Verdict, judge_again};
 use super::clusters::Clusters;
+use super::occupied_nearby::Near;
 use crate::Error;
 use crate::flying::detector::{FlyingObjectDetector, replace};
 use crate::flying::frame::Timing;
 use crate::flying::integrate::integrator::{BACKGROUND, FLYING, INVALID, UNKNOWN};
 use crate::flying::scan::prepared::Prepared;
+use crate::flying::sky::ON_GROUND;
 use crate::geometry::cluster::angular_gap::{AngularGap, SeenLabeller};
 use crate::geometry::lattice::{floor, wide};
 use crate::util::stopwatch::Clock;
@@ -14,6 +16,8 @@ use crate::util::stopwatch::Clock;
 /// Things that are no higher than this and lie as low as the lowest returns are patches of ground
 /// [m].
 const FLAT: f64 = 0.1;
+/// Mirror images are this far from what they show, at most [m]: the floor is not quite flat.
+const MIRROR_ERROR: f64 = 0.75;
 
 /// A scan in clusters, and memory for the next one.
 #[derive(Default)]
@@ -138,15 +142,28 @@ impl FlyingObjectDetector {
             let may_be_own = !scan.maybe_own.is_empty() && 2 * own.count() > cluster.members.len();
             let is_low = |height: f64| world_from_map.apply(cluster.low)[2] < height;
             let is_flat = cluster.extent()[2] < FLAT && cluster.low[2] < scan.low;
-            let is_on_ground = is_flat || cluster.low[2] < scan.ground;
+            let is_at_floor =
+                scan.floor.is_some_and(|floor| (cluster.low[2] - floor).abs() < ON_GROUND);
+            let is_on_ground = is_flat || is_at_floor || cluster.low[2] < scan.ground;
             if seed.ground_height.is_some_and(is_low) {
                 *verdict = Verdict { class: BACKGROUND, ..Verdict::default() };
             } else if verdict.class == FLYING
-                && (may_be_own || is_on_ground || !map.has_background())
+                && (may_be_own
+                    || is_on_ground
+                    || !map.has_background()
+                    || self.is_mirrored(scan, cluster.centroid))
             {
                 *verdict = Verdict { class: UNKNOWN, ..Verdict::default() };
             }
         }
         Ok(())
+    }
+
+    /// Whether a place is below flat ground, and its mirror image in that is occupied: what is
+    /// seen there is a reflection.
+    fn is_mirrored(&self, scan: &Prepared, [x, y, z]: [f64; 3]) -> bool {
+        scan.floor.filter(|floor| z < floor - ON_GROUND).is_some_and(|floor| {
+            Near::new(&self.map, MIRROR_ERROR).is_close([x, y, 2.0 * floor - z])
+        })
     }
 }

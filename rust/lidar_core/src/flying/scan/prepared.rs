@@ -50,6 +50,8 @@ pub(crate) struct Prepared {
     /// What is flat and reaches below this height is, too, even if the lowest returns need not be
     /// those of the ground [m].
     pub(crate) low: f64,
+    /// Height of flat ground, if it is seen, frame of the map [m].
+    pub(crate) floor: Option<f64>,
     /// What the scan shows of the sky, if that had to be looked for.
     pub(crate) look: Option<Box<Look>>,
     poses: Poses,
@@ -90,6 +92,7 @@ impl Prepared {
         (self.sky, self.sky_share, self.rebuilt) = (SkySource::Unknown, 0.0, 0);
         (self.reach, self.directions) = (None, None);
         (self.ground, self.low) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
+        self.floor = None;
         self.no_return.clear();
         self.no_return.resize(self.rows, false);
         refill(&mut self.origins, poses.of_rows().map(|poses| poses.map(|pose| pose.translation)));
@@ -134,6 +137,7 @@ impl Prepared {
             self.append_sky(&look.directions, &look.reach);
             self.ground = self.pose.translation[2] + look.ground();
             self.low = self.pose.translation[2] + look.low();
+            self.floor = look.floor().map(|height| self.pose.translation[2] + height);
         }
         self.look = Some(look);
         Ok(())

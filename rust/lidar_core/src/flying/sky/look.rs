@@ -1,5 +1,6 @@
 //! One scan, held against what is known of its sensor: which directions are sky, and how far.
 
+use super::floor::FloorFinder;
 use super::grid::{CELLS, GRID, PARTS};
 use super::way::Way;
 use super::{NEVER, Sky};
@@ -31,7 +32,7 @@ const BEFORE_SURFACE: f64 = 0.5;
 /// They end this much above the lowest returns [m]: ground that gives none is no lower than that.
 const ABOVE_GROUND: f64 = 1.0;
 /// Things that reach down to this height above the lowest returns are on the ground [m].
-const ON_GROUND: f64 = 0.35;
+pub(crate) const ON_GROUND: f64 = 0.35;
 /// The ground is this flat [m], and its far part this many times further away than its near one.
 const FLAT: f64 = 0.2;
 const GROUND_RATIO: f64 = 1.8;
@@ -119,6 +120,9 @@ pub(crate) struct Look {
     has_ground: bool,
     /// Samples at the height of the lowest returns.
     n_low: usize,
+    /// Height of flat ground above the sensor, if it is seen [m].
+    floor: Option<f64>,
+    finder: FloorFinder,
     usual: f64,
     stamp_ns: i64,
 }
@@ -147,6 +151,7 @@ impl Look {
         let last = if sky.last_ns.is_some() { sky.lowest } else { low };
         self.lowest = (last + NEWEST * (low - last)).min(low + BEFORE_SURFACE);
         self.has_ground = self.sees_ground(low);
+        self.floor = self.finder.find(&self.samples);
         let returns = self.hits.iter().map(|&hits| f64::from(hits)).sum::<f64>();
         let usual = if sky.last_ns.is_some() { sky.usual } else { returns };
         let is_covered = returns < COVERED_SHARE * usual;
@@ -181,6 +186,11 @@ impl Look {
     /// are few, such as those of a target below the sensor.
     pub(crate) fn low(&self) -> f64 {
         if self.n_low >= ENOUGH_LOW { self.lowest + ON_GROUND } else { f64::NEG_INFINITY }
+    }
+
+    /// Height of flat ground, relative to the sensor [m]. What is mirrored in it lies below.
+    pub(crate) fn floor(&self) -> Option<f64> {
+        self.floor
     }
 
     /// Whether the scan holds any return.
@@ -454,13 +464,14 @@ impl Look {
     fn reach_above_ground(&self, cell: usize) -> f64 {
         let tilt = libm::asin(GRID.centers[cell][2].clamp(-1.0, 1.0)) - CELL_TILT;
         let fall = -libm::sin(tilt.max(-PI / 2.0));
-        let height = -self.lowest - ABOVE_GROUND;
+        let ground = self.floor.map_or(self.lowest, |floor| floor.max(self.lowest));
+        let height = -ground - ABOVE_GROUND;
         if fall > 0.0 { height / fall } else { f64::INFINITY }
     }
 }
 
 /// The value that has a share of all values below it; 0 without any.
-fn ranked(values: &mut [f64], share: f64) -> f64 {
+pub(super) fn ranked(values: &mut [f64], share: f64) -> f64 {
     let rank = (share * values.len() as f64) as usize;
     let rank = rank.min(values.len().saturating_sub(1));
     if values.is_empty() {

@@ -11,6 +11,7 @@
 //! are in `docs/adr/0008-sky.md`.
 
 mod emission;
+mod floor;
 mod grid;
 mod look;
 mod way;
@@ -18,7 +19,7 @@ mod way;
 pub use emission::RayPattern;
 use emission::{Elevations, Emission};
 use grid::CELLS;
-pub(crate) use look::{Look, Moment};
+pub(crate) use look::{Look, Moment, ON_GROUND};
 
 use crate::Error;
 use crate::geometry::transform::{minus, norm};
