@@ -3,11 +3,11 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::element::{State, exceeds};
-use super::independent::Rules;
 use super::modes::{Measurement, Modes, Step, new_state};
 use super::outline::{Outline, OutlineMeasurement};
 use super::parameters::Patience;
-use super::scan::Viewpoint;
+use super::rules::Rules;
+use super::viewpoint::Viewpoint;
 use super::visibility::Visibility;
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};

@@ -2,11 +2,11 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::independent::Rules;
 use super::modes::Step;
 use super::parameters::{Independent, Patience};
-use super::scan::Viewpoint;
+use super::rules::Rules;
 use super::seconds;
+use super::viewpoint::Viewpoint;
 use super::visibility::Visibility;
 use crate::Error;
 use nalgebra::SMatrix;

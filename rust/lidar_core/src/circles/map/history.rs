@@ -1,6 +1,7 @@
 //! Scans that come late: the map goes back to before them and takes in all scans since again.
 
-use super::independent::{Elements, Rules, new_number};
+use super::independent::{Elements, new_number};
+use super::rules::Rules;
 use super::scan::Placed;
 use super::{Outcome, seconds};
 use crate::Error;
@@ -58,7 +59,7 @@ impl History {
     /// Take in a scan in its place in time.
     ///
     /// # Errors
-    /// As [`History::is_late`] and [`Rules::step`]; nothing changes then.
+    /// As [`History::is_late`] and [`Elements::step`]; nothing changes then.
     pub(super) fn push(
         &mut self,
         rules: &Rules,
@@ -70,7 +71,7 @@ impl History {
         }
         let mut number = *next_id; // an error must not leave anything changed
         let mut now = self.now.clone();
-        let merged = rules.step(&mut now, &mut scan, &mut number)?;
+        let merged = now.step(rules, &mut scan, &mut number)?;
         let before = std::mem::replace(&mut self.now, now);
         let found = scan.found();
         self.newest = Some(scan.key());
@@ -92,12 +93,12 @@ impl History {
         let mut after: Vec<Entry> = self.entries.range(place..).cloned().collect();
         let mut now = after.first().map_or_else(Elements::default, |entry| entry.before.clone());
         let before = now.clone();
-        let mut merged = rules.step(&mut now, &mut scan, &mut number)?;
+        let mut merged = now.step(rules, &mut scan, &mut number)?;
         let mut pairs = Vec::new();
         for entry in &mut after {
             let known: Vec<_> = entry.scan.elements().copied().collect();
             entry.before = now.clone();
-            let again = rules.step(&mut now, &mut entry.scan, &mut number)?;
+            let again = now.step(rules, &mut entry.scan, &mut number)?;
             merged.extend(again.into_iter().filter(|&[_, gone]| self.now.holds(gone)));
             pairs.extend(known.into_iter().zip(entry.scan.elements().copied()));
         }

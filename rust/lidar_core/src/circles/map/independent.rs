@@ -3,24 +3,14 @@
 use super::body::Body;
 use super::element::{Element, State};
 use super::line::Line;
-use super::modes::Motion;
-use super::parameters::{Independent, LineRules, Looking, MAX_ELEMENTS};
-use super::scan::{Placed, Seen, Viewpoint, too_many};
+use super::parameters::MAX_ELEMENTS;
+use super::rules::Rules;
+use super::scan::{Placed, Seen, too_many};
+use super::viewpoint::Viewpoint;
 use super::{MapElement, MapShape, seconds};
 use crate::Error;
 use crate::circles::shape::ShapeKind;
-use crate::estimation::chi2;
 use crate::estimation::kalman::Gaussian;
-
-/// How elements are treated.
-pub(super) struct Rules {
-    parameters: Independent,
-    motion: Motion,
-    gate: f64,
-    line_gate: f64,
-    outline_gate: f64,
-    speed: f64,
-}
 
 /// All elements at one time, by ascending number.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -47,84 +37,21 @@ impl Elements {
         rename(&mut self.lines, numbers);
     }
 
-    fn len(&self) -> usize {
-        self.bodies.len() + self.lines.len()
-    }
-}
-
-fn rename<S>(all: &mut [Element<S>], numbers: &[(i64, i64)]) {
-    for element in all.iter_mut() {
-        element.id = new_number(element.id, numbers);
-    }
-    all.sort_by_key(|element| element.id);
-}
-
-impl Rules {
-    /// # Errors
-    /// [`Error::Parameter`] for a probability outside 0 to 1.
-    pub(super) fn new(
-        parameters: Independent,
-        probability: f64,
-        speed: f64,
-    ) -> Result<Self, Error> {
-        let Independent { radius_density, turn_density, lines, .. } = parameters;
-        let motion = Motion::new(&parameters.modes, [radius_density, turn_density, lines.density]);
-        let gate = |freedom| chi2::quantile(probability, freedom);
-        let (gate, line_gate, outline_gate) = (gate(3)?, gate(2)?, gate(5)?);
-        Ok(Self { parameters, motion, gate, line_gate, outline_gate, speed })
-    }
-
-    pub(super) fn parameters(&self) -> &Independent {
-        &self.parameters
-    }
-
-    pub(super) fn lines(&self) -> &LineRules {
-        &self.parameters.lines
-    }
-
-    pub(super) fn looking(&self) -> &Looking {
-        &self.parameters.looking
-    }
-
-    pub(super) fn motion(&self) -> &Motion {
-        &self.motion
-    }
-
-    /// Of circles: chi-square, 3 degrees of freedom.
-    pub(super) fn gate(&self) -> f64 {
-        self.gate
-    }
-
-    /// Of lines: 2 degrees of freedom.
-    pub(super) fn line_gate(&self) -> f64 {
-        self.line_gate
-    }
-
-    /// Of ellipses and rectangles: 5 degrees of freedom.
-    pub(super) fn outline_gate(&self) -> f64 {
-        self.outline_gate
-    }
-
-    /// Standard deviation of the velocity of a new body [m/s].
-    pub(super) fn speed(&self) -> f64 {
-        self.speed
-    }
-
     /// Move all elements to the time of `scan` and correct them with it; pairs of elements that
     /// were merged. A scan that is taken in again gives new elements the numbers that they had.
     ///
     /// # Errors
-    /// [`Error::NotPositiveDefinite`], [`Error::Limit`]; `elements` may then be half changed.
+    /// [`Error::NotPositiveDefinite`], [`Error::Limit`]; the elements may then be half changed.
     pub(super) fn step(
-        &self,
-        elements: &mut Elements,
+        &mut self,
+        rules: &Rules,
         scan: &mut Placed,
         next_id: &mut i64,
     ) -> Result<Vec<[i64; 2]>, Error> {
         let Placed { from, bodies, lines } = scan;
-        let dt = elements.stamp_ns.map_or(0.0, |stamp_ns| seconds(stamp_ns, from.stamp_ns));
-        elements.stamp_ns = Some(from.stamp_ns);
-        let mut taken: Vec<i64> = elements.numbers().map(|(id, _)| id).collect();
+        let dt = self.stamp_ns.map_or(0.0, |stamp_ns| seconds(stamp_ns, from.stamp_ns));
+        self.stamp_ns = Some(from.stamp_ns);
+        let mut taken: Vec<i64> = self.numbers().map(|(id, _)| id).collect();
         let mut fresh = |known: Option<i64>| {
             let id = known.filter(|id| !taken.contains(id)).unwrap_or_else(|| {
                 *next_id += 1;
@@ -133,97 +60,19 @@ impl Rules {
             taken.push(id);
             id
         };
-        self.take_in(&mut elements.bodies, bodies, (from, dt), &mut fresh)?;
-        self.take_in(&mut elements.lines, lines, (from, dt), &mut fresh)?;
-        if elements.len() > MAX_ELEMENTS {
-            return Err(too_many(elements.len()));
+        take_in(rules, &mut self.bodies, bodies, (from, dt), &mut fresh)?;
+        take_in(rules, &mut self.lines, lines, (from, dt), &mut fresh)?;
+        if self.len() > MAX_ELEMENTS {
+            return Err(too_many(self.len()));
         }
-        let mut merged = self.tidy(&mut elements.bodies);
-        merged.append(&mut self.tidy(&mut elements.lines));
+        let mut merged = tidy(rules, &mut self.bodies);
+        merged.append(&mut tidy(rules, &mut self.lines));
         Ok(merged)
     }
 
-    /// Predict, associate, correct and create the elements of one kind.
-    fn take_in<S: State>(
-        &self,
-        all: &mut Vec<Element<S>>,
-        seen: &mut Seen<S::Measurement>,
-        (from, dt): (&Viewpoint, f64),
-        fresh: &mut impl FnMut(Option<i64>) -> i64,
-    ) -> Result<(), Error> {
-        if dt > 0.0 {
-            let step = self.motion.step(dt);
-            all.iter_mut().for_each(|element| element.state.predict(&step));
-        }
-        let wholes = S::wholes(&seen.measurements, self);
-        let states = all.iter().map(|one| &one.state);
-        let owners = S::associate(states, &seen.measurements, &wholes, self)?;
-        let mut is_measured = vec![false; all.len()];
-        let known = std::mem::replace(&mut seen.elements, vec![None; owners.len()]);
-        for (measurement, row) in owners.iter().enumerate() {
-            let Some(row) = *row else { continue };
-            all[row].state.correct(&seen.measurements[measurement], self)?;
-            is_measured[row] = true;
-            seen.elements[measurement] = Some(all[row].id);
-        }
-        for (element, is_measured) in all.iter_mut().zip(is_measured) {
-            if is_measured {
-                element.measured(from.key());
-            } else {
-                element.unmeasured(element.state.look(from, self), from.sensor, dt);
-            }
-        }
-        // Eqs 18-20 for everything that has no element.
-        for (index, measurement) in seen.measurements.iter().enumerate() {
-            let is_new = wholes[index] == index && seen.elements[index].is_none();
-            if is_new && S::is_born(measurement, self) {
-                let id = fresh(known[index]);
-                all.push(Element::new(id, S::new(measurement, self), from.key()));
-                seen.elements[index] = Some(id);
-            }
-        }
-        for (index, whole) in wholes.into_iter().enumerate() {
-            seen.elements[index] = seen.elements[whole];
-        }
-        all.sort_by_key(|element| element.id);
-        Ok(())
-    }
-
-    /// Confirm, merge and remove.
-    fn tidy<S: State>(&self, all: &mut Vec<Element<S>>) -> Vec<[i64; 2]> {
-        let merged = self.merge(all);
-        for element in all.iter_mut() {
-            element.confirm(&self.parameters);
-        }
-        all.retain(|element| !element.is_over(self));
-        merged
-    }
-
-    /// Merge elements of one object; pairs of the number that stays and the one that goes. A
-    /// confirmed element stays before any other, then the elder.
-    fn merge<S: State>(&self, all: &mut Vec<Element<S>>) -> Vec<[i64; 2]> {
-        let mut merged = Vec::new();
-        let mut index = 0;
-        while index < all.len() {
-            let twin = (index + 1..all.len()).find(|&other| all[index].is_twin(&all[other], self));
-            let Some(twin) = twin else {
-                index += 1;
-                continue;
-            };
-            let mut dropped = all.remove(twin);
-            if dropped.confirmed && !all[index].confirmed {
-                std::mem::swap(&mut all[index], &mut dropped);
-            }
-            merged.push([all[index].id, dropped.id]);
-            all[index].absorb(dropped);
-        }
-        all.sort_by_key(|element| element.id);
-        merged
-    }
-
     /// Every body that is not large, predicted to `stamp_ns`.
-    pub(super) fn at(&self, elements: &Elements, stamp_ns: i64) -> Vec<MapElement> {
-        let step = self.motion.step(seconds(elements.stamp_ns.unwrap_or(stamp_ns), stamp_ns));
+    pub(super) fn at(&self, rules: &Rules, stamp_ns: i64) -> Vec<MapElement> {
+        let step = rules.motion().step(seconds(self.stamp_ns.unwrap_or(stamp_ns), stamp_ns));
         let predicted = |body: &Element<Body>| {
             let mut state = body.state.clone();
             state.predict(&step);
@@ -237,24 +86,19 @@ impl Rules {
                 confirmed: body.confirmed,
             }
         };
-        elements
-            .bodies
-            .iter()
-            .filter(|body| !body.state.outline.is_large())
-            .map(predicted)
-            .collect()
+        self.bodies.iter().filter(|body| !body.state.outline.is_large()).map(predicted).collect()
     }
 
     /// Everything that is no circle, predicted to `stamp_ns`.
-    pub(super) fn shapes_at(&self, elements: &Elements, stamp_ns: i64) -> Vec<MapShape> {
-        let step = self.motion.step(seconds(elements.stamp_ns.unwrap_or(stamp_ns), stamp_ns));
-        let bodies = elements.bodies.iter().filter_map(|body| {
+    pub(super) fn shapes_at(&self, rules: &Rules, stamp_ns: i64) -> Vec<MapShape> {
+        let step = rules.motion().step(seconds(self.stamp_ns.unwrap_or(stamp_ns), stamp_ns));
+        let bodies = self.bodies.iter().filter_map(|body| {
             let mut outline = body.state.outline.clone();
             outline.predict(&step);
             let (kind, state) = outline.reported()?;
             Some(shape_of(body, stamp_ns, (kind, state, None)))
         });
-        let lines = elements.lines.iter().map(|line| {
+        let lines = self.lines.iter().map(|line| {
             let mut state = line.state.clone();
             state.predict(&step);
             let shown = (ShapeKind::Line, state.reported(), Some(state.ends()));
@@ -269,17 +113,106 @@ impl Rules {
     /// `std` would.
     pub(super) fn is_on_line(
         &self,
-        elements: &Elements,
+        rules: &Rules,
         points: &[[f64; 2]],
         std: f64,
         length: f64,
     ) -> bool {
-        elements.lines.iter().any(|line| {
+        self.lines.iter().any(|line| {
             line.confirmed
                 && line.state.length() >= length
-                && line.state.holds(points, std, self.lines())
+                && line.state.holds(points, std, rules.lines())
         })
     }
+
+    fn len(&self) -> usize {
+        self.bodies.len() + self.lines.len()
+    }
+}
+
+fn rename<S>(all: &mut [Element<S>], numbers: &[(i64, i64)]) {
+    for element in all.iter_mut() {
+        element.id = new_number(element.id, numbers);
+    }
+    all.sort_by_key(|element| element.id);
+}
+
+/// Predict, associate, correct and create the elements of one kind.
+fn take_in<S: State>(
+    rules: &Rules,
+    all: &mut Vec<Element<S>>,
+    seen: &mut Seen<S::Measurement>,
+    (from, dt): (&Viewpoint, f64),
+    fresh: &mut impl FnMut(Option<i64>) -> i64,
+) -> Result<(), Error> {
+    if dt > 0.0 {
+        let step = rules.motion().step(dt);
+        all.iter_mut().for_each(|element| element.state.predict(&step));
+    }
+    let wholes = S::wholes(&seen.measurements, rules);
+    let states = all.iter().map(|one| &one.state);
+    let owners = S::associate(states, &seen.measurements, &wholes, rules)?;
+    let mut is_measured = vec![false; all.len()];
+    let known = std::mem::replace(&mut seen.elements, vec![None; owners.len()]);
+    for (measurement, row) in owners.iter().enumerate() {
+        let Some(row) = *row else { continue };
+        all[row].state.correct(&seen.measurements[measurement], rules)?;
+        is_measured[row] = true;
+        seen.elements[measurement] = Some(all[row].id);
+    }
+    for (element, is_measured) in all.iter_mut().zip(is_measured) {
+        if is_measured {
+            element.measured(from.key());
+        } else {
+            element.unmeasured(element.state.look(from, rules), from.sensor, dt);
+        }
+    }
+    // Eqs 18-20 for everything that has no element.
+    for (index, measurement) in seen.measurements.iter().enumerate() {
+        let is_new = wholes[index] == index && seen.elements[index].is_none();
+        if is_new && S::is_born(measurement, rules) {
+            let id = fresh(known[index]);
+            all.push(Element::new(id, S::new(measurement, rules), from.key()));
+            seen.elements[index] = Some(id);
+        }
+    }
+    for (index, whole) in wholes.into_iter().enumerate() {
+        seen.elements[index] = seen.elements[whole];
+    }
+    all.sort_by_key(|element| element.id);
+    Ok(())
+}
+
+/// Confirm, merge and remove.
+fn tidy<S: State>(rules: &Rules, all: &mut Vec<Element<S>>) -> Vec<[i64; 2]> {
+    let merged = merge(rules, all);
+    for element in all.iter_mut() {
+        element.confirm(rules.parameters());
+    }
+    all.retain(|element| !element.is_over(rules));
+    merged
+}
+
+/// Merge elements of one object; pairs of the number that stays and the one that goes. A
+/// confirmed element stays before any other, then the elder.
+fn merge<S: State>(rules: &Rules, all: &mut Vec<Element<S>>) -> Vec<[i64; 2]> {
+    let mut merged = Vec::new();
+    let mut index = 0;
+    while index < all.len() {
+        let twin = (index + 1..all.len()).find(|&other| all[index].is_twin(&all[other], rules));
+        let Some(twin) = twin else {
+            index += 1;
+            continue;
+        };
+        let mut dropped = all.remove(twin);
+        if dropped.confirmed && !all[index].confirmed {
+            std::mem::swap(&mut all[index], &mut dropped);
+        }
+        merged.push([all[index].id, dropped.id]);
+        all[index].absorb(dropped);
+    }
+    all.sort_by_key(|element| element.id);
+    merged
 }
 
 /// What is reported of an element that is no circle: kind, state, ends.

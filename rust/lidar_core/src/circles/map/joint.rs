@@ -7,10 +7,10 @@
 
 use super::covariance::{Covariance, ELEMENT, place};
 use super::element::exceeds;
-use super::level_pose::LevelPose;
+use super::level_pose::{LevelPose, matrix_of};
 use super::modes::{Matrix5, transition};
 use super::parameters::{Joint, MAX_ELEMENTS};
-use super::scan::{CircleScan, Found, check, matrix_of, too_many};
+use super::scan::{CircleScan, Found, check, too_many};
 use super::{MapElement, Outcome, seconds};
 use crate::Error;
 use crate::circles::fit::circle::CircleEstimate;

@@ -4,8 +4,7 @@
 
 use super::line::LineMeasurement;
 use super::modes::Measurement;
-use super::outline::OutlineMeasurement;
-use super::scan::{OutlineEstimate, matrix_of};
+use super::outline::{OutlineEstimate, OutlineMeasurement};
 use crate::circles::fit::circle::{Circle, CircleEstimate};
 use crate::circles::preprocess::polar_scan::turn;
 use crate::circles::shape::ShapeEstimate;
@@ -167,6 +166,11 @@ impl LevelPose {
         J.fixed_view_mut::<2, 3>(0, 3).copy_from(&(self.rotation() * turned));
         J
     }
+}
+
+/// Covariance of an estimated circle, as a matrix.
+pub(super) fn matrix_of(estimate: &CircleEstimate) -> Matrix3<f64> {
+    Matrix3::from_fn(|row, column| estimate.covariance[row][column])
 }
 
 #[cfg(test)]

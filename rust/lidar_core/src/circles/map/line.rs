@@ -3,10 +3,10 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::element::State;
-use super::independent::Rules;
 use super::modes::Step;
 use super::parameters::{LineRules, Patience};
-use super::scan::Viewpoint;
+use super::rules::Rules;
+use super::viewpoint::Viewpoint;
 use super::visibility::Visibility;
 use crate::Error;
 use crate::circles::preprocess::polar_scan::turn;

@@ -15,26 +15,29 @@ mod line;
 mod modes;
 mod outline;
 mod parameters;
+mod rules;
 mod scan;
+mod viewpoint;
 mod visibility;
 
 #[cfg(test)]
 mod tests;
 
 pub use modes::MAX_MODES;
+pub use outline::OutlineEstimate;
 pub use parameters::{
     CircleMapParameters, Confirmation, Filter, Independent, Joint, Limits, LineRules, Looking,
     MAX_ELEMENTS, MAX_WINDOW, Mode, Patience,
 };
-pub use scan::{CircleScan, OutlineEstimate, PoseCovariance};
+pub use scan::{CircleScan, PoseCovariance};
 pub use visibility::{SortedView, View, Visibility};
 
 use super::shape::ShapeKind;
 use crate::Error;
 use crate::estimation::kalman::Gaussian;
 use history::History;
-use independent::Rules;
 use joint::JointMap;
+use rules::Rules;
 use scan::{Found, Placed};
 
 /// An element, predicted to one time.
@@ -169,7 +172,7 @@ impl CircleMap {
     pub fn map_at(&self, stamp_ns: i64) -> Vec<MapElement> {
         match &self.engine {
             Engine::Paper(joint) => joint.at(stamp_ns),
-            Engine::Independent(rules, history) => rules.at(&history.now, stamp_ns),
+            Engine::Independent(rules, history) => history.now.at(rules, stamp_ns),
         }
     }
 
@@ -179,7 +182,7 @@ impl CircleMap {
     pub fn shapes_at(&self, stamp_ns: i64) -> Vec<MapShape> {
         match &self.engine {
             Engine::Paper(_) => Vec::new(),
-            Engine::Independent(rules, history) => rules.shapes_at(&history.now, stamp_ns),
+            Engine::Independent(rules, history) => history.now.shapes_at(rules, stamp_ns),
         }
     }
 
@@ -190,7 +193,7 @@ impl CircleMap {
         match &self.engine {
             Engine::Paper(_) => false,
             Engine::Independent(rules, history) => {
-                rules.is_on_line(&history.now, points, std, length)
+                history.now.is_on_line(rules, points, std, length)
             }
         }
     }

@@ -2,13 +2,25 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::independent::Rules;
 use super::modes::{Measures, Modes, Step, at_rest, centre_matrix};
+use super::rules::Rules;
 use crate::Error;
-use crate::circles::shape::ShapeKind;
+use crate::circles::fit::circle::CircleEstimate;
+use crate::circles::shape::{ShapeEstimate, ShapeKind};
 use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised};
 use nalgebra::{SMatrix, SVector};
 use std::f64::consts::{FRAC_PI_2, PI};
+
+/// What a circle stands for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OutlineEstimate {
+    /// An ellipse, a rectangle, or a line: one face of something unknown.
+    pub shape: ShapeEstimate,
+    /// It is larger than what is reported as a circle.
+    pub is_large: bool,
+    /// The circle that its rays show, if they may: of what is known to be one.
+    pub round: Option<CircleEstimate>,
+}
 
 /// Kinds of which bodies may be.
 const KINDS: [ShapeKind; 3] = [ShapeKind::Circle, ShapeKind::Ellipse, ShapeKind::Rectangle];

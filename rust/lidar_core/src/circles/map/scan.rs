@@ -3,17 +3,18 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::body::BodyMeasurement;
-use super::level_pose::LevelPose;
+use super::level_pose::{LevelPose, matrix_of};
 use super::line::LineMeasurement;
 use super::modes::Measurement;
-use super::outline::OutlineMeasurement;
+use super::outline::{OutlineEstimate, OutlineMeasurement};
 use super::parameters::MAX_ELEMENTS;
-use super::visibility::{SortedView, View};
+use super::viewpoint::Viewpoint;
+use super::visibility::View;
 use crate::Error;
 use crate::circles::fit::circle::{Circle, CircleEstimate};
 use crate::circles::shape::{ShapeEstimate, ShapeKind};
 use crate::geometry::transform::Transform;
-use nalgebra::{Matrix2, Matrix3, SMatrix};
+use nalgebra::{Matrix2, SMatrix};
 
 /// Relative size of what a covariance may lack to be symmetric or positive.
 const ROUNDING: f64 = 1e-9;
@@ -49,33 +50,6 @@ pub struct CircleScan<'a> {
     pub lines: &'a [ShapeEstimate],
     /// The scan itself; None: all elements should have been measured.
     pub view: Option<View<'a>>,
-}
-
-/// What a circle stands for.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OutlineEstimate {
-    /// An ellipse, a rectangle, or a line: one face of something unknown.
-    pub shape: ShapeEstimate,
-    /// It is larger than what is reported as a circle.
-    pub is_large: bool,
-    /// The circle that its rays show, if they may: of what is known to be one.
-    pub round: Option<CircleEstimate>,
-}
-
-/// Where and when a scan was made, and what it can be asked.
-#[derive(Clone, Debug)]
-pub(super) struct Viewpoint {
-    pub(super) stamp_ns: i64,
-    pub(super) sensor: u32,
-    pub(super) pose: LevelPose,
-    pub(super) view: Option<SortedView>,
-}
-
-impl Viewpoint {
-    /// Place in the order of scans.
-    pub(super) fn key(&self) -> (i64, u32) {
-        (self.stamp_ns, self.sensor)
-    }
 }
 
 /// Objects of one kind, in the world.
@@ -168,10 +142,6 @@ impl Placed {
 pub(super) struct Found {
     pub(super) circles: Vec<i64>,
     pub(super) lines: Vec<Option<i64>>,
-}
-
-pub(super) fn matrix_of(estimate: &CircleEstimate) -> Matrix3<f64> {
-    Matrix3::from_fn(|row, column| estimate.covariance[row][column])
 }
 
 /// Check a scan; its level pose.

@@ -1,0 +1,68 @@
+//! How the map with a filter per element treats its elements: parameters, motion, gates.
+
+use super::modes::Motion;
+use super::parameters::{Independent, LineRules, Looking};
+use crate::Error;
+use crate::estimation::chi2;
+
+/// How elements are treated.
+pub(super) struct Rules {
+    parameters: Independent,
+    motion: Motion,
+    gate: f64,
+    line_gate: f64,
+    outline_gate: f64,
+    speed: f64,
+}
+
+impl Rules {
+    /// # Errors
+    /// [`Error::Parameter`] for a probability outside 0 to 1.
+    pub(super) fn new(
+        parameters: Independent,
+        probability: f64,
+        speed: f64,
+    ) -> Result<Self, Error> {
+        let Independent { radius_density, turn_density, lines, .. } = parameters;
+        let motion = Motion::new(&parameters.modes, [radius_density, turn_density, lines.density]);
+        let gate = |freedom| chi2::quantile(probability, freedom);
+        let (gate, line_gate, outline_gate) = (gate(3)?, gate(2)?, gate(5)?);
+        Ok(Self { parameters, motion, gate, line_gate, outline_gate, speed })
+    }
+
+    pub(super) fn parameters(&self) -> &Independent {
+        &self.parameters
+    }
+
+    pub(super) fn lines(&self) -> &LineRules {
+        &self.parameters.lines
+    }
+
+    pub(super) fn looking(&self) -> &Looking {
+        &self.parameters.looking
+    }
+
+    pub(super) fn motion(&self) -> &Motion {
+        &self.motion
+    }
+
+    /// Of circles: chi-square, 3 degrees of freedom.
+    pub(super) fn gate(&self) -> f64 {
+        self.gate
+    }
+
+    /// Of lines: 2 degrees of freedom.
+    pub(super) fn line_gate(&self) -> f64 {
+        self.line_gate
+    }
+
+    /// Of ellipses and rectangles: 5 degrees of freedom.
+    pub(super) fn outline_gate(&self) -> f64 {
+        self.outline_gate
+    }
+
+    /// Standard deviation of the velocity of a new body [m/s].
+    pub(super) fn speed(&self) -> f64 {
+        self.speed
+    }
+}
