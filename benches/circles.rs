@@ -4,10 +4,10 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
 use lidar_core::circles::fit::{Fitter, Method};
 use lidar_core::circles::pipeline::{CirclePipeline, PipelineParameters, RawSweep};
-use lidar_core::circles::polar::PolarScan;
-use lidar_core::circles::preprocess::{self, Projection};
-use lidar_core::circles::segment::segment;
-use lidar_core::circles::sweep::Sweep;
+use lidar_core::circles::preprocess::polar_scan::PolarScan;
+use lidar_core::circles::preprocess::projection::{self, Projection};
+use lidar_core::circles::preprocess::sweep_poses::Sweep;
+use lidar_core::circles::segment::segmentation::segment;
 use lidar_core::geometry::transform::Transform;
 use std::f64::consts::PI;
 use std::hint::black_box;
@@ -85,23 +85,23 @@ fn parameters() -> PipelineParameters {
 fn stages(c: &mut Criterion) -> Result<(), Error> {
     let parameters = parameters();
     let bearings = bearings();
-    let directions = preprocess::directions(&bearings);
+    let directions = projection::directions(&bearings);
     let ranges: Vec<f64> = ranges(0).into_iter().map(f64::from).collect();
     let [near, far] = parameters.scanner.range_limits;
-    let ranges = preprocess::within_reach(&ranges, near, far);
+    let ranges = projection::within_reach(&ranges, near, far);
     let sweep = Sweep::still(Transform::from_matrix(&POSE));
     let raw = PolarScan { ranges, bearings };
-    let level = preprocess::project(&raw, &directions, &sweep, Projection::Exact)?;
+    let level = projection::project(&raw, &directions, &sweep, Projection::Exact)?;
     let segments = segment(&level.scan, None, &parameters.segment)?;
     let mut fitter = Fitter::new(parameters.fit)?;
     let mut circles = Vec::new();
     let mut group = c.benchmark_group("circles/stage");
     group.throughput(Throughput::Elements(BEAMS as u64));
     group.bench_function("limit_range", |b| {
-        b.iter(|| preprocess::limit_range(&raw.ranges, &directions, &sweep, &parameters.planes));
+        b.iter(|| projection::limit_range(&raw.ranges, &directions, &sweep, &parameters.planes));
     });
     group.bench_function("project_horizontal", |b| {
-        b.iter(|| preprocess::project(&raw, &directions, &sweep, Projection::Exact));
+        b.iter(|| projection::project(&raw, &directions, &sweep, Projection::Exact));
     });
     group.bench_function("segment", |b| {
         b.iter(|| segment(&level.scan, None, &parameters.segment));

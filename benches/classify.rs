@@ -2,9 +2,9 @@
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
-use lidar_core::flying::classify::{ClassifyParameters, classify_clusters};
-use lidar_core::flying::separate::Separation;
-use lidar_core::flying::voxel_map::{MapParameters, VoxelMap};
+use lidar_core::flying::classify::classifier::{ClassifyParameters, classify_clusters};
+use lidar_core::flying::map::separate::Separation;
+use lidar_core::flying::map::voxel_map::{MapParameters, VoxelMap};
 use lidar_core::geometry::cluster::{Clustering, label};
 use scenes::street;
 

@@ -2,12 +2,12 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
-use lidar_core::fusion::life::GyroUse;
-use lidar_core::fusion::motion::NoiseForm;
+use lidar_core::fusion::models::motion::NoiseForm;
+use lidar_core::fusion::targets::lifecycle::GyroUse;
 use lidar_core::fusion::{
     Filter, FusionParameters, Measurement, Method, Model, Sensor, Strengths, run, run_batch,
 };
-use lidar_core::threads;
+use lidar_core::util::threads;
 
 const STEPS: usize = 1223;
 const TARGETS: usize = 100;

@@ -2,7 +2,7 @@
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
-use lidar_core::flying::voxel_map::{MapParameters, Rays, VoxelMap};
+use lidar_core::flying::map::voxel_map::{MapParameters, Rays, VoxelMap};
 use lidar_core::geometry::lattice::Lattice;
 use lidar_core::geometry::traverse::traverse;
 use scenes::reference::DenseMap;

@@ -227,7 +227,7 @@ mod tests {
     use super::*;
     use crate::street;
     use lidar_core::Error;
-    use lidar_core::flying::voxel_map::{MapParameters, VoxelMap};
+    use lidar_core::flying::map::voxel_map::{MapParameters, VoxelMap};
     use lidar_core::geometry::cluster::{Clustering, label};
 
     #[test]

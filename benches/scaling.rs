@@ -2,9 +2,9 @@
 //! linear, nought does not depend on the size. `cargo bench --bench scaling [rays|voxel|...]`.
 
 use lidar_core::Error;
-use lidar_core::flying::separate::Separation;
+use lidar_core::flying::map::separate::Separation;
+use lidar_core::flying::map::voxel_map::{MapParameters, VoxelMap};
 use lidar_core::flying::track::{Detections, OccupiedPoints, PointCloudTracker, TrackerParameters};
-use lidar_core::flying::voxel_map::{MapParameters, VoxelMap};
 use lidar_core::geometry::cluster::{Clustering, label};
 use scenes::Scan;
 use std::f64::consts::{PI, TAU};

@@ -4,9 +4,9 @@ pub mod files;
 pub mod reference;
 
 use lidar_core::Error;
-use lidar_core::flying::integrate::{BACKGROUND, ClassifiedScan, INVALID, Origins};
-use lidar_core::flying::scan::RawScan;
-use lidar_core::threads;
+use lidar_core::flying::integrate::integrator::{BACKGROUND, ClassifiedScan, INVALID, Origins};
+use lidar_core::flying::scan::prepared::RawScan;
+use lidar_core::util::threads;
 use lidar_sim::scenes::performance;
 
 /// Rays of the yardsticks clear up to here, as those of a map by default [m].

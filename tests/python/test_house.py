@@ -163,7 +163,7 @@ def test_one_version_everywhere():
 
 def test_the_limits_of_the_security_paper_are_those_of_the_code():
     paper = text_of("SECURITY.md")
-    budget = text_of("rust/lidar_core/src/budget.rs")
+    budget = text_of("rust/lidar_core/src/util/budget.rs")
     for name in ["MAX_POINTS", "MAX_VOXELS_PER_RAY"]:
         value = int(re.search(rf"{name}: usize = ([\d_]+);", budget)[1].replace("_", ""))
         assert f"{value:,}" in paper

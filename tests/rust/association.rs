@@ -1,6 +1,6 @@
 //! Properties of the assignment: optimal against all permutations, sparse or dense.
 
-use lidar_core::estimation::association::{Pair, assign};
+use lidar_core::estimation::assignment::{Pair, assign};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 

@@ -1,7 +1,7 @@
 //! Clustering against all pairs and a union-find without any grid.
 
+use lidar_core::geometry::cluster::angular_gap::{AngularGap, label_seen};
 use lidar_core::geometry::cluster::{Clustering, NOISE, label};
-use lidar_core::geometry::gaps::{AngularGap, label_seen};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 

@@ -2,17 +2,17 @@
 //! may share a time.
 
 use lidar_core::Error;
-use lidar_core::flying::classify::ClassifyParameters;
+use lidar_core::flying::background::burn_in::{Gate, SeedParameters};
+use lidar_core::flying::classify::classifier::ClassifyParameters;
 use lidar_core::flying::detector::FlyingObjectDetector;
-use lidar_core::flying::gate::{Gate, SeedParameters};
+use lidar_core::flying::integrate::pose_weights::PoseParameters;
+use lidar_core::flying::map::separate::Separation;
+use lidar_core::flying::map::voxel_map::MapParameters;
 use lidar_core::flying::parameters::FlyingParameters;
-use lidar_core::flying::scan::RawScan;
-use lidar_core::flying::sensor::SensorParameters;
-use lidar_core::flying::separate::Separation;
+use lidar_core::flying::scan::prepared::RawScan;
+use lidar_core::flying::scan::sensor::SensorParameters;
 use lidar_core::flying::sky::Beams;
 use lidar_core::flying::track::{Confirmation, TrackerParameters};
-use lidar_core::flying::voxel_map::MapParameters;
-use lidar_core::flying::weighting::PoseParameters;
 use lidar_core::geometry::cluster::Clustering;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;

@@ -2,9 +2,9 @@
 //! removal with a history equals removal without.
 
 use lidar_core::Error;
-use lidar_core::flying::integrate::{ClassifiedScan, Origins};
-use lidar_core::flying::separate::Separation;
-use lidar_core::flying::voxel_map::{MapParameters, VoxelMap};
+use lidar_core::flying::integrate::integrator::{ClassifiedScan, Origins};
+use lidar_core::flying::map::separate::Separation;
+use lidar_core::flying::map::voxel_map::{MapParameters, VoxelMap};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 

@@ -1,9 +1,9 @@
-//! Bindings of `lidar_core::flying::center`.
+//! Bindings of `lidar_core::flying::detect::center`.
 
 use crate::arrays;
 use crate::errors::BorderError;
 use crate::guard::detached;
-use lidar_core::flying::center;
+use lidar_core::flying::detect::center;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 

@@ -5,10 +5,10 @@ use crate::circles_config::{FitConfig, ScannerConfig};
 use crate::errors::BorderError;
 use crate::guard::{detached, keep_going};
 use lidar_core::Error;
-use lidar_core::circles::circle::CircleEstimate;
 use lidar_core::circles::fit::Fitter;
-use lidar_core::circles::polar::PolarScan;
-use lidar_core::circles::segments::{Segments, Side};
+use lidar_core::circles::fit::circle::CircleEstimate;
+use lidar_core::circles::preprocess::polar_scan::PolarScan;
+use lidar_core::circles::segment::segments::{Segments, Side};
 use lidar_core::circles::shape::{ShapeEstimate, ShapeFitter, ShapeKind};
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,

@@ -5,12 +5,12 @@ use crate::circle_fit::kind_number;
 use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
-use lidar_core::circles::circle::{Circle, CircleEstimate};
+use lidar_core::circles::fit::circle::{Circle, CircleEstimate};
 use lidar_core::circles::map::{
     CircleMap, CircleMapParameters, CircleScan, Confirmation, Filter, Independent, Joint, Limits,
     LineRules, Looking, MapElement, MapShape, MapStats, Mode, Patience, PoseCovariance, View,
 };
-use lidar_core::circles::polar::PolarScan;
+use lidar_core::circles::preprocess::polar_scan::PolarScan;
 use lidar_core::geometry::transform::Transform;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyUntypedArrayMethods};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};

@@ -10,10 +10,10 @@ use crate::circles_config::{FitConfig, ScannerConfig, SegmentConfig, ShapeConfig
 use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
-use lidar_core::circles::circle::CircleEstimate;
+use lidar_core::circles::fit::circle::CircleEstimate;
 use lidar_core::circles::frame::{CircleFrame, PreparedSweep};
 use lidar_core::circles::pipeline::{CirclePipeline, PipelineParameters, RawSweep};
-use lidar_core::circles::preprocess::LevelScan;
+use lidar_core::circles::preprocess::projection::LevelScan;
 use numpy::{
     IntoPyArray, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
 };

@@ -1,14 +1,14 @@
-//! Bindings of `lidar_core::circles::window`.
+//! Bindings of `lidar_core::circles::fit::network_window`.
 
 use crate::arrays;
 use crate::errors::BorderError;
 use crate::guard::detached;
 use lidar_core::Error;
-use lidar_core::circles::circle::CircleEstimate;
-use lidar_core::circles::segments::Side;
-use lidar_core::circles::window::{
+use lidar_core::circles::fit::circle::CircleEstimate;
+use lidar_core::circles::fit::network_window::{
     ANSWER, CONTEXT, Frame, SLOT_NUMBERS, SLOTS, Window, circle_of, describe,
 };
+use lidar_core::circles::segment::segments::Side;
 use numpy::{
     IntoPyArray, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
     PyUntypedArrayMethods,

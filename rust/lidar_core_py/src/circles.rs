@@ -5,11 +5,11 @@ use crate::circles_config::{ScannerConfig, SegmentConfig};
 use crate::errors::BorderError;
 use crate::guard::detached;
 use lidar_core::Error;
-use lidar_core::circles::polar::PolarScan;
-use lidar_core::circles::preprocess::{self, Projection};
-use lidar_core::circles::segment::segment;
-use lidar_core::circles::segments::{Segments, Side};
-use lidar_core::circles::sweep::Sweep;
+use lidar_core::circles::preprocess::polar_scan::PolarScan;
+use lidar_core::circles::preprocess::projection::{self, Projection};
+use lidar_core::circles::preprocess::sweep_poses::Sweep;
+use lidar_core::circles::segment::segmentation::segment;
+use lidar_core::circles::segment::segments::{Segments, Side};
 use lidar_core::geometry::motion::Motion;
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
@@ -56,7 +56,7 @@ pub(crate) fn limit_range<'py>(
     let times = arrays::maybe_flat("ray_time_ns", &ray_time_ns)?;
     let limited = detached(py, || {
         let sweep = Sweep::new(&Motion::new(poses, stamps)?, stamp_ns, times)?;
-        preprocess::limit_range(ranges, &preprocess::directions(bearings), &sweep, planes)
+        projection::limit_range(ranges, &projection::directions(bearings), &sweep, planes)
     })?;
     Ok(limited.into_pyarray(py))
 }
@@ -83,7 +83,7 @@ pub(crate) fn project_horizontal<'py>(
     let level = detached(py, || {
         let sweep = Sweep::new(&Motion::new(poses, stamps)?, stamp_ns, times)?;
         let raw = PolarScan { ranges: ranges.to_vec(), bearings: bearings.to_vec() };
-        preprocess::project(&raw, &preprocess::directions(bearings), &sweep, mode)
+        projection::project(&raw, &projection::directions(bearings), &sweep, mode)
     })?;
     let PolarScan { ranges, bearings } = level.scan;
     Ok((ranges.into_pyarray(py), bearings.into_pyarray(py), level.heights.into_pyarray(py)))

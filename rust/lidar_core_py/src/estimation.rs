@@ -4,7 +4,7 @@ use crate::arrays;
 use crate::errors::BorderError;
 use crate::guard::detached;
 use lidar_core::Error;
-use lidar_core::estimation::association::{Pair, assign};
+use lidar_core::estimation::assignment::{Pair, assign};
 use lidar_core::estimation::chi2;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;

@@ -5,12 +5,12 @@ use crate::errors::BorderError;
 use crate::flying_config::FlyingConfig;
 use crate::guard::{Guarded, detached, keep_going};
 use crate::tracker::{TrackArrays, track_arrays};
-use lidar_core::flying::detection::Detection;
+use lidar_core::flying::background::burn_in::Gate;
+use lidar_core::flying::detect::detection::Detection;
 use lidar_core::flying::detector::FlyingObjectDetector;
 use lidar_core::flying::frame::{Frame, Teammate};
-use lidar_core::flying::gate::Gate;
-use lidar_core::flying::scan::RawScan;
-use lidar_core::flying::voxel_map::VoxelMap;
+use lidar_core::flying::map::voxel_map::VoxelMap;
+use lidar_core::flying::scan::prepared::RawScan;
 use numpy::{
     IntoPyArray, PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
     PyReadonlyArray3,

@@ -2,11 +2,11 @@
 
 use crate::arrays::choice;
 use lidar_core::Error;
-use lidar_core::fusion::filter::MIXABLE;
-use lidar_core::fusion::life::{GyroUse, Life, Loss};
-use lidar_core::fusion::motion::{NoiseForm, Prior};
-use lidar_core::fusion::paper::{Paper, Reading};
-use lidar_core::fusion::sensors::Sensing;
+use lidar_core::fusion::filter::paper::{Paper, Reading};
+use lidar_core::fusion::models::motion::{NoiseForm, Prior};
+use lidar_core::fusion::sensors::observation::Sensing;
+use lidar_core::fusion::targets::any_filter::MIXABLE;
+use lidar_core::fusion::targets::lifecycle::{GyroUse, Life, Loss};
 use lidar_core::fusion::{FusionParameters, Method, Model, Strengths};
 use pyo3::prelude::*;
 

@@ -1,4 +1,4 @@
-//! Bindings of `lidar_core::fusion::many`.
+//! Bindings of `lidar_core::fusion::targets::many`.
 
 use crate::arrays;
 use crate::errors::BorderError;
@@ -6,8 +6,8 @@ use crate::fusion::PyMeasurements;
 use crate::fusion_config::FusionConfig;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
-use lidar_core::fusion::many::MAX_SOURCES;
-use lidar_core::fusion::record::padded;
+use lidar_core::fusion::targets::many::MAX_SOURCES;
+use lidar_core::fusion::targets::record::padded;
 use lidar_core::fusion::{Assigned, Association, ManyParameters, ManyTargets, TrackState};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;

@@ -4,7 +4,7 @@ use crate::arrays;
 use crate::errors::BorderError;
 use crate::guard::detached;
 use lidar_core::geometry::cluster::Clustering;
-use lidar_core::geometry::gaps::{AngularGap, label_seen};
+use lidar_core::geometry::cluster::angular_gap::{AngularGap, label_seen};
 use lidar_core::geometry::lattice::Lattice;
 use lidar_core::geometry::traverse as core_traverse;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2};

@@ -1,13 +1,13 @@
-//! Bindings of `lidar_core::flying::voxel_map`.
+//! Bindings of `lidar_core::flying::map::voxel_map`.
 
 use crate::arrays::{self, Rows3, Threads};
 use crate::errors::BorderError;
 use crate::flying_config::{ClassifyConfig, MapConfig, RAY_UNITS, RAYS};
 use crate::guard::{Guarded, detached};
-use lidar_core::flying::classify::classify_clusters;
-use lidar_core::flying::integrate::{ClassifiedScan, IntegrateStats, Origins};
-use lidar_core::flying::separate::Separation;
-use lidar_core::flying::voxel_map::VoxelMap;
+use lidar_core::flying::classify::classifier::classify_clusters;
+use lidar_core::flying::integrate::integrator::{ClassifiedScan, IntegrateStats, Origins};
+use lidar_core::flying::map::separate::Separation;
+use lidar_core::flying::map::voxel_map::VoxelMap;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use std::path::PathBuf;

@@ -7,7 +7,7 @@
 
 use crate::random::{self, Purpose, Stream};
 use lidar_core::Error;
-use lidar_core::circles::segments::Side;
+use lidar_core::circles::segment::segments::Side;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -399,7 +399,7 @@ impl Samples {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lidar_core::threads::pool;
+    use lidar_core::util::threads::pool;
 
     const QUIET: Disturbance = Disturbance {
         range_std: [0.0; 2],

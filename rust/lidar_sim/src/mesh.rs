@@ -2,8 +2,9 @@
 
 use crate::parry::{Bounds, Ray, Tree};
 use crate::shape::refused;
+use lidar_core::Error;
 use lidar_core::geometry::transform::{dot, minus, norm};
-use lidar_core::{Error, budget};
+use lidar_core::util::budget;
 
 /// Faces of one mesh.
 pub const MAX_FACES: usize = 20_000_000;

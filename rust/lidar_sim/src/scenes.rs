@@ -246,7 +246,7 @@ fn line(start: [f64; 3], step: [f64; 3]) -> Result<Trajectory, Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lidar_core::threads;
+    use lidar_core::util::threads;
 
     #[test]
     fn returns_per_scan_are_those_of_the_scene() -> Result<(), Error> {

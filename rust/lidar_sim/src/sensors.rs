@@ -2,7 +2,8 @@
 
 use crate::random::{self, Purpose};
 use crate::shape::refused;
-use lidar_core::{Error, budget};
+use lidar_core::Error;
+use lidar_core::util::budget;
 use std::f64::consts::TAU;
 
 /// Lines of a beam at most.

@@ -3,16 +3,16 @@
 //! These are the only literals of a configuration in Rust. A test holds them against the models of
 //! the Python package, which document each value.
 
-use super::bodies::ShapeParameters;
-use super::corner::CornerParameters;
 use super::fit::{FitParameters, Method};
 use super::map::{
     CircleMapParameters, Confirmation, Filter, Independent, Joint, Limits, LineRules, Looking,
     Mode, Patience,
 };
 use super::pipeline::{PipelineParameters, ScannerParameters};
-use super::preprocess::Projection;
-use super::segment::{Bound, Criterion, SegmentParameters};
+use super::preprocess::projection::Projection;
+use super::segment::corners::CornerParameters;
+use super::segment::segmentation::{Bound, Criterion, SegmentParameters};
+use super::selection::ShapeParameters;
 
 /// Nearest and farthest surface that the scanner of the paper measures [m].
 const RANGE_LIMITS: [f64; 2] = [0.1, 10.0];

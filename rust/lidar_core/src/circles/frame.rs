@@ -1,9 +1,9 @@
 //! What the pipeline says about one sweep.
 
-use super::circle::CircleEstimate;
+use super::fit::circle::CircleEstimate;
 use super::map::{MapElement, MapShape, MapStats, PoseCovariance};
-use super::preprocess::LevelScan;
-use super::segments::Segments;
+use super::preprocess::projection::LevelScan;
+use super::segment::segments::Segments;
 use super::shape::ShapeEstimate;
 use crate::geometry::transform::Transform;
 

@@ -35,21 +35,14 @@
 //! # Ok::<(), lidar_core::Error>(())
 //! ```
 
-pub mod bodies;
-mod channel;
-pub mod circle;
-pub mod corner;
 mod defaults;
 pub mod fit;
 pub mod frame;
 pub mod map;
-mod merge;
-mod parts;
+mod map_input;
 pub mod pipeline;
-pub mod polar;
 pub mod preprocess;
+mod scanner;
 pub mod segment;
-pub mod segments;
+pub mod selection;
 pub mod shape;
-pub mod sweep;
-pub mod window;

@@ -1,24 +1,24 @@
 //! From one sweep of ranges to the map of circles: every stage in one call.
 
-use super::bodies::ShapeParameters;
-use super::channel::Channel;
-use super::circle::CircleEstimate;
+use super::fit::circle::CircleEstimate;
 use super::fit::{FitParameters, Method};
 use super::frame::{CircleFrame, PreparedSweep, Timing};
 use super::map::{
     CircleMap, CircleMapParameters, CircleScan, MapElement, MapShape, MapStats, PoseCovariance,
     View,
 };
-use super::parts::{ByKind, Parts};
-use super::preprocess::{self, Projection};
-use super::segment::{SegmentParameters, segment};
-use super::segments::Segments;
+use super::map_input::{ByKind, Parts};
+use super::preprocess::projection::{self, Projection};
+use super::preprocess::sweep_poses::Sweep;
+use super::scanner::Channel;
+use super::segment::segmentation::{SegmentParameters, segment};
+use super::segment::segments::Segments;
+use super::selection::ShapeParameters;
 use super::shape::ShapeEstimate;
-use super::sweep::Sweep;
 use crate::Error;
-use crate::clock::Clock;
 use crate::geometry::motion::Motion;
 use crate::geometry::transform::Transform;
+use crate::util::stopwatch::Clock;
 
 /// Scanners of one pipeline.
 const MAX_SCANNERS: usize = 64;
@@ -97,7 +97,7 @@ impl CirclePipeline {
     /// [`Error::Parameter`] for values that cannot work.
     pub fn new(parameters: PipelineParameters) -> Result<Self, Error> {
         let map = CircleMap::new(parameters.map.clone())?;
-        preprocess::check_planes(&parameters.planes)?;
+        projection::check_planes(&parameters.planes)?;
         parameters.shapes.iter().try_for_each(ShapeParameters::check)?;
         Channel::new(&parameters.scanner, &parameters)?;
         let channels = parameters

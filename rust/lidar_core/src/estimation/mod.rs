@@ -1,7 +1,8 @@
 //! Kalman filtering, chi-square quantiles and association: what all trackers share.
 
-pub mod association;
+pub mod assignment;
 pub mod chi2;
 pub mod kalman;
 pub mod minimise;
+pub mod probability;
 pub mod unscented;

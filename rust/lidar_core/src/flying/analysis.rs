@@ -1,13 +1,14 @@
 //! What the sensor can know and see: uncertainty of measured points, probability that the right
 //! voxel is updated, probability that a target is met by a ray. Source: Vrba et al., sec. IV.
 
-use crate::budget::check_points;
+use crate::Error;
 use crate::error::require;
+use crate::estimation::probability::box_probability;
 use crate::geometry::caps::{Cap, Directions};
 use crate::geometry::lattice::{Lattice, wide};
 use crate::geometry::transform::{Transform, cross, direction_of, minus, norm};
-use crate::probability::box_probability;
-use crate::{Error, threads};
+use crate::util::budget::check_points;
+use crate::util::threads;
 use rayon::prelude::*;
 use std::f64::consts::{FRAC_PI_2, PI};
 

@@ -3,18 +3,18 @@
 //! These are the only literals of a configuration in Rust. A test holds them against the models of
 //! the Python package, which document each value.
 
-use super::classify::ClassifyParameters;
-use super::gate::SeedParameters;
+use super::background::burn_in::SeedParameters;
+use super::classify::classifier::ClassifyParameters;
+use super::integrate::pose_weights::{PoseParameters, PoseWeighting};
+use super::map::separate::Separation;
+use super::map::voxel_map::{MapParameters, RayUnit, Rays};
 use super::parameters::FlyingParameters;
-use super::sensor::SensorParameters;
-use super::separate::Separation;
+use super::scan::sensor::SensorParameters;
 use super::sky::Beams;
 use super::track::{
     Ageing, Association, Confirmation, Doubt, Hiding, MeasurementForm, Merging, Motion, NoiseForm,
     Radius, RadiusForm, TrackerParameters,
 };
-use super::voxel_map::{MapParameters, RayUnit, Rays};
-use super::weighting::{PoseParameters, PoseWeighting};
 use crate::geometry::cluster::Clustering;
 use std::collections::BTreeMap;
 

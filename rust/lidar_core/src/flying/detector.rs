@@ -1,26 +1,26 @@
 //! The pipeline: raw scans in, point classes, detections and tracks out.
 
-use super::casting::Casting;
-use super::flood::{check_steps, search_radius};
-use super::follow::track;
-use super::found::Found;
+use super::background::burn_in::Gate;
+use super::background::pose_jump::Held;
+use super::background::static_points::Standing;
+use super::classify::classified::Judged;
+use super::classify::flood::{check_steps, search_radius};
+use super::detect::detections::Found;
+use super::detect::follow_up::track;
+use super::detect::visibility::ScanView;
 use super::frame::{Frame, Teammate, Timing};
-use super::gate::Gate;
-use super::integrate::{FLYING, IntegrateStats, UNKNOWN};
-use super::judged::Judged;
-use super::jump::Held;
+use super::integrate::casting::Casting;
+use super::integrate::integrator::{FLYING, IntegrateStats, UNKNOWN};
+use super::map::voxel_map::VoxelMap;
 use super::parameters::FlyingParameters;
-use super::scan::{Prepared, RawScan};
-use super::sensor::Sensor;
-use super::standing::Standing;
+use super::scan::prepared::{Prepared, RawScan};
+use super::scan::sensor::Sensor;
 use super::track::{PointCloudTracker, Track};
-use super::visibility::ScanView;
-use super::voxel_map::VoxelMap;
 use crate::Error;
-use crate::clock::Clock;
-use crate::geometry::gaps::{AngularGap, label_seen};
+use crate::geometry::cluster::angular_gap::{AngularGap, label_seen};
 use crate::geometry::lattice::{Voxel, wide};
 use crate::geometry::transform::Transform;
+use crate::util::stopwatch::Clock;
 use std::collections::BTreeMap;
 
 /// Detection and tracking of flying objects in scans of one or several LiDARs.

@@ -1,8 +1,8 @@
 //! What the detector says about one scan.
 
-use super::detection::Detection;
-use super::gate::Gate;
-use super::integrate::IntegrateStats;
+use super::background::burn_in::Gate;
+use super::detect::detection::Detection;
+use super::integrate::integrator::IntegrateStats;
 use super::track::Track;
 
 /// How the rays without return of a scan are known.

@@ -1,12 +1,12 @@
 //! What a scan does to the detector's map.
 
-use super::casting::Casting;
-use super::classify::Verdict;
+use super::classify::classified::Judged;
+use super::classify::classifier::Verdict;
+use super::classify::flood::distinct;
 use super::detector::FlyingObjectDetector;
-use super::flood::distinct;
-use super::integrate::{BACKGROUND, ClassifiedScan, FLYING, IntegrateStats, Origins};
-use super::judged::Judged;
-use super::scan::{Prepared, RawScan};
+use super::integrate::casting::Casting;
+use super::integrate::integrator::{BACKGROUND, ClassifiedScan, FLYING, IntegrateStats, Origins};
+use super::scan::prepared::{Prepared, RawScan};
 use crate::Error;
 use crate::geometry::lattice::{floor, wide};
 

@@ -6,7 +6,7 @@
 //! ```
 //! use lidar_core::flying::detector::FlyingObjectDetector;
 //! use lidar_core::flying::parameters::FlyingParameters;
-//! use lidar_core::flying::scan::RawScan;
+//! use lidar_core::flying::scan::prepared::RawScan;
 //!
 //! let mut detector = FlyingObjectDetector::new(FlyingParameters::default(), 1)?;
 //! let at_origin = [1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1.];
@@ -30,51 +30,17 @@
 //! ```
 
 pub mod analysis;
-mod beyond;
-mod blocks;
-mod body;
-mod casting;
-pub mod center;
+pub mod background;
 pub mod classify;
-mod clusters;
 mod defaults;
-pub mod detection;
+pub mod detect;
 pub mod detector;
-pub mod filter;
-mod flood;
-mod follow;
-mod found;
 pub mod frame;
-pub mod gate;
-mod group;
 pub mod integrate;
-mod islands;
-mod judged;
-mod jump;
-mod lanes;
-mod layers;
+pub mod map;
 mod mapping;
-mod marks;
-mod near;
 pub mod parameters;
-mod persist;
-mod plan;
-mod poses;
-mod raw_scan;
-mod raycast;
-mod rule;
 pub mod scan;
-mod segments;
-pub mod sensor;
-pub mod separate;
-mod shadow;
-mod sheet;
 pub mod sky;
-mod standing;
 pub mod track;
-mod update;
-mod visibility;
-pub mod voxel_map;
-pub mod weighting;
-mod window;
 mod world;

@@ -1,12 +1,12 @@
 //! Everything the detector can be told.
 
-use super::classify::ClassifyParameters;
-use super::gate::SeedParameters;
-use super::sensor::SensorParameters;
-use super::separate::Separation;
+use super::background::burn_in::SeedParameters;
+use super::classify::classifier::ClassifyParameters;
+use super::integrate::pose_weights::PoseParameters;
+use super::map::separate::Separation;
+use super::map::voxel_map::MapParameters;
+use super::scan::sensor::SensorParameters;
 use super::track::TrackerParameters;
-use super::voxel_map::MapParameters;
-use super::weighting::PoseParameters;
 use crate::geometry::cluster::Clustering;
 use std::collections::BTreeMap;
 

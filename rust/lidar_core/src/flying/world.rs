@@ -1,8 +1,8 @@
 //! Where the detector's map lies in the world: known places, other maps.
 
 use super::detector::FlyingObjectDetector;
-use super::scan::RawScan;
-use super::voxel_map::VoxelMap;
+use super::map::voxel_map::VoxelMap;
+use super::scan::prepared::RawScan;
 use crate::Error;
 use crate::error::require;
 use crate::geometry::transform::Transform;

@@ -3,12 +3,12 @@
 //! These are the only literals of a configuration in Rust. A test holds them against the models of
 //! the Python package, which document each value.
 
-use super::filter::{FusionParameters, Method, Model, Strengths};
-use super::life::{GyroUse, Life, Loss};
-use super::many::{Association, ManyParameters};
-use super::motion::{NoiseForm, Prior};
-use super::paper::{Paper, Reading};
-use super::sensors::Sensing;
+use super::filter::paper::{Paper, Reading};
+use super::models::motion::{NoiseForm, Prior};
+use super::sensors::observation::Sensing;
+use super::targets::any_filter::{FusionParameters, Method, Model, Strengths};
+use super::targets::lifecycle::{GyroUse, Life, Loss};
+use super::targets::many::{Association, ManyParameters};
 
 /// Probability that a measurement of the target is believed.
 const GATE_PROBABILITY: f64 = 0.9999;

@@ -22,31 +22,13 @@
 //! # Ok::<(), lidar_core::Error>(())
 //! ```
 
-pub mod cartesian;
 mod defaults;
-pub mod drone;
-pub mod engine;
-pub mod exchange;
 pub mod filter;
-pub mod heading;
-pub mod imm;
-pub mod joint;
-pub mod life;
-pub mod likelihood;
-pub mod many;
-pub mod measurement;
-pub mod motion;
-pub mod paper;
-pub mod platform;
-pub mod record;
+pub mod models;
 pub mod sensors;
-pub mod sigma;
-pub mod smooth;
-pub mod target;
-pub mod tracks;
-pub mod turn;
+pub mod targets;
 
-pub use filter::{Filter, FusionParameters, Method, Model, Strengths};
-pub use many::{Assigned, Association, ManyParameters, ManyTargets, TrackState};
-pub use measurement::{Measurement, Sensor};
-pub use record::{Record, run, run_batch, smooth};
+pub use sensors::measurement::{Measurement, Sensor};
+pub use targets::any_filter::{Filter, FusionParameters, Method, Model, Strengths};
+pub use targets::many::{Assigned, Association, ManyParameters, ManyTargets, TrackState};
+pub use targets::record::{Record, run, run_batch, smooth};

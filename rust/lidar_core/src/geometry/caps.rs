@@ -298,8 +298,9 @@ impl Cover {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Error;
     use crate::geometry::transform::direction_of;
-    use crate::{Error, threads};
+    use crate::util::threads;
 
     fn covered(rays: &[[f64; 3]], radius: f64, others: &[Cap]) -> Result<f64, Error> {
         let units = rays.iter().filter_map(|&ray| direction_of(ray)).collect();

@@ -2,7 +2,7 @@
 
 use super::transform::Transform;
 use crate::Error;
-use crate::spread::Spread;
+use crate::util::key_hasher::Spread;
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 

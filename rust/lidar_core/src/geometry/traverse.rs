@@ -3,7 +3,7 @@
 use super::lattice::{Lattice, Voxel};
 use super::transform::{minus, norm};
 use crate::Error;
-use crate::budget::MAX_VOXELS_PER_RAY;
+use crate::util::budget::MAX_VOXELS_PER_RAY;
 use std::ops::ControlFlow;
 
 /// Visit, in order, every voxel crossed by the segment `start` -> `end` [m], with the length

@@ -2,8 +2,8 @@
 
 use super::FitParameters;
 use crate::Error;
-use crate::circles::polar::{PolarScan, turn};
-use crate::circles::segments::{Segments, Side};
+use crate::circles::preprocess::polar_scan::{PolarScan, turn};
+use crate::circles::segment::segments::{Segments, Side};
 
 /// More hits than this are joined to about as many, all but the outermost: their cost grows, what
 /// they tell does not.

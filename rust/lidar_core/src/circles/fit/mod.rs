@@ -2,19 +2,21 @@
 
 mod algebraic;
 pub(super) mod arc;
+pub mod circle;
 pub(super) mod likelihood;
 mod mode;
+pub mod network_window;
 pub(super) mod posterior;
 mod row;
 
 #[cfg(test)]
 mod tests;
 
-use super::circle::{Circle, CircleEstimate};
-use super::polar::PolarScan;
-use super::segments::Segments;
+use super::preprocess::polar_scan::PolarScan;
+use super::segment::segments::Segments;
 use crate::Error;
 use arc::Arc;
+use circle::{Circle, CircleEstimate};
 use likelihood::Likelihood;
 use posterior::Posterior;
 

@@ -1,8 +1,8 @@
 //! A scan that shows one object: all its hits are one segment.
 
 use super::FitParameters;
-use crate::circles::polar::PolarScan;
-use crate::circles::segments::{Segments, Side};
+use crate::circles::preprocess::polar_scan::PolarScan;
+use crate::circles::segment::segments::{Segments, Side};
 
 /// Take all hits of a scan, which may be a full circle, for one segment; none if there is no hit.
 pub(super) fn one_segment(

@@ -1,5 +1,5 @@
 use super::*;
-use crate::circles::segments::Side;
+use crate::circles::segment::segments::Side;
 
 fn parameters(method: Method) -> FitParameters {
     FitParameters { method, range_std: 1e-4, ..FitParameters::default() }

@@ -10,7 +10,7 @@ use super::parameters::Patience;
 use super::scan::Viewpoint;
 use super::visibility::Visibility;
 use crate::Error;
-use crate::estimation::association::{Pair, assign};
+use crate::estimation::assignment::{Pair, assign};
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix2, Vector3};
 

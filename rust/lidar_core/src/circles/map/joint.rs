@@ -13,7 +13,7 @@ use super::parameters::{Joint, MAX_ELEMENTS};
 use super::scan::{CircleScan, Found, check, matrix_of, too_many};
 use super::{MapElement, Outcome, seconds};
 use crate::Error;
-use crate::circles::circle::CircleEstimate;
+use crate::circles::fit::circle::CircleEstimate;
 use crate::estimation::kalman::{Gaussian, mahalanobis, symmetrised};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 

@@ -9,7 +9,7 @@ use super::parameters::{LineRules, Patience};
 use super::scan::Viewpoint;
 use super::visibility::Visibility;
 use crate::Error;
-use crate::circles::polar::turn;
+use crate::circles::preprocess::polar_scan::turn;
 use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised, update};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use std::f64::consts::FRAC_PI_2;

@@ -10,7 +10,7 @@ use super::outline::OutlineMeasurement;
 use super::parameters::MAX_ELEMENTS;
 use super::visibility::{SortedView, View};
 use crate::Error;
-use crate::circles::circle::{Circle, CircleEstimate};
+use crate::circles::fit::circle::{Circle, CircleEstimate};
 use crate::circles::shape::{ShapeEstimate, ShapeKind};
 use crate::geometry::transform::Transform;
 use nalgebra::{Matrix2, Matrix3, SMatrix};

@@ -1,6 +1,6 @@
 use super::*;
-use crate::circles::circle::{Circle, CircleEstimate};
-use crate::circles::polar::PolarScan;
+use crate::circles::fit::circle::{Circle, CircleEstimate};
+use crate::circles::preprocess::polar_scan::PolarScan;
 use crate::circles::shape::{ShapeEstimate, ShapeKind};
 use crate::geometry::transform::Transform;
 use std::f64::consts::PI;

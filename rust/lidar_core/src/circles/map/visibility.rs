@@ -1,8 +1,8 @@
 //! What a scan says about a place: seen through, something there, or hidden.
 
 use crate::Error;
-use crate::circles::circle::Circle;
-use crate::circles::polar::{PolarScan, turn};
+use crate::circles::fit::circle::Circle;
+use crate::circles::preprocess::polar_scan::{PolarScan, turn};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use super::parameters::Looking;

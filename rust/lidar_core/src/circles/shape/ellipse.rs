@@ -7,9 +7,9 @@
 //! - 2 k w1 w2), smooth up to the tangents in the roots of how far these lie beyond the hits.
 
 use super::solve::{Shape, Solved, gain, solve};
-use crate::circles::circle::Circle;
 use crate::circles::fit::arc::{Arc, Edge, Hit};
-use crate::circles::polar::turn;
+use crate::circles::fit::circle::Circle;
+use crate::circles::preprocess::polar_scan::turn;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Differences of parameters that show the slope.

@@ -14,13 +14,13 @@ mod solve;
 mod tests;
 
 use self::ellipse::Ellipse;
-use super::circle::{Circle, CircleEstimate};
 use super::fit::arc::{Arc, Hit};
+use super::fit::circle::{Circle, CircleEstimate};
 use super::fit::likelihood::Likelihood;
 use super::fit::posterior::Posterior;
 use super::fit::{FitParameters, Method, estimate};
-use super::polar::PolarScan;
-use super::segments::Segments;
+use super::preprocess::polar_scan::PolarScan;
+use super::segment::segments::Segments;
 use crate::Error;
 
 /// What a segment is.

@@ -3,9 +3,9 @@
 use super::ellipse::Ellipse;
 use super::solve::Solved;
 use super::{ShapeEstimate, ShapeKind};
-use crate::circles::circle::CircleEstimate;
 use crate::circles::fit::arc::Arc;
-use crate::circles::polar::turn;
+use crate::circles::fit::circle::CircleEstimate;
+use crate::circles::preprocess::polar_scan::turn;
 use nalgebra::{SMatrix, SVector};
 use std::f64::consts::{FRAC_PI_2, PI};
 

@@ -1,5 +1,5 @@
 use super::*;
-use crate::circles::segments::Side;
+use crate::circles::segment::segments::Side;
 
 fn shape_of(ranges: impl Fn(f64) -> f64, half: i32) -> Result<ShapeEstimate, Error> {
     let bearings: Vec<f64> =

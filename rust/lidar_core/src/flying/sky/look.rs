@@ -3,7 +3,7 @@
 use super::grid::{CELLS, GRID, PARTS};
 use super::way::Way;
 use super::{NEVER, Sky};
-use crate::flying::voxel_map::VoxelMap;
+use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, dot, minus, norm};
 use std::f64::consts::PI;
@@ -474,7 +474,7 @@ mod tests {
     use super::super::{Beams, Sky};
     use super::*;
     use crate::Error;
-    use crate::flying::integrate::tests::parameters;
+    use crate::flying::integrate::integrator::tests::parameters;
 
     /// Returns on a ring wall from -0.3 to `top` in height, all around, with a gap of 60 degrees.
     fn wall(range: f64, top: f64) -> Vec<[f32; 3]> {

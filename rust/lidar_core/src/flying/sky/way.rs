@@ -1,7 +1,7 @@
 //! How far a ray goes through the map before it meets what returns have shown.
 
-use crate::flying::blocks::Cursor;
-use crate::flying::voxel_map::VoxelMap;
+use crate::flying::map::blocks::Cursor;
+use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::floor;
 
 /// Rays through the map, which end before what returns have shown.

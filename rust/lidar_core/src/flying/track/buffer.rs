@@ -1,7 +1,7 @@
 //! The latest point clouds, sorted by stamp, for detections that arrive late.
 
 use crate::Error;
-use crate::budget::{MAX_POINTS, vec_with_capacity};
+use crate::util::budget::{MAX_POINTS, vec_with_capacity};
 use std::collections::VecDeque;
 
 /// Memory of a cloud is used again unless it is so many times what is needed.

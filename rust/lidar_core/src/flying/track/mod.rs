@@ -6,7 +6,7 @@
 mod buffer;
 mod candidates;
 mod detections;
-mod life;
+mod lifecycle;
 mod motion;
 mod occupancy;
 mod pairs;
@@ -29,9 +29,9 @@ pub use parameters::{
 pub use view::CloudView;
 
 use crate::Error;
-use crate::budget::check_points;
 use crate::estimation::kalman::{Gaussian, symmetrised};
 use crate::geometry::transform::Transform;
+use crate::util::budget::check_points;
 use buffer::Buffer;
 use nalgebra::{Matrix3, SMatrix};
 use state::{TrackState, seconds};
@@ -155,7 +155,7 @@ impl PointCloudTracker {
             let outcome = self.updater.update(&mut tracks, &scan)?;
             (stats.corrected, stats.rows) = (outcome.corrected, outcome.rows);
             stats.rejected = outcome.rejected;
-            stats.removed = life::remove_uncertain(&mut tracks, self.parameters(), stamp_ns);
+            stats.removed = lifecycle::remove_uncertain(&mut tracks, self.parameters(), stamp_ns);
             stats.merged = self.merge(&mut tracks);
             self.tracks = tracks;
         }
@@ -186,9 +186,9 @@ impl PointCloudTracker {
             return Err(detections::too_many(tracks.len()));
         }
         let stats = Stats {
-            born: life::number(&mut tracks, &mut next_id),
-            confirmed: life::confirm(&mut tracks, &matches.fed, known, self.parameters()),
-            removed: life::remove_unconfirmed(&mut tracks, self.parameters()),
+            born: lifecycle::number(&mut tracks, &mut next_id),
+            confirmed: lifecycle::confirm(&mut tracks, &matches.fed, known, self.parameters()),
+            removed: lifecycle::remove_unconfirmed(&mut tracks, self.parameters()),
             merged: self.merge(&mut tracks),
             rejected: matches.rejected,
             ..Stats::default()
@@ -285,6 +285,8 @@ impl PointCloudTracker {
     }
 
     fn merge(&self, tracks: &mut Vec<TrackState>) -> Vec<[i64; 2]> {
-        self.parameters().merging.map_or_else(Vec::new, |merging| life::merge(tracks, &merging))
+        self.parameters()
+            .merging
+            .map_or_else(Vec::new, |merging| lifecycle::merge(tracks, &merging))
     }
 }

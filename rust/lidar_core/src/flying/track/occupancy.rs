@@ -1,6 +1,6 @@
 //! What the tracker asks of the map and of the scan.
 
-use crate::flying::center::Center;
+use crate::flying::detect::center::Center;
 
 /// Voxels that are at least tentatively occupied: the set O of Algorithm 2.
 pub trait Occupancy: Sync {

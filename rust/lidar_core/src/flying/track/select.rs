@@ -152,9 +152,9 @@ mod tests {
         }
         assert!(expected.len() > 1000);
         for threads in [1, 2, 4] {
-            assert_eq!(hits(&crate::threads::pool(threads)?, &points, &balls), expected);
+            assert_eq!(hits(&crate::util::threads::pool(threads)?, &points, &balls), expected);
         }
-        assert!(hits(&crate::threads::pool(1)?, &points, &[]).is_empty());
+        assert!(hits(&crate::util::threads::pool(1)?, &points, &[]).is_empty());
         Ok(())
     }
 }

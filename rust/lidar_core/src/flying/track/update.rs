@@ -9,10 +9,10 @@ use super::select::{Ball, hits};
 use super::split::Division;
 use super::state::{TrackState, seconds};
 use crate::Error;
-use crate::estimation::association::{Pair, assign};
+use crate::estimation::assignment::{Pair, assign};
 use crate::estimation::{chi2, kalman};
 use crate::geometry::cluster::Labeller;
-use crate::shelf::Shelf;
+use crate::util::object_pool::Shelf;
 use nalgebra::{Matrix3, Vector3};
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -95,7 +95,7 @@ impl Updater {
                 -2.0 * libm::log(clutter_density) - 3.0 * libm::log(TAU),
             ),
         };
-        let (labellers, pool) = (Shelf::default(), crate::threads::pool(threads)?);
+        let (labellers, pool) = (Shelf::default(), crate::util::threads::pool(threads)?);
         Ok(Self { parameters, gate, unassigned, labellers, pool })
     }
 

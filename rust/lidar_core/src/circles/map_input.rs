@@ -1,0 +1,89 @@
+//! What the segments of a sweep are for the map: bodies, lines, or nothing.
+
+use super::fit::circle::CircleEstimate;
+use super::frame::PreparedSweep;
+use super::map::{CircleMap, MapStats, OutlineEstimate};
+use super::pipeline::PipelineParameters;
+use super::selection::{Part, is_certain, is_piece, part, round};
+use super::shape::{ShapeEstimate, ShapeKind};
+
+/// Segments that go into the map, by their numbers.
+#[derive(Default)]
+pub(super) struct Parts {
+    pub(super) bodies: Vec<usize>,
+    pub(super) circles: Vec<CircleEstimate>,
+    /// What the circles stand for.
+    pub(super) outlines: Vec<Option<OutlineEstimate>>,
+    lines: Vec<usize>,
+    pub(super) shapes: Vec<ShapeEstimate>,
+    /// Of all segments: would-be bodies of which a part may be nearer than the scanner measures.
+    too_near: Vec<bool>,
+}
+
+/// Elements of all segments.
+pub(super) struct ByKind {
+    pub(super) bodies: Vec<Option<i64>>,
+    pub(super) lines: Vec<Option<i64>>,
+    pub(super) too_near: Vec<bool>,
+}
+
+impl Parts {
+    /// Objects of which a part may be too near to be measured are left out. Bodies that lie on a line of the map are pieces of it, if it is longer than any of them or
+    /// nothing free is beside them.
+    pub(super) fn of(
+        prepared: &PreparedSweep,
+        circles: &[CircleEstimate],
+        shapes: &[ShapeEstimate],
+        parameters: &PipelineParameters,
+        map: &CircleMap,
+    ) -> Self {
+        let limits = [parameters.fit.range_std, parameters.max_deviation];
+        let mut parts = Self::default();
+        for (number, circle) in circles.iter().enumerate() {
+            let shape = shapes.get(number).zip(parameters.shapes.as_ref());
+            let part = part(prepared, number, circle, shape, limits);
+            let is_too_near = shape.is_some()
+                && matches!(part, Part::Body(_))
+                && prepared.is_too_near(number, limits[0]);
+            parts.too_near.push(is_too_near);
+            let part = if is_too_near { Part::Nothing } else { part };
+            let is_on_wall = matches!(part, Part::Body(_))
+                && shape.is_some_and(|(_, rules)| {
+                    let is_piece = is_piece(prepared.segments.sides[number]);
+                    let least = if is_piece { 0.0 } else { 2.0 * rules.max_size };
+                    map.is_on_line(&prepared.points_world(number), limits[0], least)
+                });
+            let straight = shape.filter(|(found, _)| found.kind == ShapeKind::Line);
+            match (part, straight) {
+                (Part::Body(body), _) if !is_on_wall => {
+                    parts.bodies.push(number);
+                    parts.circles.push(body);
+                    let outline = shape.and_then(|(found, rules)| rules.outline(found));
+                    let round = || round(prepared, number, circle, limits[1]).filter(is_certain);
+                    parts
+                        .outlines
+                        .push(outline.map(|one| OutlineEstimate { round: round(), ..one }));
+                }
+                (Part::Body(_) | Part::Line, Some((found, _))) => {
+                    parts.lines.push(number);
+                    parts.shapes.push(*found);
+                }
+                _ => {}
+            }
+        }
+        parts
+    }
+
+    /// Elements of all `count` segments, as the map says.
+    pub(super) fn elements(self, count: usize, stats: &MapStats) -> ByKind {
+        let (bodies, lines) = (vec![None; count], vec![None; count]);
+        let mut elements = ByKind { bodies, lines, too_near: self.too_near };
+        for (&number, &element) in self.bodies.iter().zip(&stats.elements) {
+            elements.bodies[number] = Some(element);
+        }
+        for (&number, &element) in self.lines.iter().zip(&stats.lines) {
+            elements.lines[number] = element;
+        }
+        elements
+    }
+}

@@ -1,0 +1,5 @@
+//! A 2D scan: polar form, poses of the scanner, range limitation, projection to the horizontal plane.
+
+pub mod polar_scan;
+pub mod projection;
+pub mod sweep_poses;

@@ -1,0 +1,67 @@
+//! One scanner of the pipeline, with what is the same in all its sweeps.
+
+use super::fit::{FitParameters, Fitter};
+use super::pipeline::{PipelineParameters, RawSweep, ScannerParameters};
+use super::preprocess::polar_scan::PolarScan;
+use super::preprocess::projection::{self, LevelScan};
+use super::preprocess::sweep_poses::Sweep;
+use super::shape::ShapeFitter;
+use crate::Error;
+
+/// Rays, reach and estimators of one scanner.
+pub(super) struct Channel {
+    pub(super) bearings: Vec<f64>,
+    pub(super) directions: Vec<[f64; 2]>,
+    pub(super) range_limits: [f64; 2],
+    pub(super) fitter: Fitter,
+    pub(super) shaper: ShapeFitter,
+}
+
+impl Channel {
+    /// # Errors
+    /// [`Error::Limit`] for too many rays, [`Error::Parameter`] for values that cannot work.
+    pub(super) fn new(
+        scanner: &ScannerParameters,
+        parameters: &PipelineParameters,
+    ) -> Result<Self, Error> {
+        crate::util::budget::check_points(scanner.n_beams)?;
+        let bearing = |ray: usize| scanner.angle_min + scanner.angle_increment * ray as f64;
+        let bearings: Vec<f64> = (0..scanner.n_beams).map(bearing).collect();
+        let range_limits = scanner.range_limits;
+        Ok(Self {
+            directions: projection::directions(&bearings),
+            bearings,
+            range_limits,
+            fitter: Fitter::new(FitParameters { range_limits, ..parameters.fit })?,
+            shaper: ShapeFitter::new(FitParameters { range_limits, ..parameters.fit })?,
+        })
+    }
+
+    /// The scan in the level frame, limited to the volume; and the ranges before, if it was.
+    ///
+    /// # Errors
+    /// As [`projection::limit_range`].
+    pub(super) fn level(
+        &self,
+        raw: &RawSweep<'_>,
+        sweep: &Sweep,
+        parameters: &PipelineParameters,
+    ) -> Result<(LevelScan, Option<Vec<f64>>), Error> {
+        let [near, far] = self.range_limits;
+        let wide: Vec<f64> = raw.ranges.iter().map(|&range| f64::from(range)).collect();
+        let ranges = projection::within_reach(&wide, near, far);
+        let limited = match parameters.planes.as_slice() {
+            [] => None,
+            planes => Some(projection::limit_range(&ranges, &self.directions, sweep, planes)?),
+        };
+        let scan = PolarScan { ranges, bearings: self.bearings.clone() };
+        let mut level = projection::project(&scan, &self.directions, sweep, parameters.projection)?;
+        let Some(limited) = limited else { return Ok((level, None)) };
+        let seen = level.scan.ranges.clone();
+        for (ray, &range) in limited.iter().enumerate().filter(|(_, range)| !range.is_finite()) {
+            level.scan.ranges[ray] = range;
+            level.heights[ray] = f64::NAN;
+        }
+        Ok((level, Some(seen)))
+    }
+}

@@ -1,0 +1,6 @@
+//! Rays that ended on the same object, eq. 6.
+
+pub mod corners;
+pub(crate) mod merge;
+pub mod segmentation;
+pub mod segments;

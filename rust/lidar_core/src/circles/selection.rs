@@ -1,0 +1,252 @@
+//! Which segments go into the map of circles: what is round, and small things that are nearly so.
+
+use super::fit::circle::{Circle, CircleEstimate};
+use super::frame::PreparedSweep;
+use super::map::OutlineEstimate;
+use super::segment::segments::Side;
+use super::shape::{ShapeEstimate, ShapeKind};
+use crate::Error;
+use crate::error::require_positive;
+use nalgebra::{Matrix3, Matrix5};
+
+/// What becomes of the shapes of segments.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ShapeParameters {
+    /// Ellipses go into the map.
+    pub ellipses: bool,
+    /// So do rectangles.
+    pub rectangles: bool,
+    /// Lines that stand free go into it, as circles behind them.
+    pub faces: bool,
+    /// Largest half length of a line that goes into the map as a circle, and of everything that is
+    /// reported as one [m].
+    pub max_size: f64,
+    /// How far their outlines depart from a fixed shape, as a standard deviation [m].
+    pub model_std: f64,
+    /// A circle of fewer rays that ends at something nearer is an object only if nothing is behind
+    /// its other end; other shapes always.
+    pub min_hits: usize,
+}
+
+impl ShapeParameters {
+    /// # Errors
+    /// [`Error::Parameter`] for one that is outside its range.
+    pub(super) fn check(&self) -> Result<(), Error> {
+        require_positive("max_size", self.max_size)?;
+        require_positive("model_std", self.model_std)
+    }
+
+    fn takes(&self, kind: ShapeKind) -> bool {
+        match kind {
+            ShapeKind::Circle => true,
+            ShapeKind::Ellipse => self.ellipses,
+            ShapeKind::Rectangle => self.rectangles,
+            ShapeKind::Line => false, // of unknown depth: see `behind`
+        }
+    }
+
+    /// What a line that stands free is taken for: a circle whose middle lies behind it.
+    fn behind(&self, shape: &ShapeEstimate) -> Option<CircleEstimate> {
+        let [start, end] = shape.ends()?;
+        let half = 0.5 * libm::hypot(end[0] - start[0], end[1] - start[1]);
+        let depth = 0.5 * half; // nobody knows: between none and its length
+        let normal = [libm::cos(shape.parameters[0]), libm::sin(shape.parameters[0])];
+        let spread = depth * depth + self.model_std * self.model_std;
+        let mut covariance = [[0.0; 3]; 3];
+        for (axis, row) in covariance.iter_mut().enumerate() {
+            row[axis] = spread;
+        }
+        (self.faces && half > 0.0 && half <= self.max_size).then_some(CircleEstimate {
+            circle: Circle {
+                center: [0, 1].map(|i| 0.5 * (start[i] + end[i]) + depth * normal[i]),
+                radius: half,
+            },
+            covariance,
+            n_hits: shape.n_hits,
+            is_fallback: false,
+        })
+    }
+
+    /// What a circle stands for: None where it is one, or nothing is known of its outline.
+    pub(super) fn outline(&self, shape: &ShapeEstimate) -> Option<OutlineEstimate> {
+        if shape.kind == ShapeKind::Line {
+            return Some(OutlineEstimate { shape: *shape, is_large: false, round: None });
+        }
+        let longest = shape.kind.half_length()? * shape.parameters[2];
+        let covariance = Matrix5::from_fn(|row, column| shape.covariance[row][column]);
+        let is_known = covariance.cholesky().is_some() && shape.parameters[3] > 0.0;
+        let is_large = longest > self.max_size;
+        is_known.then_some(OutlineEstimate { shape: *shape, is_large, round: None })
+    }
+
+    /// The circle of the mean half length.
+    fn equivalent(&self, shape: &ShapeEstimate) -> Option<CircleEstimate> {
+        let [x, y, long, short, _] = shape.parameters;
+        let scale = shape.kind.half_length().unwrap_or(1.0);
+        let radius = 0.5 * scale * (long + short);
+        let is_usable = self.takes(shape.kind) && radius > 0.0;
+        let slope = 0.5 * scale;
+        let c = &shape.covariance;
+        let with_radius = |i: usize| slope * (c[i][2] + c[i][3]);
+        let of_radius = slope * (with_radius(2) + with_radius(3));
+        let spread = self.model_std * self.model_std;
+        let covariance = [
+            [c[0][0] + spread, c[0][1], with_radius(0)],
+            [c[0][1], c[1][1] + spread, with_radius(1)],
+            [with_radius(0), with_radius(1), of_radius + spread],
+        ];
+        let is_finite = covariance.iter().flatten().all(|value| value.is_finite());
+        (is_usable && is_finite).then_some(CircleEstimate {
+            circle: Circle { center: [x, y], radius },
+            covariance,
+            n_hits: shape.n_hits,
+            is_fallback: false,
+        })
+    }
+}
+
+/// What a segment is for the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Part {
+    /// Something round, or small and nearly so.
+    Body(CircleEstimate),
+    /// A line, as its shape says.
+    Line,
+    /// Nothing.
+    Nothing,
+}
+
+/// What segment `number` is for the map: nothing where its hits do not lie on its circle or other
+/// shape. Its own estimate stands for a circle, one of the mean half length for other shapes.
+pub(super) fn part(
+    prepared: &PreparedSweep,
+    number: usize,
+    circle: &CircleEstimate,
+    shape: Option<(&ShapeEstimate, &ShapeParameters)>,
+    [range_std, max_deviation]: [f64; 2],
+) -> Part {
+    let round = || round(prepared, number, circle, max_deviation);
+    let Some((shape, parameters)) = shape else { return Part::of(round()) };
+    let off = range_std * (shape.misfit / shape.n_hits as f64).sqrt();
+    let sides = prepared.segments.sides[number];
+    match shape.kind {
+        ShapeKind::Circle if is_piece(sides) && shape.n_hits < parameters.min_hits => Part::Nothing,
+        ShapeKind::Circle => Part::of(round().filter(is_certain)),
+        _ if off > max_deviation => Part::Nothing,
+        ShapeKind::Line => {
+            let is_face = sides == [Side::Free; 2];
+            parameters.behind(shape).filter(|_| is_face).map_or(Part::Line, Part::Body)
+        }
+        _ if is_piece(sides) => Part::Nothing,
+        ShapeKind::Ellipse | ShapeKind::Rectangle => Part::of(parameters.equivalent(shape)),
+    }
+}
+
+/// The circle of a segment whose hits lie on it.
+pub(super) fn round(
+    prepared: &PreparedSweep,
+    number: usize,
+    circle: &CircleEstimate,
+    max_deviation: f64,
+) -> Option<CircleEstimate> {
+    Some(*circle).filter(|_| deviation(prepared, number, circle) <= max_deviation)
+}
+
+impl Part {
+    fn of(body: Option<CircleEstimate>) -> Self {
+        body.map_or(Self::Nothing, Self::Body)
+    }
+}
+
+/// Whether rays may show no more than a piece of something: it ends where something nearer is, and
+/// nothing shows that it ends at the other side.
+pub(super) fn is_piece(sides: [Side; 2]) -> bool {
+    sides.contains(&Side::Occluded) && !sides.contains(&Side::Free)
+}
+
+/// Whether the covariance can be used: that of a circle fitted to a wall may be singular.
+pub(super) fn is_certain(estimate: &CircleEstimate) -> bool {
+    Matrix3::from_fn(|i, j| estimate.covariance[i][j]).cholesky().is_some()
+}
+
+/// Root mean square distance of the hits of a segment from a circle [m].
+fn deviation(prepared: &PreparedSweep, number: usize, estimate: &CircleEstimate) -> f64 {
+    let rays = prepared.segments.rays_of(number);
+    let [x, y] = estimate.circle.center;
+    let square: f64 = rays
+        .iter()
+        .filter_map(|&ray| prepared.level.scan.point(ray as usize))
+        .map(|point| {
+            let distance = libm::hypot(point[0] - x, point[1] - y) - estimate.circle.radius;
+            distance * distance
+        })
+        .sum();
+    (square / rays.len() as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RULES: ShapeParameters = ShapeParameters {
+        ellipses: true,
+        rectangles: true,
+        faces: true,
+        max_size: 0.5,
+        model_std: 0.02,
+        min_hits: 6,
+    };
+
+    fn shape(kind: ShapeKind, long: f64, short: f64) -> ShapeEstimate {
+        let mut covariance = [[0.0; 5]; 5];
+        for (axis, row) in covariance.iter_mut().enumerate() {
+            row[axis] = 1e-4 * (axis + 1) as f64;
+        }
+        let parameters = [3.0, 1.0, long, short, 0.4];
+        ShapeEstimate { kind, parameters, covariance, misfit: 10.0, n_hits: 10 }
+    }
+
+    #[test]
+    fn the_circle_has_the_mean_half_length_and_its_variance() {
+        for (kind, scale) in [(ShapeKind::Ellipse, 1.0), (ShapeKind::Rectangle, 0.5)] {
+            let found = RULES.equivalent(&shape(kind, 0.4, 0.1));
+            let expected = 0.25 * scale * scale * (3e-4 + 4e-4) + 4e-4;
+            assert!(found.is_some_and(|found| {
+                (found.circle.radius - 0.25 * scale).abs() < 1e-12
+                    && (found.covariance[2][2] - expected).abs() < 1e-12
+            }));
+        }
+    }
+
+    #[test]
+    fn what_is_straight_or_not_wanted_stays_out_and_what_is_large_is_told() {
+        let few = ShapeParameters { rectangles: false, ..RULES };
+        let large = |long| RULES.outline(&shape(ShapeKind::Ellipse, long, 0.1));
+        assert!(large(0.6).is_some_and(|outline| outline.is_large));
+        assert!(large(0.4).is_some_and(|outline| !outline.is_large));
+        assert!(RULES.equivalent(&shape(ShapeKind::Line, 0.4, 0.1)).is_none());
+        assert!(few.equivalent(&shape(ShapeKind::Rectangle, 0.4, 0.1)).is_none());
+        assert!(RULES.equivalent(&shape(ShapeKind::Ellipse, 0.0, 0.0)).is_none());
+        assert!(ShapeParameters { max_size: 0.0, ..RULES }.check().is_err());
+    }
+
+    #[test]
+    fn a_short_face_has_its_middle_behind_it() {
+        let mut face = shape(ShapeKind::Line, 0.0, 0.0);
+        face.parameters = [0.0, 2.0, -0.2, 0.2, 0.0];
+        let found = RULES.behind(&face);
+        assert!(found.is_some_and(|found| {
+            let [x, y] = found.circle.center;
+            (x - 2.1).abs() < 1e-12 && y.abs() < 1e-12 && (found.circle.radius - 0.2).abs() < 1e-12
+        }));
+        face.parameters[3] = 2.0;
+        assert!(RULES.behind(&face).is_none());
+    }
+
+    #[test]
+    fn what_nothing_free_is_beside_is_a_piece() {
+        use Side::{FieldEdge, Free, Occluded, RangeCut};
+        assert!(is_piece([RangeCut, Occluded]) && is_piece([Occluded, FieldEdge]));
+        assert!(!is_piece([Free, Occluded]) && !is_piece([RangeCut; 2]));
+    }
+}

@@ -1,0 +1,102 @@
+//! Where the first background comes from, and when detections may be trusted.
+//!
+//! No voxel starts occupied and points become background only near occupied voxels, so without a
+//! seed nothing is ever background and nothing is ever detected. The paper is silent about it.
+
+use crate::flying::map::voxel_map::VoxelMap;
+use std::fmt;
+
+/// Seeds of the background.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SeedParameters {
+    /// Scans of the burn-in, 0 for none.
+    pub burn_in_scans: u32,
+    /// During the burn-in larger clusters are background [m].
+    pub burn_in_extent: f64,
+    /// Voxels that held points in so many scans of the burn-in are background, 0 for none.
+    pub standing_scans: u32,
+    /// But only if their points moved at most this much between its halves [m].
+    pub standing_shift: f64,
+    /// And only away from tracks this far from where they began [m].
+    pub standing_track_distance: f64,
+    /// Clusters that reach down to this height are background, world frame [m].
+    pub ground_height: Option<f64>,
+    /// Height of the sensor above ground in the first scan: the voxel there is seeded [m].
+    pub take_off_height: Option<f64>,
+}
+
+/// Whether detections are reported, and if not, why.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Gate {
+    /// Detections are reported.
+    Open,
+    /// The burn-in is not over.
+    BurnIn {
+        /// Scans so far, this one included.
+        scans: u32,
+        /// Scans in all.
+        of: u32,
+    },
+    /// No group of occupied voxels holds enough confident ones yet.
+    NoBackground {
+        /// Confidently occupied voxels that one group must hold.
+        needed: usize,
+    },
+    /// Most returns contradict the map: the pose has jumped, or the map is of another place.
+    PoseMismatch {
+        /// Returns in free voxels, of 1000 in observed ones.
+        per_mille: u32,
+    },
+}
+
+impl fmt::Display for Gate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Open => f.write_str("open"),
+            Self::BurnIn { scans, of } => write!(f, "burn-in: scan {scans} of {of}"),
+            Self::NoBackground { needed } => write!(
+                f,
+                "no background: no group of occupied voxels holds {needed} confident ones yet; see \
+                 the `seed` options, and `separate.waits_for_background` for sparse sensors"
+            ),
+            Self::PoseMismatch { per_mille } => write!(
+                f,
+                "map_pose_mismatch: {}.{} % of the returns lie in free space; the scan was held; \
+                 call reanchor() or reset()",
+                per_mille / 10,
+                per_mille % 10
+            ),
+        }
+    }
+}
+
+impl SeedParameters {
+    /// Largest cluster that is not background during scan `scan` (0 is the first), and always
+    /// `otherwise`.
+    pub(crate) fn background_extent(&self, scan: u32, otherwise: Option<f64>) -> Option<f64> {
+        if scan < self.burn_in_scans {
+            return Some(
+                otherwise.map_or(self.burn_in_extent, |limit| limit.min(self.burn_in_extent)),
+            );
+        }
+        otherwise
+    }
+
+    /// Gate of scan `scan` (0 is the first).
+    pub(crate) fn gate(&self, scan: u32, map: &VoxelMap, needed: usize) -> Gate {
+        if scan < self.burn_in_scans {
+            Gate::BurnIn { scans: scan + 1, of: self.burn_in_scans }
+        } else if map.has_background() {
+            Gate::Open
+        } else {
+            Gate::NoBackground { needed }
+        }
+    }
+
+    /// The place on the ground below the first position of the sensor, as a range finder would
+    /// see it: two readings make its voxel tentatively occupied.
+    pub(crate) fn take_off_ground(&self, [x, y, z]: [f64; 3]) -> Option<[[f32; 3]; 2]> {
+        let height = self.take_off_height?;
+        Some([[x, y, z - height].map(|value| value as f32); 2])
+    }
+}

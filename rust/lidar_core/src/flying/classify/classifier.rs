@@ -1,0 +1,281 @@
+//! Clusters of one scan -> background, flying or unknown. Source: Vrba et al., sec. III-B.
+
+use super::clusters::{Cluster, Clusters};
+use super::flood::{self, Flood, check_steps, neighbours, search_radius};
+use super::grouping::Grouper;
+use super::occupied_nearby::Near;
+use super::shadow::Shadow;
+use crate::Error;
+use crate::flying::integrate::integrator::{BACKGROUND, FLYING, UNKNOWN};
+use crate::flying::map::blocks::Cursor;
+use crate::flying::map::voxel_map::VoxelMap;
+use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
+use crate::geometry::transform::{minus, norm};
+use crate::util::object_pool::{Lent, Shelf};
+use rayon::prelude::*;
+
+/// How clusters are told apart.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClassifyParameters {
+    /// Rule A: closer than this to an occupied voxel is background, d_close [m].
+    pub close_distance: f64,
+    /// Rule B: a path of uncertain voxels this long (L1) ends the search, d_search [m].
+    pub search_distance: f64,
+    /// The diagonal of a cluster's box is added to its search distance.
+    pub search_adds_extent: bool,
+    /// Rule B is judged on the map after this scan's update, not before.
+    pub after_update: bool,
+    /// A search that leaves a fixed operating volume: true finds a way out, false a wall.
+    pub open_border: bool,
+    /// Uncertain voxels in a cluster's own shadow do not connect it.
+    pub own_shadow: bool,
+    /// The search goes on from the voxels of a cluster even where they are free, so that one that
+    /// touches what has never been observed is connected. A wall seen at a grazing angle lies in
+    /// voxels that the rays along it have freed.
+    pub expand_own: bool,
+    /// Larger clusters are no flying object [m].
+    pub max_extent: Option<f64>,
+    /// Larger clusters are background [m].
+    pub background_extent: Option<f64>,
+    /// Smaller clusters are no flying object.
+    pub min_points: usize,
+    /// Clusters further from the sensor are no flying object [m].
+    pub max_distance: Option<f64>,
+    /// Clusters with gaps up to this are judged together: by their common extent, and as
+    /// background if background of this scan is among them [m].
+    pub group_distance: Option<f64>,
+    /// A flying object has at least this share of free voxels among the neighbours of its own.
+    pub min_clearance: f64,
+    /// Clusters at least this high, and much higher than wide, stand on something, such as signs and
+    /// people [m].
+    pub upright_height: Option<f64>,
+    /// Unknown clusters that a confirmed track follows are flying objects, however little is known
+    /// of what is around them.
+    pub follow_tracks: bool,
+    /// Enclosed uncertain voxels around a flying cluster are made free.
+    pub fill_pockets: bool,
+}
+
+/// What classification found for one cluster.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Verdict {
+    pub(crate) class: u8,
+    /// Uncertain voxels that a flying cluster's searches explored, where they are to be free.
+    pub(crate) explored: Vec<Voxel>,
+    /// Share of free voxels in the shell around a flying cluster.
+    pub(crate) clearance: f64,
+}
+
+/// Class of every cluster of a labelled cloud in the frame of the map, seen from `origin`: 1
+/// background, 2 flying, 3 unknown. The map stays as it is.
+///
+/// # Errors
+/// [`Error::Length`], [`Error::Parameter`].
+pub fn classify_clusters(
+    map: &VoxelMap,
+    points: &[[f32; 3]],
+    labels: &[i32],
+    origin: [f64; 3],
+    parameters: &ClassifyParameters,
+) -> Result<Vec<u8>, Error> {
+    if labels.len() != points.len() {
+        let (expected, got) = (points.len(), labels.len());
+        return Err(Error::Length { name: "labels", expected, got });
+    }
+    let highest = points.len() as i64;
+    if let Some(index) = labels.iter().position(|&label| i64::from(label) >= highest || label < -1)
+    {
+        return Err(Error::Value {
+            name: "labels",
+            expected: "-1, or the number of a cluster below the number of points",
+            index,
+            got: labels[index].to_string(),
+        });
+    }
+    let (mut clusters, mut verdicts) = (Clusters::default(), Vec::new());
+    clusters.fill(points, labels);
+    let judge = Judge { map, points, origin, parameters };
+    Classifier::default().classify(&judge, &clusters, &mut verdicts)?;
+    Ok(verdicts.into_iter().map(|verdict| verdict.class).collect())
+}
+
+/// Tells the clusters of one scan after another apart, in the same memory.
+#[derive(Default)]
+pub(crate) struct Classifier {
+    background: Vec<bool>,
+    grouper: Grouper,
+    scratch: Shelf<Scratch>,
+}
+
+impl Classifier {
+    /// Verdict on every cluster, on the map as it is.
+    pub(crate) fn classify(
+        &mut self,
+        judge: &Judge<'_>,
+        clusters: &Clusters,
+        verdicts: &mut Vec<Verdict>,
+    ) -> Result<(), Error> {
+        let Judge { map, points, parameters, .. } = *judge;
+        let radius = search_radius(parameters.search_distance, map.lattice().voxel_size())?;
+        check_steps("close_distance", parameters.close_distance, map.lattice().voxel_size())?;
+        let Self { background, grouper, scratch } = self;
+        let near = |index: usize| judge.is_background(&clusters.get(index));
+        each(map, clusters.len(), || (), |(), index| near(index), background);
+        let groups = grouper.groups(points, clusters, background, parameters.group_distance)?;
+        let verdict = |scratch: &mut Lent<'_, Scratch>, index: usize| {
+            if background[index] || groups[index].with_background {
+                return Verdict { class: BACKGROUND, ..Verdict::default() };
+            }
+            let cluster = clusters.get(index);
+            judge.flying_or_unknown(scratch, &cluster, groups[index].extent, radius)
+        };
+        each(map, clusters.len(), || scratch.lend(), verdict, verdicts);
+        Ok(())
+    }
+}
+
+/// Whether a box is at least so high [m], and its diagonal on the ground shorter than two fifths of that.
+fn is_upright([x, y, z]: [f64; 3], height: f64) -> bool {
+    z >= height && libm::hypot(x, y) <= 0.4 * z
+}
+
+/// Put what `work` says of every index below `count` into `found`, on the threads of the map. Every
+/// thread has something of its own.
+fn each<T: Send, S>(
+    map: &VoxelMap,
+    count: usize,
+    own: impl Fn() -> S + Sync + Send,
+    work: impl Fn(&mut S, usize) -> T + Sync + Send,
+    found: &mut Vec<T>,
+) {
+    match &map.pool {
+        Some(pool) => {
+            let all = (0..count).into_par_iter().map_init(own, work);
+            pool.install(|| all.collect_into_vec(found));
+        }
+        None => {
+            let mut own = own();
+            found.clear();
+            found.extend((0..count).map(|index| work(&mut own, index)));
+        }
+    }
+}
+
+/// Rule B judged on a later map; what rule A said stays.
+pub(crate) fn judge_again(verdicts: &mut [Verdict], later: &mut [Verdict]) {
+    for (verdict, later) in verdicts.iter_mut().zip(later).filter(|(v, _)| v.class != BACKGROUND) {
+        let class = if later.class == FLYING { FLYING } else { UNKNOWN };
+        *verdict = Verdict { class, ..std::mem::take(later) };
+    }
+}
+
+/// What the judging of one cluster leaves to that of the next: memory.
+#[derive(Default)]
+struct Scratch {
+    flood: flood::Memory,
+    /// Points of a cluster, the voxels that hold them, and those around these.
+    points: Vec<[f64; 3]>,
+    voxels: Vec<Voxel>,
+    shell: Vec<Voxel>,
+}
+
+impl Scratch {
+    fn take(&mut self, points: impl Iterator<Item = [f64; 3]>, lattice: &Lattice) {
+        self.points.clear();
+        self.points.extend(points);
+        self.voxels.clear();
+        self.voxels.extend(self.points.iter().filter_map(|&at| floor(lattice.scaled(at))));
+        self.voxels.sort_unstable();
+        self.voxels.dedup();
+    }
+}
+
+/// What clusters are judged by.
+#[derive(Clone, Copy)]
+pub(crate) struct Judge<'a> {
+    pub(crate) map: &'a VoxelMap,
+    pub(crate) points: &'a [[f32; 3]],
+    /// Where the sensor is.
+    pub(crate) origin: [f64; 3],
+    pub(crate) parameters: &'a ClassifyParameters,
+}
+
+impl Judge<'_> {
+    /// Rule A, or too large to be a target.
+    fn is_background(&self, cluster: &Cluster<'_>) -> bool {
+        let too_large =
+            self.parameters.background_extent.is_some_and(|extent| cluster.diagonal() > extent);
+        let mut near = Near::new(self.map, self.parameters.close_distance);
+        too_large
+            || cluster.members.iter().any(|&row| near.is_close(wide(self.points[row as usize])))
+    }
+
+    /// Rules B and C, after the gates on size, number and distance.
+    fn flying_or_unknown(
+        &self,
+        scratch: &mut Scratch,
+        cluster: &Cluster<'_>,
+        group_extent: f64,
+        radius: i32,
+    ) -> Verdict {
+        let p = self.parameters;
+        let unknown = Verdict { class: UNKNOWN, ..Verdict::default() };
+        let gated = cluster.members.len() < p.min_points
+            || p.max_extent.is_some_and(|extent| group_extent > extent)
+            || p.upright_height.is_some_and(|height| is_upright(cluster.extent(), height))
+            || p.max_distance.is_some_and(|far| norm(minus(cluster.centroid, self.origin)) > far);
+        if gated {
+            return unknown;
+        }
+        let lattice = self.map.lattice();
+        let points = cluster.members.iter().map(|&row| wide(self.points[row as usize]));
+        scratch.take(points, lattice);
+        let Scratch { flood, points, voxels, shell } = scratch;
+        if !voxels.iter().all(|&voxel| self.map.admits(voxel)) {
+            return unknown; // nothing is known outside the operating volume
+        }
+        let shadow = p.own_shadow.then(|| Shadow::of(points, self.origin, lattice));
+        let explored = if p.search_adds_extent {
+            let distance = p.search_distance + cluster.diagonal();
+            let mut memory = flood::Memory::default(); // too much to keep
+            let flood = Flood::wider(self.map, distance, p.open_border, p.expand_own, &mut memory);
+            self.explored(flood, voxels, shadow.as_ref())
+        } else {
+            let flood = Flood::new(self.map, radius, p.open_border, p.expand_own, flood);
+            self.explored(flood, voxels, shadow.as_ref())
+        };
+        let Some(explored) = explored else { return unknown };
+        let clearance = self.clearance(voxels, shell);
+        if clearance < p.min_clearance {
+            return unknown;
+        }
+        Verdict { class: FLYING, explored, clearance }
+    }
+
+    /// If there is no way out from `starts`, the uncertain voxels that were explored, where these are
+    /// to be free.
+    fn explored(
+        &self,
+        mut flood: Flood<'_>,
+        starts: &[Voxel],
+        shadow: Option<&Shadow<'_>>,
+    ) -> Option<Vec<Voxel>> {
+        let is_enclosed = flood.is_enclosed(starts, shadow);
+        let is_wanted = self.parameters.fill_pockets;
+        is_enclosed.then(|| if is_wanted { flood.take_explored() } else { Vec::new() })
+    }
+
+    /// Share of free voxels among the neighbours of a cluster's voxels.
+    fn clearance(&self, voxels: &[Voxel], shell: &mut Vec<Voxel>) -> f64 {
+        shell.clear();
+        shell.extend(voxels.iter().flat_map(|&voxel| neighbours(voxel)));
+        shell.sort_unstable();
+        shell.dedup();
+        shell.retain(|voxel| voxels.binary_search(voxel).is_err());
+        let mut cursor = Cursor::new(&self.map.blocks);
+        let bound = self.map.uncertain_from();
+        let free =
+            shell.iter().filter(|&&voxel| self.map.known(cursor.stored(voxel)) < bound).count();
+        free as f64 / shell.len().max(1) as f64
+    }
+}

@@ -1,0 +1,191 @@
+//! Algorithm 1: is a cluster surrounded by free voxels?
+
+use super::shadow::Shadow;
+use crate::Error;
+use crate::error::require;
+use crate::flying::map::blocks::Cursor;
+use crate::flying::map::voxel_map::VoxelMap;
+use crate::geometry::lattice::{Voxel, wide};
+
+impl VoxelMap {
+    /// Whether one cluster of points is surrounded by free voxels (Algorithm 1): no path of
+    /// uncertain voxels leads from any of its points to a tentatively occupied voxel, or
+    /// `search_distance` [m] away (L1). An empty cluster is not floating.
+    ///
+    /// # Errors
+    /// [`Error::PointOutOfRange`] for a point that cannot be indexed, [`Error::Parameter`].
+    pub fn is_floating(&self, points: &[[f32; 3]], search_distance: f64) -> Result<bool, Error> {
+        let radius = search_radius(search_distance, self.lattice().voxel_size())?;
+        let mut starts = Vec::new();
+        for &point in points {
+            starts.push(self.lattice().voxel_at(wide(point))?);
+        }
+        let mut memory = Memory::default();
+        let mut flood = Flood::new(self, radius, true, false, &mut memory);
+        Ok(flood.is_enclosed(&distinct(starts), None))
+    }
+}
+
+/// Largest L1 distance that a search may still expand, in voxels; it has found a way out one
+/// step further (A1:21, `>= d_search`).
+pub(crate) fn search_radius(search_distance: f64, voxel_size: f64) -> Result<i32, Error> {
+    let steps = check_steps("search_distance", search_distance, voxel_size)?;
+    Ok((steps - 1e-9).ceil() as i32)
+}
+
+/// Longest search [voxels].
+const MOST_STEPS: f64 = 128.0;
+
+/// A distance in voxels: searches grow with its cube.
+pub(crate) fn check_steps(
+    name: &'static str,
+    distance: f64,
+    voxel_size: f64,
+) -> Result<f64, Error> {
+    let steps = distance / voxel_size;
+    let is_reachable = steps > 0.0 && steps <= MOST_STEPS;
+    require(is_reachable, name, "0 to 128 voxels", format_args!("{distance} m"))?;
+    Ok(steps)
+}
+
+/// Algorithm 1: search over uncertain voxels, nodes marked when pushed. Whether there is a way out
+/// does not depend on the order: outward first finds it sooner than breadth first.
+pub(crate) struct Flood<'a> {
+    map: &'a VoxelMap,
+    cursor: Cursor<'a>,
+    /// Steps that end the search.
+    radius: i32,
+    open_border: bool,
+    expand_own: bool,
+    memory: &'a mut Memory,
+}
+
+/// Memory that searches use again.
+#[derive(Default)]
+pub(crate) struct Memory {
+    /// Number of the search that last met a voxel of the cube around the start.
+    met: Vec<u16>,
+    search: u16,
+    /// Voxels that this search has met and not looked at.
+    pending: Vec<Voxel>,
+    explored: Vec<Voxel>,
+}
+
+impl<'a> Flood<'a> {
+    pub(crate) fn new(
+        map: &'a VoxelMap,
+        radius: i32,
+        open_border: bool,
+        expand_own: bool,
+        memory: &'a mut Memory,
+    ) -> Self {
+        let edge = 2 * radius as usize + 1;
+        memory.met.resize(memory.met.len().max(edge * edge * edge), 0);
+        Self { map, cursor: Cursor::new(&map.blocks), radius, open_border, expand_own, memory }
+    }
+
+    /// With a search distance [m] of its own, cut to what a search may cost.
+    pub(crate) fn wider(
+        map: &'a VoxelMap,
+        distance: f64,
+        open_border: bool,
+        expand_own: bool,
+        memory: &'a mut Memory,
+    ) -> Self {
+        let steps = (distance / map.lattice().voxel_size()).min(MOST_STEPS);
+        Self::new(map, (steps - 1e-9).ceil() as i32, open_border, expand_own, memory)
+    }
+
+    /// Whether no search from any of `starts` finds a way out.
+    pub(crate) fn is_enclosed(&mut self, starts: &[Voxel], shadow: Option<&Shadow<'_>>) -> bool {
+        self.memory.explored.clear();
+        !starts.is_empty() && starts.iter().all(|&start| !self.finds_a_way_out(start, shadow))
+    }
+
+    /// Uncertain voxels that the searches explored.
+    pub(crate) fn take_explored(&mut self) -> Vec<Voxel> {
+        distinct(std::mem::take(&mut self.memory.explored))
+    }
+
+    fn finds_a_way_out(&mut self, start: Voxel, shadow: Option<&Shadow<'_>>) -> bool {
+        self.begin();
+        self.push(start, start);
+        while let Some(voxel) = self.memory.pending.pop() {
+            let stored = self.cursor.stored(voxel);
+            let value = self.map.known(stored);
+            if value >= self.map.tentative_from() {
+                return true; // A1:15
+            }
+            if value < self.map.uncertain_from() && !(self.expand_own && voxel == start) {
+                continue; // free voxels are not expanded, A1:31
+            }
+            if shadow.is_some_and(|shadow| shadow.hides(voxel)) {
+                if !stored.is_nan() {
+                    self.memory.explored.push(voxel); // met, though not followed
+                }
+                continue;
+            }
+            if steps(voxel, start) >= self.radius {
+                return true; // A1:21
+            }
+            self.memory.explored.push(voxel);
+            for beside in outward_last(voxel, start) {
+                if self.map.admits(beside) {
+                    self.push(beside, start);
+                } else if self.open_border {
+                    return true;
+                }
+            }
+        }
+        false
+    }
+
+    fn begin(&mut self) {
+        let Memory { met, search, pending, .. } = &mut *self.memory;
+        pending.clear();
+        *search = search.wrapping_add(1);
+        if *search == 0 {
+            met.fill(0);
+            *search = 1;
+        }
+    }
+
+    /// Queue a voxel unless this search has met it. Voxels are at most `radius` steps away.
+    fn push(&mut self, voxel: Voxel, start: Voxel) {
+        let Memory { met, search, pending, .. } = &mut *self.memory;
+        let edge = 2 * self.radius + 1;
+        let [x, y, z]: [i32; 3] =
+            std::array::from_fn(|axis| voxel[axis] - start[axis] + self.radius);
+        let met = &mut met[((z * edge + y) * edge + x) as usize];
+        if *met != *search {
+            *met = *search;
+            pending.push(voxel);
+        }
+    }
+}
+
+fn steps(a: Voxel, b: Voxel) -> i32 {
+    (0..3).map(|axis| (a[axis] - b[axis]).abs()).sum()
+}
+
+pub(crate) fn neighbours([x, y, z]: Voxel) -> [Voxel; 6] {
+    [[x - 1, y, z], [x + 1, y, z], [x, y - 1, z], [x, y + 1, z], [x, y, z - 1], [x, y, z + 1]]
+}
+
+/// Neighbours of a voxel, those further from `start` after the others.
+fn outward_last(voxel: Voxel, start: Voxel) -> [Voxel; 6] {
+    let mut ordered = neighbours(voxel);
+    for axis in 0..3 {
+        if voxel[axis] < start[axis] {
+            ordered.swap(2 * axis, 2 * axis + 1); // the last one is further away
+        }
+    }
+    let [a, b, c, d, e, f] = ordered;
+    [a, c, e, b, d, f]
+}
+
+pub(crate) fn distinct(mut voxels: Vec<Voxel>) -> Vec<Voxel> {
+    voxels.sort_unstable();
+    voxels.dedup();
+    voxels
+}

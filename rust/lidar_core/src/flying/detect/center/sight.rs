@@ -1,0 +1,141 @@
+//! What a scan saw of a target: the rays that hit it, and those that passed beside it.
+
+use super::Vector3;
+use std::cmp::Ordering;
+
+/// Rays are looked at as far beside the points as this [m].
+pub(crate) const MARGIN: f64 = 0.4;
+/// Of these, a ball is held against those this far beside the points [m].
+const NEAR: f64 = 0.15;
+/// So many rays that end in front may hide a part of the target: one alone is a speck of dust.
+const ENOUGH_BLOCKED: usize = 2;
+
+/// A ray from a sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Ray {
+    pub(crate) origin: Vector3<f64>,
+    /// Unit vector.
+    pub(crate) direction: Vector3<f64>,
+}
+
+/// A ray that hit the target.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Hit {
+    pub(crate) ray: Ray,
+    pub(crate) point: Vector3<f64>,
+}
+
+/// What is known of one target in one scan.
+#[derive(Clone, Debug)]
+pub(crate) struct Sight {
+    /// At least one.
+    pub(crate) hits: Vec<Hit>,
+    /// Rays that went past the target, on either side and through its gaps.
+    pub(crate) passing: Vec<Ray>,
+    /// Whether rays beside the points ended nearer, so that a part of the target may be hidden.
+    pub(crate) is_cut: bool,
+    /// How many of these, the first ones, are near the points.
+    n_near: usize,
+}
+
+/// Where to look for rays that pass a target.
+#[derive(Clone, Debug)]
+pub(crate) struct Region {
+    /// Middle of the box around its points [m].
+    pub(crate) middle: Vector3<f64>,
+    /// Of a ball around the points [m].
+    pub(crate) radius: f64,
+}
+
+/// Rays around a region.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Around {
+    /// Those that went on behind it.
+    pub(crate) passing: Vec<Ray>,
+    /// How many ended in front of it.
+    pub(crate) n_blocked: usize,
+}
+
+/// A scan that can be asked what it saw.
+pub(crate) trait SightSource {
+    /// The hit of a row that has a point.
+    fn hit(&self, row: usize) -> Hit;
+    /// For every region, the rays that come within [`MARGIN`] of it.
+    fn around(&self, regions: &[Region]) -> Vec<Around>;
+
+    /// Sights of targets, given the rows of their points, none of them empty.
+    fn sights(&self, targets: &[&[u32]]) -> Vec<Sight> {
+        let hits: Vec<Vec<Hit>> = targets
+            .iter()
+            .map(|rows| rows.iter().map(|&row| self.hit(row as usize)).collect())
+            .collect();
+        let regions: Vec<Region> = hits.iter().map(|hits| Region::of(hits)).collect();
+        let around = self.around(&regions);
+        hits.into_iter().zip(around).map(|(hits, around)| Sight::new(hits, around)).collect()
+    }
+}
+
+impl Ray {
+    /// Offset of `point` from the nearest place on the line of the ray.
+    pub(crate) fn aside(&self, point: &Vector3<f64>) -> Vector3<f64> {
+        let span = point - self.origin;
+        span - self.direction * span.dot(&self.direction)
+    }
+}
+
+impl Hit {
+    pub(crate) fn new(origin: [f64; 3], point: [f64; 3]) -> Self {
+        let (origin, point) = (Vector3::from(origin), Vector3::from(point));
+        let direction = (point - origin).try_normalize(f64::MIN_POSITIVE);
+        Self { ray: Ray { origin, direction: direction.unwrap_or(Vector3::x()) }, point }
+    }
+}
+
+impl Region {
+    pub(crate) fn of(hits: &[Hit]) -> Self {
+        let (mut low, mut high) = (Vector3::repeat(f64::MAX), Vector3::repeat(f64::MIN));
+        for hit in hits {
+            low = low.inf(&hit.point);
+            high = high.sup(&hit.point);
+        }
+        Self { middle: 0.5 * (low + high), radius: 0.5 * (high - low).norm() }
+    }
+
+    /// How far a ray may be from the middle to be looked at [m].
+    pub(crate) fn reach(&self) -> f64 {
+        self.radius + MARGIN
+    }
+}
+
+impl Sight {
+    /// Sorts what it is given, so that results do not depend on the order of rays.
+    pub(crate) fn new(mut hits: Vec<Hit>, around: Around) -> Self {
+        let Around { mut passing, n_blocked } = around;
+        let region = Region::of(&hits);
+        hits.sort_by(|one, other| order(&one.point, &other.point));
+        passing.sort_unstable_by(|one, other| {
+            let by_origin = || order(&one.origin, &other.origin);
+            order(&one.direction, &other.direction).then_with(by_origin)
+        });
+        let is_near = |ray: &&Ray| ray.aside(&region.middle).norm() <= region.radius + NEAR;
+        let mut sorted = Vec::with_capacity(passing.len());
+        sorted.extend(passing.iter().filter(is_near));
+        let n_near = sorted.len();
+        sorted.extend(passing.iter().filter(|ray| !is_near(ray)));
+        Self { hits, passing: sorted, is_cut: n_blocked >= ENOUGH_BLOCKED, n_near }
+    }
+
+    pub(super) fn near_passing(&self) -> &[Ray] {
+        &self.passing[..self.n_near]
+    }
+
+    /// Mean of where its rays start [m].
+    pub(crate) fn origin(&self) -> Vector3<f64> {
+        self.hits.iter().map(|hit| hit.ray.origin).sum::<Vector3<f64>>() / self.hits.len() as f64
+    }
+}
+
+fn order(one: &Vector3<f64>, other: &Vector3<f64>) -> Ordering {
+    let by = |axis: usize| one[axis].total_cmp(&other[axis]);
+    by(0).then_with(|| by(1)).then_with(|| by(2))
+}

@@ -1,0 +1,147 @@
+//! The ball that points lie on and that passing rays miss.
+
+use super::sight::{Hit, Ray, Sight};
+use super::{Matrix3, Vector3};
+use nalgebra::{SMatrix, SVector};
+
+/// Centre and radius.
+pub(crate) const PARAMETERS: usize = 4;
+const MAX_STEPS: usize = 20;
+/// A step that gains less, as a share of the cost, is the last.
+const LEAST_GAIN: f64 = 1e-9;
+/// What is known of radii before [m]: mean, standard deviation, and what is possible.
+const RADIUS_MEAN: f64 = 0.3;
+const RADIUS_STD: f64 = 0.25;
+const RADIUS_RANGE: [f64; 2] = [0.02, 2.0];
+/// How far the centre may be from where the fit starts, as a standard deviation [m]: a few points
+/// say nothing about some directions.
+const PLACE_STD: f64 = 0.5;
+/// A ray that passes is let into the ball by this standard deviation [m].
+const PASSING_STD: f64 = 0.01;
+/// Cosine of the angle of incidence below which a range says no more about the surface.
+const LEAST_COSINE: f64 = 0.3;
+/// No target is a perfect ball: standard deviation of the centre as a share of the radius.
+const SHAPE_STD: f64 = 0.01;
+/// Bias along the sight that noise leaves, as a share of the standard deviation of a range.
+const NOISE_BIAS: f64 = 0.3;
+
+type Vector4 = SVector<f64, PARAMETERS>;
+type Matrix4 = SMatrix<f64, PARAMETERS, PARAMETERS>;
+
+/// Where a fit starts.
+pub(crate) struct Start {
+    pub(crate) center: Vector3<f64>,
+    pub(crate) radius: f64,
+}
+
+/// A fitted ball.
+pub(super) struct Sphere {
+    pub(crate) center: Vector3<f64>,
+    pub(crate) radius: f64,
+    pub(crate) covariance: Matrix3<f64>,
+    /// Of the points, in terms of their noise.
+    pub(super) squared_residuals: f64,
+}
+
+/// Sums of a linearised least-squares problem.
+#[derive(Clone, Copy)]
+struct Normal {
+    matrix: Matrix4,
+    vector: Vector4,
+    cost: f64,
+    /// Share of the points in the cost.
+    points: f64,
+}
+
+impl Sphere {
+    /// Levenberg-Marquardt over distances of points from the surface, intrusions of passing rays,
+    /// and what is known of radii; None if the equations cannot be solved.
+    pub(crate) fn fit(sight: &Sight, start: &Start, range_std: f64) -> Option<Self> {
+        let mut at = start.center.push(start.radius);
+        let mut sums = Normal::at(sight, &at, start, range_std);
+        let mut damping = 1e-3;
+        for _ in 0..MAX_STEPS {
+            let damped = sums.matrix + Matrix4::from_diagonal(&(damping * sums.matrix.diagonal()));
+            let mut next = at - damped.cholesky()?.solve(&sums.vector);
+            next[3] = next[3].clamp(RADIUS_RANGE[0], RADIUS_RANGE[1]);
+            let there = Normal::at(sight, &next, start, range_std);
+            if there.cost < sums.cost {
+                let is_last = sums.cost - there.cost < LEAST_GAIN * sums.cost;
+                (at, sums) = (next, there);
+                damping /= 10.0;
+                if is_last {
+                    break;
+                }
+            } else {
+                damping *= 10.0;
+            }
+        }
+        let spread = sums.matrix.cholesky()?.inverse();
+        let (center, radius) = (at.fixed_rows::<3>(0).into_owned(), at[3]);
+        let forward = (center - sight.origin()).try_normalize(f64::MIN_POSITIVE)?;
+        let (shape, bias) = (SHAPE_STD * radius, NOISE_BIAS * range_std);
+        Some(Self {
+            center,
+            radius,
+            covariance: spread.fixed_view::<3, 3>(0, 0)
+                + Matrix3::identity() * (shape * shape)
+                + forward * forward.transpose() * (bias * bias),
+            squared_residuals: sums.points,
+        })
+    }
+}
+
+impl Normal {
+    fn at(sight: &Sight, at: &Vector4, start: &Start, range_std: f64) -> Self {
+        let (center, radius) = (at.fixed_rows::<3>(0).into_owned(), at[3]);
+        let mut sums = Self::of_what_is_known(&(center - start.center), radius);
+        let before = sums.cost;
+        for hit in &sight.hits {
+            sums.add_hit(hit, &center, radius, range_std);
+        }
+        sums.points = sums.cost - before;
+        for ray in sight.near_passing() {
+            sums.add_passing(ray, &center, radius);
+        }
+        sums
+    }
+
+    fn of_what_is_known(offset: &Vector3<f64>, radius: f64) -> Self {
+        let mut sums =
+            Self { matrix: Matrix4::zeros(), vector: Vector4::zeros(), cost: 0.0, points: 0.0 };
+        for axis in 0..3 {
+            let mut slope = Vector4::zeros();
+            slope[axis] = 1.0 / PLACE_STD;
+            sums.add(offset[axis] / PLACE_STD, &slope);
+        }
+        let slope = Vector4::new(0.0, 0.0, 0.0, 1.0 / RADIUS_STD);
+        sums.add((radius - RADIUS_MEAN) / RADIUS_STD, &slope);
+        sums
+    }
+
+    /// The noise of a range counts towards the surface by the cosine of the incidence.
+    fn add_hit(&mut self, hit: &Hit, center: &Vector3<f64>, radius: f64, range_std: f64) {
+        let offset = hit.point - center;
+        let distance = offset.norm().max(1e-9);
+        let aside = hit.ray.aside(center).norm();
+        let cosine = (1.0 - (aside / radius).powi(2)).max(LEAST_COSINE * LEAST_COSINE).sqrt();
+        let scale = 1.0 / (range_std.max(1e-3) * cosine);
+        let slope = (-offset / distance).push(-1.0) * scale;
+        self.add((distance - radius) * scale, &slope);
+    }
+
+    fn add_passing(&mut self, ray: &Ray, center: &Vector3<f64>, radius: f64) {
+        let aside = ray.aside(center);
+        let distance = aside.norm().max(1e-9);
+        if distance < radius && (center - ray.origin).dot(&ray.direction) > 0.0 {
+            let slope = (-aside / distance).push(1.0) / PASSING_STD;
+            self.add((radius - distance) / PASSING_STD, &slope);
+        }
+    }
+
+    fn add(&mut self, residual: f64, slope: &Vector4) {
+        self.matrix += slope * slope.transpose();
+        self.vector += slope * residual;
+        self.cost += residual * residual;
+    }
+}

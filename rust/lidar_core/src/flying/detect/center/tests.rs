@@ -1,0 +1,119 @@
+//! Balls and frames seen by a regular fan of rays.
+
+use crate::Error;
+use crate::flying::detect::center::*;
+
+const STD: f64 = 0.03;
+/// Angle between neighbouring rays [rad].
+const STEP: f64 = 0.0062;
+
+/// Rays from the origin around the x axis, each with the range at which `range` meets it.
+struct Fan<F>(F);
+
+impl<F: Fn(Vector3<f64>) -> Option<f64>> Fan<F> {
+    fn rows(&self) -> Vec<Vector3<f64>> {
+        let angle = |index: i32| f64::from(index) * STEP;
+        (-40..=40)
+            .flat_map(|row| (-40..=40).map(move |column| (row, column)))
+            .map(|(row, column)| Vector3::new(1.0, angle(column), angle(row)).normalize())
+            .collect()
+    }
+
+    fn sight(&self) -> Sight {
+        let hits: Vec<u32> = (0_u32..)
+            .zip(self.rows())
+            .filter(|(_, way)| (self.0)(*way).is_some())
+            .map(|(row, _)| row)
+            .collect();
+        self.sights(&[&hits]).remove(0)
+    }
+}
+
+impl<F: Fn(Vector3<f64>) -> Option<f64>> SightSource for Fan<F> {
+    fn hit(&self, row: usize) -> Hit {
+        let way = self.rows()[row];
+        Hit::new([0.0; 3], (way * (self.0)(way).unwrap_or(f64::NAN)).into())
+    }
+
+    fn around(&self, regions: &[Region]) -> Vec<Around> {
+        let past = |way: &Vector3<f64>| (self.0)(*way).is_none();
+        let ray = |direction| Ray { origin: Vector3::zeros(), direction };
+        let near = |region: &Region| {
+            let rays = self.rows().into_iter().filter(past).map(ray);
+            let is_near = |ray: &Ray| ray.aside(&region.middle).norm() <= region.reach();
+            Around { passing: rays.filter(is_near).collect(), n_blocked: 0 }
+        };
+        regions.iter().map(near).collect()
+    }
+}
+
+fn ball(center: Vector3<f64>, radius: f64) -> impl Fn(Vector3<f64>) -> Option<f64> {
+    move |way| {
+        let along = way.dot(&center);
+        let inside = radius * radius - (center - way * along).norm_squared();
+        (inside >= 0.0).then(|| along - inside.sqrt())
+    }
+}
+
+#[test]
+fn the_centre_of_a_ball_is_found_whatever_its_radius() {
+    for (distance, radius) in [(6.0, 0.15), (6.0, 0.6), (14.0, 0.3), (19.0, 0.6)] {
+        let place = Vector3::new(distance, 0.013, -0.021);
+        let sight = Fan(ball(place, radius)).sight();
+        let center = Center::of(&sight, STD);
+        assert!((center.position - place).norm() < 0.01, "{center:?}");
+        assert!((center.radius - radius).abs() < 0.01, "{center:?}");
+    }
+}
+
+#[test]
+fn few_points_leave_the_radius_to_the_passing_rays() {
+    let place = Vector3::new(17.0, 0.05, 0.05);
+    let sight = Fan(ball(place, 0.16)).sight();
+    assert!(sight.hits.len() <= 6);
+    let center = Center::of(&sight, STD);
+    let offset = center.position - place;
+    assert!(offset.norm() < 0.1);
+    let scaled = center.covariance.cholesky().map(|factor| factor.solve(&offset).dot(&offset));
+    assert!(scaled.is_some_and(|nees| nees < 11.3), "{scaled:?}"); // chi-square, 3 degrees, 0.99
+}
+
+#[test]
+fn rays_through_a_target_make_it_a_frame() {
+    let place = Vector3::new(8.0, 0.0, 0.0);
+    // bars: every third row of rays, on a disc across the line of sight
+    let bars = move |way: Vector3<f64>| {
+        let at = way * (place.x / way.x);
+        let row = (way.z / way.x / STEP).round().rem_euclid(3.0);
+        ((at - place).norm() < 0.4 && row == 0.0).then(|| at.norm())
+    };
+    let sight = Fan(bars).sight();
+    let frame = OpenFrame::of(&sight, STD);
+    assert!(frame.solid_share < 0.4, "{}", frame.solid_share);
+    let shift = Center::of(&sight, STD).position.x - place.x;
+    assert!((0.05..0.15).contains(&shift), "{shift}"); // a ball of its width: 0.27
+}
+
+#[test]
+fn the_order_of_rays_does_not_matter() {
+    let fan = Fan(ball(Vector3::new(9.0, 0.1, 0.2), 0.35));
+    let sight = fan.sight();
+    let mut hits = sight.hits.clone();
+    hits.reverse();
+    let mut passing = sight.passing.clone();
+    passing.reverse();
+    assert_eq!(
+        Center::of(&Sight::new(hits, Around { passing, n_blocked: 0 }), STD),
+        Center::of(&sight, STD)
+    );
+}
+
+#[test]
+fn one_point_without_any_other_ray_is_a_place() -> Result<(), Error> {
+    let hits = vec![Hit::new([0.0; 3], [5.0, 0.0, 0.0])];
+    let center = Center::of(&Sight::new(hits, Around::default()), STD);
+    assert!(center.position.iter().all(|value| value.is_finite()));
+    assert!((center.position.x - 5.0).abs() < 0.7 && center.position.y.abs() < 0.01);
+    let factor = center.covariance.cholesky();
+    factor.map(|_| ()).ok_or(Error::NotPositiveDefinite { matrix: "covariance" })
+}

@@ -1,0 +1,117 @@
+//! Clusters classified as flying -> detections with covariance and confidence.
+
+use super::center::Center;
+use crate::flying::analysis::PoseSpread;
+use crate::flying::classify::classifier::Verdict;
+use crate::flying::classify::clusters::Cluster;
+use crate::flying::scan::prepared::Prepared;
+use crate::geometry::lattice::wide;
+use crate::geometry::transform::{Transform, minus, norm};
+
+/// A flying object in one scan.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Detection {
+    /// Its centre, or the centroid of its points (eq. 19) [m].
+    pub position: [f64; 3],
+    /// Covariance of the object's centre [m^2].
+    pub covariance: [[f64; 3]; 3],
+    /// Radius of the sphere around it [m].
+    pub radius: f64,
+    /// Edges of the box around its points [m].
+    pub extent: [f64; 3],
+    /// Mean time of its points after the stamp of the scan [s].
+    pub delay: f64,
+    /// Points in the scan.
+    pub n_points: usize,
+    /// 0 to 1: share of free voxels around it, less for few points; 0 if only a track tells that it
+    /// flies.
+    pub confidence: f64,
+}
+
+/// A single point of a sensor without noise still has a covariance of full rank [m^2].
+const LEAST_VARIANCE: f64 = 1e-6;
+/// Points of which a target of the smallest kind gives at least this many are certain enough.
+const SURE_POINTS: f64 = 3.0;
+
+impl Detection {
+    /// Detection of a cluster by its centroid (eq. 19), in the frame of its points.
+    ///
+    /// Its covariance has three sources: the spread of the points over their number, the range
+    /// noise, and along the line of sight that only the near side is seen (half the lateral
+    /// extent, as a standard deviation of a quarter of it).
+    pub(crate) fn of(
+        scan: &Prepared,
+        cluster: &Cluster<'_>,
+        verdict: &Verdict,
+        range_std: f64,
+    ) -> Self {
+        let count = cluster.members.len() as f64;
+        let confidence = verdict.clearance * (1.0 - libm::exp2(-count / SURE_POINTS));
+        Self {
+            position: cluster.centroid,
+            covariance: centroid_covariance(scan, cluster, range_std),
+            radius: 0.5 * cluster.diagonal(),
+            extent: cluster.extent(),
+            delay: scan.delays.as_ref().map_or(0.0, |delays| {
+                cluster.members.iter().map(|&row| f64::from(delays[row as usize])).sum::<f64>()
+                    / count
+            }),
+            n_points: cluster.members.len(),
+            confidence,
+        }
+    }
+
+    /// The same detection at an estimated centre.
+    pub(crate) fn at(self, center: &Center) -> Self {
+        Self {
+            position: center.position.into(),
+            covariance: center.covariance.into(),
+            radius: center.radius,
+            ..self
+        }
+    }
+
+    /// The same detection in another frame.
+    pub(crate) fn moved(&self, target_from_source: &Transform) -> Self {
+        Self {
+            position: target_from_source.apply(self.position),
+            covariance: target_from_source.turn_covariance(&self.covariance),
+            ..self.clone()
+        }
+    }
+
+    /// Add the uncertainty of the sensor's pose (eqs 41-42, for the position).
+    pub(crate) fn add_pose_covariance(&mut self, spread: &PoseSpread) {
+        let more = spread.at(self.position);
+        for (line, more) in self.covariance.iter_mut().zip(&more) {
+            for (entry, more) in line.iter_mut().zip(more) {
+                *entry += more;
+            }
+        }
+    }
+}
+
+fn centroid_covariance(scan: &Prepared, cluster: &Cluster<'_>, range_std: f64) -> [[f64; 3]; 3] {
+    let (points, origin) = (&scan.points, scan.pose.translation);
+    let count = cluster.members.len() as f64;
+    let sight = minus(cluster.centroid, origin);
+    let distance = norm(sight).max(f64::MIN_POSITIVE);
+    let sight = sight.map(|value| value / distance);
+    let hidden = 0.25 * cluster.diagonal();
+    let mut covariance = [[0.0; 3]; 3];
+    for &row in cluster.members {
+        let offset = minus(wide(points[row as usize]), cluster.centroid);
+        for (a, line) in covariance.iter_mut().enumerate() {
+            for (b, entry) in line.iter_mut().enumerate() {
+                *entry += offset[a] * offset[b] / (count * count);
+            }
+        }
+    }
+    for a in 0..3 {
+        for b in 0..3 {
+            covariance[a][b] += hidden * hidden * (sight[a] * sight[b]);
+        }
+        covariance[a][a] += (range_std * range_std).max(LEAST_VARIANCE);
+    }
+    covariance
+}

@@ -1,0 +1,7 @@
+//! Detections from the clusters that fly: centre, covariance, visibility, hand-over to the tracker.
+
+pub mod center;
+pub mod detection;
+pub(crate) mod detections;
+pub(crate) mod follow_up;
+pub(crate) mod visibility;

@@ -1,0 +1,312 @@
+//! What one scan could see, for the tracker: is a target in the field of view and not hidden?
+
+use super::center::{Around, Center, Hit, Ray, Region, SightSource};
+use crate::flying::analysis::PoseSpread;
+use crate::flying::scan::prepared::Prepared;
+use crate::flying::track::Visibility;
+use crate::geometry::lattice::wide;
+use crate::geometry::transform::{dot, minus, norm};
+use nalgebra::{Matrix3, Vector3};
+use pulp::{Arch, Simd, WithSimd};
+use rayon::ThreadPool;
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Rays that must pass, so that a target in the ball should have given returns.
+const ENOUGH: usize = 3;
+/// Room for rounding where rays are turned away at first sight, relative: directions are unit vectors
+/// only to so many digits.
+const ROOM: f64 = 1e-6;
+/// Rays that are looked at side by side.
+const LANES: usize = 32;
+/// Rows that are looked at before it is asked whether they are enough.
+const ROWS_AT_A_TIME: usize = 4096;
+const ROWS_PER_CHUNK: usize = 16_384; // fixed: chunk borders must not move with the thread count
+
+/// The rays of one scan.
+pub(crate) struct ScanView<'a> {
+    scan: &'a Prepared,
+    /// Radius of the smallest target that must be seen [m].
+    target_radius: f64,
+    /// Noise of ranges [m].
+    range_std: f64,
+    /// Noise of the pose, if it is known.
+    spread: Option<PoseSpread>,
+    pool: Option<&'a ThreadPool>,
+}
+
+impl<'a> ScanView<'a> {
+    pub(crate) fn new(
+        scan: &'a Prepared,
+        target_radius: f64,
+        range_std: f64,
+        spread: Option<PoseSpread>,
+        pool: Option<&'a ThreadPool>,
+    ) -> Self {
+        Self { scan, target_radius, range_std, spread, pool }
+    }
+
+    /// Centres of targets, given the rows of their points, none of them empty; the pose counts as
+    /// exact.
+    pub(crate) fn centers_of(&self, targets: &[&[u32]]) -> Vec<Center> {
+        self.sights(targets).iter().map(|sight| Center::of(sight, self.range_std)).collect()
+    }
+
+    /// Noise of the pose, if it is known.
+    pub(crate) fn spread(&self) -> Option<&PoseSpread> {
+        self.spread.as_ref()
+    }
+
+    /// Whether the ray `row` meets, or goes through, a ball.
+    fn passes(&self, row: usize, ball: &Ball) -> bool {
+        let Some((direction, length)) = self.ray(row) else { return false };
+        let (span, radius) = (minus(ball.middle, self.scan.origin(row)), ball.radius);
+        let along = dot(span, direction);
+        along > 0.0
+            && dot(span, span) - along * along <= radius * radius
+            && length >= along - radius
+    }
+
+    /// Way and length of the ray `row`, not normalised; None where it tells nothing.
+    #[inline(always)]
+    fn way(&self, row: usize) -> Option<([f64; 3], f64)> {
+        if self.scan.no_return[row] {
+            let way = wide(self.scan.directions.as_ref()?[row]);
+            let reach = self.reach(row);
+            let is_limited = reach.is_finite(); // its direction is a unit vector then
+            let way = if is_limited { way.map(|part| reach * part) } else { way };
+            return Some((way, reach * reach));
+        }
+        let way = minus(wide(self.scan.points[row]), self.scan.origin(row));
+        let squared = dot(way, way);
+        (squared > 0.0).then_some((way, squared))
+    }
+
+    /// How far a ray without return is known to meet nothing [m].
+    fn reach(&self, row: usize) -> f64 {
+        self.scan.reach.as_ref().map_or(f64::INFINITY, |reach| f64::from(reach[row]))
+    }
+
+    /// Unit direction and length of the ray `row`; None where it tells nothing.
+    fn ray(&self, row: usize) -> Option<([f64; 3], f64)> {
+        if self.scan.no_return[row] {
+            let way = wide(self.scan.directions.as_ref()?[row]);
+            let length = norm(way);
+            return (length > 0.0).then(|| (way.map(|part| part / length), self.reach(row)));
+        }
+        let span = minus(wide(self.scan.points[row]), self.scan.origin(row));
+        let length = norm(span);
+        (length > 0.0).then(|| (span.map(|value| value / length), length))
+    }
+}
+
+impl Visibility for ScanView<'_> {
+    fn expected(&self, position: [f64; 3], radius: f64) -> bool {
+        let ball = Ball { middle: position, radius: radius.min(self.target_radius) };
+        let (mut passing, rows) = (0, self.scan.points.len());
+        for first in (0..rows).step_by(ROWS_AT_A_TIME) {
+            let near = self.rows_near(first..rows.min(first + ROWS_AT_A_TIME), &[ball]);
+            passing += near.filter(|&row| self.passes(row, &ball)).count();
+            if passing >= ENOUGH {
+                return true;
+            }
+        }
+        false
+    }
+
+    fn centers(&self, targets: &[&[u32]]) -> Option<Vec<Center>> {
+        let mut centers = self.centers_of(targets);
+        if let Some(spread) = &self.spread {
+            for center in &mut centers {
+                center.covariance += Matrix3::from(spread.at(center.position.into())); // symmetric
+            }
+        }
+        Some(centers)
+    }
+}
+
+impl SightSource for ScanView<'_> {
+    fn hit(&self, row: usize) -> Hit {
+        Hit::new(self.scan.origin(row), wide(self.scan.points[row]))
+    }
+
+    fn around(&self, regions: &[Region]) -> Vec<Around> {
+        let rows = self.scan.points.len();
+        let mut around = vec![Around::default(); regions.len()];
+        if regions.is_empty() {
+            return around;
+        }
+        let chunk = |chunk: usize| {
+            let first = chunk * ROWS_PER_CHUNK;
+            self.around_in(first..rows.min(first + ROWS_PER_CHUNK), regions)
+        };
+        let chunks = 0..rows.div_ceil(ROWS_PER_CHUNK);
+        let parts: Vec<Vec<Around>> = match self.pool {
+            Some(pool) => pool.install(|| chunks.into_par_iter().map(chunk).collect()),
+            None => chunks.map(chunk).collect(),
+        };
+        for part in parts {
+            for (all, mut more) in around.iter_mut().zip(part) {
+                all.passing.append(&mut more.passing);
+                all.n_blocked += more.n_blocked;
+            }
+        }
+        around
+    }
+}
+
+impl ScanView<'_> {
+    /// For every region, the rays of some rows that come near it.
+    fn around_in(&self, rows: Range<usize>, regions: &[Region]) -> Vec<Around> {
+        let casts = |row: usize| !self.scan.no_ray.as_ref().is_some_and(|no_ray| no_ray[row]);
+        let ball = |region: &Region| Ball { middle: region.middle.into(), radius: region.reach() };
+        let balls: Vec<Ball> = regions.iter().map(ball).collect();
+        let mut around = vec![Around::default(); regions.len()];
+        for row in self.rows_near(rows, &balls) {
+            let Some((way, squared)) = self.way(row) else { continue };
+            let origin = self.scan.origin(row);
+            for (ball, rays) in balls.iter().zip(&mut around) {
+                match ball.end(origin, way, squared) {
+                    Some(End::Behind) if casts(row) => {
+                        let (origin, way) = (Vector3::from(origin), Vector3::from(way));
+                        rays.passing.push(Ray { origin, direction: way.normalize() });
+                    }
+                    Some(End::InFront) if !self.scan.no_return[row] => rays.n_blocked += 1,
+                    _ => {}
+                }
+            }
+        }
+        around
+    }
+
+    /// Rows, of no more than a chunk, whose rays come near any of some balls: all of them, and a few
+    /// more.
+    fn rows_near(&self, rows: Range<usize>, balls: &[Ball]) -> impl Iterator<Item = usize> + use<> {
+        let (first, lanes) = (rows.start, 0..LANES);
+        let near = Arch::new().dispatch(ComeNear { view: self, rows, balls });
+        let some = (first..).step_by(LANES).zip(near).filter(|(_, flags)| *flags != 0);
+        some.flat_map(move |(first, flags)| {
+            lanes.clone().filter(move |lane| flags >> lane & 1 == 1).map(move |lane| first + lane)
+        })
+    }
+
+    #[inline(always)]
+    fn lanes(&self, rows: Range<usize>) -> Lanes {
+        let mut lanes = Lanes { origins: [[0.0; LANES]; 3], ways: [[f64::NAN; LANES]; 3] };
+        for (lane, row) in rows.enumerate() {
+            let Some((way, _)) = self.way(row) else { continue };
+            let origin = self.scan.origin(row);
+            for axis in 0..3 {
+                lanes.origins[axis][lane] = origin[axis];
+                lanes.ways[axis][lane] = way[axis];
+            }
+        }
+        lanes
+    }
+}
+
+/// Finds rays that come near any of some balls, on the vector unit of the machine.
+struct ComeNear<'a> {
+    view: &'a ScanView<'a>,
+    rows: Range<usize>,
+    balls: &'a [Ball],
+}
+
+/// A bit for every row of a chunk.
+type Flags = [u32; ROWS_PER_CHUNK / LANES];
+
+impl WithSimd for ComeNear<'_> {
+    type Output = Flags;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Flags {
+        let mut all = [0; ROWS_PER_CHUNK / LANES];
+        for (first, flags) in self.rows.clone().step_by(LANES).zip(&mut all) {
+            let lanes = self.view.lanes(first..self.rows.end.min(first + LANES));
+            let near = lanes.near(self.balls);
+            for (lane, near) in near.into_iter().enumerate() {
+                *flags |= u32::from(near != 0) << lane;
+            }
+        }
+        all
+    }
+}
+
+/// Where rays start and which way they go; NaN for those that tell nothing.
+struct Lanes {
+    origins: [[f64; LANES]; 3],
+    ways: [[f64; LANES]; 3],
+}
+
+impl Lanes {
+    /// Not 0 for rays whose lines come near a ball in front of them, as [`Ball::end`] has it.
+    #[inline(always)]
+    fn near(&self, balls: &[Ball]) -> [u64; LANES] {
+        let mut near = [0; LANES];
+        for Ball { middle, radius } in balls {
+            for (lane, near) in near.iter_mut().enumerate() {
+                let span = std::array::from_fn(|axis| middle[axis] - self.origins[axis][lane]);
+                let way = std::array::from_fn(|axis| self.ways[axis][lane]);
+                let (along, apart) = (dot(span, way), dot(span, span) * (1.0 - ROOM));
+                let is_near = (apart - radius * radius) * dot(way, way) <= along * along;
+                *near |= u64::from((along > 0.0) & is_near);
+            }
+        }
+        near
+    }
+}
+
+/// What rays are held against.
+#[derive(Clone, Copy)]
+struct Ball {
+    middle: [f64; 3],
+    radius: f64,
+}
+
+impl Ball {
+    /// `squared` is the length of `way` squared, infinite if the ray met nothing; None for rays
+    /// that stay away from the ball or end in it.
+    fn end(&self, origin: [f64; 3], way: [f64; 3], squared: f64) -> Option<End> {
+        let span = minus(self.middle, origin);
+        let (along, apart) = (dot(span, way), dot(span, span) - self.radius * self.radius);
+        if along <= 0.0 || apart * dot(way, way) > along * along {
+            return None;
+        }
+        if squared.is_infinite() {
+            return Some(End::Behind);
+        }
+        let margin = squared.sqrt() * self.radius;
+        match squared {
+            _ if squared > along + margin => Some(End::Behind),
+            _ if squared < along - margin => Some(End::InFront),
+            _ => None,
+        }
+    }
+}
+
+/// Where a ray ends that comes near a ball.
+enum End {
+    InFront,
+    Behind,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::transform::Transform;
+
+    #[test]
+    fn directions_of_rays_without_return_may_have_any_length() {
+        for length in [0.25, 1.0, 2.0] {
+            let mut scan = Prepared::default();
+            scan.points = vec![[f32::NAN; 3]; ENOUGH];
+            scan.directions = Some(vec![[length, 0.0, 0.0]; ENOUGH]);
+            scan.no_return = vec![true; ENOUGH];
+            scan.pose = Transform::IDENTITY;
+            let view = ScanView::new(&scan, 1.0, 0.01, None, None);
+            assert!(view.expected([10.0, 0.5, 0.0], 1.0));
+            assert!(!view.expected([10.0, 1.5, 0.0], 1.0));
+            assert!(!view.expected([-10.0, 0.0, 0.0], 1.0));
+        }
+    }
+}

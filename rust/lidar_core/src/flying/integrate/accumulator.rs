@@ -1,0 +1,346 @@
+//! What one scan did to every voxel that it met.
+
+use super::dense_blocks::Sheet;
+use super::sparse_blocks::Beyond;
+use super::window::Window;
+use crate::Error;
+use crate::flying::map::blocks::{Place, VOLUME, offset_of};
+use crate::geometry::lattice::Voxel;
+use rayon::ThreadPool;
+use std::hint::black_box;
+
+/// What one scan did to one voxel, in 32 bits: the class of the points inside in the highest
+/// two, below them their number, or without points the length of rays in 1/16384 edges.
+pub(crate) type Mark = u32;
+/// Of points, their number, or in a weighted scan their weight in units of 1 / `POINT_UNITS`.
+const COUNT_BITS: u32 = 30;
+pub(crate) const MAX_COUNT: u32 = (1 << COUNT_BITS) - 1;
+/// Weight units per point, in scans whose points have weights.
+pub(crate) const POINT_UNITS: u32 = 1024;
+/// Length units per voxel edge.
+pub(crate) const UNITS_PER_EDGE: f64 = 16_384.0;
+/// More than a ray can add to a mark: a diagonal.
+const MOST_UNITS: u32 = (1.75 * UNITS_PER_EDGE) as u32;
+/// So many rays cannot make an empty mark overflow.
+pub(super) const RAYS_FROM_EMPTY: usize = (u32::MAX / MOST_UNITS) as usize;
+/// The same of a full one.
+pub(super) const RAYS_FROM_FULL: usize = ((u32::MAX - MAX_COUNT) / MOST_UNITS) as usize;
+const EMPTY: u32 = u32::MAX;
+/// Points that are marked together.
+const POINTS_AT_A_TIME: usize = 64;
+
+/// Steps of a ray that are added in one go.
+pub(super) const STEPS: usize = 8;
+/// Those of `N` rays side by side.
+pub(crate) type Steps<const N: usize> = [[u32; N]; STEPS];
+
+/// Classes that a voxel's points can have, weakest first: of several the strongest counts
+/// (first matching case of eq. 9: background, then flying or unknown, then rays).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Content {
+    Rays,
+    Unknown,
+    Flying,
+    Background,
+}
+
+/// Number of the content, and how much of it (points, or length units).
+#[inline(always)]
+pub(crate) fn tag_and_count(mark: Mark) -> (u32, u32) {
+    (mark >> COUNT_BITS, mark & MAX_COUNT)
+}
+
+/// Marks of one scan, block by block: empty between scans, its memory is used again.
+///
+/// Of a window that lies in memory as a whole, the slot of a block is its index.
+#[derive(Default)]
+pub(crate) struct Accumulator {
+    window: Option<Window>,
+    /// Marks in the window.
+    sheet: Sheet,
+    /// Slots of the blocks of a window that does not lie in memory as a whole, by their index.
+    table: Vec<u32>,
+    /// Indices of the blocks that have a slot there, with it.
+    opened: Vec<(u32, u32)>,
+    beyond: Beyond,
+    /// Slots of the blocks that are added to those of this one.
+    sources: Vec<u32>,
+    visits: u64,
+    /// Most blocks that one scan may touch.
+    most: usize,
+}
+
+/// A place on the sheet of the window or among the blocks beyond it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Slot {
+    Within(usize),
+    Beyond(usize),
+}
+
+/// A mark to which points, or as many units, of class `content` are added. Stronger contents are
+/// greater numbers: arithmetic alone, since no branch could be foreseen.
+#[inline(always)]
+fn with_points(mark: Mark, content: Content, units: u32) -> Mark {
+    let none = (content as u32) << COUNT_BITS;
+    let known = mark.max(none);
+    known.max(known.saturating_add(units).min(none | MAX_COUNT))
+}
+
+impl Accumulator {
+    /// Aim the empty accumulator at `window`; it will touch at most `most` blocks.
+    pub(crate) fn aim(&mut self, window: Window, most: usize) {
+        self.most = most;
+        if window.is_whole() {
+            self.sheet.reserve(window.len());
+        } else {
+            self.table.resize(window.len(), EMPTY);
+        }
+        self.window = Some(window);
+    }
+
+    /// Empty it for the next scan.
+    pub(crate) fn clear(&mut self, pool: Option<&ThreadPool>) {
+        self.visits = 0;
+        self.sheet.clear(pool);
+        for (index, _) in self.opened.drain(..) {
+            self.table[index as usize] = EMPTY;
+        }
+        self.beyond.clear();
+    }
+
+    /// Slot of the block at `index` of the window, made when first met.
+    #[inline(always)]
+    fn slot(&mut self, window: &Window, index: usize) -> usize {
+        if window.is_whole() {
+            return index;
+        }
+        match self.table.get(index) {
+            Some(&slot) if slot != EMPTY => slot as usize,
+            _ => self.open(index),
+        }
+    }
+
+    #[cold]
+    fn open(&mut self, index: usize) -> usize {
+        let slot = self.opened.len();
+        if slot > self.most {
+            return slot.saturating_sub(1); // too many: `check` says so, and no mark is used
+        }
+        self.table[index] = slot as u32;
+        self.opened.push((index as u32, slot as u32));
+        self.sheet.grow(slot + 1);
+        slot
+    }
+
+    /// Add the lengths of steps of `N` rays side by side to the voxels whose bits in the window are in
+    /// `places`. Sums may pass the largest mark until `settle`.
+    #[inline(never)] // it would have too few registers
+    pub(crate) fn add<const N: usize>(
+        &mut self,
+        window: &Window,
+        places: &[Steps<N>],
+        lengths: &[Steps<N>],
+    ) {
+        if window.is_whole() {
+            let marks = self.sheet.marks_mut();
+            each(places, lengths, |place, length| {
+                marks[place] = marks[place].wrapping_add(length);
+            });
+        } else {
+            each(places, lengths, |place, length| {
+                if length != 0 {
+                    let mark = self.slot(window, place / VOLUME) * VOLUME + place % VOLUME;
+                    let mark = &mut self.sheet.marks_mut()[mark];
+                    *mark = mark.wrapping_add(length);
+                }
+            });
+        }
+    }
+
+    /// Note that rays were cast which visit so many voxels.
+    pub(crate) fn count(&mut self, visits: u64) {
+        self.visits += visits;
+    }
+
+    /// Full marks stay full; the rows that rays met are noted.
+    pub(crate) fn settle(&mut self) {
+        match self.window {
+            Some(window) if window.is_whole() => self.sheet.settle(window.indices()),
+            _ => self.sheet.settle(0..self.opened.len()),
+        }
+    }
+
+    /// Note points, each with its class.
+    pub(super) fn mark_all(&mut self, mut points: impl Iterator<Item = (Voxel, Content)>) {
+        let Some(window) = self.window else { return };
+        let mut spots = [(0, Content::Rays); POINTS_AT_A_TIME];
+        loop {
+            let (mut taken, mut within) = (0, 0);
+            for (voxel, content) in points.by_ref().take(POINTS_AT_A_TIME) {
+                taken += 1;
+                if let Some(place) = window.place_of(voxel) {
+                    spots[within] = (self.spot_within(&window, place), content);
+                    within += 1;
+                } else {
+                    self.mark_points(voxel, content, 1);
+                }
+            }
+            if taken == 0 {
+                return;
+            }
+            let (marks, spots) = (self.sheet.marks_mut(), &spots[..within]);
+            // All are looked at before any is changed: their memory is waited for once.
+            black_box(spots.iter().fold(0, |seen, &(spot, _)| seen | marks[spot]));
+            for &(spot, content) in spots {
+                marks[spot] = with_points(marks[spot], content, 1);
+            }
+        }
+    }
+
+    /// Note a point, or as many units, of class `content` in `voxel`.
+    pub(crate) fn mark_points(&mut self, voxel: Voxel, content: Content, units: u32) {
+        if let Some(mark) = self.mark(voxel) {
+            *mark = with_points(*mark, content, units);
+        }
+    }
+
+    /// Note that points of the background may lie in `voxel`, unless it holds others.
+    pub(crate) fn mark_beside(&mut self, voxel: Voxel, units: u32) {
+        let others = [Content::Unknown as u32, Content::Flying as u32];
+        if self.mark(voxel).is_some_and(|mark| !others.contains(&tag_and_count(*mark).0)) {
+            self.mark_points(voxel, Content::Background, units);
+        }
+    }
+
+    /// Mark of a voxel that is about to be set.
+    #[inline]
+    pub(crate) fn mark(&mut self, voxel: Voxel) -> Option<&mut Mark> {
+        self.spot(voxel).map(|spot| self.at(spot))
+    }
+
+    /// Mark at a place of the window that is about to be set.
+    #[inline(always)]
+    pub(super) fn mark_within(&mut self, window: &Window, place: usize) -> &mut Mark {
+        let spot = self.spot_within(window, place);
+        &mut self.sheet.marks_mut()[spot]
+    }
+
+    /// Where the mark of a voxel is that is about to be set.
+    #[inline(always)]
+    fn spot(&mut self, voxel: Voxel) -> Option<Slot> {
+        let window = self.window?;
+        if let Some(place) = window.place_of(voxel) {
+            return Some(Slot::Within(self.spot_within(&window, place)));
+        }
+        let slot = self.beyond.slot(Place::of(voxel), self.most)?;
+        Some(Slot::Beyond(self.beyond.spot(slot, offset_of(voxel))))
+    }
+
+    /// The same of a place in the window.
+    #[inline(always)]
+    fn spot_within(&mut self, window: &Window, place: usize) -> usize {
+        let slot = self.slot(window, place / VOLUME);
+        self.sheet.spot(slot, place % VOLUME)
+    }
+
+    #[inline(always)]
+    fn at(&mut self, spot: Slot) -> &mut Mark {
+        match spot {
+            Slot::Within(at) => &mut self.sheet.marks_mut()[at],
+            Slot::Beyond(at) => &mut self.beyond.marks_mut()[at],
+        }
+    }
+
+    /// Take over the lengths that `other` summed up in the same window; both are settled. Runs on
+    /// the threads of the pool that it is called in.
+    pub(crate) fn absorb(&mut self, other: &mut Self, window: &Window, pool: &ThreadPool) {
+        self.visits += other.visits;
+        let mut sources = std::mem::take(&mut self.sources);
+        sources.clear();
+        sources.resize(self.sheet.len(), EMPTY);
+        for (index, slot) in other.slots() {
+            let own = self.slot(window, index as usize);
+            sources.resize(sources.len().max(own + 1), EMPTY);
+            sources[own] = slot;
+        }
+        self.sheet.absorb(&other.sheet, &sources);
+        self.sources = sources;
+        other.clear(Some(pool));
+    }
+
+    /// # Errors
+    /// [`Error::Limit`] if the scan touches too many blocks; its marks are of no use then.
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        if self.opened.len() > self.most || self.beyond.opened.len() > self.most {
+            return Err(Error::Limit {
+                what: format!("a scan that touches more than {} voxels", self.most * VOLUME),
+                limit: (self.most * VOLUME) as u64,
+                key: "voxel_map.max_voxels",
+            });
+        }
+        Ok(())
+    }
+
+    /// Voxels visited by rays, each visit counted.
+    pub(crate) fn visits(&self) -> u64 {
+        self.visits
+    }
+
+    /// Index and slot of every block in the window that holds marks.
+    fn slots(&self) -> impl Iterator<Item = (u32, u32)> {
+        let opened = self.opened.iter().copied();
+        let all = if self.opened.is_empty() { self.sheet.len() as u32 } else { 0 };
+        let met = self.sheet.met();
+        (0..all)
+            .map(|index| (index, index))
+            .chain(opened)
+            .filter(|&(_, slot)| met[slot as usize] != 0)
+    }
+
+    /// Blocks with marks: first those in the window, in its order, then others in ascending order
+    /// of place.
+    pub(crate) fn marked(&mut self) -> impl Iterator<Item = (Place, Slot)> {
+        self.opened.sort_unstable();
+        self.beyond.opened.sort_unstable();
+        let place = |index| self.window.map(|window| window.place(index));
+        let within = self.slots().filter_map(move |(index, slot)| {
+            Some((place(index as usize)?, Slot::Within(slot as usize)))
+        });
+        within.chain(
+            self.beyond.opened.iter().map(|&(place, slot)| (place, Slot::Beyond(slot as usize))),
+        )
+    }
+
+    /// Marks of a block, and a bit for every row that holds any; others are of no use. They may have
+    /// to be put into `spare`.
+    pub(crate) fn block<'a>(
+        &'a self,
+        slot: Slot,
+        spare: &'a mut [Mark; VOLUME],
+    ) -> (&'a [Mark; VOLUME], u64) {
+        match slot {
+            Slot::Within(slot) => (&self.sheet.blocks()[slot], self.sheet.met()[slot]),
+            Slot::Beyond(slot) => {
+                let met = self.beyond.copy(slot, spare);
+                (spare, met)
+            }
+        }
+    }
+}
+
+/// Call `add` for every step, ray by ray, since additions to one voxel right after another wait for
+/// each other.
+#[inline(always)]
+fn each<const N: usize>(
+    places: &[Steps<N>],
+    lengths: &[Steps<N>],
+    mut add: impl FnMut(usize, u32),
+) {
+    for lane in 0..N {
+        for (places, lengths) in places.iter().zip(lengths) {
+            for (place, length) in places.iter().zip(lengths) {
+                add(place[lane] as usize, length[lane]);
+            }
+        }
+    }
+}

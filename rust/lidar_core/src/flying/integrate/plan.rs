@@ -1,0 +1,257 @@
+//! What a scan asks for, checked before anything is changed: rays, their bounds, voxels of points.
+//!
+//! Loops over the lanes of a bundle, which the compiler turns into instructions of the vector unit
+//! that calls them.
+
+use super::accumulator::Content;
+use super::integrator::{INVALID, IntegrateStats, check_lengths, content_of};
+use super::ray_segments::{Bounds, Flags, Indices, LANES, Numbers, Ray, Source};
+use crate::Error;
+use crate::geometry::lattice::{Lattice, Voxel};
+use pulp::{Arch, Simd, WithSimd};
+use rayon::ThreadPool;
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// What the scan asks for, checked before anything is changed.
+#[derive(Default)]
+pub(crate) struct Plan {
+    pub(crate) rays: Vec<Ray>,
+    /// Voxel and row of every point.
+    points: Vec<(Voxel, u32)>,
+    /// Rows of the scan.
+    pub(crate) rows: usize,
+    /// The voxels between which the rays lie.
+    span: Option<[Voxel; 2]>,
+    /// What is known without the classes of the points.
+    pub(crate) stats: IntegrateStats,
+    error: Option<Error>,
+    /// What the following parts of the scan ask for, while other threads find that out.
+    others: Vec<Plan>,
+}
+
+impl Plan {
+    /// # Errors
+    /// Of several the first in the order of the input.
+    pub(crate) fn fill(
+        &mut self,
+        pool: Option<&ThreadPool>,
+        source: &Source<'_>,
+    ) -> Result<(), Error> {
+        check_lengths(source.scan)?;
+        let all = source.scan.points.len();
+        let mut others = std::mem::take(&mut self.others);
+        others.resize_with(pool.map_or(1, ThreadPool::current_num_threads) - 1, Self::default);
+        let share = all.div_ceil(others.len() + 1);
+        let part = |number: usize| (number * share).min(all)..((number + 1) * share).min(all);
+        let mut fill_own = || self.fill_part(source, part(0));
+        match pool {
+            Some(pool) => {
+                let others = others.par_iter_mut().enumerate();
+                let fill = |(number, other): (usize, &mut Self)| {
+                    other.fill_part(source, part(number + 1));
+                };
+                pool.join(fill_own, || others.for_each(fill));
+            }
+            None => fill_own(),
+        }
+        others.iter_mut().for_each(|other| self.append(other));
+        (self.others, self.rows) = (others, all);
+        self.error.take().map_or(Ok(()), Err)
+    }
+
+    fn fill_part(&mut self, source: &Source<'_>, entries: Range<usize>) {
+        self.rays.clear();
+        self.points.clear();
+        self.stats = IntegrateStats::default();
+        self.rays.reserve(entries.len());
+        self.points.reserve(entries.len());
+        self.error = Arch::new().dispatch(Fill { plan: self, source, entries }).err();
+        self.stats.rays = self.rays.len();
+    }
+
+    /// Add what the next part of the scan asks for.
+    fn append(&mut self, next: &mut Self) {
+        self.rays.extend_from_slice(&next.rays);
+        self.points.extend_from_slice(&next.points);
+        self.span = match (self.span, next.span) {
+            (Some([low, high]), Some([other_low, other_high])) => Some([
+                std::array::from_fn(|axis| low[axis].min(other_low[axis])),
+                std::array::from_fn(|axis| high[axis].max(other_high[axis])),
+            ]),
+            (own, other) => own.or(other),
+        };
+        self.stats.skipped += next.stats.skipped;
+        self.stats.rays += next.stats.rays;
+        self.stats.no_return_rays += next.stats.no_return_rays;
+        self.error = self.error.take().or(next.error.take());
+    }
+
+    /// First and last voxel of the rays; without rays, one with a point.
+    pub(crate) fn bounds(&self) -> Option<[Voxel; 2]> {
+        self.span.or(self.points.first().map(|&(voxel, _)| [voxel; 2]))
+    }
+
+    /// Points with what the classes of the rows say that they are.
+    pub(crate) fn classified(&self, class: &[u8]) -> impl Iterator<Item = (Voxel, Content)> {
+        let content = |row: u32| content_of(class[row as usize]);
+        self.points.iter().filter_map(move |&(voxel, row)| Some((voxel, content(row)?)))
+    }
+
+    /// Note what entries side by side ask for, and what their rays reach.
+    #[inline(always)]
+    fn note(
+        &mut self,
+        source: &Source<'_>,
+        entries: Range<usize>,
+        bounds: &mut Bounds,
+    ) -> Result<(), Error> {
+        let last = entries.end - 1;
+        let index: Indices = std::array::from_fn(|lane| (entries.start + lane).min(last));
+        let points = source.points(&index);
+        let mut wishes = Wishes::of(source, &entries, &points);
+        let (mut voxels, sure) = source.lattice.voxels_at(&points);
+        let mut in_doubt = [false; LANES];
+        for lane in 0..LANES {
+            in_doubt[lane] = wishes.point[lane] & (sure[lane] <= 0.0);
+        }
+        let mut noted = Ok(());
+        if in_doubt.contains(&true) {
+            noted = settle(source.lattice, &points, &in_doubt, &mut voxels, &mut wishes);
+        }
+        self.push(&wishes, &voxels, &index);
+        bounds.hold(&source.between(&index, &points), &wishes.ray);
+        self.stats.skipped += entries.len() - wishes.count();
+        noted
+    }
+
+    /// Without branches: which entry asks for what cannot be foreseen.
+    #[inline(always)]
+    fn push(&mut self, wishes: &Wishes, [x, y, z]: &[[i32; LANES]; 3], index: &Indices) {
+        let (mut points, mut rays) = ([([0; 3], 0); LANES], [Ray { index: 0, count: 1 }; LANES]);
+        let (mut n_points, mut n_rays) = (0, 0);
+        for lane in 0..LANES {
+            points[n_points] = ([x[lane], y[lane], z[lane]], index[lane] as u32);
+            n_points += usize::from(wishes.point[lane]);
+            rays[n_rays].index = index[lane] as u32;
+            n_rays += usize::from(wishes.ray[lane]);
+            self.stats.no_return_rays += usize::from(wishes.away[lane]);
+        }
+        self.points.extend_from_slice(&points[..n_points]);
+        self.rays.extend_from_slice(&rays[..n_rays]);
+    }
+}
+
+/// Find the voxels of points that are in doubt.
+///
+/// # Errors
+/// [`Error::PointOutOfRange`] for the first that has none; nothing is left of what comes then.
+#[inline(never)]
+fn settle(
+    lattice: &Lattice,
+    points: &[Numbers; 3],
+    in_doubt: &Flags,
+    voxels: &mut [[i32; LANES]; 3],
+    wishes: &mut Wishes,
+) -> Result<(), Error> {
+    for lane in 0..LANES {
+        if in_doubt[lane] {
+            let voxel = lattice.voxel_at(points.map(|axis| axis[lane]));
+            let voxel = voxel.inspect_err(|_| wishes.keep_before(lane))?;
+            (0..3).for_each(|axis| voxels[axis][lane] = voxel[axis]);
+        }
+    }
+    Ok(())
+}
+
+/// What entries side by side ask for; those that only fill the bundle ask for nothing.
+struct Wishes {
+    /// A point in the map.
+    point: Flags,
+    /// A ray that met nothing.
+    away: Flags,
+    /// A ray, with a point or without.
+    ray: Flags,
+}
+
+impl Wishes {
+    #[inline(always)]
+    fn of(source: &Source<'_>, entries: &Range<usize>, [x, y, z]: &[Numbers; 3]) -> Self {
+        let scan = source.scan;
+        let class = padded(scan.class, entries, INVALID);
+        let flags = |flags: Option<&[bool]>| {
+            flags.map_or([false; LANES], |flags| padded(flags, entries, false))
+        };
+        let (no_return, no_ray) = (flags(scan.no_return), flags(scan.no_ray));
+        let (mut point, mut ray) = ([false; LANES], [false; LANES]);
+        let away = match scan.directions.filter(|_| no_return.contains(&true)) {
+            Some(directions) => lead_somewhere(&padded(directions, entries, [0.0; 3]), &no_return),
+            None => [false; LANES],
+        };
+        for lane in 0..LANES {
+            let is_finite = x[lane].is_finite() & y[lane].is_finite() & z[lane].is_finite();
+            point[lane] = is_finite & (class[lane] != INVALID) & !no_return[lane];
+            ray[lane] = away[lane] | (point[lane] & !no_ray[lane]);
+        }
+        Self { point, away, ray }
+    }
+
+    /// Forget what the entries from `lane` on ask for.
+    fn keep_before(&mut self, lane: usize) {
+        for flags in [&mut self.point, &mut self.away, &mut self.ray] {
+            flags[lane..].fill(false);
+        }
+    }
+
+    /// Entries that ask for something.
+    #[inline(always)]
+    fn count(&self) -> usize {
+        (0..LANES).map(|lane| usize::from(self.point[lane] | self.away[lane])).sum()
+    }
+}
+
+/// Of those whose flag is set, directions that are finite and not zero.
+#[inline(always)]
+fn lead_somewhere(directions: &[[f32; 3]; LANES], flags: &Flags) -> Flags {
+    let mut found = [false; LANES];
+    for lane in 0..LANES {
+        let [x, y, z] = directions[lane].map(f64::from);
+        let square = x * x + y * y + z * z; // of numbers of 32 bits: neither too large nor too small
+        found[lane] = flags[lane] & (square > 0.0) & square.is_finite();
+    }
+    found
+}
+
+#[inline(always)]
+fn padded<T: Copy>(all: &[T], entries: &Range<usize>, filler: T) -> [T; LANES] {
+    let mut lanes = [filler; LANES];
+    lanes[..entries.len()].copy_from_slice(&all[entries.clone()]);
+    lanes
+}
+
+struct Fill<'a> {
+    plan: &'a mut Plan,
+    source: &'a Source<'a>,
+    entries: Range<usize>,
+}
+
+impl WithSimd for Fill<'_> {
+    type Output = Result<(), Error>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Result<(), Error> {
+        let Self { plan, source, entries } = self;
+        let (mut bounds, mut noted) = (Bounds::default(), Ok(()));
+        for from in entries.clone().step_by(LANES) {
+            noted = plan.note(source, from..entries.end.min(from + LANES), &mut bounds);
+            if noted.is_err() {
+                break;
+            }
+        }
+        plan.span = bounds.voxels(source.lattice);
+        if plan.span.is_none() {
+            source.check(&plan.rays)?; // their errors come first
+        }
+        noted
+    }
+}

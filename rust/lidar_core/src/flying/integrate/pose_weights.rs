@@ -1,0 +1,255 @@
+//! The map under an uncertain pose: where rays must not clear, and which voxels may have been hit.
+//!
+//! A point may lie before or behind the place where it was measured, so its ray ends earlier. A
+//! point of the background may lie in its voxel or in one near by: each has a share, the
+//! probability that the point lies there (Vrba et al., eqs 41-46), taken along the map's axes one by
+//! one and for a point in the middle of its voxel, so that all points of a voxel have the same.
+
+use super::accumulator::{Accumulator, Content, POINT_UNITS};
+use crate::flying::analysis::{PoseSpread, pose_jacobian};
+use crate::flying::detector::FlyingObjectDetector;
+use crate::flying::map::voxel_map::VoxelMap;
+use crate::flying::scan::prepared::{Prepared, RawScan};
+use crate::geometry::lattice::{Lattice, Voxel};
+use crate::geometry::transform::{Transform, dot, minus, norm};
+
+/// Voxels that a point may be away from its own, along each axis.
+const REACH: i32 = 2;
+/// Smaller shares are none.
+const LEAST_SHARE: f64 = 0.02;
+
+/// What an uncertain pose changes in the update of the map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PoseWeighting {
+    /// Rays that hit something end earlier: they do not clear what their ends may lie in.
+    Ends,
+    /// They do, and a point of the background pulls every voxel that it may lie in, each by its
+    /// share.
+    Spread,
+}
+
+/// How uncertain the points of a scan are.
+#[derive(Clone, Copy, Debug)]
+pub struct PoseError {
+    /// What follows from it.
+    pub weighting: PoseWeighting,
+    /// Pose of the sensor in the world.
+    pub world_from_lidar: Transform,
+    /// The world in the frame of the map.
+    pub map_from_world: Transform,
+    /// Covariance of the pose: translation, then the angles about x, y, z (eq. 38).
+    pub covariance: [[f64; 6]; 6],
+    /// Standard deviation of a range [m].
+    pub range_std: f64,
+    /// Rays that hit something end this many standard deviations earlier.
+    pub end_sigmas: f64,
+}
+
+/// Shares of the voxels from `-REACH` to `REACH` along an axis.
+type Shares = [f64; 2 * REACH as usize + 1];
+
+impl PoseError {
+    /// Whether points have weights.
+    pub(crate) fn weighs_points(&self) -> bool {
+        self.weighting == PoseWeighting::Spread
+    }
+
+    /// Variance along every axis of the map of a point at `point`, in the frame of the map.
+    fn variance(&self, point: [f64; 3]) -> [f64; 3] {
+        let world_from_map = self.map_from_world.inverse();
+        let jacobian = pose_jacobian(&self.world_from_lidar, world_from_map.apply(point));
+        let sight = minus(point, self.map_from_world.apply(self.world_from_lidar.translation));
+        let range = norm(sight).max(f64::MIN_POSITIVE);
+        std::array::from_fn(|axis| {
+            let row: [f64; 6] = std::array::from_fn(|column| {
+                let derivative = [0, 1, 2].map(|world: usize| jacobian[world][column]);
+                dot(self.map_from_world.rotation[axis], derivative)
+            });
+            let along = self.range_std * sight[axis] / range;
+            let of_pose: f64 = (0..6)
+                .map(|i| row[i] * (0..6).map(|j| self.covariance[i][j] * row[j]).sum::<f64>())
+                .sum();
+            of_pose.max(0.0) + along * along
+        })
+    }
+
+    /// How much earlier a ray ends that runs along `span` of the map [m].
+    pub(crate) fn end_margin(&self, span: [f64; 3]) -> f64 {
+        // The angles move its end across, not along.
+        let along = self.map_from_world.inverse().rotate(span);
+        let length = norm(span).max(f64::MIN_POSITIVE);
+        let of_position: f64 = (0..3)
+            .map(|i| along[i] * (0..3).map(|j| self.covariance[i][j] * along[j]).sum::<f64>())
+            .sum::<f64>()
+            / (length * length);
+        self.end_sigmas * (of_position.max(0.0) + self.range_std * self.range_std).sqrt()
+    }
+
+    /// Shares along every axis for points in the middle of `voxel`.
+    fn shares(&self, lattice: &Lattice, voxel: Voxel) -> [Shares; 3] {
+        self.variance(lattice.center(voxel)).map(|variance| {
+            let scale = lattice.voxel_size() / (2.0 * variance).sqrt();
+            // Half of what lies beyond the walls at 1/2, 3/2 and so on.
+            let beyond = |wall: i32| 0.5 * libm::erfc((f64::from(wall) - 0.5) * scale);
+            std::array::from_fn(|index| match (index as i32 - REACH).abs() {
+                0 => 1.0 - 2.0 * beyond(1),
+                away => beyond(away) - beyond(away + 1),
+            })
+        })
+    }
+}
+
+impl VoxelMap {
+    /// Note the points of a scan, each with its voxel. Rays have been noted before.
+    pub(crate) fn mark(
+        &self,
+        accumulator: &mut Accumulator,
+        points: impl Iterator<Item = (Voxel, Content)>,
+        error: Option<&PoseError>,
+    ) {
+        let points = points.filter(|&(voxel, _)| self.admits(voxel));
+        let Some(error) = error.filter(|error| error.weighs_points()) else {
+            return accumulator.mark_all(points);
+        };
+        let (background, others): (Vec<_>, Vec<_>) =
+            points.partition(|(_, class)| *class == Content::Background);
+        for (voxel, class) in others {
+            accumulator.mark_points(voxel, class, POINT_UNITS);
+        }
+        self.spread(accumulator, error, background.into_iter().map(|(voxel, _)| voxel).collect());
+    }
+
+    /// Note the points of the background, given as a voxel each, with the shares of the voxels that
+    /// they may lie in; where other points lie, those count.
+    fn spread(&self, accumulator: &mut Accumulator, error: &PoseError, mut points: Vec<Voxel>) {
+        points.sort_unstable();
+        for same in points.chunk_by(|a, b| a == b) {
+            let shares = error.shares(self.lattice(), same[0]);
+            let units = |share: f64| {
+                (same.len() as f64 * share * f64::from(POINT_UNITS)).round().max(1.0) as u32
+            };
+            for (step, share) in steps(&shares) {
+                let voxel: Voxel = std::array::from_fn(|axis| same[0][axis] + step[axis]);
+                if step == [0; 3] {
+                    accumulator.mark_points(voxel, Content::Background, units(share));
+                } else if self.admits(voxel) {
+                    accumulator.mark_beside(voxel, units(share));
+                }
+            }
+        }
+    }
+}
+
+/// Steps from a voxel to those that a point may lie in, with their shares; its own in any case.
+fn steps([x, y, z]: &[Shares; 3]) -> impl Iterator<Item = ([i32; 3], f64)> {
+    let step = |index: usize| index as i32 - REACH;
+    let planes = z
+        .iter()
+        .enumerate()
+        .flat_map(move |(k, z)| y.iter().enumerate().map(move |(j, y)| (j, k, y * z)));
+    let own = REACH as usize;
+    planes
+        .filter(move |&(j, k, share)| share >= LEAST_SHARE || (j, k) == (own, own))
+        .flat_map(move |(j, k, share)| {
+            x.iter().enumerate().map(move |(i, x)| ([step(i), step(j), step(k)], x * share))
+        })
+        .filter(|&(step, share)| share >= LEAST_SHARE || step == [0; 3])
+}
+
+/// What is known about poses beforehand.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseParameters {
+    /// Standard deviations of the translation [m], for scans that come without a covariance.
+    pub position_std: [f64; 3],
+    /// The same for the angles about x, y, z [rad].
+    pub angle_std: [f64; 3],
+    /// How the map heeds them; None: not.
+    pub weighting: Option<PoseWeighting>,
+    /// Rays that hit something end this many standard deviations earlier, if `weighting` is set.
+    pub end_sigmas: f64,
+}
+
+impl FlyingObjectDetector {
+    /// Covariance of the pose of a scan, if anything is known about it.
+    fn pose_covariance(&self, raw: &RawScan<'_>) -> Option<[[f64; 6]; 6]> {
+        let PoseParameters { position_std: [x, y, z], angle_std: [a, b, c], .. } =
+            self.parameters.pose;
+        let std = [x, y, z, a, b, c];
+        let diagonal = |i: usize, j: usize| if i == j { std[i] * std[i] } else { 0.0 };
+        let constant = || std::array::from_fn(|i| std::array::from_fn(|j| diagonal(i, j)));
+        raw.pose_covariance.or_else(|| std.iter().any(|&std| std > 0.0).then(constant))
+    }
+
+    /// What follows from it for points of the scan.
+    pub(crate) fn pose_spread(&self, raw: &RawScan<'_>, scan: &Prepared) -> Option<PoseSpread> {
+        Some(PoseSpread {
+            world_from_lidar: self.map_from_world.inverse().after(&scan.pose),
+            map_from_world: self.map_from_world,
+            covariance: self.pose_covariance(raw)?,
+        })
+    }
+
+    /// What the update of the map is to heed.
+    pub(crate) fn pose_error(&self, raw: &RawScan<'_>, scan: &Prepared) -> Option<PoseError> {
+        let PoseSpread { world_from_lidar, map_from_world, covariance } =
+            self.pose_spread(raw, scan)?;
+        Some(PoseError {
+            weighting: self.parameters.pose.weighting?,
+            world_from_lidar,
+            map_from_world,
+            covariance,
+            range_std: self.parameters.range_std,
+            end_sigmas: self.parameters.pose.end_sigmas,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Error;
+
+    fn error(position_std: f64, angle_std: f64) -> PoseError {
+        let std = [position_std, position_std, position_std, angle_std, angle_std, angle_std];
+        PoseError {
+            weighting: PoseWeighting::Spread,
+            world_from_lidar: Transform::IDENTITY,
+            map_from_world: Transform::IDENTITY,
+            covariance: std::array::from_fn(|i| {
+                std::array::from_fn(|j| if i == j { std[i] * std[i] } else { 0.0 })
+            }),
+            range_std: 0.04,
+            end_sigmas: 2.0,
+        }
+    }
+
+    #[test]
+    fn shares_are_those_of_the_normal_distribution() -> Result<(), Error> {
+        let lattice = Lattice::new(0.25, [-0.125; 3])?;
+        // 10 m ahead: 0.1 m along x with the range, 0.2 m and turned by 0.01 rad across.
+        let [x, y, _] = error(0.03, 0.012).shares(&lattice, [40, 0, 0]);
+        assert!((x[2] - 0.987_580_669_348_448).abs() < 1e-12); // +- 2.5 sigma of 0.05 m
+        let sigma = (0.03f64 * 0.03 + 0.12 * 0.12).sqrt();
+        let inside = libm::erf(0.125 / sigma / 2f64.sqrt());
+        assert!((y[2] - inside).abs() < 1e-12);
+        assert!((y[1] - y[3]).abs() < 1e-15 && (y.iter().sum::<f64>() - 1.0).abs() < 1e-5);
+        Ok(())
+    }
+
+    #[test]
+    fn the_own_voxel_has_its_share_however_small() {
+        let thin = [0.001, 0.2, 0.598, 0.2, 0.001];
+        let all: Vec<_> = steps(&[thin; 3]).collect();
+        assert!(all.iter().all(|&(_, share)| share >= LEAST_SHARE));
+        assert_eq!(all.len(), 19); // own, 6 faces, 12 edges; corners have 0.008
+        let none = [0.01; 5];
+        assert_eq!(steps(&[none; 3]).map(|(step, _)| step).collect::<Vec<_>>(), [[0; 3]]);
+    }
+
+    #[test]
+    fn rays_end_earlier_by_position_and_range_not_by_angles() {
+        let margin = |angle_std| error(0.03, angle_std).end_margin([3.0, 4.0, 0.0]);
+        assert!((margin(0.0) - 0.1).abs() < 1e-12);
+        assert_eq!(margin(0.0), margin(0.5));
+    }
+}

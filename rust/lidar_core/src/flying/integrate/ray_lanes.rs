@@ -1,0 +1,310 @@
+//! Many rays at a time through the blocks of a window.
+//!
+//! The walk of Amanatides & Woo on the vector unit of the machine, chosen when the program runs, in
+//! whole numbers (docs/adr/0002). Every ray is mirrored so that it runs upwards along all axes. At an
+//! edge or corner the lowest axis goes first, as in `geometry::traverse`.
+
+use super::accumulator::{Accumulator, STEPS, UNITS_PER_EDGE};
+use super::ray_segments::{LANES, Lanes, Numbers, Ray, Segments, Source, least, places};
+use super::window::Window;
+use crate::geometry::lattice::whole;
+use pulp::{Arch, Simd, WithSimd};
+
+/// Times `STEPS` steps of a bundle that are written down before their lengths are added to memory:
+/// they stay in the first cache.
+const RUN: usize = 8;
+/// No ray ends further from its start, in sub-units.
+const FURTHEST: f64 = (i32::MAX - 1) as f64;
+/// Wall of an axis along which none is crossed.
+const NEVER: u32 = u32::MAX;
+
+/// Rays that are walked together. Positions along a ray are whole numbers of sub-units, of which a unit
+/// of length has 2^`shift`.
+struct Bundle {
+    /// Position of the next wall along every axis.
+    wall: [Lanes; 3],
+    /// From one wall to the next along every axis.
+    pace: [Lanes; 3],
+    /// Position of the end.
+    end: Lanes,
+    shift: Lanes,
+    /// Place of the voxel in the window, mirrored.
+    place: Lanes,
+    /// Bits of the place that are mirrored.
+    mirror: Lanes,
+    /// Voxels that every ray visits; none of those that only fill the bundle.
+    visits: Lanes,
+    /// Rays that every ray stands for.
+    count: Lanes,
+}
+
+impl Bundle {
+    #[inline(always)]
+    fn of(window: &Window, source: &Source<'_>, rays: &[Ray]) -> Self {
+        let Segments { start, end } = source.segments(rays).scaled(source.lattice);
+        let mut bundle = Self {
+            wall: [[NEVER; LANES]; 3],
+            pace: [[0; LANES]; 3],
+            end: [0; LANES],
+            shift: [0; LANES],
+            place: places(&start, window),
+            mirror: [0; LANES],
+            visits: [0; LANES],
+            count: [0; LANES],
+        };
+        for (count, ray) in bundle.count.iter_mut().zip(rays) {
+            *count = ray.count;
+        }
+        let length = bundle.measure(&start, &end);
+        for axis in 0..3 {
+            bundle.set_walls(axis, &length, &start[axis], &end[axis], window.bits_along(axis));
+        }
+        for lane in 0..LANES {
+            bundle.place[lane] ^= bundle.mirror[lane];
+            bundle.visits[lane] =
+                if bundle.count[lane] == 0 { 0 } else { bundle.visits[lane].wrapping_add(1) };
+        }
+        bundle
+    }
+
+    /// Whether a ray counts for more than itself.
+    #[inline(always)]
+    fn stands_for_others(&self) -> bool {
+        self.count.iter().fold(false, |any, &count| any | (count > 1))
+    }
+
+    /// Let lengths count as often as their rays.
+    #[inline(always)]
+    fn multiply(&self, lengths: &mut [Lanes]) {
+        for lengths in lengths {
+            for (length, count) in lengths.iter_mut().zip(self.count) {
+                *length = length.wrapping_mul(count);
+            }
+        }
+    }
+
+    /// Find lengths in sub-units.
+    #[inline(always)]
+    fn measure(&mut self, start: &[Numbers; 3], end: &[Numbers; 3]) -> Numbers {
+        let mut length = [0.0; LANES];
+        for lane in 0..LANES {
+            let (x, y) = (end[0][lane] - start[0][lane], end[1][lane] - start[1][lane]);
+            let z = end[2][lane] - start[2][lane];
+            let units = (x * x + y * y + z * z).sqrt() * UNITS_PER_EDGE;
+            let shift = least(FURTHEST / units, f64::from(1u32 << 31)).to_bits() >> 52;
+            length[lane] = units * f64::from_bits(shift << 52); // a power of two: exact
+            self.shift[lane] = (shift as u32).wrapping_sub(1023);
+            self.end[lane] = whole(length[lane].ceil());
+        }
+        length
+    }
+
+    /// Place the walls along an axis whose bits of a place are `bits`.
+    #[inline(always)]
+    fn set_walls(
+        &mut self,
+        axis: usize,
+        length: &Numbers,
+        start: &Numbers,
+        end: &Numbers,
+        bits: u32,
+    ) {
+        for lane in 0..LANES {
+            let (first, last) = (start[lane].floor(), end[lane].floor());
+            let upwards = last > first;
+            let gap = ((if upwards { first + 1.0 } else { first }) - start[lane]).abs();
+            let rate = least(length[lane] / (end[lane] - start[lane]).abs(), f64::MAX);
+            let (walls, ahead) = ((last - first).abs(), f64::from(self.end[lane]));
+            let pace = least(rate.round_ties_even(), ahead + 1.0);
+            // Not further than the end: rounding may have made one unit too many of it.
+            let pace = if (walls - 1.0) * pace > ahead { pace - 1.0 } else { pace };
+            let wall = least((gap * rate).round_ties_even(), ahead - (walls - 1.0) * pace);
+            let wall = -least(-wall, -(ahead + 1.0 - walls * pace));
+            let is_met = walls > 0.0;
+            self.wall[axis][lane] = if is_met { whole(wall) } else { NEVER };
+            self.pace[axis][lane] = if is_met { whole(pace) } else { 0 };
+            self.mirror[lane] |= if upwards | !is_met { 0 } else { bits };
+            self.visits[lane] = self.visits[lane].wrapping_add(whole(walls));
+        }
+    }
+}
+
+/// Add the length of `rays` inside every voxel they cross.
+pub(crate) fn cast(
+    accumulator: &mut Accumulator,
+    window: &Window,
+    source: &Source<'_>,
+    rays: &[Ray],
+) {
+    Arch::new().dispatch(Cast { accumulator, window, source, rays });
+}
+
+struct Cast<'a> {
+    accumulator: &'a mut Accumulator,
+    window: &'a Window,
+    source: &'a Source<'a>,
+    rays: &'a [Ray],
+}
+
+impl WithSimd for Cast<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        match S::U32_LANES {
+            16 => self.walk::<S, 2>(simd),
+            8 => self.walk::<S, 4>(simd),
+            4 => self.walk::<S, 8>(simd),
+            _ => self.walk::<S, LANES>(simd),
+        }
+    }
+}
+
+impl Cast<'_> {
+    /// With `K` vectors per bundle.
+    #[inline(always)]
+    fn walk<S: Simd, const K: usize>(self, simd: S) {
+        let mut places = [[[0; LANES]; STEPS]; RUN];
+        let mut lengths = [[[0; LANES]; STEPS]; RUN];
+        for rays in self.rays.chunks(LANES) {
+            let bundle = Bundle::of(self.window, self.source, rays);
+            let mut walk = Walk::<S, K>::new(simd, self.window, &bundle);
+            let most = bundle.visits.into_iter().max().unwrap_or(0) as usize;
+            let mut left = most.div_ceil(STEPS);
+            while left > 0 {
+                let run = left.min(RUN);
+                let (places, lengths) = (&mut places[..run], &mut lengths[..run]);
+                for (places, lengths) in places.iter_mut().zip(lengths.iter_mut()) {
+                    for (places, lengths) in places.iter_mut().zip(lengths.iter_mut()) {
+                        walk.step(simd, places, lengths);
+                    }
+                }
+                if bundle.stands_for_others() {
+                    bundle.multiply(lengths.as_flattened_mut());
+                }
+                self.accumulator.add(self.window, places, lengths);
+                left -= run;
+            }
+            self.accumulator.count(bundle.visits.iter().map(|&visits| u64::from(visits)).sum());
+        }
+    }
+}
+
+/// State of a bundle on its way, in vectors. No closures on the way: they would not be inlined
+/// everywhere, and compiled for another vector unit.
+struct Walk<S: Simd, const K: usize> {
+    wall: [[S::u32s; K]; 3],
+    pace: [[S::u32s; K]; 3],
+    end: [S::u32s; K],
+    shift: [S::u32s; K],
+    place: [S::u32s; K],
+    mirror: [S::u32s; K],
+    visits: [S::u32s; K],
+    step: S::u32s,
+    /// Where the ray entered its voxel, in units.
+    entered: [S::u32s; K],
+    /// Bits of a place that belong to an axis.
+    bits: [S::u32s; 3],
+}
+
+impl<S: Simd, const K: usize> Walk<S, K> {
+    #[inline(always)]
+    fn new(simd: S, window: &Window, bundle: &Bundle) -> Self {
+        let vectors = |lanes: &Lanes| std::array::from_fn(|k| S::as_simd_u32s(lanes).0[k]);
+        Self {
+            wall: std::array::from_fn(|axis| vectors(&bundle.wall[axis])),
+            pace: std::array::from_fn(|axis| vectors(&bundle.pace[axis])),
+            end: vectors(&bundle.end),
+            shift: vectors(&bundle.shift),
+            place: vectors(&bundle.place),
+            mirror: vectors(&bundle.mirror),
+            visits: vectors(&bundle.visits),
+            step: simd.splat_u32s(0),
+            entered: [simd.splat_u32s(0); K],
+            bits: std::array::from_fn(|axis| simd.splat_u32s(window.bits_along(axis))),
+        }
+    }
+
+    /// Write down the voxels that the rays are in, and the lengths inside; go on to the next ones.
+    /// Rays that have arrived add nothing, every step to another voxel: no addition waits for the last.
+    /// There are as many: steps follow the edges of the window, voxels its volume.
+    #[inline(always)]
+    fn step(&mut self, simd: S, places: &mut Lanes, lengths: &mut Lanes) {
+        let (none, one) = (simd.splat_u32s(0), simd.splat_u32s(1));
+        let (places, lengths) = (S::as_mut_simd_u32s(places).0, S::as_mut_simd_u32s(lengths).0);
+        for (k, (place, length)) in places.iter_mut().zip(lengths).enumerate().take(K) {
+            let going = simd.greater_than_u32s(self.visits[k], self.step);
+            let here = simd.xor_u32s(self.place[k], self.mirror[k]);
+            *place = simd.select_u32s(going, here, self.step);
+            let [x, y, z] = [self.wall[0][k], self.wall[1][k], self.wall[2][k]];
+            let first = simd.min_u32s(x, simd.min_u32s(y, z));
+            let exit = simd.min_u32s(first, self.end[k]);
+            let exit = simd.wrapping_dyn_shr_u32s(exit, self.shift[k]);
+            let inside = simd.sub_u32s(exit, self.entered[k]);
+            *length = simd.select_u32s(going, inside, none);
+            self.entered[k] = exit;
+            self.cross(simd, k, simd.equal_u32s(x, first), simd.equal_u32s(y, first));
+        }
+        self.step = simd.add_u32s(self.step, one);
+    }
+
+    /// Through a wall along x, or else along y, or else along z.
+    #[inline(always)]
+    fn cross(&mut self, simd: S, k: usize, along_x: S::m32s, along_y: S::m32s) {
+        let [x, y, z] = [self.wall[0][k], self.wall[1][k], self.wall[2][k]];
+        let next_y = simd.select_u32s(along_y, simd.add_u32s(y, self.pace[1][k]), y);
+        let next_z = simd.select_u32s(along_y, z, simd.add_u32s(z, self.pace[2][k]));
+        self.wall[0][k] = simd.select_u32s(along_x, simd.add_u32s(x, self.pace[0][k]), x);
+        self.wall[1][k] = simd.select_u32s(along_x, y, next_y);
+        self.wall[2][k] = simd.select_u32s(along_x, z, next_z);
+
+        let [x, y, z] = self.bits;
+        let bits = simd.select_u32s(along_x, x, simd.select_u32s(along_y, y, z));
+        let others = simd.not_u32s(bits);
+        let place = self.place[k];
+        // The carry runs through the bits of the other axes.
+        let above = simd.add_u32s(simd.or_u32s(place, others), simd.splat_u32s(1));
+        self.place[k] = simd.or_u32s(simd.and_u32s(above, bits), simd.and_u32s(place, others));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Error;
+    use crate::flying::integrate::ray_segments::tests::with_rays;
+    use crate::flying::map::blocks::VOLUME;
+    use pulp::Scalar;
+
+    /// Marks of rays in all directions, cast by `run`.
+    fn marks(run: impl Fn(Cast<'_>)) -> Result<Vec<u32>, Error> {
+        let segments: Vec<_> = (0..77u16)
+            .map(|index| {
+                let (sin, cos) = libm::sincosf(f32::from(index) * 0.37);
+                ([0.3, -0.2, 0.1], [30.0 * cos, 30.0 * sin, f32::from(index % 20) - 10.0])
+            })
+            .collect();
+        let window = Window::spanning([-40; 3], [40; 3])?;
+        let mut sums = Accumulator::default();
+        sums.aim(window, 1 << 20);
+        with_rays(&segments, |source, rays| {
+            run(Cast { accumulator: &mut sums, window: &window, source, rays: &rays });
+            Ok(())
+        })?;
+        sums.settle();
+        let slots: Vec<_> = sums.marked().collect();
+        Ok(slots.iter().flat_map(|&(_, slot)| *sums.block(slot, &mut [0; VOLUME]).0).collect())
+    }
+
+    #[test]
+    fn every_vector_unit_gives_the_same_bits() -> Result<(), Error> {
+        let best = marks(|cast| Arch::new().dispatch(cast))?;
+        assert!(best.iter().filter(|&&mark| mark > 0).count() > 1000);
+        assert_eq!(marks(|cast| cast.with_simd(Scalar::new()))?, best);
+        #[cfg(target_arch = "x86_64")]
+        if let Some(avx2) = pulp::x86::V3::try_new() {
+            assert_eq!(marks(|cast| Simd::vectorize(avx2, cast))?, best);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,275 @@
+//! Rays of a scan as segments, many at a time.
+//!
+//! Loops over the lanes of a bundle, which the compiler turns into instructions of the vector unit
+//! that calls them.
+
+use super::integrator::{ClassifiedScan, Origins};
+use super::window::Window;
+use crate::Error;
+use crate::flying::map::voxel_map::MapParameters;
+use crate::geometry::lattice::{Lattice, Voxel, floor, whole, wide};
+use crate::geometry::transform::norm;
+
+/// Rays side by side: two vectors of the widest unit, so that one works while the other waits.
+pub(crate) const LANES: usize = 32;
+/// Numbers of them along an axis.
+pub(crate) type Numbers = [f64; LANES];
+
+/// Whole numbers of them.
+pub(crate) type Lanes = [u32; LANES];
+/// Numbers of the entries of a scan whose rays they are.
+pub(crate) type Indices = [usize; LANES];
+/// What holds of some of them.
+pub(crate) type Flags = [bool; LANES];
+
+/// A ray that is cast.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Ray {
+    /// Its place in the scan.
+    pub(crate) index: u32,
+    /// Rays that it stands for.
+    pub(crate) count: u32,
+}
+
+/// Where the rays of a scan lead.
+#[derive(Clone, Copy)]
+pub(crate) struct Source<'a> {
+    pub(crate) scan: &'a ClassifiedScan<'a>,
+    pub(crate) parameters: &'a MapParameters,
+    pub(crate) lattice: &'a Lattice,
+}
+
+/// Rays side by side [m]; the last ones may repeat others.
+pub(crate) struct Segments {
+    pub(crate) start: [Numbers; 3],
+    pub(crate) end: [Numbers; 3],
+}
+
+/// Corners between which rays lie [m].
+pub(crate) struct Bounds {
+    low: [Numbers; 3],
+    high: [Numbers; 3],
+    /// Lanes with a ray of which an end is not finite.
+    odd: Flags,
+}
+
+impl Source<'_> {
+    /// The segments of up to [`LANES`] rays, at least one.
+    #[inline(always)]
+    pub(crate) fn segments(&self, rays: &[Ray]) -> Segments {
+        let mut index = [rays[0].index as usize; LANES];
+        for (index, ray) in index.iter_mut().zip(rays) {
+            *index = ray.index as usize;
+        }
+        self.between(&index, &self.points(&index))
+    }
+
+    /// The segments of the rays of these entries, whose points are given.
+    #[inline(always)]
+    pub(crate) fn between(&self, index: &Indices, points: &[Numbers; 3]) -> Segments {
+        let (start, mut end) = (self.starts(index), *points);
+        let mut along = end;
+        for axis in 0..3 {
+            for lane in 0..LANES {
+                along[axis][lane] -= start[axis][lane];
+            }
+        }
+        let mut margin = [self.parameters.end_margin; LANES];
+        self.aim_without_return(index, &mut along, &mut margin);
+        if let Some(error) = self.scan.pose_error {
+            for (lane, margin) in margin.iter_mut().enumerate().filter(|(_, m)| m.is_finite()) {
+                *margin += error.end_margin(along.map(|axis| axis[lane]));
+            }
+        }
+        self.shorten(&start, &along, &margin, &mut end);
+        Segments { start, end }
+    }
+
+    /// The points of these entries [m].
+    #[inline(always)]
+    pub(crate) fn points(&self, index: &Indices) -> [Numbers; 3] {
+        let mut points = [[0.0; LANES]; 3];
+        for lane in 0..LANES {
+            let point = wide(self.scan.points[index[lane]]);
+            for axis in 0..3 {
+                points[axis][lane] = point[axis];
+            }
+        }
+        points
+    }
+
+    /// Where the rays of a bundle start.
+    #[inline(always)]
+    fn starts(&self, index: &Indices) -> [Numbers; 3] {
+        let mut start = [[0.0; LANES]; 3];
+        match self.scan.origins {
+            Origins::One(origin) => start = origin.map(|value| [value; LANES]),
+            Origins::Each(origins) => {
+                for lane in 0..LANES {
+                    for axis in 0..3 {
+                        start[axis][lane] = origins[index[lane]][axis];
+                    }
+                }
+            }
+        }
+        start
+    }
+
+    /// Rays that met nothing go along their direction, up to the maximum range.
+    #[inline(always)]
+    fn aim_without_return(&self, index: &Indices, along: &mut [Numbers; 3], margin: &mut Numbers) {
+        let (Some(directions), Some(flags)) = (self.scan.directions, self.scan.no_return) else {
+            return;
+        };
+        let flags = index.map(|index| flags[index]);
+        if !flags.contains(&true) {
+            return;
+        }
+        for lane in 0..LANES {
+            let direction = wide(directions[index[lane]]);
+            let beyond = self.scan.reach.map_or(f64::NEG_INFINITY, |reach| {
+                norm(direction) - f64::from(reach[index[lane]]) // the way that is left behind the tip
+            });
+            margin[lane] = if flags[lane] { beyond } else { margin[lane] };
+            for axis in 0..3 {
+                let to_point = along[axis][lane];
+                along[axis][lane] = if flags[lane] { direction[axis] } else { to_point };
+            }
+        }
+    }
+
+    /// Let rays end before their points by the margin, and no further than `max_range` (eq. 20).
+    #[inline(always)]
+    fn shorten(
+        &self,
+        start: &[Numbers; 3],
+        along: &[Numbers; 3],
+        margin: &Numbers,
+        end: &mut [Numbers; 3],
+    ) {
+        let range = self.parameters.max_range;
+        let [x, y, z] = along;
+        for lane in 0..LANES {
+            let distance = (x[lane] * x[lane] + y[lane] * y[lane] + z[lane] * z[lane]).sqrt();
+            let reach = (distance - margin[lane]).max(0.0).min(range);
+            let is_whole = reach >= distance && margin[lane] >= 0.0;
+            for axis in 0..3 {
+                let ahead = start[axis][lane] + reach / distance * along[axis][lane];
+                end[axis][lane] = if is_whole { end[axis][lane] } else { ahead };
+            }
+        }
+    }
+
+    /// # Errors
+    /// [`Error::PointOutOfRange`] for the first ray of which an end cannot be indexed.
+    #[cold]
+    pub(crate) fn check(&self, rays: &[Ray]) -> Result<(), Error> {
+        for ray in rays {
+            let Segments { start, end } = self.segments(std::slice::from_ref(ray));
+            for point in [start, end].map(|lanes| lanes.map(|axis| axis[0])) {
+                floor(self.lattice.scaled(point)).ok_or(Error::PointOutOfRange { point })?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Default for Bounds {
+    fn default() -> Self {
+        let (low, high) = ([[f64::MAX; LANES]; 3], [[f64::MIN; LANES]; 3]);
+        Self { low, high, odd: [false; LANES] }
+    }
+}
+
+impl Bounds {
+    /// Let them hold rays, those whose flags are set.
+    #[inline(always)]
+    pub(crate) fn hold(&mut self, Segments { start, end }: &Segments, is_ray: &Flags) {
+        for axis in 0..3 {
+            for lane in 0..LANES {
+                let (a, b, is_ray) = (start[axis][lane], end[axis][lane], is_ray[lane]);
+                self.odd[lane] |= is_ray & !(a.is_finite() & b.is_finite());
+                let (low, high) = (self.low[axis][lane], self.high[axis][lane]);
+                let (least, most) = (least(a, b), -least(-a, -b));
+                self.low[axis][lane] = if is_ray & (least < low) { least } else { low };
+                self.high[axis][lane] = if is_ray & (most > high) { most } else { high };
+            }
+        }
+    }
+
+    /// The voxels of the corners; none without rays, or if one cannot be indexed.
+    pub(crate) fn voxels(&self, lattice: &Lattice) -> Option<[Voxel; 2]> {
+        // Scaling keeps the order of numbers.
+        let low = self.low.map(|lanes| lanes.into_iter().fold(f64::MAX, f64::min));
+        let high = self.high.map(|lanes| lanes.into_iter().fold(f64::MIN, f64::max));
+        if self.odd.contains(&true) || low[0] > high[0] {
+            return None;
+        }
+        Some([floor(lattice.scaled(low))?, floor(lattice.scaled(high))?])
+    }
+}
+
+impl Segments {
+    /// The same in units of voxels.
+    #[inline(always)]
+    pub(crate) fn scaled(&self, lattice: &Lattice) -> Self {
+        Self { start: scaled(&self.start, lattice), end: scaled(&self.end, lattice) }
+    }
+}
+
+#[inline(always)]
+fn scaled(points: &[Numbers; 3], lattice: &Lattice) -> [Numbers; 3] {
+    let mut scaled = *points;
+    for (axis, values) in scaled.iter_mut().enumerate() {
+        lattice.scale(axis, values);
+    }
+    scaled
+}
+
+/// Places in `window` of points that lie in it, in units of voxels.
+#[inline(always)]
+pub(crate) fn places(points: &[Numbers; 3], window: &Window) -> Lanes {
+    let mut places = [0; LANES];
+    for (axis, points) in points.iter().enumerate() {
+        let first = f64::from(window.first(axis));
+        for lane in 0..LANES {
+            places[lane] |= window.bits_at(axis, whole(points[lane].floor() - first));
+        }
+    }
+    places
+}
+
+/// The lesser one, as the vector unit has it.
+#[inline(always)]
+pub(crate) fn least(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::flying::integrate::integrator::BACKGROUND;
+    use crate::flying::integrate::integrator::tests::parameters;
+
+    /// Show `run` rays from starts to ends, in units of voxels.
+    pub(in super::super) fn with_rays<T>(
+        segments: &[([f64; 3], [f32; 3])],
+        run: impl FnOnce(&Source<'_>, Vec<Ray>) -> Result<T, Error>,
+    ) -> Result<T, Error> {
+        let (origins, points): (Vec<_>, Vec<_>) = segments.iter().copied().unzip();
+        let scan = ClassifiedScan {
+            points: &points,
+            class: &vec![BACKGROUND; points.len()],
+            origins: Origins::Each(&origins),
+            directions: None,
+            no_return: None,
+            no_ray: None,
+            reach: None,
+            pose_error: None,
+        };
+        let parameters = MapParameters { voxel_size: 1.0, max_range: 1e9, ..parameters() };
+        let lattice = Lattice::new(1.0, [0.0; 3])?;
+        let rays = (0..points.len() as u32).map(|index| Ray { index, count: 1 }).collect();
+        run(&Source { scan: &scan, parameters: &parameters, lattice: &lattice }, rays)
+    }
+}

@@ -1,0 +1,88 @@
+//! Marks of points beyond the window of the rays.
+
+use super::accumulator::Mark;
+use super::dense_blocks::{MarkRow, rows_of};
+use crate::flying::map::blocks::{EDGE, Place, VOLUME};
+use crate::util::key_hasher::Spread;
+use std::collections::HashMap;
+use std::hash::BuildHasherDefault;
+
+/// Points beyond the window, row by row: a stray return must not widen it, nor take a block.
+#[derive(Default)]
+pub(crate) struct Beyond {
+    slots: HashMap<Place, u32, BuildHasherDefault<Spread>>,
+    /// Blocks with their slots.
+    pub(super) opened: Vec<(Place, u32)>,
+    /// The last block that was asked for: points side by side share it.
+    last: Option<(Place, u32)>,
+    /// Of every slot a bit for each row that holds marks, and where these rows lie.
+    met: Vec<u64>,
+    places: Vec<[u32; VOLUME / EDGE as usize]>,
+    rows: Vec<MarkRow>,
+}
+
+impl Beyond {
+    /// Slot of a block, made when first met; None if there are more than `most`.
+    #[inline(always)]
+    pub(crate) fn slot(&mut self, place: Place, most: usize) -> Option<usize> {
+        if let Some((_, slot)) = self.last.filter(|(last, _)| *last == place) {
+            return Some(slot as usize);
+        }
+        let slot = self.find(place, most)?;
+        self.last = Some((place, slot));
+        Some(slot as usize)
+    }
+
+    #[inline(never)]
+    fn find(&mut self, place: Place, most: usize) -> Option<u32> {
+        let next = self.opened.len();
+        match self.slots.get(&place) {
+            Some(&slot) => Some(slot),
+            None if next > most => None, // the accumulator's `check` says so
+            None => {
+                self.slots.insert(place, next as u32);
+                self.opened.push((place, next as u32));
+                self.met.push(0);
+                self.places.push([0; VOLUME / EDGE as usize]);
+                Some(next as u32)
+            }
+        }
+    }
+
+    /// Place of a mark that is about to be set.
+    #[inline(always)]
+    pub(super) fn spot(&mut self, slot: usize, offset: usize) -> usize {
+        let (row, at) = (offset / EDGE as usize, offset % EDGE as usize);
+        if self.met[slot] >> row & 1 == 0 {
+            self.met[slot] |= 1 << row;
+            self.places[slot][row] = self.rows.len() as u32;
+            self.rows.push(MarkRow::default());
+        }
+        self.places[slot][row] as usize * EDGE as usize + at
+    }
+
+    /// Marks of all rows.
+    #[inline(always)]
+    pub(super) fn marks_mut(&mut self) -> &mut [Mark] {
+        self.rows.as_flattened_mut()
+    }
+
+    /// Put the rows of a block where they lie in a whole one. A bit for each.
+    pub(crate) fn copy(&self, slot: usize, block: &mut [Mark; VOLUME]) -> u64 {
+        let rows: &mut [MarkRow] = block.as_chunks_mut().0;
+        for row in rows_of(self.met[slot]) {
+            rows[row] = self.rows[self.places[slot][row] as usize];
+        }
+        self.met[slot]
+    }
+
+    /// Empty it for the next scan.
+    pub(crate) fn clear(&mut self) {
+        self.slots.clear();
+        self.opened.clear();
+        self.last = None;
+        self.met.clear();
+        self.places.clear();
+        self.rows.clear();
+    }
+}

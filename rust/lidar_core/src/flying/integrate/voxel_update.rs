@@ -1,0 +1,176 @@
+//! What the marks of a scan do to the values of a block.
+//!
+//! Source: Vrba et al., eqs 9 and 12.
+
+use super::accumulator::{Content, MAX_COUNT, Mark, POINT_UNITS, UNITS_PER_EDGE, tag_and_count};
+use super::dense_blocks::{MarkRow, rows_of};
+use crate::flying::map::blocks::{Bits, Block, EDGE, Place, Row, VOLUME, assign};
+use crate::flying::map::filter::{Levels, filtered, two_to_minus};
+use crate::flying::map::voxel_map::{RayUnit, VoxelMap};
+use crate::geometry::lattice::Voxel;
+use pulp::{Arch, Simd, WithSimd};
+
+/// Voxels that are updated at a time: those of a row of x.
+const ROW: usize = EDGE as usize;
+
+/// What a mark does to a value.
+#[derive(Clone, Copy)]
+pub(crate) struct Rule {
+    levels: Levels,
+    initial: f32,
+    g: [f32; 3],
+    per_unit: f64,
+    /// Weight of one of the units in which points are counted.
+    per_point: f64,
+    /// First and last voxel of the operating volume.
+    limits: Option<[Voxel; 2]>,
+}
+
+impl Rule {
+    pub(crate) fn of(map: &VoxelMap, weighted: bool) -> Self {
+        let p = map.parameters();
+        let unit = match p.ray_unit {
+            RayUnit::Edges => 1.0,
+            RayUnit::Metres => p.voxel_size,
+            RayUnit::Diagonals => 1.0 / 3f64.sqrt(),
+        };
+        Self {
+            levels: map.levels(),
+            initial: p.initial,
+            g: [p.g_free, p.g_unk, p.g_occ],
+            per_unit: p.ray_gain * unit / UNITS_PER_EDGE,
+            per_point: if weighted { 1.0 / f64::from(POINT_UNITS) } else { 1.0 },
+            limits: map.limits,
+        }
+    }
+
+    /// Number of the voxels of `block` that the marks change.
+    pub(crate) fn count(&self, block: &Block, marks: &[Mark; VOLUME], met: u64) -> usize {
+        Arch::new().dispatch(Count { rule: self, place: block.place, marks, met })
+    }
+
+    /// Update a block that holds the rows `met`, on the vector unit of the machine. Returns the
+    /// voxels whose groups have to be looked at.
+    pub(crate) fn apply(&self, block: &mut Block, marks: &[Mark; VOLUME], met: u64) -> Bits {
+        Arch::new().dispatch(Apply { rule: self, block, marks, met })
+    }
+
+    /// Marks of a row from the voxel `first` on, without those outside the operating volume.
+    #[inline(always)]
+    fn admitted(&self, place: Place, first: usize, marks: &[Mark; ROW]) -> [Mark; ROW] {
+        let Some([low, high]) = self.limits else { return *marks };
+        std::array::from_fn(|at| {
+            let voxel = place.voxel(first + at);
+            let inside = (0..3).all(|axis| (low[axis]..=high[axis]).contains(&voxel[axis]));
+            if inside { marks[at] } else { 0 }
+        })
+    }
+
+    /// What a row becomes. Without branches, for all its voxels at a time.
+    #[inline(always)]
+    fn updated(&self, stored: &Row, marks: &MarkRow) -> Row {
+        let holds_points = marks.iter().fold(0, |all, mark| all | mark) > MAX_COUNT;
+        let mut values = *stored;
+        for (value, &mark) in values.iter_mut().zip(marks) {
+            *value =
+                if holds_points { self.marked(*value, mark) } else { self.cleared(*value, mark) };
+        }
+        values
+    }
+
+    /// A value that only rays can have changed.
+    #[inline(always)]
+    fn cleared(&self, stored: f32, mark: Mark) -> f32 {
+        let keep = two_to_minus(f64::from(mark & MAX_COUNT) * self.per_unit);
+        let value = filtered(self.known(stored), self.g[0], keep);
+        if mark == 0 { stored } else { value }
+    }
+
+    #[inline(always)]
+    fn marked(&self, stored: f32, mark: Mark) -> f32 {
+        let (tag, count) = tag_and_count(mark);
+        let of_rays = tag == Content::Rays as u32;
+        let [free, unknown, occupied] = self.g;
+        let per_unit = if of_rays { self.per_unit } else { self.per_point };
+        let keep = two_to_minus(f64::from(count) * per_unit);
+        let keep = if tag == Content::Flying as u32 { 0.0 } else { keep }; // n_det is infinite (eq. 17)
+        let seen = if tag == Content::Background as u32 { occupied } else { unknown };
+        let value = filtered(self.known(stored), if of_rays { free } else { seen }, keep);
+        if mark == 0 { stored } else { value }
+    }
+
+    #[inline(always)]
+    fn known(&self, stored: f32) -> f32 {
+        if stored.is_nan() { self.initial } else { stored }
+    }
+}
+
+struct Count<'a> {
+    rule: &'a Rule,
+    place: Place,
+    marks: &'a [Mark; VOLUME],
+    met: u64,
+}
+
+impl WithSimd for Count<'_> {
+    type Output = usize;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> usize {
+        let rows = self.marks.as_chunks().0;
+        let mut counts = [0u32; ROW];
+        for row in rows_of(self.met) {
+            let marks = self.rule.admitted(self.place, row * ROW, &rows[row]);
+            for (count, mark) in counts.iter_mut().zip(marks) {
+                *count = count.wrapping_add(u32::from(mark != 0));
+            }
+        }
+        counts.into_iter().sum::<u32>() as usize
+    }
+}
+
+struct Apply<'a> {
+    rule: &'a Rule,
+    block: &'a mut Block,
+    marks: &'a [Mark; VOLUME],
+    /// A bit for every row that holds marks.
+    met: u64,
+}
+
+impl WithSimd for Apply<'_> {
+    type Output = Bits;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Bits {
+        let Self { rule, block, marks, met } = self;
+        let rule = *rule; // a copy that nothing else can change
+        let mut changed = [0; EDGE as usize];
+        let rows = marks.as_chunks().0;
+        for row in rows_of(met) {
+            let marks = rule.admitted(block.place, row * ROW, &rows[row]);
+            update_row(&rule, block, row, &marks, &mut changed);
+        }
+        changed
+    }
+}
+
+#[inline(always)]
+fn update_row(rule: &Rule, block: &mut Block, row: usize, marks: &MarkRow, changed: &mut Bits) {
+    let Some(stored) = block.row_mut(row) else { return };
+    let stays =
+        |(&value, &mark): (&f32, &Mark)| (mark <= MAX_COUNT) & (value == rule.g[0]) | (mark == 0);
+    if stored.iter().zip(marks).fold(true, |all, voxel| all & stays(voxel)) {
+        return; // pulled to where it is: most of the air, after a few scans
+    }
+    let values = rule.updated(stored, marks);
+    let crosses = |at: usize| rule.levels.crosses(stored[at], values[at]);
+    if !(0..ROW).fold(false, |any, at| any | crosses(at)) {
+        *stored = values;
+        return;
+    }
+    for (at, &value) in values.iter().enumerate() {
+        if rule.levels.store(block, row * ROW + at, value) {
+            assign(changed, row * ROW + at, true);
+        }
+    }
+}

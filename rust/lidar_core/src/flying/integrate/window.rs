@@ -1,0 +1,176 @@
+//! Blocks that bound the rays of one scan.
+
+use crate::Error;
+use crate::flying::map::blocks::{EDGE, EDGE_BITS, Place};
+use crate::geometry::lattice::Voxel;
+
+/// Most blocks in the window of one scan: a voxel's place then fits 32 bits.
+const MAX_WINDOW: u64 = 1 << 23;
+/// Most blocks along an axis: walls on longer rays would be rounded to a part of a voxel
+/// (docs/adr/0002).
+const MAX_ALONG: u64 = 1 << 11;
+/// Windows of at most so many blocks lie in memory as a whole. 64 MiB, of which only what rays meet
+/// is ever used.
+const MAX_WHOLE: usize = 1 << 15;
+
+/// Blocks that bound the rays of one scan.
+///
+/// A voxel's place in the window is a row of bits: its place in the block, then that of the block,
+/// each along all axes, so that a step along an axis is one addition. Lengths are powers of two
+/// then, but for the axis that comes last.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Window {
+    low: [i32; 3],
+    size: [usize; 3],
+    /// Bits that the index of a block takes along x, y, z.
+    bits: [u32; 3],
+    /// The lowest one of each among the bits of a voxel.
+    lowest: [u32; 3],
+    /// Axes in the order of their bits.
+    order: [usize; 3],
+    /// Blocks of the window and beside it, up to powers of two.
+    len: usize,
+}
+
+/// Bits of the place of a voxel in its block.
+const INSIDE: u32 = 3 * EDGE_BITS as u32;
+
+impl Window {
+    /// The window that spans both voxels.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] if it holds too many blocks.
+    pub(crate) fn spanning(low: Voxel, high: Voxel) -> Result<Self, Error> {
+        let (low, high) = (Place::of(low).0, Place::of(high).0);
+        let size: [u64; 3] =
+            std::array::from_fn(|axis| u64::from(high[axis].abs_diff(low[axis])) + 1);
+        if let Some(edge) = size.into_iter().find(|&edge| edge > MAX_ALONG) {
+            return Err(Error::Limit {
+                what: format!("a scan that spans {edge} blocks of 8 voxels along an axis"),
+                limit: MAX_ALONG,
+                key: "raise `voxel_size` or lower `max_range`",
+            });
+        }
+        let bits = size.map(|edge| edge.next_power_of_two().trailing_zeros());
+        let order = order_of(size, bits);
+        let last = order[2];
+        let len = size[last] << (bits.iter().sum::<u32>() - bits[last]);
+        if len <= MAX_WINDOW {
+            let (mut lowest, mut next) = ([0; 3], INSIDE);
+            for axis in order {
+                lowest[axis] = next;
+                next += bits[axis];
+            }
+            let (size, len) = (size.map(|edge| edge as usize), len as usize);
+            return Ok(Self { low, size, bits, lowest, order, len });
+        }
+        Err(Error::Limit {
+            what: format!("a scan that spans {size:?} blocks of 8 voxels"),
+            limit: MAX_WINDOW,
+            key: "raise `voxel_size` or lower `max_range`",
+        })
+    }
+
+    /// Blocks of the window and beside it, up to powers of two.
+    pub(crate) fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether it lies in memory as a whole.
+    pub(crate) fn is_whole(&self) -> bool {
+        self.len <= MAX_WHOLE
+    }
+
+    /// Indices of its blocks.
+    pub(crate) fn indices(&self) -> impl Iterator<Item = usize> {
+        let [i, j, k] = self.order.map(|axis| (self.size[axis], self.lowest[axis] - INSIDE));
+        let along = |(size, lowest): (usize, u32)| (0..size).map(move |block| block << lowest);
+        along(k).flat_map(move |k| along(j).flat_map(move |j| along(i).map(move |i| k | j | i)))
+    }
+
+    /// Index of its first voxels along an axis.
+    pub(crate) fn first(&self, axis: usize) -> i32 {
+        self.low[axis] << EDGE_BITS
+    }
+
+    /// Bits along `axis` of a voxel that is so many after the first.
+    #[inline(always)]
+    pub(super) fn bits_at(&self, axis: usize, after: u32) -> u32 {
+        let (inside, block) = (after % EDGE as u32, after / EDGE as u32);
+        inside << (EDGE_BITS as usize * axis) | block.wrapping_shl(self.lowest[axis])
+    }
+
+    /// Those of them that belong to an axis.
+    #[inline(always)]
+    pub(super) fn bits_along(&self, axis: usize) -> u32 {
+        let (inside, block) = ((EDGE as u32) - 1, (1u32 << self.bits[axis]) - 1);
+        inside << (EDGE_BITS as usize * axis) | block.wrapping_shl(self.lowest[axis])
+    }
+
+    /// Place of a voxel, if it lies in the window.
+    #[inline(always)]
+    pub(super) fn place_of(&self, voxel: Voxel) -> Option<usize> {
+        let mut after = [0; 3];
+        for axis in 0..3 {
+            after[axis] = voxel[axis].wrapping_sub(self.first(axis)).cast_unsigned();
+            if after[axis] as usize >= self.size[axis] * EDGE as usize {
+                return None;
+            }
+        }
+        Some((0..3).fold(0, |bits, axis| bits | self.bits_at(axis, after[axis])) as usize)
+    }
+
+    pub(crate) fn place(&self, index: usize) -> Place {
+        Place(std::array::from_fn(|axis| {
+            let block = index >> (self.lowest[axis] - INSIDE) & ((1 << self.bits[axis]) - 1);
+            self.low[axis] + block as i32
+        }))
+    }
+}
+
+/// Axes by the bits that the index of a block takes along each, and last the one along which a power
+/// of two would be the most too many.
+fn order_of(size: [u64; 3], bits: [u32; 3]) -> [usize; 3] {
+    let filled = |axis: usize| size[axis] as f64 / f64::from(1u32 << bits[axis]);
+    let last = (0..2).fold(2, |last, axis| if filled(axis) < filled(last) { axis } else { last });
+    [[1, 2, 0], [0, 2, 1], [0, 1, 2]][last]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flying::map::blocks::{VOLUME, offset_of};
+
+    #[test]
+    fn bits_of_a_voxel_are_the_index_of_its_block_and_its_place_there() -> Result<(), Error> {
+        let (low, high) = ([-70, -3, -1000], [25, 40, -985]);
+        let window = Window::spanning(low, high)?;
+        for turns in 0..3 {
+            let turned = |mut voxel: Voxel| {
+                voxel.rotate_right(turns);
+                voxel
+            };
+            let window = Window::spanning(turned(low), turned(high))?;
+            assert_eq!(window.len(), 13 * 8 * 2); // not 16 blocks along the longest axis
+            assert!(window.indices().is_sorted());
+            for voxel in [low, high, [0, 0, -991], [-65, 39, -992]].map(turned) {
+                let place = window.place_of(voxel);
+                let index = window.indices().find(|&index| window.place(index) == Place::of(voxel));
+                assert!(index.is_some_and(|index| index < window.len()));
+                assert_eq!(place, index.map(|index| index * VOLUME + offset_of(voxel)));
+            }
+        }
+        for beyond in [[-73, 0, -1000], [32, 0, -1000], [0, -9, -1000], [0, 0, -984]] {
+            assert_eq!(window.place_of(beyond), None);
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn windows_that_are_too_long_or_too_large_are_refused() {
+        let spans = |high| Window::spanning([0; 3], high).is_ok();
+        assert!(spans([16_383, 0, 0]) && spans([0, 16_383, 2047]) && spans([1023, 2047, 2047]));
+        assert!(!spans([16_384, 0, 0]) && !spans([0, 0, 16_384]) && !spans([2048, 2047, 2047]));
+        assert!(Window::spanning([i32::MIN; 3], [i32::MAX; 3]).is_err());
+    }
+}

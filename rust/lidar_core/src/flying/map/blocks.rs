@@ -1,0 +1,344 @@
+//! Storage of the voxel map: cubes of 8 x 8 x 8 voxels, and in them rows of 8, made when first met.
+
+use crate::Error;
+use crate::geometry::lattice::Voxel;
+use crate::util::key_hasher::Spread;
+use std::collections::HashMap;
+use std::hash::{BuildHasherDefault, Hash, Hasher};
+
+/// Voxels along the edge of a block, as a power of two.
+pub(crate) const EDGE_BITS: i32 = 3;
+/// Voxels along the edge of a block.
+pub(crate) const EDGE: i32 = 1 << EDGE_BITS;
+/// Voxels in a block.
+pub(crate) const VOLUME: usize = 1 << (3 * EDGE_BITS);
+
+/// Marks a voxel inside a block that no point and no ray has met.
+pub(crate) const NEVER: f32 = f32::NAN;
+
+/// One bit per voxel of a block: a word per layer of z, a byte per row of x.
+pub(crate) type Bits = [u64; EDGE as usize];
+
+/// Values of the voxels of a row of x.
+pub(crate) type Row = [f32; EDGE as usize];
+
+/// Values of 512 voxels: of those rows that were met.
+#[derive(Clone)]
+pub(crate) struct Block {
+    pub(crate) place: Place,
+    /// At least tentatively occupied.
+    pub(crate) tentative: Bits,
+    /// Confidently occupied.
+    pub(crate) confident: Bits,
+    /// A bit for every row that is held.
+    held: u64,
+    /// The rows that are held, by y, then z.
+    rows: Vec<Row>,
+}
+
+impl Block {
+    fn new(place: Place) -> Self {
+        Self { place, tentative: [0; 8], confident: [0; 8], held: 0, rows: Vec::new() }
+    }
+
+    /// Bytes that it takes.
+    pub(crate) fn bytes(&self) -> usize {
+        size_of::<Self>() + self.rows.capacity() * size_of::<Row>()
+    }
+
+    /// The stored value; NaN where nothing has been observed.
+    #[inline]
+    pub(crate) fn value(&self, offset: usize) -> f32 {
+        let row = offset / EDGE as usize;
+        if self.held >> row & 1 == 0 {
+            return NEVER;
+        }
+        self.rows[self.before(row)][offset % EDGE as usize]
+    }
+
+    pub(crate) fn values(&self) -> impl Iterator<Item = f32> {
+        (0..VOLUME).map(|offset| self.value(offset))
+    }
+
+    /// Store a value.
+    pub(crate) fn set(&mut self, offset: usize, value: f32) {
+        let row = offset / EDGE as usize;
+        self.hold(1 << row);
+        if let Some(values) = self.row_mut(row) {
+            values[offset % EDGE as usize] = value;
+        }
+    }
+
+    /// A row that is held.
+    #[inline]
+    pub(crate) fn row_mut(&mut self, row: usize) -> Option<&mut Row> {
+        let at = self.before(row);
+        self.rows.get_mut(at).filter(|_| self.held >> row & 1 == 1)
+    }
+
+    /// Hold the rows whose bits are set, beside those that are held.
+    pub(crate) fn hold(&mut self, rows: u64) {
+        let (old, held) = (self.held, self.held | rows);
+        if old == held {
+            return;
+        }
+        let mut all = Vec::with_capacity(held.count_ones() as usize);
+        let mut known = self.rows.iter();
+        for row in (0..64).filter(|row| held >> row & 1 == 1) {
+            let before = if old >> row & 1 == 1 { known.next() } else { None };
+            all.push(before.copied().unwrap_or([NEVER; EDGE as usize]));
+        }
+        (self.held, self.rows) = (held, all);
+    }
+
+    /// Rows that are held before this one.
+    #[inline]
+    fn before(&self, row: usize) -> usize {
+        (self.held & ((1 << row) - 1)).count_ones() as usize
+    }
+}
+
+/// Index of a block along x, y, z.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Place(pub(crate) [i32; 3]);
+
+impl Place {
+    #[inline]
+    pub(crate) fn of(voxel: Voxel) -> Self {
+        Self(voxel.map(|index| index >> EDGE_BITS))
+    }
+
+    /// The voxel at `offset` inside this block.
+    #[inline]
+    pub(crate) fn voxel(self, offset: usize) -> Voxel {
+        let offset = offset as i32;
+        let inside = [offset & 7, offset >> EDGE_BITS & 7, offset >> (2 * EDGE_BITS)];
+        std::array::from_fn(|axis| (self.0[axis] << EDGE_BITS) + inside[axis])
+    }
+}
+
+/// Place of a voxel inside its block.
+#[inline]
+pub(crate) fn offset_of(voxel: Voxel) -> usize {
+    ((voxel[0] & 7) | (voxel[1] & 7) << EDGE_BITS | (voxel[2] & 7) << (2 * EDGE_BITS)) as usize
+}
+
+#[inline]
+pub(crate) fn has(bits: &Bits, offset: usize) -> bool {
+    bits[offset >> 6] >> (offset & 63) & 1 == 1
+}
+
+#[inline]
+pub(crate) fn assign(bits: &mut Bits, offset: usize, value: bool) {
+    let mask = 1 << (offset & 63);
+    if value {
+        bits[offset >> 6] |= mask;
+    } else {
+        bits[offset >> 6] &= !mask;
+    }
+}
+
+impl Hash for Place {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        let [x, y, z] = self.0.map(|index| u64::from(index.cast_unsigned()));
+        state.write_u64(x ^ y.rotate_left(21) ^ z.rotate_left(42));
+    }
+}
+
+/// All blocks, found by their place in constant time.
+#[derive(Clone)]
+pub(crate) struct Blocks {
+    slots: HashMap<Place, u32, BuildHasherDefault<Spread>>,
+    /// None only while a block is being updated.
+    pool: Vec<Option<Box<Block>>>,
+    max_blocks: usize,
+}
+
+impl Blocks {
+    pub(crate) fn new(max_voxels: u64) -> Self {
+        let max_blocks = usize::try_from(max_voxels / VOLUME as u64).unwrap_or(usize::MAX);
+        Self {
+            slots: HashMap::default(),
+            pool: Vec::new(),
+            max_blocks: max_blocks.min(u32::MAX as usize),
+        }
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.pool.len()
+    }
+
+    /// The budget, in blocks.
+    pub(crate) fn max_blocks(&self) -> usize {
+        self.max_blocks
+    }
+
+    pub(crate) fn slot(&self, place: Place) -> Option<u32> {
+        self.slots.get(&place).copied()
+    }
+
+    #[inline]
+    pub(crate) fn get(&self, place: Place) -> Option<&Block> {
+        self.at(self.slot(place)?)
+    }
+
+    #[inline]
+    pub(crate) fn find(&self, place: Place) -> Option<(u32, &Block)> {
+        let slot = self.slot(place)?;
+        Some((slot, self.at(slot)?))
+    }
+
+    /// The stored value; NaN where nothing has been observed.
+    pub(crate) fn stored(&self, voxel: Voxel) -> f32 {
+        self.get(Place::of(voxel)).map_or(NEVER, |block| block.value(offset_of(voxel)))
+    }
+
+    #[inline]
+    pub(crate) fn at(&self, slot: u32) -> Option<&Block> {
+        self.pool.get(slot as usize)?.as_deref()
+    }
+
+    pub(crate) fn at_mut(&mut self, slot: u32) -> Option<&mut Block> {
+        self.pool.get_mut(slot as usize)?.as_deref_mut()
+    }
+
+    /// All blocks, in the order in which they were made.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = &Block> {
+        self.pool.iter().filter_map(Option::as_deref)
+    }
+
+    /// Slots of the blocks at `places`, made where they are missing: all or none.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] if the map would outgrow its budget or the memory cannot be had.
+    pub(crate) fn ensure(&mut self, places: &[Place]) -> Result<Vec<u32>, Error> {
+        self.reserve(places.iter().filter(|&&place| self.slot(place).is_none()).count())?;
+        Ok(places.iter().map(|&place| self.make(place)).collect())
+    }
+
+    /// Have room for so many more blocks.
+    ///
+    /// # Errors
+    /// As [`Blocks::ensure`].
+    pub(crate) fn reserve(&mut self, missing: usize) -> Result<(), Error> {
+        let wanted = self.pool.len() + missing;
+        if wanted > self.max_blocks
+            || self.pool.try_reserve(missing).is_err()
+            || self.slots.try_reserve(missing).is_err()
+        {
+            return Err(Error::Limit {
+                what: format!("a voxel map of {} voxels", wanted * VOLUME),
+                limit: (self.max_blocks * VOLUME) as u64,
+                key: "voxel_map.max_voxels",
+            });
+        }
+        Ok(())
+    }
+
+    /// Slot of the block at `place`, made if it is missing.
+    pub(crate) fn make(&mut self, place: Place) -> u32 {
+        let next = self.pool.len() as u32; // at most u32::MAX blocks
+        let slot = *self.slots.entry(place).or_insert(next);
+        if slot == next {
+            self.pool.push(Some(Box::new(Block::new(place))));
+        }
+        slot
+    }
+
+    /// Take a block out for an update; `put` brings it back.
+    pub(crate) fn take(&mut self, slot: u32) -> Option<Box<Block>> {
+        self.pool.get_mut(slot as usize)?.take()
+    }
+
+    pub(crate) fn put(&mut self, slot: u32, block: Box<Block>) {
+        self.pool[slot as usize] = Some(block);
+    }
+
+    /// Drop every block for which `keep` says false.
+    pub(crate) fn retain(&mut self, mut keep: impl FnMut(Place) -> bool) {
+        self.pool.retain(|block| block.as_ref().is_some_and(|block| keep(block.place)));
+        self.slots.clear();
+        for (slot, block) in self.pool.iter().enumerate() {
+            if let Some(block) = block {
+                self.slots.insert(block.place, slot as u32);
+            }
+        }
+    }
+}
+
+/// Reads voxels one after another; remembers the last block, since neighbours share it.
+pub(crate) struct Cursor<'a> {
+    blocks: &'a Blocks,
+    last: Option<(Place, Option<&'a Block>)>,
+}
+
+impl<'a> Cursor<'a> {
+    pub(crate) fn new(blocks: &'a Blocks) -> Self {
+        Self { blocks, last: None }
+    }
+
+    #[inline]
+    pub(crate) fn block(&mut self, place: Place) -> Option<&'a Block> {
+        match self.last {
+            Some((known, block)) if known == place => block,
+            _ => {
+                let block = self.blocks.get(place);
+                self.last = Some((place, block));
+                block
+            }
+        }
+    }
+
+    /// The stored value; NaN where nothing has been observed.
+    #[inline]
+    pub(crate) fn stored(&mut self, voxel: Voxel) -> f32 {
+        self.block(Place::of(voxel)).map_or(NEVER, |block| block.value(offset_of(voxel)))
+    }
+
+    #[inline]
+    pub(crate) fn is_tentative(&mut self, voxel: Voxel) -> bool {
+        self.block(Place::of(voxel)).is_some_and(|block| has(&block.tentative, offset_of(voxel)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_voxel_is_found_in_its_block() {
+        for voxel in [[0, 0, 0], [-1, 7, 8], [-9, 100, -64], [i32::MAX - 1, i32::MIN + 1, 3]] {
+            assert_eq!(Place::of(voxel).voxel(offset_of(voxel)), voxel);
+        }
+    }
+
+    #[test]
+    fn rows_are_held_in_order_however_they_come() {
+        let mut block = Block::new(Place([0; 3]));
+        for (step, offset) in [300, 5, 511, 4, 64].into_iter().enumerate() {
+            block.set(offset, step as f32);
+        }
+        block.hold(0b111);
+        assert_eq!(
+            [300, 5, 511, 4, 64].map(|offset| block.value(offset)),
+            [0.0, 1.0, 2.0, 3.0, 4.0]
+        );
+        assert_eq!(block.values().filter(|value| !value.is_nan()).count(), 5);
+        assert!(block.row_mut(1).is_some() && block.row_mut(9).is_none());
+    }
+
+    #[test]
+    fn a_full_map_refuses_and_stays_as_it_was() -> Result<(), Error> {
+        let mut blocks = Blocks::new(2 * VOLUME as u64);
+        blocks.ensure(&[Place([0, 0, 0])])?;
+        assert!(matches!(
+            blocks.ensure(&[Place([1, 0, 0]), Place([2, 0, 0])]),
+            Err(Error::Limit { .. })
+        ));
+        assert_eq!(blocks.len(), 1);
+        assert_eq!(blocks.ensure(&[Place([5, 0, 0]), Place([0, 0, 0])])?, [1, 0]);
+        blocks.retain(|place| place.0[0] == 5);
+        assert_eq!((blocks.slot(Place([5, 0, 0])), blocks.slot(Place([0, 0, 0]))), (Some(0), None));
+        Ok(())
+    }
+}

@@ -1,0 +1,253 @@
+//! Searches for groups of occupied voxels that hold too few confident ones.
+//!
+//! Voxels are taken a layer of a block at a time, as the bits of a word.
+
+use super::blocks::{Bits, Block, Blocks, Place, has};
+use super::layers::{Layer, Neighbours};
+use crate::geometry::lattice::Voxel;
+use crate::util::key_hasher::Spread;
+use std::collections::HashSet;
+use std::hash::BuildHasherDefault;
+
+/// What the searches know of the voxels of a block.
+#[derive(Clone, Copy, Default)]
+struct Mark {
+    /// Some search of this removal has met them.
+    met: Bits,
+    /// Their group holds enough confident voxels, or held them at the last removal.
+    anchored: Bits,
+}
+
+/// Marks per slot of the map's pool, and memory. Between removals no voxel is met.
+#[derive(Clone, Default)]
+pub(crate) struct Marks {
+    marks: Vec<Mark>,
+    /// Slots of which voxels are met.
+    touched: Vec<u32>,
+    /// Of the group that is searched.
+    members: Vec<Layer>,
+    /// Members of separate groups.
+    pub(crate) separate: Vec<Layer>,
+}
+
+impl Marks {
+    fn at(&mut self, slot: u32) -> &mut Mark {
+        let mark = &mut self.marks[slot as usize];
+        if mark.met.iter().all(|&bits| bits == 0) {
+            self.touched.push(slot);
+        }
+        mark
+    }
+}
+
+/// Blocks that are known at a time: 16 x 16 x 8.
+const LATELY: usize = 1 << 11;
+
+/// Slot of a block in the map's pool, and the block.
+type Found<'a> = (u32, &'a Block);
+
+/// Blocks with occupied voxels found lately: a search goes from neighbour to neighbour.
+struct Lately<'a> {
+    blocks: &'a Blocks,
+    known: [(Place, Option<Found<'a>>); LATELY],
+}
+
+impl<'a> Lately<'a> {
+    fn new(blocks: &'a Blocks) -> Self {
+        Self { blocks, known: [(Place([i32::MAX; 3]), None); LATELY] } // no voxel lies there
+    }
+
+    #[inline]
+    fn find(&mut self, place: Place) -> Option<Found<'a>> {
+        let [x, y, z] = place.0.map(|index| index as usize);
+        let known = &mut self.known[(z & 7) << 8 | (y & 15) << 4 | x & 15];
+        if known.0 != place {
+            let found = self.blocks.find(place);
+            *known =
+                (place, found.filter(|(_, block)| block.tentative.iter().any(|&bits| bits != 0)));
+        }
+        known.1
+    }
+}
+
+/// Breadth-first searches of one removal; what one search learns, the others use.
+pub(crate) struct Search<'a> {
+    blocks: Lately<'a>,
+    neighbours: &'a Neighbours,
+    kept: &'a HashSet<Place, BuildHasherDefault<Spread>>,
+    min_confident: usize,
+    marks: Marks,
+    /// Whether what the last removal found counts.
+    trusts_last: bool,
+    anchor: Option<Voxel>,
+}
+
+impl<'a> Search<'a> {
+    pub(crate) fn new(
+        blocks: &'a Blocks,
+        neighbours: &'a Neighbours,
+        kept: &'a HashSet<Place, BuildHasherDefault<Spread>>,
+        min_confident: usize,
+        mut marks: Marks,
+    ) -> Self {
+        marks.marks.resize(blocks.len(), Mark::default());
+        marks.separate.clear();
+        Self {
+            blocks: Lately::new(blocks),
+            neighbours,
+            kept,
+            min_confident,
+            marks,
+            trusts_last: false,
+            anchor: None,
+        }
+    }
+
+    /// What the last removal found anchored counts from now on: all groups that lost voxels since
+    /// then have been looked at.
+    pub(super) fn trust_last(&mut self) {
+        self.trusts_last = true;
+    }
+
+    /// A voxel of some group with enough confident ones.
+    pub(crate) fn anchor(&self) -> Option<Voxel> {
+        self.anchor
+    }
+
+    /// The marks for the next removal, with the members of separate groups.
+    pub(crate) fn finish(mut self) -> Marks {
+        let Marks { marks, touched, .. } = &mut self.marks;
+        for slot in touched.drain(..) {
+            marks[slot as usize].met = Bits::default();
+        }
+        self.marks
+    }
+
+    /// Look at the groups of voxels that changed; where one is no longer occupied, at the groups
+    /// around it, which it may have held together.
+    pub(super) fn look_around(&mut self, changed: &[Layer]) {
+        for &layer in changed {
+            let found = self.blocks.find(layer.place);
+            let occupied = found.map_or(0, |(_, block)| block.tentative[layer.z as usize]);
+            if let Some(found) = found {
+                self.each_unmet(found, Layer { bits: layer.bits & occupied, ..layer });
+            }
+            let gone = Layer { bits: layer.bits & !occupied, ..layer };
+            if gone.bits != 0 {
+                if let Some(slot) = self.blocks.blocks.slot(gone.place) {
+                    self.marks.marks[slot as usize].anchored[gone.z as usize] &= !gone.bits;
+                }
+                self.each_around(&gone, |search, found, beside| {
+                    search.each_unmet(found, beside);
+                    false
+                });
+            }
+        }
+    }
+
+    /// Search the groups of those voxels of an occupied layer that no search has met.
+    fn each_unmet(&mut self, found: Found<'a>, layer: Layer) {
+        for offset in layer.offsets() {
+            if !has(&self.marks.marks[found.0 as usize].met, offset) {
+                self.component(found, layer.place.voxel(offset));
+            }
+        }
+    }
+
+    /// Visit the layers with [`open`](Self::open) voxels around a layer, until one visit says true;
+    /// whether one did.
+    #[inline]
+    fn each_around(
+        &mut self,
+        layer: &Layer,
+        mut visit: impl FnMut(&mut Self, Found<'a>, Layer) -> bool,
+    ) -> bool {
+        let neighbours = self.neighbours;
+        let [x, y, z] = layer.place.0;
+        neighbours.any_block(layer, |step| {
+            let place = Place([x + step[0], y + step[1], z + step[2]]);
+            let Some(found) = self.blocks.find(place) else { return false };
+            neighbours.layers(layer, step[2]).any(|z| {
+                let open = self.open(found, z as usize);
+                let bits = if open == 0 { 0 } else { open & neighbours.of(layer, step, z) };
+                bits != 0 && visit(self, found, Layer { place, z, bits })
+            })
+        })
+    }
+
+    /// Search the group of `start` until it is anchored, or known whole and separate.
+    fn component(&mut self, found: Found<'a>, start: Voxel) {
+        let mut members = std::mem::take(&mut self.marks.members);
+        members.clear();
+        let mut confident = 0;
+        let mut anchored = self.meet(found, Layer::of(start), &mut members, &mut confident)
+            || confident >= self.min_confident;
+        let mut next = 0;
+        while let Some(&layer) = members.get(next).filter(|_| !anchored) {
+            next += 1;
+            anchored = self.each_around(&layer, |search, found, beside| {
+                search.meet(found, beside, &mut members, &mut confident)
+                    || confident >= search.min_confident
+            });
+        }
+        if anchored {
+            self.anchor = self.anchor.or(Some(start));
+            for layer in &members {
+                if let Some((slot, _)) = self.blocks.find(layer.place) {
+                    self.marks.at(slot).anchored[layer.z as usize] |= layer.bits;
+                }
+            }
+        } else if !members.iter().any(|layer| self.is_kept(layer)) {
+            self.marks.separate.extend(&members);
+        }
+        self.marks.members = members;
+    }
+
+    fn is_kept(&self, layer: &Layer) -> bool {
+        let kept = |offset| self.kept.contains(&Place(layer.place.voxel(offset)));
+        !self.kept.is_empty() && layer.offsets().any(kept)
+    }
+
+    /// Occupied voxels of a layer that no search has met, or whose group is known to be anchored.
+    #[inline]
+    fn open(&self, (slot, block): Found<'_>, z: usize) -> u64 {
+        block.tentative[z] & (!self.marks.marks[slot as usize].met[z] | self.anchored(slot, z))
+    }
+
+    /// Voxels of a layer whose group is known to be anchored.
+    #[inline]
+    fn anchored(&self, slot: u32, z: usize) -> u64 {
+        let Mark { met, anchored } = &self.marks.marks[slot as usize];
+        if self.trusts_last { anchored[z] } else { anchored[z] & met[z] }
+    }
+
+    /// Add those of some open voxels that are new, and what is linked to them in their layer. True if
+    /// one of them is anchored.
+    #[inline]
+    fn meet(
+        &mut self,
+        (slot, block): Found<'_>,
+        layer: Layer,
+        members: &mut Vec<Layer>,
+        confident: &mut usize,
+    ) -> bool {
+        let z = layer.z as usize;
+        let anchored = layer.bits & self.anchored(slot, z) != 0;
+        let unmet = block.tentative[z] & !self.marks.marks[slot as usize].met[z];
+        let (mut bits, mut more) = (0, layer.bits & unmet);
+        while more != 0 {
+            bits |= more;
+            let beside = self.neighbours.of(&Layer { bits: more, ..layer }, [0; 3], layer.z);
+            more = beside & unmet & !bits;
+        }
+        if bits != 0 {
+            let trusts_last = self.trusts_last;
+            let mark = self.marks.at(slot);
+            mark.met[z] |= bits;
+            mark.anchored[z] &= if trusts_last { u64::MAX } else { !bits };
+            *confident += (bits & block.confident[z]).count_ones() as usize;
+            members.push(Layer { bits, ..layer });
+        }
+        anchored
+    }
+}

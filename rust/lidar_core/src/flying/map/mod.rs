@@ -1,0 +1,9 @@
+//! The voxel map: states, storage, removal of separate background, files.
+
+pub(crate) mod blocks;
+pub mod filter;
+pub(crate) mod islands;
+pub(crate) mod layers;
+pub(crate) mod persist;
+pub mod separate;
+pub mod voxel_map;

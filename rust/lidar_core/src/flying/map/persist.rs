@@ -1,0 +1,318 @@
+//! Saving and loading a voxel map: versioned, checksummed, atomic.
+//!
+//! Layout (little endian): magic `LCVM`, version u32, parameters, number of blocks u64, blocks in
+//! ascending order of place (3 x i32, 512 x f32), CRC-32 of everything before it.
+
+use super::blocks::{EDGE, NEVER, Place, VOLUME};
+use super::voxel_map::{MapParameters, RayUnit, Rays, VoxelMap};
+use crate::Error;
+use std::fs::{self, File};
+use std::io::{Read, Write};
+use std::path::Path;
+
+const MAGIC: &[u8; 4] = b"LCVM";
+const VERSION: u32 = 1;
+/// Set in the byte of the ray unit where one ray is cast per end voxel.
+const ONE_PER_END: u8 = 4;
+const BLOCK_BYTES: usize = 12 + 4 * VOLUME;
+/// Largest file that is read [bytes].
+const MAX_BYTES: u64 = 1 << 34;
+
+impl VoxelMap {
+    /// Write the map to `path`: the file is either the old or the new one, never a torn one.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Format`] where a pipe or a device is, whose place it would take.
+    pub fn save(&self, path: &Path) -> Result<(), Error> {
+        if path.exists() {
+            check_regular(path)?;
+        }
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let folder = folder.unwrap_or_else(|| Path::new("."));
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let temporary = folder.join(format!(".{name}.{}.tmp", std::process::id()));
+        let written = write_synced(&temporary, &self.to_bytes())
+            .and_then(|()| fs::rename(&temporary, path))
+            .and_then(|()| File::open(folder)?.sync_all());
+        if written.is_err() {
+            let _ = fs::remove_file(&temporary); // the first error is the one to report
+        }
+        Ok(written?)
+    }
+
+    /// Read a map written by [`VoxelMap::save`]; it will work with `threads` threads.
+    ///
+    /// # Errors
+    /// [`Error::Io`], [`Error::Format`] with the byte offset, [`Error::Limit`], [`Error::Parameter`].
+    pub fn load(path: &Path, threads: usize) -> Result<Self, Error> {
+        check_regular(path)?;
+        let file = File::open(path)?;
+        let size = file.metadata()?.len();
+        if size > MAX_BYTES {
+            return Err(Error::Limit {
+                what: format!("a map file of {size} bytes"),
+                limit: MAX_BYTES,
+                key: "split the map",
+            });
+        }
+        let mut bytes = Vec::new();
+        file.take(MAX_BYTES).read_to_end(&mut bytes)?;
+        Self::from_bytes(&bytes, threads)
+    }
+
+    /// The map as bytes; equal maps give equal bytes.
+    #[must_use]
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let mut bytes = Vec::from(MAGIC);
+        bytes.extend(VERSION.to_le_bytes());
+        write_parameters(self.parameters(), &mut bytes);
+        let mut blocks: Vec<_> = self.blocks.iter().collect();
+        blocks.sort_unstable_by_key(|block| block.place);
+        bytes.extend((blocks.len() as u64).to_le_bytes());
+        for block in blocks {
+            bytes.extend(block.place.0.iter().flat_map(|index| index.to_le_bytes()));
+            bytes.extend(block.values().flat_map(|value| value.to_le_bytes()));
+        }
+        bytes.extend(crc32(&bytes).to_le_bytes());
+        bytes
+    }
+
+    /// The reverse of [`VoxelMap::to_bytes`].
+    ///
+    /// # Errors
+    /// As [`VoxelMap::load`].
+    pub fn from_bytes(bytes: &[u8], threads: usize) -> Result<Self, Error> {
+        let mut reader = Reader { bytes, at: 0 };
+        if &reader.take::<4>()? != MAGIC {
+            return Err(format_error(
+                0,
+                "expected a voxel map (magic LCVM); this is another kind of file",
+            ));
+        }
+        let version = u32::from_le_bytes(reader.take()?);
+        if version != VERSION {
+            let text =
+                format!("expected version {VERSION}, got {version}; update lidar_core to read it");
+            return Err(format_error(4, &text));
+        }
+        let body = bytes.len().saturating_sub(4);
+        if body < 8 || crc32(&bytes[..body]).to_le_bytes() != bytes[body..] {
+            return Err(format_error(
+                body,
+                "the checksum is wrong: the file is damaged or cut off",
+            ));
+        }
+        let parameters = reader.parameters()?;
+        let mut map = Self::new(parameters, threads)?;
+        let count = u64::from_le_bytes(reader.take()?);
+        let rest = (body - reader.at) as u64;
+        if count.checked_mul(BLOCK_BYTES as u64) != Some(rest) {
+            let text = format!("expected {count} blocks of {BLOCK_BYTES} bytes, got {rest} bytes");
+            return Err(format_error(reader.at, &text));
+        }
+        for _ in 0..count {
+            reader.block_into(&mut map)?;
+        }
+        map.changes.restart();
+        Ok(map)
+    }
+}
+
+fn write_synced(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    let mut file = File::create(path)?;
+    file.write_all(bytes)?;
+    file.sync_all()
+}
+
+fn write_parameters(p: &MapParameters, bytes: &mut Vec<u8>) {
+    for value in [p.voxel_size, p.max_range, p.end_margin, p.ray_gain].iter().chain(&p.origin) {
+        bytes.extend(value.to_le_bytes());
+    }
+    for value in [p.g_occ, p.g_unk, p.g_free, p.initial].iter().chain(&p.thresholds) {
+        bytes.extend(value.to_le_bytes());
+    }
+    let unit = match p.ray_unit {
+        RayUnit::Edges => 0,
+        RayUnit::Metres => 1,
+        RayUnit::Diagonals => 2,
+    };
+    bytes.push(if p.rays == Rays::OnePerEnd { unit | ONE_PER_END } else { unit });
+    bytes.extend(p.max_voxels.to_le_bytes());
+    bytes.push(u8::from(p.bounds.is_some()));
+    bytes.extend(p.bounds.iter().flatten().flatten().flat_map(|value| value.to_le_bytes()));
+    bytes.push(p.extra_thresholds.len().min(255) as u8);
+    bytes.extend(p.extra_thresholds.iter().take(255).flat_map(|value| value.to_le_bytes()));
+}
+
+struct Reader<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl Reader<'_> {
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], Error> {
+        let taken = self.bytes.get(self.at..).and_then(|rest| rest.first_chunk::<N>());
+        let taken = *taken.ok_or_else(|| format_error(self.at, "the file ends too early"))?;
+        self.at += N;
+        Ok(taken)
+    }
+
+    fn f64(&mut self) -> Result<f64, Error> {
+        Ok(f64::from_le_bytes(self.take()?))
+    }
+
+    fn f32(&mut self) -> Result<f32, Error> {
+        Ok(f32::from_le_bytes(self.take()?))
+    }
+
+    fn parameters(&mut self) -> Result<MapParameters, Error> {
+        let [voxel_size, max_range, end_margin, ray_gain] =
+            [self.f64()?, self.f64()?, self.f64()?, self.f64()?];
+        let origin = [self.f64()?, self.f64()?, self.f64()?];
+        let [g_occ, g_unk, g_free, initial] = [self.f32()?, self.f32()?, self.f32()?, self.f32()?];
+        let thresholds = [self.f32()?, self.f32()?, self.f32()?];
+        let (ray_unit, rays) = self.ray_unit()?;
+        let max_voxels = u64::from_le_bytes(self.take()?);
+        let bounds = if self.take::<1>()? == [0] {
+            None
+        } else {
+            Some([[self.f64()?, self.f64()?, self.f64()?], [self.f64()?, self.f64()?, self.f64()?]])
+        };
+        let [extra] = self.take::<1>()?;
+        let extra_thresholds = (0..extra).map(|_| self.f32()).collect::<Result<_, _>>()?;
+        Ok(MapParameters {
+            voxel_size,
+            origin,
+            g_occ,
+            g_unk,
+            g_free,
+            initial,
+            thresholds,
+            extra_thresholds,
+            max_range,
+            end_margin,
+            rays,
+            ray_unit,
+            ray_gain,
+            bounds,
+            max_voxels,
+        })
+    }
+
+    fn ray_unit(&mut self) -> Result<(RayUnit, Rays), Error> {
+        let [byte] = self.take::<1>()?;
+        let rays = if byte & ONE_PER_END == 0 { Rays::All } else { Rays::OnePerEnd };
+        match byte & !ONE_PER_END {
+            0 => Ok((RayUnit::Edges, rays)),
+            1 => Ok((RayUnit::Metres, rays)),
+            2 => Ok((RayUnit::Diagonals, rays)),
+            other => {
+                let problem = format!("expected a ray unit of 0 to 2, got {other}");
+                Err(format_error(self.at - 1, &problem))
+            }
+        }
+    }
+
+    fn block_into(&mut self, map: &mut VoxelMap) -> Result<(), Error> {
+        let mut place = [0; 3];
+        for index in &mut place {
+            *index = i32::from_le_bytes(self.take()?);
+        }
+        let levels = map.levels();
+        let slot = map.blocks.ensure(&[Place(place)])?[0];
+        let mut values = [NEVER; VOLUME];
+        for value in &mut values {
+            *value = self.f32()?;
+        }
+        let Some(block) = map.blocks.at_mut(slot) else { return Ok(()) };
+        let is_met = |row: &[f32]| row.iter().any(|value| !value.is_nan());
+        let rows = values.chunks(EDGE as usize).map(is_met);
+        block.hold(rows.rev().fold(0, |rows, is_met| rows << 1 | u64::from(is_met)));
+        for (offset, &value) in values.iter().enumerate().filter(|(_, value)| !value.is_nan()) {
+            levels.store(block, offset, value);
+        }
+        Ok(())
+    }
+}
+
+/// Refuse pipes and devices: the first block their readers, the second may never end.
+fn check_regular(path: &Path) -> Result<(), Error> {
+    let kind = fs::metadata(path)?.file_type();
+    if kind.is_file() || kind.is_dir() {
+        return Ok(()); // of a folder the system says so by itself
+    }
+    let text = format!("{}: expected a regular file, got a pipe or a device", path.display());
+    Err(format_error(0, &text))
+}
+
+fn format_error(offset: usize, what: &str) -> Error {
+    Error::Format { what: what.into(), offset: offset as u64 }
+}
+
+/// CRC-32 (IEEE 802.3).
+fn crc32(bytes: &[u8]) -> u32 {
+    let table: [u32; 256] = std::array::from_fn(|index| {
+        (0..8).fold(
+            index as u32,
+            |crc, _| if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 },
+        )
+    });
+    !bytes
+        .iter()
+        .fold(u32::MAX, |crc, &byte| crc >> 8 ^ table[((crc ^ u32::from(byte)) & 0xFF) as usize])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flying::integrate::integrator::tests::parameters;
+
+    fn sample() -> Result<VoxelMap, Error> {
+        let extra = MapParameters {
+            extra_thresholds: vec![-500.0],
+            bounds: Some([[-9.0; 3], [9.0; 3]]),
+            rays: Rays::OnePerEnd,
+            ray_unit: RayUnit::Metres,
+            ..parameters()
+        };
+        let mut map = VoxelMap::new(extra, 1)?;
+        map.set_occupied(&[[1.0, 2.0, 3.0], [-4.0, 0.0, 0.5]])?;
+        map.set_free(&[[1.3, 2.0, 3.0]])?;
+        map.pull(&[[5.0, 5.0, 5.0]], 0.0, 2.0)?;
+        Ok(map)
+    }
+
+    #[test]
+    fn a_map_comes_back_as_it_was() -> Result<(), Error> {
+        let map = sample()?;
+        let back = VoxelMap::from_bytes(&map.to_bytes(), 2)?;
+        assert_eq!(back.parameters(), map.parameters());
+        assert_eq!(back.to_bytes(), map.to_bytes());
+        assert_eq!(back.occupied_voxels(), map.occupied_voxels());
+        Ok(())
+    }
+
+    #[test]
+    fn every_cut_and_every_flipped_byte_is_refused() -> Result<(), Error> {
+        let bytes = sample()?.to_bytes();
+        for len in 0..bytes.len() {
+            if len % 97 == 0 || len < 200 {
+                assert!(matches!(
+                    VoxelMap::from_bytes(&bytes[..len], 1),
+                    Err(Error::Format { .. })
+                ));
+            }
+        }
+        for at in (0..bytes.len()).filter(|at| at % 89 == 0 || *at < 200) {
+            let mut damaged = bytes.clone();
+            damaged[at] ^= 0x80;
+            assert!(matches!(VoxelMap::from_bytes(&damaged, 1), Err(Error::Format { .. })));
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn the_checksum_is_the_usual_one() {
+        assert_eq!(crc32(b"123456789"), 0xCBF4_3926);
+    }
+}

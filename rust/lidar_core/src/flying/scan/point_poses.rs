@@ -1,0 +1,51 @@
+//! Where the sensor was at every point of a scan.
+
+use super::raw_scan::RawScan;
+use crate::Error;
+use crate::geometry::motion::{Motion, PointPoses};
+use crate::geometry::transform::Transform;
+
+/// Pose of every row in the frame of the map.
+#[derive(Default)]
+pub(crate) struct Poses {
+    /// Those of the rows, unless all rows share `middle`.
+    rows: PointPoses,
+    differ: bool,
+    /// Half way through the scan.
+    pub(crate) middle: Transform,
+}
+
+impl Poses {
+    pub(crate) fn find(
+        &mut self,
+        raw: &RawScan<'_>,
+        motion: &Motion<'_>,
+        map_from_world: &Transform,
+    ) -> Result<(), Error> {
+        let times = raw.point_time_ns.filter(|_| motion.is_stream());
+        let mut middle_ns = raw.stamp_ns;
+        if let Some(times) = times {
+            self.rows.fill(motion, "point_time_ns", times, |row| raw.is_informative(row))?;
+            self.rows.move_to(map_from_world);
+            middle_ns = raw.middle_ns().unwrap_or(raw.stamp_ns);
+        }
+        let middle = motion.at(middle_ns).ok_or_else(|| Error::Value {
+            name: "stamp_ns",
+            expected: "a stamp within 20 ms of `pose_stamps_ns`",
+            index: 0,
+            got: raw.stamp_ns.to_string(),
+        })?;
+        (self.differ, self.middle) = (times.is_some(), map_from_world.after(&middle));
+        Ok(())
+    }
+
+    /// Those of all rows, if they differ.
+    pub(super) fn of_rows(&self) -> Option<impl Iterator<Item = &Transform>> {
+        self.differ.then(|| (0..self.rows.points()).map(|row| self.rows.at(row)))
+    }
+
+    #[inline]
+    pub(crate) fn at(&self, row: usize) -> &Transform {
+        if self.differ { self.rows.at(row) } else { &self.middle }
+    }
+}

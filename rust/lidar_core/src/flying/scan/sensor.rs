@@ -1,0 +1,276 @@
+//! What the detector remembers of each of its LiDARs: last stamp, own body, rays.
+
+use super::body::Body;
+use crate::Error;
+use crate::flying::frame::SkySource;
+use crate::flying::sky::{Beams, Look, Moment, RayPattern, Sky};
+use crate::geometry::lattice::wide;
+use crate::geometry::transform::{Transform, norm};
+
+/// A direction range in the lidar frame [rad]: azimuth from, to, elevation from, to. A range of
+/// azimuth may cross +-pi: "from" is larger than "to" then.
+pub type Sector = [f64; 4];
+
+/// Parameters of one LiDAR.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SensorParameters {
+    /// Nearer returns are not used [m].
+    pub min_range: f64,
+    /// Corners of a box around the robot, lidar frame: returns inside are not used [m].
+    pub self_box: Option<[[f64; 3]; 2]>,
+    /// Directions towards the robot itself: their rays are not used.
+    pub blind_sectors: Vec<Sector>,
+    /// Rows of the cloud whose rays hit the robot.
+    pub self_mask: Option<Vec<bool>>,
+    /// In so many first scans the directions towards the robot are learnt; 0 learns none.
+    pub learn_mask_scans: u32,
+    /// Where returns keep coming from nearer than this, there is the robot: such returns, and rays
+    /// without return in these directions, are not used [m].
+    pub learn_mask_range: f64,
+    /// Masks apply only to rays without return; otherwise to all.
+    pub mask_empty_only: bool,
+    /// How rays without return are known.
+    pub beams: Beams,
+    /// Rays of sensors that are known by name: those that an error proposes.
+    pub known_sensors: Vec<(String, RayPattern)>,
+    /// The robot is found by what stays in place in the sensor's frame.
+    pub find_body: bool,
+    /// Returns per ray: the cloud holds that many equal parts, one per return.
+    pub returns_per_ray: usize,
+}
+
+/// State of one LiDAR.
+#[derive(Clone, Debug)]
+pub(crate) struct Sensor {
+    pub(crate) parameters: SensorParameters,
+    pub(crate) last_stamp_ns: Option<i64>,
+    /// Pose of the last scan used, in the frame of the map.
+    pub(crate) last_pose: Option<Transform>,
+    /// None where rays without return are given.
+    pub(crate) sky: Option<Sky>,
+    pub(crate) body: Option<Box<Body>>,
+    learnt_scans: u32,
+    /// Scans with a near return, per cell of direction.
+    near_counts: Vec<u32>,
+    directions: Vec<[f32; 3]>,
+}
+
+impl Sensor {
+    pub(crate) fn new(parameters: SensorParameters) -> Self {
+        Self {
+            sky: Sky::of(&parameters.beams),
+            body: parameters.find_body.then(Box::default),
+            parameters,
+            last_stamp_ns: None,
+            last_pose: None,
+            learnt_scans: 0,
+            near_counts: Vec::new(),
+            directions: Vec::new(),
+        }
+    }
+
+    /// # Errors
+    /// [`Error::Time`] unless `stamp_ns` is newer than every scan of this sensor before.
+    pub(crate) fn check_stamp(&self, name: &str, stamp_ns: i64) -> Result<(), Error> {
+        match self.last_stamp_ns {
+            Some(last) if stamp_ns <= last => Err(Error::Time {
+                what: format!(
+                    "stamp_ns: expected a stamp after {last}, the last scan of sensor {name:?}, got \
+                     {stamp_ns}; a late or repeated scan cannot be used"
+                ),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether the return `point` (row `row`) is on the robot itself or too near.
+    pub(crate) fn is_own(&self, row: usize, point: [f64; 3]) -> bool {
+        let p = &self.parameters;
+        let range = norm(point);
+        let in_box = p.self_box.is_some_and(|[low, high]| {
+            (0..3).all(|axis| (low[axis]..=high[axis]).contains(&point[axis]))
+        });
+        let is_robot = range < p.learn_mask_range
+            && (self.learnt_scans < p.learn_mask_scans || self.is_learnt(point));
+        // Drivers mark a ray without return by a point at the sensor: it is never a measurement.
+        range <= 0.0
+            || range < p.min_range
+            || in_box
+            || is_robot
+            || self.body.as_ref().is_some_and(|body| body.contains(point))
+            || (!p.mask_empty_only && self.is_named(row, point))
+    }
+
+    /// Whether the ray of row `row` towards `direction` meets the robot itself.
+    pub(crate) fn is_masked(&self, row: usize, direction: [f64; 3]) -> bool {
+        self.is_learnt(direction) || self.is_named(row, direction)
+    }
+
+    /// Whether the configuration says that this ray meets the robot.
+    fn is_named(&self, row: usize, direction: [f64; 3]) -> bool {
+        let p = &self.parameters;
+        p.self_mask.as_ref().is_some_and(|mask| mask.get(row) == Some(&true))
+            || p.blind_sectors.iter().any(|sector| is_inside(sector, direction))
+    }
+
+    /// Whether at least a fifth of the learning scans had a near return in this direction.
+    fn is_learnt(&self, direction: [f64; 3]) -> bool {
+        self.learnt_scans >= self.parameters.learn_mask_scans
+            && !self.near_counts.is_empty()
+            && self
+                .near_counts
+                .get(cell_of(direction))
+                .is_some_and(|&count| 5 * count >= self.parameters.learn_mask_scans.max(1))
+    }
+
+    /// Remembered direction of a row, for rays without return of clouds without directions.
+    pub(crate) fn direction(&self, row: usize) -> Option<[f32; 3]> {
+        self.directions.get(row).copied().filter(|direction| direction[0].is_finite())
+    }
+
+    /// Look for the sky in a scan, if it is to be found; false if it is not, or not known yet.
+    pub(crate) fn look_at_sky(&self, moment: &Moment<'_>, look: &mut Look) -> bool {
+        let Some(sky) = &self.sky else { return false };
+        look.fill(sky, moment);
+        sky.is_known() && look.has_returns()
+    }
+
+    /// How the rays without return of a scan are known, if they are found and not given.
+    pub(crate) fn sky_source(&self) -> SkySource {
+        match &self.sky {
+            Some(sky) if !sky.is_known() => SkySource::Unknown,
+            Some(sky) if sky.has_rows() => SkySource::Pattern,
+            Some(_) => SkySource::Density,
+            None => SkySource::Unknown,
+        }
+    }
+
+    /// Forget what depends on the frame of a map that is no more.
+    pub(crate) fn forget_places(&mut self) {
+        if let Some(sky) = &mut self.sky {
+            sky.forget_places();
+        }
+        if let Some(body) = &mut self.body {
+            body.forget_places();
+        }
+    }
+
+    fn count_near(&mut self, points: &[[f32; 3]]) {
+        let cells = 6 * FACE_CELLS * FACE_CELLS;
+        self.near_counts.resize(cells, 0);
+        let mut near = vec![false; cells];
+        for point in points.iter().map(|&point| wide(point)) {
+            let range = norm(point);
+            if range > 0.0 && range < self.parameters.learn_mask_range {
+                near[cell_of(point)] = true;
+            }
+        }
+        for (count, near) in self.near_counts.iter_mut().zip(near) {
+            *count += u32::from(near);
+        }
+    }
+
+    /// Remember what an accepted scan told about the sensor.
+    pub(crate) fn learn(
+        &mut self,
+        stamp_ns: i64,
+        points: &[[f32; 3]],
+        no_return: Option<&[bool]>,
+        pose: &Transform,
+        look: Option<&mut Look>,
+        needs_directions: bool,
+    ) {
+        self.last_stamp_ns = Some(stamp_ns);
+        self.last_pose = Some(*pose);
+        if let (Some(sky), Some(look)) = (&mut self.sky, look) {
+            sky.take(look, points);
+        }
+        if let Some(body) = &mut self.body {
+            body.learn(points, no_return, pose);
+        }
+        if self.learnt_scans < self.parameters.learn_mask_scans {
+            self.learnt_scans += 1;
+            self.count_near(points);
+        }
+        if needs_directions {
+            if self.directions.len() != points.len() {
+                self.directions.clear(); // another mode of the sensor: other rays
+            }
+            self.directions.resize(points.len(), [f32::NAN; 3]);
+            for (direction, &point) in self.directions.iter_mut().zip(points) {
+                let range = norm(wide(point)) as f32;
+                if range.is_finite() && range > 0.0 {
+                    *direction = point.map(|value| value / range);
+                }
+            }
+        }
+    }
+}
+
+/// Cells along the edge of a face of the cube of directions: 2 degrees each.
+const FACE_CELLS: usize = 48;
+
+/// Cell of a direction, which need not be a unit vector: place on one of the six faces of a cube.
+fn cell_of(direction: [f64; 3]) -> usize {
+    let mut axis = 0;
+    for other in 1..3 {
+        if direction[other].abs() > direction[axis].abs() {
+            axis = other;
+        }
+    }
+    let face = 2 * axis + usize::from(direction[axis] < 0.0);
+    let place = |other: usize| {
+        let share = 0.5 + 0.5 * direction[other % 3] / direction[axis].abs();
+        ((share * FACE_CELLS as f64) as usize).min(FACE_CELLS - 1) // NaN gives 0
+    };
+    (face * FACE_CELLS + place(axis + 1)) * FACE_CELLS + place(axis + 2)
+}
+
+fn is_inside(&[from, to, low, high]: &Sector, direction: [f64; 3]) -> bool {
+    let azimuth = libm::atan2(direction[1], direction[0]);
+    let elevation = libm::atan2(direction[2], libm::hypot(direction[0], direction[1]));
+    let turned =
+        if from <= to { (from..=to).contains(&azimuth) } else { azimuth >= from || azimuth <= to };
+    turned && (low..=high).contains(&elevation)
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    pub(crate) fn parameters() -> SensorParameters {
+        SensorParameters {
+            min_range: 0.3,
+            self_box: None,
+            blind_sectors: Vec::new(),
+            self_mask: None,
+            learn_mask_scans: 0,
+            learn_mask_range: 1.0,
+            mask_empty_only: false,
+            beams: Beams::Given,
+            known_sensors: Vec::new(),
+            find_body: false,
+            returns_per_ray: 1,
+        }
+    }
+
+    #[test]
+    fn rays_that_keep_hitting_the_robot_are_masked() {
+        let mut sensor = Sensor::new(SensorParameters { learn_mask_scans: 6, ..parameters() });
+        for scan in 0..6 {
+            let passer_by = if scan == 0 { 0.5 } else { 9.0 };
+            let points = [[0.5, 0.0, 0.0], [0.0, passer_by, 0.0]];
+            sensor.learn(scan, &points, None, &Transform::IDENTITY, None, false);
+        }
+        assert!(sensor.is_masked(0, [1.0, 0.0, 0.0]) && sensor.is_own(0, [0.6, 0.0, 0.0]));
+        assert!(!sensor.is_masked(0, [0.0, 1.0, 0.0]) && !sensor.is_own(0, [0.0, 0.5, 0.0]));
+        assert!(!sensor.is_own(0, [7.0, 0.0, 0.0])); // what passes the robot is seen
+    }
+
+    #[test]
+    fn a_sector_may_cross_the_back() {
+        let sector = [3.0, -3.0, -0.5, 0.5];
+        assert!(is_inside(&sector, [-1.0, 0.01, 0.0]) && is_inside(&sector, [-1.0, -0.01, 0.0]));
+        assert!(!is_inside(&sector, [1.0, 0.0, 0.0]) && !is_inside(&sector, [-1.0, 0.0, 5.0]));
+    }
+}

@@ -1,0 +1,214 @@
+//! Interacting multiple models: several models share one target.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::engine::{Believe, Engine, Innovation, Output, Single, mixed, output};
+use crate::Error;
+use crate::estimation::kalman::Gaussian;
+use crate::fusion::models::motion::First;
+use crate::fusion::models::platform::Platform;
+use crate::fusion::models::state_conversion::Exchange;
+use crate::fusion::sensors::measurement::Measurement;
+use nalgebra::{SMatrix, SVector};
+use std::sync::Arc;
+
+/// Least weight of a model: none is ever ruled out for good.
+const LEAST_WEIGHT: f64 = 1e-6;
+
+/// Models that switch. The output is Cartesian: [x, y, vx, vy, ax, ay].
+///
+/// # Source
+/// Blom & Bar-Shalom, "The interacting multiple model algorithm", 1988; states that a model does
+/// not have are mixed with those of the model they go to (Yuan, Lian & Han, 2011).
+#[derive(Clone)]
+pub struct Imm {
+    modes: Vec<Arc<dyn Mode>>,
+    /// Mean time for which a target follows one model [s].
+    sojourn: f64,
+}
+
+/// Weight and state of every model.
+pub type Modes = Vec<(f64, Arc<dyn Mode>)>;
+
+type Corrected = Result<Option<(Arc<dyn Mode>, Innovation)>, Error>;
+
+/// A model with its state.
+pub trait Mode: Send + Sync {
+    /// With the state of a target that has been seen once.
+    fn started(&self, first: &First) -> Arc<dyn Mode>;
+    /// With the state of a target whose position and velocity are known.
+    fn after_velocity(&self, cv: &Gaussian<4>) -> Arc<dyn Mode>;
+    /// After `dt` [s].
+    fn predicted(&self, dt: f64, platform: &Platform) -> Arc<dyn Mode>;
+    /// Corrected by a measurement.
+    ///
+    /// # Errors
+    /// As [`Engine::update`].
+    fn updated(&self, m: &Measurement, platform: &Platform) -> Corrected;
+    /// The state in Cartesian form; what the model does not know is taken from `other`.
+    fn cartesian(&self, other: Option<&Gaussian<6>>) -> Gaussian<6>;
+    /// With the state that says the same as `cartesian`.
+    fn adopted(&self, cartesian: &Gaussian<6>) -> Arc<dyn Mode>;
+}
+
+#[derive(Clone)]
+struct Member<const N: usize, M> {
+    engine: Single<N, M>,
+    state: Gaussian<N>,
+}
+
+/// A model for [`Imm`].
+pub fn mode<const N: usize, M: Exchange<N>>(engine: Single<N, M>) -> Arc<dyn Mode> {
+    let state = Gaussian { mean: SVector::zeros(), covariance: SMatrix::identity() };
+    Arc::new(Member { engine, state })
+}
+
+impl<const N: usize, M: Exchange<N>> Member<N, M> {
+    fn with(&self, state: Gaussian<N>) -> Arc<dyn Mode> {
+        Arc::new(Self { engine: self.engine.clone(), state })
+    }
+}
+
+impl<const N: usize, M: Exchange<N>> Mode for Member<N, M> {
+    fn started(&self, first: &First) -> Arc<dyn Mode> {
+        self.with(self.engine.first(first))
+    }
+
+    fn after_velocity(&self, cv: &Gaussian<4>) -> Arc<dyn Mode> {
+        let own = self.engine.after_velocity(cv);
+        own.map_or_else(
+            || {
+                let wide = crate::fusion::models::cartesian::ConstantVelocity.cartesian(cv, None);
+                self.with(self.engine.motion.adopted(&wide))
+            },
+            |state| self.with(state),
+        )
+    }
+
+    fn predicted(&self, dt: f64, platform: &Platform) -> Arc<dyn Mode> {
+        let mut state = self.state.clone();
+        self.engine.predict(&mut state, dt, platform);
+        self.with(state)
+    }
+
+    fn updated(&self, m: &Measurement, platform: &Platform) -> Corrected {
+        let mut state = self.state.clone();
+        let update = self.engine.update(&mut state, m, platform, &mut |_| true)?;
+        Ok(update.map(|innovation| (self.with(state), innovation)))
+    }
+
+    fn cartesian(&self, other: Option<&Gaussian<6>>) -> Gaussian<6> {
+        self.engine.motion.cartesian(&self.state, other)
+    }
+
+    fn adopted(&self, cartesian: &Gaussian<6>) -> Arc<dyn Mode> {
+        self.with(self.engine.motion.adopted(cartesian))
+    }
+}
+
+/// As [`mixed`].
+fn mixture(parts: &[(f64, Gaussian<6>)]) -> Gaussian<6> {
+    mixed(&parts.iter().map(|(weight, part)| (*weight, part)).collect::<Vec<_>>())
+}
+
+impl Imm {
+    /// A target that follows each of `modes` for `sojourn` [s] on average.
+    #[must_use]
+    pub fn new(modes: Vec<Arc<dyn Mode>>, sojourn: f64) -> Self {
+        Self { modes, sojourn }
+    }
+
+    fn equal(&self, make: impl Fn(&dyn Mode) -> Arc<dyn Mode>) -> Modes {
+        let weight = 1.0 / self.modes.len() as f64;
+        self.modes.iter().map(|mode| (weight, make(&**mode))).collect()
+    }
+
+    /// Probability of each model after a switch may have happened, and its mixed state.
+    fn interacted(&self, modes: &Modes, dt: f64) -> Modes {
+        let count = modes.len();
+        let stay = libm::exp(-dt / self.sojourn);
+        if count < 2 || stay >= 1.0 {
+            return modes.clone();
+        }
+        let switch = (1.0 - stay) / (count - 1) as f64;
+        let into = |to: usize| {
+            let own = modes[to].1.cartesian(None);
+            let share = |from: usize| modes[from].0 * if from == to { stay } else { switch };
+            let weight: f64 = (0..count).map(share).sum();
+            let parts: Vec<(f64, Gaussian<6>)> = (0..count)
+                .map(|from| (share(from) / weight, modes[from].1.cartesian(Some(&own))))
+                .collect();
+            (weight, modes[to].1.adopted(&mixture(&parts)))
+        };
+        (0..count).map(into).collect()
+    }
+}
+
+impl Engine for Imm {
+    type State = Modes;
+
+    fn first(&self, first: &First) -> Modes {
+        self.equal(|mode| mode.started(first))
+    }
+
+    fn after_velocity(&self, cv: &Gaussian<4>) -> Option<Modes> {
+        Some(self.equal(|mode| mode.after_velocity(cv)))
+    }
+
+    fn predict(&self, state: &mut Modes, dt: f64, platform: &Platform) {
+        let modes = self.interacted(state, dt);
+        let predicted = modes.iter().map(|(weight, mode)| (*weight, mode.predicted(dt, platform)));
+        *state = predicted.collect();
+    }
+
+    fn update(
+        &self,
+        state: &mut Modes,
+        m: &Measurement,
+        platform: &Platform,
+        believe: Believe<'_>,
+    ) -> Result<Option<Innovation>, Error> {
+        let mut updated = Vec::with_capacity(state.len());
+        for (weight, mode) in &*state {
+            let Some((mode, innovation)) = mode.updated(m, platform)? else { return Ok(None) };
+            let likelihood = -0.5 * (innovation.nis + innovation.log_determinant);
+            updated.push((libm::log(*weight) + likelihood, mode, innovation));
+        }
+        let Some(best) = updated.iter().max_by(|a, b| a.0.total_cmp(&b.0)) else {
+            return Ok(None);
+        };
+        let (most, mut innovation) = (best.0, best.2);
+        let total: f64 = updated.iter().map(|(log, ..)| libm::exp(log - most)).sum();
+        // the innovation of the likeliest model, its determinant such that the likelihood of the
+        // measurement is that of all models together
+        innovation.log_determinant = -2.0 * (most + libm::log(total)) - innovation.nis;
+        if believe(&innovation) {
+            let weight = |log: f64| (libm::exp(log - most) / total).max(LEAST_WEIGHT);
+            let sum: f64 = updated.iter().map(|(log, ..)| weight(*log)).sum();
+            let one = |(log, mode, _)| (weight(log) / sum, mode);
+            *state = updated.into_iter().map(one).collect();
+        }
+        Ok(Some(innovation))
+    }
+
+    /// Model by model, through the Cartesian form.
+    fn blended(&self, parts: &[(f64, &Modes)]) -> Modes {
+        let models = 0..self.modes.len();
+        let blended = models.map(|model| {
+            let share = |(weight, modes): &(f64, &Modes)| weight * modes[model].0;
+            let total: f64 = parts.iter().map(share).sum();
+            let wide: Vec<(f64, Gaussian<6>)> = parts
+                .iter()
+                .map(|part| (share(part) / total, part.1[model].1.cartesian(None)))
+                .collect();
+            (total, self.modes[model].adopted(&mixture(&wide)))
+        });
+        blended.collect()
+    }
+
+    fn output(&self, state: &Modes) -> Output {
+        let wide = |mode: &Arc<dyn Mode>| mode.cartesian(None);
+        let parts: Vec<_> = state.iter().map(|(weight, mode)| (*weight, wide(mode))).collect();
+        output(&mixture(&parts), None)
+    }
+}

@@ -1,0 +1,232 @@
+//! Filters with sigma points, in square-root form: unscented and cubature.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::engine::{Believe, Engine, Innovation, Link, Output, Single, mixed, output};
+use crate::Error;
+use crate::estimation::kalman::{Gaussian, Mahalanobis};
+use crate::estimation::unscented::{Rooted, Rule, Triangle, stacked, transformed};
+use crate::fusion::models::motion::{First, Motion};
+use crate::fusion::models::platform::Platform;
+use crate::fusion::sensors::measurement::{Measurement, Sensor};
+use crate::fusion::sensors::observation::{LineOfSight, Observation, polar_difference};
+use nalgebra::{Matrix1, SMatrix, SVector, Vector1};
+
+/// A filter that moves sigma points through the models of `base`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sigma<const N: usize, M> {
+    /// Models and noise.
+    pub base: Single<N, M>,
+    /// Where the points lie.
+    pub rule: Rule,
+    /// Whether the points of a prediction are compared with measurements, those of its noise
+    /// with them; else new ones are drawn from its covariance.
+    pub carries: bool,
+}
+
+/// A state, and the sigma points that its prediction left, where they are carried on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SigmaState<const N: usize> {
+    /// Mean and root of the covariance.
+    pub rooted: Rooted<N>,
+    points: Vec<Point<N>>,
+}
+
+/// A weight, and a state.
+type Point<const N: usize> = (f64, SVector<f64, N>);
+type Corrected = Result<Option<Innovation>, Error>;
+
+impl<const N: usize> SigmaState<N> {
+    fn new(rooted: Rooted<N>) -> Self {
+        Self { rooted, points: Vec::new() }
+    }
+
+    fn gaussian(&self) -> Gaussian<N> {
+        Gaussian { mean: self.rooted.mean, covariance: self.rooted.covariance() }
+    }
+
+    /// Points that stand for the state, the central one first.
+    fn points(&self, rule: &Rule) -> Vec<Point<N>> {
+        if !self.points.is_empty() {
+            return self.points.clone();
+        }
+        let (mean, reach) = (self.rooted.mean, libm::sqrt(rule.spread));
+        let mut points = Vec::with_capacity(1 + 2 * N);
+        points.push((rule.center, mean));
+        for axis in self.rooted.root.column_iter() {
+            points.push((rule.around, mean + axis * reach));
+            points.push((rule.around, mean - axis * reach));
+        }
+        points
+    }
+}
+
+impl<const N: usize, M: Motion<N>> Sigma<N, M> {
+    /// Correct `prior` by `z`, which `expected` says of a state; `minus` subtracts two such.
+    ///
+    /// Deviations of measurement and state are absorbed by one triangle: its upper left is the
+    /// root of S, below lie the gain times it, and the root of the posterior.
+    fn corrected<const K: usize>(
+        &self,
+        prior: &mut SigmaState<N>,
+        z: &SVector<f64, K>,
+        R: &SMatrix<f64, K, K>,
+        expected: impl Fn(&SVector<f64, N>) -> SVector<f64, K>,
+        minus: impl Fn(&SVector<f64, K>, &SVector<f64, K>) -> SVector<f64, K>,
+        believe: Believe<'_>,
+    ) -> Corrected {
+        let (points, mean) = (prior.points(&self.rule), prior.rooted.mean);
+        let center = expected(&points[0].1);
+        let apart: Vec<SVector<f64, K>> =
+            points.iter().map(|(_, point)| minus(&expected(point), &center)).collect();
+        let shift: SVector<f64, K> =
+            points.iter().zip(&apart).map(|((weight, _), apart)| apart * *weight).sum();
+        let mut columns = points.iter().zip(&apart).map(|((weight, point), apart)| {
+            (*weight, stacked((apart - shift).as_slice(), (point - mean).as_slice()))
+        });
+        let central = columns.next(); // last: its weight may be negative
+        let empty = Triangle::zero(K + N);
+        let mut triangle =
+            columns.fold(empty, |sum, (weight, column)| sum.weighted(weight, column));
+        let noise = R.cholesky().ok_or(Error::NotPositiveDefinite { matrix: "R" })?.l();
+        noise.column_iter().for_each(|c| triangle.absorb(stacked(c.into_owned().as_slice(), &[])));
+        let triangle =
+            central.map_or(triangle, |(weight, column)| triangle.weighted(weight, column));
+        let y = minus(z, &(center + shift));
+        let (state, innovation) = posterior(&prior.rooted, &triangle, &y);
+        if believe(&innovation) {
+            *prior = state;
+        }
+        Ok(Some(innovation))
+    }
+
+    /// Points of a prediction: of the state and of its noise.
+    fn carried(
+        &self,
+        state: &Rooted<N>,
+        noise: &[SVector<f64, N>],
+        moved: impl Fn(&SVector<f64, N>) -> SVector<f64, N>,
+    ) -> Vec<Point<N>> {
+        let Rule { spread, around, .. } = self.rule;
+        let (center, reach) = (moved(&state.mean), libm::sqrt(spread));
+        let mut points = vec![(1.0 - (N + noise.len()) as f64 / spread, center)];
+        for axis in state.root.column_iter() {
+            points.push((around, moved(&(state.mean + axis * reach))));
+            points.push((around, moved(&(state.mean - axis * reach))));
+        }
+        for column in noise {
+            points.extend([(around, center + column * reach), (around, center - column * reach)]);
+        }
+        points
+    }
+}
+
+/// What a triangle over measurement and state makes of the innovation `y`.
+fn posterior<const N: usize, const K: usize>(
+    prior: &Rooted<N>,
+    triangle: &Triangle,
+    y: &SVector<f64, K>,
+) -> (SigmaState<N>, Innovation) {
+    let mut whitened = SVector::<f64, K>::zeros();
+    let mut determinant = 1.0;
+    for row in 0..K {
+        let known: f64 = (0..row).map(|k| triangle.at(row, k) * whitened[k]).sum();
+        whitened[row] = (y[row] - known) / triangle.at(row, row);
+        determinant *= triangle.at(row, row);
+    }
+    let gained = SVector::<f64, N>::from_fn(|row, _| {
+        (0..K).map(|k| triangle.at(K + row, k) * whitened[k]).sum()
+    });
+    let squared = whitened.norm_squared();
+    let far = Mahalanobis { squared, log_determinant: 2.0 * libm::log(determinant) };
+    let innovation = Innovation::new(y.as_slice(), &far);
+    let rooted = Rooted { mean: prior.mean + gained, root: triangle.corner(K) };
+    (SigmaState::new(rooted), innovation)
+}
+
+impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
+    type State = SigmaState<N>;
+
+    fn first(&self, first: &First) -> SigmaState<N> {
+        let start = self.base.first(first);
+        SigmaState::new(Rooted::new(start.mean, &start.covariance))
+    }
+
+    fn after_velocity(&self, cv: &Gaussian<4>) -> Option<SigmaState<N>> {
+        let start = self.base.after_velocity(cv)?;
+        Some(SigmaState::new(Rooted::new(start.mean, &start.covariance)))
+    }
+
+    fn predict(&self, state: &mut SigmaState<N>, dt: f64, platform: &Platform) {
+        let (motion, before) = (&self.base.motion, state.rooted);
+        let moved = |s: &SVector<f64, N>| motion.moved(s, dt, platform);
+        let (mean, mut triangle, shift) = transformed(&before, &self.rule, moved);
+        let mut noise = Vec::new();
+        let ends = [&before.mean, &moved(&before.mean)];
+        self.base.noise.columns(motion, ends, dt, platform, |column| {
+            triangle.absorb(stacked(column.as_slice(), &[]));
+            if self.carries {
+                noise.push(*column);
+            }
+        });
+        let triangle = triangle.weighted(self.rule.center, stacked(shift.as_slice(), &[]));
+        state.rooted = Rooted { mean, root: triangle.corner(0) };
+        state.points = if self.carries { self.carried(&before, &noise, moved) } else { Vec::new() };
+    }
+
+    fn update(
+        &self,
+        state: &mut SigmaState<N>,
+        m: &Measurement,
+        platform: &Platform,
+        believe: Believe<'_>,
+    ) -> Corrected {
+        let motion = &self.base.motion;
+        if m.sensor() == Sensor::Gyro && M::PLATFORM_RATE.is_none() {
+            return Ok(None);
+        }
+        let sensor = platform.sensor_at(m.stamp_ns());
+        let sensor = sensor.as_ref();
+        let place = |s: &SVector<f64, N>| LineOfSight::new(motion, s, platform, sensor).place().0;
+        let polar = |s: &SVector<f64, N>| LineOfSight::new(motion, s, platform, sensor).polar();
+        let mean = state.rooted.mean;
+        let sight = LineOfSight::new(motion, &mean, platform, sensor);
+        match self.base.sensing.observation(m, sight.range()) {
+            Some(Observation::Position { z, R }) => {
+                let R = sight.place_noise(R);
+                self.corrected(state, &z, &R, place, |a, b| a - b, believe)
+            }
+            Some(Observation::Polar { z, R }) => {
+                let R = sight.polar_noise(R);
+                self.corrected(state, &z, &R, polar, polar_difference, believe)
+            }
+            Some(Observation::Rate { z, R }) => {
+                let Some(index) = M::PLATFORM_RATE else { return Ok(None) };
+                let expected = |s: &SVector<f64, N>| Vector1::new(s[index]);
+                let (z, R) = (Vector1::new(z), Matrix1::new(R));
+                self.corrected(state, &z, &R, expected, |a, b| a - b, believe)
+            }
+            None => Ok(None),
+        }
+    }
+
+    fn blended(&self, parts: &[(f64, &SigmaState<N>)]) -> SigmaState<N> {
+        let plain: Vec<_> = parts.iter().map(|(weight, part)| (*weight, part.gaussian())).collect();
+        let Gaussian { mean, covariance } =
+            mixed(&plain.iter().map(|(weight, part)| (*weight, part)).collect::<Vec<_>>());
+        SigmaState::new(Rooted::new(mean, &covariance))
+    }
+
+    fn output(&self, state: &SigmaState<N>) -> Output {
+        output(&state.gaussian(), M::HEADING)
+    }
+
+    /// By the Jacobian at the mean: what the smoother needs is the correlation of two states.
+    fn link(&self, state: &SigmaState<N>, dt: f64, platform: &Platform) -> Option<Link> {
+        let mut link = self.base.link(&state.gaussian(), dt, platform)?;
+        let mut predicted = SigmaState::new(state.rooted);
+        self.predict(&mut predicted, dt, platform);
+        link.mean.fixed_rows_mut::<N>(0).copy_from(&predicted.rooted.mean);
+        Some(link)
+    }
+}

@@ -1,0 +1,134 @@
+//! What later measurements say about earlier states: Rauch-Tung-Striebel, whole or fixed lag.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::engine::{Link, MAX_STATES, Output};
+use crate::estimation::kalman::symmetrised;
+use crate::fusion::models::turn::wrapped;
+use nalgebra::{Matrix6, Vector6};
+
+/// A row of a run: the filter's state, its time, and how it hangs on the row before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Row {
+    /// Time of the state [ns].
+    pub stamp_ns: i64,
+    /// What the filter says; none before the target has been seen.
+    pub output: Option<Output>,
+    /// From the row before to this one; none where a target starts.
+    pub link: Option<Link>,
+}
+
+/// Every state given all measurements that came up to `lag_ns` after it, or all there are.
+///
+/// Covariances are sums of squares: they stay positive semidefinite.
+///
+/// # Source
+/// Rauch, Tung & Striebel, "Maximum likelihood estimates of linear dynamic systems", 1965.
+#[must_use]
+pub fn smoothed(rows: &[Row], lag_ns: Option<i64>) -> Vec<Option<Output>> {
+    let Some(lag_ns) = lag_ns else { return back_from(rows, rows.len(), 0) };
+    let mut last = 0;
+    (0..rows.len())
+        .map(|first| {
+            let until = rows[first].stamp_ns.saturating_add(lag_ns);
+            last = last.max(first);
+            while rows.get(last + 1).is_some_and(|row| row.stamp_ns <= until) {
+                last += 1;
+            }
+            back_from(rows, last + 1, first).first().copied().flatten()
+        })
+        .collect()
+}
+
+/// States of rows `first` to `end`, given the measurements of rows before `end`.
+fn back_from(rows: &[Row], end: usize, first: usize) -> Vec<Option<Output>> {
+    let mut states: Vec<Option<Output>> = rows[first..end].iter().map(|row| row.output).collect();
+    for index in (first + 1..end).rev() {
+        let (earlier, later) = (states[index - 1 - first], states[index - first]);
+        if let (Some(link), Some(earlier), Some(later)) = (&rows[index].link, earlier, later) {
+            states[index - 1 - first] = Some(step_back(&earlier, link, &later).unwrap_or(earlier));
+        }
+    }
+    states
+}
+
+/// `earlier` given what is known of the state after it; none if nothing can be said.
+fn step_back(earlier: &Output, link: &Link, later: &Output) -> Option<Output> {
+    let (m, P) = padded(earlier);
+    let (ms, Ps) = padded(later);
+    let (F, Q) = (&link.F, &link.Q);
+    let FP = F * P;
+    let predicted = symmetrised(FP * F.transpose() + Q);
+    let G = predicted.cholesky()?.solve(&FP).transpose();
+    let mut change = ms - link.mean;
+    if let Some(index) = link.heading {
+        change[index] = wrapped(change[index]);
+    }
+    for index in earlier.count..MAX_STATES {
+        change[index] = 0.0;
+    }
+    let kept = Matrix6::identity() - G * F;
+    let P = symmetrised(kept * P * kept.transpose() + G * (Q + Ps) * G.transpose());
+    let mut mean = m + G * change;
+    if let Some(index) = link.heading {
+        mean[index] = wrapped(mean[index]);
+    }
+    let finite = mean.iter().chain(P.iter()).all(|value| value.is_finite());
+    finite.then(|| cut(earlier.count, &mean, &P))
+}
+
+/// With unit covariance for states that the model does not have.
+fn padded(output: &Output) -> (Vector6<f64>, Matrix6<f64>) {
+    let mut P = Matrix6::from_fn(|row, column| output.covariance[row][column]);
+    for index in output.count..MAX_STATES {
+        P[(index, index)] = 1.0;
+    }
+    (Vector6::from(output.mean), P)
+}
+
+fn cut(count: usize, mean: &Vector6<f64>, P: &Matrix6<f64>) -> Output {
+    let mut covariance = [[0.0; MAX_STATES]; MAX_STATES];
+    for (row, entries) in covariance.iter_mut().enumerate().take(count) {
+        for (column, entry) in entries.iter_mut().enumerate().take(count) {
+            *entry = P[(row, column)];
+        }
+    }
+    Output { count, mean: mean.data.0[0], covariance }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn output(mean: [f64; 2], covariance: [[f64; 2]; 2]) -> Output {
+        let mut wide = Output { count: 2, mean: [0.0; 6], covariance: [[0.0; 6]; 6] };
+        wide.mean[..2].copy_from_slice(&mean);
+        for (row, entries) in wide.covariance.iter_mut().zip(&covariance) {
+            row[..2].copy_from_slice(entries);
+        }
+        wide
+    }
+
+    /// A point that stands still: the smoother knows at the start what the filter knows at the end.
+    #[test]
+    fn what_does_not_move_is_known_from_the_end() {
+        let link = Link {
+            F: Matrix6::identity(),
+            Q: Matrix6::zeros(),
+            mean: Vector6::zeros(),
+            heading: None,
+        };
+        let first = output([0.0, 0.0], [[4.0, 1.0], [1.0, 2.0]]);
+        let last = output([1.0, -1.0], [[0.5, 0.1], [0.1, 0.3]]);
+        let row = |stamp_ns, output, link| Row { stamp_ns, output: Some(output), link };
+        let rows = [row(0, first, None), row(10, last, Some(link))];
+        let whole = smoothed(&rows, None);
+        assert!(whole[0].is_some_and(|got| {
+            let far = got.mean.iter().zip(last.mean).map(|(a, b)| (a - b).abs());
+            let wide = got.covariance.as_flattened().iter().zip(last.covariance.as_flattened());
+            far.chain(wide.map(|(a, b)| (a - b).abs())).all(|difference| difference < 1e-12)
+        }));
+        assert_eq!(smoothed(&rows, Some(9)), vec![Some(first), Some(last)]);
+        assert_eq!(smoothed(&rows, Some(10)), whole);
+    }
+}

@@ -1,0 +1,217 @@
+//! CTRV seen from a platform that moves itself: the state is in the level frame of the sensor.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::heading::{Arc, polar_first, velocity_of};
+use super::motion::{First, INPUTS, Motion, Noise, Prior, extended};
+use super::platform::Platform;
+use super::turn::{Turn, direction, rotated};
+use crate::estimation::kalman::Gaussian;
+use nalgebra::{SMatrix, SVector, Vector2, Vector5, Vector6};
+
+/// CTRV as the moving sensor sees it; the platform's turn rate is told by a gyro:
+/// [x, y, v, theta, w], v and w over ground.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CtrvDrone;
+
+/// The same with the platform's turn rate as a sixth state, measured by a gyro or not at all:
+/// [x, y, v, theta, w, w_d].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CtrvDroneRate;
+
+/// A step of the sensor's frame, and its Jacobian by all six states.
+fn step(s: &Vector5<f64>, rate: f64, dt: f64, platform: &Platform) -> (Vector5<f64>, Columns) {
+    let ([x, y, v, heading, w], lever) = (s.data.0[0], platform.lever);
+    let arc = Arc::new(direction(heading), w, dt);
+    let own = Turn::<2>::new(rate, dt);
+    let d = own.turned(0, platform.velocity);
+    let [along, aside] = own.turned(1, platform.velocity);
+    let [c, minus_s] = direction(-rate * dt);
+    let back = |vector: [f64; 2]| rotated([c, minus_s], vector);
+    let [A, B] = arc.by_speed;
+    let moved = back([x + lever[0] + v * A - d[0], y + lever[1] + v * B - d[1]]);
+    let after = [moved[0] - lever[0], moved[1] - lever[1]];
+    let by_own = back([-aside, along]); // C d'
+    let columns = Columns {
+        position: [c, minus_s],
+        by_speed: back(arc.by_speed),
+        by_heading: back([-v * B, v * A]),
+        by_rate: back(arc.by_rate.map(|part| part * v)),
+        by_platform: [dt * moved[1] - by_own[0], -dt * moved[0] - by_own[1]],
+    };
+    (Vector5::new(after[0], after[1], v, heading + (w - rate) * dt, w), columns)
+}
+
+/// Derivatives of the position.
+struct Columns {
+    position: [f64; 2],
+    by_speed: [f64; 2],
+    by_heading: [f64; 2],
+    by_rate: [f64; 2],
+    by_platform: [f64; 2],
+}
+
+impl Columns {
+    /// Jacobian of the first five states by themselves, in a matrix that may be larger.
+    fn jacobian<const N: usize>(&self, dt: f64) -> SMatrix<f64, N, N> {
+        let mut F = SMatrix::<f64, N, N>::identity();
+        let [c, minus_s] = self.position;
+        (F[(0, 0)], F[(0, 1)], F[(1, 0)], F[(1, 1)]) = (c, -minus_s, minus_s, c);
+        for row in 0..2 {
+            F[(row, 2)] = self.by_speed[row];
+            F[(row, 3)] = self.by_heading[row];
+            F[(row, 4)] = self.by_rate[row];
+        }
+        F[(3, 4)] = dt;
+        F
+    }
+}
+
+/// Straight-line responses to acceleration and angular acceleration, as of CTRV.
+fn holds<const N: usize>(s: &SVector<f64, N>, dt: f64) -> SMatrix<f64, N, INPUTS> {
+    let [cosine, sine] = direction(s[3]);
+    let half = 0.5 * dt * dt;
+    let mut columns = SMatrix::<f64, N, INPUTS>::zeros();
+    (columns[(0, 0)], columns[(1, 0)], columns[(2, 0)]) = (half * cosine, half * sine, dt);
+    (columns[(3, 1)], columns[(4, 1)]) = (half, dt);
+    columns
+}
+
+/// Velocity relative to the sensor, whose platform moves and turns.
+fn relative<const N: usize>(
+    s: &SVector<f64, N>,
+    rate: f64,
+    platform: &Platform,
+) -> (Vector2<f64>, SMatrix<f64, 2, N>) {
+    let (ground, J) = velocity_of(s);
+    let (u, lever) = (platform.velocity, platform.lever);
+    (ground - Vector2::new(u[0] - rate * lever[1], u[1] + rate * lever[0]), J)
+}
+
+impl Motion<5> for CtrvDrone {
+    const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Turn, Noise::Absent];
+    const HEADING: Option<usize> = Some(3);
+
+    fn moved(&self, s: &Vector5<f64>, dt: f64, platform: &Platform) -> Vector5<f64> {
+        step(s, platform.rate, dt, platform).0
+    }
+
+    fn transition(
+        &self,
+        s: &Vector5<f64>,
+        dt: f64,
+        platform: &Platform,
+    ) -> (Vector5<f64>, SMatrix<f64, 5, 5>) {
+        let (after, columns) = step(s, platform.rate, dt, platform);
+        (after, columns.jacobian(dt))
+    }
+
+    fn impulses(&self, s: &Vector5<f64>, dt: f64, platform: &Platform) -> SMatrix<f64, 5, INPUTS> {
+        let F = self.transition(s, dt, platform).1;
+        let mut columns = SMatrix::<f64, 5, INPUTS>::zeros();
+        columns.set_column(0, &F.column(2));
+        columns.set_column(1, &F.column(4));
+        columns
+    }
+
+    fn holds(&self, s: &Vector5<f64>, dt: f64) -> SMatrix<f64, 5, INPUTS> {
+        holds(s, dt)
+    }
+
+    /// The gyro's error turns the frame.
+    fn told(&self, s: &Vector5<f64>, dt: f64, platform: &Platform) -> Option<Vector5<f64>> {
+        let [x, y] = step(s, platform.rate, dt, platform).1.by_platform;
+        Some(Vector5::new(x, y, 0.0, -dt, 0.0) * libm::sqrt(platform.rate_variance))
+    }
+
+    fn velocity(
+        &self,
+        s: &Vector5<f64>,
+        platform: &Platform,
+    ) -> (Vector2<f64>, SMatrix<f64, 2, 5>) {
+        relative(s, platform.rate, platform)
+    }
+
+    fn first(&self, first: &First, prior: &Prior) -> Gaussian<5> {
+        extended(&polar_first(first, prior), &[prior.turn_rate])
+    }
+}
+
+impl Motion<6> for CtrvDroneRate {
+    const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Turn, Noise::Platform];
+    const HEADING: Option<usize> = Some(3);
+    const PLATFORM_RATE: Option<usize> = Some(5);
+
+    fn moved(&self, s: &Vector6<f64>, dt: f64, platform: &Platform) -> Vector6<f64> {
+        step(&s.fixed_rows::<5>(0).into(), s[5], dt, platform).0.push(s[5])
+    }
+
+    fn transition(
+        &self,
+        s: &Vector6<f64>,
+        dt: f64,
+        platform: &Platform,
+    ) -> (Vector6<f64>, SMatrix<f64, 6, 6>) {
+        let (after, columns) = step(&s.fixed_rows::<5>(0).into(), s[5], dt, platform);
+        let mut F = columns.jacobian::<6>(dt);
+        (F[(0, 5)], F[(1, 5)], F[(3, 5)]) = (columns.by_platform[0], columns.by_platform[1], -dt);
+        (after.push(s[5]), F)
+    }
+
+    fn impulses(&self, s: &Vector6<f64>, dt: f64, platform: &Platform) -> SMatrix<f64, 6, INPUTS> {
+        let F = self.transition(s, dt, platform).1;
+        SMatrix::from_columns(&[F.column(2), F.column(4), F.column(5)])
+    }
+
+    fn holds(&self, s: &Vector6<f64>, dt: f64) -> SMatrix<f64, 6, INPUTS> {
+        let mut columns = holds(s, dt);
+        columns[(5, 2)] = dt;
+        columns
+    }
+
+    fn velocity(
+        &self,
+        s: &Vector6<f64>,
+        platform: &Platform,
+    ) -> (Vector2<f64>, SMatrix<f64, 2, 6>) {
+        let (velocity, mut J) = relative(s, s[5], platform);
+        (J[(0, 5)], J[(1, 5)]) = (platform.lever[1], -platform.lever[0]);
+        (velocity, J)
+    }
+
+    fn first(&self, first: &First, prior: &Prior) -> Gaussian<6> {
+        extended(&polar_first(first, prior), &[prior.turn_rate, prior.platform_rate])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fusion::models::motion::tests::check;
+
+    #[test]
+    fn models_agree_with_differences() {
+        for rate in [0.0, 1e-7, 0.5, -2.0] {
+            let platform = Platform {
+                rate,
+                rate_variance: 0.01,
+                velocity: [3.0, -0.5],
+                lever: [0.3, -0.2],
+                ..Platform::still()
+            };
+            for w in [0.0, 0.7] {
+                check(&CtrvDrone, &Vector5::new(4.0, -2.0, 2.0, 2.5, w), 0.1, &platform);
+                check(&CtrvDroneRate, &Vector6::new(4.0, -2.0, 2.0, 2.5, w, rate), 0.1, &platform);
+            }
+        }
+    }
+
+    /// A target at rest seems to circle a sensor that turns, at the opposite rate.
+    #[test]
+    fn a_target_at_rest_goes_round_a_turning_sensor() {
+        let platform = Platform { rate: 1.0, ..Platform::still() };
+        let after = CtrvDrone.moved(&Vector5::new(2.0, 0.0, 0.0, 0.0, 0.0), 0.5, &platform);
+        assert!((after[0] - 2.0 * 0.5_f64.cos()).abs() < 1e-12);
+        assert!((after[1] + 2.0 * 0.5_f64.sin()).abs() < 1e-12);
+    }
+}

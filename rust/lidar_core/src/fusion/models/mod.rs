@@ -1,0 +1,9 @@
+//! Motion models: what a state is and how it changes with time.
+
+pub mod cartesian;
+pub mod drone;
+pub mod heading;
+pub mod motion;
+pub mod platform;
+pub mod state_conversion;
+pub mod turn;

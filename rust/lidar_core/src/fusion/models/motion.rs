@@ -1,0 +1,295 @@
+//! What a motion model has to say, and the noise that drives it.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::platform::Platform;
+use crate::estimation::kalman::{Gaussian, add_scaled};
+use nalgebra::{SMatrix, SVector, Vector2};
+
+/// Independent noises that may drive a model.
+pub const INPUTS: usize = 3;
+
+/// A noise that drives a model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Noise {
+    /// Acceleration of the target.
+    Acceleration,
+    /// Jerk of the target.
+    Jerk,
+    /// Angular acceleration of the target.
+    Turn,
+    /// Angular acceleration of the platform.
+    Platform,
+    /// None.
+    Absent,
+}
+
+/// How uncertain a target is before it has been seen twice, as variances.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Prior {
+    /// Of the position, per axis [m^2].
+    pub position: f64,
+    /// Of the speed, or of the velocity per axis [m^2/s^2].
+    pub speed: f64,
+    /// Of the heading [rad^2].
+    pub heading: f64,
+    /// Of the turn rate [rad^2/s^2].
+    pub turn_rate: f64,
+    /// Of the acceleration, per axis [m^2/s^4].
+    pub acceleration: f64,
+    /// Of the turn rate of the platform, where it is estimated [rad^2/s^2].
+    pub platform_rate: f64,
+}
+
+/// Where a target was seen first: position, and the velocity along the line of sight.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct First {
+    /// In the frame of the state [m].
+    pub position: [f64; 2],
+    /// Speed away from the sensor [m/s]; zero where it is not measured.
+    pub speed: f64,
+    /// Direction of that speed, counter-clockwise from x [rad].
+    pub heading: f64,
+}
+
+/// A motion model with N states; the first two are the position.
+///
+/// The frame of the state is the sensor's where the sensor stands still or the model moves it,
+/// else the world's.
+pub trait Motion<const N: usize>: Clone + Send + Sync + 'static {
+    /// What drives it, in the order of the columns of [`Self::impulses`].
+    const NOISES: [Noise; INPUTS];
+    /// Which state is a heading: it is kept unwrapped and wrapped on output.
+    const HEADING: Option<usize>;
+    /// Which state is the turn rate of the platform.
+    const PLATFORM_RATE: Option<usize> = None;
+
+    /// State after `dt` [s].
+    fn moved(&self, s: &SVector<f64, N>, dt: f64, platform: &Platform) -> SVector<f64, N>;
+
+    /// The same with its Jacobian.
+    fn transition(
+        &self,
+        s: &SVector<f64, N>,
+        dt: f64,
+        platform: &Platform,
+    ) -> (SVector<f64, N>, SMatrix<f64, N, N>);
+
+    /// Response of the state, `dt` after it was `s`, to a unit impulse of each noise at `s`.
+    fn impulses(
+        &self,
+        s: &SVector<f64, N>,
+        dt: f64,
+        platform: &Platform,
+    ) -> SMatrix<f64, N, INPUTS>;
+
+    /// Hand out responses of the state `end` to unit impulses that came `rests` [s] before it.
+    fn responses(
+        &self,
+        end: &SVector<f64, N>,
+        rests: [f64; 3],
+        platform: &Platform,
+        mut visit: impl FnMut(&SMatrix<f64, N, INPUTS>),
+    ) {
+        for rest in rests {
+            visit(&self.impulses(&self.moved(end, -rest, platform), rest, platform));
+        }
+    }
+
+    /// Response to each noise when it keeps its unit value for `dt`, on a straight line.
+    fn holds(&self, s: &SVector<f64, N>, dt: f64) -> SMatrix<f64, N, INPUTS>;
+
+    /// Response to the error of an input that the filter is told, times its deviation.
+    fn told(
+        &self,
+        _s: &SVector<f64, N>,
+        _dt: f64,
+        _platform: &Platform,
+    ) -> Option<SVector<f64, N>> {
+        None
+    }
+
+    /// Velocity relative to the origin of the state's frame, and its Jacobian.
+    fn velocity(
+        &self,
+        s: &SVector<f64, N>,
+        platform: &Platform,
+    ) -> (Vector2<f64>, SMatrix<f64, 2, N>);
+
+    /// State of a target that has been seen once.
+    fn first(&self, first: &First, prior: &Prior) -> Gaussian<N>;
+
+    /// State of a target whose position and velocity [x, y, vx, vy] are known; none for models
+    /// that start by themselves.
+    fn after_velocity(&self, _cv: &Gaussian<4>, _prior: &Prior) -> Option<Gaussian<N>> {
+        None
+    }
+}
+
+/// `start` with zeros for the states that follow, whose variances are given.
+pub(crate) fn extended<const N: usize>(start: &Gaussian<4>, variances: &[f64]) -> Gaussian<N> {
+    let (mut mean, mut covariance) = (SVector::<f64, N>::zeros(), SMatrix::<f64, N, N>::zeros());
+    mean.fixed_rows_mut::<4>(0).copy_from(&start.mean);
+    covariance.fixed_view_mut::<4, 4>(0, 0).copy_from(&start.covariance);
+    for (index, variance) in variances.iter().enumerate() {
+        covariance[(4 + index, 4 + index)] = *variance;
+    }
+    Gaussian { mean, covariance }
+}
+
+/// How process noise acts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NoiseForm {
+    /// White in continuous time: strengths are roots of spectral densities, and two half steps
+    /// equal a whole one.
+    Continuous,
+    /// Constant over a step: strengths are standard deviations, and the noise per second depends
+    /// on the rate of the measurements.
+    Discrete,
+}
+
+/// Process noise of a model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ProcessNoise {
+    /// How it acts.
+    pub form: NoiseForm,
+    /// Strength of each noise, in the units that `form` asks for.
+    pub strength: [f64; INPUTS],
+}
+
+/// Nodes and weights of the Gauss-Legendre rule with three points over 0 to 1.
+const NODES: [(f64, f64); 3] = [
+    (0.112_701_665_379_258_31, 5.0 / 18.0),
+    (0.5, 8.0 / 18.0),
+    (0.887_298_334_620_741_7, 5.0 / 18.0),
+];
+
+impl ProcessNoise {
+    /// Hand out columns c whose outer products sum to the covariance Q of the noise of a step
+    /// from `s` to `end`: Q is positive semidefinite by construction.
+    pub fn columns<const N: usize, M: Motion<N>>(
+        &self,
+        motion: &M,
+        [s, end]: [&SVector<f64, N>; 2],
+        dt: f64,
+        platform: &Platform,
+        mut visit: impl FnMut(&SVector<f64, N>),
+    ) {
+        let mut visit_scaled = |columns: &SMatrix<f64, N, INPUTS>, scale: f64| {
+            for (column, strength) in columns.data.0.iter().zip(self.strength) {
+                if strength != 0.0 {
+                    visit(&(SVector::from(*column) * (strength * scale)));
+                }
+            }
+        };
+        match self.form {
+            NoiseForm::Discrete => visit_scaled(&motion.holds(s, dt), 1.0),
+            NoiseForm::Continuous => {
+                let rests = NODES.map(|(node, _)| (1.0 - node) * dt);
+                let mut weights = NODES.iter().map(|(_, weight)| libm::sqrt(weight * dt));
+                motion.responses(end, rests, platform, |columns| {
+                    weights.next().into_iter().for_each(|weight| visit_scaled(columns, weight));
+                });
+            }
+        }
+        if let Some(column) = motion.told(s, dt, platform) {
+            visit(&column);
+        }
+    }
+
+    /// Add the covariance of the noise of a step from `ends[0]` to `ends[1]`.
+    pub fn add<const N: usize, M: Motion<N>>(
+        &self,
+        motion: &M,
+        ends: [&SVector<f64, N>; 2],
+        dt: f64,
+        platform: &Platform,
+        sum: &mut SMatrix<f64, N, N>,
+    ) {
+        self.columns(motion, ends, dt, platform, |column| {
+            let [entries] = &column.data.0;
+            for row in 0..N {
+                add_scaled(&mut sum.data.0[row], entries[row], entries);
+            }
+        });
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// Central difference of a function of the state, column by column.
+    pub(crate) fn difference<const N: usize, const M: usize>(
+        s: &SVector<f64, N>,
+        f: impl Fn(&SVector<f64, N>) -> SVector<f64, M>,
+    ) -> SMatrix<f64, M, N> {
+        let mut J = SMatrix::<f64, M, N>::zeros();
+        for column in 0..N {
+            let step = 1e-5 * s[column].abs().max(1.0);
+            let mut ends = [*s, *s];
+            ends[0][column] += step;
+            ends[1][column] -= step;
+            J.set_column(column, &((f(&ends[0]) - f(&ends[1])) / (2.0 * step)));
+        }
+        J
+    }
+
+    /// Check everything that models have to fulfil, at one state.
+    pub(crate) fn check<const N: usize, M: Motion<N>>(
+        motion: &M,
+        s: &SVector<f64, N>,
+        dt: f64,
+        platform: &Platform,
+    ) {
+        let (after, F) = motion.transition(s, dt, platform);
+        assert!((after - motion.moved(s, dt, platform)).abs().max() < 1e-12);
+        let expected = difference(s, |s| motion.moved(s, dt, platform));
+        assert!((F - expected).abs().max() < 1e-8, "F: {F} expected {expected}");
+        let half = motion.moved(s, 0.5 * dt, platform);
+        let again = motion.moved(&half, 0.5 * dt, platform);
+        assert!((again - after).abs().max() < 1e-12, "two half steps: {again} {after}");
+        let (_, J) = motion.velocity(s, platform);
+        let expected = difference(s, |s| motion.velocity(s, platform).0);
+        assert!((J - expected).abs().max() < 1e-8, "velocity: {J} {expected}");
+        let rests = [0.0, 0.3 * dt, dt];
+        let mut left = rests.iter();
+        motion.responses(&after, rests, platform, |got| {
+            let rest = left.next().copied().unwrap_or(f64::NAN);
+            let at = motion.moved(s, dt - rest, platform);
+            let expected = motion.impulses(&at, rest, platform);
+            assert!((got - expected).abs().max() < 1e-12, "{got} {expected}");
+        });
+        assert_eq!(left.next(), None);
+        check_noise(motion, s, dt, platform);
+    }
+
+    fn check_noise<const N: usize, M: Motion<N>>(
+        motion: &M,
+        s: &SVector<f64, N>,
+        dt: f64,
+        platform: &Platform,
+    ) {
+        let noise = ProcessNoise { form: NoiseForm::Continuous, strength: [0.7, 0.4, 0.2] };
+        let mut Q = SMatrix::<f64, N, N>::zeros();
+        noise.add(motion, [s, &motion.moved(s, dt, platform)], dt, platform, &mut Q);
+        let mut expected = SMatrix::<f64, N, N>::zeros();
+        let steps = 400;
+        let h = dt / f64::from(steps);
+        for step in 0..steps {
+            let t = (f64::from(step) + 0.5) * h;
+            let at = motion.moved(s, t, platform);
+            let columns = motion.impulses(&at, dt - t, platform);
+            for (index, q) in noise.strength.iter().enumerate() {
+                let column = columns.column(index);
+                expected += column * column.transpose() * (q * q * h);
+            }
+        }
+        if let Some(column) = motion.told(s, dt, platform) {
+            expected += column * column.transpose();
+        }
+        let scale = expected.abs().max();
+        assert!((Q - expected).abs().max() < 2e-4 * scale, "Q {Q} expected {expected}");
+        assert!((Q + SMatrix::<f64, N, N>::identity() * (1e-13 * scale)).cholesky().is_some());
+    }
+}

@@ -1,0 +1,4 @@
+//! Measurements, and what a sensor would measure of a state.
+
+pub mod measurement;
+pub mod observation;

@@ -1,0 +1,375 @@
+//! Measurement models: what a sensor would say about a state, and how that changes with it.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::measurement::{Measurement, Sensor};
+use crate::fusion::models::motion::{First, Motion};
+use crate::fusion::models::platform::{Platform, SensorPose};
+use crate::fusion::models::turn::{direction, rotated, wrapped};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, Matrix3x2, SMatrix, SVector, Vector2, Vector3};
+
+/// Ranges below this have no bearing [m].
+const NEAREST: f64 = 1e-9;
+
+/// Noise of measurements that bring no covariance, and limits of the models.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sensing {
+    /// Variances of x and y of the LiDAR [m^2].
+    pub lidar: [f64; 2],
+    /// Variances of range [m^2], bearing [rad^2] and range rate [m^2/s^2] of the radar.
+    pub radar: [f64; 3],
+    /// Variance of the gyro's turn rate [rad^2/s^2].
+    pub gyro: f64,
+    /// Variances of the platform's x, y [m^2] and yaw [rad^2]; zeros for exact poses.
+    pub pose: [f64; 3],
+    /// Nearer than this [m] a radar's range and bearing are turned into a position.
+    pub range_min: f64,
+    /// Whether radar is always turned into a position, its range rate dropped.
+    pub convert_radar: bool,
+}
+
+/// A measurement in the form in which it corrects a state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Observation {
+    /// Position in the frame of the sensor.
+    Position {
+        /// Measured [m].
+        z: Vector2<f64>,
+        /// Its covariance.
+        R: Matrix2<f64>,
+    },
+    /// Range, bearing and range rate.
+    Polar {
+        /// Measured.
+        z: Vector3<f64>,
+        /// Its covariance.
+        R: Matrix3<f64>,
+    },
+    /// Turn rate of the platform.
+    Rate {
+        /// Measured [rad/s].
+        z: f64,
+        /// Its variance.
+        R: f64,
+    },
+}
+
+/// A state as the sensor sees it.
+pub struct LineOfSight<'a, const N: usize, M> {
+    motion: &'a M,
+    state: &'a SVector<f64, N>,
+    platform: &'a Platform,
+    sensor: Option<&'a SensorPose>,
+    /// In the frame of the sensor [m].
+    position: Vector2<f64>,
+}
+
+impl<'a, const N: usize, M: Motion<N>> LineOfSight<'a, N, M> {
+    /// `s` seen by a sensor in the world, or in its own frame where there is none.
+    pub fn new(
+        motion: &'a M,
+        state: &'a SVector<f64, N>,
+        platform: &'a Platform,
+        sensor: Option<&'a SensorPose>,
+    ) -> Self {
+        let position = Vector2::new(state[0], state[1]);
+        let position = sensor.map_or(position, |sensor| {
+            into_sensor(sensor) * (position - Vector2::from(sensor.position))
+        });
+        Self { motion, state, platform, sensor, position }
+    }
+
+    /// Expected position and its Jacobian.
+    #[inline]
+    #[must_use]
+    pub fn place(&self) -> (Vector2<f64>, SMatrix<f64, 2, N>) {
+        let mut by_position = SMatrix::<f64, 2, N>::zeros();
+        let back = self.sensor.map_or_else(Matrix2::identity, into_sensor);
+        by_position.fixed_view_mut::<2, 2>(0, 0).copy_from(&back);
+        (self.position, by_position)
+    }
+
+    /// Velocity relative to the sensor in its frame, and its Jacobian.
+    #[inline]
+    fn velocity(&self) -> (Vector2<f64>, SMatrix<f64, 2, N>) {
+        let (velocity, by_state) = self.motion.velocity(self.state, self.platform);
+        let Some(sensor) = self.sensor else { return (velocity, by_state) };
+        let back = into_sensor(sensor);
+        (back * (velocity - Vector2::from(sensor.velocity)), back * by_state)
+    }
+
+    /// Expected range, bearing and range rate.
+    #[inline]
+    #[must_use]
+    pub fn polar(&self) -> Vector3<f64> {
+        polar_of(self.position, self.velocity().0)
+    }
+
+    /// The same with its Jacobian; the range must not be zero.
+    #[inline]
+    #[must_use]
+    pub fn polar_jacobian(&self) -> (Vector3<f64>, SMatrix<f64, 3, N>) {
+        let (p, (v, by_velocity)) = (self.position, self.velocity());
+        let (mut by_position, ahead) = polar_slopes(p, v);
+        if let Some(sensor) = self.sensor {
+            by_position *= into_sensor(sensor);
+        }
+        let mut J = SMatrix::<f64, 3, N>::zeros();
+        J.fixed_view_mut::<3, 2>(0, 0).copy_from(&by_position);
+        for (column, by) in J.data.0.iter_mut().zip(&by_velocity.data.0) {
+            column[2] += ahead[0] * by[0] + ahead[1] * by[1];
+        }
+        (polar_of(p, v), J)
+    }
+
+    /// Covariance `R` of a measured position, and what the pose of the platform adds to it.
+    #[inline]
+    #[must_use]
+    pub fn place_noise(&self, R: Matrix2<f64>) -> Matrix2<f64> {
+        let Some((by_pose, _, P)) = self.by_pose() else { return R };
+        R + by_pose * P * by_pose.transpose()
+    }
+
+    /// The same of range, bearing and range rate; the range must not be zero.
+    #[inline]
+    #[must_use]
+    pub fn polar_noise(&self, R: Matrix3<f64>) -> Matrix3<f64> {
+        let Some((position_by, velocity_by, P)) = self.by_pose() else { return R };
+        let (by_position, ahead) = polar_slopes(self.position, self.velocity().0);
+        let mut by_pose = by_position * position_by;
+        let rate = by_pose.row(2) + Vector2::from(ahead).transpose() * velocity_by;
+        by_pose.set_row(2, &rate);
+        R + by_pose * P * by_pose.transpose()
+    }
+
+    /// Jacobians of position and velocity in the frame of the sensor by x, y and yaw of the
+    /// platform, and their covariance; none where the pose is exact.
+    #[inline]
+    fn by_pose(&self) -> Option<(Matrix2x3<f64>, Matrix2x3<f64>, Matrix3<f64>)> {
+        let sensor = self.sensor?;
+        let covariance = sensor.covariance?;
+        let (back, [lx, ly]) = (into_sensor(sensor), sensor.lever);
+        let away = self.position + Vector2::new(lx, ly); // of the platform's origin
+        let passing = self.velocity().0 + Vector2::new(-ly, lx) * sensor.rate;
+        let mut position_by = Matrix2x3::zeros();
+        position_by.fixed_view_mut::<2, 2>(0, 0).copy_from(&-back);
+        position_by.set_column(2, &Vector2::new(away.y, -away.x));
+        let mut velocity_by = Matrix2x3::zeros();
+        velocity_by.set_column(2, &Vector2::new(passing.y, -passing.x));
+        Some((position_by, velocity_by, covariance))
+    }
+
+    /// Distance from the sensor [m].
+    #[must_use]
+    pub fn range(&self) -> f64 {
+        self.position.norm()
+    }
+}
+
+/// Jacobian of range, bearing and range rate by the position; the rate's by the velocity.
+#[inline]
+fn polar_slopes(p: Vector2<f64>, v: Vector2<f64>) -> (Matrix3x2<f64>, [f64; 2]) {
+    let square = p.x * p.x + p.y * p.y;
+    let range = libm::sqrt(square);
+    let across = (p.x * v.y - p.y * v.x) / (square * range);
+    let ahead = [p.x / range, p.y / range];
+    let by_position = Matrix3x2::new(
+        ahead[0],
+        ahead[1], //
+        -p.y / square,
+        p.x / square, //
+        -p.y * across,
+        p.x * across,
+    );
+    (by_position, ahead)
+}
+
+/// Turns vectors of the world into the axes of the sensor.
+fn into_sensor(sensor: &SensorPose) -> Matrix2<f64> {
+    let [c, sine] = sensor.heading;
+    Matrix2::new(c, sine, -sine, c)
+}
+
+/// Range, bearing and range rate of a position and a velocity.
+fn polar_of(p: Vector2<f64>, v: Vector2<f64>) -> Vector3<f64> {
+    let range = libm::sqrt(p.x * p.x + p.y * p.y).max(NEAREST);
+    Vector3::new(range, libm::atan2(p.y, p.x), (p.x * v.x + p.y * v.y) / range)
+}
+
+impl Sensing {
+    /// `m` in the form in which it corrects a state `range` away [m]; none for a pose.
+    #[must_use]
+    pub fn observation(&self, m: &Measurement, range: f64) -> Option<Observation> {
+        let v = m.values();
+        match m.sensor() {
+            Sensor::Lidar => {
+                Some(Observation::Position { z: Vector2::new(v[0], v[1]), R: self.lidar_noise(m) })
+            }
+            Sensor::Radar if self.convert_radar || range < self.range_min => {
+                Some(converted(v, &self.radar_noise(m)))
+            }
+            Sensor::Radar => Some(Observation::Polar {
+                z: Vector3::new(v[0], v[1], v[2]),
+                R: self.radar_noise(m),
+            }),
+            Sensor::Gyro => Some(Observation::Rate { z: v[0], R: self.gyro_variance(m) }),
+            Sensor::Pose => None,
+        }
+    }
+
+    /// Variance of a gyro's turn rate [rad^2/s^2].
+    #[must_use]
+    pub fn gyro_variance(&self, m: &Measurement) -> f64 {
+        m.covariance().map_or(self.gyro, |rows| rows[0][0])
+    }
+
+    /// Covariance of a pose's x, y and yaw; none where they are exact.
+    #[must_use]
+    pub fn pose_noise(&self, m: &Measurement) -> Option<Matrix3<f64>> {
+        let known = self.pose.iter().any(|variance| *variance > 0.0);
+        m.matrix3().or_else(|| known.then(|| Matrix3::from_diagonal(&self.pose.into())))
+    }
+
+    fn lidar_noise(&self, m: &Measurement) -> Matrix2<f64> {
+        m.matrix2().unwrap_or_else(|| Matrix2::from_diagonal(&self.lidar.into()))
+    }
+
+    fn radar_noise(&self, m: &Measurement) -> Matrix3<f64> {
+        m.matrix3().unwrap_or_else(|| Matrix3::from_diagonal(&self.radar.into()))
+    }
+}
+
+/// A radar's range and bearing as a position, its covariance turned along.
+fn converted(values: &[f64], R: &Matrix3<f64>) -> Observation {
+    let [cosine, sine] = direction(values[1]);
+    let range = values[0];
+    let T = Matrix2::new(cosine, -range * sine, sine, range * cosine);
+    let R = T * R.fixed_view::<2, 2>(0, 0) * T.transpose();
+    let R = (R + R.transpose()) * 0.5;
+    Observation::Position { z: Vector2::new(range * cosine, range * sine), R }
+}
+
+/// Innovation of a polar measurement: the bearing is an angle.
+#[must_use]
+pub fn polar_difference(z: &Vector3<f64>, expected: &Vector3<f64>) -> Vector3<f64> {
+    let y = z - expected;
+    Vector3::new(y[0], wrapped(y[1]), y[2])
+}
+
+/// Where a measurement sees a target first: its position, in the world where the sensor is.
+#[must_use]
+pub fn first_sight(m: &Measurement, sensor: Option<&SensorPose>) -> Option<First> {
+    let v = m.values();
+    let mut first = match m.sensor() {
+        Sensor::Lidar => First { position: [v[0], v[1]], speed: 0.0, heading: 0.0 },
+        Sensor::Radar => {
+            let [cosine, sine] = direction(v[1]);
+            First { position: [v[0] * cosine, v[0] * sine], speed: v[2], heading: v[1] }
+        }
+        Sensor::Gyro | Sensor::Pose => return None,
+    };
+    if let Some(sensor) = sensor {
+        let [x, y] = rotated(sensor.heading, first.position);
+        first.position = [x + sensor.position[0], y + sensor.position[1]];
+        let along = direction(first.heading);
+        let own = rotated([sensor.heading[0], -sensor.heading[1]], sensor.velocity);
+        first.heading += libm::atan2(sensor.heading[1], sensor.heading[0]);
+        if m.sensor() == Sensor::Radar {
+            first.speed += along[0] * own[0] + along[1] * own[1]; // over ground
+        }
+    }
+    Some(first)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fusion::models::drone::{CtrvDrone, CtrvDroneRate};
+    use crate::fusion::models::heading::Ctrv;
+    use crate::fusion::models::motion::tests::difference;
+    use crate::fusion::models::platform::Pose;
+    use nalgebra::{Vector5, Vector6};
+
+    fn check<const N: usize, M: Motion<N>>(motion: &M, s: &SVector<f64, N>, platform: &Platform) {
+        let sensor = platform.sensor_at(100_000_000);
+        let sensor = sensor.as_ref();
+        let expected = difference(s, |s| LineOfSight::new(motion, s, platform, sensor).polar());
+        let sight = LineOfSight::new(motion, s, platform, sensor);
+        let (_, J) = sight.polar_jacobian();
+        assert!((J - expected).abs().max() < 1e-8, "{J} {expected}");
+        let (_, J) = sight.place();
+        let expected = difference(s, |s| LineOfSight::new(motion, s, platform, sensor).place().0);
+        assert!((J - expected).abs().max() < 1e-8);
+    }
+
+    #[test]
+    fn jacobians_agree_with_differences() {
+        let lever = [0.3, -0.2];
+        let moving = Platform { rate: 0.8, velocity: [2.0, 1.0], lever, ..Platform::still() };
+        let s = Vector5::new(4.0, -2.0, 2.0, 2.5, 0.3);
+        check(&Ctrv, &s, &Platform::still());
+        check(&CtrvDrone, &s, &moving);
+        check(&CtrvDroneRate, &Vector6::new(4.0, -2.0, 2.0, 2.5, 0.3, 0.8), &moving);
+        let (position, velocity) = ([5.0, 1.0], [1.0, -2.0]);
+        let pose = Pose { stamp_ns: 0, position, yaw: 0.7, velocity, rate: 0.5, covariance: None };
+        check(&Ctrv, &s, &Platform { pose: Some(pose), ..moving });
+    }
+
+    /// A pose with a covariance adds that times its Jacobian, here by differences.
+    #[test]
+    fn noise_of_a_pose_agrees_with_differences() {
+        let covariance = Matrix3::new(0.3, 0.1, 0.02, 0.1, 0.2, -0.01, 0.02, -0.01, 0.05);
+        let s = Vector5::new(4.0, -2.0, 2.0, 2.5, 0.3);
+        let platform = |at: &Vector3<f64>| {
+            let (position, velocity) = ([at[0], at[1]], [1.0, -2.0]);
+            let covariance = Some(covariance);
+            let pose = Pose { stamp_ns: 0, position, yaw: at[2], velocity, rate: 0.5, covariance };
+            Platform { pose: Some(pose), lever: [0.3, -0.2], ..Platform::still() }
+        };
+        let sensor = |at: &Vector3<f64>| platform(at).sensor_at(100_000_000);
+        let still = Platform::still();
+        let seen = |at: &Vector3<f64>| {
+            let sensor = sensor(at);
+            let sight = LineOfSight::new(&Ctrv, &s, &still, sensor.as_ref());
+            (sight.place().0, sight.polar())
+        };
+        let at = Vector3::new(5.0, 1.0, 0.7);
+        let (by_place, by_polar) =
+            (difference(&at, |at| seen(at).0), difference(&at, |at| seen(at).1));
+        let told = sensor(&at);
+        let sight = LineOfSight::new(&Ctrv, &s, &still, told.as_ref());
+        let place = sight.place_noise(Matrix2::identity()) - Matrix2::identity();
+        assert!((place - by_place * covariance * by_place.transpose()).abs().max() < 1e-7);
+        let polar = sight.polar_noise(Matrix3::identity()) - Matrix3::identity();
+        assert!((polar - by_polar * covariance * by_polar.transpose()).abs().max() < 1e-7);
+    }
+
+    /// The range rate is the derivative of the range along the motion.
+    #[test]
+    fn range_rate_is_how_the_range_changes() {
+        let lever = [0.3, -0.2];
+        let moving = Platform { rate: 0.8, velocity: [2.0, 1.0], lever, ..Platform::still() };
+        let s = Vector5::new(4.0, -2.0, 2.0, 2.5, 0.3);
+        let range = |dt| {
+            LineOfSight::new(&CtrvDrone, &CtrvDrone.moved(&s, dt, &moving), &moving, None).range()
+        };
+        let rate = (range(1e-5) - range(-1e-5)) / 2e-5;
+        assert!((LineOfSight::new(&CtrvDrone, &s, &moving, None).polar()[2] - rate).abs() < 1e-8);
+    }
+
+    #[test]
+    fn a_first_sight_is_what_the_sensor_would_measure() -> Result<(), crate::Error> {
+        let (position, velocity) = ([5.0, 1.0], [1.0, -2.0]);
+        let pose = Pose { stamp_ns: 0, position, yaw: 0.7, velocity, rate: 0.0, covariance: None };
+        let platform = Platform { pose: Some(pose), ..Platform::still() };
+        let sensor = platform.sensor_at(0);
+        let m = Measurement::new(0, Sensor::Radar, &[3.0, 0.4, 1.5], None)?;
+        let unknown = First { position: [0.0; 2], speed: 0.0, heading: 0.0 };
+        let first = first_sight(&m, sensor.as_ref()).unwrap_or(unknown);
+        let [x, y] = first.position;
+        let s = Vector5::new(x, y, first.speed, first.heading, 0.0);
+        let polar = LineOfSight::new(&Ctrv, &s, &platform, sensor.as_ref()).polar();
+        assert!((polar - Vector3::new(3.0, 0.4, 1.5)).abs().max() < 1e-12);
+        Ok(())
+    }
+}

@@ -1,0 +1,338 @@
+//! Any model and method behind one type, and runs over whole recordings.
+
+use super::lifecycle::{GyroUse, Life, Outcome};
+use super::target::{Step, Taken, Target};
+use crate::Error;
+use crate::error::require;
+use crate::estimation::unscented::Rule;
+use crate::fusion::filter::engine::{Engine, Link, Output, Single};
+use crate::fusion::filter::imm::{Imm, Mode, mode};
+use crate::fusion::filter::paper::Paper;
+use crate::fusion::filter::sigma_points::Sigma;
+use crate::fusion::filter::smoother::{Row, smoothed};
+use crate::fusion::models::cartesian::{ConstantAcceleration, ConstantVelocity, CoordinatedTurn};
+use crate::fusion::models::drone::{CtrvDrone, CtrvDroneRate};
+use crate::fusion::models::heading::{Ctra, Ctrv};
+use crate::fusion::models::motion::{Motion, Noise, NoiseForm, Prior, ProcessNoise};
+use crate::fusion::models::platform::Platform;
+use crate::fusion::sensors::measurement::Measurement;
+use crate::fusion::sensors::observation::Sensing;
+use std::sync::Arc;
+
+/// How targets move.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Model {
+    /// [x, y, vx, vy].
+    ConstantVelocity,
+    /// [x, y, vx, vy, ax, ay].
+    ConstantAcceleration,
+    /// [x, y, vx, vy, w].
+    CoordinatedTurn,
+    /// [x, y, v, theta, w].
+    Ctrv,
+    /// [x, y, v, theta, w, a].
+    Ctra,
+    /// [x, y, v, theta, w] in the frame of a sensor that moves; with w_d unless a gyro is an input.
+    CtrvDrone,
+    /// [x, y, v, theta, w, w_d] as published; method, prior and deviations come from elsewhere.
+    Paper(Paper),
+}
+
+/// How the state is estimated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Method {
+    /// Linear: radar as a position, without its range rate. Models with a velocity vector only.
+    Linear,
+    /// Linearised at the mean.
+    Extended,
+    /// Unscented, in square-root form.
+    Sigma {
+        /// Square of the distance of the sigma points, in standard deviations; none: the number
+        /// of states plus 2, which keeps all weights positive.
+        spread: Option<f64>,
+        /// Whether the points of a prediction meet the measurement, instead of new ones.
+        carries: bool,
+    },
+    /// Cubature: unscented without a central point.
+    Cubature,
+    /// Interacting multiple models, each extended; the parameters' own model does not count.
+    Interacting {
+        /// Which of [`MIXABLE`].
+        models: [bool; 5],
+        /// Mean time for which a target follows one model [s].
+        sojourn: f64,
+    },
+}
+
+/// Order of the models that can be mixed.
+pub const MIXABLE: [Model; 5] = [
+    Model::ConstantVelocity,
+    Model::ConstantAcceleration,
+    Model::CoordinatedTurn,
+    Model::Ctrv,
+    Model::Ctra,
+];
+
+/// Strengths of process noise, in the units that `form` asks for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Strengths {
+    /// How the noise acts.
+    pub form: NoiseForm,
+    /// Of the acceleration.
+    pub acceleration: f64,
+    /// Of the jerk, where acceleration is a state.
+    pub jerk: f64,
+    /// Of the angular acceleration.
+    pub turn: f64,
+    /// Of the angular acceleration of the platform.
+    pub platform: f64,
+    /// Of the acceleration while a target starts, constant over a step [m/s^2].
+    pub start: f64,
+}
+
+/// Everything a filter can be told.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FusionParameters {
+    /// How targets move.
+    pub model: Model,
+    /// How the state is estimated.
+    pub method: Method,
+    /// What disturbs the motion.
+    pub strengths: Strengths,
+    /// What is known before.
+    pub prior: Prior,
+    /// Sensor models.
+    pub sensing: Sensing,
+    /// Rules over a target's life.
+    pub life: Life,
+    /// From the platform's origin to the sensor, axes of the platform [m].
+    pub lever: [f64; 2],
+}
+
+/// A filter of one target.
+pub struct Filter(Box<dyn Tracked>);
+
+/// A [`Target`], whatever its engine.
+trait Tracked: Send + Sync {
+    fn step(&mut self, m: &Measurement) -> Step;
+    fn take(&mut self, m: &Measurement) -> Taken;
+    fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]);
+    fn stamp_ns(&self) -> i64;
+    fn output(&self) -> Option<Output>;
+    fn output_at(&self, stamp_ns: i64) -> Option<Output>;
+    fn link(&self, stamp_ns: i64) -> Option<Link>;
+    fn boxed(&self) -> Box<dyn Tracked>;
+}
+
+impl<E: Engine> Tracked for Target<E> {
+    fn step(&mut self, m: &Measurement) -> Step {
+        Target::step(self, m)
+    }
+
+    fn take(&mut self, m: &Measurement) -> Taken {
+        Target::take(self, m)
+    }
+
+    fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]) {
+        Target::absorb(self, stamp_ns, weighted);
+    }
+
+    fn stamp_ns(&self) -> i64 {
+        Target::stamp_ns(self)
+    }
+
+    fn output(&self) -> Option<Output> {
+        Target::output(self)
+    }
+
+    fn output_at(&self, stamp_ns: i64) -> Option<Output> {
+        Target::output_at(self, stamp_ns)
+    }
+
+    fn link(&self, stamp_ns: i64) -> Option<Link> {
+        Target::link(self, stamp_ns)
+    }
+
+    fn boxed(&self) -> Box<dyn Tracked> {
+        Box::new(self.clone())
+    }
+}
+
+impl Clone for Filter {
+    fn clone(&self) -> Self {
+        Self(self.0.boxed())
+    }
+}
+
+impl Filter {
+    /// A filter that has seen nothing.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for a method that does not fit the model.
+    pub fn new(parameters: &FusionParameters) -> Result<Self, Error> {
+        let p = parameters;
+        let linear = matches!(p.model, Model::ConstantVelocity | Model::ConstantAcceleration);
+        let fits = p.method != Method::Linear || linear;
+        require(
+            fits,
+            "method",
+            "\"kf\" with model \"cv\" or \"ca\" only",
+            format!("{:?}", p.model),
+        )?;
+        if let Method::Interacting { models, sojourn } = p.method {
+            let named = MIXABLE.iter().zip(models).filter(|(_, wanted)| *wanted);
+            let modes: Vec<Arc<dyn Mode>> = named.filter_map(|(model, _)| p.mode(*model)).collect();
+            require(!modes.is_empty(), "imm_models", "at least one model", "none")?;
+            return Ok(Self(p.tracked(Imm::new(modes, sojourn))));
+        }
+        Ok(Self(match p.model {
+            Model::ConstantVelocity => p.target(ConstantVelocity),
+            Model::ConstantAcceleration => p.target(ConstantAcceleration),
+            Model::CoordinatedTurn => p.target(CoordinatedTurn),
+            Model::Ctrv => p.target(Ctrv),
+            Model::Ctra => p.target(Ctra),
+            Model::CtrvDrone if p.life.gyro == GyroUse::Input => p.target(CtrvDrone),
+            Model::CtrvDrone => p.target(CtrvDroneRate),
+            Model::Paper(published) => {
+                let Strengths { acceleration, turn, platform, .. } = p.strengths;
+                let std = [acceleration, turn, platform];
+                p.tracked(Paper { std, prior: p.prior, ..published })
+            }
+        }))
+    }
+
+    /// Take in a measurement.
+    pub fn step(&mut self, m: &Measurement) -> Step {
+        self.0.step(m)
+    }
+
+    /// As [`Self::step`], of which only this is new.
+    pub fn take(&mut self, m: &Measurement) -> Taken {
+        self.0.take(m)
+    }
+
+    /// Take in measurements of one time, not older than the state, that are of the target with
+    /// given probabilities, which sum to 1 at most; no gate and no loss.
+    pub fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]) {
+        self.0.absorb(stamp_ns, weighted);
+    }
+
+    /// Time of the state [ns]; the smallest before anything has come.
+    #[must_use]
+    pub fn stamp_ns(&self) -> i64 {
+        self.0.stamp_ns()
+    }
+
+    /// The state; none before the target has been seen.
+    #[must_use]
+    pub fn output(&self) -> Option<Output> {
+        self.0.output()
+    }
+
+    /// State carried on to `stamp_ns`; nothing changes. A time before the last measurement gives
+    /// the state at that measurement.
+    #[must_use]
+    pub fn output_at(&self, stamp_ns: i64) -> Option<Output> {
+        self.0.output_at(stamp_ns)
+    }
+}
+
+/// Hand out the steps of measurements that are in order, every state given the measurements up
+/// to `lag_ns` after it, or all.
+///
+/// # Errors
+/// As [`Filter::new`], and for a model or method whose past cannot be smoothed.
+pub fn smooth_into(
+    parameters: &FusionParameters,
+    measurements: &[Measurement],
+    lag_ns: Option<i64>,
+    mut visit: impl FnMut(&Step),
+) -> Result<(), Error> {
+    let smooths = !matches!(parameters.model, Model::Paper(_));
+    require(smooths, "model", "one that can be smoothed", "\"paper\"")?;
+    let smooths = !matches!(parameters.method, Method::Interacting { .. });
+    require(smooths, "method", "one that can be smoothed", "\"imm\"")?;
+    let mut filter = Filter::new(&parameters.without_buffer())?;
+    let (mut rows, mut steps) = (Vec::new(), Vec::new());
+    for m in measurements {
+        let link = filter.0.link(m.stamp_ns());
+        let before = filter.output();
+        let step = filter.step(m);
+        let link = match step.outcome {
+            Outcome::Started | Outcome::Restarted => None,
+            Outcome::Updated | Outcome::Gated | Outcome::Told => link,
+            _ => link.zip(before).map(|(link, before)| link.standing(&before)),
+        };
+        rows.push(Row { stamp_ns: step.stamp_ns, output: step.output, link });
+        steps.push(step);
+    }
+    for (step, output) in steps.iter().zip(smoothed(&rows, lag_ns)) {
+        visit(&Step { output, ..*step });
+    }
+    Ok(())
+}
+
+impl FusionParameters {
+    /// The same without a buffer, for measurements that come in order.
+    #[must_use]
+    pub fn without_buffer(&self) -> Self {
+        Self { life: Life { buffer_ns: 0, ..self.life }, ..*self }
+    }
+
+    fn tracked<E: Engine>(&self, engine: E) -> Box<dyn Tracked> {
+        let start = self.strengths.start;
+        let starter = Single {
+            motion: ConstantVelocity,
+            noise: ProcessNoise { form: NoiseForm::Discrete, strength: [start, start, 0.0] },
+            prior: self.prior,
+            sensing: self.sensing,
+        };
+        let platform = Platform { lever: self.lever, ..Platform::still() };
+        Box::new(Target::new(engine, starter, self.life, platform))
+    }
+
+    fn mode(&self, model: Model) -> Option<Arc<dyn Mode>> {
+        match model {
+            Model::ConstantVelocity => Some(mode(self.single(ConstantVelocity))),
+            Model::ConstantAcceleration => Some(mode(self.single(ConstantAcceleration))),
+            Model::CoordinatedTurn => Some(mode(self.single(CoordinatedTurn))),
+            Model::Ctrv => Some(mode(self.single(Ctrv))),
+            Model::Ctra => Some(mode(self.single(Ctra))),
+            Model::CtrvDrone | Model::Paper(_) => None,
+        }
+    }
+
+    fn single<const N: usize, M: Motion<N>>(&self, motion: M) -> Single<N, M> {
+        let noise = ProcessNoise {
+            form: self.strengths.form,
+            strength: M::NOISES.map(|noise| self.strengths.of(noise)),
+        };
+        Single { motion, noise, prior: self.prior, sensing: self.sensing }
+    }
+
+    fn target<const N: usize, M: Motion<N>>(&self, motion: M) -> Box<dyn Tracked> {
+        let base = self.single(motion);
+        match self.method {
+            Method::Sigma { spread, carries } => {
+                let rule = Rule::new(N, spread.unwrap_or((N + 2) as f64));
+                self.tracked(Sigma { base, rule, carries })
+            }
+            Method::Cubature => {
+                self.tracked(Sigma { base, rule: Rule::new(N, N as f64), carries: false })
+            }
+            _ => self.tracked(base),
+        }
+    }
+}
+
+impl Strengths {
+    fn of(&self, noise: Noise) -> f64 {
+        match noise {
+            Noise::Acceleration => self.acceleration,
+            Noise::Jerk => self.jerk,
+            Noise::Turn => self.turn,
+            Noise::Platform => self.platform,
+            Noise::Absent => 0.0,
+        }
+    }
+}

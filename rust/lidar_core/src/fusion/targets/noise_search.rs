@@ -1,0 +1,143 @@
+//! Noise by maximum likelihood: what process and sensor noise make the measurements most likely.
+
+use super::any_filter::{Filter, FusionParameters, Method, Model};
+use super::lifecycle::{Life, Outcome};
+use super::record::in_order;
+use crate::Error;
+use crate::error::require;
+use crate::estimation::minimise::{Search, minimise};
+use crate::fusion::models::motion::Noise;
+use crate::fusion::sensors::measurement::Measurement;
+
+/// Measurements after which a filter has forgotten how it started.
+const SETTLED: usize = 10;
+/// Factor by which a value may change, either way.
+const WIDEST: f64 = 1e3;
+
+/// What may be fitted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// Strength of a process noise.
+    Process(Noise),
+    /// Deviation of the LiDAR, both axes by one factor.
+    Lidar,
+    /// Deviation of the radar's range, bearing or range rate.
+    Radar(usize),
+}
+
+/// Log likelihood of all measurements but the first ten of every target. Gates are open and no
+/// filter starts anew, so that it is a smooth function of the parameters.
+///
+/// # Errors
+/// As [`Filter::new`].
+pub fn log_likelihood(
+    parameters: &FusionParameters,
+    targets: &[Vec<Measurement>],
+) -> Result<f64, Error> {
+    let open = Life { gate: [f64::INFINITY; 5], loss: None, buffer_ns: 0, ..parameters.life };
+    let parameters = FusionParameters { life: open, ..*parameters };
+    let mut total = 0.0;
+    for target in targets {
+        let mut filter = Filter::new(&parameters)?;
+        for (number, m) in target.iter().enumerate() {
+            let step = filter.step(m);
+            if step.outcome == Outcome::Singular {
+                return Ok(f64::NEG_INFINITY);
+            }
+            if let (true, Some(innovation)) = (number >= SETTLED, step.innovation) {
+                let constant = innovation.count as f64 * libm::log(std::f64::consts::TAU);
+                total -= 0.5 * (innovation.nis + innovation.log_determinant + constant);
+            }
+        }
+    }
+    Ok(total)
+}
+
+/// The noise that drives `model`, and the sensors whose measurements bring no covariance.
+#[must_use]
+pub fn quantities(
+    parameters: &FusionParameters,
+    targets: &[Vec<Measurement>],
+    sensors: bool,
+) -> Vec<Quantity> {
+    use crate::fusion::sensors::measurement::Sensor;
+    let process: &[Noise] = match (parameters.method, parameters.model) {
+        (Method::Interacting { .. }, _) => &[Noise::Acceleration, Noise::Jerk, Noise::Turn],
+        (_, Model::Ctra) => &[Noise::Jerk, Noise::Turn],
+        (_, Model::ConstantVelocity) => &[Noise::Acceleration],
+        (_, Model::ConstantAcceleration) => &[Noise::Jerk],
+        _ => &[Noise::Acceleration, Noise::Turn],
+    };
+    let mut found: Vec<Quantity> = process.iter().map(|noise| Quantity::Process(*noise)).collect();
+    let plain = |sensor| {
+        let mut all = targets.iter().flatten();
+        sensors && all.any(|m| m.sensor() == sensor && m.covariance().is_none())
+    };
+    if plain(Sensor::Lidar) {
+        found.push(Quantity::Lidar);
+    }
+    if plain(Sensor::Radar) {
+        let used = if parameters.sensing.convert_radar { 2 } else { 3 };
+        found.extend((0..used).map(Quantity::Radar));
+    }
+    found
+}
+
+/// `start` with the `fitted` quantities that make the measurements of all targets most likely,
+/// and their log likelihood. A range rate that is fitted has `least_rate` [m/s] as its smallest
+/// deviation.
+///
+/// # Errors
+/// As [`Filter::new`]; [`Error::Value`] if there are too few measurements.
+pub fn fit(
+    start: &FusionParameters,
+    targets: &[Vec<Measurement>],
+    fitted: &[Quantity],
+    least_rate: f64,
+    search: &Search,
+) -> Result<(FusionParameters, f64), Error> {
+    require(
+        !matches!(start.model, Model::Paper(_)),
+        "model",
+        "one with a likelihood",
+        "\"paper\"",
+    )?;
+    let targets: Vec<Vec<Measurement>> =
+        targets.iter().map(|target| in_order(target).into_owned()).collect();
+    let count = targets.iter().map(|target| target.len().saturating_sub(SETTLED)).sum::<usize>();
+    if count < SETTLED * (1 + fitted.len()) {
+        let (name, got) = ("measurements", count.to_string());
+        let expected = "at least ten per fitted value, after the first ten of every target";
+        return Err(Error::Value { name, expected, index: 0, got });
+    }
+    let scaled = |logs: &[f64]| {
+        let mut parameters = *start;
+        for (quantity, log) in fitted.iter().zip(logs) {
+            let widest = libm::log(WIDEST);
+            quantity.scale(&mut parameters, libm::exp(log.clamp(-widest, widest)));
+        }
+        if fitted.contains(&Quantity::Radar(2)) {
+            let variance = &mut parameters.sensing.radar[2];
+            *variance = variance.max(least_rate * least_rate);
+        }
+        parameters
+    };
+    let cost = |logs: &[f64]| log_likelihood(&scaled(logs), &targets).map(|value| -value);
+    let (logs, least) = minimise(&vec![0.0; fitted.len()], search, cost)?;
+    Ok((scaled(&logs), -least))
+}
+
+impl Quantity {
+    fn scale(self, parameters: &mut FusionParameters, factor: f64) {
+        let (strengths, sensing) = (&mut parameters.strengths, &mut parameters.sensing);
+        match self {
+            Self::Process(Noise::Acceleration) => strengths.acceleration *= factor,
+            Self::Process(Noise::Jerk) => strengths.jerk *= factor,
+            Self::Process(Noise::Turn) => strengths.turn *= factor,
+            Self::Process(Noise::Platform) => strengths.platform *= factor,
+            Self::Process(Noise::Absent) => {}
+            Self::Lidar => sensing.lidar.iter_mut().for_each(|value| *value *= factor * factor),
+            Self::Radar(index) => sensing.radar[index] *= factor * factor,
+        }
+    }
+}

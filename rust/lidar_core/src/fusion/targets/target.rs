@@ -1,0 +1,359 @@
+//! One target over time: start, prediction, gate, correction, loss.
+
+use super::lifecycle::{GyroUse, Life, Outcome};
+use crate::Error;
+use crate::estimation::kalman::Gaussian;
+use crate::fusion::filter::engine::{Believe, Engine, Innovation, Link, Output, Single};
+use crate::fusion::models::cartesian::ConstantVelocity;
+use crate::fusion::models::platform::{Platform, Pose};
+use crate::fusion::sensors::measurement::{Measurement, Sensor};
+use crate::fusion::sensors::observation::first_sight;
+use std::collections::VecDeque;
+
+/// Measurements kept for late ones, at most.
+const MOST_KEPT: usize = 10_000;
+
+/// The filter after a measurement.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Step {
+    /// What became of the measurement.
+    pub outcome: Outcome,
+    /// Time of the state [ns].
+    pub stamp_ns: i64,
+    /// The state; none before the target has been seen.
+    pub output: Option<Output>,
+    /// How far the measurement was from what was expected.
+    pub innovation: Option<Innovation>,
+}
+
+/// What became of a measurement, and how far it was from what was expected.
+pub type Taken = (Outcome, Option<Innovation>);
+
+/// What is estimated at the moment.
+#[derive(Clone, Debug)]
+enum Phase<S> {
+    Unseen,
+    /// By a constant-velocity filter, after so many measurements.
+    Starting(Gaussian<4>, u32),
+    Running(S),
+}
+
+/// Everything that changes with measurements.
+#[derive(Clone, Debug)]
+struct Now<S> {
+    stamp_ns: i64,
+    phase: Phase<S>,
+    platform: Platform,
+    /// NIS per degree of freedom, averaged over the window of a loss.
+    ratio: f64,
+}
+
+/// What measurements do not change.
+#[derive(Clone, Debug)]
+struct Rules<E> {
+    engine: E,
+    starter: Single<4, ConstantVelocity>,
+    life: Life,
+}
+
+/// A filter of one target.
+#[derive(Clone, Debug)]
+pub struct Target<E: Engine> {
+    rules: Rules<E>,
+    now: Now<E::State>,
+    /// The last measurements, and what was known after each.
+    history: VecDeque<(Measurement, Now<E::State>)>,
+}
+
+impl<E: Engine> Rules<E> {
+    fn predict(&self, phase: &mut Phase<E::State>, dt: f64, platform: &Platform) {
+        match phase {
+            Phase::Unseen => {}
+            Phase::Starting(cv, _) => self.starter.predict(cv, dt, platform),
+            Phase::Running(state) => self.engine.predict(state, dt, platform),
+        }
+    }
+
+    /// Correct a state, if `believe` says so; the model takes over after enough measurements.
+    fn correct(
+        &self,
+        phase: &mut Phase<E::State>,
+        m: &Measurement,
+        platform: &Platform,
+        believe: Believe<'_>,
+    ) -> Result<Option<Innovation>, Error> {
+        match phase {
+            Phase::Unseen => Ok(None),
+            Phase::Running(state) => self.engine.update(state, m, platform, believe),
+            Phase::Starting(cv, rows) => {
+                let mut is_believed = false;
+                let update = self.starter.update(cv, m, platform, &mut |innovation| {
+                    is_believed = believe(innovation);
+                    is_believed
+                })?;
+                *rows += u32::from(is_believed);
+                if let Some(state) = self.after_start(cv, *rows) {
+                    *phase = Phase::Running(state);
+                }
+                Ok(update)
+            }
+        }
+    }
+
+    /// State of the model after enough measurements.
+    fn after_start(&self, cv: &Gaussian<4>, rows: u32) -> Option<E::State> {
+        let is_enough = rows >= self.life.start_rows;
+        is_enough.then(|| self.engine.after_velocity(cv)).flatten()
+    }
+}
+
+/// `predicted`, corrected by measurements with their probabilities or by none.
+fn blended<E: Engine>(
+    engine: &E,
+    predicted: &E::State,
+    weighted: &[(f64, Measurement)],
+    platform: &Platform,
+) -> E::State {
+    let (mut left, mut corrected) = (1.0, Vec::with_capacity(weighted.len()));
+    for (weight, m) in weighted {
+        let mut state = predicted.clone();
+        if let Ok(Some(_)) = engine.update(&mut state, m, platform, &mut |_| true) {
+            left -= weight;
+            corrected.push((*weight, state));
+        }
+    }
+    let parts = corrected.iter().map(|(weight, state)| (*weight, state));
+    let parts: Vec<_> = std::iter::once((left.max(0.0), predicted)).chain(parts).collect();
+    engine.blended(&parts)
+}
+
+impl<E: Engine> Target<E> {
+    /// A filter that has seen nothing; `starter` takes the first measurements.
+    pub fn new(
+        engine: E,
+        starter: Single<4, ConstantVelocity>,
+        life: Life,
+        platform: Platform,
+    ) -> Self {
+        let now = Now { stamp_ns: i64::MIN, phase: Phase::Unseen, platform, ratio: 1.0 };
+        Self { rules: Rules { engine, starter, life }, now, history: VecDeque::new() }
+    }
+
+    /// Take in a measurement; a late one is put where it belongs, and what came after it is
+    /// filtered again.
+    pub fn step(&mut self, m: &Measurement) -> Step {
+        let (outcome, innovation) = self.take(m);
+        Step { outcome, stamp_ns: self.stamp_ns(), output: self.output(), innovation }
+    }
+
+    /// As [`Self::step`], of which only this is new.
+    pub fn take(&mut self, m: &Measurement) -> Taken {
+        if !m.is_usable() {
+            return (Outcome::Invalid, None);
+        }
+        let newer = |(known, _): &&(Measurement, _)| known.stamp_ns() >= m.stamp_ns();
+        if self.history.iter().rev().take_while(newer).any(|(known, _)| known == m) {
+            return (Outcome::Duplicate, None);
+        }
+        if m.stamp_ns() < self.now.stamp_ns {
+            return self.take_late(m);
+        }
+        let taken = self.advance(m);
+        self.remember(m);
+        taken
+    }
+
+    fn remember(&mut self, m: &Measurement) {
+        if self.rules.life.buffer_ns == 0 {
+            return;
+        }
+        self.history.push_back((*m, self.now.clone()));
+        let oldest = self.now.stamp_ns.saturating_sub(self.rules.life.buffer_ns);
+        while self.history.len() > MOST_KEPT
+            || self.history.front().is_some_and(|(_, now)| now.stamp_ns < oldest)
+        {
+            self.history.pop_front();
+        }
+    }
+
+    /// Take in measurements of one time that are of the target with given probabilities, which
+    /// sum to 1 at most.
+    ///
+    /// # Source
+    /// Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+    /// 2001, sec. 11: the update of probabilistic data association, as a mixture of its cases.
+    pub fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]) {
+        let Self { rules, now, .. } = self;
+        let dt = stamp_ns.saturating_sub(now.stamp_ns) as f64 * 1e-9;
+        rules.predict(&mut now.phase, dt, &now.platform);
+        now.stamp_ns = stamp_ns;
+        match &mut now.phase {
+            Phase::Unseen => {}
+            Phase::Running(state) => {
+                *state = blended(&rules.engine, state, weighted, &now.platform);
+            }
+            Phase::Starting(cv, rows) => {
+                *cv = blended(&rules.starter, cv, weighted, &now.platform);
+                *rows += u32::from(weighted.iter().map(|(weight, _)| weight).sum::<f64>() > 0.5);
+                if let Some(state) = rules.after_start(cv, *rows) {
+                    now.phase = Phase::Running(state);
+                }
+            }
+        }
+    }
+
+    /// Go back to the state before `m`, take it in, and everything after it again.
+    fn take_late(&mut self, m: &Measurement) -> Taken {
+        let before = self.history.partition_point(|(known, _)| known.stamp_ns() <= m.stamp_ns());
+        let Some((_, now)) = before.checked_sub(1).and_then(|index| self.history.get(index)) else {
+            return (Outcome::Late, None);
+        };
+        self.now = now.clone();
+        let after: Vec<Measurement> = self.history.drain(before..).map(|(m, _)| m).collect();
+        let taken = self.advance(m);
+        self.remember(m);
+        for later in &after {
+            self.advance(later);
+            self.remember(later);
+        }
+        taken
+    }
+
+    /// Take in a usable measurement that is not older than the state.
+    fn advance(&mut self, m: &Measurement) -> Taken {
+        let dt = m.stamp_ns().saturating_sub(self.now.stamp_ns) as f64 * 1e-9;
+        let before = self.now.phase.clone();
+        let Now { phase, platform, .. } = &mut self.now;
+        self.rules.predict(phase, dt, platform);
+        let taken = if matches!(m.sensor(), Sensor::Pose | Sensor::Gyro) {
+            self.told(m)
+        } else {
+            self.seen(m)
+        };
+        if taken.0 == Outcome::Singular {
+            self.now.phase = before;
+        }
+        taken
+    }
+
+    /// Correct the predicted state by a measurement of the target.
+    fn seen(&mut self, m: &Measurement) -> Taken {
+        let Self { rules, now, .. } = self;
+        let (mut outcome, mut ratio) = (Outcome::Updated, now.ratio);
+        let update = rules.correct(&mut now.phase, m, &now.platform, &mut |innovation| {
+            outcome = rules.life.judged(&mut ratio, innovation);
+            outcome == Outcome::Updated
+        });
+        match update {
+            Err(_) => (Outcome::Singular, None),
+            Ok(None) => self.start(m, Outcome::Started, None),
+            Ok(lost) if outcome == Outcome::Restarted => self.start(m, outcome, lost),
+            Ok(innovation) => {
+                (now.stamp_ns, now.ratio) = (m.stamp_ns(), ratio);
+                (outcome, innovation)
+            }
+        }
+    }
+
+    /// How the state at `stamp_ns` hangs on the present one; none while the target starts.
+    pub fn link(&self, stamp_ns: i64) -> Option<Link> {
+        let Phase::Running(state) = &self.now.phase else { return None };
+        let dt = stamp_ns.saturating_sub(self.now.stamp_ns).max(0) as f64 * 1e-9;
+        self.rules.engine.link(state, dt, &self.now.platform)
+    }
+
+    fn start(&mut self, m: &Measurement, outcome: Outcome, lost: Option<Innovation>) -> Taken {
+        let sensor = self.now.platform.sensor_at(m.stamp_ns());
+        let Some(mut first) = first_sight(m, sensor.as_ref()) else {
+            return (Outcome::Invalid, None);
+        };
+        if !self.rules.life.radar_starts_speed {
+            (first.speed, first.heading) = (0.0, 0.0);
+        }
+        let state = self.rules.engine.first(&first);
+        let cv = self.rules.starter.first(&first);
+        self.now.phase =
+            if self.rules.life.start_rows > 1 && self.rules.engine.after_velocity(&cv).is_some() {
+                Phase::Starting(cv, 1)
+            } else {
+                Phase::Running(state)
+            };
+        (self.now.stamp_ns, self.now.ratio) = (m.stamp_ns(), 1.0);
+        (outcome, lost)
+    }
+
+    /// Note how the platform moves from here on.
+    fn told(&mut self, m: &Measurement) -> Taken {
+        let values = m.values();
+        let mut platform = self.now.platform;
+        if m.sensor() == Sensor::Pose {
+            let covariance = self.rules.starter.sensing.pose_noise(m);
+            let pose = pose_of(m, self.now.platform.pose);
+            platform.pose = Some(Pose { covariance, ..pose });
+        } else if let [_, vx, vy] = *values {
+            platform.velocity = [vx, vy];
+        }
+        let mut innovation = None;
+        if m.sensor() == Sensor::Gyro && self.rules.life.gyro == GyroUse::Input {
+            platform.rate = values[0];
+            platform.rate_variance = self.rules.starter.sensing.gyro_variance(m);
+        }
+        if m.sensor() == Sensor::Gyro && self.rules.life.gyro == GyroUse::Measurement {
+            let Self { rules, now, .. } = self;
+            match rules.correct(&mut now.phase, m, &now.platform, &mut |_| true) {
+                Err(_) => return (Outcome::Singular, None),
+                Ok(of_rate) => innovation = of_rate,
+            }
+        }
+        (self.now.stamp_ns, self.now.platform) = (m.stamp_ns(), platform);
+        (Outcome::Told, innovation)
+    }
+
+    /// Time of the state [ns].
+    pub fn stamp_ns(&self) -> i64 {
+        self.now.stamp_ns
+    }
+
+    /// The state; none before the target has been seen.
+    pub fn output(&self) -> Option<Output> {
+        self.output_of(&self.now.phase)
+    }
+
+    /// State carried on to `stamp_ns`; nothing changes. A time before the last measurement gives
+    /// the state at that measurement.
+    pub fn output_at(&self, stamp_ns: i64) -> Option<Output> {
+        let dt = stamp_ns.saturating_sub(self.now.stamp_ns).max(0) as f64 * 1e-9;
+        let mut phase = self.now.phase.clone();
+        self.rules.predict(&mut phase, dt, &self.now.platform);
+        self.output_of(&phase)
+    }
+
+    fn output_of(&self, phase: &Phase<E::State>) -> Option<Output> {
+        match phase {
+            Phase::Unseen => None,
+            Phase::Starting(cv, _) => {
+                self.rules.engine.after_velocity(cv).map(|state| self.rules.engine.output(&state))
+            }
+            Phase::Running(state) => Some(self.rules.engine.output(state)),
+        }
+    }
+}
+
+/// The pose in a measurement, as if exact; without a velocity, that since the last pose.
+fn pose_of(m: &Measurement, last: Option<Pose>) -> Pose {
+    let v = m.values();
+    let (stamp_ns, position, yaw) = (m.stamp_ns(), [v[0], v[1]], v[2]);
+    if let [_, _, _, vx, vy, rate] = *v {
+        let velocity = [vx, vy];
+        return Pose { stamp_ns, position, yaw, velocity, rate, covariance: None };
+    }
+    let (velocity, rate) = ([0.0; 2], 0.0);
+    let standing = Pose { stamp_ns, position, yaw, velocity, rate, covariance: None };
+    let Some(last) = last else { return standing };
+    let dt = stamp_ns.saturating_sub(last.stamp_ns) as f64 * 1e-9;
+    if dt <= 0.0 {
+        return Pose { velocity: last.velocity, rate: last.rate, ..standing };
+    }
+    let velocity = std::array::from_fn(|k| (position[k] - last.position[k]) / dt);
+    Pose { velocity, rate: crate::fusion::models::turn::wrapped(yaw - last.yaw) / dt, ..standing }
+}

@@ -1,0 +1,376 @@
+//! The tracks that a tracker of many targets has at one time, and what a scan makes of them.
+
+use super::any_filter::{Filter, FusionParameters};
+use super::joint_association::probabilities;
+use super::lifecycle::Outcome;
+use super::many::{Association, MAX_TARGETS, ManyParameters, TrackState};
+use crate::Error;
+use crate::estimation::assignment::{Pair, assign};
+use crate::fusion::filter::engine::Innovation;
+use crate::fusion::sensors::measurement::{Measurement, Sensor};
+
+/// What it costs to leave a track without a measurement that its gate lets through: far more
+/// than any pair, so that as many tracks as possible get one.
+const UNASSIGNED: f64 = 1e6;
+
+/// What one scanner saw at one time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scan {
+    /// When [ns].
+    pub stamp_ns: i64,
+    /// Which scanner, below 64.
+    pub source: u8,
+    /// Of targets, one each, and of the platform's motion.
+    pub measurements: Vec<Measurement>,
+}
+
+/// What a tracker makes of a measurement.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Assigned {
+    /// Its track; none if it cannot be used, started nothing, or tells how the platform moves.
+    pub id: Option<i64>,
+    /// How far it was from what that track expected; none where it started it.
+    pub innovation: Option<Innovation>,
+}
+
+/// Numbers of the tracks that a scan starts.
+#[derive(Clone, Debug)]
+pub struct Births {
+    /// The next number that nobody has.
+    pub next_id: i64,
+    /// By measurement. Whoever was given a number keeps it when the scan is gone through again.
+    pub ids: Vec<Option<i64>>,
+}
+
+/// A measurement within the gate of a track.
+struct Candidate {
+    updated: Filter,
+    innovation: Innovation,
+}
+
+#[derive(Clone)]
+struct Track {
+    id: i64,
+    filter: Filter,
+    /// Bit per scan of scanners that have seen it, the last one lowest: was it measured?
+    history: u64,
+    looks: u32,
+    sources: u64,
+    born_ns: i64,
+    seen_ns: i64,
+    hits: u32,
+    confirmed: bool,
+}
+
+/// All tracks at one time.
+#[derive(Clone)]
+pub struct Tracks {
+    /// Knows how the platform moves, and no target.
+    unseen: Filter,
+    all: Vec<Track>,
+}
+
+impl Association {
+    /// What pairing a track with a measurement so far from it costs.
+    fn cost(&self, m: &Measurement, innovation: &Innovation) -> f64 {
+        let distance = innovation.nis + innovation.log_determinant;
+        match self {
+            Self::Nearest => distance,
+            Self::Joint { detection, clutter } => {
+                let constant = innovation.count as f64 * libm::log(std::f64::consts::TAU);
+                let density = clutter[usize::from(m.sensor() == Sensor::Radar)];
+                0.5 * (distance + constant) + libm::log(density * (1.0 - detection) / detection)
+            }
+        }
+    }
+}
+
+impl Births {
+    /// Number of the track that measurement `column` starts.
+    fn of(&mut self, column: usize) -> i64 {
+        let id = self.ids[column].unwrap_or(self.next_id);
+        self.next_id = self.next_id.max(id + 1);
+        self.ids[column] = Some(id);
+        id
+    }
+}
+
+impl Tracks {
+    /// No tracks yet.
+    ///
+    /// # Errors
+    /// As [`Filter::new`].
+    pub fn new(filter: &FusionParameters) -> Result<Self, Error> {
+        Ok(Self { unseen: Filter::new(filter)?, all: Vec::new() })
+    }
+
+    /// Number of tracks.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.all.len()
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.all.is_empty()
+    }
+
+    /// Tracks carried on to `stamp_ns`, by their numbers.
+    #[must_use]
+    pub fn at(&self, stamp_ns: i64) -> Vec<TrackState> {
+        let states = self.all.iter().filter_map(|track| {
+            let output = track.filter.output_at(stamp_ns)?;
+            let Track { id, born_ns, seen_ns, hits, confirmed, .. } = *track;
+            Some(TrackState { id, output, born_ns, seen_ns, hits, confirmed })
+        });
+        let mut states: Vec<TrackState> = states.collect();
+        states.sort_by_key(|state| state.id);
+        states
+    }
+
+    /// Take in a scan that is not older than the last.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] for more than [`MAX_TARGETS`] tracks; the tracks are of no use then.
+    pub fn take(
+        &mut self,
+        parameters: &ManyParameters,
+        scan: &Scan,
+        births: &mut Births,
+    ) -> Result<Vec<Assigned>, Error> {
+        let (stamp_ns, seen) = (scan.stamp_ns, 1 << scan.source);
+        let mut assigned = vec![Assigned::default(); scan.measurements.len()];
+        for m in scan.measurements.iter().filter(|m| is_of_platform(m)) {
+            self.unseen.step(m);
+            self.all.iter_mut().for_each(|track| {
+                track.filter.step(m);
+            });
+        }
+        for track in &mut self.all {
+            if track.sources & seen != 0 {
+                track.history <<= 1;
+                track.looks += 1;
+            }
+        }
+        for confirmed in [true, false] {
+            self.associate(parameters, scan, confirmed, &mut assigned)?;
+        }
+        let measured = self.measured_at(stamp_ns);
+        self.all.iter_mut().for_each(|track| track.judge(parameters));
+        self.all.retain(|track| track.stays(stamp_ns, parameters));
+        self.start(parameters, scan, &measured, births, &mut assigned);
+        within("tracks", self.all.len())?;
+        Ok(assigned)
+    }
+
+    /// Share out measurements that have no track yet among tracks; by global nearest neighbours
+    /// the likelihood of the innovation counts.
+    ///
+    /// # Source
+    /// Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+    /// 2001; Blackman & Popoli, "Design and Analysis of Modern Tracking Systems", 1999, sec. 6.4.
+    fn associate(
+        &mut self,
+        parameters: &ManyParameters,
+        scan: &Scan,
+        confirmed: bool,
+        assigned: &mut [Assigned],
+    ) -> Result<(), Error> {
+        let (pairs, candidates) = self.candidates(parameters, scan, confirmed, assigned);
+        if let Association::Joint { .. } = parameters.association {
+            self.associate_jointly(scan, assigned, &pairs, &candidates);
+            return Ok(());
+        }
+        let column_of = assign(self.all.len(), scan.measurements.len(), &pairs, UNASSIGNED)?;
+        for (Pair { row, column, .. }, candidate) in pairs.iter().zip(candidates) {
+            if column_of[*row] == Some(*column) {
+                let track = &mut self.all[*row];
+                track.filter = candidate.updated;
+                track.see(scan);
+                let innovation = Some(candidate.innovation);
+                assigned[*column] = Assigned { id: Some(track.id), innovation };
+            }
+        }
+        Ok(())
+    }
+
+    /// Tracks, confirmed or not, with the measurements within their gates that have no track yet.
+    fn candidates(
+        &self,
+        parameters: &ManyParameters,
+        scan: &Scan,
+        confirmed: bool,
+        assigned: &[Assigned],
+    ) -> (Vec<Pair>, Vec<Candidate>) {
+        let (mut pairs, mut candidates) = (Vec::new(), Vec::new());
+        let rows = self.all.iter().enumerate().filter(|(_, track)| track.confirmed == confirmed);
+        for (row, track) in rows {
+            for (column, m) in scan.measurements.iter().enumerate() {
+                if assigned[column].id.is_some() || is_of_platform(m) {
+                    continue;
+                }
+                let Some(candidate) = track.candidate(m) else { continue };
+                let cost = parameters.association.cost(m, &candidate.innovation);
+                if cost.is_finite() {
+                    pairs.push(Pair { row, column, cost });
+                    candidates.push(candidate);
+                }
+            }
+        }
+        (pairs, candidates)
+    }
+
+    /// Joint probabilistic data association among measurements that have no track yet. One that
+    /// is more likely of some track than of none has the likeliest.
+    fn associate_jointly(
+        &mut self,
+        scan: &Scan,
+        assigned: &mut [Assigned],
+        pairs: &[Pair],
+        candidates: &[Candidate],
+    ) {
+        let weights = probabilities(self.all.len(), scan.measurements.len(), pairs);
+        let mut of_track = vec![Vec::new(); self.all.len()];
+        let mut of_any = vec![(0.0, 0.0, Assigned::default()); assigned.len()]; // sum, largest
+        for ((Pair { row, column, .. }, candidate), weight) in
+            pairs.iter().zip(candidates).zip(weights)
+        {
+            of_track[*row].push((weight, scan.measurements[*column]));
+            let (sum, most, best) = &mut of_any[*column];
+            *sum += weight;
+            if weight > *most {
+                let innovation = Some(candidate.innovation);
+                (*most, *best) = (weight, Assigned { id: Some(self.all[*row].id), innovation });
+            }
+        }
+        for (given, (sum, _, best)) in assigned.iter_mut().zip(of_any) {
+            if sum > 0.5 {
+                *given = best;
+            }
+        }
+        for (track, weighted) in self.all.iter_mut().zip(of_track) {
+            track.absorb(scan, &weighted);
+        }
+    }
+
+    /// Positions of the tracks that were measured at `stamp_ns`.
+    fn measured_at(&self, stamp_ns: i64) -> Vec<[f64; 2]> {
+        let measured = self.all.iter().filter(|track| track.seen_ns == stamp_ns);
+        let outputs = measured.filter_map(|track| track.filter.output_at(stamp_ns));
+        outputs.map(|output| [output.mean[0], output.mean[1]]).collect()
+    }
+
+    /// A track for every measurement that has none, far enough from `measured` ones.
+    fn start(
+        &mut self,
+        parameters: &ManyParameters,
+        scan: &Scan,
+        measured: &[[f64; 2]],
+        births: &mut Births,
+        assigned: &mut [Assigned],
+    ) {
+        for (column, m) in scan.measurements.iter().enumerate() {
+            if assigned[column].id.is_some() || is_of_platform(m) {
+                continue;
+            }
+            let mut filter = self.unseen.clone();
+            let step = filter.step(m);
+            let Some(output) = step.output.filter(|_| step.outcome == Outcome::Started) else {
+                continue;
+            };
+            let [x, y] = [output.mean[0], output.mean[1]];
+            let reach = parameters.birth_distance;
+            if measured.iter().any(|at| libm::hypot(at[0] - x, at[1] - y) < reach) {
+                continue;
+            }
+            let mut track = Track::new(births.of(column), filter, scan);
+            track.judge(parameters);
+            assigned[column].id = Some(track.id);
+            self.all.push(track);
+        }
+    }
+}
+
+impl Track {
+    fn new(id: i64, filter: Filter, scan: &Scan) -> Self {
+        Self {
+            id,
+            filter,
+            history: 1,
+            looks: 1,
+            sources: 1 << scan.source,
+            born_ns: scan.stamp_ns,
+            seen_ns: scan.stamp_ns,
+            hits: 1,
+            confirmed: false,
+        }
+    }
+
+    /// The filter after a measurement, if that is within its gate.
+    fn candidate(&self, m: &Measurement) -> Option<Candidate> {
+        let mut updated = self.filter.clone();
+        let (outcome, innovation) = updated.take(m);
+        let innovation = innovation.filter(|_| outcome == Outcome::Updated)?;
+        Some(Candidate { updated, innovation })
+    }
+
+    fn see(&mut self, scan: &Scan) {
+        let seen = 1 << scan.source;
+        if self.sources & seen == 0 {
+            self.history <<= 1; // the first scan of this scanner that counts
+            self.looks += 1;
+        }
+        self.history |= 1;
+        self.sources |= seen;
+        self.seen_ns = scan.stamp_ns;
+        self.hits += 1;
+    }
+
+    /// Take in measurements that are of this track with some probability.
+    fn absorb(&mut self, scan: &Scan, weighted: &[(f64, Measurement)]) {
+        if weighted.is_empty() {
+            return;
+        }
+        self.filter.absorb(scan.stamp_ns, weighted);
+        if weighted.iter().map(|(weight, _)| weight).sum::<f64>() > 0.5 {
+            self.see(scan);
+        }
+    }
+
+    /// Measured scans among the last ones that count, and how many these are.
+    fn recent(&self, window: u32) -> (u32, u32) {
+        let mask = u64::MAX >> (u64::BITS - window);
+        ((self.history & mask).count_ones(), self.looks.min(window))
+    }
+
+    fn judge(&mut self, parameters: &ManyParameters) {
+        let (hits, _) = self.recent(parameters.confirm_window);
+        self.confirmed |= hits >= parameters.confirm_hits;
+    }
+
+    fn stays(&self, stamp_ns: i64, parameters: &ManyParameters) -> bool {
+        let (hits, looks) = self.recent(parameters.confirm_window);
+        let misses = parameters.confirm_window - parameters.confirm_hits;
+        let unseen = stamp_ns.saturating_sub(self.seen_ns) as f64 * 1e-9;
+        let Some(output) = self.filter.output_at(stamp_ns) else { return false };
+        let variance = output.covariance[0][0].max(output.covariance[1][1]);
+        (self.confirmed || looks - hits <= misses)
+            && unseen <= parameters.max_coast
+            && variance <= parameters.max_position_std * parameters.max_position_std
+    }
+}
+
+fn is_of_platform(m: &Measurement) -> bool {
+    matches!(m.sensor(), Sensor::Gyro | Sensor::Pose)
+}
+
+/// # Errors
+/// [`Error::Limit`] for more than [`MAX_TARGETS`].
+pub fn within(what: &'static str, count: usize) -> Result<(), Error> {
+    if count <= MAX_TARGETS {
+        return Ok(());
+    }
+    let (what, limit) = (format!("{count} {what}"), MAX_TARGETS as u64);
+    Err(Error::Limit { what, limit, key: "leave clutter out before" })
+}

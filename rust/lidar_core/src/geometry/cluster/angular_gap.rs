@@ -1,0 +1,334 @@
+//! Clustering with gaps that grow with the range, as the gaps between the rays of a LiDAR do.
+
+use super::keys::is_finite;
+use super::octree_link::{Fixed, Linker, Reach, check_extent};
+use super::{Clustering, Labeller, NO_GROUP, Sets, check};
+use crate::Error;
+use crate::error::require;
+use crate::geometry::lattice::wide;
+use crate::util::budget::check_points;
+use crate::util::object_pool::Shelf;
+use rayon::ThreadPool;
+use rayon::prelude::*;
+use std::sync::{Mutex, PoisonError};
+
+/// Widest angle under which a gap is bridged [rad].
+pub const MAX_ANGLE: f64 = 0.5;
+/// Ranges within one band differ by this factor at most: less than 1 / 0.8661, see [`Linker`].
+const BAND: f64 = 1.15;
+/// The same where the angle does not count: only the work is shared out there.
+const NEAR_BAND: f64 = 1.4;
+/// No band is cut that ends nearer than so many times the fixed distance: most of it would be reached
+/// from its neighbour.
+const LEAST_WIDTHS: f64 = 32.0;
+/// Room for rounding.
+const MARGIN: f64 = 1e-6;
+
+/// Gaps that are bridged as they are seen from the sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AngularGap {
+    /// The sensor [m].
+    pub origin: [f64; 3],
+    /// Gaps seen under this angle are inside a cluster too [rad], 0 to [`MAX_ANGLE`].
+    pub max_angle: f64,
+}
+
+/// As [`label`](super::label), but two points are also linked by a step of at most
+/// `max_angle` times the range of the nearer one.
+///
+/// The result does not depend on the order of the points, except for the numbers, nor on the
+/// threads of `pool`.
+///
+/// # Errors
+/// Those of [`label`](super::label), and [`Error::Parameter`] for an angle out of range
+/// or an origin that is not finite.
+pub fn label_seen(
+    points: &[[f32; 3]],
+    gap: &AngularGap,
+    clustering: &Clustering,
+    pool: Option<&ThreadPool>,
+) -> Result<Vec<i32>, Error> {
+    let mut labeller = SeenLabeller::default();
+    labeller.label(points, gap, clustering, pool)?;
+    Ok(labeller.near.labels.labels)
+}
+
+/// Labels clouds that are seen from a sensor, one after another in the same memory.
+#[derive(Default)]
+pub struct SeenLabeller {
+    near: Labeller,
+    bands: Bands,
+    parts: Shelf<Part>,
+    sets: Mutex<Sets>,
+}
+
+impl SeenLabeller {
+    /// As [`label_seen`].
+    ///
+    /// # Errors
+    /// As [`label_seen`].
+    pub fn label(
+        &mut self,
+        points: &[[f32; 3]],
+        gap: &AngularGap,
+        clustering: &Clustering,
+        pool: Option<&ThreadPool>,
+    ) -> Result<&[i32], Error> {
+        check(clustering)?;
+        gap.check()?;
+        check_points(points.len())?;
+        if gap.max_angle == 0.0 {
+            return self.near.label(points, clustering);
+        }
+        check_extent(points, clustering.max_distance)?;
+        let Self { near, bands, parts, sets } = self;
+        bands.fill(points, gap, clustering.max_distance);
+        sets.get_mut().unwrap_or_else(PoisonError::into_inner).restart(points.len());
+        let link = |band: usize| parts.lend().link(points, gap, bands, band, sets);
+        match pool {
+            Some(pool) => {
+                pool.install(|| (0..bands.len()).into_par_iter().try_for_each(link))?;
+            }
+            None => (0..bands.len()).try_for_each(link)?,
+        }
+        let roots = sets.get_mut().unwrap_or_else(PoisonError::into_inner).roots();
+        for (root, _) in roots.iter_mut().zip(points).filter(|(_, point)| !is_finite(**point)) {
+            *root = NO_GROUP;
+        }
+        Ok(near.labels.number(roots, clustering))
+    }
+
+    /// Those of the last cloud that was labelled.
+    #[must_use]
+    pub fn labels(&self) -> &[i32] {
+        self.near.labels()
+    }
+}
+
+impl AngularGap {
+    fn check(&self) -> Result<(), Error> {
+        let Self { origin, max_angle } = self;
+        require((0.0..=MAX_ANGLE).contains(max_angle), "max_angle", "0 to 0.5", max_angle)?;
+        require(
+            origin.iter().all(|at| at.is_finite()),
+            "origin",
+            "finite",
+            format_args!("{origin:?}"),
+        )
+    }
+
+    /// Square of the range of a point [m^2].
+    fn square(&self, point: [f64; 3]) -> f64 {
+        let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| point[axis] - self.origin[axis]);
+        (x * x + y * y + z * z).min(f64::MAX)
+    }
+}
+
+/// Reach among points that lie in one band of ranges.
+struct InBand<'a> {
+    gap: &'a AngularGap,
+    /// Squares of the fixed distance and of the largest reach that counts [m^2].
+    fixed: f64,
+    most: f64,
+}
+
+impl Reach for InBand<'_> {
+    fn most(&self) -> f64 {
+        self.most
+    }
+
+    #[inline]
+    fn links(&self, square: f64, one: [f64; 3], other: [f64; 3]) -> bool {
+        let nearer = || self.gap.square(one).min(self.gap.square(other));
+        square <= self.fixed || square <= self.gap.max_angle * self.gap.max_angle * nearer()
+    }
+}
+
+/// Points by their range. In the first bands the angle does not count yet; within each of the
+/// others all reaches are nearly equal.
+#[derive(Default)]
+struct Bands {
+    /// The fixed distance [m].
+    fixed: f64,
+    /// Upper end of every band [m].
+    ends: Vec<f64>,
+    /// The band of every point; [`NO_BAND`] if it is not finite.
+    band_of: Vec<u16>,
+    /// Rows of finite points, by band.
+    rows: Vec<u32>,
+    /// Where the rows of every band end.
+    row_ends: Vec<usize>,
+}
+
+/// More than there can be: each band is wider than the one before.
+const NO_BAND: u16 = u16::MAX;
+
+impl Bands {
+    fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    fn fill(&mut self, points: &[[f32; 3]], gap: &AngularGap, fixed: f64) {
+        let finite = points.iter().filter(|point| is_finite(**point));
+        let furthest = finite.map(|&point| gap.square(wide(point))).fold(0.0, f64::max);
+        self.cut(fixed, gap.max_angle, furthest);
+        let Self { ends, band_of, rows, row_ends, .. } = self;
+        let band = |&point: &[f32; 3]| {
+            let square = gap.square(wide(point));
+            let band = || ends.partition_point(|end| end * end <= square) as u16;
+            if is_finite(point) { band() } else { NO_BAND }
+        };
+        band_of.clear();
+        band_of.extend(points.iter().map(band));
+        row_ends.clear();
+        row_ends.resize(ends.len() + 1, 0);
+        for &band in band_of.iter().filter(|&&band| band != NO_BAND) {
+            row_ends[usize::from(band) + 1] += 1;
+        }
+        for band in 0..ends.len() {
+            row_ends[band + 1] += row_ends[band];
+        }
+        rows.clear();
+        rows.resize(row_ends[ends.len()], 0);
+        for (row, &band) in (0..).zip(&*band_of).filter(|(_, band)| **band != NO_BAND) {
+            let place = &mut row_ends[usize::from(band)]; // where the band begins, at first
+            rows[*place] = row;
+            *place += 1;
+        }
+    }
+
+    /// Find the ends of the bands, given the square of the largest range.
+    fn cut(&mut self, fixed: f64, max_angle: f64, furthest: f64) {
+        // From here on the angle counts.
+        let counts = (fixed / max_angle).min(f64::MAX) * (1.0 - MARGIN);
+        let Self { ends, .. } = self;
+        ends.clear();
+        ends.push(counts);
+        let mut near = counts.min(furthest.sqrt());
+        while near > LEAST_WIDTHS * fixed {
+            near /= NEAR_BAND;
+            ends.push(near);
+        }
+        ends.reverse();
+        while let Some(end) = ends.last().filter(|&&end| end * end <= furthest) {
+            ends.push(end * BAND);
+        }
+        self.fixed = fixed;
+    }
+
+    /// How far apart two points of a band may be that are linked [m].
+    fn widest(&self, gap: &AngularGap, band: usize) -> f64 {
+        self.fixed.max(gap.max_angle * self.ends[band])
+    }
+
+    fn rows_in(&self, band: usize) -> &[u32] {
+        let start = if band == 0 { 0 } else { self.row_ends[band - 1] };
+        &self.rows[start..self.row_ends[band]]
+    }
+}
+
+/// Points of one band, and what they are linked to.
+#[derive(Default)]
+struct Part {
+    rows: Vec<u32>,
+    points: Vec<[f32; 3]>,
+    linker: Linker,
+}
+
+impl Part {
+    /// Join what is linked to the points of a band.
+    fn link(
+        &mut self,
+        points: &[[f32; 3]],
+        gap: &AngularGap,
+        bands: &Bands,
+        band: usize,
+        sets: &Mutex<Sets>,
+    ) -> Result<(), Error> {
+        if bands.rows_in(band).is_empty() {
+            return Ok(());
+        }
+        self.take(points, gap, bands, band);
+        let (fixed, widest) = (bands.fixed, bands.widest(gap, band));
+        let groups = if widest == fixed {
+            self.linker.linked(&self.points, fixed, &Fixed::new(fixed))?
+        } else {
+            let reach = InBand { gap, fixed: fixed * fixed, most: widest * widest };
+            self.linker.linked(&self.points, widest, &reach)?
+        };
+        let mut sets = sets.lock().unwrap_or_else(PoisonError::into_inner);
+        for (&row, &group) in self.rows.iter().zip(groups) {
+            let (one, other) = (sets.root(row), sets.root(self.rows[group as usize]));
+            sets.join(one, other);
+        }
+        Ok(())
+    }
+
+    /// The points of `band`, and those beyond it that are within reach of its furthest ones.
+    fn take(&mut self, points: &[[f32; 3]], gap: &AngularGap, bands: &Bands, band: usize) {
+        let Self { rows, points: taken, .. } = self;
+        let reached = (bands.ends[band] + bands.widest(gap, band)) * (1.0 + MARGIN);
+        let is_near = |row: &&u32| gap.square(wide(points[**row as usize])) <= reached * reached;
+        rows.clear();
+        rows.extend_from_slice(bands.rows_in(band));
+        for beyond in (band + 1..bands.len()).take_while(|at| bands.ends[at - 1] <= reached) {
+            rows.extend(bands.rows_in(beyond).iter().filter(is_near));
+        }
+        taken.clear();
+        taken.extend(rows.iter().map(|&row| points[row as usize]));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearer_point_decides() -> Result<(), Error> {
+        let clustering = Clustering { max_distance: 0.25, min_points: 1, max_points: None };
+        let gap = AngularGap { origin: [0.0; 3], max_angle: 0.015625 };
+        let points = [[32.0, 0.0, 0.0], [32.5, 0.0, 0.0], [33.25, 0.0, 0.0], [16.0, 0.0, 0.0]];
+        assert_eq!(label_seen(&points, &gap, &clustering, None)?, [0, 0, 1, 2]);
+        let nearer = AngularGap { origin: [0.125, 0.0, 0.0], ..gap };
+        assert_eq!(label_seen(&points, &nearer, &clustering, None)?, [0, 1, 2, 3]);
+        Ok(())
+    }
+
+    #[test]
+    fn any_number_of_threads_gives_the_same_labels() -> Result<(), Error> {
+        let clustering = Clustering { max_distance: 0.25, min_points: 2, max_points: None };
+        let gap = AngularGap { origin: [1.0, -2.0, 0.5], max_angle: 0.0125 };
+        let mut seed = 5_u32;
+        let mut draw = || {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (seed >> 8) as f32 / (1 << 24) as f32 * 80.0 - 40.0
+        };
+        let points: Vec<[f32; 3]> = (0..20_000).map(|_| [draw(), draw(), 0.1 * draw()]).collect();
+        let one = label_seen(&points, &gap, &clustering, None)?;
+        assert!(one.iter().max() > Some(&100));
+        for threads in [2, 3] {
+            let pool = crate::util::threads::pool(threads)?;
+            assert_eq!(label_seen(&points, &gap, &clustering, Some(&pool))?, one);
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn the_least_angle_there_is_links_nothing_more() -> Result<(), Error> {
+        let clustering = Clustering { max_distance: 0.25, min_points: 1, max_points: None };
+        let points = [[49.0, 0.0, 0.0], [50.0, 0.0, 0.0], [0.0, 45.0, 0.0]];
+        for max_angle in [0.0, 5e-324, 1e-310, 1e-308] {
+            let gap = AngularGap { origin: [0.0; 3], max_angle };
+            assert_eq!(label_seen(&points, &gap, &clustering, None)?, [0, 1, 2]);
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn bad_gaps_are_refused() {
+        let clustering = Clustering { max_distance: 0.25, min_points: 1, max_points: None };
+        for (origin, max_angle) in [([0.0; 3], -0.1), ([0.0; 3], 0.6), ([f64::NAN; 3], 0.1)] {
+            assert!(label_seen(&[], &AngularGap { origin, max_angle }, &clustering, None).is_err());
+        }
+    }
+}

@@ -1,0 +1,110 @@
+//! Keys of points: the cube and the octant that hold them.
+
+use crate::Error;
+use crate::geometry::lattice::wide;
+use std::ops::{Add, BitAnd, BitOr, Shl, Shr, Sub};
+
+/// Room for rounding: two points at exactly the largest reach never lie more than two octants apart.
+const CELL_MARGIN: f64 = 1.0 + 1e-6;
+/// Most cells, which are as wide as the reach, along one axis.
+const MAX_CELLS: f64 = (1u64 << 31) as f64;
+/// Bits of the place of an octant in its cube: two along every axis.
+pub(super) const OCTANT_BITS: u32 = 6;
+
+/// Octants half as wide as the reach, in cubes of 4 x 4 x 4. Two points of one octant are always
+/// linked (its diagonal is 0.866 of the reach), so octants are what is joined; those of a cube are the
+/// bits of a word.
+pub(crate) struct Grid {
+    low: [f64; 3],
+    /// Octants per metre.
+    octants: f64,
+    /// Bits of the number of a cube along every axis.
+    pub(crate) bits: [u32; 3],
+    /// Bits of the number of a point.
+    pub(super) index_bits: u32,
+}
+
+impl Grid {
+    /// None if no point is finite.
+    pub(crate) fn of(points: &[[f32; 3]], largest: f64) -> Result<Option<Self>, Error> {
+        let finite = points.iter().filter(|point| is_finite(**point));
+        let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+        for point in finite {
+            for axis in 0..3 {
+                low[axis] = low[axis].min(point[axis]);
+                high[axis] = high[axis].max(point[axis]);
+            }
+        }
+        if low[0] > high[0] {
+            return Ok(None);
+        }
+        let (low, high) = (wide(low), wide(high));
+        let cell_size = largest * CELL_MARGIN;
+        let mut bits = [0; 3];
+        for axis in 0..3 {
+            let cells = (high[axis] - low[axis]) / cell_size;
+            if cells >= MAX_CELLS {
+                return Err(Error::PointOutOfRange { point: high });
+            }
+            bits[axis] = (cells as u64 / 2 + 3).ilog2() + 1; // one cube of room on either side
+        }
+        let index_bits = usize::BITS - points.len().leading_zeros();
+        Ok(Some(Self { low, octants: 2.0 / cell_size, bits, index_bits }))
+    }
+
+    pub(super) fn key_bits(&self) -> u32 {
+        self.bits.iter().sum::<u32>() + OCTANT_BITS
+    }
+
+    /// Row of the point of an entry.
+    #[inline]
+    pub(crate) fn row<K: Key>(&self, entry: K) -> usize {
+        (entry.low() & ((1 << self.index_bits) - 1)) as usize
+    }
+
+    /// Cube along z, y, x, then the octant in the lowest bits, in the same order.
+    #[inline]
+    pub(crate) fn key<K: Key>(&self, point: [f32; 3]) -> K {
+        let point = wide(point);
+        let (mut cubes, mut octant) = (K::from(0), 0);
+        for axis in [2, 1, 0] {
+            let index = ((point[axis] - self.low[axis]) * self.octants) as i64 as u64;
+            cubes = cubes << self.bits[axis] | K::from((index >> 2) + 1);
+            octant = octant << 2 | (index & 3);
+        }
+        cubes << OCTANT_BITS | K::from(octant)
+    }
+}
+
+/// A sort key, with the number of its point below it: 64 bits where the extent of the cloud allows,
+/// 128 where it does not.
+pub(super) trait Key:
+    Copy
+    + Ord
+    + From<u64>
+    + Shl<u32, Output = Self>
+    + Shr<u32, Output = Self>
+    + BitOr<Output = Self>
+    + BitAnd<Output = Self>
+    + Add<Output = Self>
+    + Sub<Output = Self>
+{
+    /// The lowest bits.
+    fn low(self) -> u64;
+}
+
+impl Key for u64 {
+    fn low(self) -> u64 {
+        self
+    }
+}
+
+impl Key for u128 {
+    fn low(self) -> u64 {
+        self as u64
+    }
+}
+
+pub(crate) fn is_finite(point: [f32; 3]) -> bool {
+    point.iter().all(|value| value.is_finite())
+}

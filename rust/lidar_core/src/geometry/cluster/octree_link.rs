@@ -1,0 +1,321 @@
+//! Points within reach of each other, joined octant by octant.
+
+use super::cube_reach::{InReach, NEXT, OWN, ROWS};
+use super::keys::{Grid, Key, OCTANT_BITS, is_finite};
+use super::{NO_GROUP, Sets};
+use crate::Error;
+use crate::geometry::lattice::wide;
+use pulp::{Arch, Simd, WithSimd};
+use std::ops::Range;
+
+const RADIX_BITS: u32 = 11;
+
+/// How far apart two points may be that are linked.
+pub(super) trait Reach {
+    /// Square of the largest distance [m^2].
+    fn most(&self) -> f64;
+    /// Whether two points are linked whose distance has this square [m^2].
+    fn links(&self, square: f64, one: [f64; 3], other: [f64; 3]) -> bool;
+}
+
+/// The same distance everywhere.
+pub(crate) struct Fixed(f64);
+
+impl Fixed {
+    pub(crate) const fn new(distance: f64) -> Self {
+        Self(distance * distance)
+    }
+}
+
+impl Reach for Fixed {
+    fn most(&self) -> f64 {
+        self.0
+    }
+
+    #[inline]
+    fn links(&self, square: f64, _: [f64; 3], _: [f64; 3]) -> bool {
+        square <= self.0
+    }
+}
+
+/// Joins what is linked in one cloud after another, in the same memory.
+#[derive(Default)]
+pub(super) struct Linker {
+    short: Groups<u64>,
+    long: Groups<u128>,
+    group_of: Vec<u32>,
+}
+
+impl Linker {
+    /// For every point one of its group, the same for all of them; [`NO_GROUP`] where it is not
+    /// finite. No reach is larger than `largest` [m], and none smaller than 0.8661 of it.
+    ///
+    /// # Errors
+    /// [`Error::PointOutOfRange`] if the cloud is too many cells wide.
+    pub(crate) fn linked(
+        &mut self,
+        points: &[[f32; 3]],
+        largest: f64,
+        reach: &impl Reach,
+    ) -> Result<&[u32], Error> {
+        let Self { short, long, group_of } = self;
+        group_of.clear();
+        group_of.resize(points.len(), NO_GROUP);
+        match Grid::of(points, largest)? {
+            None => {}
+            Some(grid) if grid.key_bits() + grid.index_bits <= u64::BITS => {
+                short.link(points, &grid, reach, group_of);
+            }
+            Some(grid) => long.link(points, &grid, reach, group_of),
+        }
+        Ok(group_of)
+    }
+}
+
+/// # Errors
+/// Those of [`Linker::linked`].
+pub(super) fn check_extent(points: &[[f32; 3]], largest: f64) -> Result<(), Error> {
+    Grid::of(points, largest).map(drop)
+}
+
+/// Octants of one cube that hold points.
+struct Cube<K> {
+    key: K,
+    /// Its octants, as bits.
+    octants: u64,
+    /// Number of the first one.
+    first: u32,
+}
+
+impl<K> Cube<K> {
+    /// Number of the octant whose place in the cube is `octant`.
+    #[inline(always)]
+    fn number(&self, octant: u32) -> u32 {
+        self.first + (self.octants & ((1 << octant) - 1)).count_ones()
+    }
+}
+
+/// Runs of one octant ("groups") and of one cube in the sorted points.
+#[derive(Default)]
+struct Groups<K> {
+    /// Finite points by key, and memory to sort them.
+    order: Vec<K>,
+    spare: Vec<K>,
+    /// The points in this order.
+    points: Vec<[f32; 3]>,
+    starts: Vec<u32>,
+    cubes: Vec<Cube<K>>,
+    sets: Sets,
+}
+
+impl<K: Key> Groups<K> {
+    /// Put into `group_of` one of every point's group.
+    fn link(&mut self, points: &[[f32; 3]], grid: &Grid, reach: &impl Reach, group_of: &mut [u32]) {
+        self.sort(points, grid);
+        self.divide(points, grid);
+        let mut sets = std::mem::take(&mut self.sets);
+        sets.restart(self.len());
+        Arch::new().dispatch(Link { groups: self, grid, reach, sets: &mut sets });
+        for (group, &root) in sets.roots().iter().enumerate() {
+            let stands_for = grid.row(self.order[self.starts[root as usize] as usize]) as u32;
+            for &entry in &self.order[self.range(group)] {
+                group_of[grid.row(entry)] = stands_for;
+            }
+        }
+        self.sets = sets; // its memory is used again
+    }
+
+    /// Finite points by key: radix sort, lowest digit first.
+    fn sort(&mut self, points: &[[f32; 3]], grid: &Grid) {
+        let Self { order, spare, .. } = self;
+        let entries = points.iter().zip(0..).filter(|(point, _)| is_finite(**point));
+        order.clear();
+        order.extend(
+            entries.map(|(&point, index)| grid.key::<K>(point) << grid.index_bits | K::from(index)),
+        );
+        spare.clone_from(order);
+        let passes = grid.key_bits().div_ceil(RADIX_BITS);
+        let digit_bits = grid.key_bits().div_ceil(passes);
+        for shift in (0..passes).map(|pass| pass * digit_bits) {
+            let digit = |entry: K| {
+                (entry >> (grid.index_bits + shift)).low() as usize & ((1 << digit_bits) - 1)
+            };
+            let mut starts = [0u32; 1 << RADIX_BITS];
+            for &entry in &*order {
+                starts[digit(entry)] += 1;
+            }
+            let mut sum = 0;
+            for start in &mut starts[..1 << digit_bits] {
+                sum += std::mem::replace(start, sum);
+            }
+            for &entry in &*order {
+                let place = &mut starts[digit(entry)];
+                spare[*place as usize] = entry;
+                *place += 1;
+            }
+            std::mem::swap(order, spare);
+        }
+    }
+
+    /// Find the runs of the sorted points.
+    fn divide(&mut self, points: &[[f32; 3]], grid: &Grid) {
+        let Self { order, points: sorted, starts, cubes, .. } = self;
+        sorted.clear();
+        sorted.extend(order.iter().map(|&entry| points[grid.row(entry)]));
+        starts.clear();
+        cubes.clear();
+        let mut last = None;
+        for (place, &entry) in order.iter().enumerate() {
+            let key = entry >> grid.index_bits;
+            if last == Some(key) {
+                continue;
+            }
+            last = Some(key);
+            let octant = 1 << (key.low() & ((1 << OCTANT_BITS) - 1));
+            let (key, first) = (key >> OCTANT_BITS, starts.len() as u32);
+            match cubes.last_mut() {
+                Some(cube) if cube.key == key => cube.octants |= octant,
+                _ => cubes.push(Cube { key, octants: octant, first }),
+            }
+            starts.push(place as u32);
+        }
+        starts.push(order.len() as u32);
+    }
+
+    fn len(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    #[inline]
+    fn range(&self, group: usize) -> Range<usize> {
+        self.starts[group] as usize..self.starts[group + 1] as usize
+    }
+}
+
+/// Joins the groups of every cube with each other and with those of the 13 neighbours behind it: on the
+/// vector unit of the machine, for its instructions on bits.
+struct Link<'a, K, R> {
+    groups: &'a Groups<K>,
+    grid: &'a Grid,
+    reach: &'a R,
+    sets: &'a mut Sets,
+}
+
+impl<K: Key, R: Reach> WithSimd for Link<'_, K, R> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { groups, grid, reach, sets } = self;
+        let cubes = &groups.cubes;
+        let (one, row) = (K::from(1), K::from(1) << grid.bits[0]);
+        let plane = row << grid.bits[1];
+        // From one cube of room below every row: its first neighbour.
+        let offsets = [row - one, plane - row - one, plane - one, plane + row - one];
+        let mut heads = [0; 4];
+        for (at, cube) in cubes.iter().enumerate() {
+            let next = cubes.get(at + 1).filter(|next| next.key == cube.key + one);
+            let mut near = [(cube, &OWN); 14];
+            let mut count = 1;
+            if let Some(next) = next {
+                near[count] = (next, &NEXT);
+                count += 1;
+            }
+            for ((head, &offset), row) in heads.iter_mut().zip(&offsets).zip(&ROWS) {
+                let first = cube.key + offset;
+                while cubes.get(*head).is_some_and(|other| other.key < first) {
+                    *head += 1;
+                }
+                let beside = cubes.iter().skip(*head);
+                for other in beside.take_while(|other| other.key <= first + one + one) {
+                    near[count] = (other, &row[(other.key - first).low() as usize]);
+                    count += 1;
+                }
+            }
+            for (other, in_reach) in &near[..count] {
+                link(groups, cube, other, in_reach, reach, sets);
+            }
+        }
+    }
+}
+
+/// Join octants of two cubes.
+#[inline(always)]
+fn link<K: Key>(
+    groups: &Groups<K>,
+    ours: &Cube<K>,
+    theirs: &Cube<K>,
+    in_reach: &InReach,
+    reach: &impl Reach,
+    sets: &mut Sets,
+) {
+    let reached = theirs.octants & in_reach.theirs;
+    if reached == 0 {
+        return;
+    }
+    let mut octants = ours.octants & in_reach.ours;
+    while octants != 0 {
+        let octant = octants.trailing_zeros();
+        octants &= octants - 1;
+        let mut near = in_reach.of[octant as usize] & reached;
+        if near == 0 {
+            continue;
+        }
+        let a = ours.number(octant);
+        let mut root_a = sets.root(a);
+        while near != 0 {
+            let b = theirs.number(near.trailing_zeros());
+            near &= near - 1;
+            let root_b = sets.root(b);
+            if root_a != root_b && touch(groups, a as usize, b as usize, reach) {
+                sets.join(root_a, root_b);
+                root_a = root_a.min(root_b);
+            }
+        }
+    }
+}
+
+/// Pairs above which the box of a group is worth its making.
+const MANY_PAIRS: usize = 1024;
+
+/// Whether two groups hold a pair of points within reach.
+#[inline(always)]
+fn touch<K: Key>(groups: &Groups<K>, a: usize, b: usize, reach: &impl Reach) -> bool {
+    let (ours, theirs) = (&groups.points[groups.range(a)], &groups.points[groups.range(b)]);
+    let (Some(&p), Some(&q)) = (ours.first(), theirs.first()) else { return false };
+    near(p, q, reach) || (ours.len() * theirs.len() > 1 && any_near(ours, theirs, reach))
+}
+
+#[inline(always)]
+fn near(p: [f32; 3], q: [f32; 3], reach: &impl Reach) -> bool {
+    let (p, q) = (wide(p), wide(q));
+    let (dx, dy, dz) = (p[0] - q[0], p[1] - q[1], p[2] - q[2]);
+    reach.links(dx * dx + dy * dy + dz * dz, p, q)
+}
+
+fn any_near(ours: &[[f32; 3]], theirs: &[[f32; 3]], reach: &impl Reach) -> bool {
+    let near = |p: [f32; 3]| theirs.iter().any(|&q| near(p, q, reach));
+    if ours.len() * theirs.len() < MANY_PAIRS {
+        return ours.iter().any(|&p| near(p));
+    }
+    let [low, high] = bounds(theirs);
+    ours.iter().any(|&p| {
+        let at = wide(p);
+        let [x, y, z] =
+            std::array::from_fn(|axis| (low[axis] - at[axis]).max(at[axis] - high[axis]).max(0.0));
+        x * x + y * y + z * z <= reach.most() && near(p)
+    })
+}
+
+/// Lower and upper corner of the box around `points`.
+fn bounds(points: &[[f32; 3]]) -> [[f64; 3]; 2] {
+    let mut corners = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
+    for &point in points {
+        let point = wide(point);
+        for axis in 0..3 {
+            corners[0][axis] = corners[0][axis].min(point[axis]);
+            corners[1][axis] = corners[1][axis].max(point[axis]);
+        }
+    }
+    corners
+}
