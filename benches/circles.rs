@@ -2,22 +2,12 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
-use lidar_core::circles::fit::{FitParameters, Fitter, Method};
-use lidar_core::circles::map::{
-    CircleMapParameters, Confirmation, Filter, Independent, Limits, LineRules, Looking, Mode,
-    Patience,
-};
-use lidar_core::circles::pipeline::{
-    CirclePipeline, PipelineParameters, RawSweep, ScannerParameters,
-};
+use lidar_core::circles::fit::{Fitter, Method};
+use lidar_core::circles::pipeline::{CirclePipeline, PipelineParameters, RawSweep};
 use lidar_core::circles::preprocess::polar_scan::PolarScan;
 use lidar_core::circles::preprocess::projection::{self, Projection};
 use lidar_core::circles::preprocess::sweep_poses::Sweep;
-use lidar_core::circles::segment::corners::CornerParameters;
-use lidar_core::circles::segment::segmentation::{
-    Bound, Criterion as Closeness, SegmentParameters, segment,
-};
-use lidar_core::circles::selection::ShapeParameters;
+use lidar_core::circles::segment::segmentation::segment;
 use lidar_core::geometry::transform::Transform;
 use std::f64::consts::PI;
 use std::hint::black_box;
@@ -25,7 +15,6 @@ use std::hint::black_box;
 const BEAMS: usize = 1081;
 const OBJECTS: usize = 10;
 const PERIOD_NS: i64 = 50_000_000;
-const RANGE_LIMITS: [f64; 2] = [0.1, 10.0];
 
 fn bearings() -> Vec<f64> {
     (0..BEAMS).map(|ray| (ray as f64 * 0.25 - 135.0) * PI / 180.0).collect()
@@ -85,75 +74,11 @@ fn ranges(scan: i64) -> Vec<f32> {
     bearings().into_iter().map(|bearing| (met(bearing) + noise()) as f32).collect()
 }
 
+/// What ships, in an operating volume.
 fn parameters() -> PipelineParameters {
     PipelineParameters {
-        scanner: ScannerParameters {
-            angle_min: -0.75 * PI,
-            angle_increment: PI / 720.0,
-            n_beams: BEAMS,
-            range_limits: RANGE_LIMITS,
-        },
-        scanners: Vec::new(),
         planes: vec![[0.0, 0.0, 1.0, 3.0], [0.0, 0.0, -1.0, -0.1]],
-        projection: Projection::Exact,
-        segment: SegmentParameters {
-            criterion: Closeness::Both,
-            bound: Bound::Adaptive { incidence: PI / 18.0, slack: 0.09 },
-            max_gap: 2,
-            merge_distance: 0.5,
-            merge_deviation: 0.03,
-            corner: CornerParameters { depth: 0.15, width: 1.2 },
-            min_points: 4,
-            min_fraction: 0.0,
-            range_limits: RANGE_LIMITS,
-            cut_margins: [0.15, 1.2],
-        },
-        fit: FitParameters {
-            method: Method::Expected,
-            range_std: 0.01,
-            beam_half_width: 0.0,
-            radius: [0.02, 1.0],
-            usual_radius: 0.5,
-            range_limits: RANGE_LIMITS,
-        },
-        max_deviation: 0.08,
-        shapes: Some(ShapeParameters {
-            ellipses: true,
-            rectangles: true,
-            faces: true,
-            max_size: 0.5,
-            model_std: 0.03,
-            min_hits: 6,
-        }),
-        map: CircleMapParameters {
-            filter: Filter::Independent(independent()),
-            gate_probability: 0.999,
-            initial_speed: 1.5,
-        },
-    }
-}
-
-fn independent() -> Independent {
-    let mode = |density, weight, duration| Mode { density, weight, duration };
-    Independent {
-        modes: vec![mode(0.003, 0.5, 2.0), mode(0.5, 0.48, 2.0), mode(100.0, 0.02, 0.1)],
-        radius_density: 1e-6,
-        turn_density: 0.01,
-        birth_density: 0.1,
-        merge_gap: 0.1,
-        confirmation: Confirmation { hits: 3, window: 5 },
-        limits: Limits { position: 1.0, velocity: 3.0, radius: 0.3 },
-        patience: Patience { scans: 3, absent: 0.25, unmatched: 0.5, hidden: Some(5.0) },
-        looking: Looking { margin: 0.15, min_rays: 4 },
-        buffer_time: 0.25,
-        lines: LineRules {
-            density: 1e-6,
-            std: 0.01,
-            gap: 0.5,
-            length: 0.5,
-            reach: 3.0,
-            coast: Some(60.0),
-        },
+        ..PipelineParameters::default()
     }
 }
 
@@ -162,7 +87,8 @@ fn stages(c: &mut Criterion) -> Result<(), Error> {
     let bearings = bearings();
     let directions = projection::directions(&bearings);
     let ranges: Vec<f64> = ranges(0).into_iter().map(f64::from).collect();
-    let ranges = projection::within_reach(&ranges, RANGE_LIMITS[0], RANGE_LIMITS[1]);
+    let [near, far] = parameters.scanner.range_limits;
+    let ranges = projection::within_reach(&ranges, near, far);
     let sweep = Sweep::still(Transform::from_matrix(&POSE));
     let raw = PolarScan { ranges, bearings };
     let level = projection::project(&raw, &directions, &sweep, Projection::Exact)?;

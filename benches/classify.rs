@@ -2,22 +2,23 @@
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
-use lidar_core::flying::classify::classifier::classify_clusters;
-use lidar_core::flying::map::voxel_map::VoxelMap;
-use lidar_core::geometry::cluster::label;
-use scenes::{CLUSTERING, SEPARATION, classify_parameters, map_parameters, street};
+use lidar_core::flying::classify::classifier::{ClassifyParameters, classify_clusters};
+use lidar_core::flying::map::separate::Separation;
+use lidar_core::flying::map::voxel_map::{MapParameters, VoxelMap};
+use lidar_core::geometry::cluster::{Clustering, label};
+use scenes::street;
 
 fn classify(c: &mut Criterion) -> Result<(), Error> {
     for number in [1, 2] {
         let scans = street(number, 4)?;
-        let mut map = VoxelMap::new(map_parameters(), 1)?;
+        let mut map = VoxelMap::new(MapParameters::default(), 1)?;
         for scan in &scans[..3] {
             map.integrate(&scan.classified())?;
-            map.remove_separate(SEPARATION)?;
+            map.remove_separate(Separation::default())?;
         }
         let scan = &scans[3];
-        let labels = label(&scan.world, &CLUSTERING)?;
-        let parameters = classify_parameters();
+        let labels = label(&scan.world, &Clustering::default())?;
+        let parameters = ClassifyParameters::default();
         let mut group = c.benchmark_group(format!("classify/scene_{number}"));
         group.sample_size(20);
         group.throughput(Throughput::Elements(scan.world.len() as u64));
@@ -32,7 +33,7 @@ fn classify(c: &mut Criterion) -> Result<(), Error> {
                     .map(|scan| {
                         let integrated = map.integrate(&scan.classified()).is_ok();
                         let start = std::time::Instant::now();
-                        let removed = map.remove_separate(SEPARATION);
+                        let removed = map.remove_separate(Separation::default());
                         std::hint::black_box((integrated, removed).0);
                         start.elapsed()
                     })
@@ -43,7 +44,7 @@ fn classify(c: &mut Criterion) -> Result<(), Error> {
         group.bench_function("remove_separate_everything", |b| {
             b.iter_batched(
                 fresh,
-                |map| map.and_then(|mut map| map.remove_separate(SEPARATION)),
+                |map| map.and_then(|mut map| map.remove_separate(Separation::default())),
                 BatchSize::PerIteration,
             );
         });

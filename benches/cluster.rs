@@ -2,8 +2,7 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
-use lidar_core::geometry::cluster::{Labeller, label};
-use scenes::CLUSTERING;
+use lidar_core::geometry::cluster::{Clustering, Labeller, label};
 use scenes::reference::cluster_hash;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -12,9 +11,10 @@ fn cluster(c: &mut Criterion) -> Result<(), Error> {
     for (name, scans) in scenes::all(1)? {
         let points = scans[0].returns();
         let mut labeller = Labeller::default();
-        let mut plain = || black_box(cluster_hash(&points, CLUSTERING.max_distance)) > 0;
-        let mut fresh = || black_box(label(&points, &CLUSTERING)).is_ok();
-        let mut kept = || black_box(labeller.label(&points, &CLUSTERING)).is_ok();
+        let clustering = Clustering::default();
+        let mut plain = || black_box(cluster_hash(&points, clustering.max_distance)) > 0;
+        let mut fresh = || black_box(label(&points, &clustering)).is_ok();
+        let mut kept = || black_box(labeller.label(&points, &clustering)).is_ok();
         let mut group = c.benchmark_group(format!("cluster/{name}"));
         group.sample_size(20);
         group.throughput(Throughput::Elements(points.len() as u64));

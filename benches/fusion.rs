@@ -2,9 +2,8 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
-use lidar_core::fusion::models::motion::{NoiseForm, Prior};
-use lidar_core::fusion::sensors::observation::Sensing;
-use lidar_core::fusion::targets::lifecycle::{GyroUse, Life, Loss};
+use lidar_core::fusion::models::motion::NoiseForm;
+use lidar_core::fusion::targets::lifecycle::GyroUse;
 use lidar_core::fusion::{
     Filter, FusionParameters, Measurement, Method, Model, Sensor, Strengths, run, run_batch,
 };
@@ -13,45 +12,11 @@ use lidar_core::util::threads;
 const STEPS: usize = 1223;
 const TARGETS: usize = 100;
 
-/// The defaults of the configuration model `FusionConfig`.
-fn parameters(model: Model, method: Method) -> Result<FusionParameters, Error> {
-    Ok(FusionParameters {
-        model,
-        method,
-        strengths: Strengths {
-            form: NoiseForm::Continuous,
-            acceleration: 1.0,
-            jerk: 2.0,
-            turn: 0.5,
-            platform: 0.5,
-            start: 4.0,
-        },
-        prior: Prior {
-            position: 0.5,
-            speed: 25.0,
-            heading: 3.0,
-            turn_rate: 1.0,
-            acceleration: 9.0,
-            platform_rate: 1.0,
-        },
-        sensing: Sensing {
-            lidar: [0.0225; 2],
-            radar: [0.09, 0.0009, 0.09],
-            gyro: 1e-4,
-            pose: [0.0; 3],
-            range_min: 0.1,
-            convert_radar: false,
-        },
-        life: Life {
-            start_rows: 6,
-            gate: Life::gates(Some(0.9999))?,
-            loss: Some(Loss { window: 10.0, ratio: 4.0 }),
-            radar_starts_speed: true,
-            gyro: GyroUse::Measurement,
-            buffer_ns: 500_000_000,
-        },
-        lever: [0.0; 2],
-    })
+/// What ships, with another model and method.
+fn parameters(model: Model, method: Method) -> FusionParameters {
+    let mut parameters = FusionParameters { model, method, ..FusionParameters::default() };
+    parameters.life.gyro = GyroUse::Measurement; // one more state
+    parameters
 }
 
 /// A target that walks a wide circle, with errors that only look random.
@@ -88,10 +53,10 @@ fn fusion(c: &mut Criterion) -> Result<(), Error> {
         ("ctra_ekf", Model::Ctra, Method::Extended),
         ("ctrv_drone_ekf", Model::CtrvDrone, Method::Extended),
     ] {
-        let settings = parameters(model, method)?;
+        let settings = parameters(model, method);
         group.bench_function(name, |b| b.iter(|| run(&settings, &target)));
     }
-    let settings = parameters(Model::Ctra, Method::Extended)?;
+    let settings = parameters(Model::Ctra, Method::Extended);
     group.bench_function("ctra_ekf_step_by_step", |b| {
         b.iter(|| {
             Filter::new(&settings).map(|mut filter| {

@@ -5,7 +5,7 @@
 use lidar_core::Error;
 use lidar_core::flying::detector::FlyingObjectDetector;
 use lidar_core::flying::parameters::FlyingParameters;
-use scenes::{Scan, flying_parameters, street};
+use scenes::{Scan, street};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use std::alloc::System;
 use std::io::{Write, stdout};
@@ -53,7 +53,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
 fn row(number: u32) -> Result<String, Error> {
     let scans = street(number, SCANS)?;
-    let mut parameters = flying_parameters();
+    let mut parameters = FlyingParameters::default();
     let run = Run::new(&scans, parameters.clone())?;
     parameters.classify.min_points = usize::MAX; // so that nothing is a target
     let empty = Run::new(&scans, parameters)?;

@@ -3,8 +3,9 @@
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
 use lidar_core::flying::detector::FlyingObjectDetector;
-use lidar_core::flying::track::{Detections, OccupiedPoints, PointCloudTracker};
-use scenes::{flying_parameters, street, tracker_parameters};
+use lidar_core::flying::parameters::FlyingParameters;
+use lidar_core::flying::track::{Detections, OccupiedPoints, PointCloudTracker, TrackerParameters};
+use scenes::street;
 use std::time::Instant;
 
 const PERIOD_NS: i64 = 100_000_000;
@@ -15,7 +16,7 @@ fn whole_scan(c: &mut Criterion) -> Result<(), Error> {
         group.sample_size(10);
         group.throughput(Throughput::Elements(scans[0].world.len() as u64));
         for threads in [1, 2] {
-            let mut detector = FlyingObjectDetector::new(flying_parameters(), threads)?;
+            let mut detector = FlyingObjectDetector::new(FlyingParameters::default(), threads)?;
             let mut stamp_ns = 0;
             for scan in &scans {
                 stamp_ns += PERIOD_NS;
@@ -50,7 +51,7 @@ fn track(c: &mut Criterion) -> Result<(), Error> {
                 cloud.push([position[0] as f32 + step, position[1] as f32, position[2] as f32]);
             }
         }
-        let mut tracker = PointCloudTracker::new(tracker_parameters(), 1)?;
+        let mut tracker = PointCloudTracker::new(TrackerParameters::default(), 1)?;
         let mut stamp_ns = 0;
         group.bench_function(format!("cloud_and_detections_{targets}_targets"), |b| {
             b.iter_custom(|rounds| {

@@ -6,7 +6,7 @@ use lidar_core::flying::map::voxel_map::{MapParameters, Rays, VoxelMap};
 use lidar_core::geometry::lattice::Lattice;
 use lidar_core::geometry::traverse::traverse;
 use scenes::reference::DenseMap;
-use scenes::{MAX_RANGE, VOXEL_SIZE, map_parameters};
+use scenes::{MAX_RANGE, VOXEL_SIZE};
 use std::ops::ControlFlow;
 
 const SCANS: u64 = 3;
@@ -47,7 +47,8 @@ fn raycast(c: &mut Criterion) -> Result<(), Error> {
         });
 
         for (threads, rays) in [(1, Rays::All), (2, Rays::All), (1, Rays::OnePerEnd)] {
-            let mut map = VoxelMap::new(MapParameters { rays, ..map_parameters() }, threads)?;
+            let mut map =
+                VoxelMap::new(MapParameters { rays, ..MapParameters::default() }, threads)?;
             for scan in &scans {
                 map.integrate(&scan.classified())?;
             }

@@ -225,17 +225,19 @@ fn root(parent: &mut [u32], mut index: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{CLUSTERING, map_parameters, street};
+    use crate::street;
     use lidar_core::Error;
-    use lidar_core::flying::map::voxel_map::VoxelMap;
-    use lidar_core::geometry::cluster::label;
+    use lidar_core::flying::map::voxel_map::{MapParameters, VoxelMap};
+    use lidar_core::geometry::cluster::{Clustering, label};
 
     #[test]
     fn the_yardsticks_do_the_same_work() -> Result<(), Error> {
         let scan = &street(2, 1)?[0];
         let mut dense = DenseMap::new([-50.0, -50.0, -1.0]);
         let visits = dense.integrate(scan);
-        let mut map = VoxelMap::new(map_parameters(), 1)?;
+        let parameters = MapParameters::default();
+        assert_eq!([parameters.voxel_size, parameters.max_range], [VOXEL_SIZE, MAX_RANGE]);
+        let mut map = VoxelMap::new(parameters, 1)?;
         let stats = map.integrate(&scan.classified())?;
         let difference = (stats.visits as f64 - visits as f64).abs() / visits as f64;
         assert!(difference < 1e-3, "{visits} and {} visits", stats.visits);
@@ -255,9 +257,10 @@ mod tests {
         assert!(same > 3960, "{same} of 4000 values agree");
 
         let returns = scan.returns();
-        let labels = label(&returns, &CLUSTERING)?;
+        let clustering = Clustering::default();
+        let labels = label(&returns, &clustering)?;
         let clusters = labels.iter().max().map_or(0, |&last| last as usize + 1);
-        assert_eq!(cluster_hash(&returns, CLUSTERING.max_distance), clusters);
+        assert_eq!(cluster_hash(&returns, clustering.max_distance), clusters);
         Ok(())
     }
 }

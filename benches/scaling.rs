@@ -2,10 +2,11 @@
 //! linear, nought does not depend on the size. `cargo bench --bench scaling [rays|voxel|...]`.
 
 use lidar_core::Error;
+use lidar_core::flying::map::separate::Separation;
 use lidar_core::flying::map::voxel_map::{MapParameters, VoxelMap};
-use lidar_core::flying::track::{Detections, OccupiedPoints, PointCloudTracker};
-use lidar_core::geometry::cluster::label;
-use scenes::{CLUSTERING, SEPARATION, Scan, map_parameters, tracker_parameters};
+use lidar_core::flying::track::{Detections, OccupiedPoints, PointCloudTracker, TrackerParameters};
+use lidar_core::geometry::cluster::{Clustering, label};
+use scenes::Scan;
 use std::f64::consts::{PI, TAU};
 use std::io::{Write, stdout};
 use std::time::Instant;
@@ -96,7 +97,7 @@ fn integration(parameters: MapParameters, scan: &Scan) -> Result<f64, Error> {
 fn rays() -> Measured {
     let sizes = [(32, 512), (64, 1024), (128, 2048), (256, 4096)];
     let measure = |&(rows, columns): &(usize, usize)| {
-        let seconds = integration(map_parameters(), &shell(rows, columns, 19.0, 0.0))?;
+        let seconds = integration(MapParameters::default(), &shell(rows, columns, 19.0, 0.0))?;
         Ok(((rows * columns) as f64, seconds))
     };
     sizes.iter().map(measure).collect()
@@ -105,7 +106,7 @@ fn rays() -> Measured {
 fn voxel() -> Measured {
     let scan = shell(ROWS, COLUMNS, 19.0, 0.0);
     let measure = |&voxel_size: &f64| {
-        let parameters = MapParameters { voxel_size, ..map_parameters() };
+        let parameters = MapParameters { voxel_size, ..MapParameters::default() };
         Ok((1.0 / voxel_size, integration(parameters, &scan)?))
     };
     [0.5, 0.25, 0.1].iter().map(measure).collect()
@@ -113,7 +114,7 @@ fn voxel() -> Measured {
 
 fn range() -> Measured {
     let measure = |&reach: &f64| {
-        let parameters = MapParameters { max_range: reach, ..map_parameters() };
+        let parameters = MapParameters { max_range: reach, ..MapParameters::default() };
         Ok((reach, integration(parameters, &shell(ROWS, COLUMNS, 0.95 * reach, 0.0))?))
     };
     [10.0, 20.0, 50.0, 100.0].iter().map(measure).collect()
@@ -123,7 +124,7 @@ fn points() -> Measured {
     let sizes = [(32, 512), (64, 1024), (128, 2048), (256, 4096)];
     let measure = |&(rows, columns): &(usize, usize)| {
         let cloud = shell(rows, columns, (rows * columns) as f64 / 16_384.0 + 10.0, 0.0).world;
-        let seconds = least(|| label(&cloud, &CLUSTERING).map(|_| ()))?;
+        let seconds = least(|| label(&cloud, &Clustering::default()).map(|_| ()))?;
         Ok(((rows * columns) as f64, seconds))
     };
     sizes.iter().map(measure).collect()
@@ -141,7 +142,7 @@ fn tracking(count: u32) -> Result<f64, Error> {
     let cloud = narrow.flat_map(|[x, y, z]| OBJECT.map(|step| [x + step, y, z]));
     let cloud: Vec<[f32; 3]> = cloud.collect();
     let occupied = OccupiedPoints::new(&[[0.0, 0.0, 0.0]], 0.7);
-    let mut tracker = PointCloudTracker::new(tracker_parameters(), 1)?;
+    let mut tracker = PointCloudTracker::new(TrackerParameters::default(), 1)?;
     let mut stamp_ns = 0;
     least(|| {
         for _ in 0..5 {
@@ -163,7 +164,7 @@ fn tracking(count: u32) -> Result<f64, Error> {
 }
 
 fn extent() -> Measured {
-    let mut map = VoxelMap::new(map_parameters(), 1)?;
+    let mut map = VoxelMap::new(MapParameters::default(), 1)?;
     let near = shell(ROWS, COLUMNS, 19.0, 0.0);
     let mut reached = 0.0;
     let mut measure = |&length: &f64| {
@@ -171,10 +172,10 @@ fn extent() -> Measured {
             map.integrate(&shell(32, 256, 19.0, reached).classified())?;
             reached += 10.0;
         }
-        map.remove_separate(SEPARATION)?;
+        map.remove_separate(Separation::default())?;
         let seconds = least(|| {
             map.integrate(&near.classified())?;
-            map.remove_separate(SEPARATION).map(|_| ())
+            map.remove_separate(Separation::default()).map(|_| ())
         })?;
         Ok((length, seconds))
     };

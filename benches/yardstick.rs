@@ -4,8 +4,9 @@
 //! FOLDER` reads numbers of scans from standard input, one a line, works on each, and answers with
 //! the voxels visited or the clusters found.
 
+use lidar_core::geometry::cluster::Clustering;
 use scenes::reference::{DenseMap, cluster_hash};
-use scenes::{CLUSTERING, Scan, files, street};
+use scenes::{Scan, files, street};
 use std::error::Error;
 use std::io::{Write, stdin, stdout};
 use std::path::Path;
@@ -24,7 +25,7 @@ fn main() -> Result<()> {
             serve(folder, |scan| map.integrate(scan))
         }
         ["cluster", folder] => {
-            serve(folder, |scan| cluster_hash(&scan.returns(), CLUSTERING.max_distance))
+            serve(folder, |scan| cluster_hash(&scan.returns(), Clustering::default().max_distance))
         }
         _ => Err("expected: write FOLDER SCENE COUNT, rays FOLDER, or cluster FOLDER".into()),
     }

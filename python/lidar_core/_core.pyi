@@ -29,6 +29,7 @@ __all__ = [
     "circle_windows",
     "circles_from_answers",
     "cluster_points",
+    "default_parameters",
     "detect_circles",
     "detection_probability",
     "fit_circles",
@@ -41,6 +42,7 @@ __all__ = [
     "hit_probability",
     "limit_range",
     "make_circle_samples",
+    "parameters_of",
     "point_covariance",
     "project_horizontal",
     "segment_scan",
@@ -134,6 +136,8 @@ def fit_shapes(
     NDArray[np.float64],
     NDArray[np.int64],
 ]: ...
+def parameters_of(model: str, config: object) -> str: ...
+def default_parameters(model: str, mode: str) -> str: ...
 def assign_columns(
     cost: NDArray[np.float64], *, gate: float, unassigned: float
 ) -> NDArray[np.int64]: ...

@@ -7,21 +7,16 @@ use lidar_core::flying::classify::classifier::ClassifyParameters;
 use lidar_core::flying::detector::FlyingObjectDetector;
 use lidar_core::flying::integrate::pose_weights::PoseParameters;
 use lidar_core::flying::map::separate::Separation;
-use lidar_core::flying::map::voxel_map::{MapParameters, RayUnit, Rays};
+use lidar_core::flying::map::voxel_map::MapParameters;
 use lidar_core::flying::parameters::FlyingParameters;
 use lidar_core::flying::scan::prepared::RawScan;
 use lidar_core::flying::scan::sensor::SensorParameters;
 use lidar_core::flying::sky::Beams;
-use lidar_core::flying::track::{
-    Ageing, Association, Confirmation, Hiding, MeasurementForm, Merging, Motion, NoiseForm, Radius,
-    RadiusForm, TrackerParameters,
-};
+use lidar_core::flying::track::{Confirmation, TrackerParameters};
 use lidar_core::geometry::cluster::Clustering;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
-use std::collections::BTreeMap;
 
-const CLUSTERING: Clustering = Clustering { max_distance: 0.5, min_points: 1, max_points: None };
 const STEP_NS: i64 = 100_000_000;
 
 /// The same cases on every run.
@@ -34,119 +29,49 @@ fn seeded() -> ProptestConfig {
     }
 }
 
+/// Best mode for short scenes: a small map, a short burn-in, and nothing that is found by itself.
 fn parameters() -> FlyingParameters {
     FlyingParameters {
         map: map(),
-        clustering: CLUSTERING,
+        clustering: Clustering { max_distance: 0.5, ..Clustering::default() },
         cluster_angle: 0.0,
-        cluster_voxels: false,
-        classify: classify(),
-        separation: Separation { max_gap: 0.8, min_confident: 4, dilate: false },
-        removal_waits: true,
+        classify: ClassifyParameters {
+            search_distance: 2.0,
+            expand_own: false,
+            max_extent: Some(1.5),
+            min_points: 2,
+            min_clearance: 0.0,
+            upright_height: None,
+            max_distance: None,
+            fill_pockets: true,
+            ..ClassifyParameters::default()
+        },
+        separation: Separation { min_confident: 4, ..Separation::default() },
         seed: SeedParameters {
             burn_in_scans: 3,
             burn_in_extent: 1.0,
             standing_scans: 0,
-            standing_shift: 0.04,
-            standing_track_distance: 0.5,
             ground_height: Some(-1.4),
-            take_off_height: None,
+            ..SeedParameters::default()
         },
-        sensors: BTreeMap::new(),
         default_sensor: SensorParameters {
-            min_range: 0.3,
-            self_box: None,
-            blind_sectors: Vec::new(),
-            self_mask: None,
             learn_mask_scans: 0,
-            learn_mask_range: 1.0,
-            mask_empty_only: false,
             beams: Beams::Given,
-            known_sensors: Vec::new(),
             find_body: false,
-            returns_per_ray: 1,
+            ..SensorParameters::default()
         },
-        tracker: tracker(),
-        centers: true,
-        pose: PoseParameters {
-            position_std: [0.0; 3],
-            angle_std: [0.0; 3],
-            weighting: None,
-            end_sigmas: 0.0,
+        tracker: TrackerParameters {
+            max_extent: Some(1.5),
+            confirmation: Confirmation { hits: 2, window: 10, doubt: None },
+            ..TrackerParameters::default()
         },
-        range_std: 0.03,
-        target_radius: 0.325,
-        mismatch_share: Some(0.5),
-        forget_distance: None,
+        pose: PoseParameters::paper(),
+        ..FlyingParameters::default()
     }
 }
 
 fn map() -> MapParameters {
-    MapParameters {
-        voxel_size: 0.25,
-        origin: [0.0; 3],
-        g_occ: 0.0,
-        g_unk: -740.0,
-        g_free: -1000.0,
-        initial: -740.0,
-        thresholds: [-750.0, -300.0, -0.1],
-        extra_thresholds: Vec::new(),
-        max_range: 10.0,
-        end_margin: 0.0,
-        rays: Rays::All,
-        ray_unit: RayUnit::Edges,
-        ray_gain: 1.0,
-        bounds: None,
-        max_voxels: 1 << 22,
-    }
-}
-
-fn classify() -> ClassifyParameters {
-    ClassifyParameters {
-        close_distance: 0.7,
-        search_distance: 2.0,
-        open_border: true,
-        own_shadow: true,
-        expand_own: false,
-        search_adds_extent: false,
-        after_update: false,
-        max_extent: Some(1.5),
-        background_extent: Some(3.0),
-        min_points: 2,
-        min_clearance: 0.0,
-        upright_height: None,
-        max_distance: None,
-        group_distance: Some(0.7),
-        follow_tracks: true,
-        fill_pockets: true,
-    }
-}
-
-fn tracker() -> TrackerParameters {
-    TrackerParameters {
-        buffer_size: 10,
-        clustering: CLUSTERING,
-        max_extent: Some(1.5),
-        occupied_distance: 0.7,
-        occupied_adds_extent: false,
-        radius: Radius { form: RadiusForm::SixthRoot, scale: 1.22, min: 1.5, max: 3.0 },
-        motion: Motion {
-            acceleration_time: Some(1.0),
-            unseen_time: Some(0.3),
-            form: NoiseForm::Continuous,
-            std: [0.0, 0.1, 4.0],
-        },
-        initial_std: [0.3, 4.0, 3.0],
-        measurement: MeasurementForm::Center,
-        measurement_std: 0.07,
-        hiding: Some(Hiding { share: 0.75, time: 2.0 }),
-        association: Association::Global { gate_probability: 0.9999, clutter_density: 1e-5 },
-        rejoin_acceleration: Some(2.0),
-        split_distance: Some(0.8),
-        confirmation: Confirmation { hits: 2, window: 10, doubt: None },
-        merging: Some(Merging { distance: 0.3, speed: 1.0 }),
-        ageing: Ageing::Visible { max_coast: 3.0, report_coast: 0.5 },
-    }
+    MapParameters { max_range: 10.0, max_voxels: 1 << 22, ..MapParameters::default() }
 }
 
 fn pose(x: f64, y: f64) -> [f64; 16] {

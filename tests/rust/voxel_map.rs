@@ -4,7 +4,7 @@
 use lidar_core::Error;
 use lidar_core::flying::integrate::integrator::{ClassifiedScan, Origins};
 use lidar_core::flying::map::separate::Separation;
-use lidar_core::flying::map::voxel_map::{MapParameters, RayUnit, Rays, VoxelMap};
+use lidar_core::flying::map::voxel_map::{MapParameters, VoxelMap};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -19,23 +19,7 @@ fn seeded() -> ProptestConfig {
 }
 
 fn parameters() -> MapParameters {
-    MapParameters {
-        voxel_size: 0.25,
-        origin: [0.0; 3],
-        g_occ: 0.0,
-        g_unk: -740.0,
-        g_free: -1000.0,
-        initial: -740.0,
-        thresholds: [-750.0, -300.0, -0.1],
-        extra_thresholds: Vec::new(),
-        max_range: 5.0,
-        end_margin: 0.0,
-        rays: Rays::All,
-        ray_unit: RayUnit::Edges,
-        ray_gain: 0.1,
-        bounds: None,
-        max_voxels: 1 << 22,
-    }
+    MapParameters { max_range: 5.0, ray_gain: 0.1, max_voxels: 1 << 22, ..MapParameters::default() }
 }
 
 type Entry = ([f32; 3], u8, [f64; 3], [f32; 3], bool); // point, class, origin, direction, no return

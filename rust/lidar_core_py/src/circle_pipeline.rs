@@ -23,7 +23,7 @@ use std::collections::BTreeMap;
 
 /// The fields of `CirclesConfig` that the core reads.
 #[derive(FromPyObject)]
-struct CirclesConfig {
+pub(crate) struct CirclesConfig {
     scanner: ScannerConfig,
     scanners: BTreeMap<String, ScannerConfig>,
     preprocess: PreprocessConfig,
@@ -40,7 +40,7 @@ struct PreprocessConfig {
 }
 
 impl CirclesConfig {
-    fn parameters(self, fit: &FitConfig) -> Result<PipelineParameters, Error> {
+    pub(crate) fn parameters(self, fit: &FitConfig) -> Result<PipelineParameters, Error> {
         let scanners = self.scanners.iter();
         Ok(PipelineParameters {
             scanner: self.scanner.parameters(),

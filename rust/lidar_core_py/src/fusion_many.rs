@@ -29,7 +29,7 @@ pub(crate) struct MultiTargetConfig {
 }
 
 impl MultiTargetConfig {
-    fn parameters(&self) -> Result<ManyParameters, Error> {
+    pub(crate) fn parameters(&self) -> Result<ManyParameters, Error> {
         let clutter = [self.lidar_clutter, self.radar_clutter];
         let joint = Association::Joint { detection: self.detection_probability, clutter };
         let associations = [("nearest", Association::Nearest), ("joint", joint)];

@@ -10,6 +10,7 @@ mod circle_samples;
 mod circle_windows;
 mod circles;
 mod circles_config;
+mod defaults;
 mod errors;
 mod estimation;
 mod flying;
@@ -42,6 +43,8 @@ mod _core {
     use super::circle_windows::{circle_windows, circles_from_answers};
     #[pymodule_export]
     use super::circles::{limit_range, project_horizontal, segment_scan};
+    #[pymodule_export]
+    use super::defaults::{default_parameters, parameters_of};
     #[pymodule_export]
     use super::estimation::{assign_columns, chi2_quantile};
     #[pymodule_export]

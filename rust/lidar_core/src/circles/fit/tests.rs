@@ -2,14 +2,7 @@ use super::*;
 use crate::circles::segment::segments::Side;
 
 fn parameters(method: Method) -> FitParameters {
-    FitParameters {
-        method,
-        range_std: 1e-4,
-        beam_half_width: 0.0,
-        radius: [0.02, 1.0],
-        usual_radius: 0.5,
-        range_limits: [0.1, 10.0],
-    }
+    FitParameters { method, range_std: 1e-4, ..FitParameters::default() }
 }
 
 /// A circle at (4, 0) with a radius of 0.3 m before nothing, one ray every 0.25 degrees.

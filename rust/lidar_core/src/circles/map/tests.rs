@@ -11,23 +11,11 @@ fn best() -> Independent {
     let mode = |density, weight, duration| Mode { density, weight, duration };
     Independent {
         modes: vec![mode(0.003, 0.5, 2.0), mode(0.5, 0.48, 2.0), mode(100.0, 0.02, 0.1)],
-        radius_density: 1e-6,
-        turn_density: 0.01,
         birth_density: 0.1,
         merge_gap: 0.1,
-        confirmation: Confirmation { hits: 3, window: 5 },
-        limits: Limits { position: 1.0, velocity: 3.0, radius: 0.3 },
-        patience: Patience { scans: 3, absent: 0.25, unmatched: 0.5, hidden: Some(5.0) },
         looking: Looking { margin: 0.1, min_rays: 4 },
         buffer_time: 1.0,
-        lines: LineRules {
-            density: 1e-6,
-            std: 0.01,
-            gap: 0.5,
-            length: 0.5,
-            reach: 3.0,
-            coast: Some(60.0),
-        },
+        ..Independent::default()
     }
 }
 

@@ -279,18 +279,15 @@ mod tests {
     use std::f64::consts::TAU;
 
     const INF: f64 = f64::INFINITY;
-    const PARAMETERS: SegmentParameters = SegmentParameters {
-        criterion: Criterion::Both,
-        bound: Bound::Fixed(0.2),
-        max_gap: 1,
-        merge_distance: 0.5,
-        merge_deviation: 0.02,
-        corner: CornerParameters { depth: 0.15, width: 1.2 },
-        min_points: 2,
-        min_fraction: 0.0,
-        range_limits: [0.1, 10.0],
-        cut_margins: [0.15, 1.2],
-    };
+    fn parameters() -> SegmentParameters {
+        SegmentParameters {
+            bound: Bound::Fixed(0.2),
+            max_gap: 1,
+            merge_deviation: 0.02,
+            min_points: 2,
+            ..SegmentParameters::default()
+        }
+    }
 
     fn scan(ranges: &[f64], step: f64) -> PolarScan {
         let bearings = (0..ranges.len()).map(|ray| step * ray as f64).collect();
@@ -298,7 +295,7 @@ mod tests {
     }
 
     fn found(ranges: &[f64], step: f64) -> Result<Segments, Error> {
-        segment(&scan(ranges, step), None, &PARAMETERS)
+        segment(&scan(ranges, step), None, &parameters())
     }
 
     #[test]
@@ -320,10 +317,10 @@ mod tests {
     fn what_goes_on_outside_the_volume_does_not_end_there() -> Result<(), Error> {
         let seen = [3.0, 3.0, 3.05, 3.1, INF];
         let limited = scan(&[3.0, 3.0, INF, INF, INF], 0.01);
-        let segments = segment(&limited, Some(&seen), &PARAMETERS)?;
+        let segments = segment(&limited, Some(&seen), &parameters())?;
         assert_eq!(segments.sides, [[Side::FieldEdge, Side::Occluded]]);
         let behind = [3.0, 3.0, 6.0, 6.0, INF];
-        let segments = segment(&limited, Some(&behind), &PARAMETERS)?;
+        let segments = segment(&limited, Some(&behind), &parameters())?;
         assert_eq!(segments.sides, [[Side::FieldEdge, Side::Free]]);
         Ok(())
     }
@@ -359,7 +356,7 @@ mod tests {
         assert!(found(&[1.0, -1.0], 0.01).is_err());
         assert!(found(&[1.0, 1.0], f64::NAN).is_err());
         let short = PolarScan { ranges: vec![1.0], bearings: vec![] };
-        assert!(segment(&short, None, &PARAMETERS).is_err());
+        assert!(segment(&short, None, &parameters()).is_err());
         assert!(found(&[], 0.01).is_ok_and(|segments| segments.is_empty()));
     }
 }

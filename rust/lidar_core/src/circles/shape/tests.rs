@@ -2,14 +2,6 @@ use super::*;
 use crate::circles::segment::segments::Side;
 
 fn shape_of(ranges: impl Fn(f64) -> f64, half: i32) -> Result<ShapeEstimate, Error> {
-    let parameters = FitParameters {
-        method: Method::Expected,
-        range_std: 0.01,
-        beam_half_width: 0.0,
-        radius: [0.02, 1.0],
-        usual_radius: 0.5,
-        range_limits: [0.1, 10.0],
-    };
     let bearings: Vec<f64> =
         (-120..=120).map(|step| f64::from(step) * 0.25_f64.to_radians()).collect();
     let seen = |step: usize| (120 - half as usize..=120 + half as usize).contains(&step);
@@ -21,7 +13,7 @@ fn shape_of(ranges: impl Fn(f64) -> f64, half: i32) -> Result<ShapeEstimate, Err
     let (starts, sides) = (vec![0, rays.len()], vec![[Side::Free; 2]]);
     let segments = Segments { labels: vec![], rays, starts, sides };
     let mut shapes = Vec::new();
-    ShapeFitter::new(parameters)?.fit(&scan, &segments, &mut shapes)?;
+    ShapeFitter::new(FitParameters::default())?.fit(&scan, &segments, &mut shapes)?;
     Ok(shapes[0])
 }
 

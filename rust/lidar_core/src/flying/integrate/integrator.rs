@@ -142,26 +142,10 @@ pub(crate) fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::flying::map::voxel_map::{MapParameters, RayUnit, Rays, VoxelMap};
+    use crate::flying::map::voxel_map::{MapParameters, VoxelMap};
 
     pub(crate) fn parameters() -> MapParameters {
-        MapParameters {
-            voxel_size: 0.25,
-            origin: [0.0; 3],
-            g_occ: 0.0,
-            g_unk: -740.0,
-            g_free: -1000.0,
-            initial: -740.0,
-            thresholds: [-750.0, -300.0, -0.1],
-            extra_thresholds: Vec::new(),
-            max_range: 20.0,
-            end_margin: 0.0,
-            rays: Rays::All,
-            ray_unit: RayUnit::Edges,
-            ray_gain: 1.0,
-            bounds: None,
-            max_voxels: 1 << 20,
-        }
+        MapParameters { max_voxels: 1 << 20, ..MapParameters::default() }
     }
 
     pub(crate) fn scan<'a>(points: &'a [[f32; 3]], class: &'a [u8]) -> ClassifiedScan<'a> {

@@ -1,37 +1,9 @@
 //! The tracker as a whole, by hand; its full comparison with an oracle is in `tests/python`.
 
 use super::*;
-use crate::geometry::cluster::Clustering;
 
 const STEP_NS: i64 = 100_000_000;
 const NOTHING: [[f32; 3]; 0] = [];
-
-fn paper() -> TrackerParameters {
-    TrackerParameters {
-        buffer_size: 10,
-        clustering: Clustering { max_distance: 0.25, min_points: 1, max_points: None },
-        max_extent: None,
-        occupied_distance: 1.0,
-        occupied_adds_extent: false,
-        radius: Radius { form: RadiusForm::Paper, scale: 0.5, min: 1.5, max: 3.0 },
-        motion: Motion {
-            acceleration_time: None,
-            unseen_time: None,
-            form: NoiseForm::Paper,
-            std: [0.5, 0.5, 0.1],
-        },
-        initial_std: [0.5, 3.0, 3.0],
-        measurement: MeasurementForm::Paper,
-        measurement_std: 1.0,
-        hiding: None,
-        association: Association::Paper,
-        rejoin_acceleration: None,
-        split_distance: None,
-        confirmation: Confirmation { hits: 1, window: 1, doubt: None },
-        merging: None,
-        ageing: Ageing::Paper,
-    }
-}
 
 fn best() -> TrackerParameters {
     TrackerParameters {
@@ -41,7 +13,7 @@ fn best() -> TrackerParameters {
         confirmation: Confirmation { hits: 2, window: 3, doubt: None },
         measurement: MeasurementForm::Cluster,
         measurement_std: 0.1,
-        ..paper()
+        ..TrackerParameters::paper()
     }
 }
 
@@ -68,7 +40,7 @@ fn detect(
 /// One position axis of Table II after 0.1 s: 0.5^2 + 0.3^2 + 0.015^2 + 0.5^2 = 0.590225.
 #[test]
 fn the_first_correction_agrees_with_a_calculation_by_hand() -> Result<(), Error> {
-    let mut tracker = PointCloudTracker::new(paper(), 1)?;
+    let mut tracker = PointCloudTracker::new(TrackerParameters::paper(), 1)?;
     detect(&mut tracker, &[[0.0; 3]], 0)?;
     let stats = tracker.new_point_cloud(&[[0.4, 0.0, 0.0]], None, &free(), None, STEP_NS)?;
     assert_eq!(stats.corrected, [0]);
@@ -83,7 +55,7 @@ fn the_first_correction_agrees_with_a_calculation_by_hand() -> Result<(), Error>
 #[test]
 fn a_cluster_beside_an_occupied_voxel_corrects_nothing() -> Result<(), Error> {
     for (voxel, corrected) in [([0.0, 1.0, 0.0], 0), ([0.0, 1.001, 0.0], 1)] {
-        let mut tracker = PointCloudTracker::new(paper(), 1)?;
+        let mut tracker = PointCloudTracker::new(TrackerParameters::paper(), 1)?;
         detect(&mut tracker, &[[0.0; 3]], 0)?;
         let occupied = OccupiedPoints::new(&[voxel], 1.0);
         let stats = tracker.new_point_cloud(&[[0.0; 3]], None, &occupied, None, STEP_NS)?;
@@ -94,7 +66,7 @@ fn a_cluster_beside_an_occupied_voxel_corrects_nothing() -> Result<(), Error> {
 
 #[test]
 fn the_paper_counts_a_similar_detection_and_adds_a_distant_one() -> Result<(), Error> {
-    let mut tracker = PointCloudTracker::new(paper(), 1)?;
+    let mut tracker = PointCloudTracker::new(TrackerParameters::paper(), 1)?;
     let stats = detect(&mut tracker, &[[0.0; 3], [3.0, 0.0, 0.0], [3.1, 0.0, 0.0]], 0)?;
     // Radii 1.5 + 1.5: the second is the first again, the third is new.
     assert_eq!(stats.born, [0, 1]);
@@ -159,7 +131,11 @@ fn weak_detections_confirm_what_moves_or_stays_long() -> Result<(), Error> {
 /// Numbers of the tracks that are born when a target which was hidden for 0.8 s comes back `aside`
 /// [m] of its straight way.
 fn born_behind_cover(acceleration: Option<f64>, aside: f64) -> Result<Vec<i64>, Error> {
-    let motion = Motion { form: NoiseForm::Continuous, std: [0.0, 0.1, 1.0], ..paper().motion };
+    let motion = Motion {
+        form: NoiseForm::Continuous,
+        std: [0.0, 0.1, 1.0],
+        ..TrackerParameters::paper().motion
+    };
     let parameters = TrackerParameters { rejoin_acceleration: acceleration, motion, ..best() };
     let mut tracker = PointCloudTracker::new(parameters, 1)?;
     for set in (0..10).chain(18..19) {
@@ -242,8 +218,10 @@ fn a_hidden_track_outlives_its_radius_and_ends_with_the_coast() -> Result<(), Er
 #[test]
 fn converged_twins_become_the_elder() -> Result<(), Error> {
     let merging = Merging { distance: 0.3, speed: 1.0 };
-    let mut tracker =
-        PointCloudTracker::new(TrackerParameters { merging: Some(merging), ..paper() }, 1)?;
+    let mut tracker = PointCloudTracker::new(
+        TrackerParameters { merging: Some(merging), ..TrackerParameters::paper() },
+        1,
+    )?;
     detect(&mut tracker, &[[0.0; 3], [3.1, 0.0, 0.0]], 0)?;
     let mut merged = Vec::new();
     for step in 1..20 {
@@ -259,26 +237,32 @@ fn converged_twins_become_the_elder() -> Result<(), Error> {
 #[test]
 fn parameters_that_cannot_work_are_refused() {
     let bad = [
-        TrackerParameters { buffer_size: 0, ..paper() },
+        TrackerParameters { buffer_size: 0, ..TrackerParameters::paper() },
         TrackerParameters {
             confirmation: Confirmation { hits: 1, window: 65, doubt: None },
-            ..paper()
+            ..TrackerParameters::paper()
         },
         TrackerParameters {
             confirmation: Confirmation { hits: 3, window: 2, doubt: None },
-            ..paper()
+            ..TrackerParameters::paper()
         },
-        TrackerParameters { radius: Radius { max: f64::NAN, ..paper().radius }, ..paper() },
-        TrackerParameters { max_extent: Some(f64::INFINITY), ..paper() },
-        TrackerParameters { split_distance: Some(0.0), ..paper() },
-        TrackerParameters { hiding: Some(Hiding { share: 0.75, time: 0.0 }), ..paper() },
         TrackerParameters {
-            motion: Motion { acceleration_time: Some(0.0), ..paper().motion },
-            ..paper()
+            radius: Radius { max: f64::NAN, ..TrackerParameters::paper().radius },
+            ..TrackerParameters::paper()
+        },
+        TrackerParameters { max_extent: Some(f64::INFINITY), ..TrackerParameters::paper() },
+        TrackerParameters { split_distance: Some(0.0), ..TrackerParameters::paper() },
+        TrackerParameters {
+            hiding: Some(Hiding { share: 0.75, time: 0.0 }),
+            ..TrackerParameters::paper()
+        },
+        TrackerParameters {
+            motion: Motion { acceleration_time: Some(0.0), ..TrackerParameters::paper().motion },
+            ..TrackerParameters::paper()
         },
         TrackerParameters {
             association: Association::Global { gate_probability: 1.0, clutter_density: 1.0 },
-            ..paper()
+            ..TrackerParameters::paper()
         },
     ];
     for parameters in bad {

@@ -281,59 +281,30 @@ impl ManyTargets {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fusion::models::motion::{NoiseForm, Prior};
     use crate::fusion::sensors::measurement::Sensor;
     use crate::fusion::sensors::observation::Sensing;
-    use crate::fusion::targets::any_filter::{Method, Model, Strengths};
-    use crate::fusion::targets::lifecycle::GyroUse;
+    use crate::fusion::targets::any_filter::{Model, Strengths};
 
     fn parameters() -> Result<ManyParameters, Error> {
-        let (form, variance) = (NoiseForm::Continuous, 25.0);
         let filter = FusionParameters {
             model: Model::ConstantVelocity,
-            method: Method::Extended,
-            strengths: Strengths {
-                form,
-                acceleration: 0.5,
-                jerk: 1.0,
-                turn: 1.0,
-                platform: 1.0,
-                start: 1.0,
-            },
-            prior: Prior {
-                position: 0.5,
-                speed: variance,
-                heading: 1.0,
-                turn_rate: 1.0,
-                acceleration: 1.0,
-                platform_rate: 1.0,
-            },
-            sensing: Sensing {
-                lidar: [0.1; 2],
-                radar: [0.1; 3],
-                gyro: 0.1,
-                pose: [0.0; 3],
-                range_min: 0.1,
-                convert_radar: false,
-            },
+            strengths: Strengths { acceleration: 0.5, start: 1.0, ..Strengths::default() },
+            sensing: Sensing { lidar: [0.1; 2], radar: [0.1; 3], ..Sensing::default() },
             life: Life {
                 start_rows: 1,
                 gate: Life::gates(Some(0.99))?,
                 loss: None,
-                radar_starts_speed: true,
-                gyro: GyroUse::Input,
                 buffer_ns: 0,
+                ..Life::default()
             },
-            lever: [0.0; 2],
+            ..FusionParameters::default()
         };
         Ok(ManyParameters {
             filter,
             confirm_hits: 2,
             confirm_window: 3,
-            max_coast: 2.0,
             max_position_std: 20.0,
-            birth_distance: 0.0,
-            association: Association::Nearest,
+            ..ManyParameters::default()
         })
     }
 

@@ -1,0 +1,144 @@
+//! Parameters of the filters that ship, and those of the paper.
+//!
+//! These are the only literals of a configuration in Rust. A test holds them against the models of
+//! the Python package, which document each value.
+
+use super::filter::paper::{Paper, Reading};
+use super::models::motion::{NoiseForm, Prior};
+use super::sensors::observation::Sensing;
+use super::targets::any_filter::{FusionParameters, Method, Model, Strengths};
+use super::targets::lifecycle::{GyroUse, Life, Loss};
+use super::targets::many::{Association, ManyParameters};
+
+/// Probability that a measurement of the target is believed.
+const GATE_PROBABILITY: f64 = 0.9999;
+
+/// The standard deviations as variances.
+fn squared<const N: usize>(std: [f64; N]) -> [f64; N] {
+    std.map(|value| value * value)
+}
+
+/// White noise in continuous time.
+impl Default for Strengths {
+    fn default() -> Self {
+        Self {
+            form: NoiseForm::Continuous,
+            acceleration: 1.0,
+            jerk: 2.0,
+            turn: 0.5,
+            platform: 0.5,
+            start: 4.0,
+        }
+    }
+}
+
+impl Default for Prior {
+    #[allow(clippy::approx_constant)] // 0.7071 m is what ships, not the root of 1/2
+    fn default() -> Self {
+        let [position, speed, heading, turn_rate, acceleration, platform_rate] =
+            squared([0.7071, 5.0, 1.732, 1.0, 3.0, 1.0]);
+        Self { position, speed, heading, turn_rate, acceleration, platform_rate }
+    }
+}
+
+/// Sensors of 0.15 m (LiDAR), 0.3 m, 0.03 rad and 0.3 m/s (radar) on a platform of exact poses.
+impl Default for Sensing {
+    fn default() -> Self {
+        let [gyro] = squared([0.01]);
+        Self {
+            lidar: squared([0.15, 0.15]),
+            radar: squared([0.3, 0.03, 0.3]),
+            gyro,
+            pose: [0.0; 3],
+            range_min: 0.1,
+            convert_radar: false,
+        }
+    }
+}
+
+impl Default for Life {
+    fn default() -> Self {
+        Self {
+            start_rows: 6,
+            gate: Self::gates(Some(GATE_PROBABILITY)).unwrap_or([f64::INFINITY; 5]),
+            loss: Some(Loss { ratio: 4.0, window: 10.0 }),
+            radar_starts_speed: true,
+            gyro: GyroUse::Input,
+            buffer_ns: 500_000_000,
+        }
+    }
+}
+
+/// The first reading of what the paper leaves open. Deviations and prior are those of the filter.
+impl Default for Paper {
+    fn default() -> Self {
+        Self {
+            reading: Reading::A,
+            fixed_alpha: false,
+            by_matrix: false,
+            fixed_straight_y: false,
+            zero_platform_column: false,
+            speed: 0.0,
+            elevation: 0.0,
+            std: [0.0; 3],
+            prior: Prior::default(),
+        }
+    }
+}
+
+/// Constant turn rate and velocity, extended Kalman filter.
+impl Default for FusionParameters {
+    fn default() -> Self {
+        Self {
+            model: Model::Ctrv,
+            method: Method::Extended,
+            strengths: Strengths::default(),
+            prior: Prior::default(),
+            sensing: Sensing::default(),
+            life: Life::default(),
+            lever: [0.0; 2],
+        }
+    }
+}
+
+impl FusionParameters {
+    /// The filter as published, which does not give the deviations of eq. 23.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self {
+            model: Model::Paper(Paper::default()),
+            strengths: Strengths {
+                acceleration: 3.0,
+                turn: 2.0,
+                platform: 0.5,
+                ..Strengths::default()
+            },
+            life: Life { start_rows: 1, gate: [f64::INFINITY; 5], loss: None, ..Life::default() },
+            ..Self::default()
+        }
+    }
+}
+
+/// Global nearest neighbours.
+impl Default for ManyParameters {
+    fn default() -> Self {
+        Self {
+            filter: FusionParameters::default(),
+            confirm_hits: 3,
+            confirm_window: 5,
+            max_coast: 2.0,
+            max_position_std: 5.0,
+            birth_distance: 0.0,
+            association: Association::Nearest,
+        }
+    }
+}
+
+/// Clutter of 1 in 1000 m^2 (LiDAR) and of 1e-3 / (m rad m/s) (radar), shared out by probabilities.
+impl Association {
+    /// As the Python package has it.
+    #[must_use]
+    pub fn joint() -> Self {
+        Self::Joint { detection: 0.9, clutter: [1e-3, 1e-3] }
+    }
+}

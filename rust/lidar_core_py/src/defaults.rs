@@ -1,0 +1,79 @@
+//! What the core makes of a configuration, and its own defaults, as text: a test compares them.
+
+use crate::circle_map::CircleMapConfig;
+use crate::circle_pipeline::CirclesConfig;
+use crate::circles_config::FitConfig;
+use crate::errors::BorderError;
+use crate::flying_config::{ClassifyConfig, FlyingConfig, MapConfig};
+use crate::fusion_config::FusionConfig;
+use crate::fusion_many::MultiTargetConfig;
+use crate::tracker::TrackerConfig;
+use lidar_core::Error;
+use lidar_core::circles::map::CircleMapParameters;
+use lidar_core::circles::pipeline::PipelineParameters;
+use lidar_core::flying::classify::classifier::ClassifyParameters;
+use lidar_core::flying::map::voxel_map::MapParameters;
+use lidar_core::flying::parameters::FlyingParameters;
+use lidar_core::flying::track::TrackerParameters;
+use lidar_core::fusion::{Association, FusionParameters, ManyParameters};
+use pyo3::prelude::*;
+use std::fmt::Debug;
+
+/// The parameters that the core makes of a configuration model, one line per value.
+#[pyfunction]
+pub(crate) fn parameters_of(model: &str, config: &Bound<'_, PyAny>) -> Result<String, BorderError> {
+    Ok(match model {
+        "flying" => {
+            let mut parameters = config.extract::<FlyingConfig>()?.parameters()?;
+            // The rays of sensors that are sold are data of the Python package.
+            parameters.default_sensor.known_sensors.clear();
+            text(&parameters)
+        }
+        "voxel_map" => text(&config.extract::<MapConfig>()?.parameters([0.0; 3])?),
+        "classify" => text(&config.extract::<ClassifyConfig>()?.parameters()),
+        "tracker" => text(&config.extract::<TrackerConfig>()?.parameters()?),
+        "circles" => {
+            let fit: FitConfig = config.getattr("fit")?.extract()?;
+            text(&config.extract::<CirclesConfig>()?.parameters(&fit)?)
+        }
+        "circle_map" => text(&config.extract::<CircleMapConfig>()?.parameters()?),
+        "fusion" => text(&config.extract::<FusionConfig>()?.parameters()?),
+        "many" => text(&config.extract::<MultiTargetConfig>()?.parameters()?),
+        _ => return Err(unknown("model", model)),
+    })
+}
+
+/// The parameters of the core, as `parameters_of` prints them: "default", "paper", or "joint".
+#[pyfunction]
+pub(crate) fn default_parameters(model: &str, mode: &str) -> Result<String, BorderError> {
+    Ok(match (model, mode) {
+        ("flying", "default") => text(&FlyingParameters::default()),
+        ("flying", "paper") => text(&FlyingParameters::paper()),
+        ("voxel_map", "default") => text(&MapParameters::default()),
+        ("voxel_map", "paper") => text(&MapParameters::paper()),
+        ("classify", "default") => text(&ClassifyParameters::default()),
+        ("classify", "paper") => text(&ClassifyParameters::paper()),
+        ("tracker", "default") => text(&TrackerParameters::default()),
+        ("tracker", "paper") => text(&TrackerParameters::paper()),
+        ("circles", "default") => text(&PipelineParameters::default()),
+        ("circles", "paper") => text(&PipelineParameters::paper()),
+        ("circle_map", "default") => text(&CircleMapParameters::default()),
+        ("circle_map", "paper") => text(&CircleMapParameters::paper()),
+        ("fusion", "default") => text(&FusionParameters::default()),
+        ("fusion", "paper") => text(&FusionParameters::paper()),
+        ("many", "default") => text(&ManyParameters::default()),
+        ("many", "joint") => {
+            let association = Association::joint();
+            text(&ManyParameters { association, ..ManyParameters::default() })
+        }
+        _ => return Err(unknown("mode", mode)),
+    })
+}
+
+fn text(parameters: &impl Debug) -> String {
+    format!("{parameters:#?}")
+}
+
+fn unknown(name: &'static str, got: &str) -> BorderError {
+    Error::Parameter { name, expected: "a known one", got: got.to_owned() }.into()
+}
