@@ -9,7 +9,8 @@ from flying_scenes import feed, scans_of, yard
 
 from lidar_core import sim
 from lidar_core.errors import FormatError, LimitError
-from lidar_core.flying import FlyingObjectDetector, VoxelMap
+from lidar_core.flying import FlyingObjectDetector
+from lidar_core.flying.voxel_map import VoxelMap
 from lidar_core.viz import flying_picture, playback_picture
 from lidar_core.viz.playback import Moment, Objects
 from lidar_core.viz.views import FlyingView
@@ -135,9 +136,9 @@ def followed(scene, *, since=SETTLED, seed=0):
 
 
 def test_a_drone_that_escorts_five_metres_abeam_stays_a_target():
-    scene = escort(11.0, seed=1, preset="vlp-16", distance=5.0)
+    scene = escort(9.0, seed=1, preset="vlp-16", distance=5.0)
     recall, seen, ids, others = followed(scene)
-    assert seen > 60
+    assert seen > 50
     assert recall >= 0.95
     assert len(ids) == 1
     assert not others
@@ -236,7 +237,8 @@ def test_a_share_counts_the_rays_that_the_driver_drops():
         )
     of_rows, of_rays = len(PLATE) / kept.sum(), len(PLATE) / len(kept)
     assert of_rows > 1.2 * of_rays
-    assert frame.status.own_body == pytest.approx(of_rays, rel=0.12)
+    assert frame.status.own_body < 0.7 * of_rows
+    assert frame.status.own_body == pytest.approx(of_rays, rel=0.25)
 
 
 def test_a_saved_map_knows_the_robot_from_the_first_scan_on(saved, tmp_path):
@@ -282,7 +284,7 @@ def test_hostile_maps_leave_the_detector_as_it_was(saved, tmp_path):
     detector = FlyingObjectDetector()
     list(carried(detector, PLATE, scans=3))
     before = bytes(detector._detector.map_bytes())
-    for at in range(len(content) - 400, len(content) - 4, 7):
+    for at in range(len(content) - 5, len(content) - 400, -28):  # high bytes of places of voxels
         hostile = bytearray(content[:-4])
         hostile[at] ^= 0x80
         (tmp_path / "map").write_bytes(hostile + zlib.crc32(hostile).to_bytes(4, "little"))
@@ -324,10 +326,10 @@ def test_the_own_body_has_a_colour_and_a_legend_entry():
         flying=np.zeros((1, 3)),
         occupied=np.zeros((1, 3)),
         voxel_size=0.25,
-        sensor=np.zeros((1, 3)),
-        stamp_ns=np.zeros(1, np.int64),
+        sensor=np.empty((0, 3)),
+        stamp_ns=np.empty(0, np.int64),
         tracks=[],
-        n_detections=np.zeros(1, np.int64),
+        n_detections=np.empty(0, np.int64),
     )
     for classes, is_named in ((view.cloud_class, True), (view.cloud_class[:2], False)):
         figure = figure_module.Figure()
@@ -344,6 +346,8 @@ def test_the_own_body_has_a_colour_and_a_legend_entry():
     )
     moment = Moment(0, np.zeros((4, 3), np.float32), view.cloud_class, nothing)
     panel = figure_module.Figure().add_subplot()
-    playback_picture._draw_plane(panel, moment, {}, (0, 1, "x", "y"), np.array([[-1, 1.0]] * 3))
+    playback_picture._draw_plane(
+        panel, moment, {}, (0, 1, "x", "y"), np.array([[-1.0] * 3, [1.0] * 3])
+    )
     texts = [text.get_text() for text in panel.get_legend().get_texts()]
     assert texts == ["background", "unknown", "own body"]
