@@ -134,7 +134,12 @@ class FlyingObjectDetector:
             raise
         frame = _frame(stamp_ns, values)
         with self._counting:
-            self._health = replace(self._health, **_known(frame.status))
+            self._health = replace(
+                self._health,
+                sky=frame.status.sky,
+                sky_share=frame.status.sky_share,
+                own_body=frame.status.own_body,
+            )
         self._count("held" if frame.status.map_pose_mismatch else "processed")
         return frame
 
@@ -251,11 +256,6 @@ class FlyingObjectDetector:
             timing_ms={},
             rejected=reason,
         )
-
-
-def _known(status: FlyingStatus) -> dict[str, Any]:
-    """What a scan tells of the sensor's rays and of the robot."""
-    return {"sky": status.sky, "sky_share": status.sky_share, "own_body": status.own_body}
 
 
 _NO_DETECTIONS = (

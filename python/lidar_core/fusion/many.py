@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from lidar_core import _core
 from lidar_core.arrays import as_stamp
 from lidar_core.config import as_config
 from lidar_core.errors import LimitError
+from lidar_core.full_state import FullState
 from lidar_core.fusion.many_config import MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, as_measurements
 from lidar_core.fusion.states import state_names, velocities
@@ -77,7 +79,7 @@ class TargetTracks:
         return self.states[:, :2]
 
 
-class MultiTargetTracker:
+class MultiTargetTracker(FullState):
     """Targets that LiDAR and radar see, any number of them.
 
     Measurements are assigned by global nearest neighbours, or by joint probabilities, first to the
@@ -103,10 +105,25 @@ class MultiTargetTracker:
     ([0, 1], [0, 1])
     """
 
+    _kind = "MultiTargetTracker"
+    _config_type = MultiTargetConfig
+
     def __init__(self, config: MultiTargetConfig | None = None) -> None:
         self.config = as_config(config, MultiTargetConfig)
         self._tracker = _core.MultiTargetTracker(self.config)
         self._sources: dict[str, int] = {}
+
+    def _state(self) -> tuple[bytes, dict[str, Any]]:
+        return self._tracker.to_state(), {"sources": list(self._sources)}
+
+    @classmethod
+    def _from_state(
+        cls, config: MultiTargetConfig, core: bytes, extra: dict[str, Any], **options: Any
+    ) -> Self:
+        made = cls(config, **options)
+        made._tracker = _core.MultiTargetTracker.from_state(config, core)
+        made._sources = {str(name): number for number, name in enumerate(extra["sources"])}
+        return made
 
     def process(
         self, stamp_ns: int, measurements: Iterable[Measurement], *, source: str

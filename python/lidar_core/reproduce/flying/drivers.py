@@ -160,4 +160,5 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=_draw,
+    grid="",
 )
