@@ -272,7 +272,14 @@ def test_no_pickle_and_no_code_from_strings(folder):
 
 def test_the_core_needs_no_python_and_no_simulator():
     manifest = tomllib.loads(text_of("rust/lidar_core/Cargo.toml"))
-    assert set(manifest["dependencies"]) == {"libm", "nalgebra", "pulp", "rayon"}
+    assert set(manifest["dependencies"]) == {
+        "libm",
+        "nalgebra",
+        "postcard",
+        "pulp",
+        "rayon",
+        "serde",
+    }
     bindings = re.compile(r"\b(pyo3|numpy|parry|glam)\b")
     for path in (ROOT / "rust/lidar_core/src").rglob("*.rs"):
         assert not bindings.search(re.sub(r"//.*", "", path.read_text(encoding="utf-8"))), path

@@ -1,5 +1,7 @@
 """A filter of one target, measurement by measurement."""
 
+from typing import Any, Self
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -7,11 +9,12 @@ from lidar_core import _core
 from lidar_core.arrays import as_stamp
 from lidar_core.config import as_config
 from lidar_core.errors import InputError
+from lidar_core.full_state import FullState
 from lidar_core.fusion.config import FusionConfig
 from lidar_core.fusion.measurement import Measurement
 
 
-class TargetFilter:
+class TargetFilter(FullState):
     """Position and motion of one target.
 
     The state is in the frame of the sensor where that stands still or where the model moves it
@@ -34,6 +37,9 @@ class TargetFilter:
     >>> step.accepted, step.state.round(1).tolist()
     (True, [1.9, 2.0, 2.0, 0.0])
     """
+
+    _kind = "TargetFilter"
+    _config_type = FusionConfig
 
     def __init__(self, config: FusionConfig | None = None) -> None:
         self.config = as_config(config, FusionConfig)
@@ -68,6 +74,17 @@ class TargetFilter:
                 f"measurement: expected a Measurement, got {type(measurement).__name__}"
             )
         return self._filter.step(measurement._core)
+
+    def _state(self) -> tuple[bytes, dict[str, Any]]:
+        return self._filter.to_state(), {}
+
+    @classmethod
+    def _from_state(
+        cls, config: FusionConfig, core: bytes, extra: dict[str, Any], **options: Any
+    ) -> Self:
+        made = cls(config, **options)
+        made._filter = _core.TargetFilter.from_state(config, core)
+        return made
 
     def state_at(self, stamp_ns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
         """Mean (n,) and covariance (n, n), predicted to a time; nothing changes.

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +11,11 @@ from lidar_core import _core
 from lidar_core.arrays import as_stamp
 from lidar_core.config import as_config
 from lidar_core.errors import LimitError
+from lidar_core.full_state import FullState
 from lidar_core.fusion.many_config import MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, as_measurements
 from lidar_core.fusion.states import state_names, velocities
+from lidar_core.objects import TargetTracks
 
 MAX_SOURCES = 64
 """Scanners that one tracker tells apart."""
@@ -39,45 +42,7 @@ class ScanResult:
     nis: NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class TargetTracks:
-    """Tracks at one time, a row per track.
-
-    Attributes
-    ----------
-    stamp_ns : int
-        Time of the states [ns].
-    id : ndarray, shape (T,), int64
-        Numbers, never given again.
-    states : ndarray, shape (T, n)
-        As the model has them.
-    covariances : ndarray, shape (T, n, n)
-    velocity : ndarray, shape (T, 2)
-        [m/s].
-    born_ns, seen_ns : ndarray, shape (T,), int64
-        Times of the first and the last measurement [ns].
-    hits : ndarray, shape (T,), int64
-        Measurements.
-    confirmed : ndarray, shape (T,), bool
-    """
-
-    stamp_ns: int
-    id: NDArray[np.int64]
-    states: NDArray[np.float64]
-    covariances: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    born_ns: NDArray[np.int64]
-    seen_ns: NDArray[np.int64]
-    hits: NDArray[np.int64]
-    confirmed: NDArray[np.bool_]
-
-    @property
-    def position(self) -> NDArray[np.float64]:
-        """Positions (T, 2) [m]."""
-        return self.states[:, :2]
-
-
-class MultiTargetTracker:
+class MultiTargetTracker(FullState):
     """Targets that LiDAR and radar see, any number of them.
 
     Measurements are assigned by global nearest neighbours, or by joint probabilities, first to the
@@ -103,10 +68,25 @@ class MultiTargetTracker:
     ([0, 1], [0, 1])
     """
 
+    _kind = "MultiTargetTracker"
+    _config_type = MultiTargetConfig
+
     def __init__(self, config: MultiTargetConfig | None = None) -> None:
         self.config = as_config(config, MultiTargetConfig)
         self._tracker = _core.MultiTargetTracker(self.config)
         self._sources: dict[str, int] = {}
+
+    def _state(self) -> tuple[bytes, dict[str, Any]]:
+        return self._tracker.to_state(), {"sources": list(self._sources)}
+
+    @classmethod
+    def _from_state(
+        cls, config: MultiTargetConfig, core: bytes, extra: dict[str, Any], **options: Any
+    ) -> Self:
+        made = cls(config, **options)
+        made._tracker = _core.MultiTargetTracker.from_state(config, core)
+        made._sources = {str(name): number for number, name in enumerate(extra["sources"])}
+        return made
 
     def process(
         self, stamp_ns: int, measurements: Iterable[Measurement], *, source: str

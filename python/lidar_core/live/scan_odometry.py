@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 from lidar_core.errors import ConfigError, InputError
 from lidar_core.io import NoTransformError, PosedScan
-from lidar_core.io.poses.posed import ScanT
-from lidar_core.messages import Scan
+from lidar_core.messages import Scan, ScanT
 
 
 class ScanOdometry:

@@ -10,11 +10,14 @@ use lidar_core::fusion::filter::engine::Output;
 use lidar_core::fusion::targets::lifecycle::Outcome;
 use lidar_core::fusion::targets::noise_search::{fit, quantities};
 use lidar_core::fusion::targets::target::Step;
-use lidar_core::fusion::{Filter, Measurement, Record, Sensor, run, run_batch, smooth};
+use lidar_core::fusion::{
+    Filter, FusionParameters, Measurement, Record, Sensor, run, run_batch, smooth,
+};
 use lidar_core::util::threads;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
 
 const SENSORS: [(&str, Sensor); 4] = [
     ("lidar", Sensor::Lidar),
@@ -123,14 +126,30 @@ fn square<'py>(py: Python<'py>, output: &Output) -> Result<Bound<'py, PyArray2<f
 }
 
 #[pyclass(frozen, name = "TargetFilter", module = "lidar_core._core")]
-pub(crate) struct PyTargetFilter(Guarded<Filter>);
+pub(crate) struct PyTargetFilter {
+    filter: Guarded<Filter>,
+    parameters: FusionParameters,
+}
 
 #[pymethods]
 impl PyTargetFilter {
     #[new]
     fn new(py: Python<'_>, config: FusionConfig) -> Result<Self, BorderError> {
-        let filter = detached(py, || Filter::new(&config.parameters()?))?;
-        Ok(Self(Guarded::new(filter)))
+        let parameters = config.parameters()?;
+        let filter = detached(py, || Filter::new(&parameters))?;
+        Ok(Self { filter: Guarded::new(filter), parameters })
+    }
+
+    #[staticmethod]
+    fn from_state(py: Python<'_>, config: FusionConfig, state: &[u8]) -> Result<Self, BorderError> {
+        let parameters = config.parameters()?;
+        let filter = detached(py, || Filter::from_state(&parameters, state))?;
+        Ok(Self { filter: Guarded::new(filter), parameters })
+    }
+
+    fn to_state<'py>(&self, py: Python<'py>) -> Result<Bound<'py, PyBytes>, BorderError> {
+        let state = self.filter.with(py, |filter| filter.to_state(&self.parameters))?;
+        Ok(PyBytes::new(py, &state))
     }
 
     fn step(
@@ -139,7 +158,7 @@ impl PyTargetFilter {
         measurement: PyRef<'_, PyMeasurement>,
     ) -> Result<PyFusionStep, BorderError> {
         let m = measurement.0;
-        Ok(PyFusionStep(self.0.with(py, |filter| Ok(filter.step(&m)))?))
+        Ok(PyFusionStep(self.filter.with(py, |filter| Ok(filter.step(&m)))?))
     }
 
     /// Mean and covariance at a time; none before the target has been seen.
@@ -148,7 +167,7 @@ impl PyTargetFilter {
         py: Python<'py>,
         stamp_ns: i64,
     ) -> Result<Option<StateArrays<'py>>, BorderError> {
-        let Some(output) = self.0.with(py, |filter| Ok(filter.output_at(stamp_ns)))? else {
+        let Some(output) = self.filter.with(py, |filter| Ok(filter.output_at(stamp_ns)))? else {
             return Ok(None);
         };
         let mean = PyArray1::from_slice(py, &output.mean[..output.count]);

@@ -11,6 +11,7 @@ use lidar_core::fusion::targets::record::padded;
 use lidar_core::fusion::{Assigned, Association, ManyParameters, ManyTargets, TrackState};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
 
 /// The fields of `MultiTargetConfig`.
 #[derive(FromPyObject)]
@@ -68,6 +69,20 @@ impl PyMultiTargetTracker {
     fn new(py: Python<'_>, config: MultiTargetConfig) -> Result<Self, BorderError> {
         let tracker = detached(py, || ManyTargets::new(&config.parameters()?))?;
         Ok(Self(Guarded::new(tracker)))
+    }
+
+    #[staticmethod]
+    fn from_state(
+        py: Python<'_>,
+        config: MultiTargetConfig,
+        state: &[u8],
+    ) -> Result<Self, BorderError> {
+        let tracker = detached(py, || ManyTargets::from_state(&config.parameters()?, state))?;
+        Ok(Self(Guarded::new(tracker)))
+    }
+
+    fn to_state<'py>(&self, py: Python<'py>) -> Result<Bound<'py, PyBytes>, BorderError> {
+        Ok(PyBytes::new(py, &self.0.with(py, |tracker| tracker.to_state())?))
     }
 
     fn process<'py>(

@@ -15,6 +15,24 @@ pub struct Gaussian<const N: usize> {
     pub covariance: SMatrix<f64, N, N>,
 }
 
+impl<const N: usize> Gaussian<N> {
+    /// Mean, then covariance column by column: for saving.
+    #[must_use]
+    pub fn numbers(&self) -> Vec<f64> {
+        self.mean.iter().chain(&self.covariance).copied().collect()
+    }
+
+    /// The reverse of [`Self::numbers`]; none for another number of numbers.
+    #[must_use]
+    pub fn from_numbers(numbers: &[f64]) -> Option<Self> {
+        let (mean, covariance) = numbers.split_at_checked(N)?;
+        (covariance.len() == N * N).then(|| Self {
+            mean: SVector::from_column_slice(mean),
+            covariance: SMatrix::from_column_slice(covariance),
+        })
+    }
+}
+
 /// A measurement, its model linearised at the mean it is compared with.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Linearised<const N: usize, const M: usize> {

@@ -1,6 +1,7 @@
 //! What every module may use: limits, thread pools, reusable memory, hashing, time per stage.
 
 pub mod budget;
+pub(crate) mod full_state;
 pub(crate) mod key_hasher;
 pub(crate) mod object_pool;
 pub(crate) mod stopwatch;

@@ -153,12 +153,8 @@ def sequence_scans(sequence: RealSequence, *, static: bool = False) -> Iterator[
                 yield item
                 continue
             number = round(item.scan.stamp_ns / FILE_SPACING_NS)
-            yield _moved_in_time(item, times[number] - item.scan.stamp_ns)
-
-
-def _moved_in_time(item: PosedScan[Scan], shift_ns: int) -> PosedScan[Scan]:
-    """The scan at its true time; files of these sequences state no times of points."""
-    return replace(item, scan=replace(item.scan, stamp_ns=item.scan.stamp_ns + shift_ns))
+            # files of these sequences state no times of points, which would have to move, too
+            yield replace(item, scan=replace(item.scan, stamp_ns=times[number]))
 
 
 def _times(sequence: RealSequence, path: Path) -> list[int] | None:

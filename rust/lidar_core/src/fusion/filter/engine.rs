@@ -10,12 +10,13 @@ use crate::fusion::models::turn::wrapped;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::fusion::sensors::observation::{LineOfSight, Observation, Sensing, polar_difference};
 use nalgebra::{Matrix1, Matrix6, SMatrix, SVector, Vector1, Vector6};
+use serde::{Deserialize, Serialize};
 
 /// Most states that a model has.
 pub const MAX_STATES: usize = 6;
 
 /// How far a measurement was from what was expected.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Innovation {
     /// Measured minus expected: position [m]; or range, bearing and range rate; or turn rate; or
     /// the first three states of the paper's five.
@@ -86,6 +87,12 @@ pub trait Engine: Clone + Send + Sync + 'static {
 
     /// One state for weighted ones that have the same past; weights sum to 1.
     fn blended(&self, parts: &[(f64, &Self::State)]) -> Self::State;
+
+    /// The state as plain numbers, for saving.
+    fn numbers(&self, state: &Self::State) -> Vec<f64>;
+
+    /// The reverse of [`Self::numbers`]; none for numbers that no state has.
+    fn from_numbers(&self, numbers: &[f64]) -> Option<Self::State>;
 
     /// How the state after `dt` [s] hangs on the state before it; none for engines whose past
     /// cannot be smoothed.
@@ -202,6 +209,14 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
 
     fn blended(&self, parts: &[(f64, &Gaussian<N>)]) -> Gaussian<N> {
         mixed(parts)
+    }
+
+    fn numbers(&self, state: &Gaussian<N>) -> Vec<f64> {
+        state.numbers()
+    }
+
+    fn from_numbers(&self, numbers: &[f64]) -> Option<Gaussian<N>> {
+        Gaussian::from_numbers(numbers)
     }
 
     fn link(&self, state: &Gaussian<N>, dt: f64, platform: &Platform) -> Option<Link> {

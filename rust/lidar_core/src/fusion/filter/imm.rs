@@ -49,6 +49,10 @@ pub trait Mode: Send + Sync {
     fn cartesian(&self, other: Option<&Gaussian<6>>) -> Gaussian<6>;
     /// With the state that says the same as `cartesian`.
     fn adopted(&self, cartesian: &Gaussian<6>) -> Arc<dyn Mode>;
+    /// The state as plain numbers, for saving.
+    fn numbers(&self) -> Vec<f64>;
+    /// With the state of `numbers`; none where no state has them.
+    fn restored(&self, numbers: &[f64]) -> Option<Arc<dyn Mode>>;
 }
 
 #[derive(Clone)]
@@ -103,6 +107,14 @@ impl<const N: usize, M: Exchange<N>> Mode for Member<N, M> {
 
     fn adopted(&self, cartesian: &Gaussian<6>) -> Arc<dyn Mode> {
         self.with(self.engine.motion.adopted(cartesian))
+    }
+
+    fn numbers(&self) -> Vec<f64> {
+        self.state.numbers()
+    }
+
+    fn restored(&self, numbers: &[f64]) -> Option<Arc<dyn Mode>> {
+        Gaussian::from_numbers(numbers).map(|state| self.with(state))
     }
 }
 
@@ -204,6 +216,24 @@ impl Engine for Imm {
             (total, self.modes[model].adopted(&mixture(&wide)))
         });
         blended.collect()
+    }
+
+    /// Weight and state of every model, one after the other.
+    fn numbers(&self, state: &Modes) -> Vec<f64> {
+        let of = |(weight, mode): &(f64, Arc<dyn Mode>)| [vec![*weight], mode.numbers()].concat();
+        state.iter().flat_map(of).collect()
+    }
+
+    fn from_numbers(&self, numbers: &[f64]) -> Option<Modes> {
+        let mut rest = numbers;
+        let mut modes = Vec::with_capacity(self.modes.len());
+        for mode in &self.modes {
+            let (weight, after) = rest.split_first()?;
+            let (state, after) = after.split_at_checked(mode.numbers().len())?;
+            modes.push((*weight, mode.restored(state)?));
+            rest = after;
+        }
+        rest.is_empty().then_some(modes)
     }
 
     fn output(&self, state: &Modes) -> Output {

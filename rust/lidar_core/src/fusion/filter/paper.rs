@@ -262,6 +262,14 @@ impl Engine for Paper {
     fn output(&self, state: &Gaussian<6>) -> Output {
         output(state, Some(3))
     }
+
+    fn numbers(&self, state: &Gaussian<6>) -> Vec<f64> {
+        state.numbers()
+    }
+
+    fn from_numbers(&self, numbers: &[f64]) -> Option<Gaussian<6>> {
+        Gaussian::from_numbers(numbers)
+    }
 }
 
 #[cfg(test)]

@@ -221,6 +221,27 @@ impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
         output(&state.gaussian(), M::HEADING)
     }
 
+    /// Mean and root, then weight and place of every point that was carried along.
+    fn numbers(&self, state: &SigmaState<N>) -> Vec<f64> {
+        let Rooted { mean, root } = state.rooted;
+        let mut numbers = Gaussian { mean, covariance: root }.numbers();
+        for (weight, place) in &state.points {
+            numbers.push(*weight);
+            numbers.extend(place.iter());
+        }
+        numbers
+    }
+
+    fn from_numbers(&self, numbers: &[f64]) -> Option<SigmaState<N>> {
+        let (state, points) = numbers.split_at_checked(N + N * N)?;
+        let Gaussian { mean, covariance: root } = Gaussian::from_numbers(state)?;
+        let points = points.chunks(1 + N);
+        let point =
+            |of: &[f64]| (of.len() == 1 + N).then(|| (of[0], SVector::from_column_slice(&of[1..])));
+        let points = points.map(point).collect::<Option<Vec<Point<N>>>>()?;
+        Some(SigmaState { rooted: Rooted { mean, root }, points })
+    }
+
     /// By the Jacobian at the mean: what the smoother needs is the correlation of two states.
     fn link(&self, state: &SigmaState<N>, dt: f64, platform: &Platform) -> Option<Link> {
         let mut link = self.base.link(&state.gaussian(), dt, platform)?;

@@ -2,9 +2,10 @@
 
 use super::turn::{direction, rotated};
 use nalgebra::Matrix3;
+use serde::{Deserialize, Serialize};
 
 /// Place and motion of the platform in the world, at one time.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
     /// When [ns].
     pub stamp_ns: i64,
@@ -21,7 +22,7 @@ pub struct Pose {
 }
 
 /// State of the platform. Without a pose, the frame of the target's state is the sensor's.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Platform {
     /// The last pose; states are in the world where there is one.
     pub pose: Option<Pose>,

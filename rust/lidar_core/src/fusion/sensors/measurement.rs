@@ -2,12 +2,13 @@
 
 use crate::Error;
 use nalgebra::{Matrix2, Matrix3};
+use serde::{Deserialize, Serialize};
 
 /// Most values that one measurement has.
 pub const MAX_VALUES: usize = 6;
 
 /// Where a measurement comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Sensor {
     /// Position of the target: x, y [m].
     Lidar,
@@ -36,13 +37,35 @@ impl Sensor {
 }
 
 /// One measurement. Its values need not be finite: a filter rejects such ones and counts them.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "SavedMeasurement", into = "SavedMeasurement")]
 pub struct Measurement {
     stamp_ns: i64,
     sensor: Sensor,
     values: [f64; MAX_VALUES],
     count: usize,
     covariance: Option<[[f64; 3]; 3]>,
+}
+
+/// A measurement as it is saved: stamp, sensor, values, covariance row by row.
+type SavedMeasurement = (i64, Sensor, Vec<f64>, Option<Vec<f64>>);
+
+impl From<Measurement> for SavedMeasurement {
+    fn from(m: Measurement) -> Self {
+        let size = m.noisy();
+        let entries = |rows: [[f64; 3]; 3]| {
+            rows[..size].iter().flat_map(|row| row[..size].to_vec()).collect()
+        };
+        (m.stamp_ns, m.sensor, m.values().to_vec(), m.covariance.map(entries))
+    }
+}
+
+impl TryFrom<SavedMeasurement> for Measurement {
+    type Error = Error;
+
+    fn try_from((stamp_ns, sensor, values, covariance): SavedMeasurement) -> Result<Self, Error> {
+        Self::new(stamp_ns, sensor, &values, covariance.as_deref())
+    }
 }
 
 impl Measurement {

@@ -1,7 +1,7 @@
 //! Any model and method behind one type, and runs over whole recordings.
 
 use super::lifecycle::{GyroUse, Life, Outcome};
-use super::target::{Step, Taken, Target};
+use super::target::{SavedTarget, Step, Taken, Target};
 use crate::Error;
 use crate::error::require;
 use crate::estimation::unscented::Rule;
@@ -17,6 +17,7 @@ use crate::fusion::models::motion::{Motion, Noise, NoiseForm, Prior, ProcessNois
 use crate::fusion::models::platform::Platform;
 use crate::fusion::sensors::measurement::Measurement;
 use crate::fusion::sensors::observation::Sensing;
+use crate::util::full_state::{opened, sealed};
 use std::sync::Arc;
 
 /// How targets move.
@@ -122,6 +123,8 @@ trait Tracked: Send + Sync {
     fn output_at(&self, stamp_ns: i64) -> Option<Output>;
     fn link(&self, stamp_ns: i64) -> Option<Link>;
     fn boxed(&self) -> Box<dyn Tracked>;
+    fn saved(&self) -> SavedTarget;
+    fn restore(&mut self, saved: &SavedTarget) -> Result<(), Error>;
 }
 
 impl<E: Engine> Tracked for Target<E> {
@@ -155,6 +158,14 @@ impl<E: Engine> Tracked for Target<E> {
 
     fn boxed(&self) -> Box<dyn Tracked> {
         Box::new(self.clone())
+    }
+
+    fn saved(&self) -> SavedTarget {
+        Target::saved(self)
+    }
+
+    fn restore(&mut self, saved: &SavedTarget) -> Result<(), Error> {
+        Target::restore(self, saved)
     }
 }
 
@@ -199,6 +210,36 @@ impl Filter {
                 p.tracked(Paper { std, prior: p.prior, ..published })
             }
         }))
+    }
+
+    /// Everything that changes with measurements.
+    pub(super) fn saved(&self) -> SavedTarget {
+        self.0.saved()
+    }
+
+    /// Go on from a state that a filter with the same parameters had.
+    pub(super) fn restore_saved(&mut self, saved: &SavedTarget) -> Result<(), Error> {
+        self.0.restore(saved)
+    }
+
+    /// The whole state as bytes; `parameters` are those that the filter was made from.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] if the bytes do not fit into memory.
+    pub fn to_state(&self, parameters: &FusionParameters) -> Result<Vec<u8>, Error> {
+        sealed("fusion filter", parameters, &self.saved())
+    }
+
+    /// A filter that goes on, to the same bits, where the one went whose state was saved.
+    ///
+    /// # Errors
+    /// As [`Filter::new`]; [`Error::Format`] for bytes that [`Filter::to_state`] did not make,
+    /// [`Error::Parameter`] for those of a filter with other parameters.
+    pub fn from_state(parameters: &FusionParameters, bytes: &[u8]) -> Result<Self, Error> {
+        let saved: SavedTarget = opened("fusion filter", parameters, bytes)?;
+        let mut filter = Self::new(parameters)?;
+        filter.restore_saved(&saved)?;
+        Ok(filter)
     }
 
     /// Take in a measurement.

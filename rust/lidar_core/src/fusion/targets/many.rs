@@ -4,11 +4,13 @@
 use super::any_filter::FusionParameters;
 use super::lifecycle::Life;
 pub use super::tracks::{Assigned, Scan};
-use super::tracks::{Births, Tracks, within};
+use super::tracks::{Births, SavedTracks, Tracks, within};
 use crate::Error;
 use crate::error::require;
 use crate::fusion::filter::engine::Output;
 use crate::fusion::sensors::measurement::Measurement;
+use crate::util::full_state::{impossible, opened, sealed};
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
 /// Most tracks at a time, and most measurements of a scan.
@@ -17,6 +19,7 @@ pub const MAX_TARGETS: usize = 2_000;
 pub const MAX_SOURCES: u8 = 64;
 /// Most scans, and tracks in them, that are kept for late ones.
 const MOST_KEPT: usize = 100_000;
+const KIND: &str = "fusion tracker";
 
 /// Everything a tracker of many targets can be told.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -77,6 +80,25 @@ struct Past {
     assigned: Vec<Assigned>,
     births: Vec<Option<i64>>,
     before: Tracks,
+}
+
+/// [`Past`] as it is saved.
+#[derive(Serialize, Deserialize)]
+struct SavedPast {
+    scan: Scan,
+    assigned: Vec<Assigned>,
+    births: Vec<Option<i64>>,
+    before: SavedTracks,
+}
+
+/// Everything about [`ManyTargets`] that changes with scans.
+#[derive(Serialize, Deserialize)]
+struct SavedTargets {
+    tracks: SavedTracks,
+    history: Vec<SavedPast>,
+    next_id: i64,
+    stamp_ns: Option<i64>,
+    forgotten_ns: i64,
 }
 
 /// Tracks of many targets.
@@ -141,6 +163,53 @@ impl ManyTargets {
             return Ok(past.assigned.clone());
         }
         self.insert(scan)
+    }
+
+    /// The whole state as bytes.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] if the bytes do not fit into memory.
+    pub fn to_state(&self) -> Result<Vec<u8>, Error> {
+        let past = |past: &Past| SavedPast {
+            scan: past.scan.clone(),
+            assigned: past.assigned.clone(),
+            births: past.births.clone(),
+            before: past.before.saved(),
+        };
+        let saved = SavedTargets {
+            tracks: self.tracks.saved(),
+            history: self.history.iter().map(past).collect(),
+            next_id: self.next_id,
+            stamp_ns: self.stamp_ns,
+            forgotten_ns: self.forgotten_ns,
+        };
+        sealed(KIND, &(self.parameters, self.buffer_ns), &saved)
+    }
+
+    /// A tracker that goes on, to the same bits, where the one went whose state was saved.
+    ///
+    /// # Errors
+    /// As [`ManyTargets::new`]; [`Error::Format`] for bytes that [`ManyTargets::to_state`] did
+    /// not make, [`Error::Parameter`] for those of a tracker with other parameters.
+    pub fn from_state(parameters: &ManyParameters, bytes: &[u8]) -> Result<Self, Error> {
+        let empty = Self::new(parameters)?;
+        let key = (empty.parameters, empty.buffer_ns);
+        let saved: SavedTargets = opened(KIND, &key, bytes)?;
+        let past = |past: SavedPast| {
+            if past.births.len() != past.scan.measurements.len() {
+                return Err(impossible("births and measurements differ in number"));
+            }
+            let before = empty.tracks.restored(&past.before)?;
+            Ok(Past { scan: past.scan, assigned: past.assigned, births: past.births, before })
+        };
+        Ok(Self {
+            tracks: empty.tracks.restored(&saved.tracks)?,
+            history: saved.history.into_iter().map(past).collect::<Result<_, Error>>()?,
+            next_id: saved.next_id,
+            stamp_ns: saved.stamp_ns,
+            forgotten_ns: saved.forgotten_ns,
+            ..empty
+        })
     }
 
     /// Put a scan where it belongs, and go through those after it again.

@@ -8,6 +8,8 @@ use crate::fusion::models::cartesian::ConstantVelocity;
 use crate::fusion::models::platform::{Platform, Pose};
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::fusion::sensors::observation::first_sight;
+use crate::util::full_state::impossible;
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
 /// Measurements kept for late ones, at most.
@@ -65,7 +67,51 @@ pub struct Target<E: Engine> {
     history: VecDeque<(Measurement, Now<E::State>)>,
 }
 
+/// [`Phase`] as plain numbers.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+enum SavedPhase {
+    Unseen,
+    Starting(Vec<f64>, u32),
+    Running(Vec<f64>),
+}
+
+/// [`Now`] as plain numbers.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct SavedNow {
+    stamp_ns: i64,
+    phase: SavedPhase,
+    platform: Platform,
+    ratio: f64,
+}
+
+/// Everything about a [`Target`] that changes with measurements.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct SavedTarget {
+    now: SavedNow,
+    history: Vec<(Measurement, SavedNow)>,
+}
+
 impl<E: Engine> Rules<E> {
+    fn saved(&self, now: &Now<E::State>) -> SavedNow {
+        let phase = match &now.phase {
+            Phase::Unseen => SavedPhase::Unseen,
+            Phase::Starting(cv, rows) => SavedPhase::Starting(cv.numbers(), *rows),
+            Phase::Running(state) => SavedPhase::Running(self.engine.numbers(state)),
+        };
+        let Now { stamp_ns, platform, ratio, .. } = *now;
+        SavedNow { stamp_ns, phase, platform, ratio }
+    }
+
+    fn restored(&self, saved: &SavedNow) -> Option<Now<E::State>> {
+        let phase = match &saved.phase {
+            SavedPhase::Unseen => Phase::Unseen,
+            SavedPhase::Starting(cv, rows) => Phase::Starting(Gaussian::from_numbers(cv)?, *rows),
+            SavedPhase::Running(state) => Phase::Running(self.engine.from_numbers(state)?),
+        };
+        let SavedNow { stamp_ns, platform, ratio, .. } = *saved;
+        Some(Now { stamp_ns, phase, platform, ratio })
+    }
+
     fn predict(&self, phase: &mut Phase<E::State>, dt: f64, platform: &Platform) {
         match phase {
             Phase::Unseen => {}
@@ -137,6 +183,26 @@ impl<E: Engine> Target<E> {
     ) -> Self {
         let now = Now { stamp_ns: i64::MIN, phase: Phase::Unseen, platform, ratio: 1.0 };
         Self { rules: Rules { engine, starter, life }, now, history: VecDeque::new() }
+    }
+
+    /// Everything that changes with measurements.
+    pub fn saved(&self) -> SavedTarget {
+        let history = self.history.iter().map(|(m, now)| (*m, self.rules.saved(now)));
+        SavedTarget { now: self.rules.saved(&self.now), history: history.collect() }
+    }
+
+    /// Go on from a state that a target with the same rules had.
+    ///
+    /// # Errors
+    /// [`Error::Format`] for a state of another model; nothing has changed then.
+    pub fn restore(&mut self, saved: &SavedTarget) -> Result<(), Error> {
+        let known = saved.history.iter();
+        let history = known.map(|(m, now)| Some((*m, self.rules.restored(now)?)));
+        let history = history.collect::<Option<VecDeque<_>>>();
+        let restored = history.zip(self.rules.restored(&saved.now));
+        let (history, now) = restored.ok_or_else(|| impossible("a filter of another model"))?;
+        (self.now, self.history) = (now, history);
+        Ok(())
     }
 
     /// Take in a measurement; a late one is put where it belongs, and what came after it is

@@ -4,17 +4,19 @@ use super::any_filter::{Filter, FusionParameters};
 use super::joint_association::probabilities;
 use super::lifecycle::Outcome;
 use super::many::{Association, MAX_TARGETS, ManyParameters, TrackState};
+use super::target::SavedTarget;
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
+use serde::{Deserialize, Serialize};
 
 /// What it costs to leave a track without a measurement that its gate lets through: far more
 /// than any pair, so that as many tracks as possible get one.
 const UNASSIGNED: f64 = 1e6;
 
 /// What one scanner saw at one time.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scan {
     /// When [ns].
     pub stamp_ns: i64,
@@ -25,7 +27,7 @@ pub struct Scan {
 }
 
 /// What a tracker makes of a measurement.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Assigned {
     /// Its track; none if it cannot be used, started nothing, or tells how the platform moves.
     pub id: Option<i64>,
@@ -46,6 +48,27 @@ pub struct Births {
 struct Candidate {
     updated: Filter,
     innovation: Innovation,
+}
+
+/// A track as it is saved.
+#[derive(Serialize, Deserialize)]
+struct SavedTrack {
+    id: i64,
+    filter: SavedTarget,
+    history: u64,
+    looks: u32,
+    sources: u64,
+    born_ns: i64,
+    seen_ns: i64,
+    hits: u32,
+    confirmed: bool,
+}
+
+/// All tracks at one time, as they are saved.
+#[derive(Serialize, Deserialize)]
+pub struct SavedTracks {
+    unseen: SavedTarget,
+    all: Vec<SavedTrack>,
 }
 
 #[derive(Clone)]
@@ -102,6 +125,37 @@ impl Tracks {
     /// As [`Filter::new`].
     pub fn new(filter: &FusionParameters) -> Result<Self, Error> {
         Ok(Self { unseen: Filter::new(filter)?, all: Vec::new() })
+    }
+
+    /// Everything that changes with scans.
+    pub fn saved(&self) -> SavedTracks {
+        let one = |track: &Track| {
+            let Track { id, history, looks, sources, born_ns, seen_ns, hits, confirmed, .. } =
+                *track;
+            let filter = track.filter.saved();
+            SavedTrack { id, filter, history, looks, sources, born_ns, seen_ns, hits, confirmed }
+        };
+        SavedTracks { unseen: self.unseen.saved(), all: self.all.iter().map(one).collect() }
+    }
+
+    /// The tracks that were saved, with filters of the parameters that `self` has.
+    ///
+    /// # Errors
+    /// [`Error::Format`] for the state of another model.
+    pub fn restored(&self, saved: &SavedTracks) -> Result<Self, Error> {
+        let with = |state: &SavedTarget| {
+            let mut filter = self.unseen.clone();
+            filter.restore_saved(state).map(|()| filter)
+        };
+        let one = |track: &SavedTrack| {
+            let SavedTrack {
+                id, history, looks, sources, born_ns, seen_ns, hits, confirmed, ..
+            } = *track;
+            let filter = with(&track.filter)?;
+            Ok(Track { id, filter, history, looks, sources, born_ns, seen_ns, hits, confirmed })
+        };
+        let all = saved.all.iter().map(one).collect::<Result<_, Error>>()?;
+        Ok(Self { unseen: with(&saved.unseen)?, all })
     }
 
     /// Number of tracks.
