@@ -19,7 +19,7 @@ BIN := $(VENV)/bin
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 export LIDAR_CORE_OUSTER_PYTHON ?= $(CURDIR)/$(OUSTER_VENV)/bin/python
 
-.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers docs golden wheel ci clean
+.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers docs golden nightly wheel ci clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list.
@@ -58,6 +58,9 @@ test: test-env ## Install what the tests need and run them all, on a wheel.
 	cargo test --locked
 	$(TEST_VENV)/bin/pytest -n 2
 	$(TEST_VENV)/bin/pytest --doctest-modules --pyargs lidar_core
+
+nightly: test-env ## Long versions of tests, and statistics, that `make test` leaves out.
+	$(TEST_VENV)/bin/pytest -n 2 -m nightly
 
 # The tests run on an installed wheel, never on the working tree. ouster-sdk pins versions that
 # the other extras cannot live with, so it has an environment of its own.

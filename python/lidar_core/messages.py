@@ -23,6 +23,8 @@ class PointClass(IntEnum):
         Neither is known.
     MOVING
         Part of an object that moves on the ground; `VoxelMap.integrate` takes it as UNKNOWN.
+    OWN_BODY
+        On the robot itself: in pictures and clouds that are written; results say UNKNOWN.
     """
 
     INVALID = 0
@@ -30,6 +32,7 @@ class PointClass(IntEnum):
     FLYING = 2
     UNKNOWN = 3
     MOVING = 4
+    OWN_BODY = 5
 
 
 class ShapeKind(IntEnum):

@@ -90,15 +90,20 @@ def deskew(made):
     ("preset", "shape", "flight"),
     [
         ("vlp-16", "sphere", "sky"),
-        ("vlp-16", "hexacopter", "house"),
-        ("hdl-32e", "hexacopter", "sky"),
         ("hdl-32e", "quadcopter", "house"),
         ("xt32", "quadcopter", "sky"),
-        ("xt32", "sphere", "house"),
-        ("os1-64", "hexacopter", "sky"),
-        ("os1-64", "quadcopter", "house"),
-        ("livox-mid360", "sphere", "sky"),
         ("livox-mid360", "hexacopter", "house"),
+        *(
+            pytest.param(*case, marks=pytest.mark.nightly)
+            for case in (
+                ("vlp-16", "hexacopter", "house"),
+                ("hdl-32e", "hexacopter", "sky"),
+                ("xt32", "sphere", "house"),
+                ("os1-64", "hexacopter", "sky"),
+                ("os1-64", "quadcopter", "house"),
+                ("livox-mid360", "sphere", "sky"),
+            )
+        ),
     ],
 )
 def test_what_is_put_back_has_as_many_returns_as_what_was_taken_out(preset, shape, flight):

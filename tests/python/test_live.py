@@ -176,7 +176,7 @@ def test_a_sensor_that_stands_is_where_it_is_mounted():
     assert poses.is_complete(laser(0))
     assert poses.posed(laser(0)).world_from_lidar[2, 3] == 2.0
     assert poses.fixed_frame == "floor"
-    with pytest.raises(ConfigError, match="expected auto or static for a live stream"):
+    with pytest.raises(ConfigError, match="expected auto, static or kiss for a live stream"):
         LivePoses(PoseOptions(pose="poses.txt"), LiveConfig())
 
 
@@ -1353,7 +1353,7 @@ def test_a_port_in_use_is_an_error_with_its_cure(circles):
         (["--in", "udp:0", "--out", "mcap"], "--out mcap: expected one of"),
         (["--in", "udp:0", "--out", "rerun:web:x"], "--out rerun:web: expected a port"),
         (["--in", "udp:0", "--allow-origin", "*"], "allow-origin: expected the scheme and the"),
-        (["--in", "udp:0", "--pose", "a.txt"], "expected auto or static for a live stream"),
+        (["--in", "udp:0", "--pose", "a.txt"], "expected auto, static or kiss for a live stream"),
         (["--in", "udp:0", "--cloud", "/a", "--scan", "/b"], "expected topics of one sort"),
         (["--in", "udp:0", "--scan", "/b", "--capability", "flying"], "flying does not read /b"),
         (["--in", "udp:0", "--map", "a.pcd", "--scan", "/b"], "map: is for flying objects in clou"),

@@ -97,7 +97,7 @@ def _table(summary: Mapping[str, Any], name: str) -> "Table":
         *(Row(f"points {kind}", f"{100 * share:.2f} %", "") for kind, share in shares.items()),
         Row("gate", "open" if gate["open"] else "closed", opened),
         Row("open sky", f"{100 * summary['sky_share']:.0f} %", SKY[summary["sky"]]),
-        Row("own body", f"{100 * summary['own_body']:.1f} %", "of the returns"),
+        Row("own body", f"{100 * summary['own_body']:.1f} %", "of the rays"),
         Row("detections", str(summary["detections"]), ""),
         Row("tracks", str(summary["tracks"]), ""),
         None,

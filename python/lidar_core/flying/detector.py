@@ -108,7 +108,8 @@ class FlyingObjectDetector:
             sensor. The detector is unchanged. With `on_bad_scan="count"` nothing is raised: the
             frame says in `rejected` what was wrong.
         LimitError
-            The map would outgrow its budget; the detector is unchanged.
+            The map would outgrow its budget, or the scan is of the 65th sensor; the detector is
+            unchanged.
         """
         given: dict[str, Any] = {
             "points_lidar": points_lidar,
@@ -204,17 +205,25 @@ class FlyingObjectDetector:
         return self._detector.map_size()[1]
 
     def save_map(self, path: str | PathLike[str]) -> None:
-        """Write the map to a file that `load_map` and `VoxelMap.load` read."""
+        """Write the map to a file that `load_map` and `VoxelMap.load` read.
+
+        What was found of the robot itself goes with it, per name of a sensor.
+        """
         with naming(path):
             self._detector.save_map(path)
 
     def load_map(self, path: str | PathLike[str]) -> None:
         """Go on with a map of an earlier run; tracks are dropped.
 
+        A sensor that has not found the robot itself knows it from the file, from its next scan on.
+        It forgets it within five scans if the returns do not show it: the sensor sits elsewhere.
+
         Raises
         ------
         FormatError
             The file is no map, or damaged.
+        LimitError
+            It is too large.
         ConfigError
             Its voxels differ in size.
         """
@@ -340,6 +349,7 @@ def _frame(stamp_ns: int, values: dict[str, Any]) -> FlyingFrame:
         timing_ms=values["timing_ms"],
         n_rays=values["rays"],
         n_visits=values["visits"],
+        own_rows=values["own_rows"],
     )
 
 

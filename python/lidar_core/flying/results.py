@@ -1,10 +1,11 @@
 """What the flying-object detector and the tracker return: arrays, one row per object."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.messages import PointClass
 from lidar_core.objects import FlyingDetections, Tracks
 
 
@@ -54,7 +55,9 @@ class FlyingStatus:
     n_sky_rays : int
         Rays into the sky that were found, not given.
     own_body : float
-        Share of the returns that are on the robot itself.
+        Share of the sensor's rays that end on the robot itself. Rays without return count,
+        too: rows of the cloud without one, and where drivers leave rows out, the rays that the
+        search for the sky expects. Of several returns of a ray one is enough.
     own_body_is_decided : bool
         The sensor has turned by 30 degrees: what was found is the robot, and nothing that goes
         along with it.
@@ -97,6 +100,8 @@ class FlyingFrame:
         Why the scan could not be used (`on_bad_scan="count"`); the state is unchanged then.
     n_rays, n_visits : int
         Rays cast, and voxels they crossed.
+    own_rows : ndarray, shape (K,), int64
+        Rows of the points on the robot itself, ascending; their class is 3.
     """
 
     stamp_ns: int
@@ -110,6 +115,14 @@ class FlyingFrame:
     rejected: str | None = None
     n_rays: int = 0
     n_visits: int = 0
+    own_rows: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+
+    @property
+    def shown_class(self) -> NDArray[np.uint8]:
+        """`point_class` with OWN_BODY for points on the robot itself, as pictures show it."""
+        shown = self.point_class.copy()
+        shown[self.own_rows] = PointClass.OWN_BODY
+        return shown
 
 
 @dataclass(frozen=True, slots=True)

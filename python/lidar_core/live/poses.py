@@ -1,6 +1,7 @@
 """Poses as they come, and scans that wait for theirs."""
 
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 
@@ -8,9 +9,10 @@ from lidar_core.errors import ConfigError
 from lidar_core.io import NoTransformError, PosedScan, PoseOptions, TransformBuffer
 from lidar_core.io.messages.ros import POSE_TYPES
 from lidar_core.io.poses.nameless import LOOKED_AT, carrier_of, same_movement
-from lidar_core.io.poses.posed import WORLD_FRAME, pose_stamps, span_ns
+from lidar_core.io.poses.posed import KISS, WORLD_FRAME, pose_stamps, span_ns
 from lidar_core.io.records import Topic
 from lidar_core.live.config import LiveConfig
+from lidar_core.live.scan_odometry import ScanOdometry
 from lidar_core.messages import Pose, ScanT
 
 
@@ -23,7 +25,7 @@ class LivePoses:
     Parameters
     ----------
     options : PoseOptions
-        Where the poses come from: auto or static.
+        Where the poses come from: auto, static, or kiss for the scans themselves.
     config : LiveConfig
         How long they are kept.
 
@@ -31,6 +33,8 @@ class LivePoses:
     ----------
     fixed_frame : str
         Frame that poses are given in, once the first scan has one.
+    on_note : callable
+        Is given the text of every warning of the odometry.
     dropped : Counter
         Poses of more frames than are kept, by topic.
 
@@ -38,14 +42,18 @@ class LivePoses:
     ------
     ConfigError
         The options name a file.
+    MissingExtraError
+        kiss-icp is needed and not installed.
     """
 
     def __init__(self, options: PoseOptions, config: LiveConfig) -> None:
-        if options.pose not in ("auto", "static"):
+        if options.pose not in ("auto", "static", KISS):
             raise ConfigError(
-                f"pose: expected auto or static for a live stream, got {options.pose!r}; replay"
-                " recordings that need a poses file with: lidar-core detect, lidar-core circles"
+                f"pose: expected auto, static or kiss for a live stream, got {options.pose!r};"
+                " replay recordings that need a poses file with: lidar-core detect, lidar-core"
+                " circles"
             )
+        self._kiss = ScanOdometry(self._note) if options.pose == KISS else None
         self._options, self._config = options, config
         self._mountings = options.mountings()
         self._transforms = self._buffer()
@@ -55,7 +63,11 @@ class LivePoses:
         self._nameless: dict[str, list[Pose]] = {}
         self._chosen: tuple[TransformBuffer, str] | None = None
         self.fixed_frame = options.fixed_frame or WORLD_FRAME
+        self.on_note: Callable[[str], object] = lambda text: None
         self.dropped: Counter[str] = Counter()
+
+    def _note(self, text: str) -> None:
+        self.on_note(text)
 
     def add(self, topic: Topic, pose: Pose, carried_frame: str) -> None:
         """Take in one pose; one without child frame is of what carries `carried_frame`.
@@ -81,7 +93,7 @@ class LivePoses:
 
     def is_complete(self, scan: ScanT) -> bool:
         """Whether every pose that a scan needs is known, so that waiting brings nothing."""
-        if self._options.pose == "static":
+        if self._options.pose == "static" or self._kiss is not None:
             return True
         try:
             buffer, root = self._chosen or self._choice(scan.frame_id)
@@ -97,7 +109,11 @@ class LivePoses:
         ------
         NoTransformError
             There is none; the text says what is missing.
+        ConfigError
+            KISS-ICP is given 2D scans, or those of a second LiDAR.
         """
+        if self._kiss is not None:
+            return self._kiss.posed(scan)
         if self._options.pose == "static":
             return self._standing(scan)
         buffer, root = self._chosen or self._choice(scan.frame_id)

@@ -205,7 +205,7 @@ class FlyingRun:
         poses = item.world_from_lidar.reshape(-1, 4, 4)
         self._path.append(poses[0, :3, 3])
         self._cloud = _placed(item.scan, poses, item.pose_stamps_ns)
-        self._cloud_class = frame.point_class
+        self._cloud_class = frame.shown_class
         self._flying.append(self._cloud[frame.point_class == PointClass.FLYING])
         status = frame.status
         self.gate_reason, self.gate_is_open = status.reason, status.gate_open
@@ -215,7 +215,8 @@ class FlyingRun:
         self._shares.append((status.sky_share, status.own_body))
         self._class_counts += np.bincount(frame.point_class, minlength=len(PointClass))
         # Classes of every point of every scan would fill the memory on a long recording.
-        self.frames.append(replace(frame, point_class=frame.point_class[:0]))
+        none, no_rows = frame.point_class[:0], frame.own_rows[:0]
+        self.frames.append(replace(frame, point_class=none, own_rows=no_rows))
         self._sensors.append(item.sensor)
         self.tracks.append(frame.tracks)
         if self._mcap is not None:
@@ -250,7 +251,7 @@ class FlyingRun:
 
     @property
     def own_body(self) -> float:
-        """Share of the returns that were on the robot itself, in the last scan."""
+        """Share of the sensor's rays that ended on the robot itself, in the last scan."""
         return self._shares[-1][1] if self._shares else 0.0
 
     @property

@@ -129,6 +129,7 @@ def live(
             source, place, rate=rate, read=reading, live=settings, topics=topics
         )
         stack.callback(listening.close)
+        where.on_note = listening.findings.note
         opened = [
             stack.enter_context(
                 closing(

@@ -13,11 +13,12 @@ from lidar_core.viz.figure import INK, PALE, PURPOSE, write_figure
 from lidar_core.viz.views import FlyingView
 
 SIZE, DPI = (14.0, 8.2), 110
-FLYING, UNKNOWN = "#fb7185", "#f59e0b"
+FLYING, UNKNOWN, OWN = "#fb7185", "#f59e0b", "#a855f7"
 VOXEL_COLOURS = ("#efeae0", "#d8cfbd", "#a89f8d")
 CLOUDS = (
     ("background, last scan", "#64748b", 0.6),
     ("unknown, last scan", UNKNOWN, 2.5),
+    ("own body, last scan", OWN, 2.5),
     ("flying, all scans", FLYING, 1.0),
 )
 """Name, colour and size of the points of each class."""
@@ -127,6 +128,8 @@ def _map(
     across, up = plane
     _voxels(axes, view, plane, low, high)
     for cloud, (name, colour, size) in zip(_by_class(view), CLOUDS, strict=True):
+        if colour == OWN and not len(cloud):
+            continue  # most robots hide nothing
         rows = _shown(cloud, low, high)
         axes.scatter(
             rows[:, across], rows[:, up], s=size, c=colour, linewidths=0, zorder=2, rasterized=True
@@ -160,9 +163,8 @@ def _map(
 
 def _by_class(view: FlyingView) -> list[NDArray[np.float64]]:
     """Points in the order of `CLOUDS`."""
-    background = view.cloud[view.cloud_class == PointClass.BACKGROUND]
-    unknown = view.cloud[view.cloud_class == PointClass.UNKNOWN]
-    return [background, unknown, view.flying]
+    classes = PointClass.BACKGROUND, PointClass.UNKNOWN, PointClass.OWN_BODY
+    return [*(view.cloud[view.cloud_class == one] for one in classes), view.flying]
 
 
 def _voxels(

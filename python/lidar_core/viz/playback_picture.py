@@ -23,6 +23,7 @@ POINT_COLOURS = {
     PointClass.FLYING: "#dc2626",
     PointClass.UNKNOWN: "#d97706",
     PointClass.MOVING: "#2563eb",
+    PointClass.OWN_BODY: "#a855f7",
 }
 """Colours of points by class; INVALID is that of points without one."""
 OBJECT, BAND, WALL = "#c2410c", "#0369a1", "#0f766e"
@@ -176,6 +177,9 @@ def _draw_plane(
     points, classes = moment.points[::step], moment.point_class[::step]
     for kind, colour in POINT_COLOURS.items():
         chosen = points[classes == kind]
+        if kind != PointClass.INVALID and len(chosen):
+            name = kind.name.lower().replace("_", " ")
+            panel.plot([], [], ".", ms=6, color=colour, label=name)
         panel.plot(
             chosen[:, across],
             chosen[:, up],
@@ -197,6 +201,8 @@ def _draw_plane(
         ylim=limits[:, up],
     )
     panel.grid(visible=True)
+    if panel.get_legend_handles_labels()[1]:
+        panel.legend(loc="upper right", fontsize=8)
 
 
 def _draw_object(

@@ -21,6 +21,7 @@ _COLOURS = {
     PointClass.FLYING: (225, 60, 40),
     PointClass.UNKNOWN: (230, 180, 60),
     PointClass.MOVING: (70, 130, 230),
+    PointClass.OWN_BODY: (168, 85, 247),
 }
 CLASS_COLOURS = np.array([_COLOURS[one] for one in PointClass], np.uint8)
 """Colours of points by class; INVALID is that of points without one."""
@@ -64,6 +65,11 @@ class RerunLog:
     def begin(self) -> None:
         """Say which way is up; to be called once the stream is connected."""
         self.stream.log("world", self._rr.ViewCoordinates.FLU, static=True)
+        classes = [
+            (int(one), one.name.lower().replace("_", " "), CLASS_COLOURS[one].tolist())
+            for one in PointClass
+        ]
+        self.stream.log("world/points", self._rr.AnnotationContext(classes), static=True)
 
     def follow(self) -> None:
         """Have viewers show the newest time, as long as nobody chooses another one."""
@@ -77,8 +83,8 @@ class RerunLog:
         rr = self._rr
         self.stream.set_time("time", timestamp=np.datetime64(moment.stamp_ns, "ns"))
         if len(moment.points):
-            colours = CLASS_COLOURS[moment.point_class]
-            cloud = rr.Points3D(moment.points, colors=colours, radii=POINT_RADIUS)
+            classes = moment.point_class.astype(np.uint16)
+            cloud = rr.Points3D(moment.points, class_ids=classes, radii=POINT_RADIUS)
             self.stream.log("world/points", cloud)
         self._log_extents(moment.objects)
         _log_motion(rr, self.stream, moment.objects, self._trails)

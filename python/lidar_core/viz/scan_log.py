@@ -19,13 +19,14 @@ def log_flying(
     """
     scan = item.scan
     _log_pose(log, item, frame_id)
-    is_point = frame.point_class != PointClass.INVALID
+    shown = frame.shown_class
+    is_point = shown != PointClass.INVALID
     log.write(
         Scan(
             stamp_ns=scan.stamp_ns,
             points=scan.points.reshape(-1, 3)[is_point],
             frame_id=scan.frame_id,
-            intensity=frame.point_class[is_point].astype(np.float32),
+            intensity=shown[is_point].astype(np.float32),
             topic=CLASSES_TOPIC,
         )
     )

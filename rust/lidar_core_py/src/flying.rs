@@ -9,7 +9,6 @@ use lidar_core::flying::background::burn_in::Gate;
 use lidar_core::flying::detect::detection::Detection;
 use lidar_core::flying::detector::FlyingObjectDetector;
 use lidar_core::flying::frame::{Frame, Teammate};
-use lidar_core::flying::map::voxel_map::VoxelMap;
 use lidar_core::flying::scan::prepared::RawScan;
 use numpy::{
     IntoPyArray, PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
@@ -145,14 +144,11 @@ impl PyFlyingObjectDetector {
     }
 
     fn save_map(&self, py: Python<'_>, path: PathBuf) -> Result<(), BorderError> {
-        self.0.with(py, |detector| detector.map().save(&path))
+        self.0.with(py, |detector| detector.save_map(&path))
     }
 
     fn load_map(&self, py: Python<'_>, path: PathBuf) -> Result<(), BorderError> {
-        self.0.with(py, |detector| {
-            let map = VoxelMap::load(&path, detector.map().threads())?;
-            detector.set_map(map)
-        })
+        self.0.with(py, |detector| detector.load_map(&path))
     }
 
     /// The map as bytes; equal maps give equal bytes.
@@ -192,6 +188,8 @@ fn frame_dict(py: Python<'_>, frame: Frame) -> Result<Bound<'_, PyDict>, BorderE
     values.set_item("sky_share", frame.sky_share)?;
     values.set_item("sky_rays", frame.sky_rays)?;
     values.set_item("own_body", frame.own_body)?;
+    let own_rows: Vec<i64> = frame.own_rows.into_iter().map(i64::from).collect();
+    values.set_item("own_rows", own_rows.into_pyarray(py))?;
     values.set_item("own_body_is_decided", frame.own_body_is_decided)?;
     let stats = frame.integrated.unwrap_or_default();
     values.set_item("rays", stats.rays)?;

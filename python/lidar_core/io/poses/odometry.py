@@ -28,6 +28,9 @@ NEAREST_SHARE, NEAREST = 0.04, (0.5, 2.5)
 more often than not, and pull towards standing still."""
 VOXELS = 100
 """Edge of KISS-ICP's voxels: its reach divided by this, as its authors have it."""
+COARSE = 4
+"""While no motion is known, scans are registered with voxels larger by this factor first:
+registration looks for neighbours in adjacent voxels only, and a car moves further than that."""
 FEWEST, LEAST_SHARE = 50, 0.35
 """Points, and share of them near the map, below which a scan is not placed."""
 LOST_IN_A_ROW = 10
@@ -69,6 +72,7 @@ class _Last:
     pose: NDArray[np.float64]
     motion: NDArray[np.float64]
     period_ns: int
+    is_first: bool = False
 
 
 class KissOdometry:
@@ -140,7 +144,8 @@ class KissOdometry:
         motion, self._first_motion, self._doubt = self._first_motion, np.eye(4), _Doubt()
         frame, _ = self._parts.prepared(cloud, motion)
         self._parts.map.update(frame, pose)
-        self._last = _Last(cloud.end_ns, pose, motion, cloud.end_ns - cloud.start_ns)
+        period_ns = cloud.end_ns - cloud.start_ns
+        self._last = _Last(cloud.end_ns, pose, motion, period_ns, is_first=True)
         covariance = self._doubt.covariance(pose)
         if cloud.part is None or np.array_equal(motion, np.eye(4)):
             return Placed(pose, None, covariance)
@@ -155,7 +160,8 @@ class KissOdometry:
         sweep = (cloud.end_ns - cloud.start_ns) / elapsed
         frame, source = parts.prepared(cloud, _part_of(motion, sweep))
         guess = last.pose @ motion
-        pose = parts.registered(source, guess)
+        start = parts.coarsely_registered(source, guess) if last.is_first else guess
+        pose = parts.registered(source, start)
         share = parts.share_near(source, pose)
         if share < LEAST_SHARE:
             return self._lose(cloud, f"{share:.0%} of its points are near the map")
@@ -269,7 +275,7 @@ class _Parts:
         package = require("kiss_icp.kiss_icp", extra="odometry", purpose="--pose kiss")
         engine: Any = package.KissICP(chosen)
         self.map, self.threshold = engine.local_map, engine.adaptive_threshold
-        self._engine, self._voxel = engine, reach / VOXELS
+        self._engine, self._voxel, self._reach = engine, reach / VOXELS, reach
 
     def prepared(
         self, cloud: _Cloud, motion: NDArray[np.float64]
@@ -280,13 +286,29 @@ class _Parts:
         source, frame = self._engine.voxelize(near)
         return frame, source
 
+    def coarsely_registered(
+        self, source: NDArray[np.float64], guess: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Pose to start the registration from where no motion is known."""
+        mapping = require("kiss_icp.mapping", extra="odometry", purpose="--pose kiss")
+        coarse: Any = mapping.VoxelHashMap(
+            voxel_size=COARSE * self._voxel, max_distance=self._reach, max_points_per_voxel=20
+        )
+        coarse.add_points(self.map.point_cloud())
+        return self._aligned(source, guess, coarse)
+
     def registered(
         self, source: NDArray[np.float64], guess: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        return self._aligned(source, guess, self.map)
+
+    def _aligned(
+        self, source: NDArray[np.float64], guess: NDArray[np.float64], known: Any
     ) -> NDArray[np.float64]:
         sigma = self.threshold.get_threshold()
         pose = self._engine.registration.align_points_to_map(
             points=source,
-            voxel_map=self.map,
+            voxel_map=known,
             initial_guess=guess,
             max_correspondance_distance=3 * sigma,
             kernel=sigma,

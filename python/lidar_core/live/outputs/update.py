@@ -63,10 +63,11 @@ class FlyingUpdate(Update):
 
     def moment(self) -> Moment:
         """Points with information, by class."""
-        is_point = self.frame.point_class != PointClass.INVALID
+        shown = self.frame.shown_class
+        is_point = shown != PointClass.INVALID
         local = self.item.scan.points.reshape(-1, 3)[is_point]
         points = in_world(local, self.item.world_from_lidar.reshape(-1, 4, 4)[0])
-        return Moment(self.stamp_ns, points, self.frame.point_class[is_point], self.objects)
+        return Moment(self.stamp_ns, points, shown[is_point], self.objects)
 
     def log_to(self, log: FoxgloveLog) -> None:
         """Log pose, cloud by class, tracks."""

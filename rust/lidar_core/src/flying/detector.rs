@@ -11,6 +11,7 @@ use super::detect::visibility::ScanView;
 use super::frame::{Frame, Teammate, Timing};
 use super::integrate::casting::Casting;
 use super::integrate::integrator::{FLYING, IntegrateStats, UNKNOWN};
+use super::map::saved_body::SavedBody;
 use super::map::voxel_map::VoxelMap;
 use super::parameters::FlyingParameters;
 use super::scan::prepared::{Prepared, RawScan};
@@ -20,6 +21,7 @@ use crate::Error;
 use crate::geometry::cluster::angular_gap::{AngularGap, label_seen};
 use crate::geometry::lattice::{Voxel, wide};
 use crate::geometry::transform::Transform;
+use crate::util::budget::MAX_SENSORS;
 use crate::util::stopwatch::Clock;
 use std::collections::BTreeMap;
 
@@ -29,6 +31,8 @@ pub struct FlyingObjectDetector {
     pub(super) map: VoxelMap,
     pub(super) tracker: PointCloudTracker,
     pub(super) sensors: BTreeMap<String, Sensor>,
+    /// What an earlier run found of the robot, for sensors that are met again.
+    pub(super) recalled: BTreeMap<String, SavedBody>,
     pub(super) teammates: Vec<Teammate>,
     pub(super) anchored: bool,
     pub(super) map_from_world: Transform,
@@ -66,6 +70,7 @@ impl FlyingObjectDetector {
             tracker: PointCloudTracker::new(parameters.tracker, threads)?,
             parameters,
             sensors: BTreeMap::new(),
+            recalled: BTreeMap::new(),
             teammates: Vec::new(),
             anchored: false,
             map_from_world: Transform::IDENTITY,
@@ -154,7 +159,7 @@ impl FlyingObjectDetector {
 
     /// Put the scan into the frame of the map; its stamp for the tracker.
     fn prepare(&mut self, raw: &RawScan<'_>, scan: &mut Prepared) -> Result<i64, Error> {
-        self.meet(raw.sensor);
+        self.meet(raw.sensor)?;
         self.sensors[raw.sensor].check_stamp(raw.sensor, raw.stamp_ns)?;
         let stamp_ns = self.tracker_stamp(raw.stamp_ns)?;
         self.anchor(raw)?;
@@ -222,12 +227,18 @@ impl FlyingObjectDetector {
     }
 
     /// A sensor that may be new.
-    fn meet(&mut self, name: &str) {
+    fn meet(&mut self, name: &str) -> Result<(), Error> {
         let FlyingParameters { sensors, default_sensor, .. } = &self.parameters;
-        if !self.sensors.contains_key(name) {
-            let parameters = sensors.get(name).unwrap_or(default_sensor);
-            self.sensors.insert(name.to_owned(), Sensor::new(parameters.clone()));
+        if self.sensors.contains_key(name) {
+            return Ok(());
         }
+        check_sensors(self.sensors.len() + 1, name)?;
+        let mut sensor = Sensor::new(sensors.get(name).unwrap_or(default_sensor).clone());
+        if let Some(saved) = self.recalled.get(name) {
+            sensor.recall(saved);
+        }
+        self.sensors.insert(name.to_owned(), sensor);
+        Ok(())
     }
 
     /// Sensors may fire at the same time; the tracker wants distinct stamps.
@@ -292,7 +303,7 @@ impl FlyingObjectDetector {
         timing: Timing,
     ) -> Frame {
         let mut point_class = class[..scan.rows].to_vec();
-        let own_body = self.tell_own_body(raw, &mut point_class);
+        let (own_rows, own_body) = self.tell_own_body(raw, scan, &mut point_class);
         if gate != Gate::Open {
             replace(&mut point_class, FLYING, UNKNOWN);
         }
@@ -313,6 +324,7 @@ impl FlyingObjectDetector {
             sky_share: scan.sky_share,
             sky_rays: scan.rebuilt,
             own_body,
+            own_rows,
             own_body_is_decided: self.knows_own_body(raw),
             integrated,
             timing,
@@ -326,24 +338,44 @@ impl FlyingObjectDetector {
         body.is_some_and(|body| body.is_decided())
     }
 
-    /// Points on the robot are unknown, not invalid; their share of the returns.
-    fn tell_own_body(&self, raw: &RawScan<'_>, class: &mut [u8]) -> f64 {
-        let body = self.sensors.get(raw.sensor).and_then(|sensor| sensor.body.as_ref());
-        let Some(body) = body.filter(|body| body.is_found()) else { return 0.0 };
-        let (mut own, mut all) = (0usize, 0usize);
-        for (row, (class, &point)) in class.iter_mut().zip(raw.points).enumerate() {
-            let is_marked = raw.no_return.is_some_and(|flags| flags[row]);
-            if is_marked || !point.iter().all(|value| value.is_finite()) {
-                continue;
-            }
-            all += 1;
-            if body.contains(wide(point)) {
-                own += 1;
-                *class = UNKNOWN;
-            }
+    /// Points on the robot are unknown, not invalid; their rows, and the share of rays that end on it.
+    fn tell_own_body(
+        &self,
+        raw: &RawScan<'_>,
+        scan: &Prepared,
+        class: &mut [u8],
+    ) -> (Vec<u32>, f64) {
+        let sensor = self.sensors.get(raw.sensor);
+        let Some((sensor, body)) = sensor.and_then(|one| Some((one, one.body.as_ref()?))) else {
+            return (Vec::new(), 0.0);
+        };
+        if !body.is_found() {
+            return (Vec::new(), 0.0);
         }
-        own as f64 / all.max(1) as f64
+        let on_it = |row: usize| {
+            raw.no_return.is_none_or(|flags| !flags[row]) && body.holds(wide(raw.points[row]))
+        };
+        let rows: Vec<u32> =
+            (0..raw.points.len()).filter(|&row| on_it(row)).map(|row| row as u32).collect();
+        for &row in &rows {
+            class[row as usize] = UNKNOWN;
+        }
+        let share = scan.share_of_rays(&rows, sensor.parameters.returns_per_ray);
+        (rows, share)
     }
+}
+
+/// # Errors
+/// [`Error::Limit`] for more sensors than are remembered.
+pub(super) fn check_sensors(len: usize, name: &str) -> Result<(), Error> {
+    if len <= MAX_SENSORS {
+        return Ok(());
+    }
+    Err(Error::Limit {
+        what: format!("sensor {name:?}, the detector's {len}th"),
+        limit: MAX_SENSORS as u64,
+        key: "give the scans of one LiDAR one name, always the same",
+    })
 }
 
 fn go_on(keep_going: &dyn Fn() -> bool) -> Result<(), Error> {

@@ -71,8 +71,11 @@ pub struct Frame {
     pub sky_share: f64,
     /// Rays without return that were found and not given.
     pub sky_rays: usize,
-    /// Share of the returns that are on the robot itself.
+    /// Share of the sensor's rays that end on the robot itself; rays without return count, as far as
+    /// they are in the scan or known from the search for the sky.
     pub own_body: f64,
+    /// Rows of the points on the robot itself, ascending.
+    pub own_rows: Vec<u32>,
     /// Whether turns have shown that what was found is the robot, and nothing that goes along.
     pub own_body_is_decided: bool,
     /// What the scan did to the map; None if it was held.

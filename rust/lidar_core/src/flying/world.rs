@@ -1,11 +1,14 @@
 //! Where the detector's map lies in the world: known places, other maps.
 
 use super::detector::FlyingObjectDetector;
+use super::map::saved_body::SavedBody;
 use super::map::voxel_map::VoxelMap;
 use super::scan::prepared::RawScan;
 use crate::Error;
 use crate::error::require;
 use crate::geometry::transform::Transform;
+use crate::util::budget::MAX_SENSORS;
+use std::path::Path;
 
 /// Places further from the world's origin cannot be told apart to a millimetre [m].
 const FARTHEST: f64 = 1e12;
@@ -41,6 +44,41 @@ impl FlyingObjectDetector {
         self.place_origin(map.parameters().origin);
         self.map = map;
         self.forget_motion();
+        Ok(())
+    }
+
+    /// Write the map, and what is known of the robot, to a file that [`VoxelMap::load`] reads, too.
+    ///
+    /// # Errors
+    /// As [`VoxelMap::save`].
+    pub fn save_map(&self, path: &Path) -> Result<(), Error> {
+        let not_met = self.recalled.iter().filter(|(name, _)| !self.sensors.contains_key(*name));
+        let mut bodies: Vec<SavedBody> = not_met.map(|(_, body)| body.clone()).collect();
+        for (name, sensor) in &self.sensors {
+            if let Some((voxels, is_decided)) = sensor.body.as_ref().and_then(|body| body.known()) {
+                let voxels = voxels.to_vec();
+                bodies.push(SavedBody { sensor: name.clone(), is_decided, voxels });
+            }
+        }
+        bodies.sort_by(|one, other| one.sensor.cmp(&other.sensor));
+        bodies.truncate(MAX_SENSORS); // of sensors that were not met lately
+        self.map.save_with(path, &bodies)
+    }
+
+    /// Take over the map of a file, and what it knows of the robot, for every sensor that has not found
+    /// it itself.
+    ///
+    /// # Errors
+    /// As [`VoxelMap::load`] and [`FlyingObjectDetector::set_map`]; the detector is unchanged then.
+    pub fn load_map(&mut self, path: &Path) -> Result<(), Error> {
+        let (map, bodies) = VoxelMap::load_with(path, self.map.threads())?;
+        self.set_map(map)?;
+        for body in &bodies {
+            if let Some(sensor) = self.sensors.get_mut(&body.sensor) {
+                sensor.recall(body);
+            }
+        }
+        self.recalled = bodies.into_iter().map(|body| (body.sensor.clone(), body)).collect();
         Ok(())
     }
 

@@ -4,6 +4,8 @@ use crate::Error;
 
 /// Points in one scan.
 pub const MAX_POINTS: usize = 4_000_000;
+/// LiDARs of one detector: it remembers sky and robot of each, some megabytes.
+pub const MAX_SENSORS: usize = 64;
 /// Voxels crossed by one segment.
 pub const MAX_VOXELS_PER_RAY: usize = 100_000;
 

@@ -18,9 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError, LimitError
-from lidar_core.extras import require
 from lidar_core.io import PosedScan, ReadOptions, open_recording, posed_scans
-from lidar_core.io.files.atomic import written_whole
 from lidar_core.messages import Scan
 from lidar_core.reproduce.recordings import recording
 
@@ -30,8 +28,8 @@ LARGEST = 2**30
 CSV_ROW = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2")]
 )
-OWN_REACH = 4.0
-"""Nearer points may be the vehicle itself, and are kept from the odometry [m]."""
+FILE_SPACING_NS = 100_000_000
+"""What the reader takes for the time between two files of a folder that state none."""
 LAYOUT = 2
 """Of an unpacked folder; another number unpacks again."""
 
@@ -150,10 +148,11 @@ def sequence_scans(sequence: RealSequence, *, static: bool = False) -> Iterator[
     path = _unpacked(recording(sequence.source))
     times = _times(sequence, path)
     with open_recording(path, ReadOptions()) as opened:
-        for number, item in enumerate(posed_scans(opened, pose=_poses(sequence, path, static))):
+        for item in posed_scans(opened, pose=_poses(sequence, static)):
             if times is None:
                 yield item
                 continue
+            number = round(item.scan.stamp_ns / FILE_SPACING_NS)
             # files of these sequences state no times of points, which would have to move, too
             yield replace(item, scan=replace(item.scan, stamp_ns=times[number]))
 
@@ -169,37 +168,11 @@ def _times(sequence: RealSequence, path: Path) -> list[int] | None:
     return [(one - tenths[0]) * 100_000_000 for one in tenths]
 
 
-def _poses(sequence: RealSequence, path: Path, static: bool) -> str:
-    if static or sequence.pose == "static":
+def _poses(sequence: RealSequence, static: bool) -> str:
+    if static:
         return "static"
-    if sequence.pose == "kiss":
-        return str(_kiss_poses(path))
-    return str(recording(sequence.pose))
-
-
-def _kiss_poses(path: Path) -> Path:
-    """File of poses that KISS-ICP gives for the scans of a folder; made once."""
-    target = path / "kiss_poses.txt"
-    if target.is_file():
-        return target
-
-    pipeline = require("kiss_icp.kiss_icp", extra="odometry", purpose="poses by KISS-ICP")
-    config = require("kiss_icp.config.parser", extra="odometry", purpose="poses by KISS-ICP")
-    settings = config.load_config(None)
-    settings.data.max_range, settings.data.min_range = 100.0, OWN_REACH
-    settings.data.deskew = False
-    settings.mapping.voxel_size = 1.0
-    odometry = pipeline.KissICP(settings)
-    lines = []
-    with open_recording(path, ReadOptions()) as opened:
-        for item in posed_scans(opened, pose="static"):
-            points = item.scan.points.reshape(-1, 3).astype(np.float64)
-            points = points[np.isfinite(points).all(axis=1)]
-            odometry.register_frame(points, np.empty(0))
-            lines.append(" ".join(f"{value:.9g}" for value in odometry.last_pose[:3].ravel()))
-    with written_whole(target) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return target
+    is_named = sequence.pose in ("static", "kiss")
+    return sequence.pose if is_named else str(recording(sequence.pose))
 
 
 def _unpacked(path: Path) -> Path:

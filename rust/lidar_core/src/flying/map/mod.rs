@@ -5,5 +5,6 @@ pub mod filter;
 pub(crate) mod islands;
 pub(crate) mod layers;
 pub(crate) mod persist;
+pub mod saved_body;
 pub mod separate;
 pub mod voxel_map;

@@ -1,9 +1,11 @@
 //! Saving and loading a voxel map: versioned, checksummed, atomic.
 //!
 //! Layout (little endian): magic `LCVM`, version u32, parameters, number of blocks u64, blocks in
-//! ascending order of place (3 x i32, 512 x f32), CRC-32 of everything before it.
+//! ascending order of place (3 x i32, 512 x f32), in version 2 the robot itself
+//! ([`super::saved_body`]), CRC-32 of everything before it. A map without a robot has version 1.
 
 use super::blocks::{EDGE, NEVER, Place, VOLUME};
+use super::saved_body::{SavedBody, read_bodies, write_bodies};
 use super::voxel_map::{MapParameters, RayUnit, Rays, VoxelMap};
 use crate::Error;
 use std::fs::{self, File};
@@ -12,6 +14,8 @@ use std::path::Path;
 
 const MAGIC: &[u8; 4] = b"LCVM";
 const VERSION: u32 = 1;
+/// The same with a section of what is known of the robot.
+const VERSION_WITH_BODY: u32 = 2;
 /// Set in the byte of the ray unit where one ray is cast per end voxel.
 const ONE_PER_END: u8 = 4;
 const BLOCK_BYTES: usize = 12 + 4 * VOLUME;
@@ -24,6 +28,11 @@ impl VoxelMap {
     /// # Errors
     /// [`Error::Io`]; [`Error::Format`] where a pipe or a device is, whose place it would take.
     pub fn save(&self, path: &Path) -> Result<(), Error> {
+        self.save_with(path, &[])
+    }
+
+    /// The same, with what is known of the robot.
+    pub(crate) fn save_with(&self, path: &Path, bodies: &[SavedBody]) -> Result<(), Error> {
         if path.exists() {
             check_regular(path)?;
         }
@@ -31,7 +40,7 @@ impl VoxelMap {
         let folder = folder.unwrap_or_else(|| Path::new("."));
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let temporary = folder.join(format!(".{name}.{}.tmp", std::process::id()));
-        let written = write_synced(&temporary, &self.to_bytes())
+        let written = write_synced(&temporary, &self.to_bytes_with(bodies))
             .and_then(|()| fs::rename(&temporary, path))
             .and_then(|()| File::open(folder)?.sync_all());
         if written.is_err() {
@@ -45,6 +54,11 @@ impl VoxelMap {
     /// # Errors
     /// [`Error::Io`], [`Error::Format`] with the byte offset, [`Error::Limit`], [`Error::Parameter`].
     pub fn load(path: &Path, threads: usize) -> Result<Self, Error> {
+        Self::load_with(path, threads).map(|(map, _)| map)
+    }
+
+    /// The same, and what is known of the robot.
+    pub(crate) fn load_with(path: &Path, threads: usize) -> Result<(Self, Vec<SavedBody>), Error> {
         check_regular(path)?;
         let file = File::open(path)?;
         let size = file.metadata()?.len();
@@ -57,14 +71,20 @@ impl VoxelMap {
         }
         let mut bytes = Vec::new();
         file.take(MAX_BYTES).read_to_end(&mut bytes)?;
-        Self::from_bytes(&bytes, threads)
+        Self::from_bytes_with(&bytes, threads)
     }
 
     /// The map as bytes; equal maps give equal bytes.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
+        self.to_bytes_with(&[])
+    }
+
+    /// The same, with what is known of the robot.
+    pub(super) fn to_bytes_with(&self, bodies: &[SavedBody]) -> Vec<u8> {
         let mut bytes = Vec::from(MAGIC);
-        bytes.extend(VERSION.to_le_bytes());
+        let version = if bodies.is_empty() { VERSION } else { VERSION_WITH_BODY };
+        bytes.extend(version.to_le_bytes());
         write_parameters(self.parameters(), &mut bytes);
         let mut blocks: Vec<_> = self.blocks.iter().collect();
         blocks.sort_unstable_by_key(|block| block.place);
@@ -72,6 +92,9 @@ impl VoxelMap {
         for block in blocks {
             bytes.extend(block.place.0.iter().flat_map(|index| index.to_le_bytes()));
             bytes.extend(block.values().flat_map(|value| value.to_le_bytes()));
+        }
+        if !bodies.is_empty() {
+            write_bodies(bodies, &mut bytes);
         }
         bytes.extend(crc32(&bytes).to_le_bytes());
         bytes
@@ -82,6 +105,14 @@ impl VoxelMap {
     /// # Errors
     /// As [`VoxelMap::load`].
     pub fn from_bytes(bytes: &[u8], threads: usize) -> Result<Self, Error> {
+        Self::from_bytes_with(bytes, threads).map(|(map, _)| map)
+    }
+
+    /// The same, and what is known of the robot.
+    pub(super) fn from_bytes_with(
+        bytes: &[u8],
+        threads: usize,
+    ) -> Result<(Self, Vec<SavedBody>), Error> {
         let mut reader = Reader { bytes, at: 0 };
         if &reader.take::<4>()? != MAGIC {
             return Err(format_error(
@@ -90,9 +121,11 @@ impl VoxelMap {
             ));
         }
         let version = u32::from_le_bytes(reader.take()?);
-        if version != VERSION {
-            let text =
-                format!("expected version {VERSION}, got {version}; update lidar_core to read it");
+        if !(VERSION..=VERSION_WITH_BODY).contains(&version) {
+            let text = format!(
+                "expected version {VERSION} or {VERSION_WITH_BODY}, got {version}; update \
+                 lidar_core to read it"
+            );
             return Err(format_error(4, &text));
         }
         let body = bytes.len().saturating_sub(4);
@@ -102,11 +135,14 @@ impl VoxelMap {
                 "the checksum is wrong: the file is damaged or cut off",
             ));
         }
+        reader.bytes = &bytes[..body];
         let parameters = reader.parameters()?;
         let mut map = Self::new(parameters, threads)?;
         let count = u64::from_le_bytes(reader.take()?);
-        let rest = (body - reader.at) as u64;
-        if count.checked_mul(BLOCK_BYTES as u64) != Some(rest) {
+        let rest = reader.left() as u64;
+        let needed = count.checked_mul(BLOCK_BYTES as u64);
+        let fits = if version == VERSION { needed == Some(rest) } else { needed < Some(rest) };
+        if needed.is_none() || !fits {
             let text = format!("expected {count} blocks of {BLOCK_BYTES} bytes, got {rest} bytes");
             return Err(format_error(reader.at, &text));
         }
@@ -114,7 +150,8 @@ impl VoxelMap {
             reader.block_into(&mut map)?;
         }
         map.changes.restart();
-        Ok(map)
+        let bodies = if version == VERSION { Vec::new() } else { read_bodies(&mut reader)? };
+        Ok((map, bodies))
     }
 }
 
@@ -144,13 +181,32 @@ fn write_parameters(p: &MapParameters, bytes: &mut Vec<u8>) {
     bytes.extend(p.extra_thresholds.iter().take(255).flat_map(|value| value.to_le_bytes()));
 }
 
-struct Reader<'a> {
+/// Takes numbers from bytes, one after the other.
+pub(super) struct Reader<'a> {
     bytes: &'a [u8],
-    at: usize,
+    /// The next byte.
+    pub(super) at: usize,
 }
 
 impl Reader<'_> {
-    fn take<const N: usize>(&mut self) -> Result<[u8; N], Error> {
+    /// Bytes that are left.
+    pub(super) fn left(&self) -> usize {
+        self.bytes.len() - self.at
+    }
+
+    /// The next `len` bytes.
+    pub(super) fn slice(&mut self, len: usize) -> Result<&[u8], Error> {
+        let taken = self.bytes.get(self.at..).and_then(|rest| rest.get(..len));
+        let taken = taken.ok_or_else(|| format_error(self.at, "the file ends too early"))?;
+        self.at += len;
+        Ok(taken)
+    }
+
+    pub(super) fn u32(&mut self) -> Result<u32, Error> {
+        Ok(u32::from_le_bytes(self.take()?))
+    }
+
+    pub(super) fn take<const N: usize>(&mut self) -> Result<[u8; N], Error> {
         let taken = self.bytes.get(self.at..).and_then(|rest| rest.first_chunk::<N>());
         let taken = *taken.ok_or_else(|| format_error(self.at, "the file ends too early"))?;
         self.at += N;
@@ -245,12 +301,12 @@ fn check_regular(path: &Path) -> Result<(), Error> {
     Err(format_error(0, &text))
 }
 
-fn format_error(offset: usize, what: &str) -> Error {
+pub(super) fn format_error(offset: usize, what: &str) -> Error {
     Error::Format { what: what.into(), offset: offset as u64 }
 }
 
 /// CRC-32 (IEEE 802.3).
-fn crc32(bytes: &[u8]) -> u32 {
+pub(super) fn crc32(bytes: &[u8]) -> u32 {
     let table: [u32; 256] = std::array::from_fn(|index| {
         (0..8).fold(
             index as u32,
@@ -263,11 +319,11 @@ fn crc32(bytes: &[u8]) -> u32 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::flying::integrate::integrator::tests::parameters;
 
-    fn sample() -> Result<VoxelMap, Error> {
+    pub(crate) fn sample() -> Result<VoxelMap, Error> {
         let extra = MapParameters {
             extra_thresholds: vec![-500.0],
             bounds: Some([[-9.0; 3], [9.0; 3]]),

@@ -7,17 +7,16 @@
 //! moves straight on, something that escorts it closely looks the same, so nothing is decided for
 //! good: a voxel without returns loses its place. After turns of more than 30 degrees it is decided.
 
+use crate::flying::map::saved_body::{EDGE, SIZE};
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, dot, minus, norm};
 use std::f64::consts::PI;
 
 /// Returns nearer than this are placeholders of drivers for rays without return [m].
 const LEAST_RANGE: f64 = 0.2;
-/// Edge of a voxel [m].
-const SIZE: f64 = 0.2;
-/// Voxels along an edge of the cube around the sensor: 6.4 m to each side.
-const EDGE: usize = 64;
 const VOLUME: usize = EDGE * EDGE * EDGE;
+/// Words with a bit per voxel.
+const WORDS: usize = VOLUME / 64;
 /// Every part of the robot is joined to something as near as this [m].
 const NEAR_ZONE: f64 = 3.0;
 /// What goes on further than this is no robot [m].
@@ -36,6 +35,8 @@ const DECIDING_TURN: f64 = 30.0 * PI / 180.0;
 const HELD_SHARE: f64 = 0.6;
 /// A voxel that was found before stays one with this share: parts of the robot may be hidden.
 const KEPT_SHARE: f64 = 0.2;
+/// A robot that was known from an earlier run is still the same if this share of it is kept.
+const SAME_SHARE: f64 = 0.5;
 /// Parts of the robot may have gaps of a voxel.
 const GAP: i32 = 2;
 /// Returns this much above the lowest ones are on the ground [m].
@@ -54,7 +55,7 @@ const RARER: f64 = 5.0;
 pub(crate) struct Body {
     /// Places from which each voxel held returns.
     places: Vec<u16>,
-    /// Scans, from the first on, in which it did, until the sensor has moved.
+    /// Scans, from the first on, in which it did; none once the sensor has moved.
     scans: Vec<u16>,
     n_places: u32,
     n_scans: u32,
@@ -64,12 +65,18 @@ pub(crate) struct Body {
     is_turned: bool,
     /// Height of the ground below the sensor [m].
     ground: f64,
+    /// Voxels of the robot, ascending; none while nothing was found.
+    voxels: Vec<u32>,
     /// A bit per voxel of the robot, and per voxel beside one; none while nothing was found.
     mask: Vec<u64>,
     /// Voxels that may be of the robot, before the sensor has moved.
     maybe: Vec<u64>,
-    /// The scan in which each voxel was met last.
-    met: Vec<u32>,
+    /// What is known comes from an earlier run, and no way of this one has confirmed it.
+    is_recalled: bool,
+    /// Turns of an earlier run have decided it.
+    was_decided: bool,
+    /// A bit per voxel that the scan has met.
+    met: Vec<u64>,
     number: u32,
 }
 
@@ -85,9 +92,12 @@ impl Default for Body {
             first: None,
             is_turned: false,
             ground: f64::NEG_INFINITY,
+            voxels: Vec::new(),
             mask: Vec::new(),
             maybe: Vec::new(),
-            met: vec![0; VOLUME],
+            is_recalled: false,
+            was_decided: false,
+            met: vec![0; WORDS],
             number: 0,
         }
     }
@@ -98,6 +108,12 @@ impl Body {
     #[inline]
     pub(crate) fn contains(&self, point: [f64; 3]) -> bool {
         !self.mask.is_empty() && voxel_of(point).is_some_and(|voxel| has(&self.mask, voxel))
+    }
+
+    /// Whether a return is on the robot: placeholders of drivers are no returns.
+    #[inline]
+    pub(crate) fn holds(&self, point: [f64; 3]) -> bool {
+        self.contains(point) && norm(point) > LEAST_RANGE
     }
 
     /// Whether a point may be on the robot, as long as the sensor has not moved.
@@ -118,7 +134,37 @@ impl Body {
 
     /// Whether turns have shown that what was found belongs to the robot.
     pub(crate) fn is_decided(&self) -> bool {
-        self.is_turned && self.is_found()
+        (self.is_turned || self.was_decided) && self.is_found()
+    }
+
+    /// Voxels of the robot, ascending, and whether turns have decided that they are.
+    pub(crate) fn known(&self) -> Option<(&[u32], bool)> {
+        self.is_found().then_some((&self.voxels, self.is_decided()))
+    }
+
+    /// Take over what an earlier run found: voxels of the cube around the sensor. What this run has
+    /// found itself stays.
+    pub(crate) fn recall(&mut self, voxels: &[u32], is_decided: bool) {
+        if !self.is_found() && voxels.iter().all(|&voxel| (voxel as usize) < VOLUME) {
+            self.take_voxels(voxels.to_vec());
+            (self.is_recalled, self.was_decided) = (true, is_decided);
+        }
+    }
+
+    fn take_voxels(&mut self, voxels: Vec<u32>) {
+        self.mask = beside(&voxels);
+        self.voxels = voxels;
+    }
+
+    /// Drop what an earlier run knew if too little of it held returns lately: the sensor sits on
+    /// another robot, or elsewhere on it.
+    fn check_recalled(&mut self, counts: &[u16], times: u32) {
+        let kept = enough(KEPT_SHARE, times).max(1);
+        let met = self.voxels.iter().filter(|&&voxel| counts[voxel as usize] >= kept).count();
+        if self.is_recalled && (met as f64) < SAME_SHARE * self.voxels.len() as f64 {
+            self.take_voxels(Vec::new());
+            (self.is_recalled, self.was_decided) = (false, false);
+        }
     }
 
     /// Count an accepted scan: points in the sensor's frame, and where the sensor was.
@@ -151,12 +197,29 @@ impl Body {
             self.see_ground(points, pose);
         }
         if self.may_tell() && is_next && self.n_places.is_multiple_of(PLACES_PER_SEARCH) {
-            self.mask = self.found(&self.places, self.n_places);
-            self.maybe = Vec::new();
+            self.search_moved();
         } else if is_still && self.n_scans >= FIRST_SCANS && self.number.is_multiple_of(FIRST_SCANS)
         {
-            self.maybe = self.found(&self.scans, self.n_scans);
+            self.search_still();
         }
+    }
+
+    /// Look for the robot in what was seen from several places.
+    fn search_moved(&mut self) {
+        let places = std::mem::take(&mut self.places);
+        self.check_recalled(&places, self.n_places);
+        self.take_voxels(self.found(&places, self.n_places));
+        self.places = places;
+        self.is_recalled = false;
+        (self.scans, self.maybe) = (Vec::new(), Vec::new());
+    }
+
+    /// Look for what may be the robot, before the sensor has moved.
+    fn search_still(&mut self) {
+        let scans = std::mem::take(&mut self.scans);
+        self.check_recalled(&scans, self.n_scans);
+        self.maybe = beside(&self.found(&scans, self.n_scans));
+        self.scans = scans;
     }
 
     /// The poses of another map cannot be compared with those so far.
@@ -177,15 +240,19 @@ impl Body {
         is_next: bool,
         is_still: bool,
     ) {
+        self.met.fill(0);
         for (row, &point) in points.iter().enumerate() {
             let point = wide(point);
             let is_return = norm(point) > LEAST_RANGE && no_return.is_none_or(|flags| !flags[row]);
             let Some(voxel) = voxel_of(point).filter(|_| is_return) else { continue };
-            if std::mem::replace(&mut self.met[voxel], self.number) == self.number {
+            if has(&self.met, voxel) {
                 continue;
             }
+            self.met[voxel / 64] |= 1 << (voxel % 64);
             self.places[voxel] = self.places[voxel].saturating_add(u16::from(is_next));
-            self.scans[voxel] = self.scans[voxel].saturating_add(u16::from(is_still));
+            if is_still {
+                self.scans[voxel] = self.scans[voxel].saturating_add(1);
+            }
         }
     }
 
@@ -203,31 +270,27 @@ impl Body {
     }
 
     /// The voxels of the robot, given how often each held returns, of how many times.
-    fn found(&self, counts: &[u16], times: u32) -> Vec<u64> {
-        let enough = |share: f64| (share * f64::from(times)).ceil() as u16;
-        let (sure, likely) = (enough(HELD_SHARE), enough(0.5 * HELD_SHARE).max(1));
+    fn found(&self, counts: &[u16], times: u32) -> Vec<u32> {
+        let (sure, likely) = (enough(HELD_SHARE, times), enough(0.5 * HELD_SHARE, times).max(1));
         let mut state: Vec<u8> = counts
             .iter()
             .map(|&count| u8::from(count >= likely) + u8::from(count >= sure))
             .collect();
-        let kept = enough(KEPT_SHARE).max(1);
+        let kept = enough(KEPT_SHARE, times).max(1);
         for (voxel, (state, &count)) in state.iter_mut().zip(counts).enumerate() {
             if count >= kept && !self.mask.is_empty() && has(&self.mask, voxel) {
                 *state = 2;
             }
         }
         let up = self.last.map_or([0.0, 0.0, 1.0], |pose| pose.inverse().rotate([0.0, 0.0, 1.0]));
-        let mut mask = vec![0; VOLUME / 64];
-        let mut part = Vec::new();
+        let (mut found, mut part) = (Vec::new(), Vec::new());
         for first in 0..VOLUME {
-            if state[first] == 2 {
-                let is_robot = self.take_part(first, &mut state, &mut part, up);
-                for &voxel in part.iter().filter(|_| is_robot) {
-                    around(voxel, GAP, |beside| mask[beside / 64] |= 1 << (beside % 64));
-                }
+            if state[first] == 2 && self.take_part(first, &mut state, &mut part, up) {
+                found.extend(part.iter().map(|&voxel| voxel as u32));
             }
         }
-        if mask.iter().all(|&word| word == 0) { Vec::new() } else { mask }
+        found.sort_unstable();
+        found
     }
 
     /// Gather the voxels joined to `first`; whether they are a part of the robot.
@@ -257,6 +320,20 @@ impl Body {
         }
         nearest <= NEAR_ZONE && farthest <= FARTHEST && 2 * n_ground <= part.len()
     }
+}
+
+/// So many of `times`, in whole numbers.
+fn enough(share: f64, times: u32) -> u16 {
+    (share * f64::from(times)).ceil() as u16
+}
+
+/// A bit per voxel, and per voxel beside one; nothing without voxels.
+fn beside(voxels: &[u32]) -> Vec<u64> {
+    let mut mask = if voxels.is_empty() { Vec::new() } else { vec![0; WORDS] };
+    for &voxel in voxels {
+        around(voxel as usize, GAP, |beside| mask[beside / 64] |= 1 << (beside % 64));
+    }
+    mask
 }
 
 /// Way [m] and turn [rad] between two poses.
@@ -410,6 +487,47 @@ mod tests {
         }
         for place in [[0.0; 3], [0.1; 3], [1.0, 0.0, 0.0]] {
             assert!(!body.contains(place), "{place:?}");
+        }
+    }
+
+    fn after_a_drive() -> Body {
+        let mut body = Body::default();
+        for step in 0..30 {
+            let pose = pose(0.5 * f64::from(step), 0.05 * f64::from(step));
+            body.learn(&scan(&pose), None, &pose);
+        }
+        body
+    }
+
+    #[test]
+    fn what_an_earlier_run_found_is_known_at_once_and_stays() {
+        let before = after_a_drive();
+        let mut body = Body::default();
+        if let Some((voxels, is_decided)) = before.known() {
+            body.recall(voxels, is_decided);
+        }
+        assert!(body.is_decided() && body.contains([-1.8, 0.0, -0.4]));
+        for step in 0..60 {
+            let pose = pose((0.5 * f64::from(step) - 10.0).max(0.0), 0.0); // stands, then drives
+            body.learn(&scan(&pose), None, &pose);
+            assert!(body.is_decided() && body.contains([-1.8, 0.0, -0.4]), "{step}");
+        }
+    }
+
+    #[test]
+    fn a_sensor_that_sits_elsewhere_forgets_its_robot_standing_or_driving() {
+        let before = after_a_drive();
+        assert!(before.is_decided());
+        let (voxels, is_decided) = before.known().unwrap_or_default();
+        for speed in [0.0, 0.5] {
+            let mut body = Body::default();
+            body.recall(voxels, is_decided);
+            for step in 0..FIRST_SCANS {
+                let pose = pose(speed * f64::from(step), 0.0);
+                let turned = scan(&pose).into_iter().map(|[x, y, z]| [-x, y, z]);
+                body.learn(&turned.collect::<Vec<_>>(), None, &pose);
+            }
+            assert!(!body.contains([-1.8, 0.0, -0.4]) && !body.is_decided(), "{speed}");
         }
     }
 

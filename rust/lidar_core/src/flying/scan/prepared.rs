@@ -143,6 +143,19 @@ impl Prepared {
         Ok(())
     }
 
+    /// Share of the sensor's rays that gave the points of `rows`, of which several may be of one ray.
+    pub(crate) fn share_of_rays(&self, rows: &[u32], returns_per_ray: usize) -> f64 {
+        let in_scan = self.rows / returns_per_ray.max(1);
+        let mut rays: Vec<usize> = rows.iter().map(|&row| row as usize % in_scan.max(1)).collect();
+        if returns_per_ray > 1 {
+            rays.sort_unstable();
+            rays.dedup();
+        }
+        // Drivers that leave rows out leave rays out: the search for the sky knows how many.
+        let known = self.look.as_ref().map_or(0.0, |look| look.rays);
+        rays.len() as f64 / (in_scan as f64).max(known).max(1.0)
+    }
+
     /// Note the rows that may be on the robot, before the sensor has moved.
     fn take_body(&mut self, raw: &RawScan<'_>, sensor: &Sensor) {
         self.maybe_own.clear();
@@ -390,6 +403,16 @@ mod tests {
         assert_eq!(scan.no_ray, Some(vec![true, false, false, true]));
         assert!(scan.take(&raw(&points[..3]), &sensor, &Transform::IDENTITY, None).is_err());
         Ok(())
+    }
+
+    #[test]
+    fn a_share_of_rays_counts_every_ray_once_and_those_that_drivers_leave_out() {
+        let mut scan = Prepared { rows: 20, ..Prepared::default() };
+        assert_eq!(scan.share_of_rays(&[0, 3, 13], 1), 0.15);
+        assert_eq!(scan.share_of_rays(&[0, 3, 13], 2), 0.2);
+        scan.look = Some(Box::new(Look { rays: 40.0, ..Look::default() }));
+        assert_eq!(scan.share_of_rays(&[0, 3], 1), 0.05);
+        assert_eq!(Prepared::default().share_of_rays(&[], 1), 0.0);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use super::body::Body;
 use crate::Error;
 use crate::flying::frame::SkySource;
+use crate::flying::map::saved_body::SavedBody;
 use crate::flying::sky::{Beams, Look, Moment, RayPattern, Sky};
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, norm};
@@ -142,6 +143,13 @@ impl Sensor {
             Some(sky) if sky.has_rows() => SkySource::Pattern,
             Some(_) => SkySource::Density,
             None => SkySource::Unknown,
+        }
+    }
+
+    /// Take over what an earlier run found of the robot.
+    pub(crate) fn recall(&mut self, saved: &SavedBody) {
+        if let Some(body) = &mut self.body {
+            body.recall(&saved.voxels, saved.is_decided);
         }
     }
 

@@ -87,6 +87,8 @@ pub(crate) struct Look {
     pub(crate) reach: Vec<f32>,
     /// Share of the rays of the sensor that go into the sky.
     pub(crate) share: f64,
+    /// Rays that a scan of this sensor has; 0 while it is not known.
+    pub(crate) rays: f64,
     /// Whether the scan holds any return.
     has_returns: bool,
     /// Returns per cell, as the sensor sees them and in the frame of the map.
@@ -133,7 +135,7 @@ impl Look {
         self.count(moment);
         self.stamp_ns = moment.stamp_ns;
         self.has_returns = !self.samples.is_empty();
-        (self.place, self.share) = (moment.map_from_lidar.translation, 0.0);
+        (self.place, self.share, self.rays) = (moment.map_from_lidar.translation, 0.0, 0.0);
         self.directions.clear();
         self.reach.clear();
         self.since_ns.clear();
@@ -370,7 +372,7 @@ impl Look {
                 }
             }
         }
-        self.share = if all > 0.0 { into_sky / all } else { 0.0 };
+        (self.share, self.rays) = (if all > 0.0 { into_sky / all } else { 0.0 }, all);
     }
 
     fn seems_empty(&self, cell: usize) -> bool {

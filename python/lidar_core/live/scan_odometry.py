@@ -1,0 +1,63 @@
+"""Poses of a stream without any: KISS-ICP places its clouds as they are processed."""
+
+from collections.abc import Callable
+
+from lidar_core.errors import ConfigError, InputError
+from lidar_core.io import NoTransformError, PosedScan
+from lidar_core.messages import Scan, ScanT
+
+
+class ScanOdometry:
+    """Places the clouds of one LiDAR, in the frame of the first one's end.
+
+    Scans that are dropped because a newer one wins are not placed: their motion is part of the next
+    step.
+
+    Parameters
+    ----------
+    note : callable, optional
+        Is given the text of every warning.
+
+    Raises
+    ------
+    MissingExtraError
+        kiss-icp is not installed.
+    """
+
+    def __init__(self, note: Callable[[str], None] | None = None) -> None:
+        from lidar_core.io.poses.odometry import KissOdometry
+
+        self._odometry = KissOdometry(note)
+        self._lidar: tuple[str, str] | None = None
+
+    def posed(self, scan: ScanT) -> PosedScan[ScanT]:
+        """`scan` with the pose that it gives, or two over its time, and their covariance.
+
+        Raises
+        ------
+        NoTransformError
+            It cannot be placed, or is not later than the one before.
+        ConfigError
+            It is a 2D scan, or of another LiDAR than those before.
+        """
+        if not isinstance(scan, Scan):
+            raise ConfigError(
+                "pose: kiss places clouds, not 2D scans; expected auto or static for a stream of"
+                " 2D scans"
+            )
+        lidar = scan.topic, scan.frame_id
+        if self._lidar is None:
+            self._lidar = lidar
+        if lidar != self._lidar:
+            first, other = (" ".join(filter(None, one)) for one in (self._lidar, lidar))
+            raise ConfigError(
+                f"pose: kiss places the scans of one LiDAR ({first}), got those of another"
+                f" ({other}); choose one with --cloud"
+            )
+        try:
+            placed = self._odometry.place(scan)
+        except InputError as error:
+            raise NoTransformError("KISS-ICP: a scan not later than the one before") from error
+        if placed is None:
+            raise NoTransformError("KISS-ICP lost its way")
+        return PosedScan(scan, placed.poses, placed.stamps_ns, placed.covariance)
