@@ -213,6 +213,7 @@ pub fn flying_parameters() -> FlyingParameters {
         removal_waits: true,
         seed: SeedParameters {
             burn_in_scans: 4,
+            burn_in_period: None,
             burn_in_extent: 1.0,
             standing_scans: 0,
             standing_shift: 0.04,
