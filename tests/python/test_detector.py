@@ -105,7 +105,12 @@ def small(config):
             "classify": config.classify.model_copy(update={"search_distance": 2.0}),
             "separate": config.separate.model_copy(update={"max_gap": 1.0, "min_confident": 2}),
             "seed": config.seed.model_copy(
-                update={"burn_in_scans": 3, "burn_in_extent": 1.3, "standing_scans": 0}
+                update={
+                    "burn_in_scans": 3,
+                    "burn_in_period": None,
+                    "burn_in_extent": 1.3,
+                    "standing_scans": 0,
+                }
             ),
             # The specification knows nothing of the robot itself: test_sky.py does.
             "sensor": config.sensor.model_copy(update={"learn_mask_scans": 0, "find_body": False}),

@@ -7,7 +7,7 @@ from flying_scenes import VLP_16, drone, feed, scans_of, yard
 from lidar_core import PointClass, sim
 from lidar_core.errors import ConfigError
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector, SensorConfig
-from lidar_core.sim import Circle
+from lidar_core.sim import Circle, Simulator
 
 UNKNOWN = PointClass.UNKNOWN
 SCENE = yard(drone((4.5, 2.5, 3.2), (1.0, 5.0, 3.6)), lidar=VLP_16, scans=18)
@@ -76,6 +76,19 @@ def test_what_flies_before_the_sky_is_tracked_however_the_driver_says_no_return(
     assert 0.05 < frame.status.sky_share < 0.6
     assert frame.status.n_sky_rays > 100
     assert detector.state_at(IN_THE_SKY) == [0]
+
+
+def test_a_sensor_with_two_scans_a_second_is_ready_after_one_second():
+    scene = SCENE.model_copy(update={"scans": 36})
+    simulator, detector = Simulator(scene, seed=0), FlyingObjectDetector()
+    for step in range(0, 36, 5):
+        simulated = simulator.scan(step)
+        frame = feed(detector, simulated, **dropped(simulated))
+        assert frame.status.gate_open == (step >= 15)
+        assert (frame.status.sky == "unknown") == (step == 0)
+        if step >= 20:
+            assert len(frame.tracks) == 1
+            assert misses(frame, simulated).max() < 0.5
 
 
 @pytest.mark.parametrize("beams", ["given", None])

@@ -49,6 +49,7 @@ fn parameters() -> FlyingParameters {
         separation: Separation { min_confident: 4, ..Separation::default() },
         seed: SeedParameters {
             burn_in_scans: 3,
+            burn_in_period: None,
             burn_in_extent: 1.0,
             standing_scans: 0,
             ground_height: Some(-1.4),

@@ -261,6 +261,14 @@ class SeedConfig(Config):
         le=MOST_SCANS,
         description="First scans, in which nothing is reported (count, no unit).",
     )
+    burn_in_period: float | None = Field(
+        0.1,
+        gt=0,
+        le=60,
+        description="`burn_in_scans` and `standing_scans` are those of a sensor with this time"
+        " between two scans: others take as many as fit into the same time, 3 at least [s]; none,"
+        " as in paper mode: scans are counted however they come.",
+    )
     burn_in_extent: float = Field(
         2.0,
         gt=0,
@@ -381,7 +389,7 @@ class FlyingConfig(Config):
             voxel_map=VoxelMapConfig(ray_unit="metres"),
             cluster=ClusterConfig(max_angle=0.0),
             classify=ClassifyConfig.paper(),
-            seed=SeedConfig(burn_in_extent=1.0, standing_scans=0),
+            seed=SeedConfig(burn_in_period=None, burn_in_extent=1.0, standing_scans=0),
             sensor=SensorConfig.paper(),
             tracker=TrackerConfig.paper(),
             position="paper",

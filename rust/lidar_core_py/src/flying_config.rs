@@ -74,6 +74,7 @@ struct SeparateConfig {
 #[derive(FromPyObject)]
 struct SeedConfig {
     burn_in_scans: u32,
+    burn_in_period: Option<f64>,
     burn_in_extent: f64,
     standing_scans: u32,
     standing_shift: f64,
@@ -149,6 +150,7 @@ impl SeedConfig {
     fn parameters(&self) -> SeedParameters {
         SeedParameters {
             burn_in_scans: self.burn_in_scans,
+            burn_in_period: self.burn_in_period,
             burn_in_extent: self.burn_in_extent,
             standing_scans: self.standing_scans,
             standing_shift: self.standing_shift,

@@ -1,6 +1,7 @@
 //! The pipeline: raw scans in, point classes, detections and tracks out.
 
 use super::background::burn_in::Gate;
+use super::background::burn_in_time::BurnIn;
 use super::background::pose_jump::Held;
 use super::background::static_points::Standing;
 use super::classify::classified::Judged;
@@ -37,6 +38,7 @@ pub struct FlyingObjectDetector {
     pub(super) anchored: bool,
     pub(super) map_from_world: Transform,
     pub(super) scans: u32,
+    pub(super) burn_in: BurnIn,
     /// Whether the last scan that was used left tracks to be reported.
     pub(super) reporting: bool,
     pub(super) held: Option<Held>,
@@ -75,6 +77,7 @@ impl FlyingObjectDetector {
             anchored: false,
             map_from_world: Transform::IDENTITY,
             scans: 0,
+            burn_in: BurnIn::default(),
             reporting: false,
             held: None,
             standing: Standing::default(),
@@ -128,7 +131,8 @@ impl FlyingObjectDetector {
         if let Some(gate) = self.contradiction(scan, sampled) {
             return Ok(self.hold(raw, scan, judged, gate, timing));
         }
-        let gate = self.parameters.seed.gate(self.scans, &self.map, self.needed());
+        let seed = &self.parameters.seed;
+        let gate = seed.gate(self.burn_in, raw.stamp_ns, &self.map, self.needed());
         let cast = self.judge_and_cast(raw, scan, judged, casting, &mut clock, &mut timing)?;
         go_on(keep_going)?;
         self.tracker.check_room(judged.count_of(FLYING))?;
@@ -137,7 +141,7 @@ impl FlyingObjectDetector {
         let stats = self.update_map(raw, scan, judged, casting, cast)?;
         self.accept(raw, scan, gate);
         self.fill_pockets(&judged.verdicts, scan);
-        self.keep_standing(scan);
+        self.keep_standing(scan, gate);
         timing.integrate = clock.lap();
         if self.parameters.removal_waits {
             self.map.remove_separate_from_background(self.parameters.separation)?;
@@ -269,6 +273,7 @@ impl FlyingObjectDetector {
         let sensors = self.sensors.len().max(self.parameters.sensors.len());
         self.tracker.keep_points(sensors > 1);
         self.scans = self.scans.saturating_add(1);
+        self.burn_in = self.burn_in.after(raw.stamp_ns, &self.parameters.seed);
         self.reporting = gate == Gate::Open;
         self.held = None;
         if let Some(distance) = self.parameters.forget_distance {

@@ -1,5 +1,6 @@
 //! Where the detector's map lies in the world: known places, other maps.
 
+use super::background::burn_in_time::BurnIn;
 use super::detector::FlyingObjectDetector;
 use super::map::saved_body::SavedBody;
 use super::map::voxel_map::VoxelMap;
@@ -103,6 +104,7 @@ impl FlyingObjectDetector {
         self.map = VoxelMap::new(self.parameters.map.relative_to([0.0; 3]), self.map.threads())?;
         (self.anchored, self.map_from_world) = (false, Transform::IDENTITY);
         self.scans = 0;
+        self.burn_in = BurnIn::default();
         self.forget_motion();
         for sensor in self.sensors.values_mut() {
             sensor.last_stamp_ns = None;

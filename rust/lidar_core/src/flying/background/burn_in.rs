@@ -3,6 +3,7 @@
 //! No voxel starts occupied and points become background only near occupied voxels, so without a
 //! seed nothing is ever background and nothing is ever detected. The paper is silent about it.
 
+use super::burn_in_time::BurnIn;
 use crate::flying::map::voxel_map::VoxelMap;
 use std::fmt;
 
@@ -11,6 +12,9 @@ use std::fmt;
 pub struct SeedParameters {
     /// Scans of the burn-in, 0 for none.
     pub burn_in_scans: u32,
+    /// They are scans of a sensor with this time between two [s]: others take as many as fit into the
+    /// same time, 3 at least. None counts scans however they come.
+    pub burn_in_period: Option<f64>,
     /// During the burn-in larger clusters are background [m].
     pub burn_in_extent: f64,
     /// Voxels that held points in so many scans of the burn-in are background, 0 for none.
@@ -71,10 +75,9 @@ impl fmt::Display for Gate {
 }
 
 impl SeedParameters {
-    /// Largest cluster that is not background during scan `scan` (0 is the first), and always
-    /// `otherwise`.
-    pub(crate) fn background_extent(&self, scan: u32, otherwise: Option<f64>) -> Option<f64> {
-        if scan < self.burn_in_scans {
+    /// Largest cluster that is not background during the burn-in, and always `otherwise`.
+    pub(crate) fn background_extent(&self, burn_in: BurnIn, otherwise: Option<f64>) -> Option<f64> {
+        if !burn_in.is_over(self) {
             return Some(
                 otherwise.map_or(self.burn_in_extent, |limit| limit.min(self.burn_in_extent)),
             );
@@ -82,10 +85,17 @@ impl SeedParameters {
         otherwise
     }
 
-    /// Gate of scan `scan` (0 is the first).
-    pub(crate) fn gate(&self, scan: u32, map: &VoxelMap, needed: usize) -> Gate {
-        if scan < self.burn_in_scans {
-            Gate::BurnIn { scans: scan + 1, of: self.burn_in_scans }
+    /// Gate of a scan, given the scans before it.
+    pub(crate) fn gate(
+        &self,
+        before: BurnIn,
+        stamp_ns: i64,
+        map: &VoxelMap,
+        needed: usize,
+    ) -> Gate {
+        if !before.is_over(self) {
+            let burn_in = before.after(stamp_ns, self);
+            Gate::BurnIn { scans: burn_in.scans(), of: burn_in.length(self) }
         } else if map.has_background() {
             Gate::Open
         } else {

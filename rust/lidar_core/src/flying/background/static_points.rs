@@ -1,5 +1,7 @@
 //! What stands still during the burn-in: background, however small.
 
+use super::burn_in::Gate;
+use super::burn_in_time::BurnIn;
 use crate::flying::detector::FlyingObjectDetector;
 use crate::flying::map::blocks::Place;
 use crate::flying::scan::prepared::Prepared;
@@ -65,18 +67,19 @@ impl Standing {
 
 impl FlyingObjectDetector {
     /// At the end of the burn-in, what stood still all the time becomes background.
-    pub(crate) fn keep_standing(&mut self, scan: &Prepared) {
+    pub(crate) fn keep_standing(&mut self, scan: &Prepared, gate: Gate) {
         let seed = &self.parameters.seed;
-        let of = seed.burn_in_scans;
-        if self.scans > of || seed.standing_scans == 0 {
+        let Gate::BurnIn { scans, of } = gate else { return };
+        if seed.standing_scans == 0 {
             return;
         }
-        self.standing.add(self.map.lattice(), &scan.points, self.scans, of);
-        if self.scans == of {
+        self.standing.add(self.map.lattice(), &scan.points, scans, of);
+        if scans >= of {
             let distance = self.parameters.classify.close_distance;
             let lattice = *self.map.lattice();
             let moving = self.tracker.moved_by(seed.standing_track_distance);
-            let mut standing = self.standing.voxels(seed.standing_scans, seed.standing_shift);
+            let mut standing =
+                self.standing.voxels(BurnIn::standing(seed, of), seed.standing_shift);
             standing.retain(|&voxel| {
                 let center = lattice.center(voxel);
                 moving.iter().all(|&position| norm(minus(position, center)) > distance)

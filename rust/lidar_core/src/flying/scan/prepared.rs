@@ -133,7 +133,7 @@ impl Prepared {
             map,
         };
         if sensor.look_at_sky(&moment, &mut look) {
-            (self.sky, self.sky_share) = (sensor.sky_source(), look.share);
+            (self.sky, self.sky_share) = (sensor.sky_source(raw.stamp_ns), look.share);
             self.append_sky(&look.directions, &look.reach);
             self.ground = self.pose.translation[2] + look.ground();
             self.low = self.pose.translation[2] + look.low();

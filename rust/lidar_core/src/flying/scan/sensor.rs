@@ -133,13 +133,13 @@ impl Sensor {
     pub(crate) fn look_at_sky(&self, moment: &Moment<'_>, look: &mut Look) -> bool {
         let Some(sky) = &self.sky else { return false };
         look.fill(sky, moment);
-        sky.is_known() && look.has_returns()
+        sky.is_known_at(moment.stamp_ns) && look.has_returns()
     }
 
     /// How the rays without return of a scan are known, if they are found and not given.
-    pub(crate) fn sky_source(&self) -> SkySource {
+    pub(crate) fn sky_source(&self, stamp_ns: i64) -> SkySource {
         match &self.sky {
-            Some(sky) if !sky.is_known() => SkySource::Unknown,
+            Some(sky) if !sky.is_known_at(stamp_ns) => SkySource::Unknown,
             Some(sky) if sky.has_rows() => SkySource::Pattern,
             Some(_) => SkySource::Density,
             None => SkySource::Unknown,

@@ -8,8 +8,6 @@ use super::grid::{BANDS, CELLS, GRID, SECTORS, band_of, limits_of};
 use crate::geometry::transform::norm;
 use std::f64::consts::{PI, TAU};
 
-/// Scans before anything is said.
-const ENOUGH_SCANS: u32 = 3;
 /// A sensor with returns in more sectors than this turns: 210 degrees, more than any fixed one sees.
 const TURNING_SECTORS: usize = 21;
 /// The density at an elevation is that of the sector with this rank: the fullest ones may hold the
@@ -82,14 +80,7 @@ impl Emission {
             *count += u64::from(more);
         }
         self.scans = self.scans.saturating_add(1);
-        if self.scans >= ENOUGH_SCANS {
-            self.density = Density::learnt(&self.counts, self.scans);
-        }
-    }
-
-    /// Whether it is known where rays are cast.
-    pub(super) fn is_ready(&self) -> bool {
-        !matches!(self.density, Density::Unknown)
+        self.density = Density::learnt(&self.counts, self.scans);
     }
 
     /// Rays per steradian and scan towards a unit direction in the sensor's frame.
@@ -312,10 +303,7 @@ mod tests {
         let mut emission = Emission::of(None);
         // Sky over a third of the turn, nothing above 30 degrees anywhere.
         let seen = counts(|d| (-0.2..0.5).contains(&d[2]) && (d[1] < 0.0 || d[0] < 0.0));
-        for scan in 0..3 {
-            assert_eq!(emission.is_ready(), scan >= ENOUGH_SCANS);
-            emission.learn(&seen);
-        }
+        (0..3).for_each(|_| emission.learn(&seen));
         let expected = 20.0 / GRID.solid_angles[GRID.cell([1.0, 1.0, 0.1])];
         assert!((emission.towards([0.7, 0.7, 0.1]) / expected - 1.0).abs() < 0.2);
         assert_eq!(emission.towards([0.6, 0.0, 0.8]), 0.0);

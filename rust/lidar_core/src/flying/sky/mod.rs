@@ -26,6 +26,9 @@ use crate::geometry::transform::{minus, norm};
 
 /// Scans in which a known sensor is held against the returns.
 const CHECKED_SCANS: u32 = 5;
+/// Scans after which it is known where rays are cast, or time since the first scan [ns].
+const ENOUGH_SCANS: u32 = 3;
+const ENOUGH_NS: i64 = 300_000_000;
 /// Every so many scans the emission is learnt from, after the first [`LEARNING_SCANS`].
 const LEARNING_STEP: u32 = 8;
 const LEARNING_SCANS: u32 = 64;
@@ -67,6 +70,7 @@ pub(crate) struct Sky {
     lowest: f64,
     /// Returns of a usual scan.
     usual: f64,
+    first_ns: Option<i64>,
     last_ns: Option<i64>,
     scans: u32,
     /// Scans with enough returns to tell the sensor by.
@@ -92,6 +96,7 @@ impl Sky {
             place: [0.0; 3],
             lowest: 0.0,
             usual: 0.0,
+            first_ns: None,
             last_ns: None,
             scans: 0,
             checked: 0,
@@ -127,9 +132,11 @@ impl Sky {
         })
     }
 
-    /// Whether it is known where rays are cast.
-    pub(crate) fn is_known(&self) -> bool {
-        self.emission.is_ready()
+    /// Whether it is known where rays are cast, for a scan of this time. A few scans may miss a part
+    /// of the field of view, unless they are far apart: slow sensors look longer.
+    pub(crate) fn is_known_at(&self, stamp_ns: i64) -> bool {
+        let seconds = self.first_ns.map_or(0, |first| stamp_ns.saturating_sub(first));
+        self.known.is_some() || self.scans >= ENOUGH_SCANS || seconds >= ENOUGH_NS
     }
 
     /// Whether the rays lie in rows.
@@ -145,6 +152,7 @@ impl Sky {
         if !look.leave(self) {
             return;
         }
+        self.first_ns = self.first_ns.or(self.last_ns);
         if self.scans < LEARNING_SCANS || self.scans.is_multiple_of(LEARNING_STEP) {
             self.emission.learn(look.seen_by_sensor());
         }

@@ -1,0 +1,275 @@
+//! One scan, held against what is known of its sensor: which directions are sky, and how far.
+
+mod reach;
+mod surfaces;
+#[cfg(test)]
+mod tests;
+
+use super::floor::FloorFinder;
+use super::grid::{CELLS, GRID};
+use super::{NEVER, Sky};
+use crate::flying::map::voxel_map::VoxelMap;
+use crate::geometry::lattice::wide;
+use crate::geometry::transform::{Transform, dot, norm};
+
+/// What was cast longer ago counts less: time constant [s].
+const EVIDENCE_TIME: f64 = 1.0;
+/// More rays tell no more.
+const MOST_RAYS: f32 = 50.0;
+/// Returns nearer than this are none: drivers that move their zeros with the sensor give vectors of
+/// up to 3 cm [m].
+const LEAST_RANGE: f64 = 0.1;
+/// Rays of sky end this much before a surface beside them [m].
+const BEFORE_SURFACE: f64 = 0.5;
+/// Things that reach down to this height above the lowest returns are on the ground [m].
+pub(crate) const ON_GROUND: f64 = 0.35;
+/// The ground is this flat [m], and its far part this many times further away than its near one.
+const FLAT: f64 = 0.2;
+const GROUND_RATIO: f64 = 1.8;
+/// Fewer samples may be of one thing.
+const ENOUGH_LOW: usize = 50;
+/// Directions within this angle are around a target: cosine of 12 degrees.
+const AROUND_COSINE: f64 = 0.978;
+/// Rays of sky go as far as this share of the distance that one return in fifty exceeds: in fog
+/// and dust surfaces fade, and beyond that distance no return tells nothing.
+const VISIBLE_SHARE: f64 = 0.8;
+/// With fewer returns than this share of a usual scan the sensor is covered, or its data cut.
+const COVERED_SHARE: f64 = 0.5;
+/// Weight of the newest scan in what is usual, and of one that shows far less: a cover stays longer
+/// than it takes to get used to it.
+const NEWEST: f64 = 0.1;
+const NEWEST_COVERED: f64 = 0.002;
+/// Points of which ranges and heights are ranked.
+const SAMPLES: usize = 4096;
+
+/// Where and when a scan was taken.
+#[derive(Clone, Copy)]
+pub(crate) struct Moment<'a> {
+    pub(crate) points: &'a [[f32; 3]],
+    /// Rows without a return.
+    pub(crate) no_return: Option<&'a [bool]>,
+    pub(crate) map_from_lidar: &'a Transform,
+    pub(crate) stamp_ns: i64,
+    /// Whether the robot hides a direction in the frame of the sensor.
+    pub(crate) is_masked: &'a dyn Fn([f64; 3]) -> bool,
+    /// The map before the scan.
+    pub(crate) map: &'a VoxelMap,
+}
+
+/// What one scan shows; what it changes in [`Sky`] is kept apart until the scan is accepted.
+#[derive(Default)]
+pub(crate) struct Look {
+    /// Directions of rays that met nothing, frame of the map, and how far they clear [m].
+    pub(crate) directions: Vec<[f32; 3]>,
+    pub(crate) reach: Vec<f32>,
+    /// Share of the rays of the sensor that go into the sky.
+    pub(crate) share: f64,
+    /// Rays that a scan of this sensor has; 0 while it is not known.
+    pub(crate) rays: f64,
+    /// Whether the scan holds any return.
+    has_returns: bool,
+    /// Returns per cell, as the sensor sees them and in the frame of the map.
+    of_sensor: Vec<u32>,
+    hits: Vec<u32>,
+    /// Range of the nearest return in every cell [m].
+    nearest: Vec<f32>,
+    /// Rays expected in every cell.
+    expected: Vec<f32>,
+    /// Ranges beyond which no ray of a cell clears [m], and memory for widening them.
+    limit: Vec<f32>,
+    wider: Vec<f32>,
+    is_sky: Vec<bool>,
+    /// Range and height above the sensor of some returns [m].
+    samples: Vec<[f64; 2]>,
+    /// Values that are ranked.
+    ranks: Vec<f64>,
+    /// Cells without returns into which enough rays were cast.
+    is_empty: Vec<bool>,
+    /// Cells of a thing, while it is looked at.
+    thing: Vec<u16>,
+    is_taken: Vec<bool>,
+    // What becomes of `Sky`.
+    evidence: Vec<f32>,
+    surface: Vec<f32>,
+    surface_ns: Vec<i64>,
+    since_ns: Vec<i64>,
+    place: [f64; 3],
+    lowest: f64,
+    /// Whether the lowest returns are those of the ground.
+    has_ground: bool,
+    /// Samples at the height of the lowest returns.
+    n_low: usize,
+    /// Height of flat ground above the sensor, if it is seen [m].
+    floor: Option<f64>,
+    finder: FloorFinder,
+    usual: f64,
+    stamp_ns: i64,
+}
+
+impl Look {
+    /// Look at a scan: directions, reach and share tell what it shows of the sky.
+    pub(crate) fn fill(&mut self, sky: &Sky, moment: &Moment<'_>) {
+        self.count(moment);
+        self.stamp_ns = moment.stamp_ns;
+        self.has_returns = !self.samples.is_empty();
+        (self.place, self.share, self.rays) = (moment.map_from_lidar.translation, 0.0, 0.0);
+        self.directions.clear();
+        self.reach.clear();
+        self.since_ns.clear();
+        self.since_ns.resize(CELLS, NEVER);
+        self.is_sky.clear();
+        self.is_sky.resize(CELLS, false);
+        if !self.has_returns {
+            return; // tells nothing, not even of open sky
+        }
+        self.expect(sky, moment.map_from_lidar);
+        self.remember_surfaces(sky);
+        self.widen(sky);
+        let visible = VISIBLE_SHARE * self.ranked(0.98, |[range, _]| Some(range));
+        let low = self.ranked(0.05, |[_, height]| Some(height));
+        let last = if sky.last_ns.is_some() { sky.lowest } else { low };
+        self.lowest = (last + NEWEST * (low - last)).min(low + BEFORE_SURFACE);
+        self.has_ground = self.sees_ground(low);
+        self.floor = self.finder.find(&self.samples);
+        let returns = self.hits.iter().map(|&hits| f64::from(hits)).sum::<f64>();
+        let usual = if sky.last_ns.is_some() { sky.usual } else { returns };
+        let is_covered = returns < COVERED_SHARE * usual;
+        let newest = if is_covered { NEWEST_COVERED } else { NEWEST };
+        self.usual = usual + newest * (returns - usual);
+        if !is_covered && sky.is_known_at(moment.stamp_ns) {
+            self.cast(sky, moment, visible);
+        }
+    }
+
+    /// Of the directions around a target that are known to be free beyond it, the share that only
+    /// the sky supports; `target` is relative to the sensor, frame of the map [m].
+    pub(crate) fn share_around(&self, target: [f64; 3]) -> f64 {
+        let range = norm(target);
+        let is_near = |cell: &usize| dot(GRID.centers[*cell], target) > AROUND_COSINE * range;
+        let (mut sky, mut all) = (0usize, 0usize);
+        for cell in (0..CELLS).filter(is_near) {
+            let is_behind = f64::from(self.nearest[cell]) > range + BEFORE_SURFACE;
+            let is_seen = self.hits[cell] > 0 && is_behind;
+            sky += usize::from(self.is_sky[cell]);
+            all += usize::from(self.is_sky[cell] || is_seen);
+        }
+        sky as f64 / all.max(1) as f64
+    }
+
+    /// Height below which things are on the ground, relative to the sensor [m].
+    pub(crate) fn ground(&self) -> f64 {
+        if self.has_ground { self.low() } else { f64::NEG_INFINITY }
+    }
+
+    /// Height up to which returns are among the lowest, relative to the sensor [m]; none if these
+    /// are few, such as those of a target below the sensor.
+    pub(crate) fn low(&self) -> f64 {
+        if self.n_low >= ENOUGH_LOW { self.lowest + ON_GROUND } else { f64::NEG_INFINITY }
+    }
+
+    /// Height of flat ground, relative to the sensor [m]. What is mirrored in it lies below.
+    pub(crate) fn floor(&self) -> Option<f64> {
+        self.floor
+    }
+
+    /// Whether the scan holds any return.
+    pub(crate) fn has_returns(&self) -> bool {
+        self.has_returns
+    }
+
+    /// Returns per cell, as the sensor sees them.
+    pub(super) fn seen_by_sensor(&self) -> &[u32] {
+        &self.of_sensor
+    }
+
+    /// Leave what has been seen in `sky`; false if nothing was.
+    pub(super) fn leave(&mut self, sky: &mut Sky) -> bool {
+        if !self.has_returns {
+            return false;
+        }
+        std::mem::swap(&mut self.evidence, &mut sky.evidence);
+        std::mem::swap(&mut self.surface, &mut sky.surface);
+        std::mem::swap(&mut self.surface_ns, &mut sky.surface_ns);
+        std::mem::swap(&mut self.since_ns, &mut sky.since_ns);
+        if !sky.sees_the_same_from(self.place) {
+            sky.place = self.place;
+        }
+        (sky.lowest, sky.usual, sky.last_ns) = (self.lowest, self.usual, Some(self.stamp_ns));
+        true
+    }
+
+    fn count(&mut self, moment: &Moment<'_>) {
+        for counts in [&mut self.of_sensor, &mut self.hits] {
+            counts.clear();
+            counts.resize(CELLS, 0);
+        }
+        self.nearest.clear();
+        self.nearest.resize(CELLS, f32::INFINITY);
+        self.samples.clear();
+        let grid = &*GRID;
+        let step = (moment.points.len() / SAMPLES).max(1);
+        for (row, &point) in moment.points.iter().enumerate() {
+            let point = wide(point);
+            let range = norm(point);
+            if !(range.is_finite() && range > LEAST_RANGE)
+                || moment.no_return.is_some_and(|flags| flags[row])
+            {
+                continue;
+            }
+            let turned = moment.map_from_lidar.rotate(point);
+            self.of_sensor[grid.cell(point)] += 1;
+            let cell = grid.cell(turned);
+            self.hits[cell] += 1;
+            self.nearest[cell] = self.nearest[cell].min(range as f32);
+            if row % step == 0 || self.samples.is_empty() {
+                self.samples.push([range, turned[2]]);
+            }
+        }
+    }
+
+    /// Rays that the sensor casts into every cell, and those since its last return.
+    fn expect(&mut self, sky: &Sky, map_from_lidar: &Transform) {
+        let lidar_from_map = map_from_lidar.inverse();
+        let is_known = sky.is_known_at(self.stamp_ns);
+        let age =
+            sky.last_ns.map_or(0.0, |last| (self.stamp_ns.saturating_sub(last)) as f64 * 1e-9);
+        let keep = libm::exp(-age.max(0.0) / EVIDENCE_TIME) as f32;
+        self.expected.clear();
+        self.evidence.clear();
+        for cell in 0..CELLS {
+            let towards = lidar_from_map.rotate(GRID.centers[cell]);
+            let density = if is_known { sky.emission.towards(towards) } else { 0.0 };
+            let rays = (density * GRID.solid_angles[cell]) as f32;
+            self.expected.push(rays);
+            let since = (keep * sky.evidence[cell] + rays).min(MOST_RAYS);
+            self.evidence.push(if self.hits[cell] > 0 { 0.0 } else { since });
+        }
+    }
+
+    /// Whether the lowest returns come from near and far, as those of the ground do: what a field of
+    /// view cuts off lies the deeper, the further away it is.
+    fn sees_ground(&mut self, low: f64) -> bool {
+        let on_ground = |[range, height]: [f64; 2]| ((height - low).abs() < FLAT).then_some(range);
+        let near = self.ranked(0.1, on_ground);
+        let far = self.ranked(0.9, on_ground);
+        self.n_low = self.ranks.len();
+        20 * self.n_low >= self.samples.len() && far >= GROUND_RATIO * near
+    }
+
+    /// The value that has a share of all values below it; 0 without any.
+    fn ranked(&mut self, share: f64, value: impl Fn([f64; 2]) -> Option<f64>) -> f64 {
+        self.ranks.clear();
+        self.ranks.extend(self.samples.iter().filter_map(|&sample| value(sample)));
+        ranked(&mut self.ranks, share)
+    }
+}
+
+/// The value that has a share of all values below it; 0 without any.
+pub(super) fn ranked(values: &mut [f64], share: f64) -> f64 {
+    let rank = (share * values.len() as f64) as usize;
+    let rank = rank.min(values.len().saturating_sub(1));
+    if values.is_empty() {
+        return 0.0;
+    }
+    *values.select_nth_unstable_by(rank, f64::total_cmp).1
+}

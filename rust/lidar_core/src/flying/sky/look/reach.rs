@@ -1,0 +1,109 @@
+//! Which cells are sky, and how far the rays into them clear.
+
+use super::super::grid::{CELLS, GRID, PARTS};
+use super::super::way::Way;
+use super::super::{NEVER, Sky};
+use super::{BEFORE_SURFACE, Look, Moment};
+use crate::geometry::lattice::wide;
+use std::f64::consts::PI;
+
+/// So many rays into a cell and its neighbours, and no return: were there a surface that returns
+/// most of its light, one scan in a thousand would look like this (e^-7).
+const ENOUGH_RAYS: f32 = 7.0;
+/// They end this much above the lowest returns [m]: ground that gives none is no lower than that.
+const ABOVE_GROUND: f64 = 1.0;
+/// Returns in a cell and around it between which a sensor leaves gaps.
+const LEAST_AROUND: u32 = 7;
+const MOST_AROUND: u32 = 400;
+/// A ray may lie this much below the middle of its cell [rad]: 1.4 degrees.
+const CELL_TILT: f64 = 1.4 * PI / 180.0;
+/// Rays of sky that are shorter than this tell nothing [m].
+const LEAST_REACH: f64 = 2.0;
+/// A direction that was empty for so long clears what returns have shown [ns].
+const TRUSTED_NS: i64 = 2_000_000_000;
+/// After a longer pause between scans the sky is seen anew [ns].
+const LONGEST_PAUSE_NS: i64 = 1_000_000_000;
+/// Time between scans of the usual sensor, with some jitter [ns].
+const USUAL_STEP_NS: i64 = 90_000_000;
+
+impl Look {
+    /// Find the sky, and the rays into it: of each cell every third part, others in the next scan;
+    /// the more of them the longer the last scan is ago.
+    pub(super) fn cast(&mut self, sky: &Sky, moment: &Moment<'_>, visible: f64) {
+        let visible = visible.min(moment.map.parameters().max_range);
+        let pause = sky.last_ns.map_or(0, |last| self.stamp_ns.saturating_sub(last));
+        let is_same_place = sky.sees_the_same_from(self.place) && pause <= LONGEST_PAUSE_NS;
+        let mut way = Way::through(moment.map, self.place);
+        let lidar_from_map = moment.map_from_lidar.inverse();
+        let thirds = (pause / USUAL_STEP_NS).clamp(1, PARTS as i64) as usize;
+        self.limit_holes();
+        let (mut into_sky, mut all) = (0.0, 0.0);
+        for cell in 0..CELLS {
+            all += f64::from(self.expected[cell]);
+            let is_sky = self.is_empty[cell] && self.reach_of(cell, visible) >= LEAST_REACH;
+            let before = || self.reach_before(cell).min(moment.map.parameters().max_range);
+            let reach = if is_sky { self.reach_of(cell, visible) } else { before() };
+            if reach < LEAST_REACH {
+                continue;
+            }
+            let mut is_trusted = false;
+            if is_sky {
+                into_sky += f64::from(self.expected[cell]);
+                let was_sky = is_same_place && sky.since_ns[cell] != NEVER;
+                let since = if was_sky { sky.since_ns[cell] } else { self.stamp_ns };
+                (self.since_ns[cell], self.is_sky[cell]) = (since, true);
+                is_trusted = self.stamp_ns.saturating_sub(since) >= TRUSTED_NS;
+            }
+            for part in 0..PARTS * PARTS {
+                let turn = part / PARTS + part % PARTS + sky.scans as usize;
+                if turn % PARTS >= thirds {
+                    continue;
+                }
+                let direction = GRID.parts[cell * PARTS * PARTS + part];
+                if (moment.is_masked)(lidar_from_map.rotate(wide(direction))) {
+                    continue; // the robot hides it
+                }
+                let free = if is_trusted { reach } else { way.free(wide(direction), reach) };
+                if free >= LEAST_REACH {
+                    self.directions.push(direction);
+                    self.reach.push(free as f32);
+                }
+            }
+        }
+        (self.share, self.rays) = (if all > 0.0 { into_sky / all } else { 0.0 }, all);
+    }
+
+    pub(super) fn seems_empty(&self, cell: usize) -> bool {
+        let beside = || GRID.beside(cell).iter().map(|&other| usize::from(other));
+        beside().all(|other| self.hits[other] == 0)
+            && beside().map(|other| self.evidence[other]).sum::<f32>() >= ENOUGH_RAYS
+            && beside().any(|other| self.expected[other] > 0.0)
+    }
+
+    /// How far it is free between the rays of a sparse sensor, in a cell that is no sky [m]: what is
+    /// nearer than all returns around would have been met. 0 for dense sensors, which leave no gaps.
+    fn reach_before(&self, cell: usize) -> f64 {
+        let beside = || GRID.beside(cell).iter().map(|&other| usize::from(other));
+        let rays: u32 = beside().map(|other| self.hits[other]).sum();
+        if !(LEAST_AROUND..MOST_AROUND).contains(&rays) {
+            return 0.0;
+        }
+        let nearest = beside().map(|other| self.nearest[other]).fold(f32::INFINITY, f32::min);
+        (f64::from(nearest) - BEFORE_SURFACE).min(self.reach_above_ground(cell))
+    }
+
+    /// How far the rays of an empty cell clear [m].
+    fn reach_of(&self, cell: usize, visible: f64) -> f64 {
+        let before_surface = f64::from(self.limit[cell]) - BEFORE_SURFACE;
+        visible.min(before_surface).min(self.reach_above_ground(cell))
+    }
+
+    /// How far the rays of a cell stay above the ground [m].
+    fn reach_above_ground(&self, cell: usize) -> f64 {
+        let tilt = libm::asin(GRID.centers[cell][2].clamp(-1.0, 1.0)) - CELL_TILT;
+        let fall = -libm::sin(tilt.max(-PI / 2.0));
+        let ground = self.floor.map_or(self.lowest, |floor| floor.max(self.lowest));
+        let height = -ground - ABOVE_GROUND;
+        if fall > 0.0 { height / fall } else { f64::INFINITY }
+    }
+}

@@ -1,0 +1,133 @@
+//! Surfaces that are known, which limit the rays beside them, and holes in them.
+
+use super::super::Sky;
+use super::super::grid::{CELLS, GRID};
+use super::{Look, ranked};
+use crate::geometry::transform::{minus, norm};
+
+/// A surface is remembered so long after its last return [ns].
+const SURFACE_NS: i64 = 500_000_000;
+/// The same for a sensor whose scans are further apart.
+const LONGEST_SURFACE_NS: i64 = 2_000_000_000;
+/// Surfaces may go on beside what is seen of them for so many cells: 6 degrees.
+const SURFACE_CELLS: usize = 3;
+/// Cells beside each other whose ranges differ by less belong to one thing [m].
+const SAME_RANGE: f32 = 1.0;
+/// Things with a larger diagonal of their box are surfaces; smaller ones may be targets [m].
+const SURFACE_SIZE: f64 = 2.0;
+/// Holes in surfaces have fewer cells than this: 40 degrees by 40.
+const MOST_OF_HOLE: usize = 400;
+
+impl Look {
+    /// Note the ranges of what was seen, unless it is as small as a target.
+    pub(super) fn remember_surfaces(&mut self, sky: &Sky) {
+        self.surface.clone_from(&sky.surface);
+        self.surface_ns.clone_from(&sky.surface_ns);
+        self.is_taken.clear();
+        self.is_taken.resize(CELLS, false);
+        for first in 0..CELLS {
+            if self.hits[first] == 0 || self.is_taken[first] {
+                continue;
+            }
+            let is_surface = self.take_thing(first) > SURFACE_SIZE;
+            for &cell in &self.thing {
+                let cell = usize::from(cell);
+                self.surface[cell] = self.nearest[cell];
+                self.surface_ns[cell] = if is_surface { self.stamp_ns } else { i64::MIN };
+            }
+        }
+    }
+
+    /// Gather the cells of the thing seen in the cell `first`; the diagonal of its box [m].
+    fn take_thing(&mut self, first: usize) -> f64 {
+        self.thing.clear();
+        self.thing.push(first as u16);
+        self.is_taken[first] = true;
+        let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+        let mut next = 0;
+        while let Some(&cell) = self.thing.get(next) {
+            next += 1;
+            let range = self.nearest[usize::from(cell)];
+            for axis in 0..3 {
+                let place = f64::from(range) * GRID.centers[usize::from(cell)][axis];
+                low[axis] = low[axis].min(place);
+                high[axis] = high[axis].max(place);
+            }
+            for &other in GRID.beside(usize::from(cell)) {
+                let (at, gap) = (usize::from(other), self.nearest[usize::from(other)] - range);
+                if self.hits[at] > 0 && !self.is_taken[at] && gap.abs() < SAME_RANGE {
+                    self.is_taken[at] = true;
+                    self.thing.push(other);
+                }
+            }
+        }
+        norm(minus(high, low))
+    }
+
+    /// Let surfaces that are known limit the cells around them.
+    pub(super) fn widen(&mut self, sky: &Sky) {
+        // A slow sensor has not looked again after the usual time.
+        let step = sky.last_ns.map_or(0, |last| self.stamp_ns.saturating_sub(last));
+        let longest = step.clamp(SURFACE_NS, LONGEST_SURFACE_NS);
+        let is_known = |ns: &i64| self.stamp_ns.saturating_sub(*ns) <= longest;
+        let known = self.surface.iter().zip(&self.surface_ns);
+        self.limit.clear();
+        self.limit
+            .extend(known.map(|(range, ns)| if is_known(ns) { *range } else { f32::INFINITY }));
+        for _ in 0..SURFACE_CELLS {
+            let limit = &self.limit;
+            let least = |cell: usize| {
+                let beside = GRID.beside(cell).iter().map(|&other| limit[usize::from(other)]);
+                beside.fold(f32::INFINITY, f32::min)
+            };
+            self.wider.clear();
+            self.wider.extend((0..CELLS).map(least));
+            std::mem::swap(&mut self.limit, &mut self.wider);
+        }
+    }
+
+    /// Empty directions that surfaces enclose on all sides, within the field of view, are a hole in
+    /// these: something dark or wet, or glass. They are limited as if they were part of them.
+    pub(super) fn limit_holes(&mut self) {
+        let empty: Vec<bool> = (0..CELLS).map(|cell| self.seems_empty(cell)).collect();
+        self.is_empty = empty;
+        self.is_taken.fill(false);
+        for first in 0..CELLS {
+            if !self.is_empty[first] || self.is_taken[first] {
+                continue;
+            }
+            let Some(limit) = self.take_hole(first) else { continue };
+            for &cell in &self.thing {
+                let limited = &mut self.limit[usize::from(cell)];
+                *limited = limited.min(limit);
+            }
+        }
+    }
+
+    /// Gather the empty cells around `first`; the middle range of what encloses them, if all of it
+    /// has been seen [m].
+    fn take_hole(&mut self, first: usize) -> Option<f32> {
+        self.thing.clear();
+        self.thing.push(first as u16);
+        self.is_taken[first] = true;
+        self.ranks.clear();
+        let (mut next, mut is_open) = (0, false);
+        while let Some(&cell) = self.thing.get(next) {
+            next += 1;
+            for &other in GRID.beside(usize::from(cell)) {
+                let at = usize::from(other);
+                if self.is_empty[at] {
+                    if !std::mem::replace(&mut self.is_taken[at], true) {
+                        self.thing.push(other);
+                    }
+                } else if self.limit[at].is_finite() {
+                    self.ranks.push(f64::from(self.limit[at]));
+                } else {
+                    is_open |= self.expected[at] == 0.0; // the edge of the field of view
+                }
+            }
+        }
+        let is_hole = !is_open && self.thing.len() < MOST_OF_HOLE && !self.ranks.is_empty();
+        is_hole.then(|| ranked(&mut self.ranks, 0.5) as f32)
+    }
+}
