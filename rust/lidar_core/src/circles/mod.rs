@@ -10,6 +10,7 @@ pub mod map;
 mod map_input;
 pub mod pipeline;
 pub mod preprocess;
+mod raw_sweep;
 mod scanner;
 pub mod segment;
 pub mod selection;

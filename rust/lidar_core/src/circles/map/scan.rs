@@ -14,6 +14,7 @@ use crate::circles::fit::circle::{Circle, CircleEstimate};
 use crate::circles::shape::{ShapeEstimate, ShapeKind};
 use crate::geometry::transform::Transform;
 use nalgebra::{Matrix2, Matrix3, SMatrix};
+use serde::{Deserialize, Serialize};
 
 /// Relative size of what a covariance may lack to be symmetric or positive.
 const ROUNDING: f64 = 1e-9;
@@ -63,7 +64,7 @@ pub struct OutlineEstimate {
 }
 
 /// Where and when a scan was made, and what it can be asked.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Viewpoint {
     pub(super) stamp_ns: i64,
     pub(super) sensor: u32,
@@ -79,7 +80,7 @@ impl Viewpoint {
 }
 
 /// Objects of one kind, in the world.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Seen<M> {
     pub(super) measurements: Vec<M>,
     /// Element of each, once the map has taken the scan in.
@@ -93,7 +94,7 @@ impl<M> Seen<M> {
 }
 
 /// A scan as the map keeps it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Placed {
     pub(super) from: Viewpoint,
     pub(super) bodies: Seen<BodyMeasurement>,
@@ -101,6 +102,13 @@ pub(super) struct Placed {
 }
 
 impl Placed {
+    /// Whether its parts agree: of a state that was read.
+    pub(super) fn is_sound(&self) -> bool {
+        self.bodies.measurements.len() == self.bodies.elements.len()
+            && self.lines.measurements.len() == self.lines.elements.len()
+            && self.from.view.as_ref().is_none_or(SortedView::is_sound)
+    }
+
     /// # Errors
     /// [`Error::Value`] for a pose or an object that cannot be used, [`Error::Limit`] for too many.
     pub(super) fn new(scan: &CircleScan<'_>) -> Result<Self, Error> {
