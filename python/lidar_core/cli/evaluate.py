@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.common import JsonFile, Row, consoles, given, result_table, write_json
-from lidar_core.cli.score_rows import (
+from lidar_core.cli.shared.common import JsonFile, Row, consoles, given, result_table, write_json
+from lidar_core.cli.shared.score_rows import (
     consistency_warnings,
     counted_caption,
     detail_rows,

@@ -8,7 +8,6 @@ from typing import Any, Generic
 
 from lidar_core.errors import FormatError, LidarCoreError
 from lidar_core.io import NoTransformError, PosedScan
-from lidar_core.io.poses.posed import ScanT
 from lidar_core.live.config import LiveConfig
 from lidar_core.live.inbox import Arrival, Batch, Inbox
 from lidar_core.live.outputs import Output
@@ -16,7 +15,7 @@ from lidar_core.live.pipelines import LivePipeline
 from lidar_core.live.poses import LivePoses
 from lidar_core.live.source import Source
 from lidar_core.live.stats import Delay, LiveStats, within_limit
-from lidar_core.messages import Message, Pose
+from lidar_core.messages import Message, Pose, ScanT
 
 IDLE_S = 0.05  # longest sleep while nothing arrives
 SILENCE_S = 1.2  # without a scan, after which is told what there is instead

@@ -5,8 +5,7 @@ use super::fit::{FitParameters, Method};
 use super::frame::{CircleFrame, PreparedSweep, Timing};
 use super::map::SavedMap;
 use super::map::{
-    CircleMap, CircleMapParameters, CircleScan, MapElement, MapShape, MapStats,
-    View,
+    CircleMap, CircleMapParameters, CircleScan, MapElement, MapShape, MapStats, View,
 };
 use super::map_input::{ByKind, Parts};
 use super::preprocess::projection::{self, Projection};

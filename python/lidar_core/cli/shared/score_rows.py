@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from lidar_core.cli.common import Row, number
+from lidar_core.cli.shared.common import Row, number
 
 if TYPE_CHECKING:
     from rich.table import Table
