@@ -279,6 +279,9 @@ class VoxelMap:
 @final
 class CircleMap:
     def __new__(cls, config: object) -> Self: ...
+    @staticmethod
+    def from_state(config: object, state: bytes) -> CircleMap: ...
+    def to_state(self) -> bytes: ...
     def update(
         self,
         circles: NDArray[np.float64],
@@ -321,6 +324,9 @@ class PreparedSweep:
 @final
 class CirclePipeline:
     def __new__(cls, config: object, *, fit: object) -> Self: ...
+    @staticmethod
+    def from_state(config: object, state: bytes, *, fit: object) -> CirclePipeline: ...
+    def to_state(self) -> bytes: ...
     def process(
         self,
         ranges: NDArray[np.float32],

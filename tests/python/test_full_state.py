@@ -130,6 +130,79 @@ def test_many_targets_go_on_to_the_same_bits(association, tmp_path):
         assert tracks_of(other, rest, "second") == expected
 
 
+def sweeps(count=40):
+    """Ranges of a scanner that passes two posts, one of which moves."""
+    scanner = lc.circles.Scanner(-1.5, 0.01, 301, 0.1, 10.0)
+    bearings, rng = scanner.bearings(), np.random.default_rng(1)
+    for k in range(count):
+        ranges = np.full(len(bearings), np.inf)
+        for x, y, radius in ((4.0, 0.05 * k - 1, 0.3), (3.0, 1.5, 0.2)):
+            aside = np.hypot(x, y) * np.sin(bearings - np.arctan2(y, x))
+            root = np.sqrt(np.maximum(radius**2 - aside**2, 0))
+            along = np.hypot(x, y) * np.cos(bearings - np.arctan2(y, x)) - root
+            ranges = np.where(abs(aside) < radius, np.minimum(ranges, along), ranges)
+        yield scanner, ranges + rng.normal(0, 0.01, len(ranges)), k * 50_000_000
+
+
+def map_bits(pipeline, stamp):
+    found, shapes = pipeline.map_at(stamp), pipeline.shapes_at(stamp)
+    return [found.id.tobytes(), found.center.tobytes(), found.covariance.tobytes(), len(shapes.id)]
+
+
+@pytest.mark.parametrize("mode", ["best", "paper filter", "late scans"])
+def test_a_pipeline_of_circles_goes_on_to_the_same_bits(mode, tmp_path):
+    made = list(sweeps())
+    scanner = made[0][0]
+    config = {
+        "best": lc.circles.CirclesConfig(scanner=scanner),
+        "paper filter": lc.circles.CirclesConfig(
+            scanner=scanner, map=lc.circles.CircleMapConfig.paper()
+        ),
+        "late scans": lc.circles.CirclesConfig(
+            scanner=scanner, map=lc.circles.CircleMapConfig(buffer_time=0.5)
+        ),
+    }[mode]
+    late = mode == "late scans"
+    pipeline = lc.circles.CirclePipeline(config)
+    names = ["front", "rear"]
+    for k, (_, ranges, stamp) in enumerate(made[:20]):
+        if not (late and k == 18):
+            pipeline.process(ranges, np.eye(4), stamp, scanner=names[k % 2])
+    again = list(ways(pipeline, tmp_path))
+    assert len(pipeline.map_at(made[19][2]).id)
+    rest = [(k, *made[k][1:]) for k in ([18] if late else []) + list(range(20, 40))]
+
+    def go_on(one):
+        bits = []
+        for k, ranges, stamp in rest:
+            one.process(ranges, np.eye(4), stamp, scanner=names[k % 2])
+            bits.append(map_bits(one, made[-1][2]))
+        return bits, one.health()
+
+    expected = go_on(pipeline)
+    assert all(go_on(other) == expected for other in again)
+
+
+@pytest.mark.parametrize(
+    "config", [lc.circles.CircleMapConfig(), lc.circles.CircleMapConfig.paper()]
+)
+def test_a_map_of_circles_goes_on_to_the_same_bits(config, tmp_path):
+    def update(circles, k):
+        rows = [[3 + 0.05 * k, 0.0, 0.3], [0.0, 2.0 - 0.02 * k, 0.2]]
+        circles.update(rows, [1e-4 * np.eye(3)] * 2, np.eye(4), k * 50_000_000)
+        found = circles.map_at(k * 50_000_000)
+        return found.id.tobytes() + found.center.tobytes() + found.covariance.tobytes()
+
+    circles = lc.circles.CircleMap(config)
+    for k in range(15):
+        update(circles, k)
+    again = list(ways(circles, tmp_path))
+    expected = [update(circles, k) for k in range(15, 30)]
+    assert len(circles.map_at(0).id) == 2
+    for other in again:
+        assert [update(other, k) for k in range(15, 30)] == expected
+
+
 def sample():
     flt = lc.fusion.TargetFilter()
     run(flt, measurements(10))

@@ -1,9 +1,10 @@
 """The circle pipeline: 2D scans in, a map of circles with identities out."""
 
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from threading import Lock
-from typing import TYPE_CHECKING, Any, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Self, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +24,7 @@ from lidar_core.circles.segmentation import Segments, segments_of
 from lidar_core.circles.shapes import Shapes
 from lidar_core.config import as_config
 from lidar_core.errors import ConfigError, InputError, LimitError, NumericalError
+from lidar_core.full_state import FullState
 from lidar_core.messages import LaserScan, PosedScan
 from lidar_core.objects import CircleElements, ShapeElements
 
@@ -33,7 +35,7 @@ Estimator: TypeAlias = Callable[[NDArray[np.float64], NDArray[np.float64], Segme
 """Ranges and bearings in the level frame and segments to one circle per segment."""
 
 
-class CirclePipeline:
+class CirclePipeline(FullState):
     """Maps round obstacles with one or several 2D LiDARs.
 
     Every scan is limited to the operating volume, projected into the horizontal plane and
@@ -77,6 +79,9 @@ class CirclePipeline:
     ([0], [[4.0, 0.0]], [0.3])
     """
 
+    _kind = "CirclePipeline"
+    _config_type = CirclesConfig
+
     def __init__(
         self,
         config: CirclesConfig | None = None,
@@ -99,10 +104,27 @@ class CirclePipeline:
             self._network.check_scanner(self.config.scanner, "scanner")
             for name, scanner in self.config.scanners.items():
                 self._network.check_scanner(scanner, f"scanners.{name}")
+        self._fit = fit
         self._pipeline = _core.CirclePipeline(self.config, fit=fit)
         self._estimator = estimator
+        self._allow_untrusted = allow_untrusted
         self._health = CirclesHealth()
         self._counting = Lock()
+
+    def _state(self) -> tuple[bytes, dict[str, Any]]:
+        return self._pipeline.to_state(), {"health": asdict(self._health)}
+
+    def _options(self) -> dict[str, Any]:
+        return {"estimator": self._estimator, "allow_untrusted": self._allow_untrusted}
+
+    @classmethod
+    def _from_state(
+        cls, config: CirclesConfig, core: bytes, extra: dict[str, Any], **options: Any
+    ) -> Self:
+        made = cls(config, **options)
+        made._pipeline = _core.CirclePipeline.from_state(config, core, fit=made._fit)
+        made._health = CirclesHealth(**extra["health"])
+        return made
 
     def process(
         self,

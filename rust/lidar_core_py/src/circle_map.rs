@@ -15,6 +15,7 @@ use lidar_core::geometry::transform::Transform;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyUntypedArrayMethods};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
 
 /// The fields of `CircleMapConfig`.
 #[derive(FromPyObject)]
@@ -151,6 +152,20 @@ impl PyCircleMap {
     fn new(py: Python<'_>, config: CircleMapConfig) -> Result<Self, BorderError> {
         let map = detached(py, || CircleMap::new(config.parameters()?))?;
         Ok(Self(Guarded::new(map)))
+    }
+
+    #[staticmethod]
+    fn from_state(
+        py: Python<'_>,
+        config: CircleMapConfig,
+        state: &[u8],
+    ) -> Result<Self, BorderError> {
+        let map = detached(py, || CircleMap::from_state(config.parameters()?, state))?;
+        Ok(Self(Guarded::new(map)))
+    }
+
+    fn to_state<'py>(&self, py: Python<'py>) -> Result<Bound<'py, PyBytes>, BorderError> {
+        Ok(PyBytes::new(py, &self.0.with(py, |map| map.to_state())?))
     }
 
     #[pyo3(signature = (circles, covariance, world_from_lidar, stamp_ns, *, sensor, pose_covariance,

@@ -18,7 +18,7 @@ use numpy::{
     IntoPyArray, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict};
 use std::collections::BTreeMap;
 
 /// The fields of `CirclesConfig` that the core reads.
@@ -105,6 +105,23 @@ impl PyCirclePipeline {
     fn new(py: Python<'_>, config: CirclesConfig, fit: FitConfig) -> Result<Self, BorderError> {
         let pipeline = detached(py, || CirclePipeline::new(config.parameters(&fit)?))?;
         Ok(Self(Guarded::new(pipeline)))
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (config, state, *, fit))]
+    fn from_state(
+        py: Python<'_>,
+        config: CirclesConfig,
+        state: &[u8],
+        fit: FitConfig,
+    ) -> Result<Self, BorderError> {
+        let parameters = config.parameters(&fit)?;
+        let pipeline = detached(py, || CirclePipeline::from_state(parameters, state))?;
+        Ok(Self(Guarded::new(pipeline)))
+    }
+
+    fn to_state<'py>(&self, py: Python<'py>) -> Result<Bound<'py, PyBytes>, BorderError> {
+        Ok(PyBytes::new(py, &self.0.with(py, |pipeline| pipeline.to_state())?))
     }
 
     #[pyo3(signature = (ranges, world_from_lidar, *, stamp_ns, scanner, pose_covariance,

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from operator import index
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,7 @@ from lidar_core.arrays import as_finite_rows, as_pose, as_rows, as_stamp
 from lidar_core.circles.mapping.map_config import CircleMapConfig
 from lidar_core.config import as_config
 from lidar_core.errors import InputError
+from lidar_core.full_state import FullState
 from lidar_core.objects import CircleElements
 
 _MOST_SENSORS = 2**32
@@ -42,7 +43,7 @@ class MapEvents:
     merged: NDArray[np.int64]
 
 
-class CircleMap:
+class CircleMap(FullState):
     """Map of circles, fed by the circles of scans; calls may come from several threads.
 
     Parameters
@@ -71,9 +72,23 @@ class CircleMap:
     ([0], [[5.0, 0.0]], [[1.0, 0.0]])
     """
 
+    _kind = "CircleMap"
+    _config_type = CircleMapConfig
+
     def __init__(self, config: CircleMapConfig | None = None) -> None:
         self.config = as_config(config, CircleMapConfig)
         self._map = _core.CircleMap(self.config)
+
+    def _state(self) -> tuple[bytes, dict[str, Any]]:
+        return self._map.to_state(), {}
+
+    @classmethod
+    def _from_state(
+        cls, config: CircleMapConfig, core: bytes, extra: dict[str, Any], **options: Any
+    ) -> Self:
+        made = cls(config, **options)
+        made._map = _core.CircleMap.from_state(config, core)
+        return made
 
     def update(
         self,

@@ -42,6 +42,7 @@ pub mod map;
 mod map_input;
 pub mod pipeline;
 pub mod preprocess;
+mod raw_sweep;
 mod scanner;
 pub mod segment;
 pub mod selection;

@@ -3,29 +3,30 @@
 use super::fit::circle::CircleEstimate;
 use super::fit::{FitParameters, Method};
 use super::frame::{CircleFrame, PreparedSweep, Timing};
+use super::map::SavedMap;
 use super::map::{
-    CircleMap, CircleMapParameters, CircleScan, MapElement, MapShape, MapStats, PoseCovariance,
-    View,
+    CircleMap, CircleMapParameters, CircleScan, MapElement, MapShape, MapStats, View,
 };
 use super::map_input::{ByKind, Parts};
 use super::preprocess::projection::{self, Projection};
 use super::preprocess::sweep_poses::Sweep;
+pub use super::raw_sweep::RawSweep;
+use super::raw_sweep::delays;
 use super::scanner::Channel;
 use super::segment::segmentation::{SegmentParameters, segment};
-use super::segment::segments::Segments;
 use super::selection::ShapeParameters;
 use super::shape::ShapeEstimate;
 use crate::Error;
 use crate::geometry::motion::Motion;
 use crate::geometry::transform::Transform;
+use crate::util::full_state::{impossible, opened, sealed};
 use crate::util::stopwatch::Clock;
 
+const KIND: &str = "circle pipeline";
 /// Scanners of one pipeline.
 const MAX_SCANNERS: usize = 64;
 /// Cosine of the tilt of a scan plane that is too steep to be seen from above: 88.9 degrees.
 const STEEPEST: f64 = 0.02;
-/// The times of rays lie this close to the stamp: others are of another clock [ns].
-const LONGEST_SWEEP_NS: u64 = 10_000_000_000;
 
 /// What a scanner measures.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,25 +64,6 @@ pub struct PipelineParameters {
     pub map: CircleMapParameters,
 }
 
-/// One sweep as the scanner delivered it.
-#[derive(Clone, Copy, Debug)]
-pub struct RawSweep<'a> {
-    /// Which of several scanners.
-    pub scanner: &'a str,
-    /// Start of the sweep [ns].
-    pub stamp_ns: i64,
-    /// Range of every ray [m]; +inf is a miss, NaN no information.
-    pub ranges: &'a [f32],
-    /// `world_from_lidar`, 4x4 row-major: one, or a stream.
-    pub poses: &'a [[f64; 16]],
-    /// Stamps of the stream [ns].
-    pub pose_stamps_ns: Option<&'a [i64]>,
-    /// Time of every ray [ns].
-    pub ray_time_ns: Option<&'a [i64]>,
-    /// Covariance of the pose: translation, then the angles about x, y, z.
-    pub pose_covariance: Option<PoseCovariance>,
-}
-
 /// Sweeps in, map of circles out.
 pub struct CirclePipeline {
     parameters: PipelineParameters,
@@ -106,6 +88,37 @@ impl CirclePipeline {
             .map(|(name, scanner)| Ok((name.clone(), Channel::new(scanner, &parameters)?)))
             .collect::<Result<_, Error>>()?;
         Ok(Self { parameters, map, channels })
+    }
+
+    /// The whole state as bytes.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] if the bytes do not fit into memory.
+    pub fn to_state(&self) -> Result<Vec<u8>, Error> {
+        let names: Vec<&str> = self.channels.iter().map(|(name, _)| name.as_str()).collect();
+        sealed(KIND, &self.parameters, &(names, self.map.state()))
+    }
+
+    /// A pipeline that goes on, to the same bits, where the one went whose state was saved.
+    ///
+    /// # Errors
+    /// As [`CirclePipeline::new`]; [`Error::Format`] for bytes that [`CirclePipeline::to_state`]
+    /// did not make, [`Error::Parameter`] for those of a pipeline with other parameters.
+    pub fn from_state(parameters: PipelineParameters, bytes: &[u8]) -> Result<Self, Error> {
+        let (names, map): (Vec<String>, SavedMap) = opened(KIND, &parameters, bytes)?;
+        let mut pipeline = Self::new(parameters)?;
+        for (place, name) in names.into_iter().enumerate() {
+            match pipeline.number(&name) {
+                Some(known) if known == place => {}
+                None if pipeline.channels.len() == place => {
+                    let channel = pipeline.new_channel(&name)?;
+                    pipeline.channels.push((name, channel));
+                }
+                _ => return Err(impossible("scanners in another order")),
+            }
+        }
+        pipeline.map.restore(map)?;
+        Ok(pipeline)
     }
 
     /// Take in one sweep.
@@ -140,7 +153,7 @@ impl CirclePipeline {
     ) -> Result<PreparedSweep, Error> {
         let mut clock = Clock::start();
         let parameters = &self.parameters;
-        check(raw, channel.bearings.len())?;
+        raw.check(channel.bearings.len())?;
         self.map
             .check_stamp(raw.stamp_ns, number as u32)
             .map_err(|error| with_name(error, number, raw.scanner))?;
@@ -352,33 +365,6 @@ fn upright(sweep: &Sweep) -> Result<f64, Error> {
         });
     }
     Ok(cosine)
-}
-
-fn check(raw: &RawSweep<'_>, expected: usize) -> Result<(), Error> {
-    let lengths =
-        [("ranges", Some(raw.ranges.len())), ("ray_time_ns", raw.ray_time_ns.map(<[_]>::len))];
-    for (name, got) in lengths {
-        if let Some(got) = got.filter(|&got| got != expected) {
-            return Err(Error::Length { name, expected, got });
-        }
-    }
-    let times = raw.ray_time_ns.unwrap_or_default();
-    match times.iter().position(|time| time.abs_diff(raw.stamp_ns) > LONGEST_SWEEP_NS) {
-        Some(index) => Err(Error::Value {
-            name: "ray_time_ns",
-            expected: "times within 10 s of `stamp_ns`",
-            index,
-            got: format!("{}, and {} as `stamp_ns`", times[index], raw.stamp_ns),
-        }),
-        None => Ok(()),
-    }
-}
-
-/// Mean time of the rays of every segment after the stamp [s].
-fn delays(segments: &Segments, ray_time_ns: &[i64], stamp_ns: i64) -> Vec<f64> {
-    let delay = |&ray: &u32| (ray_time_ns[ray as usize] - stamp_ns) as f64 * 1e-9;
-    let mean = |rays: &[u32]| rays.iter().map(delay).sum::<f64>() / rays.len() as f64;
-    (0..segments.len()).map(|number| mean(segments.rays_of(number))).collect()
 }
 
 /// Circles of the level frame in the world.

@@ -5,9 +5,10 @@
 
 use crate::Error;
 use nalgebra::{SMatrix, SVector};
+use serde::{Deserialize, Serialize};
 
 /// A normal distribution.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Gaussian<const N: usize> {
     /// Expected value.
     pub mean: SVector<f64, N>,

@@ -3,7 +3,7 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::element::{State, exceeds};
-use super::modes::{Measurement, Modes, Step, new_state};
+use super::modes::{Measurement, Modes, Motion, Step, new_state};
 use super::outline::{Outline, OutlineMeasurement};
 use super::parameters::Patience;
 use super::rules::Rules;
@@ -13,6 +13,7 @@ use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix2, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Standard deviations from its centre at which a body is looked for, along each axis.
 const LOOK: [f64; 4] = [-2.0, -1.0, 1.0, 2.0];
@@ -21,7 +22,7 @@ const LOOK: [f64; 4] = [-2.0, -1.0, 1.0, 2.0];
 const LEAST_RATIO: f64 = 0.5;
 
 /// A body as one segment of one scan shows it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct BodyMeasurement {
     /// It, or what stands for it.
     pub(super) circle: Measurement,
@@ -34,13 +35,18 @@ pub(super) struct BodyMeasurement {
 }
 
 /// A body: the circle that it is, or that stands for it, and its outline.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Body {
     circle: Modes<5>,
     pub(super) outline: Outline,
 }
 
 impl Body {
+    /// Whether its parts agree: of a state that was read.
+    pub(super) fn fits(&self, motion: &Motion) -> bool {
+        self.circle.fits(motion) && self.outline.fits(motion)
+    }
+
     pub(super) fn circle(&self) -> Gaussian<5> {
         self.circle.combined()
     }

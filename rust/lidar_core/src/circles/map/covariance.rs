@@ -3,6 +3,7 @@
 #![allow(non_snake_case)] // textbook letters
 
 use nalgebra::{SMatrix, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Errors of the robot: position x and y, angle.
 pub(super) const ROBOT: usize = 3;
@@ -10,7 +11,7 @@ pub(super) const ROBOT: usize = 3;
 pub(super) const ELEMENT: usize = 5;
 
 /// Covariance of all errors, row after row: the robot's first, then every element's.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Covariance {
     size: usize,
     values: Vec<f64>,
@@ -20,6 +21,12 @@ impl Covariance {
     /// Of the robot alone, whose pose is exact.
     pub(super) fn empty() -> Self {
         Self { size: ROBOT, values: vec![0.0; ROBOT * ROBOT] }
+    }
+
+    /// Whether it is that of the robot and so many elements: of a state that was read.
+    pub(super) fn is_of(&self, elements: usize) -> bool {
+        let size = elements.checked_mul(ELEMENT).and_then(|size| size.checked_add(ROBOT));
+        size == Some(self.size) && self.size.checked_mul(self.size) == Some(self.values.len())
     }
 
     /// Number of errors.

@@ -10,6 +10,7 @@ use super::viewpoint::Viewpoint;
 use super::visibility::Visibility;
 use crate::Error;
 use nalgebra::SMatrix;
+use serde::{Deserialize, Serialize};
 
 /// Where an object is, and what scans tell about that: what differs from kind to kind.
 pub(super) trait State: Clone {
@@ -66,7 +67,7 @@ pub(super) trait State: Clone {
 }
 
 /// What the last scan said about an element.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 enum Seen {
     Measured,
     Unmeasured(Visibility),
@@ -80,7 +81,7 @@ impl Seen {
 }
 
 /// Scans in a row that gave one reason to let an element go.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 struct Misses {
     scans: u32,
     /// Time that they cover [s].
@@ -95,7 +96,7 @@ impl Misses {
 }
 
 /// One object.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Element<S> {
     pub(super) id: i64,
     pub(super) state: S,

@@ -5,20 +5,21 @@ use super::rules::Rules;
 use super::scan::Placed;
 use super::{Outcome, seconds};
 use crate::Error;
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
 /// Most scans kept, whatever their time.
 const MAX_SCANS: usize = 1_000;
 
 /// A scan, and the elements before it.
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 struct Entry {
     before: Elements,
     scan: Placed,
 }
 
 /// The elements, and how they came about lately.
-#[derive(Default)]
+#[derive(Default, Serialize, Deserialize)]
 pub(super) struct History {
     pub(super) now: Elements,
     entries: VecDeque<Entry>,
@@ -26,6 +27,16 @@ pub(super) struct History {
 }
 
 impl History {
+    /// Whether its parts agree: of a state that was read.
+    pub(super) fn fits(&self, rules: &Rules) -> bool {
+        let motion = rules.motion();
+        let is_sound = |entry: &Entry| entry.before.fits(motion) && entry.scan.is_sound();
+        self.entries.len() <= MAX_SCANS
+            && self.now.fits(motion)
+            && self.entries.iter().all(is_sound)
+            && self.entries.iter().map(|entry| entry.scan.key()).is_sorted()
+    }
+
     /// Whether a scan comes after all others.
     ///
     /// # Errors

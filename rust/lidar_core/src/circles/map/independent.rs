@@ -11,9 +11,10 @@ use super::{MapElement, MapShape, seconds};
 use crate::Error;
 use crate::circles::shape::ShapeKind;
 use crate::estimation::kalman::Gaussian;
+use serde::{Deserialize, Serialize};
 
 /// All elements at one time, by ascending number.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Elements {
     stamp_ns: Option<i64>,
     bodies: Vec<Element<Body>>,
@@ -21,6 +22,14 @@ pub(super) struct Elements {
 }
 
 impl Elements {
+    /// Whether its parts agree: of a state that was read.
+    pub(super) fn fits(&self, motion: &Motion) -> bool {
+        self.len() <= MAX_ELEMENTS
+            && self.bodies.is_sorted_by(|one, next| one.id < next.id)
+            && self.lines.is_sorted_by(|one, next| one.id < next.id)
+            && self.bodies.iter().all(|body| body.state.fits(motion))
+    }
+
     /// Every element's number, and whether it is reported.
     pub(super) fn numbers(&self) -> impl Iterator<Item = (i64, bool)> {
         let bodies = self.bodies.iter().map(|body| (body.id, body.confirmed));

@@ -15,13 +15,15 @@ use super::{MapElement, Outcome, seconds};
 use crate::Error;
 use crate::circles::fit::circle::CircleEstimate;
 use crate::estimation::kalman::{Gaussian, mahalanobis, symmetrised};
+use crate::util::full_state::impossible;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use serde::{Deserialize, Serialize};
 
 type Matrix3x5 = SMatrix<f64, 3, 5>;
 type Matrix5x3 = SMatrix<f64, 5, 3>;
 
 /// Eq. 9, and what is told about it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 struct Landmark {
     id: i64,
     x: SVector<f64, ELEMENT>,
@@ -31,8 +33,8 @@ struct Landmark {
 }
 
 /// State of the filter; the robot's pose is an input and needs no place here.
-#[derive(Clone, Debug)]
-struct State {
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct State {
     stamp_ns: Option<i64>,
     /// Sensors that had a scan at that stamp.
     sensors: Vec<u32>,
@@ -51,6 +53,23 @@ pub(super) struct JointMap {
 impl JointMap {
     pub(super) fn new(parameters: Joint, gate: f64, speed: f64) -> Self {
         Self { parameters, gate, speed, state: State::empty() }
+    }
+
+    pub(super) fn state(&self) -> &State {
+        &self.state
+    }
+
+    /// Go on from a state that was read.
+    ///
+    /// # Errors
+    /// [`Error::Format`] if its parts do not agree.
+    pub(super) fn restore(&mut self, state: State) -> Result<(), Error> {
+        let is_sorted = state.landmarks.is_sorted_by(|one, next| one.id < next.id);
+        if !is_sorted || !state.P.is_of(state.landmarks.len()) {
+            return Err(impossible("elements and covariance of the joint filter differ"));
+        }
+        self.state = state;
+        Ok(())
     }
 
     pub(super) fn reset(&mut self) {

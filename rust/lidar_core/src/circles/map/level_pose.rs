@@ -10,12 +10,13 @@ use crate::circles::preprocess::polar_scan::turn;
 use crate::circles::shape::ShapeEstimate;
 use crate::geometry::transform::Transform;
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Below this share of its normal that points up, a scan has no heights: it is nearly upright.
 const UPRIGHT: f64 = 0.05;
 
 /// Pose of the level frame in the world.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct LevelPose {
     origin: [f64; 2],
     cos: f64,

@@ -12,6 +12,7 @@ use crate::Error;
 use crate::circles::preprocess::polar_scan::turn;
 use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised, update};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_PI_2;
 
 /// Half length that a line is turned about at least, when its ends wander [m].
@@ -20,7 +21,7 @@ const LEAST_HALF: f64 = 0.25;
 const WIDEST: f64 = 0.5;
 
 /// A line in the world, as one segment of one scan shows it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct LineMeasurement {
     /// Its middle [m].
     pub(super) middle: [f64; 2],
@@ -41,7 +42,7 @@ impl LineMeasurement {
 }
 
 /// A line, given by its normal and by its distance from a point near it, which never moves.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Line {
     anchor: [f64; 2],
     /// Bearing of the normal [rad], distance from the anchor along it [m].

@@ -35,10 +35,14 @@ pub use visibility::{SortedView, View, Visibility};
 use super::shape::ShapeKind;
 use crate::Error;
 use crate::estimation::kalman::Gaussian;
+use crate::util::full_state::{impossible, opened, sealed};
 use history::History;
 use joint::JointMap;
 use rules::Rules;
 use scan::{Found, Placed};
+use serde::{Deserialize, Serialize};
+
+const KIND: &str = "circle map";
 
 /// An element, predicted to one time.
 #[derive(Clone, Debug, PartialEq)]
@@ -115,7 +119,24 @@ enum Engine {
 
 /// A map of circles in the world, fed by scans.
 pub struct CircleMap {
+    parameters: CircleMapParameters,
     engine: Engine,
+    next_id: i64,
+}
+
+/// Everything about a [`CircleMap`] that changes with scans.
+#[derive(Serialize)]
+pub(super) struct MapState<'a> {
+    paper: Option<&'a joint::State>,
+    independent: Option<&'a History>,
+    next_id: i64,
+}
+
+/// [`MapState`], read.
+#[derive(Deserialize)]
+pub(super) struct SavedMap {
+    paper: Option<joint::State>,
+    independent: Option<History>,
     next_id: i64,
 }
 
@@ -126,14 +147,54 @@ impl CircleMap {
     /// [`Error::Parameter`] for values that cannot work.
     pub fn new(parameters: CircleMapParameters) -> Result<Self, Error> {
         let (gate, speed) = (parameters.gate()?, parameters.initial_speed);
-        let engine = match parameters.filter {
+        let engine = match parameters.filter.clone() {
             Filter::Paper(joint) => Engine::Paper(JointMap::new(joint, gate, speed)),
             Filter::Independent(independent) => {
                 let rules = Rules::new(independent, parameters.gate_probability, speed)?;
                 Engine::Independent(Box::new(rules), History::default())
             }
         };
-        Ok(Self { engine, next_id: 0 })
+        Ok(Self { parameters, engine, next_id: 0 })
+    }
+
+    /// The whole state as bytes.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] if the bytes do not fit into memory.
+    pub fn to_state(&self) -> Result<Vec<u8>, Error> {
+        sealed(KIND, &self.parameters, &self.state())
+    }
+
+    /// A map that goes on, to the same bits, where the one went whose state was saved.
+    ///
+    /// # Errors
+    /// As [`CircleMap::new`]; [`Error::Format`] for bytes that [`CircleMap::to_state`] did not
+    /// make, [`Error::Parameter`] for those of a map with other parameters.
+    pub fn from_state(parameters: CircleMapParameters, bytes: &[u8]) -> Result<Self, Error> {
+        let saved = opened(KIND, &parameters, bytes)?;
+        let mut map = Self::new(parameters)?;
+        map.restore(saved)?;
+        Ok(map)
+    }
+
+    pub(super) fn state(&self) -> MapState<'_> {
+        let (paper, independent) = match &self.engine {
+            Engine::Paper(joint) => (Some(joint.state()), None),
+            Engine::Independent(_, history) => (None, Some(history)),
+        };
+        MapState { paper, independent, next_id: self.next_id }
+    }
+
+    pub(super) fn restore(&mut self, saved: SavedMap) -> Result<(), Error> {
+        match (&mut self.engine, saved.paper, saved.independent) {
+            (Engine::Paper(joint), Some(state), None) => joint.restore(state)?,
+            (Engine::Independent(rules, history), None, Some(read)) if read.fits(rules) => {
+                *history = read;
+            }
+            _ => return Err(impossible("a map of circles whose parts do not agree")),
+        }
+        self.next_id = saved.next_id;
+        Ok(())
     }
 
     /// Take in the circles of one scan, an empty set included.

@@ -9,6 +9,7 @@ use super::parameters::Mode;
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised, update};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Most modes.
 pub const MAX_MODES: usize = 4;
@@ -35,7 +36,7 @@ pub(super) trait Measures<const N: usize, const M: usize> {
 }
 
 /// A circle in the world.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Measurement {
     /// Centre and radius [m].
     pub(super) z: Vector3<f64>,
@@ -217,7 +218,7 @@ fn exponential(rates: &Switching, time: f64) -> Switching {
 }
 
 /// Where an element is, in every mode.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Modes<const N: usize> {
     states: Vec<Gaussian<N>>,
     probabilities: [f64; MAX_MODES],
@@ -233,6 +234,11 @@ impl<const N: usize> Modes<N> {
     }
 
     /// Move by `step`.
+    /// Whether there is a state per mode of `motion`: of a state that was read.
+    pub(super) fn fits(&self, motion: &Motion) -> bool {
+        self.states.len() == motion.modes.len()
+    }
+
     pub(super) fn predict(&mut self, step: &Move<N>) {
         for _ in 0..step.count {
             self.mix(&step.switching);

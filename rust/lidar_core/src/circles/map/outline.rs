@@ -2,13 +2,14 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::modes::{Measures, Modes, Step, at_rest, centre_matrix};
+use super::modes::{Measures, Modes, Motion, Step, at_rest, centre_matrix};
 use super::rules::Rules;
 use crate::Error;
 use crate::circles::fit::circle::CircleEstimate;
 use crate::circles::shape::{ShapeEstimate, ShapeKind};
 use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised};
 use nalgebra::{SMatrix, SVector};
+use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// What a circle stands for.
@@ -30,7 +31,7 @@ const NEWEST: f64 = 0.1;
 const AHEAD: f64 = 0.1;
 
 /// An ellipse or rectangle in the world.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct OutlineMeasurement {
     pub(super) kind: ShapeKind,
     /// Centre x and y [m], bearing of the first half length [rad], both half lengths [m].
@@ -67,7 +68,7 @@ impl OutlineMeasurement {
 }
 
 /// What a body looks like.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Outline {
     state: Option<Modes<7>>,
     /// Shares of the kinds among what was measured lately.
@@ -78,6 +79,11 @@ pub(super) struct Outline {
 }
 
 impl Outline {
+    /// Whether its parts agree: of a state that was read.
+    pub(super) fn fits(&self, motion: &Motion) -> bool {
+        self.kind < self.shares.len() && self.state.iter().all(|state| state.fits(motion))
+    }
+
     /// As the first measurement shows it; None: a circle.
     pub(super) fn new(seen: Option<&OutlineMeasurement>, rules: &Rules) -> Self {
         let mut outline = Self::default();

@@ -15,6 +15,7 @@ use crate::circles::fit::circle::{Circle, CircleEstimate};
 use crate::circles::shape::{ShapeEstimate, ShapeKind};
 use crate::geometry::transform::Transform;
 use nalgebra::{Matrix2, SMatrix};
+use serde::{Deserialize, Serialize};
 
 /// Relative size of what a covariance may lack to be symmetric or positive.
 const ROUNDING: f64 = 1e-9;
@@ -53,7 +54,7 @@ pub struct CircleScan<'a> {
 }
 
 /// Objects of one kind, in the world.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Seen<M> {
     pub(super) measurements: Vec<M>,
     /// Element of each, once the map has taken the scan in.
@@ -67,7 +68,7 @@ impl<M> Seen<M> {
 }
 
 /// A scan as the map keeps it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Placed {
     pub(super) from: Viewpoint,
     pub(super) bodies: Seen<BodyMeasurement>,
@@ -75,6 +76,13 @@ pub(super) struct Placed {
 }
 
 impl Placed {
+    /// Whether its parts agree: of a state that was read.
+    pub(super) fn is_sound(&self) -> bool {
+        self.bodies.measurements.len() == self.bodies.elements.len()
+            && self.lines.measurements.len() == self.lines.elements.len()
+            && self.from.view.as_ref().is_none_or(SortedView::is_sound)
+    }
+
     /// # Errors
     /// [`Error::Value`] for a pose or an object that cannot be used, [`Error::Limit`] for too many.
     pub(super) fn new(scan: &CircleScan<'_>) -> Result<Self, Error> {

@@ -2,9 +2,10 @@
 
 use super::level_pose::LevelPose;
 use super::visibility::SortedView;
+use serde::{Deserialize, Serialize};
 
 /// Where and when a scan was made, and what it can be asked.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Viewpoint {
     pub(super) stamp_ns: i64,
     pub(super) sensor: u32,

@@ -3,6 +3,7 @@
 use crate::Error;
 use crate::circles::fit::circle::Circle;
 use crate::circles::preprocess::polar_scan::{PolarScan, turn};
+use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use super::parameters::Looking;
@@ -22,7 +23,7 @@ pub struct View<'a> {
 }
 
 /// What a scan says about a circle; the more it leaves open, the greater.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Visibility {
     /// Rays went past where it should be: it is not there.
     SeenThrough,
@@ -35,7 +36,7 @@ pub enum Visibility {
 }
 
 /// A scan that can be asked: its rays by ascending bearing.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SortedView {
     bearings: Vec<f64>,
     ranges: Vec<f64>,
@@ -88,6 +89,15 @@ struct Votes {
 }
 
 impl SortedView {
+    /// Whether its parts agree: of a state that was read.
+    pub(super) fn is_sound(&self) -> bool {
+        self.bearings.len() == self.ranges.len()
+            && self.bearings.is_sorted()
+            && self.bearings.iter().all(|bearing| bearing.is_finite())
+            && self.range_min >= 0.0
+            && self.range_min < self.range_max
+    }
+
     /// What the scan says about `circle` of its frame.
     #[must_use]
     pub fn of(&self, circle: &Circle, looking: &Looking) -> Visibility {

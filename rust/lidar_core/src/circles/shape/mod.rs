@@ -22,9 +22,10 @@ use super::fit::{FitParameters, Method, estimate};
 use super::preprocess::polar_scan::PolarScan;
 use super::segment::segments::Segments;
 use crate::Error;
+use serde::{Deserialize, Serialize};
 
 /// What a segment is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ShapeKind {
     /// Parameters: centre x, y, radius [m].
     Circle,
