@@ -57,20 +57,6 @@ impl<'a> ScanView<'a> {
         self.spread.as_ref()
     }
 
-    /// Whether enough of the first `rows` rays meet, or go through, a ball around `position`.
-    fn is_crossed(&self, position: [f64; 3], radius: f64, rows: usize) -> bool {
-        let ball = Ball { middle: position, radius: radius.min(self.target_radius) };
-        let mut passing = 0;
-        for first in (0..rows).step_by(ROWS_AT_A_TIME) {
-            let near = self.rows_near(first..rows.min(first + ROWS_AT_A_TIME), &[ball]);
-            passing += near.filter(|&row| self.passes(row, &ball)).count();
-            if passing >= ENOUGH {
-                return true;
-            }
-        }
-        false
-    }
-
     /// Whether the ray `row` meets, or goes through, a ball.
     fn passes(&self, row: usize, ball: &Ball) -> bool {
         let Some((direction, length)) = self.ray(row) else { return false };
@@ -115,14 +101,17 @@ impl<'a> ScanView<'a> {
 }
 
 impl Visibility for ScanView<'_> {
-    /// Rays into the sky that were found and not measured do not count: a target between the rows
-    /// of a sparse sensor gives no return, and the sky around it looks as empty as without it.
     fn expected(&self, position: [f64; 3], radius: f64) -> bool {
-        self.is_crossed(position, radius, self.scan.points.len() - self.scan.rebuilt)
-    }
-
-    fn is_looked_at(&self, position: [f64; 3], radius: f64) -> bool {
-        self.is_crossed(position, radius, self.scan.points.len())
+        let ball = Ball { middle: position, radius: radius.min(self.target_radius) };
+        let (mut passing, rows) = (0, self.scan.points.len());
+        for first in (0..rows).step_by(ROWS_AT_A_TIME) {
+            let near = self.rows_near(first..rows.min(first + ROWS_AT_A_TIME), &[ball]);
+            passing += near.filter(|&row| self.passes(row, &ball)).count();
+            if passing >= ENOUGH {
+                return true;
+            }
+        }
+        false
     }
 
     fn centers(&self, targets: &[&[u32]]) -> Option<Vec<Center>> {
@@ -319,18 +308,5 @@ mod tests {
             assert!(!view.expected([10.0, 1.5, 0.0], 1.0));
             assert!(!view.expected([-10.0, 0.0, 0.0], 1.0));
         }
-    }
-
-    #[test]
-    fn rays_into_the_sky_that_were_found_do_not_make_a_target_expected() {
-        let mut scan = Prepared::default();
-        scan.points = vec![[f32::NAN; 3]; ENOUGH];
-        scan.directions = Some(vec![[1.0, 0.0, 0.0]; ENOUGH]);
-        scan.no_return = vec![true; ENOUGH];
-        scan.reach = Some(vec![20.0; ENOUGH]);
-        scan.rebuilt = ENOUGH;
-        let view = ScanView::new(&scan, 1.0, 0.01, None, None);
-        assert!(!view.expected([10.0, 0.5, 0.0], 1.0));
-        assert!(view.is_looked_at([10.0, 0.5, 0.0], 1.0));
     }
 }

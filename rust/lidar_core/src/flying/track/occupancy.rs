@@ -14,12 +14,6 @@ pub trait Visibility: Sync {
     /// field of view and within range, and nothing hides it.
     fn expected(&self, position: [f64; 3], radius: f64) -> bool;
 
-    /// Whether it is known that nothing is in the ball around `position` [m], if no return shows
-    /// it.
-    fn is_looked_at(&self, position: [f64; 3], radius: f64) -> bool {
-        self.expected(position, radius)
-    }
-
     /// Centres of targets, given the rows of their points in the scan; None if the rays that
     /// passed beside them are not known.
     fn centers(&self, targets: &[&[u32]]) -> Option<Vec<Center>> {

@@ -198,7 +198,7 @@ impl Updater {
         !track.confirmed
             && (track.position() - track.born_at).norm() > distance
             && !scan.points.iter().any(holds)
-            && scan.visibility.is_none_or(|view| view.is_looked_at(track.born_at.into(), cleared))
+            && scan.visibility.is_none_or(|view| view.expected(track.born_at.into(), cleared))
     }
 
     fn should_be_seen(&self, seeker: &Seeker, visibility: Option<&dyn Visibility>) -> bool {
