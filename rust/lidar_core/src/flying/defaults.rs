@@ -117,6 +117,7 @@ impl Default for SeedParameters {
     fn default() -> Self {
         Self {
             burn_in_scans: 10,
+            burn_in_period: Some(0.1),
             burn_in_extent: 2.0,
             standing_scans: 5,
             standing_shift: 0.04,
@@ -132,7 +133,7 @@ impl SeedParameters {
     /// comes from.
     #[must_use]
     pub fn paper() -> Self {
-        Self { burn_in_extent: 1.0, standing_scans: 0, ..Self::default() }
+        Self { burn_in_period: None, burn_in_extent: 1.0, standing_scans: 0, ..Self::default() }
     }
 }
 

@@ -3,6 +3,7 @@
 use super::body::Body;
 use super::element::{Element, State};
 use super::line::Line;
+use super::modes::Motion;
 use super::parameters::MAX_ELEMENTS;
 use super::rules::Rules;
 use super::scan::{Placed, Seen, too_many};

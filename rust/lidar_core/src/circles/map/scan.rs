@@ -9,7 +9,7 @@ use super::modes::Measurement;
 use super::outline::{OutlineEstimate, OutlineMeasurement};
 use super::parameters::MAX_ELEMENTS;
 use super::viewpoint::Viewpoint;
-use super::visibility::View;
+use super::visibility::{SortedView, View};
 use crate::Error;
 use crate::circles::fit::circle::{Circle, CircleEstimate};
 use crate::circles::shape::{ShapeEstimate, ShapeKind};

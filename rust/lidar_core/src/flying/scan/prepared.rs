@@ -410,7 +410,9 @@ mod tests {
         let mut scan = Prepared { rows: 20, ..Prepared::default() };
         assert_eq!(scan.share_of_rays(&[0, 3, 13], 1), 0.15);
         assert_eq!(scan.share_of_rays(&[0, 3, 13], 2), 0.2);
-        scan.look = Some(Box::new(Look { rays: 40.0, ..Look::default() }));
+        let mut look = Look::default();
+        look.rays = 40.0;
+        scan.look = Some(Box::new(look));
         assert_eq!(scan.share_of_rays(&[0, 3], 1), 0.05);
         assert_eq!(Prepared::default().share_of_rays(&[], 1), 0.0);
     }
