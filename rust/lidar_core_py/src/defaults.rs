@@ -1,13 +1,13 @@
 //! What the core makes of a configuration, and its own defaults, as text: a test compares them.
 
-use crate::circle_map::CircleMapConfig;
-use crate::circle_pipeline::CirclesConfig;
-use crate::circles_config::FitConfig;
+use crate::circles::config::FitConfig;
+use crate::circles::map::CircleMapConfig;
+use crate::circles::pipeline::CirclesConfig;
 use crate::errors::BorderError;
-use crate::flying_config::{ClassifyConfig, FlyingConfig, MapConfig};
-use crate::fusion_config::FusionConfig;
-use crate::fusion_many::MultiTargetConfig;
-use crate::tracker::TrackerConfig;
+use crate::flying::config::{ClassifyConfig, FlyingConfig, MapConfig};
+use crate::flying::tracker::TrackerConfig;
+use crate::fusion::config::FusionConfig;
+use crate::fusion::many::MultiTargetConfig;
 use lidar_core::Error;
 use lidar_core::circles::map::CircleMapParameters;
 use lidar_core::circles::pipeline::PipelineParameters;

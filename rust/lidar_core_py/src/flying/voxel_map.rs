@@ -2,7 +2,7 @@
 
 use crate::arrays::{self, Rows3, Threads};
 use crate::errors::BorderError;
-use crate::flying_config::{ClassifyConfig, MapConfig, RAY_UNITS, RAYS};
+use crate::flying::config::{ClassifyConfig, MapConfig, RAY_UNITS, RAYS};
 use crate::guard::{Guarded, detached};
 use lidar_core::flying::classify::classifier::classify_clusters;
 use lidar_core::flying::integrate::integrator::{ClassifiedScan, IntegrateStats, Origins};

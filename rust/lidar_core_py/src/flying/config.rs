@@ -1,7 +1,7 @@
 //! The fields of `FlyingConfig` and its parts that the core reads, by name.
 
 use crate::arrays;
-use crate::tracker::TrackerConfig;
+use crate::flying::tracker::TrackerConfig;
 use lidar_core::Error;
 use lidar_core::flying::background::burn_in::SeedParameters;
 use lidar_core::flying::classify::classifier::ClassifyParameters;

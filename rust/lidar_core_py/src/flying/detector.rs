@@ -2,9 +2,9 @@
 
 use crate::arrays::{self, Rows3, Threads};
 use crate::errors::BorderError;
-use crate::flying_config::FlyingConfig;
+use crate::flying::config::FlyingConfig;
+use crate::flying::tracker::{TrackArrays, track_arrays};
 use crate::guard::{Guarded, detached, keep_going};
-use crate::tracker::{TrackArrays, track_arrays};
 use lidar_core::flying::background::burn_in::Gate;
 use lidar_core::flying::detect::detection::Detection;
 use lidar_core::flying::detector::FlyingObjectDetector;

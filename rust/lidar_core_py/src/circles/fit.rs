@@ -1,7 +1,7 @@
 //! Bindings of `lidar_core::circles::fit`.
 
 use crate::arrays::{self, Rows3};
-use crate::circles_config::{FitConfig, ScannerConfig};
+use crate::circles::config::{FitConfig, ScannerConfig};
 use crate::errors::BorderError;
 use crate::guard::{detached, keep_going};
 use lidar_core::Error;

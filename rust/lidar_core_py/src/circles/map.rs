@@ -1,7 +1,7 @@
 //! Bindings of `lidar_core::circles::map`.
 
 use crate::arrays;
-use crate::circle_fit::kind_number;
+use crate::circles::fit::kind_number;
 use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;

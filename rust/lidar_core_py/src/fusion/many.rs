@@ -2,8 +2,8 @@
 
 use crate::arrays;
 use crate::errors::BorderError;
-use crate::fusion::PyMeasurements;
-use crate::fusion_config::FusionConfig;
+use crate::fusion::config::FusionConfig;
+use crate::fusion::filter::PyMeasurements;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
 use lidar_core::fusion::targets::many::MAX_SOURCES;

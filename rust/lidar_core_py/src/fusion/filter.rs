@@ -2,7 +2,7 @@
 
 use crate::arrays::{self, Threads};
 use crate::errors::BorderError;
-use crate::fusion_config::FusionConfig;
+use crate::fusion::config::FusionConfig;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
 use lidar_core::estimation::minimise::Search;

@@ -3,7 +3,7 @@
 use crate::arrays::{self, Threads};
 use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
-use crate::sim_config::{LidarConfig, MotionConfig, ParticlesConfig, SurfaceConfig};
+use crate::sim::config::{LidarConfig, MotionConfig, ParticlesConfig, SurfaceConfig};
 use lidar_core::Error;
 use lidar_core::geometry::transform::Transform;
 use lidar_core::util::threads;

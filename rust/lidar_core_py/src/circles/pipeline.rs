@@ -1,12 +1,12 @@
 //! Bindings of `lidar_core::circles::pipeline`.
 
 use crate::arrays;
-use crate::circle_fit::{CircleArrays, circle_arrays, shape_arrays};
-use crate::circle_map::{
+use crate::circles::config::{FitConfig, ScannerConfig, SegmentConfig, ShapeConfig};
+use crate::circles::fit::{CircleArrays, circle_arrays, shape_arrays};
+use crate::circles::map::{
     CircleMapConfig, Elements, MapShapes, element_arrays, estimates, event_arrays, map_shape_arrays,
 };
-use crate::circles::{LevelArrays, PROJECTIONS, SegmentArrays, segment_arrays};
-use crate::circles_config::{FitConfig, ScannerConfig, SegmentConfig, ShapeConfig};
+use crate::circles::stages::{LevelArrays, PROJECTIONS, SegmentArrays, segment_arrays};
 use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;

@@ -1,7 +1,7 @@
 //! Bindings of `lidar_core::circles`: what is done to a scan.
 
 use crate::arrays;
-use crate::circles_config::{ScannerConfig, SegmentConfig};
+use crate::circles::config::{ScannerConfig, SegmentConfig};
 use crate::errors::BorderError;
 use crate::guard::detached;
 use lidar_core::Error;

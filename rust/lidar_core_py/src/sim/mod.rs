@@ -1,0 +1,4 @@
+//! Bindings of the simulator.
+
+pub(crate) mod config;
+pub(crate) mod scene;
