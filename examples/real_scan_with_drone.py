@@ -35,15 +35,7 @@ def main() -> None:
     truth, tracks, speeds, times = [], [], [], []
     flight = sim.InsertedFlight(scans=options.scans)
     for number, made in enumerate(sim.with_target(scans, flight, seed=options.seed)):
-        frame = detector.process(
-            made.scan.points,
-            made.poses,
-            made.scan.stamp_ns,
-            no_return=made.scan.no_return,
-            directions=made.scan.directions,
-            point_time_ns=made.scan.point_time_ns,
-            pose_stamps_ns=made.pose_stamps_ns,
-        )
+        frame = detector.process(made)
         is_burn_in = number < config.seed.burn_in_scans
         truth.append(evaluation.truth_of(made, is_burn_in=is_burn_in))
         tracks.append(frame.tracks)

@@ -18,8 +18,8 @@ import zenoh
 
 import lidar_core as lc
 from lidar_core.io.write.ros import RosMessages
-from lidar_core.live.replay import ReplaySource
-from lidar_core.live.source import StreamTopics
+from lidar_core.live.sources.replay import ReplaySource
+from lidar_core.live.sources.source import StreamTopics
 from lidar_core.live.zenoh_link import key_of
 
 ADDRESS = "tcp/127.0.0.1:7447"

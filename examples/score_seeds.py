@@ -20,17 +20,7 @@ def score(
         sim.simulate(sim.scenes.demo(seed, scans=scans), seed=seed, threads=2)
     ):
         truth.append(evaluation.truth_of(made, is_burn_in=k < burn_in))
-        frames.append(
-            detector.process(
-                made.scan.points,
-                made.poses,
-                made.scan.stamp_ns,
-                no_return=made.scan.no_return,
-                directions=made.scan.directions,
-                point_time_ns=made.scan.point_time_ns,
-                pose_stamps_ns=made.pose_stamps_ns,
-            )
-        )
+        frames.append(detector.process(made))
     report = evaluation.evaluate(
         evaluation.joined(truth),
         tracks=evaluation.estimates_of_tracks(frame.tracks for frame in frames),

@@ -19,9 +19,9 @@ from lidar_core.io.messages.ros import RosDecoder, kind_of
 from lidar_core.io.records import Record
 from lidar_core.io.write.ros import RosMessages
 from lidar_core.live import LiveConfig, LiveLoop, Output, Source
+from lidar_core.live.outputs.ros import TYPES, ros_messages
 from lidar_core.live.pipelines import CirclesLive, FlyingLive
 from lidar_core.live.poses import LivePoses
-from lidar_core.live.ros_update import TYPES, ros_messages
 from lidar_core.messages import LaserScan
 
 NAME = "lidar_core"

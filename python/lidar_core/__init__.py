@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from lidar_core import fusion as fusion
     from lidar_core import io as io
     from lidar_core import live as live
+    from lidar_core import objects as objects
     from lidar_core import reproduce as reproduce
     from lidar_core import runs as runs
     from lidar_core import sim as sim
@@ -51,6 +52,7 @@ _LAZY = (
     "fusion",
     "io",
     "live",
+    "objects",
     "reproduce",
     "runs",
     "sim",
@@ -83,6 +85,7 @@ __all__ = [
     "fusion",
     "io",
     "live",
+    "objects",
     "reproduce",
     "runs",
     "sim",

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TypeAlias
+from typing import Generic, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,3 +149,36 @@ class Pose:
 
 
 Message: TypeAlias = Scan | LaserScan | Pose
+ScanT = TypeVar("ScanT", Scan, LaserScan)
+
+
+@dataclass(frozen=True, slots=True)
+class PosedScan(Generic[ScanT]):
+    """A scan and where the sensor was.
+
+    Attributes
+    ----------
+    scan : Scan or LaserScan
+        As recorded.
+    world_from_lidar : ndarray, shape (4, 4) or (K, 4, 4), float64
+        One pose, or poses over the scan.
+    pose_stamps_ns : ndarray, shape (K,), int64, optional
+        Times of the poses [ns].
+    pose_covariance : ndarray, shape (6, 6), float64, optional
+        Of translation [m^2] and angles about x, y, z [rad^2], where the source of the poses tells.
+    """
+
+    scan: ScanT
+    world_from_lidar: NDArray[np.float64]
+    pose_stamps_ns: NDArray[np.int64] | None = None
+    pose_covariance: NDArray[np.float64] | None = None
+
+    @property
+    def sensor(self) -> str:
+        """Name of the LiDAR: the topic of the scan, or its frame where it has none."""
+        return self.scan.topic or self.scan.frame_id
+
+    @property
+    def posed(self) -> "PosedScan[ScanT]":
+        """The posed scan itself: simulated scans have it, too."""
+        return self

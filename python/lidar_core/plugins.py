@@ -55,16 +55,16 @@ class Registry(Generic[PartT]):
         self._lock = RLock()
 
     def add(self, part: PartT) -> None:
-        """Register a part.
+        """Register a part; a module may replace its own, as cells of notebooks do.
 
         Raises
         ------
         ConfigError
-            Another one has its name.
+            One of another module has its name.
         """
         with self._lock:
             held = self._parts.get(part.name)
-            if held is not None:
+            if held is not None and held.module != part.module:
                 raise ConfigError(
                     f"{self._what} {part.name!r}: already registered by {held.module}"
                 )

@@ -13,7 +13,6 @@ from lidar_core.circles import CirclePipeline, CirclesConfig, Scanner
 from lidar_core.cli import app
 from lidar_core.evaluation import Consistency, consistency, evaluate, read_prediction, read_truth
 from lidar_core.io import open_recording, posed_laser_scans, read_columns
-from lidar_core.scan_processing import map_circles
 
 PAGE = Path(__file__).parents[2] / "docs" / "tour-circles.md"
 BOUNDS = (1.6, 2.4)  # 400 values of 2 degrees of freedom lie within 2 +- 0.28 in 99.5 of 100 runs
@@ -105,7 +104,7 @@ def test_every_circle_says_when_it_was_measured(hall):
     scanner = Scanner(first.angle_min, first.angle_increment, len(first.ranges), 0.1, 10.0)
     pipeline = CirclePipeline(CirclesConfig(scanner=scanner))
     for item in scans:
-        frame = map_circles(pipeline, item)
+        frame = pipeline.process(item)
         segments, scan = frame.segments, item.scan
         for number, time_ns in enumerate(frame.time_ns.tolist()):
             rays = segments.rays[segments.starts[number] : segments.starts[number + 1]]

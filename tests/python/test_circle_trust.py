@@ -118,7 +118,7 @@ def test_export_makes_the_model_trusted(foreign, settings, monkeypatch, tmp_path
     """What the user exported runs without an option; torch is stood in for."""
     from types import SimpleNamespace
 
-    from lidar_core.cli import export as command
+    from lidar_core.cli import train as command
 
     def export(run, target):
         shutil.copy(foreign, target)

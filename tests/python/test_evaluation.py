@@ -128,7 +128,10 @@ def test_scores_agree_with_the_slow_version_in_any_order(seed):
     assert found.n_duplicate == found.n_estimates - found.n_matched - found.n_false
     assert found.n_duplicate >= 0
     detections = evaluation.score_detections(shuffled, shuffled_truth).to_dict()
+    assert detections.pop("metrics") == {}
     assert detections.items() <= found.to_dict().items()
+    segment = found.metrics["longest_segment"]
+    assert segment == pytest.approx(reference.longest_segment(scans, 1.0), abs=COST_ERROR)
 
 
 def one_target(eligible, tracked):
@@ -147,6 +150,7 @@ def test_delays_and_gaps_by_hand():
     assert found.recall == pytest.approx(3 / 7)
     assert found.first_delay == {7: pytest.approx(0.2)}
     assert found.longest_gap == {7: pytest.approx(0.2)}
+    assert found.metrics == {"longest_segment": pytest.approx(2 / 7)}
     assert found.n_switches == 1
     assert found.track_ids == (4, 5)
     assert found.false_ids == ()

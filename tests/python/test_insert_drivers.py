@@ -10,8 +10,7 @@ from scipy.spatial import Delaunay
 
 from lidar_core import InputError, sim
 from lidar_core.io import open_recording
-from lidar_core.io.poses.posed import PosedScan
-from lidar_core.messages import Scan
+from lidar_core.messages import PosedScan, Scan
 from lidar_core.sim.insertion.ray_scan import SensorWay
 
 SCANS = 12

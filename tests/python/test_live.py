@@ -39,17 +39,17 @@ from lidar_core.io.write.mcap import FoxgloveLog
 from lidar_core.io.write.ros import RosMessages
 from lidar_core.io.write.ros_obstacles import ObstacleArrays
 from lidar_core.live import Inbox, LiveConfig, LiveLoop, Output, Source
-from lidar_core.live.foxglove_source import FoxgloveSource
 from lidar_core.live.loop import Report
-from lidar_core.live.outputs import McapOutput, RerunOutput
+from lidar_core.live.outputs.output import McapOutput, RerunOutput
 from lidar_core.live.pipelines import CirclesLive, FlyingLive, LivePipeline
 from lidar_core.live.poses import LivePoses
-from lidar_core.live.replay import ReplaySource
-from lidar_core.live.source import StreamTopics
+from lidar_core.live.sources.foxglove import FoxgloveSource
+from lidar_core.live.sources.replay import ReplaySource
+from lidar_core.live.sources.source import StreamTopics
+from lidar_core.live.sources.udp import UdpSource
+from lidar_core.live.sources.zenoh import ZenohSource
 from lidar_core.live.stats import LiveStats
-from lidar_core.live.udp_source import UdpSource
 from lidar_core.live.zenoh_link import key_of, topic_of
-from lidar_core.live.zenoh_source import ZenohSource
 from lidar_core.messages import LaserScan, Pose, Scan
 from lidar_core.run_folder import RunFolder
 from lidar_core.runs.live_choice import PipelineChoice
@@ -1051,7 +1051,7 @@ def test_a_channel_that_stays_unknown_is_given_up():
 
 def test_schemas_are_told_apart_by_what_they_say(monkeypatch):
     pytest.importorskip("websockets")
-    monkeypatch.setattr("lidar_core.live.foxglove_source.MAX_CHANNELS", 2)
+    monkeypatch.setattr("lidar_core.live.sources.foxglove.MAX_CHANNELS", 2)
     source = FoxgloveSource("ws://there", StreamTopics(), ReadOptions(), LiveConfig())
     link = SimpleNamespace(send=lambda text: None)
     for number in range(100):

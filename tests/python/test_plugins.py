@@ -12,7 +12,9 @@ from typer.testing import CliRunner
 
 import lidar_core as lc
 from lidar_core.cli import app
+from lidar_core.cli.shared.score_rows import detail_rows
 from lidar_core.errors import ConfigError, FormatError, PluginError, PluginWarning
+from lidar_core.evaluation.metric import METRICS
 from lidar_core.io.readers import READERS, known_formats
 from lidar_core.io.writers import WRITERS, writer_of
 from lidar_core.messages import Pose, Scan
@@ -58,7 +60,7 @@ STATE = ("_parts", "_loaded", "_broken", "_path")
 def install(tmp_path, monkeypatch):
     """Make packages of modules and entry points that Python finds; all is forgotten afterwards."""
     held = []
-    for registry in (READERS, WRITERS):
+    for registry in (READERS, WRITERS, METRICS):
         registry.parts()
         held.append((registry, {name: copy.copy(vars(registry)[name]) for name in STATE}))
     modules = set(sys.modules)
@@ -199,6 +201,64 @@ def test_what_a_plugin_raises_names_it(install, tmp_path):
         recording = lc.io.open_recording(tmp_path / "a.npz")
     with recording:
         assert recording.format == "npz"
+
+
+METRIC = """
+from lidar_core.evaluation import register_metric
+
+@register_metric("toy_matched", "toy: matched", "%", of="tracks")
+def toy_matched(paired):
+    return 100 * (paired.pairing.target_of >= 0).mean()
+
+@register_metric("toy_unknown", "toy: unknown")
+def toy_unknown(paired):
+    return None
+
+@register_metric("toy_broken", "toy: broken", of="detections")
+def toy_broken(paired):
+    return float("nan")
+"""
+
+
+def estimates_and_truth():
+    stamps = np.zeros(2, np.int64)
+    places = np.array([[0, 0, 0], [5, 0, 0]], float)
+    truth = lc.evaluation.Truth(stamps[:1], np.array([7]), places[:1], np.ones(1, bool))
+    return lc.evaluation.Estimates(stamps, places, np.array([1, 2])), truth
+
+
+def test_a_package_adds_metrics(install):
+    estimates, truth = estimates_and_truth()
+    before = lc.evaluation.evaluate(truth, tracks=estimates).to_dict()["track_scores"]
+    install("toy-metric", {"metric": METRIC}, "[lidar_core.metrics]\ntoy = toy_metric.metric\n")
+    report = lc.evaluation.evaluate(truth, tracks=estimates)
+    scores = report.to_dict()["track_scores"]
+    assert scores.pop("metrics") == before.pop("metrics") | {
+        "toy_matched": 50.0,
+        "toy_unknown": None,
+    }
+    assert scores == before
+    rows = [row for row in detail_rows(report.tracks, "tracks") if row is not None]
+    assert ("  toy: matched", "50.000 %") in [tuple(row)[:2] for row in rows]
+    with pytest.warns(PluginWarning, match="'toy-metric': ValueError: toy_broken: expected a fin"):
+        found = lc.evaluation.score_detections(estimates, truth)
+    assert found.metrics == {"toy_unknown": None}
+
+
+def test_a_broken_metric_is_named_and_the_others_go_on(install):
+    estimates, truth = estimates_and_truth()
+    install(
+        "broken-metric",
+        {"metric": "import no_such_module"},
+        "[lidar_core.metrics]\nbad = broken_metric.metric\n",
+    )
+    with pytest.warns(PluginWarning, match="plugin 'bad' of the package 'broken-metric': ModuleNo"):
+        found = lc.evaluation.score_tracks(estimates, truth)
+    assert found.metrics == {"longest_segment": 1.0}
+    with pytest.raises(PluginError, match="no_such_module"):
+        METRICS.get("bad")
+    with pytest.raises(ConfigError, match="metric 'two words': expected a name such as"):
+        lc.evaluation.register_metric("two words", "")
 
 
 def test_a_name_belongs_to_one_part():

@@ -74,6 +74,18 @@ def scores(scans, gate):
     return result
 
 
+def longest_segment(scans, gate):
+    """Share of the sightings that the track with most of each target's sightings holds."""
+    held, sightings = {}, 0
+    for _, names, places, eligible, tracks, found in scans:
+        sightings += sum(eligible)
+        for estimate, target in pairs_of(found, places, gate):
+            if eligible[target]:
+                of_target = held.setdefault(names[target], {})
+                of_target[tracks[estimate]] = of_target.get(tracks[estimate], 0) + 1
+    return sum(max(counts.values()) for counts in held.values()) / sightings if sightings else None
+
+
 def ospa(estimates, targets, cutoff, order):
     """OSPA by the formula: every injection of the smaller set into the larger one is tried."""
     small, large = sorted([list(estimates), list(targets)], key=len)

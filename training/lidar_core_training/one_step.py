@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from lidar_core.circles import CirclePipeline, CirclesConfig, Scanner
 from lidar_core.circles.crowds import Crowds
-from lidar_core.evaluation.assignment import match
+from lidar_core.evaluation.matching.assignment import match
 
 CHANNELS, ANSWERS = 4, 4
 _WIDTH, _KERNEL, _DILATIONS = 24, 5, (1, 2, 4, 8, 16, 32)

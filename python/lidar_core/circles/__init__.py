@@ -7,9 +7,8 @@ from lidar_core.circles.estimators.fit_config import FitConfig
 from lidar_core.circles.estimators.fitting import Circles, fit_circles
 from lidar_core.circles.estimators.network import CircleNetwork
 from lidar_core.circles.estimators.trust import trust_model
-from lidar_core.circles.mapping.map import CircleElements, CircleMap, MapEvents
+from lidar_core.circles.mapping.map import CircleMap, MapEvents
 from lidar_core.circles.mapping.map_config import CircleMapConfig
-from lidar_core.circles.mapping.map_shapes import ShapeElements
 from lidar_core.circles.pipeline import CirclePipeline
 from lidar_core.circles.preprocess import limit_range, project_horizontal
 from lidar_core.circles.results import CircleFrame, CirclesHealth
@@ -20,6 +19,7 @@ from lidar_core.circles.segmentation import Segments, Side, segment
 from lidar_core.circles.shape_config import ShapeConfig
 from lidar_core.circles.shapes import Shapes, fit_shapes
 from lidar_core.messages import ShapeKind
+from lidar_core.objects import CircleElements, ShapeElements
 
 __all__ = [
     "CircleDetector",

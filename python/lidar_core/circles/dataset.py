@@ -149,7 +149,9 @@ def generate(
             samples = make_samples(
                 config, count=count, seed=seed, start=start, circles=circles, threads=threads
             )
-            _write_shard(place / name, samples)
+            columns = {field.name: getattr(samples, field.name) for field in fields(Samples)}
+            with written_whole(place / name) as temporary, temporary.open("wb") as file:
+                np.savez(file, **columns)
             sums[name] = _sum(place / name)
             _write_manifest(place, config, seed, n_samples, sums)
         if on_shard is not None:
@@ -219,11 +221,6 @@ def _write_manifest(
     }
     with written_whole(folder / MANIFEST) as temporary:
         temporary.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
-
-
-def _write_shard(path: Path, samples: Samples) -> None:
-    with written_whole(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, **{field.name: getattr(samples, field.name) for field in fields(Samples)})
 
 
 def _read_shard(path: Path) -> Samples:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 from threading import Lock
-from typing import Any, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,14 +14,20 @@ from lidar_core.circles.config import CirclesConfig
 from lidar_core.circles.estimators.fit_config import FitMethod
 from lidar_core.circles.estimators.fitting import Circles
 from lidar_core.circles.estimators.network import CircleNetwork
-from lidar_core.circles.mapping.map import CircleElements, MapEvents, elements_of
-from lidar_core.circles.mapping.map_shapes import ShapeElements, shape_elements_of
+from lidar_core.circles.mapping.map import MapEvents, elements_of
+from lidar_core.circles.mapping.map_shapes import shape_elements_of
 from lidar_core.circles.preprocess import times
 from lidar_core.circles.results import CircleFrame, CirclesHealth
+from lidar_core.circles.scanner import scanner_name
 from lidar_core.circles.segmentation import Segments, segments_of
 from lidar_core.circles.shapes import Shapes
 from lidar_core.config import as_config
 from lidar_core.errors import ConfigError, InputError, LimitError, NumericalError
+from lidar_core.messages import LaserScan, PosedScan
+from lidar_core.objects import CircleElements, ShapeElements
+
+if TYPE_CHECKING:
+    from lidar_core.sim import SimulatedSweep
 
 Estimator: TypeAlias = Callable[[NDArray[np.float64], NDArray[np.float64], Segments], Circles]
 """Ranges and bearings in the level frame and segments to one circle per segment."""
@@ -100,22 +106,24 @@ class CirclePipeline:
 
     def process(
         self,
-        ranges: ArrayLike,
-        world_from_lidar: ArrayLike,
-        stamp_ns: int,
+        ranges: "ArrayLike | PosedScan[LaserScan] | SimulatedSweep",
+        world_from_lidar: ArrayLike | None = None,
+        stamp_ns: int | None = None,
         *,
         ray_time_ns: ArrayLike | None = None,
         pose_stamps_ns: ArrayLike | None = None,
         pose_covariance: ArrayLike | None = None,
-        scanner: str = "lidar",
+        scanner: str | None = None,
     ) -> CircleFrame:
-        """Take in one scan.
+        """Take in one scan: a posed scan, or its arrays.
 
         Parameters
         ----------
-        ranges : array_like, shape (n_beams,), float32
-            Range of every ray [m]; +inf is a miss, NaN no information. What is nearer than the
-            scanner's `range_min` is no information, what is farther than `range_max` a miss.
+        ranges : PosedScan, or array_like, shape (n_beams,), float32
+            A scan of `lidar_core.io.posed_laser_scans` or of the simulator, with everything that
+            is known about it; nothing but `scanner` may be given beside it. Or range of every ray
+            [m]; +inf is a miss, NaN no information. What is nearer than the scanner's `range_min`
+            is no information, what is farther than `range_max` a miss.
         world_from_lidar : array_like, shape (4, 4) or (K, 4, 4), float64
             Pose of the scanner, tilt included, or a stream of poses with `pose_stamps_ns`: with
             `ray_time_ns` the motion during the sweep is taken out.
@@ -127,8 +135,8 @@ class CirclePipeline:
             Time of every pose [ns], increasing.
         pose_covariance : array_like, shape (6, 6), float64, optional
             Covariance of translation [m^2] and of the angles about x, y, z [rad^2].
-        scanner : str
-            Which of several LiDARs.
+        scanner : str, optional
+            Which of several LiDARs; without it "lidar", of a posed scan its topic or frame.
 
         Returns
         -------
@@ -149,22 +157,26 @@ class CirclePipeline:
         wrong, and `health` counts it.
         """
         self._count("received")
+        given: dict[str, Any] = {
+            "ranges": ranges,
+            "world_from_lidar": world_from_lidar,
+            "stamp_ns": stamp_ns,
+            "ray_time_ns": ray_time_ns,
+            "pose_stamps_ns": pose_stamps_ns,
+            "pose_covariance": pose_covariance,
+            "scanner": scanner,
+        }
         try:
-            frame = self._process(
-                ranges,
-                world_from_lidar,
-                stamp_ns,
-                ray_time_ns,
-                pose_stamps_ns,
-                pose_covariance,
-                scanner,
-            )
+            posed = getattr(ranges, "posed", None)
+            if isinstance(posed, PosedScan):
+                given = _arrays_of(posed, given, self.config)
+            frame = self._process(**given)
         except (InputError, LimitError, NumericalError) as error:
             reason = str(error)
             self._count("rejected", reason)
             if self.config.on_bad_scan == "raise":
                 raise
-            return self._rejected(stamp_ns, scanner, reason)
+            return self._rejected(given["stamp_ns"], given["scanner"] or "lidar", reason)
         except BaseException as error:
             self._count("rejected", type(error).__name__)
             raise
@@ -197,8 +209,9 @@ class CirclePipeline:
         ray_time_ns: ArrayLike | None,
         pose_stamps_ns: ArrayLike | None,
         pose_covariance: ArrayLike | None,
-        scanner: str,
+        scanner: str | None,
     ) -> CircleFrame:
+        scanner = "lidar" if scanner is None else scanner
         rays = as_rows(ranges, name="ranges", rows=None, shape=(), dtype=np.float32)
         if not isinstance(scanner, str):
             raise InputError(f"scanner: expected a name, got {type(scanner).__name__}")
@@ -264,6 +277,28 @@ class CirclePipeline:
             events=MapEvents(False, numbers, numbers, numbers, numbers, np.empty((0, 2), np.int64)),
             rejected=reason,
         )
+
+
+def _arrays_of(
+    posed: PosedScan[Any], given: dict[str, Any], config: CirclesConfig
+) -> dict[str, Any]:
+    """Arguments of `process` that a posed scan stands for."""
+    beside = [name for name, value in given.items() if value is not None]
+    if set(beside) - {"ranges", "scanner"}:
+        raise InputError(f"{beside[1]}: expected nothing but `scanner` beside a posed scan")
+    scan, stamps = posed.scan, posed.pose_stamps_ns
+    if not isinstance(scan, LaserScan):
+        raise InputError(f"scan: expected a LaserScan, got {type(scan).__name__}")
+    rays = np.arange(len(scan.ranges), dtype=np.int64)
+    return {
+        "ranges": scan.ranges,
+        "world_from_lidar": posed.world_from_lidar,
+        "stamp_ns": scan.stamp_ns,
+        "ray_time_ns": None if stamps is None else scan.stamp_ns + scan.time_increment_ns * rays,
+        "pose_stamps_ns": stamps,
+        "pose_covariance": posed.pose_covariance,
+        "scanner": given["scanner"] or scanner_name(posed.sensor, len(rays), config.scanners),
+    }
 
 
 def _frame(stamp_ns: int, scanner: str, values: dict[str, Any]) -> CircleFrame:

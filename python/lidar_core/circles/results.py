@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.circles.estimators.fitting import Circles
-from lidar_core.circles.mapping.map import CircleElements, MapEvents
-from lidar_core.circles.mapping.map_shapes import ShapeElements
+from lidar_core.circles.mapping.map import MapEvents
 from lidar_core.circles.segmentation import Segments
 from lidar_core.circles.shapes import Shapes
+from lidar_core.objects import CircleElements, ShapeElements
 
 
 @dataclass(frozen=True, slots=True)

@@ -99,3 +99,17 @@ def _values_of(preset: str) -> dict[str, Any]:
         if name in ("beams", "angle_min", "angle_increment")
     }
     return {**shape, "range_min": model["range_min"], "range_max": model["range_max"]}
+
+
+def scanner_name(sensor: str, rays: int, scanners: Mapping[str, Scanner]) -> str:
+    """Name, among the `scanners` of a pipeline, of scans of `sensor` with so many rays.
+
+    One that delivers scans of several lengths is several LiDARs to the pipeline.
+    """
+    other = layout_name(sensor, rays)
+    return other if other in scanners else sensor
+
+
+def layout_name(name: str, rays: int) -> str:
+    """Name of the scans of LiDAR `name` that have another number of rays than most."""
+    return f"{name}, {rays} rays"

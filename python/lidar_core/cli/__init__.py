@@ -1,4 +1,4 @@
-"""The `lidar-core` command: one file per subcommand; heavy imports stay inside the functions."""
+"""The `lidar-core` command: a file per command; heavy imports stay inside the functions."""
 
 import signal
 import sys
@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from lidar_core.cli import config, train
-from lidar_core.cli.common import help_text, stoppable
+from lidar_core.cli.shared.common import help_text, stoppable
 from lidar_core.errors import LidarCoreError, OdometryWarning, PluginWarning, PoseFrameWarning
 
 app = typer.Typer(
@@ -31,7 +31,6 @@ for _name in (
     "circles",
     "fuse",
     "evaluate",
-    "export",
     "doctor",
     "reproduce",
     "view",
@@ -40,6 +39,7 @@ for _name in (
 ):
     _command = import_module(f"lidar_core.cli.{_name}").command
     app.command(_name, help=help_text(_command))(stoppable(_command))
+app.command("export", help=help_text(train.export))(stoppable(train.export))
 app.add_typer(config.app, name="config")
 app.add_typer(train.app, name="train")
 

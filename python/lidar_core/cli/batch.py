@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from lidar_core.cli.common import (
+from lidar_core.cli.shared.common import (
     INTERRUPTED,
     JsonFile,
     consoles,

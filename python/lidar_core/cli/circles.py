@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
-from lidar_core.cli.common import (
+from lidar_core.cli.shared.common import (
     READ,
     WRITTEN,
     Row,
@@ -17,7 +17,7 @@ from lidar_core.cli.common import (
     shown_progress,
     stage_rows,
 )
-from lidar_core.cli.run_options import RunOptions, ScanRate, Stamps, with_options
+from lidar_core.cli.shared.run_options import RunOptions, ScanRate, Stamps, with_options
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from lidar_core.cli.common import OverwriteFile
+from lidar_core.cli.shared.common import OverwriteFile
 from lidar_core.parameters import MODELS
 from lidar_core.uses import USES
 

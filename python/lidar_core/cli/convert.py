@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lidar_core.cli.common import JsonFile, consoles, given, progress_on, write_json
-from lidar_core.cli.run_options import (
+from lidar_core.cli.shared.common import JsonFile, consoles, given, progress_on, write_json
+from lidar_core.cli.shared.run_options import (
     End,
     Metadata,
     NoReturn,

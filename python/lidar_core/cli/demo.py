@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lidar_core.cli.common import (
+from lidar_core.cli.shared.common import (
     JsonFile,
     Threads,
     consoles,
@@ -16,7 +16,7 @@ from lidar_core.cli.common import (
     stage_rows,
     write_json,
 )
-from lidar_core.cli.score_rows import counted_caption, main_rows
+from lidar_core.cli.shared.score_rows import counted_caption, main_rows
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -45,7 +45,6 @@ def command(
     """
     from lidar_core.evaluation import EvaluationConfig
     from lidar_core.flying import FlyingConfig, FlyingObjectDetector
-    from lidar_core.io import PosedScan
     from lidar_core.run_folder import RunFolder
     from lidar_core.runs.flying import FlyingRun
     from lidar_core.runs.result import draw
@@ -61,7 +60,7 @@ def command(
         task = progress.add_task("simulate and detect", total=scans)
         for made in simulator:
             truth.add(made)
-            run.take(PosedScan(made.scan, made.poses, made.pose_stamps_ns))
+            run.take(made.posed)
             progress.advance(task)
     report = _compared(run, truth)
     summary = {"command": "demo", "seed": seed, **report.to_dict(), **run.summary()}

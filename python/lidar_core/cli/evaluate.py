@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.common import JsonFile, Row, consoles, given, result_table, write_json
-from lidar_core.cli.score_rows import (
+from lidar_core.cli.shared.common import JsonFile, Row, consoles, given, result_table, write_json
+from lidar_core.cli.shared.score_rows import (
     consistency_warnings,
     counted_caption,
     detail_rows,
@@ -116,7 +116,12 @@ def _without_truth(
     import numpy as np
 
     from lidar_core.evaluation import aligned
-    from lidar_core.evaluation.overlap import spans, time_offsets, typical_offset, wider_tolerance
+    from lidar_core.evaluation.matching.overlap import (
+        spans,
+        time_offsets,
+        typical_offset,
+        wider_tolerance,
+    )
 
     ours, theirs = prediction.tracks.stamp_ns, truth.stamp_ns
     without = ~np.isin(aligned(prediction.tracks, truth, config=config).stamp_ns, theirs)

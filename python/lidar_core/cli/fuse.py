@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lidar_core.cli.common import (
+from lidar_core.cli.shared.common import (
     READ,
     JsonFile,
     Row,
@@ -15,7 +15,7 @@ from lidar_core.cli.common import (
     report,
     result_table,
 )
-from lidar_core.cli.run_options import (
+from lidar_core.cli.shared.run_options import (
     ChosenMode,
     ConfigFile,
     End,

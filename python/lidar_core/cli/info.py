@@ -6,8 +6,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.common import given
-from lidar_core.cli.run_options import Metadata, NoReturn, PointTime, Recover, ScanRate, Stamps
+from lidar_core.cli.shared.common import given
+from lidar_core.cli.shared.run_options import (
+    Metadata,
+    NoReturn,
+    PointTime,
+    Recover,
+    ScanRate,
+    Stamps,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lidar_core.cli.common import (
+from lidar_core.cli.shared.common import (
     INTERRUPTED,
     JsonFile,
     Threads,

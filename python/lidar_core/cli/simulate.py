@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.common import JsonFile, consoles, given, progress_on, write_json
+from lidar_core.cli.shared.common import JsonFile, consoles, given, progress_on, write_json
 from lidar_core.errors import ConfigError, meant
 
 if TYPE_CHECKING:

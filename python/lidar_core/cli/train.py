@@ -1,4 +1,4 @@
-"""`lidar-core train`: networks, trained by the distribution lidar-core-training."""
+"""`lidar-core train` and `export`: networks, trained by the distribution lidar-core-training."""
 
 from importlib import import_module
 from pathlib import Path
@@ -6,8 +6,9 @@ from typing import Annotated, Any
 
 import typer
 
-from lidar_core.cli.common import INTERRUPTED, help_text
+from lidar_core.cli.shared.common import INTERRUPTED, help_text
 from lidar_core.errors import MissingExtraError
+from lidar_core.files import check_regular
 
 app = typer.Typer(name="train", no_args_is_help=True, help="Train neural networks.")
 
@@ -102,6 +103,29 @@ def _draw(output: Path, console: Any) -> None:
         training("curves").draw(metrics, output / "curves.png")
     except MissingExtraError as error:
         console.print(f"no curves: {error}", markup=False, soft_wrap=True)
+
+
+def export(
+    run: Annotated[Path, typer.Argument(help="Folder of a finished run of `lidar-core train`.")],
+    model: Annotated[Path, typer.Argument(help="ONNX file to write; its card comes beside it.")],
+) -> None:
+    """Write the best weights of RUN as MODEL, checked against torch, with a card (JSON)."""
+    write = training("export").export
+    if not run.is_dir():
+        check_regular(run)  # says what else it is
+        raise NotADirectoryError(f"{run}: expected the folder of a run, got a file")
+    card = write(run, model)
+    from lidar_core.circles import trust_model
+
+    listed = trust_model(model)
+    print(
+        f"{model}: {card['bytes']:,} bytes, {card['parameters']:,} parameters, at most"
+        f" {card['largest_difference_from_torch']:.1e} from torch"
+    )
+    if listed is None:
+        print("It runs with --trust-model or allow_untrusted=True: no list of trusted models here.")
+    else:
+        print(f"Trusted from now on by this user, as {listed} says; others need --trust-model.")
 
 
 app.command("circles", help=help_text(circles))(circles)

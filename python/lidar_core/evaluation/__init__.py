@@ -1,25 +1,26 @@
 """How good tracks and detections are, held against the truth."""
 
-from lidar_core.evaluation.assignment import Matches, assign, match
 from lidar_core.evaluation.bins import Bins, binned
 from lidar_core.evaluation.config import EvaluationConfig
-from lidar_core.evaluation.consistency import Consistency, consistency, nees
-from lidar_core.evaluation.identity import IdentityScores, score_identities
-from lidar_core.evaluation.latency import Latency
-from lidar_core.evaluation.overlap import overlap_warnings
-from lidar_core.evaluation.pairing import Pairing, counted, pair
-from lidar_core.evaluation.reading import Prediction, read_prediction, read_truth
-from lidar_core.evaluation.report import Evaluation, evaluate
-from lidar_core.evaluation.scoring import eligible, score_detections, score_tracks
-from lidar_core.evaluation.set_distance import Gospa, gospa, ospa
-from lidar_core.evaluation.spread import Spread
-from lidar_core.evaluation.tables import (
+from lidar_core.evaluation.matching.assignment import Matches, assign, match
+from lidar_core.evaluation.matching.overlap import overlap_warnings
+from lidar_core.evaluation.matching.pairing import Pairing, counted, pair
+from lidar_core.evaluation.matching.tables import (
     aligned,
     estimates_of_detections,
     estimates_of_tracks,
     joined,
     truth_of,
 )
+from lidar_core.evaluation.metric import Paired, register_metric
+from lidar_core.evaluation.metrics.consistency import Consistency, consistency, nees
+from lidar_core.evaluation.metrics.identity import IdentityScores, score_identities
+from lidar_core.evaluation.metrics.latency import Latency
+from lidar_core.evaluation.metrics.set_distance import Gospa, gospa, ospa
+from lidar_core.evaluation.reading import Prediction, read_prediction, read_truth
+from lidar_core.evaluation.report import Evaluation, evaluate
+from lidar_core.evaluation.scoring import eligible, score_detections, score_tracks
+from lidar_core.evaluation.spread import Spread
 from lidar_core.evaluation.types import (
     DetectionScores,
     DistanceScores,
@@ -41,6 +42,7 @@ __all__ = [
     "IdentityScores",
     "Latency",
     "Matches",
+    "Paired",
     "Pairing",
     "Prediction",
     "SetScores",
@@ -65,6 +67,7 @@ __all__ = [
     "pair",
     "read_prediction",
     "read_truth",
+    "register_metric",
     "score_detections",
     "score_identities",
     "score_tracks",

@@ -11,8 +11,8 @@ from lidar_core.config import as_config, toml_values
 from lidar_core.errors import FormatError, InputError
 from lidar_core.evaluation.bins import norms
 from lidar_core.evaluation.config import EvaluationConfig
-from lidar_core.evaluation.latency import Latency
-from lidar_core.evaluation.pairing import checked_estimates, checked_truth, rows_of
+from lidar_core.evaluation.matching.pairing import checked_estimates, checked_truth, rows_of
+from lidar_core.evaluation.metrics.latency import Latency
 from lidar_core.evaluation.types import Estimates, Truth
 from lidar_core.files import read_whole
 from lidar_core.io.tables.columns import Columns, read_columns

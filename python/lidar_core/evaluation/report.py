@@ -5,11 +5,11 @@ from typing import Any
 
 from lidar_core.config import as_config
 from lidar_core.evaluation.config import EvaluationConfig
-from lidar_core.evaluation.identity import IdentityScores, score_identities
-from lidar_core.evaluation.latency import Latency
-from lidar_core.evaluation.overlap import overlap_warnings
+from lidar_core.evaluation.matching.overlap import overlap_warnings
+from lidar_core.evaluation.matching.tables import aligned
+from lidar_core.evaluation.metrics.identity import IdentityScores, score_identities
+from lidar_core.evaluation.metrics.latency import Latency
 from lidar_core.evaluation.scoring import score_detections, score_tracks
-from lidar_core.evaluation.tables import aligned
 from lidar_core.evaluation.types import DetectionScores, Estimates, TrackScores, Truth, plain
 
 

@@ -10,9 +10,7 @@ from lidar_core.config import as_config
 from lidar_core.errors import InputError
 from lidar_core.evaluation.bins import bin_of, norms
 from lidar_core.evaluation.config import EvaluationConfig
-from lidar_core.evaluation.consistency import Consistency, consistency, nees
-from lidar_core.evaluation.continuity import continuity, switches
-from lidar_core.evaluation.pairing import (
+from lidar_core.evaluation.matching.pairing import (
     Pairing,
     checked_estimates,
     checked_truth,
@@ -24,7 +22,10 @@ from lidar_core.evaluation.pairing import (
     rows_of,
     scans,
 )
-from lidar_core.evaluation.set_distance import set_distances
+from lidar_core.evaluation.metric import Of, Paired, metrics_of
+from lidar_core.evaluation.metrics.consistency import Consistency, consistency, nees
+from lidar_core.evaluation.metrics.continuity import continuity, switches
+from lidar_core.evaluation.metrics.set_distance import set_distances
 from lidar_core.evaluation.spread import Spread
 from lidar_core.evaluation.types import (
     DetectionScores,
@@ -95,7 +96,7 @@ def score_detections(
     config = as_config(config, EvaluationConfig)
     detections, truth = checked_estimates(detections), checked_truth(truth)
     pairing = pair(detections, truth, config=config)
-    return DetectionScores(**_common(detections, truth, pairing, config))
+    return DetectionScores(**_common(detections, truth, pairing, config, "detections"))
 
 
 def score_tracks(
@@ -112,7 +113,7 @@ def score_tracks(
     tracks = checked_estimates(tracks)
     numbers, truth = numbers_of(tracks), checked_truth(truth)
     pairing = pair(tracks, truth, config=config)
-    common = _common(tracks, truth, pairing, config)
+    common = _common(tracks, truth, pairing, config, "tracks")
     false_ids = np.unique(numbers[pairing.nearest > config.gate]).tolist()
     duration = common["duration"]
     return TrackScores(
@@ -126,7 +127,7 @@ def score_tracks(
 
 
 def _common(
-    estimates: Estimates, truth: Truth, pairing: Pairing, config: EvaluationConfig
+    estimates: Estimates, truth: Truth, pairing: Pairing, config: EvaluationConfig, of: Of
 ) -> dict[str, Any]:
     """Fields of `DetectionScores`."""
     steady = continuity(truth, pairing)
@@ -139,6 +140,7 @@ def _common(
         "first_delay": steady.first_delay,
         "longest_gap": steady.longest_gap,
         "n_fragmentations": steady.n_fragmentations,
+        "metrics": metrics_of(Paired(estimates, truth, pairing, config), of),
     }
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.evaluation.consistency import Consistency
+from lidar_core.evaluation.metrics.consistency import Consistency
 from lidar_core.evaluation.spread import Spread
 
 
@@ -166,6 +166,8 @@ class DetectionScores:
         [s]; up to the scan that has the estimate, where there is one.
     n_fragmentations : int
         How often a target was lost and found again, among the scans in which it had to be found.
+    metrics : dict
+        Numbers of registered metrics (`register_metric`) by name; None where one does not apply.
     stamp_ns : ndarray, shape (S,), int64
         Scans in which a target had to be found [ns].
     recall_at : ndarray, shape (S,), float64
@@ -193,6 +195,7 @@ class DetectionScores:
     first_delay: dict[int, float | None]
     longest_gap: dict[int, float]
     n_fragmentations: int
+    metrics: dict[str, float | None]
     stamp_ns: NDArray[np.int64] = field(repr=False)
     recall_at: NDArray[np.float64] = field(repr=False)
 

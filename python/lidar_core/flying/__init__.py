@@ -16,17 +16,11 @@ from lidar_core.flying.config import (
 )
 from lidar_core.flying.detector import FlyingObjectDetector
 from lidar_core.flying.pose_config import PoseConfig
-from lidar_core.flying.results import (
-    FlyingDetections,
-    FlyingFrame,
-    FlyingStatus,
-    Health,
-    TrackEvents,
-    Tracks,
-)
+from lidar_core.flying.results import FlyingFrame, FlyingStatus, Health, TrackEvents
 from lidar_core.flying.sensor_config import SensorConfig
 from lidar_core.flying.tracker import PointCloudTracker
 from lidar_core.flying.tracker_config import TrackerConfig
+from lidar_core.objects import FlyingDetections, Tracks
 
 __all__ = [
     "ClassifyConfig",

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from os import PathLike
 from threading import Lock
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,13 +15,15 @@ from lidar_core.errors import InputError
 from lidar_core.files import naming
 from lidar_core.flying.analysis import as_pose_covariance
 from lidar_core.flying.config import FlyingConfig
-from lidar_core.flying.results import (
-    FlyingDetections,
-    FlyingFrame,
-    FlyingStatus,
-    Health,
-    Tracks,
-)
+from lidar_core.flying.results import FlyingFrame, FlyingStatus, Health
+from lidar_core.messages import PosedScan, Scan
+from lidar_core.objects import FlyingDetections, Tracks
+
+if TYPE_CHECKING:
+    from lidar_core.sim import SimulatedScan
+
+
+_OPTIONAL = ("no_return", "directions", "point_time_ns", "pose_stamps_ns", "pose_covariance")
 
 
 class FlyingObjectDetector:
@@ -57,23 +59,25 @@ class FlyingObjectDetector:
 
     def process(
         self,
-        points_lidar: ArrayLike,
-        world_from_lidar: ArrayLike,
-        stamp_ns: int,
+        points_lidar: "ArrayLike | PosedScan[Scan] | SimulatedScan",
+        world_from_lidar: ArrayLike | None = None,
+        stamp_ns: int | None = None,
         *,
         no_return: ArrayLike | None = None,
         directions: ArrayLike | None = None,
         point_time_ns: ArrayLike | None = None,
         pose_stamps_ns: ArrayLike | None = None,
         pose_covariance: ArrayLike | None = None,
-        sensor: str = "lidar",
+        sensor: str | None = None,
     ) -> FlyingFrame:
-        """Process one scan.
+        """Process one scan: a posed scan, or its arrays.
 
         Parameters
         ----------
-        points_lidar : array_like, shape (N, 3) or (H, W, 3), float32
-            Coordinates [m], lidar frame; NaN is no information.
+        points_lidar : PosedScan, or array_like, shape (N, 3) or (H, W, 3), float32
+            A scan of `lidar_core.io.posed_scans` or of the simulator, with everything that is
+            known about it; nothing but `sensor` may be given beside it. Or coordinates [m], lidar
+            frame; NaN is no information.
         world_from_lidar : array_like, shape (4, 4) or (K, 4, 4), float64
             Pose of the scan, or a stream of poses with `pose_stamps_ns`: with `point_time_ns`
             every point is then placed by the pose at its own time (deskew).
@@ -90,8 +94,8 @@ class FlyingObjectDetector:
             Time of every pose [ns], increasing.
         pose_covariance : array_like, shape (6, 6), float64, optional
             Covariance of translation [m^2] and of the angles about x, y, z [rad^2] (eq. 38).
-        sensor : str
-            Which of several LiDARs.
+        sensor : str, optional
+            Which of several LiDARs; without it "lidar", of a posed scan its topic or frame.
 
         Returns
         -------
@@ -106,36 +110,39 @@ class FlyingObjectDetector:
         LimitError
             The map would outgrow its budget; the detector is unchanged.
         """
-        self._count("received")
+        given: dict[str, Any] = {
+            "points_lidar": points_lidar,
+            "world_from_lidar": world_from_lidar,
+            "stamp_ns": stamp_ns,
+            "no_return": no_return,
+            "directions": directions,
+            "point_time_ns": point_time_ns,
+            "pose_stamps_ns": pose_stamps_ns,
+            "pose_covariance": pose_covariance,
+            "sensor": sensor,
+        }
         try:
-            stamp_ns = as_stamp(stamp_ns, name="stamp_ns")
-            points = as_points(points_lidar, name="points_lidar")
-            values = self._detector.process(
-                points,
-                as_poses(world_from_lidar, name="world_from_lidar"),
-                stamp_ns,
-                no_return=_maybe_mask(no_return, len(points)),
-                directions=_maybe_directions(directions, len(points)),
-                point_time_ns=_maybe_stamps(point_time_ns, "point_time_ns", len(points)),
-                pose_stamps_ns=_maybe_stamps(pose_stamps_ns, "pose_stamps_ns", None),
-                pose_covariance=(
-                    None if pose_covariance is None else as_pose_covariance(pose_covariance)
-                ),
-                sensor=_name(sensor),
-                organised=np.ndim(points_lidar) == 3,
-            )
+            is_posed = isinstance(points_lidar, PosedScan)
+            posed = points_lidar if is_posed else getattr(points_lidar, "posed", None)
+            if isinstance(posed, PosedScan):
+                given = _arrays_of(posed, given)
+            stamp, values = self._process(**given)
         except InputError as error:
             self._count("rejected")
             if self.config.on_bad_scan == "raise":
                 raise
-            return self._rejected(stamp_ns, str(error))
+            return self._rejected(given["stamp_ns"], str(error))
         except BaseException:
             self._count("rejected")
             raise
-        frame = _frame(stamp_ns, values)
-        with self._counting:
-            self._health = replace(self._health, **_known(frame.status))
-        self._count("held" if frame.status.map_pose_mismatch else "processed")
+        frame = _frame(stamp, values)
+        status = frame.status
+        self._count(
+            "held" if status.map_pose_mismatch else "processed",
+            sky=status.sky,
+            sky_share=status.sky_share,
+            own_body=status.own_body,
+        )
         return frame
 
     def tracks_at(self, stamp_ns: int) -> Tracks:
@@ -230,9 +237,57 @@ class FlyingObjectDetector:
         """Scans counted since the start: received = processed + held + rejected."""
         return self._health
 
-    def _count(self, field: str) -> None:
+    def _process(
+        self,
+        points_lidar: ArrayLike,
+        world_from_lidar: ArrayLike,
+        stamp_ns: int,
+        no_return: ArrayLike | None,
+        directions: ArrayLike | None,
+        point_time_ns: ArrayLike | None,
+        pose_stamps_ns: ArrayLike | None,
+        pose_covariance: ArrayLike | None,
+        sensor: str | None,
+    ) -> tuple[int, dict[str, Any]]:
+        """Stamp of a scan, and what the core says about it."""
+        stamp = as_stamp(stamp_ns, name="stamp_ns")
+        points = as_points(points_lidar, name="points_lidar")
+        poses = as_poses(world_from_lidar, name="world_from_lidar")
+        rows, options = len(points), dict[str, Any]()
+        if no_return is not None:
+            options["no_return"] = as_mask(no_return, name="no_return", rows=rows)
+        if directions is not None:
+            options["directions"] = as_points(directions, name="directions")
+            if len(options["directions"]) != rows:
+                shape = options["directions"].shape
+                raise InputError(f"directions: expected shape ({rows}, 3), got {shape}")
+        if point_time_ns is not None:
+            times = as_real(point_time_ns, name="point_time_ns").reshape(-1)
+            options["point_time_ns"] = as_rows(
+                times, name="point_time_ns", rows=rows, shape=(), dtype=np.int64
+            )
+        if pose_stamps_ns is not None:
+            options["pose_stamps_ns"] = as_rows(
+                pose_stamps_ns, name="pose_stamps_ns", rows=None, shape=(), dtype=np.int64
+            )
+        if pose_covariance is not None:
+            options["pose_covariance"] = as_pose_covariance(pose_covariance)
+        name = "lidar" if sensor is None else sensor
+        if not isinstance(name, str):
+            raise InputError(f"sensor: expected a name, got {type(name).__name__}")
+        if not name.isprintable():  # halves of characters, too, which no file and no log can hold
+            raise InputError(f"sensor: expected a name that can be printed, got {name!a}")
+        is_organised = np.ndim(points_lidar) == 3
+        options = dict.fromkeys(_OPTIONAL) | options
+        return stamp, self._detector.process(
+            points, poses, stamp, **options, sensor=name, organised=is_organised
+        )
+
+    def _count(self, field: str, **seen: Any) -> None:
+        """Count one more scan as `field`; `seen` is what it tells of the sensor."""
         with self._counting:
-            self._health = replace(self._health, **{field: getattr(self._health, field) + 1})
+            counts = {name: getattr(self._health, name) + 1 for name in ("received", field)}
+            self._health = replace(self._health, **counts, **seen)
 
     def _rejected(self, stamp_ns: Any, reason: str) -> FlyingFrame:
         try:
@@ -251,11 +306,6 @@ class FlyingObjectDetector:
             timing_ms={},
             rejected=reason,
         )
-
-
-def _known(status: FlyingStatus) -> dict[str, Any]:
-    """What a scan tells of the sensor's rays and of the robot."""
-    return {"sky": status.sky, "sky_share": status.sky_share, "own_body": status.own_body}
 
 
 _NO_DETECTIONS = (
@@ -321,33 +371,22 @@ def _world(points: ArrayLike) -> NDArray[np.float64]:
     return rows
 
 
-def _maybe_mask(values: ArrayLike | None, rows: int) -> NDArray[np.bool_] | None:
-    return None if values is None else as_mask(values, name="no_return", rows=rows)
-
-
-def _maybe_directions(values: ArrayLike | None, rows: int) -> NDArray[np.float32] | None:
-    if values is None:
-        return None
-    directions = as_points(values, name="directions")
-    if len(directions) != rows:
-        raise InputError(f"directions: expected shape ({rows}, 3), got {directions.shape}")
-    return directions
-
-
-def _maybe_stamps(
-    values: ArrayLike | None, name: str, rows: int | None
-) -> NDArray[np.int64] | None:
-    if values is None:
-        return None
-    stamps = as_real(values, name=name)
-    if rows is not None:
-        stamps = stamps.reshape(-1)
-    return as_rows(stamps, name=name, rows=rows, shape=(), dtype=np.int64)
-
-
-def _name(sensor: str) -> str:
-    if not isinstance(sensor, str):
-        raise InputError(f"sensor: expected a name, got {type(sensor).__name__}")
-    if not sensor.isprintable():  # halves of characters, too, which no file and no log can hold
-        raise InputError(f"sensor: expected a name that can be printed, got {sensor!a}")
-    return sensor
+def _arrays_of(posed: PosedScan[Any], given: dict[str, Any]) -> dict[str, Any]:
+    """Arguments of `process` that a posed scan stands for."""
+    beside = [name for name, value in given.items() if value is not None]
+    if set(beside) - {"points_lidar", "sensor"}:
+        raise InputError(f"{beside[1]}: expected nothing but `sensor` beside a posed scan")
+    scan = posed.scan
+    if not isinstance(scan, Scan):
+        raise InputError(f"scan: expected a Scan, got {type(scan).__name__}")
+    return {
+        "points_lidar": scan.points,
+        "world_from_lidar": posed.world_from_lidar,
+        "stamp_ns": scan.stamp_ns,
+        "no_return": scan.no_return,
+        "directions": scan.directions,
+        "point_time_ns": scan.point_time_ns,
+        "pose_stamps_ns": posed.pose_stamps_ns,
+        "pose_covariance": posed.pose_covariance,
+        "sensor": given["sensor"] or posed.sensor,
+    }

@@ -5,41 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-
-@dataclass(frozen=True, slots=True)
-class Tracks:
-    """Tracks at one time, by ascending number, in the world frame.
-
-    Attributes
-    ----------
-    id : ndarray, shape (T,), int64
-        Number of the track, never reused.
-    position, velocity, acceleration : ndarray, shape (T, 3), float64
-        [m], [m/s], [m/s^2].
-    covariance : ndarray, shape (T, 9, 9), float64
-        Of position, velocity and acceleration, in this order.
-    extent : ndarray, shape (T, 3), float64
-        Sides of the bounding box of the last cluster or detection [m].
-    n_detections : ndarray, shape (T,), int64
-        Detections that held the track.
-    age : ndarray, shape (T,), float64
-        Time since its first detection [s].
-    stamp_ns : int
-        Time of the states [ns].
-    """
-
-    id: NDArray[np.int64]
-    position: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    acceleration: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    extent: NDArray[np.float64]
-    n_detections: NDArray[np.int64]
-    age: NDArray[np.float64]
-    stamp_ns: int
-
-    def __len__(self) -> int:
-        return len(self.id)
+from lidar_core.objects import FlyingDetections, Tracks
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,42 +31,6 @@ class TrackEvents:
     removed: NDArray[np.int64]
     merged: NDArray[np.int64]
     n_rejected: int
-
-
-@dataclass(frozen=True, slots=True)
-class FlyingDetections:
-    """Flying objects in one scan, world frame.
-
-    Attributes
-    ----------
-    position : ndarray, shape (M, 3), float64
-        Their centres [m]; with `FlyingConfig.position` "paper" the centroids of their points.
-    covariance : ndarray, shape (M, 3, 3), float64
-        Of the position of the object's centre [m^2].
-    radius : ndarray, shape (M,), float64
-        Of the sphere around each object [m].
-    extent : ndarray, shape (M, 3), float64
-        Sides of the boxes around their points [m].
-    n_points : ndarray, shape (M,), int64
-        Points in the scan.
-    confidence : ndarray, shape (M,), float64
-        0 to 1: share of free voxels around the object, less for few points; 0 if only
-        a track tells that it flies.
-    time_ns : ndarray, shape (M,), int64
-        When each was measured [ns]: the mean time of its points; the stamp of the scan where
-        times of points are not given.
-    """
-
-    position: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    radius: NDArray[np.float64]
-    extent: NDArray[np.float64]
-    n_points: NDArray[np.int64]
-    confidence: NDArray[np.float64]
-    time_ns: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return len(self.position)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,9 @@ from numpy.typing import ArrayLike, NDArray
 from lidar_core import _core
 from lidar_core.arrays import Points, as_points, as_real, as_rows, as_stamp, as_vector
 from lidar_core.config import as_config
-from lidar_core.flying.results import TrackEvents, Tracks
+from lidar_core.flying.results import TrackEvents
 from lidar_core.flying.tracker_config import TrackerConfig
+from lidar_core.objects import Tracks
 
 
 class PointCloudTracker:

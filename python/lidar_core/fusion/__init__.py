@@ -3,7 +3,7 @@
 from lidar_core.fusion.config import FusionConfig, PublishedModel
 from lidar_core.fusion.coverage import TargetCoverage, empty_gospa, mean_gospa, target_coverage
 from lidar_core.fusion.filter import TargetFilter
-from lidar_core.fusion.many import MultiTargetTracker, ScanResult, TargetTracks
+from lidar_core.fusion.many import MultiTargetTracker, ScanResult
 from lidar_core.fusion.many_config import AutoferryOptions, MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, Measurements
 from lidar_core.fusion.recordings.autoferry import DetectionScan, read_autoferry
@@ -14,6 +14,7 @@ from lidar_core.fusion.recordings.table import MeasurementLog, TableOptions, rea
 from lidar_core.fusion.run import Run, run, run_batch, smooth
 from lidar_core.fusion.space import LevelSight, SpaceTrack, in_space, level_sight
 from lidar_core.fusion.tuning import fit_noise
+from lidar_core.objects import TargetTracks
 
 __all__ = [
     "AutoferryOptions",

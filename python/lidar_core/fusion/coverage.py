@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.evaluation import assign, gospa
-from lidar_core.fusion.many import TargetTracks
 from lidar_core.fusion.recordings.autoferry import DetectionScan
+from lidar_core.objects import TargetTracks
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from lidar_core.full_state import FullState
 from lidar_core.fusion.many_config import MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, as_measurements
 from lidar_core.fusion.states import state_names, velocities
+from lidar_core.objects import TargetTracks
 
 MAX_SOURCES = 64
 """Scanners that one tracker tells apart."""
@@ -39,44 +40,6 @@ class ScanResult:
     id: NDArray[np.int64]
     innovations: NDArray[np.float64]
     nis: NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class TargetTracks:
-    """Tracks at one time, a row per track.
-
-    Attributes
-    ----------
-    stamp_ns : int
-        Time of the states [ns].
-    id : ndarray, shape (T,), int64
-        Numbers, never given again.
-    states : ndarray, shape (T, n)
-        As the model has them.
-    covariances : ndarray, shape (T, n, n)
-    velocity : ndarray, shape (T, 2)
-        [m/s].
-    born_ns, seen_ns : ndarray, shape (T,), int64
-        Times of the first and the last measurement [ns].
-    hits : ndarray, shape (T,), int64
-        Measurements.
-    confirmed : ndarray, shape (T,), bool
-    """
-
-    stamp_ns: int
-    id: NDArray[np.int64]
-    states: NDArray[np.float64]
-    covariances: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    born_ns: NDArray[np.int64]
-    seen_ns: NDArray[np.int64]
-    hits: NDArray[np.int64]
-    confirmed: NDArray[np.bool_]
-
-    @property
-    def position(self) -> NDArray[np.float64]:
-        """Positions (T, 2) [m]."""
-        return self.states[:, :2]
 
 
 class MultiTargetTracker(FullState):

@@ -116,7 +116,8 @@ def implausible(
         head = measurements[:HEAD]
         # Wrong angles make places jump, too: jumps say something where nothing else explains them.
         shown = _repairs(head, config, ratio, limit) + geographic or _several(head)
-        return Implausible(count, ratio, limit, tuple(shown), _others(shown))
+        likely = [text for word, text in CAUSES.items() if not any(word in one for one in shown)]
+        return Implausible(count, ratio, limit, tuple(shown), tuple(likely))
     least = _quantile(PROBABILITY, degrees) / (10 * FACTOR) ** 2
     if geographic and min(ratio, _scatter(measurements, config)) < least:
         return Implausible(count, ratio, least, tuple(geographic), ())
@@ -168,11 +169,6 @@ def _of(place: int, new: Callable[[float], float]) -> Change:
     return changed
 
 
-def _level_of(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """With x and y in the place of each other."""
-    return values[[1, 0, *range(2, len(values))]]
-
-
 _ANGLES: tuple[tuple[str, Callable[[float], float]], ...] = (
     ("clockwise: they fit with the other sign", lambda a: -a),
     ("compass angles, clockwise from y: they fit as pi/2 minus the angle", lambda a: np.pi / 2 - a),
@@ -193,7 +189,11 @@ REPAIRS: tuple[tuple[str, str, Change], ...] = (
         "y of the LiDAR is mirrored (a clockwise azimuth): it fits with the other sign",
         _of(1, lambda y: -y),
     ),
-    ("lidar", "x and y of the LiDAR are exchanged", _level_of),
+    (
+        "lidar",
+        "x and y of the LiDAR are exchanged",
+        lambda values: values[[1, 0, *range(2, len(values))]],
+    ),
     (
         "radar",
         "range rates are positive when the range shrinks: they fit with the other sign",
@@ -212,7 +212,13 @@ def _repairs(
     for sensor, text, change in REPAIRS:
         if sensor not in known:
             continue
-        again = _ratio(run([_changed(m, sensor, change) for m in measurements], config))
+        changed = [
+            Measurement(m.stamp_ns, sensor, change(m.values), m.covariance)
+            if m.sensor == sensor
+            else m
+            for m in measurements
+        ]
+        again = _ratio(run(changed, config))
         if again is not None and again[0] <= min(limit, ratio / 10):
             found.append((again[0], text))
     # Those about as good as the best one cannot be told apart from it.
@@ -232,12 +238,6 @@ def _repairs(
             " (--angle-unit deg)"
         )
     return shown
-
-
-def _changed(m: Measurement, sensor: str, change: Change) -> Measurement:
-    if m.sensor != sensor:
-        return m
-    return Measurement(m.stamp_ns, m.sensor, change(m.values), m.covariance)
 
 
 def geographic_poses(measurements: Sequence[Measurement]) -> str | None:
@@ -313,8 +313,3 @@ CAUSES: Mapping[str, str] = {
     "platform": "a platform that moves or turns, of which no pose or gyro tells",
 }
 """What is likely, by a word that says that the data shows it."""
-
-
-def _others(shown: Sequence[str]) -> tuple[str, ...]:
-    """Likely causes that the data does not show already."""
-    return tuple(text for word, text in CAUSES.items() if not any(word in one for one in shown))

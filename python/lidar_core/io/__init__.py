@@ -4,7 +4,7 @@ from lidar_core.io.info import RecordingInfo, TopicInfo
 from lidar_core.io.maps.cloud_files import Cloud, read_cloud, write_cloud
 from lidar_core.io.opening import open_recording
 from lidar_core.io.options import PoseOptions, ReadOptions, Span
-from lidar_core.io.poses.posed import PosedScan, PosedScans, posed_laser_scans, posed_scans
+from lidar_core.io.poses.posed import PosedScans, posed_laser_scans, posed_scans
 from lidar_core.io.poses.tf_buffer import NoTransformError, TransformBuffer
 from lidar_core.io.readers import register_reader
 from lidar_core.io.recording import Recording
@@ -22,6 +22,7 @@ from lidar_core.io.write.recording import write_recording
 from lidar_core.io.write.ros import RosWriter, write_ros
 from lidar_core.io.write.ros_obstacles import write_ros_objects
 from lidar_core.io.writers import register_writer
+from lidar_core.messages import PosedScan
 
 __all__ = [
     "Cloud",

@@ -8,15 +8,14 @@ from typing import Any, Generic
 
 from lidar_core.errors import FormatError, LidarCoreError
 from lidar_core.io import NoTransformError, PosedScan
-from lidar_core.io.poses.posed import ScanT
 from lidar_core.live.config import LiveConfig
-from lidar_core.live.inbox import Arrival, Batch, Inbox
-from lidar_core.live.outputs import Output
+from lidar_core.live.outputs.output import Output
 from lidar_core.live.pipelines import LivePipeline
 from lidar_core.live.poses import LivePoses
-from lidar_core.live.source import Source
+from lidar_core.live.sources.inbox import Arrival, Batch, Inbox
+from lidar_core.live.sources.source import Source
 from lidar_core.live.stats import Delay, LiveStats, within_limit
-from lidar_core.messages import Message, Pose
+from lidar_core.messages import Message, Pose, ScanT
 
 IDLE_S = 0.05  # longest sleep while nothing arrives
 SILENCE_S = 1.2  # without a scan, after which is told what there is instead

@@ -4,17 +4,10 @@ from abc import ABC, abstractmethod
 from typing import Generic
 
 from lidar_core.circles import CirclePipeline, CirclesConfig, Scanner
+from lidar_core.circles.scan_layout import check_no_rays, scanner_of
 from lidar_core.flying import FlyingObjectDetector
-from lidar_core.io.poses.posed import PosedScan, ScanT
-from lidar_core.live.update import CirclesUpdate, FlyingUpdate, LiveCapability, Update
-from lidar_core.messages import LaserScan, Scan
-from lidar_core.scan_processing import (
-    check_no_rays,
-    detect,
-    map_circles,
-    scanner_of,
-    sensor_name,
-)
+from lidar_core.live.outputs.update import CirclesUpdate, FlyingUpdate, LiveCapability, Update
+from lidar_core.messages import LaserScan, PosedScan, Scan, ScanT
 
 
 class LivePipeline(ABC, Generic[ScanT]):
@@ -58,7 +51,7 @@ class FlyingLive(LivePipeline[Scan]):
 
     def take(self, item: PosedScan[Scan], frame_id: str) -> Update | str:
         """Process one scan."""
-        frame = detect(self.detector, item, sensor=sensor_name(item.scan))
+        frame = self.detector.process(item)
         return frame.rejected or FlyingUpdate(item, frame, frame_id)
 
 
@@ -105,7 +98,7 @@ class CirclesLive(LivePipeline[LaserScan]):
             Scans that no pipeline can use.
         """
         if self.pipeline is None:
-            name = sensor_name(scan)
+            name = scan.topic or scan.frame_id
             if name not in self._found:
                 self._found[name] = scanner_of(scan, self._config, name)
             if len(self._found) >= self._n_scanners:
@@ -120,5 +113,5 @@ class CirclesLive(LivePipeline[LaserScan]):
         """Process one scan."""
         if self.pipeline is None:
             return "scans of other LiDARs are missing"
-        frame = map_circles(self.pipeline, item)
+        frame = self.pipeline.process(item)
         return frame.rejected or CirclesUpdate(item, frame, frame_id)

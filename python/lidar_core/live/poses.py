@@ -8,10 +8,10 @@ from lidar_core.errors import ConfigError
 from lidar_core.io import NoTransformError, PosedScan, PoseOptions, TransformBuffer
 from lidar_core.io.messages.ros import POSE_TYPES
 from lidar_core.io.poses.nameless import LOOKED_AT, carrier_of, same_movement
-from lidar_core.io.poses.posed import WORLD_FRAME, ScanT, pose_stamps, span_ns
+from lidar_core.io.poses.posed import WORLD_FRAME, pose_stamps, span_ns
 from lidar_core.io.records import Topic
 from lidar_core.live.config import LiveConfig
-from lidar_core.messages import Pose
+from lidar_core.messages import Pose, ScanT
 
 
 class LivePoses:

@@ -1,8 +1,11 @@
 """What the items share: modes, what counts, how it is drawn, and the seeds of flights."""
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_core.evaluation import EvaluationConfig
 from lidar_core.flying import FlyingConfig
@@ -24,6 +27,21 @@ def evaluation_config(**given: Any) -> EvaluationConfig:
     """What counts: after the burn-in, with a gate that a lagging track passes, else as `given`."""
     burn_in = FlyingConfig().seed.burn_in_scans
     return EvaluationConfig(**{"gate": GATE, "burn_in_scans": burn_in, **given})
+
+
+def mean(values: NDArray[Any]) -> float | None:
+    """Mean of all values; None of nothing."""
+    return float(values.mean()) if len(values) else None
+
+
+def share(part: float, whole: float) -> float | None:
+    """Share of a whole; None of nothing."""
+    return float(part / whole) if whole else None
+
+
+def middles(edges: Sequence[float]) -> list[float]:
+    """Middles of groups between `edges`."""
+    return [(near + far) / 2 for near, far in pairwise(edges)]
 
 
 def simulator_seed(seed: int, number: int) -> int:

@@ -53,7 +53,10 @@ class Job:
     @property
     def stamp(self) -> str:
         """What made the part; a part with another stamp is of no use."""
-        plain = {name: _plain(value) for name, value in self.arguments.items()}
+        plain = {
+            name: value.model_dump(mode="json") if isinstance(value, Config) else value
+            for name, value in self.arguments.items()
+        }
         return json.dumps([build_digest(), self.function.__qualname__, plain])
 
 
@@ -145,7 +148,3 @@ def _kept(job: Job, folder: Path | None) -> Part | None:
     except DAMAGED:
         return None  # made again
     return part if str(part.pop(STAMP, "")) == job.stamp else None
-
-
-def _plain(value: Any) -> Any:
-    return value.model_dump(mode="json") if isinstance(value, Config) else value

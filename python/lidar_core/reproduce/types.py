@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 from lidar_core.config import Config
 
@@ -143,6 +143,8 @@ class Item:
         Draws what was measured into an empty matplotlib Figure, its first argument.
     heading : str
         Above the picture; empty if `draw` writes its own.
+    grid : {"both", "x", "y", ""}
+        Lines behind what is drawn: across both axes, one, or none.
     counts : str
         What `scans` counts.
     data : tuple of str
@@ -157,6 +159,7 @@ class Item:
     rows: Callable[..., Iterable[Row]]
     draw: Callable[..., None]
     heading: str = ""
+    grid: Literal["both", "x", "y", ""] = "both"
     counts: str = "scans"
     data: tuple[str, ...] = ()
 
@@ -168,6 +171,8 @@ class Item:
             if self.heading:
                 figure.suptitle(self.heading, x=0.06, ha="left", fontweight="bold")
             self.draw(figure, *(found.data if found.drawn is None else found.drawn))
+            for axes in figure.axes if self.grid else ():
+                axes.grid(visible=True, axis=self.grid)
 
         return Result(tuple(self.rows(*found.data)), draw, found.scans, found.note, found.config)
 

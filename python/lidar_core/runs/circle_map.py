@@ -19,6 +19,8 @@ from lidar_core.circles import (
     CirclesConfig,
     ShapeElements,
 )
+from lidar_core.circles.scan_layout import check_no_rays, scanner_of
+from lidar_core.circles.scanner import layout_name
 from lidar_core.io import (
     McapWriter,
     PosedScan,
@@ -37,16 +39,9 @@ from lidar_core.runs.recording import RecordingJob, folder_to_write, no_progress
 from lidar_core.runs.result import MCAP, OnProgress, Picture, RunResult
 from lidar_core.runs.scan_times import ScanTimes
 from lidar_core.runs.settings import ConfigChoice, config_of_run
-from lidar_core.scan_processing import (
-    check_no_rays,
-    layout_name,
-    log_circles,
-    map_circles,
-    scanner_of,
-    sensor_name,
-)
 from lidar_core.viz import CirclesView, animate_circles, draw_circles
 from lidar_core.viz.film import film_ending
+from lidar_core.viz.scan_log import log_circles
 
 MOST_POINTS = 4_000_000  # kept for the pictures; beyond, points of every other scan are dropped
 FILM_FRAMES, FILM_RATE = 120, 10.0
@@ -141,7 +136,7 @@ def _with_scanners(
                 continue
             layouts = _layouts(item.scan for item in posed)
         for number, scan in enumerate(layouts):
-            name = sensor_name(scan)
+            name = scan.topic or scan.frame_id
             scanner = scanner_of(scan, config, f"{recording}: {name}")
             found.setdefault(layout_name(name, len(scan.ranges)) if number else name, scanner)
     return type(config).load(config.model_dump() | {"scanners": found})
@@ -223,7 +218,7 @@ class CirclesRun:
     def take(self, item: PosedScan[LaserScan]) -> None:
         """Process one scan."""
         start = perf_counter()
-        frame = map_circles(self.pipeline, item)
+        frame = self.pipeline.process(item)
         wall_ms = (perf_counter() - start) * 1e3
         if frame.rejected is None:
             self.keep(item, frame, wall_ms)

@@ -30,9 +30,8 @@ from lidar_core.runs.recording import RecordingJob, folder_to_write, no_progress
 from lidar_core.runs.result import MCAP, OnProgress, Picture, RunResult
 from lidar_core.runs.scan_times import ScanTimes
 from lidar_core.runs.settings import ConfigChoice, config_of_run
-from lidar_core.scan_processing import detect as process
-from lidar_core.scan_processing import log_flying, sensor_name
 from lidar_core.viz import FlyingView, draw_flying
+from lidar_core.viz.scan_log import log_flying
 
 CLASSES = (PointClass.BACKGROUND, PointClass.FLYING, PointClass.UNKNOWN)
 """Classes of points with information that the detector gives."""
@@ -182,12 +181,11 @@ class FlyingRun:
     def take(self, item: PosedScan[Scan]) -> FlyingFrame:
         """Process one scan, with everything the recording knows about it."""
         start = perf_counter()
-        sensor = sensor_name(item.scan)
-        frame = process(self.detector, item, sensor=sensor)
+        frame = self.detector.process(item)
         if frame.rejected is not None:
             self.rejected[frame.rejected] += 1
         else:
-            self.keep(item, frame, (perf_counter() - start) * 1e3, sensor=sensor)
+            self.keep(item, frame, (perf_counter() - start) * 1e3)
         return frame
 
     def open_mcap(self, folder: RunFolder) -> AbstractContextManager[Any]:
@@ -201,9 +199,7 @@ class FlyingRun:
         path = folder.path / "picture.png"
         return [(path, lambda: draw_flying(view, path))]
 
-    def keep(
-        self, item: PosedScan[Scan], frame: FlyingFrame, wall_ms: float, *, sensor: str
-    ) -> None:
+    def keep(self, item: PosedScan[Scan], frame: FlyingFrame, wall_ms: float) -> None:
         """Keep the results of a scan that took `wall_ms`, and write them to run.mcap."""
         self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms)
         poses = item.world_from_lidar.reshape(-1, 4, 4)
@@ -220,7 +216,7 @@ class FlyingRun:
         self._class_counts += np.bincount(frame.point_class, minlength=len(PointClass))
         # Classes of every point of every scan would fill the memory on a long recording.
         self.frames.append(replace(frame, point_class=frame.point_class[:0]))
-        self._sensors.append(sensor)
+        self._sensors.append(item.sensor)
         self.tracks.append(frame.tracks)
         if self._mcap is not None:
             log_flying(self._mcap, item, frame, frame_id=self.frame_id)

@@ -12,7 +12,7 @@ from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 from lidar_core.io import ReadOptions
 from lidar_core.live import LiveConfig, Output, Source
 from lidar_core.live.pipelines import CirclesLive, FlyingLive, LivePipeline
-from lidar_core.live.source import StreamTopics
+from lidar_core.live.sources.source import StreamTopics
 from lidar_core.messages import LaserScan, Scan
 from lidar_core.runs.flying import load_known_map
 from lidar_core.runs.result import MCAP
@@ -114,23 +114,23 @@ def open_source(
     if (text is None) == (replay is None):
         raise ConfigError(f"live: expected one of --in and --replay; --in is {SOURCES}")
     if replay is not None:
-        from lidar_core.live.replay import ReplaySource
+        from lidar_core.live.sources.replay import ReplaySource
 
         return ReplaySource(replay, read, rate=rate or 1.0, topics=topics)
     if rate is not None:
         raise ConfigError("--rate: says nothing about a stream; it is for --replay")
     kind, _, place = str(text).partition(":")
     if kind == "zenoh":
+        from lidar_core.live.sources.zenoh import ZenohSource
         from lidar_core.live.zenoh_link import DEFAULT_ENDPOINT
-        from lidar_core.live.zenoh_source import ZenohSource
 
         return ZenohSource(place or DEFAULT_ENDPOINT, topics, read, live)
     if kind == "foxglove":
-        from lidar_core.live.foxglove_source import DEFAULT_ADDRESS, FoxgloveSource
+        from lidar_core.live.sources.foxglove import DEFAULT_ADDRESS, FoxgloveSource
 
         return FoxgloveSource(place or DEFAULT_ADDRESS, topics, read, live)
     if kind == "udp":
-        from lidar_core.live.udp_source import DEFAULT_PORT, UdpSource
+        from lidar_core.live.sources.udp import DEFAULT_PORT, UdpSource
 
         return UdpSource(_port(place or str(DEFAULT_PORT), "--in udp"), read)
     drivers = (
@@ -203,7 +203,7 @@ def open_output(
     ConfigError
         No such output.
     """
-    from lidar_core.live import outputs
+    from lidar_core.live.outputs import output as outputs
 
     kind, _, place = text.partition(":")
     file = _file(text)
@@ -218,8 +218,8 @@ def open_output(
         port = _port(place.partition(":")[2] or str(PAGE_PORT), "--out rerun:web")
         return outputs.RerunPageOutput(port)
     if kind == "zenoh":
+        from lidar_core.live.outputs.zenoh import ZenohOutput
         from lidar_core.live.zenoh_link import DEFAULT_ENDPOINT
-        from lidar_core.live.zenoh_output import ZenohOutput
 
         return ZenohOutput(place or DEFAULT_ENDPOINT, live)
     raise ConfigError(f"--out {text}: expected one of {OUTPUTS}")

@@ -9,13 +9,12 @@ from lidar_core.circles import CirclePipeline
 from lidar_core.config import Config
 from lidar_core.flying import FlyingObjectDetector
 from lidar_core.live import Output, Update
+from lidar_core.live.outputs.update import CirclesUpdate, FlyingUpdate
 from lidar_core.live.pipelines import CirclesLive, FlyingLive, LivePipeline
-from lidar_core.live.update import CirclesUpdate, FlyingUpdate
 from lidar_core.run_folder import RunFolder, fingerprint
 from lidar_core.runs.circle_map import CirclesRun
 from lidar_core.runs.flying import FlyingRun
 from lidar_core.runs.result import MCAP, draw, wants_mcap
-from lidar_core.scan_processing import sensor_name
 
 
 class LiveFolder(Output):
@@ -52,9 +51,9 @@ class LiveFolder(Output):
     def publish(self, update: Update) -> None:
         """Keep what a scan gave."""
         run = self._run or self._begun(update.frame_id)
-        if isinstance(update, FlyingUpdate) and isinstance(run, FlyingRun):
-            name = sensor_name(update.item.scan)
-            run.keep(update.item, update.frame, _computed_ms(update), sensor=name)
+        if isinstance(update, FlyingUpdate):
+            if isinstance(run, FlyingRun):
+                run.keep(update.item, update.frame, _computed_ms(update))
         elif isinstance(update, CirclesUpdate) and isinstance(run, CirclesRun):
             run.keep(update.item, update.frame, _computed_ms(update))
 

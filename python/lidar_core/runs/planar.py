@@ -10,6 +10,7 @@ from lidar_core.fusion import Measurement
 from lidar_core.io import McapWriter
 from lidar_core.io.poses.posed import WORLD_FRAME
 from lidar_core.messages import Pose, Scan
+from lidar_core.objects import Boxes
 from lidar_core.run_folder import RunFolder
 from lidar_core.runs.result import MCAP
 
@@ -42,19 +43,15 @@ class PlanarStep:
     planar_velocity: NDArray[np.float64]
 
     @property
-    def position(self) -> NDArray[np.float64]:
-        """Positions (T, 3), heights zero [m]."""
-        return in_plane(self.planar_position)
-
-    @property
-    def velocity(self) -> NDArray[np.float64]:
-        """Velocities (T, 3) [m/s]."""
-        return in_plane(self.planar_velocity)
-
-    @property
-    def extent(self) -> NDArray[np.float64]:
-        """Sides of bounding boxes (T, 3), which nobody knows: zero [m]."""
-        return np.zeros((len(self.id), 3))
+    def boxes(self) -> Boxes:
+        """The tracks in space: heights and extents, which are not known, are zero."""
+        return Boxes(
+            self.id,
+            in_plane(self.planar_position),
+            in_plane(self.planar_velocity),
+            np.zeros((len(self.id), 3)),
+            self.stamp_ns,
+        )
 
 
 def in_plane(rows: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -77,7 +74,7 @@ def write_run_mcap(folder: RunFolder, steps: Iterable[PlanarStep]) -> str:
             if len(step.places):
                 points = in_plane(step.places).astype(np.float32)
                 writer.write(Scan(step.stamp_ns, points, SENSOR_FRAME, topic=MEASUREMENTS_TOPIC))
-            writer.write(step)
+            writer.write(step.boxes)
     return MCAP
 
 

@@ -10,7 +10,7 @@ from typing import Any, Generic, Protocol
 from lidar_core.config import Config
 from lidar_core.errors import LidarCoreError
 from lidar_core.io import PoseOptions, ReadOptions
-from lidar_core.io.poses.posed import PosedScan, ScanT
+from lidar_core.messages import PosedScan, ScanT
 from lidar_core.run_folder import RunFolder, fingerprint
 from lidar_core.runs.result import MCAP, OnProgress, Picture, RunResult, draw, wants_mcap
 from lidar_core.runs.scan_source import ScanSource

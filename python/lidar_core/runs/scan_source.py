@@ -5,15 +5,17 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Generic, Self
 
 from lidar_core.errors import ConfigError
 from lidar_core.io import PosedScan, PosedScans, PoseOptions, ReadOptions, open_recording
-from lidar_core.io.poses.posed import ScanT
 from lidar_core.io.recording import Recording
-from lidar_core.messages import Scan
+from lidar_core.messages import Scan, ScanT
+
+STAMP = attrgetter("scan.stamp_ns")
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,12 +95,12 @@ class ScanSource(Generic[ScanT]):
         count: Counter[str] = Counter()
         shift_ns = 0
         for turn in range(self._repeat):
-            for item in heapq.merge(*(lidar.scans for lidar in self._lidars), key=_stamp_ns):
+            for item in heapq.merge(*(lidar.scans for lidar in self._lidars), key=STAMP):
                 if turn == 0:
-                    first_ns = _stamp_ns(item) if not count else first_ns
-                    last_ns = _stamp_ns(item)
+                    last_ns = item.scan.stamp_ns
+                    first_ns = last_ns if not count else first_ns
                     count[item.scan.topic] += 1
-                yield _shifted(item, turn * shift_ns)
+                yield item if turn == 0 else _shifted(item, turn * shift_ns)
             if not count:
                 return
             most = max(count.values())
@@ -152,14 +154,8 @@ class ScanSource(Generic[ScanT]):
         return dict(total)
 
 
-def _stamp_ns(item: PosedScan[ScanT]) -> int:
-    return item.scan.stamp_ns
-
-
 def _shifted(item: PosedScan[ScanT], shift_ns: int) -> PosedScan[ScanT]:
     """`item` as if recorded later."""
-    if shift_ns == 0:
-        return item
     scan, stamps = replace(item.scan, stamp_ns=item.scan.stamp_ns + shift_ns), item.pose_stamps_ns
     if isinstance(scan, Scan) and scan.point_time_ns is not None:
         scan = replace(scan, point_time_ns=scan.point_time_ns + shift_ns)

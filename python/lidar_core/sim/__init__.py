@@ -1,5 +1,6 @@
 """Simulated LiDAR scans, 3D and 2D, with the truth: scenes, sensors, motions, targets."""
 
+from lidar_core.objects import ObjectTruth, TargetTruth
 from lidar_core.sim import circle_scenes, scenes, surfaces
 from lidar_core.sim.air import Dust, Fog, Rain
 from lidar_core.sim.config import Body, Scene, Target
@@ -38,7 +39,7 @@ from lidar_core.sim.solids.shapes import (
     Tree,
 )
 from lidar_core.sim.surfaces import Surface
-from lidar_core.sim.truth import ObjectTruth, SimulatedScan, SimulatedSweep, TargetTruth
+from lidar_core.sim.truth import SimulatedScan, SimulatedSweep
 
 __all__ = [
     "Barrel",

@@ -15,10 +15,11 @@ from lidar_core.io.files.atomic import written_whole
 from lidar_core.io.files.sole import sole_writer
 from lidar_core.io.writers import writer_of
 from lidar_core.messages import Message, Pose
+from lidar_core.objects import TargetTruth
 from lidar_core.sim.config import Scene
 from lidar_core.sim.lidar import Planar
 from lidar_core.sim.simulator import Simulator
-from lidar_core.sim.truth import SimulatedScan, SimulatedSweep, TargetTruth
+from lidar_core.sim.truth import SimulatedScan, SimulatedSweep
 
 Made: TypeAlias = SimulatedScan | SimulatedSweep
 """What a simulator makes, in 3D or in 2D."""

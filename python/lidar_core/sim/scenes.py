@@ -57,7 +57,10 @@ def performance(*, scene: int, seed: int = 20240607) -> Scene:
         raise ConfigError(f"scene: expected 1 or 2, got {scene}")
     height, scans = heights[scene], 20
     pattern = Spinning(
-        elevations_deg=_fan(22.5, 128), columns=1024, azimuth_start=0.001, azimuth_per_scan=0.05
+        elevations_deg=tuple(np.linspace(22.5, -22.5, 128).tolist()),
+        columns=1024,
+        azimuth_start=0.001,
+        azimuth_per_scan=0.05,
     )
     return Scene(
         bodies=_street(np.random.default_rng(seed), _is_clear),
@@ -195,10 +198,6 @@ def _several(draw: Callable[[], Body | None], count: int) -> tuple[Body, ...]:
 
 def _is_clear(x: float, y: float, radius: float) -> bool:
     return hypot(max(abs(x) - 5.5, 0), y) > radius + 4
-
-
-def _fan(half: float, rows: int) -> tuple[float, ...]:
-    return tuple(np.linspace(half, -half, rows).tolist())
 
 
 def _line(

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from lidar_core._core import SimScene, SimShape, SimTrajectory
 from lidar_core.errors import ConfigError
 from lidar_core.messages import LaserScan, Scan
+from lidar_core.objects import ObjectTruth, TargetTruth
 from lidar_core.sim.config import Body, Scene
 from lidar_core.sim.delivery import delivered
 from lidar_core.sim.lidar import Planar, Spinning
@@ -17,7 +18,7 @@ from lidar_core.sim.solids.movers import movers_of, reach_of
 from lidar_core.sim.solids.people import Barrel
 from lidar_core.sim.solids.shapes import Cylinder, Sway, Tree
 from lidar_core.sim.surfaces import Answers
-from lidar_core.sim.truth import ObjectTruth, SimulatedScan, SimulatedSweep, TargetTruth
+from lidar_core.sim.truth import SimulatedScan, SimulatedSweep
 
 
 class Simulator:

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.extras import require
-from lidar_core.io.tables.shapes import ShapesLike, outline
+from lidar_core.io.tables.shapes import outline
 from lidar_core.io.write.circle_scene import ellipse
+from lidar_core.objects import ShapeElements
 from lidar_core.viz.figure import INK, PALE, PURPOSE, write_figure
 from lidar_core.viz.film import write_film
 from lidar_core.viz.views import CirclesView
@@ -221,7 +222,7 @@ def _elements(axes: Any, view: CirclesView, scan: int) -> None:
     )
 
 
-def _shapes(axes: Any, shapes: ShapesLike) -> None:
+def _shapes(axes: Any, shapes: ShapeElements) -> None:
     """Outlines of lines, ellipses and rectangles, dotted where they are out of sight."""
     for row in range(len(shapes.id)):
         around = outline(shapes, row, CORNERS)

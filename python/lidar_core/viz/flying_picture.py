@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.extras import require
-from lidar_core.io.tables.tracks import TracksLike
 from lidar_core.messages import PointClass
+from lidar_core.objects import Tracks
 from lidar_core.viz.figure import INK, PALE, PURPOSE, write_figure
 from lidar_core.viz.views import FlyingView
 
@@ -226,7 +226,7 @@ def _tracks(axes: Any, view: FlyingView, plane: tuple[int, int]) -> None:
         )
 
 
-def _ellipse(axes: Any, tracks: TracksLike, row: int, plane: tuple[int, int], colour: str) -> None:
+def _ellipse(axes: Any, tracks: Tracks, row: int, plane: tuple[int, int], colour: str) -> None:
     """Where the track is with the probability that `SIGMAS` stands for, projected."""
     patches = require("matplotlib.patches", extra="plot", purpose=PURPOSE)
     values, vectors = np.linalg.eigh(tracks.covariance[row][np.ix_(plane, plane)])

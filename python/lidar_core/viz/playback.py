@@ -15,8 +15,9 @@ from lidar_core.io.recording import Recording
 from lidar_core.io.records import SCAN_KINDS
 from lidar_core.io.tables.columns import Columns, read_columns
 from lidar_core.io.tables.covariance import covariance_titles, symmetric
-from lidar_core.io.tables.shapes import ShapesLike, outline, outline_of_row
+from lidar_core.io.tables.shapes import outline, outline_of_row
 from lidar_core.messages import LaserScan, Scan
+from lidar_core.objects import Objects, ShapeElements
 from lidar_core.run_folder import RUN_FILE
 
 Capability: TypeAlias = Literal["flying", "circles", "fusion"]
@@ -24,39 +25,6 @@ Capability: TypeAlias = Literal["flying", "circles", "fusion"]
 RECORDING, MAP = "run.mcap", "map.lcvm"
 CORNERS = 36  # of a circle
 SMALLEST = 0.1  # side of a box that viewers show, also where nobody knows the extent [m]
-
-
-@dataclass(frozen=True, slots=True)
-class Objects:
-    """Tracks, or elements of a map, at one time; world frame.
-
-    Attributes
-    ----------
-    id : ndarray, shape (K,), int64
-        Numbers.
-    position, velocity : ndarray, shape (K, 3), float64
-        [m], [m/s]; heights are zero in the plane.
-    covariance : ndarray, shape (K, 3, 3), float64
-        Of the position [m^2]; zero where unknown.
-    size : ndarray, shape (K, 3), float64
-        Sides of the bounding boxes [m]; circles have no height; zero where unknown.
-    """
-
-    id: NDArray[np.int64]
-    position: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    size: NDArray[np.float64]
-
-    def outline(self, row: int) -> NDArray[np.float64]:
-        """Closed line (V, 3) around object `row`, seen from above: a circle or a rectangle [m]."""
-        if self.size[row, 2] == 0:
-            angles = np.linspace(0, 2 * np.pi, CORNERS + 1)
-            around = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
-        else:
-            around = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [-1, -1, 0]], float)
-        line: NDArray[np.float64] = self.position[row] + around * self.size[row] / 2
-        return line
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,7 +261,7 @@ def _objects(columns: Columns, rows: NDArray[np.int64], *, least: float) -> Obje
     )
 
 
-def outlines_of(shapes: ShapesLike) -> tuple[Outline, ...]:
+def outlines_of(shapes: ShapeElements) -> tuple[Outline, ...]:
     """Elements of a map that are no circles, as they are drawn."""
     return tuple(
         _drawn(number, outline(shapes, row, CORNERS), is_visible=bool(shapes.visible[row]))

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from lidar_core.extras import require
 from lidar_core.io.files.atomic import check_place, written_whole
 from lidar_core.messages import PointClass
-from lidar_core.viz.playback import Moment, Objects, Playback
+from lidar_core.objects import Objects
+from lidar_core.viz.playback import Moment, Playback
 from lidar_core.viz.rerun_process import PURPOSE, free_port, rerun_process
 
 _COLOURS = {

@@ -6,9 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.io.tables.circles import CirclesLike
-from lidar_core.io.tables.shapes import ShapesLike
-from lidar_core.io.tables.tracks import TracksLike
+from lidar_core.objects import CircleElements, ShapeElements, Tracks
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +47,7 @@ class FlyingView:
     voxel_size: float
     sensor: NDArray[np.float64]
     stamp_ns: NDArray[np.int64]
-    tracks: Sequence[TracksLike]
+    tracks: Sequence[Tracks]
     n_detections: NDArray[np.int64]
     truth: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
     recall: Mapping[str, tuple[NDArray[np.int64], NDArray[np.float64]]] = field(
@@ -86,9 +84,9 @@ class CirclesView:
     points: Sequence[NDArray[np.float64]]
     sensor: NDArray[np.float64]
     stamp_ns: NDArray[np.int64]
-    maps: Sequence[CirclesLike]
+    maps: Sequence[CircleElements]
     n_circles: NDArray[np.int64]
-    shapes: Sequence[ShapesLike] = ()
+    shapes: Sequence[ShapeElements] = ()
     truth: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
 
 

@@ -12,47 +12,9 @@ from lidar_core.arrays import as_finite_rows, as_pose, as_rows, as_stamp
 from lidar_core.circles.mapping.map_config import CircleMapConfig
 from lidar_core.config import as_config
 from lidar_core.errors import InputError
+from lidar_core.objects import CircleElements
 
 _MOST_SENSORS = 2**32
-
-
-@dataclass(frozen=True, slots=True)
-class CircleElements:
-    """Elements of the map at one time, by ascending number, in the world frame.
-
-    Attributes
-    ----------
-    id : ndarray, shape (M,), int64
-        Number of the element, never reused: one that was removed comes back, if a late scan
-        shows it, with another.
-    center, velocity : ndarray, shape (M, 2), float64
-        [m], [m/s].
-    radius : ndarray, shape (M,), float64
-        [m].
-    covariance : ndarray, shape (M, 5, 5), float64
-        Of x, y, vx, vy and r, in this order.
-    age : ndarray, shape (M,), float64
-        Time since its first measurement [s].
-    seen_ns : ndarray, shape (M,), int64
-        Time of its last measurement [ns].
-    visible : ndarray, shape (M,), bool
-        A sensor's newest scan measured it, or should have: it is neither hidden nor out of view.
-    stamp_ns : int
-        Time of the states [ns].
-    """
-
-    id: NDArray[np.int64]
-    center: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    radius: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    age: NDArray[np.float64]
-    seen_ns: NDArray[np.int64]
-    visible: NDArray[np.bool_]
-    stamp_ns: int
-
-    def __len__(self) -> int:
-        return len(self.id)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,9 +3,9 @@
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from lidar_core.io.poses.pose_files import read_poses
 from lidar_core.io.poses.pose_frames import PoseFrameCheck, Verdict, advice
 from lidar_core.io.poses.tf_buffer import NoTransformError, TransformBuffer
 from lidar_core.io.scan_topics import WORDS, listed, scan_topic
-from lidar_core.messages import LaserScan, Pose, Scan
+from lidar_core.messages import LaserScan, Pose, PosedScan, Scan, ScanT
 
 if TYPE_CHECKING:
     from lidar_core.io.recording import Recording
@@ -29,30 +29,6 @@ KISS = "kiss"
 MOST_POSES_PER_SCAN = 64
 PAST_THE_END = 10
 """Scans in a row after the end of a span that end it: a single one may have a wrong stamp."""
-
-ScanT = TypeVar("ScanT", Scan, LaserScan)
-
-
-@dataclass(frozen=True, slots=True)
-class PosedScan(Generic[ScanT]):
-    """A scan and where the sensor was.
-
-    Attributes
-    ----------
-    scan : Scan or LaserScan
-        As recorded.
-    world_from_lidar : ndarray, shape (4, 4) or (K, 4, 4), float64
-        One pose, or poses over the scan.
-    pose_stamps_ns : ndarray, shape (K,), int64, optional
-        Times of the poses [ns].
-    pose_covariance : ndarray, shape (6, 6), float64, optional
-        Of translation [m^2] and angles about x, y, z [rad^2], where the source of the poses tells.
-    """
-
-    scan: ScanT
-    world_from_lidar: NDArray[np.float64]
-    pose_stamps_ns: NDArray[np.int64] | None = None
-    pose_covariance: NDArray[np.float64] | None = None
 
 
 class PosedScans(Generic[ScanT]):
@@ -83,14 +59,12 @@ class PosedScans(Generic[ScanT]):
     def __iter__(self) -> Iterator[PosedScan[ScanT]]:
         self.without_pose.clear()
         if self._options.pose == "static":
-            yield from self._standing()
-            return
+            return self._standing()
         if self._options.pose == KISS:
-            yield from self._by_odometry()
-            return
+            return self._by_odometry()
         is_file = self._options.pose != "auto"
         found = self._from_file(Path(self._options.pose)) if is_file else self._from_buffer()
-        yield from found if self._sort is LaserScan else self._checked(found)
+        return found if self._sort is LaserScan else self._checked(found)
 
     def _checked(self, found: Iterator[PosedScan[ScanT]]) -> Iterator[PosedScan[ScanT]]:
         """The same scans; a warning if the first say that the poses are in another frame."""
@@ -98,15 +72,16 @@ class PosedScans(Generic[ScanT]):
         for item in found:
             poses, frame = item.world_from_lidar.reshape(-1, 4, 4), item.scan.frame_id
             scan: Any = item.scan
-            self._tell(check.add(scan.points, poses[len(poses) // 2]), frame)
+            if verdict := check.add(scan.points, poses[len(poses) // 2]):
+                self._tell(verdict, frame)
             yield item
-        self._tell(check.decide(), frame)
+        if verdict := check.decide():
+            self._tell(verdict, frame)
 
-    def _tell(self, verdict: Verdict | None, frame: str) -> None:
-        if verdict is not None:
-            text = advice(verdict, frame=frame, source=self.source)
-            self._recording.findings.note(text)
-            warnings.warn(text, PoseFrameWarning, stacklevel=3)
+    def _tell(self, verdict: Verdict, frame: str) -> None:
+        text = advice(verdict, frame=frame, source=self.source)
+        self._recording.findings.note(text)
+        warnings.warn(text, PoseFrameWarning, stacklevel=3)
 
     def _scans(self) -> Iterator[tuple[int, ScanT]]:
         """Scans that are wanted, each with its place among all of its topic.
@@ -117,8 +92,11 @@ class PosedScans(Generic[ScanT]):
             None of them is within the span that was asked for.
         """
         span = self._options
-        first_ns = 0 if span.is_whole else self._recording.first_stamp() or 0
-        is_found, past, latest_ns = span.is_whole, 0, first_ns
+        if span.is_whole:
+            yield from enumerate(self._recorded())
+            return
+        first_ns = self._recording.first_stamp() or 0
+        is_found, past, latest_ns = False, 0, first_ns
         for number, scan in enumerate(self._recorded()):
             past = past + 1 if span.is_past(scan.stamp_ns, first_ns) else 0
             if past == PAST_THE_END:
@@ -201,7 +179,7 @@ class PosedScans(Generic[ScanT]):
             raise self._missing(frame, buffer, f"nothing moves {frame!r}")
         self.fixed_frame = root
         self.source = f"transforms {root} -> {frame}"
-        yield from self._looked_up(buffer, root, frame)
+        return self._looked_up(buffer, root, frame)
 
     def _looked_up(
         self, buffer: TransformBuffer, root: str, frame: str

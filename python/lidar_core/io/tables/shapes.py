@@ -2,16 +2,16 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.io.tables.circles import ElementsLike
 from lidar_core.io.tables.columns import Columns
 from lidar_core.io.tables.covariance import covariance_titles, upper_triangle
 from lidar_core.io.tables.long_table import write_long_table
 from lidar_core.messages import ShapeKind
+from lidar_core.objects import ShapeElements
 
 STATE = ("x", "y", "vx", "vy", "heading", "half_length", "half_width")
 ENDS = ("x1", "y1", "x2", "y2")
@@ -28,31 +28,8 @@ COLUMNS: dict[str, type] = {
 """Columns of the shapes table: SI units, world frame; ends of lines only, NaN for others."""
 
 
-class ShapesLike(ElementsLike, Protocol):
-    """Others as `CirclePipeline.shapes_at` gives them.
-
-    Covariances are of centre, velocity, heading, half lengths, shape (K, 7, 7).
-    """
-
-    @property
-    def kind(self) -> NDArray[np.uint8]:
-        """A `ShapeKind` each, shape (K,)."""
-
-    @property
-    def heading(self) -> NDArray[np.float64]:
-        """Bearings of the longer half length [rad], shape (K,)."""
-
-    @property
-    def half_size(self) -> NDArray[np.float64]:
-        """Longer and shorter half length [m], shape (K, 2)."""
-
-    @property
-    def ends(self) -> NDArray[np.float64]:
-        """Both ends of lines [m], NaN for other kinds, shape (K, 2, 2)."""
-
-
 def write_shapes_table(
-    path: str | Path, shapes: Iterable[ShapesLike], *, frame_id: str = "world"
+    path: str | Path, shapes: Iterable[ShapeElements], *, frame_id: str = "world"
 ) -> Path:
     """Write the lines, ellipses and rectangles of successive times as one long table.
 
@@ -74,7 +51,7 @@ def write_shapes_table(
     return write_long_table(path, COLUMNS, _rows(shapes, frame_id))
 
 
-def outline(shapes: ShapesLike, row: int, corners: int) -> NDArray[np.float64]:
+def outline(shapes: ShapeElements, row: int, corners: int) -> NDArray[np.float64]:
     """Points of an outline [m]: two of a line, four of a rectangle, `corners` of an ellipse."""
     kind = ShapeKind(int(shapes.kind[row]))
     if kind is ShapeKind.LINE:
@@ -110,7 +87,7 @@ def _placed(
     return points
 
 
-def _rows(shapes: Iterable[ShapesLike], frame_id: str) -> Iterator[Sequence[Any]]:
+def _rows(shapes: Iterable[ShapeElements], frame_id: str) -> Iterator[Sequence[Any]]:
     for state in shapes:
         covariance = upper_triangle(state.covariance, len(STATE)).tolist()
         for row, number in enumerate(state.id.tolist()):

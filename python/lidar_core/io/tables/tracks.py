@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lidar_core.io.files.atomic import written_whole
 from lidar_core.io.tables.covariance import covariance_titles, upper_triangle
 from lidar_core.io.tables.long_table import write_long_table
+from lidar_core.objects import Tracks
 
 STATE = ("x", "y", "z", "vx", "vy", "vz")
 COLUMNS: dict[str, type] = {
@@ -28,48 +29,8 @@ COLUMNS: dict[str, type] = {
 """Columns of the tracks table: SI units; covariance is of position and velocity."""
 
 
-class BoxesLike(Protocol):
-    """Boxes with numbers at one time, a row each: as much of tracks as viewers show."""
-
-    @property
-    def id(self) -> NDArray[np.int64]:
-        """Numbers of the tracks, shape (T,)."""
-
-    @property
-    def position(self) -> NDArray[np.float64]:
-        """Positions [m], shape (T, 3)."""
-
-    @property
-    def velocity(self) -> NDArray[np.float64]:
-        """Velocities [m/s], shape (T, 3)."""
-
-    @property
-    def extent(self) -> NDArray[np.float64]:
-        """Sides of the bounding boxes [m], shape (T, 3)."""
-
-    @property
-    def stamp_ns(self) -> int:
-        """Time of the states [ns]."""
-
-
-class TracksLike(BoxesLike, Protocol):
-    """Tracks at one time, one row per track, as `lidar_core.flying.Tracks` holds them."""
-
-    @property
-    def covariance(self) -> NDArray[np.float64]:
-        """Covariances, shape (T, >= 6, >= 6), position and velocity first."""
-
-    @property
-    def n_detections(self) -> NDArray[np.int64]:
-        """Detections that held each track, shape (T,)."""
-
-    @property
-    def age(self) -> NDArray[np.float64]:
-        """Time since the first detection [s], shape (T,)."""
-
-
 def write_tracks_table(
-    path: str | Path, tracks: Iterable[TracksLike], *, frame_id: str = "world"
+    path: str | Path, tracks: Iterable[Tracks], *, frame_id: str = "world"
 ) -> Path:
     """Write tracks as one long table, a row per track and time, whole or not at all.
 
@@ -90,7 +51,7 @@ def write_tracks_table(
     return write_long_table(path, COLUMNS, _rows(tracks, frame_id))
 
 
-def write_tum(folder: str | Path, tracks: Iterable[TracksLike]) -> list[Path]:
+def write_tum(folder: str | Path, tracks: Iterable[Tracks]) -> list[Path]:
     """Write one TUM trajectory (t x y z qx qy qz qw) per track into `folder`.
 
     Parameters
@@ -130,7 +91,7 @@ def write_trajectories(
     return paths
 
 
-def _rows(tracks: Iterable[TracksLike], frame_id: str) -> Iterator[Sequence[Any]]:
+def _rows(tracks: Iterable[Tracks], frame_id: str) -> Iterator[Sequence[Any]]:
     for state in tracks:
         covariance = upper_triangle(state.covariance, len(STATE)).tolist()
         numbers = state.id.tolist()

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.io.tables.circles import CirclesLike
-from lidar_core.io.tables.shapes import ShapesLike, outline
+from lidar_core.io.tables.shapes import outline
+from lidar_core.objects import CircleElements, ShapeElements
 
 LIFETIME_NS = 500_000_000  # an element that is no longer written disappears from the view
 HEIGHT = 0.02  # of a disc [m]
@@ -36,15 +36,15 @@ class CircleScene:
         self._stamp = stamp
         self._frame_id = frame_id
 
-    def entities(self, circles: CirclesLike) -> list[Any]:
+    def entities(self, circles: CircleElements) -> list[Any]:
         """One entity per element, named by its number."""
         return [self._entity(circles, row) for row in range(len(circles.id))]
 
-    def outlines(self, shapes: ShapesLike) -> list[Any]:
+    def outlines(self, shapes: ShapeElements) -> list[Any]:
         """One entity per line, ellipse or rectangle, named by its number."""
         return [self._outline(shapes, row) for row in range(len(shapes.id))]
 
-    def _outline(self, shapes: ShapesLike, row: int) -> Any:
+    def _outline(self, shapes: ShapeElements, row: int) -> Any:
         m, number = self._m, str(int(shapes.id[row]))
         colour = self._colour(WALL if shapes.visible[row] else HIDDEN)
         speed = float(np.linalg.norm(shapes.velocity[row]))
@@ -68,7 +68,7 @@ class CircleScene:
             texts=[label],
         )
 
-    def _entity(self, circles: CirclesLike, row: int) -> Any:
+    def _entity(self, circles: CircleElements, row: int) -> Any:
         m, center = self._m, circles.center[row]
         colour = self._colour(SEEN if circles.visible[row] else HIDDEN)
         radius = float(circles.radius[row])

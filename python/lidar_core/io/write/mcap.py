@@ -13,13 +13,11 @@ from lidar_core.io.files.atomic import WrittenInBlock, check_place, commit, temp
 from lidar_core.io.messages.foxglove import FOXGLOVE_TYPES, OWN_HEIGHT, OWN_SCANNER
 from lidar_core.io.messages.own_cloud import packed
 from lidar_core.io.rotations import quaternion_from_matrix
-from lidar_core.io.tables.circles import CirclesLike
-from lidar_core.io.tables.shapes import ShapesLike
-from lidar_core.io.tables.tracks import BoxesLike
 from lidar_core.io.write.circle_scene import CircleScene
 from lidar_core.io.write.topics import LASER_TOPIC, POSE_TOPIC, SCAN_TOPIC, STATIC_TOPIC
 from lidar_core.io.writers import register_writer
 from lidar_core.messages import LaserScan, Message, Pose, Scan
+from lidar_core.objects import Boxes, CircleElements, ShapeElements
 
 TRACKS_TOPIC, CIRCLES_TOPIC, SHAPES_TOPIC = "/tracks", "/circles", "/shapes"
 TRACK_LIFETIME_NS = 500_000_000  # a track that is no longer written disappears from the view
@@ -51,7 +49,7 @@ class FoxgloveLog:
         self._tracks_frame = tracks_frame
         self._channels: dict[tuple[str, ...], Any] = {}
 
-    def write(self, item: Message | BoxesLike) -> None:
+    def write(self, item: Message | Boxes) -> None:
         """Append a scan, a pose or the tracks of one time.
 
         Raises
@@ -124,7 +122,7 @@ class FoxgloveLog:
         topic = STATIC_TOPIC if pose.is_static else POSE_TOPIC
         self._channel("FrameTransformChannel", topic).log(message, log_time=pose.stamp_ns)
 
-    def _write_tracks(self, tracks: BoxesLike) -> None:
+    def _write_tracks(self, tracks: Boxes) -> None:
         m = self._messages
         stamp = self._stamp(tracks.stamp_ns)
         entities = [self._entity(tracks, row, stamp) for row in range(len(tracks.id))]
@@ -132,7 +130,7 @@ class FoxgloveLog:
             m.SceneUpdate(entities=entities), log_time=tracks.stamp_ns
         )
 
-    def write_circles(self, circles: CirclesLike) -> None:
+    def write_circles(self, circles: CircleElements) -> None:
         """Append the elements of a circle map at one time: discs, 2 sigma ellipses, velocities.
 
         Raises
@@ -143,7 +141,7 @@ class FoxgloveLog:
         scene = self._scene(circles.stamp_ns)
         self._write_scene(CIRCLES_TOPIC, scene.entities(circles), circles.stamp_ns)
 
-    def write_shapes(self, shapes: ShapesLike) -> None:
+    def write_shapes(self, shapes: ShapeElements) -> None:
         """Append the lines, ellipses and rectangles of a map at one time.
 
         Raises
@@ -162,7 +160,7 @@ class FoxgloveLog:
         update = self._messages.SceneUpdate(entities=entities)
         self._channel("SceneUpdateChannel", topic).log(update, log_time=stamp_ns)
 
-    def _entity(self, tracks: BoxesLike, row: int, stamp: Any) -> Any:
+    def _entity(self, tracks: Boxes, row: int, stamp: Any) -> Any:
         m = self._messages
         number, size = int(tracks.id[row]), np.maximum(tracks.extent[row], SMALLEST_BOX)
         upright = m.Quaternion(w=1.0)
@@ -264,7 +262,7 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
 
 @register_writer("Foxglove's messages", [".mcap"], "viz", takes="messages")
 def write_mcap(
-    path: str | Path, items: Iterable[Message | BoxesLike], *, tracks_frame: str = "world"
+    path: str | Path, items: Iterable[Message | Boxes], *, tracks_frame: str = "world"
 ) -> None:
     """Write scans, poses and tracks to one MCAP file, whole or not at all.
 

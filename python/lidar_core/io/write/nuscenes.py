@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from lidar_core.io.files.atomic import written_whole
-from lidar_core.io.write.objects import SCORE, ObjectsLike, RunObjects, Steps
+from lidar_core.io.write.objects import SCORE, RunObjects, Steps
 from lidar_core.io.writers import register_writer
+from lidar_core.objects import Objects
 
 
 @register_writer("nuScenes", [".json"], takes="objects")
@@ -42,7 +43,7 @@ def write_nuscenes(
         temporary.write_text(json.dumps({"meta": used, "results": results}), encoding="utf-8")
 
 
-def _nuscenes_box(token: str, objects: ObjectsLike, row: int, name: str) -> dict[str, Any]:
+def _nuscenes_box(token: str, objects: Objects, row: int, name: str) -> dict[str, Any]:
     length, width, height = objects.size[row].tolist()
     return {
         "sample_token": token,

@@ -14,9 +14,10 @@ from lidar_core.io.messages.ros_types import (
     DYNAMIC_TYPE,
     OBSTACLES_TYPE,
 )
-from lidar_core.io.write.objects import SCORE, ObjectsLike, RunObjects, Steps
+from lidar_core.io.write.objects import SCORE, RunObjects, Steps
 from lidar_core.io.write.ros import RosMessages, RosWriter
 from lidar_core.io.writers import register_writer
+from lidar_core.objects import Objects
 
 TOPICS = {
     DETECTIONS_TYPE: "/detections",
@@ -104,7 +105,7 @@ class ObstacleArrays:
         self._frame_id, self._name = frame_id, name
         version = messages.version
         detection = self._detection1 if version == 1 else self._detection2
-        self._makers: dict[str, Callable[[Any, ObjectsLike, int], Any]] = {
+        self._makers: dict[str, Callable[[Any, Objects, int], Any]] = {
             DETECTIONS_TYPE: detection,
             COSTMAP_TYPES[version]: self._costmap,
         }
@@ -113,7 +114,7 @@ class ObstacleArrays:
         self.kinds = (OBSTACLES_TYPE, *self._makers)
 
     def of(
-        self, stamp_ns: int, objects: ObjectsLike, segments: NDArray[np.float64] = NO_SEGMENTS
+        self, stamp_ns: int, objects: Objects, segments: NDArray[np.float64] = NO_SEGMENTS
     ) -> list[Any]:
         """Messages about the objects and walls at one time."""
         return [self.message(kind, stamp_ns, objects, segments) for kind in self.kinds]
@@ -122,7 +123,7 @@ class ObstacleArrays:
         self,
         kind: str,
         stamp_ns: int,
-        objects: ObjectsLike,
+        objects: Objects,
         segments: NDArray[np.float64] = NO_SEGMENTS,
     ) -> Any:
         """Message of the type `kind` about the objects and, where it has them, walls."""
@@ -136,7 +137,7 @@ class ObstacleArrays:
         return self._types[kind](header, [make(header, objects, row) for row in rows])
 
     def odometry(
-        self, stamp_ns: int, objects: ObjectsLike, covariance: NDArray[np.float64]
+        self, stamp_ns: int, objects: Objects, covariance: NDArray[np.float64]
     ) -> list[Any]:
         """nav_msgs/Odometry for each object, of a child frame track_NUMBER.
 
@@ -165,7 +166,7 @@ class ObstacleArrays:
             )
         return found
 
-    def _detection2(self, header: Any, objects: ObjectsLike, row: int) -> Any:
+    def _detection2(self, header: Any, objects: Objects, row: int) -> Any:
         meant = self._types["vision_msgs/msg/ObjectHypothesis"](self._name, SCORE)
         return self._types["vision_msgs/msg/Detection3D"](
             header,
@@ -174,7 +175,7 @@ class ObstacleArrays:
             str(int(objects.id[row])),
         )
 
-    def _detection1(self, header: Any, objects: ObjectsLike, row: int) -> Any:
+    def _detection1(self, header: Any, objects: Objects, row: int) -> Any:
         """ROS 1 has one number per hypothesis: that of the object."""
         cloud = self._types["sensor_msgs/msg/PointCloud2"](
             header=header,
@@ -192,11 +193,11 @@ class ObstacleArrays:
             header, [found], self._box(objects, row), cloud
         )
 
-    def _hypothesis(self, objects: ObjectsLike, row: int, *meant: Any) -> Any:
+    def _hypothesis(self, objects: Objects, row: int, *meant: Any) -> Any:
         pose = self._known_pose(objects, row, objects.covariance[row])
         return self._types["vision_msgs/msg/ObjectHypothesisWithPose"](*meant, pose)
 
-    def _box(self, objects: ObjectsLike, row: int) -> Any:
+    def _box(self, objects: Objects, row: int) -> Any:
         return self._types["vision_msgs/msg/BoundingBox3D"](
             self._pose(objects, row), self._vector(objects.size[row])
         )
@@ -204,13 +205,13 @@ class ObstacleArrays:
     def _segment(self, ends: NDArray[np.float64]) -> Any:
         return self._types["obstacle_detector/msg/SegmentObstacle"](*map(self._point, ends))
 
-    def _circle(self, objects: ObjectsLike, row: int) -> Any:
+    def _circle(self, objects: Objects, row: int) -> Any:
         radius = float(objects.size[row, :2].max()) / 2
         return self._types["obstacle_detector/msg/CircleObstacle"](
             self._point(objects.position[row]), self._vector(objects.velocity[row]), radius, radius
         )
 
-    def _dynamic(self, header: Any, objects: ObjectsLike, row: int) -> Any:
+    def _dynamic(self, header: Any, objects: Objects, row: int) -> Any:
         number = UUID(int=int(objects.id[row])).bytes
         return self._types["nav2_dynamic_msgs/msg/Obstacle"](
             self._types["unique_identifier_msgs/msg/UUID"](np.frombuffer(number, np.uint8)),
@@ -220,7 +221,7 @@ class ObstacleArrays:
             self._vector(objects.size[row]),
         )
 
-    def _costmap(self, header: Any, objects: ObjectsLike, row: int) -> Any:
+    def _costmap(self, header: Any, objects: Objects, row: int) -> Any:
         """A point with a radius for circles and unknown sizes, else the rectangle of the box."""
         package = COSTMAP_TYPES[self._messages.version].partition("/")[0]
         length, width, height = objects.size[row].tolist()
@@ -241,12 +242,12 @@ class ObstacleArrays:
             velocities=self._types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
         )
 
-    def _known_pose(self, objects: ObjectsLike, row: int, covariance: NDArray[np.float64]) -> Any:
+    def _known_pose(self, objects: Objects, row: int, covariance: NDArray[np.float64]) -> Any:
         return self._types["geometry_msgs/msg/PoseWithCovariance"](
             self._pose(objects, row), _six(covariance)
         )
 
-    def _pose(self, objects: ObjectsLike, row: int) -> Any:
+    def _pose(self, objects: Objects, row: int) -> Any:
         place = self._point(objects.position[row])
         return self._types["geometry_msgs/msg/Pose"](place, self._upright())
 

@@ -140,7 +140,6 @@ def _draw(figure: Any, joined: Part, chosen: dict[str, NDArray[np.bool_]]) -> No
         ]
         axes.set_xticks(range(len(BY_HITS)), labels, rotation=60, fontsize=7)
         axes.set(yscale="log", xlabel="hits", ylabel=f"{measure} [{MEASURES[measure]}]")
-        axes.grid(visible=True)
     panels[1].legend(fontsize=8)
 
 

@@ -76,7 +76,6 @@ def _draw(figure: Any, paper: dict[str, Any], small: dict[str, Any]) -> None:
         )
     axes.axhline(PAPER, color=GREY, ls=":", label="the paper's, 106 epochs")
     axes.set(yscale="log", xlabel="passes over the training data", ylabel="loss of eq. 7 [m^2]")
-    axes.grid(visible=True)
     axes.legend()
 
 

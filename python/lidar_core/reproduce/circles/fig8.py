@@ -19,8 +19,7 @@ from lidar_core.reproduce.circles.runs import (
     mapped,
     network_of,
 )
-from lidar_core.reproduce.circles.single import share_of
-from lidar_core.reproduce.common import BLUE, GREY, RED, simulator_seed
+from lidar_core.reproduce.common import BLUE, GREY, RED, mean, share, simulator_seed
 from lidar_core.reproduce.jobs import Job, Part, run
 from lidar_core.reproduce.types import Item, Measured, Request
 from lidar_core.sim import Scene, circle_scenes
@@ -145,8 +144,8 @@ def world_measures(name: str, one: MapRun) -> list[Measure]:
         ("ghosts", "count", lasting(ghosts)),
         ("longest ghost", "s", float(ghosts.max(initial=0))),
         ("ghosts, also while hidden", "count", lasting(one.ghosts(hidden=True))),
-        ("reported within 0.5 s", "1", share_of(one.delays() <= CONFIRM_TIME)),
-        ("present while visible", "1", reported / due if due else None),
+        ("reported within 0.5 s", "1", mean(one.delays() <= CONFIRM_TIME)),
+        ("present while visible", "1", share(reported, due)),
         ("changes of identity", "count", one.switches()),
         ("x, RMS", "m", rms[0]),
         ("y, RMS", "m", rms[1]),
@@ -163,11 +162,11 @@ def _case_measures(cases: dict[str, list[MapRun]]) -> list[Measure]:
     center = np.sqrt((errors[known, :2] ** 2).sum(axis=1).mean()) if known.any() else None
     radius = np.sqrt((errors[known, 2] ** 2).mean()) if known.any() else None
     return [
-        ("identity kept through 2 s behind another post", "1", share_of(kept)),
-        ("neighbours 0.3 m apart at 5 m kept apart", "1", share_of(apart)),
+        ("identity kept through 2 s behind another post", "1", mean(kept)),
+        ("neighbours 0.3 m apart at 5 m kept apart", "1", mean(apart)),
         ("25-75 % hidden: centre, RMS", "m", center),
         ("25-75 % hidden: radius, RMS", "m", radius),
-        ("25-75 % hidden: present", "1", share_of(known)),
+        ("25-75 % hidden: present", "1", mean(known)),
     ]
 
 
@@ -204,7 +203,6 @@ def _draw(figure: Any, worlds: dict[str, MapRun]) -> None:
             axes.plot(*part["center"][:, target].T, color=GREY, lw=3, alpha=0.5)
         _draw_elements(axes, part)
         axes.set(title=name, xlabel="x [m]", xlim=(-7, 10), ylim=(-7.5, 7.5), aspect="equal")
-        axes.grid(visible=True)
     panels[0].set_ylabel("y [m]")
 
 

@@ -17,8 +17,7 @@ from lidar_core.reproduce.circles.runs import (
     mapped,
     network_of,
 )
-from lidar_core.reproduce.circles.single import share_of
-from lidar_core.reproduce.common import BLUE, GREY, RED, simulator_seed
+from lidar_core.reproduce.common import BLUE, GREY, RED, mean, share, simulator_seed
 from lidar_core.reproduce.jobs import Job, Part, run
 from lidar_core.reproduce.types import Item, Measured, Request
 from lidar_core.sim import circle_scenes
@@ -73,12 +72,12 @@ def _measures(walks: list[MapRun]) -> list[Measure]:
     barrel = np.concatenate([one.errors(BARREL) for one in walks])
     parts = np.concatenate([elements_near(one, PERSON) for one in walks])
     return [
-        ("person is one element", "1", share_of(parts == 1)),
-        ("person is several elements", "1", share_of(parts > 1)),
+        ("person is one element", "1", mean(parts == 1)),
+        ("person is several elements", "1", mean(parts > 1)),
         ("person: centre, RMS", "m", _rms(person)),
         ("barrel: centre, RMS", "m", _rms(barrel[:, :2])),
         ("barrel: radius, RMS", "m", _rms(barrel[:, 2:])),
-        ("present while visible", "1", reported / due if due else None),
+        ("present while visible", "1", share(reported, due)),
         ("changes of identity", "count", sum(one.switches() for one in walks)),
         ("ghosts", "count", sum(lasting(one.ghosts()) for one in walks)),
     ]
@@ -108,7 +107,6 @@ def _draw(figure: Any, one: MapRun) -> None:
         chosen = one.part["element_id"] == number
         axes.plot(*one.part["element_center"][chosen].T, color=BLUE, lw=0.8)
     axes.set(xlabel="x [m]", ylabel="y [m]", xlim=(-2.5, 2.5), ylim=(-3, 3), aspect="equal")
-    axes.grid(visible=True)
 
 
 ITEM = Item(

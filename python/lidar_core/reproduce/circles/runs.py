@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lidar_core import circles, sim
 from lidar_core.circles import CircleFrame, CirclePipeline, CirclesConfig
-from lidar_core.evaluation.assignment import assign
+from lidar_core.evaluation.matching.assignment import assign
 from lidar_core.reproduce.circles.errors import PAPER_NETWORK, checksums
 from lidar_core.reproduce.jobs import Part
 from lidar_core.reproduce.types import Row

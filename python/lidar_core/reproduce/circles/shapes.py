@@ -168,5 +168,6 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=_draw,
+    grid="",
     counts="shapes",
 )

@@ -20,7 +20,7 @@ from lidar_core.reproduce.circles.runs import (
     mapped,
     network_of,
 )
-from lidar_core.reproduce.common import BLUE, GREY, RED, simulator_seed
+from lidar_core.reproduce.common import BLUE, GREY, RED, mean, share, simulator_seed
 from lidar_core.reproduce.jobs import Job, Part, run
 from lidar_core.reproduce.types import Item, Measured, Request, Row
 from lidar_core.sim import circle_scenes
@@ -167,8 +167,8 @@ def _worst(some: Sequence[MapRun]) -> list[Measure]:
     delays = np.concatenate([one.delays() for one in some])
     return [
         *worst,
-        ("present while visible", "1", reported / due if due else None),
-        ("reported within 0.5 s", "1", share_of(delays <= CONFIRM_TIME)),
+        ("present while visible", "1", share(reported, due)),
+        ("reported within 0.5 s", "1", mean(delays <= CONFIRM_TIME)),
         ("changes of identity", "count", sum(one.switches() for one in some)),
         ("ghosts", "count", sum(lasting(one.ghosts()) for one in some)),
     ]
@@ -186,15 +186,9 @@ def draw_errors(figure: Any, panels: dict[str, MapRun]) -> None:
         column[1].set(xlabel="time [s]")
         for panel in column:
             panel.axhline(0, color=GREY, lw=0.8)
-            panel.grid(visible=True)
     axes[0, 0].set_ylabel("error of the radius [mm]")
     axes[1, 0].set_ylabel("error of the centre [mm]")
     axes[1, 0].legend(loc="upper right")
-
-
-def share_of(is_good: NDArray[np.bool_]) -> float | None:
-    """Share of what is true; None of nothing."""
-    return float(is_good.mean()) if len(is_good) else None
 
 
 def _largest(values: NDArray[np.float64]) -> float | None:
@@ -317,8 +311,6 @@ def _draw_one(figure: Any, one: MapRun) -> None:
         panels[1, column].axhline(0, color=GREY, lw=0.8)
         panels[0, column].set(title=f"{name} [m]")
         panels[1, column].set(xlabel="time [s]")
-        for panel in panels[:, column]:
-            panel.grid(visible=True)
     panels[0, 2].set_ylim(RADIUS - 0.02, RADIUS + 0.02)
     panels[0, 0].legend()
     panels[1, 0].set_ylabel("error [mm]")

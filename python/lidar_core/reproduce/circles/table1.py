@@ -74,7 +74,6 @@ def _draw(figure: Any, paper: list[Layer], small: list[Layer]) -> None:
             start += len(layers)
         axes.set(xscale="log", xlabel=what.replace("_", "-"))
         axes.set_yticks(range(start), [layer.name for layer in (*paper, *small)])
-        axes.grid(visible=True, axis="x")
         axes.legend(fontsize=8)
     panels[0].invert_yaxis()
 
@@ -87,6 +86,7 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=_draw,
+    grid="x",
     heading="Layers of the networks",
     counts="layers",
 )

@@ -72,7 +72,6 @@ def _draw(figure: Any, paper: dict[str, float], best: dict[str, float]) -> None:
         )
         axes.bar_label(bars, fmt="{:,.0f}", fontsize=6)
     axes.set_xticks(range(len(PARTS)), PARTS)
-    axes.grid(visible=True, axis="y")
     axes.legend()
 
 
@@ -84,6 +83,7 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=_draw,
+    grid="y",
     heading="Samples",
     counts="dataset",
 )

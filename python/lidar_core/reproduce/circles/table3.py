@@ -159,7 +159,6 @@ def _draw(figure: Any, errors: Table) -> None:
         )
         axes.bar_label(bars, fmt="{:.2g}")
         axes.set(yscale=scale, ylabel=" [".join(QUANTITIES[place]) + "]")
-        axes.grid(visible=True, axis="y")
 
 
 ITEM = Item(
@@ -170,6 +169,7 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=_draw,
+    grid="y",
     heading="Circles of the lattice: test samples",
     counts="test samples",
 )

@@ -212,7 +212,6 @@ def _draw(figure: Any, found: list[Consistency | None], own: list[Array]) -> Non
             axes.axhspan(*one.step_band, color=PALE, label="95 % band of the mean")
             axes.legend(loc="upper right")
         axes.set(title=name, xlabel="time [s]", ylim=(0, None))
-        axes.grid(visible=True)
     panels[0].set_ylabel("mean NEES of 9 numbers")
 
 

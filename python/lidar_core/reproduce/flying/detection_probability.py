@@ -135,7 +135,6 @@ def _draw(figure: Any, parts: list[Part]) -> None:
         axes.plot(distances, [part["predicted"][0] for part in own], color=colour, label=label)
         axes.plot(distances, [part["met"].mean() for part in own], "x", color=colour)
     axes.set(xlabel="distance [m]", ylabel="probability", ylim=(0, 1.05))
-    axes.grid(visible=True)
     axes.legend(title="lines: eq. 49; x: simulated", fontsize=8)
 
 

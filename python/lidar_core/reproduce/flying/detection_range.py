@@ -10,7 +10,16 @@ from numpy.typing import NDArray
 from lidar_core import sim
 from lidar_core.evaluation import EvaluationConfig, score_tracks
 from lidar_core.flying import FlyingConfig
-from lidar_core.reproduce.common import COLOURS, KINDS, MODES, Kind, scene_rng, simulator_seed
+from lidar_core.reproduce.common import (
+    COLOURS,
+    KINDS,
+    MODES,
+    Kind,
+    mean,
+    middles,
+    scene_rng,
+    simulator_seed,
+)
 from lidar_core.reproduce.flying.simulated.flights import both_modes, fly, tables
 from lidar_core.reproduce.flying.simulated.sightings import sightings
 from lidar_core.reproduce.jobs import Part, flights, run
@@ -112,45 +121,30 @@ def _seen(
 def _rows(parts: Sequence[Part]) -> list[Row]:
     rows = []
     for shape in SHAPES:
-        rows.append(Row(f"sightings, {shape}", "1", None, *_counts(parts, shape)))
+        count = float(len(_seen(parts, "best_far", "tracks", shape)[0]))
+        rows.append(Row(f"sightings, {shape}", "1", None, count, count))
         for what, suffix in (("d_max 50 m", "_far"), ("d_max 20 m", "")):
             for kind in KINDS:
                 values = [_seen(parts, mode + suffix, kind, shape)[1] for mode in MODES]
-                recall, error = (_recall(one) for one in values), (_error(one) for one in values)
+                recall = (mean(np.isfinite(one)) for one in values)
+                error = (mean(one[np.isfinite(one)]) for one in values)
                 rows.append(Row(f"recall of {kind}, {shape}, {what}", "1", None, *recall))
                 rows.append(Row(f"error of {kind}, {shape}, {what}", "m", None, *error))
         for kind in KINDS:
             curves = [_curve(parts, f"{mode}_far", kind, shape) for mode in MODES]
             rows += [
                 Row(f"recall of {kind}, {shape}@{middle:g}m", "1", None, paper, best)
-                for middle, paper, best in zip(_middles(), *curves, strict=True)
+                for middle, paper, best in zip(middles(EDGES), *curves, strict=True)
             ]
     false = [_false_tracks(parts, f"{mode}_far") for mode in MODES]
     return [*rows, Row("false tracks, d_max 50 m", "1", None, *false)]
 
 
-def _counts(parts: Sequence[Part], shape: str) -> tuple[float, float]:
-    count = float(len(_seen(parts, "best_far", "tracks", shape)[0]))
-    return count, count
-
-
-def _recall(error: NDArray[np.float64]) -> float | None:
-    return float(np.isfinite(error).mean()) if len(error) else None
-
-
-def _error(error: NDArray[np.float64]) -> float | None:
-    found = error[np.isfinite(error)]
-    return float(found.mean()) if len(found) else None
-
-
 def _curve(parts: Sequence[Part], name: str, kind: Kind, shape: str) -> list[float | None]:
     """Recall per group of distances; None where there is nothing to find."""
     distance, error = _seen(parts, name, kind, shape)
-    return [_recall(error[(distance > near) & (distance <= far)]) for near, far in pairwise(EDGES)]
-
-
-def _middles() -> list[float]:
-    return [(near + far) / 2 for near, far in pairwise(EDGES)]
+    groups = ((distance > near) & (distance <= far) for near, far in pairwise(EDGES))
+    return [mean(np.isfinite(error[group])) for group in groups]
 
 
 def _false_tracks(parts: Sequence[Part], name: str) -> float:
@@ -171,10 +165,14 @@ def _draw(figure: Any, parts: Sequence[Part]) -> None:
             for kind, line in zip(KINDS, ("-", "--"), strict=True):
                 curve = np.array(_curve(parts, f"{mode}_far", kind, shape), float)
                 panel.plot(
-                    _middles(), curve, line, marker=".", color=colour, label=f"{mode} mode, {kind}"
+                    middles(EDGES),
+                    curve,
+                    line,
+                    marker=".",
+                    color=colour,
+                    label=f"{mode} mode, {kind}",
                 )
         panel.set(title=shape, xlabel="distance [m]", ylim=(0, 1.05))
-        panel.grid(visible=True)
     panels[0].set_ylabel("recall")
     panels[0].legend(loc="lower left", fontsize=8)
 

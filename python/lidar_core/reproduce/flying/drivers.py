@@ -6,13 +6,11 @@ import numpy as np
 
 from lidar_core import sim
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
-from lidar_core.io import PosedScan
 from lidar_core.reproduce.common import BLUE, scene_rng, simulator_seed
 from lidar_core.reproduce.flying.real_data.reported import Reported, false_tracks
 from lidar_core.reproduce.flying.real_data.scores import FEWEST, START_S, scores
 from lidar_core.reproduce.jobs import Job, Part, grouped, run
 from lidar_core.reproduce.types import Item, Measured, Request, Row
-from lidar_core.scan_processing import detect
 from lidar_core.sim import Scene, Simulator
 from lidar_core.sim.motion.motions import Scripted
 
@@ -66,8 +64,7 @@ def flight(*, seed: int, number: int, scans: int, sensor: str) -> Part:
     places, hits, seconds = [], [], []
     for step in range(scans):
         made = simulator.scan(step)
-        item = PosedScan(made.scan, made.poses, made.pose_stamps_ns)
-        kept.add(step, item, detect(detector, item, sensor=sensor))
+        kept.add(step, made.posed, detector.process(made, sensor=sensor))
         places.append(made.truth.position)
         hits.append(made.truth.hits)
         seconds.append(made.scan.stamp_ns * 1e-9)
@@ -160,4 +157,5 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=_draw,
+    grid="",
 )

@@ -191,16 +191,15 @@ def _rows(of: dict[str, list[Part]]) -> list[Row]:
     rows = []
     for condition, parts in of.items():
         scans = float(sum(int(part["scans"]) for part in parts))
-        counts = [_count(parts, mode) for mode in MODES]
+        counts = [
+            float(sum(len(np.unique(part[f"{mode}_false"][:, 1])) for part in parts))
+            for mode in MODES
+        ]
         rows.append(Row(f"scans, {condition}", "1", None, scans, scans))
         rows.append(Row(f"false tracks, {condition}", "1", None, *counts))
         rates = (count / scans * 1000 for count in counts)
         rows.append(Row(f"false tracks per 1000 scans, {condition}", "1", None, *rates))
     return rows
-
-
-def _count(parts: Sequence[Part], mode: str) -> float:
-    return float(sum(len(np.unique(part[f"{mode}_false"][:, 1])) for part in parts))
 
 
 def _draw(figure: Any, of: dict[str, list[Part]]) -> None:
@@ -232,4 +231,5 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=_draw,
+    grid="",
 )

@@ -130,7 +130,6 @@ def _draw(
     panels[2].legend(fontsize=8)
     for panel in panels:
         panel.axvspan(ENTERS, LEAVES, color=GREY, alpha=0.2)
-        panel.grid(visible=True)
 
 
 ITEM = Item(

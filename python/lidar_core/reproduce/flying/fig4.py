@@ -126,7 +126,6 @@ def _draw(figure: Any, parts: list[Part]) -> None:
             label = f"{what}: {len(points)} of {drones}"
             axes.plot(*points.T, marker, color=colour, ms=6, mfc="none", label=label)
         axes.set(title=f"{mode} mode", xlabel="time after the start [s]")
-        axes.grid(visible=True)
         axes.legend(loc="lower right")
     panels[0].set_ylabel("height of the centre [m]")
 

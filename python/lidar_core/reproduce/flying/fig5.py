@@ -95,7 +95,6 @@ def _draw(figure: Any, curves: dict[tuple[float, float, float], list[tuple[float
         (line,) = axes.plot(DISTANCES, [shares[0] for shares in curve], label=_label(level))
         axes.plot(DISTANCES, [shares[1] for shares in curve], "x", color=line.get_color())
     axes.set(xlabel="distance [m]", ylabel="hit probability", ylim=(0, 1))
-    axes.grid(visible=True)
     axes.legend(title="position, angles, range; x: drawn", fontsize=8)
 
 

@@ -1,14 +1,13 @@
 """`flying-fig7`: errors and recall over distance, speed and acceleration, simulated."""
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.evaluation import binned
-from lidar_core.reproduce.common import COLOURS, KINDS, MODES, Kind, evaluation_config
+from lidar_core.reproduce.common import COLOURS, KINDS, MODES, Kind, evaluation_config, middles
 from lidar_core.reproduce.flying.simulated.flights import both_modes
 from lidar_core.reproduce.flying.simulated.sightings import Sightings
 from lidar_core.reproduce.flying.simulated.street import jobs, sample
@@ -50,9 +49,10 @@ def _rows(seen: dict[tuple[str, Kind], Sightings]) -> list[Row]:
         for kind in KINDS:
             curves = [_curves(seen[mode, kind], axis, edges) for mode in MODES]
             for place, (name, of) in enumerate((("error", "m"), ("recall", "1"))):
-                for number, middle in enumerate(_middles(edges)):
-                    paper, best = (_value(curve[place][number]) for curve in curves)
-                    rows.append(Row(f"{name} of {kind}@{middle:g}{unit}", of, None, paper, best))
+                for number, middle in enumerate(middles(edges)):
+                    values = (float(curve[place][number]) for curve in curves)
+                    known = (one if np.isfinite(one) else None for one in values)
+                    rows.append(Row(f"{name} of {kind}@{middle:g}{unit}", of, None, *known))
     return rows
 
 
@@ -65,14 +65,6 @@ def _curves(
     return error.mean, binned(keys, found.astype(float), edges=edges).mean
 
 
-def _middles(edges: Sequence[float]) -> list[float]:
-    return [(near + far) / 2 for near, far in pairwise(edges)]
-
-
-def _value(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def _draw(figure: Any, seen: dict[tuple[str, Kind], Sightings]) -> None:
     """Errors above, recall below, one column per quantity."""
     panels = figure.subplots(2, len(AXES), sharey="row", sharex="col")
@@ -81,11 +73,9 @@ def _draw(figure: Any, seen: dict[tuple[str, Kind], Sightings]) -> None:
             style = {"color": COLOURS[mode], "ls": "-" if kind == "detections" else "--"}
             for row, curve in enumerate(_curves(one, axis, edges)):
                 panels[row, column].plot(
-                    _middles(edges), curve, marker=".", label=f"{mode} mode, {kind}", **style
+                    middles(edges), curve, marker=".", label=f"{mode} mode, {kind}", **style
                 )
         panels[1, column].set_xlabel(f"{axis} [{unit}]")
-    for panel in panels.flat:
-        panel.grid(visible=True)
     panels[0, 0].set(ylabel="mean position error [m]", ylim=(0, None))
     panels[1, 0].set(ylabel="recall", ylim=(0, 1.05))
     panels[0, 0].legend(fontsize=8)

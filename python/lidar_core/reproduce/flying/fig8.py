@@ -128,7 +128,11 @@ def _rows(parts: Parts) -> list[Row]:
     rows: list[Row] = []
     for kinds, what in ((FLIGHTS, "all flights"), *(((one,), one) for one in FLIGHTS)):
         for kind in KINDS:
-            columns = (_numbers(_seen(parts, kinds, mode, kind)) for mode in MODES)
+            flights = {mode: [part for one in kinds for part in parts[one, mode]] for mode in MODES}
+            columns = (
+                _numbers(sightings(some, mode, kind, target=0, config=evaluation_config()))
+                for mode, some in flights.items()
+            )
             names = (f"{what}, {kind}: {name}" for name, _ in QUANTITIES)
             known = PAPER[kind] if kinds == FLIGHTS else (None, None)
             rows += map(Row, names, (unit for _, unit in QUANTITIES), (*known, None), *columns)
@@ -140,11 +144,6 @@ def _rows(parts: Parts) -> list[Row]:
 
 
 QUANTITIES = (("mean error", "m"), ("std of the error", "m"), ("recall", "1"))
-
-
-def _seen(parts: Parts, kinds: Sequence[str], mode: str, kind: Kind) -> Sightings:
-    flights = [part for one in kinds for part in parts[one, mode]]
-    return sightings(flights, mode, kind, target=0, config=evaluation_config())
 
 
 def _numbers(seen: Sightings) -> list[float | None]:
@@ -191,8 +190,6 @@ def _draw(figure: Any, parts: Parts) -> None:
                 )
         panels[0, column].set_title(flight_kind)
         panels[1, column].set_xlabel("time [s]")
-    for panel in panels.flat:
-        panel.grid(visible=True)
     panels[0, 0].set(ylabel="position error [m]", ylim=(0, None))
     panels[1, 0].set(ylabel="distance of the drone [m]", ylim=(0, None))
     panels[0, 0].legend(fontsize=8)

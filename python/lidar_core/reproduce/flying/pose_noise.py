@@ -159,7 +159,6 @@ def _draw(figure: Any, parts: Sequence[Part], scans: int) -> None:
     panels[1].set(ylabel="recall of detections", ylim=(0, 1.05))
     for panel in panels:
         panel.set_xlabel("weighting of the map")
-        panel.grid(visible=True, axis="y")
 
 
 ITEM = Item(
@@ -170,5 +169,6 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=_draw,
+    grid="y",
     heading="Poses that jitter and drift",
 )

@@ -151,5 +151,6 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=_draw,
+    grid="",
     data=tuple(file for one in SEQUENCES for file in one.files),
 )

@@ -7,13 +7,11 @@ from numpy.typing import NDArray
 
 from lidar_core import sim
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
-from lidar_core.io import PosedScan
-from lidar_core.reproduce.common import BLUE, GREY, RED, scene_rng, simulator_seed
+from lidar_core.reproduce.common import BLUE, GREY, RED, scene_rng, share, simulator_seed
 from lidar_core.reproduce.flying.real_data.reported import Reported, false_tracks
 from lidar_core.reproduce.flying.real_data.scores import FEWEST, START_S, scores
 from lidar_core.reproduce.jobs import Job, Part, grouped, run
 from lidar_core.reproduce.types import Item, Measured, Request, Row
-from lidar_core.scan_processing import detect
 from lidar_core.sim import Scene, SimulatedScan, Simulator
 
 CONDITIONS = ("fog", "dark", "wet", "glass")
@@ -93,8 +91,7 @@ def flight(*, seed: int, number: int, scans: int, condition: str) -> Part:
     places, hits, seconds, known = [], [], [], []
     for step in range(scans):
         made = simulator.scan(step)
-        item = PosedScan(made.scan, made.poses, made.pose_stamps_ns)
-        kept.add(step, item, detect(detector, item, sensor=sensor))
+        kept.add(step, made.posed, detector.process(made, sensor=sensor))
         places.append(made.truth.position)
         is_before_sky = truth.is_before_sky(step, made)
         hits.append(np.where(is_before_sky, made.truth.hits, 0))
@@ -217,16 +214,12 @@ def _rows(of: dict[str, list[Part]]) -> list[Row]:
         values: list[tuple[str, str, float | None]] = [
             ("scans without targets", "1", float(sum(len(part["sensor"]) for part in empty))),
             ("false_tracks", "1", float(sum(len(false_tracks(part)) for part in empty))),
-            *((f"sky known@{one:g}m", "1", _share(rays, sky)) for one, rays in known),
-            ("surfaces cleared", "1", _share(cleared, lost)),
+            *((f"sky known@{one:g}m", "1", share(rays, sky)) for one, rays in known),
+            ("surfaces cleared", "1", share(cleared, lost)),
             *(one for one in scored if one[0] in wanted),
         ]
         rows += [Row(f"{name}/{what}", unit, None, None, value) for what, unit, value in values]
     return rows
-
-
-def _share(part: int, whole: int) -> float | None:
-    return float(part / whole) if whole else None
 
 
 def _draw(figure: Any, of: dict[str, list[Part]]) -> None:
@@ -253,4 +246,5 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=_draw,
+    grid="",
 )

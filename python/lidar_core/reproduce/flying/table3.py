@@ -122,7 +122,6 @@ def _draw(figure: Any, parts: Sequence[Part]) -> None:
             axes.plot([], [], color=colour, label=f"{mode} mode")
         axes.axhline(PAPER[kind][0], color="#9aa5b1", ls="--", label="mean in the paper")
         axes.set(title=kind, xticks=range(len(SHAPES)), xticklabels=SHAPES)
-        axes.grid(visible=True, axis="y")
         axes.legend()
     panels[0].set_ylabel("position error [m]; box 25-75 %, whiskers 5-95 %")
     panels[0].set_ylim(bottom=0)
@@ -136,5 +135,6 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=_draw,
+    grid="y",
     heading="Simulated flights, ideal: position error",
 )

@@ -139,7 +139,6 @@ def _draw(figure: Any, found: Mapping[tuple[str, str, str], Array]) -> None:
         low, high = one.step_band
         panel.axhspan(low / degrees, high / degrees, color=PALE, label="95 % band")
     panel.set(xlabel="time [s]", ylabel=f"mean NEES / {degrees}", yscale="log")
-    panel.grid(visible=True, axis="y")
     panel.legend(fontsize=8)
 
 
@@ -151,6 +150,7 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=_draw,
+    grid="y",
     heading="EKF-CTRV: squared errors against what covariances say",
     counts="targets",
 )

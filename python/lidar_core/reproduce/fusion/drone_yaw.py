@@ -206,7 +206,6 @@ def _draw(figure: Any, found: Found) -> None:
     panel.set(
         xlabel="turn rate of the sensor, to and fro", ylabel="RMSE in the plane [m]", yscale="log"
     )
-    panel.grid(visible=True, axis="y")
     panel.legend()
 
 
@@ -218,6 +217,7 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=_draw,
+    grid="y",
     heading="A sensor that turns",
     counts="draws",
     data=(OBJ_POSE,),

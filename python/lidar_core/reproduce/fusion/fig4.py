@@ -164,7 +164,6 @@ def _draw(figure: Any, found: Mapping[str, Flown]) -> None:
             )
             panel.plot(made.drone[:, 0], made.drone[:, axis], color=BLUE, ls=":", label="drone")
             panel.set(xlabel="x [m]", ylabel=f"{name} [m]", title=scene)
-            panel.grid(visible=True)
     panels[0, 0].legend(fontsize=8)
 
 

@@ -154,7 +154,6 @@ def _draw(figure: Any, modes: Mapping[str, Curves], raw: list[float], bound: lis
             style = {"lw": 2.4} if name in (LINEAR, EKF, BEST) else {"lw": 1.0}
             panel.plot(LEVELS, curve, marker=".", label=name, **style)
         panel.set(xlabel="power [dBW]", title=TITLES[mode], yscale="log")
-        panel.grid(visible=True)
     panels[-1].plot(LEVELS, bound, color="black", label=BOUND)
     panels[0].set_ylabel("RMSE in the plane [m]")
     for panel in panels:
@@ -168,7 +167,6 @@ def _draw_linear(figure: Any, paper: Curves, best: Curves) -> None:
             panel.plot(LEVELS, curves[name], line, color=colour, label=f"{name}, {mode}")
     panel.axhline(0.21, color=GREY, ls=":", label="0.21 m, paper")
     panel.set(xlabel="power [dBW]", ylabel="RMSE in the plane [m]", yscale="log")
-    panel.grid(visible=True)
     panel.legend()
 
 

@@ -91,7 +91,6 @@ def draw_way(panel: Any, found: Ways, names: Sequence[str]) -> None:
     for name in names:
         panel.plot(*found[name][0].T, label=name, **STYLES[name])
     panel.plot(*truth().T, label="truth", **STYLES["truth"])
-    panel.grid(visible=True)
 
 
 def _measure(request: Request, *, shows: str) -> Measured:
@@ -161,7 +160,6 @@ def _draw_axes(figure: Any, found: Ways) -> None:
             panel.plot(seconds, way[0, :, axis], label=who, **STYLES[who])
         panel.plot(seconds, truth()[:, axis], label="truth", **STYLES["truth"])
         panel.set_ylabel(f"{name} [m]")
-        panel.grid(visible=True)
     panels[1].set_xlabel("time [s]")
     panels[0].legend(fontsize=8, ncols=3)
 

@@ -231,7 +231,6 @@ def _draw(figure: Any, found: Mapping[str, Mapping[str, float]]) -> None:
     panel.invert_yaxis()
     panel.set(xlabel="RMSE in the plane [m]", xscale="log", xlim=(0.1, 5))
     panel.legend()
-    panel.grid(visible=True, axis="x")
 
 
 ITEM = Item(
@@ -242,6 +241,7 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=_draw,
+    grid="x",
     heading=f"Noise of {PAPER_LEVEL:g} dBW",
     counts="draws",
     data=(SAMPLE_1, OBJ_POSE),

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from lidar_core._core import SimTrajectory
 from lidar_core.errors import InputError
-from lidar_core.io.poses.posed import PosedScan
-from lidar_core.messages import Scan
+from lidar_core.messages import PosedScan, Scan
 from lidar_core.sim.insertion.inserted import (
     Poses,
     SolidTarget,

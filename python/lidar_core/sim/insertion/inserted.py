@@ -11,10 +11,10 @@ from lidar_core._core import SimScene, SimShape
 from lidar_core.arrays import as_finite_rows, as_rows
 from lidar_core.errors import InputError
 from lidar_core.messages import Scan
+from lidar_core.objects import TargetTruth
 from lidar_core.sim.insertion.ray_pattern import SAME_RAY, RayPattern, is_return
 from lidar_core.sim.insertion.ray_scan import Rays, SensorWay, inverse, rays_of, times_of_rows
 from lidar_core.sim.solids.people import Placed
-from lidar_core.sim.truth import TargetTruth
 
 Poses: TypeAlias = Callable[[NDArray[np.int64]], NDArray[np.float64]]
 """Poses (M, 4, 4) at times (M,) [ns]."""

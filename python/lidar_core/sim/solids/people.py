@@ -68,7 +68,8 @@ class Person(Config):
     def surfaces(self) -> Placed:
         """Trunk, head, left and right arm, left and right leg."""
         shoulder, hip, head = self._heights()
-        arm, arm_length = self._arm(), 0.37 * self.height
+        arm = self.width / 2 + self.arm_gap + self.arm_radius  # its axis from the middle plane [m]
+        arm_length = 0.37 * self.height
         trunk = SimShape.elliptic_cylinder((self.depth / 2, self.width / 2), shoulder - hip)
         limb = SimShape.cylinder(self.arm_radius, arm_length)
         leg = SimShape.cylinder(self.leg_radius, hip)
@@ -93,10 +94,6 @@ class Person(Config):
     def _heights(self) -> tuple[float, float, float]:
         """Heights of shoulders, hips and the middle of the head [m]."""
         return 0.82 * self.height, 0.5 * self.height, 0.935 * self.height
-
-    def _arm(self) -> float:
-        """Distance of an arm's axis from the middle plane [m]."""
-        return self.width / 2 + self.arm_gap + self.arm_radius
 
 
 class Barrel(Config):

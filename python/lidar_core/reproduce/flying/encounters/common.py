@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lidar_core import sim
 from lidar_core.evaluation import EvaluationConfig, TrackScores, pair, score_tracks
 from lidar_core.extras import require
-from lidar_core.reproduce.common import BLUE, MODES, PALE, RED
+from lidar_core.reproduce.common import BLUE, MODES, PALE, RED, share
 from lidar_core.reproduce.flying.simulated.flights import both_modes, fly, tables
 from lidar_core.reproduce.jobs import Job, Part, run
 from lidar_core.reproduce.types import Request, Row
@@ -91,7 +91,7 @@ def tracking_rows(found: Sequence[Sequence[TrackScores]]) -> list[Row]:
     recall: list[float | None] = []
     for mode in found:
         eligible = sum(one.n_eligible for one in mode)
-        recall.append(sum(one.n_found for one in mode) / eligible if eligible else None)
+        recall.append(share(sum(one.n_found for one in mode), eligible))
     false = (sum(len(one.false_ids) for one in mode) for mode in found)
     return [
         Row("recall of tracks", "1", None, *recall),

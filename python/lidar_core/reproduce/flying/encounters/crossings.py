@@ -104,6 +104,7 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=draw_numbers,
+    grid="",
     heading="Crossings",
     counts="crossings",
 )

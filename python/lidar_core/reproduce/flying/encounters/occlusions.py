@@ -133,6 +133,7 @@ ITEM = Item(
     measure=_measure,
     rows=_rows,
     draw=draw_numbers,
+    grid="",
     heading="Behind a building",
     counts="occlusions",
 )

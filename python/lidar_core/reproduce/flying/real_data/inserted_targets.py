@@ -165,14 +165,10 @@ def real_scans(items: Sequence[PosedScan[Scan]]) -> list[RealScan]:
     stamps = np.array([item.scan.stamp_ns for item in items]) * 1e-9
     steps = np.diff(stamps, prepend=stamps[0])
     seconds = np.cumsum(np.where(steps > GAP_S, 0.1, steps)).tolist()
-    rng, pattern = np.random.default_rng(20240607), RayPattern.of_scans(_spread(items))
+    some = items[:: max(1, len(items) // PATTERN_SCANS)]  # from all over the sequence
+    rng = np.random.default_rng(20240607)
+    pattern = RayPattern.of_scans([item.scan for item in some])
     return [RealScan.of(item, t, pattern, rng) for item, t in zip(items, seconds, strict=True)]
-
-
-def _spread(items: Sequence[PosedScan[Scan]]) -> list[Scan]:
-    """Some scans from all over a sequence."""
-    step = max(1, len(items) // PATTERN_SCANS)
-    return [item.scan for item in items[::step]]
 
 
 def with_targets(

@@ -11,7 +11,6 @@ from lidar_core.flying import FlyingConfig, FlyingFrame, FlyingObjectDetector
 from lidar_core.io import PosedScan
 from lidar_core.messages import Scan
 from lidar_core.reproduce.jobs import Part
-from lidar_core.scan_processing import detect, sensor_name
 
 OWN_REACH, OWN_DRIFT, OWN_WAY = 4.0, 0.5, 1.0
 """A track of the own body: this near the sensor, moving less in its frame than the sensor [m]."""
@@ -85,7 +84,7 @@ def reported(
     for number, item in enumerate(items):
         if number == scans:
             break
-        kept.add(number, item, detect(detector, item, sensor=sensor_name(item.scan)))
+        kept.add(number, item, detector.process(item))
     return kept.columns()
 
 

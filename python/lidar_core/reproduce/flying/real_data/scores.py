@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.evaluation import assign
+from lidar_core.reproduce.common import share
 from lidar_core.reproduce.flying.real_data.reported import false_tracks
 from lidar_core.reproduce.jobs import Part
 
@@ -64,25 +65,21 @@ def scores(parts: Sequence[Part], names: Sequence[str]) -> list[tuple[str, str, 
     after = (np.concatenate(is_found) & ready).sum()
     ahead, aside = np.concatenate(along), np.concatenate(across)
     shapes = [
-        (f"recall, {name}", "1", _share(found[column], due[column]))
+        (f"recall, {name}", "1", share(found[column], due[column]))
         for column, name in enumerate(names)
     ]
     count = sum((part["hits"] > 0).any(axis=0).sum() for part in parts)
     return [
         ("targets", "1", float(count)),
         ("target scans", "1", float(due.sum())),
-        ("recall", "1", _share(found.sum(), due.sum())),
+        ("recall", "1", share(found.sum(), due.sum())),
         *shapes,
-        ("recall, after the burn-in", "1", _share(after, ready.sum())),
+        ("recall, after the burn-in", "1", share(after, ready.sum())),
         ("error", "m", _rms(np.hypot(ahead, aside))),
         ("error, along the line of sight", "m", _rms(ahead)),
         ("error, across it", "m", _rms(aside)),
         ("false_tracks, with targets", "1", float(false)),
     ]
-
-
-def _share(part: float, whole: float) -> float | None:
-    return float(part / whole) if whole else None
 
 
 def _rms(values: NDArray[np.float64]) -> float | None:

@@ -154,13 +154,8 @@ def sequence_scans(sequence: RealSequence, *, static: bool = False) -> Iterator[
             if times is None:
                 yield item
                 continue
-            shift = times[number] - item.scan.stamp_ns
-            yield _moved_in_time(item, shift)
-
-
-def _moved_in_time(item: PosedScan[Scan], shift_ns: int) -> PosedScan[Scan]:
-    """The scan at its true time; files of these sequences state no times of points."""
-    return replace(item, scan=replace(item.scan, stamp_ns=item.scan.stamp_ns + shift_ns))
+            # files of these sequences state no times of points, which would have to move, too
+            yield replace(item, scan=replace(item.scan, stamp_ns=times[number]))
 
 
 def _times(sequence: RealSequence, path: Path) -> list[int] | None:
@@ -202,13 +197,9 @@ def _kiss_poses(path: Path) -> Path:
             points = points[np.isfinite(points).all(axis=1)]
             odometry.register_frame(points, np.empty(0))
             lines.append(" ".join(f"{value:.9g}" for value in odometry.last_pose[:3].ravel()))
-    _write(target, "\n".join(lines) + "\n")
-    return target
-
-
-def _write(target: Path, text: str) -> None:
     with written_whole(target) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return target
 
 
 def _unpacked(path: Path) -> Path:

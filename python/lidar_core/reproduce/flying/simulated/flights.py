@@ -1,7 +1,7 @@
 """Simulated flights through detectors of several configurations, and what is kept of them."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -78,17 +78,7 @@ def processed(
     pose_covariance: NDArray[np.float64] | None = None,
 ) -> FlyingFrame:
     """Give one scan to a detector, with everything that is known about it."""
-    scan = made.scan
-    return detector.process(
-        scan.points,
-        made.poses,
-        scan.stamp_ns,
-        no_return=scan.no_return,
-        directions=scan.directions,
-        point_time_ns=scan.point_time_ns,
-        pose_stamps_ns=made.pose_stamps_ns,
-        pose_covariance=pose_covariance,
-    )
+    return detector.process(replace(made.posed, pose_covariance=pose_covariance))
 
 
 @dataclass(slots=True)

@@ -6,7 +6,7 @@ from typing import Any
 from lidar_core.io.messages.ros_types import DETECTIONS_TYPE
 from lidar_core.io.write.ros import RosMessages
 from lidar_core.io.write.ros_obstacles import ObstacleArrays
-from lidar_core.live.update import Update
+from lidar_core.live.outputs.update import Update
 
 TRACKS, ODOMETRY = "tracks", "odometry"
 TYPES = {TRACKS: DETECTIONS_TYPE, ODOMETRY: "nav_msgs/msg/Odometry"}

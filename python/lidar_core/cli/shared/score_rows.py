@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from lidar_core.cli.common import Row, number
+from lidar_core.cli.shared.common import Row, number
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -71,6 +71,18 @@ def detail_rows(scores: "DetectionScores", what: str) -> list[Row | None]:
         _consistency_row("  NEES of positions", scores.position_nees),
         *_set_rows(scores),
         Row("  lost and found again", str(scores.n_fragmentations), _gap(scores)),
+        *_metric_rows(scores),
+    ]
+
+
+def _metric_rows(scores: "DetectionScores") -> list[Row]:
+    """Registered metrics, those of other packages among them."""
+    from lidar_core.evaluation.metric import METRICS
+
+    known = {metric.name: metric for metric in METRICS.parts()}
+    return [
+        Row(f"  {known[name].title}", number(value, 3, f" {known[name].unit}".rstrip()), "")
+        for name, value in scores.metrics.items()
     ]
 
 

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from lidar_core.circles import CircleElements, CircleFrame
 from lidar_core.flying import FlyingFrame, Tracks
-from lidar_core.io.poses.posed import PosedScan
 from lidar_core.io.write.mcap import FoxgloveLog
-from lidar_core.messages import LaserScan, PointClass, Scan
-from lidar_core.scan_processing import log_circles, log_flying
-from lidar_core.viz.playback import SMALLEST, Moment, Objects, in_world, outlines_of, swept
+from lidar_core.messages import LaserScan, PointClass, PosedScan, Scan
+from lidar_core.objects import Objects
+from lidar_core.viz.playback import SMALLEST, Moment, in_world, outlines_of, swept
+from lidar_core.viz.scan_log import log_circles, log_flying
 
 LiveCapability: TypeAlias = Literal["flying", "circles"]
 

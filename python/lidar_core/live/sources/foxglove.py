@@ -21,8 +21,8 @@ from lidar_core.io.messages.foxglove import FoxgloveDecoder, foxglove_kind
 from lidar_core.io.messages.ros import RosDecoder, kind_of, ros_name
 from lidar_core.io.records import POSE_KINDS, SCAN_KINDS, Record
 from lidar_core.live.config import LiveConfig
-from lidar_core.live.inbox import Inbox
-from lidar_core.live.source import Source, StreamTopics
+from lidar_core.live.sources.inbox import Inbox
+from lidar_core.live.sources.source import Source, StreamTopics
 from lidar_core.messages import Message
 
 DEFAULT_ADDRESS = "ws://127.0.0.1:8765"

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.evaluation.pairing import Pairing
+from lidar_core.evaluation.matching.pairing import Pairing
 from lidar_core.evaluation.types import Truth
 
 

@@ -18,8 +18,8 @@ from lidar_core.io.messages.ros import (
 )
 from lidar_core.io.records import Record
 from lidar_core.live.config import LiveConfig
-from lidar_core.live.inbox import Inbox
-from lidar_core.live.source import Source, StreamTopics
+from lidar_core.live.sources.inbox import Inbox
+from lidar_core.live.sources.source import Source, StreamTopics
 from lidar_core.live.zenoh_link import (
     is_linked,
     key_of,

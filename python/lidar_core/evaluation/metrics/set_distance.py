@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidar_core.errors import ConfigError
-from lidar_core.evaluation.assignment import cheapest, distances
+from lidar_core.evaluation.matching.assignment import cheapest, distances
 
 
 @dataclass(frozen=True, slots=True)

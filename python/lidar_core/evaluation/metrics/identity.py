@@ -7,7 +7,7 @@ import numpy as np
 
 from lidar_core.config import as_config
 from lidar_core.evaluation.config import EvaluationConfig
-from lidar_core.evaluation.pairing import counted, distances_at, numbers_of, scans
+from lidar_core.evaluation.matching.pairing import counted, distances_at, numbers_of, scans
 from lidar_core.evaluation.types import Estimates, Truth
 from lidar_core.extras import require
 

@@ -14,8 +14,8 @@ from lidar_core.io.poses.posed import span_ns
 from lidar_core.io.recording import Recording
 from lidar_core.io.records import POSE_KINDS, SCAN_KINDS, Record, decoded
 from lidar_core.io.scan_topics import scan_topics
-from lidar_core.live.inbox import Inbox
-from lidar_core.live.source import Source, StreamTopics
+from lidar_core.live.sources.inbox import Inbox
+from lidar_core.live.sources.source import Source, StreamTopics
 from lidar_core.messages import LaserScan, Pose, Scan
 
 

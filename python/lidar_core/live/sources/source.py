@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 from lidar_core.io.records import Findings
-from lidar_core.live.inbox import Inbox
+from lidar_core.live.sources.inbox import Inbox
 
 
 @dataclass(frozen=True, slots=True)

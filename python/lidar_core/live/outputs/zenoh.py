@@ -8,9 +8,9 @@ from uuid import uuid4
 from lidar_core.extras import require
 from lidar_core.io.write.ros import RosMessages
 from lidar_core.live.config import LiveConfig
-from lidar_core.live.outputs import Output
-from lidar_core.live.ros_update import TRACKS, TYPES, ros_messages
-from lidar_core.live.update import Update
+from lidar_core.live.outputs.output import Output
+from lidar_core.live.outputs.ros import TRACKS, TYPES, ros_messages
+from lidar_core.live.outputs.update import Update
 from lidar_core.live.zenoh_link import dds_name, key_of, open_session
 
 NODE = "lidar_core"

@@ -9,7 +9,7 @@ from pathlib import Path
 from lidar_core.extras import require
 from lidar_core.io.files.atomic import check_place, commit, temporary_for
 from lidar_core.io.write.mcap import McapWriter
-from lidar_core.live.update import Update
+from lidar_core.live.outputs.update import Update
 from lidar_core.viz.foxglove_server import FoxgloveServer, ServedLog
 from lidar_core.viz.origin_check import LOCAL
 from lidar_core.viz.rerun_feed import LiveFeed

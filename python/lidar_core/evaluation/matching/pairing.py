@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from lidar_core.arrays import as_finite_rows, as_mask, as_rows
 from lidar_core.config import as_config
 from lidar_core.errors import InputError
-from lidar_core.evaluation.assignment import matches_of
 from lidar_core.evaluation.config import EvaluationConfig
+from lidar_core.evaluation.matching.assignment import matches_of
 from lidar_core.evaluation.types import Estimates, Truth
 
 Rows = NDArray[np.int64]

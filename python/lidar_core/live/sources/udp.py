@@ -8,8 +8,8 @@ from lidar_core.errors import FormatError, LinkError
 from lidar_core.io import ReadOptions, Topic
 from lidar_core.io.messages.velodyne import TOPIC, PacketStream
 from lidar_core.io.records import Record, decoded
-from lidar_core.live.inbox import Inbox
-from lidar_core.live.source import Source
+from lidar_core.live.sources.inbox import Inbox
+from lidar_core.live.sources.source import Source
 
 DEFAULT_PORT = 2368
 ANY_ADDRESS = "0.0.0.0"  # sensors send to the address that they are set to, often a broadcast

@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 from lidar_core.config import as_config
 from lidar_core.evaluation.config import EvaluationConfig
-from lidar_core.evaluation.pairing import pair
-from lidar_core.evaluation.tables import aligned
+from lidar_core.evaluation.matching.pairing import pair
+from lidar_core.evaluation.matching.tables import aligned
 from lidar_core.evaluation.types import Estimates, Truth
 
 BESIDE = 0.1

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lidar_core.config import as_config
 from lidar_core.evaluation.config import EvaluationConfig
-from lidar_core.evaluation.pairing import checked_estimates
+from lidar_core.evaluation.matching.pairing import checked_estimates
 from lidar_core.evaluation.scoring import eligible
 from lidar_core.evaluation.types import Estimates, Truth
 from lidar_core.flying import FlyingFrame, Tracks

@@ -1,0 +1,1 @@
+"""Which estimate is which target."""

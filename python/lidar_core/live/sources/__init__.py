@@ -1,0 +1,1 @@
+"""Where live messages come from."""

@@ -1,0 +1,427 @@
+"""Objects at one time, one row each: tracks, detections, elements of maps, targets, the truth."""
+
+from dataclasses import dataclass, fields
+from importlib import import_module
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import MissingExtraError
+from lidar_core.extras import require
+
+CORNERS = 36  # of the outline of a circle
+_AXES = {
+    "position": ("x", "y", "z"),
+    "center": ("x", "y"),
+    "velocity": ("vx", "vy", "vz"),
+    "acceleration": ("ax", "ay", "az"),
+}
+"""Names of the columns of vectors; those of others are numbered from 0."""
+
+
+class ObjectTable:
+    """Base of the classes of this module: arrays with one row per object.
+
+    SI units; right-handed frames. `len` counts the rows.
+
+    Attributes
+    ----------
+    STATE : tuple of str
+        Names of the states that `covariance` is of.
+    """
+
+    __slots__ = ()
+    STATE: ClassVar[tuple[str, ...]] = ()
+
+    def __len__(self) -> int:
+        arrays = (getattr(self, one.name) for one in fields(self))  # type: ignore[arg-type]
+        return next(len(value) for value in arrays if isinstance(value, np.ndarray))
+
+    def __repr__(self) -> str:
+        more = [f"{name}={getattr(self, name)}" for name in ("stamp_ns",) if hasattr(self, name)]
+        if hasattr(self, "id"):
+            numbers = np.array2string(self.id, threshold=6, edgeitems=3, separator=", ")
+            more.insert(0, f"id={numbers}")
+        return f"{type(self).__name__}({', '.join([f'{len(self)} rows', *more])})"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Every field by its name as plain values: numbers, texts and nested lists."""
+        values = {one.name: getattr(self, one.name) for one in fields(self)}  # type: ignore[arg-type]
+        return {
+            name: value.tolist() if isinstance(value, np.ndarray) else value
+            for name, value in values.items()
+        }
+
+    def to_columns(self) -> dict[str, NDArray[Any]]:
+        """One array of shape (K,) per column of a table, one row per object.
+
+        Positions are x, y, z, velocities vx, vy, vz, accelerations ax, ay, az; of covariances
+        the upper triangle is cov_A_B, as in the tables of runs; the parts of other vectors are
+        numbered, such as extent_0; a time of all rows is repeated.
+        """
+        columns: dict[str, NDArray[Any]] = {}
+        for one in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, one.name)
+            if not isinstance(value, np.ndarray):
+                value = np.array([value] * len(self)) if np.isscalar(value) else np.array(value)
+            if value.ndim == 1:
+                columns[one.name] = value
+            elif value.ndim == 3 and value.shape[1] == value.shape[2] and one.name != "ends":
+                names = self.STATE or tuple(map(str, range(value.shape[1])))
+                pairs = zip(*np.triu_indices(value.shape[1]), strict=True)
+                columns |= {f"cov_{names[i]}_{names[j]}": value[:, i, j] for i, j in pairs}
+            else:
+                parts = value.reshape(len(value), int(np.prod(value.shape[1:])))
+                known = _AXES.get(one.name, ())
+                for at, column in enumerate(parts.T):
+                    columns[known[at] if at < len(known) else f"{one.name}_{at}"] = column
+        return columns
+
+    def to_arrow(self) -> Any:
+        """Table of pyarrow with the columns of `to_columns`.
+
+        Raises
+        ------
+        MissingExtraError
+            The extra `tables` is not installed.
+        """
+        arrow = require("pyarrow", extra="tables", purpose="to_arrow")
+        return arrow.table(self.to_columns())
+
+    def to_pandas(self) -> Any:
+        """DataFrame of pandas with the columns of `to_columns`.
+
+        Raises
+        ------
+        MissingExtraError
+            pandas is not installed; no extra brings it.
+        """
+        try:
+            frame = import_module("pandas").DataFrame
+        except ImportError as error:
+            raise MissingExtraError(
+                "to_pandas needs the package 'pandas': pip install pandas"
+            ) from error
+        return frame(self.to_columns())
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Boxes(ObjectTable):
+    """Boxes with numbers at one time: as much of tracks as viewers show.
+
+    Attributes
+    ----------
+    id : ndarray, shape (T,), int64
+        Numbers of the tracks.
+    position, velocity : ndarray, shape (T, 3), float64
+        [m], [m/s].
+    extent : ndarray, shape (T, 3), float64
+        Sides of the bounding boxes [m].
+    stamp_ns : int
+        Time of the states [ns].
+    """
+
+    id: NDArray[np.int64]
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    extent: NDArray[np.float64]
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Tracks(Boxes):
+    """Tracks at one time, by ascending number, in the world frame.
+
+    Attributes
+    ----------
+    id : ndarray, shape (T,), int64
+        Number of the track, never reused.
+    position, velocity, acceleration : ndarray, shape (T, 3), float64
+        [m], [m/s], [m/s^2].
+    covariance : ndarray, shape (T, 9, 9), float64
+        Of position, velocity and acceleration, in this order.
+    extent : ndarray, shape (T, 3), float64
+        Sides of the bounding box of the last cluster or detection [m].
+    n_detections : ndarray, shape (T,), int64
+        Detections that held the track.
+    age : ndarray, shape (T,), float64
+        Time since its first detection [s].
+    stamp_ns : int
+        Time of the states [ns].
+    """
+
+    STATE: ClassVar[tuple[str, ...]] = ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az")
+
+    acceleration: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    n_detections: NDArray[np.int64]
+    age: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class FlyingDetections(ObjectTable):
+    """Flying objects in one scan, world frame.
+
+    Attributes
+    ----------
+    position : ndarray, shape (M, 3), float64
+        Their centres [m]; with `FlyingConfig.position` "paper" the centroids of their points.
+    covariance : ndarray, shape (M, 3, 3), float64
+        Of the position of the object's centre [m^2].
+    radius : ndarray, shape (M,), float64
+        Of the sphere around each object [m].
+    extent : ndarray, shape (M, 3), float64
+        Sides of the boxes around their points [m].
+    n_points : ndarray, shape (M,), int64
+        Points in the scan.
+    confidence : ndarray, shape (M,), float64
+        0 to 1: share of free voxels around the object, less for few points; 0 if only
+        a track tells that it flies.
+    time_ns : ndarray, shape (M,), int64
+        When each was measured [ns]: the mean time of its points; the stamp of the scan where
+        times of points are not given.
+    """
+
+    STATE: ClassVar[tuple[str, ...]] = ("x", "y", "z")
+
+    position: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    extent: NDArray[np.float64]
+    n_points: NDArray[np.int64]
+    confidence: NDArray[np.float64]
+    time_ns: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class CircleElements(ObjectTable):
+    """Elements of the map at one time, by ascending number, in the world frame.
+
+    Attributes
+    ----------
+    id : ndarray, shape (M,), int64
+        Number of the element, never reused: one that was removed comes back, if a late scan
+        shows it, with another.
+    center, velocity : ndarray, shape (M, 2), float64
+        [m], [m/s].
+    radius : ndarray, shape (M,), float64
+        [m].
+    covariance : ndarray, shape (M, 5, 5), float64
+        Of x, y, vx, vy and r, in this order.
+    age : ndarray, shape (M,), float64
+        Time since its first measurement [s].
+    seen_ns : ndarray, shape (M,), int64
+        Time of its last measurement [ns].
+    visible : ndarray, shape (M,), bool
+        A sensor's newest scan measured it, or should have: it is neither hidden nor out of view.
+    stamp_ns : int
+        Time of the states [ns].
+    """
+
+    STATE: ClassVar[tuple[str, ...]] = ("x", "y", "vx", "vy", "radius")
+
+    id: NDArray[np.int64]
+    center: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    age: NDArray[np.float64]
+    seen_ns: NDArray[np.int64]
+    visible: NDArray[np.bool_]
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class ShapeElements(ObjectTable):
+    """Lines, ellipses and rectangles of the map at one time, by number, in the world frame.
+
+    Attributes
+    ----------
+    id : ndarray, shape (K,), int64
+        Number of the element, never reused. An ellipse or rectangle that is not large is a circle
+        of the map, too, with the same number, which it keeps whatever it is taken for.
+    kind : ndarray, shape (K,), uint8
+        A `ShapeKind`.
+    center, velocity : ndarray, shape (K, 2), float64
+        [m], [m/s]; lines are at rest. The centre of an ellipse or rectangle is its own, not that
+        of the circle.
+    heading : ndarray, shape (K,), float64
+        Bearing of the longer half length [rad], -pi/2 to pi/2. Of a line that of the way from its
+        first to its second end, on the left of which it was seen.
+    half_size : ndarray, shape (K, 2), float64
+        Longer and shorter half length [m]; of a line half of what was seen of it, and 0.
+    ends : ndarray, shape (K, 2, 2), float64
+        Both ends of a line [m]: as far as it was seen.
+    covariance : ndarray, shape (K, 7, 7), float64
+        Of x, y, vx, vy, heading and the half lengths, in this order; of a line across it and of
+        its heading only: where it ends was seen, not estimated.
+    age : ndarray, shape (K,), float64
+        Time since its first measurement [s].
+    seen_ns : ndarray, shape (K,), int64
+        Time of its last measurement [ns].
+    visible : ndarray, shape (K,), bool
+        A sensor's newest scan measured it, or should have: it is neither hidden nor out of view.
+    stamp_ns : int
+        Time of the states [ns].
+    """
+
+    STATE: ClassVar[tuple[str, ...]] = (
+        "x",
+        "y",
+        "vx",
+        "vy",
+        "heading",
+        "half_length",
+        "half_width",
+    )
+
+    id: NDArray[np.int64]
+    kind: NDArray[np.uint8]
+    center: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    heading: NDArray[np.float64]
+    half_size: NDArray[np.float64]
+    ends: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    age: NDArray[np.float64]
+    seen_ns: NDArray[np.int64]
+    visible: NDArray[np.bool_]
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class TargetTracks(ObjectTable):
+    """Tracks at one time, a row per track.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Time of the states [ns].
+    id : ndarray, shape (T,), int64
+        Numbers, never given again.
+    states : ndarray, shape (T, n)
+        As the model has them.
+    covariances : ndarray, shape (T, n, n)
+    velocity : ndarray, shape (T, 2)
+        [m/s].
+    born_ns, seen_ns : ndarray, shape (T,), int64
+        Times of the first and the last measurement [ns].
+    hits : ndarray, shape (T,), int64
+        Measurements.
+    confirmed : ndarray, shape (T,), bool
+    """
+
+    stamp_ns: int
+    id: NDArray[np.int64]
+    states: NDArray[np.float64]
+    covariances: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    born_ns: NDArray[np.int64]
+    seen_ns: NDArray[np.int64]
+    hits: NDArray[np.int64]
+    confirmed: NDArray[np.bool_]
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Positions (T, 2) [m]."""
+        return self.states[:, :2]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class TargetTruth(ObjectTable):
+    """Where the targets are at the start of a scan, world frame, one row per target.
+
+    Attributes
+    ----------
+    id : ndarray, shape (T,), int32
+        As in `SimulatedScan.label`.
+    position, velocity : ndarray, shape (T, 3), float64
+        Of the centre [m], [m/s].
+    radius : ndarray, shape (T,), float64
+        Of the sphere around the target [m].
+    hits : ndarray, shape (T,), int64
+        Points on the target in this scan.
+    rays : ndarray, shape (T,), int64
+        Rays that would meet it within range if nothing else were there: 0 out of the field of
+        view or out of range; far more than `hits` if it is hidden.
+    visible : ndarray, shape (T,), bool
+        At least one point.
+    """
+
+    id: NDArray[np.int32]
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    hits: NDArray[np.int64]
+    rays: NDArray[np.int64]
+    visible: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class ObjectTruth(ObjectTable):
+    """What a 2D LiDAR could see at the start of a scan, world frame, one row per target.
+
+    Attributes
+    ----------
+    id : ndarray, shape (T,), int32
+        As in `SimulatedSweep.label`.
+    kind : tuple of str
+        Kinds of shape.
+    center, velocity : ndarray, shape (T, 2), float64
+        Of the shape's frame [m], [m/s].
+    radius : ndarray, shape (T,), float64
+        Of a cylinder or barrel [m]; NaN for what is not round.
+    hits : ndarray, shape (T,), int64
+        Rays of this scan that ended on it.
+    rays : ndarray, shape (T,), int64
+        Rays that would meet it within range if nothing else were there.
+    """
+
+    id: NDArray[np.int32]
+    kind: tuple[str, ...]
+    center: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    hits: NDArray[np.int64]
+    rays: NDArray[np.int64]
+
+    @property
+    def visible_share(self) -> NDArray[np.float64]:
+        """Hits per ray that could meet it, shape (T,); 0 where there is none."""
+        return self.hits / np.maximum(self.rays, 1)
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Objects(ObjectTable):
+    """Tracks, or elements of a map, at one time; world frame.
+
+    Attributes
+    ----------
+    id : ndarray, shape (K,), int64
+        Numbers.
+    position, velocity : ndarray, shape (K, 3), float64
+        [m], [m/s]; heights are zero in the plane.
+    covariance : ndarray, shape (K, 3, 3), float64
+        Of the position [m^2]; zero where unknown.
+    size : ndarray, shape (K, 3), float64
+        Sides of the bounding boxes [m]; circles have no height; zero where unknown.
+    """
+
+    STATE: ClassVar[tuple[str, ...]] = ("x", "y", "z")
+
+    id: NDArray[np.int64]
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    size: NDArray[np.float64]
+
+    def outline(self, row: int) -> NDArray[np.float64]:
+        """Closed line (V, 3) around object `row`, seen from above: a circle or a rectangle [m]."""
+        if self.size[row, 2] == 0:
+            angles = np.linspace(0, 2 * np.pi, CORNERS + 1)
+            around = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
+        else:
+            around = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [-1, -1, 0]], float)
+        line: NDArray[np.float64] = self.position[row] + around * self.size[row] / 2
+        return line

@@ -1,0 +1,51 @@
+"""Scans with their results in MCAP files and on servers: what viewers get."""
+
+import numpy as np
+
+from lidar_core.circles import CircleFrame
+from lidar_core.flying import FlyingFrame
+from lidar_core.io.write.mcap import FoxgloveLog
+from lidar_core.messages import LaserScan, PointClass, Pose, PosedScan, Scan
+
+CLASSES_TOPIC = "/classes"
+
+
+def log_flying(
+    log: FoxgloveLog, item: PosedScan[Scan], frame: FlyingFrame, *, frame_id: str
+) -> None:
+    """Pose, cloud and tracks of one scan; `intensity` is the `PointClass` of the point.
+
+    Clouds hold the points with information.
+    """
+    scan = item.scan
+    _log_pose(log, item, frame_id)
+    is_point = frame.point_class != PointClass.INVALID
+    log.write(
+        Scan(
+            stamp_ns=scan.stamp_ns,
+            points=scan.points.reshape(-1, 3)[is_point],
+            frame_id=scan.frame_id,
+            intensity=frame.point_class[is_point].astype(np.float32),
+            topic=CLASSES_TOPIC,
+        )
+    )
+    log.write(frame.tracks)
+
+
+def log_circles(
+    log: FoxgloveLog, item: PosedScan[LaserScan], frame: CircleFrame, *, frame_id: str
+) -> None:
+    """Pose and scan, circles and other shapes of the map after it."""
+    _log_pose(log, item, frame_id)
+    log.write(item.scan)
+    log.write_circles(frame.map)
+    log.write_shapes(frame.map_shapes)
+
+
+def _log_pose(
+    log: FoxgloveLog, item: PosedScan[Scan] | PosedScan[LaserScan], frame_id: str
+) -> None:
+    scan = item.scan
+    if scan.frame_id != frame_id:
+        pose = item.world_from_lidar.reshape(-1, 4, 4)[0]
+        log.write(Pose(scan.stamp_ns, frame_id, scan.frame_id, pose))

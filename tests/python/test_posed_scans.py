@@ -1,0 +1,92 @@
+"""A posed scan is processed as its arrays are."""
+
+import numpy as np
+import pytest
+from flying_scenes import drone, yard
+
+from lidar_core import InputError, sim
+from lidar_core.circles import CirclePipeline, CirclesConfig, Scanner
+from lidar_core.flying import FlyingObjectDetector
+from lidar_core.messages import PosedScan
+
+
+def flights():
+    return list(sim.simulate(yard(drone((6, 4, 3.5), (5, 6, 4)), scans=12), seed=0))
+
+
+def sweeps():
+    return list(sim.sweeps(sim.circle_scenes.several(0), seed=0, scans=6))
+
+
+def pipeline_of(sweep):
+    scan = sweep.scan
+    return CirclePipeline(
+        CirclesConfig(
+            scanner=Scanner(
+                scan.angle_min, scan.angle_increment, len(scan.ranges), scan.range_min, 10.0
+            )
+        )
+    )
+
+
+def test_a_detector_takes_posed_scans():
+    detectors = [FlyingObjectDetector() for _ in range(3)]
+    for made in flights():
+        scan = made.scan
+        posed = PosedScan(scan, made.poses, made.pose_stamps_ns)
+        frames = [
+            detectors[0].process(made),
+            detectors[1].process(posed, sensor="front"),
+            detectors[2].process(
+                scan.points,
+                made.poses,
+                scan.stamp_ns,
+                no_return=scan.no_return,
+                directions=scan.directions,
+                point_time_ns=scan.point_time_ns,
+                pose_stamps_ns=made.pose_stamps_ns,
+            ),
+        ]
+        for frame in frames[:2]:
+            assert frame.stamp_ns == frames[2].stamp_ns
+            assert (frame.point_class == frames[2].point_class).all()
+            assert (frame.tracks.position == frames[2].tracks.position).all()
+    assert len(frames[2].tracks) == 1
+
+
+def test_a_pipeline_takes_posed_scans():
+    found = sweeps()
+    pipelines = [pipeline_of(found[0]) for _ in range(2)]
+    for made in found:
+        scan = made.scan
+        times = scan.stamp_ns + scan.time_increment_ns * np.arange(len(scan.ranges))
+        frames = [
+            pipelines[0].process(made),
+            pipelines[1].process(
+                scan.ranges,
+                made.poses,
+                scan.stamp_ns,
+                ray_time_ns=times,
+                pose_stamps_ns=made.pose_stamps_ns,
+            ),
+        ]
+        assert (frames[0].ranges == frames[1].ranges).all()
+        assert (frames[0].map.center == frames[1].map.center).all()
+    assert frames[0].scanner == made.posed.sensor
+    assert len(frames[1].map) > 0
+
+
+def test_scans_of_the_other_kind_and_more_arguments_are_refused():
+    flight, sweep = flights()[0], sweeps()[0]
+    detector, pipeline = FlyingObjectDetector(), pipeline_of(sweep)
+    with pytest.raises(InputError, match="scan: expected a Scan, got LaserScan"):
+        detector.process(sweep)
+    with pytest.raises(InputError, match="scan: expected a LaserScan, got Scan"):
+        pipeline.process(flight)
+    with pytest.raises(InputError, match="stamp_ns: expected nothing but `sensor`"):
+        detector.process(flight, stamp_ns=0)
+    with pytest.raises(InputError, match="world_from_lidar: expected nothing but `scanner`"):
+        pipeline.process(sweep, np.eye(4))
+    with pytest.raises(InputError, match="stamp_ns: expected an integer"):
+        detector.process(flight.scan.points)
+    assert detector.health().rejected == 3
