@@ -153,8 +153,9 @@ mod tests {
     #[test]
     fn another_kind_and_other_parameters_are_named() -> Result<(), Error> {
         let bytes = sealed("thing", &"parameters", &sample())?;
-        let kind = opened::<Content>("other", &"parameters", &bytes).unwrap_err().to_string();
-        assert!(kind.contains("expected the state of a other, got one of a thing"), "{kind}");
+        let kind = opened::<Content>("other", &"parameters", &bytes).map_err(|e| e.to_string());
+        let expected = "expected the state of a other, got one of a thing";
+        assert!(kind.is_err_and(|text| text.contains(expected)));
         let told = opened::<Content>("thing", &"others", &bytes);
         assert!(matches!(told, Err(Error::Parameter { name: "parameters", .. })));
         Ok(())

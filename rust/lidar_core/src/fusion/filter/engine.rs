@@ -92,7 +92,7 @@ pub trait Engine: Clone + Send + Sync + 'static {
     fn numbers(&self, state: &Self::State) -> Vec<f64>;
 
     /// The reverse of [`Self::numbers`]; none for numbers that no state has.
-    fn from_numbers(&self, numbers: &[f64]) -> Option<Self::State>;
+    fn state_of_numbers(&self, numbers: &[f64]) -> Option<Self::State>;
 
     /// How the state after `dt` [s] hangs on the state before it; none for engines whose past
     /// cannot be smoothed.
@@ -215,7 +215,7 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
         state.numbers()
     }
 
-    fn from_numbers(&self, numbers: &[f64]) -> Option<Gaussian<N>> {
+    fn state_of_numbers(&self, numbers: &[f64]) -> Option<Gaussian<N>> {
         Gaussian::from_numbers(numbers)
     }
 

@@ -224,7 +224,7 @@ impl Engine for Imm {
         state.iter().flat_map(of).collect()
     }
 
-    fn from_numbers(&self, numbers: &[f64]) -> Option<Modes> {
+    fn state_of_numbers(&self, numbers: &[f64]) -> Option<Modes> {
         let mut rest = numbers;
         let mut modes = Vec::with_capacity(self.modes.len());
         for mode in &self.modes {

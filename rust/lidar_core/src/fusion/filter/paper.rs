@@ -267,7 +267,7 @@ impl Engine for Paper {
         state.numbers()
     }
 
-    fn from_numbers(&self, numbers: &[f64]) -> Option<Gaussian<6>> {
+    fn state_of_numbers(&self, numbers: &[f64]) -> Option<Gaussian<6>> {
         Gaussian::from_numbers(numbers)
     }
 }

@@ -232,7 +232,7 @@ impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
         numbers
     }
 
-    fn from_numbers(&self, numbers: &[f64]) -> Option<SigmaState<N>> {
+    fn state_of_numbers(&self, numbers: &[f64]) -> Option<SigmaState<N>> {
         let (state, points) = numbers.split_at_checked(N + N * N)?;
         let Gaussian { mean, covariance: root } = Gaussian::from_numbers(state)?;
         let points = points.chunks(1 + N);

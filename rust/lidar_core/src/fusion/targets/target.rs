@@ -106,7 +106,7 @@ impl<E: Engine> Rules<E> {
         let phase = match &saved.phase {
             SavedPhase::Unseen => Phase::Unseen,
             SavedPhase::Starting(cv, rows) => Phase::Starting(Gaussian::from_numbers(cv)?, *rows),
-            SavedPhase::Running(state) => Phase::Running(self.engine.from_numbers(state)?),
+            SavedPhase::Running(state) => Phase::Running(self.engine.state_of_numbers(state)?),
         };
         let SavedNow { stamp_ns, platform, ratio, .. } = *saved;
         Some(Now { stamp_ns, phase, platform, ratio })
