@@ -33,7 +33,7 @@ from lidar_core.errors import ConfigError, LidarCoreError
 from lidar_core.io.files.atomic import is_temporary, remove_stale, written_whole
 from lidar_core.run_folder import build_digest, lock, note_of, unlock
 from lidar_core.runs.result import OnProgress, RunResult
-from lidar_core.threads import all_threads
+from lidar_core.util.threads import all_threads
 
 LOG, RESULTS = "log.txt", "results.parquet"
 KEY_LENGTH = 12
