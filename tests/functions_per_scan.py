@@ -16,7 +16,7 @@ import lidar_core
 
 PACKAGE = Path(lidar_core.__file__).parent
 PROCESS = "FlyingObjectDetector.process"  # of the core: one call per scan
-WARM_SCANS = 20  # the first scans import modules and fill caches
+WARM_SCANS = 45  # imports, caches; 40 scans decide whether the poses' frame is right
 COMPREHENSIONS = {"<genexpr>", "<listcomp>", "<dictcomp>", "<setcomp>", "<lambda>"}
 
 

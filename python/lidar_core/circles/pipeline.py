@@ -24,9 +24,9 @@ from lidar_core.circles.segmentation import Segments, segments_of
 from lidar_core.circles.shapes import Shapes
 from lidar_core.config import as_config
 from lidar_core.errors import ConfigError, InputError, LimitError, NumericalError
-from lidar_core.full_state import FullState
 from lidar_core.messages import LaserScan, PosedScan
 from lidar_core.objects import CircleElements, ShapeElements
+from lidar_core.util.full_state import FullState
 
 if TYPE_CHECKING:
     from lidar_core.sim import SimulatedSweep

@@ -13,7 +13,7 @@ from lidar_core.cli.shared.common import (
     shown_progress,
     write_json,
 )
-from lidar_core.threads import all_threads
+from lidar_core.util.threads import all_threads
 
 if TYPE_CHECKING:
     from rich.table import Table

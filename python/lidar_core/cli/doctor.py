@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from lidar_core.extras import install_command
-from lidar_core.threads import all_threads
+from lidar_core.util.threads import all_threads
 
 _REQUIREMENT = re.compile(r"(?P<name>[A-Za-z0-9._-]+).*;.*extra\s*==\s*['\"](?P<extra>[\w-]+)['\"]")
 _CORE = ("numpy", "pydantic", "onnxruntime", "typer", "rich", "tomli-w")

@@ -398,5 +398,5 @@ def _arrays_of(posed: PosedScan[Any], given: dict[str, Any]) -> dict[str, Any]:
         "point_time_ns": scan.point_time_ns,
         "pose_stamps_ns": posed.pose_stamps_ns,
         "pose_covariance": posed.pose_covariance,
-        "sensor": given["sensor"] or posed.sensor,
+        "sensor": given["sensor"] or scan.topic or scan.frame_id,
     }

@@ -9,9 +9,9 @@ from lidar_core import _core
 from lidar_core.arrays import as_stamp
 from lidar_core.config import as_config
 from lidar_core.errors import InputError
-from lidar_core.full_state import FullState
 from lidar_core.fusion.config import FusionConfig
 from lidar_core.fusion.measurement import Measurement
+from lidar_core.util.full_state import FullState
 
 
 class TargetFilter(FullState):

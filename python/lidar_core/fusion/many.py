@@ -11,11 +11,11 @@ from lidar_core import _core
 from lidar_core.arrays import as_stamp
 from lidar_core.config import as_config
 from lidar_core.errors import LimitError
-from lidar_core.full_state import FullState
 from lidar_core.fusion.many_config import MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, as_measurements
 from lidar_core.fusion.states import state_names, velocities
 from lidar_core.objects import TargetTracks
+from lidar_core.util.full_state import FullState
 
 MAX_SOURCES = 64
 """Scanners that one tracker tells apart."""

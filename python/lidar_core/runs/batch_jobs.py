@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
+from pkgutil import resolve_name
 from time import perf_counter
 from typing import Any, Self, cast
 
@@ -33,8 +34,10 @@ from lidar_core.errors import ConfigError, LidarCoreError
 from lidar_core.io.files.atomic import is_temporary, remove_stale, written_whole
 from lidar_core.run_folder import build_digest, lock, note_of, unlock
 from lidar_core.runs.result import OnProgress, RunResult
-from lidar_core.threads import all_threads
+from lidar_core.util.threads import all_threads
 
+COMMAND_LINE = "lidar_core.cli:app"
+"""Runs the commands of a job. Found by name: the command line is built on `lidar_core.runs`."""
 LOG, RESULTS = "log.txt", "results.parquet"
 KEY_LENGTH = 12
 OVERFLIGHT = "overflight"
@@ -278,15 +281,13 @@ def _prefix(commands: Sequence[Sequence[str]], index: int) -> str:
 
 def _told_by(command: Sequence[str], told: Path, threads: int) -> Any:
     """Do one command; return what it told as JSON in the file `told`, if it can."""
-    from lidar_core.cli import app
-
     options = _options(command[0])
     more = ["--json", str(told)] if "--json" in options and "--json" not in command else []
     if "--threads" in options and not {"--threads", OVERFLIGHT} & set(command):
         more += ["--threads", str(threads)]
     arguments = [*command, *more]
     sys.argv = ["lidar-core", *arguments]
-    status = app(arguments, standalone_mode=False)
+    status = resolve_name(COMMAND_LINE)(arguments, standalone_mode=False)
     if status:
         raise ChildProcessError(f"lidar-core {' '.join(command)}: exit status {status}, see {LOG}")
     if not told.is_file():
@@ -301,9 +302,7 @@ def _options(command: str) -> set[str]:
 
 
 def _commands() -> Mapping[str, Any]:
-    from lidar_core.cli import app
-
-    known: Mapping[str, Any] = vars(get_command(app))["commands"]
+    known: Mapping[str, Any] = vars(get_command(resolve_name(COMMAND_LINE)))["commands"]
     return known
 
 

@@ -175,7 +175,7 @@ class FlyingRun:
         self._path: list[NDArray[np.float64]] = []
         self._flying: list[NDArray[np.float64]] = []
         self._cloud = np.empty((0, 3))
-        self._cloud_class = np.empty(0, np.uint8)
+        self._last: FlyingFrame | None = None
         self._mcap: McapWriter | None = None
 
     def take(self, item: PosedScan[Scan]) -> FlyingFrame:
@@ -205,7 +205,7 @@ class FlyingRun:
         poses = item.world_from_lidar.reshape(-1, 4, 4)
         self._path.append(poses[0, :3, 3])
         self._cloud = _placed(item.scan, poses, item.pose_stamps_ns)
-        self._cloud_class = frame.shown_class
+        self._last = frame
         self._flying.append(self._cloud[frame.point_class == PointClass.FLYING])
         status = frame.status
         self.gate_reason, self.gate_is_open = status.reason, status.gate_open
@@ -217,7 +217,7 @@ class FlyingRun:
         # Classes of every point of every scan would fill the memory on a long recording.
         none, no_rows = frame.point_class[:0], frame.own_rows[:0]
         self.frames.append(replace(frame, point_class=none, own_rows=no_rows))
-        self._sensors.append(item.sensor)
+        self._sensors.append(item.scan.topic or item.scan.frame_id)
         self.tracks.append(frame.tracks)
         if self._mcap is not None:
             log_flying(self._mcap, item, frame, frame_id=self.frame_id)
@@ -332,7 +332,7 @@ class FlyingRun:
         return FlyingView(
             title=title,
             cloud=self._cloud,
-            cloud_class=self._cloud_class,
+            cloud_class=np.empty(0, np.uint8) if self._last is None else self._last.shown_class,
             flying=np.concatenate([*self._flying, np.empty((0, 3))]),
             occupied=self.detector.occupied_points(),
             voxel_size=self.detector.config.voxel_map.voxel_size,

@@ -12,8 +12,8 @@ from lidar_core.arrays import as_finite_rows, as_pose, as_rows, as_stamp
 from lidar_core.circles.mapping.map_config import CircleMapConfig
 from lidar_core.config import as_config
 from lidar_core.errors import InputError
-from lidar_core.full_state import FullState
 from lidar_core.objects import CircleElements
+from lidar_core.util.full_state import FullState
 
 _MOST_SENSORS = 2**32
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
 
 import typer
 
-from lidar_core.threads import all_threads
+from lidar_core.util.threads import all_threads
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -12,8 +12,8 @@ from lidar_core.errors import FormatError
 from lidar_core.io.files.guard import check_size
 
 
-def array_in(archive: ZipFile, name: str, *, place: str, limit: int, key: str) -> NDArray[Any]:
-    """The array `name` of an archive, of at most `limit` bytes.
+def array_in(archive: ZipFile, name: str, *, what: str, limit: int, key: str) -> NDArray[Any]:
+    """The array `name` of an archive, of at most `limit` bytes; errors call it `what`.
 
     Raises
     ------
@@ -22,6 +22,7 @@ def array_in(archive: ZipFile, name: str, *, place: str, limit: int, key: str) -
     LimitError
         It is larger; the text names the option `key`.
     """
+    place = f"{archive.filename}, {what} {name}"
     info = archive.getinfo(f"{name}.npy")
     check_size(place, info.file_size, limit=limit, key=key, what="bytes")
     with archive.open(info) as stream:

@@ -39,6 +39,13 @@ from lidar_core.messages import LaserScan, Message, Pose, Scan
 
 LAYOUT = 1
 OPTIONAL = ("no_return", "directions", "point_time_ns", "intensity", "ring")
+_ROWS: dict[str, tuple[tuple[int, ...], Any]] = {
+    "directions": ((3,), np.float32),
+    "point_time_ns": ((), np.int64),
+    "intensity": ((), np.float32),
+    "ring": ((), np.uint16),
+}
+"""Shape of a row and dtype of what is optional, `no_return` aside."""
 SCANNER = ("angle_min", "angle_increment", "range_min", "range_max")
 
 
@@ -50,6 +57,8 @@ class NpzRecording(Recording):
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
         super().__init__(path, options)
+        limit = options.max_record_bytes
+        self._array = partial(array_in, what="array", limit=limit, key="max_record_bytes")
         with reading(str(path)), ZipFile(path) as archive:
             self._names = {name.removesuffix(".npy") for name in archive.namelist()}
             self._has_index = "layout" in self._names
@@ -83,28 +92,25 @@ class NpzRecording(Recording):
         topics = {(topic.name, topic.kind): topic for topic in self.topics()}
         with reading(str(self.path)), closing(ZipFile(self.path)) as archive:
             if not self._has_index:
-                yield Record(topics["points", "scan"], 0, partial(self._bare, archive))
+                yield Record(topics["points", "scan"], 0, partial(self._scan, archive, None))
                 return
-            parts = []
+            parts: list[Iterator[Record]] = []
             if kinds is None or "pose" in kinds:
                 parts.append(self._pose_records(topics))
+            index = self._index
             if kinds is None or "scan" in kinds:
-                parts.append(self._scan_records(archive, topics))
-            if "laser_topic" in self._index and (kinds is None or "planar" in kinds):
-                parts.append(self._laser_records(archive, topics))
+                scans = zip(index["scan_topic"], index["scan_stamp_ns"].tolist(), strict=True)
+                parts.append(
+                    Record(topics[str(name), "scan"], stamp, partial(self._scan, archive, number))
+                    for number, (name, stamp) in enumerate(scans)
+                )
+            if "laser_topic" in index and (kinds is None or "planar" in kinds):
+                sweeps = zip(index["laser_topic"], index["laser_stamp_ns"].tolist(), strict=True)
+                parts.append(
+                    Record(topics[str(name), "planar"], at, partial(self._laser, archive, number))
+                    for number, (name, at) in enumerate(sweeps)
+                )
             yield from heapq.merge(*parts, key=lambda record: record.time_ns)
-
-    def _scan_records(self, archive: ZipFile, topics: Any) -> Iterator[Record]:
-        names = self._index["scan_topic"]
-        for number, stamp_ns in enumerate(self._index["scan_stamp_ns"].tolist()):
-            topic = topics[str(names[number]), "scan"]
-            yield Record(topic, stamp_ns, partial(self._scan, archive, number))
-
-    def _laser_records(self, archive: ZipFile, topics: Any) -> Iterator[Record]:
-        names = self._index["laser_topic"]
-        for number, stamp_ns in enumerate(self._index["laser_stamp_ns"].tolist()):
-            topic = topics[str(names[number]), "planar"]
-            yield Record(topic, stamp_ns, partial(self._laser, archive, number))
 
     def _pose_records(self, topics: Any) -> Iterator[Record]:
         index = self._index
@@ -122,30 +128,45 @@ class NpzRecording(Recording):
             )
             yield Record(topic, stamp_ns, decoded(pose))
 
-    def _scan(self, archive: ZipFile, number: int) -> list[Message]:
-        prefix = f"scan_{number:06d}_"
-        place = f"{self.path}, scan {number}"
+    def _scan(self, archive: ZipFile, number: int | None) -> list[Message]:
+        """The scan of a number, or of a file that is one scan; every shape and dtype checked."""
+        index, is_bare = self._index, number is None
+        place = str(self.path) if is_bare else f"{self.path}, scan {number}"
+        prefix = "" if is_bare else f"scan_{number:06d}_"
         with reading(place):
             fields = {
-                name: self._member(archive, prefix + name)
+                name: self._array(archive, prefix + name)
                 for name in ("points", *OPTIONAL)
                 if prefix + name in self._names
             }
-            return [
-                _checked_scan(
-                    fields,
-                    int(self._index["scan_stamp_ns"][number]),
-                    str(self._index["scan_frame_id"][number]),
-                    str(self._index["scan_topic"][number]),
+            stamp_ns, frame_id, topic = (
+                (0, "lidar", "points")
+                if is_bare
+                else (
+                    int(index["scan_stamp_ns"][number]),
+                    str(index["scan_frame_id"][number]),
+                    str(index["scan_topic"][number]),
                 )
-            ]
+            )
+            rows = len(as_points(fields["points"]))
+            known: dict[str, Any] = {
+                name: as_rows(fields[name], name=name, rows=rows, shape=shape, dtype=dtype)
+                for name, (shape, dtype) in _ROWS.items()
+                if name in fields
+            }
+            if "no_return" in fields:
+                known["no_return"] = as_mask(fields["no_return"], name="no_return", rows=rows)
+            points = np.ascontiguousarray(fields["points"], np.float32)
+            if points.ndim not in (2, 3):
+                raise InputError(f"points: expected shape (N, 3) or (H, W, 3), got {points.shape}")
+            return [Scan(stamp_ns, points, frame_id, topic=topic, **known)]
 
     def _laser(self, archive: ZipFile, number: int) -> list[Message]:
         prefix = f"laser_{number:06d}_"
         place = f"{self.path}, 2D scan {number}"
         with reading(place):
             ranges = as_rows(
-                self._member(archive, f"{prefix}ranges"),
+                self._array(archive, f"{prefix}ranges"),
                 name="ranges",
                 rows=None,
                 shape=(),
@@ -153,7 +174,7 @@ class NpzRecording(Recording):
             )
             intensity = None
             if f"{prefix}intensity" in self._names:
-                values = self._member(archive, f"{prefix}intensity")
+                values = self._array(archive, f"{prefix}intensity")
                 intensity = as_rows(
                     values, name="intensity", rows=len(ranges), shape=(), dtype=np.float32
                 )
@@ -170,17 +191,8 @@ class NpzRecording(Recording):
                 )
             ]
 
-    def _bare(self, archive: ZipFile) -> list[Message]:
-        with reading(str(self.path)):
-            fields = {
-                name: self._member(archive, name)
-                for name in ("points", *OPTIONAL)
-                if name in self._names
-            }
-            return [_checked_scan(fields, 0, "lidar", "points")]
-
     def _read_index(self, archive: ZipFile) -> dict[str, NDArray[Any]]:
-        layout = int(self._member(archive, "layout").item())
+        layout = int(self._array(archive, "layout").item())
         if layout != LAYOUT:
             raise FormatError(f"{self.path}: layout {layout}, this version reads {LAYOUT}")
         names = [
@@ -203,39 +215,9 @@ class NpzRecording(Recording):
                 "laser_scanner",
                 "laser_time_increment_ns",
             ]
-        index = {name: self._member(archive, name) for name in names}
+        index = {name: self._array(archive, name) for name in names}
         for prefix in ("scan", "laser", "pose"):
             lengths = {name: len(a) for name, a in index.items() if name.startswith(prefix)}
             if len(set(lengths.values())) > 1:
                 raise FormatError(f"{self.path}: arrays of unequal length: {lengths}")
         return index
-
-    def _member(self, archive: ZipFile, name: str) -> NDArray[Any]:
-        """One array, its stated size checked against the member's before it is allocated."""
-        place = f"{self.path}, array {name}"
-        limit = self.options.max_record_bytes
-        return array_in(archive, name, place=place, limit=limit, key="max_record_bytes")
-
-
-def _checked_scan(
-    fields: dict[str, NDArray[Any]], stamp_ns: int, frame_id: str, topic: str
-) -> Scan:
-    """Scan from arrays of a file, every shape and dtype checked."""
-    rows = len(as_points(fields["points"]))
-    shapes: dict[str, tuple[tuple[int, ...], Any]] = {
-        "directions": ((3,), np.float32),
-        "point_time_ns": ((), np.int64),
-        "intensity": ((), np.float32),
-        "ring": ((), np.uint16),
-    }
-    known: dict[str, Any] = {
-        name: as_rows(fields[name], name=name, rows=rows, shape=shape, dtype=dtype)
-        for name, (shape, dtype) in shapes.items()
-        if name in fields
-    }
-    if "no_return" in fields:
-        known["no_return"] = as_mask(fields["no_return"], name="no_return", rows=rows)
-    points = np.ascontiguousarray(fields["points"], np.float32)
-    if points.ndim not in (2, 3):
-        raise InputError(f"points: expected shape (N, 3) or (H, W, 3), got {points.shape}")
-    return Scan(stamp_ns=stamp_ns, points=points, frame_id=frame_id, topic=topic, **known)

@@ -91,17 +91,29 @@ class _View(NamedTuple):
 
 
 class PoseFrameCheck:
-    """Watches the first scans and their poses; says once whether another frame fits better."""
+    """Watches the first scans and their poses; says once whether another frame fits better.
+
+    Attributes
+    ----------
+    is_done : bool
+        Whether it has decided: further scans change nothing.
+    """
 
     def __init__(self) -> None:
         self._views: list[_View] = []
-        self._is_done = False
+        self.is_done = False
 
     def add(self, points: NDArray[np.float32], pose: NDArray[np.float64]) -> Verdict | None:
         """Take in one scan; a verdict where the poses are in another frame."""
-        if self._is_done:
+        if self.is_done:
             return None
-        view = _View(pose, _thinned(points))
+        rows = np.asarray(points, np.float64).reshape(-1, 3)
+        far = np.linalg.norm(rows, axis=1) > NEAREST
+        rows = rows[far & np.isfinite(rows).all(axis=1)]
+        # Every so many-th of a shuffled order: rows of an organised cloud would leave out whole
+        # rings.
+        order = np.random.default_rng(0).permutation(len(rows))
+        view = _View(pose, np.asarray(rows[order[:POINTS]]))
         if len(view.points) >= LEAST_POINTS:
             self._views.append(view)
         if len(self._views) < MOST_SCANS:
@@ -110,9 +122,9 @@ class PoseFrameCheck:
 
     def decide(self) -> Verdict | None:
         """A verdict on what was seen so far, if it shows that the poses are in another frame."""
-        if self._is_done:
+        if self.is_done:
             return None
-        self._is_done = True
+        self.is_done = True
         pairs = list(_pairs(self._views))
         self._views.clear()
         if len(pairs) < LEAST_PAIRS:
@@ -126,15 +138,6 @@ class PoseFrameCheck:
             return None
         name, turn, inverse = candidates[best]
         return Verdict(name, turn, inverse, float(total[0]), float(total[best]))
-
-
-def _thinned(points: NDArray[np.float32]) -> NDArray[np.float64]:
-    rows = np.asarray(points, np.float64).reshape(-1, 3)
-    far = np.linalg.norm(rows, axis=1) > NEAREST
-    rows = rows[far & np.isfinite(rows).all(axis=1)]
-    # Every so many-th of a shuffled order: rows of an organised cloud would leave out whole rings.
-    order = np.random.default_rng(0).permutation(len(rows))
-    return np.asarray(rows[order[:POINTS]])
 
 
 def _pairs(views: list[_View]) -> Iterator[tuple[_View, _View]]:

@@ -70,10 +70,11 @@ class PosedScans(Generic[ScanT]):
         """The same scans; a warning if the first say that the poses are in another frame."""
         check, frame = PoseFrameCheck(), ""
         for item in found:
-            poses, frame = item.world_from_lidar.reshape(-1, 4, 4), item.scan.frame_id
-            scan: Any = item.scan
-            if verdict := check.add(scan.points, poses[len(poses) // 2]):
-                self._tell(verdict, frame)
+            if not check.is_done:
+                poses, frame = item.world_from_lidar.reshape(-1, 4, 4), item.scan.frame_id
+                scan: Any = item.scan
+                if verdict := check.add(scan.points, poses[len(poses) // 2]):
+                    self._tell(verdict, frame)
             yield item
         if verdict := check.decide():
             self._tell(verdict, frame)
@@ -92,12 +93,19 @@ class PosedScans(Generic[ScanT]):
             None of them is within the span that was asked for.
         """
         span = self._options
+        scans = enumerate(
+            scan
+            for record in self._recording.records(WORDS[self._sort].kinds)
+            if record.topic.name == self._cloud.name
+            for scan in record.decode()
+            if isinstance(scan, self._sort)
+        )
         if span.is_whole:
-            yield from enumerate(self._recorded())
+            yield from scans
             return
         first_ns = self._recording.first_stamp() or 0
         is_found, past, latest_ns = False, 0, first_ns
-        for number, scan in enumerate(self._recorded()):
+        for number, scan in scans:
             past = past + 1 if span.is_past(scan.stamp_ns, first_ns) else 0
             if past == PAST_THE_END:
                 break
@@ -108,11 +116,6 @@ class PosedScans(Generic[ScanT]):
         if not is_found:
             latest = (latest_ns - first_ns) / NS
             raise InputError(f"{self._recording.path}: no scans {span}; they end at {latest:g} s")
-
-    def _recorded(self) -> Iterator[ScanT]:
-        for record in self._recording.records(WORDS[self._sort].kinds):
-            if record.topic.name == self._cloud.name:
-                yield from (item for item in record.decode() if isinstance(item, self._sort))
 
     def _first_frame(self) -> str:
         return next((scan.frame_id for _, scan in self._scans()), "")

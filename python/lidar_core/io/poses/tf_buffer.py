@@ -1,8 +1,8 @@
 """Transforms between named frames over time, interpolated on SE(3)."""
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from lidar_core.errors import FormatError
 from lidar_core.io.rotations import pose_matrix, quaternion_from_matrix, slerp
 from lidar_core.messages import Pose
+
+_Path: TypeAlias = list[tuple[tuple[str, str], bool]]
+"""Edges, each with True where it runs parent to child."""
 
 
 class NoTransformError(FormatError):
@@ -45,15 +48,14 @@ class _Edge:
         self.arrays = None
 
     def sorted(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-        """Stamps, translations and quaternions; of equal stamps the last one counts."""
-        if self.arrays is None:
-            stamps = np.array(self.stamps, np.int64)
-            order = np.argsort(stamps, kind="stable")
-            last = np.append(np.diff(stamps[order]) != 0, True)
-            order = order[last]
-            matrices = np.array(self.matrices)[order]
-            quaternions = quaternion_from_matrix(matrices[:, :3, :3])
-            self.arrays = (stamps[order], matrices[:, :3, 3], quaternions)
+        """Stamps, translations and quaternions, kept in `arrays`; of equal stamps the last one."""
+        stamps = np.array(self.stamps, np.int64)
+        order = np.argsort(stamps, kind="stable")
+        last = np.append(np.diff(stamps[order]) != 0, True)
+        order = order[last]
+        matrices = np.array(self.matrices)[order]
+        quaternions = quaternion_from_matrix(matrices[:, :3, :3])
+        self.arrays = (stamps[order], matrices[:, :3, 3], quaternions)
         return self.arrays
 
 
@@ -72,10 +74,16 @@ class TransformBuffer:
         self._max_gap_ns = round(max_gap * 1e9)
         self._max_hold_ns = round(max_extrapolation * 1e9)
         self._edges: dict[tuple[str, str], _Edge] = {}
+        # Paths asked for, until an edge is added: every scan asks for the same one.
+        self._paths: dict[tuple[str, str], _Path] = {}
 
     def add(self, pose: Pose) -> None:
         """Add a pose of `pose.child_frame_id` in `pose.frame_id`."""
-        self._edges.setdefault((pose.frame_id, pose.child_frame_id), _Edge()).add(pose)
+        key = (pose.frame_id, pose.child_frame_id)
+        if key not in self._edges:
+            self._edges[key] = _Edge()
+            self._paths.clear()
+        self._edges[key].add(pose)
 
     def forget(self, before_ns: int) -> None:
         """Drop poses older than `before_ns` [ns], but for the last of every edge."""
@@ -113,9 +121,10 @@ class TransformBuffer:
     def knots(self, target: str, source: str, start_ns: int, end_ns: int) -> NDArray[np.int64]:
         """Stamps strictly between two times at which some pose on the way was recorded."""
         stamps = [np.empty(0, np.int64)]
-        for key, _ in self._path(target, source):
-            if self._edges[key].static is None:
-                recorded = self._edges[key].sorted()[0]
+        for key, _ in self._paths.get((target, source)) or self._path(target, source):
+            edge = self._edges[key]
+            if edge.static is None:
+                recorded = (edge.arrays or edge.sorted())[0]
                 stamps.append(recorded[(recorded > start_ns) & (recorded < end_ns)])
         return np.unique(np.concatenate(stamps))
 
@@ -129,7 +138,7 @@ class TransformBuffer:
         """
         stamps = np.atleast_1d(np.asarray(stamps_ns, np.int64))
         total = np.broadcast_to(np.eye(4), (len(stamps), 4, 4))
-        for key, forward in self._path(target, source):
+        for key, forward in self._paths.get((target, source)) or self._path(target, source):
             step = self._at(key, stamps)
             total = total @ (step if forward else _inverse(step))
         return np.ascontiguousarray(total)
@@ -138,22 +147,7 @@ class TransformBuffer:
         edge = self._edges[key]
         if edge.static is not None:
             return np.broadcast_to(edge.static, (len(stamps), 4, 4))
-        known, translations, quaternions = edge.sorted()
-        self._check_cover(key, known, stamps)
-        inside = np.clip(stamps, known[0], known[-1])
-        after = np.clip(np.searchsorted(known, inside, side="left"), 1, max(len(known) - 1, 1))
-        after = np.minimum(after, len(known) - 1)
-        before = np.maximum(after - 1, 0)
-        span = np.maximum(known[after] - known[before], 1)
-        part = ((inside - known[before]) / span)[:, None]
-        return pose_matrix(
-            (1 - part) * translations[before] + part * translations[after],
-            slerp(quaternions[before], quaternions[after], part[:, 0]),
-        )
-
-    def _check_cover(
-        self, key: tuple[str, str], known: NDArray[np.int64], stamps: NDArray[np.int64]
-    ) -> None:
+        known, translations, quaternions = edge.arrays or edge.sorted()
         name = f"{key[0]} -> {key[1]}"
         low, high = known[0] - self._max_hold_ns, known[-1] + self._max_hold_ns
         outside = stamps[(stamps < low) | (stamps > high)]
@@ -161,15 +155,22 @@ class TransformBuffer:
             raise NoTransformError(
                 f"{name} is known from {known[0]} to {known[-1]} ns, not at {outside[0]} ns"
             )
-        after = np.searchsorted(known, stamps, side="left")
-        inner = (after > 0) & (after < len(known))
-        gaps = known[after[inner]] - known[after[inner] - 1]
-        exact = known[after[inner]] == stamps[inner]
-        if (gaps[~exact] > self._max_gap_ns).any():
-            at = stamps[inner][~exact][gaps[~exact] > self._max_gap_ns][0]
-            raise NoTransformError(f"{name} has a gap of more than max_gap at {at} ns")
+        inside = np.clip(stamps, known[0], known[-1])
+        after = np.clip(np.searchsorted(known, inside, side="left"), 1, max(len(known) - 1, 1))
+        after = np.minimum(after, len(known) - 1)
+        before = np.maximum(after - 1, 0)
+        span = np.maximum(known[after] - known[before], 1)
+        is_between = (known[before] < inside) & (inside < known[after])
+        in_gap = stamps[is_between & (span > self._max_gap_ns)]
+        if len(in_gap):
+            raise NoTransformError(f"{name} has a gap of more than max_gap at {in_gap[0]} ns")
+        part = ((inside - known[before]) / span)[:, None]
+        return pose_matrix(
+            (1 - part) * translations[before] + part * translations[after],
+            slerp(quaternions[before], quaternions[after], part[:, 0]),
+        )
 
-    def _path(self, target: str, source: str) -> Sequence[tuple[tuple[str, str], bool]]:
+    def _path(self, target: str, source: str) -> _Path:
         """Edges from `target` to `source`, each with True where it runs parent to child."""
         came: dict[str, tuple[str, tuple[str, str], bool] | None] = {target: None}
         queue = deque([target])
@@ -182,12 +183,13 @@ class TransformBuffer:
                         queue.append(there)
         if source not in came:
             raise NoTransformError(f"no transform connects {target!r} and {source!r}")
-        path: list[tuple[tuple[str, str], bool]] = []
+        path: _Path = []
         step = came[source]
         while step is not None:
             path.append((step[1], step[2]))
             step = came[step[0]]
-        return path[::-1]
+        self._paths[target, source] = path[::-1]
+        return self._paths[target, source]
 
 
 def _inverse(matrices: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -112,9 +112,7 @@ def _read_npz(path: Path) -> Columns:
         _check(path, sum(member.file_size for member in archive.infolist()))
         names = [name.removesuffix(".npy") for name in archive.namelist()]
         columns = {
-            name: array_in(
-                archive, name, place=f"{path}, column {name}", limit=MAX_FILE_BYTES, key="nothing"
-            )
+            name: array_in(archive, name, what="column", limit=MAX_FILE_BYTES, key="nothing")
             for name in names
         }
     for name, column in columns.items():

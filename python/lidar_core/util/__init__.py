@@ -1,0 +1,1 @@
+"""What capabilities, runs and commands share and users do not call."""
