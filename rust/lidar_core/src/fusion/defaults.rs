@@ -10,7 +10,7 @@ use super::targets::any_filter::{FusionParameters, Method, Model, Strengths};
 use super::targets::lifecycle::{GyroUse, Life, Loss};
 use super::targets::many::{Association, ManyParameters};
 
-/// Probability that a measurement of the target is believed.
+/// Probability of the gate for a true measurement.
 const GATE_PROBABILITY: f64 = 0.9999;
 
 /// The standard deviations as variances.
@@ -69,7 +69,7 @@ impl Default for Life {
     }
 }
 
-/// The first reading of what the paper leaves open. Deviations and prior are those of the filter.
+/// First reading of what the paper leaves open, with the deviations and prior of the filter.
 impl Default for Paper {
     fn default() -> Self {
         Self {
