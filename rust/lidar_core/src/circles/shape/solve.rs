@@ -3,21 +3,21 @@
 use crate::circles::fit::arc::Arc;
 use nalgebra::{SMatrix, SVector};
 
-/// Residuals of ranges are no larger than this [m]: a ray that passes a shape has no range.
+/// Largest residual of a range [m]: a ray that passes a shape has no range.
 const LARGEST: f64 = 0.5;
 const MOST_STEPS: usize = 30;
-/// Steps end when the misfit falls by less.
+/// The search ends when the misfit falls by less.
 const ENOUGH: f64 = 1e-4;
-/// Standard deviation of what nothing was measured of [m], [rad].
+/// Standard deviation of unmeasured parameters [m], [rad].
 const UNKNOWN: f64 = 1.0;
 
 /// A shape of K parameters.
 pub(super) trait Shape<const K: usize> {
-    /// Add where the hits of its arc should be [m], one by one.
+    /// Append the expected ranges of the hits of the arc [m].
     fn ranges(&self, parameters: &[f64; K], ranges: &mut Vec<f64>);
 }
 
-/// Parameters that explain an arc best.
+/// Parameters with least misfit to an arc.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Solved<const K: usize> {
     pub(super) parameters: [f64; K],
@@ -51,7 +51,7 @@ fn square(residuals: &[f64]) -> f64 {
     residuals.iter().map(|residual| residual * residual).sum()
 }
 
-/// Go downhill from `start` (Levenberg-Marquardt, derivatives by differences of `step`).
+/// Minimise from `start` (Levenberg-Marquardt, numerical derivatives with `step`).
 pub(super) fn solve<const K: usize>(
     shape: &impl Shape<K>,
     arc: &Arc,
@@ -105,7 +105,7 @@ fn damped<const K: usize>(hessian: &SMatrix<f64, K, K>, damping: f64) -> SMatrix
     damped
 }
 
-/// By how much the misfit would fall from `at` to the least one, to first order.
+/// Decrease of the misfit from `at` to its minimum, to first order.
 pub(super) fn gain<const K: usize>(
     shape: &impl Shape<K>,
     arc: &Arc,
