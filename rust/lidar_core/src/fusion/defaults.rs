@@ -136,7 +136,7 @@ impl Default for ManyParameters {
 
 /// Clutter of 1 in 1000 m^2 (LiDAR) and of 1e-3 / (m rad m/s) (radar), shared out by probabilities.
 impl Association {
-    /// As the Python package has it.
+    /// Joint probabilistic data association with the defaults of the Python package.
     #[must_use]
     pub fn joint() -> Self {
         Self::Joint { detection: 0.9, clutter: [1e-3, 1e-3] }

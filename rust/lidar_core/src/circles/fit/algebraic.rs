@@ -132,8 +132,8 @@ impl Moments {
             (x - origin[0], y - origin[1], hit.weight / total)
         });
         let square: f64 = centred.clone().map(|(x, y, w)| w * (x * x + y * y)).sum();
-        let scale = square.sqrt();
         // At unit size one threshold decides for all distances and sizes what is a line.
+        let scale = square.sqrt();
         if hits.len() < FEW || scale <= 0.0 {
             return None;
         }
@@ -155,8 +155,8 @@ impl Moments {
     /// Centre x, y and radius [m]; None if the points lie on a line.
     fn circle(&self, method: Method) -> Option<[f64; 3]> {
         let root = match method {
-            // Each fit is a generalised eigenvalue problem; the smallest eigenvalue corrects the
-            // bias of Kasa's fit, which has none, towards small circles on short arcs.
+            // Each fit is a generalised eigenvalue problem. Kasa's has the eigenvalue 0 and a bias
+            // towards small circles on short arcs, which the other two correct.
             Method::Kasa => 0.0,
             Method::Pratt => self.root([4.0, 0.0], 1.0)?,
             _ => self.root([0.0, 4.0], 0.0)?,

@@ -194,8 +194,8 @@ impl Likelihood<'_> {
             }
         };
         for (side, edge) in self.arc.edges.iter().enumerate() {
-            // A ray beyond the hits must miss for its range. Between the hits a few are lost for
-            // other reasons.
+            // Only the range limits explain a miss beyond the hits. Between the hits a few rays are
+            // lost for other reasons.
             let sign = if side == 0 { -1.0 } else { 1.0 };
             let reach = roots[side] * roots[side];
             for beyond in edge.missed.iter().take_while(|&&beyond| beyond < reach) {
@@ -252,8 +252,8 @@ struct Sums {
 impl Sums {
     fn add(&mut self, hit: &Hit, view: &View, roots: Roots) {
         let Met { g, angle: [across, along], root } = view.met(hit.cosine, hit.sine);
-        // At a tangent the derivative by the bearing is infinite; by the root it is finite, since
-        // the factor 2 root vanishes there.
+        // At a tangent the derivative by the bearing is infinite. By the square root it is finite,
+        // since the factor that it brings vanishes there.
         let (by_middle, by_half) = if root > 0.0 {
             (across - across * along / root, -view.half[0] * view.half[1] / root)
         } else {

@@ -35,7 +35,7 @@ pub(super) fn mode(likelihood: &Likelihood<'_>, bounds: &Bounds) -> Mode {
     let bounds = &bounds.map(|[low, high]| [low + LEAST_SHARE * (high - low), high]);
     let mut best = Mode { roots: [0.0; 2], normal: likelihood.normal(inside([0.5; 2], bounds)) };
     best.normal.misfit = f64::INFINITY;
-    // The misfit has several minima, for example one per side that is against its bound.
+    // The misfit may have several minima: the descent begins at the best point of a grid.
     for low in STARTS {
         for high in STARTS {
             let roots = inside([low, high], bounds);

@@ -99,8 +99,8 @@ impl Posterior {
         let size = |side: usize| bounds[side][1] - bounds[side][0];
         let outer = usize::from(size(1) < size(0));
         let window = Window { likelihood, bounds, mode, outer };
-        // The peak has weight zero: it takes no part in the average, but no node is likelier, so
-        // the most likely circle is found among the nodes.
+        // The peak has weight zero: it is no part of the average, but a candidate for the most
+        // likely circle.
         self.nodes.extend(likelihood.peak(mode.roots));
         for [place, weight] in window.outer().into_iter().flat_map(gauss) {
             for [inner, inner_weight] in window.inner(place).into_iter().flat_map(gauss) {

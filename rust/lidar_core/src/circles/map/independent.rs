@@ -172,8 +172,7 @@ fn take_in<S: State>(
         is_measured[row] = true;
         seen.elements[measurement] = Some(all[row].id);
     }
-    // Visibility is judged at the predicted place, after the measured elements have moved to
-    // theirs.
+    // Visibility costs a search in the scan: only elements without a measurement need it.
     for (element, is_measured) in all.iter_mut().zip(is_measured) {
         if is_measured {
             element.measured(from.key());

@@ -51,7 +51,7 @@ impl Measures<7, 5> for OutlineMeasurement {
 }
 
 impl OutlineMeasurement {
-    /// The same outline, described with the other half length first.
+    /// Equivalent outline, described with the other half length first.
     fn turned(&self) -> Self {
         let z = SVector::from([self.z[0], self.z[1], self.z[2] + FRAC_PI_2, self.z[4], self.z[3]]);
         let mut R = self.R;

@@ -34,8 +34,7 @@ impl Innovation {
     #[must_use]
     pub fn new(y: &[f64], far: &Mahalanobis) -> Self {
         let mut values = [0.0; 3];
-        // Three values are kept for display; the two more of the paper's radar count in the
-        // distance only.
+        // Three values are recorded. The paper's radar has five, all of which count in the distance.
         values.iter_mut().zip(y).for_each(|(value, entry)| *value = *entry);
         let Mahalanobis { squared: nis, log_determinant } = *far;
         Self { values, count: y.len(), nis, log_determinant }

@@ -164,8 +164,7 @@ impl Paper {
             mean: state.mean + K_gain * y,
             covariance: M - K_gain * M.fixed_rows::<K>(0),
         };
-        // The printed noise can make the covariance grow without limit; the state then stays as it
-        // was.
+        // The printed noise can make the covariance grow without limit: an error, not a state of NaN.
         if !posterior.mean.iter().chain(&posterior.covariance).all(|value| value.is_finite()) {
             return Err(singular());
         }

@@ -135,8 +135,8 @@ fn posterior<const N: usize, const K: usize>(
 ) -> (SigmaState<N>, Innovation) {
     let mut whitened = SVector::<f64, K>::zeros();
     let mut determinant = 1.0;
-    // Forward substitution with the root of S: the norm of the result is the NIS, and the block
-    // below times it is the change of the mean. Nothing is inverted.
+    // Forward substitution with the root of S: the squared norm of the result is the NIS, and the
+    // block below times the result is the change of the mean. Nothing is inverted.
     for row in 0..K {
         let known: f64 = (0..row).map(|k| triangle.at(row, k) * whitened[k]).sum();
         whitened[row] = (y[row] - known) / triangle.at(row, row);

@@ -148,7 +148,7 @@ impl Motion<5> for Ctrv {
 
     fn holds(&self, s: &Vector5<f64>, dt: f64) -> SMatrix<f64, 5, INPUTS> {
         let [cosine, sine] = direction(s[3]);
-        // Noise within a step is small against the motion: its bend within the step does not count.
+        // The path that the noise adds within a step is short, so its bend is neglected.
         let half = 0.5 * dt * dt;
         let mut columns = SMatrix::<f64, 5, INPUTS>::zeros();
         columns.set_column(0, &Vector5::new(half * cosine, half * sine, dt, 0.0, 0.0));

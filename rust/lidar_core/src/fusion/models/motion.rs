@@ -92,8 +92,7 @@ pub trait Motion<const N: usize>: Clone + Send + Sync + 'static {
         mut visit: impl FnMut(&SMatrix<f64, N, INPUTS>),
     ) {
         for rest in rests {
-            // The state at the impulse is found by moving the end backwards: only the end is
-            // predicted with every model.
+            // Only the end of the step is known: moved backwards it gives the state at the impulse.
             visit(&self.impulses(&self.moved(end, -rest, platform), rest, platform));
         }
     }
