@@ -115,7 +115,8 @@ pub(crate) type Numbers<'py> = Bound<'py, PyArray1<i64>>;
 pub(crate) type Events<'py> =
     (bool, Numbers<'py>, Numbers<'py>, Numbers<'py>, Numbers<'py>, Bound<'py, PyArray2<i64>>);
 
-/// Number, mean (M, 5), covariance (M, 5, 5), age, time of the last measurement, visible, confirmed.
+/// Number, mean (M, 5), covariance (M, 5, 5), age, time of the last measurement, visible,
+/// confirmed.
 pub(crate) type Elements<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray2<f64>>,

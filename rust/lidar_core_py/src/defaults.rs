@@ -1,4 +1,5 @@
-//! Parameters of the core made from a configuration, and its defaults, as text: a test compares them.
+//! Parameters of the core made from a configuration, and its defaults, as text: a test compares
+//! them.
 
 use crate::circle_map::CircleMapConfig;
 use crate::circle_pipeline::CirclesConfig;

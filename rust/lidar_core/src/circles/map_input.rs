@@ -31,8 +31,8 @@ impl Parts {
     /// Select the segments for the map.
     ///
     /// Objects of which a part may be too near to be measured are left out. A body on a line of the
-    /// map is a piece of that line if the line is longer than any body, or if something nearer hides
-    /// one side of the body and the other side is not free.
+    /// map is a piece of that line if the line is longer than any body, or if something nearer
+    /// hides one side of the body and the other side is not free.
     pub(super) fn of(
         prepared: &PreparedSweep,
         circles: &[CircleEstimate],

@@ -125,8 +125,9 @@ impl Nested {
         let mut rank = rows;
         for k in 0..rows {
             let mut pivot = k;
-            // With the largest remaining variance first, all pivots after a zero are zero too: these
-            // rows are determined by the rows before, and nothing is divided by rounding errors.
+            // With the largest remaining variance first, all pivots after a zero are zero too:
+            // these rows are determined by the rows before, and nothing is divided by rounding
+            // errors.
             for row in k + 1..rows {
                 if left[row] > left[pivot] {
                     pivot = row;

@@ -283,8 +283,8 @@ fn check_lines(lines: &[ShapeEstimate]) -> Result<(), Error> {
 fn is_covariance<const N: usize>(C: &SMatrix<f64, N, N>, slack: f64) -> bool {
     let trace = C.trace();
     let asymmetry = (C - C.transpose()).abs().max();
-    // A factorisation instead of eigenvalues: with the slack added, it succeeds only if none of them
-    // is below minus the slack.
+    // A factorisation instead of eigenvalues: with the slack added, it succeeds only if none of
+    // them is below minus the slack.
     let lifted = C + SMatrix::<f64, N, N>::identity() * (slack * trace);
     let is_zero = slack > 0.0 && C.abs().max() == 0.0;
     trace.is_finite() && asymmetry <= ROUNDING * trace && (is_zero || lifted.cholesky().is_some())

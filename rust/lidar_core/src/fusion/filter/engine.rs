@@ -34,7 +34,8 @@ impl Innovation {
     #[must_use]
     pub fn new(y: &[f64], far: &Mahalanobis) -> Self {
         let mut values = [0.0; 3];
-        // Three values are recorded. The paper's radar has five, all of which count in the distance.
+        // Three values are recorded. The paper's radar has five, all of which count in the
+        // distance.
         values.iter_mut().zip(y).for_each(|(value, entry)| *value = *entry);
         let Mahalanobis { squared: nis, log_determinant } = *far;
         Self { values, count: y.len(), nis, log_determinant }

@@ -164,7 +164,8 @@ impl Paper {
             mean: state.mean + K_gain * y,
             covariance: M - K_gain * M.fixed_rows::<K>(0),
         };
-        // The printed noise can make the covariance grow without limit: an error, not a state of NaN.
+        // The printed noise can make the covariance grow without limit: an error, not a state of
+        // NaN.
         if !posterior.mean.iter().chain(&posterior.covariance).all(|value| value.is_finite()) {
             return Err(singular());
         }

@@ -65,8 +65,8 @@ impl Platform {
     #[must_use]
     pub fn sensor_at(&self, stamp_ns: i64) -> Option<SensorPose> {
         let pose = self.pose?;
-        // Poses and scans have stamps of their own. The extrapolation also goes backwards, to a scan
-        // that is older than the last pose.
+        // Poses and scans have stamps of their own. The extrapolation also goes backwards, to a
+        // scan that is older than the last pose.
         let dt = stamp_ns.saturating_sub(pose.stamp_ns) as f64 * 1e-9;
         let heading = direction(pose.yaw + pose.rate * dt);
         let arm = rotated(heading, self.lever);
