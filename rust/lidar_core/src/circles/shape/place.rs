@@ -111,6 +111,7 @@ fn end(arc: &Arc, side: usize, [angle, distance]: [f64; 2]) -> (f64, f64) {
     if edge.reach > LONG_REACH || goes_on || beyond.abs() > OPEN {
         return (at, OPEN * OPEN);
     }
+    // The end is anywhere between the last hit and the first ray that passed: uniform in between.
     (at + 0.5 * beyond, beyond * beyond / 12.0)
 }
 
@@ -126,6 +127,7 @@ fn joined<const K: usize>(
             whole[(i, j)] = covariance[(i, j)];
         }
     }
+    // Ends follow from the bearings of rays, angle and distance from ranges: independent errors.
     whole[(from, from)] = ends[0];
     whole[(from + 1, from + 1)] = ends[1];
     whole

@@ -41,6 +41,8 @@ impl<S> Problem<'_, S> {
         self.shape.ranges(parameters, into);
         for (value, hit) in into.iter_mut().zip(&self.arc.hits) {
             let apart = hit.range - *value;
+            // A hit that the shape misses has to cost something, but an infinite residual would
+            // leave no direction to improve.
             let apart = if apart.is_finite() { apart.clamp(-LARGEST, LARGEST) } else { LARGEST };
             *value = hit.weight.sqrt() * apart / self.std;
         }
@@ -92,6 +94,7 @@ pub(super) fn solve<const K: usize>(
 
 /// Covariance of parameters with these second derivatives.
 fn spread<const K: usize>(hessian: SMatrix<f64, K, K>) -> SMatrix<f64, K, K> {
+    // A parameter that no range depends on has this variance instead of a singular matrix.
     let known = hessian + SMatrix::identity() / (UNKNOWN * UNKNOWN);
     known.cholesky().map_or_else(SMatrix::identity, |factor| factor.inverse())
 }
@@ -100,6 +103,7 @@ fn spread<const K: usize>(hessian: SMatrix<f64, K, K>) -> SMatrix<f64, K, K> {
 fn damped<const K: usize>(hessian: &SMatrix<f64, K, K>, damping: f64) -> SMatrix<f64, K, K> {
     let mut damped = *hessian;
     for k in 0..K {
+        // The constant keeps a parameter that no range depends on solvable.
         damped[(k, k)] += damping * hessian[(k, k)] + 1e-9;
     }
     damped
