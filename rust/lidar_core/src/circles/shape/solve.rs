@@ -94,7 +94,7 @@ pub(super) fn solve<const K: usize>(
 
 /// Covariance of parameters with these second derivatives.
 fn spread<const K: usize>(hessian: SMatrix<f64, K, K>) -> SMatrix<f64, K, K> {
-    // A parameter that no range depends on has this variance instead of a singular matrix.
+    // A parameter that no range depends on gets the variance UNKNOWN^2, not a singular matrix.
     let known = hessian + SMatrix::identity() / (UNKNOWN * UNKNOWN);
     known.cholesky().map_or_else(SMatrix::identity, |factor| factor.inverse())
 }
