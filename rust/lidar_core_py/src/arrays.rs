@@ -57,7 +57,7 @@ pub(crate) fn matrices<'a>(
     Ok(flat(name, array)?.as_chunks::<16>().0)
 }
 
-/// A count that crossed as `i64`.
+/// Check a count that Python passed as `i64`.
 pub(crate) fn count(name: &'static str, value: i64) -> Result<usize, BorderError> {
     usize::try_from(value).map_err(|_| {
         BorderError::Core(Error::Parameter {
@@ -68,7 +68,7 @@ pub(crate) fn count(name: &'static str, value: i64) -> Result<usize, BorderError
     })
 }
 
-/// A number of threads; what is no count, or does not fit, is refused as such.
+/// Check a number of threads; a value that is no count or too large is refused.
 pub(crate) struct Threads(pub(crate) usize);
 
 impl<'py> FromPyObject<'_, 'py> for Threads {
@@ -97,7 +97,7 @@ pub(crate) fn rows_into<T: Element>(
     Ok(rows.into_flattened().into_pyarray(py).reshape([count, 3])?)
 }
 
-/// One of a list of names.
+/// Find one of a list of names.
 pub(crate) fn choice<T: Copy>(
     name: &'static str,
     value: &str,

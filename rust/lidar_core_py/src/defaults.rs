@@ -1,4 +1,5 @@
-//! What the core makes of a configuration, and its own defaults, as text: a test compares them.
+//! Parameters of the core made from a configuration, and its defaults, as text: a test compares
+//! them.
 
 use crate::circles::config::FitConfig;
 use crate::circles::map::CircleMapConfig;
@@ -19,7 +20,7 @@ use lidar_core::fusion::{Association, FusionParameters, ManyParameters};
 use pyo3::prelude::*;
 use std::fmt::Debug;
 
-/// The parameters that the core makes of a configuration model, one line per value.
+/// Parameters of the core made from a configuration model, one line per value.
 #[pyfunction]
 pub(crate) fn parameters_of(model: &str, config: &Bound<'_, PyAny>) -> Result<String, BorderError> {
     Ok(match model {

@@ -13,7 +13,7 @@ mod classes {
     pyo3::import_exception!(lidar_core.errors, InternalError);
 }
 
-/// Why a call from Python was refused.
+/// Reason for which a call from Python is refused.
 pub(crate) enum BorderError {
     Core(Error),
     Shape { name: &'static str, expected: &'static str, got: Vec<usize> },

@@ -1,4 +1,4 @@
-//! What is in the air: rain and dust, whose drops and grains give returns of their own.
+//! Particles in the air: rain, dust and fog, which give returns of their own.
 
 use crate::parry::Ray;
 use crate::shape::refused;
@@ -6,27 +6,27 @@ use lidar_core::Error;
 use lidar_core::geometry::transform::{dot, minus, norm};
 use std::f64::consts::PI;
 
-/// Most volumes of one scene.
+/// Largest number of volumes of one scene.
 pub const MAX_VOLUMES: usize = 256;
 
-/// A volume of particles. Every ray meets other ones in every scan: they are far smaller than
-/// the gaps between rays, and far faster than scans.
+/// A volume of particles. Every ray of every scan meets other particles: they are far smaller than
+/// the gaps between rays, and move far between scans.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Particles {
-    /// Drops everywhere.
+    /// Raindrops everywhere.
     Rain {
-        /// Drops [1/m^3].
+        /// Density of drops [1/m^3].
         density: f64,
         /// Diameter of a drop [m].
         size: f64,
         /// Diameter of a ray where it leaves the sensor [m], and its growth [m/m].
         beam: [f64; 2],
-        /// A drop is seen while it fills this share of the ray's section.
+        /// Least share of the ray's cross-section that a visible drop fills.
         least_share: f64,
     },
     /// A ball of dust that drifts.
     Dust {
-        /// Middle at time 0 [m].
+        /// Centre at time 0 [m].
         center: [f64; 3],
         /// Drift [m/s].
         velocity: [f64; 3],
@@ -39,11 +39,11 @@ pub enum Particles {
     },
     /// Fog everywhere: light fades on its way, and near the sensor droplets give returns.
     Fog {
-        /// Loss of light per metre of way [1/m].
+        /// Extinction of light per metre [1/m].
         extinction: f64,
-        /// Returns of droplets per metre of way [1/m].
+        /// Rate of returns from droplets per metre [1/m].
         speckle: f64,
-        /// Up to where droplets give returns [m].
+        /// Largest range of returns from droplets [m].
         reach: f64,
     },
 }
@@ -85,7 +85,7 @@ impl Particles {
         }
     }
 
-    /// Loss of light per metre of way [1/m].
+    /// Extinction of light per metre [1/m].
     #[must_use]
     pub fn extinction(&self) -> f64 {
         match *self {
@@ -94,8 +94,9 @@ impl Particles {
         }
     }
 
-    /// Where `ray` ends on a particle, from `start` [m] on, `seconds` after time 0; `depth` is a
-    /// draw of the standard exponential distribution: how many particles it may pass.
+    /// Distance at which `ray` ends on a particle, from `start` [m] on, `seconds` after time 0.
+    /// `depth` is a sample of the standard exponential distribution, the optical depth at which the
+    /// ray ends.
     pub(crate) fn meet(&self, ray: &Ray, start: f64, seconds: f64, depth: f64) -> Option<f64> {
         match *self {
             Self::Rain { density, size, beam, least_share } => {

@@ -1,5 +1,5 @@
-//! Samples of single circles seen by a 2D scanner: what the circle detectors learn from and are
-//! measured on.
+//! Samples of single circles seen by a 2D scanner, for the training and the evaluation of circle
+//! detectors.
 //!
 //! # Source
 //! Sanchez-Lopez et al., "Deep learning based semantic situation awareness system for multirotor
@@ -13,14 +13,14 @@ use rayon::prelude::*;
 use std::f64::consts::TAU;
 use std::ops::{Range, RangeInclusive};
 
-/// Samples worked on together: fixed, so that the result cannot depend on the number of threads.
+/// Samples per chunk: fixed, so that the result cannot depend on the number of threads.
 const SAMPLES_PER_CHUNK: u64 = 4096;
-/// Circles that are drawn and not seen before the scanner counts as blind.
+/// Number of drawn circles without a hit after which the scanner counts as blind.
 const MOST_DRAWS: usize = 100_000;
-/// Places of a lattice.
+/// Largest number of places of a lattice.
 pub const MOST_CIRCLES: u64 = 100_000_000;
 
-/// Rays of a 2D scanner, all at once.
+/// Rays of a 2D scanner, all measured at once.
 #[derive(Clone, Copy, Debug)]
 pub struct Beams {
     /// Bearing of the first ray [rad].
@@ -29,16 +29,17 @@ pub struct Beams {
     pub angle_increment: f64,
     /// Number of rays.
     pub n_beams: u32,
-    /// Nearest and farthest surface that is measured [m].
+    /// Smallest and largest range that is measured [m].
     pub range_limits: [f64; 2],
 }
 
-/// Which circles a scanner is shown.
+/// Circles that a scanner sees.
 #[derive(Clone, Copy, Debug)]
 pub enum Source<'a> {
-    /// These, as centre x, centre y, radius [m]; each so many times in a row.
+    /// Given circles, as centre x, centre y, radius [m], each repeated this many times.
     Given(&'a [[f64; 3]], u64),
-    /// A new one for every sample: centre uniform in a square around the scanner, radius uniform.
+    /// A new circle for every sample: centre uniform in a square around the scanner, radius
+    /// uniform.
     Drawn {
         /// Half the side of the square [m].
         reach: f64,
@@ -47,26 +48,28 @@ pub enum Source<'a> {
     },
 }
 
-/// What happens between the circle and the ranges. Pairs are ends of a uniform distribution, from
-/// which every sample draws its own value.
+/// Disturbances of the ranges of a circle. Pairs are the ends of a uniform distribution, from which
+/// every sample draws its own value.
 #[derive(Clone, Copy, Debug)]
 pub struct Disturbance {
     /// Standard deviation of a range [m].
     pub range_std: [f64; 2],
-    /// Half the width of a ray [rad]: it returns when its edge meets the circle.
+    /// Half the width of a ray [rad]: it returns if its edge meets the circle.
     pub beam_half_width: [f64; 2],
-    /// Share of samples of which something nearer hides one side (of one in four of them: both).
+    /// Share of samples with one side hidden by something nearer; one in four of them has both
+    /// sides hidden.
     pub occluded_share: f64,
-    /// Share of ends of circles where the last ray meets circle and background at once.
+    /// Share of the ends of circles at which the last ray meets circle and background at once.
     pub mixed_share: f64,
-    /// How far behind the circle such a ray ends at most [m].
+    /// Largest distance behind the circle at which such a ray ends [m].
     pub mixed_depth: f64,
-    /// A side may be cut by the nearer or farther range limit if it ends this close to it [m].
+    /// Largest distances from the nearer and the farther range limit at which it may cut a side
+    /// [m].
     pub cut_margins: [f64; 2],
 }
 
-/// Samples, one after the other. Of each scan only its window is kept: from the first ray that
-/// met the circle to the last one.
+/// Samples in a row. Of each scan only the window is kept: from the first ray that met the circle
+/// to the last one.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Samples {
     /// Centre x, centre y, radius [m].
@@ -75,11 +78,11 @@ pub struct Samples {
     pub range_std: Vec<f32>,
     /// Half the width of its rays [rad].
     pub beam_half_width: Vec<f32>,
-    /// First ray of the window; it may run over the end of the sweep and go on at ray 0.
+    /// First ray of the window, which may continue at ray 0 after the end of the sweep.
     pub first_ray: Vec<u32>,
-    /// Rays in the window.
+    /// Number of rays in the window.
     pub n_rays: Vec<u32>,
-    /// What lies beside the window: numbers of [`Side`] in its order.
+    /// Neighbourhood of the window: numbers of [`Side`] in its order.
     pub sides: Vec<[u8; 2]>,
     /// Ranges of all windows [m]; +inf is a miss between hits.
     pub ranges: Vec<f32>,
@@ -91,12 +94,12 @@ struct Window {
     ranges: Vec<f64>,
 }
 
-/// Circles on a lattice that the scanner sees: centres at multiples of `spacing` within `reach`
-/// of it along both axes, radii at multiples of `radius_step`. It is outside of them and at least
-/// one ray, without noise, returns. Sec. IV-B.
+/// Circles on a lattice that the scanner sees. Centres are multiples of `spacing` within `reach` of
+/// the scanner along both axes, radii are multiples of `radius_step`. The scanner is outside, and
+/// at least one ray returns without noise. Sec. IV-B.
 ///
 /// # Errors
-/// [`Error::Parameter`] if the beams sweep nothing or the lattice has no end, [`Error::Limit`]
+/// [`Error::Parameter`] if the beams cover no angle or the lattice is infinite, [`Error::Limit`]
 /// for more than [`MOST_CIRCLES`] places.
 pub fn lattice(
     beams: &Beams,
@@ -132,11 +135,10 @@ pub fn lattice(
     Ok(circles)
 }
 
-/// Make the samples with the numbers `numbers`. A sample depends on nothing but the seed and its
-/// number.
+/// Make the samples `numbers`. A sample depends only on the seed and on its number.
 ///
 /// # Errors
-/// [`Error::Parameter`] if the beams sweep nothing, [`Error::Value`] for a given circle that the
+/// [`Error::Parameter`] if the beams cover no angle, [`Error::Value`] for a given circle that the
 /// scanner cannot see, [`Error::Limit`] if no drawn circle is seen.
 pub fn make(
     pool: &ThreadPool,
@@ -201,7 +203,7 @@ impl Beams {
         runs
     }
 
-    /// What a scan without noise sees of a circle; None if nothing, or from inside.
+    /// Window of a circle in a scan without noise; None without a hit, or for a scanner inside it.
     fn window(&self, [x, y, radius]: [f64; 3], half_width: f64) -> Option<Window> {
         let (distance, bearing) = (libm::hypot(x, y), libm::atan2(y, x));
         let [near, far] = self.range_limits;
@@ -228,7 +230,7 @@ impl Beams {
         Window { first_ray, ranges }.trimmed(self.n_beams)
     }
 
-    /// What lies beside the ends of a window.
+    /// Neighbourhood of the ends of a window.
     fn sides(&self, window: &Window, cut_margins: [f64; 2]) -> [Side; 2] {
         let last = (window.first_ray + window.ranges.len() as u32 - 1) % self.n_beams;
         let turned = self.angle_increment.abs() * (f64::from(self.n_beams) - 0.5);
@@ -247,13 +249,13 @@ impl Beams {
     }
 }
 
-/// How far `angle` turns, the shorter way [rad].
+/// Absolute value of `angle` by the shorter way round [rad].
 fn turned(angle: f64) -> f64 {
     (angle - (angle / TAU).round() * TAU).abs()
 }
 
 impl Window {
-    /// Without misses at its ends; None if there is nothing else.
+    /// Window without misses at its ends; None if there are only misses.
     fn trimmed(mut self, n_beams: u32) -> Option<Self> {
         let from = self.ranges.iter().position(|range| range.is_finite())?;
         let to = self.ranges.iter().rposition(|range| range.is_finite())?;
@@ -264,7 +266,7 @@ impl Window {
     }
 }
 
-/// Everything that makes one sample of a number.
+/// Random numbers and parameters of one sample.
 struct Maker<'a> {
     beams: &'a Beams,
     source: Source<'a>,
@@ -296,7 +298,7 @@ impl Maker<'_> {
         Ok(samples)
     }
 
-    /// A circle and what the scanner sees of it.
+    /// A circle and its window.
     fn seen(
         &self,
         number: u64,
@@ -331,7 +333,7 @@ impl Maker<'_> {
         }
     }
 
-    /// Let something nearer hide a part of the circle.
+    /// Hide a part of the circle by something nearer.
     fn hide(&self, window: &mut Window, sides: &mut [Side; 2], stream: &mut Stream) {
         let [whether, which, first, second] = stream.uniforms();
         if whether >= self.disturbance.occluded_share || window.ranges.len() < 2 {

@@ -6,10 +6,10 @@ use lidar_core::Error;
 use lidar_core::geometry::transform::{dot, minus, norm};
 use lidar_core::util::budget;
 
-/// Faces of one mesh.
+/// Largest number of faces of one mesh.
 pub const MAX_FACES: usize = 20_000_000;
 
-/// Triangles under a tree of their own.
+/// Triangle mesh with a tree of its own.
 #[derive(Clone, Debug)]
 pub struct Mesh {
     vertices: Vec<[f64; 3]>,
@@ -90,7 +90,7 @@ impl Mesh {
         &self.vertices
     }
 
-    /// Three vertices each.
+    /// Indices of the three vertices of every face.
     #[must_use]
     pub fn faces(&self) -> &[[u32; 3]] {
         &self.faces
@@ -104,7 +104,7 @@ impl Mesh {
         self.nearest(ray, limit).map(|(_, distance)| distance)
     }
 
-    /// Unit normal of the face that `ray` meets first; against the ray if it meets none.
+    /// Unit normal of the face that `ray` meets first; the reversed ray if it meets none.
     pub(crate) fn normal(&self, ray: &Ray) -> [f64; 3] {
         let normal = self.nearest(ray, f64::MAX).map(|(face, _)| {
             let [_, ab, ac] = self.triangles[face as usize];
@@ -161,7 +161,7 @@ fn meet_triangle(ray: &Ray, [a, ab, ac]: &[[f64; 3]; 3]) -> Option<f64> {
     (distance >= 0.0).then_some(distance)
 }
 
-/// The point of a triangle nearest to `point`: above its face, or else on an edge.
+/// Point of a triangle nearest to `point`: on its face, or else on an edge.
 fn nearest_on_triangle(point: [f64; 3], [a, b, c]: [[f64; 3]; 3]) -> [f64; 3] {
     let normal = cross(minus(b, a), minus(c, a));
     let inside = |from: [f64; 3], to: [f64; 3]| {

@@ -1,4 +1,4 @@
-//! Random smooth motions that keep clear of everything.
+//! Random smooth motions without collisions.
 
 use crate::parry::{Bounds, Ray};
 use crate::random::{Purpose, Stream};
@@ -10,21 +10,21 @@ use lidar_core::geometry::transform::{Transform, dot, minus, norm};
 
 /// Time between control points [s].
 const STEP: f64 = 0.5;
-/// Places looked at between two control points.
+/// Number of checked places between two control points.
 const SAMPLES: usize = 10;
-/// Stamps between two control points.
+/// Number of stamps between two control points.
 const KNOTS: usize = 25;
-/// Proposals for one control point, the first half of which must be in the sensor's view.
+/// Proposals for one control point; those of the first half must be in the sensor's view.
 const PROPOSALS: usize = 32;
 /// Starts tried, walks tried from starts that are free, proposals per control point of a walk.
 const STARTS: usize = 4096;
 const WALKS: usize = 64;
 const EFFORT: usize = 64;
 
-/// Stay where a sensor sees it.
+/// Condition to stay in the view of a sensor.
 #[derive(Clone, Copy, Debug)]
 pub struct Near<'a> {
-    /// The sensor.
+    /// Trajectory of the sensor.
     pub sensor: &'a Trajectory,
     /// Least and greatest distance from it [m].
     pub distance: [f64; 2],
@@ -32,10 +32,10 @@ pub struct Near<'a> {
     pub elevation: [f64; 2],
 }
 
-/// A random motion: what it keeps to.
+/// Conditions for a random motion.
 #[derive(Clone, Debug)]
 pub struct RandomMotion<'a> {
-    /// Box that the centre stays in [m].
+    /// Box that contains the centre [m].
     pub bounds: Bounds,
     /// Greatest speed [m/s].
     pub speed_max: f64,
@@ -43,9 +43,9 @@ pub struct RandomMotion<'a> {
     pub acceleration_max: f64,
     /// Least distance of the centre from every body at rest [m].
     pub clearance: f64,
-    /// The same from others on their way [m].
+    /// Least distance of the centre from moving objects [m].
     pub apart: Vec<(&'a Trajectory, f64)>,
-    /// Sensor to stay near, preferably unhidden.
+    /// View in which the motion stays, preferably not hidden.
     pub near: Option<Near<'a>>,
     /// Start and end [ns].
     pub span_ns: (i64, i64),
@@ -54,7 +54,7 @@ pub struct RandomMotion<'a> {
 }
 
 impl RandomMotion<'_> {
-    /// A motion through `scene`.
+    /// Random motion through `scene`.
     ///
     /// The curve is a uniform cubic B-spline: it stays in the convex hull of its control points
     /// and its derivatives in those of their differences, so that bounds on these bound it.
@@ -118,7 +118,7 @@ impl RandomMotion<'_> {
         free.then_some(points)
     }
 
-    /// Add control points up to `needed`, stepping back where there is no way on.
+    /// Append control points up to `needed`; step back if there is no free proposal.
     fn walk(
         &self,
         scene: &Scene,
@@ -182,7 +182,7 @@ impl RandomMotion<'_> {
         (0..3).all(|axis| (min[axis]..=max[axis]).contains(&point[axis]))
     }
 
-    /// Far enough from everything, also half way to the next sample.
+    /// True if the place is far enough from everything, also half way to the next sample.
     fn is_free(&self, scene: &Scene, place: [f64; 3], seconds: f64) -> bool {
         let stamp_ns = (seconds * 1e9) as i64;
         let between = 0.5 * self.speed_max * STEP / SAMPLES as f64;

@@ -1,6 +1,6 @@
 //! Random numbers by counter: each depends on the seed and on its place, never on an order.
 
-/// What a random number is for: part of its place, so that uses never share numbers.
+/// Purpose of a random number. It is a part of the counter, so that purposes never share numbers.
 #[derive(Clone, Copy, Debug)]
 #[repr(u32)]
 pub enum Purpose {
@@ -10,15 +10,15 @@ pub enum Purpose {
     Motion = 2,
     /// Particles that one ray may meet.
     Air = 3,
-    /// A circle, and what disturbs its view.
+    /// A circle and its disturbances.
     Circle = 4,
     /// Range noise of the rays that meet a circle.
     CircleNoise = 5,
-    /// What becomes of one ray at the surfaces that it meets.
+    /// Reflection of one ray at the surfaces that it meets.
     Surface = 6,
 }
 
-/// Four random words at a place.
+/// Four random words for a counter.
 ///
 /// # Source
 /// Salmon et al., "Parallel Random Numbers: As Easy as 1, 2, 3", SC 2011: Philox 4x32, 10 rounds.
@@ -41,13 +41,13 @@ pub fn words(seed: u64, mut counter: [u32; 4]) -> [u32; 4] {
     counter
 }
 
-/// Place of the `index`-th use within stream `stream` of `purpose`.
+/// Counter of the `index`-th use in stream `stream` of `purpose`.
 #[must_use]
 pub fn place(purpose: Purpose, stream: u64, index: u32) -> [u32; 4] {
     [index, stream as u32, (stream >> 32) as u32, purpose as u32]
 }
 
-/// Uniform in (0, 1), never an end.
+/// Uniform in (0, 1), both ends excluded.
 #[must_use]
 pub fn uniform(word: u32) -> f64 {
     (f64::from(word) + 0.5) / 4_294_967_296.0
@@ -60,7 +60,7 @@ pub fn normal(first: u32, second: u32) -> f64 {
     radius * libm::cos(2.0 * std::f64::consts::PI * uniform(second))
 }
 
-/// Numbers one after the other, from one stream.
+/// Consecutive random numbers of one stream.
 #[derive(Clone, Debug)]
 pub struct Stream {
     seed: u64,

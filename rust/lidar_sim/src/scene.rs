@@ -1,4 +1,4 @@
-//! What stands and what moves.
+//! Scenes: bodies at rest, movers, and particles in the air.
 
 use crate::air::{MAX_VOLUMES, Particles};
 use crate::parry::Tree;
@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 
 pub use crate::parry::{Bounds, Ray};
 
-/// Wide bodies that are kept out of the tree.
+/// Largest number of wide bodies that are kept out of the tree.
 const MOST_WIDE: usize = 8;
 
 /// Swing of a body around its place, as leaves in the wind.
@@ -21,7 +21,7 @@ pub struct Sway {
     pub reach: [f64; 3],
     /// Swings per second [Hz].
     pub rate: f64,
-    /// Angle at time 0 [rad].
+    /// Phase at time 0 [rad].
     pub phase: f64,
 }
 
@@ -30,55 +30,55 @@ pub struct Sway {
 pub struct Body {
     /// Its surface.
     pub shape: Shape,
-    /// Where it stands.
+    /// Pose of the body.
     pub world_from_shape: Transform,
-    /// How it sways.
+    /// Sway of the body.
     pub sway: Option<Sway>,
-    /// How it answers light; None: every ray that meets it returns.
+    /// Optical properties; None: every ray that meets it returns.
     pub surface: Option<Surface>,
-    /// Name in the truth labels; several bodies may share one.
+    /// Label in the ground truth; several bodies may share one.
     pub label: i32,
 }
 
-/// A shape on its way.
+/// A moving shape.
 #[derive(Clone, Debug)]
 pub struct Mover {
     /// Its surface.
     pub shape: Shape,
-    /// Where it is at which time.
+    /// Trajectory of the shape.
     pub trajectory: Trajectory,
-    /// How it answers light; None: every ray that meets it returns.
+    /// Optical properties; None: every ray that meets it returns.
     pub surface: Option<Surface>,
-    /// Name in the truth labels; successive movers that share it are one object.
+    /// Label in the ground truth; successive movers with the same label are one object.
     pub label: i32,
 }
 
-/// Where a ray ends.
+/// End of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
     /// Length of the ray [m].
     pub distance: f64,
-    /// Label of what it met.
+    /// Label of the body.
     pub label: i32,
-    /// How that answers light, and its unit normal there, if it is stated.
+    /// Optical properties of the body and its unit normal there, if they are given.
     pub surface: Option<(Surface, [f64; 3])>,
 }
 
-/// Bodies at rest under a tree, movers, and what is in the air.
+/// Bodies at rest in a tree, movers, and particles.
 #[derive(Clone, Debug)]
 pub struct Scene {
     bodies: Vec<Body>,
     /// Inverse poses of `bodies`.
     shape_from_world: Vec<Transform>,
-    /// True for bodies that are not turned.
+    /// True for bodies without rotation.
     upright: Vec<bool>,
-    /// Bodies without an end or as wide as the scene, tested by every ray before the tree.
+    /// Infinite bodies and those as wide as the scene, tested by every ray before the tree.
     wide: Vec<u32>,
     /// Bodies of the tree, in the order of its leaves.
     bounded: Vec<u32>,
     tree: Tree,
     movers: Vec<Mover>,
-    /// Which object each mover belongs to.
+    /// Object of each mover.
     objects: Vec<usize>,
     air: Vec<Particles>,
     /// Bodies fixed to the sensor, in its frame, and their inverse poses.
@@ -104,7 +104,7 @@ impl Body {
         values.all(|value| value.is_finite()) && self.sway.is_none_or(|sway| sway.is_finite())
     }
 
-    /// Box around all that it may sway to; None without an end.
+    /// Box around all positions of a swaying body; None for an infinite one.
     fn bounds(&self) -> Option<Bounds> {
         let mut bounds = self.shape.bounds(&self.world_from_shape)?;
         let reach = self.sway.map_or([0.0; 3], |sway| sway.reach.map(f64::abs));
@@ -155,10 +155,10 @@ impl Scene {
         })
     }
 
-    /// The same with particles in the air.
+    /// This scene with particles in the air.
     ///
     /// # Errors
-    /// [`Error::Parameter`] as [`Particles::check`], or above [`MAX_VOLUMES`].
+    /// [`Error::Parameter`] as of [`Particles::check`], or above [`MAX_VOLUMES`].
     pub fn with_air(self, air: Vec<Particles>) -> Result<Self, Error> {
         if air.len() > MAX_VOLUMES {
             return Err(refused("air", "at most 256 volumes", &air.len()));
@@ -167,7 +167,7 @@ impl Scene {
         Ok(Self { air, ..self })
     }
 
-    /// The same with bodies fixed to the sensor: the robot or car that carries it.
+    /// This scene with bodies fixed to the sensor: the robot or car that carries it.
     ///
     /// # Errors
     /// [`Error::Value`] if a pose is not finite.
@@ -183,7 +183,7 @@ impl Scene {
         Ok(Self { carried: bodies.into_iter().map(of).collect(), ..self })
     }
 
-    /// Where a ray in `direction` of the sensor's frame meets what carries it, before `limit` [m].
+    /// First hit, before `limit` [m], of a ray in `direction` of the sensor's frame on its carrier.
     #[must_use]
     pub fn meet_carried(&self, direction: [f64; 3], limit: f64) -> Option<Hit> {
         let ray = Ray { origin: [0.0; 3], direction };
@@ -198,25 +198,25 @@ impl Scene {
         nearest
     }
 
-    /// What is in the air.
+    /// Particles in the air.
     #[must_use]
     pub fn air(&self) -> &[Particles] {
         &self.air
     }
 
-    /// Loss of light per metre of way in the air [1/m].
+    /// Extinction of light per metre of air [1/m].
     #[must_use]
     pub fn extinction(&self) -> f64 {
         self.air.iter().map(Particles::extinction).sum()
     }
 
-    /// What moves.
+    /// Moving shapes.
     #[must_use]
     pub fn movers(&self) -> &[Mover] {
         &self.movers
     }
 
-    /// Which object each mover belongs to, from 0: successive movers with one label are one.
+    /// Object of each mover, from 0: successive movers with one label are one object.
     #[must_use]
     pub fn objects(&self) -> &[usize] {
         &self.objects
@@ -266,7 +266,8 @@ impl Scene {
         Hit { distance, label: body.label, surface }
     }
 
-    /// Distance [m] of `point` from the nearest body in its place, or `limit` if none is nearer.
+    /// Distance [m] of `point` from the nearest body at its current place, or `limit` if none is
+    /// nearer.
     #[must_use]
     pub fn clearance(&self, point: [f64; 3], limit: f64) -> f64 {
         let of = |index: u32| {
@@ -289,8 +290,8 @@ fn objects_of(movers: &[Mover]) -> Vec<usize> {
     objects
 }
 
-/// Move bodies that are at least half as wide as all together to `wide`, a few at most: in the tree
-/// they would be met by nearly every ray, but late.
+/// Move bodies that are at least half as wide as all together to `wide`, a few at most. In the tree
+/// nearly every ray would meet them, but late.
 fn take_wide(wide: &mut Vec<u32>, bounded: &mut Vec<u32>, boxes: &mut Vec<Bounds>) {
     let size = |bounds: &Bounds| norm(minus(bounds.max, bounds.min));
     let all = size(&Bounds::around(boxes.iter().flat_map(|bounds| [bounds.min, bounds.max])));
@@ -302,7 +303,7 @@ fn take_wide(wide: &mut Vec<u32>, bounded: &mut Vec<u32>, boxes: &mut Vec<Bounds
     }
 }
 
-/// The transform that undoes `pose`.
+/// Inverse of `pose`.
 #[must_use]
 pub fn inverse(pose: &Transform) -> Transform {
     let rotation: [[f64; 3]; 3] =

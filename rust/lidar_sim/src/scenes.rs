@@ -1,4 +1,4 @@
-//! The fixed scene that every performance figure refers to.
+//! The fixed scene of all performance figures.
 
 use crate::scene::{Body, Mover, Scene};
 use crate::sensors::{Lidar, Pattern};
@@ -9,7 +9,7 @@ use lidar_core::Error;
 use lidar_core::geometry::transform::Transform;
 use rayon::ThreadPool;
 
-/// Scans of the scene.
+/// Number of scans of the scene.
 pub const SCANS: u64 = 20;
 const PERIOD_NS: i64 = 100_000_000;
 const SEED: u64 = 20_240_607;
@@ -119,18 +119,19 @@ pub const CYLINDERS: [[f64; 4]; 15] = [
     [0.4331912647682751, 14.035395697025182, 1.3042765672618017, 12.161104056623081],
 ];
 
-/// Where the spheres are at scan 0, from the sensor's height, and how they move [m/scan].
+/// Positions of the spheres at scan 0, relative to the sensor's height, and their motion [m/scan].
 const SPHERES: [([f64; 3], [f64; 3]); 2] =
     [([8.0, 5.0, 1.5], [0.4, 0.1, 0.05]), ([-6.0, -12.0, -1.0], [-0.2, 0.4, -0.05])];
 
-/// The scene, the sensor and its way.
+/// Scene, sensor and trajectory.
 #[derive(Clone, Debug)]
 pub struct Performance {
     /// Ground, boxes and cylinders (labels 0 to 30), two spheres (31, 32).
     pub scene: Scene,
     /// 128 x 1024 rays, all at the start of the scan.
     pub lidar: Lidar,
-    /// The sensor's way, without turns: directions in the world are those in the LiDAR's frame.
+    /// Trajectory of the sensor without rotation: directions in the world are those in the LiDAR's
+    /// frame.
     pub sensor: Trajectory,
 }
 
@@ -237,7 +238,7 @@ fn at(translation: [f64; 3]) -> Transform {
     Transform { translation, ..Transform::IDENTITY }
 }
 
-/// A way from `start` by `step` per scan.
+/// Trajectory from `start` with `step` per scan.
 fn line(start: [f64; 3], step: [f64; 3]) -> Result<Trajectory, Error> {
     let end = std::array::from_fn(|axis| start[axis] + SCANS as f64 * step[axis]);
     Trajectory::new(vec![0, SCANS as i64 * PERIOD_NS], vec![at(start), at(end)])

@@ -1,4 +1,4 @@
-//! LiDAR models: which rays leave when, and how their ranges are spoiled.
+//! LiDAR models: ray patterns, firing times and range errors.
 
 use crate::random::{self, Purpose};
 use crate::shape::refused;
@@ -6,10 +6,10 @@ use lidar_core::Error;
 use lidar_core::util::budget;
 use std::f64::consts::TAU;
 
-/// Lines of a beam at most.
+/// Largest number of lines of a beam.
 const MOST_LINES: usize = 64;
 
-/// Directions of a scan and the times at which they are fired.
+/// Ray directions of a scan and their firing times.
 #[derive(Clone, Debug)]
 pub enum Pattern {
     /// Rows of fixed elevation turn through equal steps of azimuth, counter-clockwise from above.
@@ -24,41 +24,41 @@ pub enum Pattern {
         /// Turn of the whole pattern from one scan to the next [rad].
         azimuth_per_scan: f64,
     },
-    /// One ray after the other along a rosette that does not repeat: azimuth turns, or swings to
-    /// and fro, elevation swings up and down at a rate that has no common measure with it.
+    /// Single rays along a rosette that does not repeat. The azimuth turns or swings to and fro,
+    /// the elevation swings at an incommensurable rate.
     Rosette {
         /// Rays per scan.
         rays: usize,
         /// Lowest and highest elevation [rad].
         elevation: [f64; 2],
-        /// Azimuth to either side of the x axis [rad]; none for whole turns.
+        /// Largest azimuth to either side of the x axis [rad]; None for whole turns.
         azimuth_half: Option<f64>,
-        /// Turns, or swings of azimuth, per second [Hz].
+        /// Turns, or swings of the azimuth, per second [Hz].
         turn_rate: f64,
-        /// Swings (up and down) per second [Hz].
+        /// Swings of the elevation per second [Hz].
         swing_rate: f64,
     },
-    /// One ray after the other in the plane z = 0: a 2D LiDAR.
+    /// Single rays in the plane z = 0: a 2D LiDAR.
     Planar {
         /// Rays per scan.
         rays: usize,
         /// Bearing of the first ray [rad].
         angle_min: f64,
-        /// From one ray to the next [rad], < 0 for clockwise.
+        /// Bearing from one ray to the next [rad], < 0 for clockwise.
         angle_increment: f64,
-        /// From one ray to the next [ns].
+        /// Time from one ray to the next [ns].
         time_increment_ns: i64,
     },
 }
 
-/// Width of the light in azimuth: what a ray meets anywhere in it, it may return.
+/// Width of the beam in azimuth: anything in it may return.
 #[derive(Clone, Copy, Debug)]
 pub struct Beam {
-    /// To either side of the ray [rad].
+    /// Half width to either side of the ray [rad].
     pub half_width: f64,
-    /// Lines that stand for the beam, evenly from one edge to the other.
+    /// Number of lines that represent the beam, evenly from edge to edge.
     pub lines: usize,
-    /// The range is the mean over the lines that end less than this behind the first [m]: 0 for
+    /// Distance behind the first hit within which the range is the mean over the lines [m]: 0 for
     /// the first return, infinite for the mean of everything met.
     pub echo_length: f64,
 }
@@ -66,15 +66,15 @@ pub struct Beam {
 /// A LiDAR.
 #[derive(Clone, Debug)]
 pub struct Lidar {
-    /// Its rays.
+    /// Ray pattern.
     pub pattern: Pattern,
     /// Duration of a scan [ns].
     pub period_ns: i64,
     /// True: all rays are fired at the start of the scan.
     pub snapshot: bool,
-    /// Nearer surfaces give no information [m].
+    /// Range below which surfaces give no information [m].
     pub range_min: f64,
-    /// Surfaces from here on give no return [m].
+    /// Range from which on surfaces give no return [m].
     pub range_max: f64,
     /// Standard deviation of the ranges [m].
     pub range_std: f64,
@@ -82,16 +82,16 @@ pub struct Lidar {
     pub dropout: f64,
     /// True: a lost return is reported as no return, as most drivers do; false: as no information.
     pub dropout_is_no_return: bool,
-    /// Width of its light; None for lines.
+    /// Width of the beam; None for single lines.
     pub beam: Option<Beam>,
 }
 
-/// The rays of one scan in the LiDAR's frame.
+/// Rays of one scan in the LiDAR's frame.
 #[derive(Clone, Debug)]
 pub struct Sweep {
     /// Unit directions.
     pub directions: Vec<[f64; 3]>,
-    /// Firing that every ray belongs to.
+    /// Firing of every ray.
     pub firings: Vec<u32>,
     /// Time of every firing after the start of the scan [ns].
     pub offsets_ns: Vec<i64>,
@@ -123,7 +123,7 @@ impl Lidar {
         self.beam.as_ref().map_or(Ok(()), Beam::check)
     }
 
-    /// A planar scan is over before the next begins, and turns once at most.
+    /// Check that a planar scan ends before the next one begins, and turns once at most.
     fn check_sweep(&self) -> Result<(), Error> {
         let Pattern::Planar { rays, angle_min, angle_increment, time_increment_ns } = self.pattern
         else {
@@ -141,7 +141,7 @@ impl Lidar {
         Ok(())
     }
 
-    /// Rays per scan.
+    /// Number of rays per scan.
     #[must_use]
     pub fn rays(&self) -> usize {
         match &self.pattern {
@@ -152,7 +152,7 @@ impl Lidar {
         }
     }
 
-    /// The rays of scan number `scan`.
+    /// Rays of scan number `scan`.
     #[must_use]
     pub fn sweep(&self, scan: u64) -> Sweep {
         match &self.pattern {
@@ -221,8 +221,8 @@ impl Lidar {
         (0..firings).map(|firing| if self.snapshot { 0 } else { offset(firing) }).collect()
     }
 
-    /// What is reported for a surface at `distance`: the range [m], +inf for no return,
-    /// NaN for no information. It depends on nothing but the arguments.
+    /// Reported range for a surface at `distance` [m]: +inf for no return, NaN for no information.
+    /// It depends only on the arguments.
     #[must_use]
     pub fn measured(&self, distance: f64, seed: u64, scan: u64, ray: u32) -> f64 {
         if distance >= self.range_max {
@@ -245,8 +245,8 @@ impl Lidar {
         }
     }
 
-    /// `range` as the driver of a 2D LiDAR reports it: nothing outside the limits, wherever noise
-    /// carried it.
+    /// Reported range of a 2D LiDAR: its driver reports nothing outside the limits, also after
+    /// noise.
     fn limited(&self, range: f64) -> f64 {
         if range >= self.range_max {
             f64::INFINITY
@@ -274,7 +274,7 @@ impl Beam {
         Ok(())
     }
 
-    /// Cosine and sine of the angle of every line from the ray.
+    /// Cosine and sine of the angle between every line and the ray.
     #[must_use]
     pub fn turns(&self) -> Vec<[f64; 2]> {
         let step = 2.0 * self.half_width / (self.lines - 1).max(1) as f64;

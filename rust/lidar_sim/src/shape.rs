@@ -1,4 +1,4 @@
-//! Shapes in their own frame: where a ray meets them, how far a point is from them.
+//! Shapes in their own frame: intersection with rays, and distance from points.
 
 use crate::mesh::Mesh;
 use crate::parry::{Bounds, Ray};
@@ -6,7 +6,7 @@ use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, dot, norm};
 use std::sync::Arc;
 
-/// A surface around the origin of its own frame. A ray from inside meets it from inside.
+/// A surface around the origin of its own frame. Rays from inside meet it as well.
 #[derive(Clone, Debug)]
 pub enum Shape {
     /// Rectangle in z = 0, both sides; an infinite half size makes it a plane.
@@ -26,7 +26,7 @@ pub enum Shape {
         /// Half of its length along z [m].
         half_height: f64,
     },
-    /// The same on an ellipse.
+    /// Elliptic cylinder around the z axis, closed at both ends.
     EllipticCylinder {
         /// Half axes along x and y [m].
         half_axes: [f64; 2],
@@ -94,7 +94,7 @@ impl Shape {
         Ok(Self::Sphere { radius })
     }
 
-    /// Distance [m] along `ray` (in the shape's frame) to the first meeting before `limit`.
+    /// Distance [m] along `ray` (in the shape's frame) to the first intersection before `limit`.
     #[must_use]
     #[inline]
     pub fn meet(&self, ray: &Ray, limit: f64) -> Option<f64> {
@@ -139,8 +139,8 @@ impl Shape {
         }
     }
 
-    /// Distance [m] of `point` (in the shape's frame): 0 inside a solid; of a mesh its surface
-    /// counts, of an elliptic cylinder the round one about it.
+    /// Distance [m] of `point` (in the shape's frame). It is 0 inside a solid; a mesh counts as a
+    /// surface, an elliptic cylinder as the round one around it.
     #[must_use]
     pub fn clearance(&self, point: [f64; 3], limit: f64) -> f64 {
         let beyond = |value: f64, half: f64| (value.abs() - half).max(0.0);
@@ -164,7 +164,7 @@ impl Shape {
         }
     }
 
-    /// Radius [m] of the sphere around the frame's origin that holds the shape.
+    /// Radius [m] of the sphere around the origin that contains the shape.
     #[must_use]
     pub fn radius(&self) -> f64 {
         match self {
@@ -179,7 +179,7 @@ impl Shape {
         }
     }
 
-    /// The box around the shape at `pose`; None if it has no end.
+    /// Box around the shape at `pose`; None for an infinite shape.
     #[must_use]
     pub fn bounds(&self, pose: &Transform) -> Option<Bounds> {
         let half = match self {
@@ -203,7 +203,7 @@ impl Shape {
     }
 }
 
-/// Share of its half length at the end of a cylinder that counts as its cap.
+/// Share of the half length at the end of a cylinder that counts as its cap.
 const END: f64 = 1e-9;
 
 /// `vector` with length 1.
@@ -251,7 +251,7 @@ fn extent_of_cylinder(pose: &Transform, [a, b]: [f64; 2], half_height: f64) -> [
     })
 }
 
-/// Where a ray that is inside between `near` and `far` meets the surface.
+/// First intersection of a ray that is inside between `near` and `far`.
 #[inline]
 fn first([near, far]: [f64; 2]) -> Option<f64> {
     if near > far || far < 0.0 {
@@ -260,7 +260,7 @@ fn first([near, far]: [f64; 2]) -> Option<f64> {
     Some(if near >= 0.0 { near } else { far })
 }
 
-/// Part of the line that lies in the slab |coordinate| <= half.
+/// Part of the line inside the slab |coordinate| <= half.
 #[inline]
 fn slab(origin: f64, direction: f64, half: f64) -> [f64; 2] {
     if direction == 0.0 {
@@ -314,7 +314,8 @@ fn meet_cylinder(ray: &Ray, radius: f64, half_height: f64) -> Option<f64> {
     first(both(round, slab(z, dz, half_height)))
 }
 
-/// On the ellipse's own scale it is a round one; distances along the ray stay what they are.
+/// Intersection in coordinates scaled by the half axes: there the cylinder is round, and distances
+/// along the ray are unchanged.
 fn meet_elliptic_cylinder(ray: &Ray, [a, b]: [f64; 2], half_height: f64) -> Option<f64> {
     let scaled = |[x, y, z]: [f64; 3]| [x / a, y / b, z];
     let ray = Ray { origin: scaled(ray.origin), direction: scaled(ray.direction) };

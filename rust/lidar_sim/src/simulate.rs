@@ -1,4 +1,4 @@
-//! One scan of a scene.
+//! Simulation of one scan of a scene.
 
 use crate::random::{self, Purpose};
 use crate::scene::{Hit, Ray, Scene, inverse, passes, within};
@@ -10,34 +10,34 @@ use lidar_core::geometry::transform::{Transform, dot};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
-/// Label of a ray without a point.
+/// Label of a ray without a range.
 pub const NO_LABEL: i32 = -1;
 /// Label of a ray that ended on rain or dust.
 pub const AIR_LABEL: i32 = -2;
-/// Label of a ray that a mirror turned before it returned: there is nothing where its point is.
+/// Label of a ray that was mirrored before it returned: there is nothing at its point.
 pub const GHOST_LABEL: i32 = -3;
-/// Label of a ray that ended on what carries the sensor.
+/// Label of a ray that ended on the carrier of the sensor.
 pub const OWN_LABEL: i32 = -4;
 
-/// Surfaces that one ray may pass or be mirrored by.
+/// Largest number of surfaces that one ray passes or is mirrored by.
 const MOST_TURNS: u32 = 4;
-/// Way that a ray goes on from a surface before it may meet another one [m].
+/// Distance behind a surface within which a ray meets nothing else [m].
 const STEP: f64 = 1e-6;
 
-/// What is met by a ray in fog and states nothing; met head-on.
+/// Optical properties, in fog, of bodies for which none are given; met at normal incidence.
 const USUAL: Surface = Surface { reflectivity: USUAL_REFLECTIVITY, mirror: 0.0, clear: 0.0 };
 
-/// Rays worked on together: fixed, so that the result cannot depend on the number of threads.
+/// Rays per chunk: fixed, so that the result cannot depend on the number of threads.
 const RAYS_PER_CHUNK: usize = 4096;
 
-/// Which scan to make.
+/// Input of the simulation of a scan.
 #[derive(Clone, Copy, Debug)]
 pub struct Task<'a> {
-    /// What is looked at.
+    /// Scene.
     pub scene: &'a Scene,
-    /// What looks.
+    /// LiDAR.
     pub lidar: &'a Lidar,
-    /// Where it is.
+    /// Trajectory of the LiDAR.
     pub sensor: &'a Trajectory,
     /// Start of the scan [ns].
     pub start_ns: i64,
@@ -47,32 +47,32 @@ pub struct Task<'a> {
     pub seed: u64,
 }
 
-/// What one scan reports, and the truth about it. Rays are in the order of the sweep.
+/// Ranges of one scan and their ground truth. Rays are in the order of the sweep.
 #[derive(Clone, Debug)]
 pub struct Scan {
-    /// Its rays in the LiDAR's frame.
+    /// Rays in the LiDAR's frame.
     pub sweep: Sweep,
     /// Range of every ray [m]; +inf is no return, NaN no information.
     pub ranges: Vec<f64>,
-    /// What every ray met; [`NO_LABEL`] where there is no range.
+    /// Label of the body that every ray met; [`NO_LABEL`] for rays without a range.
     pub labels: Vec<i32>,
-    /// For every object ([`Scene::objects`]), rays that would meet it within range if nothing else
-    /// were there.
+    /// For every object ([`Scene::objects`]) the number of rays that would meet it within range if
+    /// nothing else were there.
     pub unoccluded: Vec<u32>,
 }
 
-/// The world as one firing sees it.
+/// State of the world at one firing.
 struct Moment {
     world_from_lidar: Transform,
-    /// Since time 0 [s].
+    /// Time since time 0 [s].
     seconds: f64,
     shape_from_world: Vec<Transform>,
 }
 
-/// Make one scan.
+/// Simulate one scan.
 ///
 /// # Errors
-/// As [`Lidar::check`].
+/// Errors of [`Lidar::check`].
 pub fn scan(pool: &ThreadPool, task: &Task<'_>) -> Result<Scan, Error> {
     task.lidar.check()?;
     let sweep = task.lidar.sweep(task.scan);
@@ -99,7 +99,7 @@ pub fn scan(pool: &ThreadPool, task: &Task<'_>) -> Result<Scan, Error> {
 }
 
 impl Moment {
-    /// The ray in `direction` of the LiDAR's frame.
+    /// Ray in `direction` of the LiDAR's frame.
     fn ray(&self, direction: [f64; 3]) -> Ray {
         Ray {
             origin: self.world_from_lidar.translation,
@@ -162,7 +162,7 @@ impl Task<'_> {
         part
     }
 
-    /// What a beam returns whose lines are turned from `direction` about the z axis.
+    /// Hit of a beam whose lines are rotated from `direction` about the z axis.
     fn echo(
         &self,
         [x, y, z]: [f64; 3],
@@ -183,14 +183,14 @@ impl Task<'_> {
         Some(Hit { distance: sum / count, ..*first })
     }
 
-    /// What carries the sensor, where a ray meets it before `hit`.
+    /// Hit on the carrier of the sensor, if it is before `hit`, else `hit`.
     fn own(&self, direction: [f64; 3], hit: Option<Hit>) -> Option<Hit> {
         let limit = hit.map_or(self.lidar.range_max, |hit| hit.distance);
         self.scene.meet_carried(direction, limit).or(hit)
     }
 
-    /// What a ray returns: it may pass surfaces or be mirrored, and what comes back may be too
-    /// faint. The length is that of the whole way.
+    /// Hit of a ray that may pass surfaces or be mirrored; None if the return is too weak. The
+    /// length is that of the whole way.
     fn seen(&self, ray: &Ray, moment: &Moment, met: &mut [bool], index: u32) -> Option<Hit> {
         let mut hit = self.meet(ray, moment, met, self.lidar.range_max)?;
         let extinction = self.scene.extinction();
@@ -234,13 +234,13 @@ impl Task<'_> {
         None
     }
 
-    /// Words for what becomes of a ray at the surface that it meets after `turn` others.
+    /// Random words for the reflection at the surface that a ray meets after `turn` others.
     fn drawn(&self, index: u32, turn: u32) -> [u32; 4] {
         let [ray, scan, scan_high, purpose] = random::place(Purpose::Surface, self.scan, index);
         random::words(self.seed, [ray, scan, scan_high, purpose | turn << 8])
     }
 
-    /// First thing that `ray` meets; in `met` the objects that it meets or would meet.
+    /// First hit of `ray`; marks in `met` the objects that it meets or would meet.
     fn meet(&self, ray: &Ray, moment: &Moment, met: &mut [bool], limit: f64) -> Option<Hit> {
         let mut nearest = self.scene.meet(ray, limit, moment.seconds);
         for (index, mover) in self.scene.movers().iter().enumerate() {
@@ -261,7 +261,7 @@ impl Task<'_> {
         nearest
     }
 
-    /// The particle that a ray ends on, or else `hit`.
+    /// Hit on a particle, if a ray ends on one, else `hit`.
     fn in_air(&self, ray: &Ray, moment: &Moment, hit: Option<Hit>, index: u32) -> Option<Hit> {
         let mut nearest = hit;
         for (group, volumes) in (0_u32..).zip(self.scene.air().chunks(4)) {

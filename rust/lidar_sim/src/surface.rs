@@ -1,35 +1,36 @@
-//! How surfaces answer light: what returns, what is mirrored, what passes, what is lost.
+//! Optical properties of surfaces: scattered, mirrored, transmitted and lost light.
 
 use crate::shape::refused;
 use lidar_core::Error;
 use lidar_core::geometry::transform::dot;
 
-/// Reflectivity of the surfaces that the range of a LiDAR is stated for.
+/// Reflectivity for which the range of a LiDAR is specified.
 pub const RATED_REFLECTIVITY: f64 = 0.1;
-/// Reflectivity of surfaces that state none, in fog.
+/// Reflectivity, in fog, of bodies for which none is given.
 pub const USUAL_REFLECTIVITY: f64 = 0.3;
-/// Scatter of the returned power about its mean: standard deviation of its logarithm.
+/// Standard deviation of the logarithm of the returned power.
 const FADING: f64 = 0.4;
 
-/// Shares of the light that meets a surface.
+/// Shares of the incident light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surface {
-    /// Scattered back at normal incidence; it falls with the cosine (Lambert).
+    /// Share scattered back at normal incidence; it falls with the cosine (Lambert).
     pub reflectivity: f64,
-    /// Mirrored at normal incidence, all of it at grazing incidence; 0 for none at any.
+    /// Share mirrored at normal incidence, rising to 1 at grazing incidence; 0 for none at any
+    /// angle.
     pub mirror: f64,
-    /// Passed on straight ahead, of what is not mirrored.
+    /// Share of the light that is not mirrored and passes straight on.
     pub clear: f64,
 }
 
-/// What becomes of a ray at a surface.
+/// Result of a ray at a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Fate {
-    /// It scatters: what comes back may be seen.
+    /// The light is scattered and may return.
     Scattered,
-    /// It goes on in this direction.
+    /// The ray continues in this direction.
     Mirrored([f64; 3]),
-    /// It goes on straight ahead.
+    /// The ray continues straight on.
     Passed,
 }
 
@@ -48,7 +49,7 @@ impl Surface {
         Ok(())
     }
 
-    /// Share that is mirrored at the `cosine` of incidence.
+    /// Share mirrored at the `cosine` of incidence.
     ///
     /// # Source
     /// Schlick, "An Inexpensive BRDF Model for Physically-based Rendering", 1994.
@@ -61,8 +62,8 @@ impl Surface {
         self.mirror + (1.0 - self.mirror) * grazing * grazing * grazing * grazing * grazing
     }
 
-    /// What becomes of a ray in `direction` that meets the surface with `normal`; the two draws
-    /// are uniform in (0, 1).
+    /// Result of a ray in `direction` that meets the surface with `normal`; the two samples are
+    /// uniform in (0, 1).
     #[must_use]
     pub fn fate(&self, direction: [f64; 3], normal: [f64; 3], draws: [f64; 2]) -> Fate {
         let along = dot(direction, normal);
@@ -78,10 +79,10 @@ impl Surface {
     }
 }
 
-/// Power that comes back over the least that is seen.
+/// Returned power over the smallest detectable power.
 ///
-/// The least is what a surface of [`RATED_REFLECTIVITY`] gives, met head-on at `range_max` in
-/// clear air. `extinction` [1/m] is that of the air, passed twice.
+/// The smallest detectable power is that of a surface of [`RATED_REFLECTIVITY`] at normal incidence
+/// and at `range_max` in clear air. `extinction` [1/m] applies to both ways.
 #[must_use]
 pub fn signal(
     reflectivity: f64,
@@ -95,7 +96,7 @@ pub fn signal(
     reflectivity / RATED_REFLECTIVITY * cosine * nearness * nearness * through_air
 }
 
-/// True if a return of mean `signal` is seen; `fading` is a draw of the standard normal
+/// True if a return of mean `signal` is detected; `fading` is a sample of the standard normal
 /// distribution.
 #[must_use]
 pub fn is_seen(signal: f64, fading: f64) -> bool {

@@ -1,9 +1,9 @@
-//! Where something is at any time: poses at stamps, and between them.
+//! Poses over time: given at stamps, interpolated between them.
 
 use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, minus};
 
-/// Poses at increasing stamps; on a line at a constant rate between them, at rest outside them.
+/// Poses at increasing stamps; constant velocity between them, at rest outside.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
     stamps_ns: Vec<i64>,
@@ -40,7 +40,7 @@ impl Trajectory {
         Ok(Self { stamps_ns, poses })
     }
 
-    /// One pose for ever.
+    /// Constant pose.
     #[must_use]
     pub fn at_rest(pose: Transform) -> Self {
         Self { stamps_ns: vec![0], poses: vec![pose] }

@@ -35,7 +35,7 @@ impl Default for ScannerParameters {
     }
 }
 
-/// Best mode.
+/// Segmentation of the best mode.
 impl Default for SegmentParameters {
     fn default() -> Self {
         Self {
@@ -54,7 +54,7 @@ impl Default for SegmentParameters {
 }
 
 impl SegmentParameters {
-    /// Eq. 6 as published.
+    /// Segmentation by eq. 6 as published.
     #[must_use]
     pub fn paper() -> Self {
         Self {
@@ -69,14 +69,14 @@ impl SegmentParameters {
     }
 }
 
-/// Best mode.
+/// Corner rules of the best mode.
 impl Default for CornerParameters {
     fn default() -> Self {
         Self { depth: 0.15, width: 1.2 }
     }
 }
 
-/// The expected circle.
+/// Fit of the expected circle, the method of the best mode.
 impl Default for FitParameters {
     fn default() -> Self {
         Self {
@@ -90,7 +90,7 @@ impl Default for FitParameters {
     }
 }
 
-/// Best mode.
+/// Shape rules of the best mode.
 impl Default for ShapeParameters {
     fn default() -> Self {
         Self {
@@ -104,7 +104,7 @@ impl Default for ShapeParameters {
     }
 }
 
-/// Best mode.
+/// One filter per element, as in the best mode.
 impl Default for Independent {
     fn default() -> Self {
         Self {
@@ -123,21 +123,21 @@ impl Default for Independent {
     }
 }
 
-/// Best mode.
+/// Line rules of the best mode.
 impl Default for LineRules {
     fn default() -> Self {
         Self { density: 1e-6, std: 0.01, gap: 0.5, length: 0.5, reach: 3.0, coast: Some(60.0) }
     }
 }
 
-/// Eqs 14 and 33.
+/// Joint filter with the values of eqs 14 and 33.
 impl Default for Joint {
     fn default() -> Self {
         Self { velocity_step: 0.1, max_eigenvalue: 3.0 }
     }
 }
 
-/// Best mode: a filter per element.
+/// Map of the best mode: one filter per element.
 impl Default for CircleMapParameters {
     fn default() -> Self {
         Self {
@@ -149,14 +149,14 @@ impl Default for CircleMapParameters {
 }
 
 impl CircleMapParameters {
-    /// The joint filter as published.
+    /// Map with the joint filter as published.
     #[must_use]
     pub fn paper() -> Self {
         Self { filter: Filter::Paper(Joint::default()), ..Self::default() }
     }
 }
 
-/// Best mode, for the scanner of the paper.
+/// Pipeline of the best mode for the scanner of the paper.
 impl Default for PipelineParameters {
     fn default() -> Self {
         Self {
@@ -174,8 +174,8 @@ impl Default for PipelineParameters {
 }
 
 impl PipelineParameters {
-    /// The stages as published, but for the network that estimates circles, which is not part of
-    /// this crate: its circles go into [`CirclePipeline::integrate`](super::pipeline::CirclePipeline).
+    /// Pipeline as published, except for the network that estimates circles. It is not part of
+    /// this crate; its circles go into [`CirclePipeline::integrate`](super::pipeline::CirclePipeline).
     #[must_use]
     pub fn paper() -> Self {
         Self {

@@ -1,4 +1,4 @@
-//! What the pipeline says about one sweep.
+//! Results of the pipeline for one sweep.
 
 use super::fit::circle::CircleEstimate;
 use super::map::{MapElement, MapShape, MapStats, PoseCovariance};
@@ -7,19 +7,19 @@ use super::segment::segments::Segments;
 use super::shape::ShapeEstimate;
 use crate::geometry::transform::Transform;
 
-/// A sweep ready for its circles to be estimated.
+/// A sweep prepared for the estimation of circles.
 #[derive(Clone, Debug)]
 pub struct PreparedSweep {
     /// The scan in the level frame, limited to the volume.
     pub level: LevelScan,
-    /// Its objects.
+    /// Segments of the scan.
     pub segments: Segments,
     pub(super) world_from_lidar: Transform,
     pub(super) world_from_level: Transform,
     pub(super) pose_covariance: Option<PoseCovariance>,
     pub(super) stamp_ns: i64,
     pub(super) scanner: String,
-    /// Place of the scanner, once `integrate` has taken the sweep.
+    /// Number of the scanner, after `integrate` has processed the sweep.
     pub(super) number: usize,
     /// Time of every segment after the stamp [s]; None if all rays share the stamp.
     pub(super) delays: Option<Vec<f64>>,
@@ -28,11 +28,12 @@ pub struct PreparedSweep {
     pub(super) timing: Timing,
 }
 
-/// Standard deviations above the nearest range within which a hit may have neighbours below it.
+/// Distance above the nearest range, in standard deviations, within which neighbours of a hit may
+/// be too near to be measured.
 const NEAR: f64 = 10.0;
 
 impl PreparedSweep {
-    /// When every segment was measured [ns].
+    /// Measurement time of every segment [ns].
     pub(super) fn times_ns(&self) -> Vec<i64> {
         let time = |&delay: &f64| self.stamp_ns + libm::round(delay * 1e9) as i64;
         match &self.delays {
@@ -41,8 +42,8 @@ impl PreparedSweep {
         }
     }
 
-    /// Whether rays beside the hits of a segment may have met it nearer than the scanner measures,
-    /// with ranges of deviation `std`: the hits that are left lie too far away in the mean.
+    /// True if rays beside the hits of a segment may have met it nearer than the scanner measures,
+    /// for ranges of deviation `std`. The remaining hits are too far away on average.
     pub(super) fn is_too_near(&self, number: usize, std: f64) -> bool {
         let ranges = &self.level.scan.ranges;
         let is_unknown = |ray: usize| ranges.get(ray).is_some_and(|range| range.is_nan());
@@ -52,7 +53,7 @@ impl PreparedSweep {
         })
     }
 
-    /// Where the rays of a segment ended, from above [m].
+    /// End points of the rays of a segment, from above [m].
     pub(super) fn points_world(&self, number: usize) -> Vec<[f64; 2]> {
         let rays = self.segments.rays_of(number).iter();
         let points = rays.filter_map(|&ray| self.level.scan.point(ray as usize));
@@ -78,34 +79,35 @@ pub struct Timing {
     pub map: f64,
 }
 
-/// What a sweep showed and did.
+/// Result of a sweep.
 #[derive(Clone, Debug)]
 pub struct CircleFrame {
     /// The scan in the level frame.
     pub level: LevelScan,
-    /// Its objects.
+    /// Segments of the scan.
     pub segments: Segments,
     /// One circle per segment, level frame.
     pub circles: Vec<CircleEstimate>,
-    /// The same in the world.
+    /// One circle per segment, in the world.
     pub circles_world: Vec<CircleEstimate>,
-    /// When each circle was measured: the mean time of the rays of its segment [ns].
+    /// Measurement time of each circle: the mean time of the rays of its segment [ns].
     pub times_ns: Vec<i64>,
-    /// One shape per segment, level frame; empty where shapes are not told apart.
+    /// One shape per segment, level frame; empty if shapes are not distinguished.
     pub shapes: Vec<ShapeEstimate>,
-    /// Element of the map of every segment; None for what is not taken into it: it has another
-    /// shape, or the hits do not lie on the circle.
+    /// Element of the map of every segment; None for a segment that is not used in the map, since
+    /// it has another shape or its hits do not lie on the circle.
     pub elements: Vec<Option<i64>>,
-    /// Whether every segment is an object that was left out of the map since a part of it may be
-    /// nearer than the scanner measures.
+    /// For every segment true if it is an object that was left out of the map, since a part of it
+    /// may be nearer than the scanner measures.
     pub too_near: Vec<bool>,
-    /// Line of the map of every segment; None for what is no line, or too short to be a new one.
+    /// Line of the map of every segment; None for a segment that is no line, or too short for a new
+    /// one.
     pub lines: Vec<Option<i64>>,
-    /// What the map did with them.
+    /// Changes of the map.
     pub stats: MapStats,
     /// Elements of the map at the time of the sweep.
     pub map: Vec<MapElement>,
-    /// Its elements that are no circles.
+    /// Elements that are no circles, at the time of the sweep.
     pub map_shapes: Vec<MapShape>,
     /// Time per stage.
     pub timing: Timing,

@@ -1,4 +1,4 @@
-//! What the segments of a sweep are for the map: bodies, lines, or nothing.
+//! Selection of the segments of a sweep for the map: bodies, lines, or nothing.
 
 use super::fit::circle::CircleEstimate;
 use super::frame::PreparedSweep;
@@ -7,16 +7,16 @@ use super::pipeline::PipelineParameters;
 use super::selection::{Part, is_certain, is_piece, part, round};
 use super::shape::{ShapeEstimate, ShapeKind};
 
-/// Segments that go into the map, by their numbers.
+/// Segments that go into the map, by number.
 #[derive(Default)]
 pub(super) struct Parts {
     pub(super) bodies: Vec<usize>,
     pub(super) circles: Vec<CircleEstimate>,
-    /// What the circles stand for.
+    /// Shapes that the circles represent.
     pub(super) outlines: Vec<Option<OutlineEstimate>>,
     lines: Vec<usize>,
     pub(super) shapes: Vec<ShapeEstimate>,
-    /// Of all segments: would-be bodies of which a part may be nearer than the scanner measures.
+    /// For all segments: true for a body of which a part may be nearer than the scanner measures.
     too_near: Vec<bool>,
 }
 
@@ -28,8 +28,11 @@ pub(super) struct ByKind {
 }
 
 impl Parts {
-    /// Objects of which a part may be too near to be measured are left out. Bodies that lie on a line of the map are pieces of it, if it is longer than any of them or
-    /// nothing free is beside them.
+    /// Select the segments for the map.
+    ///
+    /// Objects of which a part may be too near to be measured are left out. A body on a line of the
+    /// map is a piece of that line if the line is longer than any body, or if something nearer
+    /// hides one side of the body and the other side is not free.
     pub(super) fn of(
         prepared: &PreparedSweep,
         circles: &[CircleEstimate],
@@ -74,7 +77,7 @@ impl Parts {
         parts
     }
 
-    /// Elements of all `count` segments, as the map says.
+    /// Elements of all `count` segments, as assigned by the map.
     pub(super) fn elements(self, count: usize, stats: &MapStats) -> ByKind {
         let (bodies, lines) = (vec![None; count], vec![None; count]);
         let mut elements = ByKind { bodies, lines, too_near: self.too_near };

@@ -23,52 +23,52 @@ use crate::util::full_state::{impossible, opened, sealed};
 use crate::util::stopwatch::Clock;
 
 const KIND: &str = "circle pipeline";
-/// Scanners of one pipeline.
+/// Largest number of scanners of one pipeline.
 const MAX_SCANNERS: usize = 64;
-/// Cosine of the tilt of a scan plane that is too steep to be seen from above: 88.9 degrees.
+/// Cosine of the largest tilt of a scan plane that can be projected to the ground: 88.9 degrees.
 const STEEPEST: f64 = 0.02;
 
-/// What a scanner measures.
+/// Rays and range limits of a scanner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScannerParameters {
     /// Bearing of the first ray [rad].
     pub angle_min: f64,
     /// Step from ray to ray [rad].
     pub angle_increment: f64,
-    /// Rays of one sweep.
+    /// Number of rays of one sweep.
     pub n_beams: usize,
-    /// Nearest and farthest surface that is measured [m].
+    /// Smallest and largest range that is measured [m].
     pub range_limits: [f64; 2],
 }
 
-/// Everything the pipeline can be told. Range limits of the parts are those of the scanner.
+/// All parameters of the pipeline. The range limits of the parts are those of the scanner.
 #[derive(Clone, Debug)]
 pub struct PipelineParameters {
-    /// Scanners that `scanners` does not name.
+    /// Scanners that are not in `scanners`.
     pub scanner: ScannerParameters,
     /// Scanners by name.
     pub scanners: Vec<(String, ScannerParameters)>,
-    /// Operating volume: inside is a x + b y + c z <= d, world frame.
+    /// Operating volume of all points with a x + b y + c z <= d, world frame.
     pub planes: Vec<[f64; 4]>,
-    /// How tilted scans are projected.
+    /// Projection of tilted scans.
     pub projection: Projection,
-    /// What makes a segment.
+    /// Segmentation.
     pub segment: SegmentParameters,
-    /// How circles are fitted.
+    /// Circle fit.
     pub fit: FitParameters,
     /// Largest root mean square distance of hits from their circle, or other shape [m].
     pub max_deviation: f64,
-    /// What becomes of other shapes; None: all segments are taken for circles.
+    /// Use of other shapes; None: all segments are treated as circles.
     pub shapes: Option<ShapeParameters>,
     /// The map.
     pub map: CircleMapParameters,
 }
 
-/// Sweeps in, map of circles out.
+/// Pipeline from sweeps to a map of circles.
 pub struct CirclePipeline {
     parameters: PipelineParameters,
     map: CircleMap,
-    /// By name, in the order in which they were first used.
+    /// Scanners in the order in which they were first used.
     channels: Vec<(String, Channel)>,
 }
 
@@ -99,11 +99,12 @@ impl CirclePipeline {
         sealed(KIND, &self.parameters, &(names, self.map.state()))
     }
 
-    /// A pipeline that goes on, to the same bits, where the one went whose state was saved.
+    /// Pipeline from a saved state; it continues with the same bits as the saved one.
     ///
     /// # Errors
-    /// As [`CirclePipeline::new`]; [`Error::Format`] for bytes that [`CirclePipeline::to_state`]
-    /// did not make, [`Error::Parameter`] for those of a pipeline with other parameters.
+    /// Errors of [`CirclePipeline::new`]; [`Error::Format`] for bytes that
+    /// [`CirclePipeline::to_state`] did not make, [`Error::Parameter`] for the state of a pipeline
+    /// with other parameters.
     pub fn from_state(parameters: PipelineParameters, bytes: &[u8]) -> Result<Self, Error> {
         let (names, map): (Vec<String>, SavedMap) = opened(KIND, &parameters, bytes)?;
         let mut pipeline = Self::new(parameters)?;
@@ -121,11 +122,11 @@ impl CirclePipeline {
         Ok(pipeline)
     }
 
-    /// Take in one sweep.
+    /// Process one sweep.
     ///
     /// # Errors
     /// [`Error::Length`], [`Error::Value`], [`Error::Time`] for a sweep that cannot be used,
-    /// [`Error::Limit`] for too many objects. Nothing changes then.
+    /// [`Error::Limit`] for too many objects. After an error nothing has changed.
     pub fn process(&mut self, raw: &RawSweep<'_>) -> Result<CircleFrame, Error> {
         self.unless_refused(raw.scanner, |pipeline, number| {
             let prepared = pipeline.prepare_in(raw, number, &pipeline.channels[number].1)?;
@@ -133,11 +134,11 @@ impl CirclePipeline {
         })
     }
 
-    /// The stages before circles are estimated: any estimator may follow, and `integrate` after
-    /// it. Changes nothing.
+    /// Process the stages before the estimation of circles. Any estimator may follow, and
+    /// `integrate` after it. The pipeline is not changed.
     ///
     /// # Errors
-    /// As [`CirclePipeline::process`].
+    /// Errors of [`CirclePipeline::process`].
     pub fn prepare(&self, raw: &RawSweep<'_>) -> Result<PreparedSweep, Error> {
         match self.number(raw.scanner) {
             Some(number) => self.prepare_in(raw, number, &self.channels[number].1),
@@ -199,7 +200,7 @@ impl CirclePipeline {
         self.take_in(prepared, circles, shapes)
     }
 
-    /// Shapes of the segments, if they are wanted.
+    /// Shapes of the segments, if shapes are distinguished.
     fn find_shapes(
         &mut self,
         prepared: &PreparedSweep,
@@ -212,10 +213,11 @@ impl CirclePipeline {
         }
     }
 
-    /// Take in the circles of a prepared sweep, one per segment.
+    /// Update the map with the circles of a prepared sweep, one per segment.
     ///
     /// # Errors
-    /// [`Error::Length`] for another number of circles; as [`CirclePipeline::process`].
+    /// [`Error::Length`] for a wrong number of circles, and the errors of
+    /// [`CirclePipeline::process`].
     pub fn integrate(
         &mut self,
         mut prepared: PreparedSweep,
@@ -234,7 +236,7 @@ impl CirclePipeline {
         })
     }
 
-    /// Hand what is round to the map.
+    /// Update the map with the round segments.
     fn take_in(
         &mut self,
         prepared: PreparedSweep,
@@ -263,7 +265,7 @@ impl CirclePipeline {
         })
     }
 
-    /// Correct the map; the element of every segment that is a body, and of every line.
+    /// Correct the map; returns the element of every body and of every line.
     fn update(
         &mut self,
         prepared: &PreparedSweep,
@@ -293,19 +295,19 @@ impl CirclePipeline {
         Ok((elements, stats))
     }
 
-    /// Elements of the map at any time [ns]; changes nothing.
+    /// Elements of the map predicted to a time [ns]; the map is not changed.
     #[must_use]
     pub fn map_at(&self, stamp_ns: i64) -> Vec<MapElement> {
         self.map.map_at(stamp_ns)
     }
 
-    /// Elements that are no circles, at any time [ns]; changes nothing.
+    /// Elements that are no circles, predicted to a time [ns]; the map is not changed.
     #[must_use]
     pub fn shapes_at(&self, stamp_ns: i64) -> Vec<MapShape> {
         self.map.shapes_at(stamp_ns)
     }
 
-    /// Forget the map; numbers go on.
+    /// Remove all elements of the map. Numbers are not used again.
     pub fn reset(&mut self) {
         self.map.reset();
     }
@@ -315,7 +317,7 @@ impl CirclePipeline {
         self.channels.iter().position(|(known, _)| known == name)
     }
 
-    /// What a scanner with a new name needs.
+    /// Check and make what a scanner with a new name needs.
     fn new_channel(&self, name: &str) -> Result<Channel, Error> {
         if self.channels.len() >= MAX_SCANNERS {
             return Err(Error::Limit {
@@ -327,7 +329,7 @@ impl CirclePipeline {
         Channel::new(&self.parameters.scanner, &self.parameters)
     }
 
-    /// What `take` does with a sweep of this scanner; an error leaves a new scanner unknown.
+    /// Result of `take` for a sweep of this scanner; after an error a new scanner stays unknown.
     fn unless_refused(
         &mut self,
         scanner: &str,
@@ -346,14 +348,14 @@ impl CirclePipeline {
     }
 }
 
-/// An error of the map, which knows scanners by number, for somebody who knows them by name.
+/// Error of the map with the name of the scanner instead of its number.
 fn with_name(error: Error, number: usize, name: &str) -> Error {
     let Error::Time { what } = error else { return error };
     let named = format!("from scanner {name:?}");
     Error::Time { what: what.replace(&format!("from sensor {number}"), &named) }
 }
 
-/// Horizontal share of the shortest ray.
+/// Smallest ratio of horizontal to full length over all rays.
 fn upright(sweep: &Sweep) -> Result<f64, Error> {
     let cosine = sweep.at_stamp().rotation[2][2].abs();
     if cosine < STEEPEST {
@@ -367,7 +369,7 @@ fn upright(sweep: &Sweep) -> Result<f64, Error> {
     Ok(cosine)
 }
 
-/// Circles of the level frame in the world.
+/// Transform circles from the level frame to the world.
 fn in_world(circles: &[CircleEstimate], world_from_level: &Transform) -> Vec<CircleEstimate> {
     let placed = |estimate: &CircleEstimate| {
         let mut placed = *estimate;

@@ -4,21 +4,21 @@ use super::map::PoseCovariance;
 use super::segment::segments::Segments;
 use crate::Error;
 
-/// The times of rays lie this close to the stamp: others are of another clock [ns].
+/// Largest distance of the times of rays from the stamp; larger ones are of another clock [ns].
 const LONGEST_SWEEP_NS: u64 = 10_000_000_000;
 
 /// One sweep as the scanner delivered it.
 #[derive(Clone, Copy, Debug)]
 pub struct RawSweep<'a> {
-    /// Which of several scanners.
+    /// Name of the scanner.
     pub scanner: &'a str,
     /// Start of the sweep [ns].
     pub stamp_ns: i64,
     /// Range of every ray [m]; +inf is a miss, NaN no information.
     pub ranges: &'a [f32],
-    /// `world_from_lidar`, 4x4 row-major: one, or a stream.
+    /// Poses `world_from_lidar`, 4x4 row-major: one pose, or a stream.
     pub poses: &'a [[f64; 16]],
-    /// Stamps of the stream [ns].
+    /// Stamps of the pose stream [ns].
     pub pose_stamps_ns: Option<&'a [i64]>,
     /// Time of every ray [ns].
     pub ray_time_ns: Option<&'a [i64]>,
@@ -27,10 +27,10 @@ pub struct RawSweep<'a> {
 }
 
 impl RawSweep<'_> {
-    /// Refuse a sweep that has not one range, and one time if any, for each of `expected` rays.
+    /// Check that there is one range, and one time if there are any, for each of `expected` rays.
     ///
     /// # Errors
-    /// [`Error::Length`]; [`Error::Value`] for times of another clock.
+    /// [`Error::Length`] for another number; [`Error::Value`] for times of another clock.
     pub(super) fn check(&self, expected: usize) -> Result<(), Error> {
         let lengths = [
             ("ranges", Some(self.ranges.len())),

@@ -1,4 +1,4 @@
-//! One scanner of the pipeline, with what is the same in all its sweeps.
+//! One scanner of the pipeline, with the parts that all its sweeps share.
 
 use super::fit::{FitParameters, Fitter};
 use super::pipeline::{PipelineParameters, RawSweep, ScannerParameters};
@@ -37,10 +37,11 @@ impl Channel {
         })
     }
 
-    /// The scan in the level frame, limited to the volume; and the ranges before, if it was.
+    /// Scan in the level frame, limited to the volume, and the ranges before that limitation, if
+    /// any.
     ///
     /// # Errors
-    /// As [`projection::limit_range`].
+    /// Errors of [`projection::limit_range`].
     pub(super) fn level(
         &self,
         raw: &RawSweep<'_>,

@@ -1,4 +1,5 @@
-//! Which segments go into the map of circles: what is round, and small things that are nearly so.
+//! Selection of segments for the map of circles: round objects, and small ones that are nearly
+//! round.
 
 use super::fit::circle::{Circle, CircleEstimate};
 use super::frame::PreparedSweep;
@@ -9,28 +10,28 @@ use crate::Error;
 use crate::error::require_positive;
 use nalgebra::{Matrix3, Matrix5};
 
-/// What becomes of the shapes of segments.
+/// Rules for segments that are no circles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShapeParameters {
-    /// Ellipses go into the map.
+    /// Use ellipses in the map.
     pub ellipses: bool,
-    /// So do rectangles.
+    /// Use rectangles in the map.
     pub rectangles: bool,
-    /// Lines that stand free go into it, as circles behind them.
+    /// Use lines without neighbours in the map, as circles behind them.
     pub faces: bool,
-    /// Largest half length of a line that goes into the map as a circle, and of everything that is
-    /// reported as one [m].
+    /// Largest half length of a line that is used as a circle, and of every object that is reported
+    /// as a circle [m].
     pub max_size: f64,
-    /// How far their outlines depart from a fixed shape, as a standard deviation [m].
+    /// Standard deviation of real outlines from their ideal shape [m].
     pub model_std: f64,
-    /// A circle of fewer rays that ends at something nearer is an object only if nothing is behind
-    /// its other end; other shapes always.
+    /// Least number of rays of a circle beside something nearer; with fewer it is used only if its
+    /// other end is free. Other shapes beside something nearer always need a free end.
     pub min_hits: usize,
 }
 
 impl ShapeParameters {
     /// # Errors
-    /// [`Error::Parameter`] for one that is outside its range.
+    /// [`Error::Parameter`] for a parameter outside its range.
     pub(super) fn check(&self) -> Result<(), Error> {
         require_positive("max_size", self.max_size)?;
         require_positive("model_std", self.model_std)
@@ -45,7 +46,7 @@ impl ShapeParameters {
         }
     }
 
-    /// What a line that stands free is taken for: a circle whose middle lies behind it.
+    /// Circle that represents a line without neighbours: its middle lies behind the line.
     fn behind(&self, shape: &ShapeEstimate) -> Option<CircleEstimate> {
         let [start, end] = shape.ends()?;
         let half = 0.5 * libm::hypot(end[0] - start[0], end[1] - start[1]);
@@ -67,7 +68,7 @@ impl ShapeParameters {
         })
     }
 
-    /// What a circle stands for: None where it is one, or nothing is known of its outline.
+    /// Shape that a circle represents; None for a circle, or if the outline is unknown.
     pub(super) fn outline(&self, shape: &ShapeEstimate) -> Option<OutlineEstimate> {
         if shape.kind == ShapeKind::Line {
             return Some(OutlineEstimate { shape: *shape, is_large: false, round: None });
@@ -79,7 +80,7 @@ impl ShapeParameters {
         is_known.then_some(OutlineEstimate { shape: *shape, is_large, round: None })
     }
 
-    /// The circle of the mean half length.
+    /// Circle whose radius is the mean half length.
     fn equivalent(&self, shape: &ShapeEstimate) -> Option<CircleEstimate> {
         let [x, y, long, short, _] = shape.parameters;
         let scale = shape.kind.half_length().unwrap_or(1.0);
@@ -105,19 +106,19 @@ impl ShapeParameters {
     }
 }
 
-/// What a segment is for the map.
+/// Use of a segment in the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Part {
-    /// Something round, or small and nearly so.
+    /// A round object, or a small one that is nearly round.
     Body(CircleEstimate),
-    /// A line, as its shape says.
+    /// A line.
     Line,
-    /// Nothing.
+    /// Not used.
     Nothing,
 }
 
-/// What segment `number` is for the map: nothing where its hits do not lie on its circle or other
-/// shape. Its own estimate stands for a circle, one of the mean half length for other shapes.
+/// Use of segment `number` in the map; none if its hits do not lie on its circle or other shape. A
+/// circle is used as estimated, another shape as the circle of its mean half length.
 pub(super) fn part(
     prepared: &PreparedSweep,
     number: usize,
@@ -142,7 +143,7 @@ pub(super) fn part(
     }
 }
 
-/// The circle of a segment whose hits lie on it.
+/// Circle of a segment, if its hits lie on it.
 pub(super) fn round(
     prepared: &PreparedSweep,
     number: usize,
@@ -158,13 +159,13 @@ impl Part {
     }
 }
 
-/// Whether rays may show no more than a piece of something: it ends where something nearer is, and
-/// nothing shows that it ends at the other side.
+/// True if the rays may show only a part of an object: something nearer hides one side, and the
+/// other side is not free.
 pub(super) fn is_piece(sides: [Side; 2]) -> bool {
     sides.contains(&Side::Occluded) && !sides.contains(&Side::Free)
 }
 
-/// Whether the covariance can be used: that of a circle fitted to a wall may be singular.
+/// True if the covariance is positive definite; that of a circle fitted to a wall may be singular.
 pub(super) fn is_certain(estimate: &CircleEstimate) -> bool {
     Matrix3::from_fn(|i, j| estimate.covariance[i][j]).cholesky().is_some()
 }

@@ -10,11 +10,11 @@ pub struct Pair {
     pub row: usize,
     /// Column, for example a measurement.
     pub column: usize,
-    /// What the pair costs, finite; may be negative.
+    /// Cost of the pair, finite; may be negative.
     pub cost: f64,
 }
 
-/// The column of every row, so that the sum of costs is as small as possible.
+/// Column assigned to every row such that the sum of costs is minimal.
 ///
 /// A row may stay without a column, which costs `unassigned`; pairs that are not listed are
 /// forbidden. Ties go to the lower column, an assignment to no column being the last.
@@ -62,7 +62,8 @@ fn check(rows: usize, columns: usize, pairs: &[Pair], unassigned: f64) -> Result
     require(unassigned.is_finite(), "unassigned", "finite", unassigned)
 }
 
-/// Every row has, beside its pairs, a column of its own at `columns + row`: to stay unassigned.
+/// Shortest augmenting path solver. Besides its pairs, every row has a column of its own at
+/// `columns + row`: the row stays unassigned.
 struct Solver {
     edges: Vec<(usize, f64)>, // column and cost, grouped by row, by ascending column
     first: Vec<usize>,        // start of every row's group in `edges`
@@ -72,7 +73,7 @@ struct Solver {
     search: Search,
 }
 
-/// One shortest-path search; reset column by column, since most are never reached.
+/// Workspace of one shortest-path search; only reached columns are reset, most are never reached.
 struct Search {
     distance: Vec<f64>,
     from_row: Vec<usize>,
@@ -107,6 +108,9 @@ impl Solver {
         let (mut row, mut length) = (start, 0.0);
         let sink = loop {
             self.relax(row, length);
+            // Dijkstra needs reduced costs that are not negative. Those of rows with a column never
+            // are; those of `start` may be, but every path begins with exactly one of them, so the
+            // order of the paths is right all the same.
             let Some(column) = self.search.nearest() else { return self.search.reset() };
             length = self.search.distance[column];
             match self.row_of[column] {
@@ -114,6 +118,7 @@ impl Solver {
                 None => break column,
             }
         };
+        // The prices change before the rows do: `reprice` needs the columns that led to the sink.
         self.reprice(start, length);
         let mut column = sink;
         loop {

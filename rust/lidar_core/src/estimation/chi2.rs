@@ -3,9 +3,9 @@
 use crate::Error;
 use crate::error::require;
 
-/// Relative size of the last term of a series that is still added.
+/// A series ends when its last term is smaller than this, relative to the sum.
 const TERM: f64 = 1e-17;
-/// More terms than any argument below 1e12 needs.
+/// Limit of the number of terms; no argument below 1e12 needs as many.
 const MAX_TERMS: usize = 20_000_000;
 
 /// Probability that a chi-square variable of `degrees` degrees of freedom is at most `x`.
@@ -18,7 +18,10 @@ pub fn cdf(x: f64, degrees: u32) -> f64 {
     if x.is_infinite() {
         return 1.0;
     }
+    // The three factors x^shape, exp(-x) and 1 / gamma(shape) overflow or vanish one by one at
+    // large degrees; the sum of their logarithms does not.
     let front = libm::exp(shape * libm::log(x) - x - libm::lgamma(shape));
+    // Each expansion converges fast only on its own side of the mean of the distribution.
     if x < shape + 1.0 {
         (front * lower_series(shape, x)).min(1.0)
     } else {
@@ -26,8 +29,8 @@ pub fn cdf(x: f64, degrees: u32) -> f64 {
     }
 }
 
-/// The `x` that a chi-square variable of `degrees` degrees of freedom exceeds with probability
-/// `1 - probability`.
+/// Inverse of [`cdf`]: the value below which a chi-square variable of `degrees` degrees of freedom
+/// lies with this probability.
 ///
 /// # Errors
 /// [`Error::Parameter`] unless 0 < `probability` < 1 and `degrees` >= 1.
@@ -43,6 +46,8 @@ pub fn quantile(probability: f64, degrees: u32) -> Result<f64, Error> {
     while cdf(high, degrees) < probability {
         (low, high) = (high, 2.0 * high);
     }
+    // Bisection down to neighbouring floats: the distribution is monotone, no start value is
+    // needed, and the result does not depend on a tolerance.
     loop {
         let middle = low + (high - low) / 2.0;
         if middle <= low || middle >= high {
@@ -56,7 +61,7 @@ pub fn quantile(probability: f64, degrees: u32) -> Result<f64, Error> {
     }
 }
 
-/// Sum of x^k / (shape (shape + 1) .. (shape + k)), k from 0.
+/// Series of the lower incomplete gamma function: sum of x^k / (shape .. (shape + k)), k from 0.
 fn lower_series(shape: f64, x: f64) -> f64 {
     let mut term = 1.0 / shape;
     let mut sum = term;
@@ -77,6 +82,8 @@ fn upper_fraction(shape: f64, x: f64) -> f64 {
     const TINY: f64 = 1e-300;
     let mut b = x + 1.0 - shape;
     let mut c = 1.0 / TINY;
+    // The method divides by c and d. A zero there is replaced by a number that the next term
+    // cancels.
     let mut d = 1.0 / if b.abs() < TINY { TINY } else { b };
     let mut value = d;
     for index in 1..MAX_TERMS {

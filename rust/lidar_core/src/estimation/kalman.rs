@@ -23,7 +23,7 @@ impl<const N: usize> Gaussian<N> {
         self.mean.iter().chain(&self.covariance).copied().collect()
     }
 
-    /// The reverse of [`Self::numbers`]; none for another number of numbers.
+    /// Inverse of [`Self::numbers`]; None if the number of values does not fit.
     #[must_use]
     pub fn from_numbers(numbers: &[f64]) -> Option<Self> {
         let (mean, covariance) = numbers.split_at_checked(N)?;
@@ -34,7 +34,7 @@ impl<const N: usize> Gaussian<N> {
     }
 }
 
-/// A measurement, its model linearised at the mean it is compared with.
+/// A measurement whose model is linearised at the mean of the state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Linearised<const N: usize, const M: usize> {
     /// Innovation: measured minus expected.
@@ -77,7 +77,7 @@ pub fn predict<const N: usize>(
     Gaussian { mean: F * prior.mean, covariance: symmetrised(covariance + Q) }
 }
 
-/// P becomes F P F', of which only what is not zero in `F` is computed; it has to be symmetric.
+/// Replace P by F P F'. `P` has to be symmetric; zeros of `F` cost nothing.
 pub fn carry<const N: usize>(P: &mut SMatrix<f64, N, N>, F: &SMatrix<f64, N, N>) {
     let (P, F) = (&mut P.data.0, &F.data.0);
     let mut half = [[0.0; N]; N]; // columns of F P
@@ -125,10 +125,10 @@ pub fn update<const N: usize, const M: usize>(
     Ok(Update { posterior, nis: far.squared, log_determinant: far.log_determinant })
 }
 
-/// As [`update`] in place, if `believe` says so of the innovation's distance; else nothing changes.
+/// Like [`update`], but in place, and only if `believe` accepts the distance of the innovation.
 ///
 /// # Errors
-/// As [`update`]; nothing has changed then.
+/// [`Error::NotPositiveDefinite`] as of [`update`]; the state is then unchanged.
 pub fn correct<const N: usize, const M: usize>(
     state: &mut Gaussian<N>,
     model: &Linearised<N, M>,
@@ -172,7 +172,9 @@ pub fn correct<const N: usize, const M: usize>(
     Ok(far)
 }
 
-/// P = (I - K H) P (I - K H)' + K R K', `A` being H P and `gain` K'.
+/// Joseph form (I - K H) P (I - K H)' + K R K' with H P in `A` and K' in `gain`.
+///
+/// Unlike P - K H P it is a sum of squares: rounding in the gain cannot make it indefinite.
 #[inline(always)]
 fn joseph<const N: usize, const M: usize>(
     P: &mut SMatrix<f64, N, N>,
@@ -214,7 +216,7 @@ fn joseph<const N: usize, const M: usize>(
     symmetrise(P);
 }
 
-/// Root of a covariance of M numbers: a lower triangle, with the inverses of its diagonal.
+/// Cholesky factor of a covariance of M values: lower triangle and the inverses of its diagonal.
 struct Root<const M: usize> {
     lower: [[f64; M]; M],
     inverse: [f64; M],
@@ -236,6 +238,7 @@ impl<const M: usize> Root<M> {
                     lower[row][row] = libm::sqrt(left);
                     inverse[row] = 1.0 / lower[row][row];
                 } else {
+                    // also for NaN, which fails every comparison
                     return Err(Error::NotPositiveDefinite { matrix: "S" });
                 }
             }
@@ -280,7 +283,7 @@ impl<const M: usize> Root<M> {
     }
 }
 
-/// Distance of `y` from zero, whose covariance is `S`.
+/// Squared Mahalanobis distance of `y` from zero, given its covariance `S`.
 ///
 /// # Errors
 /// [`Error::NotPositiveDefinite`] if `S` cannot be factorised.
@@ -303,11 +306,14 @@ pub fn symmetrised<const N: usize>(matrix: SMatrix<f64, N, N>) -> SMatrix<f64, N
     mean
 }
 
-/// The same in place.
+/// Make a matrix exactly symmetric in place: see [`symmetrised`].
 #[inline]
 pub fn symmetrise<const N: usize>(matrix: &mut SMatrix<f64, N, N>) {
     let entries = &mut matrix.data.0;
     for row in 0..N {
+        // Rounding differs between the triangles; without the mean of both the difference would
+        // grow from step to step, and the factorisations, which read one triangle, would not see
+        // it.
         for column in 0..row {
             let value = (entries[row][column] + entries[column][row]) * 0.5;
             (entries[row][column], entries[column][row]) = (value, value);

@@ -1,6 +1,6 @@
-//! The smallest value of a function without derivatives.
+//! Minimum of a function by the simplex method of Nelder and Mead, without derivatives.
 
-/// When a search begins and ends.
+/// First step and stopping rule of the simplex search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Search {
     /// Edge of the first simplex.
@@ -11,8 +11,7 @@ pub struct Search {
     pub evaluations: usize,
 }
 
-/// Place and value of a minimum of `cost` near `start`. A value that is not a number counts as
-/// the worst.
+/// Place and value of a minimum of `cost` near `start`. NaN counts as the largest value.
 ///
 /// # Errors
 /// The first error of `cost`.
@@ -32,8 +31,12 @@ pub fn minimise<E>(
         simplex.add(place)?;
     }
     loop {
+        // The sort is stable: corners of equal value keep their order, so the search is
+        // reproducible.
         simplex.corners.sort_by(|a, b| a.0.total_cmp(&b.0));
         let last = simplex.corners.len() - 1;
+        // The difference of two infinities is NaN and not below the tolerance: while all corners
+        // lie where the function is not defined, the search goes on.
         let spread = simplex.corners[last].0 - simplex.corners[0].0;
         if last == 0 || spread < search.tolerance || simplex.calls >= search.evaluations {
             break;
@@ -64,7 +67,7 @@ impl<E, F: FnMut(&[f64]) -> Result<f64, E>> Simplex<F> {
         Ok(())
     }
 
-    /// Replace the corner `last`, the worst one, or draw all towards the best.
+    /// Replace the worst corner `last`, or contract all corners towards the best.
     fn improve(&mut self, last: usize) -> Result<(), E> {
         let center = center(&self.corners[..last]);
         let (best, worst) = (self.corners[0].0, self.corners[last].0);
@@ -77,6 +80,7 @@ impl<E, F: FnMut(&[f64]) -> Result<f64, E>> Simplex<F> {
         } else if reflected < self.corners[last - 1].0 {
             self.corners[last] = mirrored;
         } else {
+            // Contract towards the better of the reflected and the old corner.
             let factor = if reflected < worst { -0.5 } else { 0.5 };
             let contracted = self.valued(between(&center, &far, factor))?;
             if contracted.0 < worst.min(reflected) {
@@ -89,6 +93,7 @@ impl<E, F: FnMut(&[f64]) -> Result<f64, E>> Simplex<F> {
     }
 
     fn shrink(&mut self) -> Result<(), E> {
+        // Neither reflection nor contraction helped: the simplex is larger than its valley.
         let lowest = self.corners[0].1.clone();
         for index in 1..self.corners.len() {
             self.corners[index] = self.valued(between(&lowest, &self.corners[index].1, 0.5))?;

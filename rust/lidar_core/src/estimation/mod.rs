@@ -1,4 +1,5 @@
-//! Kalman filtering, chi-square quantiles and association: what all trackers share.
+//! Estimation tools shared by all trackers: Kalman and unscented filters, chi-square gates,
+//! assignment.
 
 pub mod assignment;
 pub mod chi2;

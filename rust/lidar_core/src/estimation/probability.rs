@@ -3,29 +3,28 @@
 //! With the covariance factorised as `L L'`, the variable is `L z` with independent standard normal
 //! `z`, and the box bounds one entry of `z` after the other: nested one-dimensional integrals, the
 //! innermost in closed form. Where the variance left to an axis is small, the integrand rises or
-//! falls steeply at a place that is known: the integrals are split there, so that they stay accurate
-//! up to singular covariances, whose further axes only narrow the innermost interval. Where it is
-//! not small, the inner two integrals are one over the correlation, which is faster.
+//! falls steeply at a known place: the integrals are split there, so that they stay accurate up to
+//! singular covariances, whose further axes only narrow the innermost interval. Where it is not
+//! small, the inner two integrals become one integral over the correlation, which is faster.
 
 use crate::Error;
 use crate::error::require;
 
-/// Standard deviations beyond which nothing counts: 3e-10 lies there.
+/// Range of integration in standard deviations: 3e-10 of the probability lies outside.
 const REACH: f64 = 6.3;
-/// Variance of an axis given the others, relative to its own, that counts as none.
+/// Conditional variance of an axis, relative to its own, below which the axis counts as determined.
 const LEAST_SHARE: f64 = 1e-15;
-/// Rounding of a covariance that may make it indefinite, relative.
+/// Relative rounding error of a covariance that is accepted, although it makes it indefinite.
 const ROUNDING: f64 = 1e-9;
-/// Largest difference of the two rules on a panel, of which the better one is used: outer integral,
-/// inner integral.
+/// Largest accepted difference of the two quadrature rules on a panel, outer and inner integral.
 const TOLERANCE: [f64; 2] = [1e-8, 1e-9];
-/// Halvings of a panel.
+/// Most halvings of a panel.
 const DEPTH: u32 = 16;
 /// Longest first panel, in standard deviations.
 const PANEL: f64 = 3.0;
-/// Correlations up to which the inner two integrals are taken as one.
+/// Largest correlation for which the inner two integrals are computed as one.
 const LARGEST_CORRELATION: f64 = 0.9;
-/// Steps narrower than this are split off, to `STEP_REACH` widths on both sides.
+/// The integral is split around steps that are narrower than this, at `STEP_REACH` widths.
 const STEEP: f64 = 0.5;
 const STEP_REACH: f64 = 7.0;
 
@@ -57,6 +56,8 @@ pub fn box_probability(
         if low[axis] >= high[axis] || low[axis] > reach || high[axis] < -reach {
             return Ok(0.0);
         }
+        // An axis that reaches beyond the box on neither side does not change the probability;
+        // without it the integral has one dimension less.
         if reach == 0.0 {
             share *= if low[axis] == 0.0 || high[axis] == 0.0 { 0.5 } else { 1.0 };
         } else if low[axis] > -reach || high[axis] < reach {
@@ -93,28 +94,29 @@ fn check(covariance: &[[f64; 3]; 3]) -> Result<(), Error> {
     if determinant < -ROUNDING { refused } else { Ok(()) }
 }
 
-/// Correlation of two axes; 0 where it would be nothing but rounding.
+/// Correlation of two axes; 0 where the covariance is no more than rounding.
 fn correlation(covariance: &[[f64; 3]; 3], a: usize, b: usize) -> f64 {
     let largest = (0..3).map(|axis| covariance[axis][axis]).fold(0.0, f64::max);
     let scale = covariance[a][a].sqrt() * covariance[b][b].sqrt();
     if scale <= ROUNDING * largest { 0.0 } else { (covariance[a][b] / scale).clamp(-1.0, 1.0) }
 }
 
-/// The box in standard deviations, bounding `factor * z`.
+/// The box in standard deviations: bounds of `factor * z` with independent standard normal `z`.
 struct Nested {
-    /// Rows that bound something, 1 to 3.
+    /// Number of rows with a bound, 1 to 3.
     rows: usize,
-    /// Columns of `factor` that are not zero.
+    /// Number of columns of `factor` that are not zero.
     rank: usize,
     factor: [[f64; 3]; 3],
     low: [f64; 3],
     high: [f64; 3],
-    /// The last two rows, given the rows before.
+    /// The last two rows, conditional on the rows before.
     pair: Option<Pair>,
 }
 
 impl Nested {
-    /// Cholesky's factor of the correlations of `axes`; the axis with most variance left is next.
+    /// Cholesky factor of the correlations of `axes`, pivoted: the axis with the largest
+    /// conditional variance comes next.
     fn new(covariance: &[[f64; 3]; 3], axes: &[usize], low: [f64; 3], high: [f64; 3]) -> Self {
         let rows = axes.len();
         let mut order: [usize; 3] = std::array::from_fn(|row| axes[row.min(rows - 1)]);
@@ -123,6 +125,9 @@ impl Nested {
         let mut rank = rows;
         for k in 0..rows {
             let mut pivot = k;
+            // With the largest remaining variance first, all pivots after a zero are zero too:
+            // these rows are determined by the rows before, and nothing is divided by rounding
+            // errors.
             for row in k + 1..rows {
                 if left[row] > left[pivot] {
                     pivot = row;
@@ -150,7 +155,7 @@ impl Nested {
         Self { rows, rank, factor, low: scaled(low), high: scaled(high), pair }
     }
 
-    /// Bounds of a row less what the entries of `z` before `level` give.
+    /// Bounds of a row minus the contribution of the entries of `z` before `level`.
     fn bounds(&self, row: usize, level: usize, z: &[f64; 3]) -> [f64; 2] {
         let known: f64 = (0..level).map(|k| self.factor[row][k] * z[k]).sum();
         [self.low[row] - known, self.high[row] - known]
@@ -180,18 +185,21 @@ impl Nested {
         cuts.windows(2).map(|cut| integrate(&integrand, cut[0], cut[1], tolerance, DEPTH)).sum()
     }
 
-    /// The last entry of `z` has to satisfy its own row and all rows without variance left.
+    /// Probability of the last entry of `z`, bounded by its own row and by all rows that it
+    /// determines.
     fn innermost(&self, level: usize, z: &[f64; 3]) -> f64 {
         let (mut start, mut end) = (f64::NEG_INFINITY, f64::INFINITY);
         for row in level..self.rows {
             let slope = self.factor[row][level];
             let [low, high] = self.bounds(row, level, z);
+            // The row does not depend on the last entry: it holds for all values or for none.
             if slope.abs() < LEAST_SHARE {
                 if low > 0.0 || high < 0.0 {
                     return 0.0;
                 }
                 continue;
             }
+            // A negative slope exchanges the bounds.
             let (a, b) = (low / slope, high / slope);
             start = start.max(a.min(b));
             end = end.min(a.max(b));
@@ -199,12 +207,14 @@ impl Nested {
         interval(start, end)
     }
 
-    /// Where the integral over entry `level` of `z` is split, its ends included, ascending.
+    /// Ascending places at which the integral over entry `level` of `z` is split, ends included.
     fn cuts(&self, level: usize, z: &[f64; 3], [start, end]: [f64; 2]) -> Vec<f64> {
         let panels = ((end - start) / PANEL).ceil().max(1.0);
         let step = (end - start) / panels;
         let mut cuts: Vec<f64> = (0..panels as u32).map(|k| start + f64::from(k) * step).collect();
         let mut add = |place: f64, width: f64| {
+            // A slope of zero makes the place infinite or NaN and the width infinite: nothing is
+            // added.
             if width < STEEP {
                 let reach = STEP_REACH * width;
                 let places = [place - reach, place, place + reach];
@@ -250,6 +260,8 @@ impl Pair {
         if along.abs() > LARGEST_CORRELATION * std {
             return None;
         }
+        // Half of the interval of each of the two 15-point rules, in the angle asin(r): over the
+        // angle the integrand has no singularity at r = 1.
         let half = 0.25 * libm::asin(along / std);
         let node = |index: usize| {
             let place = index % 15;

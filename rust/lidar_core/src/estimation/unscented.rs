@@ -7,7 +7,7 @@ use nalgebra::{SMatrix, SVector};
 /// Most rows of a triangle: six states and three measured values.
 pub const MAX_ROWS: usize = 9;
 
-/// A normal distribution, its covariance as a lower triangle times its transpose.
+/// A normal distribution whose covariance is stored as a lower triangle times its transpose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rooted<const N: usize> {
     /// Expected value.
@@ -17,7 +17,8 @@ pub struct Rooted<const N: usize> {
 }
 
 impl<const N: usize> Rooted<N> {
-    /// Root of a covariance; directions in which it is not positive count as known exactly.
+    /// Distribution with this covariance; directions without positive variance count as exactly
+    /// known.
     #[must_use]
     pub fn new(mean: SVector<f64, N>, covariance: &SMatrix<f64, N, N>) -> Self {
         Self { mean, root: semidefinite_root(covariance) }
@@ -31,10 +32,10 @@ impl<const N: usize> Rooted<N> {
     }
 }
 
-/// Sigma points at a distance of the root of `spread` standard deviations, and their weights.
+/// Sigma-point rule: distance of the points and their weights.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rule {
-    /// Square of the distance of the points.
+    /// Squared distance of the points from the mean, in standard deviations.
     pub spread: f64,
     /// Weight of the central point; negative where `spread` is below the number of states.
     pub center: f64,
@@ -43,14 +44,14 @@ pub struct Rule {
 }
 
 impl Rule {
-    /// The rule for `states` states; `spread` > 0. Equal to `states` it is the cubature rule.
+    /// Rule for `states` states; `spread` > 0. With `spread` = `states` it is the cubature rule.
     #[must_use]
     pub fn new(states: usize, spread: f64) -> Self {
         Self { spread, center: 1.0 - states as f64 / spread, around: 0.5 / spread }
     }
 }
 
-/// Rows of a lower triangle L; L L' is the covariance of everything absorbed.
+/// Rows of a lower triangle L whose product L L' is the covariance of all absorbed columns.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Triangle {
     size: usize,
@@ -70,9 +71,10 @@ impl Triangle {
         self.rows[row][column]
     }
 
-    /// Add c c' to L L', by rotations: it cannot fail.
+    /// Add c c' to L L' by Givens rotations. They cannot fail: no difference is formed.
     pub fn absorb(&mut self, mut c: [f64; MAX_ROWS]) {
         for k in 0..self.size {
+            // Nothing to rotate; and with a zero diagonal the angle would be 0 / 0.
             if c[k] == 0.0 {
                 continue;
             }
@@ -86,13 +88,14 @@ impl Triangle {
         }
     }
 
-    /// L with c c' taken from L L'; none where that would not be positive definite.
+    /// Triangle of L L' - c c'; None if that is not positive definite.
     #[must_use]
     pub fn without(&self, mut c: [f64; MAX_ROWS]) -> Option<Self> {
         let mut left = *self;
         for k in 0..self.size {
             let old = left.rows[k][k];
             let square = old * old - c[k] * c[k];
+            // Below this share the difference consists of rounding: its root would be arbitrary.
             if square <= 1e-12 * old * old || square.is_nan() {
                 return None;
             }
@@ -105,7 +108,7 @@ impl Triangle {
         Some(left)
     }
 
-    /// Weigh a deviation: absorb it, or, with a negative weight, take it away where possible.
+    /// Absorb a deviation with its weight; with a negative weight it is subtracted if possible.
     #[must_use]
     pub fn weighted(mut self, weight: f64, mut c: [f64; MAX_ROWS]) -> Self {
         let scale = libm::sqrt(weight.abs());
@@ -134,12 +137,17 @@ pub fn stacked(upper: &[f64], lower: &[f64]) -> [f64; MAX_ROWS] {
     column
 }
 
-/// The distribution of f(x), x having `prior`: mean and root, nothing added.
+/// Mean and covariance triangle of f(x) for x with distribution `prior`, without the central point.
+///
+/// The third value is the shift of the mean from f at the prior mean. The caller absorbs it with
+/// the central weight after all positive terms, since that weight may be negative.
 pub fn transformed<const N: usize>(
     prior: &Rooted<N>,
     rule: &Rule,
     f: impl Fn(&SVector<f64, N>) -> SVector<f64, N>,
 ) -> (SVector<f64, N>, Triangle, SVector<f64, N>) {
+    // Deviations from the image of the mean are summed, not the images: coordinates far from the
+    // origin would lose the digits of the covariance.
     let center = f(&prior.mean);
     let (reach, mut around) = (libm::sqrt(rule.spread), [[SVector::zeros(); 2]; N]);
     let mut sum = SVector::<f64, N>::zeros();
@@ -156,12 +164,14 @@ pub fn transformed<const N: usize>(
     (center + shift, triangle, shift)
 }
 
-/// Lower triangle of a covariance; columns whose pivot is not positive are zero.
+/// Cholesky factor of a semidefinite covariance; columns whose pivot is not positive are zero.
 fn semidefinite_root<const N: usize>(P: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
     let mut root = SMatrix::<f64, N, N>::zeros();
     for column in 0..N {
         let pivot = P[(column, column)]
             - (0..column).map(|k| root[(column, k)] * root[(column, k)]).sum::<f64>();
+        // A state without variance (exactly known, or a copy of others) has no Cholesky column.
+        // Zero puts its sigma points on the mean, where an error would stop the filter.
         if pivot <= 1e-14 * P[(column, column)] || pivot.is_nan() {
             continue;
         }

@@ -10,7 +10,7 @@ use super::targets::any_filter::{FusionParameters, Method, Model, Strengths};
 use super::targets::lifecycle::{GyroUse, Life, Loss};
 use super::targets::many::{Association, ManyParameters};
 
-/// Probability that a measurement of the target is believed.
+/// Probability of the gate for a true measurement.
 const GATE_PROBABILITY: f64 = 0.9999;
 
 /// The standard deviations as variances.
@@ -69,7 +69,7 @@ impl Default for Life {
     }
 }
 
-/// The first reading of what the paper leaves open. Deviations and prior are those of the filter.
+/// First reading of what the paper leaves open, with the deviations and prior of the filter.
 impl Default for Paper {
     fn default() -> Self {
         Self {
@@ -136,7 +136,7 @@ impl Default for ManyParameters {
 
 /// Clutter of 1 in 1000 m^2 (LiDAR) and of 1e-3 / (m rad m/s) (radar), shared out by probabilities.
 impl Association {
-    /// As the Python package has it.
+    /// Joint probabilistic data association with the defaults of the Python package.
     #[must_use]
     pub fn joint() -> Self {
         Self::Joint { detection: 0.9, clutter: [1e-3, 1e-3] }

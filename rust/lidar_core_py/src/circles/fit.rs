@@ -16,7 +16,7 @@ use numpy::{
 };
 use pyo3::prelude::*;
 
-/// Parameters (C, 3), covariance (C, 3, 3), number of hits (C,), whether it is a fallback (C,).
+/// Parameters (C, 3), covariance (C, 3, 3), number of hits (C,), true for fallbacks (C,).
 pub(crate) type CircleArrays<'py> = (
     Rows3<'py, f64>,
     Bound<'py, PyArray3<f64>>,
@@ -28,7 +28,7 @@ pub(crate) type CircleArrays<'py> = (
 type SegmentArrays<'py> =
     (PyReadonlyArray1<'py, u32>, PyReadonlyArray1<'py, i64>, PyReadonlyArray2<'py, u8>);
 
-/// Rows between two looks at whether Python wants to stop.
+/// Number of rows between two checks for a signal from Python.
 const ROWS_PER_LOOK: usize = 500;
 
 #[pyfunction]

@@ -110,12 +110,13 @@ const FILTERS: [(&str, Kind); 2] = [("paper", Kind::Paper), ("independent", Kind
 
 pub(crate) type Numbers<'py> = Bound<'py, PyArray1<i64>>;
 
-/// Whether the scan was late; the element of every circle; numbers of elements born, confirmed,
-/// removed; pairs merged.
+/// True for a late scan; element of every circle; numbers of new, confirmed and removed elements;
+/// pairs of merged elements.
 pub(crate) type Events<'py> =
     (bool, Numbers<'py>, Numbers<'py>, Numbers<'py>, Numbers<'py>, Bound<'py, PyArray2<i64>>);
 
-/// Number, mean (M, 5), covariance (M, 5, 5), age, time of the last measurement, visible, confirmed.
+/// Number, mean (M, 5), covariance (M, 5, 5), age, time of the last measurement, visible,
+/// confirmed.
 pub(crate) type Elements<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray2<f64>>,

@@ -56,7 +56,7 @@ impl CirclesConfig {
     }
 }
 
-/// A sweep that waits for its circles.
+/// A sweep whose circles are still to be estimated.
 #[pyclass(frozen, name = "PreparedSweep", module = "lidar_core._core")]
 pub(crate) struct PyPreparedSweep(PreparedSweep);
 

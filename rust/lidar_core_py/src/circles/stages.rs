@@ -1,4 +1,4 @@
-//! Bindings of `lidar_core::circles`: what is done to a scan.
+//! Bindings of `lidar_core::circles`: preprocessing and segmentation of a scan.
 
 use crate::arrays;
 use crate::circles::config::{ScannerConfig, SegmentConfig};

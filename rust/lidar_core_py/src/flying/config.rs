@@ -98,7 +98,7 @@ struct SensorConfig {
     returns_per_ray: usize,
 }
 
-/// Whether detections are centres.
+/// True if detections are centres.
 const POSITIONS: [(&str, bool); 2] = [("paper", false), ("center", true)];
 
 impl FlyingConfig {

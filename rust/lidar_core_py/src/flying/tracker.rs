@@ -147,8 +147,8 @@ impl TrackerConfig {
 
 type Numbers<'py> = Bound<'py, PyArray1<i64>>;
 
-/// Whether the cloud was late; numbers of tracks corrected, born, confirmed, removed; pairs
-/// merged; measurements rejected.
+/// True for a late cloud; numbers of corrected, new, confirmed and removed tracks; pairs of merged
+/// tracks; rejected measurements.
 type Events<'py> = (
     bool,
     Numbers<'py>,

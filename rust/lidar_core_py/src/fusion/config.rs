@@ -70,7 +70,7 @@ const MODELS: [(&str, Model); 6] = [
 const READINGS: [(&str, Reading); 4] =
     [("a", Reading::A), ("b", Reading::B), ("c", Reading::C), ("d", Reading::D)];
 const POINTS: [(&str, bool); 2] = [("redrawn", false), ("carried", true)];
-/// What is printed, or what is meant.
+/// Choice between the printed form of an equation and the corrected one.
 const FIXES: [(&str, bool); 2] = [("literal", false), ("fixed", true)];
 const COLUMNS: [(&str, bool); 2] = [("literal", false), ("zero", true)];
 const PREDICTIONS: [(&str, bool); 2] = [("motion", false), ("matrix", true)];

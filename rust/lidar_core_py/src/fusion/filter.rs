@@ -161,7 +161,7 @@ impl PyTargetFilter {
         Ok(PyFusionStep(self.filter.with(py, |filter| Ok(filter.step(&m)))?))
     }
 
-    /// Mean and covariance at a time; none before the target has been seen.
+    /// Mean and covariance at a time; None before the target has been seen.
     fn state_at<'py>(
         &self,
         py: Python<'py>,

@@ -1,4 +1,4 @@
-//! Kasa's, Pratt's and Taubin's fits with a bounded radius.
+//! Algebraic circle fits of Kasa, Pratt and Taubin, with a bounded radius.
 //!
 //! # Source
 //! Chernov, "Circular and linear regression", 2010, sections 5 and 8: the three minimise the same
@@ -11,15 +11,15 @@ use super::{FitParameters, Method};
 use nalgebra::{Matrix3, Vector3};
 
 const MOST_STEPS: usize = 60;
-/// Determinants below this, of points scaled to unit size, tell nothing about the circle.
+/// Determinant of points scaled to unit size, below which they lie on a line.
 const FLAT: f64 = 1e-12;
-/// Fewer hits tell no radius.
+/// Least number of hits for a radius.
 const FEW: usize = 3;
-/// Circles of more than this share of the largest radius may be held by it.
+/// Share of the largest radius above which a circle may be limited by that bound.
 const HELD: f64 = 0.95;
 
-/// Fit a circle to the hits of an arc. Where they leave it open, it lies behind their middle. Its
-/// covariance is a rough one.
+/// Fit a circle to the hits of an arc. If they leave it open, it lies behind their middle. The
+/// covariance is approximate.
 pub(super) fn fit(arc: &Arc, parameters: &FitParameters) -> Estimate {
     let bounds = parameters.radius;
     let free = free(arc, parameters.method);
@@ -34,8 +34,8 @@ pub(super) fn fit(arc: &Arc, parameters: &FitParameters) -> Estimate {
     (circle, covariance)
 }
 
-/// A circle that the largest radius may hold: the distance to the circle without bounds is part of
-/// its error then.
+/// Add the distance to the unbounded circle to the error of a circle that the largest radius may
+/// limit.
 pub(super) fn held(
     arc: &Arc,
     parameters: &FitParameters,
@@ -48,7 +48,7 @@ pub(super) fn held(
     (circle, covariance)
 }
 
-/// The circle of the hits without bounds; None if they lie on a line.
+/// Circle of the hits without bounds; None if they lie on a line.
 fn free(arc: &Arc, method: Method) -> Option<[f64; 3]> {
     Moments::of(&arc.hits).and_then(|moments| moments.circle(method))
 }
@@ -61,8 +61,7 @@ fn add_square(covariance: &mut [[f64; 3]; 3], by: [f64; 3]) {
     }
 }
 
-/// How far the circle without bounds lies from the one within them, no farther than the largest
-/// radius.
+/// Vector from the bounded circle to the one without bounds, at most as long as the largest radius.
 fn beyond(arc: &Arc, free: Option<[f64; 3]>, circle: [f64; 3], bounds: [f64; 2]) -> [f64; 3] {
     let [least, most] = bounds;
     let ahead = away(arc, circle);
@@ -76,11 +75,13 @@ fn beyond(arc: &Arc, free: Option<[f64; 3]>, circle: [f64; 3], bounds: [f64; 2])
     if bent || !free[2].is_finite() {
         return farthest;
     }
+    // The free circle of a nearly straight arc is arbitrarily far away; only its direction is
+    // known.
     let scale = (most / apart[2].abs()).min(1.0);
     apart.map(|entry| scale * entry)
 }
 
-/// Direction from the middle of the hits to the centre, in which it moves as the radius grows.
+/// Direction from the middle of the hits to the centre, which moves along it as the radius grows.
 fn away(arc: &Arc, [x, y, _]: [f64; 3]) -> [f64; 2] {
     let middle = centroid(&arc.hits);
     let (dx, dy) = (x - middle[0], y - middle[1]);
@@ -88,7 +89,7 @@ fn away(arc: &Arc, [x, y, _]: [f64; 3]) -> [f64; 2] {
     [dx / length, dy / length]
 }
 
-/// Whether the centre lies before the hits.
+/// True if the centre lies between the sensor and the hits.
 fn bends_inwards(arc: &Arc, circle: [f64; 3]) -> bool {
     let (middle, ahead) = (centroid(&arc.hits), away(arc, circle));
     ahead[0] * middle[0] + ahead[1] * middle[1] < 0.0
@@ -110,7 +111,7 @@ fn centroid(hits: &[Hit]) -> [f64; 2] {
     [sum(0) / total, sum(1) / total]
 }
 
-/// Moments of points about their centroid, scaled so that the mean of z = x^2 + y^2 is one.
+/// Moments of points about their centroid, scaled so that the mean of z = x^2 + y^2 is 1.
 struct Moments {
     origin: [f64; 2],
     scale: f64,
@@ -131,6 +132,7 @@ impl Moments {
             (x - origin[0], y - origin[1], hit.weight / total)
         });
         let square: f64 = centred.clone().map(|(x, y, w)| w * (x * x + y * y)).sum();
+        // At unit size one threshold decides for all distances and sizes what is a line.
         let scale = square.sqrt();
         if hits.len() < FEW || scale <= 0.0 {
             return None;
@@ -153,6 +155,8 @@ impl Moments {
     /// Centre x, y and radius [m]; None if the points lie on a line.
     fn circle(&self, method: Method) -> Option<[f64; 3]> {
         let root = match method {
+            // Each fit is a generalised eigenvalue problem. Kasa's has the eigenvalue 0 and a bias
+            // towards small circles on short arcs, which the other two correct.
             Method::Kasa => 0.0,
             Method::Pratt => self.root([4.0, 0.0], 1.0)?,
             _ => self.root([0.0, 4.0], 0.0)?,
@@ -187,6 +191,7 @@ impl Moments {
         for _ in 0..MOST_STEPS {
             let next = constant + root * (first + root * (second + root * (third + root * fourth)));
             let slope = first + root * (2.0 * second + root * (3.0 * third + root * 4.0 * fourth));
+            // At the root only rounding is left: a value that no longer falls ends the search.
             if next.abs() >= value.abs() || slope == 0.0 {
                 break;
             }
@@ -197,11 +202,12 @@ impl Moments {
     }
 }
 
-/// `circle` with its radius within bounds and its far side hidden: the sensor is outside, before
-/// it. Its point nearest to the middle of the hits stays where it is.
+/// Limit the radius of `circle`, with its centre behind the hits as seen from the sensor. Its point
+/// nearest to the middle of the hits is kept.
 fn bounded(arc: &Arc, [x, y, radius]: [f64; 3], [least, most]: [f64; 2]) -> [f64; 3] {
     let middle = centroid(&arc.hits);
     let (ahead, aside) = (middle[0] - x, middle[1] - y);
+    // The middle of the hits is the centre: no direction to move along.
     let length = libm::hypot(ahead, aside);
     if length <= 0.0 || !radius.is_finite() {
         return behind(arc, [least, most]);
@@ -216,7 +222,7 @@ fn bounded(arc: &Arc, [x, y, radius]: [f64; 3], [least, most]: [f64; 2]) -> [f64
     [nearest[0] - radius * outward[0], nearest[1] - radius * outward[1], radius]
 }
 
-/// The circle over the chord of the hits, behind their middle.
+/// Circle whose diameter is the chord of the hits, behind their middle.
 fn behind(arc: &Arc, [least, most]: [f64; 2]) -> [f64; 3] {
     let middle = centroid(&arc.hits);
     let ends = [arc.hits.first(), arc.hits.last()].map(|hit| hit.map_or(middle, point));

@@ -1,20 +1,20 @@
-//! One segment in coordinates of its own, with what lies beside it.
+//! One segment in its own coordinates, with its neighbourhood.
 
 use super::FitParameters;
 use crate::Error;
 use crate::circles::preprocess::polar_scan::{PolarScan, turn};
 use crate::circles::segment::segments::{Segments, Side};
 
-/// More hits than this are joined to about as many, all but the outermost: their cost grows, what
-/// they tell does not.
+/// Arcs with more hits are reduced to about this many by averaging all but the outermost: more cost
+/// time and add no information.
 const MANY: usize = 64;
-/// Outermost hits that stay as they are: near the tangents the range is no straight line.
+/// Outermost hits that are not averaged: near the tangents the range is not linear in the bearing.
 const KEPT: usize = 8;
 
-/// Rays that return nothing between two hits of an object, at most.
+/// Most rays without return between two hits of an object.
 const MOST_BETWEEN: usize = 50;
 
-/// One hit, or several that lie side by side. Bearings count from the middle of the arc.
+/// One hit, or the mean of several neighbouring ones. Bearings count from the middle of the arc.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::circles) struct Hit {
     pub(in crate::circles) bearing: f64,
@@ -25,21 +25,21 @@ pub(in crate::circles) struct Hit {
     pub(in crate::circles) weight: f64,
 }
 
-/// How far the object may reach beyond the outermost hit of one side.
+/// Angle by which the object may extend beyond the outermost hit of one side.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(in crate::circles) struct Edge {
     /// Bearing of the outermost hit.
     pub(in crate::circles) bearing: f64,
-    /// How far beyond it the tangent can lie at most [rad].
+    /// Largest angle from that hit to the tangent [rad].
     pub(in crate::circles) reach: f64,
-    /// How far beyond it the next ray lies [rad], and its range [m]; NaN without one within reach.
+    /// Angle to the next ray [rad], and its range [m]; NaN without a ray within reach.
     pub(in crate::circles) next: [f64; 2],
-    /// Bearings of rays within reach that returned nothing, which the object may cross only where
-    /// it lies outside the range limits.
+    /// Bearings of rays within reach that returned nothing. The object may cross them only outside
+    /// the range limits.
     pub(in crate::circles) missed: Vec<f64>,
 }
 
-/// The hits of a segment in the order of their bearings.
+/// Hits of a segment, ordered by bearing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(in crate::circles) struct Arc {
     /// Direction of its middle in the scan's frame [rad].
@@ -53,23 +53,23 @@ pub(in crate::circles) struct Arc {
     /// Sides of smaller and of larger bearings.
     pub(in crate::circles) edges: [Edge; 2],
     /// Bearings of rays between the hits that returned nothing, if the range limits cut a side:
-    /// they may cut here, too.
+    /// then they may cut the object here as well.
     pub(in crate::circles) missed: Vec<f64>,
 }
 
-/// Where one side of a segment is looked at.
+/// View from the end of a segment outwards.
 struct Outward<'a> {
     scan: &'a PolarScan,
     /// Outermost ray.
     ray: usize,
-    /// Whether the rays beyond have larger numbers.
+    /// True if the rays beyond have larger numbers.
     up: bool,
-    /// Whether the first ray is the neighbour of the last.
+    /// True if the first ray is the neighbour of the last.
     wraps: bool,
 }
 
 impl Outward<'_> {
-    /// Rays beyond the outermost one, each with how far beyond [rad], up to `reach`.
+    /// Rays beyond the outermost one up to `reach` [rad], each with its angle from that one.
     fn rays(&self, reach: f64) -> impl Iterator<Item = (usize, f64)> + '_ {
         let (count, origin) = (self.scan.len(), self.scan.bearings[self.ray]);
         let (up, wraps) = (self.up, self.wraps);
@@ -87,7 +87,8 @@ impl Outward<'_> {
 }
 
 impl Arc {
-    /// Take over segment `number` of a scan, and whether its first ray is the neighbour of the last.
+    /// Read segment `number` of a scan; `wraps` is true if its first ray is the neighbour of the
+    /// last.
     ///
     /// # Errors
     /// [`Error::Value`] if it is empty, or holds a ray that did not end on anything.
@@ -107,6 +108,8 @@ impl Arc {
         let mut sides = segments.sides.get(number).copied().unwrap_or([Side::Occluded; 2]);
         let mut ends = [first as usize, last as usize];
         if !ascends {
+            // Scanners turn both ways: sides and ends come by number of ray, the arc is ordered by
+            // bearing.
             sides.reverse();
             ends.reverse();
         }
@@ -120,6 +123,7 @@ impl Arc {
         if sides.contains(&Side::RangeCut) {
             self.read_missed(scan, rays);
         }
+        // An algebraic fit uses the points as they are; its caller averages them afterwards.
         if !parameters.method.is_algebraic() {
             self.join_hits();
         }
@@ -138,6 +142,7 @@ impl Arc {
             if !(range.is_finite() && range > 0.0 && bearing.is_finite()) {
                 return Err(format!("{range} [m] at {bearing} [rad] in ray {ray}"));
             }
+            // Relative to the middle no arc crosses the seam of the bearings.
             let bearing = turn(bearing - middle);
             let (cosine, sine) = (libm::cos(bearing), libm::sin(bearing));
             self.hits.push(Hit { bearing, cosine, sine, range, weight: 1.0 });
@@ -148,9 +153,12 @@ impl Arc {
         Ok(())
     }
 
-    /// How far the object may go on beyond one side, and which rays speak against it.
+    /// Find the angle by which the object may extend on one side, and the rays that limit it.
     fn read_edge(&mut self, side: usize, kind: Side, outward: &Outward<'_>, p: &FitParameters) {
         let most = p.radius[1];
+        // The largest circle that is allowed, seen from tangent to tangent, since the outermost hit
+        // may lie at the opposite one. A beam also returns from what it only grazes, on either
+        // side.
         let widest = 2.0 * libm::asin(most / (self.nearest + most)) + 2.0 * p.beam_half_width;
         let behind = self.nearest + most + 5.0 * p.range_std; // no part of the circle is here
         let edge = &mut self.edges[side];
@@ -165,6 +173,9 @@ impl Arc {
             }
             let passes = range > behind && range.is_finite();
             let missed = range == f64::INFINITY;
+            // A ray that ends behind every possible circle passed it. One that returned nothing
+            // passed it only if the circle would have been within the range limits. A nearer
+            // surface hides the circle, so the search goes on behind it.
             match kind {
                 Side::Free if index == 0 => edge.reach = beyond,
                 Side::RangeCut if missed => edge.missed.push(beyond),
@@ -190,7 +201,7 @@ impl Arc {
         }
     }
 
-    /// Join the hits of a large arc, all but the outermost.
+    /// Average the hits of a large arc, all but the outermost.
     pub(super) fn join_hits(&mut self) {
         let count = self.hits.len();
         if count <= MANY {
@@ -214,7 +225,7 @@ impl Arc {
     }
 }
 
-/// Whether bearings grow from ray to ray.
+/// True if the bearings grow from ray to ray.
 fn rises(scan: &PolarScan) -> bool {
     match scan.bearings.as_slice() {
         [first, second, ..] => turn(second - first) >= 0.0,

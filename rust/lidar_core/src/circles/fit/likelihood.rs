@@ -1,4 +1,4 @@
-//! How well a circle explains the ranges of an arc and the rays that passed beside it.
+//! Likelihood of a circle, given the ranges of an arc and the rays that passed beside it.
 //!
 //! A circle is given by the bearings of its two tangents from the sensor. With its centre at
 //! bearing b and distance d, and half the angle between the tangents a, the range of a ray is
@@ -14,33 +14,33 @@ use std::f64::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI};
 /// [rad^(1/2)], in which the likelihood is smooth up to a tangent that is a hit.
 pub(super) type Roots = [f64; 2];
 
-/// Distances are known within so many standard deviations.
+/// Range of likely distances, in standard deviations.
 const SPREAD: f64 = 4.0;
-/// Power with which circles of more than the usual radius become rare.
+/// Power of the decrease of the prior for circles above the usual radius.
 const RARITY: i32 = 8;
-/// Steps to the best distance, and the squared step, over its variance, that is not worth another.
+/// Most Newton steps to the best distance; squared step, over its variance, that ends them.
 const MOST_STEPS: usize = 4;
 const ENOUGH: f64 = 0.01;
-/// Share of rays on an object that return nothing though it is within the range limits.
+/// Probability that a ray on an object within the range limits returns nothing.
 const DROPPED: f64 = 1e-3;
-/// Probabilities below this tell no more.
+/// Lower limit of a probability whose logarithm is taken.
 const SMALLEST: f64 = 1e-300;
-/// Of the normal distribution at zero.
+/// Density of the standard normal distribution at zero.
 const DENSITY: f64 = FRAC_2_SQRT_PI * 0.5 * FRAC_1_SQRT_2;
 
-/// What the likelihood says about the best circle with given tangents.
+/// Best circle with given tangents, and its likelihood.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Explained {
     /// Centre x, y, radius [m].
     pub(super) circle: [f64; 3],
-    /// How the circle changes with its distance.
+    /// Derivative of the circle by its distance.
     pub(super) direction: [f64; 3],
     /// Variance of the distance [m^2].
     pub(super) variance: f64,
     /// Logarithm of the likelihood at the best distance.
     pub(super) log_likelihood: f64,
-    /// Logarithm of the likelihood integrated over the distance, of the prior that is uniform in
-    /// centre and radius, and of the measure of the roots.
+    /// Logarithm of the likelihood integrated over the distance, times the prior (uniform in centre
+    /// and radius) and the measure of the roots.
     pub(super) log_weight: f64,
 }
 
@@ -50,7 +50,7 @@ pub(in crate::circles) struct Likelihood<'a> {
     pub(in crate::circles) parameters: &'a FitParameters,
 }
 
-/// Middle and half width of the angle between two tangents, and their functions.
+/// Middle of the angle between two tangents, and half of that angle, as cosines and sines.
 #[derive(Clone, Copy)]
 struct View {
     cosine: f64,
@@ -58,12 +58,12 @@ struct View {
     half: [f64; 2], // sine, cosine
 }
 
-/// Ray and circle of unit distance.
+/// Intersection of a ray with a circle whose centre is at distance 1.
 struct Met {
     g: f64,
     /// Sine and cosine of the angle to the centre.
     angle: [f64; 2],
-    /// Root in g; 0 beside the circle.
+    /// Square root in g; 0 for rays beside the circle.
     root: f64,
 }
 
@@ -71,6 +71,7 @@ impl View {
     fn met(&self, cosine: f64, sine: f64) -> Met {
         let across = sine * self.cosine - cosine * self.sine;
         let along = cosine * self.cosine + sine * self.sine;
+        // A beam has a width: rays just beside the tangent return as well, from the flank.
         let root = (self.half[0] * self.half[0] - across * across).max(0.0).sqrt();
         Met { g: along - root, angle: [across, along], root }
     }
@@ -87,6 +88,7 @@ impl Likelihood<'_> {
 
     fn view(&self, roots: Roots) -> View {
         let [low, high] = self.tangents(roots);
+        // The sensor is outside: the tangents are less than half a turn apart.
         let (middle, half) = (0.5 * (low + high), (0.5 * (high - low)).clamp(1e-9, 1.57));
         View {
             cosine: libm::cos(middle),
@@ -95,7 +97,7 @@ impl Likelihood<'_> {
         }
     }
 
-    /// The best distance without bounds, and sums of g^2 and g z.
+    /// Best distance without bounds, and the sums of g^2 and g z.
     fn distance(&self, view: &View) -> (f64, [f64; 2]) {
         let mut sums = [0.0; 2];
         for hit in &self.arc.hits {
@@ -106,7 +108,7 @@ impl Likelihood<'_> {
         (sums[1] / sums[0], sums)
     }
 
-    /// Smallest and largest likely radius with these tangents, whether it is allowed or not [m].
+    /// Smallest and largest likely radius with these tangents, allowed or not [m].
     pub(super) fn radius(&self, roots: Roots) -> [f64; 2] {
         let view = self.view(roots);
         let (distance, [gg, _]) = self.distance(&view);
@@ -114,14 +116,14 @@ impl Likelihood<'_> {
         [distance - spread, distance + spread].map(|distance| distance * view.half[0])
     }
 
-    /// About the same, without looking at the hits.
+    /// Approximate radius from the tangents and the nearest range, without a loop over the hits.
     pub(super) fn rough_radius(&self, roots: Roots) -> f64 {
         let [low, high] = self.tangents(roots);
         let sine = libm::sin((0.5 * (high - low)).clamp(0.0, 1.5));
         self.arc.nearest * sine / (1.0 - sine)
     }
 
-    /// The most likely circle, without weight; None if its radius is outside the bounds.
+    /// Most likely circle, without weight; None if its radius is outside the bounds.
     pub(super) fn peak(&self, roots: Roots) -> Option<Explained> {
         let found = self.at(roots, 0.0);
         let [smallest, largest] = self.radius(roots);
@@ -138,9 +140,12 @@ impl Likelihood<'_> {
         let distance = known.clamp(least, most);
         let misfit = self.arc.square - distance * (2.0 * gz - distance * gg);
         let log_likelihood = missed - 0.5 * misfit / noise;
+        // Jacobian from (middle, half angle, distance) to (x, y, radius): d for the bearing times d
+        // cos(a) for the radius. The deviation comes from the integral over the distance.
         let prior = distance * distance * view.half[1] * variance.sqrt();
         let usual = self.parameters.usual_radius;
         let rarity = (usual / (distance * view.half[0])).min(1.0).powi(RARITY);
+        // d(root^2) = 2 root d(root): the integral goes over roots, the prior over bearings.
         let measure = weight * rarity * prior * roots[0] * roots[1];
         let direction = [view.cosine, view.sine, view.half[0]];
         Explained {
@@ -152,10 +157,11 @@ impl Likelihood<'_> {
         }
     }
 
-    /// Distance and its variance, given those of the hits, and the rays that returned nothing:
-    /// their likelihood is log-concave, so Newton's steps lead to the best distance, and its
-    /// curvature there tells the variance (Laplace's method). Also the logarithm of that
-    /// likelihood.
+    /// Best distance, its variance, and the logarithm of the likelihood of the rays that returned
+    /// nothing, given distance and variance from the hits.
+    ///
+    /// That likelihood is log-concave: Newton's steps lead to the best distance, and the curvature
+    /// there gives the variance (Laplace's method).
     fn with_misses(
         &self,
         roots: Roots,
@@ -165,6 +171,7 @@ impl Likelihood<'_> {
         let mut distance = free;
         let mut missed = self.missed(roots, view, distance);
         for _ in 0..MOST_STEPS {
+            // The misses only add information: their second derivative is never positive.
             let information = 1.0 / variance - missed[2];
             let step = (missed[1] - (distance - free) / variance) / information;
             if step * step * information < ENOUGH {
@@ -187,6 +194,8 @@ impl Likelihood<'_> {
             }
         };
         for (side, edge) in self.arc.edges.iter().enumerate() {
+            // Only the range limits explain a miss beyond the hits. Between the hits a few rays are
+            // lost for other reasons.
             let sign = if side == 0 { -1.0 } else { 1.0 };
             let reach = roots[side] * roots[side];
             for beyond in edge.missed.iter().take_while(|&&beyond| beyond < reach) {
@@ -199,8 +208,8 @@ impl Likelihood<'_> {
         sums
     }
 
-    /// The same of one ray: where it returns nothing for other reasons, with the probability
-    /// `least`, it tells nothing.
+    /// Logarithm of the probability that one ray returns nothing, and its derivatives. Below the
+    /// probability `least` of other reasons the ray has no influence.
     fn miss(&self, g: f64, distance: f64, least: f64) -> [f64; 3] {
         let ([near, far], std) = (self.parameters.range_limits, self.parameters.range_std);
         let over = [(distance * g - far) / std, (near - distance * g) / std];
@@ -216,8 +225,8 @@ impl Likelihood<'_> {
         [libm::log(chance), scale * slope, scale * scale * bend.min(0.0)]
     }
 
-    /// Half the squared misfit of the ranges over their variance, and its derivatives by the
-    /// roots, the distance always at its best (Kaufman's approximation of the second ones).
+    /// Half the squared misfit of the ranges over their variance, and its derivatives by the roots
+    /// at the best distance (second derivatives by Kaufman's approximation).
     pub(super) fn normal(&self, roots: Roots) -> Normal {
         let view = self.view(roots);
         let mut sums = Sums::default();
@@ -230,7 +239,7 @@ impl Likelihood<'_> {
     }
 }
 
-/// Sums over the hits: g and its derivatives a by the roots, ranges z.
+/// Sums over the hits of g, of its derivatives a by the roots, and of the ranges z.
 #[derive(Default)]
 struct Sums {
     gg: f64,
@@ -243,6 +252,8 @@ struct Sums {
 impl Sums {
     fn add(&mut self, hit: &Hit, view: &View, roots: Roots) {
         let Met { g, angle: [across, along], root } = view.met(hit.cosine, hit.sine);
+        // At a tangent the derivative by the bearing is infinite. By the square root it is finite,
+        // since the factor that it brings vanishes there.
         let (by_middle, by_half) = if root > 0.0 {
             (across - across * along / root, -view.half[0] * view.half[1] / root)
         } else {
@@ -261,7 +272,7 @@ impl Sums {
         self.aa[2] += w * a[1] * a[1];
     }
 
-    /// The residual of a hit is z - d g: its derivatives are -d a - d' g.
+    /// Normal equations; the residual of a hit is z - d g, its derivatives are -d a - d' g.
     fn normal(&self, distance: f64, slope: [f64; 2], square: f64, std: f64) -> Normal {
         let weight = 1.0 / (std * std);
         let misfit = square - distance * (2.0 * self.gz - distance * self.gg);

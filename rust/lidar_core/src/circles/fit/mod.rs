@@ -20,42 +20,42 @@ use circle::{Circle, CircleEstimate};
 use likelihood::Likelihood;
 use posterior::Posterior;
 
-/// How a circle is fitted.
+/// Method of the circle fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
     /// Least squares of x^2 + y^2 + a x + b y + c.
     Kasa,
-    /// The same over the squared diameter.
+    /// Least squares of Kasa's expression over the squared diameter.
     Pratt,
-    /// The same over the mean squared gradient.
+    /// Least squares of Kasa's expression over the mean squared gradient.
     Taubin,
-    /// The expected circle, given the ranges and the rays that passed beside it.
+    /// Expected circle, given the ranges and the rays that passed beside it.
     Expected,
-    /// The most likely circle, given the same.
+    /// Most likely circle, given the ranges and the rays that passed beside it.
     MostLikely,
 }
 
 impl Method {
-    /// Whether only the points count, not what lies beside them.
+    /// True if only the points count, not their neighbourhood.
     fn is_algebraic(self) -> bool {
         matches!(self, Self::Kasa | Self::Pratt | Self::Taubin)
     }
 }
 
-/// What a fit has to know.
+/// Parameters of the circle fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FitParameters {
-    /// How circles are fitted.
+    /// Fit method.
     pub method: Method,
     /// Standard deviation of a range [m].
     pub range_std: f64,
-    /// Half the width of a beam as far as a circle returns it [rad].
+    /// Half the beam width within which a circle returns it [rad].
     pub beam_half_width: f64,
     /// Smallest and largest radius [m].
     pub radius: [f64; 2],
-    /// Circles up to this radius are all as likely, larger ones are rarer [m].
+    /// Radius up to which all circles are equally likely; larger ones are rarer [m].
     pub usual_radius: f64,
-    /// Ranges that the scan can hold [m]; those outside look like misses.
+    /// Smallest and largest range of the scan [m]; surfaces outside look like rays without return.
     pub range_limits: [f64; 2],
 }
 
@@ -82,7 +82,7 @@ impl FitParameters {
     }
 }
 
-/// Fits circles; keeps its memory between scans.
+/// Circle fitter; keeps its memory between scans.
 #[derive(Debug)]
 pub struct Fitter {
     parameters: FitParameters,
@@ -93,7 +93,7 @@ pub struct Fitter {
 
 impl Fitter {
     /// # Errors
-    /// [`Error::Parameter`] for one that is outside its range.
+    /// [`Error::Parameter`] for a parameter outside its range.
     pub fn new(parameters: FitParameters) -> Result<Self, Error> {
         parameters.check()?;
         Ok(Self {
@@ -117,6 +117,7 @@ impl Fitter {
     ) -> Result<(), Error> {
         circles.clear();
         scan.check_lengths()?;
+        // Neighbours across the seam of the scan exist only where it covers a full turn.
         let wraps = scan.is_full_circle();
         for number in 0..segments.len() {
             self.arc.read((scan, wraps), segments, number, &self.parameters)?;
@@ -125,7 +126,7 @@ impl Fitter {
         Ok(())
     }
 
-    /// The circle that all hits of a scan belong to; None without a hit.
+    /// Circle of all hits of a scan; None without a hit.
     ///
     /// # Errors
     /// [`Error::Value`] for a range <= 0; [`Error::Length`] if ranges and bearings differ in
@@ -143,13 +144,18 @@ impl Fitter {
 
     fn circle_of_arc(&mut self) -> CircleEstimate {
         let parameters = &self.parameters;
+        // Both likelihood methods share the integral and differ in the circle that they report.
         if !parameters.method.is_algebraic() {
             let found = self.posterior.of(&Likelihood { arc: &self.arc, parameters });
             return estimate(&self.arc, parameters, found);
         }
+        // The order matters: the algebraic fit needs every hit, the integral is much faster on
+        // averages.
         let (circle, roughly) = algebraic::fit(&self.arc, parameters);
         self.arc.join_hits();
         let arc = &self.arc;
+        // The algebraic fits have no error model of their own; the integral measures how far the
+        // circles lie that explain the rays equally well.
         match self.posterior.error_of(circle, &Likelihood { arc, parameters }) {
             Some(error) => placed(arc, algebraic::held(arc, parameters, (circle, error)), false),
             None => placed(arc, (circle, roughly), true),
@@ -157,8 +163,8 @@ impl Fitter {
     }
 }
 
-/// What was found in an arc, or else an algebraic fit, in the frame of the scan; as uncertain as
-/// the largest radius makes it, if that holds it.
+/// Estimate found in an arc, or else an algebraic fit, in the frame of the scan. Its covariance
+/// grows if the largest radius limits the circle.
 pub(super) fn estimate(
     arc: &Arc,
     parameters: &FitParameters,
@@ -170,12 +176,13 @@ pub(super) fn estimate(
     }
 }
 
-/// A circle of the arc's own frame in the frame of the scan.
+/// Transform a circle from the frame of the arc to the frame of the scan.
 fn placed(
     arc: &Arc,
     ([x, y, radius], covariance): posterior::Estimate,
     is_fallback: bool,
 ) -> CircleEstimate {
+    // Only the centre turns; the radius is the same in every frame.
     let (sine, cosine) = (libm::sin(arc.bearing), libm::cos(arc.bearing));
     let turn = [[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]];
     let half = product(&turn, &covariance);

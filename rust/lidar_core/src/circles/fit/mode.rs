@@ -1,8 +1,8 @@
-//! The least misfit within bounds of the roots.
+//! Minimum of the misfit within bounds of the roots.
 
 use super::likelihood::{Likelihood, Roots};
 
-/// Value, gradient and second derivatives (00, 01, 11).
+/// Value, gradient and second derivatives (00, 01, 11) of the misfit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Normal {
     pub(super) misfit: f64,
@@ -13,7 +13,7 @@ pub(super) struct Normal {
 /// Bounds of the two roots.
 pub(super) type Bounds = [[f64; 2]; 2];
 
-/// A minimum with what lies around it.
+/// A minimum of the misfit and its derivatives there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Mode {
     pub(super) roots: Roots,
@@ -21,20 +21,21 @@ pub(super) struct Mode {
 }
 
 const MOST_STEPS: usize = 25;
-/// Steps end when the misfit falls by less.
+/// The search ends when the misfit falls by less.
 const ENOUGH: f64 = 1e-9;
-/// Starts per side, as shares of its bounds.
+/// Start values per side, as shares of the bounds.
 const STARTS: [f64; 3] = [0.15, 0.5, 0.85];
 
-/// Roots stay this share of their range above its lower end: derivatives vanish at a tangent that
-/// is a hit.
+/// Least distance of a root from its lower bound, as a share of the range: at a tangent through a
+/// hit the derivatives vanish.
 pub(super) const LEAST_SHARE: f64 = 0.01;
 
-/// The best of a few starts, taken downhill (Levenberg-Marquardt, projected on the bounds).
+/// Minimum from the best of a few starts (Levenberg-Marquardt, projected on the bounds).
 pub(super) fn mode(likelihood: &Likelihood<'_>, bounds: &Bounds) -> Mode {
     let bounds = &bounds.map(|[low, high]| [low + LEAST_SHARE * (high - low), high]);
     let mut best = Mode { roots: [0.0; 2], normal: likelihood.normal(inside([0.5; 2], bounds)) };
     best.normal.misfit = f64::INFINITY;
+    // The misfit may have several minima: the descent begins at the best point of a grid.
     for low in STARTS {
         for high in STARTS {
             let roots = inside([low, high], bounds);
@@ -51,6 +52,7 @@ pub(super) fn mode(likelihood: &Likelihood<'_>, bounds: &Bounds) -> Mode {
         let fall = best.normal.misfit - normal.misfit;
         if fall >= 0.0 {
             best = Mode { roots, normal };
+            // Nearly a Newton step after success, nearly steepest descent after failure.
             damping = (damping * 0.1).max(1e-9);
             if fall < ENOUGH {
                 break;
@@ -72,7 +74,7 @@ fn inside(shares: [f64; 2], bounds: &Bounds) -> Roots {
     })
 }
 
-/// Whether a root stands at a bound and would go on beyond it.
+/// True if a root is at a bound and the gradient points beyond it.
 pub(super) fn is_held(mode: &Mode, side: usize, bounds: &Bounds) -> bool {
     let ([low, high], root) = (bounds[side], mode.roots[side]);
     let gradient = mode.normal.gradient[side];
@@ -82,7 +84,10 @@ pub(super) fn is_held(mode: &Mode, side: usize, bounds: &Bounds) -> bool {
 fn step(from: &Mode, damping: f64, bounds: &Bounds) -> Roots {
     let Normal { gradient: [g0, g1], hessian: [h00, h01, h11], .. } = from.normal;
     let held = [is_held(from, 0, bounds), is_held(from, 1, bounds)];
+    // The small constant keeps a direction without curvature (a single hit) from a division by
+    // zero.
     let (d0, d1) = (h00 * (1.0 + damping) + 1e-12, h11 * (1.0 + damping) + 1e-12);
+    // A root at its bound does not move, so the other one is solved for alone.
     let cross = if held[0] || held[1] { 0.0 } else { h01 };
     let determinant = d0 * d1 - cross * cross;
     let mut move0 = -(d1 * g0 - cross * g1) / determinant;

@@ -1,9 +1,9 @@
-//! What a neural network is shown of one segment: its own window, in its own frame.
+//! Input of the neural network for one segment: its own window, in its own frame.
 //!
-//! The frame has its x axis through the middle of the window, and its unit is the size of a first
-//! guess: the circle that fills the window. The network sees how the ranges differ from that
-//! circle's, and answers with what has to be added to it. So a circle looks the same wherever it
-//! is, whatever the scanner's field of view, number of rays and resolution.
+//! The frame has its x axis through the middle of the window. Its unit is the radius of a first
+//! guess, the circle that fills the window. The input is the difference of the ranges from that
+//! circle, the output is a correction of it. A circle therefore looks the same at every place and
+//! for every field of view, number of rays and resolution of the scanner.
 
 use super::circle::{Circle, CircleEstimate};
 use crate::Error;
@@ -11,22 +11,22 @@ use crate::circles::preprocess::polar_scan::turn;
 use crate::circles::segment::segments::Side;
 use std::f64::consts::FRAC_PI_2;
 
-/// Places for rays; windows with more hits share them, so many rays to a place.
+/// Number of slots for rays; in windows with more hits, neighbouring rays share a slot.
 pub const SLOTS: usize = 32;
-/// Numbers per place: difference of range, two coordinates on the first guess, 1 if it is used.
+/// Values per slot: difference of range, two coordinates on the first guess, 1 if it is used.
 pub const SLOT_NUMBERS: usize = 4;
-/// Numbers about the window as a whole.
+/// Number of values that describe the window as a whole.
 pub const CONTEXT: usize = 21;
-/// Numbers the network answers with: circle, then the lower triangle of its uncertainty.
+/// Number of outputs: circle, then the lower triangle of its uncertainty.
 pub const ANSWER: usize = 9;
 
 /// Smallest and largest unit of a frame [m].
 const SCALES: [f64; 2] = [0.03, 1.0];
-/// Largest difference of range shown, in units of the frame.
+/// Largest difference of range in the input, in units of the frame.
 const MOST_DIFFERENCE: f64 = 4.0;
 /// Largest half angle of a first guess [rad]: the scanner is outside of it.
 const MOST_HALF_ANGLE: f64 = 1.55;
-/// Distance to the farther limit from which on it does not matter [m], and to the nearer one.
+/// Largest input distances to the farther and to the nearer range limit [m].
 const LIMIT_REACH: [f64; 2] = [1.0, 0.3];
 /// Smallest radius of an answer [m].
 const SMALLEST_RADIUS: f64 = 1e-3;
@@ -36,11 +36,11 @@ const SMALLEST_RADIUS: f64 = 1e-3;
 pub struct Window<'a> {
     /// Direction of every ray [rad].
     pub bearings: &'a [f64],
-    /// Range of every ray [m]; what is not finite is no hit.
+    /// Range of every ray [m]; one that is not finite is no hit.
     pub ranges: &'a [f64],
-    /// What lies beside the first and the last ray.
+    /// Kind of the neighbourhood beside the first and the last ray.
     pub sides: [Side; 2],
-    /// Angles to the rays beside them [rad].
+    /// Angles from these rays to the next rays outside the window [rad].
     pub gaps: [f64; 2],
     /// Standard deviation of a range [m].
     pub range_std: f64,
@@ -50,14 +50,14 @@ pub struct Window<'a> {
     pub range_limits: [f64; 2],
 }
 
-/// The frame of a window: what turns an answer of the network into a circle.
+/// Frame of a window: it converts an output of the network to a circle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame {
     /// Bearing of its x axis [rad].
     pub bearing: f64,
     /// Its unit [m].
     pub scale: f64,
-    /// The first guess: distance of the centre, which is on the x axis, and radius [m].
+    /// First guess: distance of the centre, which is on the x axis, and radius [m].
     pub guess: [f64; 2],
     /// Rays that returned.
     pub n_hits: usize,
@@ -71,7 +71,7 @@ struct Hits {
     bearing: f64,
 }
 
-/// Fill `slots` and `context` with what the network is shown.
+/// Fill `slots` and `context` with the input of the network.
 ///
 /// # Errors
 /// [`Error::Length`] if the arrays differ in length or are not as long as they must be,
@@ -92,6 +92,7 @@ pub fn describe(
     }
     let distance = gz / gg;
     let radius = distance * sine;
+    // A window of one ray, or one as wide as the view, must not scale its input out of range.
     let frame = Frame {
         bearing: hits.bearing,
         scale: radius.clamp(SCALES[0], SCALES[1]),
@@ -103,12 +104,13 @@ pub fn describe(
     Ok(frame)
 }
 
-/// The circle that an answer of the network means, and how sure it is.
+/// Circle and covariance that an output of the network stands for.
 #[must_use]
 pub fn circle_of(frame: &Frame, answer: &[f32; ANSWER]) -> CircleEstimate {
     let a = answer.map(f64::from);
     let [ahead, radius] = frame.guess;
     let local = [ahead + a[0] * frame.scale, a[1] * frame.scale, radius + a[2] * frame.scale];
+    // The exponential keeps deviations positive whatever the network answers.
     let sd = [3, 4, 5].map(|place| libm::exp(a[place]) * frame.scale);
     // Rows of the lower triangle, in units of their diagonal.
     let lower =
@@ -169,14 +171,15 @@ impl Hits {
     }
 }
 
-/// Range of a circle at distance 1 whose half angle has the sine `sine`, `off` its middle; beside
-/// it that of its flank.
+/// Range of a circle at distance 1 whose half angle has the sine `sine`, at angle `off` from its
+/// middle; for rays beside the circle the range of its flank.
 fn unit_range(off: f64, sine: f64) -> f64 {
     let aside = libm::sin(off);
     libm::cos(off) - (sine * sine - aside * aside).max(0.0).sqrt()
 }
 
-/// Differences from the first guess; returns their root mean square in units of the frame.
+/// Fill the slots with differences from the first guess; returns their root mean square in units of
+/// the frame.
 fn fill_slots(hits: &Hits, frame: &Frame, sine: f64, slots: &mut [f32]) -> f64 {
     let count = hits.rays.len();
     let used = count.min(SLOTS);
@@ -187,6 +190,7 @@ fn fill_slots(hits: &Hits, frame: &Frame, sine: f64, slots: &mut [f32]) -> f64 {
         let difference = difference.clamp(-MOST_DIFFERENCE, MOST_DIFFERENCE);
         let aside = (libm::sin(off) / sine).clamp(-1.0, 1.0);
         let depth = (1.0 - aside * aside).max(0.0).sqrt();
+        // Rays are shared evenly: a network of fixed size sees windows of any number of hits.
         let sum = &mut sums[index * used / count];
         for (total, value) in sum.iter_mut().zip([difference, aside, depth, 1.0]) {
             *total += value;

@@ -1,4 +1,4 @@
-//! The circles that an arc allows, averaged: integrals over the bearings of the two tangents.
+//! Average of the circles that an arc allows: integrals over the bearings of the two tangents.
 
 use super::Method;
 use super::likelihood::{Explained, Likelihood, Roots};
@@ -7,19 +7,19 @@ use super::mode::{Bounds, LEAST_SHARE, Mode, is_held, mode};
 /// A circle (x, y, radius) and its covariance.
 pub(in crate::circles) type Estimate = ([f64; 3], [[f64; 3]; 3]);
 
-/// Where the likelihood has fallen by this much below its peak [nepers], the integrals end.
+/// Drop of the log-likelihood below its peak at which the integrals end [nepers].
 const DROP: f64 = 10.0;
-/// Factor on the reach that the second derivatives promise: the peak is no parabola.
+/// Factor on the extent that the second derivatives predict, since the peak is no parabola.
 const MARGIN: f64 = 1.2;
-/// No circle is better known than this along any axis [m^2]: hits of a wall can press the integral
-/// against the largest radius, so that one node has all the weight.
+/// Least variance along any axis [m^2]. Hits of a wall can press the integral against the largest
+/// radius, so that one node has all the weight.
 const LEAST_VARIANCE: f64 = 1e-8;
-/// Halvings that find where the radius reaches a bound.
+/// Number of bisections to where the radius reaches a bound.
 const HALVINGS: usize = 8;
-/// Roughly known radii are this far from the exact ones at most, as a factor.
+/// Largest factor between approximate and exact radii.
 const ROUGH: f64 = 1.5;
 
-/// Nodes and weights of Gauss's rules of 6, 8 and 10 points on -1..1, the positive halves.
+/// Nodes and weights of Gauss's rules of 6, 8 and 10 points on -1..1, positive halves.
 const GAUSS_6: [[f64; 2]; 3] = [
     [0.238_619_186_083_196_9, 0.467_913_934_572_691_04],
     [0.661_209_386_466_264_5, 0.360_761_573_048_138_6],
@@ -38,10 +38,10 @@ const GAUSS_10: [[f64; 2]; 5] = [
     [0.865_063_366_688_984_5, 0.149_451_349_150_580_6],
     [0.973_906_528_517_171_7, 0.066_671_344_308_688_14],
 ];
-/// Windows of fewer standard deviations of the likelihood need fewer points.
+/// Lengths in standard deviations of the likelihood below which fewer points suffice.
 const SHORT: [f64; 2] = [3.0, 7.0];
 
-/// Bounds of an integral, and how many standard deviations of the likelihood lie between them.
+/// Bounds of an integral, with the curvature of the log-likelihood between them.
 #[derive(Clone, Copy, Debug)]
 struct Span {
     low: f64,
@@ -49,7 +49,7 @@ struct Span {
     curvature: f64,
 }
 
-/// The places of Gauss's rule in a span, each with its weight.
+/// Nodes of Gauss's rule in a span, each with its weight.
 fn gauss(span: Span) -> impl Iterator<Item = [f64; 2]> {
     let (middle, half) = (0.5 * (span.low + span.high), 0.5 * (span.high - span.low));
     let length = 2.0 * half * span.curvature.sqrt();
@@ -65,15 +65,15 @@ fn gauss(span: Span) -> impl Iterator<Item = [f64; 2]> {
     })
 }
 
-/// Integrates; keeps its memory between arcs.
+/// Integrator; keeps its memory between arcs.
 #[derive(Debug, Default)]
 pub(in crate::circles) struct Posterior {
     nodes: Vec<Explained>,
 }
 
 impl Posterior {
-    /// The expected circle, or the most likely one, each with the mean square of its error as
-    /// covariance; None if no circle within the bounds of the radius explains the arc.
+    /// Expected circle, or the most likely one, with its mean square error as covariance. None if
+    /// no circle within the bounds of the radius explains the arc.
     pub(in crate::circles) fn of(&mut self, likelihood: &Likelihood<'_>) -> Option<Estimate> {
         let mean = self.mean(likelihood)?;
         let about = match likelihood.parameters.method {
@@ -83,7 +83,7 @@ impl Posterior {
         Some((about, self.mean_square(about)))
     }
 
-    /// Mean square of the error of a circle that was found otherwise; None as of `of`.
+    /// Mean square error of a circle found by another method; None as for [`Self::of`].
     pub(super) fn error_of(
         &mut self,
         circle: [f64; 3],
@@ -93,12 +93,14 @@ impl Posterior {
         Some(self.mean_square(circle))
     }
 
-    /// Add the nodes of one piece of the plane of roots.
+    /// Add the nodes of one part of the plane of roots.
     fn integrate(&mut self, likelihood: &Likelihood<'_>, bounds: &Bounds, mode: &Mode) {
         // The outer integral goes over the side that is better known.
         let size = |side: usize| bounds[side][1] - bounds[side][0];
         let outer = usize::from(size(1) < size(0));
         let window = Window { likelihood, bounds, mode, outer };
+        // The peak has weight zero: it is no part of the average, but a candidate for the most
+        // likely circle.
         self.nodes.extend(likelihood.peak(mode.roots));
         for [place, weight] in window.outer().into_iter().flat_map(gauss) {
             for [inner, inner_weight] in window.inner(place).into_iter().flat_map(gauss) {
@@ -108,7 +110,7 @@ impl Posterior {
         }
     }
 
-    /// The expected circle.
+    /// Expected circle.
     fn mean(&mut self, likelihood: &Likelihood<'_>) -> Option<[f64; 3]> {
         self.nodes.clear();
         let (low, high) = (pieces(likelihood, 0), pieces(likelihood, 1));
@@ -122,8 +124,9 @@ impl Posterior {
         self.average()
     }
 
-    /// Turn logarithms into shares, and average.
+    /// Convert logarithms to shares of the weight, and average.
     fn average(&mut self) -> Option<[f64; 3]> {
+        // Shares relative to the peak: the plain likelihoods of many rays underflow.
         let peak = self.nodes.iter().map(|node| node.log_weight).fold(f64::NEG_INFINITY, f64::max);
         if !peak.is_finite() {
             return None;
@@ -147,17 +150,17 @@ impl Posterior {
         self.best().map(|node| node.circle)
     }
 
-    /// Of the circles looked at last.
+    /// Most likely node of the arc that was integrated last.
     fn best(&self) -> Option<&Explained> {
         self.nodes.iter().max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood))
     }
 
-    /// Largest logarithm of the likelihood of the arc that was looked at last.
+    /// Largest log-likelihood of the arc that was integrated last.
     pub(in crate::circles) fn log_likelihood(&self) -> Option<f64> {
         self.best().map(|node| node.log_likelihood)
     }
 
-    /// Mean square of the distance from `about`.
+    /// Mean square distance from `about`.
     fn mean_square(&self, about: [f64; 3]) -> [[f64; 3]; 3] {
         let mut sum =
             [[LEAST_VARIANCE, 0.0, 0.0], [0.0, LEAST_VARIANCE, 0.0], [0.0, 0.0, LEAST_VARIANCE]];
@@ -174,8 +177,8 @@ impl Posterior {
     }
 }
 
-/// Where the root of one side can lie. Where a ray that returned nothing may cross the circle, the
-/// likelihood has a step: there are two pieces then.
+/// Intervals of the root of one side. At a ray that returned nothing and may cross the circle the
+/// likelihood has a step: then there are two intervals.
 fn pieces(likelihood: &Likelihood<'_>, side: usize) -> [Option<[f64; 2]>; 2] {
     let edge = &likelihood.arc.edges[side];
     let end = edge.reach.sqrt();
@@ -188,7 +191,7 @@ fn pieces(likelihood: &Likelihood<'_>, side: usize) -> [Option<[f64; 2]>; 2] {
     }
 }
 
-/// The part of the plane of roots that counts.
+/// Part of the plane of roots that is integrated.
 struct Window<'a> {
     likelihood: &'a Likelihood<'a>,
     bounds: &'a Bounds,
@@ -207,7 +210,10 @@ impl Window<'_> {
         let (side, other) = (self.outer, 1 - self.outer);
         let [h00, h01, h11] = self.mode.normal.hessian;
         let (own, others) = if side == 0 { (h00, h11) } else { (h11, h00) };
+        // Curvature along the outer root while the inner one follows at its best (Schur
+        // complement).
         let profile = if others > 0.0 { (own - h01 * h01 / others).max(0.0) } else { own };
+        // Inside the bounds the gradient of a minimum is zero; what is left of it is rounding.
         let is_held = is_held(self.mode, side, self.bounds);
         let gradient = if is_held { self.mode.normal.gradient[side] } else { 0.0 };
         let window = around(self.mode.roots[side], gradient, profile, self.bounds[side]);
@@ -236,7 +242,7 @@ impl Window<'_> {
         self.allowed(window, |root| self.roots(outer, root), |root| self.roots(outer, root))
     }
 
-    /// The part of `window` in which the radius can be within its bounds. It grows with both
+    /// Part of `window` in which the radius can be within its bounds. The radius grows with both
     /// roots: `least` and `most` give the roots of the smallest and largest radius at a place.
     fn allowed(
         &self,
@@ -249,6 +255,7 @@ impl Window<'_> {
         let high_of = |at| self.likelihood.radius(at)[1];
         let rough = |at| self.likelihood.rough_radius(at);
         let (mut low, mut high) = (low, high);
+        // The approximate radius costs no loop over the hits and rules the bound out in most cases.
         if rough(least(high)) * ROUGH > largest && low_of(least(high)) > largest {
             if low_of(least(low)) >= largest {
                 return None;
@@ -265,7 +272,7 @@ impl Window<'_> {
     }
 }
 
-/// Where `is_above` turns true.
+/// Place at which `is_above` becomes true, by bisection.
 fn halved([mut low, mut high]: [f64; 2], is_above: impl Fn(f64) -> bool) -> f64 {
     for _ in 0..HALVINGS {
         let middle = 0.5 * (low + high);
@@ -278,10 +285,11 @@ fn halved([mut low, mut high]: [f64; 2], is_above: impl Fn(f64) -> bool) -> f64 
     0.5 * (low + high)
 }
 
-/// How far around `center` a parabola stays within the drop, within bounds.
+/// Interval around `center` in which a parabola stays within the drop, cut to the bounds.
 fn around(center: f64, gradient: f64, curvature: f64, [low, high]: [f64; 2]) -> Span {
     let reach = |slope: f64| {
         let slope = slope.max(0.0);
+        // Root of slope x + curvature x^2 / 2 = drop in the form that also holds without curvature.
         let root = (slope * slope + 2.0 * DROP * curvature).sqrt();
         MARGIN * 2.0 * DROP / (slope + root).max(1e-12)
     };

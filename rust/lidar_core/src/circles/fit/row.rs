@@ -4,7 +4,7 @@ use super::FitParameters;
 use crate::circles::preprocess::polar_scan::PolarScan;
 use crate::circles::segment::segments::{Segments, Side};
 
-/// Take all hits of a scan, which may be a full circle, for one segment; none if there is no hit.
+/// Make one segment of all hits of a scan, which may be a full circle; none if there is no hit.
 pub(super) fn one_segment(
     (scan, full): (&PolarScan, bool),
     parameters: &FitParameters,
@@ -17,6 +17,7 @@ pub(super) fn one_segment(
     into.starts.clear();
     into.starts.push(0);
     let count = scan.len();
+    // The segment must not be cut by the seam of the scan: it begins behind its widest gap.
     let begin = if full { after_longest_gap(&scan.ranges) } else { 0 };
     let order = (begin..count).chain(0..begin);
     into.rays.extend(order.filter(|&ray| scan.ranges[ray].is_finite()).map(|ray| ray as u32));
@@ -37,13 +38,14 @@ pub(super) fn one_segment(
     into.sides.push([beside(before), beside(after)]);
 }
 
-/// Surfaces this much farther than the nearest limit do not come under it [m].
+/// Distance from the nearest limit beyond which a surface does not reach below it [m].
 const CLOSE: f64 = 0.15;
 
-/// The ray after the longest run of rays without a hit, in a full circle.
+/// Ray after the longest run of rays without a hit, in a full circle.
 fn after_longest_gap(ranges: &[f64]) -> usize {
     let count = ranges.len();
     let (mut best, mut length, mut run) = (0, 0, 0);
+    // Two rounds, so that a gap across the seam counts as one.
     for step in 0..2 * count {
         if ranges[step % count].is_finite() {
             run = 0;

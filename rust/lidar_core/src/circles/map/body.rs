@@ -15,26 +15,26 @@ use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix2, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Standard deviations from its centre at which a body is looked for, along each axis.
+/// Offsets from its centre at which a body is looked for, in standard deviations along each axis.
 const LOOK: [f64; 4] = [-2.0, -1.0, 1.0, 2.0];
 
-/// Least ratio of radii of two things of which one is large, if they are one.
+/// Least ratio of the radii of two measurements of one object, if one of them is large.
 const LEAST_RATIO: f64 = 0.5;
 
 /// A body as one segment of one scan shows it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct BodyMeasurement {
-    /// It, or what stands for it.
+    /// Circle of the body, or the circle that represents it.
     pub(super) circle: Measurement,
-    /// The circle that its rays may show, if it looks like something else.
+    /// Circle that its rays may show, if its shape looks different.
     pub(super) round: Option<Measurement>,
-    /// Its outline, if it is no circle.
+    /// Outline, if it is no circle.
     pub(super) outline: Option<OutlineMeasurement>,
-    /// One face of it was seen: nothing tells what it is.
+    /// Only one face was seen, which does not show its kind.
     pub(super) is_face: bool,
 }
 
-/// A body: the circle that it is, or that stands for it, and its outline.
+/// A body: its circle, or the circle that represents it, and its outline.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Body {
     circle: Modes<5>,
@@ -42,7 +42,7 @@ pub(super) struct Body {
 }
 
 impl Body {
-    /// Whether its parts agree: of a state that was read.
+    /// True if the parts of a restored state agree.
     pub(super) fn fits(&self, motion: &Motion) -> bool {
         self.circle.fits(motion) && self.outline.fits(motion)
     }
@@ -51,7 +51,8 @@ impl Body {
         self.circle.combined()
     }
 
-    /// Whether a measurement may be of it, by size: what is large and what lies inside are two.
+    /// True if a measurement may be of this body by its size. A large body and what stands inside
+    /// its circle are two objects.
     fn is_alike(&self, seen: &BodyMeasurement) -> bool {
         if !self.outline.is_large() && !seen.outline.is_some_and(|outline| outline.is_large) {
             return true;
@@ -71,10 +72,11 @@ impl State for Body {
         }
     }
 
-    /// What nearly touches something larger is a part of it, as an arm is of a person.
+    /// A measurement that nearly touches a larger one is a part of it, as an arm is of a person.
     fn wholes(seen: &[BodyMeasurement], rules: &Rules) -> Vec<usize> {
         let is_small = |one: &BodyMeasurement| !one.outline.is_some_and(|outline| outline.is_large);
         let mut order: Vec<usize> = (0..seen.len()).filter(|&i| is_small(&seen[i])).collect();
+        // The largest first: a part belongs to a whole, never to another part.
         order.sort_by(|&i, &j| seen[j].circle.z[2].total_cmp(&seen[i].circle.z[2]));
         let mut wholes: Vec<usize> = (0..seen.len()).collect();
         let mut larger: Vec<usize> = Vec::new();
@@ -114,6 +116,7 @@ impl State for Body {
         wholes: &[usize],
         rules: &Rules,
     ) -> Result<Vec<Option<usize>>, Error> {
+        // Costs are -2 log likelihoods, so that of a new body is that of the density of births.
         let unassigned = -2.0 * libm::log(rules.parameters().birth_density);
         let count = all.len();
         let mut pairs = Vec::new();
@@ -137,7 +140,7 @@ impl State for Body {
         Ok(owners)
     }
 
-    /// It is seen through only if rays pass wherever it may be.
+    /// The body counts as seen through only if rays pass at every place where it may be.
     fn look(&self, from: &Viewpoint, rules: &Rules) -> Visibility {
         let Some(view) = &from.view else { return Visibility::SeenThrough };
         let state = self.circle();
@@ -150,12 +153,14 @@ impl State for Body {
             return here;
         }
         let around = axes(&state)
+            // A predicted place may be wrong by its deviation: before the body counts as gone, the
+            // places around must be free as well.
             .into_iter()
             .flat_map(|axis| LOOK.map(|reach| axis.map(|value| value * reach)));
         around.map(ask).fold(here, Visibility::max)
     }
 
-    /// An eigenvalue of a block of the covariance is above its limit, or no radius is left.
+    /// True if an eigenvalue of a block of the covariance exceeds its limit, or no radius is left.
     fn is_vague(&self, rules: &Rules) -> bool {
         let (state, limits) = (self.circle(), &rules.parameters().limits);
         let P = &state.covariance;
@@ -165,8 +170,8 @@ impl State for Body {
             || P[(4, 4)] > limits.radius * limits.radius
     }
 
-    /// The centre of one lies inside the other, or there is little between them; large ones have
-    /// corners, between which there may be others.
+    /// True if the centre of one body lies inside the other, or the gap between them is small.
+    /// Large bodies have corners, between which there may be others: they are never twins.
     fn is_twin(&self, other: &Self, rules: &Rules) -> bool {
         if self.outline.is_large() || other.outline.is_large() {
             return false;
@@ -189,7 +194,7 @@ impl State for Body {
     }
 }
 
-/// Whether two circles x, y, r are one object.
+/// True if two circles (x, y, r) are one object.
 fn is_one(one: &Vector3<f64>, two: &Vector3<f64>, rules: &Rules) -> bool {
     let gap = rules.parameters().merge_gap;
     let [x, y] = [one[0] - two[0], one[1] - two[1]];
@@ -198,10 +203,11 @@ fn is_one(one: &Vector3<f64>, two: &Vector3<f64>, rules: &Rules) -> bool {
     x * x + y * y < reach * reach
 }
 
-/// The two axes of the ellipse of one standard deviation of the centre [m].
+/// Axes of the ellipse of one standard deviation of the centre [m].
 fn axes(state: &Gaussian<5>) -> [[f64; 2]; 2] {
     let P: Matrix2<f64> = state.covariance.fixed_view::<2, 2>(0, 0).into_owned();
     let (mean, half) = (0.5 * (P[(0, 0)] + P[(1, 1)]), 0.5 * (P[(0, 0)] - P[(1, 1)]));
+    // Eigenvalues of a 2x2 matrix in closed form: fixed operations, the same bits everywhere.
     let root = (half * half + P[(0, 1)] * P[(0, 1)]).sqrt();
     let [long, short] = [mean + root, mean - root].map(|value| value.max(0.0).sqrt());
     let angle = 0.5 * libm::atan2(P[(0, 1)], half);

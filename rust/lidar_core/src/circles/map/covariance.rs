@@ -1,4 +1,4 @@
-//! Covariance of the joint filter: of all errors, the robot's and every element's.
+//! Covariance of the joint filter: errors of the robot and of every element.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -18,12 +18,12 @@ pub(super) struct Covariance {
 }
 
 impl Covariance {
-    /// Of the robot alone, whose pose is exact.
+    /// Covariance of the robot alone, whose pose is exact.
     pub(super) fn empty() -> Self {
         Self { size: ROBOT, values: vec![0.0; ROBOT * ROBOT] }
     }
 
-    /// Whether it is that of the robot and so many elements: of a state that was read.
+    /// True if the sizes of a restored state fit the robot and this number of elements.
     pub(super) fn is_of(&self, elements: usize) -> bool {
         let size = elements.checked_mul(ELEMENT).and_then(|size| size.checked_add(ROBOT));
         size == Some(self.size) && self.size.checked_mul(self.size) == Some(self.values.len())
@@ -61,9 +61,11 @@ impl Covariance {
         }
     }
 
-    /// Eq. 30: (I - K H) P = P - K (P H')'.
+    /// Correct by eq. 30: (I - K H) P = P - K (P H')'.
     pub(super) fn reduce(&mut self, gains: &[Vector3<f64>], PHt: &[Vector3<f64>]) {
         for (row, gain) in gains.iter().enumerate() {
+            // Only the lower triangle is computed and copied: K (P H')' is symmetric, but not in
+            // its rounding.
             for (column, shared) in PHt.iter().enumerate().take(row + 1) {
                 let value = self.at(row, column) - gain.dot(shared);
                 self.values[row * self.size + column] = value;
@@ -72,7 +74,7 @@ impl Covariance {
         }
     }
 
-    /// Room for one more element.
+    /// Add zeros for one more element.
     pub(super) fn grow(&mut self) {
         let size = self.size + ELEMENT;
         let mut values = vec![0.0; size * size];
@@ -84,7 +86,7 @@ impl Covariance {
         *self = Self { size, values };
     }
 
-    /// The robot and some of the elements.
+    /// Covariance of the robot and of some of the elements.
     pub(super) fn of(&self, elements: &[usize]) -> Self {
         let kept: Vec<usize> = (0..ROBOT)
             .chain(elements.iter().flat_map(|&index| place(index)..place(index) + ELEMENT))
@@ -95,7 +97,7 @@ impl Covariance {
     }
 }
 
-/// Where the errors of an element begin.
+/// Index of the first error of an element.
 pub(super) fn place(index: usize) -> usize {
     ROBOT + ELEMENT * index
 }

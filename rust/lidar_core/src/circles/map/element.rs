@@ -1,4 +1,4 @@
-//! Elements with a filter each: what they are, what a scan tells about them, when they go.
+//! Elements with a filter each: state, visibility, confirmation and removal.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -12,32 +12,33 @@ use crate::Error;
 use nalgebra::SMatrix;
 use serde::{Deserialize, Serialize};
 
-/// Where an object is, and what scans tell about that: what differs from kind to kind.
+/// State of an element, and the operations that differ between kinds.
 pub(super) trait State: Clone {
-    /// What a scan shows of one.
+    /// Measurement of an element by one scan.
     type Measurement;
 
-    /// As the first measurement shows it.
+    /// State from the first measurement.
     fn new(seen: &Self::Measurement, rules: &Rules) -> Self;
 
-    /// Whether a measurement that belongs to no element makes one.
+    /// True if a measurement without element starts a new one.
     fn is_born(_: &Self::Measurement, _: &Rules) -> bool {
         true
     }
 
-    /// Per measurement of one scan, the one of which it is a part: itself if it is a whole.
+    /// For each measurement of a scan the index of the measurement that it is a part of, or its
+    /// own.
     fn wholes(seen: &[Self::Measurement], _: &Rules) -> Vec<usize> {
         (0..seen.len()).collect()
     }
 
-    /// Move on.
+    /// Predict the state.
     fn predict(&mut self, step: &Step);
 
     /// # Errors
     /// [`Error::NotPositiveDefinite`]; nothing changes then.
     fn correct(&mut self, seen: &Self::Measurement, rules: &Rules) -> Result<(), Error>;
 
-    /// The object, by its place among `all`, that each measurement shows which is a whole.
+    /// For each measurement that is not a part, the index of its object in `all`.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`].
@@ -50,23 +51,23 @@ pub(super) trait State: Clone {
     where
         Self: 'a;
 
-    /// What a scan that did not measure it says about it.
+    /// Visibility of the element in a scan that did not measure it.
     fn look(&self, from: &Viewpoint, rules: &Rules) -> Visibility;
 
-    /// Whether too little is known about it.
+    /// True if the state is too uncertain.
     fn is_vague(&self, rules: &Rules) -> bool;
 
-    /// Whether the two are one object.
+    /// True if both states are of one object.
     fn is_twin(&self, other: &Self, rules: &Rules) -> bool;
 
-    /// Take in a twin.
+    /// Merge with the state of the same object.
     fn absorb(&mut self, twin: Self, is_newer: bool);
 
-    /// How long it stays without a measurement.
+    /// Times for which an element stays without a measurement.
     fn patience(rules: &Rules) -> Patience;
 }
 
-/// What the last scan said about an element.
+/// Observation of an element by the last scan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 enum Seen {
     Measured,
@@ -80,11 +81,11 @@ impl Seen {
     }
 }
 
-/// Scans in a row that gave one reason to let an element go.
+/// Consecutive scans with the same reason to remove an element.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 struct Misses {
     scans: u32,
-    /// Time that they cover [s].
+    /// Time that the scans cover [s].
     time: f64,
 }
 
@@ -104,14 +105,14 @@ pub(super) struct Element<S> {
     /// Time of the last measurement.
     pub(super) seen_ns: i64,
     pub(super) n_measurements: u32,
-    /// The last scans, newest in the lowest bit: 1 where it was measured.
+    /// Bits of the last scans, the newest lowest: 1 if the scan measured the element.
     history: u64,
     pub(super) confirmed: bool,
-    /// What the newest scan of `watcher` said.
+    /// Observation by the newest scan of `watcher`.
     seen: Seen,
-    /// The sensor that last measured it or should have.
+    /// Sensor that last measured the element or should have.
     watcher: u32,
-    /// Without a measurement: seen through, with returns, hidden.
+    /// Scans without a measurement: seen through, with returns, hidden.
     absent: Misses,
     unmatched: Misses,
     hidden: Misses,
@@ -135,17 +136,18 @@ impl<S: State> Element<S> {
         }
     }
 
-    /// Count a scan that measured it.
+    /// Count a scan that measured the element.
     pub(super) fn measured(&mut self, (stamp_ns, sensor): (i64, u32)) {
         self.seen_ns = stamp_ns;
         self.n_measurements = self.n_measurements.saturating_add(1);
         self.history = self.history << 1 | 1;
         (self.seen, self.watcher) = (Seen::Measured, sensor);
+        // Only an unbroken series of misses removes an element.
         (self.absent, self.unmatched, self.hidden) = Default::default();
     }
 
-    /// Count a scan, `dt` seconds after the one before, that did not. A sensor from which it is
-    /// hidden has no say in what another one sees.
+    /// Count a scan, `dt` seconds after the one before, that did not measure the element. A sensor
+    /// from which the element is hidden does not override one that sees it.
     pub(super) fn unmeasured(&mut self, visibility: Visibility, sensor: u32, dt: f64) {
         match visibility {
             Visibility::SeenThrough => self.absent.add(dt),
@@ -159,18 +161,21 @@ impl<S: State> Element<S> {
         }
     }
 
-    /// Whether a sensor's newest scan measured it or should have.
+    /// True if the newest scan of a sensor measured the element or should have.
     pub(super) fn is_visible(&self) -> bool {
         self.seen.is_visible()
     }
 
-    /// Confirm it if enough scans speak for it.
+    /// Confirm the element if enough recent scans measured it.
     pub(super) fn confirm(&mut self, parameters: &Independent) {
         let hits = self.recent(parameters.confirmation.window).count_ones();
+        // Once confirmed an element stays so: being hidden for a while does not take its number
+        // away.
         self.confirmed |= hits >= parameters.confirmation.hits;
     }
 
-    /// Whether it goes: never confirmed, not there, or too uncertain, eq. 33 with a limit per block.
+    /// True if the element is to be removed: not confirmed in time, absent, or too uncertain (eq.
+    /// 33 with a limit per block).
     pub(super) fn is_over(&self, rules: &Rules) -> bool {
         if !self.confirmed && self.recent(rules.parameters().confirmation.window) == 0 {
             return true;
@@ -180,18 +185,19 @@ impl<S: State> Element<S> {
         is_long(self.absent, patience.absent)
             || is_long(self.unmatched, patience.unmatched)
             || patience.hidden.is_some_and(|most| is_long(self.hidden, most))
+            // The covariance of a hidden element may grow; only a visible one is judged by it.
             || self.is_visible() && self.state.is_vague(rules)
     }
 
-    /// Whether two elements are one object. Both are in sight, or were a moment ago: what is inside
-    /// another is hidden by it.
+    /// True if two elements are one object. Both must be visible, or must have been so a moment
+    /// ago: an object inside another one is hidden by it.
     pub(super) fn is_twin(&self, other: &Self, rules: &Rules) -> bool {
         let (newest, moment) = (self.seen_ns.max(other.seen_ns), S::patience(rules).unmatched);
         let is_known = |one: &Self| one.is_visible() || seconds(one.seen_ns, newest) <= moment;
         is_known(self) && is_known(other) && self.state.is_twin(&other.state, rules)
     }
 
-    /// Take in a twin: the state of the one measured last, else the one measured more often.
+    /// Merge with a twin: the state measured last is kept, else the one measured more often.
     pub(super) fn absorb(&mut self, twin: Self) {
         let rank = |element: &Self| (element.seen_ns, element.n_measurements);
         let is_newer = rank(&twin) > rank(self);
@@ -206,13 +212,15 @@ impl<S: State> Element<S> {
         self.history |= twin.history;
     }
 
-    /// Of the last `window` scans those that measured it.
+    /// Bits of the last `window` scans that measured the element.
     fn recent(&self, window: u32) -> u64 {
+        // The window is 1 to 64, so the shift stays below the width of the bits.
         self.history & (u64::MAX >> (u64::BITS - window))
     }
 }
 
-/// Whether the largest eigenvalue of `P` is `limit` or more: then `limit I - P` is not positive.
+/// True if the largest eigenvalue of `P` is `limit` or more: then `limit I - P` is not positive.
 pub(super) fn exceeds<const N: usize>(P: &SMatrix<f64, N, N>, limit: f64) -> bool {
+    // One factorisation decides, where eigenvalues would need an iteration.
     (SMatrix::<f64, N, N>::identity() * limit - P).cholesky().is_none()
 }

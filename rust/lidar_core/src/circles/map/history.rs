@@ -1,4 +1,4 @@
-//! Scans that come late: the map goes back to before them and takes in all scans since again.
+//! Late scans: the map goes back to before them and processes all scans since again.
 
 use super::independent::{Elements, new_number};
 use super::rules::Rules;
@@ -11,14 +11,14 @@ use std::collections::VecDeque;
 /// Most scans kept, whatever their time.
 const MAX_SCANS: usize = 1_000;
 
-/// A scan, and the elements before it.
+/// A scan and the elements before it.
 #[derive(Clone, Serialize, Deserialize)]
 struct Entry {
     before: Elements,
     scan: Placed,
 }
 
-/// The elements, and how they came about lately.
+/// Elements, and the recent scans that led to them.
 #[derive(Default, Serialize, Deserialize)]
 pub(super) struct History {
     pub(super) now: Elements,
@@ -27,7 +27,7 @@ pub(super) struct History {
 }
 
 impl History {
-    /// Whether its parts agree: of a state that was read.
+    /// True if the parts of a restored state agree.
     pub(super) fn fits(&self, rules: &Rules) -> bool {
         let motion = rules.motion();
         let is_sound = |entry: &Entry| entry.before.fits(motion) && entry.scan.is_sound();
@@ -37,7 +37,7 @@ impl History {
             && self.entries.iter().map(|entry| entry.scan.key()).is_sorted()
     }
 
-    /// Whether a scan comes after all others.
+    /// True if a scan comes before the newest one.
     ///
     /// # Errors
     /// [`Error::Time`] if it was processed already, or comes too late.
@@ -59,7 +59,7 @@ impl History {
         }
     }
 
-    /// What lets later scans come.
+    /// Remedy for scans that come too late.
     fn cure(&self) -> String {
         if self.entries.len() < MAX_SCANS {
             return "raise `buffer_time`".into();
@@ -67,10 +67,10 @@ impl History {
         format!("it keeps the last {MAX_SCANS} scans at most, whatever `buffer_time`")
     }
 
-    /// Take in a scan in its place in time.
+    /// Process a scan at its place in time.
     ///
     /// # Errors
-    /// As [`History::is_late`] and [`Elements::step`]; nothing changes then.
+    /// Errors of [`History::is_late`] and [`Elements::step`]; nothing changes then.
     pub(super) fn push(
         &mut self,
         rules: &Rules,
@@ -92,7 +92,7 @@ impl History {
         Ok(Outcome { late: false, found, merged })
     }
 
-    /// Take in a scan that is late, and all after it again.
+    /// Process a late scan, and all scans after it again.
     fn insert(
         &mut self,
         rules: &Rules,
@@ -101,6 +101,7 @@ impl History {
     ) -> Result<Outcome, Error> {
         let mut number = *next_id;
         let place = self.entries.partition_point(|entry| entry.scan.key() < scan.key());
+        // All work is done on copies: after an error the map is as before.
         let mut after: Vec<Entry> = self.entries.range(place..).cloned().collect();
         let mut now = after.first().map_or_else(Elements::default, |entry| entry.before.clone());
         let before = now.clone();
@@ -110,9 +111,12 @@ impl History {
             let known: Vec<_> = entry.scan.elements().copied().collect();
             entry.before = now.clone();
             let again = now.step(rules, &mut entry.scan, &mut number)?;
+            // Mergers of elements that were never reported would be news about nothing.
             merged.extend(again.into_iter().filter(|&[_, gone]| self.now.holds(gone)));
             pairs.extend(known.into_iter().zip(entry.scan.elements().copied()));
         }
+        // Going over the scans again may give an object a new number. The user knows it by the old
+        // one.
         let renamed = renamed(&pairs, &self.now, &now);
         after.insert(0, Entry { before, scan });
         rename(&mut now, &mut after, &mut merged, &renamed);
@@ -120,6 +124,7 @@ impl History {
         self.entries.extend(after);
         let fresh = fresh_numbers(&self.now, &now, *next_id, &mut number);
         rename(&mut now, self.entries.make_contiguous(), &mut merged, &fresh);
+        // A merged element may exist again after the change: then it was not merged.
         merged.retain(|&[_, gone]| !now.holds(gone));
         let found = self.entries[place].scan.found();
         (self.now, *next_id) = (now, number);
@@ -127,7 +132,7 @@ impl History {
         Ok(Outcome { late: true, found, merged })
     }
 
-    /// Drop scans older than `buffer_time` [s].
+    /// Remove scans older than `buffer_time` [s].
     fn forget(&mut self, buffer_time: f64) {
         let Some((newest_ns, _)) = self.newest else { return };
         let is_old = |entry: &Entry| seconds(entry.scan.from.stamp_ns, newest_ns) > buffer_time;
@@ -137,8 +142,8 @@ impl History {
     }
 }
 
-/// Elements that only now have a number of their own, and the numbers that their circles' elements
-/// had before: these they keep.
+/// Elements with a fresh number whose circles belonged to a reported element that is gone: pairs of
+/// the fresh number and the reported one, which they keep.
 fn renamed(
     pairs: &[(Option<i64>, Option<i64>)],
     before: &Elements,
@@ -157,7 +162,7 @@ fn renamed(
     renamed
 }
 
-/// New numbers for elements that came back: theirs were reported as removed, or never at all.
+/// New numbers for elements that came back with a number reported as removed, or never reported.
 fn fresh_numbers(
     before: &Elements,
     now: &Elements,
@@ -173,7 +178,7 @@ fn fresh_numbers(
     .collect()
 }
 
-/// Give elements other numbers wherever they are named.
+/// Change the numbers of elements at every place that refers to them.
 fn rename(
     now: &mut Elements,
     entries: &mut [Entry],

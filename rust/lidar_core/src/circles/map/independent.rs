@@ -23,7 +23,7 @@ pub(super) struct Elements {
 }
 
 impl Elements {
-    /// Whether its parts agree: of a state that was read.
+    /// True if the parts of a restored state agree.
     pub(super) fn fits(&self, motion: &Motion) -> bool {
         self.len() <= MAX_ELEMENTS
             && self.bodies.is_sorted_by(|one, next| one.id < next.id)
@@ -31,7 +31,7 @@ impl Elements {
             && self.bodies.iter().all(|body| body.state.fits(motion))
     }
 
-    /// Every element's number, and whether it is reported.
+    /// Number of every element, and true if it is confirmed.
     pub(super) fn numbers(&self) -> impl Iterator<Item = (i64, bool)> {
         let bodies = self.bodies.iter().map(|body| (body.id, body.confirmed));
         bodies.chain(self.lines.iter().map(|line| (line.id, line.confirmed)))
@@ -41,14 +41,14 @@ impl Elements {
         self.numbers().any(|(known, _)| known == id)
     }
 
-    /// Give elements other numbers: pairs of the one they have and the one they get.
+    /// Change numbers of elements: pairs of the old number and the new one.
     pub(super) fn rename(&mut self, numbers: &[(i64, i64)]) {
         rename(&mut self.bodies, numbers);
         rename(&mut self.lines, numbers);
     }
 
-    /// Move all elements to the time of `scan` and correct them with it; pairs of elements that
-    /// were merged. A scan that is taken in again gives new elements the numbers that they had.
+    /// Predict all elements to the time of `scan` and correct them with it; returns pairs of merged
+    /// elements. A scan that is processed again gives new elements the numbers that they had.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`], [`Error::Limit`]; the elements may then be half changed.
@@ -61,6 +61,7 @@ impl Elements {
         let Placed { from, bodies, lines } = scan;
         let dt = self.stamp_ns.map_or(0.0, |stamp_ns| seconds(stamp_ns, from.stamp_ns));
         self.stamp_ns = Some(from.stamp_ns);
+        // Elements created by this scan are included, so that one number is never given twice.
         let mut taken: Vec<i64> = self.numbers().map(|(id, _)| id).collect();
         let mut fresh = |known: Option<i64>| {
             let id = known.filter(|id| !taken.contains(id)).unwrap_or_else(|| {
@@ -80,7 +81,7 @@ impl Elements {
         Ok(merged)
     }
 
-    /// Every body that is not large, predicted to `stamp_ns`.
+    /// Bodies that are not large, predicted to `stamp_ns`.
     pub(super) fn at(&self, rules: &Rules, stamp_ns: i64) -> Vec<MapElement> {
         let step = rules.motion().step(seconds(self.stamp_ns.unwrap_or(stamp_ns), stamp_ns));
         let predicted = |body: &Element<Body>| {
@@ -99,7 +100,7 @@ impl Elements {
         self.bodies.iter().filter(|body| !body.state.outline.is_large()).map(predicted).collect()
     }
 
-    /// Everything that is no circle, predicted to `stamp_ns`.
+    /// Elements that are no circles, predicted to `stamp_ns`.
     pub(super) fn shapes_at(&self, rules: &Rules, stamp_ns: i64) -> Vec<MapShape> {
         let step = rules.motion().step(seconds(self.stamp_ns.unwrap_or(stamp_ns), stamp_ns));
         let bodies = self.bodies.iter().filter_map(|body| {
@@ -119,8 +120,8 @@ impl Elements {
         shapes
     }
 
-    /// Whether all points lie on a reported line of at least this length, as ranges of deviation
-    /// `std` would.
+    /// True if all points lie on one confirmed line of at least this length, up to the error of
+    /// ranges with deviation `std`.
     pub(super) fn is_on_line(
         &self,
         rules: &Rules,
@@ -155,6 +156,7 @@ fn take_in<S: State>(
     (from, dt): (&Viewpoint, f64),
     fresh: &mut impl FnMut(Option<i64>) -> i64,
 ) -> Result<(), Error> {
+    // A second sensor may have a scan of the same stamp: no time, no noise and no switch of modes.
     if dt > 0.0 {
         let step = rules.motion().step(dt);
         all.iter_mut().for_each(|element| element.state.predict(&step));
@@ -170,6 +172,7 @@ fn take_in<S: State>(
         is_measured[row] = true;
         seen.elements[measurement] = Some(all[row].id);
     }
+    // Visibility costs a search in the scan: only elements without a measurement need it.
     for (element, is_measured) in all.iter_mut().zip(is_measured) {
         if is_measured {
             element.measured(from.key());
@@ -186,6 +189,7 @@ fn take_in<S: State>(
             seen.elements[index] = Some(id);
         }
     }
+    // Parts have the element of their whole; they neither correct it nor start one.
     for (index, whole) in wholes.into_iter().enumerate() {
         seen.elements[index] = seen.elements[whole];
     }
@@ -203,17 +207,20 @@ fn tidy<S: State>(rules: &Rules, all: &mut Vec<Element<S>>) -> Vec<[i64; 2]> {
     merged
 }
 
-/// Merge elements of one object; pairs of the number that stays and the one that goes. A
-/// confirmed element stays before any other, then the elder.
+/// Merge elements of one object; returns pairs of the number that stays and the one that is
+/// removed. A confirmed element stays before others, then the older one.
 fn merge<S: State>(rules: &Rules, all: &mut Vec<Element<S>>) -> Vec<[i64; 2]> {
     let mut merged = Vec::new();
     let mut index = 0;
+    // The index advances only without a twin: a merged element may have further ones.
     while index < all.len() {
         let twin = (index + 1..all.len()).find(|&other| all[index].is_twin(&all[other], rules));
         let Some(twin) = twin else {
             index += 1;
             continue;
         };
+        // The user has seen the confirmed element; its number must not disappear in favour of a new
+        // one.
         let mut dropped = all.remove(twin);
         if dropped.confirmed && !all[index].confirmed {
             std::mem::swap(&mut all[index], &mut dropped);
@@ -225,7 +232,7 @@ fn merge<S: State>(rules: &Rules, all: &mut Vec<Element<S>>) -> Vec<[i64; 2]> {
     merged
 }
 
-/// What is reported of an element that is no circle: kind, state, ends.
+/// Reported form of an element that is no circle, from its kind, state and ends.
 fn shape_of<S: State>(
     element: &Element<S>,
     stamp_ns: i64,
@@ -243,7 +250,7 @@ fn shape_of<S: State>(
     }
 }
 
-/// The number that an element gets, if it gets another.
+/// Number of an element after a change of numbers.
 pub(super) fn new_number(id: i64, numbers: &[(i64, i64)]) -> i64 {
     numbers.iter().find(|&&(from, _)| from == id).map_or(id, |&(_, to)| to)
 }

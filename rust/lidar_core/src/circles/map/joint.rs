@@ -1,4 +1,4 @@
-//! The map as published: one error-state filter of the robot's pose and all elements.
+//! The published map: one error-state filter of the robot's pose and all elements.
 //!
 //! Source: Sanchez-Lopez et al., eqs 8-33. The sensor's level frame is the robot's here, so that
 //! `t_S^R` = 0 and `R_S^R` = I. Sums run in fixed loops: the same bits on every platform.
@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 type Matrix3x5 = SMatrix<f64, 3, 5>;
 type Matrix5x3 = SMatrix<f64, 5, 3>;
 
-/// Eq. 9, and what is told about it.
+/// Element of eq. 9, with the times and the number of its measurements.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Landmark {
     id: i64,
@@ -32,17 +32,17 @@ struct Landmark {
     n_measurements: u32,
 }
 
-/// State of the filter; the robot's pose is an input and needs no place here.
+/// State of the filter. The robot's pose is an input and not part of it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct State {
     stamp_ns: Option<i64>,
-    /// Sensors that had a scan at that stamp.
+    /// Sensors that had a scan with that stamp.
     sensors: Vec<u32>,
     landmarks: Vec<Landmark>,
     P: Covariance,
 }
 
-/// The map.
+/// Map with one filter for all elements.
 pub(super) struct JointMap {
     parameters: Joint,
     gate: f64,
@@ -59,7 +59,7 @@ impl JointMap {
         &self.state
     }
 
-    /// Go on from a state that was read.
+    /// Continue from a restored state.
     ///
     /// # Errors
     /// [`Error::Format`] if its parts do not agree.
@@ -128,10 +128,11 @@ impl JointMap {
         Ok(Outcome { late: false, found, merged: Vec::new() })
     }
 
-    /// Every element, one prediction step later.
+    /// All elements, one prediction step later.
     pub(super) fn at(&self, stamp_ns: i64) -> Vec<MapElement> {
         let Some(newest_ns) = self.state.stamp_ns else { return Vec::new() };
         let F = transition(seconds(newest_ns, stamp_ns));
+        // The noise of the paper is per step: a prediction is one step, however long it is.
         let step = if stamp_ns == newest_ns { 0.0 } else { self.parameters.velocity_step };
         let landmarks = self.state.landmarks.iter().enumerate();
         landmarks
@@ -157,8 +158,8 @@ impl State {
         Self { stamp_ns: None, sensors: Vec::new(), landmarks: Vec::new(), P: Covariance::empty() }
     }
 
-    /// Eqs 12-15 and 21-22. The robot's pose is replaced by the input, and its covariance by that
-    /// of the input: what it shared with the elements is gone.
+    /// Predict by eqs 12-15 and 21-22. The robot's pose and its covariance are replaced by those of
+    /// the input; their correlation with the elements is lost.
     fn predict(&mut self, scan: &CircleScan<'_>, velocity_step: f64) {
         let before = self.stamp_ns.replace(scan.stamp_ns);
         if before != self.stamp_ns {
@@ -170,6 +171,8 @@ impl State {
         for (row, landmark) in self.landmarks.iter_mut().enumerate() {
             landmark.x = F * landmark.x;
             self.P.set::<3, ELEMENT>(0, place(row), &SMatrix::zeros());
+            // Blocks on and below the diagonal are computed, `set` mirrors them: P stays exactly
+            // symmetric.
             for column in 0..=row {
                 let mut block: Matrix5 = self.P.block(place(row), place(column));
                 block = F * block * F.transpose();
@@ -182,8 +185,8 @@ impl State {
         self.P.set::<3, 3>(0, 0, &input_covariance(scan));
     }
 
-    /// Eqs 23-26: the nearest element of every circle, if it is near enough. Two circles may take
-    /// one element.
+    /// Associate by eqs 23-26: the nearest element of every circle within the gate. Two circles may
+    /// have the same element.
     fn associate(
         &self,
         pose: &LevelPose,
@@ -207,14 +210,16 @@ impl State {
         Ok(matches)
     }
 
-    /// Eqs 27-30 for all pairs, one after the other, which equals all at once. The robot's pose
-    /// stays as the input has it.
+    /// Correct by eqs 27-30 with all pairs one after the other, which equals all at once. The
+    /// robot's pose stays that of the input.
     fn correct(
         &mut self,
         pose: &LevelPose,
         scan: &CircleScan<'_>,
         matches: &[Option<usize>],
     ) -> Result<(), Error> {
+        // All pairs are linearised at the predicted state: the result does not depend on their
+        // order.
         let predicted: Vec<Model> =
             self.landmarks.iter().map(|landmark| Model::of(pose, &landmark.x)).collect();
         let mut dx = vec![0.0; self.P.size()];
@@ -225,6 +230,8 @@ impl State {
             let S = model.innovation_covariance(&self.P, index) + matrix_of(estimate);
             let factor =
                 symmetrised(S).cholesky().ok_or(Error::NotPositiveDefinite { matrix: "S" })?;
+            // Corrections of the pairs before are in `dx`, not yet in the state that the model was
+            // made at.
             let y = measured(estimate) - model.z - model.expected(&dx, index);
             let gains: Vec<Vector3<f64>> = PHt.iter().map(|row| factor.solve(row)).collect();
             for (value, gain) in dx.iter_mut().zip(&gains) {
@@ -241,7 +248,7 @@ impl State {
         Ok(())
     }
 
-    /// Eqs 18-20 and 31-32: a new element, and what its error shares with all others.
+    /// Create an element by eqs 18-20 and 31-32, with its correlations to all others.
     fn create(
         &mut self,
         pose: &LevelPose,
@@ -252,11 +259,14 @@ impl State {
     ) {
         let (x, G_robot, G_z) = mapped(pose, &measured(estimate));
         let mut own: Matrix5 = G_z * matrix_of(estimate) * G_z.transpose();
+        // The first measurement has no velocity: it is zero, as uncertain as objects may move.
         own[(2, 2)] += speed * speed;
         own[(3, 3)] += speed * speed;
         let robot: Matrix3<f64> = self.P.block(0, 0);
         own += G_robot * robot * G_robot.transpose();
         let shared_robot: Matrix5x3 = G_robot * robot;
+        // The error of the pose is part of the new element, and so of what it shares with all
+        // elements that depend on the pose.
         let shared: Vec<Matrix5> = (0..self.landmarks.len())
             .map(|index| G_robot * self.P.block::<3, ELEMENT>(0, place(index)))
             .collect();
@@ -276,8 +286,8 @@ impl State {
         });
     }
 
-    /// Eq. 33: elements go whose covariance has an eigenvalue above the limit, and those whose
-    /// radius was corrected to nothing, of which the paper says nothing.
+    /// Remove by eq. 33 elements whose covariance has an eigenvalue above the limit, and elements
+    /// whose corrected radius is not positive, a case that the paper does not mention.
     fn delete(&mut self, max_eigenvalue: f64) {
         let stays = |index: usize| {
             let P: Matrix5 = self.P.block(place(index), place(index));
@@ -312,7 +322,7 @@ impl Model {
         Self { z: Vector3::new(px, py, x[4]), H_robot, H_element }
     }
 
-    /// P H': one row per error.
+    /// P H', one row per error.
     fn cross_covariance(&self, P: &Covariance, index: usize) -> Vec<Vector3<f64>> {
         (0..P.size())
             .map(|row| {
@@ -336,7 +346,7 @@ impl Model {
             + self.H_element * element * self.H_element.transpose()
     }
 
-    /// H dx: how corrections made so far change what is expected.
+    /// H dx: change of the expected measurement by the corrections so far.
     fn expected(&self, dx: &[f64], index: usize) -> Vector3<f64> {
         let element =
             SVector::<f64, ELEMENT>::from_column_slice(&dx[place(index)..place(index) + ELEMENT]);
@@ -349,7 +359,7 @@ fn measured(estimate: &CircleEstimate) -> Vector3<f64> {
     Vector3::new(x, y, estimate.circle.radius)
 }
 
-/// Q of eq. 22: n_fv of eq. 14, the same at every step.
+/// Process noise Q of eq. 22 with n_fv of eq. 14, equal for all steps.
 fn noise(velocity_step: f64) -> Matrix5 {
     let mut Q = Matrix5::zeros();
     Q[(2, 2)] = velocity_step * velocity_step;
@@ -357,14 +367,14 @@ fn noise(velocity_step: f64) -> Matrix5 {
     Q
 }
 
-/// Q of the input: position and yaw.
+/// Covariance of the input: position and yaw.
 fn input_covariance(scan: &CircleScan<'_>) -> Matrix3<f64> {
     const PLANAR: [usize; 3] = [0, 1, 5];
     scan.pose_covariance
         .map_or_else(Matrix3::zeros, |rows| Matrix3::from_fn(|i, j| rows[PLANAR[i]][PLANAR[j]]))
 }
 
-/// Eqs 18-20, with the Jacobians by the robot's error and by the measurement.
+/// Place a circle by eqs 18-20, with the Jacobians by the robot's error and by the measurement.
 fn mapped(pose: &LevelPose, z: &Vector3<f64>) -> (SVector<f64, ELEMENT>, Matrix5x3, Matrix5x3) {
     let turn = pose.rotation();
     let at = turn * z.xy();

@@ -1,4 +1,4 @@
-//! The pose of a scan: what it shows, from the level frame of its sensor into the world.
+//! Pose of a scan: transforms from the level frame of its sensor to the world.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -12,7 +12,7 @@ use crate::geometry::transform::Transform;
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Below this share of its normal that points up, a scan has no heights: it is nearly upright.
+/// Vertical part of the scan's normal below which a scan plane is treated as upright.
 const UPRIGHT: f64 = 0.05;
 
 /// Pose of the level frame in the world.
@@ -25,6 +25,7 @@ pub(super) struct LevelPose {
 
 impl LevelPose {
     pub(super) fn of(pose: &Transform) -> Self {
+        // Roll and pitch only shorten the projection of the x axis; its direction is the yaw.
         let [x, y] = [pose.rotation[0][0], pose.rotation[1][0]];
         let norm = (x * x + y * y).sqrt();
         let (cos, sin) = if norm > 0.0 { (x / norm, y / norm) } else { (1.0, 0.0) };
@@ -39,7 +40,7 @@ impl LevelPose {
         self.origin
     }
 
-    /// A circle of the level frame in the world: eq. 18.
+    /// Transform a circle from the level frame to the world, eq. 18.
     pub(super) fn place(&self, estimate: &CircleEstimate) -> Measurement {
         let Circle { center: [x, y], radius } = estimate.circle;
         let mut turn = Matrix3::identity();
@@ -51,20 +52,20 @@ impl LevelPose {
         Measurement { z, R: (R + R.transpose()) * 0.5, delay: 0.0 }
     }
 
-    /// A circle of the world in the level frame.
+    /// Transform a circle from the world to the level frame.
     pub(super) fn level(&self, center: [f64; 2], radius: f64) -> Circle {
         let [x, y] = [center[0] - self.origin[0], center[1] - self.origin[1]];
         Circle { center: [self.cos * x + self.sin * y, self.cos * y - self.sin * x], radius }
     }
 
-    /// A point of the level frame in the world.
+    /// Transform a point from the level frame to the world.
     fn world_point(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [from_x, from_y] = self.origin;
         [from_x + self.cos * x - self.sin * y, from_y + self.sin * x + self.cos * y]
     }
 
-    /// A line of the level frame in the world; None for another shape. A wrong pose moves its
-    /// middle, and a wrong yaw turns it.
+    /// Transform a line from the level frame to the world; None for other shapes. An error of the
+    /// pose moves its middle, an error of the yaw turns it.
     pub(super) fn place_line(
         &self,
         shape: &ShapeEstimate,
@@ -94,7 +95,7 @@ impl LevelPose {
         })
     }
 
-    /// A circle of the level frame in the world, as uncertain as the pose makes it.
+    /// Transform a circle from the level frame to the world, with the covariance of the pose.
     pub(super) fn place_circle(
         &self,
         estimate: &CircleEstimate,
@@ -111,7 +112,7 @@ impl LevelPose {
         measurement
     }
 
-    /// An ellipse or rectangle of the level frame in the world; None for another shape.
+    /// Transform an ellipse or rectangle from the level frame to the world; None for other shapes.
     pub(super) fn place_outline(
         &self,
         outline: &OutlineEstimate,
@@ -144,8 +145,8 @@ impl LevelPose {
         })
     }
 
-    /// Derivative of a centre in the world by the sensor's pose. A wrong tilt moves what lies
-    /// above or below the sensor.
+    /// Derivative of a centre in the world by the pose of the sensor. An error of the tilt moves
+    /// points above or below the sensor.
     fn by_pose(&self, [x, y]: [f64; 2], pose: &Transform) -> SMatrix<f64, 2, 6> {
         let r = &pose.rotation;
         let normal = [
@@ -154,6 +155,8 @@ impl LevelPose {
             r[2][2],
         ];
         let is_upright = normal[2].abs() < UPRIGHT;
+        // Height of the scan plane at the centre. In an upright plane the centre does not determine
+        // it.
         let z = if is_upright { 0.0 } else { -(normal[0] * x + normal[1] * y) / normal[2] };
         let (sin_beta, cos_beta) = (-r[2][0], (r[0][0] * r[0][0] + r[1][0] * r[1][0]).sqrt());
         let turned = SMatrix::<f64, 2, 3>::from_columns(&[

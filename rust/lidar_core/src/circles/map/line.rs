@@ -15,52 +15,54 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_PI_2;
 
-/// Half length that a line is turned about at least, when its ends wander [m].
+/// Least half length for the rotation of a line whose ends move [m].
 const LEAST_HALF: f64 = 0.25;
-/// Normals that differ by more are those of different surfaces [rad]: no gate is wider.
+/// Largest angle between the normals of one surface [rad]; no gate is wider.
 const WIDEST: f64 = 0.5;
 
 /// A line in the world, as one segment of one scan shows it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct LineMeasurement {
-    /// Its middle [m].
+    /// Middle of the line [m].
     pub(super) middle: [f64; 2],
-    /// Bearing of its normal, away from the sensor [rad].
+    /// Bearing of the normal, which points away from the sensor [rad].
     pub(super) angle: f64,
-    /// Half its length [m].
+    /// Half length [m].
     pub(super) half: f64,
-    /// Covariance of the angle and of where it is across its middle.
+    /// Covariance of the angle and of the position across the middle.
     pub(super) R: Matrix2<f64>,
 }
 
 impl LineMeasurement {
-    /// What a surface that is not quite straight adds to the covariance.
+    /// Covariance that a surface adds because it is not exactly straight.
     fn bent(&self, rules: &LineRules) -> Matrix2<f64> {
         let (variance, half) = (rules.std * rules.std, self.half.max(LEAST_HALF));
         Matrix2::new(variance / (half * half), 0.0, 0.0, variance)
     }
 }
 
-/// A line, given by its normal and by its distance from a point near it, which never moves.
+/// A line, given by its normal and by its distance from an anchor near it, which never moves.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Line {
     anchor: [f64; 2],
     /// Bearing of the normal [rad], distance from the anchor along it [m].
     state: Gaussian<2>,
-    /// From where to where it was seen, counter-clockwise from the foot of the anchor [m].
+    /// Ends of the part that was seen, counter-clockwise from the foot of the anchor [m].
     extent: [f64; 2],
 }
 
-/// Unit vector.
+/// Unit vector in a direction.
 fn direction(angle: f64) -> Vector2<f64> {
     Vector2::new(libm::cos(angle), libm::sin(angle))
 }
 
 impl Line {
-    /// As it is in the first measurement.
+    /// Line from its first measurement.
     fn new(seen: &LineMeasurement, rules: &LineRules) -> Self {
         let covariance = seen.R + seen.bent(rules);
         Self {
+            // An anchor on the line keeps angle and distance nearly independent. Measured from the
+            // origin of the world, a small angle would move a far line by metres.
             anchor: seen.middle,
             state: Gaussian { mean: Vector2::new(seen.angle, 0.0), covariance },
             extent: [-seen.half, seen.half],
@@ -71,7 +73,7 @@ impl Line {
         direction(self.state.mean[0])
     }
 
-    /// Along the line, counter-clockwise as seen from its front.
+    /// Direction along the line, counter-clockwise as seen from its front.
     fn tangent(&self) -> Vector2<f64> {
         let normal = self.normal();
         Vector2::new(-normal[1], normal[0])
@@ -81,9 +83,10 @@ impl Line {
         Vector2::new(x - self.anchor[0], y - self.anchor[1])
     }
 
-    /// The measurement that would be certain of a point `at` of the line; its model.
+    /// Linearised measurement of the line by its angle and the point `at`.
     fn model(&self, at: [f64; 2], angle: f64, R: Matrix2<f64>) -> Linearised<2, 2> {
         let away = self.offset(at);
+        // The position across depends on the angle by the distance along the line.
         let across = self.normal().dot(&away) - self.state.mean[1];
         let slope = -self.tangent().dot(&away);
         Linearised {
@@ -93,24 +96,25 @@ impl Line {
         }
     }
 
-    /// How far a stretch of points about `middle` is from what was seen of the line [m].
+    /// Gap between the part that was seen and a stretch of points about `middle`, negative if they
+    /// overlap [m].
     fn gap(&self, middle: [f64; 2], half: f64) -> f64 {
         let along = self.tangent().dot(&self.offset(middle));
         (self.extent[0] - along - half).max(along - half - self.extent[1])
     }
 
-    /// Take in a stretch.
+    /// Extend the part that was seen by a stretch.
     fn extend(&mut self, middle: [f64; 2], half: f64) {
         let along = self.tangent().dot(&self.offset(middle));
         self.extent = [self.extent[0].min(along - half), self.extent[1].max(along + half)];
     }
 
-    /// Length of what was seen [m].
+    /// Length of the part that was seen [m].
     pub(super) fn length(&self) -> f64 {
         self.extent[1] - self.extent[0]
     }
 
-    /// Its two ends [m], counter-clockwise as seen from its front.
+    /// Both ends [m], counter-clockwise as seen from the front.
     pub(super) fn ends(&self) -> [[f64; 2]; 2] {
         let (normal, tangent) = (self.normal() * self.state.mean[1], self.tangent());
         self.extent.map(|along| {
@@ -124,13 +128,14 @@ impl Line {
         [0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1])]
     }
 
-    /// Bearing of the normal [rad] and position across the middle, and their covariance.
+    /// Bearing of the normal [rad], and the covariance of it and of the position across the middle.
     pub(super) fn about_middle(&self) -> (f64, Matrix2<f64>) {
         let H = self.model(self.middle(), 0.0, Matrix2::zeros()).H;
         (turn(self.state.mean[0]), symmetrised(H * self.state.covariance * H.transpose()))
     }
 
-    /// Its middle, at rest, its bearing and half its length; of the covariance what lies across it.
+    /// Reported state: middle, at rest, bearing and half length. The covariance contains the
+    /// bearing and the position across the line only.
     pub(super) fn reported(&self) -> Gaussian<7> {
         let ([x, y], (angle, P)) = (self.middle(), self.about_middle());
         let heading = turn(angle + FRAC_PI_2);
@@ -141,7 +146,7 @@ impl Line {
         Gaussian { mean, covariance: symmetrised(J * P * J.transpose()) }
     }
 
-    /// Whether all of `points` lie on it, as ranges of deviation `std` would.
+    /// True if all `points` lie on the line, up to the error of ranges with deviation `std`.
     pub(super) fn holds(&self, points: &[[f64; 2]], std: f64, rules: &LineRules) -> bool {
         let mut square = 0.0;
         let mut variance = 0.0;
@@ -150,6 +155,7 @@ impl Line {
             if self.gap(point, 0.0) > rules.gap {
                 return false;
             }
+            // The mean square must fit the sum of the variances: single points may be farther off.
             let own = (model.H * self.state.covariance * model.H.transpose())[(1, 1)];
             square += model.y[1] * model.y[1];
             variance += own + std * std + rules.std * rules.std;
@@ -157,7 +163,7 @@ impl Line {
         square <= rules.reach * rules.reach * variance
     }
 
-    /// A measurement, of a surface that is not quite straight, and its squared distance.
+    /// Linearised measurement of a surface that is not exactly straight, and its squared distance.
     fn compared(
         &self,
         seen: &LineMeasurement,
@@ -169,20 +175,21 @@ impl Line {
         Ok((model, squared))
     }
 
-    /// Squared distance of a measurement of the same surface; None for another one. A surface lies
-    /// where the gate says, or nowhere farther off than rays that belong to it.
+    /// Squared distance of a measurement of the same surface; None for another surface.
     fn distance(&self, seen: &LineMeasurement, rules: &Rules) -> Result<Option<f64>, Error> {
         let turned = turn(seen.angle - self.state.mean[0]).abs();
         if turned > WIDEST || self.gap(seen.middle, seen.half) > rules.lines().gap {
             return Ok(None);
         }
         let (Linearised { y, .. }, squared) = self.compared(seen, rules)?;
+        // After many scans the covariance is tighter than real walls are straight. Within the
+        // margin of the rays a measurement belongs to the line in any case.
         let farthest = y[1].abs() + seen.half * libm::sin(y[0]).abs();
         let is_same = squared <= rules.line_gate() || farthest <= rules.looking().margin;
         Ok(is_same.then_some(squared))
     }
 
-    /// What it would be as a measurement.
+    /// The line as a measurement.
     fn as_measurement(&self) -> LineMeasurement {
         let (angle, R) = self.about_middle();
         LineMeasurement { middle: self.middle(), angle, half: 0.5 * self.length(), R }
@@ -196,28 +203,31 @@ impl State for Line {
         Self::new(seen, rules.lines())
     }
 
-    /// Short ones may be pieces of anything.
+    /// Short lines do not start an element: they may be parts of anything.
     fn is_born(seen: &LineMeasurement, rules: &Rules) -> bool {
         2.0 * seen.half >= rules.lines().length
     }
 
-    /// Its ends wander.
+    /// Predict: the ends move at random across the line.
     fn predict(&mut self, step: &Step) {
+        // Two independent ends: the mean of their movements shifts the line, their difference over
+        // the length turns it.
         let half = (0.5 * self.length()).max(LEAST_HALF);
         let wander = step.line_variance();
         self.state.covariance += Matrix2::new(wander / (half * half), 0.0, 0.0, wander);
     }
 
-    /// A measurement outside of the gate counts for so much less that it would be inside.
+    /// Correct the line. A measurement outside the gate is weighted down until it would be inside.
     fn correct(&mut self, seen: &LineMeasurement, rules: &Rules) -> Result<(), Error> {
         let (mut model, squared) = self.compared(seen, rules)?;
+        // Without this one bad segment would bend a well known wall.
         model.R *= (squared / rules.line_gate()).max(1.0);
         self.state = update(&self.state, &model)?.posterior;
         self.extend(seen.middle, seen.half);
         Ok(())
     }
 
-    /// Every measurement goes to the line that it fits best: a line may be seen in pieces.
+    /// Assign every measurement to the line that fits best: a line may be seen in pieces.
     fn associate<'a>(
         all: impl ExactSizeIterator<Item = &'a Self> + Clone,
         seen: &[LineMeasurement],
@@ -249,7 +259,7 @@ impl State for Line {
         self.about_middle().1[(1, 1)] > most * most
     }
 
-    /// The shorter one is a piece of the longer one.
+    /// True if the shorter line is a piece of the longer one.
     fn is_twin(&self, other: &Self, rules: &Rules) -> bool {
         let (long, short) =
             if self.length() < other.length() { (other, self) } else { (self, other) };
@@ -257,7 +267,7 @@ impl State for Line {
         squared.is_ok_and(|squared| squared.is_some())
     }
 
-    /// The longer one stays, and reaches as far as both.
+    /// Keep the longer line, extended to the ends of both.
     fn absorb(&mut self, mut twin: Self, _: bool) {
         if twin.length() > self.length() {
             std::mem::swap(self, &mut twin);
@@ -265,7 +275,7 @@ impl State for Line {
         self.extend(twin.middle(), 0.5 * twin.length());
     }
 
-    /// What ends at it shows that it is there.
+    /// Rays that end on a line show that it is there, so they never remove it.
     fn patience(rules: &Rules) -> Patience {
         let patience = rules.parameters().patience;
         Patience { unmatched: f64::INFINITY, hidden: rules.lines().coast, ..patience }

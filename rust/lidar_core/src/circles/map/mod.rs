@@ -1,8 +1,8 @@
 //! The semantic map: circles with identities, radii, velocities and covariances.
 //!
-//! Source: Sanchez-Lopez et al., sec. V. Beside the joint filter of the paper there is a filter
-//! per element, which is told how certain every circle is, what the scan could see, and how
-//! objects move: see [`Independent`].
+//! Source: Sanchez-Lopez et al., sec. V. Besides the joint filter of the paper there is one filter
+//! per element. It uses the covariance of every circle, the view of the scan, and several modes of
+//! motion: see [`Independent`].
 
 mod body;
 mod covariance;
@@ -44,7 +44,7 @@ use serde::{Deserialize, Serialize};
 
 const KIND: &str = "circle map";
 
-/// An element, predicted to one time.
+/// An element, predicted to a time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapElement {
     /// Number, never reused.
@@ -55,57 +55,58 @@ pub struct MapElement {
     pub age: f64,
     /// Time of its last measurement [ns].
     pub seen_ns: i64,
-    /// Scans that measured it.
+    /// Number of scans that measured it.
     pub n_measurements: u32,
-    /// A sensor's newest scan measured it, or should have.
+    /// The newest scan of a sensor measured the element, or should have.
     pub visible: bool,
-    /// Enough scans speak for it.
+    /// Enough scans measured the element.
     pub confirmed: bool,
 }
 
-/// An element that is no circle, predicted to one time.
+/// An element that is no circle, predicted to a time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapShape {
-    /// Number, never reused; an ellipse or rectangle that is not large has it in the map of circles,
-    /// too.
+    /// Number, never reused. An ellipse or rectangle that is not large is in the map of circles
+    /// under the same number.
     pub id: i64,
-    /// What it is.
+    /// Kind of the shape.
     pub kind: ShapeKind,
-    /// Centre x and y [m], its velocity [m/s], bearing of the longer half length [rad], longer and
-    /// shorter half length [m]. Of a line the covariance knows what lies across it, and the bearing.
+    /// Centre x and y [m], velocity [m/s], bearing of the longer half length [rad], longer and
+    /// shorter half length [m]. The covariance of a line contains only the bearing and the position
+    /// across it.
     pub state: Gaussian<7>,
-    /// Ends of a line [m]: on the way from one to the other its face is on the left.
+    /// Ends of a line [m]; seen from the first towards the second, the face is on the left.
     pub ends: Option<[[f64; 2]; 2]>,
     /// Time since its first measurement [s].
     pub age: f64,
     /// Time of its last measurement [ns].
     pub seen_ns: i64,
-    /// A sensor's newest scan measured it, or should have.
+    /// The newest scan of a sensor measured the element, or should have.
     pub visible: bool,
-    /// Enough scans speak for it.
+    /// Enough scans measured the element.
     pub confirmed: bool,
 }
 
-/// What a scan did to the map, by the numbers of the elements.
+/// Changes of the map by a scan, as numbers of elements.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MapStats {
     /// The scan was older than the newest one.
     pub late: bool,
-    /// Element of every circle of the scan, which may have been removed since.
+    /// Element of every circle of the scan; it may have been removed since.
     pub elements: Vec<i64>,
-    /// Element of every line of the scan; None for one that is too short to be new.
+    /// Element of every line of the scan; None for a line too short to start one.
     pub lines: Vec<Option<i64>>,
-    /// New.
+    /// Elements that are new.
     pub born: Vec<i64>,
-    /// Reported from now on.
+    /// Elements that are reported from now on.
     pub confirmed: Vec<i64>,
-    /// No more; also those that went into others.
+    /// Elements that are removed, including those merged into others.
     pub removed: Vec<i64>,
-    /// Pairs: the element that stays and the one that went into it.
+    /// Pairs of an element that stays and the one merged into it.
     pub merged: Vec<[i64; 2]>,
 }
 
-/// What a scan did that the elements do not show.
+/// Result of a scan that the elements do not show.
 struct Outcome {
     late: bool,
     found: Found,
@@ -117,14 +118,14 @@ enum Engine {
     Independent(Box<Rules>, History),
 }
 
-/// A map of circles in the world, fed by scans.
+/// Map of circles in the world, updated by scans.
 pub struct CircleMap {
     parameters: CircleMapParameters,
     engine: Engine,
     next_id: i64,
 }
 
-/// Everything about a [`CircleMap`] that changes with scans.
+/// State of a [`CircleMap`] that changes with scans.
 #[derive(Serialize)]
 pub(super) struct MapState<'a> {
     paper: Option<&'a joint::State>,
@@ -132,7 +133,7 @@ pub(super) struct MapState<'a> {
     next_id: i64,
 }
 
-/// [`MapState`], read.
+/// [`MapState`] as it is read back.
 #[derive(Deserialize)]
 pub(super) struct SavedMap {
     paper: Option<joint::State>,
@@ -165,11 +166,11 @@ impl CircleMap {
         sealed(KIND, &self.parameters, &self.state())
     }
 
-    /// A map that goes on, to the same bits, where the one went whose state was saved.
+    /// Map from a saved state; it continues with the same bits as the saved one.
     ///
     /// # Errors
-    /// As [`CircleMap::new`]; [`Error::Format`] for bytes that [`CircleMap::to_state`] did not
-    /// make, [`Error::Parameter`] for those of a map with other parameters.
+    /// Errors of [`CircleMap::new`]; [`Error::Format`] for bytes that [`CircleMap::to_state`] did
+    /// not make, [`Error::Parameter`] for the state of a map with other parameters.
     pub fn from_state(parameters: CircleMapParameters, bytes: &[u8]) -> Result<Self, Error> {
         let saved = opened(KIND, &parameters, bytes)?;
         let mut map = Self::new(parameters)?;
@@ -197,17 +198,18 @@ impl CircleMap {
         Ok(())
     }
 
-    /// Take in the circles of one scan, an empty set included.
+    /// Update the map with the circles of one scan, which may be empty.
     ///
     /// # Errors
-    /// [`Error::Value`] for a pose, circle or covariance that cannot be used, [`Error::Time`] for
-    /// a scan that was processed or comes too late, [`Error::Limit`] above [`MAX_ELEMENTS`]. The
-    /// map is unchanged then.
+    /// [`Error::Value`] for a pose, circle or covariance that cannot be used, [`Error::Time`] for a
+    /// scan that was processed or comes too late, [`Error::Limit`] above [`MAX_ELEMENTS`]. After an
+    /// error the map is unchanged.
     pub fn update(&mut self, scan: &CircleScan<'_>) -> Result<MapStats, Error> {
         let before = self.numbers();
         let outcome = match &mut self.engine {
             Engine::Paper(joint) => joint.update(scan, &mut self.next_id)?,
             Engine::Independent(rules, history) => {
+                // Before the scan is transformed, which would be in vain for a refused stamp.
                 history.is_late((scan.stamp_ns, scan.sensor))?;
                 history.push(rules, Placed::new(scan)?, &mut self.next_id)?
             }
@@ -216,6 +218,8 @@ impl CircleMap {
         let lacks = |list: &[(i64, bool)], id: i64| list.iter().all(|&(known, _)| known != id);
         let reported = |list: &[(i64, bool)], id: i64| list.contains(&(id, true));
         let confirmed = after.iter().filter(|&&(id, yes)| yes && !reported(&before, id));
+        // From the difference of both lists: a late scan also changes what later scans created or
+        // removed.
         Ok(MapStats {
             late: outcome.late,
             elements: outcome.found.circles,
@@ -227,8 +231,8 @@ impl CircleMap {
         })
     }
 
-    /// Every element, unconfirmed ones included, predicted to `stamp_ns`, by number. Changes
-    /// nothing, so that it does not matter how often it is asked.
+    /// All elements, unconfirmed ones included, predicted to `stamp_ns`, ordered by number. The map
+    /// is not changed.
     #[must_use]
     pub fn map_at(&self, stamp_ns: i64) -> Vec<MapElement> {
         match &self.engine {
@@ -237,8 +241,8 @@ impl CircleMap {
         }
     }
 
-    /// Every element that is no circle, unconfirmed ones included, predicted to `stamp_ns`, by
-    /// number; none with the filter of the paper. Changes nothing.
+    /// Elements that are no circles, unconfirmed ones included, predicted to `stamp_ns`, ordered by
+    /// number; none with the filter of the paper. The map is not changed.
     #[must_use]
     pub fn shapes_at(&self, stamp_ns: i64) -> Vec<MapShape> {
         match &self.engine {
@@ -247,8 +251,8 @@ impl CircleMap {
         }
     }
 
-    /// Whether points of the world all lie on a reported line of at least `length` [m], as ranges of
-    /// deviation `std` [m] would.
+    /// True if all points, in the world, lie on one reported line of at least `length` [m], up to
+    /// the error of ranges with deviation `std` [m].
     #[must_use]
     pub fn is_on_line(&self, points: &[[f64; 2]], std: f64, length: f64) -> bool {
         match &self.engine {
@@ -259,10 +263,10 @@ impl CircleMap {
         }
     }
 
-    /// Whether a scan would come at a time that can be used.
+    /// Check if a scan with this stamp can be processed.
     ///
     /// # Errors
-    /// [`Error::Time`] as [`CircleMap::update`].
+    /// [`Error::Time`] for the stamps that [`CircleMap::update`] refuses.
     pub fn check_stamp(&self, stamp_ns: i64, sensor: u32) -> Result<(), Error> {
         match &self.engine {
             Engine::Paper(joint) => joint.check_stamp((stamp_ns, sensor)),
@@ -270,7 +274,7 @@ impl CircleMap {
         }
     }
 
-    /// Forget all elements and scans. Numbers go on where they were.
+    /// Remove all elements and scans. Numbers are not used again.
     pub fn reset(&mut self) {
         match &mut self.engine {
             Engine::Paper(joint) => joint.reset(),
@@ -278,7 +282,7 @@ impl CircleMap {
         }
     }
 
-    /// Numbers of all elements, and whether they are reported.
+    /// Numbers of all elements, each with true if it is reported.
     fn numbers(&self) -> Vec<(i64, bool)> {
         match &self.engine {
             Engine::Paper(joint) => joint.numbers().map(|id| (id, true)).collect(),
@@ -289,5 +293,7 @@ impl CircleMap {
 
 /// Time from one stamp to another [s].
 fn seconds(from_ns: i64, to_ns: i64) -> f64 {
+    // Subtracted as integers: stamps as floats would lose their nanoseconds, and the difference of
+    // two may exceed 64 bits.
     (i128::from(to_ns) - i128::from(from_ns)) as f64 * 1e-9
 }

@@ -1,4 +1,4 @@
-//! One element's motion: several modes at once, between which it switches.
+//! Motion of one element: several modes at once, between which it switches.
 //!
 //! Source: Blom & Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian
 //! switching coefficients", IEEE T-AC 33(8), 1988; here the chain runs in continuous time.
@@ -11,13 +11,13 @@ use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised, 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Most modes.
+/// Largest number of modes.
 pub const MAX_MODES: usize = 4;
 /// Longest step between two mixings [s].
 const MAX_STEP: f64 = 0.1;
-/// Most steps of one prediction; they are longer beyond.
+/// Most steps of one prediction; for longer times the steps become longer.
 const MAX_STEPS: f64 = 600.0;
-/// Largest product of rate and time for which the series of the exponential is summed.
+/// Largest product of rate and time for which the exponential series is summed.
 const SERIES: f64 = 1e-3;
 /// Least probability of a mode.
 const LEAST: f64 = 1e-30;
@@ -25,13 +25,13 @@ const LN_2_PI: f64 = 1.837_877_066_409_345_3;
 
 pub(super) type Matrix5 = SMatrix<f64, 5, 5>;
 type Square<const N: usize> = SMatrix<f64, N, N>;
-/// Entry (i, j): probability of mode j after a time, if it was i before.
+/// Entry (i, j): probability of mode j after a time, if the mode was i before.
 type Switching = SMatrix<f64, MAX_MODES, MAX_MODES>;
 
-/// What a measurement of M numbers says about a state of N: centre x and y, their velocities, then
-/// what wanders.
+/// A measurement of M values of a state of N values: centre x and y, their velocities, then the
+/// values of a random walk.
 pub(super) trait Measures<const N: usize, const M: usize> {
-    /// The measurement against one state.
+    /// Linearised measurement at a state.
     fn against(&self, state: &SVector<f64, N>) -> Linearised<N, M>;
 }
 
@@ -42,7 +42,7 @@ pub(super) struct Measurement {
     pub(super) z: Vector3<f64>,
     /// Their covariance.
     pub(super) R: Matrix3<f64>,
-    /// When it was measured, after the stamp of the scan [s].
+    /// Time of the measurement after the stamp of the scan [s].
     pub(super) delay: f64,
 }
 
@@ -53,8 +53,8 @@ impl Measures<5, 3> for Measurement {
     }
 }
 
-/// Measurement matrix of a centre and everything that wanders: eqs 16-17 in the world, for a centre
-/// that moves on for `delay` seconds between the stamp and the measurement.
+/// Measurement matrix of the centre and of all random walks: eqs 16-17 in the world, for a centre
+/// that moves for `delay` seconds between the stamp and the measurement.
 pub(super) fn centre_matrix<const N: usize, const M: usize>(delay: f64) -> SMatrix<f64, M, N> {
     let mut H = SMatrix::<f64, M, N>::zeros();
     for axis in 0..2 {
@@ -72,7 +72,7 @@ pub(super) fn new_state(measurement: &Measurement, speed: f64) -> Gaussian<5> {
     at_rest(measurement.z, measurement.R, measurement.delay, speed)
 }
 
-/// Something measured for the first time: at rest, of unknown velocity.
+/// State of an object measured for the first time: at rest, of unknown velocity.
 pub(super) fn at_rest<const N: usize, const M: usize>(
     z: SVector<f64, M>,
     R: Square<M>,
@@ -88,7 +88,7 @@ pub(super) fn at_rest<const N: usize, const M: usize>(
     Gaussian { mean: H.transpose() * z, covariance }
 }
 
-/// Eqs 13 and 15.
+/// Transition matrix of eqs 13 and 15.
 pub(super) fn transition<const N: usize>(dt: f64) -> Square<N> {
     let mut F = Square::<N>::identity();
     F[(0, 2)] = dt;
@@ -96,8 +96,8 @@ pub(super) fn transition<const N: usize>(dt: f64) -> Square<N> {
     F
 }
 
-/// Noise of white acceleration, and of what wanders, over `dt` >= 0 seconds: two short steps equal
-/// one long one.
+/// Covariance of white acceleration and of random walks over `dt` >= 0 seconds. Two short steps
+/// give the same as one long step.
 fn process_covariance<const N: usize>(dt: f64, density: f64, wander: &[f64]) -> Square<N> {
     let mut Q = Square::<N>::zeros();
     for axis in 0..2 {
@@ -112,7 +112,7 @@ fn process_covariance<const N: usize>(dt: f64, density: f64, wander: &[f64]) -> 
     Q
 }
 
-/// How elements move.
+/// Motion of elements.
 #[derive(Clone, Debug)]
 pub(super) struct Motion {
     modes: Vec<Mode>,
@@ -123,7 +123,7 @@ pub(super) struct Motion {
     rates: Switching,
 }
 
-/// Prediction of states of one size.
+/// Prediction of states of N values.
 pub(super) struct Move<const N: usize> {
     count: usize,
     F: Square<N>,
@@ -131,24 +131,25 @@ pub(super) struct Move<const N: usize> {
     switching: Switching,
 }
 
-/// One prediction over a given time, the same for all elements.
+/// Prediction over a given time, shared by all elements.
 pub(super) struct Step {
-    /// Of circles: centre, velocity, radius.
+    /// Prediction of circles: centre, velocity, radius.
     pub(super) circles: Move<5>,
-    /// Of other outlines: centre, velocity, heading, half lengths.
+    /// Prediction of other outlines: centre, velocity, heading, half lengths.
     pub(super) outlines: Move<7>,
     line_variance: f64,
 }
 
 impl Step {
-    /// Of what lines wander over the whole step [m^2].
+    /// Variance of the random walk of lines over the whole step [m^2].
     pub(super) fn line_variance(&self) -> f64 {
         self.line_variance
     }
 }
 
 impl Motion {
-    /// Densities are those of radii and half lengths, of headings, and of lines.
+    /// Motion from modes and from the densities of radii and half lengths, of headings, and of
+    /// lines.
     pub(super) fn new(modes: &[Mode], [radius, turn, line]: [f64; 3]) -> Self {
         let total: f64 = modes.iter().map(|mode| mode.weight).sum();
         let modes: Vec<Mode> =
@@ -158,13 +159,14 @@ impl Motion {
             let elsewhere = others(&modes, from).map(|(_, other)| other.weight).sum::<f64>();
             for (to, other) in others(&modes, from) {
                 rates[(from, to)] = other.weight / elsewhere / mode.duration;
+                // Rows of rates sum to zero, so that probabilities keep summing to one.
                 rates[(from, from)] -= rates[(from, to)];
             }
         }
         Self { modes, radius_density: radius, turn_density: turn, line_density: line, rates }
     }
 
-    /// The step over `dt` seconds.
+    /// Prediction over `dt` seconds.
     pub(super) fn step(&self, dt: f64) -> Step {
         let size = self.radius_density;
         Step {
@@ -175,9 +177,12 @@ impl Motion {
     }
 
     fn movement<const N: usize>(&self, dt: f64, wander: &[f64]) -> Move<N> {
+        // Long times are split: modes that last shorter than a step would be mixed only once, and
+        // the mixture would depend on the rate of the scans.
         let count = (dt.abs() / MAX_STEP).ceil().clamp(1.0, MAX_STEPS);
         let part = dt / count;
-        let back: Square<N> = transition(part.min(0.0)); // noise that is looked back on comes before the move
+        // Backwards in time the noise acts before the transition.
+        let back: Square<N> = transition(part.min(0.0));
         let Q = self.modes.iter().map(|mode| {
             let Q = process_covariance(part.abs(), mode.density, wander);
             symmetrised(back * Q * back.transpose())
@@ -191,15 +196,16 @@ impl Motion {
     }
 }
 
-/// All modes but one, with their numbers.
+/// All modes except one, with their numbers.
 fn others(modes: &[Mode], but: usize) -> impl Iterator<Item = (usize, &Mode)> {
     modes.iter().enumerate().filter(move |&(index, _)| index != but)
 }
 
-/// e^(rates * time): scaled, summed as a series, squared.
+/// Matrix exponential e^(rates * time) by scaling and squaring.
 fn exponential(rates: &Switching, time: f64) -> Switching {
     let mut squarings = 0;
     let mut part = time;
+    // Powers of two are exact, so that the scaling itself adds no error.
     while part * rates.abs().max() > SERIES && squarings < 64 {
         part *= 0.5;
         squarings += 1;
@@ -217,7 +223,7 @@ fn exponential(rates: &Switching, time: f64) -> Switching {
     sum
 }
 
-/// Where an element is, in every mode.
+/// State of an element in every mode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Modes<const N: usize> {
     states: Vec<Gaussian<N>>,
@@ -233,12 +239,12 @@ impl<const N: usize> Modes<N> {
         Self { states: vec![state; motion.modes.len()], probabilities }
     }
 
-    /// Move by `step`.
-    /// Whether there is a state per mode of `motion`: of a state that was read.
+    /// True if a restored state has one part per mode of `motion`.
     pub(super) fn fits(&self, motion: &Motion) -> bool {
         self.states.len() == motion.modes.len()
     }
 
+    /// Predict by `step`.
     pub(super) fn predict(&mut self, step: &Move<N>) {
         for _ in 0..step.count {
             self.mix(&step.switching);
@@ -250,7 +256,7 @@ impl<const N: usize> Modes<N> {
         }
     }
 
-    /// Let elements switch between modes: every mode becomes the mean of what it may come from.
+    /// Mixing step: every mode becomes the mean of the modes that it may come from.
     fn mix(&mut self, switching: &Switching) {
         if self.states.len() == 1 {
             return;
@@ -265,16 +271,16 @@ impl<const N: usize> Modes<N> {
         }
     }
 
-    /// One state for all modes.
+    /// Mean and covariance over all modes.
     pub(super) fn combined(&self) -> Gaussian<N> {
         mixture(&self.states, &self.probabilities)
     }
 
-    /// -2 ln of the likelihood of `seen`, with one mode d^2 + ln det S + M ln(2 pi); None if it is
+    /// -2 ln of the likelihood of `seen`; with one mode d^2 + ln det S + M ln(2 pi). None if it is
     /// outside the gate of every mode.
     ///
     /// # Errors
-    /// [`Error::NotPositiveDefinite`].
+    /// [`Error::NotPositiveDefinite`] if an innovation covariance cannot be factorised.
     pub(super) fn cost<const M: usize>(
         &self,
         seen: &impl Measures<N, M>,
@@ -299,7 +305,8 @@ impl<const N: usize> Modes<N> {
     /// Correct with a measurement.
     ///
     /// # Errors
-    /// [`Error::NotPositiveDefinite`]; the state is unchanged then.
+    /// [`Error::NotPositiveDefinite`] if an innovation covariance cannot be factorised; the state
+    /// is then unchanged.
     pub(super) fn correct<const M: usize>(
         &mut self,
         seen: &impl Measures<N, M>,
@@ -314,7 +321,8 @@ impl<const N: usize> Modes<N> {
         }
         let total = log_sum(&costs);
         for (probability, cost) in self.probabilities.iter_mut().zip(costs).take(states.len()) {
-            *probability = libm::exp(-0.5 * cost - total).max(LEAST); // no mode is given up for good
+            // No mode is given up for good: zero would stay zero.
+            *probability = libm::exp(-0.5 * cost - total).max(LEAST);
         }
         self.states = states;
         Ok(())
@@ -323,6 +331,7 @@ impl<const N: usize> Modes<N> {
 
 /// Logarithm of the sum of e^(-cost / 2).
 fn log_sum(costs: &[f64; MAX_MODES]) -> f64 {
+    // Relative to the least cost: the terms of a far measurement would all underflow.
     let least = costs.iter().copied().fold(f64::INFINITY, f64::min);
     let sum: f64 = costs.iter().map(|cost| libm::exp(-0.5 * (cost - least))).sum();
     libm::log(sum) - 0.5 * least

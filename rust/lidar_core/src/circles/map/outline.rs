@@ -12,22 +12,22 @@ use nalgebra::{SMatrix, SVector};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// What a circle stands for.
+/// Shape that a circle represents.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OutlineEstimate {
-    /// An ellipse, a rectangle, or a line: one face of something unknown.
+    /// Ellipse, rectangle, or line: one face of an unknown object.
     pub shape: ShapeEstimate,
-    /// It is larger than what is reported as a circle.
+    /// It is too large to be reported as a circle.
     pub is_large: bool,
-    /// The circle that its rays show, if they may: of what is known to be one.
+    /// Circle that its rays show if it is one; for elements that are known to be round.
     pub round: Option<CircleEstimate>,
 }
 
-/// Kinds of which bodies may be.
+/// Kinds of bodies.
 const KINDS: [ShapeKind; 3] = [ShapeKind::Circle, ShapeKind::Ellipse, ShapeKind::Rectangle];
-/// Share of the newest measurement in what a body is taken for.
+/// Weight of the newest measurement in the kind of a body.
 const NEWEST: f64 = 0.1;
-/// By how much another kind has to be ahead.
+/// Lead in weight that another kind needs.
 const AHEAD: f64 = 0.1;
 
 /// An ellipse or rectangle in the world.
@@ -37,9 +37,9 @@ pub(super) struct OutlineMeasurement {
     /// Centre x and y [m], bearing of the first half length [rad], both half lengths [m].
     pub(super) z: SVector<f64, 5>,
     pub(super) R: SMatrix<f64, 5, 5>,
-    /// When it was measured, after the stamp of the scan [s].
+    /// Time of the measurement after the stamp of the scan [s].
     pub(super) delay: f64,
-    /// Larger than what is reported as a circle.
+    /// Too large to be reported as a circle.
     pub(super) is_large: bool,
 }
 
@@ -51,7 +51,7 @@ impl Measures<7, 5> for OutlineMeasurement {
 }
 
 impl OutlineMeasurement {
-    /// The same outline with the other half length first.
+    /// Equivalent outline, described with the other half length first.
     fn turned(&self) -> Self {
         let z = SVector::from([self.z[0], self.z[1], self.z[2] + FRAC_PI_2, self.z[4], self.z[3]]);
         let mut R = self.R;
@@ -60,31 +60,31 @@ impl OutlineMeasurement {
         Self { z, R, ..*self }
     }
 
-    /// The same outline with the heading nearest to `heading`: half a turn changes nothing.
+    /// Outline with the heading nearest to `heading`; half a turn is the same outline.
     fn near(mut self, heading: f64) -> Self {
         self.z[2] -= PI * libm::round((self.z[2] - heading) / PI);
         self
     }
 }
 
-/// What a body looks like.
+/// Outline of a body.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Outline {
     state: Option<Modes<7>>,
-    /// Shares of the kinds among what was measured lately.
+    /// Weights of the kinds in recent measurements.
     shares: [f64; 3],
     kind: usize,
-    /// Share of what was large.
+    /// Weight of large measurements.
     large: f64,
 }
 
 impl Outline {
-    /// Whether its parts agree: of a state that was read.
+    /// True if the parts of a restored state agree.
     pub(super) fn fits(&self, motion: &Motion) -> bool {
         self.kind < self.shares.len() && self.state.iter().all(|state| state.fits(motion))
     }
 
-    /// As the first measurement shows it; None: a circle.
+    /// Outline from the first measurement; None for a circle.
     pub(super) fn new(seen: Option<&OutlineMeasurement>, rules: &Rules) -> Self {
         let mut outline = Self::default();
         if let Some(seen) = seen {
@@ -102,8 +102,8 @@ impl Outline {
         }
     }
 
-    /// Take in a measurement of the body; None: it was a circle. A measurement outside of the gate
-    /// counts for so much less that it would be inside.
+    /// Correct with a measurement of the body; None for a circle. A measurement outside the gate is
+    /// weighted down until it would be inside.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`]; nothing changes then.
@@ -127,12 +127,12 @@ impl Outline {
         Ok(())
     }
 
-    /// Whether it is taken for a circle.
+    /// True if the body is taken for a circle.
     pub(super) fn is_round(&self) -> bool {
         self.kind == 0
     }
 
-    /// Whether it was larger, mostly, than what is reported as a circle.
+    /// True if most recent measurements were too large for a circle.
     pub(super) fn is_large(&self) -> bool {
         self.large > 0.5
     }
@@ -141,6 +141,7 @@ impl Outline {
         self.large += NEWEST * (f64::from(u8::from(is_large)) - self.large);
         self.shares = self.shares.map(|share| share * (1.0 - NEWEST));
         self.shares[number(kind)] += NEWEST;
+        // A lead is needed to change: shapes between two kinds would alternate with every scan.
         let ahead = |&other: &usize| self.shares[other] > self.shares[self.kind] + AHEAD;
         self.kind = (0..KINDS.len()).find(ahead).unwrap_or(self.kind);
         if self.shares[0] > 1.0 - AHEAD {
@@ -148,10 +149,11 @@ impl Outline {
         }
     }
 
-    /// Kind and state, the longer half length first, if it is no circle.
+    /// Kind and state with the longer half length first, if the body is no circle.
     pub(super) fn reported(&self) -> Option<(ShapeKind, Gaussian<7>)> {
         let Gaussian { mut mean, mut covariance } = self.state.as_ref()?.combined();
         if mean[6] > mean[5] {
+            // Rows and columns of the covariance change places with the entries of the mean.
             mean.swap_rows(5, 6);
             covariance.swap_rows(5, 6);
             covariance.swap_columns(5, 6);
@@ -171,11 +173,13 @@ fn started(seen: &OutlineMeasurement, rules: &Rules) -> Modes<7> {
     Modes::new(at_rest(seen.z, seen.R, seen.delay, rules.speed()), rules.motion())
 }
 
-/// Of the ways to state an outline, the one nearest to a state, and its squared distance.
+/// Description of an outline that is nearest to a state, and its squared distance.
 fn nearest(
     state: &Gaussian<7>,
     seen: &OutlineMeasurement,
 ) -> Result<(OutlineMeasurement, f64), Error> {
+    // The filter is linear in heading and lengths, so the measurement takes the description in
+    // which both are nearest.
     let mut ways = [*seen, seen.turned()].map(|way| (way.near(state.mean[4]), 0.0));
     for (way, squared) in &mut ways {
         let Linearised { y, H, R } = way.against(&state.mean);

@@ -1,4 +1,4 @@
-//! Parameters of the map; the joint filter is the paper's.
+//! Parameters of the map.
 
 use super::modes::MAX_MODES;
 use crate::Error;
@@ -6,105 +6,105 @@ use crate::error::{require, require_positive};
 use crate::estimation::chi2;
 use std::ops::RangeInclusive;
 
-/// Most elements, and most circles in one scan.
+/// Largest number of elements, and of circles in one scan.
 pub const MAX_ELEMENTS: usize = 2_000;
-/// Most scans that confirmation looks back on: one bit each.
+/// Largest number of scans for confirmation: one bit each.
 pub const MAX_WINDOW: u32 = 64;
 
-/// One way in which a centre may move: with nearly constant velocity, driven by white acceleration.
+/// Mode of motion: nearly constant velocity, driven by white acceleration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mode {
     /// Density of the acceleration [m^2/s^3].
     pub density: f64,
-    /// Share of new elements, and of those that leave another mode, that move like this.
+    /// Share of new elements, and of those that leave another mode, with this mode.
     pub weight: f64,
-    /// Mean time that it lasts [s].
+    /// Mean duration of the mode [s].
     pub duration: f64,
 }
 
-/// Largest standard deviations of an element that should be seen.
+/// Largest standard deviations of a visible element.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// Of the centre, in its worst direction [m].
+    /// Limit for the centre, in its worst direction [m].
     pub position: f64,
-    /// Of the velocity, in its worst direction [m/s].
+    /// Limit for the velocity, in its worst direction [m/s].
     pub velocity: f64,
-    /// Of the radius [m].
+    /// Limit for the radius [m].
     pub radius: f64,
 }
 
-/// How long an element stays without a measurement.
+/// Times for which an element stays without a measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Patience {
-    /// Scans in a row that must miss it, however long the times between them.
+    /// Least number of consecutive scans without it, whatever the time between them.
     pub scans: u32,
-    /// While rays pass through its place [s].
+    /// Time while rays pass through its place [s].
     pub absent: f64,
-    /// While rays end at its place, but no circle is found there [s].
+    /// Time while rays end at its place, but no circle is found there [s].
     pub unmatched: f64,
-    /// While it is hidden or out of view [s]; None: for ever.
+    /// Time while it is hidden or out of view [s]; None: for ever.
     pub hidden: Option<f64>,
 }
 
-/// What it takes to see that an element is not there.
+/// Conditions under which an element counts as absent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Looking {
-    /// A range that differs less from the expected one belongs to the element [m].
+    /// Largest difference from the expected range for a ray on the element [m].
     pub margin: f64,
-    /// Fewer rays tell nothing.
+    /// Least number of rays for a decision.
     pub min_rays: usize,
 }
 
-/// An element is reported once `hits` of the last `window` scans held it.
+/// An element is reported once `hits` of the last `window` scans measured it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Confirmation {
-    /// Scans that held it, >= 1.
+    /// Number of scans that measured it, >= 1.
     pub hits: u32,
-    /// Scans looked back on, `hits` to [`MAX_WINDOW`].
+    /// Number of scans that count, `hits` to [`MAX_WINDOW`].
     pub window: u32,
 }
 
-/// What lines are like.
+/// Properties of lines.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineRules {
-    /// Density of the random walk of their ends, across them [m^2/s].
+    /// Density of the random walk of their ends, across the line [m^2/s].
     pub density: f64,
-    /// Standard deviation of how far they depart from straight [m].
+    /// Standard deviation of a surface from a straight line [m].
     pub std: f64,
-    /// Stretches of one surface with more between them are two lines [m].
+    /// Gap in a surface above which there are two lines [m].
     pub gap: f64,
-    /// Shorter stretches make no line [m].
+    /// Least length of a new line [m].
     pub length: f64,
-    /// Standard deviations that rays on a line may lie off it, root mean square.
+    /// Largest root mean square distance of rays on a line, in standard deviations.
     pub reach: f64,
-    /// How long they stay hidden or out of view [s]; None: for ever.
+    /// Time for which lines stay while hidden or out of view [s]; None: for ever.
     pub coast: Option<f64>,
 }
 
-/// A filter per element.
+/// Parameters of the map with a filter per element.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Independent {
-    /// Ways to move, 1 to [`MAX_MODES`].
+    /// Modes of motion, 1 to [`MAX_MODES`].
     pub modes: Vec<Mode>,
     /// Density of the radius' random walk [m^2/s].
     pub radius_density: f64,
     /// Density of the random walk of the headings of ellipses and rectangles [rad^2/s].
     pub turn_density: f64,
-    /// Density of circles that belong to no element [1/m^3]: per area and per radius.
+    /// Density of circles without an element, per area and radius [1/m^3].
     pub birth_density: f64,
-    /// Elements with a smaller gap between their surfaces are one [m].
+    /// Gap between two surfaces below which they are one element [m].
     pub merge_gap: f64,
-    /// When elements are reported.
+    /// Rule after which elements are reported.
     pub confirmation: Confirmation,
-    /// When elements are too uncertain.
+    /// Limits above which elements are too uncertain.
     pub limits: Limits,
-    /// When elements that are not measured go.
+    /// Times after which elements without measurement are removed.
     pub patience: Patience,
-    /// When they should have been measured.
+    /// Rule for elements that should have been measured.
     pub looking: Looking,
-    /// How late a scan may come [s].
+    /// Largest delay of a scan [s].
     pub buffer_time: f64,
-    /// How lines are treated.
+    /// Properties of lines.
     pub lines: LineRules,
 }
 
@@ -113,11 +113,11 @@ pub struct Independent {
 pub struct Joint {
     /// Standard deviation of the velocity's noise per step, n_fv of eq. 14 [m/s].
     pub velocity_step: f64,
-    /// An element goes when an eigenvalue of its covariance is larger, eq. 33; units are mixed.
+    /// Eigenvalue of the covariance above which an element is removed, eq. 33; units are mixed.
     pub max_eigenvalue: f64,
 }
 
-/// What keeps the elements.
+/// Filter of the elements.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Filter {
     /// One filter for all elements and the robot, as published.
@@ -126,10 +126,10 @@ pub enum Filter {
     Independent(Independent),
 }
 
-/// Everything the map can be told.
+/// All parameters of the map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CircleMapParameters {
-    /// What keeps the elements.
+    /// Filter of the elements.
     pub filter: Filter,
     /// Probability that a true pair passes the gate.
     pub gate_probability: f64,
@@ -138,7 +138,8 @@ pub struct CircleMapParameters {
 }
 
 impl CircleMapParameters {
-    /// Check what memory safety, termination and meaningful covariances need; the gate.
+    /// Gate of circles, after a check of all values for memory safety, termination and meaningful
+    /// covariances.
     ///
     /// # Errors
     /// [`Error::Parameter`] for the first value outside its range.
@@ -159,6 +160,7 @@ impl Independent {
     fn check(&self) -> Result<(), Error> {
         let count = self.modes.len();
         require((1..=MAX_MODES).contains(&count), "modes", "1 to 4 modes", count)?;
+        // Wide limits, within which squares, ratios and matrix powers of the values stay finite.
         for mode in &self.modes {
             within("process_noise", mode.density, 0.0..=1e6, "0 to 1e6")?;
             within("mode_weight", mode.weight, 1e-6..=1e6, "1e-6 to 1e6")?;

@@ -1,11 +1,11 @@
-//! How the map with a filter per element treats its elements: parameters, motion, gates.
+//! Rules of the map with a filter per element: parameters, motion, gates.
 
 use super::modes::Motion;
 use super::parameters::{Independent, LineRules, Looking};
 use crate::Error;
 use crate::estimation::chi2;
 
-/// How elements are treated.
+/// Rules for elements.
 pub(super) struct Rules {
     parameters: Independent,
     motion: Motion,
@@ -25,6 +25,7 @@ impl Rules {
     ) -> Result<Self, Error> {
         let Independent { radius_density, turn_density, lines, .. } = parameters;
         let motion = Motion::new(&parameters.modes, [radius_density, turn_density, lines.density]);
+        // One probability for all kinds; each kind has its own number of measured values.
         let gate = |freedom| chi2::quantile(probability, freedom);
         let (gate, line_gate, outline_gate) = (gate(3)?, gate(2)?, gate(5)?);
         Ok(Self { parameters, motion, gate, line_gate, outline_gate, speed })
@@ -46,17 +47,17 @@ impl Rules {
         &self.motion
     }
 
-    /// Of circles: chi-square, 3 degrees of freedom.
+    /// Gate of circles: chi-square, 3 degrees of freedom.
     pub(super) fn gate(&self) -> f64 {
         self.gate
     }
 
-    /// Of lines: 2 degrees of freedom.
+    /// Gate of lines: chi-square, 2 degrees of freedom.
     pub(super) fn line_gate(&self) -> f64 {
         self.line_gate
     }
 
-    /// Of ellipses and rectangles: 5 degrees of freedom.
+    /// Gate of ellipses and rectangles: chi-square, 5 degrees of freedom.
     pub(super) fn outline_gate(&self) -> f64 {
         self.outline_gate
     }

@@ -1,4 +1,4 @@
-//! What one scan brings to the map: circles and other shapes, checked and in the world.
+//! Input of the map from one scan: circles and other shapes, checked and transformed to the world.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -17,7 +17,7 @@ use crate::geometry::transform::Transform;
 use nalgebra::{Matrix2, SMatrix};
 use serde::{Deserialize, Serialize};
 
-/// Relative size of what a covariance may lack to be symmetric or positive.
+/// Relative error of a covariance that may make it asymmetric or not positive.
 const ROUNDING: f64 = 1e-9;
 
 /// Longest time between a scan's stamp and one of its circles [s].
@@ -27,37 +27,37 @@ const MAX_DELAY: f64 = 10.0;
 /// `R = Rz(gamma) Ry(beta) Rx(alpha)` [rad].
 pub type PoseCovariance = [[f64; 6]; 6];
 
-/// Circles of one scan, in the level frame: origin at the sensor, z up, x where the sensor's x
-/// points, seen from above.
+/// Circles of one scan in the level frame: origin at the sensor, z up, x in the direction of the
+/// sensor's x axis as seen from above.
 #[derive(Clone, Copy, Debug)]
 pub struct CircleScan<'a> {
     /// Time of the scan [ns].
     pub stamp_ns: i64,
-    /// Which sensor: scans of several may have one stamp.
+    /// Number of the sensor: scans of several sensors may have the same stamp.
     pub sensor: u32,
     /// Pose of the sensor.
     pub world_from_lidar: &'a Transform,
-    /// How certain it is; None: it is exact.
+    /// Covariance of the pose; None for an exact pose.
     pub pose_covariance: Option<&'a PoseCovariance>,
-    /// Circles found.
+    /// Circles found in the scan.
     pub estimates: &'a [CircleEstimate],
-    /// When each was measured, after the stamp, -10 to 10 [s]; None: all at the stamp. The filter of the
-    /// paper takes them all at the stamp.
+    /// Time of each measurement after the stamp, -10 to 10 [s]; None: all at the stamp. The filter
+    /// of the paper takes all at the stamp.
     pub delays: Option<&'a [f64]>,
-    /// Outlines of those of `estimates` that only stand for something; empty: of none. The filter of
-    /// the paper does not heed them.
+    /// Outlines of those `estimates` that only represent another shape; empty if there are none.
+    /// The filter of the paper ignores them.
     pub outlines: &'a [Option<OutlineEstimate>],
-    /// Lines found. The filter of the paper knows none.
+    /// Lines found in the scan. The filter of the paper ignores them.
     pub lines: &'a [ShapeEstimate],
     /// The scan itself; None: all elements should have been measured.
     pub view: Option<View<'a>>,
 }
 
-/// Objects of one kind, in the world.
+/// Objects of one kind in the world.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Seen<M> {
     pub(super) measurements: Vec<M>,
-    /// Element of each, once the map has taken the scan in.
+    /// Element of each object, after the scan was processed.
     pub(super) elements: Vec<Option<i64>>,
 }
 
@@ -67,7 +67,7 @@ impl<M> Seen<M> {
     }
 }
 
-/// A scan as the map keeps it.
+/// A scan in the form that the map keeps.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Placed {
     pub(super) from: Viewpoint,
@@ -76,7 +76,7 @@ pub(super) struct Placed {
 }
 
 impl Placed {
-    /// Whether its parts agree: of a state that was read.
+    /// True if the parts of a restored state agree.
     pub(super) fn is_sound(&self) -> bool {
         self.bodies.measurements.len() == self.bodies.elements.len()
             && self.lines.measurements.len() == self.lines.elements.len()
@@ -100,6 +100,8 @@ impl Placed {
                 let placed = pose.place_outline(&outline, scan.world_from_lidar, R_pose)?;
                 Some(OutlineMeasurement { delay, ..placed })
             });
+            // The kind of an object of which one face is seen stays open; its circle is used all
+            // the same.
             let is_face = outline.is_some_and(|outline| outline.shape.kind == ShapeKind::Line);
             let round = outline.and_then(|outline| outline.round);
             BodyMeasurement {
@@ -124,12 +126,12 @@ impl Placed {
         })
     }
 
-    /// Place in the order of scans.
+    /// Key for the order of scans.
     pub(super) fn key(&self) -> (i64, u32) {
         self.from.key()
     }
 
-    /// Elements of everything seen.
+    /// Elements of all objects of the scan.
     pub(super) fn elements(&self) -> impl Iterator<Item = &Option<i64>> {
         self.bodies.elements.iter().chain(&self.lines.elements)
     }
@@ -138,24 +140,24 @@ impl Placed {
         self.bodies.elements.iter_mut().chain(&mut self.lines.elements)
     }
 
-    /// Element of every circle, and of every line that has one.
+    /// Elements of all circles, and of the lines that have one.
     pub(super) fn found(&self) -> Found {
         let circles = self.bodies.elements.iter().flatten().copied().collect();
         Found { circles, lines: self.lines.elements.clone() }
     }
 }
 
-/// Elements of what a scan showed.
+/// Elements of the objects of a scan.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Found {
     pub(super) circles: Vec<i64>,
     pub(super) lines: Vec<Option<i64>>,
 }
 
-/// Check a scan; its level pose.
+/// Check a scan and return its level pose.
 ///
 /// # Errors
-/// As [`Placed::new`].
+/// Errors of [`Placed::new`].
 pub(super) fn check(scan: &CircleScan<'_>) -> Result<LevelPose, Error> {
     let pose = scan.world_from_lidar;
     let numbers = pose.rotation.iter().flatten().chain(&pose.translation);
@@ -170,6 +172,8 @@ pub(super) fn check(scan: &CircleScan<'_>) -> Result<LevelPose, Error> {
     }
     if let Some(rows) = scan.pose_covariance {
         let C = SMatrix::<f64, 6, 6>::from_fn(|row, column| rows[row][column]);
+        // Poses often come from elsewhere and may be exactly known in some directions: zero
+        // eigenvalues, and rounding below, are accepted.
         if !is_covariance(&C, ROUNDING) {
             let expected = "a symmetric matrix without negative eigenvalues";
             return Err(Error::Value {
@@ -215,6 +219,7 @@ fn check_estimates(estimates: &[CircleEstimate]) -> Result<(), Error> {
                 ("a finite centre and a radius > 0", format!("{:?}", estimate.circle));
             return Err(Error::Value { name: "circles", expected, index, got });
         }
+        // Stricter than for poses: an estimate without variance would be believed without limit.
         if !is_covariance(&matrix_of(estimate), 0.0) {
             let (expected, got) =
                 ("a symmetric positive definite matrix", format!("{:?}", estimate.covariance));
@@ -273,11 +278,13 @@ fn check_lines(lines: &[ShapeEstimate]) -> Result<(), Error> {
     }
 }
 
-/// Whether a matrix is symmetric and no eigenvalue is below `-slack` of its trace; without slack
-/// all have to be positive.
+/// True if a matrix is symmetric and no eigenvalue is below `-slack` times its trace; without slack
+/// all must be positive.
 fn is_covariance<const N: usize>(C: &SMatrix<f64, N, N>, slack: f64) -> bool {
     let trace = C.trace();
     let asymmetry = (C - C.transpose()).abs().max();
+    // A factorisation instead of eigenvalues: with the slack added, it succeeds only if none of
+    // them is below minus the slack.
     let lifted = C + SMatrix::<f64, N, N>::identity() * (slack * trace);
     let is_zero = slack > 0.0 && C.abs().max() == 0.0;
     trace.is_finite() && asymmetry <= ROUNDING * trace && (is_zero || lifted.cholesky().is_some())

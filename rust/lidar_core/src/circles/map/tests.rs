@@ -258,7 +258,7 @@ fn a_circle_measured_later_counts_at_its_own_time() -> Result<(), Error> {
     Ok(())
 }
 
-/// What a sensor sees that looks the other way.
+/// View of a sensor that looks the other way.
 fn blind() -> PolarScan {
     PolarScan { ranges: vec![f64::NAN; 3], bearings: vec![-0.1, 0.0, 0.1] }
 }

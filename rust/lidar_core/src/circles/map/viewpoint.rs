@@ -1,10 +1,10 @@
-//! Where and when a scan was made.
+//! Viewpoint of a scan: pose, time and view.
 
 use super::level_pose::LevelPose;
 use super::visibility::SortedView;
 use serde::{Deserialize, Serialize};
 
-/// Where and when a scan was made, and what it can be asked.
+/// Viewpoint of a scan: pose, time, sensor, and the view for questions of visibility.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Viewpoint {
     pub(super) stamp_ns: i64,
@@ -14,7 +14,7 @@ pub(super) struct Viewpoint {
 }
 
 impl Viewpoint {
-    /// Place in the order of scans.
+    /// Key for the order of scans.
     pub(super) fn key(&self) -> (i64, u32) {
         (self.stamp_ns, self.sensor)
     }

@@ -1,4 +1,4 @@
-//! What a scan says about a place: seen through, something there, or hidden.
+//! Visibility of a place in a scan: seen through, occupied, or hidden.
 
 use crate::Error;
 use crate::circles::fit::circle::Circle;
@@ -8,34 +8,34 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 
 use super::parameters::Looking;
 
-/// Rays that meet a line at a smaller cosine do not tell whether it is there.
+/// Cosine of the angle of incidence on a line below which a ray decides nothing.
 const GRAZING: f64 = 0.2;
 
-/// A scan in the level frame, and how far it looks.
+/// A scan in the level frame, with its range limits.
 #[derive(Clone, Copy, Debug)]
 pub struct View<'a> {
-    /// The scan, range limits and projection applied: a miss means free up to `range_max`.
+    /// Scan after range limits and projection; a ray without return means free up to `range_max`.
     pub scan: &'a PolarScan,
-    /// Nearest range that is measured [m].
+    /// Smallest range that is measured [m].
     pub range_min: f64,
-    /// Farthest range that is measured [m].
+    /// Largest range that is measured [m].
     pub range_max: f64,
 }
 
-/// What a scan says about a circle; the more it leaves open, the greater.
+/// Visibility of a circle in a scan, ordered by how much it leaves open.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Visibility {
-    /// Rays went past where it should be: it is not there.
+    /// Rays passed beyond its place: it is not there.
     SeenThrough,
-    /// Rays ended where it should be.
+    /// Rays ended at its place.
     Returns,
-    /// Something nearer is in front of most of it.
+    /// Most of it is behind something nearer.
     Occluded,
     /// Out of the field of view or the range, or too small for enough rays.
     OutOfView,
 }
 
-/// A scan that can be asked: its rays by ascending bearing.
+/// A scan with its rays by ascending bearing, ready for queries.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SortedView {
     bearings: Vec<f64>,
@@ -45,11 +45,11 @@ pub struct SortedView {
 }
 
 impl View<'_> {
-    /// The same, ready to be asked.
+    /// Sort the rays for queries.
     ///
     /// # Errors
-    /// [`Error::Length`] or [`Error::Value`] if a ray has no bearing, [`Error::Parameter`] for range
-    /// limits that are none.
+    /// [`Error::Length`] or [`Error::Value`] if a ray has no bearing, [`Error::Parameter`] for
+    /// range limits that are not ascending.
     pub fn sorted(&self) -> Result<SortedView, Error> {
         let (ranges, bearings) = (&self.scan.ranges, &self.scan.bearings);
         if ranges.len() != bearings.len() {
@@ -69,7 +69,7 @@ impl View<'_> {
     }
 }
 
-/// Rays by ascending bearing; a sweep mostly is in this order.
+/// Rays by ascending bearing; most sweeps are in this order already.
 fn ascending(bearings: &[f64], ranges: &[f64]) -> (Vec<f64>, Vec<f64>) {
     if bearings.is_sorted() {
         return (bearings.to_vec(), ranges.to_vec());
@@ -80,7 +80,7 @@ fn ascending(bearings: &[f64], ranges: &[f64]) -> (Vec<f64>, Vec<f64>) {
     (of(bearings), of(ranges))
 }
 
-/// Rays that met a circle, by what they say.
+/// Numbers of rays that met a circle: passed through, ended on it, ended before it.
 #[derive(Clone, Copy, Debug, Default)]
 struct Votes {
     through: usize,
@@ -89,7 +89,7 @@ struct Votes {
 }
 
 impl SortedView {
-    /// Whether its parts agree: of a state that was read.
+    /// True if the parts of a restored state agree.
     pub(super) fn is_sound(&self) -> bool {
         self.bearings.len() == self.ranges.len()
             && self.bearings.is_sorted()
@@ -98,7 +98,7 @@ impl SortedView {
             && self.range_min < self.range_max
     }
 
-    /// What the scan says about `circle` of its frame.
+    /// Visibility of `circle`, in the frame of the scan.
     #[must_use]
     pub fn of(&self, circle: &Circle, looking: &Looking) -> Visibility {
         let Circle { center: [x, y], radius } = *circle;
@@ -117,8 +117,8 @@ impl SortedView {
         votes.verdict(looking)
     }
 
-    /// What the scan says about a line of its frame, of which it sees the front: what is left on
-    /// the way from one end to the other.
+    /// Visibility of a line in the frame of the scan, whose front is on the left of the way from
+    /// its first end to its second.
     #[must_use]
     pub fn of_line(&self, ends: [[f64; 2]; 2], looking: &Looking) -> Visibility {
         let [[x, y], [to_x, to_y]] = ends;
@@ -140,10 +140,12 @@ impl SortedView {
         votes.verdict(looking)
     }
 
-    /// What rays say about a surface between two bearings, of which `surface` tells the range and
-    /// how much of it may be missing.
+    /// Votes of the rays between two bearings about a surface; `surface` gives its range and margin
+    /// for a bearing.
     fn votes(&self, [low, high]: [f64; 2], surface: impl Fn(f64) -> (f64, f64)) -> Votes {
         let mut votes = Votes::default();
+        // Bearings of the scan may be counted from any turn: the interval is looked up in its
+        // neighbours, too.
         for turn in [-TAU, 0.0, TAU] {
             let first = self.bearings.partition_point(|&ray| ray <= low + turn);
             let last = self.bearings.partition_point(|&ray| ray < high + turn);
@@ -172,6 +174,7 @@ impl Votes {
         let (known, enough) = (through + on + before, looking.min_rays.max(1));
         if known < enough {
             Visibility::OutOfView
+        // Half of the rays: a few past the rim of the object are no proof against it.
         } else if through >= enough && 2 * through >= known {
             Visibility::SeenThrough
         } else if on >= enough && on >= before {

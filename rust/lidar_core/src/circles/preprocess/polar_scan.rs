@@ -25,7 +25,7 @@ impl PolarScan {
         self.ranges.len()
     }
 
-    /// Whether there is no ray.
+    /// True if there are no rays.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.ranges.is_empty()
@@ -42,7 +42,7 @@ impl PolarScan {
         }
     }
 
-    /// Whether the bearings go once round, so that the first ray is the neighbour of the last.
+    /// True if the bearings cover a full turn, so that the first ray is the neighbour of the last.
     pub(crate) fn is_full_circle(&self) -> bool {
         let steps = self.bearings.windows(2).map(|pair| turn(pair[1] - pair[0]));
         let turned = steps.sum::<f64>().abs();
@@ -50,7 +50,7 @@ impl PolarScan {
         count > 2 && TAU - turned <= 1.5 * turned / (count - 1) as f64
     }
 
-    /// Where ray `ray` ended [m]; None for a miss and for no information.
+    /// End point of ray `ray` [m]; None for a miss and for no information.
     #[must_use]
     pub fn point(&self, ray: usize) -> Option<[f64; 2]> {
         let (range, bearing) = (*self.ranges.get(ray)?, *self.bearings.get(ray)?);
@@ -58,7 +58,7 @@ impl PolarScan {
     }
 }
 
-/// `angle` plus full turns, within -pi..pi.
+/// `angle` shifted by full turns into -pi..pi.
 #[must_use]
 #[inline]
 pub(crate) fn turn(angle: f64) -> f64 {

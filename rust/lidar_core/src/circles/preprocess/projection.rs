@@ -5,7 +5,7 @@ use super::sweep_poses::Sweep;
 use crate::Error;
 use crate::geometry::transform::{Transform, dot};
 
-/// How a tilted scan is projected into the horizontal plane.
+/// Projection of a tilted scan to the horizontal plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Projection {
     /// Every measured point, with range and bearing as seen from above.
@@ -29,8 +29,8 @@ pub fn directions(bearings: &[f64]) -> Vec<[f64; 2]> {
     bearings.iter().map(|&bearing| [libm::cos(bearing), libm::sin(bearing)]).collect()
 }
 
-/// Range limitation of the scanner itself: below `range_min` is no information, above `range_max`
-/// a miss.
+/// Apply the range limits of the scanner: below `range_min` is no information, above `range_max` a
+/// miss.
 #[must_use]
 pub fn within_reach(ranges: &[f64], range_min: f64, range_max: f64) -> Vec<f64> {
     let limited = |&range: &f64| match range {
@@ -41,14 +41,14 @@ pub fn within_reach(ranges: &[f64], range_min: f64, range_max: f64) -> Vec<f64> 
     ranges.iter().map(limited).collect()
 }
 
-/// Range limitation to the operating volume a x + b y + c z <= d of all `planes` (world frame),
-/// eq. 4.
+/// Limit the ranges to the operating volume a x + b y + c z <= d of all `planes` (world frame), eq.
+/// 4.
 ///
-/// A surface outside becomes a miss, since the ray has passed the volume; or no information
-/// (NaN), where it hides the volume.
+/// A surface outside becomes a miss if the ray has passed the volume, or no information (NaN) if
+/// the surface hides the volume.
 ///
 /// # Errors
-/// [`Error::Length`] if the arrays differ in length, [`Error::Value`] for a plane that is none.
+/// [`Error::Length`] if the arrays differ in length, [`Error::Value`] for an invalid plane.
 pub fn limit_range(
     ranges: &[f64],
     directions: &[[f64; 2]],
@@ -74,10 +74,10 @@ pub fn limit_range(
     Ok(ranges.iter().zip(directions).enumerate().map(limited).collect())
 }
 
-/// Every plane is one.
+/// Check that all planes are valid.
 ///
 /// # Errors
-/// [`Error::Value`] for values that are not finite, or no direction.
+/// [`Error::Value`] for values that are not finite, or a normal of length zero.
 pub(crate) fn check_planes(planes: &[[f64; 4]]) -> Result<(), Error> {
     let is_plane = |plane: &[f64; 4]| {
         plane.iter().all(|value| value.is_finite()) && plane[..3].iter().any(|&value| value != 0.0)
@@ -92,7 +92,7 @@ pub(crate) fn check_planes(planes: &[[f64; 4]]) -> Result<(), Error> {
     }
 }
 
-/// From where to where a ray runs inside all planes [m]; the first is larger where it never does.
+/// Interval of a ray inside all planes [m]; the first value is larger if there is none.
 fn inside(planes: &[[f64; 4]], origin: [f64; 3], direction: [f64; 3]) -> [f64; 2] {
     let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
     for &[a, b, c, d] in planes {
@@ -109,11 +109,11 @@ fn inside(planes: &[[f64; 4]], origin: [f64; 3], direction: [f64; 3]) -> [f64; 2
     [enter, leave]
 }
 
-/// Project a scan into the level frame of its stamp: the horizontal plane, with the motion during
-/// the sweep taken out.
+/// Project a scan to the level frame of its stamp, that is the horizontal plane, and correct the
+/// motion during the sweep.
 ///
-/// A miss stays one; its bearing is that of a point as far away as the nearest hit in the order of
-/// rays, since a moving scanner sees near and far things in different directions.
+/// A miss stays a miss. Its bearing is that of a point at the range of the nearest hit in the order
+/// of rays, since a moving scanner sees near and far objects in different directions.
 ///
 /// # Errors
 /// [`Error::Length`] if the arrays differ in length.

@@ -1,4 +1,4 @@
-//! Where the scanner was while it swept.
+//! Poses of the scanner during a sweep.
 
 use crate::Error;
 use crate::geometry::motion::{Motion, PointPoses};
@@ -8,18 +8,18 @@ use crate::geometry::transform::Transform;
 #[derive(Clone, Debug)]
 pub struct Sweep {
     at_stamp: Transform,
-    /// Poses of the rays; None while the scanner stands.
+    /// Poses of the rays; None for a scanner at rest.
     moving: Option<PointPoses>,
 }
 
 impl Sweep {
-    /// All rays at once, or the scanner at rest.
+    /// Poses for a scanner at rest, or for rays that are all measured at once.
     #[must_use]
     pub fn still(world_from_lidar: Transform) -> Self {
         Self { at_stamp: world_from_lidar, moving: None }
     }
 
-    /// Every ray at its own time, by a stream of poses.
+    /// Poses of every ray at its own time, from a stream of poses.
     ///
     /// # Errors
     /// [`Error::Value`] for a time more than 20 ms outside the stream.
@@ -55,7 +55,7 @@ impl Sweep {
         self.moving.as_ref().map_or(&self.at_stamp, |poses| poses.at(ray))
     }
 
-    /// Whether rays have poses of their own.
+    /// True if the rays have poses of their own.
     #[must_use]
     pub fn is_moving(&self) -> bool {
         self.moving.is_some()

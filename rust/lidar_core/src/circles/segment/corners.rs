@@ -1,27 +1,27 @@
-//! Corners of rooms: surfaces that meet there are several, though no ray passes between them.
+//! Corners of rooms: the surfaces that meet there are separate, though no ray passes between them.
 
 use crate::circles::preprocess::polar_scan::PolarScan;
 use std::f64::consts::PI;
 use std::ops::Range;
 
-/// Surfaces that go round the sensor by more are never one [rad].
+/// Largest angle around the sensor that one surface can cover [rad].
 const ROUND: f64 = 0.9 * PI;
-/// Hits on either side of a corner that are left out, as it is: noise may have put them there.
+/// Number of hits on either side of a corner that are left out: noise may have put them there.
 const UNCLEAR: usize = 1;
-/// Most splits of one surface within another: what is left then stays whole.
+/// Most nested splits of one surface; the rest then stays whole.
 const DEEPEST: usize = 24;
 
-/// When a surface ends in a corner that the sensor looks into.
+/// Rules for the split of surfaces at a corner that the sensor looks into.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CornerParameters {
-    /// Depth of the corner behind the chord between the ends [m]; 0: corners split nothing.
+    /// Least depth of the corner behind the chord between the ends [m]; 0: no splits.
     pub depth: f64,
-    /// Length of the chord, at least [m]: smaller things are whole.
+    /// Least length of the chord [m]; smaller objects stay whole.
     pub width: f64,
 }
 
-/// Add the surfaces of an object to `found`, as places among its `rays`. One that bulges towards the
-/// sensor is one surface.
+/// Append the surfaces of an object to `found`, as ranges of its `rays`. An object that bulges
+/// towards the sensor is one surface.
 pub(crate) fn surfaces(
     scan: &PolarScan,
     rays: &[u32],

@@ -1,16 +1,16 @@
-//! Parts of one surface, between which something nearer hides the rest.
+//! Merging of the parts of one surface that something nearer hides in between.
 
 use super::segmentation::{SegmentParameters, Sweep};
 
-/// Hits `start..end` of a sweep, neighbours of which belong together.
+/// Hits `start..end` of a sweep whose neighbours belong together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Run {
     pub(super) start: usize,
     pub(super) end: usize,
 }
 
-/// Per run, the first run of its object: two runs are one object if everything between them is
-/// nearer or unknown, their ends are close, and one circle or line explains both.
+/// First run of the object of every run. Two runs are one object if everything between them is
+/// nearer or unknown, their ends are close, and one circle or line fits both.
 pub(super) fn merged(
     sweep: &Sweep<'_>,
     runs: &[Run],
@@ -39,7 +39,7 @@ pub(super) fn merged(
     roots
 }
 
-/// The next run that may go on where run `first` ends behind something nearer.
+/// Next run that may continue run `first` behind something nearer.
 fn continuation(
     sweep: &Sweep<'_>,
     runs: &[Run],
@@ -71,8 +71,8 @@ fn continuation(
     None
 }
 
-/// Whether one circle or line explains points as well as two do, one for those before `joint` and
-/// one for the others: an F test, and a limit for the root mean square distance [m].
+/// True if one circle or line fits all points as well as one for those before `joint` and one for
+/// the others: an F test, and a limit for the root mean square distance [m].
 fn is_one_surface(points: &[[f64; 2]], joint: usize, limit: f64) -> bool {
     const PARAMETERS: usize = 3; // of one circle
     const LARGEST_RATIO: f64 = 8.0; // noise alone is above it once in 10,000 times

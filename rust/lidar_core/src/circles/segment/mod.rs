@@ -1,4 +1,4 @@
-//! Rays that ended on the same object, eq. 6.
+//! Segmentation: groups of rays that ended on the same object, eq. 6.
 
 pub mod corners;
 pub(crate) mod merge;

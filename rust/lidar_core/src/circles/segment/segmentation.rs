@@ -1,4 +1,4 @@
-//! Object segmentation, sec. III-C: which rays of a scan ended on the same object.
+//! Object segmentation, sec. III-C: groups of rays that ended on the same object.
 
 use super::corners::{self, CornerParameters};
 use super::merge::{self, Run};
@@ -8,75 +8,75 @@ use crate::circles::preprocess::polar_scan::{PolarScan, turn};
 use crate::util::budget::check_points;
 use std::ops::Range;
 
-/// In which space neighbours have to be close.
+/// Space in which neighbours have to be close.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Criterion {
-    /// Ranges alike, and few rays between.
+    /// Polar space: similar ranges, and few rays between.
     Polar,
-    /// Points close together.
+    /// Cartesian space: small distance between the points.
     Cartesian,
-    /// Both, as published.
+    /// Polar and Cartesian space, as published.
     Both,
 }
 
-/// How close neighbours have to be.
+/// Bound on the distance of neighbours.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Bound {
-    /// As far as neighbours on a surface can be that is met at an angle of at least `incidence`
-    /// [rad], and `slack` [m] more: the adaptive breakpoint detector.
+    /// Adaptive breakpoint detector: the largest distance of neighbours on a surface that is met at
+    /// an angle of at least `incidence` [rad], plus `slack` [m].
     Adaptive {
         /// Smallest angle between a ray and a surface.
         incidence: f64,
-        /// For the noise of the ranges.
+        /// Addition for the noise of the ranges.
         slack: f64,
     },
-    /// The same distance everywhere [m].
+    /// Constant distance [m].
     Fixed(f64),
 }
 
-/// What makes a segment.
+/// Parameters of the segmentation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SegmentParameters {
-    /// In which space neighbours have to be close.
+    /// Space in which neighbours have to be close.
     pub criterion: Criterion,
-    /// How close neighbours have to be.
+    /// Bound on the distance of neighbours.
     pub bound: Bound,
-    /// Rays without return that neighbours in polar space may have between them.
+    /// Most rays without return between neighbours in polar space.
     pub max_gap: usize,
-    /// Parts of one surface that something nearer hides in part are one segment, if their ends
-    /// are closer than this [m]; 0 for never.
+    /// Largest distance between the ends of two parts of one surface that something nearer hides in
+    /// part, to be one segment [m]; 0: parts are never merged.
     pub merge_distance: f64,
-    /// Largest root mean square of the distances of merged parts from one circle or line [m].
+    /// Largest root mean square distance of merged parts from one circle or line [m].
     pub merge_deviation: f64,
-    /// When surfaces that meet in a corner are segments of their own.
+    /// Rules for the split of surfaces at corners.
     pub corner: CornerParameters,
-    /// Smallest number of rays.
+    /// Least number of rays.
     pub min_points: usize,
-    /// Smallest share of all rays of the scan.
+    /// Least share of all rays of the scan.
     pub min_fraction: f64,
-    /// Nearest and farthest surface that is measured [m].
+    /// Smallest and largest range that is measured [m].
     pub range_limits: [f64; 2],
-    /// Objects whose outermost ray ended this close to the nearer or farther limit may go on
-    /// beyond it unseen [m].
+    /// Distance of an outermost ray from a range limit, within which the object may continue unseen
+    /// beyond the limit [m].
     pub cut_margins: [f64; 2],
 }
 
 /// Joined hits in the order of the sweep, first to last.
 pub(crate) struct Sweep<'a> {
     pub(crate) scan: &'a PolarScan,
-    /// What was seen before the scan was limited to a volume.
+    /// Ranges before the scan was limited to a volume.
     pub(crate) seen: &'a [f64],
     /// Rays with a return.
     pub(crate) hits: Vec<u32>,
-    /// Whether the ray after the last one is the first one.
+    /// True if the ray after the last one is the first one.
     pub(crate) wraps: bool,
 }
 
 /// Group the rays of a scan by object, eq. 6.
 ///
-/// Segments are numbered in the order of their first rays, beginning with one that does not run
-/// over the seam of a full circle. `seen` holds the ranges before the scan was limited to a
-/// volume, if it was: an object that goes on outside of it is not taken to end there.
+/// Segments are numbered in the order of their first rays; the first one does not cross the seam of
+/// a full circle. `seen` contains the ranges before the scan was limited to a volume, if it was: an
+/// object that continues outside does not end there.
 ///
 /// # Errors
 /// [`Error::Length`] if the arrays differ in length, [`Error::Value`] for a bearing that is not
@@ -122,13 +122,13 @@ fn check(scan: &PolarScan, seen: Option<&[f64]>) -> Result<(), Error> {
 }
 
 impl Sweep<'_> {
-    /// Rays from `from` on to `to`, over the seam if it must be.
+    /// Rays from `from` to `to`, across the seam if necessary.
     fn steps(&self, from: u32, to: u32) -> usize {
         let (from, to) = (from as usize, to as usize);
         if to >= from { to - from } else { to + self.scan.len() - from }
     }
 
-    /// Whether the hits of two rays, neighbours among the hits, belong together.
+    /// True if the hits of two rays, neighbours among the hits, belong together.
     fn joins(&self, from: u32, to: u32, parameters: &SegmentParameters) -> bool {
         let ranges = [from, to].map(|ray| self.scan.ranges[ray as usize]);
         are_close(ranges, self.angle(from, to), self.steps(from, to), parameters)
@@ -139,7 +139,7 @@ impl Sweep<'_> {
         turn(self.scan.bearings[to as usize] - self.scan.bearings[from as usize]).abs()
     }
 
-    /// Whether a ray between two neighbouring hits is a miss.
+    /// True if a ray between two neighbouring hits is a miss.
     pub(super) fn passes_between(&self, from: u32, to: u32) -> bool {
         let count = self.scan.len();
         (1..self.steps(from, to))
@@ -153,8 +153,8 @@ impl Sweep<'_> {
         ((a - b) * (a - b) + 4.0 * a * b * sine * sine).sqrt()
     }
 
-    /// Hits in unbroken order: where each run of joined ones begins and ends in `hits`. Over the
-    /// seam of a full circle `hits` is turned so that no run is cut.
+    /// Runs of neighbouring hits that belong together, as ranges of `hits`. In a full circle `hits`
+    /// is rotated so that the seam cuts no run.
     fn runs(&mut self, parameters: &SegmentParameters) -> Vec<Run> {
         if self.wraps && !self.hits.is_empty() {
             let begins = |place: usize| {
@@ -178,7 +178,7 @@ impl Sweep<'_> {
         runs
     }
 
-    /// Segments from runs and, per run, the first run of its object.
+    /// Segments from runs, given the first run of the object of every run.
     fn segments(&self, runs: &[Run], roots: &[usize], parameters: &SegmentParameters) -> Segments {
         let fewest = parameters.min_fraction * self.scan.len() as f64;
         let mut segments =
@@ -206,7 +206,7 @@ impl Sweep<'_> {
         segments
     }
 
-    /// What lies beyond the outermost ray of a surface: another one, if it ends in a corner.
+    /// Kind of the neighbourhood of a surface: another surface if it ends in a corner.
     fn side_at(&self, ray: u32, corner: bool, after: bool, parameters: &SegmentParameters) -> Side {
         if corner { Side::Occluded } else { self.side(ray, after, parameters) }
     }
@@ -222,7 +222,7 @@ impl Sweep<'_> {
         }
     }
 
-    /// What lies beyond the outermost ray of a segment.
+    /// Kind of the neighbourhood beyond the outermost ray of a segment.
     fn side(&self, ray: u32, after: bool, parameters: &SegmentParameters) -> Side {
         let Some(next) = self.neighbour(ray, after) else { return Side::FieldEdge };
         let range = self.scan.ranges[ray as usize];
@@ -246,7 +246,7 @@ impl Sweep<'_> {
     }
 }
 
-/// Whether two hits, `steps` rays and `angle` [rad] apart, belong together.
+/// True if two hits, `steps` rays and `angle` [rad] apart, belong together.
 fn are_close([a, b]: [f64; 2], angle: f64, steps: usize, parameters: &SegmentParameters) -> bool {
     let polar = parameters.criterion != Criterion::Cartesian;
     if polar && steps > parameters.max_gap + 1 {

@@ -1,14 +1,14 @@
-//! Which rays of a scan belong together.
+//! Segments: groups of rays of a scan that belong together.
 
-/// What lies beside a segment: what the ray next to it says about where its object ends.
+/// Kind of the neighbourhood of a segment, given by the ray beside it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
-    /// The next ray went past: no return, or a hit farther away. The object ends before it.
+    /// The next ray passed: no return, or a hit farther away. The object ends before it.
     Free,
-    /// The next ray ended on something nearer, on another surface in a corner, or tells nothing:
-    /// the object may go on behind.
+    /// The next ray ended on something nearer or on another surface in a corner, or gives no
+    /// information: the object may continue behind.
     Occluded,
-    /// There is no next ray: the object may go on outside the field of view.
+    /// There is no next ray: the object may continue outside the field of view.
     FieldEdge,
     /// The next ray returned nothing, but the surface there may lie beyond the range limits.
     RangeCut,
@@ -17,14 +17,14 @@ pub enum Side {
 /// Groups of rays, one per object, eq. 6. Segments count from 0 here, labels from 1.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Segments {
-    /// Per ray: 0 for none, else the number of its segment plus 1 (m of eq. 6).
+    /// Label of every ray: 0 for none, else the number of its segment plus 1 (m of eq. 6).
     pub labels: Vec<i32>,
-    /// Rays of all segments, one segment after the other, each in the order of its sweep. In a
-    /// full circle a segment may run over the seam, from the last ray to the first.
+    /// Rays of all segments, one segment after the other, each in the order of its sweep. In a full
+    /// circle a segment may cross the seam, from the last ray to the first.
     pub rays: Vec<u32>,
-    /// Where each segment begins in `rays`; one more entry at the end.
+    /// Start of each segment in `rays`; one more entry at the end.
     pub starts: Vec<usize>,
-    /// Before its first and after its last ray.
+    /// Kind of the neighbourhood before the first and after the last ray of each segment.
     pub sides: Vec<[Side; 2]>,
 }
 
@@ -35,7 +35,7 @@ impl Segments {
         self.sides.len()
     }
 
-    /// Whether there is none.
+    /// True if there are no segments.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.sides.is_empty()
@@ -52,7 +52,7 @@ impl Segments {
         self.starts.push(self.rays.len());
     }
 
-    /// Rays of segment `number`, which ended on its object; there may be others between them.
+    /// Rays of segment `number` that ended on its object; other rays may lie between them.
     #[must_use]
     pub fn rays_of(&self, number: usize) -> &[u32] {
         let bounds = (self.starts.get(number), self.starts.get(number + 1));

@@ -12,23 +12,24 @@ use crate::circles::fit::circle::Circle;
 use crate::circles::preprocess::polar_scan::turn;
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Differences of parameters that show the slope.
+/// Step of the parameters for numerical derivatives.
 const STEP: f64 = 1e-6;
 /// Smallest semi-axis [m].
 const LEAST_AXIS: f64 = 0.01;
-/// Starts: ratios of the distances, and inverse hyperbolic tangents of k beside that of a circle.
+/// Start values: ratios of the distances, and inverse hyperbolic tangents of k relative to a
+/// circle.
 const RATIOS: [f64; 5] = [0.4, 0.65, 1.0, 1.5, 2.5];
 const TURNS: [f64; 5] = [-1.6, -0.8, 0.0, 0.8, 1.6];
-/// Starts that are followed.
+/// Number of starts that are refined.
 const FOLLOWED: usize = 3;
-/// Circles do not look smaller than this [rad].
+/// Smallest angle under which a circle appears [rad].
 const ROUNDEST: f64 = 1e-4;
-/// Cosine of angles where the slope still shows.
+/// Largest cosine of a start angle: at 1 the derivative by the angle vanishes.
 const INNER: f64 = 0.98;
-/// Where the tangents are at the start, as an angle over their reach.
+/// Start positions of the tangents, as angles over their reach.
 const START: f64 = 1.2;
 
-/// Ellipses that end where an arc ends. Parameters: an angle over the reach of either side,
+/// Ellipses that end at the ends of an arc. Parameters: an angle over the reach of either side,
 /// logarithms of the distances of the centre from the tangents [m], inverse hyperbolic tangent of
 /// k.
 pub(super) struct Ellipse<'a> {
@@ -46,8 +47,7 @@ impl Ellipse<'_> {
         ]
     }
 
-    /// By how much an ellipse would have less misfit than the circle that explains the arc best, to
-    /// first order.
+    /// Decrease of the misfit from the best circle of the arc to an ellipse, to first order.
     pub(super) fn gain(&self, circle: &Circle, std: f64) -> f64 {
         let [x, y] = circle.center;
         let half = libm::asin((circle.radius / libm::hypot(x, y)).min(1.0));
@@ -102,12 +102,12 @@ impl Shape<5> for Ellipse<'_> {
     }
 }
 
-/// The angle over the reach of a side that stands for a tangent `beyond` its last hit [rad].
+/// Angle over the reach of a side for a tangent `beyond` its last hit [rad].
 fn angle_of(edge: &Edge, beyond: f64) -> f64 {
     libm::acos((1.0 - 2.0 * beyond / edge.reach).clamp(-INNER, INNER))
 }
 
-/// The ellipse that explains the arc best, from several starts, with semi-axes up to `largest`.
+/// Ellipse with least misfit to the arc, from several starts, with semi-axes up to `largest`.
 pub(super) fn fit_ellipse(ellipse: &Ellipse<'_>, std: f64, largest: f64) -> Option<Solved<5>> {
     let arc = ellipse.arc;
     let span = arc.edges[1].bearing - arc.edges[0].bearing;
@@ -132,7 +132,7 @@ pub(super) fn fit_ellipse(ellipse: &Ellipse<'_>, std: f64, largest: f64) -> Opti
     (long <= largest && short >= LEAST_AXIS).then_some(best)
 }
 
-/// Bring `start` to the size that agrees best with the ranges, which grow with it; their misfit.
+/// Scale `start` to the size that fits the ranges best, which grow with it; returns the misfit.
 fn scaled(ellipse: &Ellipse<'_>, start: &mut [f64; 5], ranges: &mut Vec<f64>) -> f64 {
     ranges.clear();
     ellipse.ranges(start, ranges);

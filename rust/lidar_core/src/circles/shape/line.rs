@@ -4,9 +4,9 @@ use super::solve::{Shape, Solved, solve};
 use crate::circles::fit::arc::{Arc, Hit};
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Ranges beyond this are none [m].
+/// Largest range that counts [m].
 const FAR: f64 = 1e3;
-/// Differences of parameters that show the slope [m], [rad].
+/// Steps of the parameters for numerical derivatives [m], [rad].
 const STEP: f64 = 1e-6;
 
 /// Range along every ray to the line with normal at bearing `angle`, `distance` from the sensor.
@@ -96,8 +96,8 @@ fn least([xx, xy, yy]: [f64; 3]) -> (f64, f64) {
     (angle, 0.5 * (xx + yy) - spread)
 }
 
-/// The line that explains the arc best; None if its misfit is more than `most`, which the scatter
-/// across tells before any fit: no hit is farther off across a line than along its ray.
+/// Line with least misfit to the arc; None if the misfit is more than `most`. The scatter across
+/// the line shows that before any fit: no hit is farther off across the line than along its ray.
 pub(super) fn fit_line(arc: &Arc, std: f64, most: f64) -> Option<Solved<2>> {
     let sums = arc.hits.iter().fold(Sums::default(), Sums::with);
     let (angle, scatter) = least(sums.scatter());
@@ -110,8 +110,8 @@ pub(super) fn fit_line(arc: &Arc, std: f64, most: f64) -> Option<Solved<2>> {
     Some(solve(&Line(arc), arc, std, [angle + turned, distance.abs()], STEP))
 }
 
-/// The corner that explains the arc best; None if it has no two faces towards the sensor, or, as
-/// for a line, if its misfit is more than `most`.
+/// Corner with least misfit to the arc; None if it does not have two faces towards the sensor, or
+/// if the misfit is more than `most`.
 pub(super) fn fit_corner(arc: &Arc, std: f64, most: f64) -> Option<Solved<3>> {
     let all = arc.hits.iter().fold(Sums::default(), Sums::with);
     let mut before = Sums::default();

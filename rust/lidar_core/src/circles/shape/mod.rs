@@ -1,4 +1,4 @@
-//! Which shape a segment of a scan has: circle, ellipse, rectangle or line, and where it is.
+//! Shape of a segment of a scan: circle, ellipse, rectangle or line, with its parameters.
 //!
 //! The paper takes everything for a circle and leaves other shapes to future work (sec. VII).
 //! Here every shape is fitted to the ranges, and Schwarz's criterion chooses: misfit in variances
@@ -24,7 +24,7 @@ use super::segment::segments::Segments;
 use crate::Error;
 use serde::{Deserialize, Serialize};
 
-/// What a segment is.
+/// Kind of a shape.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ShapeKind {
     /// Parameters: centre x, y, radius [m].
@@ -40,7 +40,7 @@ pub enum ShapeKind {
 }
 
 impl ShapeKind {
-    /// What its lengths have to be multiplied with to be half lengths; None for a shape without.
+    /// Factor from lengths to half lengths; None for shapes without lengths.
     #[must_use]
     pub fn half_length(self) -> Option<f64> {
         match self {
@@ -54,15 +54,15 @@ impl ShapeKind {
 /// The shape of one segment, in the frame of the scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShapeEstimate {
-    /// What it is.
+    /// Kind of the shape.
     pub kind: ShapeKind,
-    /// As listed there; those that the shape does not have are 0.
+    /// Parameters as listed at the kind; unused ones are 0.
     pub parameters: [f64; 5],
-    /// Of the parameters, in their units.
+    /// Covariance of the parameters, in their units.
     pub covariance: [[f64; 5]; 5],
     /// Sum of squared residuals of the ranges over their variance.
     pub misfit: f64,
-    /// Rays that ended on it.
+    /// Number of rays that ended on the shape.
     pub n_hits: usize,
 }
 
@@ -84,7 +84,7 @@ impl ShapeEstimate {
     }
 }
 
-/// Finds the shapes of segments; keeps its memory between scans.
+/// Shape fitter; keeps its memory between scans.
 #[derive(Debug)]
 pub struct ShapeFitter {
     parameters: FitParameters,
@@ -92,15 +92,15 @@ pub struct ShapeFitter {
     posterior: Posterior,
 }
 
-/// Rays that a shape other than a circle needs.
+/// Least number of rays for a shape other than a circle.
 const LEAST_HITS: usize = 6;
-/// An ellipse is fitted if its misfit is less than that of the circle by this much, to first
-/// order, in logarithms of the number of rays: 2 is what its two parameters more have to bring.
+/// Decrease of the misfit from the circle, to first order, above which an ellipse is fitted, in
+/// logarithms of the number of rays: its two further parameters must bring 2.
 const LEAST_GAIN: f64 = 1.8;
 
 impl ShapeFitter {
     /// # Errors
-    /// [`Error::Parameter`] for one that is outside its range.
+    /// [`Error::Parameter`] for a parameter outside its range.
     pub fn new(parameters: FitParameters) -> Result<Self, Error> {
         parameters.check()?;
         let parameters = FitParameters { method: Method::Expected, ..parameters };
@@ -110,7 +110,7 @@ impl ShapeFitter {
     /// Write one shape per segment of a scan to `shapes`, in their order.
     ///
     /// # Errors
-    /// As [`Fitter::fit`](super::fit::Fitter::fit).
+    /// Errors of [`Fitter::fit`](super::fit::Fitter::fit).
     pub fn fit(
         &mut self,
         scan: &PolarScan,
@@ -120,10 +120,10 @@ impl ShapeFitter {
         self.fit_both(scan, segments, &mut Vec::new(), shapes)
     }
 
-    /// The same, and also write the circle that explains each segment best to `circles`.
+    /// Write one shape per segment to `shapes`, and the best circle of each segment to `circles`.
     ///
     /// # Errors
-    /// As [`ShapeFitter::fit`].
+    /// Errors of [`ShapeFitter::fit`].
     pub fn fit_both(
         &mut self,
         scan: &PolarScan,
@@ -179,7 +179,7 @@ impl ShapeFitter {
         (circle, best.1.unwrap_or(round))
     }
 
-    /// From the first hit to the last one [m].
+    /// Length from the first hit to the last one [m].
     fn width(&self) -> f64 {
         let (Some(first), Some(last)) = (self.arc.hits.first(), self.arc.hits.last()) else {
             return 0.0;

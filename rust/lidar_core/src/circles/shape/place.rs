@@ -1,4 +1,4 @@
-//! Shapes of an arc's own frame in the frame of the scan, with the covariance of what is reported.
+//! Transform of shapes from the frame of their arc to the frame of the scan, with covariances.
 
 use super::ellipse::Ellipse;
 use super::solve::Solved;
@@ -9,20 +9,21 @@ use crate::circles::preprocess::polar_scan::turn;
 use nalgebra::{SMatrix, SVector};
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Standard deviation of an end that nothing shows [m].
+/// Standard deviation of an end that was not seen [m].
 const OPEN: f64 = 1.0;
-/// Edges that reach farther beyond the last hit are open [rad].
+/// Extent beyond the last hit above which an edge is open [rad].
 const LONG_REACH: f64 = 0.1;
-/// A ray beside a segment that ends this close to its line belongs to it, as a share of its range.
+/// Largest distance from a line of a ray beside it that still belongs to it, as a share of its
+/// range.
 const ON_LINE: f64 = 0.05;
-/// Rays do not meet lines at less than this from the normal's right angle [rad].
+/// Least angle between a ray and a line that it meets [rad].
 const STEEP: f64 = FRAC_PI_2 - 1e-3;
-/// Differences that show a slope.
+/// Step for numerical derivatives.
 const STEP: f64 = 1e-6;
-/// Near its tangents an ellipse is far from linear: squared errors of its parameters are larger by
-/// this factor than their variances to first order (measured with 1,000 simulated ellipses).
+/// Factor on the first-order variances of an ellipse's parameters, which is far from linear near
+/// its tangents (measured with 1,000 simulated ellipses).
 const EXCESS: f64 = 2.0;
-/// And correlations hold to this share only.
+/// Factor on the correlations of these parameters.
 const CORRELATED: f64 = 0.97;
 
 /// A circle that is already in its place.
@@ -94,7 +95,7 @@ fn turned(arc: &Arc, [x, y]: [f64; 2]) -> [f64; 2] {
     [cosine * x - sine * y, sine * x + cosine * y]
 }
 
-/// Where along a line it ends on one side, and the variance of that.
+/// Position of one end along a line, and its variance.
 fn end(arc: &Arc, side: usize, [angle, distance]: [f64; 2]) -> (f64, f64) {
     let edge = &arc.edges[side];
     let sign = if side == 0 { -1.0 } else { 1.0 };
@@ -110,6 +111,7 @@ fn end(arc: &Arc, side: usize, [angle, distance]: [f64; 2]) -> (f64, f64) {
     if edge.reach > LONG_REACH || goes_on || beyond.abs() > OPEN {
         return (at, OPEN * OPEN);
     }
+    // The end is anywhere between the last hit and the first ray that passed: uniform in between.
     (at + 0.5 * beyond, beyond * beyond / 12.0)
 }
 
@@ -125,12 +127,13 @@ fn joined<const K: usize>(
             whole[(i, j)] = covariance[(i, j)];
         }
     }
+    // Ends follow from the bearings of rays, angle and distance from ranges: independent errors.
     whole[(from, from)] = ends[0];
     whole[(from + 1, from + 1)] = ends[1];
     whole
 }
 
-/// What is reported of parameters, and its covariance to first order.
+/// Reported form of the parameters, and its covariance to first order.
 fn reported(
     known: [f64; 5],
     covariance: &SMatrix<f64, 5, 5>,

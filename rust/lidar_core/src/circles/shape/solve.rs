@@ -3,21 +3,21 @@
 use crate::circles::fit::arc::Arc;
 use nalgebra::{SMatrix, SVector};
 
-/// Residuals of ranges are no larger than this [m]: a ray that passes a shape has no range.
+/// Largest residual of a range [m]: a ray that passes a shape has no range.
 const LARGEST: f64 = 0.5;
 const MOST_STEPS: usize = 30;
-/// Steps end when the misfit falls by less.
+/// The search ends when the misfit falls by less.
 const ENOUGH: f64 = 1e-4;
-/// Standard deviation of what nothing was measured of [m], [rad].
+/// Standard deviation of unmeasured parameters [m], [rad].
 const UNKNOWN: f64 = 1.0;
 
 /// A shape of K parameters.
 pub(super) trait Shape<const K: usize> {
-    /// Add where the hits of its arc should be [m], one by one.
+    /// Append the expected ranges of the hits of the arc [m].
     fn ranges(&self, parameters: &[f64; K], ranges: &mut Vec<f64>);
 }
 
-/// Parameters that explain an arc best.
+/// Parameters with least misfit to an arc.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Solved<const K: usize> {
     pub(super) parameters: [f64; K],
@@ -41,6 +41,8 @@ impl<S> Problem<'_, S> {
         self.shape.ranges(parameters, into);
         for (value, hit) in into.iter_mut().zip(&self.arc.hits) {
             let apart = hit.range - *value;
+            // A hit that the shape misses has to cost something, but an infinite residual would
+            // leave no direction to improve.
             let apart = if apart.is_finite() { apart.clamp(-LARGEST, LARGEST) } else { LARGEST };
             *value = hit.weight.sqrt() * apart / self.std;
         }
@@ -51,7 +53,7 @@ fn square(residuals: &[f64]) -> f64 {
     residuals.iter().map(|residual| residual * residual).sum()
 }
 
-/// Go downhill from `start` (Levenberg-Marquardt, derivatives by differences of `step`).
+/// Minimise from `start` (Levenberg-Marquardt, numerical derivatives with `step`).
 pub(super) fn solve<const K: usize>(
     shape: &impl Shape<K>,
     arc: &Arc,
@@ -92,6 +94,7 @@ pub(super) fn solve<const K: usize>(
 
 /// Covariance of parameters with these second derivatives.
 fn spread<const K: usize>(hessian: SMatrix<f64, K, K>) -> SMatrix<f64, K, K> {
+    // A parameter that no range depends on gets the variance UNKNOWN^2, not a singular matrix.
     let known = hessian + SMatrix::identity() / (UNKNOWN * UNKNOWN);
     known.cholesky().map_or_else(SMatrix::identity, |factor| factor.inverse())
 }
@@ -100,12 +103,13 @@ fn spread<const K: usize>(hessian: SMatrix<f64, K, K>) -> SMatrix<f64, K, K> {
 fn damped<const K: usize>(hessian: &SMatrix<f64, K, K>, damping: f64) -> SMatrix<f64, K, K> {
     let mut damped = *hessian;
     for k in 0..K {
+        // The constant keeps a parameter that no range depends on solvable.
         damped[(k, k)] += damping * hessian[(k, k)] + 1e-9;
     }
     damped
 }
 
-/// By how much the misfit would fall from `at` to the least one, to first order.
+/// Decrease of the misfit from `at` to its minimum, to first order.
 pub(super) fn gain<const K: usize>(
     shape: &impl Shape<K>,
     arc: &Arc,

@@ -1,4 +1,4 @@
-//! What a filter of one target does: predict, and correct with a measurement.
+//! Filter of one target: prediction, and correction by a measurement.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -12,16 +12,16 @@ use crate::fusion::sensors::observation::{LineOfSight, Observation, Sensing, pol
 use nalgebra::{Matrix1, Matrix6, SMatrix, SVector, Vector1, Vector6};
 use serde::{Deserialize, Serialize};
 
-/// Most states that a model has.
+/// Largest number of states of a model.
 pub const MAX_STATES: usize = 6;
 
-/// How far a measurement was from what was expected.
+/// Difference of a measurement from its prediction.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Innovation {
     /// Measured minus expected: position [m]; or range, bearing and range rate; or turn rate; or
     /// the first three states of the paper's five.
     pub values: [f64; 3],
-    /// How many of them there are.
+    /// Number of measured values; the paper has five, of which three are kept.
     pub count: usize,
     /// Normalised innovation squared: chi-square with `count` degrees of freedom.
     pub nis: f64,
@@ -30,10 +30,12 @@ pub struct Innovation {
 }
 
 impl Innovation {
-    /// The difference `y`, `far` from zero.
+    /// Innovation of the difference `y` with its distance `far` from zero.
     #[must_use]
     pub fn new(y: &[f64], far: &Mahalanobis) -> Self {
         let mut values = [0.0; 3];
+        // Three values are recorded. The paper's radar has five, all of which count in the
+        // distance.
         values.iter_mut().zip(y).for_each(|(value, entry)| *value = *entry);
         let Mahalanobis { squared: nis, log_determinant } = *far;
         Self { values, count: y.len(), nis, log_determinant }
@@ -51,25 +53,26 @@ pub struct Output {
     pub covariance: [[f64; MAX_STATES]; MAX_STATES],
 }
 
-/// Whether a measurement may correct a state.
+/// Decides by its innovation if a measurement may correct a state.
 pub type Believe<'a> = &'a mut dyn FnMut(&Innovation) -> bool;
 
-/// A filter without memory: the state is handed in.
+/// A filter without memory: the caller holds the state.
 pub trait Engine: Clone + Send + Sync + 'static {
-    /// What it estimates.
+    /// State that is estimated.
     type State: Clone + Send + Sync + 'static;
 
     /// State of a target that has been seen once.
     fn first(&self, first: &First) -> Self::State;
 
-    /// State of a target whose position and velocity are known, where the model can use them.
+    /// State of a target with known position and velocity; None if the model cannot start from
+    /// them.
     fn after_velocity(&self, cv: &Gaussian<4>) -> Option<Self::State>;
 
-    /// Carry the state on by `dt` [s].
+    /// Predict the state `dt` [s] ahead.
     fn predict(&self, state: &mut Self::State, dt: f64, platform: &Platform);
 
-    /// Correct the state by a measurement, if `believe` says so of its innovation; none where it
-    /// says nothing about the state.
+    /// Correct the state by a measurement if `believe` accepts its innovation. None if the
+    /// measurement does not depend on the state.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`] if the covariance of the innovation cannot be factorised;
@@ -82,41 +85,41 @@ pub trait Engine: Clone + Send + Sync + 'static {
         believe: Believe<'_>,
     ) -> Result<Option<Innovation>, Error>;
 
-    /// Mean and covariance.
+    /// Mean and covariance of the state.
     fn output(&self, state: &Self::State) -> Output;
 
-    /// One state for weighted ones that have the same past; weights sum to 1.
+    /// Weighted mean of states with a common past; the weights sum to 1.
     fn blended(&self, parts: &[(f64, &Self::State)]) -> Self::State;
 
     /// The state as plain numbers, for saving.
     fn numbers(&self, state: &Self::State) -> Vec<f64>;
 
-    /// The reverse of [`Self::numbers`]; none for numbers that no state has.
+    /// Inverse of [`Self::numbers`]; None if the numbers do not fit the state.
     fn state_of_numbers(&self, numbers: &[f64]) -> Option<Self::State>;
 
-    /// How the state after `dt` [s] hangs on the state before it; none for engines whose past
+    /// Linearised transition of the state over `dt` [s], for the smoother; None if the engine
     /// cannot be smoothed.
     fn link(&self, _state: &Self::State, _dt: f64, _platform: &Platform) -> Option<Link> {
         None
     }
 }
 
-/// A prediction to be gone back over: x' = F x + noise of covariance Q. States that a model does
-/// not have keep to themselves.
+/// Linearised prediction for the smoother: x' = F x + noise of covariance Q. States that the model
+/// does not have stay as they are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Link {
     /// Jacobian of the prediction.
     pub F: Matrix6<f64>,
-    /// Covariance of what is added.
+    /// Covariance of the added noise.
     pub Q: Matrix6<f64>,
-    /// Mean that was predicted, the heading not wrapped.
+    /// Predicted mean, the heading not wrapped.
     pub mean: Vector6<f64>,
-    /// Which state is a heading.
+    /// Index of the state that is a heading.
     pub heading: Option<usize>,
 }
 
 impl Link {
-    /// The same where nothing happened: the state stays what it was.
+    /// Transition over no time: the state stays as it is.
     #[must_use]
     pub fn standing(&self, state: &Output) -> Self {
         let (F, Q) = (Matrix6::identity(), Matrix6::zeros());
@@ -124,14 +127,14 @@ impl Link {
     }
 }
 
-/// One motion model and how it is estimated.
+/// One motion model with an extended Kalman filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Single<const N: usize, M> {
-    /// How targets move.
+    /// Motion model.
     pub motion: M,
-    /// What disturbs that.
+    /// Process noise.
     pub noise: ProcessNoise,
-    /// What is known before.
+    /// Variances before the second measurement.
     pub prior: Prior,
     /// Sensor models.
     pub sensing: Sensing,
@@ -165,6 +168,7 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
         carry(&mut state.covariance, &F);
         let ends = [&state.mean, &mean];
         self.noise.add(&self.motion, ends, dt, platform, &mut state.covariance);
+        // Products and noise round differently in the two triangles.
         symmetrise(&mut state.covariance);
         state.mean = mean;
     }
@@ -176,6 +180,7 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
         platform: &Platform,
         believe: Believe<'_>,
     ) -> Result<Option<Innovation>, Error> {
+        // A model without this state takes the turn rate from the platform, as an input.
         if m.sensor() == Sensor::Gyro && M::PLATFORM_RATE.is_none() {
             return Ok(None);
         }
@@ -193,6 +198,7 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
                 Self::corrected(state, &Linearised { y, H, R }, believe)
             }
             Some(Observation::Rate { z, R }) => {
+                // The rate of the gyro is one of the states: its model is linear.
                 let Some(index) = M::PLATFORM_RATE else { return Ok(None) };
                 let mut H = SMatrix::<f64, 1, N>::zeros();
                 H[index] = 1.0;
@@ -220,6 +226,8 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
     }
 
     fn link(&self, state: &Gaussian<N>, dt: f64, platform: &Platform) -> Option<Link> {
+        // The smoother runs over filters of several sizes: smaller models are padded to six states,
+        // which identity and zero noise leave alone.
         let (predicted, jacobian) = self.motion.transition(&state.mean, dt, platform);
         let ends = [&state.mean, &predicted];
         let mut noise = SMatrix::<f64, N, N>::zeros();
@@ -232,13 +240,14 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
     }
 }
 
-/// Mean and covariance of weighted normal distributions, whose weights sum to 1.
+/// Mean and covariance of a mixture of normal distributions whose weights sum to 1.
 #[must_use]
 pub fn mixed<const N: usize>(parts: &[(f64, &Gaussian<N>)]) -> Gaussian<N> {
     let mut mean = SVector::zeros();
     parts.iter().for_each(|(weight, part)| mean += part.mean * *weight);
     let mut covariance = SMatrix::zeros();
     for (weight, part) in parts {
+        // The distance between the means is part of the uncertainty.
         let apart = part.mean - mean;
         covariance += (part.covariance + apart * apart.transpose()) * *weight;
     }
@@ -246,12 +255,13 @@ pub fn mixed<const N: usize>(parts: &[(f64, &Gaussian<N>)]) -> Gaussian<N> {
     Gaussian { mean, covariance }
 }
 
-/// `state` with its heading wrapped.
+/// Output of `state`; the heading, if it has one, is wrapped.
 #[must_use]
 pub fn output<const N: usize>(state: &Gaussian<N>, heading: Option<usize>) -> Output {
     let (mut mean, mut covariance) = ([0.0; MAX_STATES], [[0.0; MAX_STATES]; MAX_STATES]);
     mean[..N].copy_from_slice(state.mean.as_slice());
     if let Some(index) = heading {
+        // Unwrapped inside the filter, so that differences of means stay small.
         mean[index] = wrapped(mean[index]);
     }
     for (row, column) in covariance.iter_mut().zip(state.covariance.column_iter()) {

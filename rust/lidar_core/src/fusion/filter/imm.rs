@@ -12,10 +12,10 @@ use crate::fusion::sensors::measurement::Measurement;
 use nalgebra::{SMatrix, SVector};
 use std::sync::Arc;
 
-/// Least weight of a model: none is ever ruled out for good.
+/// Least weight of a model, so that no model is ruled out for good.
 const LEAST_WEIGHT: f64 = 1e-6;
 
-/// Models that switch. The output is Cartesian: [x, y, vx, vy, ax, ay].
+/// Interacting multiple models. The output is Cartesian: [x, y, vx, vy, ax, ay].
 ///
 /// # Source
 /// Blom & Bar-Shalom, "The interacting multiple model algorithm", 1988; states that a model does
@@ -32,26 +32,26 @@ pub type Modes = Vec<(f64, Arc<dyn Mode>)>;
 
 type Corrected = Result<Option<(Arc<dyn Mode>, Innovation)>, Error>;
 
-/// A model with its state.
+/// One motion model together with its state.
 pub trait Mode: Send + Sync {
-    /// With the state of a target that has been seen once.
+    /// This model with the state of a target that was seen once.
     fn started(&self, first: &First) -> Arc<dyn Mode>;
-    /// With the state of a target whose position and velocity are known.
+    /// This model with the state of a target whose position and velocity are known.
     fn after_velocity(&self, cv: &Gaussian<4>) -> Arc<dyn Mode>;
-    /// After `dt` [s].
+    /// This model with its state predicted `dt` [s] ahead.
     fn predicted(&self, dt: f64, platform: &Platform) -> Arc<dyn Mode>;
-    /// Corrected by a measurement.
+    /// This model with its state corrected by a measurement.
     ///
     /// # Errors
-    /// As [`Engine::update`].
+    /// [`Error::NotPositiveDefinite`] as of [`Engine::update`].
     fn updated(&self, m: &Measurement, platform: &Platform) -> Corrected;
-    /// The state in Cartesian form; what the model does not know is taken from `other`.
+    /// State in Cartesian form; states that the model does not have are taken from `other`.
     fn cartesian(&self, other: Option<&Gaussian<6>>) -> Gaussian<6>;
-    /// With the state that says the same as `cartesian`.
+    /// This model with the state that corresponds to `cartesian`.
     fn adopted(&self, cartesian: &Gaussian<6>) -> Arc<dyn Mode>;
     /// The state as plain numbers, for saving.
     fn numbers(&self) -> Vec<f64>;
-    /// With the state of `numbers`; none where no state has them.
+    /// This model with the state of `numbers`; None if they do not fit.
     fn restored(&self, numbers: &[f64]) -> Option<Arc<dyn Mode>>;
 }
 
@@ -96,6 +96,8 @@ impl<const N: usize, M: Exchange<N>> Mode for Member<N, M> {
     }
 
     fn updated(&self, m: &Measurement, platform: &Platform) -> Corrected {
+        // Accepted here in any case: only the mixture of all models can decide about the
+        // measurement.
         let mut state = self.state.clone();
         let update = self.engine.update(&mut state, m, platform, &mut |_| true)?;
         Ok(update.map(|innovation| (self.with(state), innovation)))
@@ -118,13 +120,13 @@ impl<const N: usize, M: Exchange<N>> Mode for Member<N, M> {
     }
 }
 
-/// As [`mixed`].
+/// Moments of the mixture: see [`mixed`].
 fn mixture(parts: &[(f64, Gaussian<6>)]) -> Gaussian<6> {
     mixed(&parts.iter().map(|(weight, part)| (*weight, part)).collect::<Vec<_>>())
 }
 
 impl Imm {
-    /// A target that follows each of `modes` for `sojourn` [s] on average.
+    /// Engine for a target that follows each of `modes` for `sojourn` [s] on average.
     #[must_use]
     pub fn new(modes: Vec<Arc<dyn Mode>>, sojourn: f64) -> Self {
         Self { modes, sojourn }
@@ -135,15 +137,19 @@ impl Imm {
         self.modes.iter().map(|mode| (weight, make(&**mode))).collect()
     }
 
-    /// Probability of each model after a switch may have happened, and its mixed state.
+    /// Mixing step: probability of each model after a possible switch, and its mixed state.
     fn interacted(&self, modes: &Modes, dt: f64) -> Modes {
         let count = modes.len();
         let stay = libm::exp(-dt / self.sojourn);
+        // Without time there is no switch: two measurements at one stamp must not mix the models
+        // twice.
         if count < 2 || stay >= 1.0 {
             return modes.clone();
         }
         let switch = (1.0 - stay) / (count - 1) as f64;
         let into = |to: usize| {
+            // A model without acceleration must not tell one with it that the acceleration is zero
+            // and certain: its missing states come from the model that receives them.
             let own = modes[to].1.cartesian(None);
             let share = |from: usize| modes[from].0 * if from == to { stay } else { switch };
             let weight: f64 = (0..count).map(share).sum();
@@ -190,6 +196,7 @@ impl Engine for Imm {
             return Ok(None);
         };
         let (most, mut innovation) = (best.0, best.2);
+        // Less the largest, so that the sum cannot underflow however unlikely the measurement is.
         let total: f64 = updated.iter().map(|(log, ..)| libm::exp(log - most)).sum();
         // the innovation of the likeliest model, its determinant such that the likelihood of the
         // measurement is that of all models together
@@ -203,7 +210,7 @@ impl Engine for Imm {
         Ok(Some(innovation))
     }
 
-    /// Model by model, through the Cartesian form.
+    /// Blend the states of each model, through the Cartesian form.
     fn blended(&self, parts: &[(f64, &Modes)]) -> Modes {
         let models = 0..self.modes.len();
         let blended = models.map(|model| {

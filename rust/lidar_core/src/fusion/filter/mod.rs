@@ -1,4 +1,4 @@
-//! Filters of one target: linearised, sigma points, several models, the one of the paper, smoothing.
+//! Filters of one target: extended, sigma-point, interacting models, the paper's; and the smoother.
 
 pub mod engine;
 pub mod imm;

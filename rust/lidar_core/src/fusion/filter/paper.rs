@@ -22,33 +22,33 @@ const LIDAR: f64 = 0.0222;
 /// Variances of the radar, eq. 28.
 const RADAR: [f64; 5] = [0.088, 0.00088, 0.088, 0.0088, 0.08];
 
-/// What the radar is taken to measure, eq. 26: x and y are always range and bearing in Cartesian
-/// form.
+/// Interpretation of the radar measurement, eq. 26. x and y are always range and bearing in
+/// Cartesian form.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reading {
     /// v is the range rate, theta the bearing, w zero.
     A,
-    /// As A, but w is the range rate.
+    /// Like A, but w is the range rate.
     B,
-    /// v and theta are the true ones, which the measurement has to bring; w is zero.
+    /// v and theta are the true values, which the measurement has to contain; w is zero.
     C,
-    /// Nothing else.
+    /// Only x and y are measured.
     D,
 }
 
 /// The model of the paper: [x, y, v, theta, w, w_d].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Paper {
-    /// What the radar measures.
+    /// Interpretation of the radar measurement.
     pub reading: Reading,
-    /// Whether alpha of eq. 18 is theta + w dt, as eq. 8 has it, instead of theta + dt.
+    /// Use alpha = theta + w dt of eq. 8 in eq. 18, instead of the printed theta + dt.
     pub fixed_alpha: bool,
-    /// Whether states are predicted by Phi, eq. 15, instead of eqs 8 and 9.
+    /// Predict states by Phi of eq. 15, instead of eqs 8 and 9.
     pub by_matrix: bool,
-    /// Whether y of eq. 9 loses v_dy, as in eq. 8, instead of v_dx, as printed.
+    /// Subtract v_dy from y in eq. 9, as in eq. 8, instead of the printed v_dx.
     pub fixed_straight_y: bool,
-    /// Whether the column of w_d in eqs 18 and 19 is zero, as eq. 16 makes it of eqs 8 and 9, in
-    /// which w_d does not occur, instead of what is printed.
+    /// Set the column of w_d in eqs 18 and 19 to zero, instead of the printed values. By eq. 16 it
+    /// is zero, since w_d does not occur in eqs 8 and 9.
     pub zero_platform_column: bool,
     /// Speed of the platform, V0 of eq. 7 [m/s].
     pub speed: f64,
@@ -56,12 +56,13 @@ pub struct Paper {
     pub elevation: f64,
     /// Standard deviations of eq. 23: acceleration, turn rate, turn rate of the platform.
     pub std: [f64; 3],
-    /// What is known before.
+    /// Variances before the second measurement.
     pub prior: Prior,
 }
 
 impl Paper {
-    /// Eqs 8 and 9, with the position before them and the platform's term times the step.
+    /// State after `dt` [s] by eqs 8 and 9, with the previous position added and the platform's
+    /// term multiplied by the step.
     fn moved(&self, s: &Vector6<f64>, dt: f64) -> Vector6<f64> {
         let [x, y, v, theta, w, w_d] = s.data.0[0];
         let (sine, cosine) = libm::sincos(theta);
@@ -87,7 +88,7 @@ impl Paper {
         Vector6::new(x + dx - own[0], y + dy - own[1], v, alpha, w, w_d)
     }
 
-    /// Phi of eqs 18 and 19.
+    /// Transition matrix Phi of eqs 18 and 19.
     fn matrix(&self, s: &Vector6<f64>, dt: f64) -> Matrix6<f64> {
         let [_, _, v, theta, w, _] = s.data.0[0];
         let (sine, cosine) = libm::sincos(theta);
@@ -113,7 +114,7 @@ impl Paper {
         Phi
     }
 
-    /// Q of eq. 24.
+    /// Process noise Q of eq. 24.
     fn noise(&self, theta: f64, dt: f64) -> Matrix6<f64> {
         let (sine, cosine) = libm::sincos(theta);
         let (sin_phi, cos_phi) = libm::sincos(self.elevation);
@@ -137,7 +138,7 @@ impl Paper {
         Q
     }
 
-    /// Eqs 12, 13 and 15 with the first K states measured.
+    /// Correct the state by eqs 12, 13 and 15; the first K states are measured.
     fn corrected<const K: usize>(
         state: &mut Gaussian<6>,
         z: &SVector<f64, K>,
@@ -147,6 +148,7 @@ impl Paper {
         let singular = || Error::NotPositiveDefinite { matrix: "S" };
         let M = &state.covariance;
         let mut y = z - state.mean.fixed_rows::<K>(0);
+        // The fourth state is the heading.
         if K > 3 {
             y[3] = wrapped(y[3]);
         }
@@ -156,13 +158,18 @@ impl Paper {
         }
         let (inverse, determinant) = inverted(&S).ok_or_else(singular)?;
         let K_gain = M.fixed_columns::<K>(0) * inverse;
+        // As printed: no Joseph form and no symmetric part, since P is not symmetric here anyway
+        // and the comparison is with these equations.
         let posterior = Gaussian {
             mean: state.mean + K_gain * y,
             covariance: M - K_gain * M.fixed_rows::<K>(0),
         };
+        // The printed noise can make the covariance grow without limit: an error, not a state of
+        // NaN.
         if !posterior.mean.iter().chain(&posterior.covariance).all(|value| value.is_finite()) {
             return Err(singular());
         }
+        // S need not be positive, so its determinant may be negative.
         let log_determinant = libm::log(determinant.abs());
         let far = Mahalanobis { squared: y.dot(&(inverse * y)), log_determinant };
         let innovation = Innovation::new(y.as_slice(), &far);
@@ -173,7 +180,7 @@ impl Paper {
     }
 }
 
-/// Inverse and determinant by elimination with pivots: the matrix need not be a covariance.
+/// Inverse and determinant by elimination with pivoting; the matrix need not be a covariance.
 fn inverted<const K: usize>(S: &SMatrix<f64, K, K>) -> Option<(SMatrix<f64, K, K>, f64)> {
     let (mut left, mut right) = (*S, SMatrix::<f64, K, K>::identity());
     let mut determinant = 1.0;

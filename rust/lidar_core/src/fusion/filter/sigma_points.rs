@@ -17,14 +17,14 @@ use nalgebra::{Matrix1, SMatrix, SVector, Vector1};
 pub struct Sigma<const N: usize, M> {
     /// Models and noise.
     pub base: Single<N, M>,
-    /// Where the points lie.
+    /// Distance and weights of the points.
     pub rule: Rule,
-    /// Whether the points of a prediction are compared with measurements, those of its noise
-    /// with them; else new ones are drawn from its covariance.
+    /// Compare the predicted points, those of the noise included, with measurements; otherwise new
+    /// points are drawn from the predicted covariance.
     pub carries: bool,
 }
 
-/// A state, and the sigma points that its prediction left, where they are carried on.
+/// A state, and the sigma points of its prediction if they are carried on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SigmaState<const N: usize> {
     /// Mean and root of the covariance.
@@ -32,7 +32,7 @@ pub struct SigmaState<const N: usize> {
     points: Vec<Point<N>>,
 }
 
-/// A weight, and a state.
+/// Weight and state of a sigma point.
 type Point<const N: usize> = (f64, SVector<f64, N>);
 type Corrected = Result<Option<Innovation>, Error>;
 
@@ -45,7 +45,7 @@ impl<const N: usize> SigmaState<N> {
         Gaussian { mean: self.rooted.mean, covariance: self.rooted.covariance() }
     }
 
-    /// Points that stand for the state, the central one first.
+    /// Sigma points of the state, the central one first.
     fn points(&self, rule: &Rule) -> Vec<Point<N>> {
         if !self.points.is_empty() {
             return self.points.clone();
@@ -62,10 +62,12 @@ impl<const N: usize> SigmaState<N> {
 }
 
 impl<const N: usize, M: Motion<N>> Sigma<N, M> {
-    /// Correct `prior` by `z`, which `expected` says of a state; `minus` subtracts two such.
+    /// Correct `prior` by the measurement `z`. `expected` predicts the measurement of a state and
+    /// `minus` subtracts two measurements.
     ///
-    /// Deviations of measurement and state are absorbed by one triangle: its upper left is the
-    /// root of S, below lie the gain times it, and the root of the posterior.
+    /// One triangle absorbs the joint deviations of measurement and state: its upper left block is
+    /// the root of S, the block below is the gain times that root, the lower right block is the
+    /// root of the posterior covariance.
     fn corrected<const K: usize>(
         &self,
         prior: &mut SigmaState<N>,
@@ -76,6 +78,8 @@ impl<const N: usize, M: Motion<N>> Sigma<N, M> {
         believe: Believe<'_>,
     ) -> Corrected {
         let (points, mean) = (prior.points(&self.rule), prior.rooted.mean);
+        // The mean is formed from differences to the central point: bearings on both sides of pi,
+        // averaged as plain numbers, would point backwards.
         let center = expected(&points[0].1);
         let apart: Vec<SVector<f64, K>> =
             points.iter().map(|(_, point)| minus(&expected(point), &center)).collect();
@@ -100,7 +104,7 @@ impl<const N: usize, M: Motion<N>> Sigma<N, M> {
         Ok(Some(innovation))
     }
 
-    /// Points of a prediction: of the state and of its noise.
+    /// Predicted sigma points of the state and of its noise.
     fn carried(
         &self,
         state: &Rooted<N>,
@@ -109,6 +113,8 @@ impl<const N: usize, M: Motion<N>> Sigma<N, M> {
     ) -> Vec<Point<N>> {
         let Rule { spread, around, .. } = self.rule;
         let (center, reach) = (moved(&state.mean), libm::sqrt(spread));
+        // The noise columns are further dimensions of the state; the central weight pays for their
+        // points.
         let mut points = vec![(1.0 - (N + noise.len()) as f64 / spread, center)];
         for axis in state.root.column_iter() {
             points.push((around, moved(&(state.mean + axis * reach))));
@@ -121,7 +127,7 @@ impl<const N: usize, M: Motion<N>> Sigma<N, M> {
     }
 }
 
-/// What a triangle over measurement and state makes of the innovation `y`.
+/// Posterior and innovation of the joint triangle over measurement and state, given the innovation.
 fn posterior<const N: usize, const K: usize>(
     prior: &Rooted<N>,
     triangle: &Triangle,
@@ -129,6 +135,8 @@ fn posterior<const N: usize, const K: usize>(
 ) -> (SigmaState<N>, Innovation) {
     let mut whitened = SVector::<f64, K>::zeros();
     let mut determinant = 1.0;
+    // Forward substitution with the root of S: the squared norm of the result is the NIS, and the
+    // block below times the result is the change of the mean. Nothing is inverted.
     for row in 0..K {
         let known: f64 = (0..row).map(|k| triangle.at(row, k) * whitened[k]).sum();
         whitened[row] = (y[row] - known) / triangle.at(row, row);
@@ -169,6 +177,8 @@ impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
                 noise.push(*column);
             }
         });
+        // After all noise: the central weight may be negative, and then it is subtracted from a
+        // larger sum.
         let triangle = triangle.weighted(self.rule.center, stacked(shift.as_slice(), &[]));
         state.rooted = Rooted { mean, root: triangle.corner(0) };
         state.points = if self.carries { self.carried(&before, &noise, moved) } else { Vec::new() };
@@ -214,6 +224,7 @@ impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
         let plain: Vec<_> = parts.iter().map(|(weight, part)| (*weight, part.gaussian())).collect();
         let Gaussian { mean, covariance } =
             mixed(&plain.iter().map(|(weight, part)| (*weight, part)).collect::<Vec<_>>());
+        // The points are dropped: those of one part do not stand for the mixture.
         SigmaState::new(Rooted::new(mean, &covariance))
     }
 
@@ -242,11 +253,13 @@ impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
         Some(SigmaState { rooted: Rooted { mean, root }, points })
     }
 
-    /// By the Jacobian at the mean: what the smoother needs is the correlation of two states.
+    /// Transition by the Jacobian at the mean; the smoother needs only the correlation of two
+    /// states.
     fn link(&self, state: &SigmaState<N>, dt: f64, platform: &Platform) -> Option<Link> {
         let mut link = self.base.link(&state.gaussian(), dt, platform)?;
         let mut predicted = SigmaState::new(state.rooted);
         self.predict(&mut predicted, dt, platform);
+        // The mean is that of the sigma points: the smoother corrects what this filter predicted.
         link.mean.fixed_rows_mut::<N>(0).copy_from(&predicted.rooted.mean);
         Some(link)
     }

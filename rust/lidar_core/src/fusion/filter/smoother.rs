@@ -1,4 +1,4 @@
-//! What later measurements say about earlier states: Rauch-Tung-Striebel, whole or fixed lag.
+//! Rauch-Tung-Striebel smoother over a whole run or with a fixed lag.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -7,18 +7,18 @@ use crate::estimation::kalman::symmetrised;
 use crate::fusion::models::turn::wrapped;
 use nalgebra::{Matrix6, Vector6};
 
-/// A row of a run: the filter's state, its time, and how it hangs on the row before.
+/// One row of a run: state of the filter, its time, and the transition from the row before.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
     /// Time of the state [ns].
     pub stamp_ns: i64,
-    /// What the filter says; none before the target has been seen.
+    /// Output of the filter; None before the target has been seen.
     pub output: Option<Output>,
-    /// From the row before to this one; none where a target starts.
+    /// Transition from the row before to this one; None where a target starts.
     pub link: Option<Link>,
 }
 
-/// Every state given all measurements that came up to `lag_ns` after it, or all there are.
+/// Smoothed states, each given the measurements up to `lag_ns` after it, or all measurements.
 ///
 /// Covariances are sums of squares: they stay positive semidefinite.
 ///
@@ -40,7 +40,7 @@ pub fn smoothed(rows: &[Row], lag_ns: Option<i64>) -> Vec<Option<Output>> {
         .collect()
 }
 
-/// States of rows `first` to `end`, given the measurements of rows before `end`.
+/// Smoothed states of rows `first` to `end`, given the measurements of the rows before `end`.
 fn back_from(rows: &[Row], end: usize, first: usize) -> Vec<Option<Output>> {
     let mut states: Vec<Option<Output>> = rows[first..end].iter().map(|row| row.output).collect();
     for index in (first + 1..end).rev() {
@@ -52,7 +52,7 @@ fn back_from(rows: &[Row], end: usize, first: usize) -> Vec<Option<Output>> {
     states
 }
 
-/// `earlier` given what is known of the state after it; none if nothing can be said.
+/// State `earlier` corrected by the smoothed state after it; None if the covariance is singular.
 fn step_back(earlier: &Output, link: &Link, later: &Output) -> Option<Output> {
     let (m, P) = padded(earlier);
     let (ms, Ps) = padded(later);
@@ -61,12 +61,15 @@ fn step_back(earlier: &Output, link: &Link, later: &Output) -> Option<Output> {
     let predicted = symmetrised(FP * F.transpose() + Q);
     let G = predicted.cholesky()?.solve(&FP).transpose();
     let mut change = ms - link.mean;
+    // The smoothed heading is wrapped, the predicted one is not: a full turn is no change.
     if let Some(index) = link.heading {
         change[index] = wrapped(change[index]);
     }
     for index in earlier.count..MAX_STATES {
         change[index] = 0.0;
     }
+    // Joseph form of the smoother: a sum of squares, where P + G (Ps - predicted) G' could turn
+    // indefinite by rounding.
     let kept = Matrix6::identity() - G * F;
     let P = symmetrised(kept * P * kept.transpose() + G * (Q + Ps) * G.transpose());
     let mut mean = m + G * change;
@@ -77,7 +80,8 @@ fn step_back(earlier: &Output, link: &Link, later: &Output) -> Option<Output> {
     finite.then(|| cut(earlier.count, &mean, &P))
 }
 
-/// With unit covariance for states that the model does not have.
+/// Mean and covariance of six states; states that the model does not have get unit covariance, so
+/// that the predicted covariance stays invertible.
 fn padded(output: &Output) -> (Vector6<f64>, Matrix6<f64>) {
     let mut P = Matrix6::from_fn(|row, column| output.covariance[row][column]);
     for index in output.count..MAX_STATES {

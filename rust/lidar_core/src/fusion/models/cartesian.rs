@@ -21,15 +21,17 @@ pub struct ConstantAcceleration;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CoordinatedTurn;
 
-/// Velocity of a target seen first, and its covariance: nothing is known across the line of sight.
+/// State of a target seen first; the velocity across the line of sight is unknown.
 fn first_cv(first: &First, prior: &Prior) -> Gaussian<4> {
     let [vx, vy] = direction(first.heading).map(|part| part * first.speed);
     let [x, y] = first.position;
+    // The variance of the speed belongs to both axes: zero across the line of sight is only the
+    // mean of what is not measured.
     let variances = Vector4::new(prior.position, prior.position, prior.speed, prior.speed);
     Gaussian { mean: Vector4::new(x, y, vx, vy), covariance: SMatrix::from_diagonal(&variances) }
 }
 
-/// The (x, y) velocity in states 2 and 3, and its Jacobian.
+/// Velocity (vx, vy) in states 2 and 3, and its Jacobian.
 fn velocity_of<const N: usize>(s: &SVector<f64, N>) -> (Vector2<f64>, SMatrix<f64, 2, N>) {
     let mut J = SMatrix::<f64, 2, N>::zeros();
     (J[(0, 2)], J[(1, 3)]) = (1.0, 1.0);
@@ -139,6 +141,8 @@ impl Motion<5> for CoordinatedTurn {
 
     fn moved(&self, s: &Vector5<f64>, dt: f64, _: &Platform) -> Vector5<f64> {
         let turn = Turn::<1>::new(s[4], dt);
+        // Moments of the arc instead of division by w: they stay exact when the target flies
+        // straight.
         let [x, y] = turn.turned(0, [s[2], s[3]]);
         let [vx, vy] = rotated(direction(s[4] * dt), [s[2], s[3]]);
         Vector5::new(s[0] + x, s[1] + y, vx, vy, s[4])
@@ -157,6 +161,8 @@ impl Motion<5> for CoordinatedTurn {
             Matrix2::new(turn.along[0], -turn.aside[0], turn.aside[0], turn.along[0]);
         F.fixed_view_mut::<2, 2>(0, 2).copy_from(&displacement);
         F.fixed_view_mut::<2, 2>(2, 2).copy_from(&Matrix2::new(cosine, -sine, sine, cosine));
+        // A derivative by the turn rate is the vector of the next moment, turned by a quarter to
+        // the left.
         let [along, aside] = turn.turned(1, v);
         let [vx, vy] = rotated([cosine, sine], v);
         F.set_column(4, &Vector5::new(-aside, along, -dt * vy, dt * vx, 1.0));
@@ -164,6 +170,8 @@ impl Motion<5> for CoordinatedTurn {
     }
 
     fn impulses(&self, s: &Vector5<f64>, dt: f64, platform: &Platform) -> SMatrix<f64, 5, INPUTS> {
+        // An impulse of acceleration is a jump of a state, so its response is a column of the
+        // transition.
         self.transition(s, dt, platform).1.fixed_columns::<3>(2).into_owned()
     }
 

@@ -1,4 +1,4 @@
-//! CTRV seen from a platform that moves itself: the state is in the level frame of the sensor.
+//! CTRV relative to a moving platform: the state is in the levelled frame of the sensor.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -9,17 +9,17 @@ use super::turn::{Turn, direction, rotated};
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{SMatrix, SVector, Vector2, Vector5, Vector6};
 
-/// CTRV as the moving sensor sees it; the platform's turn rate is told by a gyro:
-/// [x, y, v, theta, w], v and w over ground.
+/// CTRV relative to the moving sensor; a gyro gives the turn rate of the platform: [x, y, v, theta,
+/// w], with v and w over ground.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CtrvDrone;
 
-/// The same with the platform's turn rate as a sixth state, measured by a gyro or not at all:
-/// [x, y, v, theta, w, w_d].
+/// Like [`CtrvDrone`], with the turn rate of the platform as a sixth state, which a gyro may
+/// measure: [x, y, v, theta, w, w_d].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CtrvDroneRate;
 
-/// A step of the sensor's frame, and its Jacobian by all six states.
+/// State after a step of the sensor's frame, and its derivatives by all six states.
 fn step(s: &Vector5<f64>, rate: f64, dt: f64, platform: &Platform) -> (Vector5<f64>, Columns) {
     let ([x, y, v, heading, w], lever) = (s.data.0[0], platform.lever);
     let arc = Arc::new(direction(heading), w, dt);
@@ -29,6 +29,8 @@ fn step(s: &Vector5<f64>, rate: f64, dt: f64, platform: &Platform) -> (Vector5<f
     let [c, minus_s] = direction(-rate * dt);
     let back = |vector: [f64; 2]| rotated([c, minus_s], vector);
     let [A, B] = arc.by_speed;
+    // The platform turns about its origin, not about the sensor: the lever is added before the
+    // rotation and subtracted after it.
     let moved = back([x + lever[0] + v * A - d[0], y + lever[1] + v * B - d[1]]);
     let after = [moved[0] - lever[0], moved[1] - lever[1]];
     let by_own = back([-aside, along]); // C d'
@@ -39,10 +41,12 @@ fn step(s: &Vector5<f64>, rate: f64, dt: f64, platform: &Platform) -> (Vector5<f
         by_rate: back(arc.by_rate.map(|part| part * v)),
         by_platform: [dt * moved[1] - by_own[0], -dt * moved[0] - by_own[1]],
     };
+    // Angles count from the axes of the platform, which turn as well: only the difference of the
+    // two rates is seen.
     (Vector5::new(after[0], after[1], v, heading + (w - rate) * dt, w), columns)
 }
 
-/// Derivatives of the position.
+/// Derivatives of the position by the other states.
 struct Columns {
     position: [f64; 2],
     by_speed: [f64; 2],
@@ -52,7 +56,7 @@ struct Columns {
 }
 
 impl Columns {
-    /// Jacobian of the first five states by themselves, in a matrix that may be larger.
+    /// Jacobian of the first five states, in a matrix that may be larger.
     fn jacobian<const N: usize>(&self, dt: f64) -> SMatrix<f64, N, N> {
         let mut F = SMatrix::<f64, N, N>::identity();
         let [c, minus_s] = self.position;
@@ -67,7 +71,7 @@ impl Columns {
     }
 }
 
-/// Straight-line responses to acceleration and angular acceleration, as of CTRV.
+/// Responses to acceleration and angular acceleration on a straight line, as in CTRV.
 fn holds<const N: usize>(s: &SVector<f64, N>, dt: f64) -> SMatrix<f64, N, INPUTS> {
     let [cosine, sine] = direction(s[3]);
     let half = 0.5 * dt * dt;
@@ -77,7 +81,7 @@ fn holds<const N: usize>(s: &SVector<f64, N>, dt: f64) -> SMatrix<f64, N, INPUTS
     columns
 }
 
-/// Velocity relative to the sensor, whose platform moves and turns.
+/// Velocity relative to the sensor, which moves and turns with the platform, and its Jacobian.
 fn relative<const N: usize>(
     s: &SVector<f64, N>,
     rate: f64,
@@ -118,8 +122,9 @@ impl Motion<5> for CtrvDrone {
         holds(s, dt)
     }
 
-    /// The gyro's error turns the frame.
+    /// Response to the error of the gyro, which turns the frame.
     fn told(&self, s: &Vector5<f64>, dt: f64, platform: &Platform) -> Option<Vector5<f64>> {
+        // The error is constant over the step: one column, which correlates position and heading.
         let [x, y] = step(s, platform.rate, dt, platform).1.by_platform;
         Some(Vector5::new(x, y, 0.0, -dt, 0.0) * libm::sqrt(platform.rate_variance))
     }

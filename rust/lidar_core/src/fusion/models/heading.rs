@@ -1,4 +1,4 @@
-//! Models with a speed and a heading: CTRV, and CTRA, which may accelerate.
+//! Models with speed and heading: CTRV (constant turn rate and velocity) and CTRA (acceleration).
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -8,9 +8,9 @@ use super::turn::{Turn, direction};
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix2x4, SMatrix, SVector, Vector2, Vector4, Vector5, Vector6};
 
-/// Below this speed a velocity says nothing about a heading [m/s].
+/// Speed below which a velocity has no heading [m/s].
 const SLOWEST: f64 = 1e-3;
-/// Variance of a heading of which nothing is known [rad^2].
+/// Variance of an unknown heading [rad^2].
 const ANY_HEADING: f64 = 4.0;
 
 /// Constant turn rate and velocity, driven by acceleration along the heading and by angular
@@ -37,9 +37,10 @@ impl Arc {
     }
 }
 
-/// Position, speed and heading of a normal distribution of position and velocity.
+/// Position, speed and heading of a distribution of position and velocity.
 pub(super) fn polar_from(cv: &Gaussian<4>) -> Gaussian<4> {
     let (vx, vy) = (cv.mean[2], cv.mean[3]);
+    // A target at rest has no heading; the least speed keeps the Jacobian finite.
     let speed = libm::hypot(vx, vy).max(SLOWEST);
     let heading = libm::atan2(vy, vx);
     let [cosine, sine] = direction(heading);
@@ -65,9 +66,10 @@ pub(super) fn polar_from(cv: &Gaussian<4>) -> Gaussian<4> {
     Gaussian { mean: Vector4::new(cv.mean[0], cv.mean[1], speed, heading), covariance }
 }
 
-/// First state of position, speed and heading.
+/// Position, speed and heading of a target seen first.
 pub(super) fn polar_first(first: &First, prior: &Prior) -> Gaussian<4> {
     let [x, y] = first.position;
+    // Without a measured speed the line of sight does not show where the target is heading.
     let heading = if first.speed == 0.0 { 0.0 } else { first.heading };
     let variances = Vector4::new(prior.position, prior.position, prior.speed, prior.heading);
     Gaussian {
@@ -76,7 +78,7 @@ pub(super) fn polar_first(first: &First, prior: &Prior) -> Gaussian<4> {
     }
 }
 
-/// Velocity of speed and heading in states 2 and 3, and its Jacobian.
+/// Velocity of the speed and heading in states 2 and 3, and its Jacobian.
 pub(super) fn velocity_of<const N: usize>(
     s: &SVector<f64, N>,
 ) -> (Vector2<f64>, SMatrix<f64, 2, N>) {
@@ -122,7 +124,7 @@ impl Motion<5> for Ctrv {
         columns
     }
 
-    /// As seen from the end, whose heading is the same for all.
+    /// Responses from the end state, whose heading all impulses share.
     fn responses(
         &self,
         end: &Vector5<f64>,
@@ -130,6 +132,8 @@ impl Motion<5> for Ctrv {
         _: &Platform,
         mut visit: impl FnMut(&SMatrix<f64, 5, INPUTS>),
     ) {
+        // The arc is followed backwards from the end: one sine and cosine serve all three impulses,
+        // where the general form would compute a new state for each.
         let (heading, v) = (direction(end[3]), end[2]);
         for rest in rests {
             let back = Turn::<2>::new(-end[4], rest);
@@ -144,6 +148,7 @@ impl Motion<5> for Ctrv {
 
     fn holds(&self, s: &Vector5<f64>, dt: f64) -> SMatrix<f64, 5, INPUTS> {
         let [cosine, sine] = direction(s[3]);
+        // The path that the noise adds within a step is short, so its bend is neglected.
         let half = 0.5 * dt * dt;
         let mut columns = SMatrix::<f64, 5, INPUTS>::zeros();
         columns.set_column(0, &Vector5::new(half * cosine, half * sine, dt, 0.0, 0.0));
@@ -203,7 +208,7 @@ impl Motion<6> for Ctra {
         columns
     }
 
-    /// As seen from the end, whose heading is the same for all.
+    /// Responses from the end state, whose heading all impulses share.
     fn responses(
         &self,
         end: &Vector6<f64>,

@@ -1,4 +1,4 @@
-//! Motion models: what a state is and how it changes with time.
+//! Motion models: the states of each and their change with time.
 
 pub mod cartesian;
 pub mod drone;

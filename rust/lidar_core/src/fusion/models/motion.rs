@@ -1,4 +1,4 @@
-//! What a motion model has to say, and the noise that drives it.
+//! Interface of motion models, and the process noise that drives them.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -20,11 +20,11 @@ pub enum Noise {
     Turn,
     /// Angular acceleration of the platform.
     Platform,
-    /// None.
+    /// No noise: the model has fewer than three.
     Absent,
 }
 
-/// How uncertain a target is before it has been seen twice, as variances.
+/// Variances of the states before the second measurement of a target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prior {
     /// Of the position, per axis [m^2].
@@ -41,10 +41,10 @@ pub struct Prior {
     pub platform_rate: f64,
 }
 
-/// Where a target was seen first: position, and the velocity along the line of sight.
+/// First sight of a target: its position, and its velocity along the line of sight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct First {
-    /// In the frame of the state [m].
+    /// Position in the frame of the state [m].
     pub position: [f64; 2],
     /// Speed away from the sensor [m/s]; zero where it is not measured.
     pub speed: f64,
@@ -57,17 +57,17 @@ pub struct First {
 /// The frame of the state is the sensor's where the sensor stands still or the model moves it,
 /// else the world's.
 pub trait Motion<const N: usize>: Clone + Send + Sync + 'static {
-    /// What drives it, in the order of the columns of [`Self::impulses`].
+    /// Noises that drive the model, in the order of the columns of [`Self::impulses`].
     const NOISES: [Noise; INPUTS];
-    /// Which state is a heading: it is kept unwrapped and wrapped on output.
+    /// Index of the state that is a heading: it is kept unwrapped and wrapped on output.
     const HEADING: Option<usize>;
-    /// Which state is the turn rate of the platform.
+    /// Index of the state that is the turn rate of the platform.
     const PLATFORM_RATE: Option<usize> = None;
 
     /// State after `dt` [s].
     fn moved(&self, s: &SVector<f64, N>, dt: f64, platform: &Platform) -> SVector<f64, N>;
 
-    /// The same with its Jacobian.
+    /// State after `dt` [s], with its Jacobian.
     fn transition(
         &self,
         s: &SVector<f64, N>,
@@ -83,7 +83,7 @@ pub trait Motion<const N: usize>: Clone + Send + Sync + 'static {
         platform: &Platform,
     ) -> SMatrix<f64, N, INPUTS>;
 
-    /// Hand out responses of the state `end` to unit impulses that came `rests` [s] before it.
+    /// Visit the responses of the state `end` to unit impulses that came `rests` [s] before it.
     fn responses(
         &self,
         end: &SVector<f64, N>,
@@ -92,14 +92,15 @@ pub trait Motion<const N: usize>: Clone + Send + Sync + 'static {
         mut visit: impl FnMut(&SMatrix<f64, N, INPUTS>),
     ) {
         for rest in rests {
+            // Only the end of the step is known: moved backwards it gives the state at the impulse.
             visit(&self.impulses(&self.moved(end, -rest, platform), rest, platform));
         }
     }
 
-    /// Response to each noise when it keeps its unit value for `dt`, on a straight line.
+    /// Response to each noise when it is constantly 1 for `dt` [s], on a straight line.
     fn holds(&self, s: &SVector<f64, N>, dt: f64) -> SMatrix<f64, N, INPUTS>;
 
-    /// Response to the error of an input that the filter is told, times its deviation.
+    /// Response to the error of a given input, times its standard deviation.
     fn told(
         &self,
         _s: &SVector<f64, N>,
@@ -119,14 +120,14 @@ pub trait Motion<const N: usize>: Clone + Send + Sync + 'static {
     /// State of a target that has been seen once.
     fn first(&self, first: &First, prior: &Prior) -> Gaussian<N>;
 
-    /// State of a target whose position and velocity [x, y, vx, vy] are known; none for models
-    /// that start by themselves.
+    /// State of a target with known position and velocity [x, y, vx, vy]; None for models that
+    /// start by themselves.
     fn after_velocity(&self, _cv: &Gaussian<4>, _prior: &Prior) -> Option<Gaussian<N>> {
         None
     }
 }
 
-/// `start` with zeros for the states that follow, whose variances are given.
+/// `start` extended by states with mean zero and the given variances.
 pub(crate) fn extended<const N: usize>(start: &Gaussian<4>, variances: &[f64]) -> Gaussian<N> {
     let (mut mean, mut covariance) = (SVector::<f64, N>::zeros(), SMatrix::<f64, N, N>::zeros());
     mean.fixed_rows_mut::<4>(0).copy_from(&start.mean);
@@ -137,11 +138,11 @@ pub(crate) fn extended<const N: usize>(start: &Gaussian<4>, variances: &[f64]) -
     Gaussian { mean, covariance }
 }
 
-/// How process noise acts.
+/// Time behaviour of the process noise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoiseForm {
-    /// White in continuous time: strengths are roots of spectral densities, and two half steps
-    /// equal a whole one.
+    /// White in continuous time: strengths are roots of spectral densities. Two half steps give the
+    /// same noise as one whole step.
     Continuous,
     /// Constant over a step: strengths are standard deviations, and the noise per second depends
     /// on the rate of the measurements.
@@ -151,7 +152,7 @@ pub enum NoiseForm {
 /// Process noise of a model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProcessNoise {
-    /// How it acts.
+    /// Time behaviour.
     pub form: NoiseForm,
     /// Strength of each noise, in the units that `form` asks for.
     pub strength: [f64; INPUTS],
@@ -165,8 +166,8 @@ const NODES: [(f64, f64); 3] = [
 ];
 
 impl ProcessNoise {
-    /// Hand out columns c whose outer products sum to the covariance Q of the noise of a step
-    /// from `s` to `end`: Q is positive semidefinite by construction.
+    /// Visit columns c whose outer products sum to the covariance Q of the noise of a step from `s`
+    /// to `end`: Q is positive semidefinite by construction.
     pub fn columns<const N: usize, M: Motion<N>>(
         &self,
         motion: &M,
@@ -178,6 +179,8 @@ impl ProcessNoise {
         let mut visit_scaled = |columns: &SMatrix<f64, N, INPUTS>, scale: f64| {
             for (column, strength) in columns.data.0.iter().zip(self.strength) {
                 if strength != 0.0 {
+                    // A zero column changes nothing, but costs the square-root filters a rotation
+                    // each.
                     visit(&(SVector::from(*column) * (strength * scale)));
                 }
             }
@@ -185,7 +188,11 @@ impl ProcessNoise {
         match self.form {
             NoiseForm::Discrete => visit_scaled(&motion.holds(s, dt), 1.0),
             NoiseForm::Continuous => {
+                // The three-point rule is exact up to degree five. Q of constant acceleration has
+                // degree four, so the linear models get their exact covariance.
                 let rests = NODES.map(|(node, _)| (1.0 - node) * dt);
+                // The weight belongs to the product of a column with itself: the column takes its
+                // root.
                 let mut weights = NODES.iter().map(|(_, weight)| libm::sqrt(weight * dt));
                 motion.responses(end, rests, platform, |columns| {
                     weights.next().into_iter().for_each(|weight| visit_scaled(columns, weight));
@@ -208,6 +215,7 @@ impl ProcessNoise {
     ) {
         self.columns(motion, ends, dt, platform, |column| {
             let [entries] = &column.data.0;
+            // Adding outer products of columns keeps the sum symmetric bit for bit.
             for row in 0..N {
                 add_scaled(&mut sum.data.0[row], entries[row], entries);
             }

@@ -1,4 +1,4 @@
-//! What carries the sensor: how it moves, as far as the filter is told.
+//! Motion of the platform that carries the sensor, as far as it is known.
 
 use super::turn::{direction, rotated};
 use nalgebra::Matrix3;
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Place and motion of the platform in the world, at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
-    /// When [ns].
+    /// Time of the pose [ns].
     pub stamp_ns: i64,
     /// Position of its origin [m].
     pub position: [f64; 2],
@@ -17,7 +17,7 @@ pub struct Pose {
     pub velocity: [f64; 2],
     /// Turn rate [rad/s].
     pub rate: f64,
-    /// Covariance of x, y and yaw; none where they are exact.
+    /// Covariance of x, y and yaw; None for an exact pose.
     pub covariance: Option<Matrix3<f64>>,
 }
 
@@ -26,7 +26,7 @@ pub struct Pose {
 pub struct Platform {
     /// The last pose; states are in the world where there is one.
     pub pose: Option<Pose>,
-    /// Turn rate that a gyro told [rad/s].
+    /// Turn rate measured by a gyro [rad/s].
     pub rate: f64,
     /// Variance of that rate [rad^2/s^2].
     pub rate_variance: f64,
@@ -39,17 +39,17 @@ pub struct Platform {
 /// The sensor in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorPose {
-    /// Where it is [m].
+    /// Position [m].
     pub position: [f64; 2],
     /// Cosine and sine of its heading.
     pub heading: [f64; 2],
-    /// How it moves, axes of the world [m/s].
+    /// Velocity, axes of the world [m/s].
     pub velocity: [f64; 2],
-    /// From the platform's origin, axes of the platform [m].
+    /// Offset from the platform's origin, axes of the platform [m].
     pub lever: [f64; 2],
     /// Turn rate of the platform [rad/s].
     pub rate: f64,
-    /// Covariance of the platform's x, y and yaw; none where they are exact.
+    /// Covariance of the platform's x, y and yaw; None for an exact pose.
     pub covariance: Option<Matrix3<f64>>,
 }
 
@@ -60,16 +60,20 @@ impl Platform {
         Self { pose: None, rate: 0.0, rate_variance: 0.0, velocity: [0.0; 2], lever: [0.0; 2] }
     }
 
-    /// The sensor in the world at `stamp_ns`, the last pose carried on at its velocity and as
-    /// uncertain as it was; none where no pose has come.
+    /// Pose of the sensor at `stamp_ns`: the last pose, extrapolated at its velocity and with its
+    /// covariance. None before the first pose.
     #[must_use]
     pub fn sensor_at(&self, stamp_ns: i64) -> Option<SensorPose> {
         let pose = self.pose?;
+        // Poses and scans have stamps of their own. The extrapolation also goes backwards, to a
+        // scan that is older than the last pose.
         let dt = stamp_ns.saturating_sub(pose.stamp_ns) as f64 * 1e-9;
         let heading = direction(pose.yaw + pose.rate * dt);
         let arm = rotated(heading, self.lever);
         let position = std::array::from_fn(|k| pose.position[k] + pose.velocity[k] * dt + arm[k]);
         let ([vx, vy], rate, covariance) = (pose.velocity, pose.rate, pose.covariance);
+        // The sensor is off the turning point: a turning platform moves it sideways, and radar sees
+        // that.
         let velocity = [vx - rate * arm[1], vy + rate * arm[0]];
         Some(SensorPose { position, heading, velocity, lever: self.lever, rate, covariance })
     }

@@ -1,4 +1,4 @@
-//! States of one model as those of another: through position, velocity and acceleration.
+//! Conversion of states between models, through position, velocity and acceleration.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -9,19 +9,19 @@ use super::turn::direction;
 use crate::estimation::kalman::{Gaussian, symmetrised};
 use nalgebra::{Matrix2, Matrix6, SMatrix, SVector, Vector2, Vector4, Vector5, Vector6};
 
-/// Speeds below this count as this where something is divided by them [m/s].
+/// Least speed that is divided by [m/s].
 const SLOWEST: f64 = 0.1;
-/// Variance of a heading of which nothing is known [rad^2].
+/// Variance of an unknown heading [rad^2].
 const ANY_HEADING: f64 = 4.0;
-/// The same of a turn rate [rad^2/s^2].
+/// Variance of an unknown turn rate [rad^2/s^2].
 const ANY_RATE: f64 = 4.0;
 
-/// A model that can exchange its state with others: [x, y, vx, vy, ax, ay].
+/// A model that can convert its state to and from the form [x, y, vx, vy, ax, ay].
 pub trait Exchange<const N: usize>: Motion<N> {
-    /// `state` in Cartesian form; what the model does not know is taken from `other`.
+    /// State in Cartesian form; states that the model does not have are taken from `other`.
     fn cartesian(&self, state: &Gaussian<N>, other: Option<&Gaussian<6>>) -> Gaussian<6>;
 
-    /// The state that says the same as `cartesian`.
+    /// State of this model that corresponds to `cartesian`.
     fn adopted(&self, cartesian: &Gaussian<6>) -> Gaussian<N>;
 }
 
@@ -31,6 +31,8 @@ impl Exchange<4> for ConstantVelocity {
         mean.fixed_rows_mut::<4>(0).copy_from(&state.mean);
         covariance.fixed_view_mut::<4, 4>(0, 0).copy_from(&state.covariance);
         if let Some(other) = other {
+            // Only the block on the diagonal is copied: correlations of two different models would
+            // not fit together, and the matrix could become indefinite.
             mean.fixed_rows_mut::<2>(4).copy_from(&other.mean.fixed_rows::<2>(4));
             let known = other.covariance.fixed_view::<2, 2>(4, 4);
             covariance.fixed_view_mut::<2, 2>(4, 4).copy_from(&known);
@@ -80,6 +82,7 @@ impl Exchange<5> for CoordinatedTurn {
 /// Turn rate of a velocity under an acceleration, and its derivatives by the Cartesian state.
 fn turn_rate(s: &Vector6<f64>) -> (f64, Vector6<f64>) {
     let [_, _, vx, vy, ax, ay] = s.data.0[0];
+    // At rest the turn rate is undefined; the limit keeps it and its derivatives finite.
     let square = (vx * vx + vy * vy).max(SLOWEST * SLOWEST);
     let rate = (vx * ay - vy * ax) / square;
     let by_speed = |part: f64| 2.0 * rate * part / square;
@@ -101,6 +104,8 @@ fn along(s: &Vector6<f64>) -> (Vector4<f64>, SMatrix<f64, 4, 6>) {
     let heading = libm::atan2(vy, vx);
     let [c, sine] = direction(heading);
     let (rate, row) = turn_rate(s);
+    // The speed itself may become smaller than what is divided by: only the derivatives need a
+    // limit.
     let (pull, across, slow) = (ax * c + ay * sine, ay * c - ax * sine, speed.max(SLOWEST));
     let mut J = SMatrix::<f64, 4, 6>::zeros();
     (J[(0, 2)], J[(0, 3)]) = (c, sine);
@@ -111,13 +116,14 @@ fn along(s: &Vector6<f64>) -> (Vector4<f64>, SMatrix<f64, 4, 6>) {
     (Vector4::new(speed, heading, rate, pull), J)
 }
 
-/// Cartesian form of speed, heading, turn rate and acceleration in states 2 to 5 or 4.
+/// Cartesian form of speed, heading, turn rate and (with six states) acceleration.
 fn spread<const N: usize>(state: &Gaussian<N>) -> Gaussian<6> {
     let s = &state.mean;
     let (v, w) = (s[2], s[4]);
     let pull = if N > 5 { s[5] } else { 0.0 };
     let [c, sine] = direction(s[3]);
     let turn = Matrix2::new(c, -sine, sine, c);
+    // A turn at constant speed is an acceleration of v w to the left.
     let (velocity, force) = (turn * Vector2::new(v, 0.0), turn * Vector2::new(pull, v * w));
     let mut J = SMatrix::<f64, 6, N>::zeros();
     (J[(0, 0)], J[(1, 1)]) = (1.0, 1.0);
@@ -178,7 +184,7 @@ fn through<const A: usize, const B: usize>(
     Gaussian { mean, covariance: symmetrised(J * P * J.transpose()) }
 }
 
-/// With a variance of at most `most` of state `index`: a scaled row and column keep the matrix
+/// Limit the variance of state `index` to `most`. Scaling row and column alike keeps the matrix
 /// positive semidefinite.
 fn capped<const N: usize>(mut state: Gaussian<N>, index: usize, most: f64) -> Gaussian<N> {
     let variance = state.covariance[(index, index)];

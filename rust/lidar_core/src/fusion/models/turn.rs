@@ -1,17 +1,17 @@
 //! Motion along an arc: exact integrals over a step, without cancellation at small turn rates.
 
-/// Turned angle up to which the series are used [rad].
+/// Turn angle up to which the series are used [rad].
 const SERIES_UP_TO: f64 = 0.5;
-/// Terms of the series: the first left out is below 1e-17 at `SERIES_UP_TO`.
+/// Terms of the series: the first omitted term is below 1e-17 at `SERIES_UP_TO`.
 const TERMS: usize = 7;
-/// Terms below `SHORT_UP_TO` [rad], with the same error.
+/// Terms of the series below `SHORT_UP_TO` [rad], with the same error.
 const SHORT: usize = 4;
 const SHORT_UP_TO: f64 = 0.03;
 
 /// Integrals of t^k cos(w t) and t^k sin(w t) over a step, for k = 0 to K - 1, K at most 3.
 ///
-/// (A, B) of the models is the moment 0 turned by the heading; derivatives by the turn rate are
-/// the moments 1 and 2, turned by a quarter more each.
+/// The displacement (A, B) of the models is moment 0 turned by the heading. Its derivatives by the
+/// turn rate are moments 1 and 2, each turned by a further quarter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Turn<const K: usize> {
     /// Along the start's heading [s^(k + 1)].
@@ -25,6 +25,8 @@ impl<const K: usize> Turn<K> {
     #[must_use]
     pub fn new(rate: f64, dt: f64) -> Self {
         let angle = rate * dt;
+        // The closed forms divide by the angle once per moment: near zero all their digits would
+        // cancel, and straight flight is the common case.
         let (along, aside) = if angle.abs() < SHORT_UP_TO {
             by_series::<K, SHORT>(angle)
         } else if angle.abs() < SERIES_UP_TO {
@@ -66,25 +68,29 @@ pub fn direction(angle: f64) -> [f64; 2] {
 
 /// Angles up to which the number of quarter turns times each part is exact [rad].
 const PARTS_UP_TO: f64 = 1e6;
-/// A quarter turn: its first 28 bits, those that a double has after them, and what comes then.
+/// Quarter turn as a sum: its first 28 bits, the remaining bits of a double, and the rest.
 const QUARTER: [f64; 3] = {
     let whole = std::f64::consts::FRAC_PI_2;
     let first = f64::from_bits(whole.to_bits() & !0x1ff_ffff);
     [first, whole - first, 6.123_233_995_736_766e-17]
 };
-/// Added to a number, its unit is that of the last bit: the number is rounded.
+/// Added to a number, this makes the last bit worth one: the number is rounded.
 const ROUNDS: f64 = 6_755_399_441_055_744.0;
 
-/// The nearest quarter turn, and a series for the rest.
+/// Cosine and sine by reduction to the nearest quarter turn and a series for the remainder.
 #[inline]
 fn direction_by_parts(angle: f64) -> [f64; 2] {
     let rounded = angle * std::f64::consts::FRAC_2_PI + ROUNDS;
     let quarters = rounded - ROUNDS;
+    // In three parts, the first of which is exact times the number of quarters: the remainder keeps
+    // full precision although most of the angle cancels.
     let rest = QUARTER.iter().fold(angle, |rest, part| rest - quarters * part);
     let square = rest * rest;
     let sum = |values: &[f64; 8]| values.iter().rev().fold(0.0, |sum, value| sum * square + value);
     let [even, odd] = &POWERS;
     let (cosine, sine) = (1.0 + square * sum(even), rest + rest * square * sum(odd));
+    // The constant added for rounding leaves the number of quarters in the last bits, also of
+    // negative angles.
     match rounded.to_bits() & 3 {
         0 => [cosine, sine],
         1 => [-sine, cosine],
@@ -106,11 +112,12 @@ const fn powers(odd: usize) -> [f64; 8] {
     values
 }
 
-/// `angle` moved by whole turns into -pi to pi [rad].
+/// `angle` shifted by whole turns into -pi to pi [rad].
 #[inline]
 #[must_use]
 pub fn wrapped(angle: f64) -> f64 {
     const TURN: f64 = std::f64::consts::TAU;
+    // An angle that is within the range already keeps its bits.
     if angle.abs() <= std::f64::consts::PI { angle } else { angle - TURN * (angle / TURN).round() }
 }
 
@@ -141,9 +148,10 @@ fn by_series<const K: usize, const COUNT: usize>(angle: f64) -> ([f64; K], [f64;
     (std::array::from_fn(|k| sum(&cosine[k])), std::array::from_fn(|k| angle * sum(&sine[k])))
 }
 
-/// By parts, from the moment before.
+/// Unit integrals in closed form, each by integration by parts from the moment before.
 fn closed(angle: f64) -> ([f64; 3], [f64; 3]) {
     let (sine, cosine) = libm::sincos(angle);
+    // 1 - cos(angle) as a square of the half angle: the difference would cancel at small angles.
     let half = libm::sin(0.5 * angle);
     let (c0, s0) = (sine / angle, 2.0 * half * half / angle);
     let (c1, s1) = ((sine - s0) / angle, (c0 - cosine) / angle);

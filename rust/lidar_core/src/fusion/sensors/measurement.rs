@@ -1,4 +1,4 @@
-//! What sensors say: positions, ranges with bearings and range rates, turn rates, poses.
+//! Measurements of the sensors: positions; range, bearing and range rate; turn rates; poses.
 
 use crate::Error;
 use nalgebra::{Matrix2, Matrix3};
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Most values that one measurement has.
 pub const MAX_VALUES: usize = 6;
 
-/// Where a measurement comes from.
+/// Sensor that a measurement comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Sensor {
     /// Position of the target: x, y [m].
@@ -96,13 +96,13 @@ impl Measurement {
         Ok(Self { stamp_ns, sensor, values: padded, count: values.len(), covariance })
     }
 
-    /// When [ns].
+    /// Time of the measurement [ns].
     #[must_use]
     pub fn stamp_ns(&self) -> i64 {
         self.stamp_ns
     }
 
-    /// From where.
+    /// Sensor that it comes from.
     #[must_use]
     pub fn sensor(&self) -> Sensor {
         self.sensor
@@ -126,7 +126,7 @@ impl Measurement {
         self.sensor.noisy()
     }
 
-    /// Whether the values can be used: all finite, a range above zero.
+    /// True if the values can be used: all are finite, and a range is positive.
     #[must_use]
     pub fn is_usable(&self) -> bool {
         self.values().iter().all(|value| value.is_finite())

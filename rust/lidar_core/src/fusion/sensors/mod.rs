@@ -1,4 +1,4 @@
-//! Measurements, and what a sensor would measure of a state.
+//! Measurements and measurement models of the sensors.
 
 pub mod measurement;
 pub mod observation;

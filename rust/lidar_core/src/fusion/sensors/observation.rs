@@ -1,4 +1,4 @@
-//! Measurement models: what a sensor would say about a state, and how that changes with it.
+//! Measurement models: expected measurement of a state, and its Jacobian.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -11,7 +11,7 @@ use nalgebra::{Matrix2, Matrix2x3, Matrix3, Matrix3x2, SMatrix, SVector, Vector2
 /// Ranges below this have no bearing [m].
 const NEAREST: f64 = 1e-9;
 
-/// Noise of measurements that bring no covariance, and limits of the models.
+/// Noise of measurements without a covariance, and limits of the models.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensing {
     /// Variances of x and y of the LiDAR [m^2].
@@ -24,11 +24,11 @@ pub struct Sensing {
     pub pose: [f64; 3],
     /// Nearer than this [m] a radar's range and bearing are turned into a position.
     pub range_min: f64,
-    /// Whether radar is always turned into a position, its range rate dropped.
+    /// Always convert radar measurements to positions and drop the range rate.
     pub convert_radar: bool,
 }
 
-/// A measurement in the form in which it corrects a state.
+/// A measurement in the form that corrects a state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Observation {
     /// Position in the frame of the sensor.
@@ -54,7 +54,7 @@ pub enum Observation {
     },
 }
 
-/// A state as the sensor sees it.
+/// A state relative to the sensor.
 pub struct LineOfSight<'a, const N: usize, M> {
     motion: &'a M,
     state: &'a SVector<f64, N>,
@@ -65,7 +65,7 @@ pub struct LineOfSight<'a, const N: usize, M> {
 }
 
 impl<'a, const N: usize, M: Motion<N>> LineOfSight<'a, N, M> {
-    /// `s` seen by a sensor in the world, or in its own frame where there is none.
+    /// State `s` relative to a sensor in the world, or in the sensor's own frame if there is none.
     pub fn new(
         motion: &'a M,
         state: &'a SVector<f64, N>,
@@ -105,7 +105,7 @@ impl<'a, const N: usize, M: Motion<N>> LineOfSight<'a, N, M> {
         polar_of(self.position, self.velocity().0)
     }
 
-    /// The same with its Jacobian; the range must not be zero.
+    /// Expected range, bearing and range rate, and their Jacobian; the range must not be zero.
     #[inline]
     #[must_use]
     pub fn polar_jacobian(&self) -> (Vector3<f64>, SMatrix<f64, 3, N>) {
@@ -122,7 +122,7 @@ impl<'a, const N: usize, M: Motion<N>> LineOfSight<'a, N, M> {
         (polar_of(p, v), J)
     }
 
-    /// Covariance `R` of a measured position, and what the pose of the platform adds to it.
+    /// Covariance of a measured position: `R` plus the contribution of the platform's pose.
     #[inline]
     #[must_use]
     pub fn place_noise(&self, R: Matrix2<f64>) -> Matrix2<f64> {
@@ -130,7 +130,8 @@ impl<'a, const N: usize, M: Motion<N>> LineOfSight<'a, N, M> {
         R + by_pose * P * by_pose.transpose()
     }
 
-    /// The same of range, bearing and range rate; the range must not be zero.
+    /// Covariance of range, bearing and range rate: `R` plus the contribution of the platform's
+    /// pose. The range must not be zero.
     #[inline]
     #[must_use]
     pub fn polar_noise(&self, R: Matrix3<f64>) -> Matrix3<f64> {
@@ -142,8 +143,8 @@ impl<'a, const N: usize, M: Motion<N>> LineOfSight<'a, N, M> {
         R + by_pose * P * by_pose.transpose()
     }
 
-    /// Jacobians of position and velocity in the frame of the sensor by x, y and yaw of the
-    /// platform, and their covariance; none where the pose is exact.
+    /// Jacobians of position and velocity in the frame of the sensor with respect to x, y and yaw
+    /// of the platform, and the covariance of these. None for an exact pose.
     #[inline]
     fn by_pose(&self) -> Option<(Matrix2x3<f64>, Matrix2x3<f64>, Matrix3<f64>)> {
         let sensor = self.sensor?;
@@ -166,13 +167,16 @@ impl<'a, const N: usize, M: Motion<N>> LineOfSight<'a, N, M> {
     }
 }
 
-/// Jacobian of range, bearing and range rate by the position; the rate's by the velocity.
+/// Jacobian of range, bearing and range rate by the position, and of the range rate by the
+/// velocity.
 #[inline]
 fn polar_slopes(p: Vector2<f64>, v: Vector2<f64>) -> (Matrix3x2<f64>, [f64; 2]) {
     let square = p.x * p.x + p.y * p.y;
     let range = libm::sqrt(square);
     let across = (p.x * v.y - p.y * v.x) / (square * range);
     let ahead = [p.x / range, p.y / range];
+    // Derivative of the range rate: the velocity across the line of sight becomes velocity along it
+    // as the line turns.
     let by_position = Matrix3x2::new(
         ahead[0],
         ahead[1], //
@@ -184,7 +188,7 @@ fn polar_slopes(p: Vector2<f64>, v: Vector2<f64>) -> (Matrix3x2<f64>, [f64; 2]) 
     (by_position, ahead)
 }
 
-/// Turns vectors of the world into the axes of the sensor.
+/// Rotation from the world's axes into those of the sensor.
 fn into_sensor(sensor: &SensorPose) -> Matrix2<f64> {
     let [c, sine] = sensor.heading;
     Matrix2::new(c, sine, -sine, c)
@@ -197,7 +201,7 @@ fn polar_of(p: Vector2<f64>, v: Vector2<f64>) -> Vector3<f64> {
 }
 
 impl Sensing {
-    /// `m` in the form in which it corrects a state `range` away [m]; none for a pose.
+    /// Form in which `m` corrects a state at a distance of `range` [m]; None for a pose.
     #[must_use]
     pub fn observation(&self, m: &Measurement, range: f64) -> Option<Observation> {
         let v = m.values();
@@ -223,7 +227,7 @@ impl Sensing {
         m.covariance().map_or(self.gyro, |rows| rows[0][0])
     }
 
-    /// Covariance of a pose's x, y and yaw; none where they are exact.
+    /// Covariance of a pose's x, y and yaw; None for an exact pose.
     #[must_use]
     pub fn pose_noise(&self, m: &Measurement) -> Option<Matrix3<f64>> {
         let known = self.pose.iter().any(|variance| *variance > 0.0);
@@ -239,24 +243,25 @@ impl Sensing {
     }
 }
 
-/// A radar's range and bearing as a position, its covariance turned along.
+/// Position of a radar's range and bearing, with its covariance.
 fn converted(values: &[f64], R: &Matrix3<f64>) -> Observation {
     let [cosine, sine] = direction(values[1]);
     let range = values[0];
     let T = Matrix2::new(cosine, -range * sine, sine, range * cosine);
     let R = T * R.fixed_view::<2, 2>(0, 0) * T.transpose();
+    // The two products round differently on both sides of the diagonal.
     let R = (R + R.transpose()) * 0.5;
     Observation::Position { z: Vector2::new(range * cosine, range * sine), R }
 }
 
-/// Innovation of a polar measurement: the bearing is an angle.
+/// Difference of two polar measurements, the bearing wrapped.
 #[must_use]
 pub fn polar_difference(z: &Vector3<f64>, expected: &Vector3<f64>) -> Vector3<f64> {
     let y = z - expected;
     Vector3::new(y[0], wrapped(y[1]), y[2])
 }
 
-/// Where a measurement sees a target first: its position, in the world where the sensor is.
+/// First sight of a target by a measurement, in the world if the sensor has a pose there.
 #[must_use]
 pub fn first_sight(m: &Measurement, sensor: Option<&SensorPose>) -> Option<First> {
     let v = m.values();

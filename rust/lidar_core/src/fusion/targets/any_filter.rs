@@ -1,4 +1,4 @@
-//! Any model and method behind one type, and runs over whole recordings.
+//! One filter type for every model and method, and runs over whole recordings.
 
 use super::lifecycle::{GyroUse, Life, Outcome};
 use super::target::{SavedTarget, Step, Taken, Target};
@@ -20,7 +20,7 @@ use crate::fusion::sensors::observation::Sensing;
 use crate::util::full_state::{opened, sealed};
 use std::sync::Arc;
 
-/// How targets move.
+/// Motion model of the targets.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Model {
     /// [x, y, vx, vy].
@@ -39,7 +39,7 @@ pub enum Model {
     Paper(Paper),
 }
 
-/// How the state is estimated.
+/// Estimation method.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Method {
     /// Linear: radar as a position, without its range rate. Models with a velocity vector only.
@@ -51,14 +51,15 @@ pub enum Method {
         /// Square of the distance of the sigma points, in standard deviations; none: the number
         /// of states plus 2, which keeps all weights positive.
         spread: Option<f64>,
-        /// Whether the points of a prediction meet the measurement, instead of new ones.
+        /// Compare the predicted points with the measurement, instead of new ones.
         carries: bool,
     },
     /// Cubature: unscented without a central point.
     Cubature,
-    /// Interacting multiple models, each extended; the parameters' own model does not count.
+    /// Interacting multiple models, each an extended filter; the model of the parameters is
+    /// ignored.
     Interacting {
-        /// Which of [`MIXABLE`].
+        /// Models that take part, as indices into [`MIXABLE`].
         models: [bool; 5],
         /// Mean time for which a target follows one model [s].
         sojourn: f64,
@@ -77,43 +78,43 @@ pub const MIXABLE: [Model; 5] = [
 /// Strengths of process noise, in the units that `form` asks for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Strengths {
-    /// How the noise acts.
+    /// Time behaviour of the noise.
     pub form: NoiseForm,
-    /// Of the acceleration.
+    /// Strength of the acceleration.
     pub acceleration: f64,
-    /// Of the jerk, where acceleration is a state.
+    /// Strength of the jerk, for models with acceleration as a state.
     pub jerk: f64,
-    /// Of the angular acceleration.
+    /// Strength of the angular acceleration.
     pub turn: f64,
-    /// Of the angular acceleration of the platform.
+    /// Strength of the angular acceleration of the platform.
     pub platform: f64,
-    /// Of the acceleration while a target starts, constant over a step [m/s^2].
+    /// Standard deviation of the acceleration while a target starts, constant over a step [m/s^2].
     pub start: f64,
 }
 
-/// Everything a filter can be told.
+/// All parameters of a filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FusionParameters {
-    /// How targets move.
+    /// Motion model.
     pub model: Model,
-    /// How the state is estimated.
+    /// Estimation method.
     pub method: Method,
-    /// What disturbs the motion.
+    /// Process noise.
     pub strengths: Strengths,
-    /// What is known before.
+    /// Variances before the second measurement.
     pub prior: Prior,
     /// Sensor models.
     pub sensing: Sensing,
-    /// Rules over a target's life.
+    /// Rules for the life of a target.
     pub life: Life,
-    /// From the platform's origin to the sensor, axes of the platform [m].
+    /// Offset of the sensor from the platform's origin, axes of the platform [m].
     pub lever: [f64; 2],
 }
 
 /// A filter of one target.
 pub struct Filter(Box<dyn Tracked>);
 
-/// A [`Target`], whatever its engine.
+/// A [`Target`] with any engine.
 trait Tracked: Send + Sync {
     fn step(&mut self, m: &Measurement) -> Step;
     fn take(&mut self, m: &Measurement) -> Taken;
@@ -176,7 +177,7 @@ impl Clone for Filter {
 }
 
 impl Filter {
-    /// A filter that has seen nothing.
+    /// Filter without measurements.
     ///
     /// # Errors
     /// [`Error::Parameter`] for a method that does not fit the model.
@@ -212,17 +213,17 @@ impl Filter {
         }))
     }
 
-    /// Everything that changes with measurements.
+    /// State that changes with measurements.
     pub(super) fn saved(&self) -> SavedTarget {
         self.0.saved()
     }
 
-    /// Go on from a state that a filter with the same parameters had.
+    /// Continue from a state of a filter with the same parameters.
     pub(super) fn restore_saved(&mut self, saved: &SavedTarget) -> Result<(), Error> {
         self.0.restore(saved)
     }
 
-    /// The whole state as bytes; `parameters` are those that the filter was made from.
+    /// The whole state as bytes; `parameters` are those of the filter.
     ///
     /// # Errors
     /// [`Error::Limit`] if the bytes do not fit into memory.
@@ -230,11 +231,11 @@ impl Filter {
         sealed("fusion filter", parameters, &self.saved())
     }
 
-    /// A filter that goes on, to the same bits, where the one went whose state was saved.
+    /// Filter from a saved state; it continues with the same bits as the saved one.
     ///
     /// # Errors
-    /// As [`Filter::new`]; [`Error::Format`] for bytes that [`Filter::to_state`] did not make,
-    /// [`Error::Parameter`] for those of a filter with other parameters.
+    /// Errors of [`Filter::new`]; [`Error::Format`] for bytes that [`Filter::to_state`] did not
+    /// make, [`Error::Parameter`] for the state of a filter with other parameters.
     pub fn from_state(parameters: &FusionParameters, bytes: &[u8]) -> Result<Self, Error> {
         let saved: SavedTarget = opened("fusion filter", parameters, bytes)?;
         let mut filter = Self::new(parameters)?;
@@ -242,47 +243,47 @@ impl Filter {
         Ok(filter)
     }
 
-    /// Take in a measurement.
+    /// Process a measurement.
     pub fn step(&mut self, m: &Measurement) -> Step {
         self.0.step(m)
     }
 
-    /// As [`Self::step`], of which only this is new.
+    /// Like [`Self::step`], but returns only outcome and innovation.
     pub fn take(&mut self, m: &Measurement) -> Taken {
         self.0.take(m)
     }
 
-    /// Take in measurements of one time, not older than the state, that are of the target with
-    /// given probabilities, which sum to 1 at most; no gate and no loss.
+    /// Process measurements of one time, not older than the state, each with its probability to
+    /// come from the target. The probabilities sum to 1 at most; gate and loss are not applied.
     pub fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]) {
         self.0.absorb(stamp_ns, weighted);
     }
 
-    /// Time of the state [ns]; the smallest before anything has come.
+    /// Time of the state [ns]; the smallest integer before the first measurement.
     #[must_use]
     pub fn stamp_ns(&self) -> i64 {
         self.0.stamp_ns()
     }
 
-    /// The state; none before the target has been seen.
+    /// Output of the state; None before the target has been seen.
     #[must_use]
     pub fn output(&self) -> Option<Output> {
         self.0.output()
     }
 
-    /// State carried on to `stamp_ns`; nothing changes. A time before the last measurement gives
-    /// the state at that measurement.
+    /// State predicted to `stamp_ns`, without changing the filter. For a time before the last
+    /// measurement it is the state at that measurement.
     #[must_use]
     pub fn output_at(&self, stamp_ns: i64) -> Option<Output> {
         self.0.output_at(stamp_ns)
     }
 }
 
-/// Hand out the steps of measurements that are in order, every state given the measurements up
-/// to `lag_ns` after it, or all.
+/// Visit the steps of measurements that are in order, each state smoothed with the measurements up
+/// to `lag_ns` after it, or with all.
 ///
 /// # Errors
-/// As [`Filter::new`], and for a model or method whose past cannot be smoothed.
+/// Errors of [`Filter::new`], and an error for a model or method that cannot be smoothed.
 pub fn smooth_into(
     parameters: &FusionParameters,
     measurements: &[Measurement],
@@ -314,7 +315,7 @@ pub fn smooth_into(
 }
 
 impl FusionParameters {
-    /// The same without a buffer, for measurements that come in order.
+    /// Filter without a buffer, for measurements that come in order.
     #[must_use]
     pub fn without_buffer(&self) -> Self {
         Self { life: Life { buffer_ns: 0, ..self.life }, ..*self }

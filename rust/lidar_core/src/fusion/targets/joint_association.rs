@@ -1,17 +1,17 @@
-//! Joint probabilistic data association: how likely each measurement is of each track.
+//! Joint probabilistic data association: probability of each measurement for each track.
 
 use crate::estimation::assignment::Pair;
 
-/// Most joint events that are gone through for targets that share measurements.
+/// Most joint events that are enumerated for targets with common measurements.
 pub const MOST_EVENTS: usize = 100_000;
 
-/// Probability of every pair that it belongs together.
+/// Association probability of every pair.
 ///
-/// The cost of a pair is minus the logarithm of how much likelier it is that the track was
-/// measured so than that it was missed and the measurement is clutter. Tracks that share
-/// measurements make a group, whose joint events are all gone through, a measurement being of one
-/// track at most and a track giving one at most. Groups with more than [`MOST_EVENTS`] get
-/// Fitzgerald's approximation.
+/// The cost of a pair is minus the logarithm of a likelihood ratio: the track was measured so, over
+/// the track was missed and the measurement is clutter. Tracks with common measurements form a
+/// group, whose joint events are enumerated: a measurement belongs to one track at most, and a
+/// track has one measurement at most. Groups with more than [`MOST_EVENTS`] use Fitzgerald's
+/// approximation.
 ///
 /// # Source
 /// Fortmann, Bar-Shalom & Scheffe, "Sonar tracking of multiple targets using joint probabilistic
@@ -53,7 +53,7 @@ impl Links {
         Self { of_track, of_measurement }
     }
 
-    /// Tracks that are linked by measurements, with their pairs; in the order of the first track.
+    /// Groups of tracks linked by measurements, with their pairs; ordered by the first track.
     fn groups(&self, pairs: &[Pair]) -> Vec<Group> {
         let mut is_done = vec![false; self.of_track.len()];
         let mut found = Vec::new();
@@ -78,7 +78,7 @@ impl Links {
         found
     }
 
-    /// Probability of a pair from those it competes with, as if these did not with others.
+    /// Probability of a pair from its competing pairs, as if these had no further competitors.
     fn approximate(&self, index: usize, pairs: &[Pair]) -> f64 {
         let pair = &pairs[index];
         let against = |other: &usize| libm::exp(pair.cost - pairs[*other].cost);
@@ -88,19 +88,19 @@ impl Links {
     }
 }
 
-/// The sum over all joint events of a group.
+/// Sum over all joint events of a group.
 struct Events<'a> {
     group: &'a Group,
     pairs: &'a [Pair],
-    /// Per track: weights of its pairs and of none, the largest being 1.
+    /// Weights of the pairs of each track and of no pair, the largest of which is 1.
     weights: Vec<(Vec<f64>, f64)>,
     is_taken: Vec<bool>,
     chosen: Vec<usize>,
     count: usize,
     total: f64,
-    /// Weight of all events that have a pair.
+    /// Sum of the weights of all events that contain a pair.
     sums: Vec<(usize, f64)>,
-    /// Where the pairs of each track begin in `sums`.
+    /// Index of the first pair of each track in `sums`.
     starts: Vec<usize>,
 }
 
@@ -129,7 +129,7 @@ impl<'a> Events<'a> {
         }
     }
 
-    /// Give tracks from `depth` on what is left, after events of this weight so far.
+    /// Enumerate the events of tracks from `depth` on, given the weight of the choices so far.
     fn follow(&mut self, depth: usize, weight: f64) {
         if self.count > MOST_EVENTS {
             return;

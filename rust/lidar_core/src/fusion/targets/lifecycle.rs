@@ -1,48 +1,48 @@
-//! Rules over a target's life, and what becomes of its measurements.
+//! Rules for the life of a target, and outcomes of its measurements.
 
 use crate::Error;
 use crate::estimation::chi2;
 use crate::fusion::filter::engine::Innovation;
 
-/// Rules over a target's life.
+/// Rules for the life of a target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Life {
-    /// Measurements that a constant-velocity filter takes before the model does.
+    /// Number of measurements for the constant-velocity filter that starts a target.
     pub start_rows: u32,
-    /// Largest NIS of 1 to 5 values that is believed; infinite for all.
+    /// Gates on the NIS of 1 to 5 values; infinite for no gate.
     pub gate: [f64; 5],
-    /// When a filter counts as lost; none for never.
+    /// Condition for a lost filter; None for never.
     pub loss: Option<Loss>,
-    /// Whether a radar that sees a target first gives its speed along the line of sight.
+    /// Use the range rate of a first radar measurement as the speed along the line of sight.
     pub radar_starts_speed: bool,
-    /// How the turn rate of a gyro is used.
+    /// Use of the turn rate of a gyro.
     pub gyro: GyroUse,
-    /// How long measurements are kept for late ones to be put before them [ns].
+    /// Time for which measurements are kept, so that late ones can be inserted [ns].
     pub buffer_ns: i64,
 }
 
 /// A filter is lost when its NIS stays above what its covariances allow.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Loss {
-    /// Measurements over which the NIS is averaged.
+    /// Number of measurements over which the NIS is averaged.
     pub window: f64,
-    /// NIS per degree of freedom that is too much; 1 is expected.
+    /// NIS per degree of freedom above which the filter is lost; 1 is expected.
     pub ratio: f64,
 }
 
-/// How the turn rate of a gyro is used.
+/// Use of the turn rate of a gyro.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GyroUse {
-    /// As it is, until the next one.
+    /// Input to the motion model until the next one.
     Input,
-    /// As a measurement of a state.
+    /// Measurement of a state.
     Measurement,
-    /// Not at all.
+    /// Not used.
     Ignored,
 }
 
 impl Life {
-    /// Gates that a target passes with `probability`; all open without one.
+    /// Gates that a true measurement passes with `probability`; None: no gates.
     ///
     /// # Errors
     /// [`Error::Parameter`] unless 0 < `probability` < 1.
@@ -56,7 +56,8 @@ impl Life {
         Ok(gates)
     }
 
-    /// Believe an innovation, or not, or that the filter is lost; `average` is the NIS per value.
+    /// Outcome of an innovation: accepted, rejected, or filter lost; `average` is the NIS per
+    /// value.
     pub(crate) fn judged(&self, average: &mut f64, innovation: &Innovation) -> Outcome {
         if let Some(Loss { window, ratio }) = self.loss {
             let share = innovation.nis / innovation.count as f64;
@@ -71,25 +72,25 @@ impl Life {
     }
 }
 
-/// What became of a measurement.
+/// Outcome of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// It corrected the state.
+    /// The measurement corrected the state.
     Updated,
-    /// It was the first one and made the state.
+    /// The measurement was the first one and started the target.
     Started,
-    /// It told how the platform moves.
+    /// The measurement describes the motion of the platform.
     Told,
-    /// It was too far from what was expected; the state is predicted only.
+    /// The measurement was outside the gate; the state is only predicted.
     Gated,
-    /// It found the filter lost, and started it anew.
+    /// The filter was lost; the measurement started it again.
     Restarted,
-    /// Its values cannot be used; nothing changed.
+    /// The values cannot be used; nothing changed.
     Invalid,
-    /// It is older than what the filter can go back to; nothing changed.
+    /// The measurement is older than the buffer; nothing changed.
     Late,
-    /// It is there already: same stamp, sensor and values; nothing changed.
+    /// The measurement was processed before (same stamp, sensor and values); nothing changed.
     Duplicate,
-    /// The covariance of its innovation has no factor; nothing changed.
+    /// The covariance of its innovation cannot be factorised; nothing changed.
     Singular,
 }

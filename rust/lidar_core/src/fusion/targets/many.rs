@@ -1,5 +1,5 @@
-//! Many targets: measurements assigned to tracks, births, confirmation, deletion; scans that come
-//! late.
+//! Many targets: assignment of measurements to tracks, birth, confirmation and deletion of tracks,
+//! and late scans.
 
 use super::any_filter::FusionParameters;
 use super::lifecycle::Life;
@@ -13,40 +13,40 @@ use crate::util::full_state::{impossible, opened, sealed};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Most tracks at a time, and most measurements of a scan.
+/// Largest number of tracks at a time, and of measurements in a scan.
 pub const MAX_TARGETS: usize = 2_000;
-/// Most scanners that are told apart.
+/// Largest number of scanners.
 pub const MAX_SOURCES: u8 = 64;
-/// Most scans, and tracks in them, that are kept for late ones.
+/// Largest number of scans, and of tracks in them, kept for late scans.
 const MOST_KEPT: usize = 100_000;
 const KIND: &str = "fusion tracker";
 
-/// Everything a tracker of many targets can be told.
+/// All parameters of a tracker of many targets.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ManyParameters {
-    /// The filter of each; its gate decides which measurements may belong to a track, and its
-    /// buffer how late scans may come.
+    /// Parameters of the filter of each track. Its gate decides which measurements may belong to a
+    /// track, its buffer how late a scan may come.
     pub filter: FusionParameters,
-    /// A track is confirmed when so many of ...
+    /// A track is confirmed if this many of ...
     pub confirm_hits: u32,
-    /// ... the last so many scans measured it, at most 64.
+    /// ... the last scans, this many and at most 64, measured it.
     pub confirm_window: u32,
-    /// A track goes when it has not been measured for longer [s].
+    /// Longest time without a measurement after which a track is deleted [s].
     pub max_coast: f64,
-    /// A track goes when the standard deviation of its position in one axis is larger [m].
+    /// Largest standard deviation of the position in one axis before a track is deleted [m].
     pub max_position_std: f64,
-    /// No track starts nearer than this [m] to one that the same scan measured.
+    /// Least distance of a new track from a track measured by the same scan [m].
     pub birth_distance: f64,
-    /// Which measurements are of which track.
+    /// Association of measurements with tracks.
     pub association: Association,
 }
 
-/// How measurements are shared out.
+/// Association of measurements with tracks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Association {
-    /// Global nearest neighbours: each is of one track or of none.
+    /// Global nearest neighbour: each measurement belongs to one track or to none.
     Nearest,
-    /// By the probabilities of all ways of sharing them out:
+    /// Joint probabilistic data association: see
     /// [`probabilities`](super::joint_association::probabilities).
     Joint {
         /// Probability that a scan measures a target.
@@ -59,21 +59,21 @@ pub enum Association {
 /// A track at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackState {
-    /// Number, never given again.
+    /// Number, never reused.
     pub id: i64,
-    /// State, carried on to the time that was asked for.
+    /// State, predicted to the requested time.
     pub output: Output,
     /// Time of the first measurement [ns].
     pub born_ns: i64,
-    /// Time of the last one [ns].
+    /// Time of the last measurement [ns].
     pub seen_ns: i64,
-    /// How many there were.
+    /// Number of measurements.
     pub hits: u32,
-    /// Whether enough scans speak for it.
+    /// True if enough scans measured the track.
     pub confirmed: bool,
 }
 
-/// A scan that has been taken in.
+/// A processed scan.
 #[derive(Clone)]
 struct Past {
     scan: Scan,
@@ -82,7 +82,7 @@ struct Past {
     before: Tracks,
 }
 
-/// [`Past`] as it is saved.
+/// Saved form of [`Past`].
 #[derive(Serialize, Deserialize)]
 struct SavedPast {
     scan: Scan,
@@ -91,7 +91,7 @@ struct SavedPast {
     before: SavedTracks,
 }
 
-/// Everything about [`ManyTargets`] that changes with scans.
+/// State of [`ManyTargets`] that changes with scans.
 #[derive(Serialize, Deserialize)]
 struct SavedTargets {
     tracks: SavedTracks,
@@ -101,25 +101,25 @@ struct SavedTargets {
     forgotten_ns: i64,
 }
 
-/// Tracks of many targets.
+/// Tracker of many targets.
 #[derive(Clone)]
 pub struct ManyTargets {
     parameters: ManyParameters,
     buffer_ns: i64,
     tracks: Tracks,
-    /// By time: the scans of the last `buffer_ns`.
+    /// Scans of the last `buffer_ns`, ordered by time.
     history: VecDeque<Past>,
     next_id: i64,
     stamp_ns: Option<i64>,
-    /// Time of the last scan that is no longer in `history`, or of none [ns].
+    /// Time of the last scan dropped from `history`, or before all [ns].
     forgotten_ns: i64,
 }
 
 impl ManyTargets {
-    /// A tracker that has seen nothing.
+    /// Tracker without scans.
     ///
     /// # Errors
-    /// As [`Filter::new`](crate::fusion::Filter::new), and [`Error::Parameter`] unless 1 <=
+    /// Errors of [`Filter::new`](crate::fusion::Filter::new), and [`Error::Parameter`] unless 1 <=
     /// `confirm_hits` <= `confirm_window` <= 64.
     pub fn new(parameters: &ManyParameters) -> Result<Self, Error> {
         let ManyParameters { confirm_hits: hits, confirm_window: window, .. } = *parameters;
@@ -138,17 +138,16 @@ impl ManyTargets {
         })
     }
 
-    /// Take in what one scanner saw at one time; returns what becomes of every measurement.
+    /// Process one scan of one scanner; returns the outcome of every measurement.
     ///
-    /// A scan that comes late, but within the buffer, is put where it belongs, and those after it
-    /// are gone through again; tracks keep the numbers that these gave them. One that is there
-    /// already changes nothing.
+    /// A scan that comes late, but within the buffer, is inserted at its time, and the later scans
+    /// are processed again; tracks keep their numbers. A scan that was processed before changes
+    /// nothing.
     ///
     /// # Errors
     /// [`Error::Time`] for a scan older than the buffer, [`Error::Value`] for a measurement of
-    /// another time, [`Error::Parameter`] for a source of [`MAX_SOURCES`] or more,
-    /// [`Error::Limit`] for more than [`MAX_TARGETS`] measurements or tracks. Nothing has changed
-    /// then.
+    /// another time, [`Error::Parameter`] for a source of [`MAX_SOURCES`] or more, [`Error::Limit`]
+    /// for more than [`MAX_TARGETS`] measurements or tracks. After an error nothing has changed.
     pub fn process(
         &mut self,
         stamp_ns: i64,
@@ -186,11 +185,11 @@ impl ManyTargets {
         sealed(KIND, &(self.parameters, self.buffer_ns), &saved)
     }
 
-    /// A tracker that goes on, to the same bits, where the one went whose state was saved.
+    /// Tracker from a saved state; it continues with the same bits as the saved one.
     ///
     /// # Errors
-    /// As [`ManyTargets::new`]; [`Error::Format`] for bytes that [`ManyTargets::to_state`] did
-    /// not make, [`Error::Parameter`] for those of a tracker with other parameters.
+    /// Errors of [`ManyTargets::new`]; [`Error::Format`] for bytes that [`ManyTargets::to_state`]
+    /// did not make, [`Error::Parameter`] for the state of a tracker with other parameters.
     pub fn from_state(parameters: &ManyParameters, bytes: &[u8]) -> Result<Self, Error> {
         let empty = Self::new(parameters)?;
         let key = (empty.parameters, empty.buffer_ns);
@@ -212,7 +211,7 @@ impl ManyTargets {
         })
     }
 
-    /// Put a scan where it belongs, and go through those after it again.
+    /// Insert a scan at its time, and process the later ones again.
     fn insert(&mut self, scan: Scan) -> Result<Vec<Assigned>, Error> {
         let place = self.history.partition_point(|past| past.scan.stamp_ns <= scan.stamp_ns);
         let (stamp_ns, fresh) = (scan.stamp_ns, vec![None; scan.measurements.len()]);
@@ -235,7 +234,7 @@ impl ManyTargets {
         Ok(assigned)
     }
 
-    /// Drop scans that are older than the buffer, and the oldest of too many.
+    /// Drop scans that are older than the buffer, and the oldest if there are too many.
     fn forget(&mut self) {
         let oldest = self.stamp_ns.unwrap_or(i64::MIN).saturating_sub(self.buffer_ns);
         let mut kept: usize = self.history.iter().map(|past| 1 + past.before.len()).sum();
@@ -248,7 +247,7 @@ impl ManyTargets {
         }
     }
 
-    /// All tracks, carried on to `stamp_ns`, by their numbers; unconfirmed ones included.
+    /// All tracks, unconfirmed ones included, predicted to `stamp_ns` and ordered by number.
     #[must_use]
     pub fn tracks_at(&self, stamp_ns: i64) -> Vec<TrackState> {
         self.tracks.at(stamp_ns)

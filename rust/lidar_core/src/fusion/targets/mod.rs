@@ -1,4 +1,4 @@
-//! Targets over time: one or many, whole recordings, noise by maximum likelihood.
+//! Targets over time: one or many, whole recordings, maximum likelihood noise.
 
 pub mod any_filter;
 pub mod joint_association;

@@ -9,27 +9,27 @@ use crate::estimation::minimise::{Search, minimise};
 use crate::fusion::models::motion::Noise;
 use crate::fusion::sensors::measurement::Measurement;
 
-/// Measurements after which a filter has forgotten how it started.
+/// Number of measurements after which a filter no longer depends on its start.
 const SETTLED: usize = 10;
-/// Factor by which a value may change, either way.
+/// Largest factor by which a value may change, up or down.
 const WIDEST: f64 = 1e3;
 
-/// What may be fitted.
+/// Quantities that can be fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
     /// Strength of a process noise.
     Process(Noise),
-    /// Deviation of the LiDAR, both axes by one factor.
+    /// Standard deviation of the LiDAR, one factor for both axes.
     Lidar,
-    /// Deviation of the radar's range, bearing or range rate.
+    /// Standard deviation of the radar's range, bearing or range rate.
     Radar(usize),
 }
 
-/// Log likelihood of all measurements but the first ten of every target. Gates are open and no
-/// filter starts anew, so that it is a smooth function of the parameters.
+/// Log likelihood of all measurements except the first ten of every target. Gates are open and
+/// filters do not restart, so that it is a smooth function of the parameters.
 ///
 /// # Errors
-/// As [`Filter::new`].
+/// Errors of [`Filter::new`].
 pub fn log_likelihood(
     parameters: &FusionParameters,
     targets: &[Vec<Measurement>],
@@ -53,7 +53,7 @@ pub fn log_likelihood(
     Ok(total)
 }
 
-/// The noise that drives `model`, and the sensors whose measurements bring no covariance.
+/// Noise that drives `model`, and sensors whose measurements have no covariance.
 #[must_use]
 pub fn quantities(
     parameters: &FusionParameters,
@@ -83,12 +83,12 @@ pub fn quantities(
     found
 }
 
-/// `start` with the `fitted` quantities that make the measurements of all targets most likely,
-/// and their log likelihood. A range rate that is fitted has `least_rate` [m/s] as its smallest
-/// deviation.
+/// Parameters `start` with the `fitted` quantities at their maximum likelihood over the
+/// measurements of all targets, and the log likelihood. A fitted deviation of the range rate is at
+/// least `least_rate` [m/s].
 ///
 /// # Errors
-/// As [`Filter::new`]; [`Error::Value`] if there are too few measurements.
+/// Errors of [`Filter::new`]; [`Error::Value`] if there are too few measurements.
 pub fn fit(
     start: &FusionParameters,
     targets: &[Vec<Measurement>],

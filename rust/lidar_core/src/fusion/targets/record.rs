@@ -10,22 +10,22 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::borrow::Cow;
 
-/// What a filter said: one row per measurement.
+/// Record of a filter, with one row per measurement.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Record {
-    /// Number of states; zero where the target was never seen.
+    /// Number of states; zero if the target was never seen.
     pub states: usize,
     /// Times [ns].
     pub stamps_ns: Vec<i64>,
-    /// What became of the measurements.
+    /// Outcomes of the measurements.
     pub outcomes: Vec<Outcome>,
-    /// Means, row after row; NaN before the target has been seen.
+    /// Means, row by row; NaN before the target has been seen.
     pub means: Vec<f64>,
-    /// Covariances, row after row.
+    /// Covariances, row by row.
     pub covariances: Vec<f64>,
-    /// Three values a row; NaN beyond those that were compared.
+    /// Innovations, three values per row; NaN for values that were not compared.
     pub innovations: Vec<f64>,
-    /// NaN where nothing was compared.
+    /// NIS; NaN if nothing was compared.
     pub nis: Vec<f64>,
 }
 
@@ -54,7 +54,7 @@ impl Record {
         self.nis.push(innovation.map_or(f64::NAN, |innovation| innovation.nis));
     }
 
-    /// Now that the number of states is known: rows that came before have no state.
+    /// Fill the rows without state once the number of states is known.
     fn see(&mut self, states: usize) {
         self.states = states;
         let rows = self.stamps_ns.len();
@@ -79,7 +79,7 @@ impl Record {
     }
 }
 
-/// The values that were compared, then NaN.
+/// Values that were compared, then NaN.
 #[must_use]
 pub fn padded(innovation: Option<&Innovation>) -> [f64; 3] {
     let mut values = [f64::NAN; 3];
@@ -93,7 +93,7 @@ pub fn padded(innovation: Option<&Innovation>) -> [f64; 3] {
 /// Filter measurements in the order of their stamps; those of one stamp keep their order.
 ///
 /// # Errors
-/// As [`Filter::new`].
+/// Errors of [`Filter::new`].
 pub fn run(parameters: &FusionParameters, measurements: &[Measurement]) -> Result<Record, Error> {
     let mut filter = Filter::new(&parameters.without_buffer())?;
     let mut record = Record::with_capacity(measurements.len());
@@ -104,10 +104,10 @@ pub fn run(parameters: &FusionParameters, measurements: &[Measurement]) -> Resul
     Ok(record)
 }
 
-/// As [`run`] for many targets at once. The result does not depend on the number of threads.
+/// Like [`run`], for many targets at once. The result does not depend on the number of threads.
 ///
 /// # Errors
-/// As [`Filter::new`].
+/// Errors of [`Filter::new`].
 pub fn run_batch(
     pool: &ThreadPool,
     parameters: &FusionParameters,
@@ -119,10 +119,10 @@ pub fn run_batch(
     records.into_iter().collect()
 }
 
-/// As [`run`], then every state given the measurements up to `lag_ns` after it, or all.
+/// Like [`run`], with every state smoothed by the measurements up to `lag_ns` after it, or by all.
 ///
 /// # Errors
-/// As [`Filter::new`], and for a model or method whose past cannot be smoothed.
+/// Errors of [`Filter::new`], and an error for a model or method that cannot be smoothed.
 pub fn smooth(
     parameters: &FusionParameters,
     measurements: &[Measurement],
@@ -136,7 +136,7 @@ pub fn smooth(
     Ok(record)
 }
 
-/// Measurements by their stamps; those of one stamp keep their order.
+/// Measurements ordered by stamp; those of one stamp keep their order.
 #[must_use]
 pub fn in_order(measurements: &[Measurement]) -> Cow<'_, [Measurement]> {
     if measurements.is_sorted_by_key(Measurement::stamp_ns) {

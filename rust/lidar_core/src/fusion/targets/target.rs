@@ -12,35 +12,35 @@ use crate::util::full_state::impossible;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Measurements kept for late ones, at most.
+/// Largest number of measurements kept for late ones.
 const MOST_KEPT: usize = 10_000;
 
-/// The filter after a measurement.
+/// State of the filter after a measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
-    /// What became of the measurement.
+    /// Outcome of the measurement.
     pub outcome: Outcome,
     /// Time of the state [ns].
     pub stamp_ns: i64,
-    /// The state; none before the target has been seen.
+    /// Output of the state; None before the target has been seen.
     pub output: Option<Output>,
-    /// How far the measurement was from what was expected.
+    /// Innovation of the measurement.
     pub innovation: Option<Innovation>,
 }
 
-/// What became of a measurement, and how far it was from what was expected.
+/// Outcome and innovation of a measurement.
 pub type Taken = (Outcome, Option<Innovation>);
 
-/// What is estimated at the moment.
+/// Phase of the estimation.
 #[derive(Clone, Debug)]
 enum Phase<S> {
     Unseen,
-    /// By a constant-velocity filter, after so many measurements.
+    /// Estimated by a constant-velocity filter, after this many measurements.
     Starting(Gaussian<4>, u32),
     Running(S),
 }
 
-/// Everything that changes with measurements.
+/// State that changes with measurements.
 #[derive(Clone, Debug)]
 struct Now<S> {
     stamp_ns: i64,
@@ -50,7 +50,7 @@ struct Now<S> {
     ratio: f64,
 }
 
-/// What measurements do not change.
+/// Parts that measurements do not change.
 #[derive(Clone, Debug)]
 struct Rules<E> {
     engine: E,
@@ -63,7 +63,7 @@ struct Rules<E> {
 pub struct Target<E: Engine> {
     rules: Rules<E>,
     now: Now<E::State>,
-    /// The last measurements, and what was known after each.
+    /// Recent measurements, each with the state after it.
     history: VecDeque<(Measurement, Now<E::State>)>,
 }
 
@@ -84,7 +84,7 @@ struct SavedNow {
     ratio: f64,
 }
 
-/// Everything about a [`Target`] that changes with measurements.
+/// State of a [`Target`] that changes with measurements.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SavedTarget {
     now: SavedNow,
@@ -120,7 +120,8 @@ impl<E: Engine> Rules<E> {
         }
     }
 
-    /// Correct a state, if `believe` says so; the model takes over after enough measurements.
+    /// Correct a state if `believe` accepts the innovation; after enough measurements the model
+    /// takes over.
     fn correct(
         &self,
         phase: &mut Phase<E::State>,
@@ -153,7 +154,7 @@ impl<E: Engine> Rules<E> {
     }
 }
 
-/// `predicted`, corrected by measurements with their probabilities or by none.
+/// Mixture of the prediction corrected by each measurement and by none, with their probabilities.
 fn blended<E: Engine>(
     engine: &E,
     predicted: &E::State,
@@ -174,7 +175,7 @@ fn blended<E: Engine>(
 }
 
 impl<E: Engine> Target<E> {
-    /// A filter that has seen nothing; `starter` takes the first measurements.
+    /// Filter without measurements; `starter` processes the first ones.
     pub fn new(
         engine: E,
         starter: Single<4, ConstantVelocity>,
@@ -185,16 +186,16 @@ impl<E: Engine> Target<E> {
         Self { rules: Rules { engine, starter, life }, now, history: VecDeque::new() }
     }
 
-    /// Everything that changes with measurements.
+    /// State that changes with measurements.
     pub fn saved(&self) -> SavedTarget {
         let history = self.history.iter().map(|(m, now)| (*m, self.rules.saved(now)));
         SavedTarget { now: self.rules.saved(&self.now), history: history.collect() }
     }
 
-    /// Go on from a state that a target with the same rules had.
+    /// Continue from the state of a target with the same rules.
     ///
     /// # Errors
-    /// [`Error::Format`] for a state of another model; nothing has changed then.
+    /// [`Error::Format`] for the state of another model; then nothing has changed.
     pub fn restore(&mut self, saved: &SavedTarget) -> Result<(), Error> {
         let known = saved.history.iter();
         let history = known.map(|(m, now)| Some((*m, self.rules.restored(now)?)));
@@ -205,14 +206,14 @@ impl<E: Engine> Target<E> {
         Ok(())
     }
 
-    /// Take in a measurement; a late one is put where it belongs, and what came after it is
-    /// filtered again.
+    /// Process a measurement. A late one is inserted at its time, and the later ones are processed
+    /// again.
     pub fn step(&mut self, m: &Measurement) -> Step {
         let (outcome, innovation) = self.take(m);
         Step { outcome, stamp_ns: self.stamp_ns(), output: self.output(), innovation }
     }
 
-    /// As [`Self::step`], of which only this is new.
+    /// Like [`Self::step`], but returns only outcome and innovation.
     pub fn take(&mut self, m: &Measurement) -> Taken {
         if !m.is_usable() {
             return (Outcome::Invalid, None);
@@ -242,7 +243,7 @@ impl<E: Engine> Target<E> {
         }
     }
 
-    /// Take in measurements of one time that are of the target with given probabilities, which
+    /// Process measurements of one time, each with its probability to come from the target; these
     /// sum to 1 at most.
     ///
     /// # Source
@@ -268,7 +269,7 @@ impl<E: Engine> Target<E> {
         }
     }
 
-    /// Go back to the state before `m`, take it in, and everything after it again.
+    /// Go back to the state before `m`, process it, and all later measurements again.
     fn take_late(&mut self, m: &Measurement) -> Taken {
         let before = self.history.partition_point(|(known, _)| known.stamp_ns() <= m.stamp_ns());
         let Some((_, now)) = before.checked_sub(1).and_then(|index| self.history.get(index)) else {
@@ -285,7 +286,7 @@ impl<E: Engine> Target<E> {
         taken
     }
 
-    /// Take in a usable measurement that is not older than the state.
+    /// Process a usable measurement that is not older than the state.
     fn advance(&mut self, m: &Measurement) -> Taken {
         let dt = m.stamp_ns().saturating_sub(self.now.stamp_ns) as f64 * 1e-9;
         let before = self.now.phase.clone();
@@ -321,7 +322,7 @@ impl<E: Engine> Target<E> {
         }
     }
 
-    /// How the state at `stamp_ns` hangs on the present one; none while the target starts.
+    /// Linearised transition from the present state to `stamp_ns`; None while the target starts.
     pub fn link(&self, stamp_ns: i64) -> Option<Link> {
         let Phase::Running(state) = &self.now.phase else { return None };
         let dt = stamp_ns.saturating_sub(self.now.stamp_ns).max(0) as f64 * 1e-9;
@@ -348,7 +349,7 @@ impl<E: Engine> Target<E> {
         (outcome, lost)
     }
 
-    /// Note how the platform moves from here on.
+    /// Store the motion of the platform from here on.
     fn told(&mut self, m: &Measurement) -> Taken {
         let values = m.values();
         let mut platform = self.now.platform;
@@ -380,13 +381,13 @@ impl<E: Engine> Target<E> {
         self.now.stamp_ns
     }
 
-    /// The state; none before the target has been seen.
+    /// Output of the state; None before the target has been seen.
     pub fn output(&self) -> Option<Output> {
         self.output_of(&self.now.phase)
     }
 
-    /// State carried on to `stamp_ns`; nothing changes. A time before the last measurement gives
-    /// the state at that measurement.
+    /// State predicted to `stamp_ns`, without changing the target. For a time before the last
+    /// measurement it is the state at that measurement.
     pub fn output_at(&self, stamp_ns: i64) -> Option<Output> {
         let dt = stamp_ns.saturating_sub(self.now.stamp_ns).max(0) as f64 * 1e-9;
         let mut phase = self.now.phase.clone();
@@ -405,7 +406,7 @@ impl<E: Engine> Target<E> {
     }
 }
 
-/// The pose in a measurement, as if exact; without a velocity, that since the last pose.
+/// Pose in a measurement, without covariance; a missing velocity is computed from the last pose.
 fn pose_of(m: &Measurement, last: Option<Pose>) -> Pose {
     let v = m.values();
     let (stamp_ns, position, yaw) = (m.stamp_ns(), [v[0], v[1]], v[2]);

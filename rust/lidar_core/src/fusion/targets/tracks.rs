@@ -1,4 +1,4 @@
-//! The tracks that a tracker of many targets has at one time, and what a scan makes of them.
+//! Tracks of a tracker of many targets at one time, and their update by a scan.
 
 use super::any_filter::{Filter, FusionParameters};
 use super::joint_association::probabilities;
@@ -11,36 +11,37 @@ use crate::fusion::filter::engine::Innovation;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use serde::{Deserialize, Serialize};
 
-/// What it costs to leave a track without a measurement that its gate lets through: far more
-/// than any pair, so that as many tracks as possible get one.
+/// Cost of a track without a measurement although one is in its gate. It is far above that of any
+/// pair, so that as many tracks as possible get one.
 const UNASSIGNED: f64 = 1e6;
 
-/// What one scanner saw at one time.
+/// Measurements of one scanner at one time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scan {
-    /// When [ns].
+    /// Time [ns].
     pub stamp_ns: i64,
-    /// Which scanner, below 64.
+    /// Number of the scanner, below 64.
     pub source: u8,
-    /// Of targets, one each, and of the platform's motion.
+    /// Measurements of targets, one each, and of the platform's motion.
     pub measurements: Vec<Measurement>,
 }
 
-/// What a tracker makes of a measurement.
+/// Result of a measurement for a tracker.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Assigned {
-    /// Its track; none if it cannot be used, started nothing, or tells how the platform moves.
+    /// Track of the measurement; None if it cannot be used, started none, or describes the
+    /// platform.
     pub id: Option<i64>,
-    /// How far it was from what that track expected; none where it started it.
+    /// Innovation for that track; None if the measurement started it.
     pub innovation: Option<Innovation>,
 }
 
 /// Numbers of the tracks that a scan starts.
 #[derive(Clone, Debug)]
 pub struct Births {
-    /// The next number that nobody has.
+    /// Next unused number.
     pub next_id: i64,
-    /// By measurement. Whoever was given a number keeps it when the scan is gone through again.
+    /// Numbers by measurement; they are kept when the scan is processed again.
     pub ids: Vec<Option<i64>>,
 }
 
@@ -50,7 +51,7 @@ struct Candidate {
     innovation: Innovation,
 }
 
-/// A track as it is saved.
+/// Saved form of a track.
 #[derive(Serialize, Deserialize)]
 struct SavedTrack {
     id: i64,
@@ -64,7 +65,7 @@ struct SavedTrack {
     confirmed: bool,
 }
 
-/// All tracks at one time, as they are saved.
+/// Saved form of all tracks.
 #[derive(Serialize, Deserialize)]
 pub struct SavedTracks {
     unseen: SavedTarget,
@@ -75,7 +76,8 @@ pub struct SavedTracks {
 struct Track {
     id: i64,
     filter: Filter,
-    /// Bit per scan of scanners that have seen it, the last one lowest: was it measured?
+    /// One bit per scan of scanners that have seen the track, the last scan lowest: 1 if it was
+    /// measured.
     history: u64,
     looks: u32,
     sources: u64,
@@ -88,13 +90,13 @@ struct Track {
 /// All tracks at one time.
 #[derive(Clone)]
 pub struct Tracks {
-    /// Knows how the platform moves, and no target.
+    /// Filter without a target that holds the motion of the platform.
     unseen: Filter,
     all: Vec<Track>,
 }
 
 impl Association {
-    /// What pairing a track with a measurement so far from it costs.
+    /// Cost of a track and a measurement with this innovation.
     fn cost(&self, m: &Measurement, innovation: &Innovation) -> f64 {
         let distance = innovation.nis + innovation.log_determinant;
         match self {
@@ -109,7 +111,7 @@ impl Association {
 }
 
 impl Births {
-    /// Number of the track that measurement `column` starts.
+    /// Number of the track started by measurement `column`.
     fn of(&mut self, column: usize) -> i64 {
         let id = self.ids[column].unwrap_or(self.next_id);
         self.next_id = self.next_id.max(id + 1);
@@ -119,15 +121,15 @@ impl Births {
 }
 
 impl Tracks {
-    /// No tracks yet.
+    /// Tracker without tracks.
     ///
     /// # Errors
-    /// As [`Filter::new`].
+    /// Errors of [`Filter::new`].
     pub fn new(filter: &FusionParameters) -> Result<Self, Error> {
         Ok(Self { unseen: Filter::new(filter)?, all: Vec::new() })
     }
 
-    /// Everything that changes with scans.
+    /// State that changes with scans.
     pub fn saved(&self) -> SavedTracks {
         let one = |track: &Track| {
             let Track { id, history, looks, sources, born_ns, seen_ns, hits, confirmed, .. } =
@@ -138,7 +140,7 @@ impl Tracks {
         SavedTracks { unseen: self.unseen.saved(), all: self.all.iter().map(one).collect() }
     }
 
-    /// The tracks that were saved, with filters of the parameters that `self` has.
+    /// Saved tracks, with filters of the parameters of `self`.
     ///
     /// # Errors
     /// [`Error::Format`] for the state of another model.
@@ -164,13 +166,13 @@ impl Tracks {
         self.all.len()
     }
 
-    /// Whether there is none.
+    /// True if there are no tracks.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.all.is_empty()
     }
 
-    /// Tracks carried on to `stamp_ns`, by their numbers.
+    /// Tracks predicted to `stamp_ns`, ordered by number.
     #[must_use]
     pub fn at(&self, stamp_ns: i64) -> Vec<TrackState> {
         let states = self.all.iter().filter_map(|track| {
@@ -183,10 +185,10 @@ impl Tracks {
         states
     }
 
-    /// Take in a scan that is not older than the last.
+    /// Process a scan that is not older than the last one.
     ///
     /// # Errors
-    /// [`Error::Limit`] for more than [`MAX_TARGETS`] tracks; the tracks are of no use then.
+    /// [`Error::Limit`] for more than [`MAX_TARGETS`] tracks; the tracks are then unusable.
     pub fn take(
         &mut self,
         parameters: &ManyParameters,
@@ -218,8 +220,8 @@ impl Tracks {
         Ok(assigned)
     }
 
-    /// Share out measurements that have no track yet among tracks; by global nearest neighbours
-    /// the likelihood of the innovation counts.
+    /// Assign measurements without a track to `tracks`. The global nearest neighbour uses the
+    /// likelihood of the innovations.
     ///
     /// # Source
     /// Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
@@ -249,7 +251,7 @@ impl Tracks {
         Ok(())
     }
 
-    /// Tracks, confirmed or not, with the measurements within their gates that have no track yet.
+    /// Tracks, confirmed or not, with those measurements in their gates that have no track yet.
     fn candidates(
         &self,
         parameters: &ManyParameters,
@@ -275,8 +277,8 @@ impl Tracks {
         (pairs, candidates)
     }
 
-    /// Joint probabilistic data association among measurements that have no track yet. One that
-    /// is more likely of some track than of none has the likeliest.
+    /// Joint probabilistic data association of measurements without a track. A measurement that
+    /// more likely comes from some track than from none is assigned to the most likely one.
     fn associate_jointly(
         &mut self,
         scan: &Scan,
@@ -315,7 +317,7 @@ impl Tracks {
         outputs.map(|output| [output.mean[0], output.mean[1]]).collect()
     }
 
-    /// A track for every measurement that has none, far enough from `measured` ones.
+    /// New track for every measurement without one that is far enough from the `measured` tracks.
     fn start(
         &mut self,
         parameters: &ManyParameters,
@@ -361,7 +363,7 @@ impl Track {
         }
     }
 
-    /// The filter after a measurement, if that is within its gate.
+    /// Filter after a measurement, if that is within its gate.
     fn candidate(&self, m: &Measurement) -> Option<Candidate> {
         let mut updated = self.filter.clone();
         let (outcome, innovation) = updated.take(m);
@@ -381,7 +383,7 @@ impl Track {
         self.hits += 1;
     }
 
-    /// Take in measurements that are of this track with some probability.
+    /// Process measurements with their probabilities to come from this track.
     fn absorb(&mut self, scan: &Scan, weighted: &[(f64, Measurement)]) {
         if weighted.is_empty() {
             return;
@@ -392,7 +394,7 @@ impl Track {
         }
     }
 
-    /// Measured scans among the last ones that count, and how many these are.
+    /// Number of recent scans that measured the track, and number of recent scans that count.
     fn recent(&self, window: u32) -> (u32, u32) {
         let mask = u64::MAX >> (u64::BITS - window);
         ((self.history & mask).count_ones(), self.looks.min(window))
