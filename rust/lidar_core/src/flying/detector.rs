@@ -132,7 +132,8 @@ impl FlyingObjectDetector {
             return Ok(self.hold(raw, scan, judged, gate, timing));
         }
         let seed = &self.parameters.seed;
-        let gate = seed.gate(self.burn_in, raw.stamp_ns, &self.map, self.needed());
+        let burn_in = self.burn_in.after(self.sensors[raw.sensor].since_last(raw.stamp_ns), seed);
+        let gate = seed.gate(self.burn_in, burn_in, &self.map, self.needed());
         let cast = self.judge_and_cast(raw, scan, judged, casting, &mut clock, &mut timing)?;
         go_on(keep_going)?;
         self.tracker.check_room(judged.count_of(FLYING))?;
@@ -140,6 +141,7 @@ impl FlyingObjectDetector {
         // The last stage that may refuse the scan.
         let stats = self.update_map(raw, scan, judged, casting, cast)?;
         self.accept(raw, scan, gate);
+        self.burn_in = burn_in;
         self.fill_pockets(&judged.verdicts, scan);
         self.keep_standing(scan, gate);
         timing.integrate = clock.lap();
@@ -273,7 +275,6 @@ impl FlyingObjectDetector {
         let sensors = self.sensors.len().max(self.parameters.sensors.len());
         self.tracker.keep_points(sensors > 1);
         self.scans = self.scans.saturating_add(1);
-        self.burn_in = self.burn_in.after(raw.stamp_ns, &self.parameters.seed);
         self.reporting = gate == Gate::Open;
         self.held = None;
         if let Some(distance) = self.parameters.forget_distance {

@@ -85,17 +85,16 @@ impl SeedParameters {
         otherwise
     }
 
-    /// Gate of a scan, given the scans before it.
+    /// Gate of a scan, given the burn-in without it and with it.
     pub(crate) fn gate(
         &self,
         before: BurnIn,
-        stamp_ns: i64,
+        with_it: BurnIn,
         map: &VoxelMap,
         needed: usize,
     ) -> Gate {
         if !before.is_over(self) {
-            let burn_in = before.after(stamp_ns, self);
-            Gate::BurnIn { scans: burn_in.scans(), of: burn_in.length(self) }
+            Gate::BurnIn { scans: with_it.scans(), of: with_it.length(self) }
         } else if map.has_background() {
             Gate::Open
         } else {

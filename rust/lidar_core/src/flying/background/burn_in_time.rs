@@ -16,25 +16,24 @@ const MOST_TIMES: u32 = 10;
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct BurnIn {
     scans: u32,
-    /// Time between the first and the last scan, without pauses [s].
+    /// Scans of sensors that had one before.
+    steps: u32,
+    /// Time from scan to scan of the same sensor, summed up without pauses [s].
     seconds: f64,
-    last_ns: i64,
     is_over: bool,
 }
 
 impl BurnIn {
-    /// The same with one more scan.
-    pub(crate) fn after(self, stamp_ns: i64, seed: &SeedParameters) -> Self {
+    /// The burn-in after one more scan; `step` [s] is the time since the last scan of the same
+    /// sensor, None for its first one. Several sensors need no more scans than one of them alone.
+    pub(crate) fn after(self, step: Option<f64>, seed: &SeedParameters) -> Self {
         if self.is_over(seed) {
             return self;
         }
-        let is_first = self.scans == 0;
-        let last_ns = if is_first { stamp_ns } else { self.last_ns.max(stamp_ns) };
-        let step = if is_first { 0 } else { last_ns.saturating_sub(self.last_ns) };
         let next = Self {
             scans: self.scans.saturating_add(1),
-            seconds: self.seconds + (step as f64 * 1e-9).min(self.longest()),
-            last_ns,
+            steps: self.steps + u32::from(step.is_some()),
+            seconds: self.seconds + step.map_or(0.0, |step| step.clamp(0.0, self.longest())),
             is_over: false,
         };
         Self { is_over: next.scans >= next.length(seed), ..next }
@@ -42,7 +41,7 @@ impl BurnIn {
 
     /// The longest time between two scans that counts as such [s].
     fn longest(&self) -> f64 {
-        let usual = self.seconds / f64::from(self.scans.max(2) - 1);
+        let usual = self.seconds / f64::from(self.steps.max(1));
         if usual > 0.0 { LONGEST_STEP.min(LONGEST_TIMES * usual) } else { LONGEST_STEP }
     }
 
@@ -58,8 +57,8 @@ impl BurnIn {
     /// Scans that it takes, judged by those so far.
     pub(crate) fn length(&self, seed: &SeedParameters) -> u32 {
         let usual = seed.burn_in_scans;
-        let (Some(period), 2..) = (seed.burn_in_period, self.scans) else { return usual };
-        let step = self.seconds / f64::from(self.scans - 1);
+        let (Some(period), 1..) = (seed.burn_in_period, self.steps) else { return usual };
+        let step = self.seconds / f64::from(self.steps);
         let scans = (f64::from(usual) * period / step).round() as u32; // infinity gives the largest
         scans.clamp(usual.min(FEWEST_SCANS), usual.saturating_mul(MOST_TIMES))
     }
@@ -90,12 +89,22 @@ mod tests {
 
     /// Scans until it is over, given the time between scans [s].
     fn length(seed: &SeedParameters, step: impl Fn(u32) -> f64) -> u32 {
-        let (mut burn_in, mut seconds) = (BurnIn::default(), 5.0);
+        let (mut burn_in, mut before) = (BurnIn::default(), None);
         while !burn_in.is_over(seed) {
-            burn_in = burn_in.after((seconds * 1e9) as i64, seed);
-            seconds += step(burn_in.scans());
+            burn_in = burn_in.after(before, seed);
+            before = Some(step(burn_in.scans()));
         }
         burn_in.scans()
+    }
+
+    #[test]
+    fn two_sensors_need_as_many_scans_as_one() {
+        let seed = seed(Some(0.1));
+        let mut burn_in = BurnIn::default();
+        while !burn_in.is_over(&seed) {
+            burn_in = burn_in.after((burn_in.scans() >= 2).then_some(0.1), &seed);
+        }
+        assert_eq!(burn_in.scans(), 10);
     }
 
     #[test]

@@ -70,6 +70,11 @@ impl Sensor {
         }
     }
 
+    /// Time since the last scan [s]; None before the first one.
+    pub(crate) fn since_last(&self, stamp_ns: i64) -> Option<f64> {
+        self.last_stamp_ns.map(|last| stamp_ns.saturating_sub(last) as f64 * 1e-9)
+    }
+
     /// # Errors
     /// [`Error::Time`] unless `stamp_ns` is newer than every scan of this sensor before.
     pub(crate) fn check_stamp(&self, name: &str, stamp_ns: i64) -> Result<(), Error> {
