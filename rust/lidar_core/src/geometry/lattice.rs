@@ -61,6 +61,7 @@ impl Lattice {
     pub(crate) fn scale(&self, axis: usize, values: &mut [f64]) {
         let origin = self.origin[axis];
         if let Some(inverse) = self.exact_inverse {
+            // The same bits as the division below, without its cost.
             values.iter_mut().for_each(|value| *value = (*value - origin) * inverse);
         } else {
             values.iter_mut().for_each(|value| *value = (*value - origin) / self.voxel_size);
@@ -79,6 +80,7 @@ impl Lattice {
         for axis in 0..3 {
             let face = scaled[axis].round();
             if (scaled[axis] - face).abs() <= DOUBT * face.abs() {
+                // Rounded once, so the sign is that of the exact difference: on which side of the face it lies.
                 let beyond = libm::fma(-face, self.voxel_size, point[axis] - self.origin[axis]);
                 voxel[axis] = face as i32 - i32::from(beyond < 0.0); // in range, as its floor is
             }
@@ -141,6 +143,8 @@ pub fn floor(scaled: [f64; 3]) -> Option<Voxel> {
 #[inline(always)]
 pub(crate) fn whole(value: f64) -> u32 {
     const TO_LOWEST_BITS: f64 = 1.5 * (1u64 << 52) as f64;
+    // Between 2^52 and 2^53 the last bit of a number is worth 1. The half keeps sums with negative
+    // numbers there, and their lowest bits are two's complement.
     (value + TO_LOWEST_BITS).to_bits() as u32
 }
 

@@ -18,8 +18,10 @@ pub(crate) const MAX_COUNT: u32 = (1 << COUNT_BITS) - 1;
 /// Weight units per point, in scans whose points have weights.
 pub(crate) const POINT_UNITS: u32 = 1024;
 /// Length units per voxel edge.
+// 2^14: scaling by a power of two is exact, and 30 bits still hold 65,536 edges per voxel and scan.
 pub(crate) const UNITS_PER_EDGE: f64 = 16_384.0;
 /// More than a ray can add to a mark: a diagonal.
+// sqrt(3) = 1.732 edges; the rest is room for rounded positions.
 const MOST_UNITS: u32 = (1.75 * UNITS_PER_EDGE) as u32;
 /// So many rays cannot make an empty mark overflow.
 pub(super) const RAYS_FROM_EMPTY: usize = (u32::MAX / MOST_UNITS) as usize;
@@ -81,6 +83,9 @@ pub(crate) enum Slot {
 /// greater numbers: arithmetic alone, since no branch could be foreseen.
 #[inline(always)]
 fn with_points(mark: Mark, content: Content, units: u32) -> Mark {
+    // A weaker mark lies below `none`, so the maximum drops its count. A stronger one lies above
+    // `none | MAX_COUNT`, so the last maximum keeps it. The minimum stops a full count before it
+    // carries into the class.
     let none = (content as u32) << COUNT_BITS;
     let known = mark.max(none);
     known.max(known.saturating_add(units).min(none | MAX_COUNT))
@@ -144,10 +149,12 @@ impl Accumulator {
         if window.is_whole() {
             let marks = self.sheet.marks_mut();
             each(places, lengths, |place, length| {
+                // Cannot overflow: `cast_all` settles before so many rays are cast.
                 marks[place] = marks[place].wrapping_add(length);
             });
         } else {
             each(places, lengths, |place, length| {
+                // Rays that have arrived add 0 at places that mean nothing: these must open no block.
                 if length != 0 {
                     let mark = self.slot(window, place / VOLUME) * VOLUME + place % VOLUME;
                     let mark = &mut self.sheet.marks_mut()[mark];
@@ -256,6 +263,7 @@ impl Accumulator {
     pub(crate) fn absorb(&mut self, other: &mut Self, window: &Window, pool: &ThreadPool) {
         self.visits += other.visits;
         let mut sources = std::mem::take(&mut self.sources);
+        // `EMPTY` is no slot of `other`: blocks that keep it are left as they are.
         sources.clear();
         sources.resize(self.sheet.len(), EMPTY);
         for (index, slot) in other.slots() {
@@ -300,6 +308,7 @@ impl Accumulator {
     /// Blocks with marks: first those in the window, in its order, then others in ascending order
     /// of place.
     pub(crate) fn marked(&mut self) -> impl Iterator<Item = (Place, Slot)> {
+        // Blocks are opened in an order that depends on the threads; the map must not.
         self.opened.sort_unstable();
         self.beyond.opened.sort_unstable();
         let place = |index| self.window.map(|window| window.place(index));

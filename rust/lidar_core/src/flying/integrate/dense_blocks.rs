@@ -28,6 +28,8 @@ impl Sheet {
     /// Have so many slots from the start: of memory that is not used nothing is had.
     pub(crate) fn reserve(&mut self, slots: usize) {
         if self.len() < slots {
+            // `vec![0; n]` takes zeroed pages from the system, which cost nothing until they are touched;
+            // `resize` would write all of them.
             (self.marks, self.met) = (vec![0; slots * VOLUME], vec![0; slots]);
         }
     }
@@ -49,6 +51,7 @@ impl Sheet {
     /// Place of a mark that is about to be set.
     #[inline(always)]
     pub(super) fn spot(&mut self, slot: usize, offset: usize) -> usize {
+        // 512 voxels are 64 rows of 8: a bit for each fits one word.
         self.met[slot] |= 1 << (offset / EDGE as usize);
         slot * VOLUME + offset
     }
@@ -86,6 +89,7 @@ impl Sheet {
     pub(crate) fn clear(&mut self, pool: Option<&ThreadPool>) {
         let clear = |(marks, met): (&mut [Mark; VOLUME], &mut u64)| {
             let rows: &mut [MarkRow] = marks.as_chunks_mut().0;
+            // Only rows with marks are written: the cost follows the scan, not the window.
             rows_of(std::mem::take(met)).for_each(|row| rows[row] = [0; EDGE as usize]);
         };
         match pool {
@@ -115,6 +119,7 @@ pub(crate) fn rows_of(mut bits: u64) -> impl Iterator<Item = usize> {
 #[inline(always)]
 fn add_row(marks: &mut MarkRow, more: &MarkRow) {
     for (mark, more) in marks.iter_mut().zip(more) {
+        // Both are below 2^30, so the sum fits. Sums that stop at one value are the same in any order.
         *mark = (mark.wrapping_add(*more)).min(MAX_COUNT);
     }
 }
@@ -145,6 +150,8 @@ fn settle_block(marks: &mut [Mark; VOLUME]) -> u64 {
         met |= u64::from(any != 0) << row;
         all |= any;
     }
+    // The OR of all marks exceeds it exactly if one of them does, since `MAX_COUNT` is all ones.
+    // Full marks are rare: most blocks skip the second pass.
     if all > MAX_COUNT {
         marks.iter_mut().for_each(|mark| *mark = (*mark).min(MAX_COUNT));
     }

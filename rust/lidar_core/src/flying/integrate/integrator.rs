@@ -92,6 +92,7 @@ pub(super) fn content_of(class: u8) -> Option<Content> {
         BACKGROUND => Some(Content::Background),
         FLYING => Some(Content::Flying),
         UNKNOWN => Some(Content::Unknown),
+        // `INVALID`: other numbers are refused by `check_classes` before.
         _ => None,
     }
 }
@@ -111,6 +112,7 @@ pub(super) fn check_classes(class: &[u8], expected: usize) -> Result<(), Error> 
 
 pub(crate) fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {
     let expected = scan.points.len();
+    // First, since rows are counted in 32 bits from here on.
     check_points(expected)?;
     check_classes(scan.class, expected)?;
     let lengths = [
@@ -128,6 +130,7 @@ pub(crate) fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {
             return Err(Error::Length { name, expected, got });
         }
     }
+    // Only the presence is checked: single directions that are zero or not finite count as skipped.
     if scan.no_return.is_some_and(|flags| flags.contains(&true)) && scan.directions.is_none() {
         return Err(Error::Value {
             name: "ray_directions",

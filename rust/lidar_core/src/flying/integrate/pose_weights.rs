@@ -59,6 +59,7 @@ impl PoseError {
         let world_from_map = self.map_from_world.inverse();
         let jacobian = pose_jacobian(&self.world_from_lidar, world_from_map.apply(point));
         let sight = minus(point, self.map_from_world.apply(self.world_from_lidar.translation));
+        // A point in the sensor itself then gives 0 and not NaN.
         let range = norm(sight).max(f64::MIN_POSITIVE);
         std::array::from_fn(|axis| {
             let row: [f64; 6] = std::array::from_fn(|column| {
@@ -69,6 +70,7 @@ impl PoseError {
             let of_pose: f64 = (0..6)
                 .map(|i| row[i] * (0..6).map(|j| self.covariance[i][j] * row[j]).sum::<f64>())
                 .sum();
+            // Rounding may leave a covariance slightly indefinite.
             of_pose.max(0.0) + along * along
         })
     }
@@ -90,6 +92,8 @@ impl PoseError {
         self.variance(lattice.center(voxel)).map(|variance| {
             let scale = lattice.voxel_size() / (2.0 * variance).sqrt();
             // Half of what lies beyond the walls at 1/2, 3/2 and so on.
+            // `erfc` keeps the relative precision of small tails. Without variance the scale is infinite:
+            // all tails are 0, and the voxel of the point has the whole share.
             let beyond = |wall: i32| 0.5 * libm::erfc((f64::from(wall) - 0.5) * scale);
             std::array::from_fn(|index| match (index as i32 - REACH).abs() {
                 0 => 1.0 - 2.0 * beyond(1),
@@ -113,6 +117,7 @@ impl VoxelMap {
         };
         let (background, others): (Vec<_>, Vec<_>) =
             points.partition(|(_, class)| *class == Content::Background);
+        // Before the background, since `mark_beside` leaves voxels with other points alone.
         for (voxel, class) in others {
             accumulator.mark_points(voxel, class, POINT_UNITS);
         }
@@ -122,6 +127,7 @@ impl VoxelMap {
     /// Note the points of the background, given as a voxel each, with the shares of the voxels that
     /// they may lie in; where other points lie, those count.
     fn spread(&self, accumulator: &mut Accumulator, error: &PoseError, mut points: Vec<Voxel>) {
+        // Points of one voxel are counted together, so their shares are rounded once, whatever their order.
         points.sort_unstable();
         for same in points.chunk_by(|a, b| a == b) {
             let shares = error.shares(self.lattice(), same[0]);
@@ -149,6 +155,7 @@ fn steps([x, y, z]: &[Shares; 3]) -> impl Iterator<Item = ([i32; 3], f64)> {
         .flat_map(move |(k, z)| y.iter().enumerate().map(move |(j, y)| (j, k, y * z)));
     let own = REACH as usize;
     planes
+        // Shares are at most 1: below the least share here, no factor along x can lift it.
         .filter(move |&(j, k, share)| share >= LEAST_SHARE || (j, k) == (own, own))
         .flat_map(move |(j, k, share)| {
             x.iter().enumerate().map(move |(i, x)| ([step(i), step(j), step(k)], x * share))

@@ -77,6 +77,7 @@ impl Source<'_> {
         let mut margin = [self.parameters.end_margin; LANES];
         self.aim_without_return(index, &mut along, &mut margin);
         if let Some(error) = self.scan.pose_error {
+            // -infinity marks a ray that clears up to `max_range`: it has no measured end.
             for (lane, margin) in margin.iter_mut().enumerate().filter(|(_, m)| m.is_finite()) {
                 *margin += error.end_margin(along.map(|axis| axis[lane]));
             }
@@ -122,6 +123,7 @@ impl Source<'_> {
             return;
         };
         let flags = index.map(|index| flags[index]);
+        // Most bundles hold returns only.
         if !flags.contains(&true) {
             return;
         }
@@ -152,6 +154,8 @@ impl Source<'_> {
         for lane in 0..LANES {
             let distance = (x[lane] * x[lane] + y[lane] * y[lane] + z[lane] * z[lane]).sqrt();
             let reach = (distance - margin[lane]).max(0.0).min(range);
+            // A ray that is not shortened keeps its point to the bit: rounding must not move it to another
+            // voxel. That includes length 0, for which `ahead` is NaN.
             let is_whole = reach >= distance && margin[lane] >= 0.0;
             for axis in 0..3 {
                 let ahead = start[axis][lane] + reach / distance * along[axis][lane];
@@ -190,6 +194,7 @@ impl Bounds {
                 let (a, b, is_ray) = (start[axis][lane], end[axis][lane], is_ray[lane]);
                 self.odd[lane] |= is_ray & !(a.is_finite() & b.is_finite());
                 let (low, high) = (self.low[axis][lane], self.high[axis][lane]);
+                // One instruction each, unlike `f64::min`, which has to look for NaN; `odd` catches those.
                 let (least, most) = (least(a, b), -least(-a, -b));
                 self.low[axis][lane] = if is_ray & (least < low) { least } else { low };
                 self.high[axis][lane] = if is_ray & (most > high) { most } else { high };
@@ -233,6 +238,7 @@ pub(crate) fn places(points: &[Numbers; 3], window: &Window) -> Lanes {
     for (axis, points) in points.iter().enumerate() {
         let first = f64::from(window.first(axis));
         for lane in 0..LANES {
+            // Both are whole numbers below 2^32: their difference is exact.
             places[lane] |= window.bits_at(axis, whole(points[lane].floor() - first));
         }
     }

@@ -38,6 +38,7 @@ impl Rule {
             levels: map.levels(),
             initial: p.initial,
             g: [p.g_free, p.g_unk, p.g_occ],
+            // One factor for gain, unit and fixed point: one multiplication per voxel.
             per_unit: p.ray_gain * unit / UNITS_PER_EDGE,
             per_point: if weighted { 1.0 / f64::from(POINT_UNITS) } else { 1.0 },
             limits: map.limits,
@@ -69,6 +70,7 @@ impl Rule {
     /// What a row becomes. Without branches, for all its voxels at a time.
     #[inline(always)]
     fn updated(&self, stored: &Row, marks: &MarkRow) -> Row {
+        // A class is a bit above `MAX_COUNT`: one OR finds any. Most rows hold rays only.
         let holds_points = marks.iter().fold(0, |all, mark| all | mark) > MAX_COUNT;
         let mut values = *stored;
         for (value, &mark) in values.iter_mut().zip(marks) {
@@ -81,6 +83,7 @@ impl Rule {
     /// A value that only rays can have changed.
     #[inline(always)]
     fn cleared(&self, stored: f32, mark: Mark) -> f32 {
+        // Computed for every voxel and selected at the end: a branch would split the vector loop.
         let keep = two_to_minus(f64::from(mark & MAX_COUNT) * self.per_unit);
         let value = filtered(self.known(stored), self.g[0], keep);
         if mark == 0 { stored } else { value }
@@ -118,6 +121,7 @@ impl WithSimd for Count<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> usize {
         let rows = self.marks.as_chunks().0;
+        // A counter per lane, so that no sum runs across lanes inside the loop; each counts 64 rows at most.
         let mut counts = [0u32; ROW];
         for row in rows_of(self.met) {
             let marks = self.rule.admitted(self.place, row * ROW, &rows[row]);
@@ -164,6 +168,7 @@ fn update_row(rule: &Rule, block: &mut Block, row: usize, marks: &MarkRow, chang
     }
     let values = rule.updated(stored, marks);
     let crosses = |at: usize| rule.levels.crosses(stored[at], values[at]);
+    // No bound is crossed: the bits of the block stay, and the row is stored as a whole.
     if !(0..ROW).fold(false, |any, at| any | crosses(at)) {
         *stored = values;
         return;

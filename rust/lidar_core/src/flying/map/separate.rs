@@ -117,6 +117,7 @@ impl VoxelMap {
         if self.has_background() {
             return Ok(self.pull_to_free(separate));
         }
+        // Nothing was pulled, so these groups must be found again.
         self.changes.restart();
         Ok(0)
     }
@@ -136,10 +137,13 @@ impl VoxelMap {
         let Changes { anchor, gained, lost, kept, .. } = &self.changes;
         let min_confident = separation.min_confident;
         let mut search = Search::new(&self.blocks, &neighbours, kept, min_confident, marks);
+        // The known background first: most other searches end where they reach it.
         search.look_around(anchor.map(Layer::of).as_slice());
         if looks_at_all {
             search.look_around(&self.occupied_layers());
         } else {
+            // Only groups that lost voxels can have come apart. Once they are searched, what was anchored
+            // before is anchored still, and searches from new voxels may end there.
             search.look_around(lost);
             search.trust_last();
             search.look_around(gained);

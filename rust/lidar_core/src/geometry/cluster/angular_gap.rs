@@ -120,6 +120,7 @@ impl AngularGap {
     /// Square of the range of a point [m^2].
     fn square(&self, point: [f64; 3]) -> f64 {
         let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| point[axis] - self.origin[axis]);
+        // Never infinite, or `cut` would add bands without end.
         (x * x + y * y + z * z).min(f64::MAX)
     }
 }
@@ -140,6 +141,7 @@ impl Reach for InBand<'_> {
     #[inline]
     fn links(&self, square: f64, one: [f64; 3], other: [f64; 3]) -> bool {
         let nearer = || self.gap.square(one).min(self.gap.square(other));
+        // The fixed distance first: it needs no ranges.
         square <= self.fixed || square <= self.gap.max_angle * self.gap.max_angle * nearer()
     }
 }
@@ -190,6 +192,7 @@ impl Bands {
         }
         rows.clear();
         rows.resize(row_ends[ends.len()], 0);
+        // Counting sort keeps rows ascending within a band. Each start moves to the end of its band.
         for (row, &band) in (0..).zip(&*band_of).filter(|(_, band)| **band != NO_BAND) {
             let place = &mut row_ends[usize::from(band)]; // where the band begins, at first
             rows[*place] = row;
@@ -256,6 +259,7 @@ impl Part {
             let reach = InBand { gap, fixed: fixed * fixed, most: widest * widest };
             self.linker.linked(&self.points, widest, &reach)?
         };
+        // Only the joins are locked. The smallest member is the root, so the order of bands does not matter.
         let mut sets = sets.lock().unwrap_or_else(PoisonError::into_inner);
         for (&row, &group) in self.rows.iter().zip(groups) {
             let (one, other) = (sets.root(row), sets.root(self.rows[group as usize]));
@@ -271,6 +275,7 @@ impl Part {
         let is_near = |row: &&u32| gap.square(wide(points[**row as usize])) <= reached * reached;
         rows.clear();
         rows.extend_from_slice(bands.rows_in(band));
+        // Outwards only: the nearer point decides the reach, so its band finds the pair.
         for beyond in (band + 1..bands.len()).take_while(|at| bands.ends[at - 1] <= reached) {
             rows.extend(bands.rows_in(beyond).iter().filter(is_near));
         }
