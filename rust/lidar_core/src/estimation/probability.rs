@@ -199,7 +199,7 @@ impl Nested {
         interval(start, end)
     }
 
-    /// Where the integral over entry `level` of `z` is split, its ends included, ascending.
+    /// Split points of the integral over entry `level` of `z`, its ends included, ascending.
     fn cuts(&self, level: usize, z: &[f64; 3], [start, end]: [f64; 2]) -> Vec<f64> {
         let panels = ((end - start) / PANEL).ceil().max(1.0);
         let step = (end - start) / panels;

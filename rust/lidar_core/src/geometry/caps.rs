@@ -14,9 +14,9 @@ use std::ops::Range;
 
 const SPHERE: f64 = 4.0 * PI;
 
-/// Caps nearer to one another than this are one [rad].
+/// Caps nearer to each other than this are taken as one [rad].
 const SAME: f64 = 1e-10;
-/// Gaps in the cover of a rim that are shorter are none [rad].
+/// Shorter gaps in the cover of a rim are ignored [rad].
 const LEAST_GAP: f64 = 1e-12;
 /// Longest piece of an arc whose ends are joined by a straight way.
 const LONGEST_PIECE: f64 = 2.0;
@@ -76,7 +76,7 @@ impl Directions {
         Self { units, levels }
     }
 
-    /// Whether there is none.
+    /// True if there are no directions.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.units.is_empty()
@@ -101,7 +101,7 @@ impl Directions {
         if area < 0.5 * least { SPHERE } else { area } // the sum leaves whole spheres open
     }
 
-    /// What the uncovered arcs of the rim around a direction contribute.
+    /// Contribution of the uncovered arcs of the rim around a direction to the area.
     fn rim(&self, cap: Cap, others: &[Cap]) -> f64 {
         let frame = Frame::of(cap);
         let mut cover = Cover::default();
@@ -132,7 +132,7 @@ impl Directions {
         frame.contribution(&gaps)
     }
 
-    /// The same for one of the other caps.
+    /// Contribution of the rim of one of the other caps to the area.
     fn rim_of_other(&self, index: usize, radius: f64, others: &[Cap]) -> f64 {
         let frame = Frame::of(others[index]);
         let mut cover = Cover::default();
@@ -151,7 +151,7 @@ impl Directions {
 struct Cells {
     size: f64,
     indices: Vec<usize>,
-    /// Where the indices of a cell lie.
+    /// Range of the indices of each cell.
     ranges: HashMap<[i32; 3], Range<usize>>,
 }
 
@@ -291,7 +291,7 @@ impl Cover {
         });
     }
 
-    /// What is not covered; the arcs must be settled.
+    /// Gaps between the covered arcs, which must be settled.
     fn gaps(&self) -> Vec<[f64; 2]> {
         let starts = std::iter::once(0.0).chain(self.arcs.iter().map(|arc| arc[1]));
         let ends = self.arcs.iter().map(|arc| arc[0]).chain(std::iter::once(2.0 * PI));

@@ -119,7 +119,7 @@ impl Lattice {
     }
 }
 
-/// Whether a normal number has no fraction bits.
+/// True for a normal number without fraction bits.
 fn is_power_of_two(value: f64) -> bool {
     value.is_normal() && value.to_bits().trailing_zeros() >= f64::MANTISSA_DIGITS - 1
 }
@@ -148,7 +148,7 @@ pub(crate) fn whole(value: f64) -> u32 {
     (value + TO_LOWEST_BITS).to_bits() as u32
 }
 
-/// Whether a coordinate in units of voxels can be indexed.
+/// True if a coordinate in units of voxels can be indexed.
 #[inline(always)]
 fn is_index(scaled: f64) -> bool {
     scaled.floor().abs() < MAX_INDEX

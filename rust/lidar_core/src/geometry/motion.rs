@@ -1,4 +1,4 @@
-//! Where the sensor was at every moment of a scan.
+//! Pose of the sensor at every moment of a scan.
 
 use super::transform::Transform;
 use crate::Error;
@@ -54,7 +54,7 @@ impl<'a> Motion<'a> {
         Ok(Self { poses, stamps_ns })
     }
 
-    /// Whether the sensor may move during the scan.
+    /// True if the sensor may move during the scan.
     #[must_use]
     pub fn is_stream(&self) -> bool {
         self.poses.len() > 1
@@ -138,7 +138,7 @@ impl PointPoses {
         Ok(())
     }
 
-    /// Give the poses in another frame.
+    /// Transform all poses to another frame.
     pub fn move_to(&mut self, target_from_source: &Transform) {
         self.poses.iter_mut().for_each(|pose| *pose = target_from_source.after(pose));
     }

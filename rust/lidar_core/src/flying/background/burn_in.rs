@@ -1,4 +1,4 @@
-//! Where the first background comes from, and when detections may be trusted.
+//! Source of the first background, and the time from which detections may be trusted.
 //!
 //! No voxel starts occupied and points become background only near occupied voxels, so without a
 //! seed nothing is ever background and nothing is ever detected. The paper is silent about it.
@@ -29,7 +29,7 @@ pub struct SeedParameters {
     pub take_off_height: Option<f64>,
 }
 
-/// Whether detections are reported, and if not, why.
+/// State of reporting: detections are reported, or the reason why not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Gate {
     /// Detections are reported.

@@ -27,9 +27,9 @@ pub(crate) struct Judged {
     middles: Vec<[f32; 3]>,
     pub(crate) clusters: Clusters,
     classifier: Classifier,
-    /// What each cluster is.
+    /// Class of each cluster.
     pub(crate) verdicts: Vec<Verdict>,
-    /// The same on a later map.
+    /// Class of each cluster on a later map.
     later: Vec<Verdict>,
     /// Class of every row.
     pub(crate) class: Vec<u8>,

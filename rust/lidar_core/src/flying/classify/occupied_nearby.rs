@@ -75,7 +75,7 @@ impl Occupancy for VoxelMap {
     }
 }
 
-/// Whether the map holds `voxel` as free; used by the pipeline's checks of a pose.
+/// True if the map holds `voxel` as free; used by the pipeline's checks of a pose.
 pub(crate) fn is_observed_free(map: &VoxelMap, cursor: &mut Cursor<'_>, voxel: Voxel) -> bool {
     cursor
         .block(Place::of(voxel))

@@ -1,4 +1,4 @@
-//! What one scan did to every voxel that it met.
+//! Marks of one scan: points or ray length per voxel.
 
 use super::dense_blocks::Sheet;
 use super::sparse_blocks::Beyond;
@@ -9,7 +9,7 @@ use crate::geometry::lattice::Voxel;
 use rayon::ThreadPool;
 use std::hint::black_box;
 
-/// What one scan did to one voxel, in 32 bits: the class of the points inside in the highest
+/// Content of one voxel in one scan, in 32 bits: the class of the points inside in the highest
 /// two, below them their number, or without points the length of rays in 1/16384 edges.
 pub(crate) type Mark = u32;
 /// Of points, their number, or in a weighted scan their weight in units of 1 / `POINT_UNITS`.
@@ -25,7 +25,7 @@ pub(crate) const UNITS_PER_EDGE: f64 = 16_384.0;
 const MOST_UNITS: u32 = (1.75 * UNITS_PER_EDGE) as u32;
 /// So many rays cannot make an empty mark overflow.
 pub(super) const RAYS_FROM_EMPTY: usize = (u32::MAX / MOST_UNITS) as usize;
-/// The same of a full one.
+/// So many rays cannot make a mark of [`MAX_COUNT`] overflow.
 pub(super) const RAYS_FROM_FULL: usize = ((u32::MAX - MAX_COUNT) / MOST_UNITS) as usize;
 const EMPTY: u32 = u32::MAX;
 /// Points that are marked together.
@@ -232,7 +232,7 @@ impl Accumulator {
         &mut self.sheet.marks_mut()[spot]
     }
 
-    /// Where the mark of a voxel is that is about to be set.
+    /// Position of the mark of a voxel that is about to be set.
     #[inline(always)]
     fn spot(&mut self, voxel: Voxel) -> Option<Slot> {
         let window = self.window?;
@@ -243,7 +243,7 @@ impl Accumulator {
         Some(Slot::Beyond(self.beyond.spot(slot, offset_of(voxel))))
     }
 
-    /// The same of a place in the window.
+    /// Position of the mark at a place of the window that is about to be set.
     #[inline(always)]
     fn spot_within(&mut self, window: &Window, place: usize) -> usize {
         let slot = self.slot(window, place / VOLUME);

@@ -1,4 +1,4 @@
-//! What the marks of one scan do to the map: the only place where a scan changes values.
+//! Update of the map by the marks of one scan: the only place where a scan changes values.
 //!
 //! Source: Vrba et al., eqs 9 and 12.
 

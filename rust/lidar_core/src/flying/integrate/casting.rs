@@ -23,7 +23,7 @@ const LEAST_SCRATCH: usize = 1 << 17;
 pub(crate) struct Casting {
     plan: Plan,
     accumulators: Vec<Accumulator>,
-    /// Whether the accumulators hold marks.
+    /// True while the accumulators hold marks.
     is_open: bool,
 }
 

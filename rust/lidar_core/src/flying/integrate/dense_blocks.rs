@@ -25,7 +25,7 @@ impl Sheet {
         self.met.len()
     }
 
-    /// Have so many slots from the start: of memory that is not used nothing is had.
+    /// Have so many slots from the start: untouched pages cost no memory.
     pub(crate) fn reserve(&mut self, slots: usize) {
         if self.len() < slots {
             // `vec![0; n]` takes zeroed pages from the system, which cost nothing until they are touched;
@@ -34,7 +34,7 @@ impl Sheet {
         }
     }
 
-    /// Have so many slots, as many as are needed by and by.
+    /// Grow to so many slots as blocks are opened.
     pub(crate) fn grow(&mut self, slots: usize) {
         if self.len() < slots {
             self.marks.resize(slots * VOLUME, 0);

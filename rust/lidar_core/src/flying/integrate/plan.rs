@@ -1,4 +1,4 @@
-//! What a scan asks for, checked before anything is changed: rays, their bounds, voxels of points.
+//! Rays, their bounds and the voxels of points of a scan, checked before the map changes.
 //!
 //! Loops over the lanes of a bundle, which the compiler turns into instructions of the vector unit
 //! that calls them.
@@ -13,7 +13,7 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// What the scan asks for, checked before anything is changed.
+/// Rays and points of a scan, checked before the map changes.
 #[derive(Default)]
 pub(crate) struct Plan {
     pub(crate) rays: Vec<Ray>,
@@ -23,10 +23,10 @@ pub(crate) struct Plan {
     pub(crate) rows: usize,
     /// The voxels between which the rays lie.
     span: Option<[Voxel; 2]>,
-    /// What is known without the classes of the points.
+    /// Counts that do not need the classes of the points.
     pub(crate) stats: IntegrateStats,
     error: Option<Error>,
-    /// What the following parts of the scan ask for, while other threads find that out.
+    /// Plans of the following parts of the scan, filled by other threads.
     others: Vec<Plan>,
 }
 
@@ -171,7 +171,7 @@ fn settle(
     Ok(())
 }
 
-/// What entries side by side ask for; those that only fill the bundle ask for nothing.
+/// Points and rays that a bundle of entries adds; entries that only fill the bundle add none.
 struct Wishes {
     /// A point in the map.
     point: Flags,

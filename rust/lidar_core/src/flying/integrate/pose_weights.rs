@@ -15,10 +15,10 @@ use crate::geometry::transform::{Transform, dot, minus, norm};
 
 /// Voxels that a point may be away from its own, along each axis.
 const REACH: i32 = 2;
-/// Smaller shares are none.
+/// Shares below this one are taken as 0.
 const LEAST_SHARE: f64 = 0.02;
 
-/// What an uncertain pose changes in the update of the map.
+/// Effect of an uncertain pose on the update of the map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PoseWeighting {
     /// Rays that hit something end earlier: they do not clear what their ends may lie in.
@@ -28,10 +28,10 @@ pub enum PoseWeighting {
     Spread,
 }
 
-/// How uncertain the points of a scan are.
+/// Uncertainty of the points of a scan.
 #[derive(Clone, Copy, Debug)]
 pub struct PoseError {
-    /// What follows from it.
+    /// Effect on the update of the map.
     pub weighting: PoseWeighting,
     /// Pose of the sensor in the world.
     pub world_from_lidar: Transform,
@@ -49,7 +49,7 @@ pub struct PoseError {
 type Shares = [f64; 2 * REACH as usize + 1];
 
 impl PoseError {
-    /// Whether points have weights.
+    /// True if points have weights.
     pub(crate) fn weighs_points(&self) -> bool {
         self.weighting == PoseWeighting::Spread
     }
@@ -75,7 +75,7 @@ impl PoseError {
         })
     }
 
-    /// How much earlier a ray ends that runs along `span` of the map [m].
+    /// Length by which a ray along `span` of the map ends earlier [m].
     pub(crate) fn end_margin(&self, span: [f64; 3]) -> f64 {
         // The angles move its end across, not along.
         let along = self.map_from_world.inverse().rotate(span);
@@ -163,14 +163,14 @@ fn steps([x, y, z]: &[Shares; 3]) -> impl Iterator<Item = ([i32; 3], f64)> {
         .filter(|&(step, share)| share >= LEAST_SHARE || step == [0; 3])
 }
 
-/// What is known about poses beforehand.
+/// Prior uncertainty of poses, and how the map uses it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseParameters {
     /// Standard deviations of the translation [m], for scans that come without a covariance.
     pub position_std: [f64; 3],
-    /// The same for the angles about x, y, z [rad].
+    /// Standard deviations of the angles about x, y, z [rad], for scans that come without a covariance.
     pub angle_std: [f64; 3],
-    /// How the map heeds them; None: not.
+    /// Effect on the update of the map; None: the uncertainty is ignored.
     pub weighting: Option<PoseWeighting>,
     /// Rays that hit something end this many standard deviations earlier, if `weighting` is set.
     pub end_sigmas: f64,
@@ -187,7 +187,7 @@ impl FlyingObjectDetector {
         raw.pose_covariance.or_else(|| std.iter().any(|&std| std > 0.0).then(constant))
     }
 
-    /// What follows from it for points of the scan.
+    /// Uncertainty that the pose gives to points of the scan.
     pub(crate) fn pose_spread(&self, raw: &RawScan<'_>, scan: &Prepared) -> Option<PoseSpread> {
         Some(PoseSpread {
             world_from_lidar: self.map_from_world.inverse().after(&scan.pose),
@@ -196,7 +196,7 @@ impl FlyingObjectDetector {
         })
     }
 
-    /// What the update of the map is to heed.
+    /// Uncertainty that the update of the map uses.
     pub(crate) fn pose_error(&self, raw: &RawScan<'_>, scan: &Prepared) -> Option<PoseError> {
         let PoseSpread { world_from_lidar, map_from_world, covariance } =
             self.pose_spread(raw, scan)?;

@@ -67,7 +67,7 @@ impl Bundle {
         bundle
     }
 
-    /// Whether a ray counts for more than itself.
+    /// True if a ray stands for others too.
     #[inline(always)]
     fn stands_for_others(&self) -> bool {
         self.count.iter().fold(false, |any, &count| any | (count > 1))
@@ -209,7 +209,7 @@ struct Walk<S: Simd, const K: usize> {
     mirror: [S::u32s; K],
     visits: [S::u32s; K],
     step: S::u32s,
-    /// Where the ray entered its voxel, in units.
+    /// Position at which the ray entered its voxel, in units.
     entered: [S::u32s; K],
     /// Bits of a place that belong to an axis.
     bits: [S::u32s; 3],

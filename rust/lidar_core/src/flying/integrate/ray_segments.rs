@@ -12,14 +12,14 @@ use crate::geometry::transform::norm;
 
 /// Rays side by side: two vectors of the widest unit, so that one works while the other waits.
 pub(crate) const LANES: usize = 32;
-/// Numbers of them along an axis.
+/// One coordinate per lane.
 pub(crate) type Numbers = [f64; LANES];
 
-/// Whole numbers of them.
+/// One whole number per lane.
 pub(crate) type Lanes = [u32; LANES];
-/// Numbers of the entries of a scan whose rays they are.
+/// Entry of the scan per lane.
 pub(crate) type Indices = [usize; LANES];
-/// What holds of some of them.
+/// One flag per lane.
 pub(crate) type Flags = [bool; LANES];
 
 /// A ray that is cast.
@@ -31,7 +31,7 @@ pub(crate) struct Ray {
     pub(crate) count: u32,
 }
 
-/// Where the rays of a scan lead.
+/// Source of the rays of a scan: points, directions, limits.
 #[derive(Clone, Copy)]
 pub(crate) struct Source<'a> {
     pub(crate) scan: &'a ClassifiedScan<'a>,
@@ -99,7 +99,7 @@ impl Source<'_> {
         points
     }
 
-    /// Where the rays of a bundle start.
+    /// Start points of a bundle of rays.
     #[inline(always)]
     fn starts(&self, index: &Indices) -> [Numbers; 3] {
         let mut start = [[0.0; LANES]; 3];
@@ -215,7 +215,7 @@ impl Bounds {
 }
 
 impl Segments {
-    /// The same in units of voxels.
+    /// Segments in units of voxels.
     #[inline(always)]
     pub(crate) fn scaled(&self, lattice: &Lattice) -> Self {
         Self { start: scaled(&self.start, lattice), end: scaled(&self.end, lattice) }
@@ -245,7 +245,7 @@ pub(crate) fn places(points: &[Numbers; 3], window: &Window) -> Lanes {
     places
 }
 
-/// The lesser one, as the vector unit has it.
+/// Lesser number; `b` if one is NaN, like the instruction of the vector unit.
 #[inline(always)]
 pub(crate) fn least(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }

@@ -1,4 +1,4 @@
-//! What the marks of a scan do to the values of a block.
+//! Update of the values of a block by the marks of a scan.
 //!
 //! Source: Vrba et al., eqs 9 and 12.
 
@@ -13,7 +13,7 @@ use pulp::{Arch, Simd, WithSimd};
 /// Voxels that are updated at a time: those of a row of x.
 const ROW: usize = EDGE as usize;
 
-/// What a mark does to a value.
+/// Update rule from a mark to a value.
 #[derive(Clone, Copy)]
 pub(crate) struct Rule {
     levels: Levels,
@@ -67,7 +67,7 @@ impl Rule {
         })
     }
 
-    /// What a row becomes. Without branches, for all its voxels at a time.
+    /// Updated values of a row, computed without branches for all its voxels at a time.
     #[inline(always)]
     fn updated(&self, stored: &Row, marks: &MarkRow) -> Row {
         // A class is a bit above `MAX_COUNT`: one OR finds any. Most rows hold rays only.

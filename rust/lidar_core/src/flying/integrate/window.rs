@@ -77,7 +77,7 @@ impl Window {
         self.len
     }
 
-    /// Whether it lies in memory as a whole.
+    /// True if the marks of the whole window lie in memory.
     pub(crate) fn is_whole(&self) -> bool {
         self.len <= MAX_WHOLE
     }
@@ -102,7 +102,7 @@ impl Window {
         inside << (EDGE_BITS as usize * axis) | block.wrapping_shl(self.lowest[axis])
     }
 
-    /// Those of them that belong to an axis.
+    /// All bits of a place that belong to an axis.
     #[inline(always)]
     pub(super) fn bits_along(&self, axis: usize) -> u32 {
         let (inside, block) = ((EDGE as u32) - 1, (1u32 << self.bits[axis]) - 1);

@@ -9,7 +9,7 @@ use crate::util::key_hasher::Spread;
 use std::collections::HashSet;
 use std::hash::BuildHasherDefault;
 
-/// What the searches know of the voxels of a block.
+/// Results of the searches for the voxels of a block.
 #[derive(Clone, Copy, Default)]
 struct Mark {
     /// Some search of this removal has met them.
@@ -79,7 +79,7 @@ pub(crate) struct Search<'a> {
     kept: &'a HashSet<Place, BuildHasherDefault<Spread>>,
     min_confident: usize,
     marks: Marks,
-    /// Whether what the last removal found counts.
+    /// True once anchors of the last removal count.
     trusts_last: bool,
     anchor: Option<Voxel>,
 }
@@ -105,7 +105,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// What the last removal found anchored counts from now on: all groups that lost voxels since
+    /// Count the anchors of the last removal from now on: all groups that lost voxels since
     /// then have been looked at.
     pub(super) fn trust_last(&mut self) {
         self.trusts_last = true;

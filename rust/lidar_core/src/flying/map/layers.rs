@@ -22,7 +22,7 @@ impl Layer {
         Self { place: Place::of(voxel), z: offset as i32 >> 6, bits: 1 << (offset & 63) }
     }
 
-    /// Whether it is the same layer, whatever its voxels.
+    /// True if both are the same layer of the same block, whatever their voxels.
     #[inline]
     pub(crate) fn is_same(&self, other: &Self) -> bool {
         self.place == other.place && self.z == other.z
@@ -53,9 +53,9 @@ impl Layer {
 /// Neighbours of voxels: those whose centre is not too far away.
 #[derive(Clone, Debug)]
 pub(crate) struct Neighbours {
-    /// How far they are along one axis, in voxels.
+    /// Largest distance of a neighbour along one axis, in voxels.
     reach: i32,
-    /// The same in whole blocks, in voxels.
+    /// Reach rounded up to whole blocks, in voxels.
     margin: i32,
     /// For every distance along z: by the position of a voxel along y and x, relative to a corner
     /// `margin` below that of a block, its neighbours in a layer of that block.

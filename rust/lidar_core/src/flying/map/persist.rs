@@ -14,7 +14,7 @@ use std::path::Path;
 
 const MAGIC: &[u8; 4] = b"LCVM";
 const VERSION: u32 = 1;
-/// The same with a section of what is known of the robot.
+/// Version of files with a section for the robot itself.
 const VERSION_WITH_BODY: u32 = 2;
 /// Set in the byte of the ray unit where one ray is cast per end voxel.
 const ONE_PER_END: u8 = 4;

@@ -14,7 +14,7 @@ pub(crate) const SIZE: f64 = 0.2;
 /// Voxels along an edge of the cube around the sensor: 6.4 m to each side.
 pub(crate) const EDGE: usize = 64;
 
-/// What was found of the robot by one sensor.
+/// Voxels of the robot itself that one sensor found.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SavedBody {
     /// Name of the sensor.

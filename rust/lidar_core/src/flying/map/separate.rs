@@ -104,7 +104,7 @@ impl VoxelMap {
         Ok(self.pull_to_free(separate))
     }
 
-    /// The same, but nothing is removed before some group holds enough confident voxels: a young
+    /// Like [`VoxelMap::remove_separate`], but removes nothing before some group holds enough confident voxels: a young
     /// background would be pulled down faster than a sparse sensor can build it up.
     ///
     /// # Errors
@@ -203,7 +203,7 @@ impl VoxelMap {
         }
     }
 
-    /// Whether some group of occupied voxels holds enough confident ones, as of the last
+    /// True if some group of occupied voxels holds enough confident ones, as of the last
     /// removal: without that, "separate" has no meaning.
     #[must_use]
     pub fn has_background(&self) -> bool {

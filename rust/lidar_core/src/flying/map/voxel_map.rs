@@ -45,9 +45,9 @@ pub struct MapParameters {
     pub origin: [f64; 3],
     /// G that background points pull a voxel to.
     pub g_occ: f32,
-    /// Same for unknown and flying points.
+    /// G that unknown and flying points pull a voxel to.
     pub g_unk: f32,
-    /// Same for rays.
+    /// G that rays pull a voxel to.
     pub g_free: f32,
     /// G of a voxel that has never been observed.
     pub initial: f32,
@@ -72,7 +72,7 @@ pub struct MapParameters {
 }
 
 impl MapParameters {
-    /// The same for coordinates relative to `origin` [m, world].
+    /// Parameters for coordinates relative to `origin` [m, world].
     #[must_use]
     pub fn relative_to(&self, origin: [f64; 3]) -> Self {
         let bounds = self.bounds.map(|corners| corners.map(|corner| minus(corner, origin)));
@@ -204,7 +204,7 @@ impl VoxelMap {
         self.parameters.thresholds[2]
     }
 
-    /// Whether the operating volume holds `voxel`.
+    /// True if the operating volume holds `voxel`.
     #[inline]
     pub(crate) fn admits(&self, voxel: Voxel) -> bool {
         self.limits.is_none_or(|[low, high]| {

@@ -1,4 +1,4 @@
-//! Where the sensor was at every point of a scan.
+//! Pose of the sensor at every point of a scan.
 
 use super::raw_scan::RawScan;
 use crate::Error;

@@ -1,4 +1,4 @@
-//! Where a sensor casts its rays: rays per solid angle and scan, by direction in the sensor's frame.
+//! Ray pattern of a sensor: rays per solid angle and scan, by direction in the sensor's frame.
 //!
 //! What is never seen to return is not known to be looked at, but sensors are symmetric: one that
 //! turns casts as many rays at every azimuth, and one with a fixed field of view as many on the left

@@ -25,7 +25,7 @@ const TRIED: usize = 24;
 /// Places of a coordinate in a table, so that no arc tangent is needed per point.
 const TABLE: usize = 1024;
 
-/// What is known of every cell, once for all sensors.
+/// Fixed geometry of every cell, shared by all sensors.
 pub(crate) static GRID: LazyLock<Grid> = LazyLock::new(Grid::new);
 
 /// The cells.

@@ -1,4 +1,4 @@
-//! How far a ray goes through the map before it meets what returns have shown.
+//! Free length of a ray through the map, up to the first voxel that returns have shown.
 
 use crate::flying::map::blocks::Cursor;
 use crate::flying::map::voxel_map::VoxelMap;

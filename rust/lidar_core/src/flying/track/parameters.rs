@@ -31,7 +31,7 @@ pub struct Radius {
     pub max: f64,
 }
 
-/// How the uncertainty of the motion grows.
+/// Process noise of the motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoiseForm {
     /// Eq. 31: the same covariance at every step, however long.
@@ -53,7 +53,7 @@ pub struct Motion {
     pub std: [f64; 3],
 }
 
-/// Where a cluster says its target is, and how well.
+/// Position that a cluster measures, and its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MeasurementForm {
     /// The centroid, with Z^2 I, sec. III-F1, at the stamp of the scan.
@@ -75,7 +75,7 @@ pub struct Hiding {
     pub time: f64,
 }
 
-/// How tracks find their clusters, and detections their tracks.
+/// Association of tracks with clusters and of detections with tracks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Association {
     /// Algorithm 2: every track takes the nearest centroid, every detection the nearest track.

@@ -18,7 +18,7 @@ pub(super) struct TrackState {
     pub(super) aged: Matrix9,
     pub(super) stamp_ns: i64,
     pub(super) born_ns: i64,
-    /// Where its first detection was.
+    /// Position of the first detection.
     pub(super) born_at: Vector3<f64>,
     /// When that was measured, after `born_ns` [s].
     pub(super) delay: f64,
@@ -33,7 +33,7 @@ pub(super) struct TrackState {
     /// The same for those of them that were sure.
     pub(super) sure: u64,
     pub(super) confirmed: bool,
-    /// Whether the newest cloud shows that nothing is left where it began.
+    /// True if the newest cloud shows that nothing is left where it began.
     pub(super) left: bool,
 }
 

@@ -16,7 +16,7 @@ use std::sync::{Mutex, PoisonError};
 pub const MAX_ANGLE: f64 = 0.5;
 /// Ranges within one band differ by this factor at most: less than 1 / 0.8661, see [`Linker`].
 const BAND: f64 = 1.15;
-/// The same where the angle does not count: only the work is shared out there.
+/// Largest ratio of ranges in a band where the angle does not count: such bands only share out work.
 const NEAR_BAND: f64 = 1.4;
 /// No band is cut that ends nearer than so many times the fixed distance: most of it would be reached
 /// from its neighbour.
@@ -98,7 +98,7 @@ impl SeenLabeller {
         Ok(near.labels.number(roots, clustering))
     }
 
-    /// Those of the last cloud that was labelled.
+    /// Labels of the last cloud.
     #[must_use]
     pub fn labels(&self) -> &[i32] {
         self.near.labels()
@@ -158,7 +158,7 @@ struct Bands {
     band_of: Vec<u16>,
     /// Rows of finite points, by band.
     rows: Vec<u32>,
-    /// Where the rows of every band end.
+    /// End of the rows of every band.
     row_ends: Vec<usize>,
 }
 
@@ -219,7 +219,7 @@ impl Bands {
         self.fixed = fixed;
     }
 
-    /// How far apart two points of a band may be that are linked [m].
+    /// Largest distance of two linked points of a band [m].
     fn widest(&self, gap: &AngularGap, band: usize) -> f64 {
         self.fixed.max(gap.max_angle * self.ends[band])
     }

@@ -16,7 +16,7 @@ pub const NOISE: i32 = -1;
 /// Group of points that are not finite.
 pub(super) const NO_GROUP: u32 = u32::MAX;
 
-/// What makes a cluster.
+/// Parameters of Euclidean clustering.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clustering {
     /// Largest gap inside a cluster [m], finite and > 0. Exactly this distance still links.
@@ -64,7 +64,7 @@ impl Labeller {
         Ok(self.labels.number(group_of, clustering))
     }
 
-    /// Those of the last cloud that was labelled.
+    /// Labels of the last cloud.
     #[must_use]
     pub fn labels(&self) -> &[i32] {
         &self.labels.labels

@@ -10,15 +10,15 @@ use std::ops::Range;
 
 const RADIX_BITS: u32 = 11;
 
-/// How far apart two points may be that are linked.
+/// Distance up to which two points are linked.
 pub(super) trait Reach {
     /// Square of the largest distance [m^2].
     fn most(&self) -> f64;
-    /// Whether two points are linked whose distance has this square [m^2].
+    /// True if two points with this squared distance are linked [m^2].
     fn links(&self, square: f64, one: [f64; 3], other: [f64; 3]) -> bool;
 }
 
-/// The same distance everywhere.
+/// One distance for all points.
 pub(crate) struct Fixed(f64);
 
 impl Fixed {
@@ -283,7 +283,7 @@ fn link<K: Key>(
 /// Pairs above which the box of a group is worth its making.
 const MANY_PAIRS: usize = 1024;
 
-/// Whether two groups hold a pair of points within reach.
+/// True if two groups hold a pair of points within reach.
 #[inline(always)]
 fn touch<K: Key>(groups: &Groups<K>, a: usize, b: usize, reach: &impl Reach) -> bool {
     let (ours, theirs) = (&groups.points[groups.range(a)], &groups.points[groups.range(b)]);

@@ -9,7 +9,7 @@ pub(crate) const PARAMETERS: usize = 4;
 const MAX_STEPS: usize = 20;
 /// A step that gains less, as a share of the cost, is the last.
 const LEAST_GAIN: f64 = 1e-9;
-/// What is known of radii before [m]: mean, standard deviation, and what is possible.
+/// Prior of the radius [m]: mean, standard deviation and limits.
 const RADIUS_MEAN: f64 = 0.3;
 const RADIUS_STD: f64 = 0.25;
 const RADIUS_RANGE: [f64; 2] = [0.02, 2.0];
@@ -28,7 +28,7 @@ const NOISE_BIAS: f64 = 0.3;
 type Vector4 = SVector<f64, PARAMETERS>;
 type Matrix4 = SMatrix<f64, PARAMETERS, PARAMETERS>;
 
-/// Where a fit starts.
+/// Start values of a fit.
 pub(crate) struct Start {
     pub(crate) center: Vector3<f64>,
     pub(crate) radius: f64,

@@ -92,13 +92,13 @@ impl Look {
         (f64::from(nearest) - BEFORE_SURFACE).min(self.reach_above_ground(cell))
     }
 
-    /// How far the rays of an empty cell clear [m].
+    /// Length that the rays of an empty cell clear [m].
     fn reach_of(&self, cell: usize, visible: f64) -> f64 {
         let before_surface = f64::from(self.limit[cell]) - BEFORE_SURFACE;
         visible.min(before_surface).min(self.reach_above_ground(cell))
     }
 
-    /// How far the rays of a cell stay above the ground [m].
+    /// Length over which the rays of a cell stay above the ground [m].
     fn reach_above_ground(&self, cell: usize) -> f64 {
         let tilt = libm::asin(GRID.centers[cell][2].clamp(-1.0, 1.0)) - CELL_TILT;
         let fall = -libm::sin(tilt.max(-PI / 2.0));
