@@ -42,7 +42,7 @@ pub struct FlyingObjectDetector {
     /// True if the last scan that was used left tracks to report.
     pub(super) reporting: bool,
     pub(super) held: Option<Held>,
-    /// Contents of the scans of the burn-in.
+    /// Points per voxel in the scans of the burn-in, to find what stands still.
     pub(super) standing: Standing,
     scratch: Scratch,
 }
@@ -93,7 +93,7 @@ impl FlyingObjectDetector {
         self.process_while(raw, &|| true)
     }
 
-    /// Processes a scan, but gives up if `keep_going` says false between stages.
+    /// Like [`Self::process`], but gives up if `keep_going` says false between stages.
     ///
     /// # Errors
     /// [`Error::Interrupted`], and those of `process`; the detector is unchanged then.

@@ -2,7 +2,7 @@
 
 use std::hash::Hasher;
 
-/// Multiplication by the golden ratio: the same on every platform and run.
+/// Hasher that multiplies by the golden ratio: equal on every platform and in every run.
 #[derive(Default)]
 pub(crate) struct Spread(u64);
 

@@ -3,11 +3,11 @@
 use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, PoisonError};
 
-/// Pieces of memory that are used again: as many as ever were lent at the same time.
+/// Pool of working memory: it holds as many pieces as were ever lent at the same time.
 #[derive(Default)]
 pub(crate) struct Shelf<T>(Mutex<Vec<T>>);
 
-/// A piece that goes back to its shelf in the end.
+/// A borrowed piece of memory, returned to its pool when dropped.
 pub(crate) struct Lent<'a, T: Default> {
     shelf: &'a Shelf<T>,
     piece: T,

@@ -134,7 +134,7 @@ impl Classifier {
     }
 }
 
-/// Whether a box is at least so high [m], and its diagonal on the ground shorter than two fifths of that.
+/// True if a box is at least `height` high [m] and its ground diagonal at most two fifths of its height.
 fn is_upright([x, y, z]: [f64; 3], height: f64) -> bool {
     z >= height && libm::hypot(x, y) <= 0.4 * z
 }

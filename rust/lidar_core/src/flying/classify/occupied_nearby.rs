@@ -22,7 +22,7 @@ impl<'a> Near<'a> {
         Self { cursor: Cursor::new(&map.blocks), map, limit: distance * distance, half }
     }
 
-    /// The same, but exactly `distance` is close too.
+    /// Like `new`, but exactly `distance` is close too.
     fn up_to(map: &'a VoxelMap, distance: f64) -> Self {
         let near = Self::new(map, distance);
         Self { limit: near.limit.next_up(), ..near }

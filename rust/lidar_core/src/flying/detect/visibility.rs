@@ -256,7 +256,7 @@ impl Lanes {
     }
 }
 
-/// What rays are held against.
+/// Ball that rays are tested against.
 #[derive(Clone, Copy)]
 struct Ball {
     middle: [f64; 3],
@@ -284,7 +284,7 @@ impl Ball {
     }
 }
 
-/// End of a ray near a ball.
+/// Position of a ray's end relative to a ball that the ray meets.
 enum End {
     InFront,
     Behind,

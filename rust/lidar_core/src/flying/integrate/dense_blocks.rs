@@ -141,7 +141,7 @@ impl<I: Iterator<Item = usize>> WithSimd for Settle<'_, I> {
     }
 }
 
-/// Make overfull marks full. The rows that hold any.
+/// Limit marks to `MAX_COUNT`. Returns a bit for every row that holds marks.
 #[inline(always)]
 fn settle_block(marks: &mut [Mark; VOLUME]) -> u64 {
     let (mut met, mut all) = (0, 0);

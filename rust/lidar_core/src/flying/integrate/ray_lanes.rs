@@ -83,7 +83,7 @@ impl Bundle {
         }
     }
 
-    /// Find lengths in sub-units.
+    /// Set shift and end of every ray; returns their lengths in sub-units.
     #[inline(always)]
     fn measure(&mut self, start: &[Numbers; 3], end: &[Numbers; 3]) -> Numbers {
         let mut length = [0.0; LANES];

@@ -69,7 +69,7 @@ impl Beyond {
         self.rows.as_flattened_mut()
     }
 
-    /// Put the rows of a block where they lie in a whole one. A bit for each.
+    /// Copy the rows of a block to their places in a whole one. Returns a bit for each.
     pub(crate) fn copy(&self, slot: usize, block: &mut [Mark; VOLUME]) -> u64 {
         let rows: &mut [MarkRow] = block.as_chunks_mut().0;
         // The other rows keep the marks of another block: readers look at rows in the mask only.

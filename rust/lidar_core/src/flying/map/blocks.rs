@@ -41,7 +41,7 @@ impl Block {
         Self { place, tentative: [0; 8], confident: [0; 8], held: 0, rows: Vec::new() }
     }
 
-    /// Bytes that it takes.
+    /// Bytes that the block takes.
     pub(crate) fn bytes(&self) -> usize {
         size_of::<Self>() + self.rows.capacity() * size_of::<Row>()
     }

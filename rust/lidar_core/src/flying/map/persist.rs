@@ -31,7 +31,7 @@ impl VoxelMap {
         self.save_with(path, &[])
     }
 
-    /// The same, with what is known of the robot.
+    /// Write the map to `path` together with the voxels of the robot itself.
     pub(crate) fn save_with(&self, path: &Path, bodies: &[SavedBody]) -> Result<(), Error> {
         if path.exists() {
             check_regular(path)?;
@@ -60,7 +60,7 @@ impl VoxelMap {
         Self::load_with(path, threads).map(|(map, _)| map)
     }
 
-    /// The same, and what is known of the robot.
+    /// Read a map together with the voxels of the robot itself.
     pub(crate) fn load_with(path: &Path, threads: usize) -> Result<(Self, Vec<SavedBody>), Error> {
         check_regular(path)?;
         let file = File::open(path)?;
@@ -84,7 +84,7 @@ impl VoxelMap {
         self.to_bytes_with(&[])
     }
 
-    /// The same, with what is known of the robot.
+    /// The map as bytes together with the voxels of the robot itself.
     pub(super) fn to_bytes_with(&self, bodies: &[SavedBody]) -> Vec<u8> {
         let mut bytes = Vec::from(MAGIC);
         let version = if bodies.is_empty() { VERSION } else { VERSION_WITH_BODY };
@@ -113,7 +113,7 @@ impl VoxelMap {
         Self::from_bytes_with(bytes, threads).map(|(map, _)| map)
     }
 
-    /// The same, and what is known of the robot.
+    /// The reverse of [`VoxelMap::to_bytes_with`].
     pub(super) fn from_bytes_with(
         bytes: &[u8],
         threads: usize,

@@ -25,7 +25,7 @@ pub struct SavedBody {
     pub voxels: Vec<u32>,
 }
 
-/// Append what is known of the robot.
+/// Append the voxels of the robot itself, per sensor.
 pub(super) fn write_bodies(bodies: &[SavedBody], bytes: &mut Vec<u8>) {
     let (size, edge) = (SIZE, EDGE as u32);
     bytes.extend(size.to_le_bytes());

@@ -32,7 +32,7 @@ pub(crate) struct Changes {
     anchor: Option<Voxel>,
     /// Memory that the searches use again.
     marks: Marks,
-    /// Those of the parameters of the last removal.
+    /// Neighbours for the parameters of the last removal.
     neighbours: Option<Neighbours>,
     /// Voxels whose groups are never separate: see [`VoxelMap::keep`].
     pub(crate) kept: HashSet<Place, BuildHasherDefault<Spread>>,
@@ -104,8 +104,9 @@ impl VoxelMap {
         Ok(self.pull_to_free(separate))
     }
 
-    /// Like [`VoxelMap::remove_separate`], but removes nothing before some group holds enough confident voxels: a young
-    /// background would be pulled down faster than a sparse sensor can build it up.
+    /// Like [`VoxelMap::remove_separate`], but removes nothing before some group holds enough
+    /// confident voxels: a young background would be pulled down faster than a sparse sensor can
+    /// build it up.
     ///
     /// # Errors
     /// As [`VoxelMap::remove_separate`].

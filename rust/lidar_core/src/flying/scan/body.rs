@@ -71,9 +71,9 @@ pub(crate) struct Body {
     mask: Vec<u64>,
     /// Voxels that may be of the robot, before the sensor has moved.
     maybe: Vec<u64>,
-    /// What is known comes from an earlier run, and no way of this one has confirmed it.
+    /// The voxels come from an earlier run, and no motion in this run has confirmed them yet.
     is_recalled: bool,
-    /// Turns of an earlier run have decided it.
+    /// Turns of the sensor in an earlier run have shown that the voxels are the robot.
     was_decided: bool,
     /// A bit per voxel that the scan has met.
     met: Vec<u64>,

@@ -47,8 +47,8 @@ pub(crate) struct Prepared {
     pub(crate) sky_share: f64,
     /// Objects that reach below this height are on the ground, frame of the map [m].
     pub(crate) ground: f64,
-    /// What is flat and reaches below this height is, too, even if the lowest returns need not be
-    /// those of the ground [m].
+    /// Flat objects that reach below this height are on the ground too, even if the lowest returns
+    /// need not be those of the ground [m].
     pub(crate) low: f64,
     /// Height of flat ground, if it is seen, frame of the map [m].
     pub(crate) floor: Option<f64>,

@@ -25,8 +25,8 @@ pub struct SensorParameters {
     pub self_mask: Option<Vec<bool>>,
     /// In so many first scans the directions towards the robot are learnt; 0 learns none.
     pub learn_mask_scans: u32,
-    /// Where returns keep coming from nearer than this, there is the robot: such returns, and rays
-    /// without return in these directions, are not used [m].
+    /// Directions in which returns keep coming from nearer than this show the robot: such returns, and
+    /// rays without return in these directions, are not used [m].
     pub learn_mask_range: f64,
     /// Masks apply only to rays without return; otherwise to all.
     pub mask_empty_only: bool,

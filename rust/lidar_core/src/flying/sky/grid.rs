@@ -41,7 +41,7 @@ pub(crate) struct Grid {
     /// Middles of the parts of every cell, row by row: unit vectors.
     pub(crate) parts: Vec<[f32; 3]>,
     neighbours: Vec<u16>,
-    /// Where the neighbours of each cell end.
+    /// End of the neighbours of each cell.
     ends: Vec<u32>,
     /// Coordinates on a face at which cells begin.
     bounds: [f64; EDGE + 1],

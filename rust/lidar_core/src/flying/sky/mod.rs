@@ -37,15 +37,15 @@ const SAME_PLACE: f64 = 0.5;
 /// A direction that is not sky.
 const NEVER: i64 = i64::MAX;
 
-/// Ray pattern of a sensor and the sky it sees.
+/// Source of the directions of rays without return.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Beams {
     /// Rays without return are given, or not known.
     #[default]
     Given,
-    /// They are found from the returns.
+    /// Rays without return are found from the returns.
     Learnt,
-    /// They are found from the returns and the rays of a known sensor.
+    /// Rays without return are found from the returns and the rays of a known sensor.
     Known(RayPattern),
 }
 
@@ -132,7 +132,7 @@ impl Sky {
         })
     }
 
-    /// Whether it is known where rays are cast, for a scan of this time. A few scans may miss a part
+    /// True if the directions of rays are known for a scan of this time. A few scans may miss a part
     /// of the field of view, unless they are far apart: slow sensors look longer.
     pub(crate) fn is_known_at(&self, stamp_ns: i64) -> bool {
         let seconds = self.first_ns.map_or(0, |first| stamp_ns.saturating_sub(first));

@@ -31,7 +31,7 @@ pub struct Radius {
     pub max: f64,
 }
 
-/// Process noise of the motion.
+/// Form of the process noise of the motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoiseForm {
     /// Eq. 31: the same covariance at every step, however long.
@@ -43,11 +43,11 @@ pub enum NoiseForm {
 /// Motion of a target: a point mass with noise on position, velocity and acceleration, per axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
-    /// The acceleration fades with this time constant [s]; None, as in eq. 27: it stays.
+    /// Time constant with which the acceleration fades [s]; None, as in eq. 27: it stays.
     pub acceleration_time: Option<f64>,
-    /// The same while a track goes on unseen [s]; None: no other.
+    /// Time constant of the acceleration while a track is not seen [s]; None: `acceleration_time`.
     pub unseen_time: Option<f64>,
-    /// What the numbers mean.
+    /// Meaning of the numbers in `std`.
     pub form: NoiseForm,
     /// Standard deviations: per step [m, m/s, m/s^2], or as roots of densities [the same / sqrt(s)].
     pub std: [f64; 3],
@@ -184,7 +184,7 @@ pub struct TrackerParameters {
     pub measurement: MeasurementForm,
     /// Z: standard deviation of a centroid, and of a detection beside its own covariance [m].
     pub measurement_std: f64,
-    /// What is missing of a hidden side makes the cluster's position uncertain; None: it does not.
+    /// Uncertainty that a hidden side adds to the position of a cluster; None: it adds none.
     pub hiding: Option<Hiding>,
     /// Association.
     pub association: Association,

@@ -30,7 +30,7 @@ pub(super) struct TrackState {
     pub(super) n_detections: u32,
     /// The last sets of detections, newest in the lowest bit: 1 where the track was in it.
     pub(super) history: u64,
-    /// The same for those of them that were sure.
+    /// The last sets of detections, as in `history`: 1 where the detection of the track was sure.
     pub(super) sure: u64,
     pub(super) confirmed: bool,
     /// True if the newest cloud shows that nothing is left where it began.

@@ -13,8 +13,8 @@ const LEAST_GAIN: f64 = 1e-9;
 const RADIUS_MEAN: f64 = 0.3;
 const RADIUS_STD: f64 = 0.25;
 const RADIUS_RANGE: [f64; 2] = [0.02, 2.0];
-/// How far the centre may be from where the fit starts, as a standard deviation [m]: a few points
-/// say nothing about some directions.
+/// Standard deviation of the centre about the start of the fit [m]: a few points say nothing about
+/// some directions.
 const PLACE_STD: f64 = 0.5;
 /// A ray that passes is let into the ball by this standard deviation [m].
 const PASSING_STD: f64 = 0.01;

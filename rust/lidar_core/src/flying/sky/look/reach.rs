@@ -80,8 +80,8 @@ impl Look {
             && beside().any(|other| self.expected[other] > 0.0)
     }
 
-    /// How far it is free between the rays of a sparse sensor, in a cell that is no sky [m]: what is
-    /// nearer than all returns around would have been met. 0 for dense sensors, which leave no gaps.
+    /// Free length between the rays of a sparse sensor, in a cell that is no sky [m]: anything nearer
+    /// than all returns around would have been hit. 0 for dense sensors, which leave no gaps.
     fn reach_before(&self, cell: usize) -> f64 {
         let beside = || GRID.beside(cell).iter().map(|&other| usize::from(other));
         let rays: u32 = beside().map(|other| self.hits[other]).sum();
