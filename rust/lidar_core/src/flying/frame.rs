@@ -8,14 +8,14 @@ use super::track::Track;
 /// Source of the rays without return of a scan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SkySource {
-    /// They are not, or not yet: open sky stays unknown.
+    /// Rays without return are unknown, or not known yet: open sky stays unknown in the map.
     #[default]
     Unknown,
-    /// The caller gave them.
+    /// The caller gave the rays without return.
     Given,
-    /// They were found from the returns of a sensor with rows.
+    /// Rays without return were found from the returns of a sensor with rows.
     Pattern,
-    /// They were found from the density of the returns.
+    /// Rays without return were found from the density of the returns.
     Density,
 }
 
@@ -87,7 +87,7 @@ pub struct Frame {
 /// A known flying object that is not to be reported.
 #[derive(Clone, Copy, Debug)]
 pub struct Teammate {
-    /// Its name.
+    /// Identifier of the teammate.
     pub id: i64,
     /// Position that the teammate reports, world frame [m].
     pub position: [f64; 3],

@@ -22,7 +22,7 @@ impl Transform {
         translation: [0.0; 3],
     };
 
-    /// From the upper rows of a 4x4 matrix in row-major order.
+    /// Transform from the upper rows of a 4x4 matrix in row-major order.
     #[must_use]
     pub fn from_matrix(matrix: &[f64; 16]) -> Self {
         Self {

@@ -12,7 +12,8 @@ use std::hint::black_box;
 /// Content of one voxel in one scan, in 32 bits: the class of the points inside in the highest
 /// two, below them their number, or without points the length of rays in 1/16384 edges.
 pub(crate) type Mark = u32;
-/// Of points, their number, or in a weighted scan their weight in units of 1 / `POINT_UNITS`.
+/// Bits of the count: the number of points, in a weighted scan their weight in units of
+/// 1 / `POINT_UNITS`, or the length of rays.
 const COUNT_BITS: u32 = 30;
 pub(crate) const MAX_COUNT: u32 = (1 << COUNT_BITS) - 1;
 /// Weight units per point, in scans whose points have weights.
@@ -23,9 +24,9 @@ pub(crate) const UNITS_PER_EDGE: f64 = 16_384.0;
 /// More than a ray can add to a mark: a diagonal.
 // sqrt(3) = 1.732 edges; the rest is room for rounded positions.
 const MOST_UNITS: u32 = (1.75 * UNITS_PER_EDGE) as u32;
-/// So many rays cannot make an empty mark overflow.
+/// Number of rays that cannot make an empty mark overflow.
 pub(super) const RAYS_FROM_EMPTY: usize = (u32::MAX / MOST_UNITS) as usize;
-/// So many rays cannot make a mark of [`MAX_COUNT`] overflow.
+/// Number of rays that cannot make a mark of `MAX_COUNT` overflow.
 pub(super) const RAYS_FROM_FULL: usize = ((u32::MAX - MAX_COUNT) / MOST_UNITS) as usize;
 const EMPTY: u32 = u32::MAX;
 /// Points that are marked together.
@@ -33,7 +34,7 @@ const POINTS_AT_A_TIME: usize = 64;
 
 /// Steps of a ray that are added in one go.
 pub(super) const STEPS: usize = 8;
-/// Those of `N` rays side by side.
+/// Steps of `N` rays side by side.
 pub(crate) type Steps<const N: usize> = [[u32; N]; STEPS];
 
 /// Classes that a voxel's points can have, weakest first: of several the strongest counts
@@ -54,7 +55,7 @@ pub(crate) fn tag_and_count(mark: Mark) -> (u32, u32) {
 
 /// Marks of one scan, block by block: empty between scans, its memory is used again.
 ///
-/// Of a window that lies in memory as a whole, the slot of a block is its index.
+/// If the whole window lies in memory, the slot of a block is its index.
 #[derive(Default)]
 pub(crate) struct Accumulator {
     window: Option<Window>,

@@ -17,15 +17,15 @@ const BLOCKS_AT_A_TIME: usize = 16;
 pub(crate) struct Task {
     place: Place,
     marks: Slot,
-    /// Its slot in the map; None while it has none.
+    /// Slot of the block in the map; None while it has none.
     home: Option<u32>,
     /// The block, taken out of the map meanwhile.
     block: Option<Box<Block>>,
     /// Voxels that are updated.
     voxels: usize,
-    /// Those whose groups have to be looked at.
+    /// Voxels whose groups have to be looked at.
     changed: Bits,
-    /// Those that were occupied before, at least tentatively.
+    /// Voxels that were at least tentatively occupied before.
     before: Bits,
 }
 

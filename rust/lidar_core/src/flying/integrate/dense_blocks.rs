@@ -15,7 +15,7 @@ const BLOCKS_AT_A_TIME: usize = 64;
 #[derive(Default)]
 pub(super) struct Sheet {
     marks: Vec<Mark>,
-    /// Of every block a bit for each row that holds marks; of rays once they are settled.
+    /// Per block, a bit for each row that holds marks; marks of rays count once they are settled.
     met: Vec<u64>,
 }
 

@@ -218,7 +218,7 @@ impl Wishes {
     }
 }
 
-/// Of those whose flag is set, directions that are finite and not zero.
+/// Flags of the directions that are finite and not zero, among those whose flag is set.
 #[inline(always)]
 fn lead_somewhere(directions: &[[f32; 3]; LANES], flags: &Flags) -> Flags {
     let mut found = [false; LANES];

@@ -23,8 +23,8 @@ const LEAST_SHARE: f64 = 0.02;
 pub enum PoseWeighting {
     /// Rays that hit something end earlier: they do not clear what their ends may lie in.
     Ends,
-    /// They do, and a point of the background pulls every voxel that it may lie in, each by its
-    /// share.
+    /// Rays that hit something end earlier, and a background point pulls every voxel that it may lie
+    /// in, each by its share.
     Spread,
 }
 

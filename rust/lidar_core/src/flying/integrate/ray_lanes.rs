@@ -23,7 +23,7 @@ const NEVER: u32 = u32::MAX;
 struct Bundle {
     /// Position of the next wall along every axis.
     wall: [Lanes; 3],
-    /// From one wall to the next along every axis.
+    /// Distance from one wall to the next along every axis.
     pace: [Lanes; 3],
     /// Position of the end.
     end: Lanes,
@@ -168,7 +168,7 @@ impl WithSimd for Cast<'_> {
 }
 
 impl Cast<'_> {
-    /// With `K` vectors per bundle.
+    /// Cast all rays with `K` vectors per bundle.
     #[inline(always)]
     fn walk<S: Simd, const K: usize>(self, simd: S) {
         // 8 x 8 steps of 32 lanes: 8 KiB each, both fit the first cache.

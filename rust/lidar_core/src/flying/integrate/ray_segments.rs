@@ -25,7 +25,7 @@ pub(crate) type Flags = [bool; LANES];
 /// A ray that is cast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Ray {
-    /// Its place in the scan.
+    /// Row of the ray in the scan.
     pub(crate) index: u32,
     /// Rays that it stands for.
     pub(crate) count: u32,

@@ -15,7 +15,7 @@ pub(crate) struct Beyond {
     pub(super) opened: Vec<(Place, u32)>,
     /// The last block that was asked for: points side by side share it.
     last: Option<(Place, u32)>,
-    /// Of every slot a bit for each row that holds marks, and where these rows lie.
+    /// Per slot, a bit for each row that holds marks; then the index of each such row.
     met: Vec<u64>,
     places: Vec<[u32; VOLUME / EDGE as usize]>,
     rows: Vec<MarkRow>,

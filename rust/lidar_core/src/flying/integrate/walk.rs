@@ -17,7 +17,7 @@ use std::sync::{Mutex, PoisonError};
 /// Rays handed to a thread at a time.
 const RAYS_PER_CHUNK: usize = 1024;
 
-/// Most rays that one stands for: a chunk of such rays does not fill a mark.
+/// Largest number of rays that one stands for: a chunk of such rays cannot make a mark overflow.
 const MOST_MERGED: u32 = 64;
 
 /// Keep the first of all rays that end in the same voxel, to stand for the others too.

@@ -24,7 +24,7 @@ pub(crate) struct Marks {
     marks: Vec<Mark>,
     /// Slots of which voxels are met.
     touched: Vec<u32>,
-    /// Of the group that is searched.
+    /// Members of the group that is searched.
     members: Vec<Layer>,
     /// Members of separate groups.
     pub(crate) separate: Vec<Layer>,

@@ -38,7 +38,7 @@ impl Layer {
         })
     }
 
-    /// From where to where its voxels reach along x, and along y.
+    /// First and last voxel along x, and along y.
     fn spans(&self) -> [[i32; 2]; 2] {
         // All rows are ORed into one byte: its outer bits are the ends along x.
         let halves = self.bits | self.bits >> 32;

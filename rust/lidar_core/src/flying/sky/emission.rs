@@ -54,14 +54,14 @@ enum Density {
     /// Nothing is known yet.
     #[default]
     Unknown,
-    /// By band of elevation.
+    /// Density by band of elevation, for turning sensors.
     Turning(Vec<f64>),
-    /// By cell.
+    /// Density by cell, for sensors with a fixed field of view.
     Fixed(Vec<f64>),
 }
 
 impl Emission {
-    /// That of a known sensor, or one to be learnt.
+    /// Emission of a known sensor, or one to be learnt.
     pub(super) fn of(rays: Option<&RayPattern>) -> Self {
         Self {
             counts: vec![0; CELLS],

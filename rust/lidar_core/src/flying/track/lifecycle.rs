@@ -139,7 +139,7 @@ fn recent(track: &TrackState, parameters: &TrackerParameters) -> u64 {
     last(track.history, parameters.confirmation.window)
 }
 
-/// Of sets of detections the newest `window`.
+/// The newest `window` of the sets of detections.
 fn last(sets: u64, window: u32) -> u64 {
     sets & (u64::MAX >> (u64::BITS - window))
 }

@@ -108,9 +108,9 @@ pub struct Doubt {
     pub confidence: f64,
     /// A track this far from where it began has moved, with two standard deviations on top [m].
     pub distance: f64,
-    /// But only while the newest cloud shows that nothing is this near to where it began [m].
+    /// A moved track counts only while the newest cloud shows nothing this near to its start [m].
     pub cleared: f64,
-    /// So many sets confirm a track in any case, of the last `window`.
+    /// This many of the last `window` sets confirm a track in any case.
     pub hits: u32,
     /// Sets looked back on for that, `hits` to [`MAX_WINDOW`].
     pub window: u32,

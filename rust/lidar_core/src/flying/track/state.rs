@@ -25,7 +25,7 @@ pub(super) struct TrackState {
     /// Time of the last measurement.
     pub(super) seen_ns: i64,
     pub(super) extent: [f64; 3],
-    /// Its usual extent: an average over time [m].
+    /// Usual extent of the target: an average over time [m].
     pub(super) size: [f64; 3],
     pub(super) n_detections: u32,
     /// The last sets of detections, newest in the lowest bit: 1 where the track was in it.

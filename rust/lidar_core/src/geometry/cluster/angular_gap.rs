@@ -33,7 +33,7 @@ pub struct AngularGap {
     pub max_angle: f64,
 }
 
-/// As [`label`](super::label), but two points are also linked by a step of at most
+/// Like [`label`](super::label), but two points are also linked by a step of at most
 /// `max_angle` times the range of the nearer one.
 ///
 /// The result does not depend on the order of the points, except for the numbers, nor on the
@@ -63,7 +63,7 @@ pub struct SeenLabeller {
 }
 
 impl SeenLabeller {
-    /// As [`label_seen`].
+    /// Label one cloud, like [`label_seen`].
     ///
     /// # Errors
     /// As [`label_seen`].

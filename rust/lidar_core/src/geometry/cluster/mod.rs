@@ -52,7 +52,7 @@ pub struct Labeller {
 }
 
 impl Labeller {
-    /// As [`label`].
+    /// Label one cloud, like the function [`label`].
     ///
     /// # Errors
     /// As [`label`].
@@ -116,7 +116,7 @@ impl Sets {
 #[derive(Default)]
 pub(super) struct Labels {
     pub(super) labels: Vec<i32>,
-    /// By group its size, or once it has a number that, with all bits turned.
+    /// Size of every group; once the group has a label, the bitwise complement of the label.
     groups: Vec<i32>,
 }
 

@@ -5,7 +5,7 @@ use std::cmp::Ordering;
 
 /// Rays are looked at as far beside the points as this [m].
 pub(crate) const MARGIN: f64 = 0.4;
-/// Of these, a ball is held against those this far beside the points [m].
+/// Rays at most this far beside the points are compared with a ball [m].
 const NEAR: f64 = 0.15;
 /// So many rays that end in front may hide a part of the target: one alone is a speck of dust.
 const ENOUGH_BLOCKED: usize = 2;
@@ -43,14 +43,14 @@ pub(crate) struct Sight {
 pub(crate) struct Region {
     /// Middle of the box around its points [m].
     pub(crate) middle: Vector3<f64>,
-    /// Of a ball around the points [m].
+    /// Radius of a ball around the points [m].
     pub(crate) radius: f64,
 }
 
 /// Rays around a region.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Around {
-    /// Those that went on behind it.
+    /// Rays that passed the target and went on behind it.
     pub(crate) passing: Vec<Ray>,
     /// Number of rays that ended in front of the target.
     pub(crate) n_blocked: usize,

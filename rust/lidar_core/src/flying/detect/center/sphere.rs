@@ -39,7 +39,7 @@ pub(super) struct Sphere {
     pub(crate) center: Vector3<f64>,
     pub(crate) radius: f64,
     pub(crate) covariance: Matrix3<f64>,
-    /// Of the points, in terms of their noise.
+    /// Sum over the points, in units of their noise.
     pub(super) squared_residuals: f64,
 }
 
