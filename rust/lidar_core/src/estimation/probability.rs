@@ -54,11 +54,13 @@ pub fn box_probability(
     let (mut axes, mut count) = ([0; 3], 0);
     for axis in 0..3 {
         let reach = REACH * covariance[axis][axis].sqrt();
+        // The reach is 0 for an axis without variance: the box must hold 0 there.
         if low[axis] >= high[axis] || low[axis] > reach || high[axis] < -reach {
             return Ok(0.0);
         }
         if reach == 0.0 {
             share *= if low[axis] == 0.0 || high[axis] == 0.0 { 0.5 } else { 1.0 };
+        // Bounds beyond the reach on both sides cut nothing off: the axis is left out.
         } else if low[axis] > -reach || high[axis] < reach {
             axes[count] = axis;
             count += 1;
@@ -124,6 +126,7 @@ impl Nested {
         for k in 0..rows {
             let mut pivot = k;
             for row in k + 1..rows {
+                // Axes without variance come last: they only narrow the innermost interval.
                 if left[row] > left[pivot] {
                     pivot = row;
                 }
@@ -175,6 +178,7 @@ impl Nested {
             z[level] = value;
             density(value) * self.inside(level + 1, z)
         };
+        // Both rules could miss a step inside a panel and agree on a wrong value.
         let cuts = self.cuts(level, &z, [start, end]);
         let tolerance = TOLERANCE[level.min(1)];
         cuts.windows(2).map(|cut| integrate(&integrand, cut[0], cut[1], tolerance, DEPTH)).sum()
@@ -186,6 +190,7 @@ impl Nested {
         for row in level..self.rows {
             let slope = self.factor[row][level];
             let [low, high] = self.bounds(row, level, z);
+            // The row does not depend on this entry: its bounds hold or fail as they are.
             if slope.abs() < LEAST_SHARE {
                 if low > 0.0 || high < 0.0 {
                     return 0.0;
@@ -250,6 +255,7 @@ impl Pair {
         if along.abs() > LARGEST_CORRELATION * std {
             return None;
         }
+        // Over the angle whose sine is the correlation the integrand stays smooth; two halves of 15 nodes.
         let half = 0.25 * libm::asin(along / std);
         let node = |index: usize| {
             let place = index % 15;
@@ -315,6 +321,7 @@ fn integrate(f: &dyn Fn(f64) -> f64, start: f64, end: f64, tolerance: f64, depth
             gauss += GAUSS[index / 2] * both;
         }
     }
+    // The Kronrod rule reuses the Gauss nodes, so the error estimate costs no further values.
     if depth == 0 || half * (kronrod - gauss).abs() <= tolerance {
         return half * kronrod;
     }

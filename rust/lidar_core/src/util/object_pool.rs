@@ -38,6 +38,7 @@ impl<T: Default> DerefMut for Lent<'_, T> {
 impl<T: Default> Drop for Lent<'_, T> {
     fn drop(&mut self) {
         let mut pieces = self.shelf.0.lock().unwrap_or_else(PoisonError::into_inner);
+        // A default `T` is left behind, since `drop` cannot move the piece out of itself.
         pieces.push(std::mem::take(&mut self.piece));
     }
 }

@@ -126,7 +126,7 @@ impl VoxelMap {
             ));
         }
         let version = u32::from_le_bytes(reader.take()?);
-        // Before the checksum: a newer version says more than damage would.
+        // Before the checksum, whose place another version may change.
         if !(VERSION..=VERSION_WITH_BODY).contains(&version) {
             let text = format!(
                 "expected version {VERSION} or {VERSION_WITH_BODY}, got {version}; update \
