@@ -1,4 +1,4 @@
-//! What the sensor can know and see: uncertainty of measured points, probability that the right
+//! Limits of the sensor: uncertainty of measured points, probability that the right
 //! voxel is updated, probability that a target is met by a ray. Source: Vrba et al., sec. IV.
 
 use crate::Error;

@@ -32,17 +32,17 @@ pub struct FlyingObjectDetector {
     pub(super) map: VoxelMap,
     pub(super) tracker: PointCloudTracker,
     pub(super) sensors: BTreeMap<String, Sensor>,
-    /// What an earlier run found of the robot, for sensors that are met again.
+    /// Robot as an earlier run found it, for sensors that are met again.
     pub(super) recalled: BTreeMap<String, SavedBody>,
     pub(super) teammates: Vec<Teammate>,
     pub(super) anchored: bool,
     pub(super) map_from_world: Transform,
     pub(super) scans: u32,
     pub(super) burn_in: BurnIn,
-    /// Whether the last scan that was used left tracks to be reported.
+    /// True if the last scan that was used left tracks to report.
     pub(super) reporting: bool,
     pub(super) held: Option<Held>,
-    /// What the scans of the burn-in held.
+    /// Points per voxel in the scans of the burn-in, to find what stands still.
     pub(super) standing: Standing,
     scratch: Scratch,
 }
@@ -93,7 +93,7 @@ impl FlyingObjectDetector {
         self.process_while(raw, &|| true)
     }
 
-    /// The same, but given up if `keep_going` says false between stages.
+    /// Like [`Self::process`], but gives up if `keep_going` says false between stages.
     ///
     /// # Errors
     /// [`Error::Interrupted`], and those of `process`; the detector is unchanged then.

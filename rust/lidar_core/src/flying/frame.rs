@@ -1,21 +1,21 @@
-//! What the detector says about one scan.
+//! Result of the detector for one scan.
 
 use super::background::burn_in::Gate;
 use super::detect::detection::Detection;
 use super::integrate::integrator::IntegrateStats;
 use super::track::Track;
 
-/// How the rays without return of a scan are known.
+/// Source of the rays without return of a scan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SkySource {
-    /// They are not, or not yet: open sky stays unknown.
+    /// Rays without return are unknown, or not known yet: open sky stays unknown in the map.
     #[default]
     Unknown,
-    /// The caller gave them.
+    /// The caller gave the rays without return.
     Given,
-    /// They were found from the returns of a sensor with rows.
+    /// Rays without return were found from the returns of a sensor with rows.
     Pattern,
-    /// They were found from the density of the returns.
+    /// Rays without return were found from the density of the returns.
     Density,
 }
 
@@ -63,9 +63,9 @@ pub struct Frame {
     pub teammates: Vec<(i64, Detection)>,
     /// Confirmed tracks at the time of the scan.
     pub tracks: Vec<Track>,
-    /// Whether detections are reported.
+    /// True if detections are reported.
     pub gate: Gate,
-    /// How rays without return are known.
+    /// Source of the rays without return.
     pub sky: SkySource,
     /// Share of the rays that go into the sky.
     pub sky_share: f64,
@@ -76,9 +76,9 @@ pub struct Frame {
     pub own_body: f64,
     /// Rows of the points on the robot itself, ascending.
     pub own_rows: Vec<u32>,
-    /// Whether turns have shown that what was found is the robot, and nothing that goes along.
+    /// True if turns have shown that what was found is the robot itself.
     pub own_body_is_decided: bool,
-    /// What the scan did to the map; None if it was held.
+    /// Counts of the map's update; None if the scan was held.
     pub integrated: Option<IntegrateStats>,
     /// Time per stage.
     pub timing: Timing,
@@ -87,9 +87,9 @@ pub struct Frame {
 /// A known flying object that is not to be reported.
 #[derive(Clone, Copy, Debug)]
 pub struct Teammate {
-    /// Its name.
+    /// Identifier of the teammate.
     pub id: i64,
-    /// Where it says it is, world frame [m].
+    /// Position that the teammate reports, world frame [m].
     pub position: [f64; 3],
     /// Detections this near are taken for it [m].
     pub radius: f64,

@@ -1,4 +1,4 @@
-//! What a scan does to the detector's map.
+//! Update of the detector's map by a scan.
 
 use super::classify::classified::Judged;
 use super::classify::classifier::Verdict;

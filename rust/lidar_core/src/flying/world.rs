@@ -1,4 +1,4 @@
-//! Where the detector's map lies in the world: known places, other maps.
+//! Pose of the detector's map in the world: known places, other maps.
 
 use super::background::burn_in_time::BurnIn;
 use super::detector::FlyingObjectDetector;
@@ -90,7 +90,7 @@ impl FlyingObjectDetector {
         points.iter().map(local).collect()
     }
 
-    /// Where the frame of the map lies in the world.
+    /// Pose of the map's frame in the world.
     #[must_use]
     pub fn world_from_map(&self) -> Transform {
         self.map_from_world.inverse()

@@ -14,9 +14,9 @@ use std::ops::Range;
 
 const SPHERE: f64 = 4.0 * PI;
 
-/// Caps nearer to one another than this are one [rad].
+/// Caps nearer to each other than this are taken as one [rad].
 const SAME: f64 = 1e-10;
-/// Gaps in the cover of a rim that are shorter are none [rad].
+/// Shorter gaps in the cover of a rim are ignored [rad].
 const LEAST_GAP: f64 = 1e-12;
 /// Longest piece of an arc whose ends are joined by a straight way.
 const LONGEST_PIECE: f64 = 2.0;
@@ -57,6 +57,7 @@ impl Directions {
     pub fn new(mut units: Vec<[f64; 3]>, largest: f64) -> Self {
         units.iter_mut().flatten().for_each(|value| *value += 0.0); // no -0
         units.sort_unstable_by_key(|unit| unit.map(f64::to_bits));
+        // About one direction per cell.
         let mut size = (4.0 * PI / units.len().max(1) as f64).sqrt().min(1.0);
         let all = Cells::new(&units, size);
         let is_first = |index: usize| {
@@ -67,6 +68,7 @@ impl Directions {
         let mut first = first.iter();
         units.retain(|_| first.next().copied().unwrap_or(false));
         let mut levels = vec![Cells::new(&units, size)];
+        // Two caps can overlap if their centres are less than two radii apart.
         while size < 2.0 * largest {
             size *= 2.0;
             levels.push(Cells::new(&units, size));
@@ -74,7 +76,7 @@ impl Directions {
         Self { units, levels }
     }
 
-    /// Whether there is none.
+    /// True if there are no directions.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.units.is_empty()
@@ -89,6 +91,7 @@ impl Directions {
         let part = |chunk: &[[f64; 3]]| -> f64 {
             chunk.iter().map(|&center| self.rim(Cap { center, radius }, others)).sum()
         };
+        // Collected in order and summed afterwards: the same bits for any number of threads.
         let parts: Vec<f64> =
             pool.install(|| self.units.par_chunks(CAPS_PER_CHUNK).map(part).collect());
         let more = (0..others.len()).map(|index| self.rim_of_other(index, radius, others));
@@ -98,7 +101,7 @@ impl Directions {
         if area < 0.5 * least { SPHERE } else { area } // the sum leaves whole spheres open
     }
 
-    /// What the uncovered arcs of the rim around a direction contribute.
+    /// Contribution of the uncovered arcs of the rim around a direction to the area.
     fn rim(&self, cap: Cap, others: &[Cap]) -> f64 {
         let frame = Frame::of(cap);
         let mut cover = Cover::default();
@@ -113,6 +116,7 @@ impl Directions {
             for index in cells.around(cap.center) {
                 let center = self.units[index];
                 let meets = |(middle, reach): &([f64; 3], f64)| {
+                    // Chords in place of angles: no arc cosine per candidate.
                     norm(minus(center, *middle)) <= chord + reach
                 };
                 if center != cap.center && open.iter().any(meets) {
@@ -128,7 +132,7 @@ impl Directions {
         frame.contribution(&gaps)
     }
 
-    /// The same for one of the other caps.
+    /// Contribution of the rim of one of the other caps to the area.
     fn rim_of_other(&self, index: usize, radius: f64, others: &[Cap]) -> f64 {
         let frame = Frame::of(others[index]);
         let mut cover = Cover::default();
@@ -147,7 +151,7 @@ impl Directions {
 struct Cells {
     size: f64,
     indices: Vec<usize>,
-    /// Where the indices of a cell lie.
+    /// Range of the indices of each cell.
     ranges: HashMap<[i32; 3], Range<usize>>,
 }
 
@@ -191,6 +195,7 @@ struct Frame {
 
 impl Frame {
     fn of(Cap { center, radius }: Cap) -> Self {
+        // The axis furthest from the centre's direction keeps the cross product far from 0.
         let least = (0..3).fold(0, |a, b| if center[b].abs() < center[a].abs() { b } else { a });
         let axis = std::array::from_fn(|row| f64::from(u8::from(row == least)));
         let across = cross(axis, center);
@@ -204,6 +209,7 @@ impl Frame {
         let (x, y) = (dot(self.x, other.center), dot(self.y, other.center));
         let (beside, along) = (libm::hypot(x, y), dot(self.center, other.center));
         let (needed, sine) = (libm::cos(other.radius) - self.cosine * along, self.sine * beside);
+        // The rims do not cross: this one is covered as a whole or not at all.
         if beside < SAME || needed.abs() >= sine {
             if needed < 0.0 || (needed == 0.0 && ties) {
                 cover.add(0.0, PI);
@@ -233,11 +239,13 @@ impl Frame {
     fn contribution(&self, arcs: &[[f64; 2]]) -> f64 {
         let mut area = 0.0;
         for &[start, end] in arcs {
+            // Below pi the straight way between the ends is unique.
             let pieces = ((end - start) / LONGEST_PIECE).ceil();
             let turn = (end - start) / pieces;
             for piece in 0..pieces as u32 {
                 let from = start + f64::from(piece) * turn;
                 let ends = [self.point(from), self.point(from + turn)];
+                // The sector of the cap less its triangle lies between the arc and the straight way.
                 area += (1.0 - self.cosine) * turn - triangle(self.center, ends);
                 area += triangle(POLE, ends);
             }
@@ -283,7 +291,7 @@ impl Cover {
         });
     }
 
-    /// What is not covered; the arcs must be settled.
+    /// Gaps between the covered arcs, which must be settled.
     fn gaps(&self) -> Vec<[f64; 2]> {
         let starts = std::iter::once(0.0).chain(self.arcs.iter().map(|arc| arc[1]));
         let ends = self.arcs.iter().map(|arc| arc[0]).chain(std::iter::once(2.0 * PI));

@@ -61,6 +61,7 @@ impl Lattice {
     pub(crate) fn scale(&self, axis: usize, values: &mut [f64]) {
         let origin = self.origin[axis];
         if let Some(inverse) = self.exact_inverse {
+            // The same bits as the division below, without its cost.
             values.iter_mut().for_each(|value| *value = (*value - origin) * inverse);
         } else {
             values.iter_mut().for_each(|value| *value = (*value - origin) / self.voxel_size);
@@ -79,6 +80,7 @@ impl Lattice {
         for axis in 0..3 {
             let face = scaled[axis].round();
             if (scaled[axis] - face).abs() <= DOUBT * face.abs() {
+                // Rounded once, so the sign is that of the exact difference: on which side of the face it lies.
                 let beyond = libm::fma(-face, self.voxel_size, point[axis] - self.origin[axis]);
                 voxel[axis] = face as i32 - i32::from(beyond < 0.0); // in range, as its floor is
             }
@@ -117,7 +119,7 @@ impl Lattice {
     }
 }
 
-/// Whether a normal number has no fraction bits.
+/// True for a normal number without fraction bits.
 fn is_power_of_two(value: f64) -> bool {
     value.is_normal() && value.to_bits().trailing_zeros() >= f64::MANTISSA_DIGITS - 1
 }
@@ -141,10 +143,12 @@ pub fn floor(scaled: [f64; 3]) -> Option<Voxel> {
 #[inline(always)]
 pub(crate) fn whole(value: f64) -> u32 {
     const TO_LOWEST_BITS: f64 = 1.5 * (1u64 << 52) as f64;
+    // Between 2^52 and 2^53 the last bit of a number is worth 1. The half keeps sums with negative
+    // numbers there, and their lowest bits are two's complement.
     (value + TO_LOWEST_BITS).to_bits() as u32
 }
 
-/// Whether a coordinate in units of voxels can be indexed.
+/// True if a coordinate in units of voxels can be indexed.
 #[inline(always)]
 fn is_index(scaled: f64) -> bool {
     scaled.floor().abs() < MAX_INDEX

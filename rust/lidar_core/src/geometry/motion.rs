@@ -1,4 +1,4 @@
-//! Where the sensor was at every moment of a scan.
+//! Pose of the sensor at every moment of a scan.
 
 use super::transform::Transform;
 use crate::Error;
@@ -54,7 +54,7 @@ impl<'a> Motion<'a> {
         Ok(Self { poses, stamps_ns })
     }
 
-    /// Whether the sensor may move during the scan.
+    /// True if the sensor may move during the scan.
     #[must_use]
     pub fn is_stream(&self) -> bool {
         self.poses.len() > 1
@@ -67,6 +67,7 @@ impl<'a> Motion<'a> {
         if !self.is_stream() {
             return self.poses.first().map(Transform::from_matrix);
         }
+        // Saturating, since stamps may lie anywhere in 64 bits.
         let outside = first.saturating_sub(stamp_ns).max(stamp_ns.saturating_sub(last));
         if outside > POSE_SLACK_NS {
             return None;
@@ -75,6 +76,7 @@ impl<'a> Motion<'a> {
         let next =
             self.stamps_ns.partition_point(|&stamp| stamp <= stamp_ns).min(self.poses.len() - 1);
         let (from, to) = (self.stamps_ns[next - 1], self.stamps_ns[next]);
+        // Whole nanoseconds are subtracted first: stamps since 1970 exceed the 53 bits of a float.
         let fraction = (stamp_ns - from) as f64 / (to - from) as f64;
         let [before, after] = [next - 1, next].map(|at| Transform::from_matrix(&self.poses[at]));
         Some(before.interpolate(&after, fraction))
@@ -120,6 +122,7 @@ impl PointPoses {
         places.clear();
         known.clear();
         for (index, &time) in times_ns.iter().enumerate() {
+            // The first stamp always has a pose.
             let time = if is_informative(index) { time } else { motion.stamps_ns[0] };
             let place = match known.get(&time) {
                 Some(place) => *place,
@@ -135,7 +138,7 @@ impl PointPoses {
         Ok(())
     }
 
-    /// Give the poses in another frame.
+    /// Transform all poses to another frame.
     pub fn move_to(&mut self, target_from_source: &Transform) {
         self.poses.iter_mut().for_each(|pose| *pose = target_from_source.after(pose));
     }

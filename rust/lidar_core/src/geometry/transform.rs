@@ -16,13 +16,13 @@ impl Default for Transform {
 }
 
 impl Transform {
-    /// The transform that changes nothing.
+    /// The identity.
     pub const IDENTITY: Self = Self {
         rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
         translation: [0.0; 3],
     };
 
-    /// From the upper rows of a 4x4 matrix in row-major order.
+    /// Transform from the upper rows of a 4x4 matrix in row-major order.
     #[must_use]
     pub fn from_matrix(matrix: &[f64; 16]) -> Self {
         Self {
@@ -51,6 +51,7 @@ impl Transform {
     /// The transform that takes the target back to the source.
     #[must_use]
     pub fn inverse(&self) -> Self {
+        // The transpose: exact, without a division.
         let rotation: [[f64; 3]; 3] =
             std::array::from_fn(|row| std::array::from_fn(|column| self.rotation[column][row]));
         let back = Self { rotation, translation: [0.0; 3] };
@@ -174,7 +175,9 @@ pub fn rotation_from_quaternion([x, y, z, w]: [f64; 4]) -> [[f64; 3]; 3] {
 /// Spherical interpolation along the shorter arc.
 fn slerp(start: [f64; 4], end: [f64; 4], fraction: f64) -> [f64; 4] {
     let cosine: f64 = (0..4).map(|index| start[index] * end[index]).sum();
+    // q and -q are the same rotation: the sign selects the shorter arc.
     let sign = if cosine < 0.0 { -1.0 } else { 1.0 };
+    // `libm`, for the same bits on every platform. Rounding may lift the cosine above 1, which would be NaN.
     let angle = libm::acos((cosine * sign).min(1.0));
     let (keep, take) = if angle < 1e-9 {
         (1.0 - fraction, fraction) // the arc is a line

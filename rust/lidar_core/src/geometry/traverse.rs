@@ -26,6 +26,7 @@ pub fn traverse(
 ) -> Result<(), Error> {
     let first = lattice.voxel_at(start)?;
     let last = lattice.voxel_at(end)?;
+    // Counted before the walk: a segment that is refused visits nothing.
     let voxels = voxel_count(first, last);
     if voxels > MAX_VOXELS_PER_RAY as u64 {
         return Err(Error::Limit {
@@ -91,6 +92,7 @@ impl Walk {
     /// summed up, and with one rounding before the division, so that lengths are exact to 1e-9 m
     /// even 1000 km away and along a wall.
     fn aim(&mut self, axis: usize) {
+        // Infinity is never the least: the walk cannot pass the last voxel along this axis.
         self.t_next[axis] = if self.voxel[axis] == self.last[axis] {
             f64::INFINITY
         } else {

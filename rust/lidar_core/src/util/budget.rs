@@ -25,6 +25,7 @@ pub fn vec_with_capacity<T>(
         return Err(refused());
     }
     let mut values = Vec::new();
+    // `Vec::with_capacity` would end the process if the memory cannot be had.
     values.try_reserve_exact(len).map_err(|_| refused())?;
     Ok(values)
 }

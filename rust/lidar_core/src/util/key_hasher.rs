@@ -2,7 +2,7 @@
 
 use std::hash::Hasher;
 
-/// Multiplication by the golden ratio: the same on every platform and run.
+/// Hasher that multiplies by the golden ratio: equal on every platform and in every run.
 #[derive(Default)]
 pub(crate) struct Spread(u64);
 
@@ -18,6 +18,8 @@ impl Hasher for Spread {
     }
 
     fn write_u64(&mut self, value: u64) {
+        // The table takes its index from the low bits, but the product mixes best in the high ones: the
+        // shift brings those down. No random seed, so that runs repeat.
         let mixed = (self.0 ^ value).wrapping_mul(0x9E37_79B9_7F4A_7C15);
         self.0 = mixed ^ mixed >> 32;
     }

@@ -1,4 +1,4 @@
-//! What every module may use: limits, thread pools, reusable memory, hashing, time per stage.
+//! Helpers for every module: limits, thread pools, reusable memory, hashing, time per stage.
 
 pub mod budget;
 pub(crate) mod full_state;

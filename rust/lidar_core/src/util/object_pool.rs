@@ -3,11 +3,11 @@
 use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, PoisonError};
 
-/// Pieces of memory that are used again: as many as ever were lent at the same time.
+/// Pool of working memory: it holds as many pieces as were ever lent at the same time.
 #[derive(Default)]
 pub(crate) struct Shelf<T>(Mutex<Vec<T>>);
 
-/// A piece that goes back to its shelf in the end.
+/// A borrowed piece of memory, returned to its pool when dropped.
 pub(crate) struct Lent<'a, T: Default> {
     shelf: &'a Shelf<T>,
     piece: T,
@@ -38,6 +38,7 @@ impl<T: Default> DerefMut for Lent<'_, T> {
 impl<T: Default> Drop for Lent<'_, T> {
     fn drop(&mut self) {
         let mut pieces = self.shelf.0.lock().unwrap_or_else(PoisonError::into_inner);
+        // A default `T` is left behind, since `drop` cannot move the piece out of itself.
         pieces.push(std::mem::take(&mut self.piece));
     }
 }

@@ -1,4 +1,4 @@
-//! Where the first background comes from, and when detections may be trusted.
+//! Source of the first background, and the time from which detections may be trusted.
 //!
 //! No voxel starts occupied and points become background only near occupied voxels, so without a
 //! seed nothing is ever background and nothing is ever detected. The paper is silent about it.
@@ -12,16 +12,16 @@ use std::fmt;
 pub struct SeedParameters {
     /// Scans of the burn-in, 0 for none.
     pub burn_in_scans: u32,
-    /// They are scans of a sensor with this time between two [s]: others take as many as fit into the
-    /// same time, 3 at least. None counts scans however they come.
+    /// Time between two scans for which `burn_in_scans` is meant [s]: other sensors take as many scans
+    /// as fit into the same time, at least 3. None counts scans whatever their rate.
     pub burn_in_period: Option<f64>,
     /// During the burn-in larger clusters are background [m].
     pub burn_in_extent: f64,
     /// Voxels that held points in so many scans of the burn-in are background, 0 for none.
     pub standing_scans: u32,
-    /// But only if their points moved at most this much between its halves [m].
+    /// Largest shift of a voxel's points between the halves of the burn-in that counts as standing [m].
     pub standing_shift: f64,
-    /// And only away from tracks this far from where they began [m].
+    /// Tracks this far from their start protect their surroundings from becoming background [m].
     pub standing_track_distance: f64,
     /// Clusters that reach down to this height are background, world frame [m].
     pub ground_height: Option<f64>,
@@ -29,7 +29,7 @@ pub struct SeedParameters {
     pub take_off_height: Option<f64>,
 }
 
-/// Whether detections are reported, and if not, why.
+/// State of reporting: detections are reported, or the reason why not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Gate {
     /// Detections are reported.

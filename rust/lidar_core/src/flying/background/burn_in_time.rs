@@ -1,4 +1,4 @@
-//! How long the burn-in takes: in time rather than scans, so that a slow sensor is ready as soon as
+//! Length of the burn-in: in time rather than scans, so that a slow sensor is ready as soon as
 //! a fast one.
 
 use super::burn_in::SeedParameters;
@@ -45,7 +45,7 @@ impl BurnIn {
         if usual > 0.0 { LONGEST_STEP.min(LONGEST_TIMES * usual) } else { LONGEST_STEP }
     }
 
-    /// Whether the coming scan belongs to it no more.
+    /// True if the coming scan no longer belongs to the burn-in.
     pub(crate) fn is_over(&self, seed: &SeedParameters) -> bool {
         self.is_over || seed.burn_in_scans == 0
     }

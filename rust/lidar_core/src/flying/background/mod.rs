@@ -1,4 +1,4 @@
-//! Where background comes from before the map knows it: burn-in and how long it takes, static points, pose jumps.
+//! Background before the map knows it: burn-in and how long it takes, static points, pose jumps.
 
 pub mod burn_in;
 pub(crate) mod burn_in_time;

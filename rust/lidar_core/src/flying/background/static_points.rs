@@ -1,4 +1,4 @@
-//! What stands still during the burn-in: background, however small.
+//! Points that stand still during the burn-in: background, however small.
 
 use super::burn_in::Gate;
 use super::burn_in_time::BurnIn;

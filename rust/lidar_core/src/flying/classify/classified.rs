@@ -27,9 +27,9 @@ pub(crate) struct Judged {
     middles: Vec<[f32; 3]>,
     pub(crate) clusters: Clusters,
     classifier: Classifier,
-    /// What each cluster is.
+    /// Class of each cluster.
     pub(crate) verdicts: Vec<Verdict>,
-    /// The same on a later map.
+    /// Class of each cluster on a later map.
     later: Vec<Verdict>,
     /// Class of every row.
     pub(crate) class: Vec<u8>,
@@ -57,7 +57,7 @@ impl Judged {
         class.extend(scan.points.iter().zip(labeller.labels()).map(of_row));
     }
 
-    /// The same for a scan that is held.
+    /// Set the class of every row of a scan that is held.
     pub(crate) fn tell_nothing(&mut self, scan: &Prepared) {
         self.class.clear();
         self.class.extend(scan.points.iter().map(of_point));
@@ -159,8 +159,8 @@ impl FlyingObjectDetector {
         Ok(())
     }
 
-    /// Whether a place is below flat ground, and its mirror image in that is occupied: what is
-    /// seen there is a reflection.
+    /// True if a place lies below flat ground and its mirror image above is occupied: points there
+    /// are reflections.
     fn is_mirrored(&self, scan: &Prepared, [x, y, z]: [f64; 3]) -> bool {
         scan.floor.filter(|floor| z < floor - ON_GROUND).is_some_and(|floor| {
             Near::new(&self.map, MIRROR_ERROR).is_close([x, y, 2.0 * floor - z])

@@ -14,7 +14,7 @@ use crate::geometry::transform::{minus, norm};
 use crate::util::object_pool::{Lent, Shelf};
 use rayon::prelude::*;
 
-/// How clusters are told apart.
+/// Parameters of the classification of clusters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClassifyParameters {
     /// Rule A: closer than this to an occupied voxel is background, d_close [m].
@@ -56,7 +56,7 @@ pub struct ClassifyParameters {
     pub fill_pockets: bool,
 }
 
-/// What classification found for one cluster.
+/// Class of one cluster and the evidence for it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Verdict {
     pub(crate) class: u8,
@@ -134,7 +134,7 @@ impl Classifier {
     }
 }
 
-/// Whether a box is at least so high [m], and its diagonal on the ground shorter than two fifths of that.
+/// True if a box is at least `height` high [m] and its ground diagonal at most two fifths of its height.
 fn is_upright([x, y, z]: [f64; 3], height: f64) -> bool {
     z >= height && libm::hypot(x, y) <= 0.4 * z
 }
@@ -169,7 +169,7 @@ pub(crate) fn judge_again(verdicts: &mut [Verdict], later: &mut [Verdict]) {
     }
 }
 
-/// What the judging of one cluster leaves to that of the next: memory.
+/// Working memory that the classification of one cluster leaves to the next.
 #[derive(Default)]
 struct Scratch {
     flood: flood::Memory,
@@ -190,12 +190,12 @@ impl Scratch {
     }
 }
 
-/// What clusters are judged by.
+/// Inputs of the classification of clusters.
 #[derive(Clone, Copy)]
 pub(crate) struct Judge<'a> {
     pub(crate) map: &'a VoxelMap,
     pub(crate) points: &'a [[f32; 3]],
-    /// Where the sensor is.
+    /// Position of the sensor.
     pub(crate) origin: [f64; 3],
     pub(crate) parameters: &'a ClassifyParameters,
 }

@@ -8,7 +8,7 @@ use crate::geometry::transform::{minus, norm};
 pub(crate) struct Clusters {
     /// Rows of their points, cluster by cluster.
     rows: Vec<u32>,
-    /// Where the rows of each end.
+    /// End of the rows of each cluster.
     ends: Vec<u32>,
     shapes: Vec<Shape>,
 }

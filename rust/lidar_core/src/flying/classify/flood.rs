@@ -8,7 +8,7 @@ use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::{Voxel, wide};
 
 impl VoxelMap {
-    /// Whether one cluster of points is surrounded by free voxels (Algorithm 1): no path of
+    /// True if one cluster of points is surrounded by free voxels (Algorithm 1): no path of
     /// uncertain voxels leads from any of its points to a tentatively occupied voxel, or
     /// `search_distance` [m] away (L1). An empty cluster is not floating.
     ///
@@ -96,7 +96,7 @@ impl<'a> Flood<'a> {
         Self::new(map, (steps - 1e-9).ceil() as i32, open_border, expand_own, memory)
     }
 
-    /// Whether no search from any of `starts` finds a way out.
+    /// True if no search from any of `starts` finds a way out.
     pub(crate) fn is_enclosed(&mut self, starts: &[Voxel], shadow: Option<&Shadow<'_>>) -> bool {
         self.memory.explored.clear();
         !starts.is_empty() && starts.iter().all(|&start| !self.finds_a_way_out(start, shadow))

@@ -10,12 +10,12 @@ use crate::geometry::cluster::{Clustering, Labeller};
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
 
-/// What a cluster belongs to.
+/// Group that a cluster belongs to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Group {
     /// Diagonal of the box around all its clusters that are not background [m].
     pub(crate) extent: f64,
-    /// Whether background is part of it.
+    /// True if the group contains background.
     pub(crate) with_background: bool,
 }
 

@@ -22,7 +22,7 @@ impl<'a> Near<'a> {
         Self { cursor: Cursor::new(&map.blocks), map, limit: distance * distance, half }
     }
 
-    /// The same, but exactly `distance` is close too.
+    /// Like `new`, but exactly `distance` is close too.
     fn up_to(map: &'a VoxelMap, distance: f64) -> Self {
         let near = Self::new(map, distance);
         Self { limit: near.limit.next_up(), ..near }
@@ -75,7 +75,7 @@ impl Occupancy for VoxelMap {
     }
 }
 
-/// Whether the map holds `voxel` as free; used by the pipeline's checks of a pose.
+/// True if the map holds `voxel` as free; used by the pipeline's checks of a pose.
 pub(crate) fn is_observed_free(map: &VoxelMap, cursor: &mut Cursor<'_>, voxel: Voxel) -> bool {
     cursor
         .block(Place::of(voxel))

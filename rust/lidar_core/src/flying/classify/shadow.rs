@@ -22,7 +22,7 @@ impl<'a> Shadow<'a> {
         Self { origin, lattice: *lattice, points, margin: half_diagonal }
     }
 
-    /// Whether `voxel` lies behind the cluster: at least one voxel further away than a point
+    /// True if `voxel` lies behind the cluster: at least one voxel further away than a point
     /// that its centre's ray passes closely.
     pub(crate) fn hides(&self, voxel: Voxel) -> bool {
         let center = minus(self.lattice.center(voxel), self.origin);

@@ -61,7 +61,7 @@ impl Detection {
         }
     }
 
-    /// The same detection at an estimated centre.
+    /// Detection moved to an estimated centre.
     pub(crate) fn at(self, center: &Center) -> Self {
         Self {
             position: center.position.into(),
@@ -71,7 +71,7 @@ impl Detection {
         }
     }
 
-    /// The same detection in another frame.
+    /// Detection in another frame.
     pub(crate) fn moved(&self, target_from_source: &Transform) -> Self {
         Self {
             position: target_from_source.apply(self.position),

@@ -1,4 +1,4 @@
-//! What flies in a scan: clusters and their verdicts -> detections and teammates.
+//! Flying objects of a scan: clusters and their classes -> detections and teammates.
 
 use super::center::Center;
 use super::detection::Detection;

@@ -1,4 +1,4 @@
-//! What one scan could see, for the tracker: is a target in the field of view and not hidden?
+//! Visibility in one scan, for the tracker: is a target in the field of view and not hidden?
 
 use super::center::{Around, Center, Hit, Ray, Region, SightSource};
 use crate::flying::analysis::PoseSpread;
@@ -57,7 +57,7 @@ impl<'a> ScanView<'a> {
         self.spread.as_ref()
     }
 
-    /// Whether the ray `row` meets, or goes through, a ball.
+    /// True if the ray `row` ends in a ball or passes through it.
     fn passes(&self, row: usize, ball: &Ball) -> bool {
         let Some((direction, length)) = self.ray(row) else { return false };
         let (span, radius) = (minus(ball.middle, self.scan.origin(row)), ball.radius);
@@ -82,7 +82,7 @@ impl<'a> ScanView<'a> {
         (squared > 0.0).then_some((way, squared))
     }
 
-    /// How far a ray without return is known to meet nothing [m].
+    /// Length over which a ray without return is known to meet nothing [m].
     fn reach(&self, row: usize) -> f64 {
         self.scan.reach.as_ref().map_or(f64::INFINITY, |reach| f64::from(reach[row]))
     }
@@ -232,7 +232,7 @@ impl WithSimd for ComeNear<'_> {
     }
 }
 
-/// Where rays start and which way they go; NaN for those that tell nothing.
+/// Start points and directions of rays; NaN for rays without information.
 struct Lanes {
     origins: [[f64; LANES]; 3],
     ways: [[f64; LANES]; 3],
@@ -256,7 +256,7 @@ impl Lanes {
     }
 }
 
-/// What rays are held against.
+/// Ball that rays are tested against.
 #[derive(Clone, Copy)]
 struct Ball {
     middle: [f64; 3],
@@ -284,7 +284,7 @@ impl Ball {
     }
 }
 
-/// Where a ray ends that comes near a ball.
+/// Position of a ray's end relative to a ball that the ray meets.
 enum End {
     InFront,
     Behind,

@@ -1,4 +1,4 @@
-//! What one scan did to every voxel that it met.
+//! Marks of one scan: points or ray length per voxel.
 
 use super::dense_blocks::Sheet;
 use super::sparse_blocks::Beyond;
@@ -9,21 +9,24 @@ use crate::geometry::lattice::Voxel;
 use rayon::ThreadPool;
 use std::hint::black_box;
 
-/// What one scan did to one voxel, in 32 bits: the class of the points inside in the highest
+/// Content of one voxel in one scan, in 32 bits: the class of the points inside in the highest
 /// two, below them their number, or without points the length of rays in 1/16384 edges.
 pub(crate) type Mark = u32;
-/// Of points, their number, or in a weighted scan their weight in units of 1 / `POINT_UNITS`.
+/// Bits of the count: the number of points, in a weighted scan their weight in units of
+/// 1 / `POINT_UNITS`, or the length of rays.
 const COUNT_BITS: u32 = 30;
 pub(crate) const MAX_COUNT: u32 = (1 << COUNT_BITS) - 1;
 /// Weight units per point, in scans whose points have weights.
 pub(crate) const POINT_UNITS: u32 = 1024;
 /// Length units per voxel edge.
+// 2^14: scaling by a power of two is exact, and 30 bits still hold 65,536 edges per voxel and scan.
 pub(crate) const UNITS_PER_EDGE: f64 = 16_384.0;
 /// More than a ray can add to a mark: a diagonal.
+// sqrt(3) = 1.732 edges; the rest is room for rounded positions.
 const MOST_UNITS: u32 = (1.75 * UNITS_PER_EDGE) as u32;
-/// So many rays cannot make an empty mark overflow.
+/// Number of rays that cannot make an empty mark overflow.
 pub(super) const RAYS_FROM_EMPTY: usize = (u32::MAX / MOST_UNITS) as usize;
-/// The same of a full one.
+/// Number of rays that cannot make a mark of `MAX_COUNT` overflow.
 pub(super) const RAYS_FROM_FULL: usize = ((u32::MAX - MAX_COUNT) / MOST_UNITS) as usize;
 const EMPTY: u32 = u32::MAX;
 /// Points that are marked together.
@@ -31,7 +34,7 @@ const POINTS_AT_A_TIME: usize = 64;
 
 /// Steps of a ray that are added in one go.
 pub(super) const STEPS: usize = 8;
-/// Those of `N` rays side by side.
+/// Steps of `N` rays side by side.
 pub(crate) type Steps<const N: usize> = [[u32; N]; STEPS];
 
 /// Classes that a voxel's points can have, weakest first: of several the strongest counts
@@ -52,7 +55,7 @@ pub(crate) fn tag_and_count(mark: Mark) -> (u32, u32) {
 
 /// Marks of one scan, block by block: empty between scans, its memory is used again.
 ///
-/// Of a window that lies in memory as a whole, the slot of a block is its index.
+/// If the whole window lies in memory, the slot of a block is its index.
 #[derive(Default)]
 pub(crate) struct Accumulator {
     window: Option<Window>,
@@ -81,6 +84,9 @@ pub(crate) enum Slot {
 /// greater numbers: arithmetic alone, since no branch could be foreseen.
 #[inline(always)]
 fn with_points(mark: Mark, content: Content, units: u32) -> Mark {
+    // A weaker mark lies below `none`, so the maximum drops its count. A stronger one lies above
+    // `none | MAX_COUNT`, so the last maximum keeps it. The minimum stops a full count before it
+    // carries into the class.
     let none = (content as u32) << COUNT_BITS;
     let known = mark.max(none);
     known.max(known.saturating_add(units).min(none | MAX_COUNT))
@@ -144,10 +150,12 @@ impl Accumulator {
         if window.is_whole() {
             let marks = self.sheet.marks_mut();
             each(places, lengths, |place, length| {
+                // Cannot overflow: `cast_all` settles before so many rays are cast.
                 marks[place] = marks[place].wrapping_add(length);
             });
         } else {
             each(places, lengths, |place, length| {
+                // Rays that have arrived add 0 at places that mean nothing: these must open no block.
                 if length != 0 {
                     let mark = self.slot(window, place / VOLUME) * VOLUME + place % VOLUME;
                     let mark = &mut self.sheet.marks_mut()[mark];
@@ -225,7 +233,7 @@ impl Accumulator {
         &mut self.sheet.marks_mut()[spot]
     }
 
-    /// Where the mark of a voxel is that is about to be set.
+    /// Position of the mark of a voxel that is about to be set.
     #[inline(always)]
     fn spot(&mut self, voxel: Voxel) -> Option<Slot> {
         let window = self.window?;
@@ -236,7 +244,7 @@ impl Accumulator {
         Some(Slot::Beyond(self.beyond.spot(slot, offset_of(voxel))))
     }
 
-    /// The same of a place in the window.
+    /// Position of the mark at a place of the window that is about to be set.
     #[inline(always)]
     fn spot_within(&mut self, window: &Window, place: usize) -> usize {
         let slot = self.slot(window, place / VOLUME);
@@ -256,6 +264,7 @@ impl Accumulator {
     pub(crate) fn absorb(&mut self, other: &mut Self, window: &Window, pool: &ThreadPool) {
         self.visits += other.visits;
         let mut sources = std::mem::take(&mut self.sources);
+        // `EMPTY` is no slot of `other`: blocks that keep it are left as they are.
         sources.clear();
         sources.resize(self.sheet.len(), EMPTY);
         for (index, slot) in other.slots() {
@@ -300,6 +309,7 @@ impl Accumulator {
     /// Blocks with marks: first those in the window, in its order, then others in ascending order
     /// of place.
     pub(crate) fn marked(&mut self) -> impl Iterator<Item = (Place, Slot)> {
+        // Blocks are opened in an order that depends on the threads; the map must not.
         self.opened.sort_unstable();
         self.beyond.opened.sort_unstable();
         let place = |index| self.window.map(|window| window.place(index));

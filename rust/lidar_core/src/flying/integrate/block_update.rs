@@ -1,4 +1,4 @@
-//! What the marks of one scan do to the map: the only place where a scan changes values.
+//! Update of the map by the marks of one scan: the only place where a scan changes values.
 //!
 //! Source: Vrba et al., eqs 9 and 12.
 
@@ -17,15 +17,15 @@ const BLOCKS_AT_A_TIME: usize = 16;
 pub(crate) struct Task {
     place: Place,
     marks: Slot,
-    /// Its slot in the map; None while it has none.
+    /// Slot of the block in the map; None while it has none.
     home: Option<u32>,
     /// The block, taken out of the map meanwhile.
     block: Option<Box<Block>>,
     /// Voxels that are updated.
     voxels: usize,
-    /// Those whose groups have to be looked at.
+    /// Voxels whose groups have to be looked at.
     changed: Bits,
-    /// Those that were occupied before, at least tentatively.
+    /// Voxels that were at least tentatively occupied before.
     before: Bits,
 }
 
@@ -70,10 +70,13 @@ impl VoxelMap {
 
     /// Take the blocks out of the map, made where they are missing: all or none.
     fn take_blocks(&mut self, tasks: &mut [Task]) -> Result<(), Error> {
+        // All that can fail comes first: after it `make` finds its memory.
         self.blocks.reserve(tasks.iter().filter(|task| task.home.is_none()).count())?;
         for task in tasks {
+            // Missing blocks are made in the order of `marked`, which does not depend on the threads.
             let home = task.home.unwrap_or_else(|| self.blocks.make(task.place));
             task.home = Some(home);
+            // Each task owns its block, so threads need no lock; only a pointer is moved.
             task.block = self.blocks.take(home);
         }
         Ok(())
@@ -95,6 +98,7 @@ impl VoxelMap {
                 let (Some(block), (marks, met)) = (block, sums.block(*marks, &mut spare)) else {
                     continue;
                 };
+                // Kept to tell voxels that became occupied from those that ceased to be.
                 *before = block.tentative;
                 *changed = rule.apply(block, marks, met);
             }

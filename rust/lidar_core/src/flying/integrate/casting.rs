@@ -23,7 +23,7 @@ const LEAST_SCRATCH: usize = 1 << 17;
 pub(crate) struct Casting {
     plan: Plan,
     accumulators: Vec<Accumulator>,
-    /// Whether the accumulators hold marks.
+    /// True while the accumulators hold marks.
     is_open: bool,
 }
 
@@ -95,6 +95,7 @@ impl VoxelMap {
         self.mark(sums, plan.classified(class).inspect(count), pose_error);
         sums.check()?;
         stats.visits = sums.visits();
+        // On an error `is_open` stays set: the next scan starts with new accumulators.
         stats.voxels = self.update(sums, pose_error.is_some_and(PoseError::weighs_points))?;
         sums.clear(self.pool.as_ref());
         *is_open = false;

@@ -15,7 +15,7 @@ const BLOCKS_AT_A_TIME: usize = 64;
 #[derive(Default)]
 pub(super) struct Sheet {
     marks: Vec<Mark>,
-    /// Of every block a bit for each row that holds marks; of rays once they are settled.
+    /// Per block, a bit for each row that holds marks; marks of rays count once they are settled.
     met: Vec<u64>,
 }
 
@@ -25,14 +25,16 @@ impl Sheet {
         self.met.len()
     }
 
-    /// Have so many slots from the start: of memory that is not used nothing is had.
+    /// Have so many slots from the start: untouched pages cost no memory.
     pub(crate) fn reserve(&mut self, slots: usize) {
         if self.len() < slots {
+            // `vec![0; n]` takes zeroed pages from the system, which cost nothing until they are touched;
+            // `resize` would write all of them.
             (self.marks, self.met) = (vec![0; slots * VOLUME], vec![0; slots]);
         }
     }
 
-    /// Have so many slots, as many as are needed by and by.
+    /// Grow to so many slots as blocks are opened.
     pub(crate) fn grow(&mut self, slots: usize) {
         if self.len() < slots {
             self.marks.resize(slots * VOLUME, 0);
@@ -49,6 +51,7 @@ impl Sheet {
     /// Place of a mark that is about to be set.
     #[inline(always)]
     pub(super) fn spot(&mut self, slot: usize, offset: usize) -> usize {
+        // 512 voxels are 64 rows of 8: a bit for each fits one word.
         self.met[slot] |= 1 << (offset / EDGE as usize);
         slot * VOLUME + offset
     }
@@ -86,6 +89,7 @@ impl Sheet {
     pub(crate) fn clear(&mut self, pool: Option<&ThreadPool>) {
         let clear = |(marks, met): (&mut [Mark; VOLUME], &mut u64)| {
             let rows: &mut [MarkRow] = marks.as_chunks_mut().0;
+            // Only rows with marks are written: the cost follows the scan, not the window.
             rows_of(std::mem::take(met)).for_each(|row| rows[row] = [0; EDGE as usize]);
         };
         match pool {
@@ -115,6 +119,7 @@ pub(crate) fn rows_of(mut bits: u64) -> impl Iterator<Item = usize> {
 #[inline(always)]
 fn add_row(marks: &mut MarkRow, more: &MarkRow) {
     for (mark, more) in marks.iter_mut().zip(more) {
+        // Both are below 2^30, so the sum fits. Sums that stop at one value are the same in any order.
         *mark = (mark.wrapping_add(*more)).min(MAX_COUNT);
     }
 }
@@ -136,7 +141,7 @@ impl<I: Iterator<Item = usize>> WithSimd for Settle<'_, I> {
     }
 }
 
-/// Make overfull marks full. The rows that hold any.
+/// Limit marks to `MAX_COUNT`. Returns a bit for every row that holds marks.
 #[inline(always)]
 fn settle_block(marks: &mut [Mark; VOLUME]) -> u64 {
     let (mut met, mut all) = (0, 0);
@@ -145,6 +150,8 @@ fn settle_block(marks: &mut [Mark; VOLUME]) -> u64 {
         met |= u64::from(any != 0) << row;
         all |= any;
     }
+    // The OR of all marks exceeds it exactly if one of them does, since `MAX_COUNT` is all ones.
+    // Full marks are rare: most blocks skip the second pass.
     if all > MAX_COUNT {
         marks.iter_mut().for_each(|mark| *mark = (*mark).min(MAX_COUNT));
     }

@@ -7,21 +7,21 @@ use super::pose_weights::PoseError;
 use crate::Error;
 use crate::util::budget::check_points;
 
-/// Class of a point: not to be used.
+/// Class of a point that is ignored.
 pub const INVALID: u8 = 0;
 /// Class of a point on something that belongs to the environment.
 pub const BACKGROUND: u8 = 1;
 /// Class of a point on a flying object.
 pub const FLYING: u8 = 2;
-/// Class of a point that is neither.
+/// Class of a point that is neither background nor known to fly.
 pub const UNKNOWN: u8 = 3;
 
-/// Where rays start [m].
+/// Start points of rays [m].
 #[derive(Clone, Copy, Debug)]
 pub enum Origins<'a> {
-    /// All rays in one point.
+    /// One start point for all rays.
     One([f64; 3]),
-    /// Every ray in its own.
+    /// One start point per ray.
     Each(&'a [[f64; 3]]),
 }
 
@@ -44,7 +44,7 @@ pub struct ClassifiedScan<'a> {
     pub points: &'a [[f32; 3]],
     /// [`INVALID`], [`BACKGROUND`], [`FLYING`] or [`UNKNOWN`] per point. Invalid entries cast no ray.
     pub class: &'a [u8],
-    /// Where the rays start.
+    /// Start points of the rays.
     pub origins: Origins<'a>,
     /// Direction of every ray; needed where `no_return` is set.
     pub directions: Option<&'a [[f32; 3]]>,
@@ -52,14 +52,14 @@ pub struct ClassifiedScan<'a> {
     pub no_return: Option<&'a [bool]>,
     /// Points whose ray is not cast, such as the nearer of two returns.
     pub no_ray: Option<&'a [bool]>,
-    /// How far the rays of `no_return` clear [m], longer than their directions; without it, up to
+    /// Length that the rays of `no_return` clear [m], beyond their directions; without it, up to
     /// `max_range`. Other entries are not looked at.
     pub reach: Option<&'a [f32]>,
-    /// How uncertain the points are, if the update is to heed that.
+    /// Uncertainty of the points, if the update uses it.
     pub pose_error: Option<&'a PoseError>,
 }
 
-/// What a scan did to the map.
+/// Counts of one scan's update of the map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct IntegrateStats {
     /// Points used, per class background, flying, unknown.
@@ -92,6 +92,7 @@ pub(super) fn content_of(class: u8) -> Option<Content> {
         BACKGROUND => Some(Content::Background),
         FLYING => Some(Content::Flying),
         UNKNOWN => Some(Content::Unknown),
+        // `INVALID`: other numbers are refused by `check_classes` before.
         _ => None,
     }
 }
@@ -111,6 +112,7 @@ pub(super) fn check_classes(class: &[u8], expected: usize) -> Result<(), Error> 
 
 pub(crate) fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {
     let expected = scan.points.len();
+    // First, since rows are counted in 32 bits from here on.
     check_points(expected)?;
     check_classes(scan.class, expected)?;
     let lengths = [
@@ -128,6 +130,7 @@ pub(crate) fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {
             return Err(Error::Length { name, expected, got });
         }
     }
+    // Only the presence is checked: single directions that are zero or not finite count as skipped.
     if scan.no_return.is_some_and(|flags| flags.contains(&true)) && scan.directions.is_none() {
         return Err(Error::Value {
             name: "ray_directions",

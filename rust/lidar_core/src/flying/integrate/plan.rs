@@ -1,4 +1,4 @@
-//! What a scan asks for, checked before anything is changed: rays, their bounds, voxels of points.
+//! Rays, their bounds and the voxels of points of a scan, checked before the map changes.
 //!
 //! Loops over the lanes of a bundle, which the compiler turns into instructions of the vector unit
 //! that calls them.
@@ -13,7 +13,7 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// What the scan asks for, checked before anything is changed.
+/// Rays and points of a scan, checked before the map changes.
 #[derive(Default)]
 pub(crate) struct Plan {
     pub(crate) rays: Vec<Ray>,
@@ -23,10 +23,10 @@ pub(crate) struct Plan {
     pub(crate) rows: usize,
     /// The voxels between which the rays lie.
     span: Option<[Voxel; 2]>,
-    /// What is known without the classes of the points.
+    /// Counts that do not need the classes of the points.
     pub(crate) stats: IntegrateStats,
     error: Option<Error>,
-    /// What the following parts of the scan ask for, while other threads find that out.
+    /// Plans of the following parts of the scan, filled by other threads.
     others: Vec<Plan>,
 }
 
@@ -55,6 +55,8 @@ impl Plan {
             }
             None => fill_own(),
         }
+        // The parts are contiguous and joined in their order: rays, points and the first error are
+        // those of a single thread.
         others.iter_mut().for_each(|other| self.append(other));
         (self.others, self.rows) = (others, all);
         self.error.take().map_or(Ok(()), Err)
@@ -107,10 +109,12 @@ impl Plan {
         bounds: &mut Bounds,
     ) -> Result<(), Error> {
         let last = entries.end - 1;
+        // Lanes past the end repeat the last entry, to keep the bundle full; `Wishes` ignores them.
         let index: Indices = std::array::from_fn(|lane| (entries.start + lane).min(last));
         let points = source.points(&index);
         let mut wishes = Wishes::of(source, &entries, &points);
         let (mut voxels, sure) = source.lattice.voxels_at(&points);
+        // The bulk conversion can be wrong only next to a face: only such lanes pay for the exact one.
         let mut in_doubt = [false; LANES];
         for lane in 0..LANES {
             in_doubt[lane] = wishes.point[lane] & (sure[lane] <= 0.0);
@@ -119,6 +123,7 @@ impl Plan {
         if in_doubt.contains(&true) {
             noted = settle(source.lattice, &points, &in_doubt, &mut voxels, &mut wishes);
         }
+        // Also after an error: an entry before it may have a ray that cannot be indexed, which comes first.
         self.push(&wishes, &voxels, &index);
         bounds.hold(&source.between(&index, &points), &wishes.ray);
         self.stats.skipped += entries.len() - wishes.count();
@@ -131,6 +136,8 @@ impl Plan {
         let (mut points, mut rays) = ([([0; 3], 0); LANES], [Ray { index: 0, count: 1 }; LANES]);
         let (mut n_points, mut n_rays) = (0, 0);
         for lane in 0..LANES {
+            // Every lane writes, and the count moves on only if the entry has a point: the next lane
+            // overwrites the others. The count is at most `lane`, so the index is in range.
             points[n_points] = ([x[lane], y[lane], z[lane]], index[lane] as u32);
             n_points += usize::from(wishes.point[lane]);
             rays[n_rays].index = index[lane] as u32;
@@ -164,7 +171,7 @@ fn settle(
     Ok(())
 }
 
-/// What entries side by side ask for; those that only fill the bundle ask for nothing.
+/// Points and rays that a bundle of entries adds; entries that only fill the bundle add none.
 struct Wishes {
     /// A point in the map.
     point: Flags,
@@ -190,6 +197,7 @@ impl Wishes {
         };
         for lane in 0..LANES {
             let is_finite = x[lane].is_finite() & y[lane].is_finite() & z[lane].is_finite();
+            // `&` and `|` evaluate both sides: without branches the loop becomes vector code.
             point[lane] = is_finite & (class[lane] != INVALID) & !no_return[lane];
             ray[lane] = away[lane] | (point[lane] & !no_ray[lane]);
         }
@@ -210,7 +218,7 @@ impl Wishes {
     }
 }
 
-/// Of those whose flag is set, directions that are finite and not zero.
+/// Flags of the directions that are finite and not zero, among those whose flag is set.
 #[inline(always)]
 fn lead_somewhere(directions: &[[f32; 3]; LANES], flags: &Flags) -> Flags {
     let mut found = [false; LANES];

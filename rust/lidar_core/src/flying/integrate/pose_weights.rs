@@ -15,23 +15,23 @@ use crate::geometry::transform::{Transform, dot, minus, norm};
 
 /// Voxels that a point may be away from its own, along each axis.
 const REACH: i32 = 2;
-/// Smaller shares are none.
+/// Shares below this one are taken as 0.
 const LEAST_SHARE: f64 = 0.02;
 
-/// What an uncertain pose changes in the update of the map.
+/// Effect of an uncertain pose on the update of the map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PoseWeighting {
     /// Rays that hit something end earlier: they do not clear what their ends may lie in.
     Ends,
-    /// They do, and a point of the background pulls every voxel that it may lie in, each by its
-    /// share.
+    /// Rays that hit something end earlier, and a background point pulls every voxel that it may lie
+    /// in, each by its share.
     Spread,
 }
 
-/// How uncertain the points of a scan are.
+/// Uncertainty of the points of a scan.
 #[derive(Clone, Copy, Debug)]
 pub struct PoseError {
-    /// What follows from it.
+    /// Effect on the update of the map.
     pub weighting: PoseWeighting,
     /// Pose of the sensor in the world.
     pub world_from_lidar: Transform,
@@ -49,7 +49,7 @@ pub struct PoseError {
 type Shares = [f64; 2 * REACH as usize + 1];
 
 impl PoseError {
-    /// Whether points have weights.
+    /// True if points have weights.
     pub(crate) fn weighs_points(&self) -> bool {
         self.weighting == PoseWeighting::Spread
     }
@@ -59,6 +59,7 @@ impl PoseError {
         let world_from_map = self.map_from_world.inverse();
         let jacobian = pose_jacobian(&self.world_from_lidar, world_from_map.apply(point));
         let sight = minus(point, self.map_from_world.apply(self.world_from_lidar.translation));
+        // A point in the sensor itself then gives 0 and not NaN.
         let range = norm(sight).max(f64::MIN_POSITIVE);
         std::array::from_fn(|axis| {
             let row: [f64; 6] = std::array::from_fn(|column| {
@@ -69,11 +70,12 @@ impl PoseError {
             let of_pose: f64 = (0..6)
                 .map(|i| row[i] * (0..6).map(|j| self.covariance[i][j] * row[j]).sum::<f64>())
                 .sum();
+            // Rounding may leave a covariance slightly indefinite.
             of_pose.max(0.0) + along * along
         })
     }
 
-    /// How much earlier a ray ends that runs along `span` of the map [m].
+    /// Length by which a ray along `span` of the map ends earlier [m].
     pub(crate) fn end_margin(&self, span: [f64; 3]) -> f64 {
         // The angles move its end across, not along.
         let along = self.map_from_world.inverse().rotate(span);
@@ -90,6 +92,8 @@ impl PoseError {
         self.variance(lattice.center(voxel)).map(|variance| {
             let scale = lattice.voxel_size() / (2.0 * variance).sqrt();
             // Half of what lies beyond the walls at 1/2, 3/2 and so on.
+            // `erfc` keeps the relative precision of small tails. Without variance the scale is infinite:
+            // all tails are 0, and the voxel of the point has the whole share.
             let beyond = |wall: i32| 0.5 * libm::erfc((f64::from(wall) - 0.5) * scale);
             std::array::from_fn(|index| match (index as i32 - REACH).abs() {
                 0 => 1.0 - 2.0 * beyond(1),
@@ -113,6 +117,7 @@ impl VoxelMap {
         };
         let (background, others): (Vec<_>, Vec<_>) =
             points.partition(|(_, class)| *class == Content::Background);
+        // Before the background, since `mark_beside` leaves voxels with other points alone.
         for (voxel, class) in others {
             accumulator.mark_points(voxel, class, POINT_UNITS);
         }
@@ -122,6 +127,7 @@ impl VoxelMap {
     /// Note the points of the background, given as a voxel each, with the shares of the voxels that
     /// they may lie in; where other points lie, those count.
     fn spread(&self, accumulator: &mut Accumulator, error: &PoseError, mut points: Vec<Voxel>) {
+        // Points of one voxel are counted together, so their shares are rounded once, whatever their order.
         points.sort_unstable();
         for same in points.chunk_by(|a, b| a == b) {
             let shares = error.shares(self.lattice(), same[0]);
@@ -149,6 +155,7 @@ fn steps([x, y, z]: &[Shares; 3]) -> impl Iterator<Item = ([i32; 3], f64)> {
         .flat_map(move |(k, z)| y.iter().enumerate().map(move |(j, y)| (j, k, y * z)));
     let own = REACH as usize;
     planes
+        // Shares are at most 1: below the least share here, no factor along x can lift it.
         .filter(move |&(j, k, share)| share >= LEAST_SHARE || (j, k) == (own, own))
         .flat_map(move |(j, k, share)| {
             x.iter().enumerate().map(move |(i, x)| ([step(i), step(j), step(k)], x * share))
@@ -156,14 +163,14 @@ fn steps([x, y, z]: &[Shares; 3]) -> impl Iterator<Item = ([i32; 3], f64)> {
         .filter(|&(step, share)| share >= LEAST_SHARE || step == [0; 3])
 }
 
-/// What is known about poses beforehand.
+/// Prior uncertainty of poses, and how the map uses it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseParameters {
     /// Standard deviations of the translation [m], for scans that come without a covariance.
     pub position_std: [f64; 3],
-    /// The same for the angles about x, y, z [rad].
+    /// Standard deviations of the angles about x, y, z [rad], for scans that come without a covariance.
     pub angle_std: [f64; 3],
-    /// How the map heeds them; None: not.
+    /// Effect on the update of the map; None: the uncertainty is ignored.
     pub weighting: Option<PoseWeighting>,
     /// Rays that hit something end this many standard deviations earlier, if `weighting` is set.
     pub end_sigmas: f64,
@@ -180,7 +187,7 @@ impl FlyingObjectDetector {
         raw.pose_covariance.or_else(|| std.iter().any(|&std| std > 0.0).then(constant))
     }
 
-    /// What follows from it for points of the scan.
+    /// Uncertainty that the pose gives to points of the scan.
     pub(crate) fn pose_spread(&self, raw: &RawScan<'_>, scan: &Prepared) -> Option<PoseSpread> {
         Some(PoseSpread {
             world_from_lidar: self.map_from_world.inverse().after(&scan.pose),
@@ -189,7 +196,7 @@ impl FlyingObjectDetector {
         })
     }
 
-    /// What the update of the map is to heed.
+    /// Uncertainty that the update of the map uses.
     pub(crate) fn pose_error(&self, raw: &RawScan<'_>, scan: &Prepared) -> Option<PoseError> {
         let PoseSpread { world_from_lidar, map_from_world, covariance } =
             self.pose_spread(raw, scan)?;

@@ -23,7 +23,7 @@ const NEVER: u32 = u32::MAX;
 struct Bundle {
     /// Position of the next wall along every axis.
     wall: [Lanes; 3],
-    /// From one wall to the next along every axis.
+    /// Distance from one wall to the next along every axis.
     pace: [Lanes; 3],
     /// Position of the end.
     end: Lanes,
@@ -67,7 +67,7 @@ impl Bundle {
         bundle
     }
 
-    /// Whether a ray counts for more than itself.
+    /// True if a ray stands for others too.
     #[inline(always)]
     fn stands_for_others(&self) -> bool {
         self.count.iter().fold(false, |any, &count| any | (count > 1))
@@ -83,7 +83,7 @@ impl Bundle {
         }
     }
 
-    /// Find lengths in sub-units.
+    /// Set shift and end of every ray; returns their lengths in sub-units.
     #[inline(always)]
     fn measure(&mut self, start: &[Numbers; 3], end: &[Numbers; 3]) -> Numbers {
         let mut length = [0.0; LANES];
@@ -91,6 +91,8 @@ impl Bundle {
             let (x, y) = (end[0][lane] - start[0][lane], end[1][lane] - start[1][lane]);
             let z = end[2][lane] - start[2][lane];
             let units = (x * x + y * y + z * z).sqrt() * UNITS_PER_EDGE;
+            // The bits of the exponent are the largest power of two that keeps the length below 2^31 - 1.
+            // Windows keep rays below 2^29 units, so it is not negative; `least` bounds it for length 0.
             let shift = least(FURTHEST / units, f64::from(1u32 << 31)).to_bits() >> 52;
             length[lane] = units * f64::from_bits(shift << 52); // a power of two: exact
             self.shift[lane] = (shift as u32).wrapping_sub(1023);
@@ -113,16 +115,20 @@ impl Bundle {
             let (first, last) = (start[lane].floor(), end[lane].floor());
             let upwards = last > first;
             let gap = ((if upwards { first + 1.0 } else { first }) - start[lane]).abs();
+            // Finite also for an axis along which the ray does not move: 0 times infinity would be NaN.
             let rate = least(length[lane] / (end[lane] - start[lane]).abs(), f64::MAX);
             let (walls, ahead) = ((last - first).abs(), f64::from(self.end[lane]));
             let pace = least(rate.round_ties_even(), ahead + 1.0);
             // Not further than the end: rounding may have made one unit too many of it.
+            // With pace and first wall moved like this the last wall lies at the end or before it, and the
+            // next one behind: the ray crosses exactly `walls` walls, whatever was rounded.
             let pace = if (walls - 1.0) * pace > ahead { pace - 1.0 } else { pace };
             let wall = least((gap * rate).round_ties_even(), ahead - (walls - 1.0) * pace);
             let wall = -least(-wall, -(ahead + 1.0 - walls * pace));
             let is_met = walls > 0.0;
             self.wall[axis][lane] = if is_met { whole(wall) } else { NEVER };
             self.pace[axis][lane] = if is_met { whole(pace) } else { 0 };
+            // Turning the bits over makes a step down a step up: one addition serves both directions.
             self.mirror[lane] |= if upwards | !is_met { 0 } else { bits };
             self.visits[lane] = self.visits[lane].wrapping_add(whole(walls));
         }
@@ -152,6 +158,7 @@ impl WithSimd for Cast<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         match S::U32_LANES {
+            // Vectors of any width make bundles of 32 lanes, so every unit does the same sums.
             16 => self.walk::<S, 2>(simd),
             8 => self.walk::<S, 4>(simd),
             4 => self.walk::<S, 8>(simd),
@@ -161,9 +168,10 @@ impl WithSimd for Cast<'_> {
 }
 
 impl Cast<'_> {
-    /// With `K` vectors per bundle.
+    /// Cast all rays with `K` vectors per bundle.
     #[inline(always)]
     fn walk<S: Simd, const K: usize>(self, simd: S) {
+        // 8 x 8 steps of 32 lanes: 8 KiB each, both fit the first cache.
         let mut places = [[[0; LANES]; STEPS]; RUN];
         let mut lengths = [[[0; LANES]; STEPS]; RUN];
         for rays in self.rays.chunks(LANES) {
@@ -201,7 +209,7 @@ struct Walk<S: Simd, const K: usize> {
     mirror: [S::u32s; K],
     visits: [S::u32s; K],
     step: S::u32s,
-    /// Where the ray entered its voxel, in units.
+    /// Position at which the ray entered its voxel, in units.
     entered: [S::u32s; K],
     /// Bits of a place that belong to an axis.
     bits: [S::u32s; 3],
@@ -239,6 +247,7 @@ impl<S: Simd, const K: usize> Walk<S, K> {
             let [x, y, z] = [self.wall[0][k], self.wall[1][k], self.wall[2][k]];
             let first = simd.min_u32s(x, simd.min_u32s(y, z));
             let exit = simd.min_u32s(first, self.end[k]);
+            // Positions are rounded to units, not lengths: the lengths add up to that of the ray.
             let exit = simd.wrapping_dyn_shr_u32s(exit, self.shift[k]);
             let inside = simd.sub_u32s(exit, self.entered[k]);
             *length = simd.select_u32s(going, inside, none);
@@ -254,6 +263,8 @@ impl<S: Simd, const K: usize> Walk<S, K> {
         let [x, y, z] = [self.wall[0][k], self.wall[1][k], self.wall[2][k]];
         let next_y = simd.select_u32s(along_y, simd.add_u32s(y, self.pace[1][k]), y);
         let next_z = simd.select_u32s(along_y, z, simd.add_u32s(z, self.pace[2][k]));
+        // Positions stay below 2^32: a wall that is crossed lies at the end or before, and a pace is at
+        // most the end + 1. Sums of rays that have arrived may wrap: their lengths are masked.
         self.wall[0][k] = simd.select_u32s(along_x, simd.add_u32s(x, self.pace[0][k]), x);
         self.wall[1][k] = simd.select_u32s(along_x, y, next_y);
         self.wall[2][k] = simd.select_u32s(along_x, z, next_z);

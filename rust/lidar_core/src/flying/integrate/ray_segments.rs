@@ -12,26 +12,26 @@ use crate::geometry::transform::norm;
 
 /// Rays side by side: two vectors of the widest unit, so that one works while the other waits.
 pub(crate) const LANES: usize = 32;
-/// Numbers of them along an axis.
+/// One coordinate per lane.
 pub(crate) type Numbers = [f64; LANES];
 
-/// Whole numbers of them.
+/// One whole number per lane.
 pub(crate) type Lanes = [u32; LANES];
-/// Numbers of the entries of a scan whose rays they are.
+/// Entry of the scan per lane.
 pub(crate) type Indices = [usize; LANES];
-/// What holds of some of them.
+/// One flag per lane.
 pub(crate) type Flags = [bool; LANES];
 
 /// A ray that is cast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Ray {
-    /// Its place in the scan.
+    /// Row of the ray in the scan.
     pub(crate) index: u32,
     /// Rays that it stands for.
     pub(crate) count: u32,
 }
 
-/// Where the rays of a scan lead.
+/// Source of the rays of a scan: points, directions, limits.
 #[derive(Clone, Copy)]
 pub(crate) struct Source<'a> {
     pub(crate) scan: &'a ClassifiedScan<'a>,
@@ -77,6 +77,7 @@ impl Source<'_> {
         let mut margin = [self.parameters.end_margin; LANES];
         self.aim_without_return(index, &mut along, &mut margin);
         if let Some(error) = self.scan.pose_error {
+            // -infinity marks a ray that clears up to `max_range`: it has no measured end.
             for (lane, margin) in margin.iter_mut().enumerate().filter(|(_, m)| m.is_finite()) {
                 *margin += error.end_margin(along.map(|axis| axis[lane]));
             }
@@ -98,7 +99,7 @@ impl Source<'_> {
         points
     }
 
-    /// Where the rays of a bundle start.
+    /// Start points of a bundle of rays.
     #[inline(always)]
     fn starts(&self, index: &Indices) -> [Numbers; 3] {
         let mut start = [[0.0; LANES]; 3];
@@ -122,6 +123,7 @@ impl Source<'_> {
             return;
         };
         let flags = index.map(|index| flags[index]);
+        // Most bundles hold returns only.
         if !flags.contains(&true) {
             return;
         }
@@ -152,6 +154,8 @@ impl Source<'_> {
         for lane in 0..LANES {
             let distance = (x[lane] * x[lane] + y[lane] * y[lane] + z[lane] * z[lane]).sqrt();
             let reach = (distance - margin[lane]).max(0.0).min(range);
+            // A ray that is not shortened keeps its point to the bit: rounding must not move it to another
+            // voxel. That includes length 0, for which `ahead` is NaN.
             let is_whole = reach >= distance && margin[lane] >= 0.0;
             for axis in 0..3 {
                 let ahead = start[axis][lane] + reach / distance * along[axis][lane];
@@ -190,6 +194,7 @@ impl Bounds {
                 let (a, b, is_ray) = (start[axis][lane], end[axis][lane], is_ray[lane]);
                 self.odd[lane] |= is_ray & !(a.is_finite() & b.is_finite());
                 let (low, high) = (self.low[axis][lane], self.high[axis][lane]);
+                // One instruction each, unlike `f64::min`, which has to look for NaN; `odd` catches those.
                 let (least, most) = (least(a, b), -least(-a, -b));
                 self.low[axis][lane] = if is_ray & (least < low) { least } else { low };
                 self.high[axis][lane] = if is_ray & (most > high) { most } else { high };
@@ -210,7 +215,7 @@ impl Bounds {
 }
 
 impl Segments {
-    /// The same in units of voxels.
+    /// Segments in units of voxels.
     #[inline(always)]
     pub(crate) fn scaled(&self, lattice: &Lattice) -> Self {
         Self { start: scaled(&self.start, lattice), end: scaled(&self.end, lattice) }
@@ -233,13 +238,14 @@ pub(crate) fn places(points: &[Numbers; 3], window: &Window) -> Lanes {
     for (axis, points) in points.iter().enumerate() {
         let first = f64::from(window.first(axis));
         for lane in 0..LANES {
+            // Both are whole numbers below 2^32: their difference is exact.
             places[lane] |= window.bits_at(axis, whole(points[lane].floor() - first));
         }
     }
     places
 }
 
-/// The lesser one, as the vector unit has it.
+/// Lesser number; `b` if one is NaN, like the instruction of the vector unit.
 #[inline(always)]
 pub(crate) fn least(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }

@@ -15,7 +15,7 @@ pub(crate) struct Beyond {
     pub(super) opened: Vec<(Place, u32)>,
     /// The last block that was asked for: points side by side share it.
     last: Option<(Place, u32)>,
-    /// Of every slot a bit for each row that holds marks, and where these rows lie.
+    /// Per slot, a bit for each row that holds marks; then the index of each such row.
     met: Vec<u64>,
     places: Vec<[u32; VOLUME / EDGE as usize]>,
     rows: Vec<MarkRow>,
@@ -38,6 +38,7 @@ impl Beyond {
         let next = self.opened.len();
         match self.slots.get(&place) {
             Some(&slot) => Some(slot),
+            // One slot more than `most` is opened, so that `check` sees the excess.
             None if next > most => None, // the accumulator's `check` says so
             None => {
                 self.slots.insert(place, next as u32);
@@ -55,6 +56,7 @@ impl Beyond {
         let (row, at) = (offset / EDGE as usize, offset % EDGE as usize);
         if self.met[slot] >> row & 1 == 0 {
             self.met[slot] |= 1 << row;
+            // A stray return costs a row of 32 bytes, not a block of 2 KiB.
             self.places[slot][row] = self.rows.len() as u32;
             self.rows.push(MarkRow::default());
         }
@@ -67,9 +69,10 @@ impl Beyond {
         self.rows.as_flattened_mut()
     }
 
-    /// Put the rows of a block where they lie in a whole one. A bit for each.
+    /// Copy the rows of a block to their places in a whole one. Returns a bit for each.
     pub(crate) fn copy(&self, slot: usize, block: &mut [Mark; VOLUME]) -> u64 {
         let rows: &mut [MarkRow] = block.as_chunks_mut().0;
+        // The other rows keep the marks of another block: readers look at rows in the mask only.
         for row in rows_of(self.met[slot]) {
             rows[row] = self.rows[self.places[slot][row] as usize];
         }

@@ -1,4 +1,4 @@
-//! What the marks of a scan do to the values of a block.
+//! Update of the values of a block by the marks of a scan.
 //!
 //! Source: Vrba et al., eqs 9 and 12.
 
@@ -13,7 +13,7 @@ use pulp::{Arch, Simd, WithSimd};
 /// Voxels that are updated at a time: those of a row of x.
 const ROW: usize = EDGE as usize;
 
-/// What a mark does to a value.
+/// Update rule from a mark to a value.
 #[derive(Clone, Copy)]
 pub(crate) struct Rule {
     levels: Levels,
@@ -38,6 +38,7 @@ impl Rule {
             levels: map.levels(),
             initial: p.initial,
             g: [p.g_free, p.g_unk, p.g_occ],
+            // One factor for gain, unit and fixed point: one multiplication per voxel.
             per_unit: p.ray_gain * unit / UNITS_PER_EDGE,
             per_point: if weighted { 1.0 / f64::from(POINT_UNITS) } else { 1.0 },
             limits: map.limits,
@@ -66,9 +67,10 @@ impl Rule {
         })
     }
 
-    /// What a row becomes. Without branches, for all its voxels at a time.
+    /// Updated values of a row, computed without branches for all its voxels at a time.
     #[inline(always)]
     fn updated(&self, stored: &Row, marks: &MarkRow) -> Row {
+        // A class is a bit above `MAX_COUNT`: one OR finds any. Most rows hold rays only.
         let holds_points = marks.iter().fold(0, |all, mark| all | mark) > MAX_COUNT;
         let mut values = *stored;
         for (value, &mark) in values.iter_mut().zip(marks) {
@@ -81,6 +83,7 @@ impl Rule {
     /// A value that only rays can have changed.
     #[inline(always)]
     fn cleared(&self, stored: f32, mark: Mark) -> f32 {
+        // Computed for every voxel and selected at the end: a branch would split the vector loop.
         let keep = two_to_minus(f64::from(mark & MAX_COUNT) * self.per_unit);
         let value = filtered(self.known(stored), self.g[0], keep);
         if mark == 0 { stored } else { value }
@@ -118,6 +121,7 @@ impl WithSimd for Count<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> usize {
         let rows = self.marks.as_chunks().0;
+        // A counter per lane, so that no sum runs across lanes inside the loop; each counts 64 rows at most.
         let mut counts = [0u32; ROW];
         for row in rows_of(self.met) {
             let marks = self.rule.admitted(self.place, row * ROW, &rows[row]);
@@ -164,6 +168,7 @@ fn update_row(rule: &Rule, block: &mut Block, row: usize, marks: &MarkRow, chang
     }
     let values = rule.updated(stored, marks);
     let crosses = |at: usize| rule.levels.crosses(stored[at], values[at]);
+    // No bound is crossed: the bits of the block stay, and the row is stored as a whole.
     if !(0..ROW).fold(false, |any, at| any | crosses(at)) {
         *stored = values;
         return;

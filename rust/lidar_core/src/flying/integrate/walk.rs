@@ -17,7 +17,7 @@ use std::sync::{Mutex, PoisonError};
 /// Rays handed to a thread at a time.
 const RAYS_PER_CHUNK: usize = 1024;
 
-/// Most rays that one stands for: a chunk of such rays does not fill a mark.
+/// Largest number of rays that one stands for: a chunk of such rays cannot make a mark overflow.
 const MOST_MERGED: u32 = 64;
 
 /// Keep the first of all rays that end in the same voxel, to stand for the others too.
@@ -51,6 +51,7 @@ impl WithSimd for Merge<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let Self { accumulator, window, source, rays } = self;
+        // On one thread and in the order of the scan: which ray is kept does not depend on the threads.
         let mut kept = 0;
         for from in (0..rays.len()).step_by(LANES) {
             let to = rays.len().min(from + LANES);
@@ -63,6 +64,7 @@ impl WithSimd for Merge<'_> {
                 match (*mark as usize).checked_sub(1).and_then(|first| rays.get_mut(first)) {
                     Some(first) if first.count < MOST_MERGED => first.count += 1,
                     _ => {
+                        // `kept` is at most `at`: no ray is overwritten before it is read.
                         rays[kept] = ray;
                         kept += 1;
                         *mark = kept as u32;
@@ -92,6 +94,7 @@ pub(crate) fn cast_all(
             let count = rays.iter().map(|ray| ray.count as usize).sum();
             if room < count {
                 accumulator.settle();
+                // Settled marks are at most `MAX_COUNT`: so many more rays cannot overflow them.
                 room = RAYS_FROM_FULL;
             }
             room -= count;

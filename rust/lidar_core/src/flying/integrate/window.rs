@@ -54,6 +54,7 @@ impl Window {
         let bits = size.map(|edge| edge.next_power_of_two().trailing_zeros());
         let order = order_of(size, bits);
         let last = order[2];
+        // The last axis has no axis above its bits, so it needs no padding to a power of two.
         let len = size[last] << (bits.iter().sum::<u32>() - bits[last]);
         if len <= MAX_WINDOW {
             let (mut lowest, mut next) = ([0; 3], INSIDE);
@@ -76,7 +77,7 @@ impl Window {
         self.len
     }
 
-    /// Whether it lies in memory as a whole.
+    /// True if the marks of the whole window lie in memory.
     pub(crate) fn is_whole(&self) -> bool {
         self.len <= MAX_WHOLE
     }
@@ -97,10 +98,11 @@ impl Window {
     #[inline(always)]
     pub(super) fn bits_at(&self, axis: usize, after: u32) -> u32 {
         let (inside, block) = (after % EDGE as u32, after / EDGE as u32);
+        // An axis of one block may have its lowest bit at 32: the block is 0 then, whatever the shift.
         inside << (EDGE_BITS as usize * axis) | block.wrapping_shl(self.lowest[axis])
     }
 
-    /// Those of them that belong to an axis.
+    /// All bits of a place that belong to an axis.
     #[inline(always)]
     pub(super) fn bits_along(&self, axis: usize) -> u32 {
         let (inside, block) = ((EDGE as u32) - 1, (1u32 << self.bits[axis]) - 1);
@@ -112,6 +114,7 @@ impl Window {
     pub(super) fn place_of(&self, voxel: Voxel) -> Option<usize> {
         let mut after = [0; 3];
         for axis in 0..3 {
+            // One comparison for both sides: a voxel below the first wraps to a number beyond any size.
             after[axis] = voxel[axis].wrapping_sub(self.first(axis)).cast_unsigned();
             if after[axis] as usize >= self.size[axis] * EDGE as usize {
                 return None;

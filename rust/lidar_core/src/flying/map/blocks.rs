@@ -41,7 +41,7 @@ impl Block {
         Self { place, tentative: [0; 8], confident: [0; 8], held: 0, rows: Vec::new() }
     }
 
-    /// Bytes that it takes.
+    /// Bytes that the block takes.
     pub(crate) fn bytes(&self) -> usize {
         size_of::<Self>() + self.rows.capacity() * size_of::<Row>()
     }
@@ -82,6 +82,7 @@ impl Block {
         if old == held {
             return;
         }
+        // Exactly as many as needed: most blocks never hold all 64 rows.
         let mut all = Vec::with_capacity(held.count_ones() as usize);
         let mut known = self.rows.iter();
         for row in (0..64).filter(|row| held >> row & 1 == 1) {
@@ -94,6 +95,7 @@ impl Block {
     /// Rows that are held before this one.
     #[inline]
     fn before(&self, row: usize) -> usize {
+        // Rows lie packed in the order of their bits: the bits below count those before.
         (self.held & ((1 << row) - 1)).count_ones() as usize
     }
 }
@@ -105,6 +107,7 @@ pub(crate) struct Place(pub(crate) [i32; 3]);
 impl Place {
     #[inline]
     pub(crate) fn of(voxel: Voxel) -> Self {
+        // The arithmetic shift rounds down below 0 too, where a division would round up.
         Self(voxel.map(|index| index >> EDGE_BITS))
     }
 
@@ -120,6 +123,7 @@ impl Place {
 /// Place of a voxel inside its block.
 #[inline]
 pub(crate) fn offset_of(voxel: Voxel) -> usize {
+    // The lowest bits of two's complement are the place in the block for negative indices too.
     ((voxel[0] & 7) | (voxel[1] & 7) << EDGE_BITS | (voxel[2] & 7) << (2 * EDGE_BITS)) as usize
 }
 
@@ -141,6 +145,7 @@ pub(crate) fn assign(bits: &mut Bits, offset: usize, value: bool) {
 impl Hash for Place {
     fn hash<H: Hasher>(&self, state: &mut H) {
         let [x, y, z] = self.0.map(|index| u64::from(index.cast_unsigned()));
+        // A third of the word apart: near blocks, whose indices differ in low bits, get different keys.
         state.write_u64(x ^ y.rotate_left(21) ^ z.rotate_left(42));
     }
 }
@@ -223,6 +228,7 @@ impl Blocks {
     pub(crate) fn reserve(&mut self, missing: usize) -> Result<(), Error> {
         let wanted = self.pool.len() + missing;
         if wanted > self.max_blocks
+            // A plain `push` would end the process if the memory cannot be had.
             || self.pool.try_reserve(missing).is_err()
             || self.slots.try_reserve(missing).is_err()
         {
@@ -257,6 +263,7 @@ impl Blocks {
     /// Drop every block for which `keep` says false.
     pub(crate) fn retain(&mut self, mut keep: impl FnMut(Place) -> bool) {
         self.pool.retain(|block| block.as_ref().is_some_and(|block| keep(block.place)));
+        // Slots are positions in the pool: all behind a dropped block have changed.
         self.slots.clear();
         for (slot, block) in self.pool.iter().enumerate() {
             if let Some(block) = block {
@@ -282,6 +289,7 @@ impl<'a> Cursor<'a> {
         match self.last {
             Some((known, block)) if known == place => block,
             _ => {
+                // Missing blocks are remembered too: most of the air has none.
                 let block = self.blocks.get(place);
                 self.last = Some((place, block));
                 block

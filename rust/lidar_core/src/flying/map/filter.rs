@@ -26,7 +26,7 @@ impl Levels {
         !(old >= self.tentative && value > old)
     }
 
-    /// Whether one value is below a bound and the other is not. NaN, never observed, is below all.
+    /// True if one value is below a bound and the other is not. NaN, never observed, is below all.
     #[inline]
     pub(crate) fn crosses(self, old: f32, new: f32) -> bool {
         ((old >= self.tentative) != (new >= self.tentative))

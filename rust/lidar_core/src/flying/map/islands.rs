@@ -9,7 +9,7 @@ use crate::util::key_hasher::Spread;
 use std::collections::HashSet;
 use std::hash::BuildHasherDefault;
 
-/// What the searches know of the voxels of a block.
+/// Results of the searches for the voxels of a block.
 #[derive(Clone, Copy, Default)]
 struct Mark {
     /// Some search of this removal has met them.
@@ -24,7 +24,7 @@ pub(crate) struct Marks {
     marks: Vec<Mark>,
     /// Slots of which voxels are met.
     touched: Vec<u32>,
-    /// Of the group that is searched.
+    /// Members of the group that is searched.
     members: Vec<Layer>,
     /// Members of separate groups.
     pub(crate) separate: Vec<Layer>,
@@ -34,6 +34,7 @@ impl Marks {
     fn at(&mut self, slot: u32) -> &mut Mark {
         let mark = &mut self.marks[slot as usize];
         if mark.met.iter().all(|&bits| bits == 0) {
+            // No bit is set yet, so the slot is not listed: each is listed once.
             self.touched.push(slot);
         }
         mark
@@ -60,6 +61,7 @@ impl<'a> Lately<'a> {
     #[inline]
     fn find(&mut self, place: Place) -> Option<Found<'a>> {
         let [x, y, z] = place.0.map(|index| index as usize);
+        // Indexed by the low bits of the place: blocks near each other never displace one another.
         let known = &mut self.known[(z & 7) << 8 | (y & 15) << 4 | x & 15];
         if known.0 != place {
             let found = self.blocks.find(place);
@@ -77,7 +79,7 @@ pub(crate) struct Search<'a> {
     kept: &'a HashSet<Place, BuildHasherDefault<Spread>>,
     min_confident: usize,
     marks: Marks,
-    /// Whether what the last removal found counts.
+    /// True once anchors of the last removal count.
     trusts_last: bool,
     anchor: Option<Voxel>,
 }
@@ -103,7 +105,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// What the last removal found anchored counts from now on: all groups that lost voxels since
+    /// Count the anchors of the last removal from now on: all groups that lost voxels since
     /// then have been looked at.
     pub(super) fn trust_last(&mut self) {
         self.trusts_last = true;
@@ -118,6 +120,7 @@ impl<'a> Search<'a> {
     pub(crate) fn finish(mut self) -> Marks {
         let Marks { marks, touched, .. } = &mut self.marks;
         for slot in touched.drain(..) {
+            // `anchored` stays, for the next removal to rely on.
             marks[slot as usize].met = Bits::default();
         }
         self.marks
@@ -211,6 +214,7 @@ impl<'a> Search<'a> {
     /// Occupied voxels of a layer that no search has met, or whose group is known to be anchored.
     #[inline]
     fn open(&self, (slot, block): Found<'_>, z: usize) -> u64 {
+        // Anchored voxels are open although they were met: to reach one ends a search.
         block.tentative[z] & (!self.marks.marks[slot as usize].met[z] | self.anchored(slot, z))
     }
 
@@ -218,6 +222,7 @@ impl<'a> Search<'a> {
     #[inline]
     fn anchored(&self, slot: u32, z: usize) -> u64 {
         let Mark { met, anchored } = &self.marks.marks[slot as usize];
+        // Before that only what this removal has met: a group that lost voxels may have come apart.
         if self.trusts_last { anchored[z] } else { anchored[z] & met[z] }
     }
 
@@ -244,6 +249,7 @@ impl<'a> Search<'a> {
             let trusts_last = self.trusts_last;
             let mark = self.marks.at(slot);
             mark.met[z] |= bits;
+            // An older anchor is void until this search has found the group anchored again.
             mark.anchored[z] &= if trusts_last { u64::MAX } else { !bits };
             *confident += (bits & block.confident[z]).count_ones() as usize;
             members.push(Layer { bits, ..layer });

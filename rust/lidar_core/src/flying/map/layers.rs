@@ -22,7 +22,7 @@ impl Layer {
         Self { place: Place::of(voxel), z: offset as i32 >> 6, bits: 1 << (offset & 63) }
     }
 
-    /// Whether it is the same layer, whatever its voxels.
+    /// True if both are the same layer of the same block, whatever their voxels.
     #[inline]
     pub(crate) fn is_same(&self, other: &Self) -> bool {
         self.place == other.place && self.z == other.z
@@ -38,8 +38,9 @@ impl Layer {
         })
     }
 
-    /// From where to where its voxels reach along x, and along y.
+    /// First and last voxel along x, and along y.
     fn spans(&self) -> [[i32; 2]; 2] {
+        // All rows are ORed into one byte: its outer bits are the ends along x.
         let halves = self.bits | self.bits >> 32;
         let quarters = halves | halves >> 16;
         let columns = (quarters | quarters >> 8) as u8;
@@ -52,9 +53,9 @@ impl Layer {
 /// Neighbours of voxels: those whose centre is not too far away.
 #[derive(Clone, Debug)]
 pub(crate) struct Neighbours {
-    /// How far they are along one axis, in voxels.
+    /// Largest distance of a neighbour along one axis, in voxels.
     reach: i32,
-    /// The same in whole blocks, in voxels.
+    /// Reach rounded up to whole blocks, in voxels.
     margin: i32,
     /// For every distance along z: by the position of a voxel along y and x, relative to a corner
     /// `margin` below that of a block, its neighbours in a layer of that block.
@@ -72,6 +73,7 @@ impl Neighbours {
         require((0.0..=MOST).contains(&reach), "max_gap", "a distance of 0 to 64 voxels", got)?;
         let square = (reach * (1.0 + 1e-12)).powi(2); // 0.75 / 0.25 and the like stay inside
         let reach = square.sqrt().floor() as i32;
+        // Rounded up to whole blocks, since `of` looks masks up relative to other blocks.
         let margin = (reach + EDGE - 1) & !(EDGE - 1);
         let places = || -margin..EDGE + margin;
         let mut masks = Vec::new();
@@ -100,6 +102,7 @@ impl Neighbours {
                 false
             });
         }
+        // Several layers dilate into the same one: side by side they merge, and each voxel is pulled once.
         dilated.sort_unstable_by_key(|layer| (layer.place, layer.z));
         dilated.dedup_by(|next, layer| {
             let is_same = layer.is_same(next);
@@ -132,6 +135,7 @@ impl Neighbours {
     pub(crate) fn of(&self, layer: &Layer, step: [i32; 3], z: i32) -> u64 {
         let [dx, dy, dz] = step.map(|blocks| blocks << EDGE_BITS);
         let (width, steps) = (EDGE + 2 * self.margin, (z + dz - layer.z).abs());
+        // Seen from the other block the voxel lies at x - dx, y - dy; the margin makes both positive.
         let first = (steps * width + self.margin - dy) * width + self.margin - dx;
         let (mut bits, mut around) = (layer.bits, 0);
         while bits != 0 {

@@ -14,7 +14,7 @@ use std::path::Path;
 
 const MAGIC: &[u8; 4] = b"LCVM";
 const VERSION: u32 = 1;
-/// The same with a section of what is known of the robot.
+/// Version of files with a section for the robot itself.
 const VERSION_WITH_BODY: u32 = 2;
 /// Set in the byte of the ray unit where one ray is cast per end voxel.
 const ONE_PER_END: u8 = 4;
@@ -31,7 +31,7 @@ impl VoxelMap {
         self.save_with(path, &[])
     }
 
-    /// The same, with what is known of the robot.
+    /// Write the map to `path` together with the voxels of the robot itself.
     pub(crate) fn save_with(&self, path: &Path, bodies: &[SavedBody]) -> Result<(), Error> {
         if path.exists() {
             check_regular(path)?;
@@ -39,9 +39,12 @@ impl VoxelMap {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
         let folder = folder.unwrap_or_else(|| Path::new("."));
         let name = path.file_name().unwrap_or_default().to_string_lossy();
+        // In the same folder, since a rename is atomic within a file system only; with the process id,
+        // so that two processes do not write to one file.
         let temporary = folder.join(format!(".{name}.{}.tmp", std::process::id()));
         let written = write_synced(&temporary, &self.to_bytes_with(bodies))
             .and_then(|()| fs::rename(&temporary, path))
+            // The name is durable only once the folder is written too.
             .and_then(|()| File::open(folder)?.sync_all());
         if written.is_err() {
             let _ = fs::remove_file(&temporary); // the first error is the one to report
@@ -57,7 +60,7 @@ impl VoxelMap {
         Self::load_with(path, threads).map(|(map, _)| map)
     }
 
-    /// The same, and what is known of the robot.
+    /// Read a map together with the voxels of the robot itself.
     pub(crate) fn load_with(path: &Path, threads: usize) -> Result<(Self, Vec<SavedBody>), Error> {
         check_regular(path)?;
         let file = File::open(path)?;
@@ -70,6 +73,7 @@ impl VoxelMap {
             });
         }
         let mut bytes = Vec::new();
+        // The file may have grown since its size was read.
         file.take(MAX_BYTES).read_to_end(&mut bytes)?;
         Self::from_bytes_with(&bytes, threads)
     }
@@ -80,13 +84,14 @@ impl VoxelMap {
         self.to_bytes_with(&[])
     }
 
-    /// The same, with what is known of the robot.
+    /// The map as bytes together with the voxels of the robot itself.
     pub(super) fn to_bytes_with(&self, bodies: &[SavedBody]) -> Vec<u8> {
         let mut bytes = Vec::from(MAGIC);
         let version = if bodies.is_empty() { VERSION } else { VERSION_WITH_BODY };
         bytes.extend(version.to_le_bytes());
         write_parameters(self.parameters(), &mut bytes);
         let mut blocks: Vec<_> = self.blocks.iter().collect();
+        // The pool is in the order of arrival, which the bytes must not show.
         blocks.sort_unstable_by_key(|block| block.place);
         bytes.extend((blocks.len() as u64).to_le_bytes());
         for block in blocks {
@@ -108,7 +113,7 @@ impl VoxelMap {
         Self::from_bytes_with(bytes, threads).map(|(map, _)| map)
     }
 
-    /// The same, and what is known of the robot.
+    /// The reverse of [`VoxelMap::to_bytes_with`].
     pub(super) fn from_bytes_with(
         bytes: &[u8],
         threads: usize,
@@ -121,6 +126,7 @@ impl VoxelMap {
             ));
         }
         let version = u32::from_le_bytes(reader.take()?);
+        // Before the checksum, whose place another version may change.
         if !(VERSION..=VERSION_WITH_BODY).contains(&version) {
             let text = format!(
                 "expected version {VERSION} or {VERSION_WITH_BODY}, got {version}; update \
@@ -140,6 +146,7 @@ impl VoxelMap {
         let mut map = Self::new(parameters, threads)?;
         let count = u64::from_le_bytes(reader.take()?);
         let rest = reader.left() as u64;
+        // The count comes from the file: it must match the bytes before memory is taken for it.
         let needed = count.checked_mul(BLOCK_BYTES as u64);
         let fits = if version == VERSION { needed == Some(rest) } else { needed < Some(rest) };
         if needed.is_none() || !fits {
@@ -149,6 +156,7 @@ impl VoxelMap {
         for _ in 0..count {
             reader.block_into(&mut map)?;
         }
+        // The history of changes is not saved: the first removal looks at every group.
         map.changes.restart();
         let bodies = if version == VERSION { Vec::new() } else { read_bodies(&mut reader)? };
         Ok((map, bodies))
@@ -283,6 +291,7 @@ impl Reader<'_> {
         let Some(block) = map.blocks.at_mut(slot) else { return Ok(()) };
         let is_met = |row: &[f32]| row.iter().any(|value| !value.is_nan());
         let rows = values.chunks(EDGE as usize).map(is_met);
+        // All rows at once: one allocation, and none for rows that were never observed.
         block.hold(rows.rev().fold(0, |rows, is_met| rows << 1 | u64::from(is_met)));
         for (offset, &value) in values.iter().enumerate().filter(|(_, value)| !value.is_nan()) {
             levels.store(block, offset, value);

@@ -14,7 +14,7 @@ pub(crate) const SIZE: f64 = 0.2;
 /// Voxels along an edge of the cube around the sensor: 6.4 m to each side.
 pub(crate) const EDGE: usize = 64;
 
-/// What was found of the robot by one sensor.
+/// Voxels of the robot itself that one sensor found.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SavedBody {
     /// Name of the sensor.
@@ -25,7 +25,7 @@ pub struct SavedBody {
     pub voxels: Vec<u32>,
 }
 
-/// Append what is known of the robot.
+/// Append the voxels of the robot itself, per sensor.
 pub(super) fn write_bodies(bodies: &[SavedBody], bytes: &mut Vec<u8>) {
     let (size, edge) = (SIZE, EDGE as u32);
     bytes.extend(size.to_le_bytes());
@@ -65,12 +65,14 @@ pub(super) fn read_bodies(reader: &mut Reader<'_>) -> Result<Vec<SavedBody>, Err
     for _ in 0..count {
         let at = reader.at;
         let body = read_body(reader)?;
+        // Ascending order: no sensor comes twice, and equal robots give equal bytes.
         if bodies.last().is_some_and(|last| last.sensor >= body.sensor) {
             let text = format!("sensor {:?}: expected names in ascending order", body.sensor);
             return Err(format_error(at, &text));
         }
         bodies.push(body);
     }
+    // The checksum has been cut off: nothing may follow.
     if reader.left() > 0 {
         let text = format!("expected the end of the map, got {} more bytes", reader.left());
         return Err(format_error(reader.at, &text));
@@ -94,6 +96,7 @@ fn read_body(reader: &mut Reader<'_>) -> Result<SavedBody, Error> {
     };
     let at = reader.at;
     let count = reader.u32()? as usize;
+    // Compared with the bytes that are left before memory is taken for it.
     if count == 0 || reader.left() / 4 < count {
         let text = format!("expected 1 to {} voxels of the robot, got {count}", reader.left() / 4);
         return Err(format_error(at, &text));

@@ -32,7 +32,7 @@ pub(crate) struct Changes {
     anchor: Option<Voxel>,
     /// Memory that the searches use again.
     marks: Marks,
-    /// Those of the parameters of the last removal.
+    /// Neighbours for the parameters of the last removal.
     neighbours: Option<Neighbours>,
     /// Voxels whose groups are never separate: see [`VoxelMap::keep`].
     pub(crate) kept: HashSet<Place, BuildHasherDefault<Spread>>,
@@ -104,8 +104,9 @@ impl VoxelMap {
         Ok(self.pull_to_free(separate))
     }
 
-    /// The same, but nothing is removed before some group holds enough confident voxels: a young
-    /// background would be pulled down faster than a sparse sensor can build it up.
+    /// Like [`VoxelMap::remove_separate`], but removes nothing before some group holds enough
+    /// confident voxels: a young background would be pulled down faster than a sparse sensor can
+    /// build it up.
     ///
     /// # Errors
     /// As [`VoxelMap::remove_separate`].
@@ -117,6 +118,7 @@ impl VoxelMap {
         if self.has_background() {
             return Ok(self.pull_to_free(separate));
         }
+        // Nothing was pulled, so these groups must be found again.
         self.changes.restart();
         Ok(0)
     }
@@ -136,10 +138,13 @@ impl VoxelMap {
         let Changes { anchor, gained, lost, kept, .. } = &self.changes;
         let min_confident = separation.min_confident;
         let mut search = Search::new(&self.blocks, &neighbours, kept, min_confident, marks);
+        // The known background first: most other searches end where they reach it.
         search.look_around(anchor.map(Layer::of).as_slice());
         if looks_at_all {
             search.look_around(&self.occupied_layers());
         } else {
+            // Only groups that lost voxels can have come apart. Once they are searched, what was anchored
+            // before is anchored still, and searches from new voxels may end there.
             search.look_around(lost);
             search.trust_last();
             search.look_around(gained);
@@ -199,7 +204,7 @@ impl VoxelMap {
         }
     }
 
-    /// Whether some group of occupied voxels holds enough confident ones, as of the last
+    /// True if some group of occupied voxels holds enough confident ones, as of the last
     /// removal: without that, "separate" has no meaning.
     #[must_use]
     pub fn has_background(&self) -> bool {

@@ -45,9 +45,9 @@ pub struct MapParameters {
     pub origin: [f64; 3],
     /// G that background points pull a voxel to.
     pub g_occ: f32,
-    /// Same for unknown and flying points.
+    /// G that unknown and flying points pull a voxel to.
     pub g_unk: f32,
-    /// Same for rays.
+    /// G that rays pull a voxel to.
     pub g_free: f32,
     /// G of a voxel that has never been observed.
     pub initial: f32,
@@ -72,7 +72,7 @@ pub struct MapParameters {
 }
 
 impl MapParameters {
-    /// The same for coordinates relative to `origin` [m, world].
+    /// Parameters for coordinates relative to `origin` [m, world].
     #[must_use]
     pub fn relative_to(&self, origin: [f64; 3]) -> Self {
         let bounds = self.bounds.map(|corners| corners.map(|corner| minus(corner, origin)));
@@ -98,6 +98,7 @@ impl VoxelMap {
     /// # Errors
     /// [`Error::Parameter`] if a size is not positive or a bound is out of order.
     pub fn new(parameters: MapParameters, threads: usize) -> Result<Self, Error> {
+        // Coordinates are relative to `origin` already.
         let lattice = Lattice::new(parameters.voxel_size, [0.0; 3])?;
         check(&parameters)?;
         let limits = match parameters.bounds {
@@ -203,7 +204,7 @@ impl VoxelMap {
         self.parameters.thresholds[2]
     }
 
-    /// Whether the operating volume holds `voxel`.
+    /// True if the operating volume holds `voxel`.
     #[inline]
     pub(crate) fn admits(&self, voxel: Voxel) -> bool {
         self.limits.is_none_or(|[low, high]| {
@@ -244,11 +245,13 @@ impl VoxelMap {
     }
 
     fn change(&mut self, points: &[[f32; 3]], new: impl Fn(f32) -> f32) -> Result<(), Error> {
+        // All points first, so that an error changes nothing.
         let mut voxels = Vec::new();
         for &point in points {
             voxels.push(self.lattice.voxel_at(wide(point))?);
         }
         voxels.retain(|&voxel| self.admits(voxel));
+        // A voxel changes once, however many of the points it holds.
         voxels.sort_unstable();
         voxels.dedup();
         let mut places: Vec<Place> = voxels.iter().map(|&voxel| Place::of(voxel)).collect();
@@ -268,6 +271,7 @@ impl VoxelMap {
         let Some(block) = self.blocks.at_mut(slot) else { return };
         let offset = offset_of(voxel);
         let value = new(block.value(offset));
+        // Read before `store` changes it.
         let before = block.tentative[offset >> 6];
         if levels.store(block, offset, value) {
             self.changes.note(Layer::of(voxel), before);
@@ -281,12 +285,14 @@ impl VoxelMap {
     /// Forget what lies further than `distance` [m] from `center` (per axis, whole blocks).
     pub fn forget(&mut self, center: [f64; 3], distance: f64) {
         let lattice = self.lattice;
+        // No voxel of a block is more than 8 edges from any other: what lies within `distance` stays.
         let reach = distance + 8.0 * lattice.voxel_size();
         let before = self.blocks.len();
         self.blocks.retain(|place| {
             let middle = lattice.center(place.voxel(super::blocks::VOLUME / 2));
             (0..3).all(|axis| (middle[axis] - center[axis]).abs() <= reach)
         });
+        // Marks are kept by slot, and dropped blocks have moved the slots.
         if self.blocks.len() != before {
             self.changes.restart();
         }
@@ -305,6 +311,7 @@ fn check(p: &MapParameters) -> Result<(), Error> {
     let margin = p.end_margin;
     require(margin.is_finite() && margin >= 0.0, "end_margin", "finite and >= 0", margin)?;
     require(
+        // False if one is NaN.
         p.thresholds.is_sorted(),
         "thresholds",
         "uncertain <= tentative <= confident",

@@ -19,7 +19,7 @@ const VOLUME: usize = EDGE * EDGE * EDGE;
 const WORDS: usize = VOLUME / 64;
 /// Every part of the robot is joined to something as near as this [m].
 const NEAR_ZONE: f64 = 3.0;
-/// What goes on further than this is no robot [m].
+/// Largest extent of a robot: what reaches further is not one [m].
 const FARTHEST: f64 = 5.5;
 /// The sensor sees the world from another place after this way [m], or this turn [rad].
 const NEXT_PLACE: f64 = 0.2;
@@ -50,7 +50,7 @@ const STILL_SCANS: u32 = 50;
 const MANY_PLACES: u32 = 100;
 const RARER: f64 = 5.0;
 
-/// What is known of the robot.
+/// Voxels of the robot itself, as one sensor sees it.
 #[derive(Clone, Debug)]
 pub(crate) struct Body {
     /// Places from which each voxel held returns.
@@ -71,9 +71,9 @@ pub(crate) struct Body {
     mask: Vec<u64>,
     /// Voxels that may be of the robot, before the sensor has moved.
     maybe: Vec<u64>,
-    /// What is known comes from an earlier run, and no way of this one has confirmed it.
+    /// The voxels come from an earlier run, and no motion in this run has confirmed them yet.
     is_recalled: bool,
-    /// Turns of an earlier run have decided it.
+    /// Turns of the sensor in an earlier run have shown that the voxels are the robot.
     was_decided: bool,
     /// A bit per voxel that the scan has met.
     met: Vec<u64>,
@@ -104,35 +104,35 @@ impl Default for Body {
 }
 
 impl Body {
-    /// Whether a point in the sensor's frame is on the robot.
+    /// True if a point in the sensor's frame is on the robot.
     #[inline]
     pub(crate) fn contains(&self, point: [f64; 3]) -> bool {
         !self.mask.is_empty() && voxel_of(point).is_some_and(|voxel| has(&self.mask, voxel))
     }
 
-    /// Whether a return is on the robot: placeholders of drivers are no returns.
+    /// True if a return is on the robot: placeholders of drivers are no returns.
     #[inline]
     pub(crate) fn holds(&self, point: [f64; 3]) -> bool {
         self.contains(point) && norm(point) > LEAST_RANGE
     }
 
-    /// Whether a point may be on the robot, as long as the sensor has not moved.
+    /// True if a point may be on the robot, as long as the sensor has not moved.
     #[inline]
     pub(crate) fn may_contain(&self, point: [f64; 3]) -> bool {
         !self.maybe.is_empty() && voxel_of(point).is_some_and(|voxel| has(&self.maybe, voxel))
     }
 
-    /// Whether anything was found.
+    /// True if voxels of the robot were found.
     pub(crate) fn is_found(&self) -> bool {
         !self.mask.is_empty()
     }
 
-    /// Whether anything may be found, as long as the sensor has not moved.
+    /// True if voxels of the robot may be found, as long as the sensor has not moved.
     pub(crate) fn may_be_found(&self) -> bool {
         !self.maybe.is_empty()
     }
 
-    /// Whether turns have shown that what was found belongs to the robot.
+    /// True if turns have shown that what was found belongs to the robot.
     pub(crate) fn is_decided(&self) -> bool {
         (self.is_turned || self.was_decided) && self.is_found()
     }
@@ -228,7 +228,7 @@ impl Body {
         self.maybe = Vec::new();
     }
 
-    /// Whether the sensor has moved far enough to tell the robot from the world.
+    /// True if the sensor has moved far enough to tell the robot from the world.
     fn may_tell(&self) -> bool {
         self.n_places >= ENOUGH_PLACES && self.way >= ENOUGH_WAY
     }

@@ -1,4 +1,4 @@
-//! Where the sensor was at every point of a scan.
+//! Pose of the sensor at every point of a scan.
 
 use super::raw_scan::RawScan;
 use crate::Error;
@@ -8,7 +8,7 @@ use crate::geometry::transform::Transform;
 /// Pose of every row in the frame of the map.
 #[derive(Default)]
 pub(crate) struct Poses {
-    /// Those of the rows, unless all rows share `middle`.
+    /// Poses of the rows, unless all rows share `middle`.
     rows: PointPoses,
     differ: bool,
     /// Half way through the scan.
@@ -39,7 +39,7 @@ impl Poses {
         Ok(())
     }
 
-    /// Those of all rows, if they differ.
+    /// Poses of all rows, if they differ.
     pub(super) fn of_rows(&self) -> Option<impl Iterator<Item = &Transform>> {
         self.differ.then(|| (0..self.rows.points()).map(|row| self.rows.at(row)))
     }

@@ -26,12 +26,12 @@ pub(crate) struct Prepared {
     pub(crate) rows: usize,
     /// Coordinates [m]; NaN where there is nothing to classify.
     pub(crate) points: Vec<[f32; 3]>,
-    /// Where every ray starts [m]; None if all start at `pose`.
+    /// Start point of every ray [m]; None if all start at `pose`.
     pub(crate) origins: Option<Vec<[f64; 3]>>,
     pub(crate) directions: Option<Vec<[f32; 3]>>,
     pub(crate) no_return: Vec<bool>,
     pub(crate) no_ray: Option<Vec<bool>>,
-    /// How far rays without return clear [m].
+    /// Length that rays without return clear [m].
     pub(crate) reach: Option<Vec<f32>>,
     /// Time of every point after the stamp [s].
     pub(crate) delays: Option<Vec<f32>>,
@@ -42,17 +42,17 @@ pub(crate) struct Prepared {
     pub(crate) unknown: Vec<u8>,
     /// Rows whose points may be on the robot; none if no row is.
     pub(crate) maybe_own: Vec<bool>,
-    /// How rays without return are known, and the share of all rays that go into the sky.
+    /// Source of the rays without return, and the share of all rays that go into the sky.
     pub(crate) sky: SkySource,
     pub(crate) sky_share: f64,
-    /// What reaches below this height is on the ground, frame of the map [m].
+    /// Objects that reach below this height are on the ground, frame of the map [m].
     pub(crate) ground: f64,
-    /// What is flat and reaches below this height is, too, even if the lowest returns need not be
-    /// those of the ground [m].
+    /// Flat objects that reach below this height are on the ground too, even if the lowest returns
+    /// need not be those of the ground [m].
     pub(crate) low: f64,
     /// Height of flat ground, if it is seen, frame of the map [m].
     pub(crate) floor: Option<f64>,
-    /// What the scan shows of the sky, if that had to be looked for.
+    /// Sky that the scan shows, if it had to be looked for.
     pub(crate) look: Option<Box<Look>>,
     poses: Poses,
 }
@@ -168,7 +168,7 @@ impl Prepared {
         }
     }
 
-    /// Where the ray `row` starts [m].
+    /// Start point of the ray `row` [m].
     #[inline]
     pub(crate) fn origin(&self, row: usize) -> [f64; 3] {
         self.origins.as_ref().map_or(self.pose.translation, |origins| origins[row])

@@ -7,7 +7,7 @@ pub struct RawScan<'a> {
     pub sensor: &'a str,
     /// Start of the scan [ns].
     pub stamp_ns: i64,
-    /// Whether the rays come in the same order in every scan.
+    /// True if the rays come in the same order in every scan.
     pub organised: bool,
     /// Coordinates [m]; not finite where there is no information.
     pub points: &'a [[f32; 3]],
@@ -26,7 +26,7 @@ pub struct RawScan<'a> {
 }
 
 impl RawScan<'_> {
-    /// Whether a row tells anything; drivers leave the times of others at 0.
+    /// True if a row holds information; drivers leave the times of others at 0.
     pub(crate) fn is_informative(&self, row: usize) -> bool {
         self.no_return.is_some_and(|flags| flags[row])
             || self.points[row].iter().all(|value| value.is_finite())

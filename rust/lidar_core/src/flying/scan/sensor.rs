@@ -1,4 +1,4 @@
-//! What the detector remembers of each of its LiDARs: last stamp, own body, rays.
+//! Memory of the detector per LiDAR: last stamp, own body, rays.
 
 use super::body::Body;
 use crate::Error;
@@ -25,12 +25,12 @@ pub struct SensorParameters {
     pub self_mask: Option<Vec<bool>>,
     /// In so many first scans the directions towards the robot are learnt; 0 learns none.
     pub learn_mask_scans: u32,
-    /// Where returns keep coming from nearer than this, there is the robot: such returns, and rays
-    /// without return in these directions, are not used [m].
+    /// Directions in which returns keep coming from nearer than this show the robot: such returns, and
+    /// rays without return in these directions, are not used [m].
     pub learn_mask_range: f64,
     /// Masks apply only to rays without return; otherwise to all.
     pub mask_empty_only: bool,
-    /// How rays without return are known.
+    /// Source of the rays without return.
     pub beams: Beams,
     /// Rays of sensors that are known by name: those that an error proposes.
     pub known_sensors: Vec<(String, RayPattern)>,
@@ -89,7 +89,7 @@ impl Sensor {
         }
     }
 
-    /// Whether the return `point` (row `row`) is on the robot itself or too near.
+    /// True if the return `point` (row `row`) is on the robot itself or too near.
     pub(crate) fn is_own(&self, row: usize, point: [f64; 3]) -> bool {
         let p = &self.parameters;
         let range = norm(point);
@@ -107,19 +107,19 @@ impl Sensor {
             || (!p.mask_empty_only && self.is_named(row, point))
     }
 
-    /// Whether the ray of row `row` towards `direction` meets the robot itself.
+    /// True if the ray of row `row` towards `direction` meets the robot itself.
     pub(crate) fn is_masked(&self, row: usize, direction: [f64; 3]) -> bool {
         self.is_learnt(direction) || self.is_named(row, direction)
     }
 
-    /// Whether the configuration says that this ray meets the robot.
+    /// True if the configuration says that this ray meets the robot.
     fn is_named(&self, row: usize, direction: [f64; 3]) -> bool {
         let p = &self.parameters;
         p.self_mask.as_ref().is_some_and(|mask| mask.get(row) == Some(&true))
             || p.blind_sectors.iter().any(|sector| is_inside(sector, direction))
     }
 
-    /// Whether at least a fifth of the learning scans had a near return in this direction.
+    /// True if at least a fifth of the learning scans had a near return in this direction.
     fn is_learnt(&self, direction: [f64; 3]) -> bool {
         self.learnt_scans >= self.parameters.learn_mask_scans
             && !self.near_counts.is_empty()
@@ -141,7 +141,7 @@ impl Sensor {
         sky.is_known_at(moment.stamp_ns) && look.has_returns()
     }
 
-    /// How the rays without return of a scan are known, if they are found and not given.
+    /// Source of the rays without return of a scan, if they are found and not given.
     pub(crate) fn sky_source(&self, stamp_ns: i64) -> SkySource {
         match &self.sky {
             Some(sky) if !sky.is_known_at(stamp_ns) => SkySource::Unknown,

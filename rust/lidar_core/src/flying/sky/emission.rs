@@ -1,6 +1,6 @@
-//! Where a sensor casts its rays: rays per solid angle and scan, by direction in the sensor's frame.
+//! Ray pattern of a sensor: rays per solid angle and scan, by direction in the sensor's frame.
 //!
-//! What is never seen to return is not known to be looked at, but sensors are symmetric: one that
+//! Directions without any return may lie outside the field of view, but sensors are symmetric: one that
 //! turns casts as many rays at every azimuth, and one with a fixed field of view as many on the left
 //! as on the right, above as below. So the part of the field of view that returns tells of the rest.
 
@@ -54,14 +54,14 @@ enum Density {
     /// Nothing is known yet.
     #[default]
     Unknown,
-    /// By band of elevation.
+    /// Density by band of elevation, for turning sensors.
     Turning(Vec<f64>),
-    /// By cell.
+    /// Density by cell, for sensors with a fixed field of view.
     Fixed(Vec<f64>),
 }
 
 impl Emission {
-    /// That of a known sensor, or one to be learnt.
+    /// Emission of a known sensor, or one to be learnt.
     pub(super) fn of(rays: Option<&RayPattern>) -> Self {
         Self {
             counts: vec![0; CELLS],
@@ -175,7 +175,7 @@ fn of_mirrored_cells(counts: &[u64], scans: u32) -> Vec<f64> {
     cells
 }
 
-/// What a scan shows of the rows of a sensor: enough to tell whether a known one fits.
+/// Elevations of the returns of a scan, to test whether a known ray pattern fits.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Elevations {
     /// Elevation of the returns that are far enough to be sharp [rad].
@@ -212,12 +212,12 @@ impl Elevations {
         all
     }
 
-    /// Whether there are enough returns to tell a sensor by.
+    /// True if there are enough returns to recognise a sensor.
     pub(super) fn tell_enough(&self) -> bool {
         self.values.len() >= ENOUGH_RETURNS
     }
 
-    /// Whether the returns show rows: nine of ten lie in a fifth of the bins between the lowest and
+    /// True if the returns show rows: nine of ten lie in a fifth of the bins between the lowest and
     /// the highest.
     pub(super) fn are_rows(&self) -> bool {
         let mut bins = vec![0usize; (PI / BIN) as usize + 2];
@@ -245,7 +245,7 @@ impl Elevations {
         Some(strays as f64 / self.values.len() as f64)
     }
 
-    /// Whether `rays` cannot have given a scan; false if it has too few returns to tell.
+    /// True if `rays` cannot have given the scan; false if it has too few returns to decide.
     pub(super) fn contradict(&self, rays: &RayPattern) -> bool {
         let beyond = self.against(rays).is_some_and(|share| share > STRAY_SHARE);
         beyond || (self.values.len() >= ENOUGH_RETURNS && self.are_rows() && self.miss_rows(rays))
@@ -265,7 +265,7 @@ impl Elevations {
             || self.azimuths[index].abs() > azimuth + BEYOND
     }
 
-    /// Whether most returns lie between the rows, or many rows between those that return anything.
+    /// True if most returns lie between the rows, or many rows between those that return anything.
     fn miss_rows(&self, rays: &RayPattern) -> bool {
         let RayPattern::Rows { elevations, .. } = rays else { return false };
         let gap = |pair: &[f64]| pair[1] - pair[0];

@@ -10,7 +10,7 @@ const LAYER: f64 = 0.1;
 /// The floor lies this far below the sensor at least [m]: the rows beside the horizon look like
 /// layers, too.
 const LEAST_DEPTH: f64 = 0.5;
-/// It lies no deeper than this [m].
+/// The floor lies at most this far below the sensor [m].
 const MOST_DEPTH: f64 = 100.0;
 /// Two layers with less than this share of all returns are no floor.
 const LEAST_SHARE: f64 = 0.1;
@@ -18,7 +18,7 @@ const LEAST_SHARE: f64 = 0.1;
 const CONTRAST: u32 = 3;
 /// Fewer returns may be of one thing.
 const ENOUGH: u32 = 50;
-/// Its far part is so many times further away than its near one.
+/// Least ratio of the distances of the floor's far and near parts.
 const RATIO: f64 = 1.8;
 
 /// Finds the floor; keeps its memory for the next scan.

@@ -25,7 +25,7 @@ const TRIED: usize = 24;
 /// Places of a coordinate in a table, so that no arc tangent is needed per point.
 const TABLE: usize = 1024;
 
-/// What is known of every cell, once for all sensors.
+/// Fixed geometry of every cell, shared by all sensors.
 pub(crate) static GRID: LazyLock<Grid> = LazyLock::new(Grid::new);
 
 /// The cells.
@@ -41,7 +41,7 @@ pub(crate) struct Grid {
     /// Middles of the parts of every cell, row by row: unit vectors.
     pub(crate) parts: Vec<[f32; 3]>,
     neighbours: Vec<u16>,
-    /// Where the neighbours of each cell end.
+    /// End of the neighbours of each cell.
     ends: Vec<u32>,
     /// Coordinates on a face at which cells begin.
     bounds: [f64; EDGE + 1],

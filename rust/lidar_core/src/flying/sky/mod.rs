@@ -37,15 +37,15 @@ const SAME_PLACE: f64 = 0.5;
 /// A direction that is not sky.
 const NEVER: i64 = i64::MAX;
 
-/// What is known of the rays of a sensor.
+/// Source of the directions of rays without return.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Beams {
     /// Rays without return are given, or not known.
     #[default]
     Given,
-    /// They are found from the returns.
+    /// Rays without return are found from the returns.
     Learnt,
-    /// They are found from the returns and the rays of a known sensor.
+    /// Rays without return are found from the returns and the rays of a known sensor.
     Known(RayPattern),
 }
 
@@ -55,7 +55,7 @@ pub(crate) struct Sky {
     emission: Emission,
     /// The rays that the configuration states.
     known: Option<RayPattern>,
-    /// Whether the returns lie in rows.
+    /// True if the returns lie in rows.
     has_rows: bool,
     /// Rays that were cast into every cell since its last return.
     evidence: Vec<f32>,
@@ -132,14 +132,14 @@ impl Sky {
         })
     }
 
-    /// Whether it is known where rays are cast, for a scan of this time. A few scans may miss a part
+    /// True if the directions of rays are known for a scan of this time. A few scans may miss a part
     /// of the field of view, unless they are far apart: slow sensors look longer.
     pub(crate) fn is_known_at(&self, stamp_ns: i64) -> bool {
         let seconds = self.first_ns.map_or(0, |first| stamp_ns.saturating_sub(first));
         self.known.is_some() || self.scans >= ENOUGH_SCANS || seconds >= ENOUGH_NS
     }
 
-    /// Whether the rays lie in rows.
+    /// True if the rays lie in rows.
     pub(crate) fn has_rows(&self) -> bool {
         match &self.known {
             Some(rays) => matches!(rays, RayPattern::Rows { .. }),
@@ -172,7 +172,7 @@ impl Sky {
         self.last_ns = None;
     }
 
-    /// Whether what was seen from the last place is still seen from `place`.
+    /// True if what was seen from the last place is still seen from `place`.
     fn sees_the_same_from(&self, place: [f64; 3]) -> bool {
         norm(minus(place, self.place)) <= SAME_PLACE
     }

@@ -1,4 +1,4 @@
-//! How far a ray goes through the map before it meets what returns have shown.
+//! Free length of a ray through the map, up to the first voxel that returns have shown.
 
 use crate::flying::map::blocks::Cursor;
 use crate::flying::map::voxel_map::VoxelMap;
@@ -16,7 +16,7 @@ impl<'a> Way<'a> {
         Self { map, cursor: Cursor::new(&map.blocks), origin }
     }
 
-    /// How far the way is free of voxels that are at least tentatively occupied, up to `reach` [m].
+    /// Length free of voxels that are at least tentatively occupied, up to `reach` [m].
     pub(super) fn free(&mut self, direction: [f64; 3], reach: f64) -> f64 {
         let size = self.map.lattice().voxel_size();
         let steps = (2.0 * reach / size) as usize;

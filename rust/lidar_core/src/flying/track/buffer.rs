@@ -84,12 +84,12 @@ impl Buffer {
         Ok(cloud)
     }
 
-    /// Whether a cloud of this stamp is there.
+    /// True if a cloud of this stamp is in the buffer.
     pub(super) fn has(&self, stamp_ns: i64) -> bool {
         self.clouds.iter().any(|cloud| cloud.stamp_ns == stamp_ns)
     }
 
-    /// Whether a cloud of this stamp is older than one that was processed.
+    /// True if a cloud of this stamp is older than one that was processed.
     ///
     /// # Errors
     /// [`Error::Time`] for a stamp that is there already, or older than a full buffer.

@@ -14,7 +14,7 @@ pub(super) struct Measurement {
     /// Time of the measurement after the state's [s]: a scan takes a while.
     pub(super) delay: f64,
     pub(super) extent: [f64; 3],
-    /// Whether a part of the target may be hidden.
+    /// True if a part of the target may be hidden.
     pub(super) is_cut: bool,
     /// Row of one of its points in the cloud.
     pub(super) row: Option<u32>,

@@ -26,7 +26,7 @@ pub struct Detections<'a> {
     pub extent: Option<&'a [[f64; 3]]>,
     /// When each position was measured, after the stamp [s].
     pub delay: Option<&'a [f64]>,
-    /// How sure each is, 0 to 1; without it all are.
+    /// Confidence of each detection, 0 to 1; without it all are certain.
     pub confidence: Option<&'a [f64]>,
 }
 
@@ -278,7 +278,7 @@ impl Updater {
         matches
     }
 
-    /// Whether the hypothesis is the target of a track once more: a rolling scan may meet a target
+    /// True if the hypothesis is the target of a track once more: a rolling scan may meet a target
     /// at its start and again at its end, partly at least. No further away than a gap inside a
     /// cluster.
     fn is_seen_twice(&self, hypothesis: &TrackState, tracks: &[TrackState]) -> bool {

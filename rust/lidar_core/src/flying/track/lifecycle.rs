@@ -51,7 +51,7 @@ pub(super) fn confirm(
     confirmed
 }
 
-/// Whether enough sets of detections speak for a track.
+/// True if enough sets of detections support a track.
 fn is_certain(track: &TrackState, confirmation: &Confirmation) -> bool {
     let enough = |sets: u64, hits: u32, window: u32| last(sets, window).count_ones() >= hits;
     let Confirmation { hits, window, doubt } = *confirmation;
@@ -110,7 +110,7 @@ pub(super) fn merge(tracks: &mut Vec<TrackState>, merging: &Merging) -> Vec<[i64
     merged
 }
 
-/// Whether any two tracks are of one target.
+/// True if any two tracks follow the same target.
 fn has_twins(tracks: &[TrackState], merging: &Merging) -> bool {
     let sorted = AlongX::of(tracks.iter().map(TrackState::position));
     tracks.iter().enumerate().any(|(one, track)| {
@@ -139,7 +139,7 @@ fn recent(track: &TrackState, parameters: &TrackerParameters) -> u64 {
     last(track.history, parameters.confirmation.window)
 }
 
-/// Of sets of detections the newest `window`.
+/// The newest `window` of the sets of detections.
 fn last(sets: u64, window: u32) -> u64 {
     sets & (u64::MAX >> (u64::BITS - window))
 }

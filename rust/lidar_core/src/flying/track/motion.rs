@@ -91,8 +91,8 @@ fn transition(dt: f64, motion: &Motion) -> Matrix9 {
     A
 }
 
-/// What a unit of acceleration that fades with time constant `time` makes of position, velocity
-/// and acceleration after `dt` seconds.
+/// Position, velocity and acceleration after `dt` seconds that follow from a unit of acceleration
+/// that fades with time constant `time`.
 fn faded(dt: f64, time: f64) -> [f64; 3] {
     let x = dt / time;
     let lost = -libm::expm1(-x); // 1 - exp(-x)
@@ -142,8 +142,8 @@ fn wandering_noise(dt: f64) -> [f64; 6] {
     [t3 * t2 / 20.0, t2 * t2 / 8.0, t3 / 6.0, t3 / 3.0, t2 / 2.0, dt]
 }
 
-/// The same where the acceleration fades with time constant `time`: Singer's closed form, or, where
-/// that would cancel, the integral by five Gauss-Legendre nodes.
+/// Like [`wandering_noise`], but the acceleration fades with time constant `time`: Singer's closed
+/// form, or, where that would cancel, the integral by five Gauss-Legendre nodes.
 fn faded_noise(dt: f64, time: f64) -> [f64; 6] {
     let x = dt / time;
     if x < CANCELS {

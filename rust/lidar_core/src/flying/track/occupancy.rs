@@ -1,16 +1,16 @@
-//! What the tracker asks of the map and of the scan.
+//! Queries of the tracker to the map and to the scan.
 
 use crate::flying::detect::center::Center;
 
 /// Voxels that are at least tentatively occupied: the set O of Algorithm 2.
 pub trait Occupancy: Sync {
-    /// Whether a centre of such a voxel lies within `distance` [m] of `point` [m], borders included.
+    /// True if a centre of such a voxel lies within `distance` [m] of `point` [m], borders included.
     fn any_within(&self, point: [f64; 3], distance: f64) -> bool;
 }
 
-/// What a scan could see.
+/// Visibility of targets in a scan.
 pub trait Visibility: Sync {
-    /// Whether a target in the ball around `position` [m] should have given returns: it is in the
+    /// True if a target in the ball around `position` [m] should have given returns: it is in the
     /// field of view and within range, and nothing hides it.
     fn expected(&self, position: [f64; 3], radius: f64) -> bool;
 

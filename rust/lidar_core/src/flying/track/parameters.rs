@@ -31,7 +31,7 @@ pub struct Radius {
     pub max: f64,
 }
 
-/// How the uncertainty of the motion grows.
+/// Form of the process noise of the motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoiseForm {
     /// Eq. 31: the same covariance at every step, however long.
@@ -43,17 +43,17 @@ pub enum NoiseForm {
 /// Motion of a target: a point mass with noise on position, velocity and acceleration, per axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
-    /// The acceleration fades with this time constant [s]; None, as in eq. 27: it stays.
+    /// Time constant with which the acceleration fades [s]; None, as in eq. 27: it stays.
     pub acceleration_time: Option<f64>,
-    /// The same while a track goes on unseen [s]; None: no other.
+    /// Time constant of the acceleration while a track is not seen [s]; None: `acceleration_time`.
     pub unseen_time: Option<f64>,
-    /// What the numbers mean.
+    /// Meaning of the numbers in `std`.
     pub form: NoiseForm,
     /// Standard deviations: per step [m, m/s, m/s^2], or as roots of densities [the same / sqrt(s)].
     pub std: [f64; 3],
 }
 
-/// Where a cluster says its target is, and how well.
+/// Position that a cluster measures, and its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MeasurementForm {
     /// The centroid, with Z^2 I, sec. III-F1, at the stamp of the scan.
@@ -75,7 +75,7 @@ pub struct Hiding {
     pub time: f64,
 }
 
-/// How tracks find their clusters, and detections their tracks.
+/// Association of tracks with clusters and of detections with tracks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Association {
     /// Algorithm 2: every track takes the nearest centroid, every detection the nearest track.
@@ -108,9 +108,9 @@ pub struct Doubt {
     pub confidence: f64,
     /// A track this far from where it began has moved, with two standard deviations on top [m].
     pub distance: f64,
-    /// But only while the newest cloud shows that nothing is this near to where it began [m].
+    /// A moved track counts only while the newest cloud shows nothing this near to its start [m].
     pub cleared: f64,
-    /// So many sets confirm a track in any case, of the last `window`.
+    /// This many of the last `window` sets confirm a track in any case.
     pub hits: u32,
     /// Sets looked back on for that, `hits` to [`MAX_WINDOW`].
     pub window: u32,
@@ -184,7 +184,7 @@ pub struct TrackerParameters {
     pub measurement: MeasurementForm,
     /// Z: standard deviation of a centroid, and of a detection beside its own covariance [m].
     pub measurement_std: f64,
-    /// What is missing of a hidden side makes the cluster's position uncertain; None: it does not.
+    /// Uncertainty that a hidden side adds to the position of a cluster; None: it adds none.
     pub hiding: Option<Hiding>,
     /// Association.
     pub association: Association,

@@ -5,7 +5,7 @@ use super::update::Seeker;
 use crate::estimation::kalman;
 use nalgebra::Vector3;
 
-/// What makes a cluster one of several targets.
+/// Parameters that split a cluster into several targets.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Division {
     /// A track this near to a point of a cluster may own a part of it; tracks no further apart

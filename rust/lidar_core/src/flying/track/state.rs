@@ -18,22 +18,22 @@ pub(super) struct TrackState {
     pub(super) aged: Matrix9,
     pub(super) stamp_ns: i64,
     pub(super) born_ns: i64,
-    /// Where its first detection was.
+    /// Position of the first detection.
     pub(super) born_at: Vector3<f64>,
     /// When that was measured, after `born_ns` [s].
     pub(super) delay: f64,
     /// Time of the last measurement.
     pub(super) seen_ns: i64,
     pub(super) extent: [f64; 3],
-    /// Its usual extent: an average over time [m].
+    /// Usual extent of the target: an average over time [m].
     pub(super) size: [f64; 3],
     pub(super) n_detections: u32,
     /// The last sets of detections, newest in the lowest bit: 1 where the track was in it.
     pub(super) history: u64,
-    /// The same for those of them that were sure.
+    /// The last sets of detections, as in `history`: 1 where the detection of the track was sure.
     pub(super) sure: u64,
     pub(super) confirmed: bool,
-    /// Whether the newest cloud shows that nothing is left where it began.
+    /// True if the newest cloud shows that nothing is left where it began.
     pub(super) left: bool,
 }
 

@@ -18,7 +18,7 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
-/// What a scan brings.
+/// Input of an update from one scan.
 #[derive(Clone, Copy)]
 pub(super) struct Scan<'a> {
     pub(super) points: &'a [[f32; 3]],
@@ -40,7 +40,7 @@ impl Scan<'_> {
     }
 }
 
-/// What an update did.
+/// Result of an update.
 #[derive(Debug, Default)]
 pub(super) struct Outcome {
     pub(super) corrected: Vec<i64>,
@@ -50,7 +50,7 @@ pub(super) struct Outcome {
     pub(super) rejected: usize,
 }
 
-/// Where a track looks.
+/// Search region of a track.
 pub(super) struct Seeker {
     pub(super) position: Vector3<f64>,
     pub(super) velocity: Vector3<f64>,
@@ -185,7 +185,7 @@ impl Updater {
         }
     }
 
-    /// Whether an unconfirmed track is away from where it began, and the scan shows that nothing is
+    /// True if an unconfirmed track is away from where it began, and the scan shows that nothing is
     /// left there. A track that leaps along the leaves of a tree leaves some behind, and one that
     /// follows a gap along what lies behind it leaves a place that nobody sees any more.
     fn has_left(&self, track: &TrackState, scan: &Scan<'_>) -> bool {
@@ -280,7 +280,7 @@ impl Updater {
     }
 }
 
-/// How far a cluster may be from where a track is at the stamp of the scan [m].
+/// Largest distance of a cluster from the track's position at the stamp of the scan [m].
 fn reach(seekers: &[Seeker], clusters: &[Measurement]) -> f64 {
     let latest = clusters.iter().map(|cluster| cluster.delay.abs()).fold(0.0, f64::max);
     let reach = |seeker: &Seeker| seeker.radius + latest * seeker.velocity.norm();

@@ -13,7 +13,7 @@ const LOOK_RADIUS: f64 = 0.5;
 pub struct CloudView<'a> {
     /// Returns [m].
     pub points: &'a [[f32; 3]],
-    /// Where the rays start [m].
+    /// Start points of the rays [m].
     pub origin: [f64; 3],
 }
 

@@ -16,7 +16,7 @@ use std::sync::{Mutex, PoisonError};
 pub const MAX_ANGLE: f64 = 0.5;
 /// Ranges within one band differ by this factor at most: less than 1 / 0.8661, see [`Linker`].
 const BAND: f64 = 1.15;
-/// The same where the angle does not count: only the work is shared out there.
+/// Largest ratio of ranges in a band where the angle does not count: such bands only share out work.
 const NEAR_BAND: f64 = 1.4;
 /// No band is cut that ends nearer than so many times the fixed distance: most of it would be reached
 /// from its neighbour.
@@ -33,7 +33,7 @@ pub struct AngularGap {
     pub max_angle: f64,
 }
 
-/// As [`label`](super::label), but two points are also linked by a step of at most
+/// Like [`label`](super::label), but two points are also linked by a step of at most
 /// `max_angle` times the range of the nearer one.
 ///
 /// The result does not depend on the order of the points, except for the numbers, nor on the
@@ -63,7 +63,7 @@ pub struct SeenLabeller {
 }
 
 impl SeenLabeller {
-    /// As [`label_seen`].
+    /// Label one cloud, like [`label_seen`].
     ///
     /// # Errors
     /// As [`label_seen`].
@@ -98,7 +98,7 @@ impl SeenLabeller {
         Ok(near.labels.number(roots, clustering))
     }
 
-    /// Those of the last cloud that was labelled.
+    /// Labels of the last cloud.
     #[must_use]
     pub fn labels(&self) -> &[i32] {
         self.near.labels()
@@ -120,6 +120,7 @@ impl AngularGap {
     /// Square of the range of a point [m^2].
     fn square(&self, point: [f64; 3]) -> f64 {
         let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| point[axis] - self.origin[axis]);
+        // Never infinite, or `cut` would add bands without end.
         (x * x + y * y + z * z).min(f64::MAX)
     }
 }
@@ -140,6 +141,7 @@ impl Reach for InBand<'_> {
     #[inline]
     fn links(&self, square: f64, one: [f64; 3], other: [f64; 3]) -> bool {
         let nearer = || self.gap.square(one).min(self.gap.square(other));
+        // The fixed distance first: it needs no ranges.
         square <= self.fixed || square <= self.gap.max_angle * self.gap.max_angle * nearer()
     }
 }
@@ -156,7 +158,7 @@ struct Bands {
     band_of: Vec<u16>,
     /// Rows of finite points, by band.
     rows: Vec<u32>,
-    /// Where the rows of every band end.
+    /// End of the rows of every band.
     row_ends: Vec<usize>,
 }
 
@@ -190,6 +192,7 @@ impl Bands {
         }
         rows.clear();
         rows.resize(row_ends[ends.len()], 0);
+        // Counting sort keeps rows ascending within a band. Each start moves to the end of its band.
         for (row, &band) in (0..).zip(&*band_of).filter(|(_, band)| **band != NO_BAND) {
             let place = &mut row_ends[usize::from(band)]; // where the band begins, at first
             rows[*place] = row;
@@ -216,7 +219,7 @@ impl Bands {
         self.fixed = fixed;
     }
 
-    /// How far apart two points of a band may be that are linked [m].
+    /// Largest distance of two linked points of a band [m].
     fn widest(&self, gap: &AngularGap, band: usize) -> f64 {
         self.fixed.max(gap.max_angle * self.ends[band])
     }
@@ -256,6 +259,7 @@ impl Part {
             let reach = InBand { gap, fixed: fixed * fixed, most: widest * widest };
             self.linker.linked(&self.points, widest, &reach)?
         };
+        // Only the joins are locked. The smallest member is the root, so the order of bands does not matter.
         let mut sets = sets.lock().unwrap_or_else(PoisonError::into_inner);
         for (&row, &group) in self.rows.iter().zip(groups) {
             let (one, other) = (sets.root(row), sets.root(self.rows[group as usize]));
@@ -271,6 +275,7 @@ impl Part {
         let is_near = |row: &&u32| gap.square(wide(points[**row as usize])) <= reached * reached;
         rows.clear();
         rows.extend_from_slice(bands.rows_in(band));
+        // Outwards only: the nearer point decides the reach, so its band finds the pair.
         for beyond in (band + 1..bands.len()).take_while(|at| bands.ends[at - 1] <= reached) {
             rows.extend(bands.rows_in(beyond).iter().filter(is_near));
         }

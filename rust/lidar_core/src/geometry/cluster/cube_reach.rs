@@ -17,6 +17,7 @@ impl InReach {
         let mut reach = Self { ours: 0, theirs: 0, of: [0; 64] };
         let is_own = step[0] == 0 && step[1] == 0 && step[2] == 0;
         let mut pair = 0;
+        // `while`, since `for` is not allowed in `const` functions: the tables are made by the compiler.
         while pair < 64 * 64 {
             let (one, other) = (pair / 64, pair % 64);
             let (mut axis, mut reached) = (0, !is_own || other > one);

@@ -68,7 +68,9 @@ impl Grid {
         let point = wide(point);
         let (mut cubes, mut octant) = (K::from(0), 0);
         for axis in [2, 1, 0] {
+            // No coordinate lies below `low`: truncation rounds down here.
             let index = ((point[axis] - self.low[axis]) * self.octants) as i64 as u64;
+            // From 1 on: steps to neighbours then never run into the next row of keys.
             cubes = cubes << self.bits[axis] | K::from((index >> 2) + 1);
             octant = octant << 2 | (index & 3);
         }

@@ -16,7 +16,7 @@ pub const NOISE: i32 = -1;
 /// Group of points that are not finite.
 pub(super) const NO_GROUP: u32 = u32::MAX;
 
-/// What makes a cluster.
+/// Parameters of Euclidean clustering.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clustering {
     /// Largest gap inside a cluster [m], finite and > 0. Exactly this distance still links.
@@ -52,7 +52,7 @@ pub struct Labeller {
 }
 
 impl Labeller {
-    /// As [`label`].
+    /// Label one cloud, like the function [`label`].
     ///
     /// # Errors
     /// As [`label`].
@@ -64,7 +64,7 @@ impl Labeller {
         Ok(self.labels.number(group_of, clustering))
     }
 
-    /// Those of the last cloud that was labelled.
+    /// Labels of the last cloud.
     #[must_use]
     pub fn labels(&self) -> &[i32] {
         &self.labels.labels
@@ -116,7 +116,7 @@ impl Sets {
 #[derive(Default)]
 pub(super) struct Labels {
     pub(super) labels: Vec<i32>,
-    /// By group its size, or once it has a number that, with all bits turned.
+    /// Size of every group; once the group has a label, the bitwise complement of the label.
     groups: Vec<i32>,
 }
 

@@ -10,15 +10,15 @@ use std::ops::Range;
 
 const RADIX_BITS: u32 = 11;
 
-/// How far apart two points may be that are linked.
+/// Distance up to which two points are linked.
 pub(super) trait Reach {
     /// Square of the largest distance [m^2].
     fn most(&self) -> f64;
-    /// Whether two points are linked whose distance has this square [m^2].
+    /// True if two points with this squared distance are linked [m^2].
     fn links(&self, square: f64, one: [f64; 3], other: [f64; 3]) -> bool;
 }
 
-/// The same distance everywhere.
+/// One distance for all points.
 pub(crate) struct Fixed(f64);
 
 impl Fixed {
@@ -63,6 +63,7 @@ impl Linker {
         group_of.resize(points.len(), NO_GROUP);
         match Grid::of(points, largest)? {
             None => {}
+            // Half the memory to sort; only far outliers need longer keys.
             Some(grid) if grid.key_bits() + grid.index_bits <= u64::BITS => {
                 short.link(points, &grid, reach, group_of);
             }
@@ -135,6 +136,7 @@ impl<K: Key> Groups<K> {
         );
         spare.clone_from(order);
         let passes = grid.key_bits().div_ceil(RADIX_BITS);
+        // Digits of equal width, since a shorter one saves counters and no pass.
         let digit_bits = grid.key_bits().div_ceil(passes);
         for shift in (0..passes).map(|pass| pass * digit_bits) {
             let digit = |entry: K| {
@@ -161,6 +163,7 @@ impl<K: Key> Groups<K> {
     fn divide(&mut self, points: &[[f32; 3]], grid: &Grid) {
         let Self { order, points: sorted, starts, cubes, .. } = self;
         sorted.clear();
+        // Copied in the order of the keys: points of an octant lie side by side.
         sorted.extend(order.iter().map(|&entry| points[grid.row(entry)]));
         starts.clear();
         cubes.clear();
@@ -223,6 +226,7 @@ impl<K: Key, R: Reach> WithSimd for Link<'_, K, R> {
             }
             for ((head, &offset), row) in heads.iter_mut().zip(&offsets).zip(&ROWS) {
                 let first = cube.key + offset;
+                // Keys ascend, so every head only moves forward: no search for neighbours.
                 while cubes.get(*head).is_some_and(|other| other.key < first) {
                     *head += 1;
                 }
@@ -267,6 +271,7 @@ fn link<K: Key>(
             let b = theirs.number(near.trailing_zeros());
             near &= near - 1;
             let root_b = sets.root(b);
+            // Octants that are joined already need no distances: that spares most pairs.
             if root_a != root_b && touch(groups, a as usize, b as usize, reach) {
                 sets.join(root_a, root_b);
                 root_a = root_a.min(root_b);
@@ -278,11 +283,12 @@ fn link<K: Key>(
 /// Pairs above which the box of a group is worth its making.
 const MANY_PAIRS: usize = 1024;
 
-/// Whether two groups hold a pair of points within reach.
+/// True if two groups hold a pair of points within reach.
 #[inline(always)]
 fn touch<K: Key>(groups: &Groups<K>, a: usize, b: usize, reach: &impl Reach) -> bool {
     let (ours, theirs) = (&groups.points[groups.range(a)], &groups.points[groups.range(b)]);
     let (Some(&p), Some(&q)) = (ours.first(), theirs.first()) else { return false };
+    // One pair often suffices.
     near(p, q, reach) || (ours.len() * theirs.len() > 1 && any_near(ours, theirs, reach))
 }
 

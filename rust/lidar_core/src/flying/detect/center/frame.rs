@@ -80,7 +80,7 @@ impl OpenFrame {
         }
     }
 
-    /// Where the fit of a ball starts.
+    /// Start values of the fit of a ball.
     pub(crate) fn start(&self) -> Start {
         let radius = self.reach.max(LEAST_RADIUS);
         Start { center: self.centroid + self.sight * (BALL_SHIFT * radius), radius }
@@ -101,9 +101,9 @@ fn axes_towards(span: Vector3<f64>) -> [Vector3<f64>; 3] {
     [aside, sight.cross(&aside), sight]
 }
 
-/// What the target covers, seen from the sensor.
+/// Extent of the target as seen from the sensor.
 struct Outline {
-    /// How far the points are from their middle [m].
+    /// Distance of the points from their middle [m].
     reach: f64,
     /// Between neighbouring rays at the target [m].
     ray_gap: f64,

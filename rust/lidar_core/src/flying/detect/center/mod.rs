@@ -1,4 +1,4 @@
-//! Where the centre of a target is, of which a scan shows the near side only.
+//! Centre of a target, of which a scan shows the near side only.
 //!
 //! The centroid of its points (eq. 19) lies nearer to the sensor by up to the target's radius, as
 //! the paper says itself (sec. V-A). Here two models of the target are held against the points

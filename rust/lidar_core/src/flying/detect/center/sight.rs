@@ -1,11 +1,11 @@
-//! What a scan saw of a target: the rays that hit it, and those that passed beside it.
+//! Observation of a target by one scan: the rays that hit it, and those that passed beside it.
 
 use super::Vector3;
 use std::cmp::Ordering;
 
 /// Rays are looked at as far beside the points as this [m].
 pub(crate) const MARGIN: f64 = 0.4;
-/// Of these, a ball is held against those this far beside the points [m].
+/// Rays at most this far beside the points are compared with a ball [m].
 const NEAR: f64 = 0.15;
 /// So many rays that end in front may hide a part of the target: one alone is a speck of dust.
 const ENOUGH_BLOCKED: usize = 2;
@@ -25,34 +25,34 @@ pub(crate) struct Hit {
     pub(crate) point: Vector3<f64>,
 }
 
-/// What is known of one target in one scan.
+/// Observation of one target in one scan.
 #[derive(Clone, Debug)]
 pub(crate) struct Sight {
     /// At least one.
     pub(crate) hits: Vec<Hit>,
     /// Rays that went past the target, on either side and through its gaps.
     pub(crate) passing: Vec<Ray>,
-    /// Whether rays beside the points ended nearer, so that a part of the target may be hidden.
+    /// True if rays beside the points ended nearer, so that a part of the target may be hidden.
     pub(crate) is_cut: bool,
-    /// How many of these, the first ones, are near the points.
+    /// Number of these rays, the first ones, that are near the points.
     n_near: usize,
 }
 
-/// Where to look for rays that pass a target.
+/// Search region for rays that pass a target.
 #[derive(Clone, Debug)]
 pub(crate) struct Region {
     /// Middle of the box around its points [m].
     pub(crate) middle: Vector3<f64>,
-    /// Of a ball around the points [m].
+    /// Radius of a ball around the points [m].
     pub(crate) radius: f64,
 }
 
 /// Rays around a region.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Around {
-    /// Those that went on behind it.
+    /// Rays that passed the target and went on behind it.
     pub(crate) passing: Vec<Ray>,
-    /// How many ended in front of it.
+    /// Number of rays that ended in front of the target.
     pub(crate) n_blocked: usize,
 }
 
@@ -101,7 +101,7 @@ impl Region {
         Self { middle: 0.5 * (low + high), radius: 0.5 * (high - low).norm() }
     }
 
-    /// How far a ray may be from the middle to be looked at [m].
+    /// Largest distance from the middle at which a ray is looked at [m].
     pub(crate) fn reach(&self) -> f64 {
         self.radius + MARGIN
     }

@@ -9,12 +9,12 @@ pub(crate) const PARAMETERS: usize = 4;
 const MAX_STEPS: usize = 20;
 /// A step that gains less, as a share of the cost, is the last.
 const LEAST_GAIN: f64 = 1e-9;
-/// What is known of radii before [m]: mean, standard deviation, and what is possible.
+/// Prior of the radius [m]: mean, standard deviation and limits.
 const RADIUS_MEAN: f64 = 0.3;
 const RADIUS_STD: f64 = 0.25;
 const RADIUS_RANGE: [f64; 2] = [0.02, 2.0];
-/// How far the centre may be from where the fit starts, as a standard deviation [m]: a few points
-/// say nothing about some directions.
+/// Standard deviation of the centre about the start of the fit [m]: a few points say nothing about
+/// some directions.
 const PLACE_STD: f64 = 0.5;
 /// A ray that passes is let into the ball by this standard deviation [m].
 const PASSING_STD: f64 = 0.01;
@@ -28,7 +28,7 @@ const NOISE_BIAS: f64 = 0.3;
 type Vector4 = SVector<f64, PARAMETERS>;
 type Matrix4 = SMatrix<f64, PARAMETERS, PARAMETERS>;
 
-/// Where a fit starts.
+/// Start values of a fit.
 pub(crate) struct Start {
     pub(crate) center: Vector3<f64>,
     pub(crate) radius: f64,
@@ -39,7 +39,7 @@ pub(super) struct Sphere {
     pub(crate) center: Vector3<f64>,
     pub(crate) radius: f64,
     pub(crate) covariance: Matrix3<f64>,
-    /// Of the points, in terms of their noise.
+    /// Sum over the points, in units of their noise.
     pub(super) squared_residuals: f64,
 }
 

@@ -80,8 +80,8 @@ impl Look {
             && beside().any(|other| self.expected[other] > 0.0)
     }
 
-    /// How far it is free between the rays of a sparse sensor, in a cell that is no sky [m]: what is
-    /// nearer than all returns around would have been met. 0 for dense sensors, which leave no gaps.
+    /// Free length between the rays of a sparse sensor, in a cell that is no sky [m]: anything nearer
+    /// than all returns around would have been hit. 0 for dense sensors, which leave no gaps.
     fn reach_before(&self, cell: usize) -> f64 {
         let beside = || GRID.beside(cell).iter().map(|&other| usize::from(other));
         let rays: u32 = beside().map(|other| self.hits[other]).sum();
@@ -92,13 +92,13 @@ impl Look {
         (f64::from(nearest) - BEFORE_SURFACE).min(self.reach_above_ground(cell))
     }
 
-    /// How far the rays of an empty cell clear [m].
+    /// Length that the rays of an empty cell clear [m].
     fn reach_of(&self, cell: usize, visible: f64) -> f64 {
         let before_surface = f64::from(self.limit[cell]) - BEFORE_SURFACE;
         visible.min(before_surface).min(self.reach_above_ground(cell))
     }
 
-    /// How far the rays of a cell stay above the ground [m].
+    /// Length over which the rays of a cell stay above the ground [m].
     fn reach_above_ground(&self, cell: usize) -> f64 {
         let tilt = libm::asin(GRID.centers[cell][2].clamp(-1.0, 1.0)) - CELL_TILT;
         let fall = -libm::sin(tilt.max(-PI / 2.0));

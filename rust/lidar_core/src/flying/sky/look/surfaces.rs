@@ -7,7 +7,7 @@ use crate::geometry::transform::{minus, norm};
 
 /// A surface is remembered so long after its last return [ns].
 const SURFACE_NS: i64 = 500_000_000;
-/// The same for a sensor whose scans are further apart.
+/// Time for which a surface is remembered if the scans of its sensor are further apart [ns].
 const LONGEST_SURFACE_NS: i64 = 2_000_000_000;
 /// Surfaces may go on beside what is seen of them for so many cells: 6 degrees.
 const SURFACE_CELLS: usize = 3;
