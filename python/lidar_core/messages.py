@@ -23,8 +23,19 @@ class PointClass(IntEnum):
         Neither is known.
     MOVING
         Part of an object that moves on the ground; `VoxelMap.integrate` takes it as UNKNOWN.
-    OWN_BODY
-        On the robot itself: in pictures and clouds that are written; results say UNKNOWN.
+    """
+
+    INVALID = 0
+    BACKGROUND = 1
+    FLYING = 2
+    UNKNOWN = 3
+    MOVING = 4
+
+
+class ShownClass(IntEnum):
+    """Class of a point in pictures and written clouds: a `PointClass`, or OWN_BODY.
+
+    OWN_BODY marks points on the robot itself; results call them UNKNOWN.
     """
 
     INVALID = 0

@@ -81,8 +81,10 @@ class Registry(Generic[PartT]):
                 self._path = tuple(sys.path)
                 self._load_plugins()
             inside = tuple(f"{folder}." for folder in self._folders)
-            own = [part for part in self._parts.values() if part.module.startswith(inside)]
-            others = [part for part in self._parts.values() if not part.module.startswith(inside)]
+            # A part that is defined in a console or notebook has no module.
+            modules = {name: part.module or "" for name, part in self._parts.items()}
+            own = [self._parts[name] for name in modules if modules[name].startswith(inside)]
+            others = [self._parts[name] for name in modules if not modules[name].startswith(inside)]
             return sorted(own, key=lambda part: part.module) + others
 
     def get(self, name: str) -> PartT:

@@ -38,7 +38,9 @@ def measurements(count=60, seed=0):
             values = [np.hypot(x, y) + noise[0], np.arctan2(y, x) + 0.1 * noise[1], noise[2]]
             made.append(lc.fusion.Measurement(k * 50_000_000, "radar", values))
         else:
-            made.append(lc.fusion.Measurement(k * 50_000_000, "lidar", [x, y, *noise[:2]]))
+            made.append(
+                lc.fusion.Measurement(k * 50_000_000, "lidar", np.array([x, y]) + noise[:2])
+            )
     return made
 
 

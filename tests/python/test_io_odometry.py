@@ -286,9 +286,10 @@ def test_detect_with_pose_kiss(tmp_path, flight, monkeypatch):
     given = []
     process = FlyingObjectDetector.process
 
-    def watched(self, points, pose, stamp, **options):
-        given.append((np.shape(pose), options["pose_covariance"], options["pose_stamps_ns"]))
-        return process(self, points, pose, stamp, **options)
+    def watched(self, posed, **options):
+        stamps = posed.pose_stamps_ns
+        given.append((np.shape(posed.world_from_lidar), posed.pose_covariance, stamps))
+        return process(self, posed, **options)
 
     monkeypatch.setattr(FlyingObjectDetector, "process", watched)
     done = CliRunner().invoke(

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.messages import PointClass
+from lidar_core.messages import ShownClass
 from lidar_core.objects import FlyingDetections, Tracks
 
 
@@ -121,7 +121,7 @@ class FlyingFrame:
     def shown_class(self) -> NDArray[np.uint8]:
         """`point_class` with OWN_BODY for points on the robot itself, as pictures show it."""
         shown = self.point_class.copy()
-        shown[self.own_rows] = PointClass.OWN_BODY
+        shown[self.own_rows] = ShownClass.OWN_BODY
         return shown
 
 

@@ -100,7 +100,7 @@ class VoxelMap:
             Ends of the rays [m], world frame. Entries that are not finite are skipped.
         point_class : array_like, shape (N,), uint8
             A `PointClass` each: INVALID is skipped and casts no ray, MOVING
-            counts as UNKNOWN, OWN_BODY as INVALID.
+            counts as UNKNOWN.
         sensor_origin : array_like, shape (3,) or (N, 3), float64
             Where the rays start [m], world frame.
         ray_directions : array_like, shape (N, 3), float32, optional
@@ -138,9 +138,8 @@ class VoxelMap:
         ):
             known = ", ".join(f"{one.value} {one.name.lower()}" for one in PointClass)
             raise InputError(f"point_class: expected integers {known}")
-        if classes.size and classes.max() > PointClass.UNKNOWN:
-            is_own = classes == PointClass.OWN_BODY
-            classes = np.where(is_own, 0, np.minimum(classes, PointClass.UNKNOWN))
+        if classes.size and classes.max() == PointClass.MOVING:
+            classes = np.minimum(classes, PointClass.UNKNOWN)
         points_of, skipped, rays, no_return_rays, visits, voxels = self._map.integrate(
             points,
             as_rows(classes, name="point_class", rows=len(points), shape=(), dtype=np.uint8),

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.extras import require
-from lidar_core.messages import PointClass
+from lidar_core.messages import ShownClass
 from lidar_core.objects import Tracks
 from lidar_core.viz.figure import INK, PALE, PURPOSE, write_figure
 from lidar_core.viz.views import FlyingView
@@ -163,7 +163,7 @@ def _map(
 
 def _by_class(view: FlyingView) -> list[NDArray[np.float64]]:
     """Points in the order of `CLOUDS`."""
-    classes = PointClass.BACKGROUND, PointClass.UNKNOWN, PointClass.OWN_BODY
+    classes = ShownClass.BACKGROUND, ShownClass.UNKNOWN, ShownClass.OWN_BODY
     return [*(view.cloud[view.cloud_class == one] for one in classes), view.flying]
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
 from lidar_core.io.write.circle_scene import ellipse
-from lidar_core.messages import PointClass
+from lidar_core.messages import ShownClass
 from lidar_core.viz.figure import INK, PALE, write_figure
 from lidar_core.viz.film import write_film
 from lidar_core.viz.playback import Moment, Playback
@@ -18,12 +18,12 @@ from lidar_core.viz.playback import Moment, Playback
 SIZE, DPI = (12.0, 6.0), 90
 FILM_DPI = 70
 POINT_COLOURS = {
-    PointClass.INVALID: "#94a3b8",
-    PointClass.BACKGROUND: "#94a3b8",
-    PointClass.FLYING: "#dc2626",
-    PointClass.UNKNOWN: "#d97706",
-    PointClass.MOVING: "#2563eb",
-    PointClass.OWN_BODY: "#a855f7",
+    ShownClass.INVALID: "#94a3b8",
+    ShownClass.BACKGROUND: "#94a3b8",
+    ShownClass.FLYING: "#dc2626",
+    ShownClass.UNKNOWN: "#d97706",
+    ShownClass.MOVING: "#2563eb",
+    ShownClass.OWN_BODY: "#a855f7",
 }
 """Colours of points by class; INVALID is that of points without one."""
 OBJECT, BAND, WALL = "#c2410c", "#0369a1", "#0f766e"
@@ -177,14 +177,14 @@ def _draw_plane(
     points, classes = moment.points[::step], moment.point_class[::step]
     for kind, colour in POINT_COLOURS.items():
         chosen = points[classes == kind]
-        if kind != PointClass.INVALID and len(chosen):
+        if kind != ShownClass.INVALID and len(chosen):
             name = kind.name.lower().replace("_", " ")
             panel.plot([], [], ".", ms=6, color=colour, label=name)
         panel.plot(
             chosen[:, across],
             chosen[:, up],
             ".",
-            ms=1 + 2 * (kind > PointClass.BACKGROUND),
+            ms=1 + 2 * (kind > ShownClass.BACKGROUND),
             color=colour,
             rasterized=True,
         )

@@ -10,20 +10,20 @@ from numpy.typing import NDArray
 
 from lidar_core.extras import require
 from lidar_core.io.files.atomic import check_place, written_whole
-from lidar_core.messages import PointClass
+from lidar_core.messages import ShownClass
 from lidar_core.objects import Objects
 from lidar_core.viz.playback import Moment, Playback
 from lidar_core.viz.rerun_process import PURPOSE, free_port, rerun_process
 
 _COLOURS = {
-    PointClass.INVALID: (140, 150, 160),
-    PointClass.BACKGROUND: (140, 150, 160),
-    PointClass.FLYING: (225, 60, 40),
-    PointClass.UNKNOWN: (230, 180, 60),
-    PointClass.MOVING: (70, 130, 230),
-    PointClass.OWN_BODY: (168, 85, 247),
+    ShownClass.INVALID: (140, 150, 160),
+    ShownClass.BACKGROUND: (140, 150, 160),
+    ShownClass.FLYING: (225, 60, 40),
+    ShownClass.UNKNOWN: (230, 180, 60),
+    ShownClass.MOVING: (70, 130, 230),
+    ShownClass.OWN_BODY: (168, 85, 247),
 }
-CLASS_COLOURS = np.array([_COLOURS[one] for one in PointClass], np.uint8)
+CLASS_COLOURS = np.array([_COLOURS[one] for one in ShownClass], np.uint8)
 """Colours of points by class; INVALID is that of points without one."""
 OBJECT_COLOUR, ELLIPSE_COLOUR, VOXEL_COLOUR = (255, 90, 25), (60, 130, 240), (95, 110, 125, 90)
 SEEN_COLOUR, HIDDEN_COLOUR = (20, 160, 145), (130, 150, 150)
@@ -67,7 +67,7 @@ class RerunLog:
         self.stream.log("world", self._rr.ViewCoordinates.FLU, static=True)
         classes = [
             (int(one), one.name.lower().replace("_", " "), CLASS_COLOURS[one].tolist())
-            for one in PointClass
+            for one in ShownClass
         ]
         self.stream.log("world/points", self._rr.AnnotationContext(classes), static=True)
 
