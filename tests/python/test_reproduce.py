@@ -175,7 +175,17 @@ def two_items(monkeypatch):
 # Every item
 
 
-@pytest.mark.parametrize("name", items())
+NIGHTLY = {"flying-real"}
+"""Items that take minutes even in short."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.nightly) if name in NIGHTLY else name
+        for name in items()
+    ],
+)
 @pytest.mark.usefixtures("coarse_sensor", "its_recordings")
 def test_an_item_in_short_gives_a_table_a_picture_and_json(name, tmp_path):
     result = tmp_path / "result.json"
