@@ -86,7 +86,7 @@ def test_a_sensor_with_two_scans_a_second_is_ready_after_one_second():
         frame = feed(detector, simulated, **dropped(simulated))
         assert frame.status.gate_open == (step >= 15)
         assert (frame.status.sky == "unknown") == (step == 0)
-        if step >= 20:
+        if step >= 25:  # the third detection confirms a track
             assert len(frame.tracks) == 1
             assert misses(frame, simulated).max() < 0.5
 
