@@ -22,7 +22,7 @@ from lidar_core.cli.shared.run_options import RunOptions, ScanRate, Stamps, with
 if TYPE_CHECKING:
     from rich.table import Table
 
-SCAN = "Topic of a 2D LiDAR; again for more."
+SCAN = "Topic of a 2D LiDAR; may be repeated."
 NO_RETURN = "What marks a ray without return, besides +inf: auto, zero, nan, max or none."
 SWEEP = "auto: rays have the times that the scans state; none: all rays at the stamp."
 TRUST = "Run an ONNX file that was not exported here: a model is a program."

@@ -39,7 +39,7 @@ def command(
     options: RunOptions,
     *,
     cloud: Annotated[
-        list[str], typer.Option(help="Topic of a LiDAR; again for more.", rich_help_panel=READ)
+        list[str], typer.Option(help="Topic of a LiDAR; may be repeated.", rich_help_panel=READ)
     ] = [],  # noqa: B006
     point_time: Annotated[str | None, typer.Option(help=POINT_TIME, rich_help_panel=READ)] = None,
     no_return: Annotated[str | None, typer.Option(help=NO_RETURN, rich_help_panel=READ)] = None,

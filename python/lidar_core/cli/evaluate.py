@@ -37,7 +37,7 @@ GATE = "An estimate further from every target is false \\[m]."
 MAX_DISTANCE = "Targets further from the sensor need not be found \\[m]."
 MIN_HITS = "Targets with fewer points need not be found."
 BURN_IN = "First scans, in which no target need be found; by default what the run's folder says."
-SET = "Single value of the configuration, such as order=1; again for more."
+SET = "Single value of the configuration, such as order=1; may be repeated."
 IDENTITIES = "HOTA, MOTA and IDF1; by default if the extra `eval` is there."
 
 

@@ -43,9 +43,9 @@ _IN = (
 )
 _OUT = (
     "foxglove, foxglove:PORT, zenoh, zenoh:tcp/HOST:PORT, rerun, rerun:web, rerun:web:PORT,"
-    " rerun:FILE.rrd, mcap:FILE; again for more."
+    " rerun:FILE.rrd, mcap:FILE; may be repeated."
 )
-_STREAM = "Single value of the model `live`, such as pose_wait=0.5; again for more."
+_STREAM = "Single value of the model `live`, such as pose_wait=0.5; may be repeated."
 _FOLDER = (
     "Folder to write: what `detect` or `circles` would leave of the scans that were processed."
 )
@@ -75,11 +75,11 @@ Capability: TypeAlias = Annotated[
 ]
 Clouds: TypeAlias = Annotated[
     list[str],
-    typer.Option("--cloud", help="Topic of a LiDAR; again for more.", rich_help_panel=READ),
+    typer.Option("--cloud", help="Topic of a LiDAR; may be repeated.", rich_help_panel=READ),
 ]
 Scans: TypeAlias = Annotated[
     list[str],
-    typer.Option("--scan", help="Topic of a 2D LiDAR; again for more.", rich_help_panel=READ),
+    typer.Option("--scan", help="Topic of a 2D LiDAR; may be repeated.", rich_help_panel=READ),
 ]
 PointTime: TypeAlias = Annotated[str | None, typer.Option(help=POINT_TIME, rich_help_panel=READ)]
 NoReturn: TypeAlias = Annotated[str | None, typer.Option(help=NO_RETURN, rich_help_panel=READ)]
@@ -130,7 +130,7 @@ class LiveOptions(PipelineOptions):
 
 @with_options(LiveOptions)
 def command(options: LiveOptions) -> None:
-    """Process scans as they arrive; the newest wins, and what is left out is counted.
+    """Process scans as they arrive; only the newest scan is kept, skipped scans are counted.
 
     A line a second tells rate, latency (median and 95th percentile, from the stamp of the scan and
     from its arrival to the end of the outputs) and drops. Ctrl-C or SIGTERM ends with a

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 RERUN_FILE, PAGE_PORT = "run.rrd", 9090
 ALLOW_ORIGIN = (
     "Web page that may connect to the Foxglove server beside those of this machine, such as"
-    " https://app.foxglove.dev; again for more."
+    " https://app.foxglove.dev; may be repeated."
 )
 
 

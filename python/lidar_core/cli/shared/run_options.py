@@ -20,9 +20,9 @@ _POSE = (
     "auto: transforms or odometry of the recording; static: the sensor does not move; kiss:"
     " by KISS-ICP; else a poses file, KITTI or TUM."
 )
-_MOUNTING = "Where a sensor sits: PARENT FRAME x y z roll pitch yaw \\[m, rad]; again for more."
-_SET = "Single value, as SECTION.NAME=VALUE of `config show`; again for more."
-_CONFIG = "TOML file; the run.toml of an earlier run will do."
+_MOUNTING = "Where a sensor sits: PARENT FRAME x y z roll pitch yaw \\[m, rad]; may be repeated."
+_SET = "Single value, as SECTION.NAME=VALUE of `config show`; may be repeated."
+_CONFIG = "TOML file; the run.toml of an earlier run is also accepted."
 _START = "Leave out what comes before, from the first stamp \\[s]."
 _END = "Leave out what comes after, likewise \\[s]."
 _MCAP = "Write run.mcap for viewers; by default if the extra `viz` is there."

@@ -137,7 +137,7 @@ def counted_caption(config: "EvaluationConfig") -> str:
     """Which sightings count."""
     return (
         f"Sightings: target within {config.max_distance:g} m and hit by {config.min_hits} rays or"
-        f" more, where the truth tells; after the first {config.burn_in_scans} scans."
+        f" more, where ground truth is available; after the first {config.burn_in_scans} scans."
     )
 
 
