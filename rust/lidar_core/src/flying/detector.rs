@@ -133,7 +133,7 @@ impl FlyingObjectDetector {
         }
         let seed = &self.parameters.seed;
         let burn_in = self.burn_in.after(self.sensors[raw.sensor].since_last(raw.stamp_ns), seed);
-        let gate = seed.gate(self.burn_in, burn_in, &self.map, self.needed());
+        let gate = seed.gate(&self.burn_in, &burn_in, &self.map, self.needed());
         let cast = self.judge_and_cast(raw, scan, judged, casting, &mut clock, &mut timing)?;
         go_on(keep_going)?;
         self.tracker.check_room(judged.count_of(FLYING))?;

@@ -76,7 +76,11 @@ impl fmt::Display for Gate {
 
 impl SeedParameters {
     /// Largest cluster that is not background during the burn-in, and always `otherwise`.
-    pub(crate) fn background_extent(&self, burn_in: BurnIn, otherwise: Option<f64>) -> Option<f64> {
+    pub(crate) fn background_extent(
+        &self,
+        burn_in: &BurnIn,
+        otherwise: Option<f64>,
+    ) -> Option<f64> {
         if !burn_in.is_over(self) {
             return Some(
                 otherwise.map_or(self.burn_in_extent, |limit| limit.min(self.burn_in_extent)),
@@ -88,8 +92,8 @@ impl SeedParameters {
     /// Gate of a scan, given the burn-in without it and with it.
     pub(crate) fn gate(
         &self,
-        before: BurnIn,
-        with_it: BurnIn,
+        before: &BurnIn,
+        with_it: &BurnIn,
         map: &VoxelMap,
         needed: usize,
     ) -> Gate {

@@ -13,54 +13,67 @@ const FEWEST_SCANS: u32 = 3;
 const MOST_TIMES: u32 = 10;
 
 /// The scans of the burn-in so far.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct BurnIn {
     scans: u32,
-    /// Scans of sensors that had one before.
-    steps: u32,
-    /// Time from scan to scan of the same sensor, summed up without pauses [s].
-    seconds: f64,
+    /// Sensors that were met: their first scans have no step.
+    sensors: u32,
+    /// Time since the last scan of the same sensor [s], of all other scans.
+    steps: Vec<f64>,
     is_over: bool,
 }
 
 impl BurnIn {
     /// The burn-in after one more scan; `step` [s] is the time since the last scan of the same
-    /// sensor, None for its first one. Several sensors need no more scans than one of them alone.
-    pub(crate) fn after(self, step: Option<f64>, seed: &SeedParameters) -> Self {
-        if self.is_over(seed) {
-            return self;
+    /// sensor, None for its first one.
+    pub(crate) fn after(&self, step: Option<f64>, seed: &SeedParameters) -> Self {
+        let mut next = self.clone();
+        if next.is_over(seed) {
+            return next;
         }
-        let next = Self {
-            scans: self.scans.saturating_add(1),
-            steps: self.steps + u32::from(step.is_some()),
-            seconds: self.seconds + step.map_or(0.0, |step| step.clamp(0.0, self.longest())),
-            is_over: false,
-        };
-        Self { is_over: next.scans >= next.length(seed), ..next }
+        next.scans = next.scans.saturating_add(1);
+        match step {
+            Some(step) => next.steps.push(step.max(0.0)),
+            None => next.sensors = next.sensors.saturating_add(1),
+        }
+        next.is_over = next.scans >= next.length(seed);
+        if next.is_over {
+            next.steps = Vec::new();
+        }
+        next
     }
 
-    /// The longest time between two scans that counts as such [s].
-    fn longest(&self) -> f64 {
-        let usual = self.seconds / f64::from(self.steps.max(1));
-        if usual > 0.0 { LONGEST_STEP.min(LONGEST_TIMES * usual) } else { LONGEST_STEP }
+    /// Usual time between two scans of a sensor [s], pauses left out; None before it is known.
+    fn usual_step(&self) -> Option<f64> {
+        let mut sorted = self.steps.clone();
+        sorted.sort_unstable_by(f64::total_cmp);
+        // The upper quartile: neither a pause at the start nor scans that come in bursts move it.
+        let quartile = *sorted.get(3 * sorted.len().checked_sub(1)? / 4)?;
+        let longest = LONGEST_STEP.min(LONGEST_TIMES * quartile);
+        Some(sorted.iter().map(|step| step.min(longest)).sum::<f64>() / sorted.len() as f64)
     }
 
-    /// True if the coming scan no longer belongs to the burn-in.
+    /// Whether the coming scan belongs to it no more.
     pub(crate) fn is_over(&self, seed: &SeedParameters) -> bool {
         self.is_over || seed.burn_in_scans == 0
     }
 
+    /// Number of its scans so far.
     pub(crate) fn scans(&self) -> u32 {
         self.scans
     }
 
-    /// Scans that it takes, judged by those so far.
+    /// Number of scans that it takes, judged by those so far: never fewer than these.
     pub(crate) fn length(&self, seed: &SeedParameters) -> u32 {
         let usual = seed.burn_in_scans;
-        let (Some(period), 1..) = (seed.burn_in_period, self.steps) else { return usual };
-        let step = self.seconds / f64::from(self.steps);
+        let (Some(period), Some(step)) = (seed.burn_in_period, self.usual_step()) else {
+            return usual.max(self.scans);
+        };
         let scans = (f64::from(usual) * period / step).round() as u32; // infinity gives the largest
-        scans.clamp(usual.min(FEWEST_SCANS), usual.saturating_mul(MOST_TIMES))
+        let most = usual.saturating_mul(MOST_TIMES);
+        // Every sensor has to show a few scans of its own.
+        let fewest = usual.min(FEWEST_SCANS).saturating_mul(self.sensors.max(1));
+        scans.max(fewest).min(most).max(self.scans)
     }
 
     /// Of `standing_scans` the part that belongs to a burn-in of so many scans.
@@ -95,6 +108,35 @@ mod tests {
             before = Some(step(burn_in.scans()));
         }
         burn_in.scans()
+    }
+
+    #[test]
+    fn neither_pauses_nor_bursts_change_its_length() {
+        let seed = seed(Some(0.1));
+        for first in [60.0, 0.5, 0.01, 1e-3, 1e-6, 0.0] {
+            let found = length(&seed, |scan| if scan == 1 { first } else { 0.1 });
+            assert!((9..=11).contains(&found), "{first}: {found}");
+        }
+        // Two LiDARs under one name: twice as many scans in the same time.
+        for short in [1e-3, 0.01, 0.05] {
+            let pair =
+                |odd: u32| move |scan: u32| if scan % 2 == odd { short } else { 0.1 - short };
+            let found = [length(&seed, pair(0)), length(&seed, pair(1))];
+            assert!(found.iter().all(|found| (19..=21).contains(found)), "{short}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn every_sensor_shows_a_few_scans() {
+        let seed = seed(Some(0.1));
+        let mut burn_in = BurnIn::default();
+        while !burn_in.is_over(&seed) {
+            let step = (burn_in.scans() >= 3).then_some(0.3);
+            burn_in = burn_in.after(step, &seed);
+            let scans = burn_in.scans();
+            assert!(burn_in.length(&seed) >= scans);
+        }
+        assert_eq!(burn_in.scans(), 9);
     }
 
     #[test]

@@ -129,7 +129,7 @@ impl FlyingObjectDetector {
         let seed = &self.parameters.seed;
         let mut parameters = self.parameters.classify.clone();
         parameters.background_extent =
-            seed.background_extent(self.burn_in, parameters.background_extent);
+            seed.background_extent(&self.burn_in, parameters.background_extent);
         let (map, origin) = (&self.map, scan.pose.translation);
         let judge = Judge { map, points: &scan.points, origin, parameters: &parameters };
         classifier.classify(&judge, clusters, verdicts)?;

@@ -35,8 +35,9 @@ const DECIDING_TURN: f64 = 30.0 * PI / 180.0;
 const HELD_SHARE: f64 = 0.6;
 /// A voxel that was found before stays one with this share: parts of the robot may be hidden.
 const KEPT_SHARE: f64 = 0.2;
-/// A robot that was known from an earlier run is still the same if this share of it is kept.
-const SAME_SHARE: f64 = 0.5;
+/// A robot that was known from an earlier run is still the same if this share of it is kept. After a
+/// short drive it may hold parts of the world that were not yet told apart, so that this is below half.
+const SAME_SHARE: f64 = 0.3;
 /// Parts of the robot may have gaps of a voxel.
 const GAP: i32 = 2;
 /// Returns this much above the lowest ones are on the ground [m].
