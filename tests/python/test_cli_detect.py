@@ -73,7 +73,12 @@ def table_rows(folder, name):
 def test_the_drone_is_found_and_tracked(run):
     folder, result = run
     assert result["scans"] == {"received": SCANS, "processed": SCANS, "held": 0, "rejected": {}}
-    assert result["gate"] == {"open": True, "reason": "open", "opened_at_scan": 10}
+    assert result["gate"] == {
+        "open": True,
+        "reason": "open",
+        "opened_at_scan": 10,
+        "burn_in_scans": 10,
+    }
     assert result["tracks"] == 1
     assert result["detections"] == SCANS - 10
     assert sum(result["class_shares"].values()) == pytest.approx(1)

@@ -260,3 +260,29 @@ def test_nothing_is_pickled_inside():
     content = sample()
     assert content in pickle.dumps(lc.fusion.TargetFilter.from_bytes(content))
     assert not any(content[at:].startswith(b"\x80\x04\x95") for at in range(len(content)))
+
+
+def test_a_pipeline_with_an_estimator_is_not_loaded_without_one(tmp_path):
+    def estimator(ranges, bearings, segments):
+        raise AssertionError("not called here")
+
+    pipeline = lc.circles.CirclePipeline(estimator=estimator)
+    pipeline.save(tmp_path / "state")
+    with pytest.raises(ConfigError, match="hand it over"):
+        lc.circles.CirclePipeline.load(tmp_path / "state")
+    lc.circles.CirclePipeline.load(tmp_path / "state", estimator=estimator)
+
+
+def test_a_source_is_a_name():
+    tracker = lc.fusion.MultiTargetTracker()
+    with pytest.raises(lc.errors.InputError, match="source: expected a name, got int"):
+        tracker.process(0, [], source=0)
+
+
+def test_other_content_and_unknown_arguments_are_refused():
+    for content in (None, 3, "text"):
+        with pytest.raises(lc.errors.InputError, match="content: expected bytes"):
+            lc.fusion.TargetFilter.from_bytes(content)
+    assert lc.fusion.TargetFilter.from_bytes(bytearray(sample())).to_bytes() == sample()
+    with pytest.raises(TypeError, match="no argument 'threads'"):
+        lc.fusion.TargetFilter.from_bytes(sample(), threads=2)

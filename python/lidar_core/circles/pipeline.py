@@ -112,7 +112,10 @@ class CirclePipeline(FullState):
         self._counting = Lock()
 
     def _state(self) -> tuple[bytes, dict[str, Any]]:
-        return self._pipeline.to_state(), {"health": asdict(self._health)}
+        return self._pipeline.to_state(), {
+            "health": asdict(self._health),
+            "has_estimator": self._estimator is not None,
+        }
 
     def _options(self) -> dict[str, Any]:
         return {"estimator": self._estimator, "allow_untrusted": self._allow_untrusted}
@@ -121,6 +124,11 @@ class CirclePipeline(FullState):
     def _from_state(
         cls, config: CirclesConfig, core: bytes, extra: dict[str, Any], **options: Any
     ) -> Self:
+        if extra["has_estimator"] and options.get("estimator") is None:
+            raise ConfigError(
+                "estimator: the saved pipeline had an estimator of its own; hand it over,"
+                " as load(path, estimator=...)"
+            )
         made = cls(config, **options)
         made._pipeline = _core.CirclePipeline.from_state(config, core, fit=made._fit)
         made._health = CirclesHealth(**extra["health"])

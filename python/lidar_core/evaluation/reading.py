@@ -1,5 +1,6 @@
 """Estimates and truth from files: run folders, simulated recordings, tables of tracks."""
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -78,7 +79,7 @@ def read_prediction(path: str | Path) -> Prediction:
         if detections is None
         else _estimates(detections, read_columns(detections), has_id=False),
         latency=None if timing is None else _latency(timing),
-        burn_in_scans=0 if found.is_planar else _burn_in(place / RUN_FILE),
+        burn_in_scans=0 if found.is_planar else _burn_in(place),
     )
 
 
@@ -221,9 +222,13 @@ def _latency(place: Path) -> Latency | None:
     return Latency.of(_numbers(place, columns, "total_ms"), stages)
 
 
-def _burn_in(run_file: Path) -> int | None:
-    """What the configuration of the run says."""
+def _burn_in(place: Path) -> int | None:
+    """Scans of the burn-in: as the run counted them, otherwise as its configuration says."""
+    run_file, summary = place / RUN_FILE, place / "summary.json"
     try:
+        gate = json.loads(read_whole(summary))["gate"] if summary.is_file() else {}
+        if "burn_in_scans" in gate:
+            return int(gate["burn_in_scans"])
         note = toml_values(read_whole(run_file), run_file)
         return int(note["config"]["flying"]["seed"]["burn_in_scans"])
     except (ValueError, OverflowError) as error:

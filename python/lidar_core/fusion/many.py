@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lidar_core import _core
 from lidar_core.arrays import as_stamp
 from lidar_core.config import as_config
-from lidar_core.errors import LimitError
+from lidar_core.errors import InputError, LimitError
 from lidar_core.fusion.many_config import MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, as_measurements
 from lidar_core.fusion.states import state_names, velocities
@@ -120,6 +120,8 @@ class MultiTargetTracker(FullState):
             More than 2000 measurements or tracks, more than 64 scanners.
         """
         stamp = as_stamp(stamp_ns)
+        if not isinstance(source, str):
+            raise InputError(f"source: expected a name, got {type(source).__name__}")
         number = self._sources.get(source, len(self._sources))
         if number >= MAX_SOURCES:
             raise LimitError(f"source: {source!r} is one of more than {MAX_SOURCES} scanners")

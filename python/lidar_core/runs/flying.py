@@ -164,6 +164,7 @@ class FlyingRun:
         self.gate_reason = "no scan was processed"
         self.gate_is_open = False
         self.gate_opened_at: int | None = None
+        self.burn_in_scans = 0
         self.sky = "unknown"
         self._shares: list[tuple[float, float]] = []
         self.rejected: Counter[str] = Counter()
@@ -209,6 +210,7 @@ class FlyingRun:
         self._flying.append(self._cloud[frame.point_class == PointClass.FLYING])
         status = frame.status
         self.gate_reason, self.gate_is_open = status.reason, status.gate_open
+        self.burn_in_scans += status.reason.startswith("burn-in")
         if status.gate_open and self.gate_opened_at is None:
             self.gate_opened_at = len(self.frames)
         self.sky = status.sky if status.sky != "unknown" else self.sky
@@ -302,6 +304,7 @@ class FlyingRun:
                 "open": self.gate_is_open,
                 "reason": self.gate_reason,
                 "opened_at_scan": self.gate_opened_at,
+                "burn_in_scans": self.burn_in_scans,
             },
             "sky": self.sky,
             "sky_share": self.sky_share,

@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar, get_args
 
 from lidar_core.config import Config, as_config, toml_values
 from lidar_core.errors import ConfigError
@@ -64,6 +64,9 @@ def config_of_run(
     """
     if config is None or isinstance(config, ConfigChoice):
         choice = config or ConfigChoice()
+        if choice.mode not in get_args(Mode):
+            known = " or ".join(map(repr, get_args(Mode)))
+            raise ConfigError(f"mode: expected {known}, got {choice.mode!r}")
         start = base or model()
         if choice.mode == "paper":
             paper = getattr(model, "paper", None)

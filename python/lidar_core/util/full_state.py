@@ -1,4 +1,4 @@
-"""The whole state of detectors, maps, pipelines and filters: saved, loaded, copied, pickled.
+"""Saved states of filters, trackers, circle maps and circle pipelines: files, copies, pickles.
 
 One format serves all four. Layout (little endian): magic `LCST`, version u32, length u32 and UTF-8
 JSON of {kind, config, extra}, state of the core (with a checksum of its own), CRC-32 of everything
@@ -9,11 +9,12 @@ import json
 import struct
 import zlib
 from abc import ABC, abstractmethod
+from inspect import signature
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from lidar_core.config import Config
-from lidar_core.errors import FormatError
+from lidar_core.errors import FormatError, InputError
 from lidar_core.files import read_whole
 from lidar_core.io.files.atomic import written_whole
 
@@ -65,15 +66,25 @@ class FullState(ABC):
         ----------
         content : bytes
         **options
-            Arguments of the constructor that change no result, such as `threads`.
+            Arguments of the constructor that are not in the state, such as `estimator` of
+            `CirclePipeline`.
 
         Raises
         ------
+        InputError
+            `content` is not bytes.
         FormatError
             The bytes are damaged, cut off, or the state of another kind of object.
         ConfigError
             The configuration is not one of this version.
         """
+        try:
+            content = bytes(memoryview(content))
+        except TypeError as error:
+            raise InputError(f"content: expected bytes, got {type(content).__name__}") from error
+        unknown = options.keys() - signature(cls).parameters.keys()
+        if unknown:
+            raise TypeError(f"{cls.__name__} has no argument {min(unknown)!r}")
         head, core = _opened(content)
         if head["kind"] != cls._kind:
             raise FormatError(
@@ -104,7 +115,8 @@ class FullState(ABC):
         ----------
         path : str or Path
         **options
-            Arguments of the constructor that change no result, such as `threads`.
+            Arguments of the constructor that are not in the state, such as `estimator` of
+            `CirclePipeline`.
 
         Raises
         ------
