@@ -18,7 +18,8 @@ def unit_quaternion(quaternion: NDArray[np.float64], *, place: str) -> NDArray[n
     FormatError
         Its length is not one within rounding: not a rotation.
     """
-    length = float(np.linalg.norm(quaternion))
+    # Plain sums, not BLAS: its kernels, and so the last bit, differ from CPU to CPU.
+    length = math.sqrt(sum(part * part for part in quaternion.tolist()))
     if not abs(length - 1) <= UNIT_TOLERANCE:
         raise FormatError(f"{place}: quaternion {quaternion.tolist()} is no rotation")
     return quaternion / length
