@@ -2,7 +2,7 @@
 
 Prints one line per number: import circles and folder sizes of Rust and Python, Rust type names that
 are defined more than once, comments per 100 lines in the arithmetic of the core, statements, public
-parameters. `tests/python/test_house.py` holds some of them to their limits.
+parameters. `tests/python/house/test_house.py` holds some of them to their limits.
 """
 
 import ast

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from repository import RECORDINGS, ROOT
 
 # The same examples on every run; `HYPOTHESIS_PROFILE=wide` looks further.
 settings.register_profile(
@@ -16,8 +17,6 @@ settings.register_profile(
 )
 settings.register_profile("wide", settings.get_profile("ci"), derandomize=False, max_examples=5000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
-
-ROOT = Path(__file__).parents[2]
 
 
 def _present(path: Path, what: str) -> Path:
@@ -33,8 +32,7 @@ def _present(path: Path, what: str) -> Path:
 @pytest.fixture(scope="session")
 def recordings() -> Path:
     """Folder of real recordings."""
-    default = ROOT.parent / "shared" / "data"
-    return _present(Path(os.environ.get("LIDAR_CORE_DATA", default)), "real recordings")
+    return _present(RECORDINGS, "real recordings")
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,5 @@
 //! Properties of the ray walk on any segment; exact lengths are held against rational numbers in
-//! `tests/python/test_geometry.py`.
+//! `tests/python/base/test_geometry.py`.
 
 use lidar_core::Error;
 use lidar_core::geometry::lattice::{Lattice, Voxel};

@@ -1,0 +1,202 @@
+"""The shape of the house: floors, circles of imports, one home per default, the public names."""
+
+import importlib
+import re
+import sys
+from collections import Counter, defaultdict
+
+import pytest
+from repository import ROOT
+
+import lidar_core
+
+sys.path.insert(0, str(ROOT / "tests"))
+house = importlib.import_module("house_numbers")
+
+CORE = ROOT / "rust/lidar_core/src"
+SIMULATOR = ROOT / "rust/lidar_sim/src"
+PACKAGE = ROOT / "python/lidar_core"
+READERS = {CORE: "rust", SIMULATOR: "rust", PACKAGE: "python"}
+MOST_IN_A_CIRCLE = {CORE: 31, SIMULATOR: 2, PACKAGE: 0}
+"""Files that import one another; these numbers only fall, to 4 at most."""
+MOST_TESTS_IN_A_FOLDER = 16
+CIRCLES_ACROSS = {CORE: 1, SIMULATOR: 1, PACKAGE: 0}
+"""Circles between folders; these numbers only fall."""
+
+RUST_FLOORS = (
+    {"error"},
+    {"budget", "clock", "threads", "shelf", "spread", "util"},
+    {"geometry", "estimation", "probability"},
+    {"tracking"},
+    {"circles", "flying", "fusion"},
+)
+PYTHON_FLOORS = (
+    {"errors", "plugins", "files", "extras", "config", "arrays", "sensors", "messages"},
+    {"parameters", "uses", "geometry", "estimation", "objects"},
+    {"io"},
+    {"run_folder", "util"},
+    {"sim"},
+    {"evaluation"},
+    {"circles", "flying", "fusion"},
+    {"scan_processing", "viz"},
+    {"batch", "live"},
+    {"reproduce"},
+    {"runs"},
+    {"cli"},
+    {"__main__"},
+)
+"""Names of the top, lowest floor first: code imports its own folder and what lies on lower floors.
+
+Names of the lowest floor may also import one another.
+"""
+UPWARD = {("evaluation", "flying")}
+"""Imports that still run up; this set only gets smaller."""
+
+
+def imports_of(root):
+    return (house.rust_imports if READERS[root] == "rust" else house.python_imports)(root)
+
+
+def heads_of(root):
+    """Modules that are folders."""
+    modules = (house.rust_modules if READERS[root] == "rust" else house.python_modules)(root)
+    return {module for module, path in modules.items() if path.name in {"mod.rs", "__init__.py"}}
+
+
+ROOTS = pytest.mark.parametrize("root", READERS, ids=lambda root: root.parent.name)
+
+
+@ROOTS
+def test_circles_of_imports_do_not_grow(root):
+    groups = house.circles_of(imports_of(root))
+    largest = max(groups, key=len, default=[])
+    assert len(largest) <= MOST_IN_A_CIRCLE[root], largest
+
+
+@ROOTS
+def test_folders_import_one_another_in_one_direction(root):
+    across = house.circles_across(imports_of(root), heads_of(root))
+    assert len(across) <= CIRCLES_ACROSS[root], across
+
+
+def upward(imports, floors):
+    """Pairs of names of the top of which the first imports the second and does not lie above it."""
+    floor_of = {name: number for number, floor in enumerate(floors) for name in floor}
+    between = defaultdict(set)
+    for module, others in imports.items():
+        between[module[:1]] |= {other[:1] for other in others if other[:1] != module[:1]}
+    named = {name for (name,) in (set(between) | set().union(*between.values())) - {()}}
+    assert named <= set(floor_of), "a new name of the top: put it on a floor"
+    return {
+        (one, other)
+        for (one,), others in between.items()
+        if (one,) != ()
+        for (other,) in others
+        if floor_of[one] < floor_of[other] or (floor_of[one] == floor_of[other] > 0)
+    }
+
+
+def without_roots(imports):
+    """The imports of all modules but the root's, which offers what lies below it."""
+    return {module: others for module, others in imports.items() if module}
+
+
+def test_the_core_imports_only_lower_floors():
+    found = upward(without_roots(imports_of(CORE)), RUST_FLOORS)
+    # Tools below the arithmetic use one another.
+    assert {pair for pair in found if not set(pair) <= RUST_FLOORS[1]} == set()
+
+
+def test_the_package_imports_only_lower_floors():
+    found = upward(without_roots(imports_of(PACKAGE)), PYTHON_FLOORS)
+    assert {pair for pair in found if not set(pair) <= PYTHON_FLOORS[1]} <= UPWARD
+
+
+def test_floors_see_what_runs_up():
+    floors = ({"low"}, {"one", "two"}, {"high"})
+    imports = {("low",): {("high", "part")}, ("one",): {("two",), ("low",)}, ("high",): {("low",)}}
+    assert upward(imports, floors) == {("low", "high"), ("one", "two")}
+
+
+# One home per default
+
+DEFAULT = re.compile(r"impl Default for (\w+)")
+NUMBER = re.compile(r":\s*(?:Some\()?\[?-?\d")
+
+
+def rust_files():
+    folders = ("rust/lidar_core/src", "rust/lidar_sim/src", "benches", "tests/rust")
+    paths = [path for folder in folders for path in (ROOT / folder).rglob("*.rs")]
+    return [path for path in paths if path.name != "defaults.rs"]
+
+
+def product_code(path):
+    """Its text, without the tests of a crate's own modules, which need values of their own."""
+    text = path.read_text(encoding="utf-8")
+    return house.without_tests(text) if "src" in path.parts else text
+
+
+def copies_in(text, names):
+    """Literals of parameter structs that state three numbers or more and take nothing over."""
+    text = re.sub(r"//.*", "", text)
+    for found in re.finditer(rf"(\w+\s+|-> )?\b({'|'.join(names)}) \{{", text):
+        if (found[1] or "").strip() in {"struct", "impl", "for", "enum", "->"}:
+            continue
+        depth, end = 1, found.end()
+        while depth and end < len(text):
+            depth += {"{": 1, "}": -1}.get(text[end], 0)
+            end += 1
+        body = text[found.end() : end]
+        if ".." not in body and len(NUMBER.findall(body)) >= 3:
+            yield found[2]
+
+
+def test_configurations_are_stated_once_in_rust():
+    homes = list(CORE.rglob("defaults.rs"))
+    names = {name for home in homes for name in DEFAULT.findall(home.read_text(encoding="utf-8"))}
+    assert len(homes) == 3
+    assert {"FlyingParameters", "PipelineParameters", "FusionParameters"} <= names
+    copies = {
+        path.relative_to(ROOT).as_posix(): found
+        for path in rust_files()
+        if (found := list(copies_in(product_code(path), names)))
+    }
+    assert copies == {}, "begin with Default or paper() and state what differs"
+
+
+def test_a_copied_configuration_is_seen():
+    full = "let x = Map { size: 0.25, gain: 1.0, low: [-1.0; 3] };"
+    assert list(copies_in(full, {"Map"})) == ["Map"]
+    assert list(copies_in(full.replace(" }", ", ..Map::default() }"), {"Map"})) == []
+    assert list(copies_in("impl Map { fn a() { f(a: 1, b: 2, c: 3) } }", {"Map"})) == []
+
+
+def test_folders_of_tests_stay_small_and_have_the_names_of_the_package():
+    files = list((ROOT / "tests/python").rglob("test_*.py"))
+    folders = Counter(path.parent.relative_to(ROOT / "tests/python").as_posix() for path in files)
+    assert {name: count for name, count in folders.items() if count > MOST_TESTS_IN_A_FOLDER} == {}
+    own = {"base", "house", "io/hostile"}
+    assert [name for name in folders if name not in own and not (PACKAGE / name).is_dir()] == []
+    assert len({path.name for path in files}) == len(files), "pytest needs different names"
+
+
+# Public names
+
+
+def public_names():
+    """Dotted names of everything that a public module exports."""
+    modules = ["lidar_core", *(f"lidar_core.{name}" for name in lidar_core._LAZY)]
+    return sorted(
+        f"{module}.{name}"
+        for module in modules
+        for name in getattr(importlib.import_module(module), "__all__", [])
+    )
+
+
+def test_the_public_names_are_the_listed_ones():
+    listed = (ROOT / "tests/golden/public_names.txt").read_text(encoding="utf-8").split()
+    found = public_names()
+    text = "if this is intended: add or remove it in public_names.txt, a line in the changelog"
+    assert sorted(set(found) - set(listed)) == [], text
+    assert sorted(set(listed) - set(found)) == [], text
+    assert listed == sorted(listed)
