@@ -3,7 +3,8 @@
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
 use lidar_core::circles::fit::{Fitter, Method};
-use lidar_core::circles::pipeline::{CirclePipeline, PipelineParameters, RawSweep};
+use lidar_core::circles::parameters::PipelineParameters;
+use lidar_core::circles::pipeline::{CirclePipeline, RawSweep};
 use lidar_core::circles::preprocess::polar_scan::PolarScan;
 use lidar_core::circles::preprocess::projection::{self, Projection};
 use lidar_core::circles::preprocess::sweep_poses::Sweep;

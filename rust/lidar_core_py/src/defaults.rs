@@ -11,7 +11,7 @@ use crate::fusion::config::FusionConfig;
 use crate::fusion::many::MultiTargetConfig;
 use lidar_core::Error;
 use lidar_core::circles::map::CircleMapParameters;
-use lidar_core::circles::pipeline::PipelineParameters;
+use lidar_core::circles::parameters::PipelineParameters;
 use lidar_core::flying::classify::classifier::ClassifyParameters;
 use lidar_core::flying::map::voxel_map::MapParameters;
 use lidar_core::flying::parameters::FlyingParameters;

@@ -8,10 +8,10 @@ use super::map::{
     CircleMapParameters, Confirmation, Filter, Independent, Joint, Limits, LineRules, Looking,
     Mode, Patience,
 };
-use super::pipeline::{PipelineParameters, ScannerParameters};
+use super::parameters::{PipelineParameters, ScannerParameters};
 use super::preprocess::projection::Projection;
 use super::segment::corners::CornerParameters;
-use super::segment::segmentation::{Bound, Criterion, SegmentParameters};
+use super::segment::parameters::{Bound, Criterion, SegmentParameters};
 use super::selection::ShapeParameters;
 
 /// Nearest and farthest surface that the scanner of the paper measures [m].

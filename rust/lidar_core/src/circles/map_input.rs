@@ -3,7 +3,7 @@
 use super::fit::circle::CircleEstimate;
 use super::frame::PreparedSweep;
 use super::map::{CircleMap, MapStats, OutlineEstimate};
-use super::pipeline::PipelineParameters;
+use super::parameters::PipelineParameters;
 use super::selection::{Part, is_certain, is_piece, part, round};
 use super::shape::{ShapeEstimate, ShapeKind};
 

@@ -6,7 +6,8 @@
 //!
 //! # Example
 //! ```
-//! use lidar_core::circles::pipeline::{CirclePipeline, PipelineParameters, RawSweep};
+//! use lidar_core::circles::parameters::PipelineParameters;
+//! use lidar_core::circles::pipeline::{CirclePipeline, RawSweep};
 //!
 //! let parameters = PipelineParameters::default();
 //! let scanner = parameters.scanner;
@@ -40,6 +41,7 @@ pub mod fit;
 pub mod frame;
 pub mod map;
 mod map_input;
+pub mod parameters;
 pub mod pipeline;
 pub mod preprocess;
 mod raw_sweep;

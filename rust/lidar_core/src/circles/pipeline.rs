@@ -1,19 +1,19 @@
 //! From one sweep of ranges to the map of circles: every stage in one call.
 
+use super::fit::Method;
 use super::fit::circle::CircleEstimate;
-use super::fit::{FitParameters, Method};
 use super::frame::{CircleFrame, PreparedSweep, Timing};
 use super::map::SavedMap;
-use super::map::{
-    CircleMap, CircleMapParameters, CircleScan, MapElement, MapShape, MapStats, View,
-};
+use super::map::{CircleMap, CircleScan, MapElement, MapShape, MapStats, View};
 use super::map_input::{ByKind, Parts};
-use super::preprocess::projection::{self, Projection};
+use super::parameters::PipelineParameters;
+use super::preprocess::projection;
 use super::preprocess::sweep_poses::Sweep;
 pub use super::raw_sweep::RawSweep;
 use super::raw_sweep::delays;
 use super::scanner::Channel;
-use super::segment::segmentation::{SegmentParameters, segment};
+use super::segment::parameters::SegmentParameters;
+use super::segment::segmentation::segment;
 use super::selection::ShapeParameters;
 use super::shape::ShapeEstimate;
 use crate::Error;
@@ -27,42 +27,6 @@ const KIND: &str = "circle pipeline";
 const MAX_SCANNERS: usize = 64;
 /// Cosine of the largest tilt of a scan plane that can be projected to the ground: 88.9 degrees.
 const STEEPEST: f64 = 0.02;
-
-/// Rays and range limits of a scanner.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ScannerParameters {
-    /// Bearing of the first ray [rad].
-    pub angle_min: f64,
-    /// Step from ray to ray [rad].
-    pub angle_increment: f64,
-    /// Number of rays of one sweep.
-    pub n_beams: usize,
-    /// Smallest and largest range that is measured [m].
-    pub range_limits: [f64; 2],
-}
-
-/// All parameters of the pipeline. The range limits of the parts are those of the scanner.
-#[derive(Clone, Debug)]
-pub struct PipelineParameters {
-    /// Scanners that are not in `scanners`.
-    pub scanner: ScannerParameters,
-    /// Scanners by name.
-    pub scanners: Vec<(String, ScannerParameters)>,
-    /// Operating volume of all points with a x + b y + c z <= d, world frame.
-    pub planes: Vec<[f64; 4]>,
-    /// Projection of tilted scans.
-    pub projection: Projection,
-    /// Segmentation.
-    pub segment: SegmentParameters,
-    /// Circle fit.
-    pub fit: FitParameters,
-    /// Largest root mean square distance of hits from their circle, or other shape [m].
-    pub max_deviation: f64,
-    /// Use of other shapes; None: all segments are treated as circles.
-    pub shapes: Option<ShapeParameters>,
-    /// The map.
-    pub map: CircleMapParameters,
-}
 
 /// Pipeline from sweeps to a map of circles.
 pub struct CirclePipeline {

@@ -1,10 +1,11 @@
 //! One scanner of the pipeline, with the parts that all its sweeps share.
 
 use super::fit::{FitParameters, Fitter};
-use super::pipeline::{PipelineParameters, RawSweep, ScannerParameters};
+use super::parameters::{PipelineParameters, ScannerParameters};
 use super::preprocess::polar_scan::PolarScan;
 use super::preprocess::projection::{self, LevelScan};
 use super::preprocess::sweep_poses::Sweep;
+use super::raw_sweep::RawSweep;
 use super::shape::ShapeFitter;
 use crate::Error;
 

@@ -3,9 +3,9 @@
 use crate::arrays;
 use lidar_core::Error;
 use lidar_core::circles::fit::{FitParameters, Method};
-use lidar_core::circles::pipeline::ScannerParameters;
+use lidar_core::circles::parameters::ScannerParameters;
 use lidar_core::circles::segment::corners::CornerParameters;
-use lidar_core::circles::segment::segmentation::{Bound, Criterion, SegmentParameters};
+use lidar_core::circles::segment::parameters::{Bound, Criterion, SegmentParameters};
 use lidar_core::circles::selection::ShapeParameters;
 use pyo3::prelude::*;
 

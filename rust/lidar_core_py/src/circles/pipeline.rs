@@ -12,7 +12,8 @@ use crate::guard::{Guarded, detached};
 use lidar_core::Error;
 use lidar_core::circles::fit::circle::CircleEstimate;
 use lidar_core::circles::frame::{CircleFrame, PreparedSweep};
-use lidar_core::circles::pipeline::{CirclePipeline, PipelineParameters, RawSweep};
+use lidar_core::circles::parameters::PipelineParameters;
+use lidar_core::circles::pipeline::{CirclePipeline, RawSweep};
 use lidar_core::circles::preprocess::projection::LevelScan;
 use numpy::{
     IntoPyArray, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,

@@ -7,12 +7,19 @@
 
 use super::FitParameters;
 use super::arc::{Arc, Hit};
-use crate::circles::fit::mode::Normal;
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI};
 
 /// Coordinates of the search: square roots of how far each tangent lies beyond its outermost hit
 /// [rad^(1/2)], in which the likelihood is smooth up to a tangent that is a hit.
 pub(super) type Roots = [f64; 2];
+
+/// Value, gradient and second derivatives (00, 01, 11) of the misfit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Normal {
+    pub(super) misfit: f64,
+    pub(super) gradient: [f64; 2],
+    pub(super) hessian: [f64; 3],
+}
 
 /// Range of likely distances, in standard deviations.
 const SPREAD: f64 = 4.0;

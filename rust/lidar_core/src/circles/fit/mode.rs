@@ -1,14 +1,6 @@
 //! Minimum of the misfit within bounds of the roots.
 
-use super::likelihood::{Likelihood, Roots};
-
-/// Value, gradient and second derivatives (00, 01, 11) of the misfit.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Normal {
-    pub(super) misfit: f64,
-    pub(super) gradient: [f64; 2],
-    pub(super) hessian: [f64; 3],
-}
+use super::likelihood::{Likelihood, Normal, Roots};
 
 /// Bounds of the two roots.
 pub(super) type Bounds = [[f64; 2]; 2];

@@ -7,7 +7,7 @@ use super::modes::Motion;
 use super::parameters::MAX_ELEMENTS;
 use super::rules::Rules;
 use super::scan::{Placed, Seen, too_many};
-use super::viewpoint::Viewpoint;
+use super::view::viewpoint::Viewpoint;
 use super::{MapElement, MapShape, seconds};
 use crate::Error;
 use crate::circles::shape::ShapeKind;

@@ -5,32 +5,29 @@
 //! motion: see [`Independent`].
 
 mod body;
-mod covariance;
 mod element;
 mod history;
 mod independent;
 mod joint;
-mod level_pose;
 mod line;
 mod modes;
 mod outline;
 mod parameters;
+mod place;
 mod rules;
 mod scan;
-mod viewpoint;
-mod visibility;
+mod view;
 
 #[cfg(test)]
 mod tests;
 
-pub use modes::MAX_MODES;
 pub use outline::OutlineEstimate;
 pub use parameters::{
     CircleMapParameters, Confirmation, Filter, Independent, Joint, Limits, LineRules, Looking,
-    MAX_ELEMENTS, MAX_WINDOW, Mode, Patience,
+    MAX_ELEMENTS, MAX_MODES, MAX_WINDOW, Mode, Patience,
 };
 pub use scan::{CircleScan, PoseCovariance};
-pub use visibility::{SortedView, View, Visibility};
+pub use view::visibility::{SortedView, View, Visibility};
 
 use super::shape::ShapeKind;
 use crate::Error;

@@ -5,14 +5,12 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::parameters::Mode;
+use super::parameters::{MAX_MODES, Mode};
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised, update};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Largest number of modes.
-pub const MAX_MODES: usize = 4;
 /// Longest step between two mixings [s].
 const MAX_STEP: f64 = 0.1;
 /// Most steps of one prediction; for longer times the steps become longer.

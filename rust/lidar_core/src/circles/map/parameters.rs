@@ -1,11 +1,12 @@
 //! Parameters of the map.
 
-use super::modes::MAX_MODES;
 use crate::Error;
 use crate::error::{require, require_positive};
 use crate::estimation::chi2;
 use std::ops::RangeInclusive;
 
+/// Largest number of modes of motion.
+pub const MAX_MODES: usize = 4;
 /// Largest number of elements, and of circles in one scan.
 pub const MAX_ELEMENTS: usize = 2_000;
 /// Largest number of scans for confirmation: one bit each.

@@ -3,13 +3,14 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::body::BodyMeasurement;
-use super::level_pose::{LevelPose, matrix_of};
 use super::line::LineMeasurement;
 use super::modes::Measurement;
 use super::outline::{OutlineEstimate, OutlineMeasurement};
 use super::parameters::MAX_ELEMENTS;
-use super::viewpoint::Viewpoint;
-use super::visibility::{SortedView, View};
+use super::place::matrix_of;
+use super::view::level_pose::LevelPose;
+use super::view::viewpoint::Viewpoint;
+use super::view::visibility::{SortedView, View};
 use crate::Error;
 use crate::circles::fit::circle::{Circle, CircleEstimate};
 use crate::circles::shape::{ShapeEstimate, ShapeKind};

@@ -1,6 +1,7 @@
 //! Merging of the parts of one surface that something nearer hides in between.
 
-use super::segmentation::{SegmentParameters, Sweep};
+use super::parameters::SegmentParameters;
+use super::sweep::Sweep;
 
 /// Hits `start..end` of a sweep whose neighbours belong together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

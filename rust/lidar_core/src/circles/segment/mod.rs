@@ -2,5 +2,7 @@
 
 pub mod corners;
 pub(crate) mod merge;
+pub mod parameters;
 pub mod segmentation;
 pub mod segments;
+mod sweep;

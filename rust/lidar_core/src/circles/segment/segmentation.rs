@@ -1,76 +1,14 @@
 //! Object segmentation, sec. III-C: groups of rays that ended on the same object.
 
-use super::corners::{self, CornerParameters};
+use super::corners;
 use super::merge::{self, Run};
+use super::parameters::{Bound, Criterion, SegmentParameters};
 use super::segments::{Segments, Side};
+use super::sweep::Sweep;
 use crate::Error;
-use crate::circles::preprocess::polar_scan::{PolarScan, turn};
+use crate::circles::preprocess::polar_scan::PolarScan;
 use crate::util::budget::check_points;
 use std::ops::Range;
-
-/// Space in which neighbours have to be close.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Criterion {
-    /// Polar space: similar ranges, and few rays between.
-    Polar,
-    /// Cartesian space: small distance between the points.
-    Cartesian,
-    /// Polar and Cartesian space, as published.
-    Both,
-}
-
-/// Bound on the distance of neighbours.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Bound {
-    /// Adaptive breakpoint detector: the largest distance of neighbours on a surface that is met at
-    /// an angle of at least `incidence` [rad], plus `slack` [m].
-    Adaptive {
-        /// Smallest angle between a ray and a surface.
-        incidence: f64,
-        /// Addition for the noise of the ranges.
-        slack: f64,
-    },
-    /// Constant distance [m].
-    Fixed(f64),
-}
-
-/// Parameters of the segmentation.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SegmentParameters {
-    /// Space in which neighbours have to be close.
-    pub criterion: Criterion,
-    /// Bound on the distance of neighbours.
-    pub bound: Bound,
-    /// Most rays without return between neighbours in polar space.
-    pub max_gap: usize,
-    /// Largest distance between the ends of two parts of one surface that something nearer hides in
-    /// part, to be one segment [m]; 0: parts are never merged.
-    pub merge_distance: f64,
-    /// Largest root mean square distance of merged parts from one circle or line [m].
-    pub merge_deviation: f64,
-    /// Rules for the split of surfaces at corners.
-    pub corner: CornerParameters,
-    /// Least number of rays.
-    pub min_points: usize,
-    /// Least share of all rays of the scan.
-    pub min_fraction: f64,
-    /// Smallest and largest range that is measured [m].
-    pub range_limits: [f64; 2],
-    /// Distance of an outermost ray from a range limit, within which the object may continue unseen
-    /// beyond the limit [m].
-    pub cut_margins: [f64; 2],
-}
-
-/// Joined hits in the order of the sweep, first to last.
-pub(crate) struct Sweep<'a> {
-    pub(crate) scan: &'a PolarScan,
-    /// Ranges before the scan was limited to a volume.
-    pub(crate) seen: &'a [f64],
-    /// Rays with a return.
-    pub(crate) hits: Vec<u32>,
-    /// True if the ray after the last one is the first one.
-    pub(crate) wraps: bool,
-}
 
 /// Group the rays of a scan by object, eq. 6.
 ///
@@ -122,35 +60,10 @@ fn check(scan: &PolarScan, seen: Option<&[f64]>) -> Result<(), Error> {
 }
 
 impl Sweep<'_> {
-    /// Rays from `from` to `to`, across the seam if necessary.
-    fn steps(&self, from: u32, to: u32) -> usize {
-        let (from, to) = (from as usize, to as usize);
-        if to >= from { to - from } else { to + self.scan.len() - from }
-    }
-
     /// True if the hits of two rays, neighbours among the hits, belong together.
     fn joins(&self, from: u32, to: u32, parameters: &SegmentParameters) -> bool {
         let ranges = [from, to].map(|ray| self.scan.ranges[ray as usize]);
         are_close(ranges, self.angle(from, to), self.steps(from, to), parameters)
-    }
-
-    /// Angle between two rays [rad].
-    pub(crate) fn angle(&self, from: u32, to: u32) -> f64 {
-        turn(self.scan.bearings[to as usize] - self.scan.bearings[from as usize]).abs()
-    }
-
-    /// True if a ray between two neighbouring hits is a miss.
-    pub(super) fn passes_between(&self, from: u32, to: u32) -> bool {
-        let count = self.scan.len();
-        (1..self.steps(from, to))
-            .any(|step| self.scan.ranges[(from as usize + step) % count] == f64::INFINITY)
-    }
-
-    /// Distance of two hits [m].
-    pub(crate) fn distance(&self, from: u32, to: u32) -> f64 {
-        let [a, b] = [from, to].map(|ray| self.scan.ranges[ray as usize]);
-        let sine = libm::sin(0.5 * self.angle(from, to));
-        ((a - b) * (a - b) + 4.0 * a * b * sine * sine).sqrt()
     }
 
     /// Runs of neighbouring hits that belong together, as ranges of `hits`. In a full circle `hits`

@@ -6,16 +6,16 @@ use serde::{Deserialize, Serialize};
 
 /// Viewpoint of a scan: pose, time, sensor, and the view for questions of visibility.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Viewpoint {
-    pub(super) stamp_ns: i64,
-    pub(super) sensor: u32,
-    pub(super) pose: LevelPose,
-    pub(super) view: Option<SortedView>,
+pub(in crate::circles::map) struct Viewpoint {
+    pub(in crate::circles::map) stamp_ns: i64,
+    pub(in crate::circles::map) sensor: u32,
+    pub(in crate::circles::map) pose: LevelPose,
+    pub(in crate::circles::map) view: Option<SortedView>,
 }
 
 impl Viewpoint {
     /// Key for the order of scans.
-    pub(super) fn key(&self) -> (i64, u32) {
+    pub(in crate::circles::map) fn key(&self) -> (i64, u32) {
         (self.stamp_ns, self.sensor)
     }
 }

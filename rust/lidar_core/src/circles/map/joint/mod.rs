@@ -5,17 +5,20 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::covariance::{Covariance, ELEMENT, place};
+mod covariance;
+
 use super::element::exceeds;
-use super::level_pose::{LevelPose, matrix_of};
 use super::modes::{Matrix5, transition};
 use super::parameters::{Joint, MAX_ELEMENTS};
+use super::place::matrix_of;
 use super::scan::{CircleScan, Found, check, too_many};
+use super::view::level_pose::LevelPose;
 use super::{MapElement, Outcome, seconds};
 use crate::Error;
 use crate::circles::fit::circle::CircleEstimate;
 use crate::estimation::kalman::{Gaussian, mahalanobis, symmetrised};
 use crate::util::full_state::impossible;
+use covariance::{Covariance, ELEMENT, place};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use serde::{Deserialize, Serialize};
 

@@ -6,7 +6,7 @@ use crate::circles::preprocess::polar_scan::{PolarScan, turn};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-use super::parameters::Looking;
+use crate::circles::map::parameters::Looking;
 
 /// Cosine of the angle of incidence on a line below which a ray decides nothing.
 const GRAZING: f64 = 0.2;
@@ -90,7 +90,7 @@ struct Votes {
 
 impl SortedView {
     /// True if the parts of a restored state agree.
-    pub(super) fn is_sound(&self) -> bool {
+    pub(in crate::circles::map) fn is_sound(&self) -> bool {
         self.bearings.len() == self.ranges.len()
             && self.bearings.is_sorted()
             && self.bearings.iter().all(|bearing| bearing.is_finite())

@@ -1,0 +1,5 @@
+//! What a scan shows of a place, and from where.
+
+pub(super) mod level_pose;
+pub(super) mod viewpoint;
+pub(super) mod visibility;

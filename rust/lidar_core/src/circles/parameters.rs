@@ -1,0 +1,43 @@
+//! Parameters of the pipeline.
+
+use super::fit::FitParameters;
+use super::map::CircleMapParameters;
+use super::preprocess::projection::Projection;
+use super::segment::parameters::SegmentParameters;
+use super::selection::ShapeParameters;
+
+/// Rays and range limits of a scanner.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScannerParameters {
+    /// Bearing of the first ray [rad].
+    pub angle_min: f64,
+    /// Step from ray to ray [rad].
+    pub angle_increment: f64,
+    /// Number of rays of one sweep.
+    pub n_beams: usize,
+    /// Smallest and largest range that is measured [m].
+    pub range_limits: [f64; 2],
+}
+
+/// All parameters of the pipeline. The range limits of the parts are those of the scanner.
+#[derive(Clone, Debug)]
+pub struct PipelineParameters {
+    /// Scanners that are not in `scanners`.
+    pub scanner: ScannerParameters,
+    /// Scanners by name.
+    pub scanners: Vec<(String, ScannerParameters)>,
+    /// Operating volume of all points with a x + b y + c z <= d, world frame.
+    pub planes: Vec<[f64; 4]>,
+    /// Projection of tilted scans.
+    pub projection: Projection,
+    /// Segmentation.
+    pub segment: SegmentParameters,
+    /// Circle fit.
+    pub fit: FitParameters,
+    /// Largest root mean square distance of hits from their circle, or other shape [m].
+    pub max_deviation: f64,
+    /// Use of other shapes; None: all segments are treated as circles.
+    pub shapes: Option<ShapeParameters>,
+    /// The map.
+    pub map: CircleMapParameters,
+}

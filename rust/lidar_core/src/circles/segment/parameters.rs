@@ -1,0 +1,56 @@
+//! Parameters of the segmentation.
+
+use super::corners::CornerParameters;
+
+/// Space in which neighbours have to be close.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Criterion {
+    /// Polar space: similar ranges, and few rays between.
+    Polar,
+    /// Cartesian space: small distance between the points.
+    Cartesian,
+    /// Polar and Cartesian space, as published.
+    Both,
+}
+
+/// Bound on the distance of neighbours.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Bound {
+    /// Adaptive breakpoint detector: the largest distance of neighbours on a surface that is met at
+    /// an angle of at least `incidence` [rad], plus `slack` [m].
+    Adaptive {
+        /// Smallest angle between a ray and a surface.
+        incidence: f64,
+        /// Addition for the noise of the ranges.
+        slack: f64,
+    },
+    /// Constant distance [m].
+    Fixed(f64),
+}
+
+/// Parameters of the segmentation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SegmentParameters {
+    /// Space in which neighbours have to be close.
+    pub criterion: Criterion,
+    /// Bound on the distance of neighbours.
+    pub bound: Bound,
+    /// Most rays without return between neighbours in polar space.
+    pub max_gap: usize,
+    /// Largest distance between the ends of two parts of one surface that something nearer hides in
+    /// part, to be one segment [m]; 0: parts are never merged.
+    pub merge_distance: f64,
+    /// Largest root mean square distance of merged parts from one circle or line [m].
+    pub merge_deviation: f64,
+    /// Rules for the split of surfaces at corners.
+    pub corner: CornerParameters,
+    /// Least number of rays.
+    pub min_points: usize,
+    /// Least share of all rays of the scan.
+    pub min_fraction: f64,
+    /// Smallest and largest range that is measured [m].
+    pub range_limits: [f64; 2],
+    /// Distance of an outermost ray from a range limit, within which the object may continue unseen
+    /// beyond the limit [m].
+    pub cut_margins: [f64; 2],
+}
