@@ -3,17 +3,20 @@
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
 use lidar_core::flying::classify::classifier::{ClassifyParameters, classify_clusters};
-use lidar_core::flying::map::separate::Separation;
-use lidar_core::flying::map::voxel_map::{MapParameters, VoxelMap};
+use lidar_core::flying::integrate::integrator::Integrator;
+use lidar_core::flying::map::parameters::{MapParameters, Separation};
+use lidar_core::flying::map::voxel_map::VoxelMap;
 use lidar_core::geometry::cluster::{Clustering, label};
+use lidar_core::util::threads::Workers;
 use scenes::street;
 
 fn classify(c: &mut Criterion) -> Result<(), Error> {
     for number in [1, 2] {
         let scans = street(number, 4)?;
-        let mut map = VoxelMap::new(MapParameters::default(), 1)?;
+        let mut map = VoxelMap::new(MapParameters::default())?;
+        let mut integrator = Integrator::new(1)?;
         for scan in &scans[..3] {
-            map.integrate(&scan.classified())?;
+            integrator.integrate(&mut map, &scan.classified())?;
             map.remove_separate(Separation::default())?;
         }
         let scan = &scans[3];
@@ -23,7 +26,10 @@ fn classify(c: &mut Criterion) -> Result<(), Error> {
         group.sample_size(20);
         group.throughput(Throughput::Elements(scan.world.len() as u64));
         group.bench_function("classify", |b| {
-            b.iter(|| classify_clusters(&map, &scan.world, &labels, scan.origin, &parameters));
+            let workers = Workers::default();
+            b.iter(|| {
+                classify_clusters(&map, &scan.world, &labels, scan.origin, &parameters, &workers)
+            });
         });
         let mut next = scans.iter().cycle();
         group.bench_function("remove_separate", |b| {
@@ -31,7 +37,7 @@ fn classify(c: &mut Criterion) -> Result<(), Error> {
                 (0..rounds)
                     .filter_map(|_| next.next())
                     .map(|scan| {
-                        let integrated = map.integrate(&scan.classified()).is_ok();
+                        let integrated = integrator.integrate(&mut map, &scan.classified()).is_ok();
                         let start = std::time::Instant::now();
                         let removed = map.remove_separate(Separation::default());
                         std::hint::black_box((integrated, removed).0);
@@ -40,7 +46,7 @@ fn classify(c: &mut Criterion) -> Result<(), Error> {
                     .sum()
             });
         });
-        let fresh = || VoxelMap::from_bytes(&map.to_bytes(), 1);
+        let fresh = || VoxelMap::from_bytes(&map.to_bytes());
         group.bench_function("remove_separate_everything", |b| {
             b.iter_batched(
                 fresh,

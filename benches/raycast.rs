@@ -2,7 +2,9 @@
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
-use lidar_core::flying::map::voxel_map::{MapParameters, Rays, VoxelMap};
+use lidar_core::flying::integrate::integrator::Integrator;
+use lidar_core::flying::map::parameters::{MapParameters, Rays};
+use lidar_core::flying::map::voxel_map::VoxelMap;
 use lidar_core::geometry::lattice::Lattice;
 use lidar_core::geometry::traverse::traverse;
 use scenes::reference::DenseMap;
@@ -47,17 +49,17 @@ fn raycast(c: &mut Criterion) -> Result<(), Error> {
         });
 
         for (threads, rays) in [(1, Rays::All), (2, Rays::All), (1, Rays::OnePerEnd)] {
-            let mut map =
-                VoxelMap::new(MapParameters { rays, ..MapParameters::default() }, threads)?;
+            let mut map = VoxelMap::new(MapParameters { rays, ..MapParameters::default() })?;
+            let mut integrator = Integrator::new(threads)?;
             for scan in &scans {
-                map.integrate(&scan.classified())?;
+                integrator.integrate(&mut map, &scan.classified())?;
             }
             let mut next = scans.iter().cycle();
             let title = if rays == Rays::All { "integrate" } else { "one_per_end" };
             group.bench_function(format!("{title}_{threads}_threads"), |b| {
                 b.iter_batched(
                     || next.next(),
-                    |scan| scan.map(|scan| map.integrate(&scan.classified())),
+                    |scan| scan.map(|scan| integrator.integrate(&mut map, &scan.classified())),
                     BatchSize::PerIteration,
                 );
             });

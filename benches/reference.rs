@@ -227,7 +227,9 @@ mod tests {
     use super::*;
     use crate::street;
     use lidar_core::Error;
-    use lidar_core::flying::map::voxel_map::{MapParameters, VoxelMap};
+    use lidar_core::flying::integrate::integrator::Integrator;
+    use lidar_core::flying::map::parameters::MapParameters;
+    use lidar_core::flying::map::voxel_map::VoxelMap;
     use lidar_core::geometry::cluster::{Clustering, label};
 
     #[test]
@@ -237,8 +239,8 @@ mod tests {
         let visits = dense.integrate(scan);
         let parameters = MapParameters::default();
         assert_eq!([parameters.voxel_size, parameters.max_range], [VOXEL_SIZE, MAX_RANGE]);
-        let mut map = VoxelMap::new(parameters, 1)?;
-        let stats = map.integrate(&scan.classified())?;
+        let mut map = VoxelMap::new(parameters)?;
+        let stats = Integrator::new(1)?.integrate(&mut map, &scan.classified())?;
         let difference = (stats.visits as f64 - visits as f64).abs() / visits as f64;
         assert!(difference < 1e-3, "{visits} and {} visits", stats.visits);
         let probes: Vec<[f32; 3]> = (0..4000)

@@ -2,8 +2,9 @@
 //! linear, nought does not depend on the size. `cargo bench --bench scaling [rays|voxel|...]`.
 
 use lidar_core::Error;
-use lidar_core::flying::map::separate::Separation;
-use lidar_core::flying::map::voxel_map::{MapParameters, VoxelMap};
+use lidar_core::flying::integrate::integrator::Integrator;
+use lidar_core::flying::map::parameters::{MapParameters, Separation};
+use lidar_core::flying::map::voxel_map::VoxelMap;
 use lidar_core::flying::track::{Detections, OccupiedPoints, PointCloudTracker, TrackerParameters};
 use lidar_core::geometry::cluster::{Clustering, label};
 use scenes::Scan;
@@ -90,8 +91,9 @@ fn shell(rows: usize, columns: usize, reach: f64, x: f64) -> Scan {
 }
 
 fn integration(parameters: MapParameters, scan: &Scan) -> Result<f64, Error> {
-    let mut map = VoxelMap::new(parameters, 1)?;
-    least(|| map.integrate(&scan.classified()).map(|_| ()))
+    let mut map = VoxelMap::new(parameters)?;
+    let mut integrator = Integrator::new(1)?;
+    least(|| integrator.integrate(&mut map, &scan.classified()).map(|_| ()))
 }
 
 fn rays() -> Measured {
@@ -164,17 +166,18 @@ fn tracking(count: u32) -> Result<f64, Error> {
 }
 
 fn extent() -> Measured {
-    let mut map = VoxelMap::new(MapParameters::default(), 1)?;
+    let mut map = VoxelMap::new(MapParameters::default())?;
+    let mut integrator = Integrator::new(1)?;
     let near = shell(ROWS, COLUMNS, 19.0, 0.0);
     let mut reached = 0.0;
     let mut measure = |&length: &f64| {
         while reached < length {
-            map.integrate(&shell(32, 256, 19.0, reached).classified())?;
+            integrator.integrate(&mut map, &shell(32, 256, 19.0, reached).classified())?;
             reached += 10.0;
         }
         map.remove_separate(Separation::default())?;
         let seconds = least(|| {
-            map.integrate(&near.classified())?;
+            integrator.integrate(&mut map, &near.classified())?;
             map.remove_separate(Separation::default()).map(|_| ())
         })?;
         Ok((length, seconds))

@@ -4,7 +4,8 @@ pub mod files;
 pub mod reference;
 
 use lidar_core::Error;
-use lidar_core::flying::integrate::integrator::{BACKGROUND, ClassifiedScan, INVALID, Origins};
+use lidar_core::flying::integrate::classified_scan::{ClassifiedScan, Origins};
+use lidar_core::flying::point_class::{BACKGROUND, INVALID};
 use lidar_core::flying::scan::prepared::RawScan;
 use lidar_core::util::threads;
 use lidar_sim::scenes::performance;

@@ -2,9 +2,10 @@
 //! removal with a history equals removal without.
 
 use lidar_core::Error;
-use lidar_core::flying::integrate::integrator::{ClassifiedScan, Origins};
-use lidar_core::flying::map::separate::Separation;
-use lidar_core::flying::map::voxel_map::{MapParameters, VoxelMap};
+use lidar_core::flying::integrate::classified_scan::{ClassifiedScan, Origins};
+use lidar_core::flying::integrate::integrator::Integrator;
+use lidar_core::flying::map::parameters::{MapParameters, Separation};
+use lidar_core::flying::map::voxel_map::VoxelMap;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -45,13 +46,17 @@ fn scan() -> impl Strategy<Value = Vec<Entry>> {
     prop::collection::vec(entry(), 0..120)
 }
 
-fn integrate(map: &mut VoxelMap, entries: &[Entry]) -> Result<(), Error> {
+fn integrate(
+    map: &mut VoxelMap,
+    integrator: &mut Integrator,
+    entries: &[Entry],
+) -> Result<(), Error> {
     let points: Vec<_> = entries.iter().map(|entry| entry.0).collect();
     let class: Vec<_> = entries.iter().map(|entry| entry.1).collect();
     let origins: Vec<_> = entries.iter().map(|entry| entry.2).collect();
     let directions: Vec<_> = entries.iter().map(|entry| entry.3).collect();
     let no_return: Vec<_> = entries.iter().map(|entry| entry.4).collect();
-    map.integrate(&ClassifiedScan {
+    let scan = ClassifiedScan {
         points: &points,
         class: &class,
         origins: Origins::Each(&origins),
@@ -60,8 +65,8 @@ fn integrate(map: &mut VoxelMap, entries: &[Entry]) -> Result<(), Error> {
         no_ray: None,
         reach: None,
         pose_error: None,
-    })?;
-    Ok(())
+    };
+    integrator.integrate(map, &scan).map(|_| ())
 }
 
 fn fail(error: Error) -> TestCaseError {
@@ -86,21 +91,24 @@ proptest! {
     fn order_and_threads_do_not_change_a_bit(
         scans in prop::collection::vec(scan(), 1..4), threads in prop::sample::select(vec![2, 4, 7])
     ) {
-        let mut one = VoxelMap::new(parameters(), 1).map_err(fail)?;
-        let mut many = VoxelMap::new(parameters(), threads).map_err(fail)?;
+        let mut one = VoxelMap::new(parameters()).map_err(fail)?;
+        let mut many = VoxelMap::new(parameters()).map_err(fail)?;
+        let mut alone = Integrator::new(1).map_err(fail)?;
+        let mut shared = Integrator::new(threads).map_err(fail)?;
         for entries in scans {
-            integrate(&mut one, &entries).map_err(fail)?;
+            integrate(&mut one, &mut alone, &entries).map_err(fail)?;
             let reversed: Vec<Entry> = entries.into_iter().rev().collect();
-            integrate(&mut many, &reversed).map_err(fail)?;
+            integrate(&mut many, &mut shared, &reversed).map_err(fail)?;
         }
         prop_assert_eq!(one.to_bytes(), many.to_bytes());
     }
 
     #[test]
     fn values_stay_between_the_levels(scans in prop::collection::vec(scan(), 1..4)) {
-        let mut map = VoxelMap::new(parameters(), 1).map_err(fail)?;
+        let mut map = VoxelMap::new(parameters()).map_err(fail)?;
+        let mut integrator = Integrator::new(1).map_err(fail)?;
         for entries in &scans {
-            integrate(&mut map, entries).map_err(fail)?;
+            integrate(&mut map, &mut integrator, entries).map_err(fail)?;
         }
         let points: Vec<[f32; 3]> = (0..8000_i16)
             .map(|place| [place % 20, place / 20 % 20, place / 400].map(|v| f32::from(v) / 4.0 - 2.4))
@@ -119,13 +127,14 @@ proptest! {
     fn removal_with_a_history_equals_removal_without(
         steps in prop::collection::vec((scan(), 0..5_u8, 0..4_usize), 1..8)
     ) {
-        let mut map = VoxelMap::new(parameters(), 1).map_err(fail)?;
+        let mut map = VoxelMap::new(parameters()).map_err(fail)?;
+        let mut integrator = Integrator::new(1).map_err(fail)?;
         for (entries, gap, min_confident) in steps {
-            integrate(&mut map, &entries).map_err(fail)?;
+            integrate(&mut map, &mut integrator, &entries).map_err(fail)?;
             // Now and then the parameters change, which makes all groups candidates.
             let max_gap = if gap == 0 { 0.3 } else { 0.8 };
             let separation = Separation { max_gap, min_confident: 1 + min_confident / 3, dilate: false };
-            let mut fresh = VoxelMap::from_bytes(&map.to_bytes(), 1).map_err(fail)?;
+            let mut fresh = VoxelMap::from_bytes(&map.to_bytes()).map_err(fail)?;
             let changed = map.remove_separate(separation).map_err(fail)?;
             prop_assert_eq!(fresh.remove_separate(separation).map_err(fail)?, changed);
             prop_assert_eq!(map.has_background(), fresh.has_background());
@@ -138,13 +147,13 @@ proptest! {
         min_confident in 1..6_usize,
         dilate in any::<bool>(),
     ) {
-        let mut map = VoxelMap::new(parameters(), 1).map_err(fail)?;
+        let mut map = VoxelMap::new(parameters()).map_err(fail)?;
         let separation = Separation { max_gap: 0.3, min_confident, dilate };
         for changes in steps {
             for (place, level) in changes {
                 map.pull(&[place], level, 30.0).map_err(fail)?;
             }
-            let mut fresh = VoxelMap::from_bytes(&map.to_bytes(), 1).map_err(fail)?;
+            let mut fresh = VoxelMap::from_bytes(&map.to_bytes()).map_err(fail)?;
             let changed = map.remove_separate(separation).map_err(fail)?;
             prop_assert_eq!(fresh.remove_separate(separation).map_err(fail)?, changed);
             prop_assert_eq!(map.has_background(), fresh.has_background());

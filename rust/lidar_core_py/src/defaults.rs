@@ -13,7 +13,7 @@ use lidar_core::Error;
 use lidar_core::circles::map::CircleMapParameters;
 use lidar_core::circles::parameters::PipelineParameters;
 use lidar_core::flying::classify::classifier::ClassifyParameters;
-use lidar_core::flying::map::voxel_map::MapParameters;
+use lidar_core::flying::map::parameters::MapParameters;
 use lidar_core::flying::parameters::FlyingParameters;
 use lidar_core::flying::track::TrackerParameters;
 use lidar_core::fusion::{Association, FusionParameters, ManyParameters};

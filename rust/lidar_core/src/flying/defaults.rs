@@ -6,8 +6,8 @@
 use super::background::burn_in::SeedParameters;
 use super::classify::classifier::ClassifyParameters;
 use super::integrate::pose_weights::{PoseParameters, PoseWeighting};
-use super::map::separate::Separation;
-use super::map::voxel_map::{MapParameters, RayUnit, Rays};
+use super::map::parameters::Separation;
+use super::map::parameters::{MapParameters, RayUnit, Rays};
 use super::parameters::FlyingParameters;
 use super::scan::sensor::SensorParameters;
 use super::sky::Beams;

@@ -10,11 +10,12 @@ use super::detect::detections::Found;
 use super::detect::follow_up::track;
 use super::detect::visibility::ScanView;
 use super::frame::{Frame, Teammate, Timing};
-use super::integrate::casting::Casting;
-use super::integrate::integrator::{FLYING, IntegrateStats, UNKNOWN};
+use super::integrate::classified_scan::IntegrateStats;
+use super::integrate::integrator::Integrator;
 use super::map::saved_body::SavedBody;
 use super::map::voxel_map::VoxelMap;
 use super::parameters::FlyingParameters;
+use super::point_class::{FLYING, UNKNOWN};
 use super::scan::prepared::{Prepared, RawScan};
 use super::scan::sensor::Sensor;
 use super::track::{PointCloudTracker, Track};
@@ -24,12 +25,15 @@ use crate::geometry::lattice::{Voxel, wide};
 use crate::geometry::transform::Transform;
 use crate::util::budget::MAX_SENSORS;
 use crate::util::stopwatch::Clock;
+use crate::util::threads::Workers;
 use std::collections::BTreeMap;
 
 /// Detection and tracking of flying objects in scans of one or several LiDARs.
 pub struct FlyingObjectDetector {
     pub(super) parameters: FlyingParameters,
+    pub(super) workers: Workers,
     pub(super) map: VoxelMap,
+    integrator: Integrator,
     pub(super) tracker: PointCloudTracker,
     pub(super) sensors: BTreeMap<String, Sensor>,
     /// Robot as an earlier run found it, for sensors that are met again.
@@ -67,8 +71,11 @@ impl FlyingObjectDetector {
         check_steps("close_distance", parameters.classify.close_distance, voxel_size)?;
         let gap = AngularGap { origin: [0.0; 3], max_angle: parameters.cluster_angle };
         label_seen(&[], &gap, &parameters.clustering, None)?;
+        let workers = Workers::new(threads)?;
         Ok(Self {
-            map: VoxelMap::new(parameters.map.relative_to([0.0; 3]), threads)?,
+            map: VoxelMap::new(parameters.map.relative_to([0.0; 3]))?,
+            integrator: Integrator::on(workers.clone()),
+            workers,
             tracker: PointCloudTracker::new(parameters.tracker, threads)?,
             parameters,
             sensors: BTreeMap::new(),
@@ -104,9 +111,9 @@ impl FlyingObjectDetector {
     ) -> Result<Frame, Error> {
         let (was_anchored, was_met) = (self.anchored, self.sensors.contains_key(raw.sensor));
         let mut scratch = std::mem::take(&mut self.scratch);
-        let mut casting = std::mem::take(&mut self.map.casting);
-        let frame = self.process_anchored(raw, &mut scratch, &mut casting, keep_going);
-        (self.scratch, self.map.casting) = (scratch, casting); // their memory is used again
+        let mut integrator = std::mem::take(&mut self.integrator);
+        let frame = self.process_anchored(raw, &mut scratch, &mut integrator, keep_going);
+        (self.scratch, self.integrator) = (scratch, integrator); // their memory is used again
         if frame.is_err() && !was_anchored {
             self.unanchor(); // the next scan says where the map begins
         }
@@ -120,7 +127,7 @@ impl FlyingObjectDetector {
         &mut self,
         raw: &RawScan<'_>,
         scratch: &mut Scratch,
-        casting: &mut Casting,
+        integrator: &mut Integrator,
         keep_going: &dyn Fn() -> bool,
     ) -> Result<Frame, Error> {
         let mut clock = Clock::start();
@@ -134,12 +141,12 @@ impl FlyingObjectDetector {
         let seed = &self.parameters.seed;
         let burn_in = self.burn_in.after(self.sensors[raw.sensor].since_last(raw.stamp_ns), seed);
         let gate = seed.gate(&self.burn_in, &burn_in, &self.map, self.needed());
-        let cast = self.judge_and_cast(raw, scan, judged, casting, &mut clock, &mut timing)?;
+        let cast = self.judge_and_cast(raw, scan, judged, integrator, &mut clock, &mut timing)?;
         go_on(keep_going)?;
         self.tracker.check_room(judged.count_of(FLYING))?;
 
         // The last stage that may refuse the scan.
-        let stats = self.update_map(raw, scan, judged, casting, cast)?;
+        let stats = self.update_map(raw, scan, judged, integrator, cast)?;
         self.accept(raw, scan, gate);
         self.burn_in = burn_in;
         self.fill_pockets(&judged.verdicts, scan);
@@ -153,7 +160,7 @@ impl FlyingObjectDetector {
         timing.separate = clock.lap();
 
         let FlyingParameters { target_radius, range_std, .. } = self.parameters;
-        let (spread, pool) = (self.pose_spread(raw, scan), self.map.pool.as_ref());
+        let (spread, pool) = (self.pose_spread(raw, scan), self.workers.pool());
         let view = ScanView::new(scan, target_radius, range_std, spread, pool);
         let verdicts = judged.verdicts.iter().enumerate();
         let mut found = self.detections(&view, scan, &judged.clusters, verdicts);
@@ -169,27 +176,27 @@ impl FlyingObjectDetector {
         self.sensors[raw.sensor].check_stamp(raw.sensor, raw.stamp_ns)?;
         let stamp_ns = self.tracker_stamp(raw.stamp_ns)?;
         self.anchor(raw)?;
-        let (sensor, pool) = (&self.sensors[raw.sensor], self.map.pool.as_ref());
+        let (sensor, pool) = (&self.sensors[raw.sensor], self.workers.pool());
         scan.take(raw, sensor, &self.map_from_world, pool)?;
         scan.find_sky(raw, sensor, &self.map)?;
         Ok(stamp_ns)
     }
 
-    /// Clusters of a scan and what they are, and the rays into the sums of `casting`: at the same time
+    /// Clusters of a scan and what they are, and the rays into the sums of `integrator`: at the same time
     /// where there are threads for both. What came of casting, if it was done.
     fn judge_and_cast(
         &self,
         raw: &RawScan<'_>,
         scan: &Prepared,
         judged: &mut Judged,
-        casting: &mut Casting,
+        integrator: &mut Integrator,
         clock: &mut Clock,
         timing: &mut Timing,
     ) -> Result<Option<Result<(), Error>>, Error> {
         let mut judge = || self.judge(scan, judged, clock, timing);
-        match self.map.pool.as_ref().filter(|_| self.take_off_ground(scan).is_none()) {
+        match self.workers.pool().filter(|_| self.take_off_ground(scan).is_none()) {
             Some(pool) => {
-                let (told, cast) = pool.join(judge, || self.cast(raw, scan, casting));
+                let (told, cast) = pool.join(judge, || self.cast(raw, scan, integrator));
                 told.map(|()| Some(cast))
             }
             None => judge().map(|()| None),

@@ -2,7 +2,7 @@
 
 use super::background::burn_in::Gate;
 use super::detect::detection::Detection;
-use super::integrate::integrator::IntegrateStats;
+use super::integrate::classified_scan::IntegrateStats;
 use super::track::Track;
 
 /// Source of the rays without return of a scan.

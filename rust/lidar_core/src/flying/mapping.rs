@@ -1,11 +1,14 @@
 //! Update of the detector's map by a scan.
 
+use super::analysis::PoseSpread;
 use super::classify::classified::Judged;
 use super::classify::classifier::Verdict;
 use super::classify::flood::distinct;
 use super::detector::FlyingObjectDetector;
-use super::integrate::casting::Casting;
-use super::integrate::integrator::{BACKGROUND, ClassifiedScan, FLYING, IntegrateStats, Origins};
+use super::integrate::classified_scan::{ClassifiedScan, IntegrateStats, Origins};
+use super::integrate::integrator::Integrator;
+use super::integrate::pose_weights::PoseError;
+use super::point_class::{BACKGROUND, FLYING};
 use super::scan::prepared::{Prepared, RawScan};
 use crate::Error;
 use crate::geometry::lattice::{floor, wide};
@@ -18,7 +21,7 @@ impl FlyingObjectDetector {
         raw: &RawScan<'_>,
         scan: &mut Prepared,
         judged: &mut Judged,
-        casting: &mut Casting,
+        integrator: &mut Integrator,
         cast: Option<Result<(), Error>>,
     ) -> Result<IntegrateStats, Error> {
         match cast {
@@ -28,15 +31,27 @@ impl FlyingObjectDetector {
                     scan.append_known(ground);
                     judged.class.push(BACKGROUND);
                 }
-                self.cast(raw, scan, casting)?;
+                self.cast(raw, scan, integrator)?;
             }
         }
         let pose_error = self.pose_error(raw, scan);
-        let stats = self.map.apply(casting, &judged.class, pose_error.as_ref())?;
+        let stats = integrator.apply(&mut self.map, &judged.class, pose_error.as_ref())?;
         if self.parameters.classify.after_update {
             self.judge_again(scan, judged)?;
         }
         Ok(stats)
+    }
+
+    /// Uncertainty that the pose gives to points of the scan.
+    pub(super) fn pose_spread(&self, raw: &RawScan<'_>, scan: &Prepared) -> Option<PoseSpread> {
+        let world_from_lidar = self.map_from_world.inverse().after(&scan.pose);
+        self.parameters.pose.spread(raw.pose_covariance, world_from_lidar, self.map_from_world)
+    }
+
+    /// Uncertainty that the update of the map uses.
+    fn pose_error(&self, raw: &RawScan<'_>, scan: &Prepared) -> Option<PoseError> {
+        let spread = self.pose_spread(raw, scan);
+        self.parameters.pose.error(spread.as_ref(), self.parameters.range_std)
     }
 
     /// Points on the ground below the first position of the sensor, if its height is known.
@@ -50,7 +65,7 @@ impl FlyingObjectDetector {
         &self,
         raw: &RawScan<'_>,
         scan: &Prepared,
-        casting: &mut Casting,
+        integrator: &mut Integrator,
     ) -> Result<(), Error> {
         let pose_error = self.pose_error(raw, scan);
         let one = Origins::One(scan.pose.translation);
@@ -64,7 +79,7 @@ impl FlyingObjectDetector {
             reach: scan.reach.as_deref(),
             pose_error: pose_error.as_ref(),
         };
-        self.map.cast(casting, &classified)
+        integrator.cast(&self.map, &classified)
     }
 
     /// Enclosed uncertain voxels around flying objects become free, unless they hold points.

@@ -40,6 +40,7 @@ pub mod integrate;
 pub mod map;
 mod mapping;
 pub mod parameters;
+pub mod point_class;
 pub mod scan;
 pub mod sky;
 pub mod track;

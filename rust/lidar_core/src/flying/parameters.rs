@@ -3,8 +3,8 @@
 use super::background::burn_in::SeedParameters;
 use super::classify::classifier::ClassifyParameters;
 use super::integrate::pose_weights::PoseParameters;
-use super::map::separate::Separation;
-use super::map::voxel_map::MapParameters;
+use super::map::parameters::MapParameters;
+use super::map::parameters::Separation;
 use super::scan::sensor::SensorParameters;
 use super::track::TrackerParameters;
 use crate::geometry::cluster::Clustering;

@@ -72,7 +72,7 @@ impl FlyingObjectDetector {
     /// # Errors
     /// As [`VoxelMap::load`] and [`FlyingObjectDetector::set_map`]; the detector is unchanged then.
     pub fn load_map(&mut self, path: &Path) -> Result<(), Error> {
-        let (map, bodies) = VoxelMap::load_with(path, self.map.threads())?;
+        let (map, bodies) = VoxelMap::load_with(path)?;
         self.set_map(map)?;
         for body in &bodies {
             if let Some(sensor) = self.sensors.get_mut(&body.sensor) {
@@ -101,7 +101,7 @@ impl FlyingObjectDetector {
     /// # Errors
     /// None that [`FlyingObjectDetector::new`] did not have.
     pub fn reset(&mut self) -> Result<(), Error> {
-        self.map = VoxelMap::new(self.parameters.map.relative_to([0.0; 3]), self.map.threads())?;
+        self.map = VoxelMap::new(self.parameters.map.relative_to([0.0; 3]))?;
         (self.anchored, self.map_from_world) = (false, Transform::IDENTITY);
         self.scans = 0;
         self.burn_in = BurnIn::default();
@@ -126,9 +126,7 @@ impl FlyingObjectDetector {
     /// Back to the empty map of an unknown place.
     pub(super) fn unanchor(&mut self) {
         (self.anchored, self.map_from_world) = (false, Transform::IDENTITY);
-        if let Ok(map) =
-            VoxelMap::new(self.parameters.map.relative_to([0.0; 3]), self.map.threads())
-        {
+        if let Ok(map) = VoxelMap::new(self.parameters.map.relative_to([0.0; 3])) {
             self.map = map; // cannot fail: it could be made before
         }
     }
@@ -147,7 +145,7 @@ impl FlyingObjectDetector {
         if !origin.iter().all(|value| value.abs() <= FARTHEST) {
             return Err(Error::PointOutOfRange { point });
         }
-        self.map = VoxelMap::new(self.parameters.map.relative_to(origin), self.map.threads())?;
+        self.map = VoxelMap::new(self.parameters.map.relative_to(origin))?;
         self.place_origin(origin);
         Ok(())
     }

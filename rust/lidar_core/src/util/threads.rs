@@ -3,6 +3,7 @@
 use crate::Error;
 use crate::error::require;
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use std::sync::Arc;
 
 /// Largest number of threads a pool may have.
 pub const MAX_THREADS: usize = 256;
@@ -18,4 +19,31 @@ pub fn pool(threads: usize) -> Result<ThreadPool, Error> {
         .thread_name(|index| format!("lidar_core-{index}"))
         .build()
         .map_err(|error| Error::Io(std::io::Error::other(error)))
+}
+
+/// Threads that several stages share. With one, the calling thread does all the work.
+#[derive(Clone, Debug, Default)]
+pub struct Workers(Option<Arc<ThreadPool>>);
+
+impl Workers {
+    /// `threads` threads, 1 to [`MAX_THREADS`].
+    ///
+    /// # Errors
+    /// As [`pool`].
+    pub fn new(threads: usize) -> Result<Self, Error> {
+        let pool = pool(threads)?;
+        Ok(Self((threads > 1).then(|| Arc::new(pool))))
+    }
+
+    /// The pool, if there are several threads.
+    #[must_use]
+    pub fn pool(&self) -> Option<&ThreadPool> {
+        self.0.as_deref()
+    }
+
+    /// Number of threads.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.pool().map_or(1, ThreadPool::current_num_threads)
+    }
 }

@@ -4,10 +4,13 @@ use crate::arrays::{self, Rows3, Threads};
 use crate::errors::BorderError;
 use crate::flying::config::{ClassifyConfig, MapConfig, RAY_UNITS, RAYS};
 use crate::guard::{Guarded, detached};
+use lidar_core::Error;
 use lidar_core::flying::classify::classifier::classify_clusters;
-use lidar_core::flying::integrate::integrator::{ClassifiedScan, IntegrateStats, Origins};
-use lidar_core::flying::map::separate::Separation;
+use lidar_core::flying::integrate::classified_scan::{ClassifiedScan, IntegrateStats, Origins};
+use lidar_core::flying::integrate::integrator::Integrator;
+use lidar_core::flying::map::parameters::Separation;
 use lidar_core::flying::map::voxel_map::VoxelMap;
+use lidar_core::util::threads::Workers;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -16,7 +19,21 @@ use std::path::PathBuf;
 type Stats = ([usize; 3], usize, usize, usize, u64, usize);
 
 #[pyclass(frozen, name = "VoxelMap", module = "lidar_core._core")]
-pub(crate) struct PyVoxelMap(Guarded<VoxelMap>);
+pub(crate) struct PyVoxelMap(Guarded<MapWithThreads>);
+
+/// A map, and the stage that updates it.
+struct MapWithThreads {
+    map: VoxelMap,
+    integrator: Integrator,
+    workers: Workers,
+}
+
+impl MapWithThreads {
+    fn new(map: VoxelMap, threads: Threads) -> Result<Self, Error> {
+        let workers = Workers::new(threads.0)?;
+        Ok(Self { map, integrator: Integrator::on(workers.clone()), workers })
+    }
+}
 
 #[pymethods]
 impl PyVoxelMap {
@@ -28,7 +45,9 @@ impl PyVoxelMap {
         threads: Threads,
         origin: [f64; 3],
     ) -> Result<Self, BorderError> {
-        let map = detached(py, || VoxelMap::new(config.parameters(origin)?, threads.0))?;
+        let map = detached(py, || {
+            MapWithThreads::new(VoxelMap::new(config.parameters(origin)?)?, threads)
+        })?;
         Ok(Self(Guarded::new(map)))
     }
 
@@ -58,7 +77,7 @@ impl PyVoxelMap {
             pose_error: None,
         };
         let IntegrateStats { points, skipped, rays, no_return_rays, visits, voxels } =
-            self.0.with(py, |map| map.integrate(&scan))?;
+            self.0.with(py, |this| this.integrator.integrate(&mut this.map, &scan))?;
         Ok((points, skipped, rays, no_return_rays, visits, voxels))
     }
 
@@ -68,7 +87,7 @@ impl PyVoxelMap {
         points: PyReadonlyArray2<'_, f32>,
     ) -> Result<Bound<'py, PyArray1<u8>>, BorderError> {
         let points = arrays::rows3("points", &points)?;
-        Ok(self.0.with(py, |map| Ok(map.states_at(points)))?.into_pyarray(py))
+        Ok(self.with_map(py, |map| Ok(map.states_at(points)))?.into_pyarray(py))
     }
 
     fn values_at<'py>(
@@ -77,7 +96,7 @@ impl PyVoxelMap {
         points: PyReadonlyArray2<'_, f32>,
     ) -> Result<Bound<'py, PyArray1<f32>>, BorderError> {
         let points = arrays::rows3("points", &points)?;
-        Ok(self.0.with(py, |map| Ok(map.values_at(points)))?.into_pyarray(py))
+        Ok(self.with_map(py, |map| Ok(map.values_at(points)))?.into_pyarray(py))
     }
 
     fn set_occupied(
@@ -86,7 +105,7 @@ impl PyVoxelMap {
         points: PyReadonlyArray2<'_, f32>,
     ) -> Result<(), BorderError> {
         let points = arrays::rows3("points", &points)?;
-        self.0.with(py, |map| map.set_occupied(points))
+        self.with_map(py, |map| map.set_occupied(points))
     }
 
     fn set_free(
@@ -95,7 +114,7 @@ impl PyVoxelMap {
         points: PyReadonlyArray2<'_, f32>,
     ) -> Result<(), BorderError> {
         let points = arrays::rows3("points", &points)?;
-        self.0.with(py, |map| map.set_free(points))
+        self.with_map(py, |map| map.set_free(points))
     }
 
     #[pyo3(signature = (points, *, search_distance))]
@@ -106,7 +125,7 @@ impl PyVoxelMap {
         search_distance: f64,
     ) -> Result<bool, BorderError> {
         let points = arrays::rows3("points", &points)?;
-        self.0.with(py, |map| map.is_floating(points, search_distance))
+        self.with_map(py, |map| map.is_floating(points, search_distance))
     }
 
     #[pyo3(signature = (*, max_gap, min_confident))]
@@ -117,7 +136,7 @@ impl PyVoxelMap {
         min_confident: i64,
     ) -> Result<usize, BorderError> {
         let min_confident = arrays::count("min_confident", min_confident)?;
-        self.0.with(py, |map| {
+        self.with_map(py, |map| {
             map.remove_separate(Separation { max_gap, min_confident, dilate: false })
         })
     }
@@ -134,36 +153,38 @@ impl PyVoxelMap {
         let points = arrays::rows3("points", &points)?;
         let labels = arrays::flat("labels", &labels)?;
         let parameters = config.parameters();
-        let classes = self
-            .0
-            .with(py, |map| classify_clusters(map, points, labels, sensor_origin, &parameters))?;
+        let classes = self.0.with(py, |MapWithThreads { map, workers, .. }| {
+            classify_clusters(map, points, labels, sensor_origin, &parameters, workers)
+        })?;
         Ok(classes.into_pyarray(py))
     }
 
     /// Centres of all voxels that are at least tentatively occupied, (N, 3) [m].
     fn occupied_points<'py>(&self, py: Python<'py>) -> Result<Rows3<'py, f64>, BorderError> {
-        let centers = self.0.with(py, |map| Ok(centers(map)))?;
+        let centers = self.with_map(py, |map| Ok(centers(map)))?;
         arrays::rows_into(py, centers)
     }
 
     fn save(&self, py: Python<'_>, path: PathBuf) -> Result<(), BorderError> {
-        self.0.with(py, |map| map.save(&path))
+        self.with_map(py, |map| map.save(&path))
     }
 
     #[staticmethod]
     #[pyo3(signature = (path, *, threads))]
     fn load(py: Python<'_>, path: PathBuf, threads: Threads) -> Result<Self, BorderError> {
-        Ok(Self(Guarded::new(detached(py, || VoxelMap::load(&path, threads.0))?)))
+        Ok(Self(Guarded::new(detached(py, || {
+            MapWithThreads::new(VoxelMap::load(&path)?, threads)
+        })?)))
     }
 
     /// The map as bytes; equal maps give equal bytes.
     fn to_bytes(&self, py: Python<'_>) -> Result<Vec<u8>, BorderError> {
-        self.0.with(py, |map| Ok(map.to_bytes()))
+        self.with_map(py, |map| Ok(map.to_bytes()))
     }
 
     /// World coordinates of the point that the map's coordinates are relative to.
     fn origin(&self, py: Python<'_>) -> Result<[f64; 3], BorderError> {
-        self.0.with(py, |map| Ok(map.parameters().origin))
+        self.with_map(py, |map| Ok(map.parameters().origin))
     }
 
     /// Values of the configuration it was made with, by name.
@@ -171,7 +192,7 @@ impl PyVoxelMap {
         &self,
         py: Python<'py>,
     ) -> Result<Bound<'py, pyo3::types::PyDict>, BorderError> {
-        let p = self.0.with(py, |map| Ok(map.parameters().clone()))?;
+        let p = self.with_map(py, |map| Ok(map.parameters().clone()))?;
         let values = pyo3::types::PyDict::new(py);
         values.set_item("voxel_size", p.voxel_size)?;
         values.set_item("max_range", p.max_range)?;
@@ -202,7 +223,19 @@ impl PyVoxelMap {
 
     /// Voxels stored, voxels observed, bytes held.
     fn size(&self, py: Python<'_>) -> Result<(usize, usize, usize), BorderError> {
-        self.0.with(py, |map| Ok((map.stored_voxels(), map.observed_voxels(), map.memory_bytes())))
+        self.with_map(py, |map| {
+            Ok((map.stored_voxels(), map.observed_voxels(), map.memory_bytes()))
+        })
+    }
+}
+
+impl PyVoxelMap {
+    fn with_map<R: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&mut VoxelMap) -> Result<R, Error> + Send,
+    ) -> Result<R, BorderError> {
+        self.0.with(py, |this| work(&mut this.map))
     }
 }
 

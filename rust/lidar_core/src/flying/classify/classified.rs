@@ -6,7 +6,7 @@ use super::occupied_nearby::Near;
 use crate::Error;
 use crate::flying::detector::{FlyingObjectDetector, replace};
 use crate::flying::frame::Timing;
-use crate::flying::integrate::integrator::{BACKGROUND, FLYING, INVALID, UNKNOWN};
+use crate::flying::point_class::{BACKGROUND, FLYING, INVALID, UNKNOWN};
 use crate::flying::scan::prepared::Prepared;
 use crate::flying::sky::ON_GROUND;
 use crate::geometry::cluster::angular_gap::{AngularGap, SeenLabeller};
@@ -115,7 +115,7 @@ impl FlyingObjectDetector {
         let points = if self.parameters.cluster_voxels { middles } else { &scan.points };
         let gap =
             AngularGap { origin: scan.pose.translation, max_angle: self.parameters.cluster_angle };
-        labeller.label(points, &gap, &self.parameters.clustering, self.map.pool.as_ref())?;
+        labeller.label(points, &gap, &self.parameters.clustering, self.workers.pool())?;
         Ok(())
     }
 
@@ -132,7 +132,7 @@ impl FlyingObjectDetector {
             seed.background_extent(&self.burn_in, parameters.background_extent);
         let (map, origin) = (&self.map, scan.pose.translation);
         let judge = Judge { map, points: &scan.points, origin, parameters: &parameters };
-        classifier.classify(&judge, clusters, verdicts)?;
+        classifier.classify(&judge, clusters, self.workers.pool(), verdicts)?;
         let world_from_map = self.map_from_world.inverse();
         for (verdict, cluster) in verdicts.iter_mut().zip(clusters.iter()) {
             let own = cluster

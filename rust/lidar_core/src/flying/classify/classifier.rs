@@ -6,12 +6,14 @@ use super::grouping::Grouper;
 use super::occupied_nearby::Near;
 use super::shadow::Shadow;
 use crate::Error;
-use crate::flying::integrate::integrator::{BACKGROUND, FLYING, UNKNOWN};
 use crate::flying::map::blocks::Cursor;
 use crate::flying::map::voxel_map::VoxelMap;
+use crate::flying::point_class::{BACKGROUND, FLYING, UNKNOWN};
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
 use crate::util::object_pool::{Lent, Shelf};
+use crate::util::threads::Workers;
+use rayon::ThreadPool;
 use rayon::prelude::*;
 
 /// Parameters of the classification of clusters.
@@ -77,6 +79,7 @@ pub fn classify_clusters(
     labels: &[i32],
     origin: [f64; 3],
     parameters: &ClassifyParameters,
+    workers: &Workers,
 ) -> Result<Vec<u8>, Error> {
     if labels.len() != points.len() {
         let (expected, got) = (points.len(), labels.len());
@@ -95,7 +98,7 @@ pub fn classify_clusters(
     let (mut clusters, mut verdicts) = (Clusters::default(), Vec::new());
     clusters.fill(points, labels);
     let judge = Judge { map, points, origin, parameters };
-    Classifier::default().classify(&judge, &clusters, &mut verdicts)?;
+    Classifier::default().classify(&judge, &clusters, workers.pool(), &mut verdicts)?;
     Ok(verdicts.into_iter().map(|verdict| verdict.class).collect())
 }
 
@@ -113,6 +116,7 @@ impl Classifier {
         &mut self,
         judge: &Judge<'_>,
         clusters: &Clusters,
+        pool: Option<&ThreadPool>,
         verdicts: &mut Vec<Verdict>,
     ) -> Result<(), Error> {
         let Judge { map, points, parameters, .. } = *judge;
@@ -120,7 +124,7 @@ impl Classifier {
         check_steps("close_distance", parameters.close_distance, map.lattice().voxel_size())?;
         let Self { background, grouper, scratch } = self;
         let near = |index: usize| judge.is_background(&clusters.get(index));
-        each(map, clusters.len(), || (), |(), index| near(index), background);
+        each(pool, clusters.len(), || (), |(), index| near(index), background);
         let groups = grouper.groups(points, clusters, background, parameters.group_distance)?;
         let verdict = |scratch: &mut Lent<'_, Scratch>, index: usize| {
             if background[index] || groups[index].with_background {
@@ -129,7 +133,7 @@ impl Classifier {
             let cluster = clusters.get(index);
             judge.flying_or_unknown(scratch, &cluster, groups[index].extent, radius)
         };
-        each(map, clusters.len(), || scratch.lend(), verdict, verdicts);
+        each(pool, clusters.len(), || scratch.lend(), verdict, verdicts);
         Ok(())
     }
 }
@@ -139,16 +143,16 @@ fn is_upright([x, y, z]: [f64; 3], height: f64) -> bool {
     z >= height && libm::hypot(x, y) <= 0.4 * z
 }
 
-/// Put what `work` says of every index below `count` into `found`, on the threads of the map. Every
+/// Put what `work` says of every index below `count` into `found`, on the threads of the pool. Every
 /// thread has something of its own.
 fn each<T: Send, S>(
-    map: &VoxelMap,
+    pool: Option<&ThreadPool>,
     count: usize,
     own: impl Fn() -> S + Sync + Send,
     work: impl Fn(&mut S, usize) -> T + Sync + Send,
     found: &mut Vec<T>,
 ) {
-    match &map.pool {
+    match pool {
         Some(pool) => {
             let all = (0..count).into_par_iter().map_init(own, work);
             pool.install(|| all.collect_into_vec(found));

@@ -7,7 +7,7 @@ use crate::flying::classify::classifier::Verdict;
 use crate::flying::classify::clusters::{Cluster, Clusters};
 use crate::flying::detector::FlyingObjectDetector;
 use crate::flying::frame::Teammate;
-use crate::flying::integrate::integrator::{BACKGROUND, FLYING};
+use crate::flying::point_class::{BACKGROUND, FLYING};
 use crate::flying::scan::prepared::Prepared;
 use crate::geometry::transform::{minus, norm};
 

@@ -1,7 +1,8 @@
 //! Marks of one scan: points or ray length per voxel.
 
-use super::dense_blocks::Sheet;
-use super::sparse_blocks::Beyond;
+use super::dense_blocks::DenseBlocks;
+use super::mark::{Content, Mark, tag_and_count, with_points};
+use super::sparse_blocks::SparseBlocks;
 use super::window::Window;
 use crate::Error;
 use crate::flying::map::blocks::{Place, VOLUME, offset_of};
@@ -9,25 +10,6 @@ use crate::geometry::lattice::Voxel;
 use rayon::ThreadPool;
 use std::hint::black_box;
 
-/// Content of one voxel in one scan, in 32 bits: the class of the points inside in the highest
-/// two, below them their number, or without points the length of rays in 1/16384 edges.
-pub(crate) type Mark = u32;
-/// Bits of the count: the number of points, in a weighted scan their weight in units of
-/// 1 / `POINT_UNITS`, or the length of rays.
-const COUNT_BITS: u32 = 30;
-pub(crate) const MAX_COUNT: u32 = (1 << COUNT_BITS) - 1;
-/// Weight units per point, in scans whose points have weights.
-pub(crate) const POINT_UNITS: u32 = 1024;
-/// Length units per voxel edge.
-// 2^14: scaling by a power of two is exact, and 30 bits still hold 65,536 edges per voxel and scan.
-pub(crate) const UNITS_PER_EDGE: f64 = 16_384.0;
-/// More than a ray can add to a mark: a diagonal.
-// sqrt(3) = 1.732 edges; the rest is room for rounded positions.
-const MOST_UNITS: u32 = (1.75 * UNITS_PER_EDGE) as u32;
-/// Number of rays that cannot make an empty mark overflow.
-pub(super) const RAYS_FROM_EMPTY: usize = (u32::MAX / MOST_UNITS) as usize;
-/// Number of rays that cannot make a mark of `MAX_COUNT` overflow.
-pub(super) const RAYS_FROM_FULL: usize = ((u32::MAX - MAX_COUNT) / MOST_UNITS) as usize;
 const EMPTY: u32 = u32::MAX;
 /// Points that are marked together.
 const POINTS_AT_A_TIME: usize = 64;
@@ -37,22 +19,6 @@ pub(super) const STEPS: usize = 8;
 /// Steps of `N` rays side by side.
 pub(crate) type Steps<const N: usize> = [[u32; N]; STEPS];
 
-/// Classes that a voxel's points can have, weakest first: of several the strongest counts
-/// (first matching case of eq. 9: background, then flying or unknown, then rays).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Content {
-    Rays,
-    Unknown,
-    Flying,
-    Background,
-}
-
-/// Number of the content, and how much of it (points, or length units).
-#[inline(always)]
-pub(crate) fn tag_and_count(mark: Mark) -> (u32, u32) {
-    (mark >> COUNT_BITS, mark & MAX_COUNT)
-}
-
 /// Marks of one scan, block by block: empty between scans, its memory is used again.
 ///
 /// If the whole window lies in memory, the slot of a block is its index.
@@ -60,12 +26,13 @@ pub(crate) fn tag_and_count(mark: Mark) -> (u32, u32) {
 pub(crate) struct Accumulator {
     window: Option<Window>,
     /// Marks in the window.
-    sheet: Sheet,
+    dense: DenseBlocks,
     /// Slots of the blocks of a window that does not lie in memory as a whole, by their index.
     table: Vec<u32>,
     /// Indices of the blocks that have a slot there, with it.
     opened: Vec<(u32, u32)>,
-    beyond: Beyond,
+    /// Marks of points beyond the window.
+    sparse: SparseBlocks,
     /// Slots of the blocks that are added to those of this one.
     sources: Vec<u32>,
     visits: u64,
@@ -73,23 +40,11 @@ pub(crate) struct Accumulator {
     most: usize,
 }
 
-/// A place on the sheet of the window or among the blocks beyond it.
+/// Position of a block or a mark: in the window, or among the blocks beyond it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Slot {
     Within(usize),
     Beyond(usize),
-}
-
-/// A mark to which points, or as many units, of class `content` are added. Stronger contents are
-/// greater numbers: arithmetic alone, since no branch could be foreseen.
-#[inline(always)]
-fn with_points(mark: Mark, content: Content, units: u32) -> Mark {
-    // A weaker mark lies below `none`, so the maximum drops its count. A stronger one lies above
-    // `none | MAX_COUNT`, so the last maximum keeps it. The minimum stops a full count before it
-    // carries into the class.
-    let none = (content as u32) << COUNT_BITS;
-    let known = mark.max(none);
-    known.max(known.saturating_add(units).min(none | MAX_COUNT))
 }
 
 impl Accumulator {
@@ -97,7 +52,7 @@ impl Accumulator {
     pub(crate) fn aim(&mut self, window: Window, most: usize) {
         self.most = most;
         if window.is_whole() {
-            self.sheet.reserve(window.len());
+            self.dense.reserve(window.len());
         } else {
             self.table.resize(window.len(), EMPTY);
         }
@@ -107,11 +62,11 @@ impl Accumulator {
     /// Empty it for the next scan.
     pub(crate) fn clear(&mut self, pool: Option<&ThreadPool>) {
         self.visits = 0;
-        self.sheet.clear(pool);
+        self.dense.clear(pool);
         for (index, _) in self.opened.drain(..) {
             self.table[index as usize] = EMPTY;
         }
-        self.beyond.clear();
+        self.sparse.clear();
     }
 
     /// Slot of the block at `index` of the window, made when first met.
@@ -134,7 +89,7 @@ impl Accumulator {
         }
         self.table[index] = slot as u32;
         self.opened.push((index as u32, slot as u32));
-        self.sheet.grow(slot + 1);
+        self.dense.grow(slot + 1);
         slot
     }
 
@@ -148,7 +103,7 @@ impl Accumulator {
         lengths: &[Steps<N>],
     ) {
         if window.is_whole() {
-            let marks = self.sheet.marks_mut();
+            let marks = self.dense.marks_mut();
             each(places, lengths, |place, length| {
                 // Cannot overflow: `cast_all` settles before so many rays are cast.
                 marks[place] = marks[place].wrapping_add(length);
@@ -158,7 +113,7 @@ impl Accumulator {
                 // Rays that have arrived add 0 at places that mean nothing: these must open no block.
                 if length != 0 {
                     let mark = self.slot(window, place / VOLUME) * VOLUME + place % VOLUME;
-                    let mark = &mut self.sheet.marks_mut()[mark];
+                    let mark = &mut self.dense.marks_mut()[mark];
                     *mark = mark.wrapping_add(length);
                 }
             });
@@ -173,8 +128,8 @@ impl Accumulator {
     /// Full marks stay full; the rows that rays met are noted.
     pub(crate) fn settle(&mut self) {
         match self.window {
-            Some(window) if window.is_whole() => self.sheet.settle(window.indices()),
-            _ => self.sheet.settle(0..self.opened.len()),
+            Some(window) if window.is_whole() => self.dense.settle(window.indices()),
+            _ => self.dense.settle(0..self.opened.len()),
         }
     }
 
@@ -196,7 +151,7 @@ impl Accumulator {
             if taken == 0 {
                 return;
             }
-            let (marks, spots) = (self.sheet.marks_mut(), &spots[..within]);
+            let (marks, spots) = (self.dense.marks_mut(), &spots[..within]);
             // All are looked at before any is changed: their memory is waited for once.
             black_box(spots.iter().fold(0, |seen, &(spot, _)| seen | marks[spot]));
             for &(spot, content) in spots {
@@ -230,7 +185,7 @@ impl Accumulator {
     #[inline(always)]
     pub(super) fn mark_within(&mut self, window: &Window, place: usize) -> &mut Mark {
         let spot = self.spot_within(window, place);
-        &mut self.sheet.marks_mut()[spot]
+        &mut self.dense.marks_mut()[spot]
     }
 
     /// Position of the mark of a voxel that is about to be set.
@@ -240,22 +195,22 @@ impl Accumulator {
         if let Some(place) = window.place_of(voxel) {
             return Some(Slot::Within(self.spot_within(&window, place)));
         }
-        let slot = self.beyond.slot(Place::of(voxel), self.most)?;
-        Some(Slot::Beyond(self.beyond.spot(slot, offset_of(voxel))))
+        let slot = self.sparse.slot(Place::of(voxel), self.most)?;
+        Some(Slot::Beyond(self.sparse.spot(slot, offset_of(voxel))))
     }
 
     /// Position of the mark at a place of the window that is about to be set.
     #[inline(always)]
     fn spot_within(&mut self, window: &Window, place: usize) -> usize {
         let slot = self.slot(window, place / VOLUME);
-        self.sheet.spot(slot, place % VOLUME)
+        self.dense.spot(slot, place % VOLUME)
     }
 
     #[inline(always)]
     fn at(&mut self, spot: Slot) -> &mut Mark {
         match spot {
-            Slot::Within(at) => &mut self.sheet.marks_mut()[at],
-            Slot::Beyond(at) => &mut self.beyond.marks_mut()[at],
+            Slot::Within(at) => &mut self.dense.marks_mut()[at],
+            Slot::Beyond(at) => &mut self.sparse.marks_mut()[at],
         }
     }
 
@@ -266,13 +221,13 @@ impl Accumulator {
         let mut sources = std::mem::take(&mut self.sources);
         // `EMPTY` is no slot of `other`: blocks that keep it are left as they are.
         sources.clear();
-        sources.resize(self.sheet.len(), EMPTY);
+        sources.resize(self.dense.len(), EMPTY);
         for (index, slot) in other.slots() {
             let own = self.slot(window, index as usize);
             sources.resize(sources.len().max(own + 1), EMPTY);
             sources[own] = slot;
         }
-        self.sheet.absorb(&other.sheet, &sources);
+        self.dense.absorb(&other.dense, &sources);
         self.sources = sources;
         other.clear(Some(pool));
     }
@@ -280,7 +235,7 @@ impl Accumulator {
     /// # Errors
     /// [`Error::Limit`] if the scan touches too many blocks; its marks are of no use then.
     pub(crate) fn check(&self) -> Result<(), Error> {
-        if self.opened.len() > self.most || self.beyond.opened.len() > self.most {
+        if self.opened.len() > self.most || self.sparse.opened.len() > self.most {
             return Err(Error::Limit {
                 what: format!("a scan that touches more than {} voxels", self.most * VOLUME),
                 limit: (self.most * VOLUME) as u64,
@@ -298,8 +253,8 @@ impl Accumulator {
     /// Index and slot of every block in the window that holds marks.
     fn slots(&self) -> impl Iterator<Item = (u32, u32)> {
         let opened = self.opened.iter().copied();
-        let all = if self.opened.is_empty() { self.sheet.len() as u32 } else { 0 };
-        let met = self.sheet.met();
+        let all = if self.opened.is_empty() { self.dense.len() as u32 } else { 0 };
+        let met = self.dense.met();
         (0..all)
             .map(|index| (index, index))
             .chain(opened)
@@ -311,13 +266,13 @@ impl Accumulator {
     pub(crate) fn marked(&mut self) -> impl Iterator<Item = (Place, Slot)> {
         // Blocks are opened in an order that depends on the threads; the map must not.
         self.opened.sort_unstable();
-        self.beyond.opened.sort_unstable();
+        self.sparse.opened.sort_unstable();
         let place = |index| self.window.map(|window| window.place(index));
         let within = self.slots().filter_map(move |(index, slot)| {
             Some((place(index as usize)?, Slot::Within(slot as usize)))
         });
         within.chain(
-            self.beyond.opened.iter().map(|&(place, slot)| (place, Slot::Beyond(slot as usize))),
+            self.sparse.opened.iter().map(|&(place, slot)| (place, Slot::Beyond(slot as usize))),
         )
     }
 
@@ -329,9 +284,9 @@ impl Accumulator {
         spare: &'a mut [Mark; VOLUME],
     ) -> (&'a [Mark; VOLUME], u64) {
         match slot {
-            Slot::Within(slot) => (&self.sheet.blocks()[slot], self.sheet.met()[slot]),
+            Slot::Within(slot) => (&self.dense.blocks()[slot], self.dense.met()[slot]),
             Slot::Beyond(slot) => {
-                let met = self.beyond.copy(slot, spare);
+                let met = self.sparse.copy(slot, spare);
                 (spare, met)
             }
         }

@@ -1,6 +1,6 @@
 //! Marks of many blocks, and which of their rows hold any.
 
-use super::accumulator::{MAX_COUNT, Mark};
+use super::mark::{MAX_COUNT, Mark};
 use crate::flying::map::blocks::{EDGE, VOLUME};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::ThreadPool;
@@ -13,13 +13,13 @@ const BLOCKS_AT_A_TIME: usize = 64;
 
 /// Marks of blocks by their slot. All zero between scans.
 #[derive(Default)]
-pub(super) struct Sheet {
+pub(super) struct DenseBlocks {
     marks: Vec<Mark>,
     /// Per block, a bit for each row that holds marks; marks of rays count once they are settled.
     met: Vec<u64>,
 }
 
-impl Sheet {
+impl DenseBlocks {
     /// Slots that it has.
     pub(crate) fn len(&self) -> usize {
         self.met.len()
@@ -68,7 +68,7 @@ impl Sheet {
 
     /// Hold the sums of rays in `slots` down to the largest, and note the rows that they met.
     pub(crate) fn settle(&mut self, slots: impl Iterator<Item = usize>) {
-        Arch::new().dispatch(Settle { sheet: self, slots });
+        Arch::new().dispatch(Settle { dense: self, slots });
     }
 
     /// Add the marks that `other` holds in `sources`, by slot. Both are settled.
@@ -125,7 +125,7 @@ fn add_row(marks: &mut MarkRow, more: &MarkRow) {
 }
 
 struct Settle<'a, I> {
-    sheet: &'a mut Sheet,
+    dense: &'a mut DenseBlocks,
     slots: I,
 }
 
@@ -134,9 +134,9 @@ impl<I: Iterator<Item = usize>> WithSimd for Settle<'_, I> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let blocks = self.sheet.marks.as_chunks_mut::<VOLUME>().0;
+        let blocks = self.dense.marks.as_chunks_mut::<VOLUME>().0;
         for slot in self.slots {
-            self.sheet.met[slot] = settle_block(&mut blocks[slot]);
+            self.dense.met[slot] = settle_block(&mut blocks[slot]);
         }
     }
 }

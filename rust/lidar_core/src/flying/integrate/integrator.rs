@@ -1,155 +1,132 @@
 //! One scan into the map: rays, points, then one exponential update per voxel.
 //!
+//! Two steps, of which the first needs no classes: cast the rays, then mark the points and update
+//! the voxels.
+//!
 //! Source: Vrba et al., eqs 8-12 and 16-22.
 
-use super::accumulator::Content;
-use super::pose_weights::PoseError;
+use super::accumulator::Accumulator;
+use super::block_update::{MarkedBlock, update_blocks};
+use super::classified_scan::{ClassifiedScan, IntegrateStats, check_classes};
+use super::mark::Content;
+use super::plan::Plan;
+use super::pose_weights::{PoseError, mark_points};
+use super::ray_segments::Source;
+use super::walk::{cast_all, merge_ends};
+use super::window::Window;
 use crate::Error;
-use crate::util::budget::check_points;
+use crate::flying::map::parameters::Rays;
+use crate::flying::map::voxel_map::VoxelMap;
+use crate::geometry::lattice::Voxel;
+use crate::util::threads::Workers;
 
-/// Class of a point that is ignored.
-pub const INVALID: u8 = 0;
-/// Class of a point on something that belongs to the environment.
-pub const BACKGROUND: u8 = 1;
-/// Class of a point on a flying object.
-pub const FLYING: u8 = 2;
-/// Class of a point that is neither background nor known to fly.
-pub const UNKNOWN: u8 = 3;
+/// Blocks that a scan may touch whatever the budget of the map: those outside its operating volume
+/// are not stored. 256 MiB.
+const LEAST_SCRATCH: usize = 1 << 17;
 
-/// Start points of rays [m].
-#[derive(Clone, Copy, Debug)]
-pub enum Origins<'a> {
-    /// One start point for all rays.
-    One([f64; 3]),
-    /// One start point per ray.
-    Each(&'a [[f64; 3]]),
+/// Stage that updates a voxel map with scans; its memory is used again by the next scan.
+#[derive(Default)]
+pub struct Integrator {
+    workers: Workers,
+    plan: Plan,
+    /// One per thread; the first takes the sums of the others.
+    accumulators: Vec<Accumulator>,
+    blocks: Vec<MarkedBlock>,
+    /// True while the accumulators hold marks.
+    is_open: bool,
 }
 
-impl Origins<'_> {
-    /// Origin of the ray `index`.
+impl Integrator {
+    /// An integrator with `threads` threads of its own.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] if `threads` is outside 1 to 256, [`Error::Io`] if the system refuses.
+    pub fn new(threads: usize) -> Result<Self, Error> {
+        Workers::new(threads).map(Self::on)
+    }
+
+    /// An integrator that shares `workers` with other stages.
     #[must_use]
-    #[inline]
-    pub fn at(&self, index: usize) -> [f64; 3] {
-        match self {
-            Self::One(origin) => *origin,
-            Self::Each(origins) => origins[index],
+    pub fn on(workers: Workers) -> Self {
+        let accumulators = (0..workers.count()).map(|_| Accumulator::default()).collect();
+        let (plan, blocks) = (Plan::default(), Vec::new());
+        Self { workers, plan, accumulators, blocks, is_open: false }
+    }
+
+    /// Update `map` with one classified scan.
+    ///
+    /// A voxel that holds points is pulled once per point towards the value of its strongest
+    /// class (background before flying before unknown; flying sets it outright, eq. 17); any
+    /// other voxel is pulled towards free by the length of the rays inside it (eq. 22).
+    ///
+    /// # Errors
+    /// [`Error::Length`], [`Error::Value`], [`Error::PointOutOfRange`], [`Error::Limit`]; the map
+    /// is unchanged then.
+    pub fn integrate(
+        &mut self,
+        map: &mut VoxelMap,
+        scan: &ClassifiedScan<'_>,
+    ) -> Result<IntegrateStats, Error> {
+        self.cast(map, scan)?;
+        self.apply(map, scan.class, scan.pose_error)
+    }
+
+    /// Cast the rays of a scan. Of the classes only
+    /// [`INVALID`](crate::flying::point_class::INVALID) matters.
+    ///
+    /// # Errors
+    /// As [`Integrator::integrate`].
+    pub(crate) fn cast(&mut self, map: &VoxelMap, scan: &ClassifiedScan<'_>) -> Result<(), Error> {
+        let Self { workers, plan, accumulators, is_open, .. } = self;
+        if std::mem::replace(is_open, true) {
+            accumulators.fill_with(Accumulator::default); // a scan that was given up
         }
-    }
-}
-
-/// One scan in the frame of the map.
-#[derive(Clone, Copy, Debug)]
-pub struct ClassifiedScan<'a> {
-    /// End of every ray [m].
-    pub points: &'a [[f32; 3]],
-    /// [`INVALID`], [`BACKGROUND`], [`FLYING`] or [`UNKNOWN`] per point. Invalid entries cast no ray.
-    pub class: &'a [u8],
-    /// Start points of the rays.
-    pub origins: Origins<'a>,
-    /// Direction of every ray; needed where `no_return` is set.
-    pub directions: Option<&'a [[f32; 3]]>,
-    /// Rays that met nothing: they clear up to `max_range`.
-    pub no_return: Option<&'a [bool]>,
-    /// Points whose ray is not cast, such as the nearer of two returns.
-    pub no_ray: Option<&'a [bool]>,
-    /// Length that the rays of `no_return` clear [m], beyond their directions; without it, up to
-    /// `max_range`. Other entries are not looked at.
-    pub reach: Option<&'a [f32]>,
-    /// Uncertainty of the points, if the update uses it.
-    pub pose_error: Option<&'a PoseError>,
-}
-
-/// Counts of one scan's update of the map.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct IntegrateStats {
-    /// Points used, per class background, flying, unknown.
-    pub points: [usize; 3],
-    /// Entries without information: class invalid, not finite, or without a direction.
-    pub skipped: usize,
-    /// Rays cast, with and without return, or represented by one that is cast.
-    pub rays: usize,
-    /// Of these, rays without return.
-    pub no_return_rays: usize,
-    /// Voxels crossed by rays, each crossing counted.
-    pub visits: u64,
-    /// Voxels whose value was updated.
-    pub voxels: usize,
-}
-
-impl IntegrateStats {
-    pub(crate) fn count(&mut self, point: Content) {
-        self.points[match point {
-            Content::Background => 0,
-            Content::Flying => 1,
-            _ => 2,
-        }] += 1;
-    }
-}
-
-#[inline(always)]
-pub(super) fn content_of(class: u8) -> Option<Content> {
-    match class {
-        BACKGROUND => Some(Content::Background),
-        FLYING => Some(Content::Flying),
-        UNKNOWN => Some(Content::Unknown),
-        // `INVALID`: other numbers are refused by `check_classes` before.
-        _ => None,
-    }
-}
-
-pub(super) fn check_classes(class: &[u8], expected: usize) -> Result<(), Error> {
-    if class.len() != expected {
-        return Err(Error::Length { name: "point_class", expected, got: class.len() });
-    }
-    let Some(index) = class.iter().position(|&class| class > UNKNOWN) else { return Ok(()) };
-    Err(Error::Value {
-        name: "point_class",
-        expected: "0 invalid, 1 background, 2 flying or 3 unknown",
-        index,
-        got: class[index].to_string(),
-    })
-}
-
-pub(crate) fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {
-    let expected = scan.points.len();
-    // First, since rows are counted in 32 bits from here on.
-    check_points(expected)?;
-    check_classes(scan.class, expected)?;
-    let lengths = [
-        ("ray_directions", scan.directions.map(<[_]>::len)),
-        ("no_return", scan.no_return.map(<[_]>::len)),
-        ("no_ray", scan.no_ray.map(<[_]>::len)),
-        ("reach", scan.reach.map(<[_]>::len)),
-        (
-            "sensor_origin",
-            if let Origins::Each(each) = scan.origins { Some(each.len()) } else { None },
-        ),
-    ];
-    for (name, got) in lengths {
-        if let Some(got) = got.filter(|&got| got != expected) {
-            return Err(Error::Length { name, expected, got });
+        let source = Source { scan, parameters: map.parameters(), lattice: map.lattice() };
+        plan.fill(workers.pool(), &source)?;
+        let Some([low, high]) = plan.bounds() else { return Ok(()) };
+        let window = Window::spanning(low, high)?;
+        let most = map.blocks.max_blocks().max(LEAST_SCRATCH);
+        if map.parameters().rays == Rays::OnePerEnd {
+            merge_ends(&mut accumulators[0], window, &source, &mut plan.rays, most)?;
         }
+        cast_all(workers.pool(), accumulators, window, &source, &plan.rays, most);
+        accumulators[0].check()
     }
-    // Only the presence is checked: single directions that are zero or not finite count as skipped.
-    if scan.no_return.is_some_and(|flags| flags.contains(&true)) && scan.directions.is_none() {
-        return Err(Error::Value {
-            name: "ray_directions",
-            expected: "the direction of every ray, since `no_return` is set",
-            index: 0,
-            got: "none".into(),
-        });
+
+    /// Mark the points of the scan that was cast last, by their class, and update the map.
+    ///
+    /// # Errors
+    /// As [`Integrator::integrate`].
+    pub(crate) fn apply(
+        &mut self,
+        map: &mut VoxelMap,
+        class: &[u8],
+        pose_error: Option<&PoseError>,
+    ) -> Result<IntegrateStats, Error> {
+        let Self { workers, plan, accumulators, blocks, is_open } = self;
+        check_classes(class, plan.rows)?;
+        let sums = &mut accumulators[0];
+        let mut stats = plan.stats;
+        let count = |&(_, content): &(Voxel, Content)| stats.count(content);
+        mark_points(map, sums, plan.classified(class).inspect(count), pose_error);
+        sums.check()?;
+        stats.visits = sums.visits();
+        let weighted = pose_error.is_some_and(PoseError::weighs_points);
+        // On an error `is_open` stays set: the next scan starts with new accumulators.
+        stats.voxels = update_blocks(map, blocks, sums, weighted, workers.pool())?;
+        sums.clear(workers.pool());
+        *is_open = false;
+        Ok(stats)
     }
-    Ok(())
 }
 
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::flying::map::voxel_map::{MapParameters, VoxelMap};
-
-    pub(crate) fn parameters() -> MapParameters {
-        MapParameters { max_voxels: 1 << 20, ..MapParameters::default() }
-    }
+    use crate::flying::integrate::classified_scan::Origins;
+    use crate::flying::map::parameters::MapParameters;
+    use crate::flying::map::parameters::tests::parameters;
+    use crate::flying::point_class::{BACKGROUND, FLYING, INVALID, UNKNOWN};
 
     pub(crate) fn scan<'a>(points: &'a [[f32; 3]], class: &'a [u8]) -> ClassifiedScan<'a> {
         ClassifiedScan {
@@ -166,8 +143,9 @@ pub(crate) mod tests {
 
     #[test]
     fn a_ray_clears_up_to_the_voxel_of_its_point() -> Result<(), Error> {
-        let mut map = VoxelMap::new(parameters(), 1)?;
-        let stats = map.integrate(&scan(&[[1.1, 0.1, 0.1]], &[BACKGROUND]))?;
+        let mut map = VoxelMap::new(parameters())?;
+        let scan = scan(&[[1.1, 0.1, 0.1]], &[BACKGROUND]);
+        let stats = Integrator::new(1)?.integrate(&mut map, &scan)?;
         assert_eq!((stats.rays, stats.visits, stats.voxels), (1, 5, 5));
         let at = map.values_at(&[[0.3, 0.1, 0.1], [1.1, 0.1, 0.1], [1.3, 0.1, 0.1]]);
         assert_eq!(at, [-870.0, -370.0, -740.0]); // one edge, one point, nothing
@@ -176,29 +154,34 @@ pub(crate) mod tests {
 
     #[test]
     fn a_ray_without_return_needs_a_direction() -> Result<(), Error> {
-        let mut map = VoxelMap::new(parameters(), 1)?;
+        let mut map = VoxelMap::new(parameters())?;
         let points = [[f32::NAN; 3]];
         let empty = ClassifiedScan { no_return: Some(&[true]), ..scan(&points, &[INVALID]) };
-        assert!(matches!(map.integrate(&empty), Err(Error::Value { name: "ray_directions", .. })));
+        let mut integrator = Integrator::new(1)?;
+        let refused = integrator.integrate(&mut map, &empty);
+        assert!(matches!(refused, Err(Error::Value { name: "ray_directions", .. })));
         let directions = [[0.0, 0.0, 2.0]];
-        let stats = map.integrate(&ClassifiedScan { directions: Some(&directions), ..empty })?;
+        let aimed = ClassifiedScan { directions: Some(&directions), ..empty };
+        let stats = integrator.integrate(&mut map, &aimed)?;
         assert_eq!((stats.rays, stats.no_return_rays, stats.visits), (1, 1, 81));
         Ok(())
     }
 
     #[test]
     fn a_refused_scan_changes_nothing() -> Result<(), Error> {
-        let mut map = VoxelMap::new(MapParameters { max_voxels: 1024, ..parameters() }, 2)?;
+        let mut map = VoxelMap::new(MapParameters { max_voxels: 1024, ..parameters() })?;
+        let mut integrator = Integrator::new(2)?;
+        let mut integrate = |scan| integrator.integrate(&mut map, &scan);
         assert!(matches!(
-            map.integrate(&scan(&[[15.0, 9.0, 3.0]], &[UNKNOWN])),
+            integrate(scan(&[[15.0, 9.0, 3.0]], &[UNKNOWN])),
             Err(Error::Limit { .. })
         ));
         assert!(matches!(
-            map.integrate(&scan(&[[1e30, 0.0, 0.0]], &[1])),
+            integrate(scan(&[[1e30, 0.0, 0.0]], &[1])),
             Err(Error::PointOutOfRange { .. })
         ));
-        assert!(matches!(map.integrate(&scan(&[[1.0; 3]], &[4])), Err(Error::Value { .. })));
-        assert!(matches!(map.integrate(&scan(&[[1.0; 3]], &[])), Err(Error::Length { .. })));
+        assert!(matches!(integrate(scan(&[[1.0; 3]], &[4])), Err(Error::Value { .. })));
+        assert!(matches!(integrate(scan(&[[1.0; 3]], &[])), Err(Error::Length { .. })));
         assert_eq!(map.stored_voxels(), 0);
         Ok(())
     }
@@ -209,13 +192,15 @@ pub(crate) mod tests {
         let near = [[1.1, 0.1, 0.1], [60.0, -3.0, 1.0]];
         for (threads, max_voxels) in [(1, 3072), (2, 3072), (1, 1 << 20), (3, 1 << 20)] {
             let parameters = MapParameters { max_voxels, max_range: 5.0, ..parameters() };
-            let mut map = VoxelMap::new(parameters.clone(), threads)?;
-            let refused = map.integrate(&scan(&far, &[UNKNOWN, BACKGROUND])).is_err();
+            let mut map = VoxelMap::new(parameters.clone())?;
+            let (mut integrator, mut fresh) = (Integrator::new(threads)?, Integrator::new(1)?);
+            let class = [UNKNOWN, BACKGROUND];
+            let refused = integrator.integrate(&mut map, &scan(&far, &class)).is_err();
             assert_eq!(refused, max_voxels == 3072);
             map.clear();
-            let mut other = VoxelMap::new(parameters, 1)?;
-            map.integrate(&scan(&near, &[BACKGROUND, FLYING]))?;
-            other.integrate(&scan(&near, &[BACKGROUND, FLYING]))?;
+            let mut other = VoxelMap::new(parameters)?;
+            integrator.integrate(&mut map, &scan(&near, &[BACKGROUND, FLYING]))?;
+            fresh.integrate(&mut other, &scan(&near, &[BACKGROUND, FLYING]))?;
             assert_eq!(map.to_bytes(), other.to_bytes());
         }
         Ok(())
@@ -228,11 +213,11 @@ pub(crate) mod tests {
         let class = [BACKGROUND; 2];
         let long = MapParameters { max_range: 400.0, ..parameters() };
         for threads in [1, 2] {
-            let mut map = VoxelMap::new(long.clone(), threads)?;
-            map.integrate(&scan(&ends, &class))?;
+            let mut map = VoxelMap::new(long.clone())?;
+            Integrator::new(threads)?.integrate(&mut map, &scan(&ends, &class))?;
             for end in ends {
-                let mut alone = VoxelMap::new(long.clone(), 1)?;
-                alone.integrate(&scan(&[end], &class[..1]))?;
+                let mut alone = VoxelMap::new(long.clone())?;
+                Integrator::new(1)?.integrate(&mut alone, &scan(&[end], &class[..1]))?;
                 let along: Vec<[f32; 3]> = (1_u8..=200)
                     .map(|step| end.map(|value| value * f32::from(step) / 200.0))
                     .collect();
@@ -244,15 +229,16 @@ pub(crate) mod tests {
 
     #[test]
     fn a_scan_without_anything_fits_any_lattice() -> Result<(), Error> {
-        let mut map = VoxelMap::new(MapParameters { voxel_size: 1e300, ..parameters() }, 1)?;
-        let stats = map.integrate(&scan(&[[f32::NAN; 3]; 3], &[BACKGROUND; 3]))?;
+        let mut map = VoxelMap::new(MapParameters { voxel_size: 1e300, ..parameters() })?;
+        let scan = scan(&[[f32::NAN; 3]; 3], &[BACKGROUND; 3]);
+        let stats = Integrator::new(1)?.integrate(&mut map, &scan)?;
         assert_eq!((stats.skipped, stats.rays, stats.voxels), (3, 0, 0));
         Ok(())
     }
 
     #[test]
     fn of_several_errors_the_first_in_the_order_of_the_input_is_told() -> Result<(), Error> {
-        let mut map = VoxelMap::new(parameters(), 1)?;
+        let mut map = VoxelMap::new(parameters())?;
         let (far, wrong, near) = ([1e30, 0.0, 0.0], [0.0, 1e30, 0.0], [1.0; 3]);
         let points = [near, far, near].map(|point| point.map(|value| value as f32));
         let class = [BACKGROUND; 3];
@@ -262,7 +248,7 @@ pub(crate) mod tests {
                 origins: Origins::Each(&origins),
                 ..scan(&[], &class)
             };
-            let error = map.integrate(&scan);
+            let error = Integrator::new(1)?.integrate(&mut map, &scan);
             let told =
                 |point: [f64; 3]| (0..3).all(|axis| (point[axis] - first[axis]).abs() < 1e24);
             assert!(
@@ -276,12 +262,32 @@ pub(crate) mod tests {
     #[test]
     fn nothing_outside_the_operating_volume_is_mapped() -> Result<(), Error> {
         let bounds = Some([[0.0; 3], [0.5, 1.0, 1.0]]);
-        let mut map = VoxelMap::new(MapParameters { bounds, ..parameters() }, 1)?;
-        map.integrate(&scan(&[[5.1, 0.1, 0.1]], &[BACKGROUND]))?;
+        let mut map = VoxelMap::new(MapParameters { bounds, ..parameters() })?;
+        Integrator::new(1)?.integrate(&mut map, &scan(&[[5.1, 0.1, 0.1]], &[BACKGROUND]))?;
         assert_eq!(
             map.values_at(&[[0.3, 0.1, 0.1], [1.3, 0.1, 0.1], [5.1, 0.1, 0.1]]),
             [-870.0, -740.0, -740.0]
         );
+        Ok(())
+    }
+
+    #[test]
+    fn classes_may_come_after_the_rays() -> Result<(), Error> {
+        let points = [[1.1, 0.1, 0.1], [-2.0, 5.0, 0.3], [f32::NAN; 3]];
+        let class = [BACKGROUND, FLYING, INVALID];
+        for threads in [1, 2] {
+            let mut map = VoxelMap::new(parameters())?;
+            let mut integrator = Integrator::new(threads)?;
+            integrator.cast(&map, &scan(&[[9.0, 3.0, 2.0]], &[UNKNOWN]))?; // given up
+            integrator.cast(&map, &scan(&points, &[UNKNOWN, UNKNOWN, INVALID]))?;
+            assert_eq!(map.stored_voxels(), 0);
+            let stats = integrator.apply(&mut map, &class, None)?;
+            let mut other = VoxelMap::new(parameters())?;
+            let at_once = Integrator::new(1)?.integrate(&mut other, &scan(&points, &class))?;
+            assert_eq!(stats, at_once);
+            assert_eq!(map.to_bytes(), other.to_bytes());
+            assert!(integrator.apply(&mut map, &class[..1], None).is_err());
+        }
         Ok(())
     }
 }

@@ -2,9 +2,10 @@
 
 pub(crate) mod accumulator;
 pub(crate) mod block_update;
-pub(crate) mod casting;
+pub mod classified_scan;
 pub(crate) mod dense_blocks;
 pub mod integrator;
+pub(crate) mod mark;
 pub(crate) mod plan;
 pub mod pose_weights;
 pub(crate) mod ray_lanes;

@@ -3,10 +3,11 @@
 //! Loops over the lanes of a bundle, which the compiler turns into instructions of the vector unit
 //! that calls them.
 
-use super::accumulator::Content;
-use super::integrator::{INVALID, IntegrateStats, check_lengths, content_of};
+use super::classified_scan::{IntegrateStats, check_lengths, content_of};
+use super::mark::Content;
 use super::ray_segments::{Bounds, Flags, Indices, LANES, Numbers, Ray, Source};
 use crate::Error;
+use crate::flying::point_class::INVALID;
 use crate::geometry::lattice::{Lattice, Voxel};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::ThreadPool;

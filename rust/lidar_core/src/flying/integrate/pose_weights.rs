@@ -5,11 +5,10 @@
 //! probability that the point lies there (Vrba et al., eqs 41-46), taken along the map's axes one by
 //! one and for a point in the middle of its voxel, so that all points of a voxel have the same.
 
-use super::accumulator::{Accumulator, Content, POINT_UNITS};
+use super::accumulator::Accumulator;
+use super::mark::{Content, POINT_UNITS};
 use crate::flying::analysis::{PoseSpread, pose_jacobian};
-use crate::flying::detector::FlyingObjectDetector;
 use crate::flying::map::voxel_map::VoxelMap;
-use crate::flying::scan::prepared::{Prepared, RawScan};
 use crate::geometry::lattice::{Lattice, Voxel};
 use crate::geometry::transform::{Transform, dot, minus, norm};
 
@@ -103,44 +102,48 @@ impl PoseError {
     }
 }
 
-impl VoxelMap {
-    /// Note the points of a scan, each with its voxel. Rays have been noted before.
-    pub(crate) fn mark(
-        &self,
-        accumulator: &mut Accumulator,
-        points: impl Iterator<Item = (Voxel, Content)>,
-        error: Option<&PoseError>,
-    ) {
-        let points = points.filter(|&(voxel, _)| self.admits(voxel));
-        let Some(error) = error.filter(|error| error.weighs_points()) else {
-            return accumulator.mark_all(points);
-        };
-        let (background, others): (Vec<_>, Vec<_>) =
-            points.partition(|(_, class)| *class == Content::Background);
-        // Before the background, since `mark_beside` leaves voxels with other points alone.
-        for (voxel, class) in others {
-            accumulator.mark_points(voxel, class, POINT_UNITS);
-        }
-        self.spread(accumulator, error, background.into_iter().map(|(voxel, _)| voxel).collect());
+/// Note the points of a scan, each with its voxel. Rays have been noted before.
+pub(super) fn mark_points(
+    map: &VoxelMap,
+    accumulator: &mut Accumulator,
+    points: impl Iterator<Item = (Voxel, Content)>,
+    error: Option<&PoseError>,
+) {
+    let points = points.filter(|&(voxel, _)| map.admits(voxel));
+    let Some(error) = error.filter(|error| error.weighs_points()) else {
+        return accumulator.mark_all(points);
+    };
+    let (background, others): (Vec<_>, Vec<_>) =
+        points.partition(|(_, class)| *class == Content::Background);
+    // Before the background, since `mark_beside` leaves voxels with other points alone.
+    for (voxel, class) in others {
+        accumulator.mark_points(voxel, class, POINT_UNITS);
     }
+    let background = background.into_iter().map(|(voxel, _)| voxel).collect();
+    mark_shares(map, accumulator, error, background);
+}
 
-    /// Note the points of the background, given as a voxel each, with the shares of the voxels that
-    /// they may lie in; where other points lie, those count.
-    fn spread(&self, accumulator: &mut Accumulator, error: &PoseError, mut points: Vec<Voxel>) {
-        // Points of one voxel are counted together, so their shares are rounded once, whatever their order.
-        points.sort_unstable();
-        for same in points.chunk_by(|a, b| a == b) {
-            let shares = error.shares(self.lattice(), same[0]);
-            let units = |share: f64| {
-                (same.len() as f64 * share * f64::from(POINT_UNITS)).round().max(1.0) as u32
-            };
-            for (step, share) in steps(&shares) {
-                let voxel: Voxel = std::array::from_fn(|axis| same[0][axis] + step[axis]);
-                if step == [0; 3] {
-                    accumulator.mark_points(voxel, Content::Background, units(share));
-                } else if self.admits(voxel) {
-                    accumulator.mark_beside(voxel, units(share));
-                }
+/// Note the points of the background, given as a voxel each, with the shares of the voxels that
+/// they may lie in; where other points lie, those count.
+fn mark_shares(
+    map: &VoxelMap,
+    accumulator: &mut Accumulator,
+    error: &PoseError,
+    mut points: Vec<Voxel>,
+) {
+    // Points of one voxel are counted together, so their shares are rounded once, whatever their order.
+    points.sort_unstable();
+    for same in points.chunk_by(|a, b| a == b) {
+        let shares = error.shares(map.lattice(), same[0]);
+        let units = |share: f64| {
+            (same.len() as f64 * share * f64::from(POINT_UNITS)).round().max(1.0) as u32
+        };
+        for (step, share) in steps(&shares) {
+            let voxel: Voxel = std::array::from_fn(|axis| same[0][axis] + step[axis]);
+            if step == [0; 3] {
+                accumulator.mark_points(voxel, Content::Background, units(share));
+            } else if map.admits(voxel) {
+                accumulator.mark_beside(voxel, units(share));
             }
         }
     }
@@ -176,37 +179,34 @@ pub struct PoseParameters {
     pub end_sigmas: f64,
 }
 
-impl FlyingObjectDetector {
-    /// Covariance of the pose of a scan, if anything is known about it.
-    fn pose_covariance(&self, raw: &RawScan<'_>) -> Option<[[f64; 6]; 6]> {
-        let PoseParameters { position_std: [x, y, z], angle_std: [a, b, c], .. } =
-            self.parameters.pose;
+impl PoseParameters {
+    /// Uncertainty that the pose of a scan gives to its points, if anything is known about it: from
+    /// the covariance that came with the scan, if one did.
+    pub(crate) fn spread(
+        &self,
+        covariance: Option<[[f64; 6]; 6]>,
+        world_from_lidar: Transform,
+        map_from_world: Transform,
+    ) -> Option<PoseSpread> {
+        let ([x, y, z], [a, b, c]) = (self.position_std, self.angle_std);
         let std = [x, y, z, a, b, c];
         let diagonal = |i: usize, j: usize| if i == j { std[i] * std[i] } else { 0.0 };
         let constant = || std::array::from_fn(|i| std::array::from_fn(|j| diagonal(i, j)));
-        raw.pose_covariance.or_else(|| std.iter().any(|&std| std > 0.0).then(constant))
+        let is_known = std.iter().any(|&std| std > 0.0);
+        let covariance = covariance.or_else(|| is_known.then(constant))?;
+        Some(PoseSpread { world_from_lidar, map_from_world, covariance })
     }
 
-    /// Uncertainty that the pose gives to points of the scan.
-    pub(crate) fn pose_spread(&self, raw: &RawScan<'_>, scan: &Prepared) -> Option<PoseSpread> {
-        Some(PoseSpread {
-            world_from_lidar: self.map_from_world.inverse().after(&scan.pose),
-            map_from_world: self.map_from_world,
-            covariance: self.pose_covariance(raw)?,
-        })
-    }
-
-    /// Uncertainty that the update of the map uses.
-    pub(crate) fn pose_error(&self, raw: &RawScan<'_>, scan: &Prepared) -> Option<PoseError> {
-        let PoseSpread { world_from_lidar, map_from_world, covariance } =
-            self.pose_spread(raw, scan)?;
+    /// Uncertainty that the update of the map uses, given that of the pose.
+    pub(crate) fn error(&self, spread: Option<&PoseSpread>, range_std: f64) -> Option<PoseError> {
+        let &PoseSpread { world_from_lidar, map_from_world, covariance } = spread?;
         Some(PoseError {
-            weighting: self.parameters.pose.weighting?,
+            weighting: self.weighting?,
             world_from_lidar,
             map_from_world,
             covariance,
-            range_std: self.parameters.range_std,
-            end_sigmas: self.parameters.pose.end_sigmas,
+            range_std,
+            end_sigmas: self.end_sigmas,
         })
     }
 }

@@ -4,7 +4,8 @@
 //! whole numbers (docs/adr/0002). Every ray is mirrored so that it runs upwards along all axes. At an
 //! edge or corner the lowest axis goes first, as in `geometry::traverse`.
 
-use super::accumulator::{Accumulator, STEPS, UNITS_PER_EDGE};
+use super::accumulator::{Accumulator, STEPS};
+use super::mark::UNITS_PER_EDGE;
 use super::ray_segments::{LANES, Lanes, Numbers, Ray, Segments, Source, least, places};
 use super::window::Window;
 use crate::geometry::lattice::whole;

@@ -3,10 +3,10 @@
 //! Loops over the lanes of a bundle, which the compiler turns into instructions of the vector unit
 //! that calls them.
 
-use super::integrator::{ClassifiedScan, Origins};
+use super::classified_scan::{ClassifiedScan, Origins};
 use super::window::Window;
 use crate::Error;
-use crate::flying::map::voxel_map::MapParameters;
+use crate::flying::map::parameters::MapParameters;
 use crate::geometry::lattice::{Lattice, Voxel, floor, whole, wide};
 use crate::geometry::transform::norm;
 
@@ -254,8 +254,8 @@ pub(crate) fn least(a: f64, b: f64) -> f64 {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::flying::integrate::integrator::BACKGROUND;
-    use crate::flying::integrate::integrator::tests::parameters;
+    use crate::flying::map::parameters::tests::parameters;
+    use crate::flying::point_class::BACKGROUND;
 
     /// Show `run` rays from starts to ends, in units of voxels.
     pub(in super::super) fn with_rays<T>(

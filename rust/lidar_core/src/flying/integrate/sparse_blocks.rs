@@ -1,7 +1,7 @@
 //! Marks of points beyond the window of the rays.
 
-use super::accumulator::Mark;
 use super::dense_blocks::{MarkRow, rows_of};
+use super::mark::Mark;
 use crate::flying::map::blocks::{EDGE, Place, VOLUME};
 use crate::util::key_hasher::Spread;
 use std::collections::HashMap;
@@ -9,7 +9,7 @@ use std::hash::BuildHasherDefault;
 
 /// Points beyond the window, row by row: a stray return must not widen it, nor take a block.
 #[derive(Default)]
-pub(crate) struct Beyond {
+pub(crate) struct SparseBlocks {
     slots: HashMap<Place, u32, BuildHasherDefault<Spread>>,
     /// Blocks with their slots.
     pub(super) opened: Vec<(Place, u32)>,
@@ -21,7 +21,7 @@ pub(crate) struct Beyond {
     rows: Vec<MarkRow>,
 }
 
-impl Beyond {
+impl SparseBlocks {
     /// Slot of a block, made when first met; None if there are more than `most`.
     #[inline(always)]
     pub(crate) fn slot(&mut self, place: Place, most: usize) -> Option<usize> {

@@ -2,11 +2,12 @@
 //!
 //! Source: Vrba et al., eqs 9 and 12.
 
-use super::accumulator::{Content, MAX_COUNT, Mark, POINT_UNITS, UNITS_PER_EDGE, tag_and_count};
 use super::dense_blocks::{MarkRow, rows_of};
+use super::mark::{Content, MAX_COUNT, Mark, POINT_UNITS, UNITS_PER_EDGE, tag_and_count};
 use crate::flying::map::blocks::{Bits, Block, EDGE, Place, Row, VOLUME, assign};
 use crate::flying::map::filter::{Levels, filtered, two_to_minus};
-use crate::flying::map::voxel_map::{RayUnit, VoxelMap};
+use crate::flying::map::parameters::RayUnit;
+use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::Voxel;
 use pulp::{Arch, Simd, WithSimd};
 

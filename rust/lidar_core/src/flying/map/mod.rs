@@ -1,10 +1,12 @@
 //! The voxel map: states, storage, removal of separate background, files.
 
 pub(crate) mod blocks;
+pub(crate) mod changes;
 pub mod filter;
 pub(crate) mod islands;
 pub(crate) mod layers;
+pub mod parameters;
 pub(crate) mod persist;
 pub mod saved_body;
-pub mod separate;
+pub(crate) mod separate;
 pub mod voxel_map;

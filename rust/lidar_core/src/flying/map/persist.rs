@@ -5,8 +5,9 @@
 //! ([`super::saved_body`]), CRC-32 of everything before it. A map without a robot has version 1.
 
 use super::blocks::{EDGE, NEVER, Place, VOLUME};
+use super::parameters::{MapParameters, RayUnit, Rays};
 use super::saved_body::{SavedBody, read_bodies, write_bodies};
-use super::voxel_map::{MapParameters, RayUnit, Rays, VoxelMap};
+use super::voxel_map::VoxelMap;
 use crate::Error;
 use std::fs::{self, File};
 use std::io::{Read, Write};
@@ -52,16 +53,16 @@ impl VoxelMap {
         Ok(written?)
     }
 
-    /// Read a map written by [`VoxelMap::save`]; it will work with `threads` threads.
+    /// Read a map written by [`VoxelMap::save`].
     ///
     /// # Errors
     /// [`Error::Io`], [`Error::Format`] with the byte offset, [`Error::Limit`], [`Error::Parameter`].
-    pub fn load(path: &Path, threads: usize) -> Result<Self, Error> {
-        Self::load_with(path, threads).map(|(map, _)| map)
+    pub fn load(path: &Path) -> Result<Self, Error> {
+        Self::load_with(path).map(|(map, _)| map)
     }
 
     /// Read a map together with the voxels of the robot itself.
-    pub(crate) fn load_with(path: &Path, threads: usize) -> Result<(Self, Vec<SavedBody>), Error> {
+    pub(crate) fn load_with(path: &Path) -> Result<(Self, Vec<SavedBody>), Error> {
         check_regular(path)?;
         let file = File::open(path)?;
         let size = file.metadata()?.len();
@@ -75,7 +76,7 @@ impl VoxelMap {
         let mut bytes = Vec::new();
         // The file may have grown since its size was read.
         file.take(MAX_BYTES).read_to_end(&mut bytes)?;
-        Self::from_bytes_with(&bytes, threads)
+        Self::from_bytes_with(&bytes)
     }
 
     /// The map as bytes; equal maps give equal bytes.
@@ -109,15 +110,12 @@ impl VoxelMap {
     ///
     /// # Errors
     /// As [`VoxelMap::load`].
-    pub fn from_bytes(bytes: &[u8], threads: usize) -> Result<Self, Error> {
-        Self::from_bytes_with(bytes, threads).map(|(map, _)| map)
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, Error> {
+        Self::from_bytes_with(bytes).map(|(map, _)| map)
     }
 
     /// The reverse of [`VoxelMap::to_bytes_with`].
-    pub(super) fn from_bytes_with(
-        bytes: &[u8],
-        threads: usize,
-    ) -> Result<(Self, Vec<SavedBody>), Error> {
+    pub(super) fn from_bytes_with(bytes: &[u8]) -> Result<(Self, Vec<SavedBody>), Error> {
         let mut reader = Reader { bytes, at: 0 };
         if &reader.take::<4>()? != MAGIC {
             return Err(format_error(
@@ -143,7 +141,7 @@ impl VoxelMap {
         }
         reader.bytes = &bytes[..body];
         let parameters = reader.parameters()?;
-        let mut map = Self::new(parameters, threads)?;
+        let mut map = Self::new(parameters)?;
         let count = u64::from_le_bytes(reader.take()?);
         let rest = reader.left() as u64;
         // The count comes from the file: it must match the bytes before memory is taken for it.
@@ -330,7 +328,7 @@ pub(super) fn crc32(bytes: &[u8]) -> u32 {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::flying::integrate::integrator::tests::parameters;
+    use crate::flying::map::parameters::tests::parameters;
 
     pub(crate) fn sample() -> Result<VoxelMap, Error> {
         let extra = MapParameters {
@@ -340,7 +338,7 @@ pub(crate) mod tests {
             ray_unit: RayUnit::Metres,
             ..parameters()
         };
-        let mut map = VoxelMap::new(extra, 1)?;
+        let mut map = VoxelMap::new(extra)?;
         map.set_occupied(&[[1.0, 2.0, 3.0], [-4.0, 0.0, 0.5]])?;
         map.set_free(&[[1.3, 2.0, 3.0]])?;
         map.pull(&[[5.0, 5.0, 5.0]], 0.0, 2.0)?;
@@ -350,7 +348,7 @@ pub(crate) mod tests {
     #[test]
     fn a_map_comes_back_as_it_was() -> Result<(), Error> {
         let map = sample()?;
-        let back = VoxelMap::from_bytes(&map.to_bytes(), 2)?;
+        let back = VoxelMap::from_bytes(&map.to_bytes())?;
         assert_eq!(back.parameters(), map.parameters());
         assert_eq!(back.to_bytes(), map.to_bytes());
         assert_eq!(back.occupied_voxels(), map.occupied_voxels());
@@ -362,16 +360,13 @@ pub(crate) mod tests {
         let bytes = sample()?.to_bytes();
         for len in 0..bytes.len() {
             if len % 97 == 0 || len < 200 {
-                assert!(matches!(
-                    VoxelMap::from_bytes(&bytes[..len], 1),
-                    Err(Error::Format { .. })
-                ));
+                assert!(matches!(VoxelMap::from_bytes(&bytes[..len]), Err(Error::Format { .. })));
             }
         }
         for at in (0..bytes.len()).filter(|at| at % 89 == 0 || *at < 200) {
             let mut damaged = bytes.clone();
             damaged[at] ^= 0x80;
-            assert!(matches!(VoxelMap::from_bytes(&damaged, 1), Err(Error::Format { .. })));
+            assert!(matches!(VoxelMap::from_bytes(&damaged), Err(Error::Format { .. })));
         }
         Ok(())
     }

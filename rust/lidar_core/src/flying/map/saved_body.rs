@@ -136,10 +136,10 @@ mod tests {
     fn the_robot_comes_back_with_its_map() -> Result<(), Error> {
         let map = sample()?;
         let bytes = map.to_bytes_with(&bodies());
-        let (back, found) = VoxelMap::from_bytes_with(&bytes, 1)?;
+        let (back, found) = VoxelMap::from_bytes_with(&bytes)?;
         assert_eq!((back.to_bytes(), found), (map.to_bytes(), bodies()));
-        assert_eq!(VoxelMap::from_bytes(&bytes, 1)?.to_bytes(), map.to_bytes());
-        assert_eq!(VoxelMap::from_bytes_with(&map.to_bytes(), 1)?.1, []);
+        assert_eq!(VoxelMap::from_bytes(&bytes)?.to_bytes(), map.to_bytes());
+        assert_eq!(VoxelMap::from_bytes_with(&map.to_bytes())?.1, []);
         assert_eq!(map.to_bytes_with(&[]), map.to_bytes());
         Ok(())
     }
@@ -151,18 +151,18 @@ mod tests {
         let body = bytes.len() - 4;
         let sealed = |bytes: &[u8]| [bytes, &crc32(bytes).to_le_bytes()].concat();
         for len in plain..body {
-            let cut = VoxelMap::from_bytes(&sealed(&bytes[..len]), 1);
+            let cut = VoxelMap::from_bytes(&sealed(&bytes[..len]));
             assert!(matches!(cut, Err(Error::Format { .. })), "{len}");
         }
         let longer = sealed(&[&bytes[..body], &[0]].concat());
-        assert!(matches!(VoxelMap::from_bytes(&longer, 1), Err(Error::Format { .. })));
+        assert!(matches!(VoxelMap::from_bytes(&longer), Err(Error::Format { .. })));
         let (mut refused, mut all) = (0, 0);
         for at in plain..body {
             for flip in [0x01, 0x80, 0xFF] {
                 let mut hostile = bytes[..body].to_vec();
                 hostile[at] ^= flip;
                 all += 1;
-                match VoxelMap::from_bytes(&sealed(&hostile), 1) {
+                match VoxelMap::from_bytes(&sealed(&hostile)) {
                     Err(Error::Format { .. } | Error::Limit { .. }) => refused += 1,
                     Err(other) => return Err(other),
                     Ok(_) => {} // another name, another voxel

@@ -6,89 +6,14 @@
 //! Cost follows the changes, not the size of the map.
 
 use super::blocks::{Block, Place};
+use super::changes::Changes;
 use super::filter::{filtered, two_to_minus};
 use super::islands::{Marks, Search};
-use super::layers::{Layer, Neighbours};
+use super::layers::Layer;
+use super::parameters::Separation;
 use super::voxel_map::VoxelMap;
 use crate::Error;
 use crate::geometry::lattice::Voxel;
-use crate::util::key_hasher::Spread;
-use std::collections::HashSet;
-use std::hash::BuildHasherDefault;
-
-/// Layers with changes that are kept; above it, as when removal has been given up, all is looked at again.
-const MOST_CHANGES: usize = 1 << 20;
-
-/// Voxels whose occupied state changed since the last removal.
-#[derive(Clone, Default)]
-pub(crate) struct Changes {
-    /// Voxels that became occupied, at least tentatively.
-    gained: Vec<Layer>,
-    /// Voxels that ceased to be occupied, or confidently so, and those that removal left occupied.
-    lost: Vec<Layer>,
-    /// The parameters of the last removal; with others every component is looked at.
-    settled_with: Option<Separation>,
-    /// A voxel of a component that had enough confident voxels.
-    anchor: Option<Voxel>,
-    /// Memory that the searches use again.
-    marks: Marks,
-    /// Neighbours for the parameters of the last removal.
-    neighbours: Option<Neighbours>,
-    /// Voxels whose groups are never separate: see [`VoxelMap::keep`].
-    pub(crate) kept: HashSet<Place, BuildHasherDefault<Spread>>,
-}
-
-impl Changes {
-    /// Note voxels of a layer that changed, given those of it that were occupied before.
-    pub(crate) fn note(&mut self, layer: Layer, before: u64) {
-        if self.settled_with.is_none() {
-            return; // the next removal looks at everything
-        }
-        add(&mut self.gained, Layer { bits: layer.bits & !before, ..layer });
-        add(&mut self.lost, Layer { bits: layer.bits & before, ..layer });
-        if self.gained.len() + self.lost.len() > MOST_CHANGES {
-            (self.gained, self.lost) = (Vec::new(), Vec::new());
-            self.settled_with = None;
-        }
-    }
-
-    /// Forget the history: the next removal looks at every component.
-    pub(crate) fn restart(&mut self) {
-        *self = Self { kept: std::mem::take(&mut self.kept), ..Self::default() };
-    }
-}
-
-fn add(layers: &mut Vec<Layer>, layer: Layer) {
-    match layers.last_mut().filter(|last| last.is_same(&layer)) {
-        Some(last) => last.bits |= layer.bits,
-        None if layer.bits != 0 => layers.push(layer),
-        None => {}
-    }
-}
-
-/// When a group of occupied voxels is separate.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Separation {
-    /// Largest distance between the centres of neighbours in a group, d_sep [m].
-    pub max_gap: f64,
-    /// A group with fewer confidently occupied voxels is removed, n_conf,min.
-    pub min_confident: usize,
-    /// Observed voxels within `max_gap` of a removed one are pulled towards free too; those of a
-    /// permanent one when its group has changed, not by every removal.
-    pub dilate: bool,
-}
-
-impl Separation {
-    fn neighbours(&self, voxel_size: f64) -> Result<Neighbours, Error> {
-        Neighbours::within(self.max_gap / voxel_size)
-    }
-
-    /// # Errors
-    /// [`Error::Parameter`] if `max_gap` is not a distance of 0 to 64 voxels.
-    pub(crate) fn check(&self, voxel_size: f64) -> Result<(), Error> {
-        self.neighbours(voxel_size).map(drop)
-    }
-}
 
 impl VoxelMap {
     /// Pull every voxel of a group of at least tentatively occupied voxels that holds fewer

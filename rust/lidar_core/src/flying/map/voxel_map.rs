@@ -2,83 +2,13 @@
 //!
 //! Source: Vrba et al., sec. III-A, eqs 6-12; permanent voxels: sec. III-E.
 
-use super::blocks::{Block, Blocks, Cursor, Place, offset_of};
+use super::blocks::{Bits, Block, Blocks, Cursor, Place, VOLUME, offset_of};
+use super::changes::Changes;
 use super::filter::{Levels, filtered, two_to_minus};
 use super::layers::Layer;
-use super::separate::Changes;
+use super::parameters::MapParameters;
 use crate::Error;
-use crate::error::{require, require_positive};
-use crate::flying::integrate::block_update::Task;
-use crate::flying::integrate::casting::Casting;
 use crate::geometry::lattice::{Lattice, Voxel, wide};
-use crate::geometry::transform::minus;
-use crate::util::threads;
-use rayon::ThreadPool;
-
-/// Length unit of the ray weight n_int (eq. 22), whose unit the paper does not state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RayUnit {
-    /// Sum of lengths over the voxel edge.
-    Edges,
-    /// Sum of lengths in metres: the paper's text, literally.
-    Metres,
-    /// Sum of lengths over the voxel diagonal.
-    Diagonals,
-}
-
-/// Rays of a scan that are cast.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Rays {
-    /// All of them: exact.
-    All,
-    /// The first of those that end in the same voxel, with their number as its weight.
-    OnePerEnd,
-}
-
-/// Parameters of [`VoxelMap`]; values of G have no unit.
-#[derive(Clone, Debug, PartialEq)]
-pub struct MapParameters {
-    /// Edge of a voxel [m].
-    pub voxel_size: f64,
-    /// World coordinates of the point that all coordinates given to the map are relative to [m]:
-    /// kept and saved for the caller, so that `f32` suffices far from the world's origin.
-    pub origin: [f64; 3],
-    /// G that background points pull a voxel to.
-    pub g_occ: f32,
-    /// G that unknown and flying points pull a voxel to.
-    pub g_unk: f32,
-    /// G that rays pull a voxel to.
-    pub g_free: f32,
-    /// G of a voxel that has never been observed.
-    pub initial: f32,
-    /// Lower bounds of the states uncertain, tentative and confidently occupied (eq. 7).
-    pub thresholds: [f32; 3],
-    /// Further bounds that `state` counts (eq. 6).
-    pub extra_thresholds: Vec<f32>,
-    /// Rays clear no further than this, d_max of eq. 20 [m].
-    pub max_range: f64,
-    /// Rays that hit something end this much earlier [m].
-    pub end_margin: f64,
-    /// Rays that are cast.
-    pub rays: Rays,
-    /// Unit of the ray weight.
-    pub ray_unit: RayUnit,
-    /// Factor on the ray weight.
-    pub ray_gain: f64,
-    /// Corners of a fixed operating volume [m]; nothing outside is mapped.
-    pub bounds: Option<[[f64; 3]; 2]>,
-    /// Budget of stored voxels.
-    pub max_voxels: u64,
-}
-
-impl MapParameters {
-    /// Parameters for coordinates relative to `origin` [m, world].
-    #[must_use]
-    pub fn relative_to(&self, origin: [f64; 3]) -> Self {
-        let bounds = self.bounds.map(|corners| corners.map(|corner| minus(corner, origin)));
-        Self { origin, bounds, ..self.clone() }
-    }
-}
 
 /// The map: values of G(v), four states by default.
 pub struct VoxelMap {
@@ -87,33 +17,26 @@ pub struct VoxelMap {
     pub(crate) limits: Option<[Voxel; 2]>,
     pub(crate) blocks: Blocks,
     pub(crate) changes: Changes,
-    pub(crate) casting: Casting,
-    pub(crate) tasks: Vec<Task>,
-    pub(crate) pool: Option<ThreadPool>,
 }
 
 impl VoxelMap {
-    /// An empty map that works with `threads` threads.
+    /// An empty map.
     ///
     /// # Errors
     /// [`Error::Parameter`] if a size is not positive or a bound is out of order.
-    pub fn new(parameters: MapParameters, threads: usize) -> Result<Self, Error> {
+    pub fn new(parameters: MapParameters) -> Result<Self, Error> {
         // Coordinates are relative to `origin` already.
         let lattice = Lattice::new(parameters.voxel_size, [0.0; 3])?;
-        check(&parameters)?;
+        parameters.check()?;
         let limits = match parameters.bounds {
             Some([low, high]) => Some([lattice.voxel_at(low)?, lattice.voxel_at(high)?]),
             None => None,
         };
-        let pool = threads::pool(threads)?;
         Ok(Self {
             lattice,
             limits,
             blocks: Blocks::new(parameters.max_voxels),
             changes: Changes::default(),
-            casting: Casting::new(threads),
-            tasks: Vec::new(),
-            pool: (threads > 1).then_some(pool),
             parameters,
         })
     }
@@ -130,17 +53,11 @@ impl VoxelMap {
         &self.lattice
     }
 
-    /// Threads it works with.
-    #[must_use]
-    pub fn threads(&self) -> usize {
-        self.pool.as_ref().map_or(1, ThreadPool::current_num_threads)
-    }
-
     /// Voxels of all blocks, which the budget counts; rows of them that nothing has met take no
     /// memory.
     #[must_use]
     pub fn stored_voxels(&self) -> usize {
-        self.blocks.len() * super::blocks::VOLUME
+        self.blocks.len() * VOLUME
     }
 
     /// Bytes held by the stored voxels and their index.
@@ -210,6 +127,25 @@ impl VoxelMap {
         self.limits.is_none_or(|[low, high]| {
             (0..3).all(|axis| (low[axis]..=high[axis]).contains(&voxel[axis]))
         })
+    }
+
+    /// True if the operating volume holds some voxel of the block at `place`.
+    pub(crate) fn admits_some_of(&self, place: Place) -> bool {
+        self.limits.is_none_or(|[low, high]| {
+            let (first, last) = (place.voxel(0), place.voxel(VOLUME - 1));
+            (0..3).all(|axis| last[axis] >= low[axis] && first[axis] <= high[axis])
+        })
+    }
+
+    /// Put back a block that was taken out, of which the voxels `changed` have another state now;
+    /// `before` were at least tentatively occupied.
+    pub(crate) fn put_back(&mut self, slot: u32, block: Box<Block>, changed: &Bits, before: &Bits) {
+        let place = block.place;
+        let layers = (0..).zip(changed.iter().zip(before));
+        for (z, (&bits, &before)) in layers.filter(|(_, (bits, _))| **bits != 0) {
+            self.changes.note(Layer { place, z, bits }, before);
+        }
+        self.blocks.put(slot, block);
     }
 
     /// Make the voxels of `points` occupied for good (G = +infinity, sec. III-E).
@@ -289,7 +225,7 @@ impl VoxelMap {
         let reach = distance + 8.0 * lattice.voxel_size();
         let before = self.blocks.len();
         self.blocks.retain(|place| {
-            let middle = lattice.center(place.voxel(super::blocks::VOLUME / 2));
+            let middle = lattice.center(place.voxel(VOLUME / 2));
             (0..3).all(|axis| (middle[axis] - center[axis]).abs() <= reach)
         });
         // Marks are kept by slot, and dropped blocks have moved the slots.
@@ -303,31 +239,4 @@ impl VoxelMap {
         self.blocks = Blocks::new(self.parameters.max_voxels);
         self.changes = Changes::default();
     }
-}
-
-fn check(p: &MapParameters) -> Result<(), Error> {
-    require_positive("max_range", p.max_range)?;
-    require_positive("ray_gain", p.ray_gain)?;
-    let margin = p.end_margin;
-    require(margin.is_finite() && margin >= 0.0, "end_margin", "finite and >= 0", margin)?;
-    require(
-        // False if one is NaN.
-        p.thresholds.is_sorted(),
-        "thresholds",
-        "uncertain <= tentative <= confident",
-        format!("{:?}", p.thresholds),
-    )?;
-    let levels = [p.g_occ, p.g_unk, p.g_free, p.initial];
-    require(
-        levels.iter().all(|g| g.is_finite()),
-        "g_occ, g_unk, g_free, initial",
-        "finite",
-        format!("{levels:?}"),
-    )?;
-    require(
-        p.bounds.is_none_or(|[low, high]| (0..3).all(|axis| low[axis] < high[axis])),
-        "bounds",
-        "a lower corner, then an upper corner",
-        format!("{:?}", p.bounds),
-    )
 }

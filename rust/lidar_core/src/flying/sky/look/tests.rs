@@ -4,7 +4,7 @@ use super::super::grid::PARTS;
 use super::super::{Beams, Sky};
 use super::*;
 use crate::Error;
-use crate::flying::integrate::integrator::tests::parameters;
+use crate::flying::map::parameters::tests::parameters;
 
 /// Returns on a ring wall from -0.3 to `top` in height, all around, with a gap of 60 degrees.
 fn wall(range: f64, top: f64) -> Vec<[f32; 3]> {
@@ -46,7 +46,7 @@ fn gap_is_sky(look: &Look) -> bool {
 
 #[test]
 fn the_gap_in_a_wall_is_sky_and_what_was_never_looked_at_is_not() -> Result<(), Error> {
-    let map = VoxelMap::new(parameters(), 1)?;
+    let map = VoxelMap::new(parameters())?;
     let mut sky = Sky::of(&Beams::Learnt).ok_or(Error::Interrupted)?;
     let look = looks(&mut sky, &map, &vec![wall(30.0, 0.5); 5]);
     assert!(gap_is_sky(&look) && look.share > 0.05 && look.share < 0.2, "{}", look.share);
@@ -60,7 +60,7 @@ fn the_gap_in_a_wall_is_sky_and_what_was_never_looked_at_is_not() -> Result<(), 
 
 #[test]
 fn a_scan_that_is_not_accepted_changes_nothing() -> Result<(), Error> {
-    let map = VoxelMap::new(parameters(), 1)?;
+    let map = VoxelMap::new(parameters())?;
     let mut sky = Sky::of(&Beams::Learnt).ok_or(Error::Interrupted)?;
     let first = looks(&mut sky, &map, &vec![wall(30.0, 0.5); 5]).reach;
     let before = format!("{sky:?}");
@@ -82,7 +82,7 @@ fn a_scan_that_is_not_accepted_changes_nothing() -> Result<(), Error> {
 
 #[test]
 fn a_sensor_that_is_covered_sees_no_sky() -> Result<(), Error> {
-    let map = VoxelMap::new(parameters(), 1)?;
+    let map = VoxelMap::new(parameters())?;
     let mut sky = Sky::of(&Beams::Learnt).ok_or(Error::Interrupted)?;
     let mut scans = vec![wall(30.0, 0.5); 6];
     let few = scans[0].iter().copied().filter(|point| point[1] < -15.0).collect();
@@ -94,7 +94,7 @@ fn a_sensor_that_is_covered_sees_no_sky() -> Result<(), Error> {
 
 #[test]
 fn nobody_gets_used_to_a_covered_sensor() -> Result<(), Error> {
-    let map = VoxelMap::new(parameters(), 1)?;
+    let map = VoxelMap::new(parameters())?;
     let mut sky = Sky::of(&Beams::Learnt).ok_or(Error::Interrupted)?;
     let mut scans = vec![wall(30.0, 0.5); 6];
     let few: Vec<[f32; 3]> = scans[0].iter().copied().filter(|point| point[1] < -15.0).collect();
@@ -105,7 +105,7 @@ fn nobody_gets_used_to_a_covered_sensor() -> Result<(), Error> {
 
 #[test]
 fn far_returns_do_not_make_rays_longer_than_those_of_the_map() -> Result<(), Error> {
-    let map = VoxelMap::new(parameters(), 1)?;
+    let map = VoxelMap::new(parameters())?;
     let mut sky = Sky::of(&Beams::Learnt).ok_or(Error::Interrupted)?;
     let look = looks(&mut sky, &map, &vec![wall(1e6, 0.5); 5]);
     assert!(!look.reach.is_empty());
@@ -115,7 +115,7 @@ fn far_returns_do_not_make_rays_longer_than_those_of_the_map() -> Result<(), Err
 
 #[test]
 fn rays_of_sky_end_before_what_returns_have_shown_until_they_are_trusted() -> Result<(), Error> {
-    let mut map = VoxelMap::new(parameters(), 1)?;
+    let mut map = VoxelMap::new(parameters())?;
     let screen: Vec<[f32; 3]> = (0..400)
         .map(|index| [10.0, (index % 20) as f32 * 0.25 - 2.5, (index / 20) as f32 * 0.25 - 2.5])
         .collect();
@@ -135,7 +135,7 @@ fn rays_of_sky_end_before_what_returns_have_shown_until_they_are_trusted() -> Re
 
 #[test]
 fn near_surfaces_limit_the_rays_beside_them_and_small_things_do_not() -> Result<(), Error> {
-    let map = VoxelMap::new(parameters(), 1)?;
+    let map = VoxelMap::new(parameters())?;
     let reach_ahead = |thing: f32| -> Result<f64, Error> {
         let mut sky = Sky::of(&Beams::Learnt).ok_or(Error::Interrupted)?;
         let mut points = wall(30.0, 0.5);
@@ -159,7 +159,7 @@ fn near_surfaces_limit_the_rays_beside_them_and_small_things_do_not() -> Result<
 
 #[test]
 fn rays_stay_above_the_lowest_returns() -> Result<(), Error> {
-    let map = VoxelMap::new(parameters(), 1)?;
+    let map = VoxelMap::new(parameters())?;
     let mut sky = Sky::of(&Beams::Learnt).ok_or(Error::Interrupted)?;
     let look = looks(&mut sky, &map, &vec![wall(15.0, 0.5); 5]); // down to -4.5 m
     for (direction, &reach) in look.directions.iter().zip(&look.reach) {

@@ -1,0 +1,134 @@
+//! Input and counts of the update of a map by one scan.
+
+use super::mark::Content;
+use super::pose_weights::PoseError;
+use crate::Error;
+use crate::flying::point_class::{BACKGROUND, FLYING, UNKNOWN};
+use crate::util::budget::check_points;
+
+/// Start points of rays [m].
+#[derive(Clone, Copy, Debug)]
+pub enum Origins<'a> {
+    /// One start point for all rays.
+    One([f64; 3]),
+    /// One start point per ray.
+    Each(&'a [[f64; 3]]),
+}
+
+impl Origins<'_> {
+    /// Origin of the ray `index`.
+    #[must_use]
+    #[inline]
+    pub fn at(&self, index: usize) -> [f64; 3] {
+        match self {
+            Self::One(origin) => *origin,
+            Self::Each(origins) => origins[index],
+        }
+    }
+}
+
+/// One scan in the frame of the map.
+#[derive(Clone, Copy, Debug)]
+pub struct ClassifiedScan<'a> {
+    /// End of every ray [m].
+    pub points: &'a [[f32; 3]],
+    /// [`INVALID`](crate::flying::point_class::INVALID), [`BACKGROUND`], [`FLYING`] or [`UNKNOWN`] per
+    /// point. Invalid entries cast no ray.
+    pub class: &'a [u8],
+    /// Start points of the rays.
+    pub origins: Origins<'a>,
+    /// Direction of every ray; needed where `no_return` is set.
+    pub directions: Option<&'a [[f32; 3]]>,
+    /// Rays that met nothing: they clear up to `max_range`.
+    pub no_return: Option<&'a [bool]>,
+    /// Points whose ray is not cast, such as the nearer of two returns.
+    pub no_ray: Option<&'a [bool]>,
+    /// Length that the rays of `no_return` clear [m], beyond their directions; without it, up to
+    /// `max_range`. Other entries are not looked at.
+    pub reach: Option<&'a [f32]>,
+    /// Uncertainty of the points, if the update uses it.
+    pub pose_error: Option<&'a PoseError>,
+}
+
+/// Counts of one scan's update of the map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct IntegrateStats {
+    /// Points used, per class background, flying, unknown.
+    pub points: [usize; 3],
+    /// Entries without information: class invalid, not finite, or without a direction.
+    pub skipped: usize,
+    /// Rays cast, with and without return, or represented by one that is cast.
+    pub rays: usize,
+    /// Of these, rays without return.
+    pub no_return_rays: usize,
+    /// Voxels crossed by rays, each crossing counted.
+    pub visits: u64,
+    /// Voxels whose value was updated.
+    pub voxels: usize,
+}
+
+impl IntegrateStats {
+    pub(crate) fn count(&mut self, point: Content) {
+        self.points[match point {
+            Content::Background => 0,
+            Content::Flying => 1,
+            _ => 2,
+        }] += 1;
+    }
+}
+
+#[inline(always)]
+pub(super) fn content_of(class: u8) -> Option<Content> {
+    match class {
+        BACKGROUND => Some(Content::Background),
+        FLYING => Some(Content::Flying),
+        UNKNOWN => Some(Content::Unknown),
+        // `INVALID`: other numbers are refused by `check_classes` before.
+        _ => None,
+    }
+}
+
+pub(super) fn check_classes(class: &[u8], expected: usize) -> Result<(), Error> {
+    if class.len() != expected {
+        return Err(Error::Length { name: "point_class", expected, got: class.len() });
+    }
+    let Some(index) = class.iter().position(|&class| class > UNKNOWN) else { return Ok(()) };
+    Err(Error::Value {
+        name: "point_class",
+        expected: "0 invalid, 1 background, 2 flying or 3 unknown",
+        index,
+        got: class[index].to_string(),
+    })
+}
+
+pub(crate) fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {
+    let expected = scan.points.len();
+    // First, since rows are counted in 32 bits from here on.
+    check_points(expected)?;
+    check_classes(scan.class, expected)?;
+    let lengths = [
+        ("ray_directions", scan.directions.map(<[_]>::len)),
+        ("no_return", scan.no_return.map(<[_]>::len)),
+        ("no_ray", scan.no_ray.map(<[_]>::len)),
+        ("reach", scan.reach.map(<[_]>::len)),
+        (
+            "sensor_origin",
+            if let Origins::Each(each) = scan.origins { Some(each.len()) } else { None },
+        ),
+    ];
+    for (name, got) in lengths {
+        if let Some(got) = got.filter(|&got| got != expected) {
+            return Err(Error::Length { name, expected, got });
+        }
+    }
+    // Only the presence is checked: single directions that are zero or not finite count as skipped.
+    if scan.no_return.is_some_and(|flags| flags.contains(&true)) && scan.directions.is_none() {
+        return Err(Error::Value {
+            name: "ray_directions",
+            expected: "the direction of every ray, since `no_return` is set",
+            index: 0,
+            got: "none".into(),
+        });
+    }
+    Ok(())
+}
