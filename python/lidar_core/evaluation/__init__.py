@@ -1,4 +1,4 @@
-"""How good tracks and detections are, held against the truth."""
+"""Quality of tracks and detections, compared with ground truth."""
 
 from lidar_core.evaluation.bins import Bins, binned
 from lidar_core.evaluation.config import EvaluationConfig

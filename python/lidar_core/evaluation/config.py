@@ -11,7 +11,7 @@ Edge = Annotated[float, Field(ge=0)]
 
 
 class EvaluationConfig(Config):
-    """What counts as found, which targets had to be found, and how results are grouped."""
+    """Conditions for found targets and sightings, and groups of the results."""
 
     gate: float = Field(
         1.0,

@@ -17,7 +17,7 @@ Of: TypeAlias = Literal["tracks", "detections", "both"]
 
 @dataclass(frozen=True, slots=True)
 class Paired:
-    """What a metric is computed from.
+    """Input of a metric.
 
     Attributes
     ----------

@@ -26,7 +26,7 @@ AXES, RATES = ("x", "y", "z"), ("vx", "vy", "vz")
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """What a run reported.
+    """Tracks and detections of a run.
 
     Attributes
     ----------
@@ -178,7 +178,7 @@ def _is_planar(columns: Columns) -> bool:
 
 
 def _flat(columns: Columns) -> Columns:
-    """The same columns, all heights zero."""
+    """Return the columns with all heights zero."""
     zero = np.zeros(len(next(iter(columns.values()), [])))
     heights = {"z": zero, "vz": zero} | ({"sensor_z": zero} if "sensor_x" in columns else {})
     return columns | heights

@@ -15,7 +15,7 @@ from lidar_core.evaluation.types import DetectionScores, Estimates, TrackScores,
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Scores of a run; None for what was not given.
+    """Scores of a run; None for missing input.
 
     Attributes
     ----------

@@ -227,7 +227,7 @@ def _over_distance(
 
 
 def _sensor_at(stamps: NDArray[np.int64], truth: Truth) -> NDArray[np.float64]:
-    """Where the sensor was at these times; NaN where the truth does not say."""
+    """Positions of the sensor at these times; NaN where the ground truth has none."""
     places = np.full((len(stamps), 3), np.nan)
     if truth.sensor is not None and len(truth.stamp_ns):
         when, first = np.unique(truth.stamp_ns, return_index=True)

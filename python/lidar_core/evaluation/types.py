@@ -1,4 +1,4 @@
-"""What the evaluation reads and returns: long tables in, scores out."""
+"""Input and output of the evaluation: long tables and scores."""
 
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any

@@ -47,7 +47,7 @@ class ChainedRecording(Recording):
         return [merged[name] for name in sorted(merged)]
 
     def noticed(self) -> Findings:
-        """What the reads of all files detected and left out."""
+        """Findings of all files so far: detected conventions and skipped messages."""
         merged = Findings()
         for found in (part.noticed() for part in self._parts):
             merged.point_time |= found.point_time

@@ -1,4 +1,4 @@
-"""What to do with files that are no recordings, by their names and how they begin."""
+"""Advice for files that are not recordings, from their names and first bytes."""
 
 import shlex
 from pathlib import Path
@@ -30,7 +30,7 @@ POSE_NUMBERS = (8, 12)
 
 
 def hint_for(path: Path) -> str | None:
-    """What to do with a regular file; None where nothing is known of its kind."""
+    """Advice for a regular file; None if its kind is unknown."""
     suffix = path.suffix.lower()
     if Path(path.stem).suffix.lower() == ".tar" or suffix in (".tgz", ".tbz2", ".txz"):
         return _ARCHIVE

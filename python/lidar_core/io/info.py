@@ -1,4 +1,4 @@
-"""What is in a recording: topics, rates, frames, time span, conventions, defects."""
+"""Content of a recording: topics, rates, frames, time span, conventions, defects."""
 
 import statistics
 import warnings
@@ -112,7 +112,7 @@ class RecordingInfo:
 
 @dataclass(slots=True)
 class _Stream:
-    """What the messages of one topic showed."""
+    """Statistics of the messages of one topic."""
 
     topic: Topic
     times: list[int] = field(default_factory=list)
@@ -126,7 +126,7 @@ class _Stream:
 
     @property
     def name(self) -> str:
-        """Of its topic, in words where it has none."""
+        """Name of the topic, or a description if it has none."""
         return self.topic.name or NAMELESS
 
     def see(self, record: Record, messages: list[Message]) -> None:
@@ -179,7 +179,7 @@ class _Stream:
         return found
 
     def _stamp_defects(self) -> list[str]:
-        """Stamps for which scans are rejected, counted, and what helps."""
+        """Count stamps for which scans are rejected, and name the remedy."""
         steps = [b - a for a, b in pairwise(self.stamps)]
         zero, total = self.stamps.count(0), len(self.stamps)
         repeated, back = sum(step == 0 for step in steps), sum(step < 0 for step in steps)
@@ -203,7 +203,7 @@ class _Stream:
 
     @property
     def wants_other_times(self) -> bool:
-        """Whether more than half of the scans would be rejected: each must be newer than all."""
+        """Return whether more than half of the scans have stamps that are rejected as late."""
         return 2 * _late(self.stamps) > len(self.stamps)
 
     def _gaps(self) -> list[str]:
@@ -219,7 +219,7 @@ class _Stream:
 
 
 def _late(times: list[int]) -> int:
-    """How many of these are not newer than all before them."""
+    """Count the stamps that are not newer than all earlier ones."""
     newest = accumulate(times, max)
     return sum(time <= before for before, time in zip(newest, times[1:], strict=False))
 
@@ -287,7 +287,7 @@ def _check_pose_frames(recording: "Recording") -> None:
 
 
 def _key(topic: Topic) -> tuple[str, str]:
-    """What tells streams apart: scans and poses without topics have one name, too."""
+    """Key of a stream: name and kind, because scans and poses without a topic share a name."""
     return topic.name, topic.kind
 
 

@@ -1,4 +1,4 @@
-"""Which reader a path needs, told by its content rather than by its name where possible."""
+"""Selection of the reader for a path, by its content if possible, otherwise by its name."""
 
 from pathlib import Path
 from typing import Any
@@ -77,7 +77,7 @@ def open_recording(
 
 
 def _names_beside(path: Path) -> list[str]:
-    """Names of what lies where a file was expected."""
+    """Names of the files in the folder where a file was expected."""
     return [file.name for file in path.parent.iterdir()] if path.parent.is_dir() else []
 
 

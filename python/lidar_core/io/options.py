@@ -1,4 +1,4 @@
-"""How to read a recording: conventions of its driver, and limits on what it may hold."""
+"""Options for reading a recording: conventions of its driver, and limits on its sizes."""
 
 from typing import Literal
 
@@ -93,7 +93,7 @@ class Span(Config):
 
     @property
     def is_whole(self) -> bool:
-        """Whether nothing is left out."""
+        """Return whether the whole recording is read."""
         return self.start == 0 and self.end is None
 
     def __str__(self) -> str:
@@ -102,12 +102,12 @@ class Span(Config):
         return f"from {self.start:g} s {end}, counted from the first stamp"
 
     def holds(self, stamp_ns: int, first_ns: int) -> bool:
-        """Whether a time is within, of a recording that begins at `first_ns`."""
+        """Return whether a time is inside the span of a recording that begins at `first_ns`."""
         is_early = stamp_ns - first_ns < round(self.start * NS)
         return not is_early and not self.is_past(stamp_ns, first_ns)
 
     def is_past(self, stamp_ns: int, first_ns: int) -> bool:
-        """Whether a time is after the end."""
+        """Return whether a time is after the end."""
         return self.end is not None and stamp_ns - first_ns > round(self.end * NS)
 
 

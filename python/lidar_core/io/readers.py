@@ -72,7 +72,7 @@ class Reader:
             return self.open(path, options)
 
     def fits(self, path: Path, options: ReadOptions) -> bool:
-        """Whether a file is of this format, by its content; a broken plugin takes none."""
+        """Return whether a file has this format, by its content; False if the plugin is broken."""
         try:
             with READERS.calling(self):
                 return self.sniff is None or self.sniff(path, options)

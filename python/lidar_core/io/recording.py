@@ -67,7 +67,7 @@ class Recording(ABC):
         return later if later > DAY_NS else 0
 
     def noticed(self) -> Findings:
-        """What the reads so far detected and left out."""
+        """Findings so far: detected conventions and skipped messages."""
         return self.findings
 
     def poses(self) -> Iterator[tuple[Topic, Pose]]:

@@ -1,4 +1,4 @@
-"""What a recording consists of: topics, stored messages, and what a reader noticed on the way."""
+"""Parts of a recording: topics, stored messages, and findings of the reader."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -78,7 +78,7 @@ class Record:
 
 @dataclass(slots=True)
 class Findings:
-    """What a reader noticed on the way: conventions it detected, messages it left out."""
+    """Findings of a reader: detected conventions and skipped messages."""
 
     point_time: dict[str, str] = field(default_factory=dict)
     no_return: dict[str, str] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Recordings whose scans carry stamps that cannot be used: other times in their place."""
+"""Recordings with unusable stamps: replaces the stamps of the scans."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -33,7 +33,7 @@ class RestampedRecording(Recording):
         return self._recording.topics()
 
     def noticed(self) -> Findings:
-        """What the reads so far detected and left out."""
+        """Findings so far: detected conventions and skipped messages."""
         return self._recording.noticed()
 
     def close(self) -> None:
@@ -62,14 +62,14 @@ class RestampedRecording(Recording):
 
 
 def _at(record: Record, stamp_ns: int) -> Record:
-    return replace(record, time_ns=stamp_ns, decode=partial(_decoded, record, stamp_ns))
+    return replace(record, time_ns=stamp_ns, decode=partial(_decode, record, stamp_ns))
 
 
-def _decoded(record: Record, stamp_ns: int) -> list[Message]:
-    return [_stamped(message, stamp_ns) for message in record.decode()]
+def _decode(record: Record, stamp_ns: int) -> list[Message]:
+    return [_restamp(message, stamp_ns) for message in record.decode()]
 
 
-def _stamped(message: Message, stamp_ns: int) -> Message:
+def _restamp(message: Message, stamp_ns: int) -> Message:
     if isinstance(message, Scan) and message.point_time_ns is not None:
         moved = message.point_time_ns + (stamp_ns - message.stamp_ns)
         return replace(message, stamp_ns=stamp_ns, point_time_ns=moved)

@@ -14,7 +14,7 @@ NAMELESS = "(no topic)"
 
 
 class _Words(NamedTuple):
-    """How one sort of scans is found, and spoken of."""
+    """Words and options for one kind of scans in messages to the user."""
 
     kinds: frozenset[str]
     plural: str

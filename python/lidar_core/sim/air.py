@@ -1,4 +1,4 @@
-"""What is in the air: rain, dust and fog, whose returns are no things."""
+"""Rain, dust and fog, whose returns belong to no object."""
 
 from typing import Annotated, Literal, TypeAlias
 

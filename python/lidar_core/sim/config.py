@@ -1,4 +1,4 @@
-"""A scene: what stands, what moves, what looks; read from TOML."""
+"""A scene: static bodies, moving targets and the sensor; read from TOML."""
 
 from typing import Self
 

@@ -1,4 +1,4 @@
-"""What a sensor's driver makes of a scan: rows dropped, rows of zeros, no directions, no mask."""
+"""Output of a sensor's driver: dropped rows, rows of zeros, no directions, no mask."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from lidar_core.sim.truth import SimulatedScan
 
 
 def delivered(made: SimulatedScan, lidar: LidarModel) -> SimulatedScan:
-    """Turn a scan whose rays are all known into what the driver of `lidar` delivers.
+    """Convert a scan with all rays known to the output of the driver of `lidar`.
 
     Labels stay in line with the rows; the truth of the targets does not change.
     """

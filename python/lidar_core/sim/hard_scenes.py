@@ -44,7 +44,7 @@ def moving_car(
     speed: float = 8.0,
     drone: bool = False,
 ) -> Scene:
-    """Make a street that a car drives along whose own roof and bonnet are in view.
+    """Make a street with a driving car whose own roof and bonnet are in view.
 
     With a `drone`, a quadcopter keeps up some 5 m ahead of the car, a little higher than it, before
     the sky at the end of the road.

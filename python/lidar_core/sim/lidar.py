@@ -64,7 +64,7 @@ class Planar(Config):
 
 
 class Beam(Config):
-    """Light of some width in azimuth: at edges it meets the object and what is behind it."""
+    """Beam with a width in azimuth: at an edge it hits the object and the surface behind it."""
 
     half_width: float = Field(gt=0, le=0.1, description="To either side of the ray [rad].")
     lines: int = Field(9, ge=2, le=64, description="Lines that stand for the beam (no unit).")
@@ -79,7 +79,7 @@ class Beam(Config):
 
     @property
     def echo_length(self) -> float:
-        """How far behind the first surface others count [m]."""
+        """Largest distance behind the first surface at which other surfaces count [m]."""
         return {"first": 0.0, "mean": float("inf"), "mixed": self.pulse_length}[self.returns]
 
 

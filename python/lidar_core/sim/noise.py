@@ -24,7 +24,7 @@ class PoseNoise(Config):
 
     @property
     def covariance(self) -> NDArray[np.float64]:
-        """Of translation [m^2] and the angles about x, y, z [rad^2], shape (6, 6)."""
+        """Covariance of translation [m^2] and angles about x, y, z [rad^2], shape (6, 6)."""
         return np.diag(self.std**2)
 
     @property
@@ -52,7 +52,7 @@ class NoisyPoses:
 
     @property
     def covariance(self) -> NDArray[np.float64]:
-        """Of the error of any scan, shape (6, 6), see `PoseNoise.covariance`."""
+        """Covariance of the pose error of any scan, shape (6, 6), see `PoseNoise.covariance`."""
         return self.noise.covariance
 
     def observed(self, made: SimulatedScan) -> SimulatedScan:

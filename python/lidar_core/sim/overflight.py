@@ -1,4 +1,4 @@
-"""A drone with a LiDAR and a radar above a target on the ground: what they measure, and the truth.
+"""A drone with LiDAR and radar above a target on the ground: measurements and ground truth.
 
 Both sensors swivel so that their plane meets the target, and say by how much.
 """
@@ -71,7 +71,7 @@ class Overflight(Config):
 
 @dataclass(frozen=True, slots=True)
 class Overflown:
-    """What was measured, and the truth; a row per measurement.
+    """Measurements and ground truth; one row per measurement.
 
     Attributes
     ----------
@@ -154,12 +154,12 @@ def overfly(config: Overflight, *, seed: int) -> Overflown:
     position, velocity = _walk(config, seconds)
     own = np.array([config.speed, 0.0, 0.0])
     drone = seconds[:, None] * own + np.array([0.0, 0.0, config.height])
-    polar, swivel = _swivelled(position - drone, velocity - own, yaw, pitch)
+    polar, swivel = _swivel(position - drone, velocity - own, yaw, pitch)
     is_lidar = np.asarray(np.arange(len(seconds)) % 2 == 0)
     return Overflown(
         stamps_ns=np.round(seconds * 1e9).astype(np.int64),
         is_lidar=is_lidar,
-        values=_measured(polar, is_lidar, config, rng),
+        values=_measure(polar, is_lidar, config, rng),
         swivel=swivel + config.swivel_std * rng.normal(size=len(yaw)),
         pitch=pitch + config.pitch_std * rng.normal(size=len(yaw)),
         gyro=yaw_rate + config.gyro_std * rng.normal(size=len(yaw)),
@@ -189,7 +189,7 @@ def _walk(
     return np.cumsum(np.vstack([start, steps]), axis=0), config.target_speed * flat
 
 
-def _swivelled(
+def _swivel(
     sight: NDArray[np.float64],
     relative: NDArray[np.float64],
     yaw: NDArray[np.float64],
@@ -204,7 +204,7 @@ def _swivelled(
     return np.stack([far, np.arctan2(y, ahead), rate], axis=1), np.arcsin(up / far)
 
 
-def _measured(
+def _measure(
     polar: NDArray[np.float64], is_lidar: NDArray[np.bool_], config: Overflight, rng: Any
 ) -> NDArray[np.float64]:
     far, bearing, _ = polar.T

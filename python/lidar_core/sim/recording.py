@@ -63,7 +63,7 @@ SWEEP_TRUTH_COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What `record` wrote.
+    """Files that `record` wrote.
 
     Attributes
     ----------
@@ -129,10 +129,10 @@ def record(
     write = writer_of(path, "messages")
     simulator = Simulator(scene, seed=seed, scans=scans, threads=threads)
     with sole_writer(path):
-        return _recorded(scene, path, write, simulator, on_scan)
+        return _write_scans(scene, path, write, simulator, on_scan)
 
 
-def _recorded(
+def _write_scans(
     scene: Scene,
     path: Path,
     write: Callable[[Path, Iterable[Message]], object],

@@ -67,7 +67,7 @@ class Simulator:
             air=list(scene.air),
             surfaces=surfaces,
             mover_surfaces=names,
-            carried=[one for body in scene.own_body for one in _placed(body)],
+            carried=[one for body in scene.own_body for one in _place_surfaces(body)],
         )
         self._is_target = np.array([not target.clutter for target in scene.targets], bool)
         self.targets = [way for way, wanted in zip(ways, self._is_target, strict=True) if wanted]
@@ -276,14 +276,14 @@ def _bodies(
     sways: list[Sway | None] = []
     surfaces: Answers = []
     for label, body in enumerate(scene.bodies):
-        placed = _placed(body)
+        placed = _place_surfaces(body)
         bodies += [(shape, at, label) for shape, at in placed]
         sways += _sways(body, placed[0][1][:3, :3], len(placed))
         surfaces += [body.surface] * len(placed)
     return bodies, sways, surfaces
 
 
-def _placed(body: Body) -> list[tuple[SimShape, NDArray[np.float64]]]:
+def _place_surfaces(body: Body) -> list[tuple[SimShape, NDArray[np.float64]]]:
     """Surfaces of a body, and their poses."""
     pose = poses(np.array([body.position]), np.array([body.rotation]))[0]
     found = []

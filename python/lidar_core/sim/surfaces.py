@@ -1,4 +1,4 @@
-"""How surfaces answer light: dark, wet and glossy ones, glass."""
+"""Reflection of light by surfaces: dark, wet and glossy surfaces, glass."""
 
 from typing import TypeAlias
 

@@ -116,7 +116,7 @@ def _compose(figure: Any, view: CirclesView) -> None:
 
 
 def _limits(view: CirclesView, tall: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners of what is shown, `tall` times as high as wide: points, sensor, truth."""
+    """Corners of the visible area around points, sensor and truth; height is `tall` widths."""
     points = np.concatenate([np.empty((0, 2)), *view.points])
     if len(view.sensor):
         low, high = view.sensor.min(axis=0) - REACH, view.sensor.max(axis=0) + REACH

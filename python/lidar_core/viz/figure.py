@@ -1,4 +1,4 @@
-"""One style for all pictures, and how a figure becomes a file."""
+"""Common style of all pictures, and saving of figures."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -43,7 +43,7 @@ def write_figure(
 
 @contextmanager
 def figure_with_style(*, size: tuple[float, float], dpi: int) -> Iterator[Any]:
-    """Empty matplotlib Figure; what is drawn into it in the block has the house's style."""
+    """Empty matplotlib Figure; drawings in the block have the common style."""
     figures = require("matplotlib.figure", extra="plot", purpose=PURPOSE)
     canvas = require("matplotlib.backends.backend_agg", extra="plot", purpose=PURPOSE)
     style = require("matplotlib", extra="plot", purpose=PURPOSE)

@@ -1,4 +1,4 @@
-"""How a figure that is drawn again and again becomes a film."""
+"""Films from a figure that is drawn frame by frame."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -92,7 +92,7 @@ def _compose(figure: Any, view: FlyingView) -> None:
 
 
 def _limits(view: FlyingView) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners of what is shown: sensor, tracks and targets, with the map around them."""
+    """Corners of the visible area: sensor, tracks and targets, with the map around them."""
     things = [view.sensor, *(tracks.position for tracks in view.tracks), *view.truth.values()]
     focus = np.concatenate([rows[np.isfinite(rows).all(axis=1)] for rows in things])
     if not len(focus):
@@ -109,7 +109,7 @@ def _limits(view: FlyingView) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     return low, high
 
 
-def _shown(
+def _visible_rows(
     rows: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """At most `MOST_POINTS` rows inside the picture, evenly picked."""
@@ -130,7 +130,7 @@ def _map(
     for cloud, (name, colour, size) in zip(_by_class(view), CLOUDS, strict=True):
         if colour == OWN and not len(cloud):
             continue  # most robots hide nothing
-        rows = _shown(cloud, low, high)
+        rows = _visible_rows(cloud, low, high)
         axes.scatter(
             rows[:, across], rows[:, up], s=size, c=colour, linewidths=0, zorder=2, rasterized=True
         )
@@ -229,7 +229,7 @@ def _tracks(axes: Any, view: FlyingView, plane: tuple[int, int]) -> None:
 
 
 def _ellipse(axes: Any, tracks: Tracks, row: int, plane: tuple[int, int], colour: str) -> None:
-    """Where the track is with the probability that `SIGMAS` stands for, projected."""
+    """Projected ellipse of `SIGMAS` standard deviations around the track."""
     patches = require("matplotlib.patches", extra="plot", purpose=PURPOSE)
     values, vectors = np.linalg.eigh(tracks.covariance[row][np.ix_(plane, plane)])
     width, height = 2 * SIGMAS * np.sqrt(np.maximum(values, 0))

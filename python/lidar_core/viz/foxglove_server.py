@@ -135,7 +135,7 @@ class FoxgloveServer:
     def channel(
         self, topic: str, *, encoding: str, schema: Any, metadata: Mapping[str, str]
     ) -> ServedChannel:
-        """Begin a topic; viewers are told of it.
+        """Begin a topic and announce it to the viewers.
 
         Parameters
         ----------
@@ -167,7 +167,7 @@ class FoxgloveServer:
             )
             self._channels[number] = made
             for viewer in self._viewers:
-                viewer.put(_advertised([made]), keep=True)
+                viewer.put(_advertisement([made]), keep=True)
         return made
 
     def stop(self) -> None:
@@ -214,7 +214,7 @@ class FoxgloveServer:
         )
         with self._lock:
             if self._channels:
-                viewer.put(_advertised(self._channels.values()), keep=True)
+                viewer.put(_advertisement(self._channels.values()), keep=True)
             self._viewers.append(viewer)
         try:
             for text in link:
@@ -227,13 +227,13 @@ class FoxgloveServer:
             viewer.end()
 
 
-def _advertised(channels: Iterable[ServedChannel]) -> str:
+def _advertisement(channels: Iterable[ServedChannel]) -> str:
     described = [channel.description for channel in channels]
     return json.dumps({"op": "advertise", "channels": described})
 
 
 class _Viewer:
-    """What one viewer subscribed to, and what waits to be sent to it."""
+    """Subscriptions and pending messages of one viewer."""
 
     def __init__(self, link: Any, backlog: int) -> None:
         self._link = link
@@ -250,13 +250,13 @@ class _Viewer:
             return [name for name, number in self._subscriptions.items() if number == channel]
 
     def put(self, data: str | bytes, *, keep: bool = False) -> None:
-        """Send soon; of messages the oldest ones go if too many wait, what is kept never goes."""
+        """Queue data; a full queue drops its oldest messages, but none that are kept."""
         with self._changed:
             (self._kept if keep else self._waiting).append(data)  # type: ignore[arg-type]
             self._changed.notify()
 
     def read(self, text: str | bytes, channels: Mapping[int, ServedChannel]) -> None:
-        """One request; others than those about subscriptions say nothing here."""
+        """Handle one request; only requests about subscriptions have an effect."""
         request = json.loads(text) if isinstance(text, str) else {}
         kind = request.get("op") if isinstance(request, dict) else None
         if kind == "subscribe":

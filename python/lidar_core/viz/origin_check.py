@@ -1,4 +1,4 @@
-"""Who may talk to the servers on 127.0.0.1: programs, and web pages that were named.
+"""Check of the clients of servers on 127.0.0.1: programs and named web pages may connect.
 
 A web page from anywhere can open connections to this machine. Browsers say which page it is in
 the header Origin, and which name the address had in the header Host: a foreign name that was made

@@ -1,4 +1,4 @@
-"""What a run shows over time, from the files it left: scans in the world and what was found."""
+"""Playback of a run from its files: scans in the world frame, objects and outlines over time."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -119,7 +119,7 @@ class Playback:
         return str(frames[0]) if len(frames) else "world"
 
     def steps(self) -> Iterator[tuple[int, Objects]]:
-        """Times that were looked at [ns], ascending, and what was found at each; no scans.
+        """Processed times [ns] in ascending order with the objects at each; without scans.
 
         Sizes are those of the run: zero where it knows none.
         """
@@ -199,10 +199,12 @@ class Playback:
         with open_recording(self.recording) as recording:
             topics = [topic for topic in recording.topics() if topic.kind in SCAN_KINDS]
             for topic in topics[:1]:
-                yield from _placed(recording, topic.name, is_planar=topic.kind == "planar")
+                yield from _read_world_scans(
+                    recording, topic.name, is_planar=topic.kind == "planar"
+                )
 
 
-def _placed(
+def _read_world_scans(
     recording: Recording, topic: str, *, is_planar: bool
 ) -> Iterator[tuple[int, NDArray[np.float32], NDArray[np.uint8]]]:
     read = posed_laser_scans if is_planar else posed_scans
@@ -264,14 +266,16 @@ def _objects(columns: Columns, rows: NDArray[np.int64], *, least: float) -> Obje
 def outlines_of(shapes: ShapeElements) -> tuple[Outline, ...]:
     """Elements of a map that are no circles, as they are drawn."""
     return tuple(
-        _drawn(number, outline(shapes, row, CORNERS), is_visible=bool(shapes.visible[row]))
+        _outline_from(number, outline(shapes, row, CORNERS), is_visible=bool(shapes.visible[row]))
         for row, number in enumerate(shapes.id.tolist())
     )
 
 
 def _outline(columns: Columns, row: int) -> Outline:
     around = outline_of_row(columns, row, CORNERS)
-    return _drawn(int(columns["track_id"][row]), around, is_visible=bool(columns["visible"][row]))
+    return _outline_from(
+        int(columns["track_id"][row]), around, is_visible=bool(columns["visible"][row])
+    )
 
 
 def _sides(columns: Columns, row: int) -> NDArray[np.float64]:
@@ -285,7 +289,7 @@ def _sides(columns: Columns, row: int) -> NDArray[np.float64]:
     return sides
 
 
-def _drawn(number: int, around: NDArray[np.float64], *, is_visible: bool) -> Outline:
+def _outline_from(number: int, around: NDArray[np.float64], *, is_visible: bool) -> Outline:
     closed = around if len(around) == 2 else np.vstack([around, around[:1]])
     flat = np.pad(closed, ((0, 0), (0, 1)))
     return Outline(number, flat, is_visible)

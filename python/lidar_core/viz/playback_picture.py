@@ -36,7 +36,7 @@ PLANES = ((0, 1, "x", "y"), (0, 2, "x", "z"))
 
 
 def draw_moment(run: Playback, path: str | Path, *, at: float | None = None) -> Path:
-    """Draw the scan and what was found at one time, from above and, in 3D, from the side.
+    """Draw the scan and the objects at one time, from above and, in 3D, from the side.
 
     Parameters
     ----------
@@ -54,8 +54,8 @@ def draw_moment(run: Playback, path: str | Path, *, at: float | None = None) -> 
     MissingExtraError
         matplotlib is not installed.
     """
-    shown = [(moment, trails) for moment, trails in _followed(run) if len(moment.points)]
-    shown = shown or list(_followed(run))
+    shown = [(moment, trails) for moment, trails in _moments_with_trails(run) if len(moment.points)]
+    shown = shown or list(_moments_with_trails(run))
     if not shown:
         raise FormatError(f"{run.folder}: neither scans nor estimates to draw")
     first = shown[0][0].stamp_ns
@@ -94,7 +94,7 @@ def draw_film(run: Playback, path: str | Path, *, frames: int = 200, rate: float
     MissingExtraError
         matplotlib or, for .mp4, ffmpeg is not installed.
     """
-    followed = list(_followed(run))
+    followed = list(_moments_with_trails(run))
     kept = [one for one in followed if len(one[0].points)] or followed
     if not kept:
         raise FormatError(f"{run.folder}: neither scans nor estimates to draw")
@@ -114,7 +114,7 @@ def draw_film(run: Playback, path: str | Path, *, frames: int = 200, rate: float
 Trails = dict[int, NDArray[np.float64]]
 
 
-def _followed(run: Playback) -> Iterator[tuple[Moment, Trails]]:
+def _moments_with_trails(run: Playback) -> Iterator[tuple[Moment, Trails]]:
     """Moments with the last positions of every object in them."""
     trails: dict[int, list[NDArray[np.float64]]] = defaultdict(list)
     for moment in run.moments():
@@ -125,7 +125,7 @@ def _followed(run: Playback) -> Iterator[tuple[Moment, Trails]]:
 
 
 def _limits(moments: list[Moment]) -> NDArray[np.float64]:
-    """Corners (2, 3) of what is shown: the bulk of the points or outlines, and every object."""
+    """Corners (2, 3) of the visible area: most of the points or outlines, and every object."""
     points = np.concatenate([moment.points[::20] for moment in moments]).astype(np.float64)
     outlines = [one.points for moment in moments for one in moment.outlines]
     if outlines and not len(points):

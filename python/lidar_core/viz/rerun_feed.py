@@ -57,7 +57,7 @@ class LiveFeed:
             self._changed.notify_all()
 
     def blocks(self) -> Iterator[bytes]:
-        """The beginning, what is kept, and what comes, until the end."""
+        """Yield the header, the stored data, and new data until the end."""
         yield self._begin
         number = 0
         while True:

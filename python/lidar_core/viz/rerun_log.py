@@ -72,7 +72,7 @@ class RerunLog:
         self.stream.log("world/points", self._rr.AnnotationContext(classes), static=True)
 
     def follow(self) -> None:
-        """Have viewers show the newest time, as long as nobody chooses another one."""
+        """Make viewers follow the newest time until the user selects another one."""
         views = require("rerun.blueprint", extra="rerun", purpose=PURPOSE)
         panel = views.TimePanel(timeline="time", play_state="following")
         blueprint = views.Blueprint(panel, auto_layout=True, auto_views=True)
@@ -94,7 +94,7 @@ class RerunLog:
         self._log_lines("world/shapes", lines, labels, seen)
 
     def _log_extents(self, objects: Objects) -> None:
-        """Boxes around what has a height, circles around what has none."""
+        """Log boxes for objects with a height, and circles for objects without one."""
         speeds = np.linalg.norm(objects.velocity, axis=1).tolist()
         labels = [
             f"{name}: {speed:.1f} m/s"
@@ -142,13 +142,13 @@ class RerunLog:
             self.stream.log("world/map", voxels, static=True)
 
     def close(self) -> None:
-        """Send what is still under way, and disconnect."""
+        """Send the pending data and disconnect."""
         self.stream.flush()
         self.stream.disconnect()
 
 
 def write_rerun(run: Playback, path: str | Path) -> Path:
-    """Write what a run shows as rerun's recording (.rrd), whole or not at all.
+    """Write a run as rerun's recording (.rrd); the file is complete or does not exist.
 
     What `RerunLog` says, and occupied voxels under world/map.
 

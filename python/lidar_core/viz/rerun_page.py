@@ -123,10 +123,10 @@ def viewer_files() -> dict[str, bytes]:
     with rerun_process(
         [unused, "--serve-web", "--web-viewer-port", str(port)], quiet=True
     ) as rerun:
-        return {name: _fetched(f"http://{LOCAL}:{port}{name}", rerun) for name in RERUNS}
+        return {name: _fetch(f"http://{LOCAL}:{port}{name}", rerun) for name in RERUNS}
 
 
-def _fetched(address: str, server: "subprocess.Popen[bytes]") -> bytes:
+def _fetch(address: str, server: "subprocess.Popen[bytes]") -> bytes:
     until = time.monotonic() + PATIENCE_S
     direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
     while server.poll() is None and time.monotonic() < until:

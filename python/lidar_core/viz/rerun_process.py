@@ -20,7 +20,7 @@ PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")
 
 
 def free_port() -> int:
-    """A port of 127.0.0.1 that nobody uses, and that nobody can know beforehand."""
+    """A free, unpredictable port of 127.0.0.1."""
     with socket.socket() as place:
         place.bind((LOCAL, 0))
         return int(place.getsockname()[1])

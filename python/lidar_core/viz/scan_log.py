@@ -1,4 +1,4 @@
-"""Scans with their results in MCAP files and on servers: what viewers get."""
+"""Scans with their results for viewers, in MCAP files and on servers."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What pictures show, as plain arrays."""
+"""Data of pictures, as plain arrays."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -92,7 +92,7 @@ class CirclesView:
 
 @dataclass(frozen=True, slots=True)
 class PlanarLine:
-    """Where something was over time, in the plane.
+    """Positions of one object over time, in the plane.
 
     Attributes
     ----------

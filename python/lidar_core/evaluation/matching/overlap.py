@@ -83,7 +83,7 @@ def _of_times(
 
 
 def typical_offset(offsets: NDArray[np.float64]) -> str:
-    """How far from the nearest truth, and on which side."""
+    """Typical signed offset to the nearest ground truth."""
     middle = float(np.median(offsets))
     return f"typically {1e3 * abs(middle):.3g} ms {'after' if middle > 0 else 'before'} the truth"
 

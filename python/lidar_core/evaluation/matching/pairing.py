@@ -139,7 +139,7 @@ def _delays(estimates: Estimates) -> NDArray[np.float64]:
 
 
 def _places(truth: Truth, rows: Rows, delays: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where these targets were so long after the start of the scan [m]."""
+    """Positions of the targets at given times after the start of the scan [m]."""
     if truth.velocity is None:
         return truth.position[rows]
     return truth.position[rows] + delays[..., None] * truth.velocity[rows]

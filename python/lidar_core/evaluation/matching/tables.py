@@ -1,4 +1,4 @@
-"""Tables for the scores, from simulated scans and from what the detector returned."""
+"""Tables for the scores, from simulated scans and from results of the detector."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -41,10 +41,10 @@ def joined(parts: Iterable[Truth]) -> Truth:
     return Truth(
         stamp_ns=np.concatenate([np.empty(0, np.int64), *(part.stamp_ns for part in tables)]),
         id=np.concatenate([np.empty(0, np.int64), *(part.id for part in tables)]),
-        position=_stacked([part.position for part in tables]),
+        position=_concatenate([part.position for part in tables]),
         is_eligible=np.concatenate([np.empty(0, bool), *(part.is_eligible for part in tables)]),
-        velocity=_stacked(velocity) if len(velocity) == len(tables) else None,
-        sensor=_stacked(sensor) if len(sensor) == len(tables) else None,
+        velocity=_concatenate(velocity) if len(velocity) == len(tables) else None,
+        sensor=_concatenate(sensor) if len(sensor) == len(tables) else None,
         radius=np.concatenate([np.empty(0), *radius]) if len(radius) == len(tables) else None,
     )
 
@@ -56,9 +56,9 @@ def estimates_of_tracks(tracks: Iterable[Tracks]) -> Estimates:
     covariance = [state.covariance[:, :6, :6] for state in states]
     return Estimates(
         stamp_ns=np.repeat(stamps, [len(state) for state in states]),
-        position=_stacked([state.position for state in states]),
+        position=_concatenate([state.position for state in states]),
         id=np.concatenate([np.empty(0, np.int64), *(state.id for state in states)]),
-        velocity=_stacked([state.velocity for state in states]),
+        velocity=_concatenate([state.velocity for state in states]),
         covariance=np.concatenate([np.empty((0, 6, 6)), *covariance]),
     )
 
@@ -70,7 +70,7 @@ def estimates_of_detections(frames: Iterable[FlyingFrame]) -> Estimates:
     found = [frame.detections for frame in results]
     return Estimates(
         stamp_ns=np.repeat(stamps, [len(item) for item in found]),
-        position=_stacked([item.position for item in found]),
+        position=_concatenate([item.position for item in found]),
         covariance=np.concatenate([np.empty((0, 3, 3)), *(item.covariance for item in found)]),
         time_ns=np.concatenate([np.empty(0, np.int64), *(item.time_ns for item in found)]),
     )
@@ -100,5 +100,5 @@ def aligned(
     return replace(estimates, stamp_ns=stamps + shift, time_ns=times)
 
 
-def _stacked(parts: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+def _concatenate(parts: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
     return np.concatenate([np.empty((0, 3)), *parts])

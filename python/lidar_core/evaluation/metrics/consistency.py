@@ -58,7 +58,7 @@ class Consistency:
 
     @property
     def warning(self) -> str | None:
-        """What is wrong with the covariances, in words; None if the mean is about right.
+        """Text that says how the covariances are wrong; None if the mean is about right.
 
         Covariances that are too large count as those that are too small: below half the right mean,
         or above twice it.

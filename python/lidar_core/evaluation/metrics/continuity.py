@@ -12,7 +12,7 @@ from lidar_core.evaluation.types import Truth
 
 @dataclass(frozen=True, slots=True)
 class Continuity:
-    """How steadily the targets were found; the fields are those of `DetectionScores`."""
+    """Continuity of finding the targets; the fields are those of `DetectionScores`."""
 
     first_delay: dict[int, float | None] = field(default_factory=dict)
     longest_gap: dict[int, float] = field(default_factory=dict)
@@ -42,7 +42,7 @@ def continuity(truth: Truth, pairing: Pairing) -> Continuity:
 
 
 def switches(truth: Truth, pairing: Pairing, track_id: NDArray[np.int64]) -> int:
-    """How often a target was paired with another track than the last time."""
+    """Count the pairs of a target with another track than its previous one."""
     total = 0
     for _, rows in histories(truth):
         partners = pairing.estimate_of[rows]

@@ -79,7 +79,7 @@ def score_identities(
     tracks, truth = counted(tracks, truth, config=config)
     if not len(truth.stamp_ns):
         return None
-    data = _prepared(tracks, truth, config.gate)
+    data = _trackeval_data(tracks, truth, config.gate)
     quiet = {"THRESHOLD": LEAST_SIMILARITY, "PRINT_CONFIG": False}
     hota = metrics.HOTA().eval_sequence(data)
     clear = metrics.CLEAR(dict(quiet)).eval_sequence(data)
@@ -100,7 +100,7 @@ def score_identities(
     )
 
 
-def _prepared(tracks: Estimates, truth: Truth, gate: float) -> dict[str, Any]:
+def _trackeval_data(tracks: Estimates, truth: Truth, gate: float) -> dict[str, Any]:
     """The tables as the library reads them: per scan numbers from 0 and similarities."""
     track_ids, track_of = np.unique(numbers_of(tracks), return_inverse=True)
     target_ids, target_of = np.unique(truth.id, return_inverse=True)

@@ -1,4 +1,4 @@
-"""How long scans took."""
+"""Processing time of scans."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -8,7 +8,7 @@ from lidar_core.evaluation.metrics.continuity import histories
 
 @register_metric("longest_segment", "longest track segment", of="tracks")
 def longest_segment(paired: Paired) -> float | None:
-    """How much of the sightings of each target its most frequent track holds, over all targets.
+    """Share of the sightings that the most frequent track of each target holds, over all targets.
 
     1 if every target is one track from its first sighting to its last; identity changes and gaps
     lower it. None without sightings or numbers of tracks.

@@ -1,1 +1,1 @@
-"""Files: what is inside them, read with limits and written whole."""
+"""Containers and compressed files, read with limits; atomic writing of files."""

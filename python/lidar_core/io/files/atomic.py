@@ -39,7 +39,7 @@ class WrittenInBlock(ABC):
 
 
 def temporary_for(path: Path) -> Path:
-    """Where to write before `commit`: in the same folder, so that the rename is atomic.
+    """Temporary path to write to before `commit`, in the same folder so that the rename is atomic.
 
     What a process left there for the same file, and no longer lives, is removed.
     """
@@ -71,12 +71,12 @@ def remove_stale(folder: Path, *, name: str | None = None) -> None:
 
 
 def is_temporary(name: str) -> bool:
-    """Whether a file of this name is one of `temporary_for`."""
+    """Return whether `temporary_for` made a file of this name."""
     return _TEMPORARY.fullmatch(name) is not None
 
 
 def _lives(process: int) -> bool:
-    """Whether there is a process of this number; one of somebody else is one, too."""
+    """Return whether a process with this number runs, also one of another user."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:

@@ -19,7 +19,7 @@ MOST_RATIO, FREE_BYTES = 1000, 2**20
 
 
 def most_bytes(packed: int, limit: int) -> int:
-    """How many bytes `packed` compressed bytes may become where `limit` is the most of all."""
+    """Largest size allowed for `packed` compressed bytes after unpacking, at most `limit`."""
     return min(limit, max(FREE_BYTES, MOST_RATIO * packed))
 
 
@@ -69,13 +69,13 @@ def unpack_zstd(source: Path, target: Path, limit: int) -> int:
         _check_zstd(packed, str(source))
         packed.seek(0)
         try:
-            return _unpacked(packed, source, target, limit)
+            return _unpack(packed, source, target, limit)
         except OSError as error:
             told = f"{error.strerror}; TMPDIR names another folder to unpack {source} in"
             raise OSError(error.errno, told, str(target)) from error
 
 
-def _unpacked(packed: BinaryIO, source: Path, target: Path, limit: int) -> int:
+def _unpack(packed: BinaryIO, source: Path, target: Path, limit: int) -> int:
     size, given = 0, source.stat().st_size
     with target.open("wb") as plain:
         for block in _zstandard().ZstdDecompressor().read_to_iter(packed):
@@ -95,7 +95,7 @@ def _zstandard() -> Any:
 
 
 def _check_zstd(file: BinaryIO, place: str) -> None:
-    """Refuse what the library takes for less: a frame that is cut short, or one of several."""
+    """Refuse truncated frames and several frames in a row, which the library accepts silently."""
     head = file.read(MOST_ZSTD_HEAD)
     zstandard = _zstandard()
     with reading(place):

@@ -62,7 +62,7 @@ _NO_TABLE = struct.pack("<II", 0, 0)
 
 
 class Head(NamedTuple):
-    """What the header of a file states, checked against the file's size."""
+    """Header of a file, checked against the file's size."""
 
     points_at: int
     n_records: int
@@ -75,7 +75,7 @@ class Head(NamedTuple):
 
 
 class Packing(NamedTuple):
-    """What LASzip's record states, checked against the header."""
+    """LASzip's record, checked against the header."""
 
     record: bytes
     kind: int
@@ -103,7 +103,7 @@ def read_las(path: Path, options: ReadOptions) -> tuple[NDArray[np.float64], NDA
             key="max_points",
             what="a cloud of points",
         )
-        blocks = _unpacked(place, data, head) if head.is_packed else [_plain(place, data, head)]
+        blocks = _unpack_laz(place, data, head) if head.is_packed else [_plain(place, data, head)]
         places, intensities, done = np.empty((head.n_points, 3)), np.empty(head.n_points, "f4"), 0
         for block in blocks:
             rows = slice(done, done + len(block))
@@ -146,7 +146,7 @@ def _plain(place: str, data: bytes, head: Head) -> NDArray[np.uint8]:
     return rows.reshape(head.n_points, head.point_bytes)
 
 
-def _unpacked(place: str, data: bytes, head: Head) -> Iterator[NDArray[np.uint8]]:
+def _unpack_laz(place: str, data: bytes, head: Head) -> Iterator[NDArray[np.uint8]]:
     """Points of a LAZ file, some at a time."""
     if not head.n_points:
         return
@@ -213,7 +213,7 @@ def _laszip_record(place: str, data: bytes, head: Head) -> bytes:
 
 
 def _span(place: str, data: bytes, head: Head, packing: Packing) -> tuple[int, int]:
-    """Where compressed points begin and end; behind them is the table of chunks."""
+    """First and last byte of the compressed points; the table of chunks follows them."""
     if packing.kind == _ONE_STREAM:
         return head.points_at, len(data)
     (table_at,) = struct.unpack_from("<q", data, head.points_at)

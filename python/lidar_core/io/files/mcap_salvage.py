@@ -1,4 +1,4 @@
-"""What is whole in an MCAP file that was not closed, was cut, or has broken chunks."""
+"""Complete messages of an MCAP file that was not closed, was truncated, or has broken chunks."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ class Salvage:
             self._see_one(record)
 
     def notes(self, lost_bytes: int) -> list[str]:
-        """What was recovered, and what was lost; nothing about a file that is whole."""
+        """Notes on recovered and lost messages; empty for a complete file."""
         if not self.end and not self.broken:
             return []
         found = f"recovered {self.messages} messages"

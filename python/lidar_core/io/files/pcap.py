@@ -1,4 +1,4 @@
-"""Framing of packet captures: what is inside, and whether the file ends early.
+"""Framing of packet captures: detects the format and truncated files.
 
 Packets themselves are decoded by the vendors' libraries, which skip a broken end silently.
 """
@@ -43,7 +43,7 @@ def packet_sizes(path: Path) -> Counter[int]:
 
 
 def readable(path: Path) -> Any:
-    """What libraries take that read pcap only: the name of the file, or pcapng in its shape."""
+    """Input for libraries that read only pcap: the file's name, or pcapng shown as pcap."""
     with path.open("rb") as file:
         is_next = file.read(4) == pcapng.MAGIC
     return pcapng.AsPcap(path) if is_next else str(path)

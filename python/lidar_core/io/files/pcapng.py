@@ -30,7 +30,7 @@ class Packet(NamedTuple):
 
 
 class _Clock(NamedTuple):
-    """How an interface counts time: ticks per second, seconds to add."""
+    """Clock of an interface: ticks per second, seconds to add."""
 
     rate: int = 10**_MICROSECONDS
     offset: int = 0

@@ -1,4 +1,4 @@
-"""One writer at a time for files that belong together."""
+"""Lock that lets one writer at a time change a group of files."""
 
 import os
 import sys
@@ -13,7 +13,7 @@ LARGEST = 4096
 
 @contextmanager
 def sole_writer(path: Path) -> Iterator[None]:
-    """Keep others from writing what belongs to `path` until the block ends.
+    """Lock the files that belong to `path` against other writers until the block ends.
 
     Files that differ in their endings belong together: NAME.npz, NAME.mcap and NAME.truth.csv.
     The lock is one of the system on `.NAME.lock`, which a process loses when it ends in any way:
@@ -26,7 +26,7 @@ def sole_writer(path: Path) -> Iterator[None]:
         Somebody is writing there; the text says who.
     """
     place = path.with_name(f".{path.with_suffix('').name}.lock")
-    held = _locked(place, path)
+    held = _lock(place, path)
     try:
         yield
     finally:
@@ -35,7 +35,7 @@ def sole_writer(path: Path) -> Iterator[None]:
             os.close(held)
 
 
-def _locked(place: Path, path: Path) -> int | None:
+def _lock(place: Path, path: Path) -> int | None:
     """The lock file, open and locked; None where there are no locks."""
     if os.name != "posix" or not os.access(place.parent, os.W_OK):
         return None  # who may not write there is told so by what writes
@@ -66,7 +66,7 @@ def _locked(place: Path, path: Path) -> int | None:
 
 
 def _is_there(place: Path, held: int) -> bool:
-    """Whether the open file still has this name."""
+    """Return whether the open file still has this name."""
     try:
         named = place.stat()
     except FileNotFoundError:

@@ -56,7 +56,7 @@ LATEST_S = 9.2e9  # what int64 [ns] can hold
 
 
 class _Line(NamedTuple):
-    """One message: where it stands, its name, and the words after it."""
+    """One message: its line number, its name, and the words after it."""
 
     place: str
     name: str
@@ -95,7 +95,7 @@ class _Line(NamedTuple):
 
 @register_reader("CARMEN log", [".clf", ".clf.bz2"])
 class CarmenRecording(Recording):
-    """One log; it is read once to learn its topics, and again for its messages."""
+    """One CARMEN log; one pass finds its topics, a second pass reads its messages."""
 
     format = "CARMEN log"
 
@@ -136,7 +136,7 @@ class CarmenRecording(Recording):
             yield Record(topic, last_ns, decode)
 
     def _reject(self, line: _Line, error: FormatError) -> None:
-        """Count a line that cannot be read, once; the first of its name is told."""
+        """Count an unreadable line once, and note the first one of its name."""
         if line.place in self._rejected:
             return
         self._rejected.add(line.place)
@@ -202,7 +202,7 @@ class CarmenRecording(Recording):
         self._range_max = min([value for value in stated if value > 0] + [LARGEST_RANGE])
 
     def _count(self, line: _Line, readings: Counter[float], stated: list[float]) -> None:
-        """Count a message, and what it says of the limit of the readings."""
+        """Count a message and its evidence about the largest valid reading."""
         values = np.empty(0)
         if line.name in OLD_SCANS:
             values = line.numbers(1, line.count(0))
@@ -220,7 +220,7 @@ class CarmenRecording(Recording):
         """Messages with the numbers of their lines; comments and empty lines left out."""
         limit, total = self.options.max_record_bytes, 0
         is_packed, size = self.path.suffix.lower() == ".bz2", self.path.stat().st_size
-        with self._opened() as stream:
+        with self._open() as stream:
             for number in range(1, 2**62):
                 place = f"{self.path}, line {number}"
                 with reading(place):
@@ -241,14 +241,14 @@ class CarmenRecording(Recording):
                 if words and not words[0].startswith("#"):
                     yield _Line(place, words[0], words[1:])
 
-    def _opened(self) -> IO[bytes] | bz2.BZ2File:
+    def _open(self) -> IO[bytes] | bz2.BZ2File:
         if self.path.suffix.lower() == ".bz2":
             return bz2.BZ2File(self.path)
         return self.path.open("rb")
 
 
 class _Parts(NamedTuple):
-    """Where in the words of a message its readings, its pose and its time are."""
+    """Positions of readings, pose and time among the words of a message."""
 
     frame: str
     readings_at: int | None

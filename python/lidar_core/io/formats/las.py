@@ -40,7 +40,7 @@ class LasRecording(SequenceRecording):
         return poses
 
     def _corner(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where the scan's origin is put: zero, or full kilometres near a cloud that is far."""
+        """Origin of the scan: zero, or full kilometres near a far cloud."""
         lowest = points.min(axis=0) if len(points) else np.zeros(3)
         far = np.abs(lowest) > FAR
         return np.asarray(np.where(far, np.floor(lowest / FAR) * FAR, 0.0))

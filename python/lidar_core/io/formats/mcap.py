@@ -95,7 +95,7 @@ class McapRecording(Recording):
             key=lambda index: (index.message_start_time, index.chunk_start_offset),
         )
         if not self._summary.chunk_indexes:
-            yield from self._unchunked(wanted)
+            yield from self._read_without_chunks(wanted)
             return
         pending: list[tuple[int, int, Any]] = []
         order = 0
@@ -115,7 +115,7 @@ class McapRecording(Recording):
 
     @contextmanager
     def _reading(self, place: str) -> Iterator[None]:
-        """As `reading`, for a library that has a limit of its own on records."""
+        """Like `reading`, for a library that has its own limit on records."""
         exceptions = require("mcap.exceptions", extra="io", purpose="reading MCAP")
         with reading(place):
             try:
@@ -130,7 +130,7 @@ class McapRecording(Recording):
         limit = self.options.max_record_bytes
         place = f"{self.path}: MCAP summary"
         if self.options.recover:
-            return self._salvaged()
+            return self._salvage_index()
         with self._reading(f"{place} (a file that was not closed has none; recover reads it)"):
             summary = reader.SeekingReader(self._file, record_size_limit=limit).get_summary()
         if summary is None or (not summary.chunk_indexes and not summary.channels):
@@ -140,8 +140,8 @@ class McapRecording(Recording):
         )
         return summary
 
-    def _salvaged(self) -> Any:
-        """Index of what is whole in the file, read from its start to where it breaks."""
+    def _salvage_index(self) -> Any:
+        """Index of the complete chunks, read from the start of the file to the first defect."""
         summary = require("mcap.summary", extra="io", purpose="reading MCAP").Summary()
         salvage = Salvage(summary, self._records)
         self._file.seek(0)
@@ -169,7 +169,7 @@ class McapRecording(Recording):
             self._file.seek(position)
 
     def _scan_for_channels(self) -> Any:
-        """Channels and schemas of a file whose summary repeats none."""
+        """Channels and schemas of a file whose summary does not repeat them."""
         summary = require("mcap.summary", extra="io", purpose="reading MCAP").Summary()
         with self._reading(f"{self.path}: MCAP data"):
             self._file.seek(0)
@@ -224,11 +224,11 @@ class McapRecording(Recording):
                 key="max_record_bytes",
                 what="a chunk of bytes",
             )
-            chunk.data = _decompressed(chunk, place, limit)
+            chunk.data = _decompress(chunk, place, limit)
             chunk.compression = ""
             return list(self._mcap.breakup_chunk(chunk, validate_crc=True))
 
-    def _unchunked(self, wanted: set[int]) -> Iterator[tuple[int, Any]]:
+    def _read_without_chunks(self, wanted: set[int]) -> Iterator[tuple[int, Any]]:
         self._file.seek(0)
         messages = []
         try:
@@ -275,7 +275,7 @@ def _kind(encoding: str, type_name: str) -> tuple[Kind, str]:
     return "other", f"message encoding {encoding!r} is not read"
 
 
-def _decompressed(chunk: Any, place: str, limit: int) -> bytes:
+def _decompress(chunk: Any, place: str, limit: int) -> bytes:
     """Data of a chunk, at most `limit` bytes: the size that the file declares is not trusted."""
     data: bytes = chunk.data
     if chunk.compression == "zstd":

@@ -63,7 +63,7 @@ def metadata_beside(path: Path) -> Path | None:
 
 
 class _OusterFrames(Recording):
-    """What captures and OSF files share: frames to scans and poses."""
+    """Base of captures and OSF files: converts frames to scans and poses."""
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
         super().__init__(path, options)
@@ -152,7 +152,7 @@ class _OusterFrames(Recording):
         if "REFLECTIVITY" in frame.fields:
             columns["intensity"] = np.asarray(frame.field("REFLECTIVITY"), np.float32)
         if self.options.destagger:
-            columns = {name: _shifted(image, beams.shifts) for name, image in columns.items()}
+            columns = {name: _shift_rows(image, beams.shifts) for name, image in columns.items()}
         flat = {name: np.ascontiguousarray(image) for name, image in columns.items()}
         return Scan(
             stamp_ns=stamp_ns,
@@ -247,7 +247,7 @@ class OusterRecording(_OusterFrames):
 
 @register_reader("Ouster OSF", [".osf"], extra="ouster")
 class OsfRecording(_OusterFrames):
-    """An OSF file; what its reader merely logs is an error here."""
+    """An OSF file; problems that ouster-sdk only logs raise an error here."""
 
     format = "Ouster OSF"
 
@@ -295,7 +295,7 @@ def _require(module: str) -> Any:
         raise MissingExtraError(INSTALL + install_command("ouster")) from error
 
 
-def _shifted(image: NDArray[Any], shifts: NDArray[np.int64]) -> NDArray[Any]:
+def _shift_rows(image: NDArray[Any], shifts: NDArray[np.int64]) -> NDArray[Any]:
     """`image` with every row rolled by its shift, so that columns share an azimuth."""
     width = image.shape[1]
     columns = (np.arange(width)[None, :] - shifts[:, None]) % width

@@ -38,7 +38,7 @@ class RosRecording(Recording):
         self._readers: list[tuple[Path, Any]] = []
         with ExitStack() as stack:
             for file in files:
-                self._readers.append((file, self._opened(file, version, stack)))
+                self._readers.append((file, self._open_reader(file, version, stack)))
             self._topics = self._list_topics()
             self._stack = stack.pop_all()
 
@@ -55,7 +55,7 @@ class RosRecording(Recording):
         """Close the files."""
         self._stack.close()
 
-    def _opened(self, file: Path, version: int, stack: ExitStack) -> Any:
+    def _open_reader(self, file: Path, version: int, stack: ExitStack) -> Any:
         module = require(f"rosbags.rosbag{version}", extra="io", purpose="reading ROS recordings")
         if version == 2:
             _check_database(file, self.options)

@@ -1,4 +1,4 @@
-"""ROS 2 recordings whose files were compressed: unpacked for as long as they are open."""
+"""ROS 2 recordings with compressed files, unpacked while they are open."""
 
 from contextlib import ExitStack
 from pathlib import Path
@@ -29,7 +29,7 @@ class UnpackedRecording(ChainedRecording):
             for file in files:
                 unpacked.append(folder / file.stem)
                 left -= unpack_zstd(file, unpacked[-1], left)
-            super().__init__(path, options, unpacked, _opened)
+            super().__init__(path, options, unpacked, _open_unpacked)
             self.format = f"{self._parts[0].format}, unpacked"
             self._folder = stack.pop_all()
 
@@ -39,7 +39,7 @@ class UnpackedRecording(ChainedRecording):
         self._folder.close()
 
 
-def _opened(file: Path, options: ReadOptions) -> Recording:
+def _open_unpacked(file: Path, options: ReadOptions) -> Recording:
     reader = reader_of(file, options)
     if reader is None:  # the compressed name ends as one that is known
         raise FormatError(f"{file}: unknown format")

@@ -1,4 +1,4 @@
-"""Single clouds and maps in files: what is known beforehand, and maps for other programs."""
+"""Single clouds and maps in files: known maps as input, and maps for other programs."""
 
 from pathlib import Path
 from typing import NamedTuple

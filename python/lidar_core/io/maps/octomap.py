@@ -58,7 +58,7 @@ def read_octomap(
         key="max_points",
         what="a tree of occupied voxels",
     )
-    keys = _expanded(corners, sizes)
+    keys = _expand(corners, sizes)
     return (keys - HALF + 0.5) * resolution, resolution
 
 
@@ -159,7 +159,7 @@ def _occupied_leaves(path: Path, nodes: list[int]) -> tuple[NDArray[np.int64], N
     return np.reshape(np.array(corners, np.int64), (-1, 3)), np.array(depths, np.int64)
 
 
-def _expanded(corners: NDArray[np.int64], sizes: NDArray[np.int64]) -> NDArray[np.int64]:
+def _expand(corners: NDArray[np.int64], sizes: NDArray[np.int64]) -> NDArray[np.int64]:
     """Keys (N, 3) of all finest voxels of leaves with these lowest keys and edges."""
     parts = []
     for size in np.unique(sizes).tolist():

@@ -30,7 +30,7 @@ class Field(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """How rows lie in the data: sizes in bytes."""
+    """Memory layout of the rows: sizes in bytes."""
 
     fields: Sequence[Field]
     point_step: int

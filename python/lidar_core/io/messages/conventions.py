@@ -31,7 +31,7 @@ NEAR_STAMP_S = 60.0  # an absolute point time lies this close to its scan's stam
 
 @dataclass(slots=True)
 class NoReturnRule:
-    """What marks a ray without return in the clouds of one topic."""
+    """Mark of a ray without return in the clouds of one topic."""
 
     options: ReadOptions
     convention: str | None = None
@@ -84,8 +84,10 @@ class PointTimeRule:
             return None
         name, unit, reference = self.rule
         if name not in fields:
-            raise FormatError(f"{place}: no field {name!r} for the point times, {_found(fields)}")
-        nanoseconds = _scaled(fields[name], NS_PER_UNIT[unit], place)
+            raise FormatError(
+                f"{place}: no field {name!r} for the point times, {_field_list(fields)}"
+            )
+        nanoseconds = _nanoseconds(fields[name], NS_PER_UNIT[unit], place)
         if reference == "absolute" or nanoseconds.size == 0:
             return nanoseconds
         offset = int(nanoseconds.max()) if reference == "end" else 0
@@ -129,7 +131,7 @@ class PointTimeRule:
             self.verdict = f"{':'.join(self.rule)} detected: {what}"
 
 
-def _scaled(values: NDArray[Any], scale: int, place: str) -> NDArray[np.int64]:
+def _nanoseconds(values: NDArray[Any], scale: int, place: str) -> NDArray[np.int64]:
     """`values` in nanoseconds: integers exactly, floats rounded."""
     if np.issubdtype(values.dtype, np.integer):
         bound = np.iinfo(np.int64).max // scale
@@ -144,5 +146,5 @@ def _scaled(values: NDArray[Any], scale: int, place: str) -> NDArray[np.int64]:
     return seconds.astype(np.int64) * np.int64(scale) + rest.astype(np.int64)
 
 
-def _found(fields: dict[str, NDArray[Any]]) -> str:
+def _field_list(fields: dict[str, NDArray[Any]]) -> str:
     return "found " + (", ".join(fields) or "none")

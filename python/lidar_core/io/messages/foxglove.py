@@ -30,7 +30,7 @@ OWN_SCANNER = "lidar_core_scanner"
 
 
 def foxglove_kind(type_name: str) -> Kind:
-    """What a message of this schema is read as."""
+    """Kind of message that this schema is read as."""
     if type_name == CLOUD:
         return "scan"
     if type_name == LASER:

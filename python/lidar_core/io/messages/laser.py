@@ -1,4 +1,4 @@
-"""2D scans as drivers send them: what their ranges and times mean, by REP-117.
+"""2D scans of drivers: the meaning of ranges and times, by REP-117.
 
 Conventions are detected on the first scan that shows them, kept for the rest of the topic, and
 stated as a verdict; options override them.
@@ -23,7 +23,7 @@ FULL_TURN = 2 * np.pi * 1.01  # a hundredth more than a turn is the rounding of 
 
 @dataclass(slots=True)
 class RangeRule:
-    """What marks a ray without return in the scans of one topic."""
+    """Mark of a ray without return in the scans of one topic."""
 
     options: ReadOptions
     convention: str | None = None
@@ -75,7 +75,7 @@ class RangeRule:
 
 
 class LaserDecoder:
-    """Turns the scans of one topic, as recorded, into what `LaserScan` promises."""
+    """Converts the recorded scans of one topic to the conventions of `LaserScan`."""
 
     def __init__(self, topic: str, options: ReadOptions, findings: Findings) -> None:
         self._topic = topic

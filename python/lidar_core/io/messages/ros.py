@@ -45,7 +45,7 @@ MEASUREMENT_TYPES = (RADAR_TRACKS_TYPE, RADAR_SCAN_TYPE, POINT_TYPE, IMU_TYPE)
 
 
 def kind_of(type_name: str) -> Kind:
-    """What a message of this type is read as."""
+    """Kind of message that this type is read as."""
     if type_name in SCAN_TYPES or type_name == VELODYNE_TYPE:
         return "scan"
     if type_name in PLANAR_TYPES:
@@ -64,7 +64,7 @@ def ros_name(type_name: str) -> str:
 
 
 def note_of(type_name: str) -> str:
-    """What has to be said about messages of this type, if anything."""
+    """Note for the user about messages of this type, or None."""
     if type_name == "sensor_msgs/msg/MultiEchoLaserScan":
         return "the first echo of every ray is read"
     return PACKETS.get(type_name, "")

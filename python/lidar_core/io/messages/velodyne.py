@@ -106,7 +106,7 @@ def decoder_config(library: Any, options: ReadOptions) -> Any:
 
 
 def state_conventions(topic: str, findings: Findings) -> None:
-    """Note what Velodyne packets say about times and rays without return."""
+    """Note the conventions of Velodyne packets for times and rays without return."""
     findings.no_return[topic] = NO_RETURN
     findings.point_time[topic] = POINT_TIME
 

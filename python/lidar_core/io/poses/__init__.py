@@ -1,1 +1,1 @@
-"""Where the sensor was at each scan."""
+"""Poses of the sensor for each scan."""

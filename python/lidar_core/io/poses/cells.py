@@ -12,15 +12,15 @@ _HALF = 1 << (_BITS - 1)
 
 def cell_keys(points: NDArray[np.float64], edge: float) -> NDArray[np.int64]:
     """One number per point for the cube of `edge` [m] that it is in; far cubes may share one."""
-    return _packed(np.floor(points / edge).astype(np.int64))
+    return _pack(np.floor(points / edge).astype(np.int64))
 
 
 def surrounding_keys(points: NDArray[np.float64], edge: float) -> NDArray[np.int64]:
     """Sorted numbers of the cubes that points are in, and of their neighbours."""
     cells = np.unique(np.floor(points / edge).astype(np.int64), axis=0)
-    return np.unique(_packed((cells[:, None] + _OFFSETS).reshape(-1, 3)))
+    return np.unique(_pack((cells[:, None] + _OFFSETS).reshape(-1, 3)))
 
 
-def _packed(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+def _pack(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     x, y, z = (np.moveaxis(cells, -1, 0) + _HALF) & (2 * _HALF - 1)
     return np.asarray(x << (2 * _BITS) | y << _BITS | z)

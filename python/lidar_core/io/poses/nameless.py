@@ -1,4 +1,4 @@
-"""Whose poses those are that name no frame of their own, as PoseStamped and some odometry."""
+"""The body that poses without a child frame describe, as PoseStamped and some odometry."""
 
 from collections.abc import Iterable, Sequence
 
@@ -32,7 +32,7 @@ class UnclearCarrierError(ConfigError):
 def carrier_of(
     frame: str, poses: Sequence[Pose], others: Iterable[Pose], mountings: Iterable[Pose], topic: str
 ) -> str:
-    """Frame that `poses`, which name none, are of, as far as the recording tells.
+    """Frame that `poses` without a child frame describe, as far as the recording shows it.
 
     A stated mounting says it first, unless it is on a frame that moves in another way; then a
     transform that moves as they do; then where the sensor is mounted. Without any of these they

@@ -52,7 +52,7 @@ FLOOR = np.array([0.002] * 3 + [2e-4] * 3) ** 2
 
 
 class Placed(NamedTuple):
-    """Where a scan was taken.
+    """Pose of a scan from odometry.
 
     `poses` (4, 4), or (2, 4, 4) at `stamps_ns` where the scan tells the times of its points;
     `covariance` (6, 6) of translation and angles about x, y, z, against the scan before: errors of
@@ -105,7 +105,7 @@ class KissOdometry:
         self.lost = 0
 
     def prepare(self, first: Scan, second: Scan) -> None:
-        """Find how the sensor moved during `first`, so that its map is deskewed as others are."""
+        """Estimate the motion during `first`, so that it is deskewed like the other scans."""
         clouds = _usable(first), _usable(second)
         if any(len(cloud.points) < FEWEST or cloud.part is None for cloud in clouds):
             return
@@ -118,7 +118,7 @@ class KissOdometry:
             self._first_motion = _part_of(trial._last.motion, sweep)
 
     def place(self, scan: Scan) -> Placed | None:
-        """Where `scan` was taken; None if it cannot be told.
+        """Pose of `scan`; None if it cannot be estimated.
 
         Warns
         -----
@@ -226,7 +226,7 @@ class _Cloud(NamedTuple):
 
 
 class _Doubt:
-    """How much steps depart from constant velocity.
+    """Deviation of the motion from constant velocity.
 
     That holds errors of the registration, and what the sensor really did otherwise. Along and about
     the axes of the sensor, which are taken for independent.
@@ -242,7 +242,7 @@ class _Doubt:
         self._weight = MEMORY * self._weight + 1
 
     def covariance(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Of the translation in the world and the angles of R = Rz Ry Rx."""
+        """Covariance of the translation in the world and of the angles of R = Rz Ry Rx."""
         turned = np.zeros((6, 6))
         turned[:3, :3] = pose[:3, :3]
         turned[3:, 3:] = _angles_from_rotation(pose[:3, :3]) @ pose[:3, :3]
@@ -251,7 +251,7 @@ class _Doubt:
 
 
 class _Parts:
-    """KISS-ICP's parts, set for the reach of the scans; one thread, so that runs repeat."""
+    """KISS-ICP's parts, set for the range of the scans; one thread, so that runs are repeatable."""
 
     def __init__(self, points: NDArray[np.float64]) -> None:
         config = require("kiss_icp.config", extra="odometry", purpose="--pose kiss")
@@ -295,14 +295,14 @@ class _Parts:
             voxel_size=COARSE * self._voxel, max_distance=self._reach, max_points_per_voxel=20
         )
         coarse.add_points(self.map.point_cloud())
-        return self._aligned(source, guess, coarse)
+        return self._align(source, guess, coarse)
 
     def registered(
         self, source: NDArray[np.float64], guess: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        return self._aligned(source, guess, self.map)
+        return self._align(source, guess, self.map)
 
-    def _aligned(
+    def _align(
         self, source: NDArray[np.float64], guess: NDArray[np.float64], known: Any
     ) -> NDArray[np.float64]:
         sigma = self.threshold.get_threshold()
@@ -357,7 +357,7 @@ def _angle(motion: NDArray[np.float64]) -> float:
 
 
 def _angles_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What a small turn about the axes of the world adds to the angles of R = Rz Ry Rx."""
+    """Matrix (3, 3) from a small rotation about the world axes to the angles of R = Rz Ry Rx."""
     yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
     pitch = -np.arcsin(np.clip(rotation[2, 0], -1, 1))
     c, s = np.cos(yaw), np.sin(yaw)
@@ -370,7 +370,7 @@ def _angles_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
 def placed_scans(
     scans: Iterable[Any], left_out: Counter[str], note: Callable[[str], None]
 ) -> Iterator[tuple[Any, Placed]]:
-    """Scans of one LiDAR with where they were taken; those that cannot be told are counted.
+    """Scans of one LiDAR with their poses; scans without a pose are counted.
 
     Warnings are given to `note`, too.
     """

@@ -1,4 +1,4 @@
-"""Poses in a wrong frame: told by the scans, which fit each other only where their poses are right.
+"""Detection of poses in a wrong frame: only correct poses align the scans with each other.
 
 Poses of a camera or of another body have the right motion about the wrong axes. So pairs of scans
 are laid over each other by the motion as it was given, and by the same motion about the axes of the
@@ -35,7 +35,7 @@ NEAREST = 2.5
 
 
 class Verdict(NamedTuple):
-    """What fits: the frame in words, its turn `frame_from_lidar` (3, 3), and how many points."""
+    """Best fit: frame, rotation `frame_from_lidar` (3, 3), shares of aligned points."""
 
     name: str
     turn: NDArray[np.float64]
@@ -121,7 +121,7 @@ class PoseFrameCheck:
         return self.decide()
 
     def decide(self) -> Verdict | None:
-        """A verdict on what was seen so far, if it shows that the poses are in another frame."""
+        """Verdict if the scans so far show that the poses are in another frame, else None."""
         if self.is_done:
             return None
         self.is_done = True
@@ -158,7 +158,7 @@ def _pairs(views: list[_View]) -> Iterator[tuple[_View, _View]]:
 
 
 def _motion(first: _View, second: _View) -> float:
-    """How far a scan moved, turns included [m]."""
+    """Motion of a scan, including rotation [m]."""
     relative = np.linalg.inv(first.pose) @ second.pose
     angle = np.arccos(np.clip((np.trace(relative[:3, :3]) - 1) / 2, -1, 1))
     return float(np.linalg.norm(relative[:3, 3]) + TURN_REACH * angle)

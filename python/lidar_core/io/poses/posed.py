@@ -64,10 +64,10 @@ class PosedScans(Generic[ScanT]):
             return self._by_odometry()
         is_file = self._options.pose != "auto"
         found = self._from_file(Path(self._options.pose)) if is_file else self._from_buffer()
-        return found if self._sort is LaserScan else self._checked(found)
+        return found if self._sort is LaserScan else self._check_pose_frame(found)
 
-    def _checked(self, found: Iterator[PosedScan[ScanT]]) -> Iterator[PosedScan[ScanT]]:
-        """The same scans; a warning if the first say that the poses are in another frame."""
+    def _check_pose_frame(self, found: Iterator[PosedScan[ScanT]]) -> Iterator[PosedScan[ScanT]]:
+        """Yield the scans unchanged, and warn if the first ones show poses in another frame."""
         check, frame = PoseFrameCheck(), ""
         for item in found:
             if not check.is_done:
@@ -172,7 +172,7 @@ class PosedScans(Generic[ScanT]):
 
     def _from_buffer(self) -> Iterator[PosedScan[ScanT]]:
         frame = self._first_frame()
-        buffer = self._filled(frame)
+        buffer = self._fill_buffer(frame)
         root = self._options.fixed_frame or buffer.root_of(frame)
         try:
             is_static = root == frame or buffer.is_static(root, frame)
@@ -212,11 +212,11 @@ class PosedScans(Generic[ScanT]):
         return buffer
 
     def _carrier(self, frame: str) -> str:
-        """Frame whose poses are known where a mounting of `frame` is stated, else `frame`."""
+        """Parent frame of a stated mounting of `frame`, whose poses are known; else `frame`."""
         parents = {item.child_frame_id: item.frame_id for item in self._options.mountings()}
         return parents.get(frame, frame)
 
-    def _filled(self, frame: str) -> TransformBuffer:
+    def _fill_buffer(self, frame: str) -> TransformBuffer:
         """Poses of the recording: transforms first; odometry where asked for, or without them."""
         gathered = list(self._recording.poses())
         odometry = [item for item in gathered if item[0].type in POSE_TYPES]
@@ -294,17 +294,17 @@ def posed_scans(
     ConfigError
         No such topic, or several to choose from.
     """
-    return PosedScans(recording, _merged(options, values), Scan)
+    return PosedScans(recording, _merge_options(options, values), Scan)
 
 
 def posed_laser_scans(
     recording: "Recording", options: PoseOptions | None = None, **values: Any
 ) -> PosedScans[LaserScan]:
     """2D scans of one topic with the sensor's poses; otherwise as `posed_scans`."""
-    return PosedScans(recording, _merged(options, values), LaserScan)
+    return PosedScans(recording, _merge_options(options, values), LaserScan)
 
 
-def _merged(options: PoseOptions | None, values: dict[str, Any]) -> PoseOptions:
+def _merge_options(options: PoseOptions | None, values: dict[str, Any]) -> PoseOptions:
     given = options.model_dump() if options is not None else {}
     return PoseOptions(**(given | values))
 
@@ -329,7 +329,7 @@ def span_ns(scan: Scan | LaserScan) -> tuple[int, int]:
 def pose_stamps(
     scan: Scan | LaserScan, buffer: TransformBuffer, root: str, frame: str
 ) -> NDArray[np.int64]:
-    """Times to ask poses for: the scan's span and what was recorded inside it."""
+    """Times at which poses are needed: start and end of the scan, and recorded poses between."""
     start, end = span_ns(scan)
     if end <= start:
         return np.array([start], np.int64)

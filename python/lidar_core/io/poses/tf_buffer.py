@@ -104,7 +104,7 @@ class TransformBuffer:
         return frame
 
     def is_static(self, target: str, source: str) -> bool:
-        """Whether nothing moves between the two frames."""
+        """Return whether all transforms between the two frames are static."""
         return all(self._edges[key].static is not None for key, _ in self._path(target, source))
 
     def known_until(self, target: str, source: str) -> int | None:

@@ -94,10 +94,10 @@ def _read_csv(path: Path) -> Columns:
                 )
             rows.append(row)
     values: Iterable[Sequence[str]] = zip(*rows, strict=True) if rows else [()] * len(names)
-    return {name: _parsed(column) for name, column in zip(names, values, strict=True)}
+    return {name: _parse(column) for name, column in zip(names, values, strict=True)}
 
 
-def _parsed(column: Sequence[str]) -> NDArray[Any]:
+def _parse(column: Sequence[str]) -> NDArray[Any]:
     """Integers if all are, else numbers if all are, else text."""
     for dtype, parse in ((np.int64, int), (np.float64, float)):
         try:

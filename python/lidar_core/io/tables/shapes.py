@@ -58,17 +58,17 @@ def outline(shapes: ShapeElements, row: int, corners: int) -> NDArray[np.float64
         ends: NDArray[np.float64] = shapes.ends[row]
         return ends
     around = _unit(kind, corners) * shapes.half_size[row]
-    return _placed(around, shapes.center[row], float(shapes.heading[row]))
+    return _transform(around, shapes.center[row], float(shapes.heading[row]))
 
 
 def outline_of_row(columns: Columns, row: int, corners: int) -> NDArray[np.float64]:
-    """The same from a row of the shapes table."""
+    """Outline of an element from a row of the shapes table."""
     kind = ShapeKind[str(columns["kind"][row]).upper()]
     values = {name: float(columns[name][row]) for name in (*STATE, *ENDS)}
     if kind is ShapeKind.LINE:
         return np.array([values[name] for name in ENDS]).reshape(2, 2)
     around = _unit(kind, corners) * (values["half_length"], values["half_width"])
-    return _placed(around, np.array([values["x"], values["y"]]), values["heading"])
+    return _transform(around, np.array([values["x"], values["y"]]), values["heading"])
 
 
 def _unit(kind: ShapeKind, corners: int) -> NDArray[np.float64]:
@@ -79,7 +79,7 @@ def _unit(kind: ShapeKind, corners: int) -> NDArray[np.float64]:
     return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
-def _placed(
+def _transform(
     around: NDArray[np.float64], center: NDArray[np.float64], heading: float
 ) -> NDArray[np.float64]:
     cos, sin = np.cos(heading), np.sin(heading)

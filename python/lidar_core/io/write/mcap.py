@@ -1,4 +1,4 @@
-"""MCAP with Foxglove's messages: what viewers read, and what `open_recording` reads back."""
+"""Writer of MCAP files with Foxglove's messages, for viewers and for `open_recording`."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -188,7 +188,7 @@ class FoxgloveLog:
         )
 
     def _channel(self, kind: str, topic: str, metadata: Mapping[str, str] = NO_METADATA) -> Any:
-        """Channel of a topic; one of its own for every metadata that its messages need."""
+        """Channel of a topic; every combination of metadata has a separate channel."""
         key = (topic, *metadata.values())
         if key not in self._channels:
             self._channels[key] = self._made_channel(kind, topic, metadata)

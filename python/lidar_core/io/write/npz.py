@@ -1,4 +1,4 @@
-"""lidar_core's own .npz recording; its layout stands with its reader."""
+"""Writer of lidar_core's own .npz recordings; the reader documents the layout."""
 
 from collections.abc import Iterable
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Objects with numbers over time: what writers for other programs are given."""
+"""Numbered objects over time: the input of writers for other programs."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""ROS 1 bags and ROS 2 recordings, through rosbags: what `rosbag play` and `ros2 bag play` take."""
+"""Writers of ROS 1 bags and ROS 2 recordings, for `rosbag play` and `ros2 bag play`."""
 
 import shutil
 from collections.abc import Iterable
@@ -189,7 +189,7 @@ class RosWriter(WrittenInBlock):
         check_place(self._path)
         self._temporary = temporary_for(self._path)
         self._messages = RosMessages(self._version)
-        self._writer = self._opened()
+        self._writer = self._open_writer()
         self._connections: dict[tuple[str, str], Any] = {}
         self._waiting: list[Pose] = []
         self._is_started = False
@@ -213,7 +213,7 @@ class RosWriter(WrittenInBlock):
 
     @property
     def messages(self) -> RosMessages:
-        """What scans and poses become."""
+        """ROS messages of scans and poses."""
         return self._messages
 
     def close(self, *, keep: bool = True) -> None:
@@ -232,7 +232,7 @@ class RosWriter(WrittenInBlock):
                 shutil.rmtree(self._temporary)
             self._temporary.unlink(missing_ok=True)
 
-    def _opened(self) -> Any:
+    def _open_writer(self) -> Any:
         module = require(f"rosbags.rosbag{self._version}", extra="io", purpose="writing for ROS")
         if self._version == 1:
             self._temporary.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Topics that writers use for what has none of its own."""
+"""Default topics for messages without a topic."""
 
 SCAN_TOPIC, LASER_TOPIC = "/lidar/points", "/laser/scan"
 POSE_TOPIC, STATIC_TOPIC, ODOMETRY_TOPIC = "/tf", "/tf_static", "/odom"

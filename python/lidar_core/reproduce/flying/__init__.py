@@ -1,1 +1,1 @@
-"""Items of the paper on flying objects in 3D LiDAR, and what lies beyond it."""
+"""Items of the paper on flying objects in 3D LiDAR, and our own items."""

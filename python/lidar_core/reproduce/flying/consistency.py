@@ -1,4 +1,4 @@
-"""`flying-consistency`: errors of tracks against what their covariances say.
+"""`flying-consistency`: errors of tracks compared with their covariances.
 
 Tracker only, one target and one measurement per step of 0.1 s, confirmed at once. The truth is
 drawn from the filter's own model, or flies circles of constant speed and acceleration.
@@ -56,13 +56,13 @@ def _own_model(config: TrackerConfig, seed: int, runs: int) -> Array:
     """NEES of all nine numbers of the state, (runs, steps); NaN where there is no track."""
     rng = np.random.default_rng([3, seed])
     noise = stated_std(config)
-    truth = _drawn(config, rng, runs)
+    truth = _draw_states(config, rng, runs)
     measured = truth[:, :, :3] + rng.normal(size=(runs, STEPS, 3)) * noise
     first = config.initial_position if config.measurement == "paper" else noise
     measured[:, 0] = truth[:, 0, :3] + rng.normal(size=(runs, 3)) * first
     values = np.full((runs, STEPS), np.nan)
     for run in range(runs):
-        mean, covariance, _ = _tracked(config, measured[run])
+        mean, covariance, _ = _run_tracker(config, measured[run])
         known = np.isfinite(mean[:, 0])
         values[run, known] = nees(mean[known] - truth[run, known], covariance[known])
     return values
@@ -81,7 +81,7 @@ def stated_std(config: TrackerConfig) -> float:
     return float(np.hypot(CENTRE_STD, config.measurement_std if is_centroid else 0.0))
 
 
-def _drawn(config: TrackerConfig, rng: np.random.Generator, runs: int) -> Array:
+def _draw_states(config: TrackerConfig, rng: np.random.Generator, runs: int) -> Array:
     """States (runs, steps, 9) that obey the motion model of `config`, by its equations."""
     spread = (0.0, config.initial_velocity, config.initial_acceleration)
     std = (config.process_position, config.process_velocity, config.process_acceleration)
@@ -103,7 +103,7 @@ def _drawn(config: TrackerConfig, rng: np.random.Generator, runs: int) -> Array:
     return np.stack(states, axis=1)
 
 
-def _tracked(config: TrackerConfig, measured: Array) -> tuple[Array, Array, Array]:
+def _run_tracker(config: TrackerConfig, measured: Array) -> tuple[Array, Array, Array]:
     """State (steps, 9), covariance, and position predicted by `AHEAD_NS`; NaN without a track."""
     at_once = config.model_copy(update={"confirm_hits": 1, "confirm_window": 1})
     tracker = PointCloudTracker(at_once)
@@ -142,7 +142,7 @@ def _circle(
         along = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=1) @ turn.T
         truth = np.concatenate([out * speed**2 / acceleration, along * speed], axis=1)
         noisy = truth[:-1, :3] + rng.normal(size=(STEPS, 3)) * CENTRE_STD
-        mean, covariance, ahead = _tracked(config, noisy)
+        mean, covariance, ahead = _run_tracker(config, noisy)
         error, later = mean[:, :6] - truth[:-1], ahead - truth[1:, :3]
         values = np.stack(
             [

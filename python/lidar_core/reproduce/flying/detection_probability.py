@@ -119,7 +119,7 @@ def _rows(parts: list[Part]) -> list[Row]:
 
 
 def standard_error(part: Part) -> float | None:
-    """Of the simulated share, from how the scans differ; None for a single scan."""
+    """Standard error of the simulated share, from its spread over scans; None for a single scan."""
     shares = part["met"].reshape(-1, TARGETS).mean(axis=1)
     return float(shares.std(ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else None
 

@@ -109,7 +109,7 @@ def _evaluation() -> EvaluationConfig:
     return EvaluationConfig(max_distance=EDGES[-1], burn_in_scans=burn_in)
 
 
-def _seen(
+def _distances_and_errors(
     parts: Sequence[Part], name: str, kind: Kind, shape: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Distances of the sightings of `shape` that count, and errors; NaN where it is not found."""
@@ -121,11 +121,13 @@ def _seen(
 def _rows(parts: Sequence[Part]) -> list[Row]:
     rows = []
     for shape in SHAPES:
-        count = float(len(_seen(parts, "best_far", "tracks", shape)[0]))
+        count = float(len(_distances_and_errors(parts, "best_far", "tracks", shape)[0]))
         rows.append(Row(f"sightings, {shape}", "1", None, count, count))
         for what, suffix in (("d_max 50 m", "_far"), ("d_max 20 m", "")):
             for kind in KINDS:
-                values = [_seen(parts, mode + suffix, kind, shape)[1] for mode in MODES]
+                values = [
+                    _distances_and_errors(parts, mode + suffix, kind, shape)[1] for mode in MODES
+                ]
                 recall = (mean(np.isfinite(one)) for one in values)
                 error = (mean(one[np.isfinite(one)]) for one in values)
                 rows.append(Row(f"recall of {kind}, {shape}, {what}", "1", None, *recall))
@@ -142,7 +144,7 @@ def _rows(parts: Sequence[Part]) -> list[Row]:
 
 def _curve(parts: Sequence[Part], name: str, kind: Kind, shape: str) -> list[float | None]:
     """Recall per group of distances; None where there is nothing to find."""
-    distance, error = _seen(parts, name, kind, shape)
+    distance, error = _distances_and_errors(parts, name, kind, shape)
     groups = ((distance > near) & (distance <= far) for near, far in pairwise(EDGES))
     return [mean(np.isfinite(error[group])) for group in groups]
 

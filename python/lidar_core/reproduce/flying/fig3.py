@@ -88,7 +88,7 @@ def _rows(
 
 
 def _states(values: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Whether G(v) is at least tentatively occupied, and whether it is free (eq. 7)."""
+    """Return whether G(v) is at least tentatively occupied, and whether it is free (eq. 7)."""
     bounds = VoxelMapConfig()
     return values >= bounds.threshold_tentative, values < bounds.threshold_uncertain
 

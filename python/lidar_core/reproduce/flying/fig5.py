@@ -58,13 +58,13 @@ def _shares(
     )
     expected = hit_probability(points, covariance, voxel_size=size, origin=tuple(shift.tolist()))
     ranges = distance + along * rng.normal(size=(count, 1))
-    turned = _turned(ranges * directions, angle * rng.normal(size=(count, 3)))
+    turned = _rotate(ranges * directions, angle * rng.normal(size=(count, 3)))
     drawn = turned + position * rng.normal(size=(count, 3))
     hits = (np.floor((drawn - shift) / size) == np.floor((points - shift) / size)).all(axis=1)
     return float(expected.mean()), float(hits.mean())
 
 
-def _turned(points: NDArray[np.float64], angles: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rotate(points: NDArray[np.float64], angles: NDArray[np.float64]) -> NDArray[np.float64]:
     """Every point turned about x, y and z by its own angles."""
     turned = points
     for axis, (first, second) in enumerate(((1, 2), (2, 0), (0, 1))):

@@ -27,7 +27,7 @@ AXES = (
 def _measure(request: Request) -> Measured:
     todo = list(jobs(request, request.scans, is_noisy=False))
     parts = run(todo, request)
-    seen = {(mode, kind): _joined(parts, mode, kind) for mode in MODES for kind in KINDS}
+    seen = {(mode, kind): _join(parts, mode, kind) for mode in MODES for kind in KINDS}
     return Measured(
         (seen,),
         scans=sum(job.scans for job in todo),
@@ -37,7 +37,7 @@ def _measure(request: Request) -> Measured:
     )
 
 
-def _joined(parts: Sequence[Part], mode: str, kind: Kind) -> Sightings:
+def _join(parts: Sequence[Part], mode: str, kind: Kind) -> Sightings:
     both = [sample(parts, mode, kind, shape) for shape in SHAPES]
     names = Sightings.__slots__
     return Sightings(*(np.concatenate([getattr(one, name) for one in both]) for name in names))
@@ -59,7 +59,7 @@ def _rows(seen: dict[tuple[str, Kind], Sightings]) -> list[Row]:
 def _curves(
     seen: Sightings, axis: str, edges: Sequence[float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean error of what was found, and recall, per group; NaN in empty groups."""
+    """Mean error of the found sightings, and recall, per group; NaN in empty groups."""
     keys, found = getattr(seen, axis), seen.is_found
     error = binned(keys[found], seen.error[found], edges=edges)
     return error.mean, binned(keys, found.astype(float), edges=edges).mean

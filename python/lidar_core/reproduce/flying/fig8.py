@@ -170,7 +170,7 @@ def _distance_error(parts: Sequence[Part]) -> float | None:
 
 
 def _passes(parts: Sequence[Part]) -> int:
-    """How often the observer came near the target, having been away."""
+    """Count the approaches of the observer to the target after it was far away."""
     near = [_distances(part) < PASS for part in parts]
     return sum(int(np.count_nonzero(np.diff(one.astype(int)) == 1)) for one in near)
 

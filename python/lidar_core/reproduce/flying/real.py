@@ -82,7 +82,7 @@ def flight(*, seed: int, name: str, number: int, scans: int) -> Part:
         and the time of each scan [s].
     """
     sequence = sequence_named(name)
-    prepared = _prepared(name)[:scans]
+    prepared = _load_scans(name)[:scans]
     items = [scan.item for scan in prepared]
     places, hits = np.empty((len(items), 0, 3)), np.empty((len(items), 0), np.int64)
     rng = np.random.default_rng([20240607, seed, list(LENGTHS).index(name), number + 2])
@@ -102,7 +102,7 @@ def flight(*, seed: int, name: str, number: int, scans: int) -> Part:
 
 
 @lru_cache(maxsize=1)
-def _prepared(name: str) -> list[RealScan]:
+def _load_scans(name: str) -> list[RealScan]:
     """Scans of a sequence, kept for the next run in this process."""
     return real_scans(list(sequence_scans(sequence_named(name))))
 

@@ -1,4 +1,4 @@
-"""`flying-surfaces`: fog, dark, wet and glass streets; what is sky, and what only looks like it."""
+"""`flying-surfaces`: fog, dark, wet and glass streets; true sky, and surfaces that look like it."""
 
 from typing import Any
 
@@ -69,7 +69,7 @@ def jobs(request: Request) -> list[Job]:
 
 
 def is_with_target(number: int) -> bool:
-    """Whether a quadcopter flies in flight `number`."""
+    """Return whether a quadcopter flies in flight `number`."""
     return number % (EMPTY_PER_FLIGHT + 1) == 1
 
 
@@ -137,7 +137,7 @@ def scene(seed: int, number: int, scans: int, condition: str) -> Scene:
 
 
 class Truth:
-    """What the rays of a scene would meet in clear air, if everything returned.
+    """Hits of the rays of a scene in clear air where every surface returns.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ class Truth:
         self._rays = Simulator(bare.model_copy(update={"lidar": ideal}), seed=seed)
 
     def is_before_sky(self, step: int, made: SimulatedScan) -> NDArray[np.bool_]:
-        """Whether nothing stands behind each target of a scan."""
+        """Return for each target of a scan whether the sky is behind it."""
         if not len(made.truth.position):
             return np.zeros(0, np.bool_)
         clear = self._clear.scan(step)

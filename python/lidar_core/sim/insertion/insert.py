@@ -126,7 +126,7 @@ def insert_target(
     if centre.shape not in {(3,), count}:
         raise InputError(f"position: expected shape (3,) or {count}, got {centre.shape}")
     target = SolidTarget(Sphere(radius=radius) if radius is not None else shape)
-    done = _inserted(
+    done = _insert_solid(
         scan,
         target,
         centre,
@@ -139,7 +139,7 @@ def insert_target(
     return done.scan, done.is_hit
 
 
-def _inserted(
+def _insert_solid(
     scan: Scan,
     target: SolidTarget,
     centre: NDArray[np.float64],
@@ -166,7 +166,7 @@ def with_target(
     shape: Any = None,
     pattern: RayPattern | None = None,
 ) -> Iterator[SimulatedScan]:
-    """Repeat real scans of a sensor that stands, with a target that flies through them.
+    """Repeat real scans of a sensor at rest, with a target that flies through them.
 
     Every repetition has new noise on its ranges. Circles are drawn until one lies wholly in
     space that the first scan shows as free.
@@ -203,11 +203,11 @@ def with_target(
     period_ns = round(1e9 / flight.scan_rate)
     for number in range(flight.scans):
         source = scans[number % len(scans)]
-        scan = _retimed(_noisy(source, flight.range_std, rng), number * period_ns)
-        yield _made(scan, circle, flight, period_ns, (target, pattern), rng)
+        scan = _retime(_noisy(source, flight.range_std, rng), number * period_ns)
+        yield _simulated_scan(scan, circle, flight, period_ns, (target, pattern), rng)
 
 
-def _made(
+def _simulated_scan(
     scan: Scan,
     circle: _Circle,
     flight: InsertedFlight,
@@ -223,7 +223,7 @@ def _made(
     centre = circle.at(_angle(per_ray, circle, flight))
     position = circle.at(_angle(start, circle, flight))
     target, pattern = what
-    done = _inserted(
+    done = _insert_solid(
         scan,
         target,
         centre,
@@ -276,7 +276,7 @@ def _noisy(scan: Scan, range_std: float, rng: np.random.Generator) -> Scan:
     return replace(scan, points=noisy.reshape(scan.points.shape))
 
 
-def _retimed(scan: Scan, stamp_ns: int) -> Scan:
+def _retime(scan: Scan, stamp_ns: int) -> Scan:
     times = scan.point_time_ns
     return replace(
         scan,
@@ -286,7 +286,7 @@ def _retimed(scan: Scan, stamp_ns: int) -> Scan:
 
 
 def _free_circle(rays: _Rays, flight: InsertedFlight, rng: np.random.Generator) -> _Circle:
-    """First of many random circles that lies wholly in free, visible space."""
+    """First of many random circles that lies completely in free, visible space."""
     for _ in range(PLACES_TO_TRY):
         circle = _random_circle(flight, rng)
         places = circle.at(np.linspace(0, 2 * np.pi, STEPS_ROUND, endpoint=False))
@@ -317,7 +317,7 @@ def _random_circle(flight: InsertedFlight, rng: np.random.Generator) -> _Circle:
 
 
 def _is_free(rays: _Rays, place: NDArray[np.float64], flight: InsertedFlight) -> bool:
-    """Whether rays surround the target at `place`, and all of them pass by it."""
+    """Return whether rays surround the target at `place`, and all of them pass by it."""
     distance = float(np.linalg.norm(place))
     reach = flight.radius + flight.clearance
     along = rays.directions @ place.astype(np.float32)

@@ -40,7 +40,7 @@ def with_moving_target(
     range_max: float = 100.0,
     range_std: float = 0.02,
 ) -> Iterator[SimulatedScan]:
-    """Put a target on a way of its own into the scans of a sensor that may move.
+    """Insert a target with its own trajectory into the scans of a sensor that may move.
 
     Every ray meets the target where both are at the time of that ray: the time of its point, or
     of the nearest point in azimuth for a ray that the driver dropped.
@@ -120,7 +120,7 @@ def _with_next(
 
 
 def _way(now: PosedScan[Scan], after: PosedScan[Scan] | None, *, deskewed: bool) -> SensorWay:
-    """Where the sensor is during a scan."""
+    """Trajectory of the sensor during a scan."""
     poses: NDArray[np.float64] = np.asarray(now.world_from_lidar, np.float64).reshape(-1, 4, 4)
     if now.pose_stamps_ns is not None:
         if len(now.pose_stamps_ns) != len(poses):

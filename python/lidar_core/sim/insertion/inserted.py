@@ -27,7 +27,7 @@ BACKGROUND, TARGET = 0, 1
 
 
 class SolidTarget:
-    """A shape whose meetings with rays can be computed.
+    """A shape whose intersections with rays can be computed.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def _towards(
     way: SensorWay,
     times: NDArray[np.int64],
 ) -> Rays:
-    """Keep the rays that can meet the solid: few, so that few poses are worked out."""
+    """Keep the rays that can hit the solid, so that only a few poses are computed."""
     if not len(times):
         return rays
     moments = np.linspace(times.min(), times.max(), MOMENTS).astype(np.int64)
@@ -224,7 +224,7 @@ def written(
         source = np.setdiff1d(source, hidden)
     added = np.flatnonzero(is_seen & (rays.row < 0))
     near = np.concatenate([source, rays.near[added]])
-    made = _picked(
+    made = _select_rows(
         replace(scan, points=rows.reshape(scan.points.shape), no_return=no_return),
         near,
         len(source),
@@ -238,7 +238,7 @@ def written(
     return Inserted(made, hit, np.concatenate([source, np.full(len(added), -1)]), rays_on_it)
 
 
-def _picked(
+def _select_rows(
     scan: Scan,
     near: NDArray[np.int64],
     kept: int,
@@ -275,7 +275,7 @@ def _picked(
 
 
 def labels_of(done: Inserted) -> NDArray[np.int32]:
-    """Label every row: the solid, what was recorded, or nothing."""
+    """Label every row: the solid, a recorded return, or no return."""
     points = done.scan.points.reshape(-1, 3)
     is_point = is_return(points) & np.isfinite(points).all(axis=1)
     other = np.where(is_point, BACKGROUND, -1)

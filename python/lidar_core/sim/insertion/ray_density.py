@@ -1,4 +1,4 @@
-"""Rays per direction of a sensor whose pattern does not repeat, from what it has returned."""
+"""Rays per direction of a sensor whose pattern does not repeat, from its returns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -42,20 +42,20 @@ class RayDensity:
     @classmethod
     def of_directions(cls, scans: Sequence[NDArray[np.float64]]) -> "RayDensity":
         """Estimate from the directions (M, 3) of the returns of some scans, sensor frame."""
-        counts = np.mean([_counted(one) for one in scans], axis=0)
+        counts = np.mean([_count_per_cell(one) for one in scans], axis=0)
         turns = (counts.sum(axis=0) > 0).sum() * CELL_DEG > TURNED_DEG
         return cls(_alike_in_azimuth(counts) if turns else _alike_around(counts))
 
     def missing(
         self, known: NDArray[np.float64], rng: np.random.Generator, *, total: int | None = None
     ) -> NDArray[np.float64]:
-        """Draw the directions of rays that `known` (M, 3) lacks; `total` is their number if told.
+        """Draw the directions of rays missing in `known` (M, 3); `total` is their number, if given.
 
         Cells whose surroundings hold nearly as many rays as expected lack none.
         """
-        counts = _counted(known)
+        counts = _count_per_cell(known)
         rays = self.rays * self._pace(counts)
-        share = _lost(rays, counts)
+        share = _lost_share(rays, counts)
         wanted = rays * share * (share > CERTAIN)
         if total is not None and wanted.sum() > 0:
             wanted *= min(total / wanted.sum(), 1.0)  # more: out of what is known of the pattern
@@ -86,7 +86,7 @@ class RayDensity:
         return np.where(best > RETURNING, best, 1.0)
 
 
-def _lost(rays: NDArray[np.float64], counts: NDArray[np.float64]) -> NDArray[np.float64]:
+def _lost_share(rays: NDArray[np.float64], counts: NDArray[np.float64]) -> NDArray[np.float64]:
     """Share of the expected rays that are lost around each cell: as near by as counts allow."""
     share = np.zeros_like(counts)
     judged = np.zeros(counts.shape, bool)
@@ -110,7 +110,7 @@ def angles_of(directions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDA
     return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
 
 
-def _counted(directions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _count_per_cell(directions: NDArray[np.float64]) -> NDArray[np.float64]:
     azimuth, elevation = angles_of(directions)
     shape = (round(180 / CELL_DEG), round(360 / CELL_DEG))
     row = np.clip((np.rad2deg(elevation) + 90) / CELL_DEG, 0, shape[0] - 1).astype(np.int64)
@@ -120,7 +120,7 @@ def _counted(directions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _alike_in_azimuth(counts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same density in every azimuth: that of the fuller sectors with returns."""
+    """Make the density equal in every azimuth: that of the fuller sectors with returns."""
     sectors = counts.reshape(len(counts), -1, SECTOR).mean(axis=2)
     full = np.zeros(len(counts))
     for row, found in enumerate(sectors):

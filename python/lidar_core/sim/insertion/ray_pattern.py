@@ -28,7 +28,7 @@ RUN = 4
 
 @dataclass(frozen=True, slots=True)
 class RayPattern:
-    """Where a sensor's rays go: rows that turn, or a density of rays per direction.
+    """Directions of a sensor's rays: rotating rows, or a density of rays per direction.
 
     Attributes
     ----------

@@ -30,7 +30,7 @@ def grid_directions(known: NDArray[np.float64]) -> NDArray[np.float64]:
     first = np.unwrap([float(np.angle(np.nanmean(start[row]))) for row in seen])
     level = np.array([float(np.nanmedian(elevation[row])) for row in seen])
     every = np.arange(rows)
-    first, level = (_extended(every, seen, values) for values in (first, level))
+    first, level = (_extend(every, seen, values) for values in (first, level))
     turned = first[:, None] + step * np.arange(columns)
     return unit(turned.ravel(), np.repeat(level, columns))
 
@@ -110,7 +110,7 @@ def _gaps(
     return between, rows, index[start]
 
 
-def _extended(
+def _extend(
     every: NDArray[np.int64], seen: NDArray[np.int64], values: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Values at `every` place, straight between those `seen`, and on beyond the outermost ones."""

@@ -13,7 +13,7 @@ from lidar_core.sim.insertion.ray_rows import between_neighbours, grid_direction
 
 @dataclass(frozen=True, slots=True)
 class SensorWay:
-    """Where the sensor was while a scan was made, and in which frame the scan is.
+    """Trajectory of the sensor during a scan, and the frame of the scan.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Rays:
         )
 
     def chosen(self, wanted: NDArray[np.bool_]) -> "Rays":
-        """Those that are `wanted`."""
+        """Select the rays in the mask `wanted`."""
         return Rays(
             self.directions[wanted],
             self.lengths[wanted],
@@ -84,7 +84,7 @@ def rays_of(
     lengths[rows[far]] = away[far]
     directions[rows[far]] = fired[far] / away[far, None]
     kept = np.isfinite(lengths)
-    lost = _marked(scan, kept)
+    lost = _rows_without_return(scan, kept)
     if scan.directions is not None:
         given = scan.directions.reshape(-1, 3)
         use = lost & np.isfinite(given).all(axis=1)
@@ -143,7 +143,7 @@ def _with_missing(
     return rays.with_lost(lost, place, rays.near[_nearest(known, lost)], rows)
 
 
-def _marked(scan: Scan, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _rows_without_return(scan: Scan, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Rows that say that their ray returned nothing: marked, zeros, or NaN of an organised cloud.
 
     Other rows of NaN are no information; where a mask is given it has the last word.

@@ -1,4 +1,4 @@
-"""Poses at times: what motions are made of."""
+"""Knots of a motion: poses at given times."""
 
 from typing import TypeAlias
 

@@ -98,7 +98,7 @@ class Wandering(Config):
         velocity = self._velocity(count)
         steps = (velocity[1:] + velocity[:-1]) * (WANDERING_STEP / 2)
         free = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)]) + self.start[:2]
-        places = np.column_stack([self._reflected(free), np.full(count, self.start[2])])
+        places = np.column_stack([self._reflect(free), np.full(count, self.start[2])])
         return times, poses(places, upright(0 * times))
 
     def _velocity(self, count: int) -> NDArray[np.float64]:
@@ -111,7 +111,7 @@ class Wandering(Config):
             velocity[number + 1] = keep * velocity[number] + kick
         return velocity
 
-    def _reflected(self, free: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _reflect(self, free: NDArray[np.float64]) -> NDArray[np.float64]:
         """Places of a way without walls, folded into the rectangle."""
         low, side = np.array(self.low), np.subtract(self.high, self.low)
         folded = np.mod(free - low, 2 * side)

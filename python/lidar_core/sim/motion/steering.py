@@ -12,7 +12,7 @@ from lidar_core.sim.motion.knots import STEP, poses
 
 
 class Steering(Config):
-    """What a steered vehicle can do, and how firmly it goes where it is told to."""
+    """Limits of a steered vehicle, and the gains of its controller."""
 
     speed_max: float = Field(8.0, gt=0, description="Greatest speed [m/s].")
     acceleration_max: float = Field(5.0, gt=0, description="Greatest acceleration [m/s2].")
@@ -91,13 +91,13 @@ class SteeredSensor:
         """One step of the controller, within the limits of acceleration and speed."""
         rate = self.steering.stiffness
         push = rate**2 * (goal - self.position) + 2 * rate * (drift - self.velocity)
-        push = _limited(push, self.steering.acceleration_max)
-        velocity = _limited(self.velocity + STEP * push, self.steering.speed_max)
+        push = _limit(push, self.steering.acceleration_max)
+        velocity = _limit(self.velocity + STEP * push, self.steering.speed_max)
         self.position = self.position + STEP / 2 * (self.velocity + velocity)
         self.velocity = velocity
 
 
-def _limited(vector: NDArray[np.float64], most: float) -> NDArray[np.float64]:
+def _limit(vector: NDArray[np.float64], most: float) -> NDArray[np.float64]:
     length = float(np.linalg.norm(vector))
     return vector if length <= most else vector * (most / length)
 

@@ -68,7 +68,7 @@ def _multicopter(radius: float, angles: list[float], *, rotor: float) -> Triangl
     for side in (-0.25, 0.25):
         parts.append(_bar(np.array([-0.4, side, -0.4]), np.array([0.4, side, -0.4]), 0.03))
         parts.append(_bar(np.array([0.0, 0.5 * side, -0.1]), np.array([0.0, side, -0.4]), 0.03))
-    vertices, faces = _joined(parts)
+    vertices, faces = _join(parts)
     return vertices * (radius / np.linalg.norm(vertices, axis=1).max()), faces
 
 
@@ -101,7 +101,7 @@ def _bar(start: NDArray[np.float64], end: NDArray[np.float64], thickness: float)
     return vertices @ axes + start, faces
 
 
-def _joined(parts: list[Triangles]) -> Triangles:
+def _join(parts: list[Triangles]) -> Triangles:
     offsets = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
     vertices = np.concatenate([vertices for vertices, _ in parts])
     faces = [faces + offset for (_, faces), offset in zip(parts, offsets, strict=True)]

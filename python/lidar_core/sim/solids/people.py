@@ -84,7 +84,7 @@ class Person(Config):
         ]
 
     def swings(self) -> list[Swing | None]:
-        """How every surface swings: arm and leg of a side against each other."""
+        """Swing of every surface; arm and leg of one side move in opposite directions."""
         shoulder, hip, _ = self._heights()
         arm, leg = np.deg2rad([self.arm_swing_deg, self.leg_swing_deg]).tolist()
         limbs = ((shoulder, arm, 0.0), (shoulder, arm, np.pi), (hip, leg, np.pi), (hip, leg, 0.0))

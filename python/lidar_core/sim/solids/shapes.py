@@ -1,4 +1,4 @@
-"""Shapes of a scene, and what the core makes of them."""
+"""Shapes of a scene, and their surfaces in the core."""
 
 from typing import Annotated, Literal, TypeAlias
 
@@ -54,7 +54,7 @@ class Cylinder(Config):
 
 
 class EllipticCylinder(Config):
-    """The same on an ellipse."""
+    """A cylinder along z with an elliptic cross section."""
 
     kind: Literal["elliptic_cylinder"] = "elliptic_cylinder"
     half_axes: tuple[Length, Length] = Field(description="Half axes along x and y [m].")

@@ -69,7 +69,7 @@ def yard() -> tuple[Body, ...]:
 
 
 def in_sight(places: NDArray[np.float64]) -> bool:
-    """Whether all places are 4 to 19 m from the sensor, in its field of view, above the ground."""
+    """Return whether all places are 4 to 19 m away, in the field of view, and above the ground."""
     offset = places - np.array(SENSOR)
     distance = np.linalg.norm(offset, axis=-1)
     steepest = np.abs(offset[..., 2] / distance).max()

@@ -64,7 +64,7 @@ def _scene(rng: np.random.Generator, scans: int) -> Scene:
 
 
 def _ways(rng: np.random.Generator, times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Two straight ways, (2, 20, 3), whose closest approach is at `MIDDLE`."""
+    """Two straight paths, (2, 20, 3), whose closest approach is at `MIDDLE`."""
     azimuth, heading = rng.uniform(0, 2 * np.pi, 2)
     distance = rng.uniform(6.0, 13.0)
     centre = np.array(

@@ -105,7 +105,7 @@ def _way(
 
 
 def is_kept(part: Part, mode: str) -> bool:
-    """Whether the track from before is there at the end, and no other one ever was."""
+    """Return whether the earlier track exists at the end, and no other track ever did."""
     table, hidden = numbers(part, mode)[:, 0], np.flatnonzero(part["hits"][:, 0] == 0)
     if not len(hidden) or not hidden[0]:
         return False

@@ -144,7 +144,7 @@ class RealScan:
         return np.asarray(self.pose[:3, :3].T @ (world - self.pose[:3, 3]))
 
     def met(self, body: SolidTarget, centre: NDArray[np.float64]) -> tuple[int, bool]:
-        """How many rays meet a target, and whether something stands before it."""
+        """Count the rays that hit a target, and report whether something hides it."""
         near = self.around(centre, body.radius)
         if (self.lengths[near] < np.linalg.norm(centre)).any():
             return 0, True
@@ -239,11 +239,11 @@ def _with_lengths(scan: RealScan, lengths: NDArray[np.float32]) -> Scan:
         source,
         points=np.concatenate([points, more]),
         ring=np.concatenate([scan.rings[:count], scan.rings[back]]),
-        intensity=None if intensity is None else _padded(intensity, len(back)),
+        intensity=None if intensity is None else _pad(intensity, len(back)),
     )
 
 
-def _padded(intensity: NDArray[np.float32], count: int) -> NDArray[np.float32]:
+def _pad(intensity: NDArray[np.float32], count: int) -> NDArray[np.float32]:
     """Intensities with `count` usual ones at their end."""
     return np.concatenate([intensity, np.full(count, np.nanmedian(intensity), np.float32)])
 
@@ -281,7 +281,7 @@ def _are_apart(one: Flight, other: Flight) -> bool:
 
 
 def _candidate(scan: RealScan, rng: np.random.Generator) -> Flight:
-    """A random circle, its centre on a ray of `scan` before what that ray met."""
+    """A random circle with its centre on a ray of `scan`, in front of that ray's return."""
     far = DISTANCES[1] + CLEARANCE
     while True:
         ray = rng.integers(len(scan.lengths))
@@ -301,7 +301,7 @@ def _candidate(scan: RealScan, rng: np.random.Generator) -> Flight:
 def _is_free(
     flight: Flight, body: SolidTarget, scans: Sequence[RealScan], sequence: RealSequence
 ) -> bool:
-    """Whether the target is in sight, clear of all returns, and has rays, in the scans."""
+    """Return whether rays hit the target in the scans and it is away from all returns."""
     centres = [scan.seen(flight.at(scan.pose[:3, 3], scan.seconds)) for scan in scans]
     if not all(_is_in_view(centre, sequence) for centre in centres):
         return False
@@ -317,7 +317,7 @@ def _is_free(
 
 
 def _is_clear(scan: RealScan, centre: NDArray[np.float64]) -> bool:
-    """Whether a place is above the ground and away from every return."""
+    """Return whether a place is above the ground and away from every return."""
     if centre[2] < scan.ground + CLEARANCE:
         return False
     away = np.linalg.norm(scan.thinned - centre.astype(np.float32), axis=1)

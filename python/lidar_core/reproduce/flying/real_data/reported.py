@@ -1,4 +1,4 @@
-"""What the flying-object detector reports in a sequence of posed scans, as arrays to count in."""
+"""Results of the flying-object detector in a sequence of posed scans, as arrays for counting."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ class Reported:
     states: list[dict[str, Any]] = field(default_factory=list)
 
     def add(self, number: int, item: PosedScan[Scan], frame: FlyingFrame) -> None:
-        """Keep what scan `number` gave."""
+        """Add the results of scan `number`."""
         world_from_lidar = item.world_from_lidar.reshape(-1, 4, 4)[0]
         tracks = frame.tracks
         is_flying = _flying(tracks)
@@ -79,7 +79,7 @@ class Reported:
 def reported(
     items: Iterable[PosedScan[Scan]], config: FlyingConfig, *, scans: int | None = None
 ) -> Part:
-    """Run a detector over the first `scans` of a sequence; `Reported.columns` says what is kept."""
+    """Run a detector over the first `scans` of a sequence; `Reported.columns` lists the results."""
     detector, kept = FlyingObjectDetector(config), Reported()
     for number, item in enumerate(items):
         if number == scans:
@@ -90,7 +90,7 @@ def reported(
 
 @dataclass(frozen=True, slots=True)
 class FalseTrack:
-    """One reported number that no target explains.
+    """One reported track number that belongs to no target.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""How targets were found in runs over scans of real sensors, or of drivers that are simulated."""
+"""Scores of targets in runs over scans of real sensors or of simulated drivers."""
 
 from collections.abc import Sequence
 

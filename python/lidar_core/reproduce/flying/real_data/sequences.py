@@ -145,7 +145,7 @@ def sequence_scans(sequence: RealSequence, *, static: bool = False) -> Iterator[
     MissingExtraError
         Poses by KISS-ICP need the extra `odometry`.
     """
-    path = _unpacked(recording(sequence.source))
+    path = _unpack(recording(sequence.source))
     times = _times(sequence, path)
     with open_recording(path, ReadOptions()) as opened:
         for item in posed_scans(opened, pose=_poses(sequence, static)):
@@ -175,7 +175,7 @@ def _poses(sequence: RealSequence, static: bool) -> str:
     return sequence.pose if is_named else str(recording(sequence.pose))
 
 
-def _unpacked(path: Path) -> Path:
+def _unpack(path: Path) -> Path:
     """Folder of the scans of an archive; other recordings are read where they lie."""
     if not path.name.endswith(".tar.xz"):
         return path
@@ -197,7 +197,7 @@ def _unpacked(path: Path) -> Path:
 
 
 def _cache() -> Path:
-    """Folder of this user for what is unpacked.
+    """Cache folder of this user for unpacked files.
 
     Raises
     ------
@@ -248,7 +248,7 @@ def _gather(path: Path, whole: Path, scans: Path) -> None:
 
 
 def _can_be_read(cloud: Path) -> bool:
-    """Whether a file is whole: recordings that were stopped in a scan leave one that is not."""
+    """Return whether a file is complete, not cut by a recording that stopped within a scan."""
     try:
         with open_recording(cloud, ReadOptions()) as opened:
             return any(True for _ in posed_scans(opened, pose="static"))

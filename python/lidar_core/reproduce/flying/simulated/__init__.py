@@ -1,1 +1,1 @@
-"""Simulated flights through detectors, and what is kept of them."""
+"""Simulated flights, detectors that run on them, and their stored results."""

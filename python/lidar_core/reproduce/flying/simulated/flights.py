@@ -1,4 +1,4 @@
-"""Simulated flights through detectors of several configurations, and what is kept of them."""
+"""Simulated flights, detectors of several configurations, and their stored results."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -18,11 +18,11 @@ DIFFERENCE_NS = 50_000_000
 
 
 class PoseErrors(Protocol):
-    """What makes the poses of successive scans wrong, such as `lidar_core.sim.NoisyPoses`."""
+    """Source of pose errors of successive scans, such as `lidar_core.sim.NoisyPoses`."""
 
     @property
     def covariance(self) -> NDArray[np.float64]:
-        """Of the error of a scan, shape (6, 6)."""
+        """Covariance of the pose error of a scan, shape (6, 6)."""
 
     def observed(self, made: SimulatedScan) -> SimulatedScan:
         """Return the scan as a detector gets it."""
@@ -67,7 +67,7 @@ def fly(
 
 
 def is_paper(name: str) -> bool:
-    """Whether a configuration of this name is the paper's."""
+    """Return whether a configuration of this name is the paper's."""
     return name.startswith("paper")
 
 
@@ -92,7 +92,7 @@ class Seen:
     tracks_position: list[NDArray[np.float64]] = field(default_factory=list)
 
     def add(self, number: int, frame: FlyingFrame) -> None:
-        """Keep what scan `number` gave."""
+        """Add the results of scan `number`."""
         self.detections_scan += [number] * len(frame.detections)
         self.detections_position += list(frame.detections.position)
         self.tracks_scan += [number] * len(frame.tracks)
@@ -111,7 +111,7 @@ class Seen:
 
 
 def truth_columns(simulator: Simulator, scans: Iterable[SimulatedScan]) -> Part:
-    """What is true of every scan: arrays of shape (S,), (S, 3), (S, T) or (S, T, 3).
+    """Ground truth of every scan: arrays of shape (S,), (S, 3), (S, T) or (S, T, 3).
 
     All of it is at the start of the scan, but `position_hit` at the mean time of the target's
     points, or of all points where it has none.
@@ -136,7 +136,7 @@ def truth_columns(simulator: Simulator, scans: Iterable[SimulatedScan]) -> Part:
 
 
 def _position_hit(simulator: Simulator, made: SimulatedScan) -> NDArray[np.float64]:
-    """Where the targets were when the rays met them, (T, 3)."""
+    """Positions of the targets at the time of their rays, (T, 3)."""
     times = made.scan.point_time_ns
     if times is None:
         return made.truth.position

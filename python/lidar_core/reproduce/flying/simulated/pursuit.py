@@ -1,4 +1,4 @@
-"""Closed loops: an observer that flies by the tracks of its own detector, sec. V-B."""
+"""Closed loops: the tracks of its own detector steer an observer, sec. V-B."""
 
 from collections import deque
 from collections.abc import Callable

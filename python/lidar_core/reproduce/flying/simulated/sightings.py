@@ -1,4 +1,4 @@
-"""What was seen of a target, sighting by sighting: for means over any group of them."""
+"""Table of sightings of targets, for means over any group of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ class Sightings:
 
     @property
     def is_found(self) -> NDArray[np.bool_]:
-        """Whether there is a detection or track."""
+        """Return whether there is a detection or track."""
         return np.isfinite(self.error)
 
 

@@ -32,7 +32,7 @@ SHAPES = ("sphere", "mesh", "any sphere", "any mesh")
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """How the drones of a flight move.
+    """Motion of the drones of a flight.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ WAYS = (
 
 
 def jobs(request: Request, scans: int, *, is_noisy: bool) -> Iterator[Job]:
-    """Flights of `scans` scans in all; fewer scans make shorter flights, so that all ways show."""
+    """Flights of `scans` scans in total; fewer scans shorten flights, so all motions appear."""
     each = min(scans, max(SHORTEST, min(SCANS_PER_FLIGHT, scans // len(WAYS))))
     for number in range(max(1, round(scans / each))):
         arguments = {"seed": request.seed, "number": number, "scans": each, "is_noisy": is_noisy}
