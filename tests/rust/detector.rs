@@ -2,9 +2,10 @@
 //! may share a time.
 
 use lidar_core::Error;
-use lidar_core::flying::background::burn_in::{Gate, SeedParameters};
+use lidar_core::flying::background::parameters::SeedParameters;
 use lidar_core::flying::classify::classifier::ClassifyParameters;
 use lidar_core::flying::detector::FlyingObjectDetector;
+use lidar_core::flying::gate::Gate;
 use lidar_core::flying::integrate::pose_weights::PoseParameters;
 use lidar_core::flying::map::parameters::{MapParameters, Separation};
 use lidar_core::flying::parameters::FlyingParameters;

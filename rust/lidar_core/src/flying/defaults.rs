@@ -3,7 +3,7 @@
 //! These are the only literals of a configuration in Rust. A test holds them against the models of
 //! the Python package, which document each value.
 
-use super::background::burn_in::SeedParameters;
+use super::background::parameters::SeedParameters;
 use super::classify::classifier::ClassifyParameters;
 use super::integrate::pose_weights::{PoseParameters, PoseWeighting};
 use super::map::parameters::Separation;

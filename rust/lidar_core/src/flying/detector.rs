@@ -1,62 +1,51 @@
 //! The pipeline: raw scans in, point classes, detections and tracks out.
 
-use super::background::burn_in::Gate;
-use super::background::burn_in_time::BurnIn;
-use super::background::pose_jump::Held;
-use super::background::static_points::Standing;
-use super::classify::classified::Judged;
-use super::classify::flood::{check_steps, search_radius};
-use super::detect::detections::Found;
-use super::detect::follow_up::track;
+use super::background::burn_in::BurnIn;
+use super::background::pose_jump::{HeldScan, PoseCheck};
+use super::background::static_points::StaticPoints;
+use super::classify::pockets::free_pockets;
+use super::classify::scan_classifier::{ScanClassifier, ScanToClassify};
+use super::detect::detection::Teammate;
+use super::detect::detections::{ScanDetections, ScanToDetect, detect};
+use super::detect::follow_up::{add_followed, update_tracks};
 use super::detect::visibility::ScanView;
-use super::frame::{Frame, Teammate, Timing};
-use super::integrate::classified_scan::IntegrateStats;
+use super::frame::{Frame, Timing};
+use super::gate::Gate;
+use super::integrate::classified_scan::{ClassifiedScan, IntegrateStats};
 use super::integrate::integrator::Integrator;
-use super::map::saved_body::SavedBody;
+use super::integrate::pose_weights::PoseNoise;
+use super::map::local_map::LocalMap;
 use super::map::voxel_map::VoxelMap;
 use super::parameters::FlyingParameters;
-use super::point_class::{FLYING, UNKNOWN};
+use super::point_class::{BACKGROUND, FLYING};
 use super::scan::prepared::{Prepared, RawScan};
-use super::scan::sensor::Sensor;
+use super::scan::sensors::Sensors;
 use super::track::{PointCloudTracker, Track};
 use crate::Error;
-use crate::geometry::cluster::angular_gap::{AngularGap, label_seen};
-use crate::geometry::lattice::{Voxel, wide};
 use crate::geometry::transform::Transform;
-use crate::util::budget::MAX_SENSORS;
 use crate::util::stopwatch::Clock;
 use crate::util::threads::Workers;
-use std::collections::BTreeMap;
+use std::path::Path;
 
 /// Detection and tracking of flying objects in scans of one or several LiDARs.
 pub struct FlyingObjectDetector {
-    pub(super) parameters: FlyingParameters,
-    pub(super) workers: Workers,
-    pub(super) map: VoxelMap,
-    integrator: Integrator,
-    pub(super) tracker: PointCloudTracker,
-    pub(super) sensors: BTreeMap<String, Sensor>,
-    /// Robot as an earlier run found it, for sensors that are met again.
-    pub(super) recalled: BTreeMap<String, SavedBody>,
-    pub(super) teammates: Vec<Teammate>,
-    pub(super) anchored: bool,
-    pub(super) map_from_world: Transform,
-    pub(super) scans: u32,
-    pub(super) burn_in: BurnIn,
+    parameters: FlyingParameters,
+    workers: Workers,
+    // State between scans.
+    local: LocalMap,
+    sensors: Sensors,
+    teammates: Vec<Teammate>,
+    scans: u32,
+    burn_in: BurnIn,
     /// True if the last scan that was used left tracks to report.
-    pub(super) reporting: bool,
-    pub(super) held: Option<Held>,
-    /// Points per voxel in the scans of the burn-in, to find what stands still.
-    pub(super) standing: Standing,
-    scratch: Scratch,
-}
-
-/// Memory that a scan leaves to the next one.
-#[derive(Default)]
-struct Scratch {
+    is_reporting: bool,
+    // Stages in the order of their calls; memory of a scan is used again by the next one.
     scan: Prepared,
-    judged: Judged,
-    sampled: Vec<(Voxel, [f64; 3])>,
+    pose_check: PoseCheck,
+    classifier: ScanClassifier,
+    integrator: Integrator,
+    static_points: StaticPoints,
+    tracker: PointCloudTracker,
 }
 
 impl FlyingObjectDetector {
@@ -65,30 +54,23 @@ impl FlyingObjectDetector {
     /// # Errors
     /// [`Error::Parameter`] for values that cannot work.
     pub fn new(parameters: FlyingParameters, threads: usize) -> Result<Self, Error> {
-        let voxel_size = parameters.map.voxel_size;
-        parameters.separation.check(voxel_size)?;
-        search_radius(parameters.classify.search_distance, voxel_size)?;
-        check_steps("close_distance", parameters.classify.close_distance, voxel_size)?;
-        let gap = AngularGap { origin: [0.0; 3], max_angle: parameters.cluster_angle };
-        label_seen(&[], &gap, &parameters.clustering, None)?;
+        parameters.check()?;
         let workers = Workers::new(threads)?;
         Ok(Self {
-            map: VoxelMap::new(parameters.map.relative_to([0.0; 3]))?,
-            integrator: Integrator::on(workers.clone()),
-            workers,
-            tracker: PointCloudTracker::new(parameters.tracker, threads)?,
-            parameters,
-            sensors: BTreeMap::new(),
-            recalled: BTreeMap::new(),
+            local: LocalMap::new(&parameters.map)?,
+            sensors: Sensors::default(),
             teammates: Vec::new(),
-            anchored: false,
-            map_from_world: Transform::IDENTITY,
             scans: 0,
             burn_in: BurnIn::default(),
-            reporting: false,
-            held: None,
-            standing: Standing::default(),
-            scratch: Scratch::default(),
+            is_reporting: false,
+            scan: Prepared::default(),
+            pose_check: PoseCheck::default(),
+            classifier: ScanClassifier::default(),
+            integrator: Integrator::on(workers.clone()),
+            static_points: StaticPoints::default(),
+            tracker: PointCloudTracker::new(parameters.tracker, threads)?,
+            workers,
+            parameters,
         })
     }
 
@@ -109,13 +91,10 @@ impl FlyingObjectDetector {
         raw: &RawScan<'_>,
         keep_going: &dyn Fn() -> bool,
     ) -> Result<Frame, Error> {
-        let (was_anchored, was_met) = (self.anchored, self.sensors.contains_key(raw.sensor));
-        let mut scratch = std::mem::take(&mut self.scratch);
-        let mut integrator = std::mem::take(&mut self.integrator);
-        let frame = self.process_anchored(raw, &mut scratch, &mut integrator, keep_going);
-        (self.scratch, self.integrator) = (scratch, integrator); // their memory is used again
+        let (was_anchored, was_met) = (self.local.is_anchored, self.sensors.contains(raw.sensor));
+        let frame = self.run_stages(raw, keep_going);
         if frame.is_err() && !was_anchored {
-            self.unanchor(); // the next scan says where the map begins
+            self.local = LocalMap::new(&self.parameters.map)?; // the next scan says where it begins
         }
         if frame.is_err() && !was_met {
             self.sensors.remove(raw.sensor);
@@ -123,93 +102,221 @@ impl FlyingObjectDetector {
         frame
     }
 
-    fn process_anchored(
+    fn run_stages(
         &mut self,
         raw: &RawScan<'_>,
-        scratch: &mut Scratch,
-        integrator: &mut Integrator,
         keep_going: &dyn Fn() -> bool,
     ) -> Result<Frame, Error> {
-        let mut clock = Clock::start();
-        let Scratch { scan, judged, sampled } = scratch;
-        let stamp_ns = self.prepare(raw, scan)?;
-        let mut timing = Timing { prepare: clock.lap(), ..Timing::default() };
-
-        if let Some(gate) = self.contradiction(scan, sampled) {
-            return Ok(self.hold(raw, scan, judged, gate, timing));
+        let (mut clock, mut timing) = (Clock::start(), Timing::default());
+        let stamp_ns = self.prepare(raw)?;
+        timing.prepare = clock.lap();
+        if let Some(gate) = self.check_pose() {
+            return Ok(self.hold(raw, gate, timing));
         }
-        let seed = &self.parameters.seed;
-        let burn_in = self.burn_in.after(self.sensors[raw.sensor].since_last(raw.stamp_ns), seed);
-        let gate = seed.gate(&self.burn_in, &burn_in, &self.map, self.needed());
-        let cast = self.judge_and_cast(raw, scan, judged, integrator, &mut clock, &mut timing)?;
-        go_on(keep_going)?;
-        self.tracker.check_room(judged.count_of(FLYING))?;
+        let noise = self.pose_noise(raw);
+        let (burn_in, gate) = self.next_burn_in(raw);
+        let cast = self.classify_and_cast(&noise, &mut clock, &mut timing)?;
+        if !keep_going() {
+            return Err(Error::Interrupted);
+        }
+        self.tracker.check_room(self.classifier.count_of(FLYING))?;
 
         // The last stage that may refuse the scan.
-        let stats = self.update_map(raw, scan, judged, integrator, cast)?;
-        self.accept(raw, scan, gate);
-        self.burn_in = burn_in;
-        self.fill_pockets(&judged.verdicts, scan);
-        self.keep_standing(scan, gate);
+        let stats = self.update_map(&noise, cast)?;
+        self.accept(raw, burn_in, gate);
         timing.integrate = clock.lap();
         if self.parameters.removal_waits {
-            self.map.remove_separate_from_background(self.parameters.separation)?;
+            self.local.map.remove_separate_from_background(self.parameters.separation)?;
         } else {
-            self.map.remove_separate(self.parameters.separation)?;
+            self.local.map.remove_separate(self.parameters.separation)?;
         }
         timing.separate = clock.lap();
 
-        let FlyingParameters { target_radius, range_std, .. } = self.parameters;
-        let (spread, pool) = (self.pose_spread(raw, scan), self.workers.pool());
-        let view = ScanView::new(scan, target_radius, range_std, spread, pool);
-        let verdicts = judged.verdicts.iter().enumerate();
-        let mut found = self.detections(&view, scan, &judged.clusters, verdicts);
-        let followed = track(&mut self.tracker, &self.map, &view, scan, &found, stamp_ns)?;
-        self.add_followed(judged, &mut found, &followed, &view, scan);
+        let found = self.detect_and_track(noise, stamp_ns)?;
         timing.track = clock.lap();
-        Ok(self.frame(raw, &judged.class, scan, found, Some(stats), gate, timing))
+        Ok(self.frame(raw, found, Some(stats), gate, timing))
     }
 
     /// Put the scan into the frame of the map; its stamp for the tracker.
-    fn prepare(&mut self, raw: &RawScan<'_>, scan: &mut Prepared) -> Result<i64, Error> {
-        self.meet(raw.sensor)?;
-        self.sensors[raw.sensor].check_stamp(raw.sensor, raw.stamp_ns)?;
-        let stamp_ns = self.tracker_stamp(raw.stamp_ns)?;
-        self.anchor(raw)?;
-        let (sensor, pool) = (&self.sensors[raw.sensor], self.workers.pool());
-        scan.take(raw, sensor, &self.map_from_world, pool)?;
-        scan.find_sky(raw, sensor, &self.map)?;
+    fn prepare(&mut self, raw: &RawScan<'_>) -> Result<i64, Error> {
+        let sensor = self.sensors.meet(raw.sensor, &self.parameters)?;
+        sensor.check_stamp(raw.sensor, raw.stamp_ns)?;
+        // Sensors may fire at the same time; the tracker wants distinct stamps.
+        let stamp_ns = self.tracker.free_stamp(raw.stamp_ns);
+        self.tracker.check_stamp(stamp_ns)?;
+        if let Some(pose) = raw.poses.first() {
+            self.local.anchor(&self.parameters.map, [pose[3], pose[7], pose[11]])?;
+        }
+        self.scan.take(raw, sensor, &self.local.map_from_world, self.workers.pool())?;
+        self.scan.find_sky(raw, sensor, &self.local.map)?;
         Ok(stamp_ns)
     }
 
-    /// Clusters of a scan and what they are, and the rays into the sums of `integrator`: at the same time
-    /// where there are threads for both. What came of casting, if it was done.
-    fn judge_and_cast(
-        &self,
-        raw: &RawScan<'_>,
-        scan: &Prepared,
-        judged: &mut Judged,
-        integrator: &mut Integrator,
+    /// A closed gate if the scan contradicts the map.
+    fn check_pose(&mut self) -> Option<Gate> {
+        let (limit, distance) =
+            (self.parameters.mismatch_share, self.parameters.classify.close_distance);
+        self.pose_check.check(&self.scan.points, &self.local.map, limit, distance)
+    }
+
+    fn pose_noise(&self, raw: &RawScan<'_>) -> PoseNoise {
+        let FlyingParameters { pose, range_std, .. } = &self.parameters;
+        let map_from_world = self.local.map_from_world;
+        pose.noise(raw.pose_covariance, &self.scan.pose, map_from_world, *range_std)
+    }
+
+    /// The burn-in with this scan, and whether detections of this scan are reported.
+    fn next_burn_in(&self, raw: &RawScan<'_>) -> (BurnIn, Gate) {
+        let FlyingParameters { seed, separation, .. } = &self.parameters;
+        let sensor = self.sensors.get(raw.sensor);
+        let step = sensor.and_then(|sensor| sensor.since_last(raw.stamp_ns));
+        let next = self.burn_in.after(step, seed);
+        let gate = self.burn_in.gate(&next, seed, &self.local.map, separation.min_confident);
+        (next, gate)
+    }
+
+    /// Find clusters and their classes, and cast the rays: at the same time where there are threads
+    /// for both. The outcome of casting, if it was done.
+    fn classify_and_cast(
+        &mut self,
+        noise: &PoseNoise,
         clock: &mut Clock,
         timing: &mut Timing,
     ) -> Result<Option<Result<(), Error>>, Error> {
-        let mut judge = || self.judge(scan, judged, clock, timing);
-        match self.workers.pool().filter(|_| self.take_off_ground(scan).is_none()) {
+        let waits = self.take_off_ground().is_some(); // points of it are added after classification
+        let Self { parameters, workers, local, burn_in, scan, classifier, integrator, .. } = self;
+        let input = scan_to_classify(scan, local, burn_in, parameters, workers);
+        let mut classify = || classifier.classify(&input, clock);
+        let (classified, cast) = match input.pool.filter(|_| !waits) {
             Some(pool) => {
-                let (told, cast) = pool.join(judge, || self.cast(raw, scan, integrator));
-                told.map(|()| Some(cast))
+                let rays = ClassifiedScan::before_classes(scan, noise);
+                let (classified, cast) = pool.join(classify, || integrator.cast(&local.map, &rays));
+                (classified, Some(cast))
             }
-            None => judge().map(|()| None),
+            None => (classify(), None),
+        };
+        [timing.cluster, timing.classify] = classified?;
+        Ok(cast)
+    }
+
+    /// Points on the ground below the first position of the sensor, if its height is known.
+    fn take_off_ground(&self) -> Option<[[f32; 3]; 2]> {
+        let ground = self.parameters.seed.take_off_ground(self.scan.pose.translation);
+        ground.filter(|_| self.scans == 0)
+    }
+
+    /// Update the map with the scan, and judge again on it where that is asked for. `cast` is the
+    /// outcome of casting the rays, if that was done before.
+    fn update_map(
+        &mut self,
+        noise: &PoseNoise,
+        cast: Option<Result<(), Error>>,
+    ) -> Result<IntegrateStats, Error> {
+        let ground = self.take_off_ground();
+        let Self { parameters, workers, local, burn_in, scan, classifier, integrator, .. } = self;
+        match cast {
+            Some(outcome) => outcome?,
+            None => {
+                for point in ground.into_iter().flatten() {
+                    scan.append_known(point);
+                    classifier.add_row(BACKGROUND);
+                }
+                integrator.cast(&local.map, &ClassifiedScan::before_classes(scan, noise))?;
+            }
         }
+        let stats = integrator.apply(&mut local.map, classifier.class(), noise.error.as_ref())?;
+        if parameters.classify.after_update {
+            let input = scan_to_classify(scan, local, burn_in, parameters, workers);
+            classifier.classify_again(&input)?;
+        }
+        Ok(stats)
+    }
+
+    /// Remember what the scan told: nothing refuses it any more.
+    fn accept(&mut self, raw: &RawScan<'_>, burn_in: BurnIn, gate: Gate) {
+        let Self { parameters, local, sensors, scan, classifier, static_points, tracker, .. } =
+            self;
+        if let Some(sensor) = sensors.get_mut(raw.sensor) {
+            sensor.learn_from(raw, &scan.pose, scan.look.as_deref_mut());
+        }
+        // Scans of one sensor come in order, so that no detection is older than a cloud.
+        tracker.keep_points(sensors.len().max(parameters.sensors.len()) > 1);
+        self.scans = self.scans.saturating_add(1);
+        (self.burn_in, self.is_reporting) = (burn_in, gate == Gate::Open);
+        self.pose_check.held = None;
+        let FlyingParameters { forget_distance, classify, seed, .. } = parameters;
+        if let Some(distance) = *forget_distance {
+            local.map.forget(scan.pose.translation, distance);
+        }
+        if classify.fill_pockets {
+            free_pockets(&mut local.map, classifier.verdicts(), &scan.points);
+        }
+        let distance = classify.close_distance;
+        static_points.take(&scan.points, gate, seed, distance, &mut local.map, tracker);
+    }
+
+    /// Detections of the scan, and those that only tracks tell, in the frame of the map.
+    fn detect_and_track(
+        &mut self,
+        noise: PoseNoise,
+        stamp_ns: i64,
+    ) -> Result<ScanDetections, Error> {
+        let Self { parameters, workers, local, teammates, scan, classifier, tracker, .. } = self;
+        let FlyingParameters { target_radius, range_std, .. } = *parameters;
+        let view = ScanView::new(scan, target_radius, range_std, noise.spread, workers.pool());
+        let map_from_world = local.map_from_world;
+        let input = ScanToDetect { scan, view: &view, teammates, map_from_world, parameters };
+        let verdicts = classifier.verdicts().iter().enumerate();
+        let mut found = detect(&input, classifier.clusters(), verdicts);
+        let followed = update_tracks(tracker, &local.map, &view, scan, &found, stamp_ns)?;
+        add_followed(&input, classifier, &mut found, &followed);
+        Ok(found)
+    }
+
+    /// Use nothing of a scan, but remember where it was taken.
+    fn hold(&mut self, raw: &RawScan<'_>, gate: Gate, timing: Timing) -> Frame {
+        let world_from_lidar = self.local.world_from_map().after(&self.scan.pose);
+        self.pose_check.held = Some(HeldScan { sensor: raw.sensor.to_owned(), world_from_lidar });
+        self.classifier.leave_unknown(&self.scan);
+        self.frame(raw, ScanDetections::default(), None, gate, timing)
+    }
+
+    fn frame(
+        &self,
+        raw: &RawScan<'_>,
+        found: ScanDetections,
+        integrated: Option<IntegrateStats>,
+        gate: Gate,
+        timing: Timing,
+    ) -> Frame {
+        let scan = &self.scan;
+        let frame = Frame {
+            stamp_ns: raw.stamp_ns,
+            point_class: self.classifier.class()[..scan.rows].to_vec(),
+            detections: Vec::new(),
+            teammates: Vec::new(),
+            tracks: self.tracks_at(raw.stamp_ns),
+            gate,
+            sky: scan.sky,
+            sky_share: scan.sky_share,
+            sky_rays: scan.rebuilt,
+            own_body: 0.0,
+            own_rows: Vec::new(),
+            own_body_is_decided: false,
+            integrated,
+            timing,
+        };
+        let frame = frame.with_own_body(self.sensors.own_body(raw, scan));
+        frame.with_detections(&found, &self.local.world_from_map())
     }
 
     /// Confirmed tracks predicted to `stamp_ns`, world frame: compensates latency.
     #[must_use]
     pub fn tracks_at(&self, stamp_ns: i64) -> Vec<Track> {
-        if !self.reporting {
+        if !self.is_reporting {
             return Vec::new();
         }
-        let world_from_map = self.map_from_world.inverse();
+        let world_from_map = self.local.world_from_map();
         let mut tracks = self.tracker.tracks_at(stamp_ns);
         tracks.retain(|track| track.reported);
         tracks.into_iter().map(|track| track.moved(&world_from_map)).collect()
@@ -223,178 +330,112 @@ impl FlyingObjectDetector {
     /// The map; its coordinates are relative to its origin.
     #[must_use]
     pub fn map(&self) -> &VoxelMap {
-        &self.map
+        &self.local.map
     }
 
     /// Rays into the sky that the last scan was given: unit directions in the world, and how far
     /// they clear [m]. None of them where rays without return are given.
     #[must_use]
     pub fn sky_rays(&self) -> Vec<([f64; 3], f32)> {
-        let scan = &self.scratch.scan;
-        let Some(look) = scan.look.as_ref().filter(|_| scan.rebuilt > 0) else {
-            return Vec::new();
-        };
-        let world_from_map = self.world_from_map();
-        let turned = |&direction| world_from_map.rotate(wide(direction));
-        look.directions.iter().map(turned).zip(look.reach.iter().copied()).collect()
+        self.scan.sky_rays(&self.local.world_from_map())
     }
 
-    /// A sensor that may be new.
-    fn meet(&mut self, name: &str) -> Result<(), Error> {
-        let FlyingParameters { sensors, default_sensor, .. } = &self.parameters;
-        if self.sensors.contains_key(name) {
-            return Ok(());
-        }
-        check_sensors(self.sensors.len() + 1, name)?;
-        let mut sensor = Sensor::new(sensors.get(name).unwrap_or(default_sensor).clone());
-        if let Some(saved) = self.recalled.get(name) {
-            sensor.recall(saved);
-        }
-        self.sensors.insert(name.to_owned(), sensor);
+    /// Make the voxels of `points` [m, world] occupied, or free, for good (sec. III-E).
+    ///
+    /// # Errors
+    /// As [`VoxelMap::set_free`].
+    pub fn set_known(&mut self, points: &[[f64; 3]], occupied: bool) -> Result<(), Error> {
+        self.local.set_known(&self.parameters.map, points, occupied)
+    }
+
+    /// Take over a map, such as one of an earlier run; its own parameters stay in force.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] if its voxels differ in size from the configured ones.
+    pub fn set_map(&mut self, map: VoxelMap) -> Result<(), Error> {
+        self.local.replace(&self.parameters.map, map)?;
+        self.forget_motion();
         Ok(())
     }
 
-    /// Sensors may fire at the same time; the tracker wants distinct stamps.
-    fn tracker_stamp(&self, stamp_ns: i64) -> Result<i64, Error> {
-        let stamp_ns = self.tracker.free_stamp(stamp_ns);
-        self.tracker.check_stamp(stamp_ns)?;
-        Ok(stamp_ns)
+    /// Write the map, and what is known of the robot, to a file that [`VoxelMap::load`] reads, too.
+    ///
+    /// # Errors
+    /// As [`VoxelMap::save`].
+    pub fn save_map(&self, path: &Path) -> Result<(), Error> {
+        self.local.map.save_with(path, &self.sensors.bodies())
     }
 
-    fn needed(&self) -> usize {
-        self.parameters.separation.min_confident
+    /// Take over the map of a file, and what it knows of the robot, for every sensor that has not found
+    /// it itself.
+    ///
+    /// # Errors
+    /// As [`VoxelMap::load`] and [`FlyingObjectDetector::set_map`]; the detector is unchanged then.
+    pub fn load_map(&mut self, path: &Path) -> Result<(), Error> {
+        let (map, bodies) = VoxelMap::load_with(path)?;
+        self.set_map(map)?;
+        self.sensors.recall(bodies);
+        Ok(())
     }
 
-    fn accept(&mut self, raw: &RawScan<'_>, scan: &mut Prepared, gate: Gate) {
-        let needs_directions = raw.organised && raw.no_return.is_some() && raw.directions.is_none();
-        if let Some(sensor) = self.sensors.get_mut(raw.sensor) {
-            let look = scan.look.as_deref_mut();
-            sensor.learn(
-                raw.stamp_ns,
-                raw.points,
-                raw.no_return,
-                &scan.pose,
-                look,
-                needs_directions,
-            );
-        }
-        // Scans of one sensor come in order, so that no detection is older than a cloud.
-        let sensors = self.sensors.len().max(self.parameters.sensors.len());
-        self.tracker.keep_points(sensors > 1);
-        self.scans = self.scans.saturating_add(1);
-        self.reporting = gate == Gate::Open;
-        self.held = None;
-        if let Some(distance) = self.parameters.forget_distance {
-            self.map.forget(scan.pose.translation, distance);
-        }
+    /// Points [m, world] in the frame of the map.
+    #[must_use]
+    pub fn in_map(&self, points: &[[f64; 3]]) -> Vec<[f32; 3]> {
+        self.local.local(points)
     }
 
-    /// Use nothing of a scan, but remember where it was taken.
-    fn hold(
-        &mut self,
-        raw: &RawScan<'_>,
-        scan: &Prepared,
-        judged: &mut Judged,
-        gate: Gate,
-        timing: Timing,
-    ) -> Frame {
-        let world_from_lidar = self.map_from_world.inverse().after(&scan.pose);
-        self.held = Some(Held { sensor: raw.sensor.to_owned(), world_from_lidar });
-        judged.tell_nothing(scan);
-        self.frame(raw, &judged.class, scan, Found::default(), None, gate, timing)
+    /// Pose of the map's frame in the world.
+    #[must_use]
+    pub fn world_from_map(&self) -> Transform {
+        self.local.world_from_map()
     }
 
-    #[allow(clippy::too_many_arguments)] // the parts of a frame, each made by another stage
-    fn frame(
-        &self,
-        raw: &RawScan<'_>,
-        class: &[u8],
-        scan: &Prepared,
-        found: Found,
-        integrated: Option<IntegrateStats>,
-        gate: Gate,
-        timing: Timing,
-    ) -> Frame {
-        let mut point_class = class[..scan.rows].to_vec();
-        let (own_rows, own_body) = self.tell_own_body(raw, scan, &mut point_class);
-        if gate != Gate::Open {
-            replace(&mut point_class, FLYING, UNKNOWN);
-        }
-        let found = if gate == Gate::Open { found } else { Found::default() };
-        let world_from_map = self.map_from_world.inverse();
-        Frame {
-            stamp_ns: raw.stamp_ns,
-            point_class,
-            detections: found.detections.iter().map(|d| d.moved(&world_from_map)).collect(),
-            teammates: found
-                .teammates
-                .iter()
-                .map(|(id, d)| (*id, d.moved(&world_from_map)))
-                .collect(),
-            tracks: self.tracks_at(raw.stamp_ns),
-            gate,
-            sky: scan.sky,
-            sky_share: scan.sky_share,
-            sky_rays: scan.rebuilt,
-            own_body,
-            own_rows,
-            own_body_is_decided: self.knows_own_body(raw),
-            integrated,
-            timing,
-        }
+    /// After a jump of the pose: shift the world so that the scan held last lies where the last
+    /// scan of the same sensor before it was. False if no scan is held, or there was none before.
+    pub fn reanchor(&mut self) -> bool {
+        let Some(held) = self.pose_check.held.take() else { return false };
+        let last = self.sensors.get(&held.sensor).and_then(|sensor| sensor.last_pose);
+        let Some(last) = last else { return false };
+        self.local.map_from_world = last.after(&held.world_from_lidar.inverse());
+        true
+    }
+
+    /// Forget map, tracks and poses. Track numbers go on; what was learnt of the sensors stays.
+    ///
+    /// # Errors
+    /// None that [`FlyingObjectDetector::new`] did not have.
+    pub fn reset(&mut self) -> Result<(), Error> {
+        self.local = LocalMap::new(&self.parameters.map)?;
+        (self.scans, self.burn_in) = (0, BurnIn::default());
+        self.forget_motion();
+        self.sensors.forget_stamps();
+        Ok(())
+    }
+
+    /// Tracks, and poses in the frame of a map that is no more.
+    fn forget_motion(&mut self) {
+        self.tracker.reset();
+        (self.is_reporting, self.pose_check.held) = (false, None);
+        self.static_points.clear();
+        self.sensors.forget_places();
     }
 }
 
-impl FlyingObjectDetector {
-    fn knows_own_body(&self, raw: &RawScan<'_>) -> bool {
-        let body = self.sensors.get(raw.sensor).and_then(|sensor| sensor.body.as_ref());
-        body.is_some_and(|body| body.is_decided())
+/// Inputs of the classification of a scan.
+fn scan_to_classify<'a>(
+    scan: &'a Prepared,
+    local: &'a LocalMap,
+    burn_in: &BurnIn,
+    parameters: &'a FlyingParameters,
+    workers: &'a Workers,
+) -> ScanToClassify<'a> {
+    let usual = parameters.classify.background_extent;
+    ScanToClassify {
+        scan,
+        map: &local.map,
+        world_from_map: local.world_from_map(),
+        background_extent: burn_in.background_extent(&parameters.seed, usual),
+        parameters,
+        pool: workers.pool(),
     }
-
-    /// Points on the robot are unknown, not invalid; their rows, and the share of rays that end on it.
-    fn tell_own_body(
-        &self,
-        raw: &RawScan<'_>,
-        scan: &Prepared,
-        class: &mut [u8],
-    ) -> (Vec<u32>, f64) {
-        let sensor = self.sensors.get(raw.sensor);
-        let Some((sensor, body)) = sensor.and_then(|one| Some((one, one.body.as_ref()?))) else {
-            return (Vec::new(), 0.0);
-        };
-        if !body.is_found() {
-            return (Vec::new(), 0.0);
-        }
-        let on_it = |row: usize| {
-            raw.no_return.is_none_or(|flags| !flags[row]) && body.holds(wide(raw.points[row]))
-        };
-        let rows: Vec<u32> =
-            (0..raw.points.len()).filter(|&row| on_it(row)).map(|row| row as u32).collect();
-        for &row in &rows {
-            class[row as usize] = UNKNOWN;
-        }
-        let share = scan.share_of_rays(&rows, sensor.parameters.returns_per_ray);
-        (rows, share)
-    }
-}
-
-/// # Errors
-/// [`Error::Limit`] for more sensors than are remembered.
-pub(super) fn check_sensors(len: usize, name: &str) -> Result<(), Error> {
-    if len <= MAX_SENSORS {
-        return Ok(());
-    }
-    Err(Error::Limit {
-        what: format!("sensor {name:?}, the detector's {len}th"),
-        limit: MAX_SENSORS as u64,
-        key: "give the scans of one LiDAR one name, always the same",
-    })
-}
-
-fn go_on(keep_going: &dyn Fn() -> bool) -> Result<(), Error> {
-    if keep_going() { Ok(()) } else { Err(Error::Interrupted) }
-}
-
-pub(super) fn replace(classes: &mut [u8], old: u8, new: u8) {
-    classes.iter_mut().filter(|class| **class == old).for_each(|class| *class = new);
 }

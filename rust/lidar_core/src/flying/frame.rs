@@ -1,36 +1,14 @@
 //! Result of the detector for one scan.
 
-use super::background::burn_in::Gate;
 use super::detect::detection::Detection;
+use super::detect::detections::ScanDetections;
+use super::gate::Gate;
 use super::integrate::classified_scan::IntegrateStats;
+use super::point_class::{FLYING, UNKNOWN, replace};
+use super::scan::sensors::OwnBody;
+use super::sky::source::SkySource;
 use super::track::Track;
-
-/// Source of the rays without return of a scan.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum SkySource {
-    /// Rays without return are unknown, or not known yet: open sky stays unknown in the map.
-    #[default]
-    Unknown,
-    /// The caller gave the rays without return.
-    Given,
-    /// Rays without return were found from the returns of a sensor with rows.
-    Pattern,
-    /// Rays without return were found from the density of the returns.
-    Density,
-}
-
-impl SkySource {
-    /// One word for people and files.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Unknown => "unknown",
-            Self::Given => "given",
-            Self::Pattern => "pattern",
-            Self::Density => "density",
-        }
-    }
-}
+use crate::geometry::transform::Transform;
 
 /// Milliseconds spent per stage. Several threads cast rays while clusters are sought and judged:
 /// `integrate` is what is left of the map update then.
@@ -84,13 +62,30 @@ pub struct Frame {
     pub timing: Timing,
 }
 
-/// A known flying object that is not to be reported.
-#[derive(Clone, Copy, Debug)]
-pub struct Teammate {
-    /// Identifier of the teammate.
-    pub id: i64,
-    /// Position that the teammate reports, world frame [m].
-    pub position: [f64; 3],
-    /// Detections this near are taken for it [m].
-    pub radius: f64,
+impl Frame {
+    /// Take over the points on the robot itself: they were measured, so they are unknown, not invalid.
+    pub(super) fn with_own_body(mut self, own: OwnBody) -> Self {
+        for &row in &own.rows {
+            self.point_class[row as usize] = UNKNOWN;
+        }
+        (self.own_rows, self.own_body) = (own.rows, own.share);
+        self.own_body_is_decided = own.is_decided;
+        self
+    }
+
+    /// Take over the detections, if they are reported; otherwise no point flies.
+    pub(super) fn with_detections(
+        mut self,
+        found: &ScanDetections,
+        world_from_map: &Transform,
+    ) -> Self {
+        if self.gate != Gate::Open {
+            replace(&mut self.point_class, FLYING, UNKNOWN);
+            return self;
+        }
+        let teammates = found.teammates.iter();
+        self.detections = found.detections.iter().map(|d| d.moved(world_from_map)).collect();
+        self.teammates = teammates.map(|(id, d)| (*id, d.moved(world_from_map))).collect();
+        self
+    }
 }

@@ -1,13 +1,16 @@
 //! Everything the detector can be told.
 
-use super::background::burn_in::SeedParameters;
+use super::background::parameters::SeedParameters;
 use super::classify::classifier::ClassifyParameters;
+use super::classify::flood::{check_steps, search_radius};
 use super::integrate::pose_weights::PoseParameters;
 use super::map::parameters::MapParameters;
 use super::map::parameters::Separation;
 use super::scan::sensor::SensorParameters;
 use super::track::TrackerParameters;
+use crate::Error;
 use crate::geometry::cluster::Clustering;
+use crate::geometry::cluster::angular_gap::{AngularGap, label_seen};
 use std::collections::BTreeMap;
 
 /// All parameters of the detector.
@@ -48,4 +51,17 @@ pub struct FlyingParameters {
     pub mismatch_share: Option<f64>,
     /// The map forgets what is further from the sensor [m].
     pub forget_distance: Option<f64>,
+}
+
+impl FlyingParameters {
+    /// # Errors
+    /// [`Error::Parameter`] for values that cannot work together.
+    pub(super) fn check(&self) -> Result<(), Error> {
+        let voxel_size = self.map.voxel_size;
+        self.separation.check(voxel_size)?;
+        search_radius(self.classify.search_distance, voxel_size)?;
+        check_steps("close_distance", self.classify.close_distance, voxel_size)?;
+        let gap = AngularGap { origin: [0.0; 3], max_angle: self.cluster_angle };
+        label_seen(&[], &gap, &self.clustering, None).map(drop)
+    }
 }

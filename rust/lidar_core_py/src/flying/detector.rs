@@ -5,10 +5,10 @@ use crate::errors::BorderError;
 use crate::flying::config::FlyingConfig;
 use crate::flying::tracker::{TrackArrays, track_arrays};
 use crate::guard::{Guarded, detached, keep_going};
-use lidar_core::flying::background::burn_in::Gate;
-use lidar_core::flying::detect::detection::Detection;
+use lidar_core::flying::detect::detection::{Detection, Teammate};
 use lidar_core::flying::detector::FlyingObjectDetector;
-use lidar_core::flying::frame::{Frame, Teammate};
+use lidar_core::flying::frame::Frame;
+use lidar_core::flying::gate::Gate;
 use lidar_core::flying::scan::prepared::RawScan;
 use numpy::{
     IntoPyArray, PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,

@@ -1,104 +1,106 @@
-//! Source of the first background, and the time from which detections may be trusted.
+//! The burn-in: the time from which detections may be trusted.
 //!
-//! No voxel starts occupied and points become background only near occupied voxels, so without a
-//! seed nothing is ever background and nothing is ever detected. The paper is silent about it.
+//! Its length is one in time rather than scans, so that a slow sensor is ready as soon as a fast one.
 
-use super::burn_in_time::BurnIn;
+use super::parameters::SeedParameters;
+use crate::flying::gate::Gate;
 use crate::flying::map::voxel_map::VoxelMap;
-use std::fmt;
 
-/// Seeds of the background.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SeedParameters {
-    /// Scans of the burn-in, 0 for none.
-    pub burn_in_scans: u32,
-    /// Time between two scans for which `burn_in_scans` is meant [s]: other sensors take as many scans
-    /// as fit into the same time, at least 3. None counts scans whatever their rate.
-    pub burn_in_period: Option<f64>,
-    /// During the burn-in larger clusters are background [m].
-    pub burn_in_extent: f64,
-    /// Voxels that held points in so many scans of the burn-in are background, 0 for none.
-    pub standing_scans: u32,
-    /// Largest shift of a voxel's points between the halves of the burn-in that counts as standing [m].
-    pub standing_shift: f64,
-    /// Tracks this far from their start protect their surroundings from becoming background [m].
-    pub standing_track_distance: f64,
-    /// Clusters that reach down to this height are background, world frame [m].
-    pub ground_height: Option<f64>,
-    /// Height of the sensor above ground in the first scan: the voxel there is seeded [m].
-    pub take_off_height: Option<f64>,
+/// A pause between two scans counts as this at most [s], and as so many times the usual step: nothing
+/// is seen in it.
+const LONGEST_STEP: f64 = 0.5;
+const LONGEST_TIMES: f64 = 2.0;
+/// Fewer scans do not tell what stands still.
+const FEWEST_SCANS: u32 = 3;
+/// So many times the scans of the usual sensor are enough, however fast they come.
+const MOST_TIMES: u32 = 10;
+
+/// The scans of the burn-in so far.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct BurnIn {
+    scans: u32,
+    /// Sensors that were met: their first scans have no step.
+    sensors: u32,
+    /// Time since the last scan of the same sensor [s], of all other scans.
+    steps: Vec<f64>,
+    is_over: bool,
 }
 
-/// State of reporting: detections are reported, or the reason why not.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Gate {
-    /// Detections are reported.
-    Open,
-    /// The burn-in is not over.
-    BurnIn {
-        /// Scans so far, this one included.
-        scans: u32,
-        /// Scans in all.
-        of: u32,
-    },
-    /// No group of occupied voxels holds enough confident ones yet.
-    NoBackground {
-        /// Confidently occupied voxels that one group must hold.
-        needed: usize,
-    },
-    /// Most returns contradict the map: the pose has jumped, or the map is of another place.
-    PoseMismatch {
-        /// Returns in free voxels, of 1000 in observed ones.
-        per_mille: u32,
-    },
-}
-
-impl fmt::Display for Gate {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Open => f.write_str("open"),
-            Self::BurnIn { scans, of } => write!(f, "burn-in: scan {scans} of {of}"),
-            Self::NoBackground { needed } => write!(
-                f,
-                "no background: no group of occupied voxels holds {needed} confident ones yet; see \
-                 the `seed` options, and `separate.waits_for_background` for sparse sensors"
-            ),
-            Self::PoseMismatch { per_mille } => write!(
-                f,
-                "map_pose_mismatch: {}.{} % of the returns lie in free space; the scan was held; \
-                 call reanchor() or reset()",
-                per_mille / 10,
-                per_mille % 10
-            ),
+impl BurnIn {
+    /// The burn-in after one more scan; `step` [s] is the time since the last scan of the same
+    /// sensor, None for its first one.
+    pub(crate) fn after(&self, step: Option<f64>, seed: &SeedParameters) -> Self {
+        let mut next = self.clone();
+        if next.is_over(seed) {
+            return next;
         }
+        next.scans = next.scans.saturating_add(1);
+        match step {
+            Some(step) => next.steps.push(step.max(0.0)),
+            None => next.sensors = next.sensors.saturating_add(1),
+        }
+        next.is_over = next.scans >= next.length(seed);
+        if next.is_over {
+            next.steps = Vec::new();
+        }
+        next
     }
-}
 
-impl SeedParameters {
-    /// Largest cluster that is not background during the burn-in, and always `otherwise`.
+    /// Usual time between two scans of a sensor [s], pauses left out; None before it is known.
+    fn usual_step(&self) -> Option<f64> {
+        let mut sorted = self.steps.clone();
+        sorted.sort_unstable_by(f64::total_cmp);
+        // The upper quartile: neither a pause at the start nor scans that come in bursts move it.
+        let quartile = *sorted.get(3 * sorted.len().checked_sub(1)? / 4)?;
+        let longest = LONGEST_STEP.min(LONGEST_TIMES * quartile);
+        Some(sorted.iter().map(|step| step.min(longest)).sum::<f64>() / sorted.len() as f64)
+    }
+
+    /// Whether the coming scan belongs to it no more.
+    pub(crate) fn is_over(&self, seed: &SeedParameters) -> bool {
+        self.is_over || seed.burn_in_scans == 0
+    }
+
+    /// Number of its scans so far.
+    pub(crate) fn scans(&self) -> u32 {
+        self.scans
+    }
+
+    /// Number of scans that it takes, judged by those so far: never fewer than these.
+    pub(crate) fn length(&self, seed: &SeedParameters) -> u32 {
+        let usual = seed.burn_in_scans;
+        let (Some(period), Some(step)) = (seed.burn_in_period, self.usual_step()) else {
+            return usual.max(self.scans);
+        };
+        let scans = (f64::from(usual) * period / step).round() as u32; // infinity gives the largest
+        let most = usual.saturating_mul(MOST_TIMES);
+        // Every sensor has to show a few scans of its own.
+        let fewest = usual.min(FEWEST_SCANS).saturating_mul(self.sensors.max(1));
+        scans.max(fewest).min(most).max(self.scans)
+    }
+
+    /// Largest cluster that is not background during the burn-in, and always `otherwise` [m].
     pub(crate) fn background_extent(
         &self,
-        burn_in: &BurnIn,
+        seed: &SeedParameters,
         otherwise: Option<f64>,
     ) -> Option<f64> {
-        if !burn_in.is_over(self) {
-            return Some(
-                otherwise.map_or(self.burn_in_extent, |limit| limit.min(self.burn_in_extent)),
-            );
+        if self.is_over(seed) {
+            return otherwise;
         }
-        otherwise
+        Some(otherwise.map_or(seed.burn_in_extent, |limit| limit.min(seed.burn_in_extent)))
     }
 
-    /// Gate of a scan, given the burn-in without it and with it.
+    /// State of reporting of a scan; `with_it` is the burn-in after that scan.
     pub(crate) fn gate(
         &self,
-        before: &BurnIn,
-        with_it: &BurnIn,
+        with_it: &Self,
+        seed: &SeedParameters,
         map: &VoxelMap,
         needed: usize,
     ) -> Gate {
-        if !before.is_over(self) {
-            Gate::BurnIn { scans: with_it.scans(), of: with_it.length(self) }
+        if !self.is_over(seed) {
+            Gate::BurnIn { scans: with_it.scans(), of: with_it.length(seed) }
         } else if map.has_background() {
             Gate::Open
         } else {
@@ -106,10 +108,103 @@ impl SeedParameters {
         }
     }
 
-    /// The place on the ground below the first position of the sensor, as a range finder would
-    /// see it: two readings make its voxel tentatively occupied.
-    pub(crate) fn take_off_ground(&self, [x, y, z]: [f64; 3]) -> Option<[[f32; 3]; 2]> {
-        let height = self.take_off_height?;
-        Some([[x, y, z - height].map(|value| value as f32); 2])
+    /// Of `standing_scans` the part that belongs to a burn-in of so many scans.
+    pub(crate) fn standing(seed: &SeedParameters, length: u32) -> u32 {
+        let share = f64::from(seed.standing_scans) / f64::from(seed.burn_in_scans.max(1));
+        (share * f64::from(length) - 1e-9).ceil() as u32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn seed(period: Option<f64>) -> SeedParameters {
+        SeedParameters {
+            burn_in_scans: 10,
+            burn_in_period: period,
+            burn_in_extent: 2.0,
+            standing_scans: 5,
+            standing_shift: 0.04,
+            standing_track_distance: 0.5,
+            ground_height: None,
+            take_off_height: None,
+        }
+    }
+
+    /// Scans until it is over, given the time between scans [s].
+    fn length(seed: &SeedParameters, step: impl Fn(u32) -> f64) -> u32 {
+        let (mut burn_in, mut before) = (BurnIn::default(), None);
+        while !burn_in.is_over(seed) {
+            burn_in = burn_in.after(before, seed);
+            before = Some(step(burn_in.scans()));
+        }
+        burn_in.scans()
+    }
+
+    #[test]
+    fn neither_pauses_nor_bursts_change_its_length() {
+        let seed = seed(Some(0.1));
+        for first in [60.0, 0.5, 0.01, 1e-3, 1e-6, 0.0] {
+            let found = length(&seed, |scan| if scan == 1 { first } else { 0.1 });
+            assert!((9..=11).contains(&found), "{first}: {found}");
+        }
+        // Two LiDARs under one name: twice as many scans in the same time.
+        for short in [1e-3, 0.01, 0.05] {
+            let pair =
+                |odd: u32| move |scan: u32| if scan % 2 == odd { short } else { 0.1 - short };
+            let found = [length(&seed, pair(0)), length(&seed, pair(1))];
+            assert!(found.iter().all(|found| (19..=21).contains(found)), "{short}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn every_sensor_shows_a_few_scans() {
+        let seed = seed(Some(0.1));
+        let mut burn_in = BurnIn::default();
+        while !burn_in.is_over(&seed) {
+            let step = (burn_in.scans() >= 3).then_some(0.3);
+            burn_in = burn_in.after(step, &seed);
+            let scans = burn_in.scans();
+            assert!(burn_in.length(&seed) >= scans);
+        }
+        assert_eq!(burn_in.scans(), 9);
+    }
+
+    #[test]
+    fn two_sensors_need_as_many_scans_as_one() {
+        let seed = seed(Some(0.1));
+        let mut burn_in = BurnIn::default();
+        while !burn_in.is_over(&seed) {
+            burn_in = burn_in.after((burn_in.scans() >= 2).then_some(0.1), &seed);
+        }
+        assert_eq!(burn_in.scans(), 10);
+    }
+
+    #[test]
+    fn it_takes_a_second_at_any_rate() {
+        let seed = seed(Some(0.1));
+        for (step, expected) in [(0.1, 10), (0.05, 20), (0.2, 5), (0.5, 3), (3.0, 3), (1e-4, 100)] {
+            assert_eq!(length(&seed, |_| step), expected, "{step}");
+        }
+        let jitter = |scan: u32| if scan.is_multiple_of(2) { 0.098 } else { 0.103 };
+        assert_eq!(length(&seed, jitter), 10);
+        assert_eq!(length(&seed, |scan| if scan == 2 { 60.0 } else { 0.1 }), 9); // a pause
+    }
+
+    #[test]
+    fn without_a_period_scans_are_counted() {
+        for step in [0.01, 0.1, 2.0] {
+            assert_eq!(length(&seed(None), |_| step), 10);
+        }
+        let none = SeedParameters { burn_in_scans: 0, ..seed(Some(0.1)) };
+        assert!(BurnIn::default().is_over(&none));
+    }
+
+    #[test]
+    fn half_of_the_scans_tell_what_stands_still() {
+        let seed = seed(Some(0.1));
+        let standing = [3, 10, 20].map(|length| BurnIn::standing(&seed, length));
+        assert_eq!(standing, [2, 5, 10]);
     }
 }

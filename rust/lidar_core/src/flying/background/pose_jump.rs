@@ -1,10 +1,9 @@
 //! Jumps of the pose (relocalisation, GNSS step): the scan is held until the caller decides.
 
-use super::burn_in::Gate;
 use crate::flying::classify::occupied_nearby::{Near, is_observed_free};
-use crate::flying::detector::FlyingObjectDetector;
+use crate::flying::gate::Gate;
 use crate::flying::map::blocks::Cursor;
-use crate::flying::scan::prepared::Prepared;
+use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::{Voxel, floor, wide};
 use crate::geometry::transform::Transform;
 
@@ -13,46 +12,93 @@ const SAMPLES: usize = 2048;
 /// Observed voxels with returns that are enough to judge by: one target has far fewer.
 const ENOUGH: usize = 200;
 
-/// A scan that contradicts the map.
-pub(crate) struct Held {
+/// A scan that contradicts the map, and was not used.
+#[derive(Clone, Debug)]
+pub(crate) struct HeldScan {
     pub(crate) sensor: String,
     pub(crate) world_from_lidar: Transform,
 }
 
-impl FlyingObjectDetector {
-    /// A closed gate if most observed voxels with returns are free, away from anything occupied.
-    /// Voxels count, not returns: a target close by may give most of them. `sampled` is memory.
-    pub(crate) fn contradiction(
-        &self,
-        scan: &Prepared,
-        sampled: &mut Vec<(Voxel, [f64; 3])>,
+/// Stage that compares a scan with the map before anything of it is used.
+#[derive(Clone, Default)]
+pub(crate) struct PoseCheck {
+    /// The last scan, if it was held.
+    pub(crate) held: Option<HeldScan>,
+    /// Voxels with returns, and one return in each.
+    sampled: Vec<(Voxel, [f64; 3])>,
+}
+
+impl PoseCheck {
+    /// A closed gate if more than the share `limit` of the observed voxels with returns is free, and
+    /// further than `close_distance` [m] from anything occupied. Voxels count, not returns: a target
+    /// close by may give most of them. None without a limit, or while there is no background.
+    pub(crate) fn check(
+        &mut self,
+        points: &[[f32; 3]],
+        map: &VoxelMap,
+        limit: Option<f64>,
+        close_distance: f64,
     ) -> Option<Gate> {
-        let limit = self.parameters.mismatch_share.filter(|_| self.map.has_background())?;
-        let returns = || scan.points.iter().filter(|point| point[0].is_finite());
+        let limit = limit.filter(|_| map.has_background())?;
+        let returns = || points.iter().filter(|point| point[0].is_finite());
         let step = (returns().count() / SAMPLES).max(1);
-        let place = |point| Some((floor(self.map.lattice().scaled(point))?, point));
+        let place = |point| Some((floor(map.lattice().scaled(point))?, point));
+        let sampled = &mut self.sampled;
         sampled.clear();
         sampled.extend(returns().step_by(step).filter_map(|&point| place(wide(point))));
         sampled.sort_unstable_by_key(|&(voxel, point)| (voxel, point.map(f64::to_bits)));
         sampled.dedup_by_key(|(voxel, _)| *voxel);
-        let mut cursor = Cursor::new(&self.map.blocks);
+        let mut cursor = Cursor::new(&map.blocks);
         sampled.retain(|&(voxel, _)| !cursor.stored(voxel).is_nan());
-        let mut near = Near::new(&self.map, self.parameters.classify.close_distance);
+        let mut near = Near::new(map, close_distance);
         let free = |&&(voxel, point): &&(Voxel, [f64; 3])| {
-            is_observed_free(&self.map, &mut cursor, voxel) && !near.is_close(point)
+            is_observed_free(map, &mut cursor, voxel) && !near.is_close(point)
         };
         let (observed, free) = (sampled.len(), sampled.iter().filter(free).count());
         let contradicts = observed >= ENOUGH && free as f64 > limit * observed as f64;
         contradicts.then(|| Gate::PoseMismatch { per_mille: (1000 * free / observed) as u32 })
     }
+}
 
-    /// After a jump of the pose: shift the world so that the scan held last lies where the last
-    /// scan of the same sensor before it was. False if no scan is held, or there was none before.
-    pub fn reanchor(&mut self) -> bool {
-        let Some(held) = self.held.take() else { return false };
-        let last = self.sensors.get(&held.sensor).and_then(|sensor| sensor.last_pose);
-        let Some(last) = last else { return false };
-        self.map_from_world = last.after(&held.world_from_lidar.inverse());
-        true
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Error;
+    use crate::flying::integrate::classified_scan::{ClassifiedScan, Origins};
+    use crate::flying::integrate::integrator::Integrator;
+    use crate::flying::map::parameters::{MapParameters, Separation};
+    use crate::flying::point_class::BACKGROUND;
+
+    /// A wall across x.
+    fn wall(x: f32) -> Vec<[f32; 3]> {
+        let along = |index: u16| f32::from(index) * 0.25 - 4.0;
+        (0..1024).map(|index| [x, along(index % 32), along(index / 32)]).collect()
+    }
+
+    #[test]
+    fn a_wall_in_free_space_contradicts_the_map_and_the_same_wall_does_not() -> Result<(), Error> {
+        let mut map = VoxelMap::new(MapParameters::default())?;
+        let (mut check, mut integrator) = (PoseCheck::default(), Integrator::new(1)?);
+        let seen = wall(10.1);
+        assert_eq!(check.check(&seen, &map, Some(0.5), 0.8), None); // no background yet
+        for _ in 0..30 {
+            let scan = ClassifiedScan {
+                points: &seen,
+                class: &[BACKGROUND; 1024],
+                origins: Origins::One([0.1; 3]),
+                directions: None,
+                no_return: None,
+                no_ray: None,
+                reach: None,
+                pose_error: None,
+            };
+            integrator.integrate(&mut map, &scan)?;
+        }
+        map.remove_separate(Separation::default())?;
+        assert_eq!(check.check(&seen, &map, Some(0.5), 0.8), None);
+        let jumped = check.check(&wall(6.1), &map, Some(0.5), 0.8);
+        assert!(matches!(jumped, Some(Gate::PoseMismatch { per_mille: 501.. })), "{jumped:?}");
+        assert_eq!(check.check(&wall(6.1), &map, None, 0.8), None);
+        Ok(())
     }
 }

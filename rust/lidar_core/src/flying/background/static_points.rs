@@ -1,10 +1,11 @@
 //! Points that stand still during the burn-in: background, however small.
 
-use super::burn_in::Gate;
-use super::burn_in_time::BurnIn;
-use crate::flying::detector::FlyingObjectDetector;
+use super::burn_in::BurnIn;
+use super::parameters::SeedParameters;
+use crate::flying::gate::Gate;
 use crate::flying::map::blocks::Place;
-use crate::flying::scan::prepared::Prepared;
+use crate::flying::map::voxel_map::VoxelMap;
+use crate::flying::track::PointCloudTracker;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
 use crate::util::key_hasher::Spread;
@@ -14,33 +15,65 @@ use std::hash::BuildHasherDefault;
 /// Coordinates are summed up as integers, so that the order of the points cannot matter.
 const UNITS_PER_METRE: f64 = 65_536.0;
 
-/// Points that every voxel held in the scans so far.
-#[derive(Default)]
-pub(crate) struct Standing {
-    voxels: HashMap<Place, Held, BuildHasherDefault<Spread>>,
+/// Stage that finds what stands still during the burn-in: the points of every voxel so far.
+#[derive(Clone, Default)]
+pub(crate) struct StaticPoints {
+    voxels: HashMap<Place, PointsOfVoxel, BuildHasherDefault<Spread>>,
 }
 
+/// Points in one voxel.
 #[derive(Clone, Copy, Default)]
-struct Held {
+struct PointsOfVoxel {
     scans: u32,
     last_scan: u32,
     /// Sums of coordinates and numbers of points in both halves.
     halves: [([i64; 3], i64); 2],
 }
 
-impl Standing {
+impl StaticPoints {
+    /// Take a scan of the burn-in; after its last one, what stood still all the time becomes
+    /// background in `map`, further than `distance` [m] from tracks that moved. Scans after the
+    /// burn-in change nothing.
+    pub(crate) fn take(
+        &mut self,
+        points: &[[f32; 3]],
+        gate: Gate,
+        seed: &SeedParameters,
+        distance: f64,
+        map: &mut VoxelMap,
+        tracker: &mut PointCloudTracker,
+    ) {
+        let Gate::BurnIn { scans, of } = gate else { return };
+        if seed.standing_scans == 0 {
+            return;
+        }
+        let lattice = *map.lattice();
+        self.add(&lattice, points, scans, of);
+        if scans >= of {
+            let moving = tracker.moved_by(seed.standing_track_distance);
+            let mut standing = self.voxels(BurnIn::standing(seed, of), seed.standing_shift);
+            standing.retain(|&voxel| {
+                let center = lattice.center(voxel);
+                moving.iter().all(|&position| norm(minus(position, center)) > distance)
+            });
+            map.keep(&standing);
+            self.clear();
+            tracker.drop_near(map, distance); // tracks of such things, still unseen
+        }
+    }
+
     /// Add the points of scan `scan` (1 is the first) of `of`.
-    pub(crate) fn add(&mut self, lattice: &Lattice, points: &[[f32; 3]], scan: u32, of: u32) {
+    fn add(&mut self, lattice: &Lattice, points: &[[f32; 3]], scan: u32, of: u32) {
         let half = usize::from(2 * scan > of);
         for &point in points {
             let point = wide(point);
             let Some(voxel) = floor(lattice.scaled(point)) else { continue };
-            let held = self.voxels.entry(Place(voxel)).or_default();
-            if held.last_scan != scan {
-                held.scans += 1;
-                held.last_scan = scan;
+            let of_voxel = self.voxels.entry(Place(voxel)).or_default();
+            if of_voxel.last_scan != scan {
+                of_voxel.scans += 1;
+                of_voxel.last_scan = scan;
             }
-            let (sums, count) = &mut held.halves[half];
+            let (sums, count) = &mut of_voxel.halves[half];
             let center = lattice.center(voxel);
             for axis in 0..3 {
                 let offset = ((point[axis] - center[axis]) * UNITS_PER_METRE).round() as i64;
@@ -52,46 +85,25 @@ impl Standing {
 
     /// Voxels that held points in at least `scans` scans, which moved by at most `shift` [m]
     /// between the halves of the burn-in, in ascending order.
-    pub(crate) fn voxels(&self, scans: u32, shift: f64) -> Vec<Voxel> {
-        let stands = |held: &Held| held.scans >= scans && held.shift() <= shift;
-        let mut voxels: Vec<Voxel> =
-            self.voxels.iter().filter(|(_, held)| stands(held)).map(|(place, _)| place.0).collect();
+    fn voxels(&self, scans: u32, shift: f64) -> Vec<Voxel> {
+        let stands = |points: &PointsOfVoxel| points.scans >= scans && points.shift() <= shift;
+        let mut voxels: Vec<Voxel> = self
+            .voxels
+            .iter()
+            .filter(|(_, points)| stands(points))
+            .map(|(place, _)| place.0)
+            .collect();
         voxels.sort_unstable();
         voxels
     }
 
+    /// Forget all scans.
     pub(crate) fn clear(&mut self) {
         self.voxels = HashMap::default();
     }
 }
 
-impl FlyingObjectDetector {
-    /// At the end of the burn-in, what stood still all the time becomes background.
-    pub(crate) fn keep_standing(&mut self, scan: &Prepared, gate: Gate) {
-        let seed = &self.parameters.seed;
-        let Gate::BurnIn { scans, of } = gate else { return };
-        if seed.standing_scans == 0 {
-            return;
-        }
-        self.standing.add(self.map.lattice(), &scan.points, scans, of);
-        if scans >= of {
-            let distance = self.parameters.classify.close_distance;
-            let lattice = *self.map.lattice();
-            let moving = self.tracker.moved_by(seed.standing_track_distance);
-            let mut standing =
-                self.standing.voxels(BurnIn::standing(seed, of), seed.standing_shift);
-            standing.retain(|&voxel| {
-                let center = lattice.center(voxel);
-                moving.iter().all(|&position| norm(minus(position, center)) > distance)
-            });
-            self.map.keep(&standing);
-            self.standing.clear();
-            self.tracker.drop_near(&self.map, distance); // tracks of such things, still unseen
-        }
-    }
-}
-
-impl Held {
+impl PointsOfVoxel {
     /// Distance between the mean points of both halves [m]; infinite if one is empty.
     fn shift(&self) -> f64 {
         let [(early, n_early), (late, n_late)] = self.halves;
@@ -111,7 +123,7 @@ mod tests {
     #[test]
     fn what_moves_through_a_voxel_does_not_stand() -> Result<(), Error> {
         let lattice = Lattice::new(0.25, [0.0; 3])?;
-        let mut standing = Standing::default();
+        let mut standing = StaticPoints::default();
         for scan in 1..=10 {
             let along = 0.02 * scan as f32;
             let rare = if scan % 3 == 0 { 2.1 } else { 9.0 + scan as f32 };

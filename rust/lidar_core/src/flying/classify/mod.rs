@@ -1,9 +1,10 @@
 //! Classes of the points of a scan: rules A, B and C, and what best mode adds.
 
-pub(crate) mod classified;
 pub mod classifier;
 pub(crate) mod clusters;
 pub(crate) mod flood;
 pub(crate) mod grouping;
 pub(crate) mod occupied_nearby;
+pub(crate) mod pockets;
+pub(crate) mod scan_classifier;
 pub(crate) mod shadow;

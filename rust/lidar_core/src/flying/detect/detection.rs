@@ -28,6 +28,17 @@ pub struct Detection {
     pub confidence: f64,
 }
 
+/// A known flying object that is not to be reported.
+#[derive(Clone, Copy, Debug)]
+pub struct Teammate {
+    /// Identifier of the teammate.
+    pub id: i64,
+    /// Position that the teammate reports, world frame [m].
+    pub position: [f64; 3],
+    /// Detections this near are taken for it [m].
+    pub radius: f64,
+}
+
 /// A single point of a sensor without noise still has a covariance of full rank [m^2].
 const LEAST_VARIANCE: f64 = 1e-6;
 /// Points of which a target of the smallest kind gives at least this many are certain enough.

@@ -1,85 +1,94 @@
 //! Flying objects of a scan: clusters and their classes -> detections and teammates.
 
 use super::center::Center;
-use super::detection::Detection;
+use super::detection::{Detection, Teammate};
 use super::visibility::ScanView;
 use crate::flying::classify::classifier::Verdict;
 use crate::flying::classify::clusters::{Cluster, Clusters};
-use crate::flying::detector::FlyingObjectDetector;
-use crate::flying::frame::Teammate;
+use crate::flying::parameters::FlyingParameters;
 use crate::flying::point_class::{BACKGROUND, FLYING};
 use crate::flying::scan::prepared::Prepared;
-use crate::geometry::transform::{minus, norm};
+use crate::geometry::transform::{Transform, minus, norm};
+
+/// Free space that only the sky supports is less certain than what returns have shown: a target
+/// with nothing but sky around it has this share of the confidence.
+const ONLY_SKY: f64 = 0.7;
+
+/// Inputs of the detection of flying objects in a scan.
+#[derive(Clone, Copy)]
+pub(crate) struct ScanToDetect<'a> {
+    pub(crate) scan: &'a Prepared,
+    pub(crate) view: &'a ScanView<'a>,
+    pub(crate) teammates: &'a [Teammate],
+    pub(crate) map_from_world: Transform,
+    pub(crate) parameters: &'a FlyingParameters,
+}
 
 /// Detections and teammates of a scan, in the frame of the map.
 #[derive(Default)]
-pub(crate) struct Found {
+pub(crate) struct ScanDetections {
     pub(crate) detections: Vec<Detection>,
     pub(crate) teammates: Vec<(i64, Detection)>,
     /// Rows of points on teammates.
     pub(crate) hidden: Vec<u32>,
 }
 
-impl FlyingObjectDetector {
-    /// Detections and teammates of a scan, in the frame of the map, given clusters by their number
-    /// with what they are.
-    pub(crate) fn detections<'v>(
-        &self,
-        view: &ScanView<'_>,
-        scan: &Prepared,
-        clusters: &Clusters,
-        verdicts: impl Iterator<Item = (usize, &'v Verdict)> + Clone,
-    ) -> Found {
-        let mut found = Found::default();
-        let mut centers = self.centers(view, clusters, verdicts.clone()).into_iter();
-        for (index, verdict) in verdicts {
-            let cluster = clusters.get(index);
-            let mate = self.teammate_at(cluster.centroid).filter(|_| verdict.class != BACKGROUND);
-            if mate.is_some() {
-                found.hidden.extend(cluster.members);
-            }
-            if verdict.class != FLYING {
-                continue;
-            }
-            let mut detection = Detection::of(scan, &cluster, verdict, self.parameters.range_std);
-            detection.confidence *= Self::trust(scan, &cluster);
-            if let Some(center) = centers.next() {
-                detection = detection.at(&center);
-            }
-            if let Some(spread) = view.spread() {
-                detection.add_pose_covariance(spread);
-            }
-            match mate {
-                Some(mate) => found.teammates.push((mate.id, detection)),
-                None => found.detections.push(detection),
-            }
+/// Detections and teammates of a scan, in the frame of the map, given clusters by their number
+/// with their classes.
+pub(crate) fn detect<'v>(
+    input: &ScanToDetect<'_>,
+    clusters: &Clusters,
+    verdicts: impl Iterator<Item = (usize, &'v Verdict)> + Clone,
+) -> ScanDetections {
+    let ScanToDetect { scan, view, .. } = *input;
+    let mut found = ScanDetections::default();
+    let mut centers = centers(input, clusters, verdicts.clone()).into_iter();
+    for (index, verdict) in verdicts {
+        let cluster = clusters.get(index);
+        let mate = input.teammate_at(cluster.centroid).filter(|_| verdict.class != BACKGROUND);
+        if mate.is_some() {
+            found.hidden.extend(cluster.members);
         }
-        found
+        if verdict.class != FLYING {
+            continue;
+        }
+        let mut detection = Detection::of(scan, &cluster, verdict, input.parameters.range_std);
+        detection.confidence *= trust(scan, &cluster);
+        if let Some(center) = centers.next() {
+            detection = detection.at(&center);
+        }
+        if let Some(spread) = view.spread() {
+            detection.add_pose_covariance(spread);
+        }
+        match mate {
+            Some(mate) => found.teammates.push((mate.id, detection)),
+            None => found.detections.push(detection),
+        }
     }
+    found
+}
 
-    /// For every flying cluster the centre behind its points, if centres are asked for.
-    fn centers<'v>(
-        &self,
-        view: &ScanView<'_>,
-        clusters: &Clusters,
-        verdicts: impl Iterator<Item = (usize, &'v Verdict)>,
-    ) -> Vec<Center> {
-        let flies = |verdict: &Verdict| self.parameters.centers && verdict.class == FLYING;
-        let flying = verdicts.filter(|(_, verdict)| flies(verdict));
-        let rows: Vec<&[u32]> = flying.map(|(index, _)| clusters.get(index).members).collect();
-        view.centers_of(&rows)
-    }
+/// For every flying cluster the centre behind its points, if centres are asked for.
+fn centers<'v>(
+    input: &ScanToDetect<'_>,
+    clusters: &Clusters,
+    verdicts: impl Iterator<Item = (usize, &'v Verdict)>,
+) -> Vec<Center> {
+    let flies = |verdict: &Verdict| input.parameters.centers && verdict.class == FLYING;
+    let flying = verdicts.filter(|(_, verdict)| flies(verdict));
+    let rows: Vec<&[u32]> = flying.map(|(index, _)| clusters.get(index).members).collect();
+    input.view.centers_of(&rows)
+}
 
-    /// Free space that only the sky supports is less certain than what returns have shown: a target
-    /// with nothing but sky around it has this share of the confidence.
-    fn trust(scan: &Prepared, cluster: &Cluster<'_>) -> f64 {
-        const ONLY_SKY: f64 = 0.7;
-        let target = minus(cluster.centroid, scan.pose.translation);
-        let found = scan.look.as_ref().filter(|_| scan.rebuilt > 0);
-        let share = found.map_or(0.0, |look| look.share_around(target));
-        1.0 - (1.0 - ONLY_SKY) * share
-    }
+/// Factor on the confidence: less than 1 where free space around a target is known from the sky only.
+fn trust(scan: &Prepared, cluster: &Cluster<'_>) -> f64 {
+    let target = minus(cluster.centroid, scan.pose.translation);
+    let found = scan.look.as_ref().filter(|_| scan.rebuilt > 0);
+    let share = found.map_or(0.0, |look| look.share_around(target));
+    1.0 - (1.0 - ONLY_SKY) * share
+}
 
+impl ScanToDetect<'_> {
     fn teammate_at(&self, position: [f64; 3]) -> Option<&Teammate> {
         let offset = |mate: &Teammate| minus(self.map_from_world.apply(mate.position), position);
         self.teammates.iter().find(|mate| norm(offset(mate)) <= mate.radius)

@@ -1,24 +1,27 @@
 //! Detections to the tracker, and back: what its tracks follow flies.
 
-use super::detections::Found;
+use super::detections::{ScanDetections, ScanToDetect, detect};
 use super::visibility::ScanView;
 use crate::Error;
-use crate::flying::classify::classified::Judged;
-use crate::flying::detector::FlyingObjectDetector;
+use crate::flying::classify::scan_classifier::ScanClassifier;
 use crate::flying::map::voxel_map::VoxelMap;
-use crate::flying::point_class::{FLYING, UNKNOWN};
+use crate::flying::point_class::UNKNOWN;
 use crate::flying::scan::prepared::Prepared;
 use crate::flying::track::{Detections, PointCloudTracker};
 use crate::geometry::transform::{minus, norm};
 use std::borrow::Cow;
 
-/// Feed the tracker; rows of points that confirmed tracks follow.
-pub(crate) fn track(
+/// Give the scan and its detections to the tracker. Returns rows of points that confirmed tracks
+/// follow.
+///
+/// # Errors
+/// As [`PointCloudTracker::new_point_cloud`] and [`PointCloudTracker::new_detections`].
+pub(crate) fn update_tracks(
     tracker: &mut PointCloudTracker,
     map: &VoxelMap,
     view: &ScanView<'_>,
     scan: &Prepared,
-    found: &Found,
+    found: &ScanDetections,
     stamp_ns: i64,
 ) -> Result<Vec<u32>, Error> {
     let mut points = Cow::from(&scan.points);
@@ -45,39 +48,35 @@ pub(crate) fn track(
     Ok(followed.filter(|&(id, _)| tracker.is_confirmed(id)).map(|(_, row)| row).collect())
 }
 
-impl FlyingObjectDetector {
-    /// Add the unknown clusters that confirmed tracks follow, given a row of each: what flew into
-    /// a place of which little is known still flies.
-    pub(crate) fn add_followed(
-        &self,
-        judged: &mut Judged,
-        found: &mut Found,
-        rows: &[u32],
-        view: &ScanView<'_>,
-        scan: &Prepared,
-    ) {
-        let p = &self.parameters.classify;
-        let mut followed = Vec::new();
-        for &row in rows.iter().filter(|_| p.follow_tracks) {
-            let Ok(index) = usize::try_from(judged.labels()[row as usize]) else { continue };
-            let cluster = judged.clusters.get(index);
-            let distance = norm(minus(cluster.centroid, scan.pose.translation));
-            let is_target = judged.verdicts[index].class == UNKNOWN
-                && cluster.members.len() >= p.min_points
-                && p.max_distance.is_none_or(|far| distance <= far)
-                && p.max_extent.is_none_or(|extent| cluster.diagonal() <= extent);
-            if is_target {
-                judged.verdicts[index].class = FLYING;
-                followed.push(index);
-            }
+/// Make the unknown clusters that confirmed tracks follow, given a row of each, flying objects and add
+/// them to the detections: what flew into a place of which little is known still flies.
+pub(crate) fn add_followed(
+    input: &ScanToDetect<'_>,
+    classifier: &mut ScanClassifier,
+    found: &mut ScanDetections,
+    rows: &[u32],
+) {
+    let (p, scan) = (&input.parameters.classify, input.scan);
+    let mut followed = Vec::new();
+    for &row in rows.iter().filter(|_| p.follow_tracks) {
+        let Some(index) = classifier.cluster_of(row) else { continue };
+        let cluster = classifier.clusters().get(index);
+        let distance = norm(minus(cluster.centroid, scan.pose.translation));
+        let is_target = classifier.verdicts()[index].class == UNKNOWN
+            && cluster.members.len() >= p.min_points
+            && p.max_distance.is_none_or(|far| distance <= far)
+            && p.max_extent.is_none_or(|extent| cluster.diagonal() <= extent);
+        if is_target {
+            classifier.make_flying(index);
+            followed.push(index);
         }
-        if followed.is_empty() {
-            return;
-        }
-        followed.sort_unstable();
-        let verdicts = followed.iter().map(|&index| (index, &judged.verdicts[index]));
-        let more = self.detections(view, scan, &judged.clusters, verdicts);
-        found.detections.extend(more.detections);
-        judged.tell_classes(scan);
     }
+    if followed.is_empty() {
+        return;
+    }
+    followed.sort_unstable();
+    let verdicts = followed.iter().map(|&index| (index, &classifier.verdicts()[index]));
+    let more = detect(input, classifier.clusters(), verdicts);
+    found.detections.extend(more.detections);
+    classifier.class_rows(scan);
 }

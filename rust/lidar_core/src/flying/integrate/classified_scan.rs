@@ -1,9 +1,10 @@
 //! Input and counts of the update of a map by one scan.
 
 use super::mark::Content;
-use super::pose_weights::PoseError;
+use super::pose_weights::{PoseError, PoseNoise};
 use crate::Error;
 use crate::flying::point_class::{BACKGROUND, FLYING, UNKNOWN};
+use crate::flying::scan::prepared::Prepared;
 use crate::util::budget::check_points;
 
 /// Start points of rays [m].
@@ -48,6 +49,23 @@ pub struct ClassifiedScan<'a> {
     pub reach: Option<&'a [f32]>,
     /// Uncertainty of the points, if the update uses it.
     pub pose_error: Option<&'a PoseError>,
+}
+
+impl<'a> ClassifiedScan<'a> {
+    /// The rays of a scan before its classes are known.
+    pub(crate) fn before_classes(scan: &'a Prepared, noise: &'a PoseNoise) -> Self {
+        let one = Origins::One(scan.pose.translation);
+        Self {
+            points: &scan.points,
+            class: &scan.unknown,
+            origins: scan.origins.as_deref().map_or(one, Origins::Each),
+            directions: scan.directions.as_deref(),
+            no_return: scan.directions.is_some().then_some(&scan.no_return),
+            no_ray: scan.no_ray.as_deref(),
+            reach: scan.reach.as_deref(),
+            pose_error: noise.error.as_ref(),
+        }
+    }
 }
 
 /// Counts of one scan's update of the map.

@@ -179,10 +179,32 @@ pub struct PoseParameters {
     pub end_sigmas: f64,
 }
 
+/// What the pose of a scan adds to the uncertainty of its points.
+pub(crate) struct PoseNoise {
+    /// For detections and tracks; None if nothing is known.
+    pub(crate) spread: Option<PoseSpread>,
+    /// For the update of the map; None if it ignores poses.
+    pub(crate) error: Option<PoseError>,
+}
+
 impl PoseParameters {
+    /// Uncertainty that the pose of a scan adds: from the covariance that came with the scan, if one
+    /// did.
+    pub(crate) fn noise(
+        &self,
+        covariance: Option<[[f64; 6]; 6]>,
+        map_from_lidar: &Transform,
+        map_from_world: Transform,
+        range_std: f64,
+    ) -> PoseNoise {
+        let world_from_lidar = map_from_world.inverse().after(map_from_lidar);
+        let spread = self.spread(covariance, world_from_lidar, map_from_world);
+        PoseNoise { error: self.error(spread.as_ref(), range_std), spread }
+    }
+
     /// Uncertainty that the pose of a scan gives to its points, if anything is known about it: from
     /// the covariance that came with the scan, if one did.
-    pub(crate) fn spread(
+    fn spread(
         &self,
         covariance: Option<[[f64; 6]; 6]>,
         world_from_lidar: Transform,
@@ -198,7 +220,7 @@ impl PoseParameters {
     }
 
     /// Uncertainty that the update of the map uses, given that of the pose.
-    pub(crate) fn error(&self, spread: Option<&PoseSpread>, range_std: f64) -> Option<PoseError> {
+    fn error(&self, spread: Option<&PoseSpread>, range_std: f64) -> Option<PoseError> {
         let &PoseSpread { world_from_lidar, map_from_world, covariance } = spread?;
         Some(PoseError {
             weighting: self.weighting?,

@@ -5,6 +5,7 @@ pub(crate) mod changes;
 pub mod filter;
 pub(crate) mod islands;
 pub(crate) mod layers;
+pub(crate) mod local_map;
 pub mod parameters;
 pub(crate) mod persist;
 pub mod saved_body;

@@ -5,3 +5,4 @@ pub(crate) mod point_poses;
 pub mod prepared;
 pub(crate) mod raw_scan;
 pub mod sensor;
+pub(crate) mod sensors;

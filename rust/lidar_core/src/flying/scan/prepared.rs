@@ -4,9 +4,9 @@ use super::point_poses::Poses;
 pub use super::raw_scan::RawScan;
 use super::sensor::Sensor;
 use crate::Error;
-use crate::flying::frame::SkySource;
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::UNKNOWN;
+use crate::flying::sky::source::SkySource;
 use crate::flying::sky::{Look, Moment};
 use crate::geometry::lattice::wide;
 use crate::geometry::motion::Motion;
@@ -154,6 +154,15 @@ impl Prepared {
         // Drivers that leave rows out leave rays out: the search for the sky knows how many.
         let known = self.look.as_ref().map_or(0.0, |look| look.rays);
         rays.len() as f64 / (in_scan as f64).max(known).max(1.0)
+    }
+
+    /// Rays into the sky that were found: unit directions in the world, and how far they clear [m].
+    pub(crate) fn sky_rays(&self, world_from_map: &Transform) -> Vec<([f64; 3], f32)> {
+        let Some(look) = self.look.as_ref().filter(|_| self.rebuilt > 0) else {
+            return Vec::new();
+        };
+        let turned = |&direction| world_from_map.rotate(wide(direction));
+        look.directions.iter().map(turned).zip(look.reach.iter().copied()).collect()
     }
 
     /// Note the rows that may be on the robot, before the sensor has moved.

@@ -1,9 +1,10 @@
 //! Memory of the detector per LiDAR: last stamp, own body, rays.
 
 use super::body::Body;
+use super::raw_scan::RawScan;
 use crate::Error;
-use crate::flying::frame::SkySource;
 use crate::flying::map::saved_body::SavedBody;
+use crate::flying::sky::source::SkySource;
 use crate::flying::sky::{Beams, Look, Moment, RayPattern, Sky};
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, norm};
@@ -183,8 +184,19 @@ impl Sensor {
         }
     }
 
+    /// Remember what an accepted scan told about the sensor; `pose` is that of the scan in the map.
+    pub(crate) fn learn_from(
+        &mut self,
+        raw: &RawScan<'_>,
+        pose: &Transform,
+        look: Option<&mut Look>,
+    ) {
+        let needs_directions = raw.organised && raw.no_return.is_some() && raw.directions.is_none();
+        self.learn(raw.stamp_ns, raw.points, raw.no_return, pose, look, needs_directions);
+    }
+
     /// Remember what an accepted scan told about the sensor.
-    pub(crate) fn learn(
+    fn learn(
         &mut self,
         stamp_ns: i64,
         points: &[[f32; 3]],

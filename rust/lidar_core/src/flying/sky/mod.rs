@@ -14,6 +14,7 @@ mod emission;
 mod floor;
 mod grid;
 mod look;
+pub mod source;
 mod way;
 
 pub use emission::RayPattern;

@@ -1,0 +1,209 @@
+//! A scan in clusters, and their classes.
+
+use super::classifier::{Classifier, Judge, Verdict, judge_again};
+use super::clusters::Clusters;
+use super::occupied_nearby::Near;
+use crate::Error;
+use crate::flying::map::voxel_map::VoxelMap;
+use crate::flying::parameters::FlyingParameters;
+use crate::flying::point_class::{BACKGROUND, FLYING, INVALID, UNKNOWN, replace};
+use crate::flying::scan::prepared::Prepared;
+use crate::flying::sky::ON_GROUND;
+use crate::geometry::cluster::angular_gap::{AngularGap, SeenLabeller};
+use crate::geometry::lattice::{floor, wide};
+use crate::geometry::transform::Transform;
+use crate::util::stopwatch::Clock;
+use rayon::ThreadPool;
+
+/// Things that are no higher than this and lie as low as the lowest returns are patches of ground
+/// [m].
+const FLAT: f64 = 0.1;
+/// Mirror images are this far from what they show, at most [m]: the floor is not quite flat.
+const MIRROR_ERROR: f64 = 0.75;
+
+/// Inputs of the classification of a scan.
+#[derive(Clone, Copy)]
+pub(crate) struct ScanToClassify<'a> {
+    pub(crate) scan: &'a Prepared,
+    /// The map before this scan.
+    pub(crate) map: &'a VoxelMap,
+    pub(crate) world_from_map: Transform,
+    /// Larger clusters are background [m].
+    pub(crate) background_extent: Option<f64>,
+    pub(crate) parameters: &'a FlyingParameters,
+    pub(crate) pool: Option<&'a ThreadPool>,
+}
+
+/// Stage that finds the clusters of a scan and their classes. Its results stay until the next scan,
+/// which uses their memory again.
+#[derive(Default)]
+pub(crate) struct ScanClassifier {
+    labeller: SeenLabeller,
+    /// The middle of every point's voxel, where these are clustered.
+    middles: Vec<[f32; 3]>,
+    classifier: Classifier,
+    clusters: Clusters,
+    /// Class of each cluster.
+    verdicts: Vec<Verdict>,
+    /// Class of each cluster on a later map.
+    later: Vec<Verdict>,
+    /// Class of every row.
+    class: Vec<u8>,
+}
+
+impl ScanClassifier {
+    /// Find the clusters of a scan and, on the map, their classes. Returns the milliseconds of both.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for values that cannot work.
+    pub(crate) fn classify(
+        &mut self,
+        input: &ScanToClassify<'_>,
+        clock: &mut Clock,
+    ) -> Result<[f64; 2], Error> {
+        self.label(input)?;
+        self.clusters.fill(&input.scan.points, self.labeller.labels());
+        let cluster_ms = clock.lap();
+
+        let Self { clusters, classifier, verdicts, .. } = self;
+        classify_clusters_of(input, clusters, classifier, verdicts)?;
+        self.class_rows(input.scan);
+        if input.parameters.classify.after_update {
+            replace(&mut self.class, FLYING, UNKNOWN); // rule B is judged after the map update
+        }
+        Ok([cluster_ms, clock.lap()])
+    }
+
+    /// Judge rule B again, on the map after the scan.
+    ///
+    /// # Errors
+    /// As [`ScanClassifier::classify`].
+    pub(crate) fn classify_again(&mut self, input: &ScanToClassify<'_>) -> Result<(), Error> {
+        let Self { clusters, classifier, verdicts, later, .. } = self;
+        classify_clusters_of(input, clusters, classifier, later)?;
+        judge_again(verdicts, later);
+        self.class_rows(input.scan);
+        Ok(())
+    }
+
+    /// Points of a scan that is not classified are unknown, or invalid.
+    pub(crate) fn leave_unknown(&mut self, scan: &Prepared) {
+        self.class.clear();
+        self.class.extend(scan.points.iter().map(class_without_cluster));
+    }
+
+    /// Class of a row that is added to the scan.
+    pub(crate) fn add_row(&mut self, class: u8) {
+        self.class.push(class);
+    }
+
+    /// Make the cluster `index` one of a flying object.
+    pub(crate) fn make_flying(&mut self, index: usize) {
+        self.verdicts[index].class = FLYING;
+    }
+
+    /// Set the class of every row: that of its cluster; unknown for points in no cluster.
+    pub(crate) fn class_rows(&mut self, scan: &Prepared) {
+        let Self { labeller, verdicts, class, .. } = self;
+        let of_row = |(point, &label): (&[f32; 3], &i32)| match usize::try_from(label) {
+            Ok(cluster) => verdicts[cluster].class,
+            Err(_) => class_without_cluster(point),
+        };
+        class.clear();
+        class.extend(scan.points.iter().zip(labeller.labels()).map(of_row));
+    }
+
+    /// Class of every row.
+    pub(crate) fn class(&self) -> &[u8] {
+        &self.class
+    }
+
+    /// Clusters of the scan.
+    pub(crate) fn clusters(&self) -> &Clusters {
+        &self.clusters
+    }
+
+    /// Class of each cluster, with the evidence for it.
+    pub(crate) fn verdicts(&self) -> &[Verdict] {
+        &self.verdicts
+    }
+
+    /// Number of the cluster that holds a row.
+    pub(crate) fn cluster_of(&self, row: u32) -> Option<usize> {
+        usize::try_from(self.labeller.labels()[row as usize]).ok()
+    }
+
+    /// Number of clusters of a class.
+    pub(crate) fn count_of(&self, class: u8) -> usize {
+        self.verdicts.iter().filter(|verdict| verdict.class == class).count()
+    }
+
+    fn label(&mut self, input: &ScanToClassify<'_>) -> Result<(), Error> {
+        let Self { labeller, middles, .. } = self;
+        let (scan, parameters, lattice) = (input.scan, input.parameters, input.map.lattice());
+        let middle = |&point: &[f32; 3]| match floor(lattice.scaled(wide(point))) {
+            Some(voxel) => lattice.center(voxel).map(|value| value as f32),
+            None => [f32::NAN; 3],
+        };
+        middles.clear();
+        if parameters.cluster_voxels {
+            middles.extend(scan.points.iter().map(middle));
+        }
+        let points = if parameters.cluster_voxels { middles } else { &scan.points };
+        let max_angle = parameters.cluster_angle;
+        let gap = AngularGap { origin: scan.pose.translation, max_angle };
+        labeller.label(points, &gap, &parameters.clustering, input.pool)?;
+        Ok(())
+    }
+}
+
+/// Class of a point of which only its place is known.
+fn class_without_cluster(point: &[f32; 3]) -> u8 {
+    if point.iter().all(|value| value.is_finite()) { UNKNOWN } else { INVALID }
+}
+
+fn classify_clusters_of(
+    input: &ScanToClassify<'_>,
+    clusters: &Clusters,
+    classifier: &mut Classifier,
+    verdicts: &mut Vec<Verdict>,
+) -> Result<(), Error> {
+    let ScanToClassify { scan, map, background_extent, pool, .. } = *input;
+    let mut parameters = input.parameters.classify.clone();
+    parameters.background_extent = background_extent;
+    let origin = scan.pose.translation;
+    let judge = Judge { map, points: &scan.points, origin, parameters: &parameters };
+    classifier.classify(&judge, clusters, pool, verdicts)?;
+    let ground_height = input.parameters.seed.ground_height;
+    for (verdict, cluster) in verdicts.iter_mut().zip(clusters.iter()) {
+        let own = cluster
+            .members
+            .iter()
+            .filter(|&&row| scan.maybe_own.get(row as usize).copied().unwrap_or(false));
+        let may_be_own = !scan.maybe_own.is_empty() && 2 * own.count() > cluster.members.len();
+        let is_low = |height: f64| input.world_from_map.apply(cluster.low)[2] < height;
+        let is_flat = cluster.extent()[2] < FLAT && cluster.low[2] < scan.low;
+        let is_at_floor =
+            scan.floor.is_some_and(|floor| (cluster.low[2] - floor).abs() < ON_GROUND);
+        let is_on_ground = is_flat || is_at_floor || cluster.low[2] < scan.ground;
+        if ground_height.is_some_and(is_low) {
+            *verdict = Verdict { class: BACKGROUND, ..Verdict::default() };
+        } else if verdict.class == FLYING
+            && (may_be_own
+                || is_on_ground
+                || !map.has_background()
+                || is_mirrored(map, scan, cluster.centroid))
+        {
+            *verdict = Verdict { class: UNKNOWN, ..Verdict::default() };
+        }
+    }
+    Ok(())
+}
+
+/// True if a place lies below flat ground and its mirror image above is occupied: points there
+/// are reflections.
+fn is_mirrored(map: &VoxelMap, scan: &Prepared, [x, y, z]: [f64; 3]) -> bool {
+    scan.floor
+        .filter(|floor| z < floor - ON_GROUND)
+        .is_some_and(|floor| Near::new(map, MIRROR_ERROR).is_close([x, y, 2.0 * floor - z]))
+}

@@ -1,0 +1,48 @@
+//! State of reporting: whether the detections of a scan are reported.
+
+use std::fmt;
+
+/// State of reporting: detections are reported, or the reason why not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Gate {
+    /// Detections are reported.
+    Open,
+    /// The burn-in is not over.
+    BurnIn {
+        /// Scans so far, this one included.
+        scans: u32,
+        /// Scans in all.
+        of: u32,
+    },
+    /// No group of occupied voxels holds enough confident ones yet.
+    NoBackground {
+        /// Confidently occupied voxels that one group must hold.
+        needed: usize,
+    },
+    /// Most returns contradict the map: the pose has jumped, or the map is of another place.
+    PoseMismatch {
+        /// Returns in free voxels, of 1000 in observed ones.
+        per_mille: u32,
+    },
+}
+
+impl fmt::Display for Gate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Open => f.write_str("open"),
+            Self::BurnIn { scans, of } => write!(f, "burn-in: scan {scans} of {of}"),
+            Self::NoBackground { needed } => write!(
+                f,
+                "no background: no group of occupied voxels holds {needed} confident ones yet; see \
+                 the `seed` options, and `separate.waits_for_background` for sparse sensors"
+            ),
+            Self::PoseMismatch { per_mille } => write!(
+                f,
+                "map_pose_mismatch: {}.{} % of the returns lie in free space; the scan was held; \
+                 call reanchor() or reset()",
+                per_mille / 10,
+                per_mille % 10
+            ),
+        }
+    }
+}

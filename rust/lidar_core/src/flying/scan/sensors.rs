@@ -1,0 +1,150 @@
+//! Memory of the detector of all its LiDARs.
+
+use super::prepared::Prepared;
+use super::raw_scan::RawScan;
+use super::sensor::Sensor;
+use crate::Error;
+use crate::flying::map::saved_body::SavedBody;
+use crate::flying::parameters::FlyingParameters;
+use crate::geometry::lattice::wide;
+use crate::util::budget::MAX_SENSORS;
+use std::collections::BTreeMap;
+
+/// State of every LiDAR, by name.
+#[derive(Clone, Default)]
+pub(crate) struct Sensors {
+    known: BTreeMap<String, Sensor>,
+    /// Robot as an earlier run found it, for sensors that are met again.
+    recalled: BTreeMap<String, SavedBody>,
+}
+
+/// Points of a scan on the robot itself.
+#[derive(Default)]
+pub(crate) struct OwnBody {
+    /// Rows of the points, ascending.
+    pub(crate) rows: Vec<u32>,
+    /// Share of the rays that end on the robot.
+    pub(crate) share: f64,
+    /// True if turns have shown that what was found is the robot itself.
+    pub(crate) is_decided: bool,
+}
+
+impl Sensors {
+    /// A sensor that may be new.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] for more sensors than are remembered.
+    pub(crate) fn meet(
+        &mut self,
+        name: &str,
+        parameters: &FlyingParameters,
+    ) -> Result<&Sensor, Error> {
+        if !self.known.contains_key(name) {
+            check_count(self.known.len() + 1, name)?;
+            let FlyingParameters { sensors, default_sensor, .. } = parameters;
+            let mut sensor = Sensor::new(sensors.get(name).unwrap_or(default_sensor).clone());
+            if let Some(saved) = self.recalled.get(name) {
+                sensor.recall(saved);
+            }
+            self.known.insert(name.to_owned(), sensor);
+        }
+        Ok(&self.known[name])
+    }
+
+    /// Remove a sensor whose first scan was refused.
+    pub(crate) fn remove(&mut self, name: &str) {
+        self.known.remove(name);
+    }
+
+    /// True if the sensor has been met.
+    pub(crate) fn contains(&self, name: &str) -> bool {
+        self.known.contains_key(name)
+    }
+
+    /// Number of sensors that have been met.
+    pub(crate) fn len(&self) -> usize {
+        self.known.len()
+    }
+
+    /// A sensor that has been met.
+    pub(crate) fn get(&self, name: &str) -> Option<&Sensor> {
+        self.known.get(name)
+    }
+
+    /// A sensor that has been met, to be changed.
+    pub(crate) fn get_mut(&mut self, name: &str) -> Option<&mut Sensor> {
+        self.known.get_mut(name)
+    }
+
+    /// What is known of the robot, per sensor, those of an earlier run included.
+    pub(crate) fn bodies(&self) -> Vec<SavedBody> {
+        let not_met = self.recalled.iter().filter(|(name, _)| !self.known.contains_key(*name));
+        let mut bodies: Vec<SavedBody> = not_met.map(|(_, body)| body.clone()).collect();
+        for (name, sensor) in &self.known {
+            if let Some((voxels, is_decided)) = sensor.body.as_ref().and_then(|body| body.known()) {
+                let voxels = voxels.to_vec();
+                bodies.push(SavedBody { sensor: name.clone(), is_decided, voxels });
+            }
+        }
+        bodies.sort_by(|one, other| one.sensor.cmp(&other.sensor));
+        bodies.truncate(MAX_SENSORS); // of sensors that were not met lately
+        bodies
+    }
+
+    /// Take over what an earlier run knew of the robot, for every sensor that has not found it itself.
+    pub(crate) fn recall(&mut self, bodies: Vec<SavedBody>) {
+        for body in &bodies {
+            if let Some(sensor) = self.known.get_mut(&body.sensor) {
+                sensor.recall(body);
+            }
+        }
+        self.recalled = bodies.into_iter().map(|body| (body.sensor.clone(), body)).collect();
+    }
+
+    /// Forget what depends on the frame of a map that is no more.
+    pub(crate) fn forget_places(&mut self) {
+        for sensor in self.known.values_mut() {
+            sensor.last_pose = None;
+            sensor.forget_places();
+        }
+    }
+
+    /// Let stamps begin anew.
+    pub(crate) fn forget_stamps(&mut self) {
+        for sensor in self.known.values_mut() {
+            sensor.last_stamp_ns = None;
+        }
+    }
+
+    /// Points of a scan on the robot itself, as far as the robot has been found.
+    pub(crate) fn own_body(&self, raw: &RawScan<'_>, scan: &Prepared) -> OwnBody {
+        let sensor = self.known.get(raw.sensor);
+        let Some((sensor, body)) = sensor.and_then(|one| Some((one, one.body.as_ref()?))) else {
+            return OwnBody::default();
+        };
+        let is_decided = body.is_decided();
+        if !body.is_found() {
+            return OwnBody { is_decided, ..OwnBody::default() };
+        }
+        let on_it = |row: usize| {
+            raw.no_return.is_none_or(|flags| !flags[row]) && body.holds(wide(raw.points[row]))
+        };
+        let rows: Vec<u32> =
+            (0..raw.points.len()).filter(|&row| on_it(row)).map(|row| row as u32).collect();
+        let share = scan.share_of_rays(&rows, sensor.parameters.returns_per_ray);
+        OwnBody { rows, share, is_decided }
+    }
+}
+
+/// # Errors
+/// [`Error::Limit`] for more sensors than are remembered.
+fn check_count(len: usize, name: &str) -> Result<(), Error> {
+    if len <= MAX_SENSORS {
+        return Ok(());
+    }
+    Err(Error::Limit {
+        what: format!("sensor {name:?}, the detector's {len}th"),
+        limit: MAX_SENSORS as u64,
+        key: "give the scans of one LiDAR one name, always the same",
+    })
+}
