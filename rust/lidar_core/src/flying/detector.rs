@@ -110,10 +110,15 @@ impl FlyingObjectDetector {
         let (mut clock, mut timing) = (Clock::start(), Timing::default());
         let stamp_ns = self.prepare(raw)?;
         timing.prepare = clock.lap();
-        if let Some(gate) = self.check_pose() {
+        let FlyingParameters { mismatch_share, classify, pose, range_std, .. } = &self.parameters;
+        let (local, scan, distance) = (&self.local, &self.scan, classify.close_distance);
+        if let Some(gate) =
+            self.pose_check.check(&scan.points, &local.map, *mismatch_share, distance)
+        {
             return Ok(self.hold(raw, gate, timing));
         }
-        let noise = self.pose_noise(raw);
+        let covariance = raw.pose_covariance;
+        let noise = pose.noise(covariance, &scan.pose, local.map_from_world, *range_std);
         let (burn_in, gate) = self.next_burn_in(raw);
         let cast = self.classify_and_cast(&noise, &mut clock, &mut timing)?;
         if !keep_going() {
@@ -152,19 +157,6 @@ impl FlyingObjectDetector {
         Ok(stamp_ns)
     }
 
-    /// A closed gate if the scan contradicts the map.
-    fn check_pose(&mut self) -> Option<Gate> {
-        let (limit, distance) =
-            (self.parameters.mismatch_share, self.parameters.classify.close_distance);
-        self.pose_check.check(&self.scan.points, &self.local.map, limit, distance)
-    }
-
-    fn pose_noise(&self, raw: &RawScan<'_>) -> PoseNoise {
-        let FlyingParameters { pose, range_std, .. } = &self.parameters;
-        let map_from_world = self.local.map_from_world;
-        pose.noise(raw.pose_covariance, &self.scan.pose, map_from_world, *range_std)
-    }
-
     /// The burn-in with this scan, and whether detections of this scan are reported.
     fn next_burn_in(&self, raw: &RawScan<'_>) -> (BurnIn, Gate) {
         let FlyingParameters { seed, separation, .. } = &self.parameters;
@@ -185,9 +177,10 @@ impl FlyingObjectDetector {
     ) -> Result<Option<Result<(), Error>>, Error> {
         let waits = self.take_off_ground().is_some(); // points of it are added after classification
         let Self { parameters, workers, local, burn_in, scan, classifier, integrator, .. } = self;
-        let input = scan_to_classify(scan, local, burn_in, parameters, workers);
+        let (background_extent, pool) = (burn_in.background_extent(parameters), workers.pool());
+        let input = ScanToClassify { scan, local, background_extent, parameters, pool };
         let mut classify = || classifier.classify(&input, clock);
-        let (classified, cast) = match input.pool.filter(|_| !waits) {
+        let (classified, cast) = match pool.filter(|_| !waits) {
             Some(pool) => {
                 let rays = ClassifiedScan::before_classes(scan, noise);
                 let (classified, cast) = pool.join(classify, || integrator.cast(&local.map, &rays));
@@ -226,7 +219,9 @@ impl FlyingObjectDetector {
         }
         let stats = integrator.apply(&mut local.map, classifier.class(), noise.error.as_ref())?;
         if parameters.classify.after_update {
-            let input = scan_to_classify(scan, local, burn_in, parameters, workers);
+            let background_extent = burn_in.background_extent(parameters);
+            let pool = workers.pool();
+            let input = ScanToClassify { scan, local, background_extent, parameters, pool };
             classifier.classify_again(&input)?;
         }
         Ok(stats)
@@ -289,23 +284,10 @@ impl FlyingObjectDetector {
         gate: Gate,
         timing: Timing,
     ) -> Frame {
-        let scan = &self.scan;
-        let frame = Frame {
-            stamp_ns: raw.stamp_ns,
-            point_class: self.classifier.class()[..scan.rows].to_vec(),
-            detections: Vec::new(),
-            teammates: Vec::new(),
-            tracks: self.tracks_at(raw.stamp_ns),
-            gate,
-            sky: scan.sky,
-            sky_share: scan.sky_share,
-            sky_rays: scan.rebuilt,
-            own_body: 0.0,
-            own_rows: Vec::new(),
-            own_body_is_decided: false,
-            integrated,
-            timing,
-        };
+        let (scan, class) = (&self.scan, self.classifier.class());
+        let tracks = self.tracks_at(raw.stamp_ns);
+        let frame =
+            Frame { tracks, gate, integrated, timing, ..Frame::of(raw.stamp_ns, scan, class) };
         let frame = frame.with_own_body(self.sensors.own_body(raw, scan));
         frame.with_detections(&found, &self.local.world_from_map())
     }
@@ -418,24 +400,5 @@ impl FlyingObjectDetector {
         (self.is_reporting, self.pose_check.held) = (false, None);
         self.static_points.clear();
         self.sensors.forget_places();
-    }
-}
-
-/// Inputs of the classification of a scan.
-fn scan_to_classify<'a>(
-    scan: &'a Prepared,
-    local: &'a LocalMap,
-    burn_in: &BurnIn,
-    parameters: &'a FlyingParameters,
-    workers: &'a Workers,
-) -> ScanToClassify<'a> {
-    let usual = parameters.classify.background_extent;
-    ScanToClassify {
-        scan,
-        map: &local.map,
-        world_from_map: local.world_from_map(),
-        background_extent: burn_in.background_extent(&parameters.seed, usual),
-        parameters,
-        pool: workers.pool(),
     }
 }

@@ -5,6 +5,7 @@ use super::detect::detections::ScanDetections;
 use super::gate::Gate;
 use super::integrate::classified_scan::IntegrateStats;
 use super::point_class::{FLYING, UNKNOWN, replace};
+use super::scan::prepared::Prepared;
 use super::scan::sensors::OwnBody;
 use super::sky::source::SkySource;
 use super::track::Track;
@@ -63,6 +64,26 @@ pub struct Frame {
 }
 
 impl Frame {
+    /// A frame without objects; `class` is that of every row of `scan`.
+    pub(super) fn of(stamp_ns: i64, scan: &Prepared, class: &[u8]) -> Self {
+        Self {
+            stamp_ns,
+            point_class: class[..scan.rows].to_vec(),
+            detections: Vec::new(),
+            teammates: Vec::new(),
+            tracks: Vec::new(),
+            gate: Gate::Open,
+            sky: scan.sky,
+            sky_share: scan.sky_share,
+            sky_rays: scan.rebuilt,
+            own_body: 0.0,
+            own_rows: Vec::new(),
+            own_body_is_decided: false,
+            integrated: None,
+            timing: Timing::default(),
+        }
+    }
+
     /// Take over the points on the robot itself: they were measured, so they are unknown, not invalid.
     pub(super) fn with_own_body(mut self, own: OwnBody) -> Self {
         for &row in &own.rows {

@@ -5,6 +5,7 @@
 use super::parameters::SeedParameters;
 use crate::flying::gate::Gate;
 use crate::flying::map::voxel_map::VoxelMap;
+use crate::flying::parameters::FlyingParameters;
 
 /// A pause between two scans counts as this at most [s], and as so many times the usual step: nothing
 /// is seen in it.
@@ -79,12 +80,10 @@ impl BurnIn {
         scans.max(fewest).min(most).max(self.scans)
     }
 
-    /// Largest cluster that is not background during the burn-in, and always `otherwise` [m].
-    pub(crate) fn background_extent(
-        &self,
-        seed: &SeedParameters,
-        otherwise: Option<f64>,
-    ) -> Option<f64> {
+    /// Largest cluster that is not background [m]: smaller during the burn-in than afterwards.
+    pub(crate) fn background_extent(&self, parameters: &FlyingParameters) -> Option<f64> {
+        let FlyingParameters { seed, classify, .. } = parameters;
+        let otherwise = classify.background_extent;
         if self.is_over(seed) {
             return otherwise;
         }

@@ -4,6 +4,7 @@ use super::classifier::{Classifier, Judge, Verdict, judge_again};
 use super::clusters::Clusters;
 use super::occupied_nearby::Near;
 use crate::Error;
+use crate::flying::map::local_map::LocalMap;
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::parameters::FlyingParameters;
 use crate::flying::point_class::{BACKGROUND, FLYING, INVALID, UNKNOWN, replace};
@@ -11,7 +12,6 @@ use crate::flying::scan::prepared::Prepared;
 use crate::flying::sky::ON_GROUND;
 use crate::geometry::cluster::angular_gap::{AngularGap, SeenLabeller};
 use crate::geometry::lattice::{floor, wide};
-use crate::geometry::transform::Transform;
 use crate::util::stopwatch::Clock;
 use rayon::ThreadPool;
 
@@ -26,8 +26,7 @@ const MIRROR_ERROR: f64 = 0.75;
 pub(crate) struct ScanToClassify<'a> {
     pub(crate) scan: &'a Prepared,
     /// The map before this scan.
-    pub(crate) map: &'a VoxelMap,
-    pub(crate) world_from_map: Transform,
+    pub(crate) local: &'a LocalMap,
     /// Larger clusters are background [m].
     pub(crate) background_extent: Option<f64>,
     pub(crate) parameters: &'a FlyingParameters,
@@ -140,7 +139,7 @@ impl ScanClassifier {
 
     fn label(&mut self, input: &ScanToClassify<'_>) -> Result<(), Error> {
         let Self { labeller, middles, .. } = self;
-        let (scan, parameters, lattice) = (input.scan, input.parameters, input.map.lattice());
+        let (scan, parameters, lattice) = (input.scan, input.parameters, input.local.map.lattice());
         let middle = |&point: &[f32; 3]| match floor(lattice.scaled(wide(point))) {
             Some(voxel) => lattice.center(voxel).map(|value| value as f32),
             None => [f32::NAN; 3],
@@ -168,7 +167,8 @@ fn classify_clusters_of(
     classifier: &mut Classifier,
     verdicts: &mut Vec<Verdict>,
 ) -> Result<(), Error> {
-    let ScanToClassify { scan, map, background_extent, pool, .. } = *input;
+    let ScanToClassify { scan, background_extent, pool, .. } = *input;
+    let (map, world_from_map) = (&input.local.map, input.local.world_from_map());
     let mut parameters = input.parameters.classify.clone();
     parameters.background_extent = background_extent;
     let origin = scan.pose.translation;
@@ -181,7 +181,7 @@ fn classify_clusters_of(
             .iter()
             .filter(|&&row| scan.maybe_own.get(row as usize).copied().unwrap_or(false));
         let may_be_own = !scan.maybe_own.is_empty() && 2 * own.count() > cluster.members.len();
-        let is_low = |height: f64| input.world_from_map.apply(cluster.low)[2] < height;
+        let is_low = |height: f64| world_from_map.apply(cluster.low)[2] < height;
         let is_flat = cluster.extent()[2] < FLAT && cluster.low[2] < scan.low;
         let is_at_floor =
             scan.floor.is_some_and(|floor| (cluster.low[2] - floor).abs() < ON_GROUND);

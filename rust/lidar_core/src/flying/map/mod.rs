@@ -8,6 +8,7 @@ pub(crate) mod layers;
 pub(crate) mod local_map;
 pub mod parameters;
 pub(crate) mod persist;
+pub(crate) mod reader;
 pub mod saved_body;
 pub(crate) mod separate;
 pub mod voxel_map;

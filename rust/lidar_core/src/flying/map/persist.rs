@@ -6,9 +6,11 @@
 
 use super::blocks::{EDGE, NEVER, Place, VOLUME};
 use super::parameters::{MapParameters, RayUnit, Rays};
+use super::reader::{Reader, format_error};
 use super::saved_body::{SavedBody, read_bodies, write_bodies};
 use super::voxel_map::VoxelMap;
 use crate::Error;
+use crate::util::full_state::crc32;
 use std::fs::{self, File};
 use std::io::{Read, Write};
 use std::path::Path;
@@ -140,7 +142,7 @@ impl VoxelMap {
             ));
         }
         reader.bytes = &bytes[..body];
-        let parameters = reader.parameters()?;
+        let parameters = read_parameters(&mut reader)?;
         let mut map = Self::new(parameters)?;
         let count = u64::from_le_bytes(reader.take()?);
         let rest = reader.left() as u64;
@@ -152,7 +154,7 @@ impl VoxelMap {
             return Err(format_error(reader.at, &text));
         }
         for _ in 0..count {
-            reader.block_into(&mut map)?;
+            read_block(&mut reader, &mut map)?;
         }
         // The history of changes is not saved: the first removal looks at every group.
         map.changes.restart();
@@ -187,115 +189,78 @@ fn write_parameters(p: &MapParameters, bytes: &mut Vec<u8>) {
     bytes.extend(p.extra_thresholds.iter().take(255).flat_map(|value| value.to_le_bytes()));
 }
 
-/// Takes numbers from bytes, one after the other.
-pub(super) struct Reader<'a> {
-    bytes: &'a [u8],
-    /// The next byte.
-    pub(super) at: usize,
+fn read_parameters(reader: &mut Reader<'_>) -> Result<MapParameters, Error> {
+    let [voxel_size, max_range, end_margin, ray_gain] =
+        [reader.f64()?, reader.f64()?, reader.f64()?, reader.f64()?];
+    let origin = [reader.f64()?, reader.f64()?, reader.f64()?];
+    let [g_occ, g_unk, g_free, initial] =
+        [reader.f32()?, reader.f32()?, reader.f32()?, reader.f32()?];
+    let thresholds = [reader.f32()?, reader.f32()?, reader.f32()?];
+    let (ray_unit, rays) = read_ray_unit(reader)?;
+    let max_voxels = u64::from_le_bytes(reader.take()?);
+    let bounds = if reader.take::<1>()? == [0] {
+        None
+    } else {
+        Some([
+            [reader.f64()?, reader.f64()?, reader.f64()?],
+            [reader.f64()?, reader.f64()?, reader.f64()?],
+        ])
+    };
+    let [extra] = reader.take::<1>()?;
+    let extra_thresholds = (0..extra).map(|_| reader.f32()).collect::<Result<_, _>>()?;
+    Ok(MapParameters {
+        voxel_size,
+        origin,
+        g_occ,
+        g_unk,
+        g_free,
+        initial,
+        thresholds,
+        extra_thresholds,
+        max_range,
+        end_margin,
+        rays,
+        ray_unit,
+        ray_gain,
+        bounds,
+        max_voxels,
+    })
 }
 
-impl Reader<'_> {
-    /// Bytes that are left.
-    pub(super) fn left(&self) -> usize {
-        self.bytes.len() - self.at
-    }
-
-    /// The next `len` bytes.
-    pub(super) fn slice(&mut self, len: usize) -> Result<&[u8], Error> {
-        let taken = self.bytes.get(self.at..).and_then(|rest| rest.get(..len));
-        let taken = taken.ok_or_else(|| format_error(self.at, "the file ends too early"))?;
-        self.at += len;
-        Ok(taken)
-    }
-
-    pub(super) fn u32(&mut self) -> Result<u32, Error> {
-        Ok(u32::from_le_bytes(self.take()?))
-    }
-
-    pub(super) fn take<const N: usize>(&mut self) -> Result<[u8; N], Error> {
-        let taken = self.bytes.get(self.at..).and_then(|rest| rest.first_chunk::<N>());
-        let taken = *taken.ok_or_else(|| format_error(self.at, "the file ends too early"))?;
-        self.at += N;
-        Ok(taken)
-    }
-
-    fn f64(&mut self) -> Result<f64, Error> {
-        Ok(f64::from_le_bytes(self.take()?))
-    }
-
-    fn f32(&mut self) -> Result<f32, Error> {
-        Ok(f32::from_le_bytes(self.take()?))
-    }
-
-    fn parameters(&mut self) -> Result<MapParameters, Error> {
-        let [voxel_size, max_range, end_margin, ray_gain] =
-            [self.f64()?, self.f64()?, self.f64()?, self.f64()?];
-        let origin = [self.f64()?, self.f64()?, self.f64()?];
-        let [g_occ, g_unk, g_free, initial] = [self.f32()?, self.f32()?, self.f32()?, self.f32()?];
-        let thresholds = [self.f32()?, self.f32()?, self.f32()?];
-        let (ray_unit, rays) = self.ray_unit()?;
-        let max_voxels = u64::from_le_bytes(self.take()?);
-        let bounds = if self.take::<1>()? == [0] {
-            None
-        } else {
-            Some([[self.f64()?, self.f64()?, self.f64()?], [self.f64()?, self.f64()?, self.f64()?]])
-        };
-        let [extra] = self.take::<1>()?;
-        let extra_thresholds = (0..extra).map(|_| self.f32()).collect::<Result<_, _>>()?;
-        Ok(MapParameters {
-            voxel_size,
-            origin,
-            g_occ,
-            g_unk,
-            g_free,
-            initial,
-            thresholds,
-            extra_thresholds,
-            max_range,
-            end_margin,
-            rays,
-            ray_unit,
-            ray_gain,
-            bounds,
-            max_voxels,
-        })
-    }
-
-    fn ray_unit(&mut self) -> Result<(RayUnit, Rays), Error> {
-        let [byte] = self.take::<1>()?;
-        let rays = if byte & ONE_PER_END == 0 { Rays::All } else { Rays::OnePerEnd };
-        match byte & !ONE_PER_END {
-            0 => Ok((RayUnit::Edges, rays)),
-            1 => Ok((RayUnit::Metres, rays)),
-            2 => Ok((RayUnit::Diagonals, rays)),
-            other => {
-                let problem = format!("expected a ray unit of 0 to 2, got {other}");
-                Err(format_error(self.at - 1, &problem))
-            }
+fn read_ray_unit(reader: &mut Reader<'_>) -> Result<(RayUnit, Rays), Error> {
+    let [byte] = reader.take::<1>()?;
+    let rays = if byte & ONE_PER_END == 0 { Rays::All } else { Rays::OnePerEnd };
+    match byte & !ONE_PER_END {
+        0 => Ok((RayUnit::Edges, rays)),
+        1 => Ok((RayUnit::Metres, rays)),
+        2 => Ok((RayUnit::Diagonals, rays)),
+        other => {
+            let problem = format!("expected a ray unit of 0 to 2, got {other}");
+            Err(format_error(reader.at - 1, &problem))
         }
     }
+}
 
-    fn block_into(&mut self, map: &mut VoxelMap) -> Result<(), Error> {
-        let mut place = [0; 3];
-        for index in &mut place {
-            *index = i32::from_le_bytes(self.take()?);
-        }
-        let levels = map.levels();
-        let slot = map.blocks.ensure(&[Place(place)])?[0];
-        let mut values = [NEVER; VOLUME];
-        for value in &mut values {
-            *value = self.f32()?;
-        }
-        let Some(block) = map.blocks.at_mut(slot) else { return Ok(()) };
-        let is_met = |row: &[f32]| row.iter().any(|value| !value.is_nan());
-        let rows = values.chunks(EDGE as usize).map(is_met);
-        // All rows at once: one allocation, and none for rows that were never observed.
-        block.hold(rows.rev().fold(0, |rows, is_met| rows << 1 | u64::from(is_met)));
-        for (offset, &value) in values.iter().enumerate().filter(|(_, value)| !value.is_nan()) {
-            levels.store(block, offset, value);
-        }
-        Ok(())
+fn read_block(reader: &mut Reader<'_>, map: &mut VoxelMap) -> Result<(), Error> {
+    let mut place = [0; 3];
+    for index in &mut place {
+        *index = i32::from_le_bytes(reader.take()?);
     }
+    let levels = map.levels();
+    let slot = map.blocks.ensure(&[Place(place)])?[0];
+    let mut values = [NEVER; VOLUME];
+    for value in &mut values {
+        *value = reader.f32()?;
+    }
+    let Some(block) = map.blocks.at_mut(slot) else { return Ok(()) };
+    let is_met = |row: &[f32]| row.iter().any(|value| !value.is_nan());
+    let rows = values.chunks(EDGE as usize).map(is_met);
+    // All rows at once: one allocation, and none for rows that were never observed.
+    block.hold(rows.rev().fold(0, |rows, is_met| rows << 1 | u64::from(is_met)));
+    for (offset, &value) in values.iter().enumerate().filter(|(_, value)| !value.is_nan()) {
+        levels.store(block, offset, value);
+    }
+    Ok(())
 }
 
 /// Refuse pipes and devices: the first block their readers, the second may never end.
@@ -306,23 +271,6 @@ fn check_regular(path: &Path) -> Result<(), Error> {
     }
     let text = format!("{}: expected a regular file, got a pipe or a device", path.display());
     Err(format_error(0, &text))
-}
-
-pub(super) fn format_error(offset: usize, what: &str) -> Error {
-    Error::Format { what: what.into(), offset: offset as u64 }
-}
-
-/// CRC-32 (IEEE 802.3).
-pub(super) fn crc32(bytes: &[u8]) -> u32 {
-    let table: [u32; 256] = std::array::from_fn(|index| {
-        (0..8).fold(
-            index as u32,
-            |crc, _| if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 },
-        )
-    });
-    !bytes
-        .iter()
-        .fold(u32::MAX, |crc, &byte| crc >> 8 ^ table[((crc ^ u32::from(byte)) & 0xFF) as usize])
 }
 
 #[cfg(test)]
@@ -369,10 +317,5 @@ pub(crate) mod tests {
             assert!(matches!(VoxelMap::from_bytes(&damaged), Err(Error::Format { .. })));
         }
         Ok(())
-    }
-
-    #[test]
-    fn the_checksum_is_the_usual_one() {
-        assert_eq!(crc32(b"123456789"), 0xCBF4_3926);
     }
 }

@@ -5,7 +5,7 @@
 //! sensor, in ascending order of names: name (length u32, UTF-8), whether turns have decided it u8,
 //! voxels (number u32, each u32, ascending).
 
-use super::persist::{Reader, format_error};
+use super::reader::{Reader, format_error};
 use crate::Error;
 use crate::util::budget::{MAX_SENSORS, vec_with_capacity};
 
@@ -119,9 +119,9 @@ fn read_body(reader: &mut Reader<'_>) -> Result<SavedBody, Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flying::map::persist::crc32;
     use crate::flying::map::persist::tests::sample;
     use crate::flying::map::voxel_map::VoxelMap;
+    use crate::util::full_state::crc32;
 
     fn bodies() -> Vec<SavedBody> {
         let body = |sensor: &str, is_decided, voxels: &[u32]| SavedBody {

@@ -1,24 +1,10 @@
 //! Clusters that may be a track's target.
 
+use super::measurement::{CloudScan, Measurement};
 use super::parameters::{MeasurementForm, TrackerParameters};
-use super::update::Scan;
 use crate::geometry::transform::norm;
 use nalgebra::{Matrix3, Vector3};
 use std::cmp::Ordering;
-
-/// Something measured: where, how well, and how large.
-#[derive(Clone, Debug)]
-pub(super) struct Measurement {
-    pub(super) position: Vector3<f64>,
-    pub(super) covariance: Matrix3<f64>,
-    /// Time of the measurement after the state's [s]: a scan takes a while.
-    pub(super) delay: f64,
-    pub(super) extent: [f64; 3],
-    /// True if a part of the target may be hidden.
-    pub(super) is_cut: bool,
-    /// Row of one of its points in the cloud.
-    pub(super) row: Option<u32>,
-}
 
 /// Clusters of the points in `rows`, given by their `labels`, that are small enough and far enough
 /// from the background, by position.
@@ -30,7 +16,7 @@ pub(super) struct Measurement {
 pub(super) fn candidates(
     rows: &[u32],
     labels: &[i32],
-    scan: &Scan<'_>,
+    scan: &CloudScan<'_>,
     parameters: &TrackerParameters,
 ) -> Vec<Measurement> {
     let max_extent = parameters.max_extent.unwrap_or(f64::INFINITY);
@@ -56,7 +42,7 @@ pub(super) fn candidates(
     found.into_iter().map(|(_, measurement)| measurement).collect()
 }
 
-fn clusters(rows: &[u32], labels: &[i32], scan: &Scan<'_>) -> Vec<Cluster> {
+fn clusters(rows: &[u32], labels: &[i32], scan: &CloudScan<'_>) -> Vec<Cluster> {
     let mut clusters: Vec<Cluster> = Vec::new();
     for (&row, &label) in rows.iter().zip(labels) {
         let Ok(label) = usize::try_from(label) else { continue }; // noise is negative
@@ -77,7 +63,7 @@ fn clusters(rows: &[u32], labels: &[i32], scan: &Scan<'_>) -> Vec<Cluster> {
 }
 
 /// Centres instead of centroids, where the scan knows its rays.
-fn take_centers(found: &mut [(Cluster, Measurement)], scan: &Scan<'_>) {
+fn take_centers(found: &mut [(Cluster, Measurement)], scan: &CloudScan<'_>) {
     let rows: Vec<&[u32]> = found.iter().map(|(cluster, _)| cluster.rows.as_slice()).collect();
     let centers = scan.visibility.and_then(|visibility| visibility.centers(&rows));
     for ((_, measurement), center) in found.iter_mut().zip(centers.into_iter().flatten()) {
@@ -114,7 +100,7 @@ impl Cluster {
         std::array::from_fn(|axis| f64::from(self.high[axis]) - f64::from(self.low[axis]))
     }
 
-    fn measurement(&self, scan: &Scan<'_>, parameters: &TrackerParameters) -> Measurement {
+    fn measurement(&self, scan: &CloudScan<'_>, parameters: &TrackerParameters) -> Measurement {
         let count = self.rows.len() as f64;
         let place = |&row: &u32| Vector3::from(scan.points[row as usize].map(f64::from));
         let delay = match parameters.measurement {

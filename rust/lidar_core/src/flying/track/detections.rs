@@ -1,12 +1,12 @@
 //! newDetections of Algorithm 2: hypotheses, replay of buffered clouds, association with tracks.
 
 use super::buffer::Buffer;
-use super::candidates::Measurement;
+use super::measurement::{CloudScan, Measurement};
 use super::motion::{position, position_block, position_matrix};
 use super::occupancy::Occupancy;
 use super::parameters::{Association, MAX_TRACKS, MeasurementForm, TrackerParameters};
 use super::state::TrackState;
-use super::update::{Scan, Updater};
+use super::update::Updater;
 use crate::Error;
 use nalgebra::{Matrix3, Vector3};
 
@@ -149,7 +149,7 @@ impl Updater {
         occupied: &dyn Occupancy,
     ) -> Result<Vec<TrackState>, Error> {
         for cloud in buffer.newer_than(stamp_ns) {
-            let scan = Scan {
+            let scan = CloudScan {
                 points: &cloud.points,
                 delays: cloud.delays.as_deref(),
                 stamp_ns: cloud.stamp_ns,

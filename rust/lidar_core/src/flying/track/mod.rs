@@ -7,6 +7,7 @@ mod buffer;
 mod candidates;
 mod detections;
 mod lifecycle;
+mod measurement;
 mod motion;
 mod occupancy;
 mod pairs;
@@ -33,9 +34,10 @@ use crate::estimation::kalman::{Gaussian, symmetrised};
 use crate::geometry::transform::Transform;
 use crate::util::budget::check_points;
 use buffer::Buffer;
+use measurement::CloudScan;
 use nalgebra::{Matrix3, SMatrix};
 use state::{TrackState, seconds};
-use update::{Scan, Updater};
+use update::Updater;
 
 /// A track, predicted to one time.
 #[derive(Clone, Debug, PartialEq)]
@@ -151,7 +153,7 @@ impl PointCloudTracker {
         let cloud = self.buffer.copy(points, delays, stamp_ns, self.keeps_points)?;
         if !stats.late {
             let mut tracks = self.tracks.clone(); // an error must not leave half of them updated
-            let scan = Scan { points, delays, stamp_ns, occupied, visibility };
+            let scan = CloudScan { points, delays, stamp_ns, occupied, visibility };
             let outcome = self.updater.update(&mut tracks, &scan)?;
             (stats.corrected, stats.rows) = (outcome.corrected, outcome.rows);
             stats.rejected = outcome.rejected;

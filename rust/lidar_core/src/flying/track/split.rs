@@ -1,7 +1,7 @@
 //! One cluster of several targets: every point goes to the track it is nearest to.
 
+use super::measurement::Seeker;
 use super::pairs::AlongX;
-use super::update::Seeker;
 use crate::estimation::kalman;
 use nalgebra::Vector3;
 

@@ -1,6 +1,6 @@
 //! One track, or one hypothesis on its way to become a track.
 
-use super::candidates::Measurement;
+use super::measurement::Measurement;
 use super::motion::{self, Matrix9};
 use super::parameters::{Hiding, Motion, Radius, TrackerParameters};
 use crate::Error;

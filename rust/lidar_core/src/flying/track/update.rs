@@ -1,10 +1,11 @@
 //! updateTrack of Algorithm 2: prediction, association with clusters, correction.
 
-use super::candidates::{Measurement, candidates};
+use super::candidates::candidates;
+use super::measurement::{CloudScan, Measurement, Seeker};
 use super::motion::position_block;
-use super::occupancy::{Occupancy, Visibility};
+use super::occupancy::Visibility;
 use super::pairs::AlongX;
-use super::parameters::{Ageing, Association, Doubt, Hiding, Motion, TrackerParameters};
+use super::parameters::{Ageing, Association, Doubt, Motion, TrackerParameters};
 use super::select::{Ball, hits};
 use super::split::Division;
 use super::state::{TrackState, seconds};
@@ -18,28 +19,6 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
-/// Input of an update from one scan.
-#[derive(Clone, Copy)]
-pub(super) struct Scan<'a> {
-    pub(super) points: &'a [[f32; 3]],
-    /// Time of every point after the stamp [s].
-    pub(super) delays: Option<&'a [f32]>,
-    pub(super) stamp_ns: i64,
-    pub(super) occupied: &'a dyn Occupancy,
-    pub(super) visibility: Option<&'a dyn Visibility>,
-}
-
-impl Scan<'_> {
-    /// Time of a point after the stamp [s].
-    pub(super) fn delay(&self, row: u32) -> f32 {
-        self.delays.map_or(0.0, |delays| delays[row as usize])
-    }
-
-    fn points_of(&self, rows: &[u32]) -> Vec<[f32; 3]> {
-        rows.iter().map(|&row| self.points[row as usize]).collect()
-    }
-}
-
 /// Result of an update.
 #[derive(Debug, Default)]
 pub(super) struct Outcome {
@@ -48,30 +27,6 @@ pub(super) struct Outcome {
     pub(super) rows: Vec<u32>,
     /// Measurements whose innovation covariance could not be factorised.
     pub(super) rejected: usize,
-}
-
-/// Search region of a track.
-pub(super) struct Seeker {
-    pub(super) position: Vector3<f64>,
-    pub(super) velocity: Vector3<f64>,
-    pub(super) covariance: Matrix3<f64>,
-    pub(super) radius: f64,
-    pub(super) size: [f64; 3],
-    pub(super) confirmed: bool,
-}
-
-impl Seeker {
-    /// Covariance of a cluster as a measurement of this track: what is missing of a hidden side
-    /// may be missing on one end.
-    fn covariance_of(&self, cluster: &Measurement, hiding: Option<Hiding>) -> Matrix3<f64> {
-        let mut covariance = cluster.covariance;
-        for (axis, (size, extent)) in self.size.into_iter().zip(cluster.extent).enumerate() {
-            if cluster.is_cut && hiding.is_some_and(|hiding| extent < hiding.share * size) {
-                covariance[(axis, axis)] += (size - extent) * (size - extent);
-            }
-        }
-        covariance
-    }
 }
 
 pub(super) struct Updater {
@@ -103,7 +58,7 @@ impl Updater {
     pub(super) fn update(
         &self,
         tracks: &mut [TrackState],
-        scan: &Scan<'_>,
+        scan: &CloudScan<'_>,
     ) -> Result<Outcome, Error> {
         let model = &self.parameters.motion;
         let mut due = predicted(tracks, scan.stamp_ns, model);
@@ -188,7 +143,7 @@ impl Updater {
     /// True if an unconfirmed track is away from where it began, and the scan shows that nothing is
     /// left there. A track that leaps along the leaves of a tree leaves some behind, and one that
     /// follows a gap along what lies behind it leaves a place that nobody sees any more.
-    fn has_left(&self, track: &TrackState, scan: &Scan<'_>) -> bool {
+    fn has_left(&self, track: &TrackState, scan: &CloudScan<'_>) -> bool {
         let Some(Doubt { distance, cleared, .. }) = self.parameters.confirmation.doubt else {
             return false;
         };
@@ -214,7 +169,7 @@ impl Updater {
     fn nearest(
         &self,
         seekers: &[Seeker],
-        scan: &Scan<'_>,
+        scan: &CloudScan<'_>,
     ) -> Result<Vec<Option<Measurement>>, Error> {
         let mut regions = vec![Vec::new(); seekers.len()];
         for (point, ball) in hits(&self.pool, scan.points, &balls(seekers, 0.0)) {
@@ -242,7 +197,7 @@ impl Updater {
     fn one_to_one(
         &self,
         seekers: &[Seeker],
-        scan: &Scan<'_>,
+        scan: &CloudScan<'_>,
     ) -> Result<Vec<Option<Measurement>>, Error> {
         // Wide enough that no cluster with its centroid in the region is cut.
         let margin = self.parameters.max_extent.unwrap_or(0.0);

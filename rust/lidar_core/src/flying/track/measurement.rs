@@ -1,0 +1,70 @@
+//! Inputs of a track: a scan, what is measured in it, and where a track looks for it.
+
+use super::occupancy::{Occupancy, Visibility};
+use super::parameters::Hiding;
+use nalgebra::{Matrix3, Vector3};
+
+/// Input of an update from one scan.
+#[derive(Clone, Copy)]
+pub(super) struct CloudScan<'a> {
+    pub(super) points: &'a [[f32; 3]],
+    /// Time of every point after the stamp [s].
+    pub(super) delays: Option<&'a [f32]>,
+    pub(super) stamp_ns: i64,
+    pub(super) occupied: &'a dyn Occupancy,
+    pub(super) visibility: Option<&'a dyn Visibility>,
+}
+
+impl CloudScan<'_> {
+    /// Time of a point after the stamp [s].
+    pub(super) fn delay(&self, row: u32) -> f32 {
+        self.delays.map_or(0.0, |delays| delays[row as usize])
+    }
+
+    /// Points of these rows.
+    pub(super) fn points_of(&self, rows: &[u32]) -> Vec<[f32; 3]> {
+        rows.iter().map(|&row| self.points[row as usize]).collect()
+    }
+}
+
+/// Something measured: where, how well, and how large.
+#[derive(Clone, Debug)]
+pub(super) struct Measurement {
+    pub(super) position: Vector3<f64>,
+    pub(super) covariance: Matrix3<f64>,
+    /// Time of the measurement after the state's [s]: a scan takes a while.
+    pub(super) delay: f64,
+    pub(super) extent: [f64; 3],
+    /// True if a part of the target may be hidden.
+    pub(super) is_cut: bool,
+    /// Row of one of its points in the cloud.
+    pub(super) row: Option<u32>,
+}
+
+/// Search region of a track.
+pub(super) struct Seeker {
+    pub(super) position: Vector3<f64>,
+    pub(super) velocity: Vector3<f64>,
+    pub(super) covariance: Matrix3<f64>,
+    pub(super) radius: f64,
+    pub(super) size: [f64; 3],
+    pub(super) confirmed: bool,
+}
+
+impl Seeker {
+    /// Covariance of a cluster as a measurement of this track: what is missing of a hidden side
+    /// may be missing on one end.
+    pub(super) fn covariance_of(
+        &self,
+        cluster: &Measurement,
+        hiding: Option<Hiding>,
+    ) -> Matrix3<f64> {
+        let mut covariance = cluster.covariance;
+        for (axis, (size, extent)) in self.size.into_iter().zip(cluster.extent).enumerate() {
+            if cluster.is_cut && hiding.is_some_and(|hiding| extent < hiding.share * size) {
+                covariance[(axis, axis)] += (size - extent) * (size - extent);
+            }
+        }
+        covariance
+    }
+}
