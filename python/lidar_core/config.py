@@ -1,12 +1,15 @@
 """Base of the configuration models: TOML in and out, JSON Schema, errors with dotted paths."""
 
+import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache, wraps
+from inspect import formatannotation, signature
 from pathlib import Path
-from typing import Any, Self, TypeVar, get_args
+from typing import Any, ParamSpec, Self, TypeVar, get_args
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from lidar_core.errors import ConfigError, closest
@@ -17,6 +20,8 @@ NONE = "none"
 
 
 ConfigT = TypeVar("ConfigT", bound="Config")
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 class Config(BaseModel):
@@ -106,6 +111,47 @@ def as_config(config: ConfigT | None, model: type[ConfigT]) -> ConfigT:
     if not isinstance(config, model):
         raise ConfigError(f"config: expected a {model.__name__}, got {type(config).__name__}")
     return config
+
+
+def checked(function: Callable[P, T]) -> Callable[P, T]:
+    """Decorator: an argument that its annotation does not allow raises ConfigError.
+
+    Annotations are read at the first call: they may hold the schemas of all models.
+    """
+    parameters = signature(function)
+
+    @cache
+    def check_of(name: str) -> TypeAdapter[Any]:
+        rules = ConfigDict(strict=True, arbitrary_types_allowed=True)
+        return TypeAdapter(parameters.parameters[name].annotation, config=rules)
+
+    @wraps(function)
+    def called(*args: P.args, **kwargs: P.kwargs) -> T:
+        problems = []
+        for name, value in parameters.bind(*args, **kwargs).arguments.items():
+            plain = value.item() if getattr(value, "shape", None) == () else value  # of numpy
+            wanted = f"expected {_annotated(parameters.parameters[name].annotation)}"
+            try:
+                # Models take tables of values, too; arguments have to be models.
+                is_given = isinstance(check_of(name).validate_python(plain), BaseModel)
+                is_refused = is_given and not isinstance(plain, BaseModel)
+            except ValidationError as error:
+                limits = [one["msg"] for one in error.errors() if "than" in one["type"]]
+                is_refused, wanted = True, limits[0] if limits else wanted
+            if is_refused:
+                told = wanted.replace("Input should be", "expected a value")
+                problems.append(f"{name}: {told}, got {_short(value)}")
+        if problems:
+            raise ConfigError("\n".join(problems))
+        return function(*args, **kwargs)
+
+    return called
+
+
+def _annotated(annotation: Any) -> str:
+    """What an annotation allows, without the places of its names."""
+    plain = annotation.__origin__ if hasattr(annotation, "__metadata__") else annotation
+    return re.sub(r"[a-z_]+[.]", "", formatannotation(plain))
 
 
 def _without_null(value: Any) -> Any:

@@ -2,10 +2,13 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Generic, TypeAlias, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from lidar_core.arrays import as_stamp
+from lidar_core.errors import InputError
 
 
 class PointClass(IntEnum):
@@ -196,3 +199,30 @@ class PosedScan(Generic[ScanT]):
     def posed(self) -> "PosedScan[ScanT]":
         """The posed scan itself: simulated scans have it, too."""
         return self
+
+
+def posed_of(given: object, *, name: str) -> PosedScan[Any] | None:
+    """The posed scan that an argument is or holds, as simulated scans do; None for arrays.
+
+    Raises
+    ------
+    InputError
+        A scan without its pose.
+    """
+    if isinstance(given, Scan | LaserScan):
+        raise InputError(
+            f"{name}: expected a posed scan or an array, got a {type(given).__name__} without a"
+            " pose: PosedScan(scan, world_from_lidar) holds both"
+        )
+    posed = getattr(given, "posed", None)
+    return posed if isinstance(posed, PosedScan) else None
+
+
+def stated_stamp(given: object, stamp_ns: object) -> int:
+    """Time of a scan that was rejected, as far as it is known, else 0 [ns]."""
+    scan = getattr(getattr(given, "posed", None), "scan", given)
+    stamp: Any = getattr(scan, "stamp_ns", stamp_ns)
+    try:
+        return as_stamp(stamp)
+    except InputError:
+        return 0

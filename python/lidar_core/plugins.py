@@ -13,7 +13,7 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from pkgutil import iter_modules
 from threading import RLock
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar, get_args
 
 from lidar_core.errors import ConfigError, LidarCoreError, PluginError, PluginWarning, unknown
 
@@ -49,9 +49,11 @@ class Registry(Generic[PartT]):
     def __init__(self, what: str, group: str, *folders: str) -> None:
         self._what, self._group, self._folders = what, group, folders
         self._parts: dict[str, PartT] = {}
-        self._loaded: list[EntryPoint] = []
+        self._inside = tuple(f"{folder}." for folder in folders)
+        self._loaded: dict[EntryPoint, set[str]] = {}
         self._broken: dict[EntryPoint, PluginError] = {}
         self._path: tuple[str, ...] | None = None
+        self._is_loading = False
         self._lock = RLock()
 
     def add(self, part: PartT) -> None:
@@ -73,19 +75,26 @@ class Registry(Generic[PartT]):
     def parts(self) -> list[PartT]:
         """All parts; packages that were installed since the last call are found, too."""
         with self._lock:
-            if self._path is None:
-                for folder in self._folders:
-                    for module in iter_modules(import_module(folder).__path__, f"{folder}."):
-                        import_module(module.name)
-            if self._path != tuple(sys.path):
-                self._path = tuple(sys.path)
-                self._load_plugins()
-            inside = tuple(f"{folder}." for folder in self._folders)
-            # A part that is defined in a console or notebook has no module.
-            modules = {name: part.module or "" for name, part in self._parts.items()}
-            own = [self._parts[name] for name in modules if modules[name].startswith(inside)]
-            others = [self._parts[name] for name in modules if not modules[name].startswith(inside)]
+            # A plugin that asks for the parts while it is loaded gets those that there are.
+            if self._path != tuple(sys.path) and not self._is_loading:
+                self._is_loading = True
+                try:
+                    self._load_own()
+                    self._load_plugins()
+                    # Last: what an interrupt left out is looked for at the next call.
+                    self._path = tuple(sys.path)
+                finally:
+                    self._is_loading = False
+            own = [part for part in self._parts.values() if self._is_own(part)]
+            others = [part for part in self._parts.values() if not self._is_own(part)]
             return sorted(own, key=lambda part: part.module) + others
+
+    def registered(self) -> list[PartT]:
+        """Parts so far, those of this package among them; plugins are not looked for."""
+        with self._lock:
+            if not self._is_loading:
+                self._load_own()
+            return list(self._parts.values())
 
     def get(self, name: str) -> PartT:
         """The part of a name.
@@ -111,13 +120,17 @@ class Registry(Generic[PartT]):
         return list(self._broken.values())
 
     def plugin_of(self, part: PartT) -> EntryPoint | None:
-        """The entry point that brought a part; None for those of this package."""
-        root = _root(part.module)
-        return next((entry for entry in self._loaded if _root(entry.module) == root), None)
+        """The entry point that brought a part; None for those of this package and of scripts."""
+        for entry, names in self._loaded.items():
+            if part.name in names:
+                return entry
+        root = _root(part)
+        same = (entry for entry in self._loaded if root == entry.module.partition(".")[0])
+        return next(same, None)
 
     @contextmanager
     def calling(self, part: PartT) -> Iterator[None]:
-        """Turn a mistake in a part of another package into an error that names the package.
+        """Turn a mistake in a part from outside into an error that says where it is from.
 
         Raises
         ------
@@ -128,39 +141,84 @@ class Registry(Generic[PartT]):
             yield
         except (LidarCoreError, OSError, MemoryError):
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             entry = self.plugin_of(part)
-            if entry is None:
+            if entry is not None:
+                raise _plugin_error(entry, error) from error
+            if self._is_own(part):
                 raise
-            raise _plugin_error(entry, error) from error
+            place = f"{self._what} {part.name!r} of {part.module or 'a notebook'}"
+            raise PluginError(f"{place}: {_told(error)}") from error
+
+    def _is_own(self, part: PartT) -> bool:
+        # A part that is defined in a console or notebook may have no module.
+        return (part.module or "").startswith(self._inside)
+
+    def _load_own(self) -> None:
+        for inside in self._inside:
+            package = import_module(inside.removesuffix("."))
+            for module in iter_modules(package.__path__, inside):
+                import_module(module.name)
 
     def _load_plugins(self) -> None:
         for entry in sorted(entry_points(group=self._group)):
             if entry in self._broken or entry in self._loaded:
                 continue
-            before, root = dict(self._parts), _root(entry.module)
+            before, root = dict(self._parts), entry.module.partition(".")[0]
             try:
                 entry.load()
-                if all(_root(part.module) != root for part in self._parts.values()):
+                # Also what a module of another package registers that it imports, and what was
+                # registered when a script imported the package.
+                brought = {
+                    name
+                    for name, part in self._parts.items()
+                    if before.get(name) is not part or _root(part) == root
+                }
+                if not brought:
                     raise ConfigError(f"{entry.value} registers no {self._what}")
-            except Exception as error:
+                for name in brought & before.keys():
+                    if _root(before[name]) != root:
+                        raise ConfigError(f"{self._what} {name!r}: already registered")
+            except (Exception, SystemExit) as error:
                 self._broken[entry] = _plugin_error(entry, error)
                 self._parts = before
                 warnings.warn(str(self._broken[entry]), PluginWarning, stacklevel=3)
             else:
-                self._loaded.append(entry)
+                self._loaded[entry] = brought
 
 
-def _root(module: str) -> str:
-    """Name of the package that a module lies in."""
-    return module.partition(".")[0]
+def registering_module() -> str:
+    """Module that calls the caller's function: a part may be of a function from elsewhere."""
+    return sys._getframe(2).f_globals.get("__name__") or ""
 
 
-def _plugin_error(entry: EntryPoint, cause: Exception) -> PluginError:
+def check_choice(what: str, name: str, choices: object) -> None:
+    """Refuse a value that is none of those of a `Literal`.
+
+    Raises
+    ------
+    ConfigError
+        Another value.
+    """
+    known = get_args(choices)
+    if name not in known:
+        raise ConfigError(unknown(what, name, known))
+
+
+def _root(part: Part) -> str:
+    """Name of the package that registers a part."""
+    return (part.module or "").partition(".")[0]
+
+
+def _told(cause: BaseException) -> str:
+    return str(cause) if isinstance(cause, LidarCoreError) else f"{type(cause).__name__}: {cause}"
+
+
+def _plugin_error(entry: EntryPoint, cause: BaseException) -> PluginError:
     package = "unknown" if entry.dist is None else entry.dist.name
-    told = str(cause) if isinstance(cause, LidarCoreError) else f"{type(cause).__name__}: {cause}"
     error = PluginError(
-        f"plugin {entry.name!r} of the package {package!r}: {told}; update or uninstall {package}"
+        f"plugin {entry.name!r} of the package {package!r}: {_told(cause)};"
+        f" update or uninstall {package}"
     )
     error.__cause__ = cause
     return error

@@ -95,7 +95,7 @@ class RunFolder:
             unlock(path)
         if not overwrite:
             told = "a run that did not come to its end" if is_cut else "an earlier run"
-            raise FileExistsError(f"{path}: holds {told}; --overwrite replaces it")
+            raise FileExistsError(f"{path}: holds {told}; overwrite=True replaces it")
         if reads is not None and reads.resolve().is_relative_to(path.resolve()):
             raise FileExistsError(f"{path}: holds the recording to read; choose another folder")
 

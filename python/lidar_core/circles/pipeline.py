@@ -24,7 +24,7 @@ from lidar_core.circles.segmentation import Segments, segments_of
 from lidar_core.circles.shapes import Shapes
 from lidar_core.config import as_config
 from lidar_core.errors import ConfigError, InputError, LimitError, NumericalError
-from lidar_core.messages import LaserScan, PosedScan
+from lidar_core.messages import LaserScan, PosedScan, posed_of, stated_stamp
 from lidar_core.objects import CircleElements, ShapeElements
 from lidar_core.util.full_state import FullState
 
@@ -197,8 +197,8 @@ class CirclePipeline(FullState):
             "scanner": scanner,
         }
         try:
-            posed = getattr(ranges, "posed", None)
-            if isinstance(posed, PosedScan):
+            posed = posed_of(ranges, name="ranges")
+            if posed is not None:
                 given = _arrays_of(posed, given, self.config)
             frame = self._process(**given)
         except (InputError, LimitError, NumericalError) as error:
@@ -206,7 +206,9 @@ class CirclePipeline(FullState):
             self._count("rejected", reason)
             if self.config.on_bad_scan == "raise":
                 raise
-            return self._rejected(given["stamp_ns"], given["scanner"] or "lidar", reason)
+            return self._rejected(
+                stated_stamp(ranges, stamp_ns), given["scanner"] or "lidar", reason
+            )
         except BaseException as error:
             self._count("rejected", type(error).__name__)
             raise
@@ -273,11 +275,7 @@ class CirclePipeline(FullState):
         with self._counting:
             self._health = self._health.one_more(name, reason)
 
-    def _rejected(self, stamp_ns: Any, scanner: Any, reason: str) -> CircleFrame:
-        try:
-            stamp = as_stamp(stamp_ns)
-        except InputError:
-            stamp = 0
+    def _rejected(self, stamp: int, scanner: Any, reason: str) -> CircleFrame:
         rays, numbers = np.empty(0), np.empty(0, np.int64)
         nobody = Circles(np.empty((0, 3)), np.empty((0, 3, 3)), numbers)
         segments = Segments(

@@ -48,7 +48,7 @@ def check_no_rays(config: CirclesConfig) -> None:
         if value != usual[name]:
             raise ConfigError(
                 f"scanner.{name}: expected no value, since the recording states it; to have"
-                f' another, name the scanner: --set scanners."TOPIC".{name}=...'
+                f' another, name the scanner: set scanners."TOPIC".{name}=...'
             )
 
 

@@ -85,7 +85,7 @@ def command(
     """
     from lidar_core.errors import InputError
     from lidar_core.io import ReadOptions, Span
-    from lidar_core.io.writers import writers_of
+    from lidar_core.io.writers import ending_of, writers_of
     from lidar_core.runs.convert import convert_run, is_run
 
     if output.exists() and output.resolve() == recording.resolve():
@@ -114,7 +114,8 @@ def command(
             soft_wrap=True,
         )
         return
-    writer = writers_of("points").get(output.suffix.lower())
+    of_points = writers_of("points")
+    writer = of_points.get(ending_of(output, of_points))
     if writer is not None:
         _refuse(
             chosen | of_run | ({} if writer.needs_resolution else of_map),

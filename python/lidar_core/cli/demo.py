@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from lidar_core.evaluation import Evaluation, EvaluationConfig, Truth
+    from lidar_core.flying import FlyingFrame
     from lidar_core.run_folder import RunFolder
     from lidar_core.runs.flying import FlyingRun
     from lidar_core.sim import SimulatedScan, Simulator
@@ -55,17 +56,17 @@ def command(
     folder = RunFolder(output, overwrite=True)
     simulator = Simulator(scenes.demo(seed, scans=scans), seed=seed, threads=threads)
     run = FlyingRun(FlyingObjectDetector(FlyingConfig(), threads=threads))
-    truth = _Truth(EvaluationConfig(burn_in_scans=run.detector.config.seed.burn_in_scans))
+    truth = _Truth()
     with progress_on(errors) as progress:
         task = progress.add_task("simulate and detect", total=scans)
         for made in simulator:
-            truth.add(made)
-            run.take(made.posed)
+            truth.add(made, run.take(made.posed))
             progress.advance(task)
-    report = _compared(run, truth)
+    rule = EvaluationConfig(burn_in_scans=run.burn_in_scans)
+    report = _compared(run, truth, rule)
     summary = {"command": "demo", "seed": seed, **report.to_dict(), **run.summary()}
     folder.begin()
-    files = [*run.write(folder), *_write_rest(folder, simulator, run, truth, summary)]
+    files = [*run.write(folder), *_write_rest(folder, simulator, run, truth, rule, summary)]
     view = _view(simulator, run, truth, report)
     if picture:
         path = output / "picture.png"
@@ -73,7 +74,7 @@ def command(
         files += drawn
         for note in notes:
             errors.print(note, markup=False, soft_wrap=True)
-    out.print(_table(view.title, summary, report, truth.rule))
+    out.print(_table(view.title, summary, report, rule))
     out.print(f"{output}: {', '.join(sorted(files))}", highlight=False, soft_wrap=True)
     write_json(summary, json)
 
@@ -82,20 +83,18 @@ def command(
 class _Truth:
     """Truth of the scans so far: for the scores, the table and the picture."""
 
-    rule: "EvaluationConfig"
     parts: "list[Truth]" = field(default_factory=list)
     rows: list[tuple[Any, ...]] = field(default_factory=list)
 
-    def add(self, made: "SimulatedScan") -> None:
+    def add(self, made: "SimulatedScan", frame: "FlyingFrame") -> None:
         from lidar_core.evaluation import truth_of
         from lidar_core.sim.recording import truth_rows
 
         self.rows.extend(truth_rows(len(self.parts), made))
-        is_burn_in = len(self.parts) < self.rule.burn_in_scans
-        self.parts.append(truth_of(made, is_burn_in=is_burn_in, config=self.rule))
+        self.parts.append(truth_of(made, is_burn_in=frame.status.is_burn_in))
 
 
-def _compared(run: "FlyingRun", truth: _Truth) -> "Evaluation":
+def _compared(run: "FlyingRun", truth: _Truth, rule: "EvaluationConfig") -> "Evaluation":
     from lidar_core import evaluation
 
     return evaluation.evaluate(
@@ -103,7 +102,7 @@ def _compared(run: "FlyingRun", truth: _Truth) -> "Evaluation":
         tracks=evaluation.estimates_of_tracks(run.tracks),
         detections=evaluation.estimates_of_detections(run.frames),
         latency=run.latency,
-        config=truth.rule,
+        config=rule,
     )
 
 
@@ -112,6 +111,7 @@ def _write_rest(
     simulator: "Simulator",
     run: "FlyingRun",
     truth: _Truth,
+    rule: "EvaluationConfig",
     summary: dict[str, Any],
 ) -> list[str]:
     """Truth, scene, summary and run.toml."""
@@ -123,7 +123,7 @@ def _write_rest(
     folder.write_summary(summary)
     folder.write_note(
         {"scene": "scene.toml", "seed": simulator.seed, "scans": simulator.scans},
-        {"flying": run.detector.config, "evaluation": truth.rule},
+        {"flying": run.detector.config, "evaluation": rule},
     )
     return [name, "scene.toml", "summary.json", "run.toml"]
 

@@ -6,7 +6,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.shared.common import JsonFile, Row, consoles, given, result_table, write_json
+from lidar_core.cli.shared.common import (
+    JsonFile,
+    Row,
+    as_options,
+    consoles,
+    given,
+    result_table,
+    write_json,
+)
 from lidar_core.cli.shared.score_rows import (
     consistency_warnings,
     counted_caption,
@@ -88,7 +96,7 @@ def command(
     if without:
         out.print(f"note: {without} tracks lie at times without truth, and count as false")
     for text in report.warnings:
-        out.print(f"warning: {text}", markup=False, highlight=False, soft_wrap=True)
+        out.print(f"warning: {as_options(text)}", markup=False, highlight=False, soft_wrap=True)
     write_json(
         {
             "command": "evaluate",
@@ -127,11 +135,17 @@ def _without_truth(
     without = ~np.isin(aligned(prediction.tracks, truth, config=config).stamp_ns, theirs)
     if len(ours) and len(theirs) and without.all():
         cure = wider_tolerance(ours, theirs)
+        allowed = f"{1e3 * config.time_tolerance:g} ms"
+        if ours.max() < theirs.min() or theirs.max() < ours.min():
+            what = f"one ends before the other begins ({spans(ours, theirs)})"
+        else:
+            what = (
+                f"no track is within {allowed} of a time of the truth, though their spans overlap"
+                f" ({spans(ours, theirs)}): tracks are {typical_offset(time_offsets(ours, theirs))}"
+            )
         raise InputError(
-            f"{files}: no time in common, {spans(ours, theirs)},"
-            f" {typical_offset(time_offsets(ours, theirs))}, where"
-            f" {1e3 * config.time_tolerance:g} ms are allowed; give the truth of the same"
-            " recording, or allow for shifted clocks with"
+            f"{files}: no time in common: {what}; give the truth of the same recording, or allow"
+            " for shifted clocks with"
             f" --set time_tolerance={'SECONDS' if cure is None else f'{cure:.2g}'}"
         )
     return int(without.sum())

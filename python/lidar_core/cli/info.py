@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.shared.common import given
+from lidar_core.cli.shared.common import as_options, given
 from lidar_core.cli.shared.run_options import (
     Metadata,
     NoReturn,
@@ -123,7 +123,7 @@ def _print(info: "RecordingInfo", steps: list[str], console: "Console") -> None:
             f"looked at the first {decoded:,} of {total:,} scans of {escape(name)}", soft_wrap=True
         )
     for defect in info.defects:
-        console.print(f"[yellow]note[/yellow] {escape(defect)}", soft_wrap=True)
+        console.print(f"[yellow]note[/yellow] {escape(as_options(defect))}", soft_wrap=True)
     if not info.defects:
         console.print("no defects found")
     for step in steps:

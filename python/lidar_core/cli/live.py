@@ -17,6 +17,7 @@ from lidar_core.cli.shared.common import (
     OverwriteFile,
     Row,
     Threads,
+    as_options,
     consoles,
     given,
     number,
@@ -141,7 +142,7 @@ def command(options: LiveOptions) -> None:
     out, errors = consoles(options.json)
 
     def tell(text: str) -> None:
-        errors.print(text, markup=False, highlight=False, soft_wrap=True)
+        errors.print(as_options(text), markup=False, highlight=False, soft_wrap=True)
 
     result = runs.live(
         options.source,
@@ -173,7 +174,7 @@ def command(options: LiveOptions) -> None:
         files = ", ".join(result.files)
         out.print(f"{options.output}: {files}", highlight=False, soft_wrap=True)
     for note in summary["notes"]:
-        out.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
+        out.print(f"note: {as_options(note)}", markup=False, highlight=False, soft_wrap=True)
     more = {} if options.output is None else {"files": result.files}
     write_json({**summary, **more}, options.json)
     if isinstance(result.ended_by, OSError):
@@ -195,7 +196,7 @@ def live_config(domain: int | None, stream: Sequence[str]) -> "LiveConfig":
     from lidar_core.live import LiveConfig
     from lidar_core.runs.settings import with_assignments
 
-    set_by_name = with_assignments({}, stream, option="--stream", example="pose_wait=0.5")
+    set_by_name = with_assignments({}, stream, argument="stream", example="pose_wait=0.5")
     try:
         config = LiveConfig.load(set_by_name)
     except ConfigError as error:

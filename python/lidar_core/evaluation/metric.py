@@ -10,7 +10,7 @@ from lidar_core.errors import ConfigError, PluginError, PluginWarning
 from lidar_core.evaluation.config import EvaluationConfig
 from lidar_core.evaluation.matching.pairing import Pairing
 from lidar_core.evaluation.types import Estimates, Truth
-from lidar_core.plugins import Registry
+from lidar_core.plugins import Registry, check_choice, registering_module
 
 Of: TypeAlias = Literal["tracks", "detections", "both"]
 
@@ -105,8 +105,10 @@ def register_metric(
     if not name.isidentifier():
         raise ConfigError(f"metric {name!r}: expected a name such as 'longest_segment'")
 
+    check_choice(f"metric {name!r}: of", of, Of)
+
     def register(compute: Compute) -> Compute:
-        METRICS.add(Metric(name, title, unit, of, compute, compute.__module__))
+        METRICS.add(Metric(name, title, unit, of, compute, registering_module()))
         return compute
 
     return register
@@ -115,7 +117,8 @@ def register_metric(
 def metrics_of(paired: Paired, of: Of) -> dict[str, float | None]:
     """Every registered metric of tracks or of detections, by name.
 
-    A metric of another package that fails, or gives no finite number, is left out with a warning.
+    One of another package or of a script that fails, or gives no finite number, is left out with
+    a warning.
     """
     found: dict[str, float | None] = {}
     for metric in METRICS.parts():

@@ -16,7 +16,7 @@ from lidar_core.files import naming
 from lidar_core.flying.analysis import as_pose_covariance
 from lidar_core.flying.config import FlyingConfig
 from lidar_core.flying.results import FlyingFrame, FlyingStatus, Health
-from lidar_core.messages import PosedScan, Scan
+from lidar_core.messages import PosedScan, Scan, posed_of, stated_stamp
 from lidar_core.objects import FlyingDetections, Tracks
 
 if TYPE_CHECKING:
@@ -123,16 +123,13 @@ class FlyingObjectDetector:
             "sensor": sensor,
         }
         try:
-            is_posed = isinstance(points_lidar, PosedScan)
-            posed = points_lidar if is_posed else getattr(points_lidar, "posed", None)
-            if isinstance(posed, PosedScan):
-                given = _arrays_of(posed, given)
-            stamp, values = self._process(**given)
+            posed = posed_of(points_lidar, name="points_lidar")
+            stamp, values = self._process(**(given if posed is None else _arrays_of(posed, given)))
         except InputError as error:
             self._count("rejected")
             if self.config.on_bad_scan == "raise":
                 raise
-            return self._rejected(given["stamp_ns"], str(error))
+            return self._rejected(stated_stamp(points_lidar, stamp_ns), str(error))
         except BaseException:
             self._count("rejected")
             raise
@@ -207,7 +204,8 @@ class FlyingObjectDetector:
     def save_map(self, path: str | PathLike[str]) -> None:
         """Write the map to a file that `load_map` and `VoxelMap.load` read.
 
-        What was found of the robot itself goes with it, per name of a sensor.
+        What was found of the robot itself goes with it, per name of a sensor: of those met, then of
+        those that a loaded map knew, 64 in all.
         """
         with naming(path):
             self._detector.save_map(path)
@@ -239,7 +237,10 @@ class FlyingObjectDetector:
         return self._detector.reanchor()
 
     def reset(self) -> None:
-        """Forget map, tracks and poses; track numbers go on, health is kept."""
+        """Forget map, tracks and poses; track numbers go on, health is kept.
+
+        What was learnt of the sensors stays, until others need their places: 64 are told apart.
+        """
         self._detector.reset()
 
     def health(self) -> Health:
@@ -298,11 +299,7 @@ class FlyingObjectDetector:
             counts = {name: getattr(self._health, name) + 1 for name in ("received", field)}
             self._health = replace(self._health, **counts, **seen)
 
-    def _rejected(self, stamp_ns: Any, reason: str) -> FlyingFrame:
-        try:
-            stamp = as_stamp(stamp_ns)
-        except InputError:
-            stamp = 0
+    def _rejected(self, stamp: int, reason: str) -> FlyingFrame:
         nobody = _detections(_NO_DETECTIONS, stamp)
         return FlyingFrame(
             stamp_ns=stamp,

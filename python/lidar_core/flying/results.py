@@ -72,6 +72,11 @@ class FlyingStatus:
     own_body: float = 0.0
     own_body_is_decided: bool = False
 
+    @property
+    def is_burn_in(self) -> bool:
+        """Whether the scan is one of the first, in which nothing is reported."""
+        return self.reason.startswith("burn-in")
+
 
 @dataclass(frozen=True, slots=True)
 class FlyingFrame:

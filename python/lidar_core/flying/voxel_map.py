@@ -132,6 +132,8 @@ class VoxelMap:
         if not np.isfinite(origins).all():
             raise InputError("sensor_origin: expected finite coordinates, got NaN or infinity")
         classes = as_real(point_class, name="point_class")
+        if not classes.size:  # an empty list has no integers
+            classes = classes.astype(np.uint8)
         highest = max(PointClass)
         if classes.dtype.kind == "f" or (
             classes.size and (classes.min() < 0 or classes.max() > highest)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lidar_core import _core
 from lidar_core.arrays import as_stamp
 from lidar_core.config import as_config
-from lidar_core.errors import InputError, LimitError
+from lidar_core.errors import FormatError, InputError, LimitError
 from lidar_core.fusion.many_config import MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, as_measurements
 from lidar_core.fusion.states import state_names, velocities
@@ -85,7 +85,15 @@ class MultiTargetTracker(FullState):
     ) -> Self:
         made = cls(config, **options)
         made._tracker = _core.MultiTargetTracker.from_state(config, core)
-        made._sources = {str(name): number for number, name in enumerate(extra["sources"])}
+        names = extra["sources"]
+        if (
+            not isinstance(names, list)
+            or len(names) > MAX_SOURCES
+            or len(set(map(str, names))) < len(names)
+            or not all(isinstance(name, str) for name in names)
+        ):
+            raise FormatError(f"byte 12: sources: expected up to {MAX_SOURCES} different names")
+        made._sources = {name: number for number, name in enumerate(names)}
         return made
 
     def process(

@@ -172,13 +172,13 @@ def _of(place: int, new: Callable[[float], float]) -> Change:
 _ANGLES: tuple[tuple[str, Callable[[float], float]], ...] = (
     ("clockwise: they fit with the other sign", lambda a: -a),
     ("compass angles, clockwise from y: they fit as pi/2 minus the angle", lambda a: np.pi / 2 - a),
-    ("degrees: they fit times pi/180 (--angle-unit deg)", lambda a: a * DEGREES),
+    ('degrees: they fit times pi/180 (angle_unit="deg")', lambda a: a * DEGREES),
     ("degrees, clockwise: they fit times -pi/180", lambda a: -a * DEGREES),
     (
         "compass angles in degrees: they fit as pi/2 minus the angle times pi/180",
         lambda a: np.pi / 2 - a * DEGREES,
     ),
-    ("radians that were taken as degrees (--angle-unit rad)", lambda a: a / DEGREES),
+    ('radians that were taken as degrees (angle_unit="rad")', lambda a: a / DEGREES),
 )
 REPAIRS: tuple[tuple[str, str, Change], ...] = (
     *(("radar", f"bearings are {what}", _of(1, change)) for what, change in _ANGLES),
@@ -235,7 +235,7 @@ def _repairs(
     if largest > TURN and not any("degrees" in text for text in shown):
         shown.append(
             f"bearings up to {largest:.4g} are more than a turn of radians: degrees"
-            " (--angle-unit deg)"
+            ' (angle_unit="deg")'
         )
     return shown
 
@@ -309,7 +309,7 @@ CAUSES: Mapping[str, str] = {
     "several targets": "several targets in one table",
     "latitude": "latitude and longitude taken as metres",
     "noise": "noise of the sensors, or of the target's motion, that is set much too small"
-    " (--set lidar_std=..., fit_noise)",
+    " (set lidar_std=..., fit_noise)",
     "platform": "a platform that moves or turns, of which no pose or gyro tells",
 }
 """What is likely, by a word that says that the data shows it."""

@@ -8,12 +8,12 @@ _HINTS = {
     ".bt": "a map, not a recording: `lidar-core detect --map`, `lidar_core.io.read_cloud`",
     ".csv": "a table holds no scans; measurements are for `lidar-core fuse`",
     ".json": "JSON holds no scans; tables of measurements are for `lidar-core fuse`, the metadata"
-    " of an Ouster capture is found beside its .pcap or named with --metadata",
+    " of an Ouster capture is found beside its .pcap or named with metadata=FILE",
     ".lcvm": "a map, not a recording: `lidar-core detect --map`, `lidar_core.io.read_cloud`",
     ".mat": "MATLAB files are not read; save its tables as CSV for `lidar-core fuse`",
     ".parquet": "a table holds no scans; measurements are for `lidar-core fuse`",
-    ".txt": "text holds no scans; poses are for --pose, measurements of LiDAR and radar (L/R) for"
-    " `lidar-core fuse`",
+    ".txt": "text holds no scans; poses are for pose=FILE, measurements of LiDAR and radar (L/R)"
+    " for `lidar-core fuse`",
     ".yaml": "not a recording; of a ROS 2 recording open the folder",
     ".bz2": f"{_PACKED}bunzip2 FILE",
     ".gz": f"{_PACKED}gunzip FILE",
@@ -34,10 +34,10 @@ def hint_for(path: Path) -> str | None:
     suffix = path.suffix.lower()
     if Path(path.stem).suffix.lower() == ".tar" or suffix in (".tgz", ".tbz2", ".txz"):
         return _ARCHIVE
-    if suffix in (".txt", ".json"):
+    if suffix in _LOOKERS:
         with path.open("rb") as file:
             head = file.read(_LOOKED_AT).decode("utf-8", "replace")
-        found = _of_text(path, head) if suffix == ".txt" else _of_json(path, head)
+        found = _LOOKERS[suffix](path, head)
         if found is not None:
             return found
     return _HINTS.get(suffix)
@@ -49,7 +49,7 @@ def _of_text(path: Path, head: str) -> str | None:
     if words[:1] in (["L"], ["R"]):
         return f"text holds no scans; measurements are read with: {_fuse(path)}"
     if len(words) in POSE_NUMBERS and all(map(_is_number, words)):
-        pose = shlex.join(["--pose", str(path)])
+        pose = f"pose={shlex.quote(str(path))}"
         return f"text holds no scans; these are poses, for the recording they belong to: {pose}"
     return None
 
@@ -57,6 +57,18 @@ def _of_text(path: Path, head: str) -> str | None:
 def _of_json(path: Path, head: str) -> str | None:
     if '"sensorID"' in head:
         return f"JSON holds no scans; detections of Autoferry are read with: {_fuse(path)}"
+    return None
+
+
+def _of_table(path: Path, head: str) -> str | None:
+    names = set(head.partition("\n")[0].strip().split(","))
+    if "target_id" in names:
+        return (
+            "a table holds no scans; these are targets, for the run that shall find them:"
+            f" {shlex.join(['lidar-core', 'evaluate', 'run/', str(path)])}"
+        )
+    if {"track_id", "element_id"} & names:
+        return f"a table holds no scans; tracks are for: lidar-core evaluate {path} TRUTH"
     return None
 
 
@@ -70,3 +82,6 @@ def _is_number(word: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+_LOOKERS = {".txt": _of_text, ".json": _of_json, ".csv": _of_table}

@@ -183,7 +183,7 @@ class _Stream:
         steps = [b - a for a, b in pairwise(self.stamps)]
         zero, total = self.stamps.count(0), len(self.stamps)
         repeated, back = sum(step == 0 for step in steps), sum(step < 0 for step in steps)
-        cure = f"; --stamps {self.other_times} gives others"
+        cure = f'; stamps="{self.other_times}" gives others'
         if total > 1 and zero == total:
             return [f"{self.name}: all {total} stamps are 0{cure}"]
         found = []
@@ -310,7 +310,7 @@ def _defects(
             else "no topic with scans that can be read"
         )
     elif not any(not static for static in edges.values()):
-        found.append("no poses: use --pose FILE, or --pose static for a sensor that does not move")
+        found.append('no poses: use pose=FILE, or pose="static" for a sensor that does not move')
     children = {child for _, child in edges} | {parent for parent, _ in edges}
     found += [
         f"{stream.name}: no transform names its frame {frame!r}"

@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias, TypeVar
 from lidar_core.errors import ConfigError, PluginError, PluginWarning
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import Recording
-from lidar_core.plugins import Registry
+from lidar_core.plugins import Registry, check_choice, registering_module
 
 Open: TypeAlias = Callable[..., Recording]
 Sniff: TypeAlias = Callable[[Path, ReadOptions], bool]
@@ -132,6 +132,7 @@ def register_reader(
     >>> @register_reader("Toy", [".toy"])  # doctest: +SKIP
     ... class ToyRecording(Recording): ...
     """
+    check_choice(f"reader {name!r}: folder", folder, Folder)
     ends = tuple(suffix.lower() for suffix in suffixes)
     for end in ends:
         if not end.startswith(".") or len(end) < 2:
@@ -151,7 +152,7 @@ def register_reader(
                 tuple(subfolders),
                 marker,
                 note,
-                opener.__module__,
+                registering_module(),
             )
         )
         return opener

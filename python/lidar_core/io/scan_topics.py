@@ -81,7 +81,7 @@ def scan_topic(recording: "Recording", name: str | None, sort: type) -> Topic:
         words, found = WORDS[sort], listed([topic.name for topic in chosen])
         raise ConfigError(
             f"{words.option}: several topics with {words.plural} in {recording.path}:"
-            f" {found}; name one with --{words.option}"
+            f" {found}; name one with {words.option}=TOPIC"
         )
     return chosen[0]
 

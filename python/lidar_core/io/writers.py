@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypeVar
 
 from lidar_core.errors import ConfigError
-from lidar_core.plugins import Registry
+from lidar_core.plugins import Registry, check_choice, registering_module
 
 Takes: TypeAlias = Literal["messages", "objects", "points"]
 Write: TypeAlias = Callable[..., Any]
@@ -111,6 +111,7 @@ def register_writer(
     >>> @register_writer("Toy", [".toy"], takes="objects")  # doctest: +SKIP
     ... def write_toy(path, objects): ...
     """
+    check_choice(f"writer {name!r}: takes", takes, Takes)
     ends = tuple(suffix.lower() for suffix in suffixes)
     for end in ends:
         if end and (not end.startswith(".") or len(end) < 2):
@@ -119,7 +120,15 @@ def register_writer(
         raise ConfigError(f"writer {name!r}: expected at least one ending")
 
     def register(write: WriteT) -> WriteT:
-        WRITERS.add(Writer(name, ends, takes, write, extra, needs_resolution, write.__module__))
+        module = registering_module()
+        made = Writer(name, ends, takes, write, extra, needs_resolution, module)
+        # The modules of this package are loaded one by one, and take different endings.
+        is_own = module.startswith(("lidar_core.io.write.", "lidar_core.io.maps."))
+        for other in () if is_own else WRITERS.registered():
+            if other.takes == takes and other.name != made.name:
+                for end in set(ends) & set(other.suffixes):
+                    raise ConfigError(f"writer {name!r}: {end!r} is taken by {other.module}")
+        WRITERS.add(made)
         return write
 
     return register
@@ -134,6 +143,13 @@ def writers_of(takes: Takes) -> dict[str, Writer]:
     return known
 
 
+def ending_of(path: Path, known: Iterable[str]) -> str:
+    """The longest of the `known` endings that a name has; else what follows its last dot."""
+    name = path.name.lower()
+    ends = [end for end in known if end and name.endswith(end) and name != end]
+    return max(ends, key=len, default=path.suffix.lower())
+
+
 def writer_of(path: Path, takes: Takes) -> Writer:
     """The writer of the format that the ending of a name chooses.
 
@@ -142,7 +158,8 @@ def writer_of(path: Path, takes: Takes) -> Writer:
     ConfigError
         Another ending.
     """
-    suffix, known = path.suffix.lower(), writers_of(takes)
+    known = writers_of(takes)
+    suffix = ending_of(path, known)
     if suffix not in known:
         listed = ", ".join(dict.fromkeys(map(str, known.values())))
         broken = "".join(f"; {error}" for error in WRITERS.broken())

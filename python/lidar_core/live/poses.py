@@ -165,8 +165,8 @@ class LivePoses:
         edges = sorted(f"{parent} -> {child}" for parent, child in self._transforms.edges())
         return (
             f"no pose for frame {frame!r}; transforms: {', '.join(edges) or 'none'}; odometry:"
-            f" {', '.join(sorted(self._odometry)) or 'none'} (--odom, --fixed-frame, --mounting,"
-            " or --pose static for a sensor that does not move)"
+            f" {', '.join(sorted(self._odometry)) or 'none'} (odom=TOPIC, fixed_frame=FRAME,"
+            ' mounting=..., or pose="static" for a sensor that does not move)'
         )
 
     def _add_odometry(self, topic: str, pose: Pose, carried_frame: str) -> None:

@@ -52,7 +52,7 @@ class ScanOdometry:
             first, other = (" ".join(filter(None, one)) for one in (self._lidar, lidar))
             raise ConfigError(
                 f"pose: kiss places the scans of one LiDAR ({first}), got those of another"
-                f" ({other}); choose one with --cloud"
+                f" ({other}); choose one with clouds=[TOPIC]"
             )
         try:
             placed = self._odometry.place(scan)

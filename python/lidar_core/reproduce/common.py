@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.evaluation import EvaluationConfig
-from lidar_core.flying import FlyingConfig
 
 Kind: TypeAlias = Literal["detections", "tracks"]
 """What the detector of flying objects gives."""
@@ -24,9 +23,11 @@ GATE = 2.0
 
 
 def evaluation_config(**given: Any) -> EvaluationConfig:
-    """What counts: after the burn-in, with a gate that a lagging track passes, else as `given`."""
-    burn_in = FlyingConfig().seed.burn_in_scans
-    return EvaluationConfig(**{"gate": GATE, "burn_in_scans": burn_in, **given})
+    """What counts: a gate that a lagging track passes, else as `given`.
+
+    The scans of the burn-in are those that a run counted: see `flying.simulated.flights.tables`.
+    """
+    return EvaluationConfig(**{"gate": GATE, **given})
 
 
 def mean(values: NDArray[Any]) -> float | None:

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from pkgutil import resolve_name
 from time import perf_counter
-from typing import Any, Self, cast
+from typing import Annotated, Any, Self, cast
 
+from pydantic import Field
 from typer import BadParameter
 from typer.main import get_command
 
@@ -29,7 +30,7 @@ from lidar_core.batch import (
 from lidar_core.batch.config import OUTPUT
 from lidar_core.batch.executors import Executor
 from lidar_core.batch.results import NOTE, flat
-from lidar_core.config import Config
+from lidar_core.config import Config, checked
 from lidar_core.errors import ConfigError, LidarCoreError
 from lidar_core.io.files.atomic import is_temporary, remove_stale, written_whole
 from lidar_core.run_folder import build_digest, lock, note_of, unlock
@@ -63,12 +64,13 @@ class BatchResult(RunResult):
     records: tuple[JobRecord, ...] = ()
 
 
+@checked
 def batch(
     jobs: str | os.PathLike[str],
     output: str | os.PathLike[str],
     *,
     executor: Executor = "local",
-    workers: int | None = None,
+    workers: Annotated[int, Field(ge=1)] | None = None,
     fresh: bool = False,
     on_progress: OnProgress = lambda what, done, total: None,
     on_job: Callable[[JobRecord], None] = lambda record: None,

@@ -21,6 +21,7 @@ from lidar_core.circles import (
 )
 from lidar_core.circles.scan_layout import check_no_rays, scanner_of
 from lidar_core.circles.scanner import layout_name
+from lidar_core.config import checked
 from lidar_core.io import (
     McapWriter,
     PosedScan,
@@ -48,6 +49,7 @@ FILM_FRAMES, FILM_RATE = 120, 10.0
 SHARE = 0.05  # of a LiDAR's scans that have a length which is no defect
 
 
+@checked
 def circles(
     recording: str | PathLike[str],
     config: CirclesConfig | ConfigChoice | None,

@@ -7,11 +7,13 @@ from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from lidar_core.config import checked
 from lidar_core.evaluation import Latency
 from lidar_core.flying import FlyingConfig, FlyingFrame, FlyingObjectDetector, Tracks
 from lidar_core.io import (
@@ -37,6 +39,7 @@ CLASSES = (PointClass.BACKGROUND, PointClass.FLYING, PointClass.UNKNOWN)
 """Classes of points with information that the detector gives."""
 
 
+@checked
 def detect(
     recording: str | PathLike[str],
     config: FlyingConfig | ConfigChoice | None,
@@ -45,7 +48,7 @@ def detect(
     pose: PoseOptions | None = None,
     read: ReadOptions | None = None,
     clouds: Sequence[str] = (),
-    repeat: int = 1,
+    repeat: Annotated[int, Field(ge=1)] = 1,
     known_map: str | PathLike[str] | None = None,
     threads: int = 1,
     mcap: bool | None = None,
@@ -210,7 +213,7 @@ class FlyingRun:
         self._flying.append(self._cloud[frame.point_class == PointClass.FLYING])
         status = frame.status
         self.gate_reason, self.gate_is_open = status.reason, status.gate_open
-        self.burn_in_scans += status.reason.startswith("burn-in")
+        self.burn_in_scans += status.is_burn_in
         if status.gate_open and self.gate_opened_at is None:
             self.gate_opened_at = len(self.frames)
         self.sky = status.sky if status.sky != "unknown" else self.sky

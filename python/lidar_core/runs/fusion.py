@@ -1,12 +1,12 @@
 """Targets from the LiDAR and radar of a recording: one target, or many."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from lidar_core.config import Config
+from lidar_core.config import Config, checked
 from lidar_core.errors import ConfigError, InputError
 from lidar_core.fusion import (
     AutoferryOptions,
@@ -34,6 +34,7 @@ from lidar_core.runs.targets import ManyRun
 BAGS = (".bag", ".db3", ".mcap")
 
 
+@checked
 def fuse(
     recording: str | PathLike[str],
     config: FusionConfig | MultiTargetConfig | ConfigChoice | None,
@@ -172,7 +173,7 @@ class _FuseJob:
 
     def _one(self, log: MeasurementLog, reading: Mapping[str, Config]) -> TargetRun:
         if "association" in self.ways or isinstance(self.config, MultiTargetConfig):
-            raise ConfigError(f"{self.recording}: one target; --association is for many")
+            raise ConfigError(f"{self.recording}: one target; association is for many")
         chosen = config_of_run(_with(self.config, self.ways), FusionConfig, "fusion")
         kept = log.rows(self._kept([m.stamp_ns for m in log.measurements]))
         if chosen.model == "ctrv-drone" and any(m.sensor == "pose" for m in kept.measurements):
@@ -181,10 +182,10 @@ class _FuseJob:
                 " of the platform, which are here; ctrv takes them in"
             )
         made = TargetRun.of(kept, chosen, {**reading, "span": self.span}, lag=self.lag)
-        doubt = None if self.force else implausible(made.log.measurements, made.result, chosen)
-        if doubt is not None:
-            raise InputError(f"{self.recording}: {doubt}. --force goes on nevertheless")
-        return made
+        doubt = implausible(made.log.measurements, made.result, chosen)
+        if doubt is not None and not self.force:
+            raise InputError(f"{self.recording}: {doubt}. force=True goes on nevertheless")
+        return made if doubt is None else replace(made, implausible=str(doubt))
 
     def _many(
         self, scans: list[DetectionScan], reading: Mapping[str, Config], source: str
@@ -192,7 +193,7 @@ class _FuseJob:
         choice = self.config
         is_paper = isinstance(choice, ConfigChoice) and choice.mode == "paper"
         if self.lag is not None or is_paper or isinstance(choice, FusionConfig):
-            raise ConfigError(f"{self.recording}: many targets; --lag and --mode paper are for one")
+            raise ConfigError(f"{self.recording}: many targets; lag and mode paper are for one")
         base = MultiTargetConfig.boats() if source == "Autoferry" else MultiTargetConfig()
         ways = {
             name if name == "association" else f"target.{name}": value
@@ -223,8 +224,7 @@ class _FuseJob:
         """Refuse options of reading that would do nothing."""
         for name in self.read:
             if name not in used:
-                option = name.removesuffix("s").replace("_", "-")
-                raise ConfigError(f"{self.recording}: --{option} says nothing about {what}")
+                raise ConfigError(f"{self.recording}: {name} says nothing about {what}")
 
 
 def _with(config: Any, ways: Mapping[str, str]) -> Any:

@@ -104,7 +104,7 @@ def open_source(
     live: LiveConfig,
     topics: StreamTopics,
 ) -> Source:
-    """Source that --in or --replay names.
+    """Source of a live run: a stream, or a recording to `replay`.
 
     Raises
     ------
@@ -112,13 +112,13 @@ def open_source(
         None or both, or no such source.
     """
     if (text is None) == (replay is None):
-        raise ConfigError(f"live: expected one of --in and --replay; --in is {SOURCES}")
+        raise ConfigError(f"source, replay: expected one of them; a source is {SOURCES}")
     if replay is not None:
         from lidar_core.live.sources.replay import ReplaySource
 
         return ReplaySource(replay, read, rate=rate or 1.0, topics=topics)
     if rate is not None:
-        raise ConfigError("--rate: says nothing about a stream; it is for --replay")
+        raise ConfigError("rate: says nothing about a stream; it is for replay=FILE")
     kind, _, place = str(text).partition(":")
     if kind == "zenoh":
         from lidar_core.live.sources.zenoh import ZenohSource
@@ -132,13 +132,13 @@ def open_source(
     if kind == "udp":
         from lidar_core.live.sources.udp import DEFAULT_PORT, UdpSource
 
-        return UdpSource(_port(place or str(DEFAULT_PORT), "--in udp"), read)
+        return UdpSource(_port(place or str(DEFAULT_PORT), "source: udp"), read)
     drivers = (
         "; of sensors that are not Velodyne's run the driver, and listen to its topic:"
-        " --in zenoh --cloud TOPIC"
+        ' source="zenoh" clouds=TOPIC'
     )
     raise ConfigError(
-        f"--in {text}: expected one of {SOURCES}{drivers if kind in OTHER_SENSORS else ''}"
+        f"source: {text}: expected one of {SOURCES}{drivers if kind in OTHER_SENSORS else ''}"
     )
 
 
@@ -158,21 +158,21 @@ def check_files(
     of_run = [] if folder is None else [folder / MCAP]
     for path in (*places, *of_run):
         if path in of_run and counts[path.resolve()]:
-            raise ConfigError(f"--out mcap:{path}: -o {folder} writes this file; leave --out away")
+            raise ConfigError(f"outputs: mcap:{path}: {folder} gets this file; leave it out")
         if counts[path.resolve()] > 1:
             raise ConfigError(
-                f"--out {path}: expected once, it is given {counts[path.resolve()]} times"
+                f"outputs: {path}: expected once, it is given {counts[path.resolve()]} times"
             )
         if not path.exists():
             continue
         if replayed is not None and path.resolve().is_relative_to(replayed.resolve()):
             raise ConfigError(f"{path}: expected another file than the one to read")
         if not overwrite:
-            raise ConfigError(f"{path}: exists; --overwrite replaces it")
+            raise ConfigError(f"{path}: exists; overwrite=True replaces it")
 
 
 def _file(text: str) -> Path | None:
-    """File that an --out names; None for what is no file."""
+    """File that an output names; None for what is no file."""
     kind, _, place = text.partition(":")
     is_file = (kind == "mcap" and place) or (kind == "rerun" and place.endswith(".rrd"))
     return Path(place) if is_file else None
@@ -185,7 +185,7 @@ def open_output(
     allowed: Collection[str] = (),
     on_refused: Callable[[str], None] = lambda reason: None,
 ) -> Output:
-    """Output that an --out names.
+    """Output of a live run by its name.
 
     Parameters
     ----------
@@ -210,22 +210,22 @@ def open_output(
     if file is not None:
         return outputs.McapOutput(file) if kind == "mcap" else outputs.RerunOutput(file)
     if kind == "foxglove":
-        port = _port(place or str(FOXGLOVE_PORT), "--out foxglove")
+        port = _port(place or str(FOXGLOVE_PORT), "outputs: foxglove")
         return outputs.FoxgloveOutput(port, allowed=allowed, on_refused=on_refused)
     if kind == "rerun" and place in ("", "window"):
         return outputs.RerunWindowOutput()
     if kind == "rerun" and place.partition(":")[0] == "web":
-        port = _port(place.partition(":")[2] or str(PAGE_PORT), "--out rerun:web")
+        port = _port(place.partition(":")[2] or str(PAGE_PORT), "outputs: rerun:web")
         return outputs.RerunPageOutput(port)
     if kind == "zenoh":
         from lidar_core.live.outputs.zenoh import ZenohOutput
         from lidar_core.live.zenoh_link import DEFAULT_ENDPOINT
 
         return ZenohOutput(place or DEFAULT_ENDPOINT, live)
-    raise ConfigError(f"--out {text}: expected one of {OUTPUTS}")
+    raise ConfigError(f"outputs: {text}: expected one of {OUTPUTS}")
 
 
-def _port(text: str, option: str) -> int:
+def _port(text: str, what: str) -> int:
     if not text.isdigit() or int(text) > 65535:
-        raise ConfigError(f"{option}: expected a port from 0 to 65535, got {text!r}")
+        raise ConfigError(f"{what}: expected a port from 0 to 65535, got {text!r}")
     return int(text)

@@ -5,9 +5,12 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
 
 from lidar_core.circles import CirclesConfig
+from lidar_core.config import checked
 from lidar_core.flying import FlyingConfig
 from lidar_core.io import PoseOptions, ReadOptions
 from lidar_core.live import LiveConfig, LiveLoop
@@ -34,13 +37,14 @@ class LiveResult(RunResult):
     heard_nothing: bool = False
 
 
+@checked
 def live(
     source: str | None,
     config: FlyingConfig | CirclesConfig | ConfigChoice | None,
     output: str | PathLike[str] | None,
     *,
     replay: str | PathLike[str] | None = None,
-    rate: float | None = None,
+    rate: Annotated[float, Field(gt=0)] | None = None,
     outputs: Sequence[str] = (),
     allow_origin: Sequence[str] = (),
     capability: Literal["auto", "flying", "circles"] = "auto",
@@ -52,7 +56,7 @@ def live(
     known_map: str | PathLike[str] | None = None,
     threads: int = 1,
     allow_untrusted: bool = False,
-    seconds: float | None = None,
+    seconds: Annotated[float, Field(gt=0)] | None = None,
     overwrite: bool = False,
     on_message: Callable[[str], None] = lambda text: None,
     on_report: Callable[[Report], None] = lambda report: None,

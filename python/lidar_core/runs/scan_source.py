@@ -65,8 +65,8 @@ class ScanSource(Generic[ScanT]):
         if len(clouds) > 1 and pose.pose == "static" and not pose.mounting:
             raise ConfigError(
                 "pose: static puts several LiDARs at one place; say where each sits with"
-                " --mounting, or leave it out, and name the frame that they are mounted on with"
-                " --fixed-frame"
+                " mounting=..., or leave it out, and name the frame that they are mounted on with"
+                " fixed_frame=FRAME"
             )
         self._read = read
         self._repeat = repeat

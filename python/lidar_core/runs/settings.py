@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypeVar, get_args
 
@@ -23,15 +24,32 @@ class ConfigChoice:
     ----------
     mode : str
         "best" or "paper".
-    file : Path, optional
+    file : str or Path, optional
         TOML file; the run.toml of an earlier run, or its folder, is also accepted.
     values : tuple of str
         Single values as "SECTION.NAME=VALUE".
+
+    Raises
+    ------
+    ConfigError
+        A mode that there is not, or a value of another type.
     """
 
     mode: Mode = "best"
-    file: Path | None = None
+    file: str | PathLike[str] | None = None
     values: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what no run can use."""
+        if self.mode not in get_args(Mode):
+            known = " or ".join(map(repr, get_args(Mode)))
+            raise ConfigError(f"mode: expected {known}, got {self.mode!r}")
+        if not isinstance(self.file, str | PathLike | None):
+            raise ConfigError(f"file: expected a path, got {self.file!r}")
+        if not isinstance(self.values, tuple | list) or not all(
+            isinstance(one, str) for one in self.values
+        ):
+            raise ConfigError(f"values: expected a tuple of texts, got {self.values!r}")
 
 
 def config_of_run(
@@ -60,20 +78,18 @@ def config_of_run(
     Raises
     ------
     ConfigError
-        Another class, a file or value that cannot be used, or a mode that there is not.
+        Another class, a file or value that cannot be used, or a model without this mode.
     """
     if config is None or isinstance(config, ConfigChoice):
         choice = config or ConfigChoice()
-        if choice.mode not in get_args(Mode):
-            known = " or ".join(map(repr, get_args(Mode)))
-            raise ConfigError(f"mode: expected {known}, got {choice.mode!r}")
         start = base or model()
         if choice.mode == "paper":
             paper = getattr(model, "paper", None)
             if paper is None:
                 raise ConfigError(f"mode: {section} has no paper mode")
             start = paper()
-        return run_config(start, section, choice.file, choice.values)
+        file = None if choice.file is None else Path(choice.file)
+        return run_config(start, section, file, choice.values)
     given = as_config(config, model)
     if "on_bad_scan" in type(given).model_fields.keys() - given.model_fields_set:
         return given.model_copy(update={"on_bad_scan": "count"})
@@ -134,10 +150,10 @@ def with_assignments(
     values: dict[str, Any],
     assignments: Iterable[str],
     *,
-    option: str = "--set",
+    argument: str = "values",
     example: str = "voxel_map.voxel_size=0.5",
 ) -> dict[str, Any]:
-    """`values` with those of `a.b=c` texts; `option` and `example` are for the error.
+    """`values` with those of `a.b=c` texts; `argument` and `example` are for the error.
 
     Raises
     ------
@@ -147,7 +163,7 @@ def with_assignments(
     for text in assignments:
         change = _assignment(text)
         if change is None:
-            raise ConfigError(f"{option} {text}: expected name=value, such as {example}")
+            raise ConfigError(f"{argument}: {text}: expected name=value, such as {example}")
         values = merged(values, change)
     return values
 

@@ -53,6 +53,8 @@ class TargetRun:
         Of the smoother [s].
     seconds : float
         Time that the filter took [s].
+    implausible : str or None
+        What is beyond reason in the measurements of a run that was told to go on nevertheless.
     """
 
     log: MeasurementLog
@@ -61,6 +63,7 @@ class TargetRun:
     reading: Mapping[str, Config]
     lag: float | None
     seconds: float
+    implausible: str | None = None
 
     @classmethod
     def of(
@@ -83,7 +86,7 @@ class TargetRun:
     @property
     def doubt(self) -> str | None:
         """What looks wrong and may be right."""
-        return geographic_poses(self.log.measurements)
+        return self.implausible or geographic_poses(self.log.measurements)
 
     @property
     def configs(self) -> dict[str, Config]:

@@ -1,6 +1,7 @@
 """Readers, writers and metrics of other packages, found by their entry points."""
 
 import copy
+import importlib.metadata
 import runpy
 import subprocess
 import sys
@@ -259,6 +260,106 @@ def test_a_broken_metric_is_named_and_the_others_go_on(install):
         METRICS.get("bad")
     with pytest.raises(ConfigError, match="metric 'two words': expected a name such as"):
         lc.evaluation.register_metric("two words", "")
+
+
+def test_a_package_registers_what_others_wrote(install, tmp_path):
+    install(
+        "toy-parts",
+        {
+            "other": "def write(path, objects, end): path.write_text(end)\n",
+            "part": "from functools import partial\nfrom operator import itemgetter\n"
+            "from lidar_core.evaluation import register_metric\n"
+            "from lidar_core.io import register_writer\n"
+            "from toy_parts.other import write\n"
+            "ends = ['.toy', '.toy.json']\n"
+            "register_writer('Toy', ends, takes='objects')(partial(write, end='x'))\n"
+            "register_metric('toy_item', 'toy')(itemgetter('toy'))\n",
+        },
+        "[lidar_core.writers]\npart = toy_parts.part\n"
+        "[lidar_core.metrics]\npart = toy_parts.part\n",
+    )
+    writer = writer_of(tmp_path / "a.toy.json", "objects")
+    assert writer.format == "Toy"
+    writer(tmp_path / "a.toy.json", None)
+    assert (tmp_path / "a.toy.json").read_text() == "x"
+    assert WRITERS.plugin_of(writer).name == "part"
+    with pytest.raises(PluginError, match="'toy-parts': TypeError"):
+        writer(tmp_path / "a.toy.json")
+    estimates, truth = estimates_and_truth()
+    # The metrics are those of a module that the writers have loaded already.
+    with pytest.warns(PluginWarning, match="'toy-parts': TypeError"):
+        found = lc.evaluation.score_tracks(estimates, truth)
+    assert "toy_item" not in found.metrics
+
+
+def test_a_package_that_ends_the_program_is_broken(install, tmp_path):
+    install(
+        "broken-exit",
+        {
+            "part": "from lidar_core.io import register_writer\n"
+            "@register_writer('Exit', ['.exit'], takes='objects')\n"
+            "def write(path, objects): raise SystemExit(4)\n",
+            "ends": "raise SystemExit(3)\n",
+        },
+        "[lidar_core.writers]\nends = broken_exit.ends\npart = broken_exit.part\n",
+    )
+    with pytest.warns(
+        PluginWarning, match="plugin 'ends' of the package 'broken-exit': SystemExit"
+    ):
+        writer = writer_of(tmp_path / "a.exit", "objects")
+    with pytest.raises(PluginError, match="SystemExit: 4"):
+        writer(tmp_path / "a.exit", None)
+
+
+def test_an_interrupt_leaves_packages_to_be_found_later(install, monkeypatch):
+    install_toy(install)
+    entry = importlib.metadata.EntryPoint
+    with monkeypatch.context() as patch:
+        patch.setattr(entry, "load", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            READERS.parts()
+    assert "Toy" in [one.name for one in READERS.parts()]
+
+
+@pytest.mark.usefixtures("install")
+def test_a_part_of_a_notebook_has_no_module(tmp_path):
+    scope = {"__name__": None, "register_writer": lc.io.register_writer}
+    exec(
+        "@register_writer('Cell', ['.cell'], takes='objects')\n"
+        "def write(path, objects): raise KeyError('cell')",
+        scope,
+    )
+    writer = writer_of(tmp_path / "a.cell", "objects")
+    assert WRITERS.plugin_of(writer) is None
+    with pytest.raises(
+        PluginError, match=r"writer 'Cell of objects' of a notebook: KeyError: 'cell"
+    ):
+        writer(tmp_path / "a.cell", None)
+
+
+@pytest.mark.usefixtures("install")
+def test_a_metric_of_a_script_that_fails_is_left_out():
+    @lc.evaluation.register_metric("scripted", "scripted")
+    def scripted(paired):
+        raise KeyError("scripted")
+
+    estimates, truth = estimates_and_truth()
+    with pytest.warns(PluginWarning, match=r"metric 'scripted' of .*test_plugins: KeyError"):
+        found = lc.evaluation.score_tracks(estimates, truth)
+    assert found.metrics == {"longest_segment": 1.0}
+
+
+def test_a_choice_that_there_is_not_is_refused():
+    with pytest.raises(ConfigError, match="writer 'x': takes: expected one of messages, objects"):
+        lc.io.register_writer("x", [".x"], takes="object")
+    with pytest.raises(ConfigError, match="reader 'x': folder: expected one of single, merged"):
+        lc.io.register_reader("x", [".x"], folder="together?")
+    with pytest.raises(ConfigError, match="metric 'x': of: expected one of tracks, detections"):
+        lc.evaluation.register_metric("x", "", of="track")
+    with pytest.raises(
+        ConfigError, match=r"writer 'x': '\.npz' is taken by lidar_core\.io\.write\.npz"
+    ):
+        lc.io.register_writer("x", [".npz"], takes="messages")(print)
 
 
 def test_a_name_belongs_to_one_part():

@@ -245,7 +245,7 @@ def test_the_network_of_the_paper_refuses_another_scanner(scanner, told):
         assert text.startswith(f"{place}: the network paper-cnn was trained for")
         assert PAPERS in text
         assert told in text
-        assert "--set detector=taubin" in text
+        assert "set detector=taubin" in text
         CirclePipeline(CirclesConfig.paper(detector="taubin", **changes))
         CirclePipeline(CirclesConfig(detector="cnn", **changes))
 

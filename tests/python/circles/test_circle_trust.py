@@ -22,7 +22,7 @@ from lidar_core.cli import app
 from lidar_core.errors import ConfigError, FormatError, LimitError
 from lidar_core.live.pipelines import CirclesLive
 
-NAMES_OPTIONS = r"allow_untrusted=True, on the command line --trust-model"
+NAMES_OPTIONS = r"allow_untrusted=True"
 
 
 def number(value):

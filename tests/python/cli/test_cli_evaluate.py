@@ -257,7 +257,7 @@ def test_tracks_that_overlap_the_truth_nowhere_in_time_are_told_with_both_spans(
     path = moved(tracks, tmp_path, t_ns=lambda t: t + 10**12)
     text = str(refusal_of(path, truth))
     first, last = tracks["t_ns"].min() * 1e-9 + 1000, tracks["t_ns"].max() * 1e-9 + 1000
-    assert f"no time in common, {first:.3f} to {last:.3f} s and " in text
+    assert f"one ends before the other begins ({first:.3f} to {last:.3f} s and " in text
     assert "time_tolerance=SECONDS" in text
     config = evaluation.EvaluationConfig()
     report = evaluation.evaluate(

@@ -15,6 +15,7 @@ from lidar_core.flying import (
     SeparateConfig,
     TrackerConfig,
 )
+from lidar_core.messages import PosedScan, Scan
 from lidar_core.sim import LidarModel, Spinning
 
 SMALL = LidarModel(
@@ -407,3 +408,42 @@ def test_a_priori_points_that_cannot_be_used_do_not_place_the_map():
 def test_stamps_of_predictions_are_checked(stamp):
     with pytest.raises(InputError, match="stamp_ns"):
         flown(scans=1).tracks_at(stamp)
+
+
+def counting():
+    return FlyingObjectDetector(FlyingConfig(on_bad_scan="count"))
+
+
+def test_a_rejected_posed_scan_keeps_its_time():
+    bad = Scan(7, np.zeros((2, 3), np.float32), "lidar", no_return=np.ones(3, bool))
+    frame = counting().process(PosedScan(bad, np.eye(4)))
+    assert frame.rejected.startswith("no_return: expected shape (2,)")
+    assert frame.stamp_ns == 7
+
+
+def test_a_scan_without_a_pose_is_told_what_it_lacks():
+    scan = Scan(7, np.zeros((2, 3), np.float32), "lidar")
+    told = (
+        r"points_lidar: expected a posed scan or an array, got a Scan without a pose: PosedScan\("
+    )
+    with pytest.raises(InputError, match=told):
+        FlyingObjectDetector(FlyingConfig(on_bad_scan="raise")).process(scan)
+    frame = counting().process(scan)
+    assert (frame.stamp_ns, "PosedScan(" in frame.rejected) == (7, True)
+
+
+def test_names_of_sensors_are_free_after_a_reset():
+    detector = FlyingObjectDetector(FlyingConfig(on_bad_scan="raise"))
+
+    def give(name, stamp_ns):
+        return detector.process(np.ones((1, 3), np.float32), np.eye(4), stamp_ns, sensor=name)
+
+    for number in range(64):
+        give(f"old {number}", number)
+    with pytest.raises(LimitError, match='sensor "new", the detector\'s 65th'):
+        give("new", 64)
+    detector.reset()
+    for number in range(64):
+        give(f"new {number}", number)
+    with pytest.raises(LimitError, match="65th"):
+        give("old 1", 64)

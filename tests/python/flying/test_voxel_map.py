@@ -528,3 +528,10 @@ def test_moving_points_count_as_unknown_ones():
     assert (maps[0].values_at(points) == maps[1].values_at(points)).all()
     with pytest.raises(InputError, match="4 moving"):
         maps[0].integrate(points[:1], [5], (0, 0, 0))
+
+
+def test_an_empty_cloud_changes_nothing():
+    grid = VoxelMap()
+    for nothing in (np.empty((0, 3), np.float32), np.empty((0, 3))):
+        stats = grid.integrate(nothing, [], (0, 0, 0))
+        assert (stats.n_rays, stats.n_voxels, grid.n_observed) == (0, 0, 0)

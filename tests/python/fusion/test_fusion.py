@@ -256,8 +256,7 @@ def test_the_options_of_the_paper_are_those_of_the_oracle(options, turns):
     config = FusionConfig.paper().model_copy(update={"published": published})
     seen, _ = walk(np.random.default_rng(26), rows=8)
     result = run(seen, config)
-    # Matrices come column by column, which shows in printed ones alone: they are not symmetric.
-    covariances = np.swapaxes(result.covariances, 1, 2)
+    covariances = result.covariances
     for k, m in enumerate(seen[1:], 1):
         s, P = reference.paper_step(
             result.states[k - 1],

@@ -528,3 +528,11 @@ def test_fuse_of_empty_scans_leaves_whole_files(tmp_path):
     out = CliRunner().invoke(app, ["fuse", str(path), "-o", str(tmp_path / "run"), "--json", "-"])
     assert out.exit_code == 0, out.output or out.exception
     assert json.loads(out.stdout)["tracks"] == 0
+
+
+@pytest.mark.parametrize("sources", ["ab", ["a", "a"], [1], [f"s{n}" for n in range(65)], {"a": 0}])
+def test_a_state_with_other_scanners_is_refused(sources):
+    tracker = MultiTargetTracker()
+    core, _ = tracker._state()
+    with pytest.raises(FormatError, match="sources: expected up to 64 different names"):
+        MultiTargetTracker._from_state(tracker.config, core, {"sources": sources})

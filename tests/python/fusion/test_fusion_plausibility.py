@@ -266,7 +266,9 @@ def test_the_command_ends_with_status_2_and_force_goes_on(tmp_path, recordings):
     assert "--angle-unit deg" in told
     assert "--force" in told
     assert not (tmp_path / "a").exists()
-    assert fuse(wrong, "-o", tmp_path / "a", "--force").returncode == 0
+    forced = fuse(wrong, "-o", tmp_path / "a", "--force")
+    assert forced.returncode == 0
+    assert "note: after 499 measurements the NIS is" in " ".join(forced.stderr.split())
     assert (tmp_path / "a/summary.json").is_file()
     right = fuse(wrong, "-o", tmp_path / "b", "--angle-unit", "deg")
     assert right.returncode == 0, right.stderr

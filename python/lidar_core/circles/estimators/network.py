@@ -102,7 +102,7 @@ class CircleNetwork:
         raise ConfigError(
             f"{place}: the network {name} was trained for {_told(self._scanner)}, got"
             f" {_told(scanner)}; use a fit in its place, which is for any scanner, as in"
-            ' detector = "taubin" (--set detector=taubin), or train the network for this scanner'
+            " set detector=taubin, or train the network for this scanner"
             " (lidar-core train circles)"
         )
 

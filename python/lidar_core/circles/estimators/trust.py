@@ -71,8 +71,7 @@ def check_trusted(path: Path, content: bytes, *, allow_untrusted: bool) -> None:
         return
     raise ConfigError(
         f"{path}: a foreign model is a program, and this one (SHA-256 {digest[:12]}...) was neither"
-        " shipped nor exported here; if you trust where it comes from, say so:"
-        " allow_untrusted=True, on the command line --trust-model"
+        " shipped nor exported here; if you trust where it comes from, say so: allow_untrusted=True"
     )
 
 

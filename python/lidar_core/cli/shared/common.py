@@ -1,6 +1,7 @@
 """What the commands share: consoles, progress, pictures, results for people and machines."""
 
 import json
+import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
 
 import typer
 
+from lidar_core.errors import LidarCoreError
 from lidar_core.util.threads import all_threads
 
 if TYPE_CHECKING:
@@ -69,8 +71,57 @@ def help_text(command: Callable[..., None]) -> str:
     return "\n\n".join(" ".join(one.split()) for one in paragraphs)
 
 
+OPTIONS = {
+    **{
+        name: name.replace("_", "-")
+        for name in (
+            "allow_origin",
+            "angle_unit",
+            "fixed_frame",
+            "force",
+            "gate",
+            "metadata",
+            "mounting",
+            "odom",
+            "overwrite",
+            "pose",
+            "replay",
+            "scan_rate",
+            "stamps",
+        )
+    },
+    "allow_untrusted": "trust-model",
+    "cloud": "cloud",
+    "clouds": "cloud",
+    "columns": "column",
+    "scan": "scan",
+    "source": "in",
+    "topics": "topic",
+}
+"""Options of commands by the arguments of functions whose errors name them."""
+ARGUMENT = re.compile(
+    rf"(?<![\w-])(?<!--topic )(?<!--column )({'|'.join(OPTIONS)})=(?!=)(True\b|\"(\w+)\"|)"
+)
+PAIR = re.compile(r'(column|topic)s=\{"(\w+)": \[?"(\w+)"\]?\}')
+PREFIXES = {"source": "--in", "outputs": "--out", "values": "--set", "source, replay": "--in"}
+PREFIX = re.compile(rf"^({'|'.join(PREFIXES)}): ")
+VALUE = re.compile(r'\bset (?=[\w."]+=)')
+
+
+def as_options(text: str) -> str:
+    """A text that names arguments as `name=value`, with the options that give them."""
+    text = PREFIX.sub(lambda found: f"{PREFIXES[found[1]]} ", text)
+    text = VALUE.sub("--set ", PAIR.sub(r"--\1 \2=\3", text))
+
+    def option(found: re.Match[str]) -> str:
+        name = f"--{OPTIONS[found[1]]}"
+        return name if found[2] == "True" else f"{name} {found[3] or ''}"
+
+    return ARGUMENT.sub(option, text)
+
+
 def stoppable(command: Callable[..., None]) -> Callable[..., None]:
-    """The command; Ctrl-C that it does not end by itself is told, and gives its exit status."""
+    """The command; errors name its options, and Ctrl-C gives its exit status."""
 
     @wraps(command)
     def called(*arguments: Any, **options: Any) -> None:
@@ -79,6 +130,10 @@ def stoppable(command: Callable[..., None]) -> Callable[..., None]:
         except KeyboardInterrupt:
             print("interrupted: files that are there are whole", file=sys.stderr)
             raise typer.Exit(INTERRUPTED) from None
+        except (LidarCoreError, FileExistsError) as error:
+            if error.args and isinstance(error.args[0], str):
+                error.args = (as_options(error.args[0]), *error.args[1:])
+            raise
 
     return called
 
@@ -141,10 +196,10 @@ def report(
     """Print the table, notes and files of a run; end the command as the run ended."""
     out, errors = consoles(json_file)
     for note in result.notes:
-        errors.print(note, markup=False, highlight=False, soft_wrap=True)
+        errors.print(as_options(note), markup=False, highlight=False, soft_wrap=True)
     out.print(table)
     for note in notes:
-        out.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
+        out.print(f"note: {as_options(note)}", markup=False, highlight=False, soft_wrap=True)
     out.print(f"{result.folder}: {', '.join(result.files)}", highlight=False, soft_wrap=True)
     write_json({**result.summary, "files": result.files}, json_file)
     if isinstance(result.ended_by, KeyboardInterrupt):

@@ -78,7 +78,7 @@ def _of_times(
     return (
         f"{outside.sum()} of {len(stamps)} {what} are just outside the tolerance of"
         f" {1e3 * tolerance:g} ms, {typical_offset(offsets[outside])}, and have no truth;"
-        f" --set time_tolerance={cure:.2g} takes them in"
+        f" set time_tolerance={cure:.2g} takes them in"
     )
 
 
@@ -110,6 +110,6 @@ def _of_places(estimates: Estimates, truth: Truth, config: EvaluationConfig, wha
     return (
         f"none of the {what} is within the gate of {config.gate:g} m of a target: the nearest is"
         f" {away.min():.3g} m away, {np.median(away):.3g} m are typical; {what} lie about"
-        f" ({places[0]}), targets about ({places[1]}): are both in one frame? --gate METRES widens"
+        f" ({places[0]}), targets about ({places[1]}): are both in one frame? gate=METRES widens"
         " the gate"
     )

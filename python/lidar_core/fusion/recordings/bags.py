@@ -122,7 +122,7 @@ def _sensors(place: Path, topics: Sequence[Topic], options: BagOptions) -> dict[
         if sensor == "pose" and len(fitting) > 1:
             raise ConfigError(
                 f"{place}: topics: several with poses, {', '.join(sorted(fitting))};"
-                " name that of the platform with --topic pose=NAME"
+                ' name that of the platform with topics={"pose": ["NAME"]}'
             )
         found |= dict.fromkeys(fitting, sensor)
     return found

@@ -171,7 +171,7 @@ def _stamps(place: Path, columns: Columns, unit_ns: int) -> NDArray[np.int64]:
     if "t_ns" not in columns:
         raise FormatError(
             f"{place}: no column t_ns among {', '.join(columns) or 'none'}; name the column of"
-            " times with --column t_ns=NAME"
+            ' times with columns={"t_ns": "NAME"}'
         )
     column, limit = columns["t_ns"], MAX_SECONDS * 1e9 / unit_ns
     numbers = _numbers(place, columns, "t_ns")
@@ -199,7 +199,7 @@ def _values(place: Path, columns: Columns, angle: float) -> dict[SensorName, NDA
         wanted = "; ".join(f"{sensor}: {', '.join(names)}" for sensor, names in VALUES.items())
         raise FormatError(
             f"{place}: no sensor has all its columns ({wanted}) among {', '.join(columns)};"
-            " name them with --column OURS=THEIRS"
+            ' name them with columns={"OURS": "THEIRS"}'
         )
     return found
 

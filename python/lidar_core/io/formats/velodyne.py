@@ -32,7 +32,7 @@ class VelodyneRecording(Recording):
             sizes = ", ".join(f"{count} of {size}" for size, count in packets.most_common(3))
             raise FormatError(
                 f"{path}: packets (number of bytes: {sizes or 'none'}) are not Velodyne's; for"
-                " Ouster, put its .json beside the file or name it with --metadata"
+                " Ouster, put its .json beside the file or name it with metadata=FILE"
             )
         self._library = velodyne_library()
         self._topic = Topic(TOPIC, "velodyne packets", "scan")

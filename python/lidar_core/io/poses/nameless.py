@@ -72,7 +72,7 @@ def carrier_of(
         raise ConfigError(
             f"odom: poses of {topic!r} are in frame {min(parents)!r}, in which the recording's"
             f" static transforms keep {frame!r} in one place; they are not the sensor's: leave"
-            " --odom out and use --pose static"
+            ' odom out and use pose="static"'
         )
     if not carriers:
         return frame
@@ -84,7 +84,7 @@ def carrier_of(
     texts = [
         _mounting(carrier, frame, matrix) for carrier, matrix in zip(carriers, sensor, strict=True)
     ]
-    choices = " or ".join(f"--mounting '{text}'" for text in texts)
+    choices = " or ".join(f"mounting='{text}'" for text in texts)
     raise UnclearCarrierError(
         f"odom: poses of {topic!r} name no frame of their own; they may be those of"
         f" {' or '.join(carriers)}, which carry {frame!r}: say which with {choices}",

@@ -96,7 +96,7 @@ class KissOdometry:
 
     def __init__(self, note: Callable[[str], None] | None = None) -> None:
         self._note = note
-        require("kiss_icp", extra="odometry", purpose="--pose kiss")
+        require("kiss_icp", extra="odometry", purpose='pose="kiss"')
         self._parts: _Parts | None = None
         self._first_motion = np.eye(4)
         self._doubt = _Doubt()
@@ -254,7 +254,7 @@ class _Parts:
     """KISS-ICP's parts, set for the range of the scans; one thread, so that runs are repeatable."""
 
     def __init__(self, points: NDArray[np.float64]) -> None:
-        config = require("kiss_icp.config", extra="odometry", purpose="--pose kiss")
+        config = require("kiss_icp.config", extra="odometry", purpose='pose="kiss"')
         reach = 1.25 * float(np.percentile(np.linalg.norm(points, axis=1), 95))
         reach = float(np.clip(reach, LEAST_RANGE, MOST_RANGE))
         nearest = float(np.clip(NEAREST_SHARE * reach, *NEAREST))
@@ -272,7 +272,7 @@ class _Parts:
                 "fixed_threshold": None,
             },
         )
-        package = require("kiss_icp.kiss_icp", extra="odometry", purpose="--pose kiss")
+        package = require("kiss_icp.kiss_icp", extra="odometry", purpose='pose="kiss"')
         engine: Any = package.KissICP(chosen)
         self.map, self.threshold = engine.local_map, engine.adaptive_threshold
         self._engine, self._voxel, self._reach = engine, reach / VOXELS, reach
@@ -290,7 +290,7 @@ class _Parts:
         self, source: NDArray[np.float64], guess: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Pose to start the registration from where no motion is known."""
-        mapping = require("kiss_icp.mapping", extra="odometry", purpose="--pose kiss")
+        mapping = require("kiss_icp.mapping", extra="odometry", purpose='pose="kiss"')
         coarse: Any = mapping.VoxelHashMap(
             voxel_size=COARSE * self._voxel, max_distance=self._reach, max_points_per_voxel=20
         )

@@ -192,7 +192,7 @@ def advice(verdict: Verdict, *, frame: str, source: str) -> str:
     )
     turn, angles = verdict.turn, _angles(verdict.turn)
     is_own = np.array_equal(turn, np.eye(3))
-    mounting = f'--mounting "carrier {frame or "lidar"} 0 0 0 {angles}"'
+    mounting = f'mounting="carrier {frame or "lidar"} 0 0 0 {angles}"'
     cure = [
         *(["give the inverse of every matrix"] if verdict.is_inverse else []),
         *(

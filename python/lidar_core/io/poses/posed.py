@@ -256,13 +256,13 @@ class PosedScans(Generic[ScanT]):
         edges = [f"{parent} -> {child}" for parent, child in buffer.edges()]
         odometry = [t.name for t in self._recording.topics() if t.type in POSE_TYPES]
         moving = [child for (_, child), is_static in buffer.edges().items() if not is_static]
-        mounting = f" '{moving[0]} {frame} x y z roll pitch yaw'" if moving else ""
+        mounting = f"'{moving[0]} {frame} x y z roll pitch yaw'" if moving else "..."
         return FormatError(
             f"{self._recording.path}: no pose for frame {frame!r} of topic {self._cloud.name!r}:"
             f" {reason}. Found transforms: {listed(edges)}; odometry topics: {listed(odometry)}."
-            " Name a frame with --fixed-frame, a topic with --odom, a poses file with --pose FILE,"
-            f" where the sensor sits with --mounting{mounting}, or --pose static for a sensor that"
-            " does not move"
+            " Name a frame with fixed_frame=FRAME, a topic with odom=TOPIC, a poses file with"
+            f' pose=FILE, where the sensor sits with mounting={mounting}, or pose="static" for a'
+            " sensor that does not move"
         )
 
 

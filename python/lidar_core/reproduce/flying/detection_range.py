@@ -105,8 +105,7 @@ def _country(seed: int, sensor: Any) -> tuple[Body, ...]:
 
 
 def _evaluation() -> EvaluationConfig:
-    burn_in = FlyingConfig().seed.burn_in_scans
-    return EvaluationConfig(max_distance=EDGES[-1], burn_in_scans=burn_in)
+    return EvaluationConfig(max_distance=EDGES[-1])
 
 
 def _distances_and_errors(

@@ -382,7 +382,8 @@ impl FlyingObjectDetector {
         true
     }
 
-    /// Forget map, tracks and poses. Track numbers go on; what was learnt of the sensors stays.
+    /// Forget map, tracks and poses. Track numbers go on; what was learnt of the sensors stays, until
+    /// others need their places.
     ///
     /// # Errors
     /// None that [`FlyingObjectDetector::new`] did not have.

@@ -419,7 +419,7 @@ def posed(path, **options):
 def test_a_mounting_stands_in_for_a_missing_transform(tmp_path):
     path = tmp_path / "a.npz"
     lc.io.write_npz(path, moving())
-    with pytest.raises(FormatError, match="where the sensor sits with --mounting"):
+    with pytest.raises(FormatError, match="where the sensor sits with mounting="):
         posed(path)
     items, scans = posed(path, mounting=["body laser 0.5 0 1 0 0 1.5707963267948966"])
     assert scans.fixed_frame == "map"

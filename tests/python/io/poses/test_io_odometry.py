@@ -358,7 +358,7 @@ def test_a_stream_is_placed_as_its_scans_come(flight):
     with pytest.raises(NoTransformError, match="not later than the one before"):
         poses.posed(items[4].scan)
     other = replace(items[5].scan, frame_id="second")
-    with pytest.raises(ConfigError, match=r"one LiDAR .*choose one with --cloud"):
+    with pytest.raises(ConfigError, match=r"one LiDAR .*choose one with clouds="):
         poses.posed(other)
     empty = Scan(items[6].scan.stamp_ns, np.full((100, 3), np.nan, np.float32))
     empty = replace(empty, frame_id=items[0].scan.frame_id, topic=items[0].scan.topic)

@@ -90,6 +90,7 @@ class Seen:
     tracks_scan: list[int] = field(default_factory=list)
     tracks_id: list[int] = field(default_factory=list)
     tracks_position: list[NDArray[np.float64]] = field(default_factory=list)
+    burn_in_scans: int = 0
 
     def add(self, number: int, frame: FlyingFrame) -> None:
         """Add the results of scan `number`."""
@@ -98,6 +99,7 @@ class Seen:
         self.tracks_scan += [number] * len(frame.tracks)
         self.tracks_id += frame.tracks.id.tolist()
         self.tracks_position += list(frame.tracks.position)
+        self.burn_in_scans += frame.status.is_burn_in
 
     def columns(self) -> Part:
         """Everything as arrays."""
@@ -107,6 +109,7 @@ class Seen:
             "tracks_scan": np.array(self.tracks_scan, np.int64),
             "tracks_id": np.array(self.tracks_id, np.int64),
             "tracks_position": np.reshape(np.array(self.tracks_position, float), (-1, 3)),
+            "burn_in_scans": np.array(self.burn_in_scans),
         }
 
 
@@ -156,13 +159,15 @@ def tables(
     """Detections or tracks of the configuration `name`, and the targets, for the evaluation.
 
     The truth has one row per scan and target, in this order: tracks are where it says at the
-    start of the scan, detections where the rays met the target.
+    start of the scan, detections where the rays met the target. No target has to be found in the
+    scans of the burn-in, as the run counted them, or in the first ones of `config`.
     """
     count = len(part["id"])
     stamps = part["stamp_ns"]
     position = part["position" if kind == "tracks" else "position_hit"].reshape(-1, 3)
     sensor = np.repeat(part["sensor"], count, axis=0)
-    after = np.repeat(np.arange(len(stamps)) >= config.burn_in_scans, count)
+    held = max(config.burn_in_scans, int(part.get(f"{name}_burn_in_scans", 0)))
+    after = np.repeat(np.arange(len(stamps)) >= held, count)
     estimates = Estimates(
         stamp_ns=stamps[part[f"{name}_{kind}_scan"]],
         position=part[f"{name}_{kind}_position"],

@@ -40,6 +40,13 @@ impl Sensors {
         parameters: &FlyingParameters,
     ) -> Result<&Sensor, Error> {
         if !self.known.contains_key(name) {
+            if self.known.len() >= MAX_SENSORS {
+                // Names from before the last reset: what was learnt of them helps only if they return.
+                let unused = self.known.iter().find(|(_, sensor)| sensor.last_stamp_ns.is_none());
+                if let Some(unused) = unused.map(|(name, _)| name.clone()) {
+                    self.known.remove(&unused);
+                }
+            }
             check_count(self.known.len() + 1, name)?;
             let FlyingParameters { sensors, default_sensor, .. } = parameters;
             let mut sensor = Sensor::new(sensors.get(name).unwrap_or(default_sensor).clone());
@@ -78,16 +85,18 @@ impl Sensors {
 
     /// What is known of the robot, per sensor, those of an earlier run included.
     pub(crate) fn bodies(&self) -> Vec<SavedBody> {
-        let not_met = self.recalled.iter().filter(|(name, _)| !self.known.contains_key(*name));
-        let mut bodies: Vec<SavedBody> = not_met.map(|(_, body)| body.clone()).collect();
+        let mut bodies = Vec::new();
         for (name, sensor) in &self.known {
             if let Some((voxels, is_decided)) = sensor.body.as_ref().and_then(|body| body.known()) {
                 let voxels = voxels.to_vec();
                 bodies.push(SavedBody { sensor: name.clone(), is_decided, voxels });
             }
         }
+        // A file has room for so many: what an earlier run knew of sensors that are not here comes last.
+        let room = MAX_SENSORS.saturating_sub(bodies.len());
+        let not_met = self.recalled.iter().filter(|(name, _)| !self.known.contains_key(*name));
+        bodies.extend(not_met.take(room).map(|(_, body)| body.clone()));
         bodies.sort_by(|one, other| one.sensor.cmp(&other.sensor));
-        bodies.truncate(MAX_SENSORS); // of sensors that were not met lately
         bodies
     }
 

@@ -264,8 +264,9 @@ pub fn output<const N: usize>(state: &Gaussian<N>, heading: Option<usize>) -> Ou
         // Unwrapped inside the filter, so that differences of means stay small.
         mean[index] = wrapped(mean[index]);
     }
-    for (row, column) in covariance.iter_mut().zip(state.covariance.column_iter()) {
-        row[..N].copy_from_slice(column.as_slice()); // symmetric
+    for (row, entries) in covariance.iter_mut().zip(state.covariance.row_iter()) {
+        // The covariance of model paper is not symmetric: rows are not columns.
+        row.iter_mut().zip(entries.iter()).for_each(|(entry, &value)| *entry = value);
     }
     Output { count: N, mean, covariance }
 }

@@ -1,0 +1,130 @@
+"""Arguments of `lidar_core.runs`; errors name them, and on the command line its options."""
+
+import ast
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lidar_core as lc
+from lidar_core import ConfigError, runs
+from lidar_core.cli.shared.common import as_options
+from lidar_core.runs import ConfigChoice
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"repeat": 0}, "repeat: expected a value greater than or equal to 1, got 0"),
+        ({"repeat": 1.5}, "repeat: expected int, got 1.5"),
+        ({"pose": "static"}, r"pose: expected PoseOptions \| None, got 'static'"),
+        ({"read": {"stamps": "own"}}, r"read: expected ReadOptions \| None, got \{'stamps'"),
+        ({"clouds": "/points"}, r"clouds: expected Sequence\[str\], got '/points'"),
+        ({"threads": "2"}, "threads: expected int, got '2'"),
+        ({"config": "best"}, r"config: expected FlyingConfig \| ConfigChoice \| None, got 'best'"),
+        ({"known_map": 3, "mcap": "yes"}, r"known_map: .*\nmcap: expected bool \| None, got 'yes'"),
+    ],
+)
+def test_an_argument_of_another_type_is_refused(tmp_path, values, told):
+    with pytest.raises(ConfigError, match=told):
+        runs.detect(tmp_path / "none.npz", values.pop("config", None), tmp_path / "run", **values)
+    assert not (tmp_path / "run").exists()
+
+
+def test_arguments_of_the_other_runs_are_checked_too(tmp_path):
+    with pytest.raises(ConfigError, match=r"lag: expected float \| None, got '1'"):
+        runs.fuse("a.csv", None, tmp_path, lag="1")
+    with pytest.raises(ConfigError, match=r"topics: expected Mapping.*got \{'radar': '/front'\}"):
+        runs.fuse("a.bag", None, tmp_path, topics={"radar": "/front"})
+    with pytest.raises(ConfigError, match="film: expected bool, got 1"):
+        runs.circles("a.bag", None, tmp_path, film=1)
+    with pytest.raises(ConfigError, match=r"capability: expected Literal\['auto', .*got 'sky'"):
+        runs.live("udp", None, None, capability="sky")
+    with pytest.raises(ConfigError, match="rate: expected a value greater than 0, got -1"):
+        runs.live(None, None, None, replay="a.bag", rate=-1)
+    with pytest.raises(ConfigError, match="workers: expected a value greater than or equal to 1"):
+        runs.batch("jobs.toml", tmp_path, workers=0)
+
+
+def test_numbers_of_numpy_are_numbers(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        runs.detect(tmp_path / "none.npz", None, tmp_path / "run", threads=np.int64(1))
+
+
+def test_a_missing_argument_is_a_type_error(tmp_path):
+    with pytest.raises(TypeError, match="output"):
+        runs.detect(tmp_path / "none.npz", None)
+
+
+def test_a_choice_takes_a_path_as_text(tmp_path):
+    file = tmp_path / "best.toml"
+    file.write_text("[voxel_map]\nvoxel_size = 0.5\n")
+    made = lc.sim.record(lc.sim.scenes.demo(0, scans=1), tmp_path / "a.npz", seed=0)
+    run = tmp_path / "run"
+    runs.detect(made.recording, ConfigChoice(file=str(file)), run, mcap=False, picture=False)
+    assert "voxel_size = 0.5" in (run / "run.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"mode": "fast"}, "mode: expected 'best' or 'paper', got 'fast'"),
+        ({"file": 3}, "file: expected a path, got 3"),
+        ({"values": "a=b"}, "values: expected a tuple of texts, got 'a=b'"),
+    ],
+)
+def test_a_choice_refuses_what_no_run_can_use(values, told):
+    with pytest.raises(ConfigError, match=told):
+        ConfigChoice(**values)
+
+
+def test_errors_of_functions_name_arguments(tmp_path):
+    (tmp_path / "a.csv").write_text("t_ns,x,y\n0,1,2\n")
+    for values, told in (
+        ({"association": "nearest"}, "one target; association is for many"),
+        ({"topics": {"radar": ["/front"]}}, "topics says nothing about a table"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            runs.fuse(tmp_path / "a.csv", None, tmp_path / "run", **values)
+    with pytest.raises(ConfigError, match="values: voxel_size: expected name=value"):
+        runs.detect(tmp_path / "a.npz", ConfigChoice(values=("voxel_size",)), tmp_path / "run")
+    for arguments, told in (
+        (("nowhere", None), "source: nowhere: expected one of zenoh"),
+        ((None, None), "source, replay: expected one of them"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            runs.live(*arguments, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("a/run: holds an earlier run; overwrite=True replaces it", "; --overwrite replaces it"),
+        ('or pose="static" for a sensor', "or --pose static for a sensor"),
+        ("say which with mounting='a b 0 0 0 0 0 0'", "which with --mounting 'a b 0"),
+        ('name the column with columns={"t_ns": "NAME"}', "column with --column t_ns=NAME"),
+        ('with topics={"pose": ["NAME"]}', "with --topic pose=NAME"),
+        ("for any scanner, as in set detector=taubin", "as in --set detector=taubin"),
+        ("values: voxel_size: expected name=value", "--set voxel_size: expected name=value"),
+        ("source: x: expected one of zenoh", "--in x: expected one of"),
+        ("say so: allow_untrusted=True", "say so: --trust-model"),
+        ("a frame=3 and a_pose=4 stay", "a frame=3 and a_pose=4 stay"),
+    ],
+)
+def test_errors_of_commands_name_options(text, told):
+    assert told in as_options(text)
+
+
+def test_no_error_of_a_function_names_an_option():
+    package = Path(lc.__file__).parent
+    named = [
+        f"{path.relative_to(package)}: {text.value}"
+        for path in package.rglob("*.py")
+        if not {"cli", "viz"} & set(path.relative_to(package).parts)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Raise)
+        for text in ast.walk(node)
+        if isinstance(text, ast.Constant) and re.search(r"(^|[\s(])--[a-z]", str(text.value))
+    ]
+    assert named == []
