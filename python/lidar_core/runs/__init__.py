@@ -4,9 +4,9 @@ from lidar_core.runs.batch_jobs import BatchResult, batch
 from lidar_core.runs.circle_map import circles
 from lidar_core.runs.flying import detect
 from lidar_core.runs.fusion import fuse
-from lidar_core.runs.live_run import LiveResult, live
 from lidar_core.runs.result import RunResult
 from lidar_core.runs.settings import ConfigChoice
+from lidar_core.runs.streams.live import LiveResult, live
 
 __all__ = [
     "BatchResult",

@@ -28,8 +28,8 @@ from lidar_core.run_folder import fingerprint
 from lidar_core.runs.recording import folder_to_write
 from lidar_core.runs.result import RunResult, draw
 from lidar_core.runs.settings import ConfigChoice, config_of_run, with_assignments
-from lidar_core.runs.target import TargetRun
-from lidar_core.runs.targets import ManyRun
+from lidar_core.runs.targets.many import ManyRun
+from lidar_core.runs.targets.one import TargetRun
 
 BAGS = (".bag", ".db3", ".mcap")
 

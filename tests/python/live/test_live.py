@@ -53,8 +53,8 @@ from lidar_core.live.stats import LiveStats
 from lidar_core.live.zenoh_link import key_of, topic_of
 from lidar_core.messages import LaserScan, Pose, Scan
 from lidar_core.run_folder import RunFolder
-from lidar_core.runs.live_choice import PipelineChoice
-from lidar_core.runs.live_folder import LiveFolder
+from lidar_core.runs.streams.choice import PipelineChoice
+from lidar_core.runs.streams.folder import LiveFolder
 
 PATIENCE_S = 60
 MAIN = "from lidar_core.cli import main; main()"

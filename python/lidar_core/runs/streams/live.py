@@ -17,10 +17,10 @@ from lidar_core.live import LiveConfig, LiveLoop
 from lidar_core.live.loop import Report
 from lidar_core.live.poses import LivePoses
 from lidar_core.run_folder import RunFolder
-from lidar_core.runs.live_choice import PipelineChoice, check_files, open_output, open_source
-from lidar_core.runs.live_folder import LiveFolder
 from lidar_core.runs.result import RunResult
 from lidar_core.runs.settings import ConfigChoice
+from lidar_core.runs.streams.choice import PipelineChoice, check_files, open_output, open_source
+from lidar_core.runs.streams.folder import LiveFolder
 from lidar_core.viz.origin_check import allowed_origins
 
 

@@ -26,8 +26,8 @@ from lidar_core.fusion.states import state_names, velocities
 from lidar_core.io.tables.covariance import covariance_columns
 from lidar_core.io.tables.tracks import write_trajectories
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
-from lidar_core.runs.planar import PlanarStep, in_plane, sensor_at, write_run_mcap
 from lidar_core.runs.result import Picture
+from lidar_core.runs.targets.planar import PlanarStep, in_plane, sensor_at, write_run_mcap
 from lidar_core.viz import FusionView, PlanarLine, draw_fusion
 
 LIMIT = 0.95

@@ -26,9 +26,8 @@ from lidar_core.fusion.states import state_names
 from lidar_core.io.tables.covariance import covariance_columns
 from lidar_core.io.tables.tracks import write_trajectories
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
-from lidar_core.runs.planar import PlanarStep, in_plane, in_world, sensor_at, write_run_mcap
 from lidar_core.runs.result import Picture
-from lidar_core.runs.target import (
+from lidar_core.runs.targets.one import (
     TARGET_SENSORS,
     NisBySensor,
     measured_place,
@@ -37,6 +36,7 @@ from lidar_core.runs.target import (
     nis_summary,
     planar_table,
 )
+from lidar_core.runs.targets.planar import PlanarStep, in_plane, in_world, sensor_at, write_run_mcap
 from lidar_core.viz import FusionView, PlanarLine, draw_fusion
 
 REACH, GAP, CUTOFF = 15.0, 3.0, 30.0

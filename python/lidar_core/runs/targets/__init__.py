@@ -1,0 +1,1 @@
+"""Runs of `fuse`: one target or many, their tables and pictures."""
