@@ -280,8 +280,8 @@ class SeedConfig(Config):
         5,
         ge=0,
         le=MOST_SCANS,
-        description="What holds its place in so many scans of the burn-in is background, however"
-        " small; 0 for none (count, no unit).",
+        description="What holds its place in so many scans of the burn-in, 3 at least, is"
+        " background, however small; 0 for none (count, no unit).",
     )
     standing_shift: float = Field(
         0.04,

@@ -686,6 +686,17 @@ def test_pockets_around_a_target_are_filled_on_request():
     assert (states[1] < states[0]).any()
 
 
+def test_what_stands_before_a_slow_sensor_becomes_background():
+    """Two scans a second: the burn-in has three scans, in which what moves meets a place twice."""
+    standing, moving = (6.0, 4.0, 3.5), drone((-3.0, 7.0, 4.0), (-4.5, 7.0, 4.0), seconds=4.0)
+    scene = yard(drone(standing), moving, scans=9, lidar=lidar(scan_rate=2.0))
+    _, frames = pipeline(None, scans_of(scene))
+    assert [frame.status.gate_open for frame in frames] == 3 * [False] + 6 * [True]
+    assert len(frames[-1].tracks) == 1
+    assert misses(frames[-1], scans_of(scene)[-1]).tolist() < [0.35]
+    assert np.linalg.norm(frames[-1].tracks.position[0] - standing) > 5.0
+
+
 # --- predictions, covariances, threads ------------------------------------------------------------
 
 

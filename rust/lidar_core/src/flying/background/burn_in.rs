@@ -69,6 +69,9 @@ impl BurnIn {
 
     /// Number of scans that it takes, judged by those so far: never fewer than these.
     pub(crate) fn length(&self, seed: &SeedParameters) -> u32 {
+        if self.is_over {
+            return self.scans;
+        }
         let usual = seed.burn_in_scans;
         let (Some(period), Some(step)) = (seed.burn_in_period, self.usual_step()) else {
             return usual.max(self.scans);
@@ -107,10 +110,12 @@ impl BurnIn {
         }
     }
 
-    /// Of `standing_scans` the part that belongs to a burn-in of so many scans.
+    /// Of `standing_scans` the part that belongs to a burn-in of so many scans, but not fewer than
+    /// three: what moves may be met twice in one place.
     pub(crate) fn standing(seed: &SeedParameters, length: u32) -> u32 {
         let share = f64::from(seed.standing_scans) / f64::from(seed.burn_in_scans.max(1));
-        (share * f64::from(length) - 1e-9).ceil() as u32
+        let part = (share * f64::from(length) - 1e-9).ceil() as u32;
+        part.max(FEWEST_SCANS.min(seed.standing_scans).min(length))
     }
 }
 
@@ -192,6 +197,18 @@ mod tests {
     }
 
     #[test]
+    fn the_last_scan_is_told_as_the_last() {
+        let seed = seed(Some(0.1));
+        for (step, expected) in [(0.5, 3), (0.2, 5), (0.1, 10), (0.05, 20)] {
+            let mut burn_in = BurnIn::default();
+            while !burn_in.is_over(&seed) {
+                burn_in = burn_in.after((burn_in.scans() > 0).then_some(step), &seed);
+            }
+            assert_eq!([burn_in.scans(), burn_in.length(&seed)], [expected; 2]);
+        }
+    }
+
+    #[test]
     fn without_a_period_scans_are_counted() {
         for step in [0.01, 0.1, 2.0] {
             assert_eq!(length(&seed(None), |_| step), 10);
@@ -201,9 +218,9 @@ mod tests {
     }
 
     #[test]
-    fn half_of_the_scans_tell_what_stands_still() {
+    fn half_of_the_scans_but_at_least_three_tell_what_stands_still() {
         let seed = seed(Some(0.1));
-        let standing = [3, 10, 20].map(|length| BurnIn::standing(&seed, length));
-        assert_eq!(standing, [2, 5, 10]);
+        let standing = [2, 3, 5, 10, 20].map(|length| BurnIn::standing(&seed, length));
+        assert_eq!(standing, [2, 3, 3, 5, 10]);
     }
 }
