@@ -244,6 +244,9 @@ def detection_probability(
 @final
 class VoxelMap:
     def __new__(cls, config: object, *, threads: int, origin: NDArray[np.float64]) -> Self: ...
+    @staticmethod
+    def from_state(state: bytes, *, threads: int) -> VoxelMap: ...
+    def to_state(self) -> bytes: ...
     def integrate(
         self,
         points: NDArray[np.float32],
@@ -469,6 +472,9 @@ _TrackArrays: TypeAlias = tuple[
 @final
 class PointCloudTracker:
     def __new__(cls, config: object, *, threads: int) -> Self: ...
+    @staticmethod
+    def from_state(config: object, state: bytes, *, threads: int) -> PointCloudTracker: ...
+    def to_state(self) -> bytes: ...
     def new_point_cloud(
         self,
         points: NDArray[np.float32],
@@ -494,6 +500,9 @@ class PointCloudTracker:
 @final
 class FlyingObjectDetector:
     def __new__(cls, config: object, *, threads: int) -> Self: ...
+    @staticmethod
+    def from_state(config: object, state: bytes, *, threads: int) -> FlyingObjectDetector: ...
+    def to_state(self) -> bytes: ...
     def process(
         self,
         points: NDArray[np.float32],

@@ -1,9 +1,9 @@
 """The flying-object detector: scans in, point classes, detections and tracks out."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from os import PathLike
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,7 @@ from lidar_core.flying.config import FlyingConfig
 from lidar_core.flying.results import FlyingFrame, FlyingStatus, Health
 from lidar_core.messages import PosedScan, Scan, posed_of, stated_stamp
 from lidar_core.objects import FlyingDetections, Tracks
+from lidar_core.util.full_state import FullState
 
 if TYPE_CHECKING:
     from lidar_core.sim import SimulatedScan
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 _OPTIONAL = ("no_return", "directions", "point_time_ns", "pose_stamps_ns", "pose_covariance")
 
 
-class FlyingObjectDetector:
+class FlyingObjectDetector(FullState):
     """Finds and tracks flying objects in scans of one or several 3D LiDARs.
 
     Every scan is clustered, each cluster is classified on the map of the environment as it is,
@@ -51,11 +52,30 @@ class FlyingObjectDetector:
     pose. Calls from several threads take turns; the GIL is released.
     """
 
+    _kind = "FlyingObjectDetector"
+    _config_type = FlyingConfig
+
     def __init__(self, config: FlyingConfig | None = None, *, threads: int = 1) -> None:
         self.config = as_config(config, FlyingConfig)
+        self._threads = threads
         self._detector = _core.FlyingObjectDetector(self.config, threads=threads)
         self._health = Health()
         self._counting = Lock()
+
+    def _state(self) -> tuple[bytes, dict[str, Any]]:
+        return self._detector.to_state(), {"health": asdict(self._health)}
+
+    def _options(self) -> dict[str, Any]:
+        return {"threads": self._threads}
+
+    @classmethod
+    def _from_state(
+        cls, config: FlyingConfig, core: bytes, extra: dict[str, Any], **options: Any
+    ) -> Self:
+        made = cls(config, **options)
+        made._detector = _core.FlyingObjectDetector.from_state(config, core, threads=made._threads)
+        made._health = Health(**extra["health"])
+        return made
 
     def process(
         self,

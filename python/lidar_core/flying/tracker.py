@@ -1,6 +1,7 @@
 """The multi-target tracker by itself: point clouds and detections in, tracks out."""
 
-from typing import Any
+from base64 import b64decode, b64encode
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -8,12 +9,14 @@ from numpy.typing import ArrayLike, NDArray
 from lidar_core import _core
 from lidar_core.arrays import Points, as_points, as_real, as_rows, as_stamp, as_vector
 from lidar_core.config import as_config
+from lidar_core.errors import FormatError
 from lidar_core.flying.results import TrackEvents
 from lidar_core.flying.tracker_config import TrackerConfig
 from lidar_core.objects import Tracks
+from lidar_core.util.full_state import FullState
 
 
-class PointCloudTracker:
+class PointCloudTracker(FullState):
     """Tracks of flying objects, fed by point clouds and by detections that may come late.
 
     Every cloud moves all tracks to its time and corrects them with the clusters near them. Every
@@ -50,11 +53,39 @@ class PointCloudTracker:
     ([0], [[6.0, 0.0, 5.0]], [[3.0, 0.0, 0.0]])
     """
 
+    _kind = "PointCloudTracker"
+    _config_type = TrackerConfig
+
     def __init__(self, config: TrackerConfig | None = None, *, threads: int = 1) -> None:
         self.config = as_config(config, TrackerConfig)
+        self._threads = threads
         self._tracker = _core.PointCloudTracker(self.config, threads=threads)
         self._origin: NDArray[np.float64] | None = None
         self._occupied = np.empty((0, 3), np.float32)
+
+    def _state(self) -> tuple[bytes, dict[str, Any]]:
+        occupied = np.ascontiguousarray(self._occupied, np.float32).tobytes()
+        origin = None if self._origin is None else self._origin.tolist()
+        extra = {"origin": origin, "occupied": b64encode(occupied).decode()}
+        return self._tracker.to_state(), extra
+
+    def _options(self) -> dict[str, Any]:
+        return {"threads": self._threads}
+
+    @classmethod
+    def _from_state(
+        cls, config: TrackerConfig, core: bytes, extra: dict[str, Any], **options: Any
+    ) -> Self:
+        made = cls(config, **options)
+        made._tracker = _core.PointCloudTracker.from_state(config, core, threads=made._threads)
+        try:
+            occupied = np.frombuffer(b64decode(extra["occupied"], validate=True), np.float32)
+            made._occupied = occupied.reshape(-1, 3)
+            if extra["origin"] is not None:
+                made._origin = as_vector(extra["origin"], name="origin", size=3)
+        except ValueError as error:
+            raise FormatError(f"byte 12: the state breaks its format: {error}") from error
+        return made
 
     def new_point_cloud(
         self,

@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass
 from os import PathLike
-from typing import Self
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +15,7 @@ from lidar_core.errors import InputError
 from lidar_core.files import naming
 from lidar_core.flying.config import ClassifyConfig, VoxelMapConfig
 from lidar_core.messages import PointClass
+from lidar_core.util.full_state import FullState, is_full_state
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +46,7 @@ class IntegrateStats:
     n_voxels: int
 
 
-class VoxelMap:
+class VoxelMap(FullState):
     """Occupancy of voxels with an exponential filter, for a world without fixed bounds.
 
     Every voxel holds one value G(v); its state is free, uncertain, tentatively occupied or
@@ -68,6 +70,9 @@ class VoxelMap:
         A parameter is outside its range.
     """
 
+    _kind = "VoxelMap"
+    _config_type = VoxelMapConfig
+
     def __init__(
         self,
         config: VoxelMapConfig | None = None,
@@ -77,7 +82,32 @@ class VoxelMap:
     ) -> None:
         self.config = as_config(config, VoxelMapConfig)
         self.origin = as_vector(origin, name="origin", size=3)
+        self._threads = threads
         self._map = _core.VoxelMap(self.config, threads=threads, origin=self.origin)
+
+    def _state(self) -> tuple[bytes, dict[str, Any]]:
+        return self._map.to_state(), {}
+
+    def _options(self) -> dict[str, Any]:
+        return {"threads": self._threads}
+
+    @classmethod
+    def _from_state(
+        cls,
+        config: VoxelMapConfig,
+        core: bytes,
+        extra: dict[str, Any],
+        *,
+        threads: int = 1,
+    ) -> Self:
+        return cls._of(config, _core.VoxelMap.from_state(core, threads=threads), threads)
+
+    @classmethod
+    def _of(cls, config: VoxelMapConfig, known: "_core.VoxelMap", threads: int) -> Self:
+        made = cls.__new__(cls)
+        made.config, made._map, made._threads = config, known, threads
+        made.origin = np.array(known.origin())
+        return made
 
     def integrate(
         self,
@@ -266,20 +296,31 @@ class VoxelMap:
         """Bytes held by the stored voxels and their index."""
         return self._map.size()[2]
 
-    def save(self, path: str | PathLike[str]) -> None:
+    def save(self, path: str | PathLike[str], *, full: bool = False) -> None:
         """Write the map to a file, whole or not at all.
+
+        Parameters
+        ----------
+        path : str or path-like
+        full : bool
+            True writes the whole state: the loaded map continues with bit-identical results.
+            False writes a map file, which `FlyingObjectDetector.load_map` and other readers
+            understand; the next `remove_separate` of the loaded map looks at all groups.
 
         Raises
         ------
         OSError
             The file cannot be written; a previous one is intact.
         """
+        if full:
+            super().save(Path(path))
+            return
         with naming(path):
             self._map.save(path)
 
     @classmethod
     def load(cls, path: str | PathLike[str], *, threads: int = 1) -> Self:
-        """Read a map written by `save`.
+        """Read a map written by `save`, a map file or a whole state.
 
         Raises
         ------
@@ -288,13 +329,11 @@ class VoxelMap:
         OSError
             The file cannot be read.
         """
+        if is_full_state(path):
+            return super().load(Path(path), threads=threads)
         with naming(path):
             loaded = _core.VoxelMap.load(path, threads=threads)
-        self = cls.__new__(cls)
-        self.config = VoxelMapConfig.load(loaded.parameters())
-        self.origin = np.array(loaded.origin())
-        self._map = loaded
-        return self
+        return cls._of(VoxelMapConfig.load(loaded.parameters()), loaded, threads)
 
     def _local(self, points: ArrayLike) -> Points:
         """Points relative to the map's origin, subtracted before float64 becomes float32."""

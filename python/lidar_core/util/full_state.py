@@ -1,6 +1,6 @@
-"""Saved states of filters, trackers, circle maps and circle pipelines: files, copies, pickles.
+"""Saved states of detectors, maps, trackers, filters and pipelines: files, copies, pickles.
 
-One format serves all four. Layout (little endian): magic `LCST`, version u32, length u32 and UTF-8
+One format serves all. Layout (little endian): magic `LCST`, version u32, length u32 and UTF-8
 JSON of {kind, config, extra}, state of the core (with a checksum of its own), CRC-32 of everything
 before it.
 """
@@ -10,6 +10,7 @@ import struct
 import zlib
 from abc import ABC, abstractmethod
 from inspect import signature
+from os import PathLike
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -137,6 +138,15 @@ class FullState(ABC):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _unpickled, (type(self), self.to_bytes(), self._options())
+
+
+def is_full_state(path: str | PathLike[str]) -> bool:
+    """Whether a regular file begins like a saved state."""
+    known = Path(path)
+    if not known.is_file():
+        return False
+    with known.open("rb") as file:
+        return file.read(len(MAGIC)) == MAGIC
 
 
 def _unpickled(cls: type[FullState], content: bytes, options: dict[str, Any]) -> FullState:

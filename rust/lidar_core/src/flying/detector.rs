@@ -10,6 +10,7 @@ use super::detect::detections::{ScanDetections, ScanToDetect, detect};
 use super::detect::follow_up::{add_followed, update_tracks};
 use super::detect::visibility::ScanView;
 use super::frame::{Frame, Timing};
+use super::full_state::{DetectorState, KIND, SavedDetector};
 use super::gate::Gate;
 use super::integrate::classified_scan::{ClassifiedScan, IntegrateStats};
 use super::integrate::integrator::Integrator;
@@ -23,6 +24,7 @@ use super::scan::sensors::Sensors;
 use super::track::{PointCloudTracker, Track};
 use crate::Error;
 use crate::geometry::transform::Transform;
+use crate::util::full_state::{opened, sealed};
 use crate::util::stopwatch::Clock;
 use crate::util::threads::Workers;
 use std::path::Path;
@@ -370,6 +372,48 @@ impl FlyingObjectDetector {
     #[must_use]
     pub fn world_from_map(&self) -> Transform {
         self.local.world_from_map()
+    }
+
+    /// The whole state between two scans as bytes; the rays of [`Self::sky_rays`] are not in it.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] if the bytes do not fit into memory.
+    pub fn to_state(&self) -> Result<Vec<u8>, Error> {
+        let state = DetectorState {
+            local: self.local.state(),
+            sensors: self.sensors.saved(),
+            teammates: &self.teammates,
+            scans: self.scans,
+            burn_in: &self.burn_in,
+            is_reporting: self.is_reporting,
+            held: &self.pose_check.held,
+            static_points: self.static_points.saved(),
+            tracker: self.tracker.state(),
+        };
+        sealed(KIND, &self.parameters, &state)
+    }
+
+    /// Detector from a saved state; it goes on to the same bits as the saved one.
+    ///
+    /// # Errors
+    /// Errors of [`FlyingObjectDetector::new`]; [`Error::Format`] for bytes that
+    /// [`FlyingObjectDetector::to_state`] did not make, [`Error::Parameter`] for the state of a
+    /// detector with other parameters.
+    pub fn from_state(
+        parameters: FlyingParameters,
+        threads: usize,
+        bytes: &[u8],
+    ) -> Result<Self, Error> {
+        let saved: SavedDetector = opened(KIND, &parameters, bytes)?;
+        let mut detector = Self::new(parameters, threads)?;
+        detector.local = LocalMap::restored(saved.local)?;
+        detector.sensors = Sensors::restored(saved.sensors, &detector.parameters)?;
+        detector.teammates = saved.teammates;
+        (detector.scans, detector.burn_in) = (saved.scans, saved.burn_in);
+        (detector.is_reporting, detector.pose_check.held) = (saved.is_reporting, saved.held);
+        detector.static_points = StaticPoints::restored(saved.static_points);
+        detector.tracker.restore(saved.tracker)?;
+        Ok(detector)
     }
 
     /// After a jump of the pose: shift the world so that the scan held last lies where the last

@@ -36,6 +36,7 @@ mod defaults;
 pub mod detect;
 pub mod detector;
 pub mod frame;
+mod full_state;
 pub mod gate;
 pub mod integrate;
 pub mod map;

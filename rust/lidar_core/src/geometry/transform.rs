@@ -1,7 +1,9 @@
 //! Rigid transforms; quaternions in the order (x, y, z, w).
 
+use serde::{Deserialize, Serialize};
+
 /// A rigid transform: `target_from_source` takes coordinates of the source to the target.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Transform {
     /// Rows of the rotation matrix.
     pub rotation: [[f64; 3]; 3],

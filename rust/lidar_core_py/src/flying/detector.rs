@@ -15,7 +15,7 @@ use numpy::{
     PyReadonlyArray3,
 };
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
 
 /// Position, covariance, radius, extent, points, confidence, time after the scan's stamp [s].
@@ -42,6 +42,24 @@ impl PyFlyingObjectDetector {
     fn new(py: Python<'_>, config: FlyingConfig, threads: Threads) -> Result<Self, BorderError> {
         let detector = detached(py, || FlyingObjectDetector::new(config.parameters()?, threads.0))?;
         Ok(Self(Guarded::new(detector)))
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (config, state, *, threads))]
+    fn from_state(
+        py: Python<'_>,
+        config: FlyingConfig,
+        state: &[u8],
+        threads: Threads,
+    ) -> Result<Self, BorderError> {
+        let detector = detached(py, || {
+            FlyingObjectDetector::from_state(config.parameters()?, threads.0, state)
+        })?;
+        Ok(Self(Guarded::new(detector)))
+    }
+
+    fn to_state<'py>(&self, py: Python<'py>) -> Result<Bound<'py, PyBytes>, BorderError> {
+        Ok(PyBytes::new(py, &self.0.with(py, |detector| detector.to_state())?))
     }
 
     #[pyo3(signature = (points, world_from_lidar, stamp_ns, *, no_return, directions,

@@ -13,6 +13,7 @@ use lidar_core::geometry::cluster::Clustering;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
 
 /// The fields of `TrackerConfig`.
 #[derive(FromPyObject)]
@@ -180,6 +181,23 @@ impl PyPointCloudTracker {
     fn new(py: Python<'_>, config: TrackerConfig, threads: Threads) -> Result<Self, BorderError> {
         let tracker = detached(py, || PointCloudTracker::new(config.parameters()?, threads.0))?;
         Ok(Self(Guarded::new(tracker)))
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (config, state, *, threads))]
+    fn from_state(
+        py: Python<'_>,
+        config: TrackerConfig,
+        state: &[u8],
+        threads: Threads,
+    ) -> Result<Self, BorderError> {
+        let tracker =
+            detached(py, || PointCloudTracker::from_state(config.parameters()?, threads.0, state))?;
+        Ok(Self(Guarded::new(tracker)))
+    }
+
+    fn to_state<'py>(&self, py: Python<'py>) -> Result<Bound<'py, PyBytes>, BorderError> {
+        Ok(PyBytes::new(py, &self.0.with(py, |tracker| tracker.to_state())?))
     }
 
     #[pyo3(signature = (points, occupied, stamp_ns, *, sensor_origin, delays))]

@@ -13,6 +13,7 @@ use lidar_core::flying::map::voxel_map::VoxelMap;
 use lidar_core::util::threads::Workers;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
 use std::path::PathBuf;
 
 /// Number of points per class, entries skipped, rays, rays without return, visits, voxels.
@@ -175,6 +176,19 @@ impl PyVoxelMap {
         Ok(Self(Guarded::new(detached(py, || {
             MapWithThreads::new(VoxelMap::load(&path)?, threads)
         })?)))
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (state, *, threads))]
+    fn from_state(py: Python<'_>, state: &[u8], threads: Threads) -> Result<Self, BorderError> {
+        Ok(Self(Guarded::new(detached(py, || {
+            MapWithThreads::new(VoxelMap::from_state(state)?, threads)
+        })?)))
+    }
+
+    /// The whole state, with the history of changes.
+    fn to_state<'py>(&self, py: Python<'py>) -> Result<Bound<'py, PyBytes>, BorderError> {
+        Ok(PyBytes::new(py, &self.with_map(py, |map| map.to_state())?))
     }
 
     /// The map as bytes; equal maps give equal bytes.

@@ -6,6 +6,7 @@ use super::parameters::SeedParameters;
 use crate::flying::gate::Gate;
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::parameters::FlyingParameters;
+use serde::{Deserialize, Serialize};
 
 /// A pause between two scans counts as this at most [s], and as so many times the usual step: nothing
 /// is seen in it.
@@ -17,7 +18,7 @@ const FEWEST_SCANS: u32 = 3;
 const MOST_TIMES: u32 = 10;
 
 /// The scans of the burn-in so far.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct BurnIn {
     scans: u32,
     /// Sensors that were met: their first scans have no step.

@@ -6,6 +6,7 @@ use crate::flying::map::blocks::Cursor;
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::{Voxel, floor, wide};
 use crate::geometry::transform::Transform;
+use serde::{Deserialize, Serialize};
 
 /// Returns that are looked at.
 const SAMPLES: usize = 2048;
@@ -13,7 +14,7 @@ const SAMPLES: usize = 2048;
 const ENOUGH: usize = 200;
 
 /// A scan that contradicts the map, and was not used.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct HeldScan {
     pub(crate) sensor: String,
     pub(crate) world_from_lidar: Transform,

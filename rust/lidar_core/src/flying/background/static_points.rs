@@ -9,6 +9,7 @@ use crate::flying::track::PointCloudTracker;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
 use crate::util::key_hasher::Spread;
+use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
@@ -22,8 +23,8 @@ pub(crate) struct StaticPoints {
 }
 
 /// Points in one voxel.
-#[derive(Clone, Copy, Default)]
-struct PointsOfVoxel {
+#[derive(Clone, Copy, Default, Serialize, Deserialize)]
+pub(crate) struct PointsOfVoxel {
     scans: u32,
     last_scan: u32,
     /// Sums of coordinates and numbers of points in both halves.
@@ -95,6 +96,19 @@ impl StaticPoints {
             .collect();
         voxels.sort_unstable();
         voxels
+    }
+
+    /// State that goes on to the same bits, in ascending order of voxels.
+    pub(crate) fn saved(&self) -> Vec<(Place, PointsOfVoxel)> {
+        let mut saved: Vec<_> =
+            self.voxels.iter().map(|(&place, &points)| (place, points)).collect();
+        saved.sort_unstable_by_key(|(place, _)| *place);
+        saved
+    }
+
+    /// Points from a saved state.
+    pub(crate) fn restored(saved: Vec<(Place, PointsOfVoxel)>) -> Self {
+        Self { voxels: saved.into_iter().collect() }
     }
 
     /// Forget all scans.

@@ -7,6 +7,7 @@ use crate::flying::classify::clusters::Cluster;
 use crate::flying::scan::prepared::Prepared;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, minus, norm};
+use serde::{Deserialize, Serialize};
 
 /// A flying object in one scan.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,7 +30,7 @@ pub struct Detection {
 }
 
 /// A known flying object that is not to be reported.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Teammate {
     /// Identifier of the teammate.
     pub id: i64,

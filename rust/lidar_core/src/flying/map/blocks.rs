@@ -2,7 +2,9 @@
 
 use crate::Error;
 use crate::geometry::lattice::Voxel;
+use crate::util::full_state::impossible;
 use crate::util::key_hasher::Spread;
+use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hash, Hasher};
 
@@ -23,7 +25,7 @@ pub(crate) type Bits = [u64; EDGE as usize];
 pub(crate) type Row = [f32; EDGE as usize];
 
 /// Values of 512 voxels: of those rows that were met.
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub(crate) struct Block {
     pub(crate) place: Place,
     /// At least tentatively occupied.
@@ -39,6 +41,11 @@ pub(crate) struct Block {
 impl Block {
     fn new(place: Place) -> Self {
         Self { place, tentative: [0; 8], confident: [0; 8], held: 0, rows: Vec::new() }
+    }
+
+    /// True if its parts agree, as they must where bytes told them.
+    fn is_whole(&self) -> bool {
+        self.rows.len() == self.held.count_ones() as usize
     }
 
     /// Bytes that the block takes.
@@ -101,7 +108,7 @@ impl Block {
 }
 
 /// Index of a block along x, y, z.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub(crate) struct Place(pub(crate) [i32; 3]);
 
 impl Place {
@@ -249,6 +256,22 @@ impl Blocks {
             self.pool.push(Some(Box::new(Block::new(place))));
         }
         slot
+    }
+
+    /// Take over blocks in the order in which they were made.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] above the budget; [`Error::Format`] for blocks that cannot be.
+    pub(crate) fn restore(&mut self, blocks: Vec<Block>) -> Result<(), Error> {
+        self.reserve(blocks.len())?;
+        for (slot, block) in blocks.into_iter().enumerate() {
+            let is_new = self.slots.insert(block.place, slot as u32).is_none();
+            if !is_new || !block.is_whole() {
+                return Err(impossible("a block twice, or with other rows than it holds"));
+            }
+            self.pool.push(Some(Box::new(block)));
+        }
+        Ok(())
     }
 
     /// Take a block out for an update; `put` brings it back.

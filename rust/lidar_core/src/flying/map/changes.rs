@@ -1,11 +1,14 @@
 //! Changes of a voxel map since the last removal of separate background.
 
-use super::blocks::Place;
+use super::blocks::{Bits, EDGE, Place};
 use super::islands::Marks;
 use super::layers::{Layer, Neighbours};
 use super::parameters::Separation;
+use crate::Error;
 use crate::geometry::lattice::Voxel;
+use crate::util::full_state::impossible;
 use crate::util::key_hasher::Spread;
+use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::hash::BuildHasherDefault;
 
@@ -45,10 +48,49 @@ impl Changes {
         }
     }
 
+    /// State that goes on to the same bits.
+    pub(super) fn saved(&self) -> SavedChanges {
+        let mut kept: Vec<Place> = self.kept.iter().copied().collect();
+        kept.sort_unstable(); // equal states give equal bytes
+        SavedChanges {
+            gained: self.gained.clone(),
+            lost: self.lost.clone(),
+            settled_with: self.settled_with,
+            anchor: self.anchor,
+            anchored: self.marks.anchored(),
+            kept,
+        }
+    }
+
+    /// Changes from a saved state of a map with so many blocks.
+    ///
+    /// # Errors
+    /// [`Error::Format`] for a state that no map has.
+    pub(super) fn restored(saved: SavedChanges, blocks: usize) -> Result<Self, Error> {
+        let SavedChanges { gained, lost, settled_with, anchor, anchored, kept } = saved;
+        let is_layer = |layer: &Layer| (0..EDGE).contains(&layer.z);
+        if anchored.len() > blocks || !gained.iter().chain(&lost).all(is_layer) {
+            return Err(impossible("changes of blocks that are not there"));
+        }
+        let (marks, kept) = (Marks::restored(anchored), kept.into_iter().collect());
+        Ok(Self { gained, lost, settled_with, anchor, marks, neighbours: None, kept })
+    }
+
     /// Forget the history: the next removal looks at every component.
     pub(crate) fn restart(&mut self) {
         *self = Self { kept: std::mem::take(&mut self.kept), ..Self::default() };
     }
+}
+
+/// Changes as bytes hold them.
+#[derive(Serialize, Deserialize)]
+pub(super) struct SavedChanges {
+    gained: Vec<Layer>,
+    lost: Vec<Layer>,
+    settled_with: Option<Separation>,
+    anchor: Option<Voxel>,
+    anchored: Vec<Bits>,
+    kept: Vec<Place>,
 }
 
 fn add(layers: &mut Vec<Layer>, layer: Layer) {

@@ -31,6 +31,17 @@ pub(crate) struct Marks {
 }
 
 impl Marks {
+    /// Voxels whose group held enough confident ones at the last removal, by slot.
+    pub(super) fn anchored(&self) -> Vec<Bits> {
+        self.marks.iter().map(|mark| mark.anchored).collect()
+    }
+
+    /// Marks of a removal that has come to its end.
+    pub(super) fn restored(anchored: Vec<Bits>) -> Self {
+        let mark = |anchored| Mark { anchored, ..Mark::default() };
+        Self { marks: anchored.into_iter().map(mark).collect(), ..Self::default() }
+    }
+
     fn at(&mut self, slot: u32) -> &mut Mark {
         let mark = &mut self.marks[slot as usize];
         if mark.met.iter().all(|&bits| bits == 0) {

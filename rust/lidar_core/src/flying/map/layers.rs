@@ -4,9 +4,10 @@ use super::blocks::{EDGE, EDGE_BITS, Place, offset_of};
 use crate::Error;
 use crate::error::require;
 use crate::geometry::lattice::Voxel;
+use serde::{Deserialize, Serialize};
 
 /// Voxels of one layer of z of a block.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Layer {
     pub(crate) place: Place,
     /// Which of the block's layers, 0 to 7.

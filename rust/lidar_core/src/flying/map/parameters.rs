@@ -4,9 +4,10 @@ use super::layers::Neighbours;
 use crate::Error;
 use crate::error::{require, require_positive};
 use crate::geometry::transform::minus;
+use serde::{Deserialize, Serialize};
 
 /// Length unit of the ray weight n_int (eq. 22), whose unit the paper does not state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RayUnit {
     /// Sum of lengths over the voxel edge.
     Edges,
@@ -17,7 +18,7 @@ pub enum RayUnit {
 }
 
 /// Rays of a scan that are cast.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Rays {
     /// All of them: exact.
     All,
@@ -26,7 +27,7 @@ pub enum Rays {
 }
 
 /// Parameters of a voxel map; values of G have no unit.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MapParameters {
     /// Edge of a voxel [m].
     pub voxel_size: f64,
@@ -101,7 +102,7 @@ impl MapParameters {
 }
 
 /// When a group of occupied voxels is separate.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Separation {
     /// Largest distance between the centres of neighbours in a group, d_sep [m].
     pub max_gap: f64,

@@ -8,6 +8,7 @@
 use super::reader::{Reader, format_error};
 use crate::Error;
 use crate::util::budget::{MAX_SENSORS, vec_with_capacity};
+use serde::{Deserialize, Serialize};
 
 /// Edge of a voxel of the robot [m].
 pub(crate) const SIZE: f64 = 0.2;
@@ -15,7 +16,7 @@ pub(crate) const SIZE: f64 = 0.2;
 pub(crate) const EDGE: usize = 64;
 
 /// Voxels of the robot itself that one sensor found.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SavedBody {
     /// Name of the sensor.
     pub sensor: String,

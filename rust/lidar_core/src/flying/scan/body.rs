@@ -10,6 +10,7 @@
 use crate::flying::map::saved_body::{EDGE, SIZE};
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, dot, minus, norm};
+use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
 /// Returns nearer than this are placeholders of drivers for rays without return [m].
@@ -52,7 +53,7 @@ const MANY_PLACES: u32 = 100;
 const RARER: f64 = 5.0;
 
 /// Voxels of the robot itself, as one sensor sees it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Body {
     /// Places from which each voxel held returns.
     places: Vec<u16>,
@@ -105,6 +106,16 @@ impl Default for Body {
 }
 
 impl Body {
+    /// True if its parts have their lengths, as they must where bytes told them.
+    pub(crate) fn is_whole(&self) -> bool {
+        let masks = [&self.mask, &self.maybe];
+        self.places.len() == VOLUME
+            && (self.scans.len() == VOLUME || self.scans.is_empty() && self.may_tell())
+            && self.met.len() == WORDS
+            && masks.iter().all(|mask| mask.is_empty() || mask.len() == WORDS)
+            && self.voxels.iter().all(|&voxel| (voxel as usize) < VOLUME)
+    }
+
     /// True if a point in the sensor's frame is on the robot.
     #[inline]
     pub(crate) fn contains(&self, point: [f64; 3]) -> bool {

@@ -8,6 +8,8 @@ use crate::flying::sky::source::SkySource;
 use crate::flying::sky::{Beams, Look, Moment, RayPattern, Sky};
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, norm};
+use crate::util::full_state::impossible;
+use serde::{Deserialize, Serialize};
 
 /// A direction range in the lidar frame [rad]: azimuth from, to, elevation from, to. A range of
 /// azimuth may cross +-pi: "from" is larger than "to" then.
@@ -57,6 +59,18 @@ pub(crate) struct Sensor {
     directions: Vec<[f32; 3]>,
 }
 
+/// State of one LiDAR as bytes hold it.
+#[derive(Serialize, Deserialize)]
+pub(super) struct SavedSensor {
+    last_stamp_ns: Option<i64>,
+    last_pose: Option<Transform>,
+    sky: Option<Sky>,
+    body: Option<Box<Body>>,
+    learnt_scans: u32,
+    near_counts: Vec<u32>,
+    directions: Vec<[f32; 3]>,
+}
+
 impl Sensor {
     pub(crate) fn new(parameters: SensorParameters) -> Self {
         Self {
@@ -69,6 +83,42 @@ impl Sensor {
             near_counts: Vec::new(),
             directions: Vec::new(),
         }
+    }
+
+    /// State that goes on to the same bits; `parameters` are not in it.
+    pub(super) fn saved(&self) -> SavedSensor {
+        SavedSensor {
+            last_stamp_ns: self.last_stamp_ns,
+            last_pose: self.last_pose,
+            sky: self.sky.clone(),
+            body: self.body.clone(),
+            learnt_scans: self.learnt_scans,
+            near_counts: self.near_counts.clone(),
+            directions: self.directions.clone(),
+        }
+    }
+
+    /// Take over a saved state of a sensor with the same parameters.
+    ///
+    /// # Errors
+    /// [`Error::Format`] for a state that no sensor has.
+    pub(super) fn restore(&mut self, saved: SavedSensor) -> Result<(), Error> {
+        match (&mut self.sky, saved.sky) {
+            (Some(sky), Some(saved)) => sky.restore(saved)?,
+            (None, None) => {}
+            _ => return Err(impossible("a sensor with other sources of its rays")),
+        }
+        let cells = [0, 6 * FACE_CELLS * FACE_CELLS];
+        if self.body.is_some() != saved.body.is_some()
+            || !saved.body.as_ref().is_none_or(|body| body.is_whole())
+            || !cells.contains(&saved.near_counts.len())
+        {
+            return Err(impossible("a sensor whose parts do not agree"));
+        }
+        (self.last_stamp_ns, self.last_pose) = (saved.last_stamp_ns, saved.last_pose);
+        (self.body, self.learnt_scans) = (saved.body, saved.learnt_scans);
+        (self.near_counts, self.directions) = (saved.near_counts, saved.directions);
+        Ok(())
     }
 
     /// Time since the last scan [s]; None before the first one.

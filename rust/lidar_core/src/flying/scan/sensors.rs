@@ -2,12 +2,13 @@
 
 use super::prepared::Prepared;
 use super::raw_scan::RawScan;
-use super::sensor::Sensor;
+use super::sensor::{SavedSensor, Sensor};
 use crate::Error;
 use crate::flying::map::saved_body::SavedBody;
 use crate::flying::parameters::FlyingParameters;
 use crate::geometry::lattice::wide;
 use crate::util::budget::MAX_SENSORS;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// State of every LiDAR, by name.
@@ -27,6 +28,13 @@ pub(crate) struct OwnBody {
     pub(crate) share: f64,
     /// True if turns have shown that what was found is the robot itself.
     pub(crate) is_decided: bool,
+}
+
+/// State of all sensors as bytes hold it.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct SavedSensors {
+    known: Vec<(String, SavedSensor)>,
+    recalled: Vec<SavedBody>,
 }
 
 impl Sensors {
@@ -108,6 +116,35 @@ impl Sensors {
             }
         }
         self.recalled = bodies.into_iter().map(|body| (body.sensor.clone(), body)).collect();
+    }
+
+    /// State that goes on to the same bits.
+    pub(crate) fn saved(&self) -> SavedSensors {
+        let known = self.known.iter();
+        SavedSensors {
+            known: known.map(|(name, sensor)| (name.clone(), sensor.saved())).collect(),
+            recalled: self.recalled.values().cloned().collect(),
+        }
+    }
+
+    /// Sensors from a saved state.
+    ///
+    /// # Errors
+    /// [`Error::Format`] for a state that no detector has, [`Error::Limit`] for too many sensors.
+    pub(crate) fn restored(
+        saved: SavedSensors,
+        parameters: &FlyingParameters,
+    ) -> Result<Self, Error> {
+        let mut sensors = Self::default();
+        for (name, state) in saved.known {
+            sensors.meet(&name, parameters)?;
+            if let Some(sensor) = sensors.known.get_mut(&name) {
+                sensor.restore(state)?;
+            }
+        }
+        let by_name = saved.recalled.into_iter().map(|body| (body.sensor.clone(), body));
+        sensors.recalled = by_name.collect();
+        Ok(sensors)
     }
 
     /// Forget what depends on the frame of a map that is no more.

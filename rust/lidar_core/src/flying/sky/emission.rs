@@ -6,6 +6,7 @@
 
 use super::grid::{BANDS, CELLS, GRID, SECTORS, band_of, limits_of};
 use crate::geometry::transform::norm;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
 /// A sensor with returns in more sectors than this turns: 210 degrees, more than any fixed one sees.
@@ -17,7 +18,7 @@ const RANK: usize = 3;
 const TYPICAL: f64 = 0.25;
 
 /// Rays of a sensor that is known.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum RayPattern {
     /// Rows that turn.
     Rows {
@@ -38,7 +39,7 @@ pub enum RayPattern {
 }
 
 /// Counts of returns by direction, and what follows from them.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(super) struct Emission {
     /// Returns per cell in all scans.
     counts: Vec<u64>,
@@ -49,7 +50,7 @@ pub(super) struct Emission {
 }
 
 /// Rays per steradian and scan.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 enum Density {
     /// Nothing is known yet.
     #[default]
@@ -69,6 +70,16 @@ impl Emission {
             is_known: rays.is_some(),
             scans: 0,
         }
+    }
+
+    /// True if its parts have their lengths.
+    pub(super) fn is_whole(&self) -> bool {
+        self.counts.len() == CELLS
+            && match &self.density {
+                Density::Unknown => true,
+                Density::Turning(bands) => bands.len() == BANDS,
+                Density::Fixed(cells) => cells.len() == CELLS,
+            }
     }
 
     /// Add the returns of a scan, per cell.

@@ -24,6 +24,8 @@ pub(crate) use look::{Look, Moment, ON_GROUND};
 
 use crate::Error;
 use crate::geometry::transform::{minus, norm};
+use crate::util::full_state::impossible;
+use serde::{Deserialize, Serialize};
 
 /// Scans in which a known sensor is held against the returns.
 const CHECKED_SCANS: u32 = 5;
@@ -51,10 +53,11 @@ pub enum Beams {
 }
 
 /// The directions of one sensor.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Sky {
     emission: Emission,
     /// The rays that the configuration states.
+    #[serde(skip)]
     known: Option<RayPattern>,
     /// True if the returns lie in rows.
     has_rows: bool,
@@ -102,6 +105,22 @@ impl Sky {
             scans: 0,
             checked: 0,
         })
+    }
+
+    /// Take over a saved state of a sensor with the same configuration.
+    ///
+    /// # Errors
+    /// [`Error::Format`] for a state that no sensor has.
+    pub(crate) fn restore(&mut self, saved: Self) -> Result<(), Error> {
+        let lengths = [saved.evidence.len(), saved.surface.len()];
+        let times = [saved.surface_ns.len(), saved.since_ns.len()];
+        if [lengths, times].as_flattened().iter().any(|&len| len != CELLS)
+            || !saved.emission.is_whole()
+        {
+            return Err(impossible("a sky with another number of directions"));
+        }
+        *self = Self { known: self.known.take(), ..saved };
+        Ok(())
     }
 
     /// Refuse a scan that the stated sensor cannot have given; `others` are known by name.

@@ -2,12 +2,14 @@
 
 use crate::Error;
 use crate::util::budget::{MAX_POINTS, vec_with_capacity};
+use crate::util::full_state::impossible;
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
 /// Memory of a cloud is used again unless it is so many times what is needed.
 const MOST_SPARE: usize = 4;
 
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Serialize, Deserialize)]
 pub(super) struct Cloud {
     pub(super) stamp_ns: i64,
     pub(super) points: Vec<[f32; 3]>,
@@ -82,6 +84,29 @@ impl Buffer {
         let mut cloud = Cloud { stamp_ns, ..std::mem::take(&mut self.spare) };
         cloud.take(points, delays, keeps_points)?;
         Ok(cloud)
+    }
+
+    /// Clouds, oldest first.
+    pub(super) fn clouds(&self) -> &VecDeque<Cloud> {
+        &self.clouds
+    }
+
+    /// Take over clouds.
+    ///
+    /// # Errors
+    /// [`Error::Format`] for clouds that no buffer of this size holds.
+    pub(super) fn restore(&mut self, clouds: VecDeque<Cloud>) -> Result<(), Error> {
+        let fits = |cloud: &Cloud| {
+            let count = cloud.points.len();
+            cloud.delays.as_ref().is_none_or(|delays| delays.len() == count)
+        };
+        let newer = |(one, other): (&Cloud, &Cloud)| one.stamp_ns < other.stamp_ns;
+        let is_sorted = clouds.iter().zip(clouds.iter().skip(1)).all(newer);
+        if clouds.len() > self.size || !is_sorted || !clouds.iter().all(fits) {
+            return Err(impossible("clouds in another order, or more than the buffer holds"));
+        }
+        self.clouds = clouds;
+        Ok(())
     }
 
     /// True if a cloud of this stamp is in the buffer.

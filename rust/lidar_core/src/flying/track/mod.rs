@@ -6,6 +6,7 @@
 mod buffer;
 mod candidates;
 mod detections;
+mod full_state;
 mod lifecycle;
 mod measurement;
 mod motion;
@@ -22,6 +23,7 @@ mod view;
 mod tests;
 
 pub use detections::Detections;
+pub(crate) use full_state::{SavedTracker, TrackerState};
 pub use occupancy::{Occupancy, OccupiedPoints, Visibility};
 pub use parameters::{
     Ageing, Association, Confirmation, Doubt, Hiding, MAX_TRACKS, MAX_WINDOW, MeasurementForm,

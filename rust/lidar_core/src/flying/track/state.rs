@@ -6,11 +6,12 @@ use super::parameters::{Hiding, Motion, Radius, TrackerParameters};
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, Linearised, update};
 use nalgebra::{SVector, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// No number yet: it gets one when it joins the tracks.
 pub(super) const UNNUMBERED: i64 = -1;
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct TrackState {
     pub(super) id: i64,
     pub(super) estimate: Gaussian<9>,

@@ -1,0 +1,76 @@
+//! The whole state of the tracker.
+
+use super::PointCloudTracker;
+use super::buffer::Cloud;
+use super::parameters::{MAX_TRACKS, TrackerParameters};
+use super::state::TrackState;
+use crate::Error;
+use crate::util::full_state::{impossible, opened, sealed};
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+
+const KIND: &str = "tracker";
+
+/// State of a tracker as bytes are written from it.
+#[derive(Serialize)]
+pub(crate) struct TrackerState<'a> {
+    clouds: &'a VecDeque<Cloud>,
+    keeps_points: bool,
+    tracks: &'a [TrackState],
+    next_id: i64,
+}
+
+/// [`TrackerState`] as it is read back.
+#[derive(Deserialize)]
+pub(crate) struct SavedTracker {
+    clouds: VecDeque<Cloud>,
+    keeps_points: bool,
+    tracks: Vec<TrackState>,
+    next_id: i64,
+}
+
+impl PointCloudTracker {
+    /// The whole state as bytes.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] if the bytes do not fit into memory.
+    pub fn to_state(&self) -> Result<Vec<u8>, Error> {
+        sealed(KIND, self.parameters(), &self.state())
+    }
+
+    /// Tracker from a saved state; it goes on to the same bits as the saved one.
+    ///
+    /// # Errors
+    /// Errors of [`PointCloudTracker::new`]; [`Error::Format`] for bytes that
+    /// [`PointCloudTracker::to_state`] did not make, [`Error::Parameter`] for the state of a tracker
+    /// with other parameters.
+    pub fn from_state(
+        parameters: TrackerParameters,
+        threads: usize,
+        bytes: &[u8],
+    ) -> Result<Self, Error> {
+        let saved = opened(KIND, &parameters, bytes)?;
+        let mut tracker = Self::new(parameters, threads)?;
+        tracker.restore(saved)?;
+        Ok(tracker)
+    }
+
+    pub(crate) fn state(&self) -> TrackerState<'_> {
+        let Self { buffer, keeps_points, tracks, next_id, .. } = self;
+        let (clouds, keeps_points, next_id) = (buffer.clouds(), *keeps_points, *next_id);
+        TrackerState { clouds, keeps_points, tracks, next_id }
+    }
+
+    /// # Errors
+    /// [`Error::Format`] for a state that no tracker has.
+    pub(crate) fn restore(&mut self, saved: SavedTracker) -> Result<(), Error> {
+        let SavedTracker { clouds, keeps_points, tracks, next_id } = saved;
+        let is_numbered = |track: &TrackState| (0..next_id).contains(&track.id);
+        if tracks.len() > MAX_TRACKS || !tracks.iter().all(is_numbered) {
+            return Err(impossible("tracks that were never numbered"));
+        }
+        self.buffer.restore(clouds)?;
+        (self.keeps_points, self.tracks, self.next_id) = (keeps_points, tracks, next_id);
+        Ok(())
+    }
+}
