@@ -3,6 +3,7 @@
 pub(crate) mod blocks;
 pub(crate) mod changes;
 pub mod filter;
+pub(crate) mod inert;
 pub(crate) mod islands;
 pub(crate) mod layers;
 pub(crate) mod local_map;
