@@ -21,7 +21,7 @@ KEPT = 10
 """Every so many records of a network's results are kept in full."""
 SHOWN = 3
 """Values that an entry shows."""
-SKIPPED = {"timing_ms", "n_voxels"}
+SKIPPED = {"timing_ms", "n_voxels", "n_visits_skipped", "n_voxels_changed"}
 """Fields that differ from run to run, or that the speed of a map may change."""
 
 

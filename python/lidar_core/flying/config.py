@@ -42,6 +42,12 @@ class VoxelMapConfig(Config):
         description="Rays that are cast: all, or of those that end in the same voxel the first, as"
         " often as there are others, which is faster and not exact (no unit).",
     )
+    skip: Literal["saturated", "none"] = Field(
+        "saturated",
+        description="Voxels that rays pass in one step: bricks of 4 x 4 x 4 of which each holds"
+        " exactly `g_free` or is permanent, or none. Maps, detections and tracks are the same to"
+        " the bit (no unit).",
+    )
     ray_unit: Literal["edges", "metres", "diagonals"] = Field(
         "edges",
         description="Length unit of the ray weight of eq. 22: voxel edges, metres (the paper's"

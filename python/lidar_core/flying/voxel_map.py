@@ -32,8 +32,13 @@ class IntegrateStats:
         Rays cast; those of them that met nothing.
     n_visits : int
         Voxels crossed by rays, each crossing counted.
+    n_visits_skipped : int
+        Of these, crossings passed in one step with their brick; see `VoxelMapConfig.skip`.
     n_voxels : int
-        Voxels whose value was updated.
+        Voxels that hold points or that rays visited, without those passed: with `skip` "none" all
+        that the scan met.
+    n_voxels_changed : int
+        Voxels whose value is another one than before; the same number for every `skip`.
     """
 
     n_background: int
@@ -43,7 +48,9 @@ class IntegrateStats:
     n_rays: int
     n_no_return_rays: int
     n_visits: int
+    n_visits_skipped: int
     n_voxels: int
+    n_voxels_changed: int
 
 
 class VoxelMap(FullState):
@@ -172,7 +179,7 @@ class VoxelMap(FullState):
             raise InputError(f"point_class: expected integers {known}")
         if classes.size and classes.max() == PointClass.MOVING:
             classes = np.minimum(classes, PointClass.UNKNOWN)
-        points_of, skipped, rays, no_return_rays, visits, voxels = self._map.integrate(
+        points_of, rays, visits, voxels = self._map.integrate(
             points,
             as_rows(classes, name="point_class", rows=len(points), shape=(), dtype=np.uint8),
             np.ascontiguousarray(origins.reshape(-1, 3) - self.origin),
@@ -185,7 +192,7 @@ class VoxelMap(FullState):
                 else as_mask(no_return, name="no_return", rows=len(points))
             ),
         )
-        return IntegrateStats(*points_of, skipped, rays, no_return_rays, visits, voxels)
+        return IntegrateStats(*points_of, *rays, *visits, *voxels)
 
     def state_at(self, points_world: ArrayLike) -> NDArray[np.uint8]:
         """State of the voxel at every point, (N,) uint8.

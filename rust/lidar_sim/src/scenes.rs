@@ -11,6 +11,8 @@ use rayon::ThreadPool;
 
 /// Number of scans of the scene.
 pub const SCANS: u64 = 20;
+/// Number of scans of the longer sequence: the same way further on, which stays free of boxes.
+pub const SEQUENCE: u64 = 61;
 const PERIOD_NS: i64 = 100_000_000;
 const SEED: u64 = 20_240_607;
 
@@ -165,13 +167,13 @@ pub fn performance(number: u32) -> Result<Performance, Error> {
 }
 
 impl Performance {
-    /// Scan number `scan`, 0 to [`SCANS`] - 1, with noise.
+    /// Scan number `scan`, 0 to [`SEQUENCE`] - 1, with noise.
     ///
     /// # Errors
     /// [`Error::Parameter`] for a later scan.
     pub fn scan(&self, pool: &ThreadPool, scan: u64) -> Result<WorldScan, Error> {
-        if scan >= SCANS {
-            return Err(refused("scan", "0 to 19", &scan));
+        if scan >= SEQUENCE {
+            return Err(refused("scan", "0 to 60", &scan));
         }
         let start_ns = scan as i64 * PERIOD_NS;
         let Self { scene, lidar, sensor } = self;
@@ -240,8 +242,10 @@ fn at(translation: [f64; 3]) -> Transform {
 
 /// Trajectory from `start` with `step` per scan.
 fn line(start: [f64; 3], step: [f64; 3]) -> Result<Trajectory, Error> {
-    let end = std::array::from_fn(|axis| start[axis] + SCANS as f64 * step[axis]);
-    Trajectory::new(vec![0, SCANS as i64 * PERIOD_NS], vec![at(start), at(end)])
+    let place = |scan: u64| at(std::array::from_fn(|axis| start[axis] + scan as f64 * step[axis]));
+    // A stamp of its own at the end of the scene: it is the same to the bit as without what follows.
+    let scans = [0, SCANS, SEQUENCE];
+    Trajectory::new(scans.map(|scan| scan as i64 * PERIOD_NS).to_vec(), scans.map(place).to_vec())
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use super::background::parameters::SeedParameters;
 use super::classify::classifier::ClassifyParameters;
 use super::integrate::pose_weights::{PoseParameters, PoseWeighting};
 use super::map::parameters::Separation;
-use super::map::parameters::{MapParameters, RayUnit, Rays};
+use super::map::parameters::{MapParameters, RayUnit, Rays, Skip};
 use super::parameters::FlyingParameters;
 use super::scan::sensor::SensorParameters;
 use super::sky::Beams;
@@ -37,6 +37,7 @@ impl Default for MapParameters {
             max_range: 20.0,
             end_margin: 0.0,
             rays: Rays::All,
+            skip: Skip::Saturated,
             ray_unit: RayUnit::Edges,
             ray_gain: 1.0,
             bounds: None,

@@ -7,7 +7,7 @@ use lidar_core::flying::background::parameters::SeedParameters;
 use lidar_core::flying::classify::classifier::ClassifyParameters;
 use lidar_core::flying::integrate::pose_weights::{PoseParameters, PoseWeighting};
 use lidar_core::flying::map::parameters::Separation;
-use lidar_core::flying::map::parameters::{MapParameters, RayUnit, Rays};
+use lidar_core::flying::map::parameters::{MapParameters, RayUnit, Rays, Skip};
 use lidar_core::flying::parameters::FlyingParameters;
 use lidar_core::flying::scan::sensor::SensorParameters;
 use lidar_core::flying::sky::{Beams, RayPattern};
@@ -265,6 +265,7 @@ pub(crate) struct MapConfig {
     max_range: f64,
     end_margin: f64,
     rays: String,
+    skip: String,
     ray_unit: String,
     ray_gain: f64,
     bounds: Option<[[f64; 3]; 2]>,
@@ -273,6 +274,9 @@ pub(crate) struct MapConfig {
 
 /// Names of the rays that are cast.
 pub(crate) const RAYS: [(&str, Rays); 2] = [("all", Rays::All), ("one_per_end", Rays::OnePerEnd)];
+
+/// Names of the voxels that rays pass.
+const SKIPS: [(&str, Skip); 2] = [("saturated", Skip::Saturated), ("none", Skip::Nothing)];
 
 /// Names of the units of the ray weight.
 pub(crate) const RAY_UNITS: [(&str, RayUnit); 3] =
@@ -296,6 +300,7 @@ impl MapConfig {
             max_range: self.max_range,
             end_margin: self.end_margin,
             rays: arrays::choice("rays", &self.rays, &RAYS)?,
+            skip: arrays::choice("skip", &self.skip, &SKIPS)?,
             ray_unit: arrays::choice("ray_unit", &self.ray_unit, &RAY_UNITS)?,
             ray_gain: self.ray_gain,
             bounds: self.bounds,

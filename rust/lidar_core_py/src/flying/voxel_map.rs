@@ -16,8 +16,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use std::path::PathBuf;
 
-/// Number of points per class, entries skipped, rays, rays without return, visits, voxels.
-type Stats = ([usize; 3], usize, usize, usize, u64, usize);
+/// Number of points per class; entries skipped, rays, rays without return; visits, and of these those
+/// that were skipped; voxels, and of these those that changed.
+type Stats = ([usize; 3], [usize; 3], [u64; 2], [usize; 2]);
 
 #[pyclass(frozen, name = "VoxelMap", module = "lidar_core._core")]
 pub(crate) struct PyVoxelMap(Guarded<MapWithThreads>);
@@ -77,9 +78,14 @@ impl PyVoxelMap {
             reach: None,
             pose_error: None,
         };
-        let IntegrateStats { points, skipped, rays, no_return_rays, visits, voxels } =
+        let stats: IntegrateStats =
             self.0.with(py, |this| this.integrator.integrate(&mut this.map, &scan))?;
-        Ok((points, skipped, rays, no_return_rays, visits, voxels))
+        Ok((
+            stats.points,
+            [stats.skipped, stats.rays, stats.no_return_rays],
+            [stats.visits, stats.visits_skipped],
+            [stats.voxels, stats.voxels_changed],
+        ))
     }
 
     fn state_at<'py>(

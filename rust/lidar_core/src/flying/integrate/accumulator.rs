@@ -1,6 +1,7 @@
 //! Marks of one scan: points or ray length per voxel.
 
 use super::dense_blocks::DenseBlocks;
+use super::live_bricks::LiveBricks;
 use super::mark::{Content, Mark, tag_and_count, with_points};
 use super::sparse_blocks::SparseBlocks;
 use super::window::Window;
@@ -36,6 +37,8 @@ pub(crate) struct Accumulator {
     /// Slots of the blocks that are added to those of this one.
     sources: Vec<u32>,
     visits: u64,
+    /// Of these, those in which a ray left its length.
+    walked: u64,
     /// Most blocks that one scan may touch.
     most: usize,
 }
@@ -61,7 +64,7 @@ impl Accumulator {
 
     /// Empty it for the next scan.
     pub(crate) fn clear(&mut self, pool: Option<&ThreadPool>) {
-        self.visits = 0;
+        (self.visits, self.walked) = (0, 0);
         self.dense.clear(pool);
         for (index, _) in self.opened.drain(..) {
             self.table[index as usize] = EMPTY;
@@ -120,15 +123,23 @@ impl Accumulator {
         }
     }
 
-    /// Note that rays were cast which visit so many voxels.
-    pub(crate) fn count(&mut self, visits: u64) {
+    /// Note that rays were cast which cross so many voxels.
+    pub(super) fn count(&mut self, visits: u64) {
         self.visits += visits;
     }
 
-    /// Full marks stay full; the rows that rays met are noted.
-    pub(crate) fn settle(&mut self) {
+    /// Note that rays left their lengths in so many of the voxels.
+    pub(super) fn count_walked(&mut self, visits: u64) {
+        self.walked += visits;
+    }
+
+    /// Full marks stay full; the rows that rays met are noted. Rays visited `live` bricks alone.
+    pub(super) fn settle(&mut self, live: Option<&LiveBricks>) {
         match self.window {
-            Some(window) if window.is_whole() => self.dense.settle(window.indices()),
+            Some(window) if window.is_whole() => {
+                let is_met = |&index: &usize| live.is_none_or(|live| live.has_live(index));
+                self.dense.settle(window.indices().filter(is_met));
+            }
             _ => self.dense.settle(0..self.opened.len()),
         }
     }
@@ -218,6 +229,7 @@ impl Accumulator {
     /// the threads of the pool that it is called in.
     pub(crate) fn absorb(&mut self, other: &mut Self, window: &Window, pool: &ThreadPool) {
         self.visits += other.visits;
+        self.walked += other.walked;
         let mut sources = std::mem::take(&mut self.sources);
         // `EMPTY` is no slot of `other`: blocks that keep it are left as they are.
         sources.clear();
@@ -248,6 +260,11 @@ impl Accumulator {
     /// Voxels visited by rays, each visit counted.
     pub(crate) fn visits(&self) -> u64 {
         self.visits
+    }
+
+    /// Of these, those in which a ray left its length.
+    pub(crate) fn walked(&self) -> u64 {
+        self.walked
     }
 
     /// Index and slot of every block in the window that holds marks.

@@ -21,16 +21,18 @@ pub(super) struct MarkedBlock {
     home: Option<u32>,
     /// The block, taken out of the map meanwhile.
     block: Option<Box<Block>>,
-    /// Voxels that are updated.
+    /// Voxels that hold marks.
     voxels: usize,
+    /// Voxels whose value is another one now.
+    n_changed: u32,
     /// Voxels whose groups have to be looked at.
     changed: Bits,
     /// Voxels that were at least tentatively occupied before.
     before: Bits,
 }
 
-/// Apply the marks of a scan to `map`. Returns the number of voxels that were updated. `marked` is
-/// memory: empty before and after.
+/// Apply the marks of a scan to `map`. Returns the number of voxels that hold marks, and of those
+/// whose value is another one now. `marked` is memory: empty before and after.
 ///
 /// # Errors
 /// [`Error::Limit`]; the map is unchanged then.
@@ -40,7 +42,7 @@ pub(super) fn update_blocks(
     sums: &mut Accumulator,
     weighted: bool,
     pool: Option<&ThreadPool>,
-) -> Result<usize, Error> {
+) -> Result<[usize; 2], Error> {
     let admitted = sums.marked().filter(|(place, _)| map.admits_some_of(*place));
     marked.extend(admitted.map(|(place, marks)| MarkedBlock {
         home: map.blocks.slot(place),
@@ -48,6 +50,7 @@ pub(super) fn update_blocks(
         marks,
         block: None,
         voxels: 0,
+        n_changed: 0,
         changed: [0; 8],
         before: [0; 8],
     }));
@@ -55,13 +58,14 @@ pub(super) fn update_blocks(
     if taken.is_ok() {
         apply_marks(&Rule::of(map, weighted), marked, sums, pool);
     }
-    let voxels = marked.iter().map(|task| task.voxels).sum();
+    let voxels = marked.iter().map(|block| block.voxels).sum();
+    let changed = marked.iter().map(|block| block.n_changed as usize).sum();
     for MarkedBlock { home, block, changed, before, .. } in marked.drain(..) {
         if let (Some(home), Some(block)) = (home, block) {
             map.put_back(home, block, &changed, &before);
         }
     }
-    taken.map(|()| voxels)
+    taken.map(|()| [voxels, changed])
 }
 
 /// Take the blocks out of the map, made where they are missing: all or none.
@@ -94,13 +98,13 @@ fn apply_marks(
             block.hold(met);
             *voxels = rule.count(block, marks, met);
         }
-        for MarkedBlock { block, marks, changed, before, .. } in marked {
+        for MarkedBlock { block, marks, changed, n_changed, before, .. } in marked {
             let (Some(block), (marks, met)) = (block, sums.block(*marks, &mut spare)) else {
                 continue;
             };
             // Kept to tell voxels that became occupied from those that ceased to be.
             *before = block.tentative;
-            *changed = rule.apply(block, marks, met);
+            (*changed, *n_changed) = rule.apply(block, marks, met);
         }
     };
     match pool {

@@ -81,8 +81,13 @@ pub struct IntegrateStats {
     pub no_return_rays: usize,
     /// Voxels crossed by rays, each crossing counted.
     pub visits: u64,
-    /// Voxels whose value was updated.
+    /// Of these, crossings passed in one step with their brick
+    /// ([`Skip`](crate::flying::map::parameters::Skip)).
+    pub visits_skipped: u64,
+    /// Voxels that points lie in or that rays visited, without those that they passed.
     pub voxels: usize,
+    /// Voxels whose value is another one than before; the same number whatever is passed.
+    pub voxels_changed: usize,
 }
 
 impl IntegrateStats {

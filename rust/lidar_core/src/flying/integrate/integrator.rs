@@ -8,14 +8,16 @@
 use super::accumulator::Accumulator;
 use super::block_update::{MarkedBlock, update_blocks};
 use super::classified_scan::{ClassifiedScan, IntegrateStats, check_classes};
+use super::live_bricks::LiveBricks;
 use super::mark::Content;
 use super::plan::Plan;
 use super::pose_weights::{PoseError, mark_points};
+use super::ray_lanes::CastTask;
 use super::ray_segments::Source;
 use super::walk::{cast_all, merge_ends};
 use super::window::Window;
 use crate::Error;
-use crate::flying::map::parameters::Rays;
+use crate::flying::map::parameters::{Rays, Skip};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::Voxel;
 use crate::util::threads::Workers;
@@ -29,6 +31,7 @@ const LEAST_SCRATCH: usize = 1 << 17;
 pub struct Integrator {
     workers: Workers,
     plan: Plan,
+    live: LiveBricks,
     /// One per thread; the first takes the sums of the others.
     accumulators: Vec<Accumulator>,
     blocks: Vec<MarkedBlock>,
@@ -49,8 +52,7 @@ impl Integrator {
     #[must_use]
     pub fn on(workers: Workers) -> Self {
         let accumulators = (0..workers.count()).map(|_| Accumulator::default()).collect();
-        let (plan, blocks) = (Plan::default(), Vec::new());
-        Self { workers, plan, accumulators, blocks, is_open: false }
+        Self { workers, accumulators, ..Self::default() }
     }
 
     /// Update `map` with one classified scan.
@@ -77,7 +79,7 @@ impl Integrator {
     /// # Errors
     /// As [`Integrator::integrate`].
     pub(crate) fn cast(&mut self, map: &VoxelMap, scan: &ClassifiedScan<'_>) -> Result<(), Error> {
-        let Self { workers, plan, accumulators, is_open, .. } = self;
+        let Self { workers, plan, live, accumulators, is_open, .. } = self;
         if std::mem::replace(is_open, true) {
             accumulators.fill_with(Accumulator::default); // a scan that was given up
         }
@@ -89,7 +91,13 @@ impl Integrator {
         if map.parameters().rays == Rays::OnePerEnd {
             merge_ends(&mut accumulators[0], window, &source, &mut plan.rays, most)?;
         }
-        cast_all(workers.pool(), accumulators, window, &source, &plan.rays, most);
+        let mut skips = map.parameters().skip == Skip::Saturated;
+        if skips {
+            live.fill(&window, map);
+            skips = live.is_worth_it(&window);
+        }
+        let task = CastTask { window: &window, source: &source, live: skips.then_some(live) };
+        cast_all(workers.pool(), accumulators, &task, &plan.rays, most);
         accumulators[0].check()
     }
 
@@ -103,17 +111,18 @@ impl Integrator {
         class: &[u8],
         pose_error: Option<&PoseError>,
     ) -> Result<IntegrateStats, Error> {
-        let Self { workers, plan, accumulators, blocks, is_open } = self;
+        let Self { workers, plan, accumulators, blocks, is_open, .. } = self;
         check_classes(class, plan.rows)?;
         let sums = &mut accumulators[0];
         let mut stats = plan.stats;
         let count = |&(_, content): &(Voxel, Content)| stats.count(content);
         mark_points(map, sums, plan.classified(class).inspect(count), pose_error);
         sums.check()?;
-        stats.visits = sums.visits();
+        (stats.visits, stats.visits_skipped) = (sums.visits(), sums.visits() - sums.walked());
         let weighted = pose_error.is_some_and(PoseError::weighs_points);
         // On an error `is_open` stays set: the next scan starts with new accumulators.
-        stats.voxels = update_blocks(map, blocks, sums, weighted, workers.pool())?;
+        [stats.voxels, stats.voxels_changed] =
+            update_blocks(map, blocks, sums, weighted, workers.pool())?;
         sums.clear(workers.pool());
         *is_open = false;
         Ok(stats)

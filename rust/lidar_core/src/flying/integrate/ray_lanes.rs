@@ -5,8 +5,10 @@
 //! edge or corner the lowest axis goes first, as in `geometry::traverse`.
 
 use super::accumulator::{Accumulator, STEPS};
+use super::live_bricks::LiveBricks;
 use super::mark::UNITS_PER_EDGE;
 use super::ray_segments::{LANES, Lanes, Numbers, Ray, Segments, Source, least, places};
+use super::stretches::Stretches;
 use super::window::Window;
 use crate::geometry::lattice::whole;
 use pulp::{Arch, Simd, WithSimd};
@@ -16,43 +18,52 @@ use pulp::{Arch, Simd, WithSimd};
 const RUN: usize = 8;
 /// No ray ends further from its start, in sub-units.
 const FURTHEST: f64 = (i32::MAX - 1) as f64;
-/// Wall of an axis along which none is crossed.
-const NEVER: u32 = u32::MAX;
+/// Wall of an axis along which none is crossed: behind every end.
+pub(super) const NEVER: u32 = i32::MAX.cast_unsigned();
 
-/// Rays that are walked together. Positions along a ray are whole numbers of sub-units, of which a unit
-/// of length has 2^`shift`.
-struct Bundle {
+/// Rays that are walked together, or stretches of rays. Positions along a ray are whole numbers of
+/// sub-units, of which a unit of length has 2^`shift`.
+pub(super) struct Bundle {
     /// Position of the next wall along every axis.
-    wall: [Lanes; 3],
+    pub(super) wall: [Lanes; 3],
     /// Distance from one wall to the next along every axis.
-    pace: [Lanes; 3],
+    pub(super) pace: [Lanes; 3],
+    /// Number of walls that the whole ray crosses along every axis.
+    pub(super) walls: [Lanes; 3],
     /// Position of the end.
-    end: Lanes,
-    shift: Lanes,
+    pub(super) end: Lanes,
+    pub(super) shift: Lanes,
+    /// Position of the start, in units.
+    pub(super) entered: Lanes,
     /// Place of the voxel in the window, mirrored.
-    place: Lanes,
+    pub(super) place: Lanes,
     /// Bits of the place that are mirrored.
-    mirror: Lanes,
+    pub(super) mirror: Lanes,
     /// Voxels that every ray visits; none of those that only fill the bundle.
-    visits: Lanes,
+    pub(super) visits: Lanes,
     /// Rays that every ray stands for.
-    count: Lanes,
+    pub(super) count: Lanes,
 }
 
 impl Bundle {
+    /// Of rays that go nowhere.
+    pub(super) const NONE: Self = Self {
+        wall: [[NEVER; LANES]; 3],
+        pace: [[0; LANES]; 3],
+        walls: [[0; LANES]; 3],
+        end: [0; LANES],
+        shift: [0; LANES],
+        entered: [0; LANES],
+        place: [0; LANES],
+        mirror: [0; LANES],
+        visits: [0; LANES],
+        count: [0; LANES],
+    };
+
     #[inline(always)]
     fn of(window: &Window, source: &Source<'_>, rays: &[Ray]) -> Self {
         let Segments { start, end } = source.segments(rays).scaled(source.lattice);
-        let mut bundle = Self {
-            wall: [[NEVER; LANES]; 3],
-            pace: [[0; LANES]; 3],
-            end: [0; LANES],
-            shift: [0; LANES],
-            place: places(&start, window),
-            mirror: [0; LANES],
-            visits: [0; LANES],
-            count: [0; LANES],
-        };
+        let mut bundle = Self { place: places(&start, window), ..Self::NONE };
         for (count, ray) in bundle.count.iter_mut().zip(rays) {
             *count = ray.count;
         }
@@ -66,6 +77,12 @@ impl Bundle {
                 if bundle.count[lane] == 0 { 0 } else { bundle.visits[lane].wrapping_add(1) };
         }
         bundle
+    }
+
+    /// Voxels that all rays visit.
+    #[inline(always)]
+    fn all_visits(&self) -> u64 {
+        self.visits.iter().map(|&visits| u64::from(visits)).sum()
     }
 
     /// True if a ray stands for others too.
@@ -131,26 +148,36 @@ impl Bundle {
             self.pace[axis][lane] = if is_met { whole(pace) } else { 0 };
             // Turning the bits over makes a step down a step up: one addition serves both directions.
             self.mirror[lane] |= if upwards | !is_met { 0 } else { bits };
-            self.visits[lane] = self.visits[lane].wrapping_add(whole(walls));
+            self.walls[axis][lane] = whole(walls);
+            self.visits[lane] = self.visits[lane].wrapping_add(self.walls[axis][lane]);
         }
     }
 }
 
-/// Add the length of `rays` inside every voxel they cross.
+/// Where rays are cast.
+#[derive(Clone, Copy)]
+pub(crate) struct CastTask<'a> {
+    pub(crate) window: &'a Window,
+    pub(crate) source: &'a Source<'a>,
+    /// Bricks outside which rays leave nothing, if these are passed.
+    pub(crate) live: Option<&'a LiveBricks>,
+}
+
+/// Add the length of `rays` inside every voxel they cross. `stretches` is memory.
 pub(crate) fn cast(
     accumulator: &mut Accumulator,
-    window: &Window,
-    source: &Source<'_>,
+    task: &CastTask<'_>,
     rays: &[Ray],
+    stretches: &mut Stretches,
 ) {
-    Arch::new().dispatch(Cast { accumulator, window, source, rays });
+    Arch::new().dispatch(Cast { accumulator, task, rays, stretches });
 }
 
 struct Cast<'a> {
     accumulator: &'a mut Accumulator,
-    window: &'a Window,
-    source: &'a Source<'a>,
+    task: &'a CastTask<'a>,
     rays: &'a [Ray],
+    stretches: &'a mut Stretches,
 }
 
 impl WithSimd for Cast<'_> {
@@ -172,65 +199,107 @@ impl Cast<'_> {
     /// Cast all rays with `K` vectors per bundle.
     #[inline(always)]
     fn walk<S: Simd, const K: usize>(self, simd: S) {
-        // 8 x 8 steps of 32 lanes: 8 KiB each, both fit the first cache.
-        let mut places = [[[0; LANES]; STEPS]; RUN];
-        let mut lengths = [[[0; LANES]; STEPS]; RUN];
-        for rays in self.rays.chunks(LANES) {
-            let bundle = Bundle::of(self.window, self.source, rays);
-            let mut walk = Walk::<S, K>::new(simd, self.window, &bundle);
-            let most = bundle.visits.into_iter().max().unwrap_or(0) as usize;
-            let mut left = most.div_ceil(STEPS);
-            while left > 0 {
-                let run = left.min(RUN);
-                let (places, lengths) = (&mut places[..run], &mut lengths[..run]);
-                for (places, lengths) in places.iter_mut().zip(lengths.iter_mut()) {
-                    for (places, lengths) in places.iter_mut().zip(lengths.iter_mut()) {
-                        walk.step(simd, places, lengths);
-                    }
-                }
-                if bundle.stands_for_others() {
-                    bundle.multiply(lengths.as_flattened_mut());
-                }
-                self.accumulator.add(self.window, places, lengths);
-                left -= run;
+        let Self { accumulator, task: &CastTask { window, source, live }, rays, stretches } = self;
+        let mut steps =
+            Buffers { places: [[[0; LANES]; STEPS]; RUN], lengths: [[[0; LANES]; STEPS]; RUN] };
+        stretches.clear();
+        for rays in rays.chunks(LANES) {
+            let bundle = Bundle::of(window, source, rays);
+            accumulator.count(bundle.all_visits());
+            match live {
+                Some(live) => stretches.find::<S, K>(simd, window, live, bundle),
+                None => walk_bundle::<S, K>(simd, accumulator, window, &bundle, &mut steps),
             }
-            self.accumulator.count(bundle.visits.iter().map(|&visits| u64::from(visits)).sum());
+        }
+        for at in (0..stretches.len()).step_by(LANES) {
+            let bundle = stretches.bundle(window, at);
+            walk_bundle::<S, K>(simd, accumulator, window, &bundle, &mut steps);
         }
     }
 }
 
-/// State of a bundle on its way, in vectors. No closures on the way: they would not be inlined
+/// Steps that are written down: 8 x 8 of 32 lanes, 8 KiB each, both fit the first cache.
+struct Buffers {
+    places: [[Lanes; STEPS]; RUN],
+    lengths: [[Lanes; STEPS]; RUN],
+}
+
+/// Add the lengths of a bundle.
+#[inline(always)]
+fn walk_bundle<S: Simd, const K: usize>(
+    simd: S,
+    accumulator: &mut Accumulator,
+    window: &Window,
+    bundle: &Bundle,
+    steps: &mut Buffers,
+) {
+    let mut walk = Walk::<S, K>::new(simd, window, bundle);
+    let most = bundle.visits.into_iter().max().unwrap_or(0) as usize;
+    let mut left = most.div_ceil(STEPS);
+    while left > 0 {
+        let run = left.min(RUN);
+        let (places, lengths) = (&mut steps.places[..run], &mut steps.lengths[..run]);
+        for (places, lengths) in places.iter_mut().zip(lengths.iter_mut()) {
+            for (places, lengths) in places.iter_mut().zip(lengths.iter_mut()) {
+                walk.step(simd, places, lengths);
+            }
+        }
+        if bundle.stands_for_others() {
+            bundle.multiply(lengths.as_flattened_mut());
+        }
+        accumulator.add(window, places, lengths);
+        left -= run;
+    }
+    accumulator.count_walked(bundle.all_visits());
+}
+
+/// Rays of a bundle between walls, in vectors. No closures on the way: they would not be inlined
 /// everywhere, and compiled for another vector unit.
+pub(super) struct Way<S: Simd, const K: usize> {
+    /// Position of the next wall along every axis.
+    pub(super) wall: [[S::u32s; K]; 3],
+    /// Distance from one wall to the next.
+    pub(super) pace: [[S::u32s; K]; 3],
+    /// Place of the cell between the walls, mirrored.
+    pub(super) place: [S::u32s; K],
+    /// Bits of a place that belong to an axis.
+    pub(super) bits: [S::u32s; 3],
+}
+
+/// Lanes as vectors.
+#[inline(always)]
+pub(super) fn vectors<S: Simd, const K: usize>(lanes: &Lanes) -> [S::u32s; K] {
+    std::array::from_fn(|k| S::as_simd_u32s(lanes).0[k])
+}
+
+/// State of a bundle that walks from voxel to voxel.
 struct Walk<S: Simd, const K: usize> {
-    wall: [[S::u32s; K]; 3],
-    pace: [[S::u32s; K]; 3],
+    way: Way<S, K>,
     end: [S::u32s; K],
     shift: [S::u32s; K],
-    place: [S::u32s; K],
     mirror: [S::u32s; K],
     visits: [S::u32s; K],
     step: S::u32s,
     /// Position at which the ray entered its voxel, in units.
     entered: [S::u32s; K],
-    /// Bits of a place that belong to an axis.
-    bits: [S::u32s; 3],
 }
 
 impl<S: Simd, const K: usize> Walk<S, K> {
     #[inline(always)]
     fn new(simd: S, window: &Window, bundle: &Bundle) -> Self {
-        let vectors = |lanes: &Lanes| std::array::from_fn(|k| S::as_simd_u32s(lanes).0[k]);
         Self {
-            wall: std::array::from_fn(|axis| vectors(&bundle.wall[axis])),
-            pace: std::array::from_fn(|axis| vectors(&bundle.pace[axis])),
-            end: vectors(&bundle.end),
-            shift: vectors(&bundle.shift),
-            place: vectors(&bundle.place),
-            mirror: vectors(&bundle.mirror),
-            visits: vectors(&bundle.visits),
+            way: Way {
+                wall: std::array::from_fn(|axis| vectors::<S, K>(&bundle.wall[axis])),
+                pace: std::array::from_fn(|axis| vectors::<S, K>(&bundle.pace[axis])),
+                place: vectors::<S, K>(&bundle.place),
+                bits: std::array::from_fn(|axis| simd.splat_u32s(window.bits_along(axis))),
+            },
+            end: vectors::<S, K>(&bundle.end),
+            shift: vectors::<S, K>(&bundle.shift),
+            mirror: vectors::<S, K>(&bundle.mirror),
+            visits: vectors::<S, K>(&bundle.visits),
             step: simd.splat_u32s(0),
-            entered: [simd.splat_u32s(0); K],
-            bits: std::array::from_fn(|axis| simd.splat_u32s(window.bits_along(axis))),
+            entered: vectors::<S, K>(&bundle.entered),
         }
     }
 
@@ -243,24 +312,40 @@ impl<S: Simd, const K: usize> Walk<S, K> {
         let (places, lengths) = (S::as_mut_simd_u32s(places).0, S::as_mut_simd_u32s(lengths).0);
         for (k, (place, length)) in places.iter_mut().zip(lengths).enumerate().take(K) {
             let going = simd.greater_than_u32s(self.visits[k], self.step);
-            let here = simd.xor_u32s(self.place[k], self.mirror[k]);
+            let here = simd.xor_u32s(self.way.place[k], self.mirror[k]);
             *place = simd.select_u32s(going, here, self.step);
-            let [x, y, z] = [self.wall[0][k], self.wall[1][k], self.wall[2][k]];
-            let first = simd.min_u32s(x, simd.min_u32s(y, z));
+            let first = self.way.first_wall(simd, k);
             let exit = simd.min_u32s(first, self.end[k]);
             // Positions are rounded to units, not lengths: the lengths add up to that of the ray.
             let exit = simd.wrapping_dyn_shr_u32s(exit, self.shift[k]);
             let inside = simd.sub_u32s(exit, self.entered[k]);
             *length = simd.select_u32s(going, inside, none);
             self.entered[k] = exit;
-            self.cross(simd, k, simd.equal_u32s(x, first), simd.equal_u32s(y, first));
+            self.way.cross(simd, k, first);
         }
         self.step = simd.add_u32s(self.step, one);
+    }
+}
+
+impl<S: Simd, const K: usize> Way<S, K> {
+    /// Position of the wall that comes first.
+    #[inline(always)]
+    pub(super) fn first_wall(&self, simd: S, k: usize) -> S::u32s {
+        simd.min_u32s(self.wall[0][k], simd.min_u32s(self.wall[1][k], self.wall[2][k]))
+    }
+
+    /// Go through the first wall, along x, or else along y, or else along z. Returns the axis.
+    #[inline(always)]
+    pub(super) fn cross(&mut self, simd: S, k: usize, first: S::u32s) -> [S::m32s; 2] {
+        let along_x = simd.equal_u32s(self.wall[0][k], first);
+        let along_y = simd.equal_u32s(self.wall[1][k], first);
+        self.move_on(simd, k, along_x, along_y);
+        [along_x, along_y]
     }
 
     /// Through a wall along x, or else along y, or else along z.
     #[inline(always)]
-    fn cross(&mut self, simd: S, k: usize, along_x: S::m32s, along_y: S::m32s) {
+    fn move_on(&mut self, simd: S, k: usize, along_x: S::m32s, along_y: S::m32s) {
         let [x, y, z] = [self.wall[0][k], self.wall[1][k], self.wall[2][k]];
         let next_y = simd.select_u32s(along_y, simd.add_u32s(y, self.pace[1][k]), y);
         let next_z = simd.select_u32s(along_y, z, simd.add_u32s(z, self.pace[2][k]));
@@ -300,10 +385,12 @@ mod tests {
         let mut sums = Accumulator::default();
         sums.aim(window, 1 << 20);
         with_rays(&segments, |source, rays| {
-            run(Cast { accumulator: &mut sums, window: &window, source, rays: &rays });
+            let task = &CastTask { window: &window, source, live: None };
+            let stretches = &mut Stretches::default();
+            run(Cast { accumulator: &mut sums, task, rays: &rays, stretches });
             Ok(())
         })?;
-        sums.settle();
+        sums.settle(None);
         let slots: Vec<_> = sums.marked().collect();
         Ok(slots.iter().flat_map(|&(_, slot)| *sums.block(slot, &mut [0; VOLUME]).0).collect())
     }

@@ -52,8 +52,8 @@ impl Rule {
     }
 
     /// Update a block that holds the rows `met`, on the vector unit of the machine. Returns the
-    /// voxels whose groups have to be looked at.
-    pub(crate) fn apply(&self, block: &mut Block, marks: &[Mark; VOLUME], met: u64) -> Bits {
+    /// voxels whose groups have to be looked at, and the number of those whose value is another one.
+    pub(crate) fn apply(&self, block: &mut Block, marks: &[Mark; VOLUME], met: u64) -> (Bits, u32) {
         Arch::new().dispatch(Apply { rule: self, block, marks, met })
     }
 
@@ -143,40 +143,54 @@ struct Apply<'a> {
 }
 
 impl WithSimd for Apply<'_> {
-    type Output = Bits;
+    type Output = (Bits, u32);
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Bits {
+    fn with_simd<S: Simd>(self, _: S) -> (Bits, u32) {
         let Self { rule, block, marks, met } = self;
         let rule = *rule; // a copy that nothing else can change
-        let mut changed = [0; EDGE as usize];
+        let (mut changed, mut n_changed) = ([0; EDGE as usize], 0);
         let rows = marks.as_chunks().0;
         for row in rows_of(met) {
             let marks = rule.admitted(block.place, row * ROW, &rows[row]);
-            update_row(&rule, block, row, &marks, &mut changed);
+            n_changed += update_row(&rule, block, row, &marks, &mut changed);
         }
-        changed
+        (changed, n_changed)
     }
 }
 
+/// Update a row; returns the number of its voxels whose value is another one now.
 #[inline(always)]
-fn update_row(rule: &Rule, block: &mut Block, row: usize, marks: &MarkRow, changed: &mut Bits) {
-    let Some(stored) = block.row_mut(row) else { return };
+fn update_row(
+    rule: &Rule,
+    block: &mut Block,
+    row: usize,
+    marks: &MarkRow,
+    changed: &mut Bits,
+) -> u32 {
+    if block.inert.holds(row) && marks.iter().fold(0, |all, mark| all | mark) <= MAX_COUNT {
+        return 0; // most of the air, after a few scans
+    }
+    let Some(&stored) = block.row(row) else { return 0 };
     let stays =
         |(&value, &mark): (&f32, &Mark)| (mark <= MAX_COUNT) & (value == rule.g[0]) | (mark == 0);
     if stored.iter().zip(marks).fold(true, |all, voxel| all & stays(voxel)) {
-        return; // pulled to where it is: most of the air, after a few scans
+        block.inert.note(row, &stored, rule.g[0]);
+        return 0; // pulled to where it is
     }
-    let values = rule.updated(stored, marks);
+    let values = rule.updated(&stored, marks);
     let crosses = |at: usize| rule.levels.crosses(stored[at], values[at]);
     // No bound is crossed: the bits of the block stay, and the row is stored as a whole.
     if !(0..ROW).fold(false, |any, at| any | crosses(at)) {
-        *stored = values;
-        return;
-    }
-    for (at, &value) in values.iter().enumerate() {
-        if rule.levels.store(block, row * ROW + at, value) {
-            assign(changed, row * ROW + at, true);
+        block.set_row(row, &values);
+    } else {
+        for (at, &value) in values.iter().enumerate() {
+            if rule.levels.store(block, row * ROW + at, value) {
+                assign(changed, row * ROW + at, true);
+            }
         }
     }
+    block.inert.note(row, &values, rule.g[0]);
+    let differs = |at: usize| u32::from(stored[at].to_bits() != values[at].to_bits());
+    (0..ROW).fold(0, |count, at| count + differs(at))
 }

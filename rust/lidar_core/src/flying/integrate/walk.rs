@@ -5,8 +5,9 @@
 
 use super::accumulator::Accumulator;
 use super::mark::{RAYS_FROM_EMPTY, RAYS_FROM_FULL};
-use super::ray_lanes::cast;
+use super::ray_lanes::{CastTask, cast};
 use super::ray_segments::{LANES, Ray, Source, places};
+use super::stretches::Stretches;
 use super::window::Window;
 use crate::Error;
 use pulp::{Arch, Simd, WithSimd};
@@ -82,36 +83,36 @@ impl WithSimd for Merge<'_> {
 pub(crate) fn cast_all(
     pool: Option<&ThreadPool>,
     accumulators: &mut [Accumulator],
-    window: Window,
-    source: &Source<'_>,
+    task: &CastTask<'_>,
     rays: &[Ray],
     most: usize,
 ) {
     let chunks = Mutex::new(rays.chunks(RAYS_PER_CHUNK));
     let work = |(number, accumulator): (usize, &mut Accumulator)| {
-        accumulator.aim(window, most);
+        accumulator.aim(*task.window, most);
+        let mut stretches = Stretches::default();
         let mut room = RAYS_FROM_EMPTY;
         while let Some(rays) = take(&chunks, number) {
             let count = rays.iter().map(|ray| ray.count as usize).sum();
             if room < count {
-                accumulator.settle();
+                accumulator.settle(task.live);
                 // Settled marks are at most `MAX_COUNT`: so many more rays cannot overflow them.
                 room = RAYS_FROM_FULL;
             }
             room -= count;
-            cast(accumulator, &window, source, rays);
+            cast(accumulator, task, rays, &mut stretches);
             if accumulator.check().is_err() {
                 break;
             }
         }
-        accumulator.settle();
+        accumulator.settle(task.live);
     };
     match pool {
         Some(pool) => pool.install(|| {
             accumulators.par_iter_mut().enumerate().for_each(work);
             if let Some((sum, others)) = accumulators.split_first_mut() {
                 // Integer sums: their order cannot matter.
-                others.iter_mut().for_each(|other| sum.absorb(other, &window, pool));
+                others.iter_mut().for_each(|other| sum.absorb(other, task.window, pool));
             }
         }),
         None => accumulators.iter_mut().take(1).enumerate().for_each(work),
@@ -150,7 +151,8 @@ mod tests {
             }
             let pool = crate::util::threads::pool(sums.len())?;
             let pool = (sums.len() > 1).then_some(&pool);
-            cast_all(pool, sums, window, source, &rays, 1 << 20);
+            let task = CastTask { window: &window, source, live: None };
+            cast_all(pool, sums, &task, &rays, 1 << 20);
             Ok(rays)
         })
     }

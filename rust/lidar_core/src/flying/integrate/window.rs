@@ -77,6 +77,11 @@ impl Window {
         self.len
     }
 
+    /// Blocks of the window.
+    pub(crate) fn n_blocks(&self) -> usize {
+        self.size.iter().product()
+    }
+
     /// True if the marks of the whole window lie in memory.
     pub(crate) fn is_whole(&self) -> bool {
         self.len <= MAX_WHOLE
@@ -121,6 +126,12 @@ impl Window {
             }
         }
         Some((0..3).fold(0, |bits, axis| bits | self.bits_at(axis, after[axis])) as usize)
+    }
+
+    /// Index of the block at `place`, if it lies in the window.
+    pub(crate) fn index_of(&self, place: Place) -> Option<usize> {
+        let first = self.place_of(place.voxel(0));
+        first.map(|voxel| voxel >> INSIDE)
     }
 
     pub(crate) fn place(&self, index: usize) -> Place {

@@ -1,5 +1,6 @@
 //! Storage of the voxel map: cubes of 8 x 8 x 8 voxels, and in them rows of 8, made when first met.
 
+use super::inert::Inert;
 use crate::Error;
 use crate::geometry::lattice::Voxel;
 use crate::util::full_state::impossible;
@@ -32,6 +33,8 @@ pub(crate) struct Block {
     pub(crate) tentative: Bits,
     /// Confidently occupied.
     pub(crate) confident: Bits,
+    /// What rays cannot change.
+    pub(crate) inert: Inert,
     /// A bit for every row that is held.
     held: u64,
     /// The rows that are held, by y, then z.
@@ -40,7 +43,8 @@ pub(crate) struct Block {
 
 impl Block {
     fn new(place: Place) -> Self {
-        Self { place, tentative: [0; 8], confident: [0; 8], held: 0, rows: Vec::new() }
+        let (bits, inert) = ([0; 8], Inert::default());
+        Self { place, tentative: bits, confident: bits, inert, held: 0, rows: Vec::new() }
     }
 
     /// True if its parts agree, as they must where bytes told them.
@@ -71,6 +75,7 @@ impl Block {
     pub(crate) fn set(&mut self, offset: usize, value: f32) {
         let row = offset / EDGE as usize;
         self.hold(1 << row);
+        self.inert.forget(offset);
         if let Some(values) = self.row_mut(row) {
             values[offset % EDGE as usize] = value;
         }
@@ -78,9 +83,24 @@ impl Block {
 
     /// A row that is held.
     #[inline]
-    pub(crate) fn row_mut(&mut self, row: usize) -> Option<&mut Row> {
+    fn row_mut(&mut self, row: usize) -> Option<&mut Row> {
         let at = self.before(row);
         self.rows.get_mut(at).filter(|_| self.held >> row & 1 == 1)
+    }
+
+    /// Values of a row that is held.
+    #[inline]
+    pub(crate) fn row(&self, row: usize) -> Option<&Row> {
+        self.rows.get(self.before(row)).filter(|_| self.held >> row & 1 == 1)
+    }
+
+    /// Store the values of a row that is held, of which none crosses a bound.
+    #[inline]
+    pub(crate) fn set_row(&mut self, row: usize, values: &Row) {
+        (0..2).for_each(|half| self.inert.forget(row * EDGE as usize + 4 * half));
+        if let Some(stored) = self.row_mut(row) {
+            *stored = *values;
+        }
     }
 
     /// Hold the rows whose bits are set, beside those that are held.

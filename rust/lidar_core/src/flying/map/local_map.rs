@@ -59,11 +59,12 @@ impl LocalMap {
     pub(crate) fn replace(
         &mut self,
         parameters: &MapParameters,
-        map: VoxelMap,
+        mut map: VoxelMap,
     ) -> Result<(), Error> {
         let voxel_size = map.parameters().voxel_size;
         let fits = voxel_size == parameters.voxel_size;
         require(fits, "voxel_size", "a map with the configured size", voxel_size)?;
+        map.set_skip(parameters.skip); // no file holds it
         self.place(map);
         Ok(())
     }

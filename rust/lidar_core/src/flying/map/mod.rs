@@ -4,6 +4,7 @@ pub(crate) mod blocks;
 pub(crate) mod changes;
 pub mod filter;
 pub(crate) mod full_state;
+pub(crate) mod inert;
 pub(crate) mod islands;
 pub(crate) mod layers;
 pub(crate) mod local_map;

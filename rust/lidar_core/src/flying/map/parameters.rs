@@ -26,6 +26,17 @@ pub enum Rays {
     OnePerEnd,
 }
 
+/// Voxels that rays pass without a look at them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Skip {
+    /// None: every ray visits every voxel that it crosses.
+    Nothing,
+    /// Bricks of 4 x 4 x 4 voxels that all hold `g_free` to the bit, or are permanent: no ray changes
+    /// them. Values, states and files are those of [`Skip::Nothing`], to the bit; only a scan that
+    /// [`Skip::Nothing`] refuses, since it touches too many voxels, may be accepted.
+    Saturated,
+}
+
 /// Parameters of a voxel map; values of G have no unit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MapParameters {
@@ -52,6 +63,8 @@ pub struct MapParameters {
     pub end_margin: f64,
     /// Rays that are cast.
     pub rays: Rays,
+    /// Voxels that rays pass: a matter of time alone, so files do not hold it.
+    pub skip: Skip,
     /// Unit of the ray weight.
     pub ray_unit: RayUnit,
     /// Factor on the ray weight.

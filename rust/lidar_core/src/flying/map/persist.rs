@@ -220,6 +220,7 @@ fn read_parameters(reader: &mut Reader<'_>) -> Result<MapParameters, Error> {
         max_range,
         end_margin,
         rays,
+        skip: MapParameters::default().skip,
         ray_unit,
         ray_gain,
         bounds,

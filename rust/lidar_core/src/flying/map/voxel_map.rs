@@ -6,7 +6,7 @@ use super::blocks::{Bits, Block, Blocks, Cursor, Place, VOLUME, offset_of};
 use super::changes::Changes;
 use super::filter::{Levels, filtered, two_to_minus};
 use super::layers::Layer;
-use super::parameters::MapParameters;
+use super::parameters::{MapParameters, Skip};
 use crate::Error;
 use crate::geometry::lattice::{Lattice, Voxel, wide};
 
@@ -127,6 +127,16 @@ impl VoxelMap {
         self.limits.is_none_or(|[low, high]| {
             (0..3).all(|axis| (low[axis]..=high[axis]).contains(&voxel[axis]))
         })
+    }
+
+    /// Change what rays pass, which no file holds.
+    pub fn set_skip(&mut self, skip: Skip) {
+        self.parameters.skip = skip;
+    }
+
+    /// True if there is an operating volume.
+    pub(crate) fn is_bounded(&self) -> bool {
+        self.limits.is_some()
     }
 
     /// True if the operating volume holds some voxel of the block at `place`.
