@@ -2,7 +2,7 @@
 
 from lidar_core.fusion.config import FusionConfig, PublishedModel
 from lidar_core.fusion.coverage import TargetCoverage, empty_gospa, mean_gospa, target_coverage
-from lidar_core.fusion.filter import TargetFilter
+from lidar_core.fusion.filter import FilterHealth, TargetFilter
 from lidar_core.fusion.many import MultiTargetTracker, ScanResult
 from lidar_core.fusion.many_config import AutoferryOptions, MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, Measurements
@@ -20,6 +20,7 @@ __all__ = [
     "AutoferryOptions",
     "BagOptions",
     "DetectionScan",
+    "FilterHealth",
     "FusionConfig",
     "LevelSight",
     "Measurement",

@@ -209,6 +209,19 @@ class FusionConfig(Config):
     loss_window: float = Field(
         10.0, ge=1, le=1e6, description="Measurements in that average (count, no unit)."
     )
+    sensor_noise: Literal["estimated", "configured"] = Field(
+        "estimated",
+        description="Noise of LiDAR and radar that filters use for measurements without a"
+        " covariance (no unit): estimated from the measurements, starting with `lidar_std` and"
+        " `radar_std`; or these as they are. With estimated a measurement beyond the gate also"
+        " makes the state less certain where its motion is in doubt rather than the measurement.",
+    )
+    noise_memory: float = Field(
+        200.0,
+        ge=10,
+        le=1e6,
+        description="Measurements of a sensor over which its noise is estimated (count, no unit).",
+    )
     buffer_time: float = Field(
         0.5,
         ge=0,
@@ -234,6 +247,7 @@ class FusionConfig(Config):
             start_rows=1,
             gate_probability=None,
             loss_ratio=None,
+            sensor_noise="configured",
         )
 
     @model_validator(mode="after")

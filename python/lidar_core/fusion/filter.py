@@ -1,5 +1,6 @@
 """A filter of one target, measurement by measurement."""
 
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -12,6 +13,24 @@ from lidar_core.errors import InputError
 from lidar_core.fusion.config import FusionConfig
 from lidar_core.fusion.measurement import Measurement
 from lidar_core.util.full_state import FullState
+
+
+@dataclass(frozen=True, slots=True)
+class FilterHealth:
+    """Noise of the sensors, as it was configured and as the measurements show it.
+
+    Attributes
+    ----------
+    lidar_std, lidar_std_estimated : ndarray, shape (2,)
+        Standard deviations of x and y [m].
+    radar_std, radar_std_estimated : ndarray, shape (3,)
+        Standard deviations of range [m], bearing [rad] and range rate [m/s].
+    """
+
+    lidar_std: NDArray[np.float64]
+    lidar_std_estimated: NDArray[np.float64]
+    radar_std: NDArray[np.float64]
+    radar_std_estimated: NDArray[np.float64]
 
 
 class TargetFilter(FullState):
@@ -85,6 +104,15 @@ class TargetFilter(FullState):
         made = cls(config, **options)
         made._filter = _core.TargetFilter.from_state(config, core)
         return made
+
+    def health(self) -> FilterHealth:
+        """Return the noise of the sensors as configured and as estimated.
+
+        A value that no measurement without a covariance has shown is the configured one.
+        """
+        lidar, radar = self._filter.sensor_stds()
+        configured = (np.array(self.config.lidar_std), np.array(self.config.radar_std))
+        return FilterHealth(configured[0], lidar, configured[1], radar)
 
     def state_at(self, stamp_ns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
         """Mean (n,) and covariance (n, n), predicted to a time; nothing changes.

@@ -20,7 +20,8 @@ class MultiTargetConfig(Config):
     target: FusionConfig = Field(
         FusionConfig(),
         description="The filter of each target; its gate decides which measurements may be one's,"
-        " its `buffer_time` how late scans may come. `loss_ratio` is not used: a lost track ends.",
+        " its `buffer_time` how late scans may come. `loss_ratio` and `sensor_noise` are not"
+        " used: a lost track ends, and noise is as configured.",
     )
     confirm_hits: int = Field(
         3,

@@ -75,18 +75,15 @@ class Implausible:
         return text
 
 
-def implausible(
-    measurements: Sequence[Measurement], result: Run, config: FusionConfig
-) -> Implausible | None:
+def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Implausible | None:
     """Say whether and why measurements cannot be those of one target in the expected units.
 
     Parameters
     ----------
     measurements : sequence of Measurement
-    result : Run
-        What the filter made of them.
     config : FusionConfig
-        Of that filter.
+        Of their filter. The noise that is configured is believed here: noise that is estimated
+        would explain every mistake.
 
     Returns
     -------
@@ -106,7 +103,8 @@ def implausible(
     """
     if config.model == "paper":
         return None
-    found = _ratio(result)
+    config = config.model_copy(update={"sensor_noise": "configured"})
+    found = _ratio(run(measurements, config))
     if found is None:
         return None
     ratio, degrees, count = found

@@ -36,6 +36,11 @@ class Run:
         Normalised innovation squared; NaN where nothing was compared.
     outcomes : ndarray, shape (K,), str
         As `FusionStep.outcome`.
+    lidar_std_estimated : ndarray, shape (2,)
+        Standard deviations of x and y of the LiDAR [m] as the measurements show them at the end;
+        those of the configuration where they are not estimated.
+    radar_std_estimated : ndarray, shape (3,)
+        The same of the radar's range [m], bearing [rad] and range rate [m/s].
     """
 
     stamps_ns: NDArray[np.int64]
@@ -44,6 +49,8 @@ class Run:
     innovations: NDArray[np.float64]
     nis: NDArray[np.float64]
     outcomes: NDArray[np.str_]
+    lidar_std_estimated: NDArray[np.float64]
+    radar_std_estimated: NDArray[np.float64]
 
     @property
     def accepted(self) -> NDArray[np.bool_]:
@@ -160,5 +167,14 @@ def smooth(
 
 
 def _run_of(arrays: tuple[NDArray[Any], ...]) -> Run:
-    stamps, outcomes, states, covariances, innovations, nis = arrays
-    return Run(stamps, states, covariances, innovations, nis, _OUTCOMES[outcomes])
+    stamps, outcomes, states, covariances, innovations, nis, lidar_std, radar_std = arrays
+    return Run(
+        stamps,
+        states,
+        covariances,
+        innovations,
+        nis,
+        _OUTCOMES[outcomes],
+        lidar_std,
+        radar_std,
+    )

@@ -38,6 +38,8 @@ MODULES = (
     "fusion.noise_power",
     "fusion.drone_yaw",
     "fusion.consistency",
+    "tracking.noise",
+    "tracking.dropout",
 )
 """Modules of this package that declare items, by paper, in the order in which `all` runs them."""
 

@@ -182,7 +182,7 @@ class _FuseJob:
                 " of the platform, which are here; ctrv takes them in"
             )
         made = TargetRun.of(kept, chosen, {**reading, "span": self.span}, lag=self.lag)
-        doubt = implausible(made.log.measurements, made.result, chosen)
+        doubt = implausible(made.log.measurements, chosen)
         if doubt is not None and not self.force:
             raise InputError(f"{self.recording}: {doubt}. force=True goes on nevertheless")
         return made if doubt is None else replace(made, implausible=str(doubt))

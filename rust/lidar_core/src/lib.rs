@@ -2,8 +2,8 @@
 //!
 //! Three capabilities stand on shared modules and never import one another:
 //! [`flying`] finds and tracks flying objects in 3D scans, [`circles`] maps round obstacles in 2D
-//! scans, [`fusion`] tracks a target that LiDAR and radar see. [`geometry`], [`estimation`] and
-//! [`util`] hold what they share.
+//! scans, [`fusion`] tracks a target that LiDAR and radar see. [`geometry`], [`estimation`],
+//! [`tracking`] and [`util`] hold what they share.
 //!
 //! SI units and radians; right-handed frames, x forward, y left, z up; stamps are `i64`
 //! nanoseconds; points are `f32`, poses and filter states `f64`.
@@ -14,6 +14,7 @@ pub mod estimation;
 pub mod flying;
 pub mod fusion;
 pub mod geometry;
+pub mod tracking;
 pub mod util;
 
 pub use error::Error;

@@ -30,7 +30,7 @@ ROUNDING = 1e-12  # of eigenvalues, relative to the largest entry
 SMOOTHED = 1e-6  # the same, and covariances inverted
 ORACLE = 1e-7  # Jacobians by differences in the oracle, through hundreds of steps
 STEP_NS = 50_000_000
-OPEN = {"gate_probability": None, "loss_ratio": None}
+OPEN = {"gate_probability": None, "loss_ratio": None, "sensor_noise": "configured"}
 
 
 def rmse(result, truth, *, polar, skip=0):
@@ -128,7 +128,7 @@ def test_the_unscented_filter_of_courses(recordings):
 
 def test_noise_is_found_from_measurements_alone(recordings):
     recording = read_laser_radar(recordings / OBJ_POSE)
-    config = fit_noise(recording.measurements, FusionConfig())
+    config = fit_noise(recording.measurements, FusionConfig(sensor_noise="configured"))
     # the true errors of the file: its readme
     np.testing.assert_allclose(config.lidar_std, 0.148, rtol=0.1)
     np.testing.assert_allclose(config.radar_std, [0.305, 0.0284, 0.288], rtol=0.1)
@@ -321,7 +321,7 @@ def test_a_filter_fed_step_by_step_gives_the_bits_of_a_run():
 
 def test_measured_covariances_take_the_place_of_the_configured_ones():
     seen, _ = walk(np.random.default_rng(5))
-    config = FusionConfig()
+    config = FusionConfig(sensor_noise="configured")
     stds = {"lidar": config.lidar_std, "radar": config.radar_std}
     told = [Measurement(m.stamp_ns, m.sensor, m.values, np.diag(stds[m.sensor]) ** 2) for m in seen]
     blind = FusionConfig(lidar_std=(9.0, 9.0), radar_std=(9.0, 9.0, 9.0))

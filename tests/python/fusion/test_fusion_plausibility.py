@@ -14,7 +14,6 @@ from lidar_core.fusion import (
     read_autoferry,
     read_laser_radar,
     read_measurements,
-    run,
     write_overflight,
 )
 from lidar_core.fusion.plausibility import (
@@ -91,7 +90,7 @@ WRONG = {
 
 def doubt(seen, config=None):
     config = config or FusionConfig()
-    return implausible(seen, run(seen, config), config)
+    return implausible(seen, config)
 
 
 def overflight(folder, seed):

@@ -107,6 +107,12 @@ SHORT = {
     "fusion-consistency": Short(
         ("ctrv, ekf: steps inside the band",), modes=("best_mode",), scans=10
     ),
+    "tracking-noise": Short(
+        ("ctrv: RMSE, noise told x 0.2", "ctrv: NEES / 2, noise told right"),
+        modes=("best_mode",),
+        scans=4,
+    ),
+    "tracking-dropout": Short(("10 m/s, turns back: first fix",), modes=("best_mode",), scans=4),
 }
 
 

@@ -102,6 +102,7 @@ def test_the_bound_of_a_linear_filter_is_its_covariance():
         start_rows=1,
         gate_probability=None,
         loss_ratio=None,
+        sensor_noise="configured",
         initial_position=0.5**0.5,
     )
     lidar = Course(np.ones(100, bool), places(of.values, of.is_lidar), of.truth)

@@ -1,5 +1,7 @@
 """Filters that the items of the third paper compare, as others publish them and as they do best."""
 
+from typing import Any
+
 from lidar_core.fusion import FusionConfig
 from lidar_core.reproduce.fusion.laser_radar import Contender, Noise
 
@@ -47,6 +49,7 @@ def _of_courses(model: str, method: str) -> FusionConfig:
             "turn_noise": 3.0,
             "gate_probability": None,
             "loss_ratio": None,
+            "sensor_noise": "configured",
         }
     )
 
@@ -56,8 +59,9 @@ def ours() -> dict[str, Contender]:
 
     The densities were found with seeds from 1000 on.
     """
-    linear = FusionConfig(model="cv", method="kf", acceleration_noise=1.0)
-    smooth = {"acceleration_noise": 0.08, "turn_noise": 0.9}
+    known: dict[str, Any] = {"sensor_noise": "configured"}
+    linear = FusionConfig(model="cv", method="kf", acceleration_noise=1.0, **known)
+    smooth = {"acceleration_noise": 0.08, "turn_noise": 0.9} | known
 
     def filter_of(method: str) -> FusionConfig:
         return FusionConfig.load({"model": "ctrv", "method": method, **smooth})
@@ -65,7 +69,9 @@ def ours() -> dict[str, Contender]:
     return {
         LINEAR_LIDAR: Contender("lidar", linear, SAMPLE_1_NOISE),
         LINEAR: Contender("polar", linear, SAMPLE_1_NOISE),
-        "EKF-CV": Contender("position", FusionConfig(model="cv", acceleration_noise=1.0), OURS),
+        "EKF-CV": Contender(
+            "position", FusionConfig(model="cv", acceleration_noise=1.0, **known), OURS
+        ),
         EKF: Contender("position", filter_of("ekf"), OURS),
         "UKF-CTRV": Contender("position", filter_of("ukf"), OURS),
         "CKF-CTRV": Contender("position", filter_of("ckf"), OURS),

@@ -88,14 +88,24 @@ def turned_back(vectors: NDArray[np.float64], ahead: NDArray[np.float64]) -> NDA
 def configs() -> dict[str, FusionConfig]:
     """Filters, by what they know of the sensor's motion.
 
-    Their process noise is the most likely one of the recording as it is.
+    Their process noise is the most likely one of the recording as it is; that of the sensors is
+    known.
     """
     of = course(OBJ_POSE)
     fitted = fit_noise(measurements(of, of.values, "fixed", FIXED, 0.0), sensors=False)
-    open_gates = {"gate_probability": None, "loss_ratio": None}
+    open_gates = {
+        "gate_probability": None,
+        "loss_ratio": None,
+        "sensor_noise": "configured",
+    }
 
     def drone(gyro: str) -> FusionConfig:
-        changes = {"model": "ctrv-drone", "gyro": gyro, "gyro_std": GYRO_STD}
+        changes = {
+            "model": "ctrv-drone",
+            "gyro": gyro,
+            "gyro_std": GYRO_STD,
+            "sensor_noise": "configured",
+        }
         return FusionConfig.load(fitted.model_dump() | changes)
 
     return {

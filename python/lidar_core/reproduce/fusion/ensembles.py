@@ -40,6 +40,7 @@ TRUE = {
     "initial_acceleration": 0.1,
     "gate_probability": None,
     "loss_ratio": None,
+    "sensor_noise": "configured",
 }
 """How targets move and what sensors measure, in the words of `FusionConfig`."""
 SWITCHING = "switching"

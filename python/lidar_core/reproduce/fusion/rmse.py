@@ -139,7 +139,11 @@ def _clean(of: Course) -> list[Row]:
                 Row(f"{title} as it is, EKF-CV of courses, {axis}", _unit(axis), None, None, value)
             )
     config = FusionConfig(
-        model="cv", process="discrete", acceleration_noise=CLEAN_NOISE, gate_probability=None
+        model="cv",
+        process="discrete",
+        acceleration_noise=CLEAN_NOISE,
+        gate_probability=None,
+        sensor_noise="configured",
     )
     found = _full_rmse(of, Contender("polar", config, SAMPLE_1_NOISE))
     rows += [
@@ -163,6 +167,7 @@ def _of_courses() -> FusionConfig:
         initial_speed=1000**0.5,
         gate_probability=None,
         loss_ratio=None,
+        sensor_noise="configured",
     )
 
 
@@ -181,7 +186,8 @@ def _anew(request: Request) -> list[Row]:
     """Fresh measurements along the way of the second recording: errors, NIS, smoothing."""
     of = course(OBJ_POSE)
     as_it_is = measurements(of, of.values, "fixed", FIXED, 0.0)
-    config = fit_noise(as_it_is, FusionConfig(), sensors=False)
+    known = FusionConfig(sensor_noise="configured")
+    config = fit_noise(as_it_is, known, sensors=False)
     count = max(1, round(MONTE_CARLO * min(1.0, request.scans / ITEM.scans)))
     draws = [
         measured(of.truth, FIXED, np.random.default_rng([20230701, request.seed, number]))

@@ -151,8 +151,18 @@ class TargetRun:
             "duration": duration,
             "states": list(state_names(self.config)),
             "nis": nis_summary(self.nis()),
+            "sensor_noise": self._sensor_noise(),
             "rmse": None if errors is None else self._rmse(errors),
             "us_per_measurement": 1e6 * self.seconds / max(1, len(stamps)),
+        }
+
+    def _sensor_noise(self) -> dict[str, list[float]]:
+        """Standard deviations as configured and as estimated, SI units."""
+        return {
+            "lidar_std": list(self.config.lidar_std),
+            "lidar_std_estimated": self.result.lidar_std_estimated.tolist(),
+            "radar_std": list(self.config.radar_std),
+            "radar_std_estimated": self.result.radar_std_estimated.tolist(),
         }
 
     def _rmse(self, errors: NDArray[np.float64]) -> dict[str, float | None] | None:

@@ -58,11 +58,13 @@ pub struct Update<const N: usize> {
 
 /// Distance of a vector from zero in terms of a covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Mahalanobis {
+pub struct Mahalanobis<const M: usize> {
     /// y' S^-1 y.
     pub squared: f64,
     /// Natural logarithm of the determinant of S.
     pub log_determinant: f64,
+    /// Diagonal of S.
+    pub variances: [f64; M],
 }
 
 /// `prior` after the linear motion `F` with process noise `Q`.
@@ -132,8 +134,8 @@ pub fn update<const N: usize, const M: usize>(
 pub fn correct<const N: usize, const M: usize>(
     state: &mut Gaussian<N>,
     model: &Linearised<N, M>,
-    believe: impl FnOnce(&Mahalanobis) -> bool,
-) -> Result<Mahalanobis, Error> {
+    believe: impl FnOnce(&Mahalanobis<M>) -> bool,
+) -> Result<Mahalanobis<M>, Error> {
     let (P, H) = (&state.covariance.data.0, &model.H.data.0);
     let mut A = [[0.0; N]; M]; // rows of H P
     for k in 0..N {
@@ -157,7 +159,8 @@ pub fn correct<const N: usize, const M: usize>(
     for [entry] in &y {
         squared += entry * entry;
     }
-    let far = Mahalanobis { squared, log_determinant: root.log_determinant() };
+    let variances = std::array::from_fn(|m| S[m][m]);
+    let far = Mahalanobis { squared, log_determinant: root.log_determinant(), variances };
     if !believe(&far) {
         return Ok(far);
     }
@@ -290,12 +293,13 @@ impl<const M: usize> Root<M> {
 pub fn mahalanobis<const M: usize>(
     y: &SVector<f64, M>,
     S: &SMatrix<f64, M, M>,
-) -> Result<Mahalanobis, Error> {
+) -> Result<Mahalanobis<M>, Error> {
     let root = Root::new(&S.data.0)?;
     let mut white: [[f64; 1]; M] = std::array::from_fn(|m| [y[m]]);
     root.solve_lower(&mut white);
     let squared = white.iter().map(|[entry]| entry * entry).sum();
-    Ok(Mahalanobis { squared, log_determinant: root.log_determinant() })
+    let variances = std::array::from_fn(|m| S[(m, m)]);
+    Ok(Mahalanobis { squared, log_determinant: root.log_determinant(), variances })
 }
 
 /// The mean of a matrix and its transpose: bit for bit symmetric.

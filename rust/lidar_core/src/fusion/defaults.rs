@@ -61,6 +61,7 @@ impl Default for Life {
         Self {
             start_rows: 6,
             gate: Self::gates(Some(GATE_PROBABILITY)).unwrap_or([f64::INFINITY; 5]),
+            memory: Some(200.0),
             loss: Some(Loss { ratio: 4.0, window: 10.0 }),
             radar_starts_speed: true,
             gyro: GyroUse::Input,
@@ -113,7 +114,13 @@ impl FusionParameters {
                 platform: 0.5,
                 ..Strengths::default()
             },
-            life: Life { start_rows: 1, gate: [f64::INFINITY; 5], loss: None, ..Life::default() },
+            life: Life {
+                start_rows: 1,
+                gate: [f64::INFINITY; 5],
+                memory: None,
+                loss: None,
+                ..Life::default()
+            },
             ..Self::default()
         }
     }

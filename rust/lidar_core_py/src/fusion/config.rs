@@ -39,6 +39,8 @@ pub(crate) struct FusionConfig {
     gate_probability: Option<f64>,
     loss_ratio: Option<f64>,
     loss_window: f64,
+    sensor_noise: String,
+    noise_memory: f64,
     buffer_time: f64,
     sigma_spread: Option<f64>,
     sigma_points: String,
@@ -78,6 +80,7 @@ const FORMS: [(&str, NoiseForm); 2] =
     [("continuous", NoiseForm::Continuous), ("discrete", NoiseForm::Discrete)];
 const GYROS: [(&str, GyroUse); 3] =
     [("input", GyroUse::Input), ("measurement", GyroUse::Measurement), ("none", GyroUse::Ignored)];
+const NOISES: [(&str, bool); 2] = [("estimated", true), ("configured", false)];
 const STARTS: [(&str, bool); 2] = [("range-rate", true), ("zero", false)];
 
 impl FusionConfig {
@@ -157,10 +160,16 @@ impl FusionConfig {
         }
     }
 
+    fn memory(&self) -> Result<Option<f64>, Error> {
+        let estimates = choice("sensor_noise", &self.sensor_noise, &NOISES)?;
+        Ok(estimates.then_some(self.noise_memory))
+    }
+
     fn life(&self) -> Result<Life, Error> {
         Ok(Life {
             start_rows: self.start_rows,
             gate: Life::gates(self.gate_probability)?,
+            memory: self.memory()?,
             loss: self.loss_ratio.map(|ratio| Loss { ratio, window: self.loss_window }),
             radar_starts_speed: choice("start_speed", &self.start_speed, &STARTS)?,
             gyro: choice("gyro", &self.gyro, &GYROS)?,

@@ -161,6 +161,14 @@ impl PyTargetFilter {
         Ok(PyFusionStep(self.filter.with(py, |filter| Ok(filter.step(&m)))?))
     }
 
+    /// Standard deviations of LiDAR and radar as the measurements show them.
+    fn sensor_stds<'py>(&self, py: Python<'py>) -> Result<Deviations<'py>, BorderError> {
+        let errors = self.filter.with(py, |filter| Ok(filter.errors()))?;
+        let (lidar, radar) = errors.variances(&self.parameters.sensing);
+        let lidar = PyArray1::from_slice(py, &lidar.map(f64::sqrt));
+        Ok((lidar, PyArray1::from_slice(py, &radar.map(f64::sqrt))))
+    }
+
     /// Mean and covariance at a time; None before the target has been seen.
     fn state_at<'py>(
         &self,
@@ -175,15 +183,20 @@ impl PyTargetFilter {
     }
 }
 
+type Deviations<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
+
 type StateArrays<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<f64>>);
 
-/// Stamps, numbers of outcomes, states, covariances, innovations, NIS: a row per measurement.
+/// Stamps, numbers of outcomes, states, covariances, innovations, NIS: a row per measurement; then
+/// standard deviations of LiDAR and radar as they are estimated at the end.
 type RunArrays<'py> = (
     Bound<'py, PyArray1<i64>>,
     Bound<'py, PyArray1<u8>>,
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray3<f64>>,
     Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<f64>>,
     Bound<'py, PyArray1<f64>>,
 );
 
@@ -321,6 +334,8 @@ fn run_arrays(py: Python<'_>, record: Record) -> Result<RunArrays<'_>, BorderErr
         record.covariances.into_pyarray(py).reshape([rows, size, size])?,
         record.innovations.into_pyarray(py).reshape([rows, 3])?,
         record.nis.into_pyarray(py),
+        PyArray1::from_slice(py, &record.variances.0.map(f64::sqrt)),
+        PyArray1::from_slice(py, &record.variances.1.map(f64::sqrt)),
     ))
 }
 

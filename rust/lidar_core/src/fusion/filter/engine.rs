@@ -27,18 +27,21 @@ pub struct Innovation {
     pub nis: f64,
     /// Natural logarithm of the determinant of its covariance.
     pub log_determinant: f64,
+    /// Its variances, those of `values`.
+    pub variances: [f64; 3],
 }
 
 impl Innovation {
     /// Innovation of the difference `y` with its distance `far` from zero.
     #[must_use]
-    pub fn new(y: &[f64], far: &Mahalanobis) -> Self {
-        let mut values = [0.0; 3];
+    pub fn new<const K: usize>(y: &[f64], far: &Mahalanobis<K>) -> Self {
+        let (mut values, mut variances) = ([0.0; 3], [0.0; 3]);
         // Three values are recorded. The paper's radar has five, all of which count in the
         // distance.
         values.iter_mut().zip(y).for_each(|(value, entry)| *value = *entry);
-        let Mahalanobis { squared: nis, log_determinant } = *far;
-        Self { values, count: y.len(), nis, log_determinant }
+        variances.iter_mut().zip(&far.variances).for_each(|(value, entry)| *value = *entry);
+        let Mahalanobis { squared: nis, log_determinant, .. } = *far;
+        Self { values, count: y.len(), nis, log_determinant, variances }
     }
 }
 
@@ -85,6 +88,9 @@ pub trait Engine: Clone + Send + Sync + 'static {
         believe: Believe<'_>,
     ) -> Result<Option<Innovation>, Error>;
 
+    /// Multiply the covariance of the state by `factor`.
+    fn loosen(&self, state: &mut Self::State, factor: f64);
+
     /// Mean and covariance of the state.
     fn output(&self, state: &Self::State) -> Output;
 
@@ -119,6 +125,20 @@ pub struct Link {
 }
 
 impl Link {
+    /// Transition from `state` after which the covariance is `factor` times as large.
+    #[must_use]
+    pub fn loosened(&self, state: &Output, factor: f64) -> Self {
+        if factor <= 1.0 {
+            return *self;
+        }
+        let mut P = Matrix6::zeros();
+        for (row, column) in (0..state.count).flat_map(|r| (0..state.count).map(move |c| (r, c))) {
+            P[(row, column)] = state.covariance[row][column];
+        }
+        let carried = self.F * P * self.F.transpose();
+        Self { Q: carried * (factor - 1.0) + self.Q * factor, ..*self }
+    }
+
     /// Transition over no time: the state stays as it is.
     #[must_use]
     pub fn standing(&self, state: &Output) -> Self {
@@ -146,7 +166,7 @@ impl<const N: usize, M: Motion<N>> Single<N, M> {
         model: &Linearised<N, K>,
         believe: Believe<'_>,
     ) -> Result<Option<Innovation>, Error> {
-        let of = |far: &Mahalanobis| Innovation::new(model.y.as_slice(), far);
+        let of = |far: &Mahalanobis<K>| Innovation::new(model.y.as_slice(), far);
         let far = correct(state, model, |far| believe(&of(far)))?;
         Ok(Some(of(&far)))
     }
@@ -207,6 +227,10 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
             }
             None => Ok(None),
         }
+    }
+
+    fn loosen(&self, state: &mut Gaussian<N>, factor: f64) {
+        state.covariance *= factor;
     }
 
     fn output(&self, state: &Gaussian<N>) -> Output {

@@ -45,6 +45,8 @@ pub trait Mode: Send + Sync {
     /// # Errors
     /// [`Error::NotPositiveDefinite`] as of [`Engine::update`].
     fn updated(&self, m: &Measurement, platform: &Platform) -> Corrected;
+    /// This model with the covariance of its state multiplied by `factor`.
+    fn loosened(&self, factor: f64) -> Arc<dyn Mode>;
     /// State in Cartesian form; states that the model does not have are taken from `other`.
     fn cartesian(&self, other: Option<&Gaussian<6>>) -> Gaussian<6>;
     /// This model with the state that corresponds to `cartesian`.
@@ -101,6 +103,11 @@ impl<const N: usize, M: Exchange<N>> Mode for Member<N, M> {
         let mut state = self.state.clone();
         let update = self.engine.update(&mut state, m, platform, &mut |_| true)?;
         Ok(update.map(|innovation| (self.with(state), innovation)))
+    }
+
+    fn loosened(&self, factor: f64) -> Arc<dyn Mode> {
+        let Gaussian { mean, covariance } = self.state;
+        self.with(Gaussian { mean, covariance: covariance * factor })
     }
 
     fn cartesian(&self, other: Option<&Gaussian<6>>) -> Gaussian<6> {
@@ -241,6 +248,10 @@ impl Engine for Imm {
             rest = after;
         }
         rest.is_empty().then_some(modes)
+    }
+
+    fn loosen(&self, state: &mut Modes, factor: f64) {
+        state.iter_mut().for_each(|(_, mode)| *mode = mode.loosened(factor));
     }
 
     fn output(&self, state: &Modes) -> Output {

@@ -171,7 +171,9 @@ impl Paper {
         }
         // S need not be positive, so its determinant may be negative.
         let log_determinant = libm::log(determinant.abs());
-        let far = Mahalanobis { squared: y.dot(&(inverse * y)), log_determinant };
+        let variances = std::array::from_fn(|index| S[(index, index)]);
+        let squared = y.dot(&(inverse * y));
+        let far = Mahalanobis::<K> { squared, log_determinant, variances };
         let innovation = Innovation::new(y.as_slice(), &far);
         if believe(&innovation) {
             *state = posterior;
@@ -264,6 +266,10 @@ impl Engine for Paper {
 
     fn blended(&self, parts: &[(f64, &Gaussian<6>)]) -> Gaussian<6> {
         mixed(parts)
+    }
+
+    fn loosen(&self, state: &mut Gaussian<6>, factor: f64) {
+        state.covariance *= factor;
     }
 
     fn output(&self, state: &Gaussian<6>) -> Output {

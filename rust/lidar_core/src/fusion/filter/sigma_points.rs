@@ -146,7 +146,9 @@ fn posterior<const N: usize, const K: usize>(
         (0..K).map(|k| triangle.at(K + row, k) * whitened[k]).sum()
     });
     let squared = whitened.norm_squared();
-    let far = Mahalanobis { squared, log_determinant: 2.0 * libm::log(determinant) };
+    let variances = std::array::from_fn(|row| (0..=row).map(|k| triangle.at(row, k).powi(2)).sum());
+    let log_determinant = 2.0 * libm::log(determinant);
+    let far = Mahalanobis::<K> { squared, log_determinant, variances };
     let innovation = Innovation::new(y.as_slice(), &far);
     let rooted = Rooted { mean: prior.mean + gained, root: triangle.corner(K) };
     (SigmaState::new(rooted), innovation)
@@ -226,6 +228,12 @@ impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
             mixed(&plain.iter().map(|(weight, part)| (*weight, part)).collect::<Vec<_>>());
         // The points are dropped: those of one part do not stand for the mixture.
         SigmaState::new(Rooted::new(mean, &covariance))
+    }
+
+    /// The points that were carried along are dropped: they stand for the covariance before.
+    fn loosen(&self, state: &mut SigmaState<N>, factor: f64) {
+        state.rooted.root *= libm::sqrt(factor);
+        state.points.clear();
     }
 
     fn output(&self, state: &SigmaState<N>) -> Output {

@@ -120,6 +120,15 @@ impl Measurement {
         self.covariance.as_ref()
     }
 
+    /// The measurement with independent errors of these variances, as many as [`Self::noisy`] says.
+    pub(in crate::fusion) fn with_variances(&self, variances: &[f64]) -> Self {
+        let mut rows = [[0.0; 3]; 3];
+        for (index, variance) in variances.iter().enumerate() {
+            rows[index][index] = *variance;
+        }
+        Self { covariance: Some(rows), ..*self }
+    }
+
     /// Number of values that have a covariance.
     #[must_use]
     pub fn noisy(&self) -> usize {

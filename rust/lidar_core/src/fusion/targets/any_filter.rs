@@ -1,6 +1,7 @@
 //! One filter type for every model and method, and runs over whole recordings.
 
 use super::lifecycle::{GyroUse, Life, Outcome};
+use super::sensor_errors::SensorErrors;
 use super::target::{SavedTarget, Step, Taken, Target};
 use crate::Error;
 use crate::error::require;
@@ -123,6 +124,8 @@ trait Tracked: Send + Sync {
     fn output(&self) -> Option<Output>;
     fn output_at(&self, stamp_ns: i64) -> Option<Output>;
     fn link(&self, stamp_ns: i64) -> Option<Link>;
+    fn looseness(&self) -> f64;
+    fn errors(&self) -> SensorErrors;
     fn boxed(&self) -> Box<dyn Tracked>;
     fn saved(&self) -> SavedTarget;
     fn restore(&mut self, saved: &SavedTarget) -> Result<(), Error>;
@@ -155,6 +158,14 @@ impl<E: Engine> Tracked for Target<E> {
 
     fn link(&self, stamp_ns: i64) -> Option<Link> {
         Target::link(self, stamp_ns)
+    }
+
+    fn looseness(&self) -> f64 {
+        Target::looseness(self)
+    }
+
+    fn errors(&self) -> SensorErrors {
+        Target::errors(self)
     }
 
     fn boxed(&self) -> Box<dyn Tracked> {
@@ -265,6 +276,12 @@ impl Filter {
         self.0.stamp_ns()
     }
 
+    /// Noise of the sensors as the measurements show it.
+    #[must_use]
+    pub fn errors(&self) -> SensorErrors {
+        self.0.errors()
+    }
+
     /// Output of the state; None before the target has been seen.
     #[must_use]
     pub fn output(&self) -> Option<Output> {
@@ -280,7 +297,7 @@ impl Filter {
 }
 
 /// Visit the steps of measurements that are in order, each state smoothed with the measurements up
-/// to `lag_ns` after it, or with all.
+/// to `lag_ns` after it, or with all. Returns the noise of the sensors at the end.
 ///
 /// # Errors
 /// Errors of [`Filter::new`], and an error for a model or method that cannot be smoothed.
@@ -289,7 +306,7 @@ pub fn smooth_into(
     measurements: &[Measurement],
     lag_ns: Option<i64>,
     mut visit: impl FnMut(&Step),
-) -> Result<(), Error> {
+) -> Result<SensorErrors, Error> {
     let smooths = !matches!(parameters.model, Model::Paper(_));
     require(smooths, "model", "one that can be smoothed", "\"paper\"")?;
     let smooths = !matches!(parameters.method, Method::Interacting { .. });
@@ -302,7 +319,10 @@ pub fn smooth_into(
         let step = filter.step(m);
         let link = match step.outcome {
             Outcome::Started | Outcome::Restarted => None,
-            Outcome::Updated | Outcome::Gated | Outcome::Told => link,
+            Outcome::Updated | Outcome::Gated | Outcome::Told => {
+                let factor = filter.0.looseness();
+                link.zip(before).map(|(link, before)| link.loosened(&before, factor))
+            }
             _ => link.zip(before).map(|(link, before)| link.standing(&before)),
         };
         rows.push(Row { stamp_ns: step.stamp_ns, output: step.output, link });
@@ -311,7 +331,7 @@ pub fn smooth_into(
     for (step, output) in steps.iter().zip(smoothed(&rows, lag_ns)) {
         visit(&Step { output, ..*step });
     }
-    Ok(())
+    Ok(filter.errors())
 }
 
 impl FusionParameters {

@@ -11,6 +11,9 @@ pub struct Life {
     pub start_rows: u32,
     /// Gates on the NIS of 1 to 5 values; infinite for no gate.
     pub gate: [f64; 5],
+    /// Number of measurements over which the noise of a sensor is estimated; None: the configured
+    /// noise is believed, and gates decide alone.
+    pub memory: Option<f64>,
     /// Condition for a lost filter; None for never.
     pub loss: Option<Loss>,
     /// Use the range rate of a first radar measurement as the speed along the line of sight.

@@ -126,7 +126,8 @@ impl ManyTargets {
         let fits = 1 <= hits && hits <= window && window <= u64::BITS;
         require(fits, "confirm_hits", "1 to confirm_window, at most 64", hits)?;
         let filter = parameters.filter.without_buffer(); // tracks get scans in order
-        let filter = FusionParameters { life: Life { loss: None, ..filter.life }, ..filter };
+        let filter =
+            FusionParameters { life: Life { memory: None, loss: None, ..filter.life }, ..filter };
         Ok(Self {
             parameters: ManyParameters { filter, ..*parameters },
             buffer_ns: parameters.filter.life.buffer_ns,

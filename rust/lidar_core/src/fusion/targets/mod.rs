@@ -6,5 +6,6 @@ pub mod lifecycle;
 pub mod many;
 pub mod noise_search;
 pub mod record;
+pub mod sensor_errors;
 pub mod target;
 pub mod tracks;

@@ -34,7 +34,13 @@ pub fn log_likelihood(
     parameters: &FusionParameters,
     targets: &[Vec<Measurement>],
 ) -> Result<f64, Error> {
-    let open = Life { gate: [f64::INFINITY; 5], loss: None, buffer_ns: 0, ..parameters.life };
+    let open = Life {
+        gate: [f64::INFINITY; 5],
+        memory: None,
+        loss: None,
+        buffer_ns: 0,
+        ..parameters.life
+    };
     let parameters = FusionParameters { life: open, ..*parameters };
     let mut total = 0.0;
     for target in targets {

@@ -27,6 +27,9 @@ pub struct Record {
     pub innovations: Vec<f64>,
     /// NIS; NaN if nothing was compared.
     pub nis: Vec<f64>,
+    /// Variances of the sensors as they are estimated at the end: of x and y of the LiDAR; of range,
+    /// bearing and range rate of the radar.
+    pub variances: ([f64; 2], [f64; 3]),
 }
 
 impl Record {
@@ -39,6 +42,7 @@ impl Record {
             covariances: Vec::new(),
             innovations: Vec::with_capacity(3 * rows),
             nis: Vec::with_capacity(rows),
+            variances: ([0.0; 2], [0.0; 3]),
         }
     }
 
@@ -101,6 +105,7 @@ pub fn run(parameters: &FusionParameters, measurements: &[Measurement]) -> Resul
         let taken = filter.take(m);
         record.push(filter.stamp_ns(), taken, filter.output().as_ref());
     }
+    record.variances = filter.errors().variances(&parameters.sensing);
     Ok(record)
 }
 
@@ -130,9 +135,10 @@ pub fn smooth(
 ) -> Result<Record, Error> {
     let mut record = Record::with_capacity(measurements.len());
     let sorted = in_order(measurements);
-    smooth_into(parameters, &sorted, lag_ns, |step| {
+    let errors = smooth_into(parameters, &sorted, lag_ns, |step| {
         record.push(step.stamp_ns, (step.outcome, step.innovation), step.output.as_ref());
     })?;
+    record.variances = errors.variances(&parameters.sensing);
     Ok(record)
 }
 

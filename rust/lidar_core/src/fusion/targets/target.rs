@@ -1,6 +1,7 @@
 //! One target over time: start, prediction, gate, correction, loss.
 
 use super::lifecycle::{GyroUse, Life, Outcome};
+use super::sensor_errors::{SensorErrors, as_outlier};
 use crate::Error;
 use crate::estimation::kalman::Gaussian;
 use crate::fusion::filter::engine::{Believe, Engine, Innovation, Link, Output, Single};
@@ -14,6 +15,8 @@ use std::collections::VecDeque;
 
 /// Largest number of measurements kept for late ones.
 const MOST_KEPT: usize = 10_000;
+/// Factor on the covariance of a state whose target may have moved as no model says.
+const MANOEUVRE: f64 = 25.0;
 
 /// State of the filter after a measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,6 +51,9 @@ struct Now<S> {
     platform: Platform,
     /// NIS per degree of freedom, averaged over the window of a loss.
     ratio: f64,
+    errors: SensorErrors,
+    /// Factor by which the last prediction made the state less certain than its model does.
+    looseness: f64,
 }
 
 /// Parts that measurements do not change.
@@ -82,6 +88,7 @@ struct SavedNow {
     phase: SavedPhase,
     platform: Platform,
     ratio: f64,
+    errors: SensorErrors,
 }
 
 /// State of a [`Target`] that changes with measurements.
@@ -98,8 +105,8 @@ impl<E: Engine> Rules<E> {
             Phase::Starting(cv, rows) => SavedPhase::Starting(cv.numbers(), *rows),
             Phase::Running(state) => SavedPhase::Running(self.engine.numbers(state)),
         };
-        let Now { stamp_ns, platform, ratio, .. } = *now;
-        SavedNow { stamp_ns, phase, platform, ratio }
+        let Now { stamp_ns, platform, ratio, errors, .. } = *now;
+        SavedNow { stamp_ns, phase, platform, ratio, errors }
     }
 
     fn restored(&self, saved: &SavedNow) -> Option<Now<E::State>> {
@@ -108,8 +115,8 @@ impl<E: Engine> Rules<E> {
             SavedPhase::Starting(cv, rows) => Phase::Starting(Gaussian::from_numbers(cv)?, *rows),
             SavedPhase::Running(state) => Phase::Running(self.engine.state_of_numbers(state)?),
         };
-        let SavedNow { stamp_ns, platform, ratio, .. } = *saved;
-        Some(Now { stamp_ns, phase, platform, ratio })
+        let SavedNow { stamp_ns, platform, ratio, errors, .. } = *saved;
+        Some(Now { stamp_ns, phase, platform, ratio, errors, looseness: 1.0 })
     }
 
     fn predict(&self, phase: &mut Phase<E::State>, dt: f64, platform: &Platform) {
@@ -117,6 +124,14 @@ impl<E: Engine> Rules<E> {
             Phase::Unseen => {}
             Phase::Starting(cv, _) => self.starter.predict(cv, dt, platform),
             Phase::Running(state) => self.engine.predict(state, dt, platform),
+        }
+    }
+
+    fn loosen(&self, phase: &mut Phase<E::State>, factor: f64) {
+        match phase {
+            Phase::Unseen => {}
+            Phase::Starting(cv, _) => self.starter.loosen(cv, factor),
+            Phase::Running(state) => self.engine.loosen(state, factor),
         }
     }
 
@@ -182,7 +197,14 @@ impl<E: Engine> Target<E> {
         life: Life,
         platform: Platform,
     ) -> Self {
-        let now = Now { stamp_ns: i64::MIN, phase: Phase::Unseen, platform, ratio: 1.0 };
+        let now = Now {
+            stamp_ns: i64::MIN,
+            phase: Phase::Unseen,
+            platform,
+            ratio: 1.0,
+            errors: SensorErrors::default(),
+            looseness: 1.0,
+        };
         Self { rules: Rules { engine, starter, life }, now, history: VecDeque::new() }
     }
 
@@ -292,6 +314,7 @@ impl<E: Engine> Target<E> {
         let before = self.now.phase.clone();
         let Now { phase, platform, .. } = &mut self.now;
         self.rules.predict(phase, dt, platform);
+        self.now.looseness = 1.0;
         let taken = if matches!(m.sensor(), Sensor::Pose | Sensor::Gyro) {
             self.told(m)
         } else {
@@ -305,8 +328,14 @@ impl<E: Engine> Target<E> {
 
     /// Correct the predicted state by a measurement of the target.
     fn seen(&mut self, m: &Measurement) -> Taken {
+        let adapted = match self.rules.life.memory {
+            Some(memory) => self.adapted(m, memory),
+            None => Ok(*m),
+        };
+        let Ok(adapted) = adapted else { return (Outcome::Singular, None) };
         let Self { rules, now, .. } = self;
         let (mut outcome, mut ratio) = (Outcome::Updated, now.ratio);
+        let m = &adapted;
         let update = rules.correct(&mut now.phase, m, &now.platform, &mut |innovation| {
             outcome = rules.life.judged(&mut ratio, innovation);
             outcome == Outcome::Updated
@@ -322,11 +351,58 @@ impl<E: Engine> Target<E> {
         }
     }
 
+    /// The measurement with the noise that its sensor has by what has been seen of it. If it is far
+    /// from the prediction, and rather because the target moved otherwise than because of its
+    /// error, the state is made less certain.
+    fn adapted(&mut self, m: &Measurement, memory: f64) -> Result<Measurement, Error> {
+        let Self { rules, now, .. } = self;
+        let sensing = rules.starter.sensing;
+        let before = now.errors;
+        let look = |phase: &mut Phase<E::State>, m: &Measurement| {
+            rules.correct(phase, m, &now.platform, &mut |_| false)
+        };
+        let Some(first) = look(&mut now.phase, &now.errors.seen_by(m, &sensing))? else {
+            return Ok(*m);
+        };
+        now.errors.learn(m, &sensing, &first, memory);
+        let adapted = now.errors.seen_by(m, &sensing);
+        let Some(second) = look(&mut now.phase, &adapted)? else { return Ok(adapted) };
+        if second.nis <= rules.life.gate[second.count - 1] {
+            return Ok(adapted);
+        }
+        let Some(outlier) = as_outlier(&adapted) else { return Ok(adapted) };
+        let mut loose = now.phase.clone();
+        rules.loosen(&mut loose, MANOEUVRE);
+        let likelihood = |seen: Option<Innovation>| {
+            seen.map_or(f64::NEG_INFINITY, |seen| -0.5 * (seen.nis + seen.log_determinant))
+        };
+        let moved = likelihood(look(&mut loose, &adapted)?);
+        if moved > likelihood(look(&mut now.phase, &outlier)?) {
+            (now.phase, now.looseness) = (loose, MANOEUVRE);
+            if before.is_known(m.sensor()) {
+                // What is blamed on the state says nothing about a sensor that is known.
+                now.errors = before;
+                return Ok(before.seen_by(m, &sensing));
+            }
+        }
+        Ok(adapted)
+    }
+
     /// Linearised transition from the present state to `stamp_ns`; None while the target starts.
     pub fn link(&self, stamp_ns: i64) -> Option<Link> {
         let Phase::Running(state) = &self.now.phase else { return None };
         let dt = stamp_ns.saturating_sub(self.now.stamp_ns).max(0) as f64 * 1e-9;
         self.rules.engine.link(state, dt, &self.now.platform)
+    }
+
+    /// Factor by which the last step made the predicted covariance larger than its link says.
+    pub fn looseness(&self) -> f64 {
+        self.now.looseness
+    }
+
+    /// Noise of the sensors as the measurements show it.
+    pub fn errors(&self) -> SensorErrors {
+        self.now.errors
     }
 
     fn start(&mut self, m: &Measurement, outcome: Outcome, lost: Option<Innovation>) -> Taken {

@@ -1,0 +1,1 @@
+"""Items about what all trackers share: noise of sensors, dropouts."""
