@@ -12,9 +12,11 @@ POSE_VARIANCE = np.diag([1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-5])  # [m^2], [rad^2]
 
 
 def switching(config: CircleMapConfig) -> np.ndarray:
-    """Probabilities of the modes of motion after a step, by the mode before."""
+    """Probabilities of the modes after a step, by the mode before; the first is standing."""
     weight = np.array(config.mode_weight) / sum(config.mode_weight)
-    rates = weight / (1 - weight)[:, None] / np.array(config.mode_time)[:, None]
+    rates = np.zeros((len(weight) + 1, len(weight) + 1))
+    rates[1:, 1:] = weight / (1 - weight)[:, None] / np.array(config.mode_time)[:, None]
+    rates[1:, 0], rates[0, 1:] = 1 / config.moving_time, weight / config.standing_time
     np.fill_diagonal(rates, 0.0)
     np.fill_diagonal(rates, -rates.sum(axis=1))
     values, vectors = np.linalg.eig(rates * STEP)
@@ -25,7 +27,10 @@ def noise(config: CircleMapConfig, mode: int) -> np.ndarray:
     """Covariance of x, y, their velocities and the radius, gained in a step."""
     block = [[STEP**3 / 3, STEP**2 / 2], [STEP**2 / 2, STEP]]
     both = np.zeros((5, 5))
-    both[:4, :4] = np.kron(block, np.eye(2)) * config.process_noise[mode]
+    if mode:
+        both[:4, :4] = np.kron(block, np.eye(2)) * config.process_noise[mode - 1]
+    else:
+        both[:2, :2] = np.eye(2) * config.standing_noise * STEP
     both[4, 4] = config.radius_noise * STEP
     return both
 
@@ -33,14 +38,20 @@ def noise(config: CircleMapConfig, mode: int) -> np.ndarray:
 def run(config: CircleMapConfig, rng: np.random.Generator) -> np.ndarray:
     """Normalised squared error of the element of one target, step by step."""
     modes, nees = switching(config), np.full(STEPS, np.nan)
-    weight = np.array(config.mode_weight) / sum(config.mode_weight)
+    share, weight = config.standing_share, np.array(config.mode_weight) / sum(config.mode_weight)
+    weight = np.r_[share, (1 - share) * weight]
     mode = rng.choice(len(weight), p=weight)
     velocity = config.initial_speed * rng.normal(size=2)
     state = np.r_[rng.uniform(2, 6), rng.uniform(-3, 3), velocity, rng.uniform(0.1, 0.5)]
+    state[2:4] *= mode > 0
     circles = CircleMap(config)
     for step in range(STEPS):
         if step:
-            mode = rng.choice(len(weight), p=modes[mode] / modes[mode].sum())
+            before, row = mode, modes[mode]
+            mode = rng.choice(len(weight), p=row / row.sum())
+            if not (mode and before):  # what stops has no velocity, what starts has any
+                speed = config.start_speed if mode else 0.0
+                state[2:4] = speed * rng.normal(size=2) if mode != before else state[2:4]
             state[:2] += STEP * state[2:4]
             state += rng.multivariate_normal(np.zeros(5), noise(config, mode), method="eigh")
         root = rng.normal(size=(3, 3)) * 0.004
@@ -54,16 +65,17 @@ def run(config: CircleMapConfig, rng: np.random.Generator) -> np.ndarray:
         circles.update([circle], [covariance], np.eye(4), stamp_ns, pose_covariance=POSE_VARIANCE)
         now = circles.map_at(stamp_ns)
         if len(now):
-            error = np.r_[now.center[0], now.velocity[0], now.radius[0]] - state
-            nees[step] = error @ np.linalg.solve(now.covariance[0], error)
+            error = np.r_[now.center[0], now.radius[0]] - state[[0, 1, 4]]
+            P = now.covariance[0][np.ix_([0, 1, 4], [0, 1, 4])]
+            nees[step] = error @ np.linalg.solve(P, error)
     return nees[config.confirm_hits :]
 
 
 def main(runs: int) -> None:
-    """Print the share of steps whose mean lies in the 95 % band, and the mean, expected at 5."""
+    """Print the share of steps whose mean lies in the 95 % band, and the mean, expected at 3."""
     config, rng = CircleMapConfig(), np.random.default_rng(SEED)
     mean = np.array([run(config, rng) for _ in range(runs)]).mean(axis=0)
-    low, high = (chi2_quantile(share, degrees=5 * runs) / runs for share in (0.025, 0.975))
+    low, high = (chi2_quantile(share, degrees=3 * runs) / runs for share in (0.025, 0.975))
     print(f"runs: {runs}")
     print(f"steps in the 95 % band: {((mean >= low) & (mean <= high)).mean():.3f}")
     print(f"mean: {mean.mean():.2f}")

@@ -180,6 +180,38 @@ class Element:
     misses: dict = field(default_factory=dict)
     last: int = 0
     count: int = 1
+    lost: bool = False
+    stands: bool = False
+    places: list = field(default_factory=list)
+    excess: float = 0.0
+    weight: float = 4.0
+
+    def listen(self, z, R, stamp):
+        """Mean excess of the departures from three places on a line at constant velocity."""
+        self.places = [*self.places[-2:], (stamp * 1e-9, z[:2], np.trace(R[:2, :2]) / 2)]
+        if len(self.places) < 3:
+            return
+        (t0, a, r0), (t1, b, r1), (t2, c, r2) = self.places
+        if not (t0 < t1 < t2 and t2 - t0 < 0.5 and max(r0, r1, r2) < 0.03**2):
+            return
+        k = (t2 - t1) / (t1 - t0)
+        off = c - b - k * (b - a)
+        weights = np.array([k**2, (1 + k) ** 2, 1.0])
+        sample = (off @ off / 2 - weights @ [r0, r1, r2]) / weights.sum()
+        self.weight = min(self.weight + 1, 30)
+        self.excess += (min(sample, 0.08**2) - self.excess) / self.weight
+
+    def noisy(self, R):
+        return R + max(self.excess, 0.0) * np.diag([1, 1, 0])
+
+    def reported(self):
+        """Standing: no velocity; the error of that is in the covariance."""
+        x, P = self.combined()
+        if self.stands:
+            P = P.copy()
+            P[2:4, 2:4] += np.outer(x[2:4], x[2:4]) + 1e-6 * np.eye(2)
+            x = np.r_[x[:2], 0, 0, x[4]]
+        return x, P
 
     def combined(self):
         x = sum(m * x for m, x in zip(self.mu, self.x, strict=True))
@@ -201,36 +233,72 @@ class IndependentMap:
     def __init__(self, config):
         self.config = config
         self.gate = chi2.ppf(config.gate_probability, 3)
-        weight = np.array(config.mode_weight) / sum(config.mode_weight)
-        self.weight = weight
-        self.rates = np.zeros((len(weight), len(weight)))
-        for i in range(len(weight)):
-            for j in range(len(weight)):
+        moving = np.array(config.mode_weight) / sum(config.mode_weight)
+        n = len(moving)
+        among = np.zeros((n, n))
+        for i in range(n):
+            for j in range(n):
                 if i != j:
-                    self.rates[i, j] = weight[j] / (1 - weight[i]) / config.mode_time[i]
-            self.rates[i, i] = -self.rates[i].sum()
+                    among[i, j] = moving[j] / (1 - moving[i]) / config.mode_time[i]
+        self.stops = config.standing_share > 0
+        if self.stops:
+            share = config.standing_share
+            self.weight = np.r_[share, moving * (1 - share)]
+            self.rates = np.zeros((n + 1, n + 1))
+            self.rates[1:, 1:] = among
+            self.rates[1:, 0] = 1 / config.moving_time
+            self.rates[0, 1:] = moving / config.standing_time
+        else:
+            self.weight, self.rates = moving, among
+        self.rates -= np.diag(self.rates.sum(axis=1))
+        # Ahead of the newest scan nothing stops or starts.
+        self.coasting = self.rates.copy()
+        if self.stops:
+            self.coasting[0, :] = self.coasting[:, 0] = 0.0
+            self.coasting -= np.diag(self.coasting.sum(axis=1))
         self.elements, self.next, self.stamp = [], 0, None
 
-    def predicted(self, element, dt):
+    def speedless(self, j, x, P):
+        """Mode j as it goes over to the other kind, standing or moving: any velocity is new."""
+        x, P = x.copy(), P.copy()
+        x[2:4] = 0.0
+        P[2:4] = P[:, 2:4] = 0.0
+        if j == 0:
+            P[2, 2] = P[3, 3] = self.config.start_speed**2
+        return x, P
+
+    def noise(self, j, part):
+        config = self.config
+        if self.stops and j == 0:
+            return part * np.diag([config.standing_noise] * 2 + [0, 0, config.radius_noise])
+        return white_noise(part, config.process_noise[j - self.stops], config.radius_noise)
+
+    def predicted(self, element, dt, rates=None):
         x, P, mu = list(element.x), list(element.P), element.mu
         steps = max(1, int(np.ceil(dt / LONGEST_STEP)))
         part = dt / steps
-        M, F = expm(self.rates * part), transition(part)
+        M, F = expm((self.rates if rates is None else rates) * part), transition(part)
         for _ in range(steps):
             after = mu @ M
             mixed = []
             for j in range(len(mu)):
                 w = mu * M[:, j] / after[j]
-                mean = sum(a * b for a, b in zip(w, x, strict=True))
+                come = [
+                    self.speedless(i, x[i], P[i])
+                    if self.stops and (i == 0) != (j == 0)
+                    else (x[i], P[i])
+                    for i in range(len(mu))
+                ]
+                mean = sum(a * b for a, (b, _) in zip(w, come, strict=True))
                 spread = sum(
-                    a * (b + np.outer(c - mean, c - mean)) for a, b, c in zip(w, P, x, strict=True)
+                    a * (b + np.outer(c - mean, c - mean))
+                    for a, (c, b) in zip(w, come, strict=True)
                 )
-                Q = white_noise(part, self.config.process_noise[j], self.config.radius_noise)
-                mixed.append((F @ mean, F @ spread @ F.T + Q))
+                mixed.append((F @ mean, F @ spread @ F.T + self.noise(j, part)))
             x, P, mu = [m for m, _ in mixed], [c for _, c in mixed], after
         return x, P, mu
 
-    def update(self, circles, covariance, pose, stamp, doubt, look):
+    def update(self, circles, covariance, pose, stamp, doubt, look, area):
         """Element of every circle. `look` tells what the scan says about a circle in the world."""
         dt = 0.0 if self.stamp is None else (stamp - self.stamp) * 1e-9
         self.stamp = stamp
@@ -241,12 +309,14 @@ class IndependentMap:
             if dt:
                 element.x, element.P, element.mu = self.predicted(element, dt)
         wholes = whole_of([z for z, _ in measurements], self.config.merge_gap)
-        row_of = self.associate(measurements, wholes)
+        whole = sum(one == row for row, one in enumerate(wholes))
+        density = max(self.config.birth_density, max(whole, 1) / ((area + 1) * 0.5))
+        row_of = self.associate(measurements, wholes, density if self.stops else None)
         numbers = [None] * len(measurements)
         for k, element in enumerate(self.elements):
             if k in row_of:
                 numbers[row_of[k]] = element.id
-                self.correct(element, *measurements[row_of[k]])
+                self.correct(element, *measurements[row_of[k]], stamp)
                 element.history.append(True)
                 element.seen, element.last, element.count = "measured", stamp, element.count + 1
                 element.absent = element.unmatched = element.hidden = 0.0
@@ -266,7 +336,7 @@ class IndependentMap:
 
     def likelihood(self, element, z, R):
         """Of a measurement, or 0 outside all gates."""
-        total, inside = 0.0, False
+        total, inside, R = 0.0, False, element.noisy(R)
         for x, P, m in zip(element.x, element.P, element.mu, strict=True):
             S = H @ P @ H.T + R
             y = z - H @ x
@@ -274,7 +344,7 @@ class IndependentMap:
             total += m * multivariate_normal(np.zeros(3), S).pdf(y)
         return total if inside else 0.0
 
-    def associate(self, measurements, wholes):
+    def associate(self, measurements, wholes, density):
         n, m = len(self.elements), len(measurements)
         never = 1e9
         cost = np.full((n, m + n), never)
@@ -283,11 +353,30 @@ class IndependentMap:
                 p = self.likelihood(element, z, R)
                 if p > 0 and wholes[row] == row:
                     cost[k, row] = -2 * np.log(p)
-            cost[k, m + k] = -2 * np.log(self.config.birth_density)
+            cost[k, m + k] = -2 * np.log(density or self.config.birth_density)
         chosen = zip(*linear_sum_assignment(cost), strict=True)
-        return {int(k): int(row) for k, row in chosen if row < m}
+        row_of = {int(k): int(row) for k, row in chosen if row < m}
+        for row in range(m if density else 0):
+            if row in row_of.values() or wholes[row] != row:
+                continue
+            z, near = measurements[row][0], []
+            for k, element in enumerate(self.elements):
+                x, P = element.combined()
+                known = np.linalg.eigvalsh(P[:2, :2]).max() < 0.5**2
+                if k not in row_of and known and is_one(x[[0, 1, 4]], z, self.config.merge_gap):
+                    near.append((np.hypot(*(x[:2] - z[:2])), k))
+            if near:
+                row_of[min(near)[1]] = row
+        return row_of
 
-    def correct(self, element, z, R):
+    def correct(self, element, z, R, stamp):
+        element.listen(z, R, stamp)
+        R = element.noisy(R)
+        squared = []
+        for x, P in zip(element.x, element.P, strict=True):
+            y = z - H @ x
+            squared.append(y @ np.linalg.solve(H @ P @ H.T + R, y))
+        R = R * max(1.0, min(squared) / self.gate)
         scores = []
         for j, (x, P) in enumerate(zip(element.x, element.P, strict=True)):
             S = H @ P @ H.T + R
@@ -300,10 +389,16 @@ class IndependentMap:
         element.mu = weight / weight.sum()
 
     def create(self, z, R, stamp):
-        P = H.T @ R @ H
-        P[2, 2] = P[3, 3] = self.config.initial_speed**2
+        known, more = self.config.center_noise**2, [e.weight - 4.0 for e in self.elements]
+        shown = sum(e.excess * w for e, w in zip(self.elements, more, strict=True))
+        excess = max(known, (known * 4.0 + shown) / (4.0 + sum(more)))
         modes = len(self.weight)
-        element = Element(self.next, [H.T @ z] * modes, [P] * modes, self.weight, last=stamp)
+        element = Element(self.next, [H.T @ z] * modes, [], self.weight, last=stamp, excess=excess)
+        P = H.T @ element.noisy(R) @ H
+        P[2, 2] = P[3, 3] = self.config.initial_speed**2
+        still = P * np.outer([1, 1, 0, 0, 1], [1, 1, 0, 0, 1])
+        element.P = [still if self.stops and j == 0 else P for j in range(modes)]
+        element.listen(z, R, stamp)
         self.elements.append(element)
         self.next += 1
         return element.id
@@ -329,6 +424,12 @@ class IndependentMap:
         for element in self.elements:
             recent = sum(element.history[-window:])
             element.confirmed |= recent >= config.confirm_hits
+            if self.stops:
+                begin, end = config.standing_probability
+                stood, p = element.stands, element.mu[0]
+                element.stands = p > begin or (stood and p >= end)
+            worst = np.linalg.eigvalsh(element.reported()[1][:2, :2]).max()
+            element.lost = worst >= config.max_position_std**2
             vague = False
             if element.visible():
                 x, P = element.combined()
@@ -352,9 +453,10 @@ class IndependentMap:
         """Confirmed elements at a time that is not before the newest scan."""
         found = []
         for element in self.elements:
-            if element.confirmed:
-                x, P, mu = self.predicted(element, (stamp - self.stamp) * 1e-9)
-                found.append((element.id, *Element(0, x, P, mu).combined()))
+            if element.confirmed and not element.lost:
+                ahead = self.predicted(element, (stamp - self.stamp) * 1e-9, self.coasting)
+                x, P = Element(0, *ahead, stands=element.stands).reported()
+                found.append((element.id, element.reported()[0] if element.stands else x, P))
         return found
 
 
@@ -389,7 +491,8 @@ def whole_of(circles, gap):
 def united(kept, dropped):
     rank = [(element.last, element.count) for element in (kept, dropped)]
     if rank[1] > rank[0]:
-        for name in ("x", "P", "mu", "seen", "last", "absent", "unmatched", "hidden", "misses"):
+        names = "x P mu seen last absent unmatched hidden misses stands places excess weight"
+        for name in names.split():
             setattr(kept, name, getattr(dropped, name))
     kept.count = max(kept.count, dropped.count)
     longest = max(len(kept.history), len(dropped.history))
@@ -474,3 +577,9 @@ def looker(ranges, bearings, limits, config, pose):
         return answers[0] if answers[0] != "seen through" else max(answers, key=ORDER.index)
 
     return look
+
+
+def area_of(ranges, bearings, limits):
+    """Area between the sensor and the ends of the rays."""
+    reach = np.minimum(ranges[:-1], limits[1])
+    return np.nansum(0.5 * reach**2 * np.diff(bearings))

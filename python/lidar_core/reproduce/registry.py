@@ -32,6 +32,7 @@ MODULES = (
     "circles.fig8",
     "circles.lab",
     "circles.shapes",
+    "circles.real",
     "fusion.rmse",
     "fusion.fig4",
     "fusion.noisy_tracks",

@@ -95,7 +95,9 @@ def test_filters_per_element_equal_the_oracle(seed):
         events = circles.update(
             z, R, pose, stamp, pose_covariance=doubt, scan=(ranges, bearings), range_limits=LIMITS
         )
-        assert events.elements.tolist() == reference.update(z, R, pose, stamp, doubt, look)
+        assert events.elements.tolist() == reference.update(
+            z, R, pose, stamp, doubt, look, oracle.area_of(ranges, bearings, LIMITS)
+        )
         assert_same_map(circles, reference, stamp)
         assert_same_map(circles, reference, stamp + 230_000_000)
 

@@ -96,6 +96,14 @@ SHORT = {
     "circles-fig8": Short(("room, swinging: ghosts", "25-75 % hidden: radius, RMS")),
     "circles-lab": Short(("barrel: radius, RMS", "person is one element")),
     "circles-shapes": Short(("right", "circle: right"), modes=("best_mode",), scans=40),
+    "circles-real": Short(
+        (
+            "parallel/vehicle, velocity rms",
+            "aces/jumps per minute",
+            "example1/numbers that moved 1 m, per person",
+        ),
+        modes=("best_mode",),
+    ),
     "fusion-rmse": Short(("2-D RMSE, linear KF", "2-D RMSE, EKF-CTRV"), scans=1),
     "fusion-fig4": Short(("walking: RMSE of z", "driving: 3-D RMSE"), scans=1),
     "fusion-fig7": Short(("RMSE of x, filter", "RMSE of y, filter"), scans=1),
@@ -181,7 +189,7 @@ def two_items(monkeypatch):
 # Every item
 
 
-NIGHTLY = {"flying-real"}
+NIGHTLY = {"flying-real", "circles-real"}
 """Items that take minutes even in short."""
 
 

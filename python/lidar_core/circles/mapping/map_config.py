@@ -57,6 +57,47 @@ class CircleMapConfig(Config):
         max_length=4,
         description="Mean time that each mode lasts [s].",
     )
+    standing_share: float = Field(
+        0.5,
+        ge=0,
+        le=0.999,
+        description="Share of new elements that stand still, one more mode beside those of"
+        " `mode_weight`; 0: no element is known to stand (no unit).",
+    )
+    standing_time: float = Field(
+        10.0, ge=1e-3, le=1e6, description="Mean time that an element stands [s]."
+    )
+    moving_time: float = Field(
+        5.0, ge=1e-3, le=1e6, description="Mean time that an element moves until it stands [s]."
+    )
+    standing_noise: float = Field(
+        1e-4,
+        ge=0,
+        le=1e3,
+        description="Density of the random walk of the centre of what stands [m^2/s]: another part"
+        " of it comes into view.",
+    )
+    start_speed: float = Field(
+        1.0,
+        ge=1e-6,
+        le=1e6,
+        description="Standard deviation of the velocity with which an element starts to move, per"
+        " axis [m/s].",
+    )
+    standing_probability: tuple[
+        Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=0, le=1)]
+    ] = Field(
+        (0.8, 0.4),
+        description="Probabilities of standing above which an element begins, and below which it"
+        " ends, to be reported as standing: without velocity (no unit).",
+    )
+    center_noise: float = Field(
+        0.002,
+        ge=0,
+        le=0.1,
+        description="Standard deviation of centres beyond that of their fits, until the scans show"
+        " it: real objects are not round [m].",
+    )
     radius_noise: float = Field(
         1e-6,
         ge=0,
@@ -208,6 +249,7 @@ class CircleMapConfig(Config):
             process_noise=(1e-6,),
             mode_weight=(1.0,),
             mode_time=(1.0,),
+            standing_share=0.0,
             max_coast=None,
         )
 
@@ -220,6 +262,8 @@ class CircleMapConfig(Config):
     def _fits(self) -> Self:
         if self.confirm_hits > self.confirm_window:
             raise ValueError("expected confirm_hits <= confirm_window")
+        if self.standing_probability[1] > self.standing_probability[0]:
+            raise ValueError("expected standing_probability[1] <= standing_probability[0]")
         if not len(self.process_noise) == len(self.mode_weight) == len(self.mode_time):
             raise ValueError("expected process_noise, mode_weight and mode_time of one length")
         return self

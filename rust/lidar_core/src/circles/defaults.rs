@@ -6,7 +6,7 @@
 use super::fit::{FitParameters, Method};
 use super::map::{
     CircleMapParameters, Confirmation, Filter, Independent, Joint, Limits, LineRules, Looking,
-    Mode, Patience,
+    Mode, Patience, Standing,
 };
 use super::parameters::{PipelineParameters, ScannerParameters};
 use super::preprocess::projection::Projection;
@@ -109,6 +109,15 @@ impl Default for Independent {
     fn default() -> Self {
         Self {
             modes: MODES.to_vec(),
+            standing: Standing {
+                share: 0.5,
+                duration: 10.0,
+                moving: 5.0,
+                density: 1e-4,
+                start_speed: 1.0,
+                hysteresis: [0.8, 0.4],
+            },
+            center_noise: 0.002,
             radius_density: 1e-6,
             turn_density: 0.01,
             birth_density: 1e-4,

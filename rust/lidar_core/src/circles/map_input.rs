@@ -62,7 +62,11 @@ impl Parts {
                     parts.bodies.push(number);
                     parts.circles.push(body);
                     let outline = shape.and_then(|(found, rules)| rules.outline(found));
-                    let round = || round(prepared, number, circle, limits[1]).filter(is_certain);
+                    let doubted = |one| shape.map_or(one, |(_, rules)| rules.doubted(one));
+                    let round = || {
+                        let round = round(prepared, number, circle, limits[1]);
+                        round.filter(is_certain).map(doubted)
+                    };
                     parts
                         .outlines
                         .push(outline.map(|one| OutlineEstimate { round: round(), ..one }));

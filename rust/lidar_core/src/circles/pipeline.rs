@@ -241,6 +241,8 @@ impl CirclePipeline {
             .delays
             .as_ref()
             .map(|delays| parts.bodies.iter().map(|&number| delays[number]).collect());
+        let points: Vec<_> =
+            parts.bodies.iter().map(|&number| prepared.points_world(number)).collect();
         let [range_min, range_max] = prepared.range_limits;
         let updated = self.map.update(&CircleScan {
             stamp_ns: prepared.stamp_ns,
@@ -250,6 +252,7 @@ impl CirclePipeline {
             estimates: &parts.circles,
             delays: delays.as_deref(),
             outlines: &parts.outlines,
+            points: Some(&points),
             lines: &parts.shapes,
             view: Some(View { scan: &prepared.level.scan, range_min, range_max }),
         });

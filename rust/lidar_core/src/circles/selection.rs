@@ -80,6 +80,15 @@ impl ShapeParameters {
         is_known.then_some(OutlineEstimate { shape: *shape, is_large, round: None })
     }
 
+    /// Circle of an object that looks like another shape: its rays may depart from the circle by as
+    /// much as shapes do.
+    pub(super) fn doubted(&self, mut circle: CircleEstimate) -> CircleEstimate {
+        for (axis, row) in circle.covariance.iter_mut().enumerate().take(2) {
+            row[axis] += self.model_std * self.model_std;
+        }
+        circle
+    }
+
     /// Circle whose radius is the mean half length.
     fn equivalent(&self, shape: &ShapeEstimate) -> Option<CircleEstimate> {
         let [x, y, long, short, _] = shape.parameters;

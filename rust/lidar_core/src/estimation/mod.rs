@@ -3,6 +3,7 @@
 
 pub mod assignment;
 pub mod chi2;
+pub mod jitter;
 pub mod kalman;
 pub mod minimise;
 pub mod probability;

@@ -8,7 +8,8 @@ use lidar_core::Error;
 use lidar_core::circles::fit::circle::{Circle, CircleEstimate};
 use lidar_core::circles::map::{
     CircleMap, CircleMapParameters, CircleScan, Confirmation, Filter, Independent, Joint, Limits,
-    LineRules, Looking, MapElement, MapShape, MapStats, Mode, Patience, PoseCovariance, View,
+    LineRules, Looking, MapElement, MapShape, MapStats, Mode, Patience, PoseCovariance, Standing,
+    View,
 };
 use lidar_core::circles::preprocess::polar_scan::PolarScan;
 use lidar_core::geometry::transform::Transform;
@@ -26,6 +27,13 @@ pub(crate) struct CircleMapConfig {
     process_noise: Vec<f64>,
     mode_weight: Vec<f64>,
     mode_time: Vec<f64>,
+    standing_share: f64,
+    standing_time: f64,
+    moving_time: f64,
+    standing_noise: f64,
+    start_speed: f64,
+    standing_probability: (f64, f64),
+    center_noise: f64,
     radius_noise: f64,
     turn_noise: f64,
     birth_density: f64,
@@ -70,6 +78,15 @@ impl CircleMapConfig {
             modes: modes
                 .map(|((&density, &weight), &duration)| Mode { density, weight, duration })
                 .collect(),
+            standing: Standing {
+                share: self.standing_share,
+                duration: self.standing_time,
+                moving: self.moving_time,
+                density: self.standing_noise,
+                start_speed: self.start_speed,
+                hysteresis: [self.standing_probability.0, self.standing_probability.1],
+            },
+            center_noise: self.center_noise,
             radius_density: self.radius_noise,
             turn_density: self.turn_noise,
             birth_density: self.birth_density,
@@ -201,6 +218,7 @@ impl PyCircleMap {
                 estimates: &estimates,
                 delays,
                 outlines: &[],
+                points: None,
                 lines: &[],
                 view: scan.as_ref().map(|(scan, (range_min, range_max))| View {
                     scan,

@@ -3,20 +3,38 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::element::{State, exceeds};
-use super::modes::{Measurement, Modes, Motion, Step, new_state};
+use super::modes::{Measurement, Modes, Motion, Step, halted, new_state};
 use super::outline::{Outline, OutlineMeasurement};
 use super::parameters::Patience;
 use super::rules::Rules;
+use super::view::earlier::Trace;
 use super::view::viewpoint::Viewpoint;
 use super::view::visibility::Visibility;
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
+use crate::estimation::jitter::Jitter;
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix2, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Offsets from its centre at which a body is looked for, in standard deviations along each axis.
 const LOOK: [f64; 4] = [-2.0, -1.0, 1.0, 2.0];
+
+/// Largest logarithm of the Bayes factor that earlier scans give.
+const EVIDENCE: f64 = 1.5;
+/// Traces that tell nothing, and that tell most.
+const EVEN: f64 = 0.8;
+const STAYED: f64 = 0.95;
+/// Probability of standing above which a body is where it was, whatever its fit says.
+const LIKELY: f64 = 0.2;
+/// Largest squared distance of its centre then: what goes on after all is still noticed.
+const NEAR: f64 = 9.0;
+/// Standard deviation of the position up to which a body adopts what touches it [m].
+const KNOWN: f64 = 0.5;
+/// Span of usual radii [m].
+const RADII: f64 = 0.5;
+/// Weight of the expected noise of a centre, as a number of samples.
+const TRUST: f64 = 4.0;
 
 /// Least ratio of the radii of two measurements of one object, if one of them is large.
 const LEAST_RATIO: f64 = 0.5;
@@ -32,6 +50,18 @@ pub(super) struct BodyMeasurement {
     pub(super) outline: Option<OutlineMeasurement>,
     /// Only one face was seen, which does not show its kind.
     pub(super) is_face: bool,
+    /// Time of the measurement [ns].
+    pub(super) time_ns: i64,
+    /// Share of its points where earlier scans met a surface, not free space; None: unknown.
+    pub(super) trace: Option<Trace>,
+}
+
+impl BodyMeasurement {
+    /// Logarithm of the Bayes factor for standing: what moves is where space was free.
+    fn evidence(&self) -> f64 {
+        self.trace
+            .map_or(0.0, |trace| EVIDENCE * ((trace - EVEN) / (STAYED - EVEN)).clamp(-1.0, 1.0))
+    }
 }
 
 /// A body: its circle, or the circle that represents it, and its outline.
@@ -39,6 +69,11 @@ pub(super) struct BodyMeasurement {
 pub(super) struct Body {
     circle: Modes<5>,
     pub(super) outline: Outline,
+    /// Noise of the centre beyond that of the fits: real objects are not round, and rays that graze
+    /// their rims end anywhere.
+    jitter: Jitter,
+    /// The body is reported as standing.
+    stands: bool,
 }
 
 impl Body {
@@ -49,6 +84,90 @@ impl Body {
 
     pub(super) fn circle(&self) -> Gaussian<5> {
         self.circle.combined()
+    }
+
+    /// State as it is reported: a standing body has no velocity.
+    pub(super) fn reported(&self) -> Gaussian<5> {
+        if self.stands { halted(self.circle()) } else { self.circle() }
+    }
+
+    /// State as it is reported after a time without scans; what stands stays where it is.
+    pub(super) fn coasted(&self, step: &Step) -> Gaussian<5> {
+        let mut later = self.clone();
+        later.circle.predict(&step.circles);
+        let mut state = later.reported();
+        if self.stands {
+            state.mean = self.reported().mean;
+        }
+        state
+    }
+
+    /// True if the body is reported as standing.
+    pub(super) fn stands(&self) -> bool {
+        self.stands
+    }
+
+    /// A measurement with the noise of this body.
+    fn noisy(&self, seen: &Measurement) -> Measurement {
+        let mut seen = *seen;
+        for axis in 0..2 {
+            seen.R[(axis, axis)] += self.jitter.variance();
+        }
+        seen
+    }
+
+    /// The measurement by which the circle is corrected. One that is outside all gates is weighted
+    /// down until it would be inside; so is one that says that the body moved where earlier scans
+    /// met the same surface: then another part of it is seen.
+    fn weighted(
+        &self,
+        seen: &Measurement,
+        trace: Option<Trace>,
+        rules: &Rules,
+    ) -> Result<Measurement, Error> {
+        let mut seen = self.noisy(seen);
+        let [least, first] = self.circle.distances(&seen)?;
+        let has_stayed = trace.is_some_and(|trace| trace >= STAYED)
+            && self.circle.standing(rules.motion()) > LIKELY;
+        let excess = if has_stayed { first / NEAR } else { least / rules.gate() };
+        seen.R *= excess.max(1.0);
+        Ok(seen)
+    }
+
+    /// Take in how the centre jitters.
+    fn listen(&mut self, seen: &Measurement, time_ns: i64) {
+        let variance = 0.5 * (seen.R[(0, 0)] + seen.R[(1, 1)]);
+        self.jitter.add(time_ns, [seen.z[0], seen.z[1]], variance);
+    }
+
+    /// Bodies that were not measured but touch a measurement that none explains: a change of the
+    /// visible part, not a new object. Owners of such measurements are set.
+    fn adopt<'a>(
+        all: impl Iterator<Item = &'a Self>,
+        seen: &[BodyMeasurement],
+        wholes: &[usize],
+        owners: &mut [Option<usize>],
+        rules: &Rules,
+    ) {
+        let places: Vec<(usize, Gaussian<5>)> = all.map(Self::circle).enumerate().collect();
+        for (column, measurement) in seen.iter().enumerate() {
+            if owners[column].is_some() || wholes[column] != column {
+                continue;
+            }
+            let z = &measurement.circle.z;
+            let nearest = places
+                .iter()
+                .filter(|(row, _)| !owners.contains(&Some(*row)))
+                .filter(|(_, state)| {
+                    let mean = &state.mean;
+                    let circle = Vector3::new(mean[0], mean[1], mean[4]);
+                    let P = state.covariance.fixed_view::<2, 2>(0, 0).into_owned();
+                    is_one(&circle, z, rules) && !exceeds(&P, KNOWN * KNOWN)
+                })
+                .map(|(row, state)| (*row, libm::hypot(state.mean[0] - z[0], state.mean[1] - z[1])))
+                .min_by(|one, other| one.1.total_cmp(&other.1));
+            owners[column] = nearest.map(|(row, _)| row);
+        }
     }
 
     /// True if a measurement may be of this body by its size. A large body and what stands inside
@@ -65,11 +184,28 @@ impl Body {
 impl State for Body {
     type Measurement = BodyMeasurement;
 
-    fn new(seen: &BodyMeasurement, rules: &Rules) -> Self {
-        Self {
+    fn new<'a>(
+        seen: &BodyMeasurement,
+        others: impl Iterator<Item = &'a Self>,
+        rules: &Rules,
+    ) -> Self {
+        // The noise of the others tells what to expect of a new one: they are seen by the same
+        // scanner from the same poses.
+        let known = rules.parameters().center_noise * rules.parameters().center_noise;
+        let (sum, weight) = others.fold((known * TRUST, TRUST), |(sum, weight), other| {
+            let (mean, more) = other.jitter.mean();
+            (sum + mean * (more - TRUST).max(0.0), weight + (more - TRUST).max(0.0))
+        });
+        let mut body = Self {
             circle: Modes::new(new_state(&seen.circle, rules.speed()), rules.motion()),
             outline: Outline::new(seen.outline.as_ref(), rules),
-        }
+            jitter: Jitter::new((sum / weight).max(known), TRUST),
+            stands: false,
+        };
+        body.circle =
+            Modes::new(new_state(&body.noisy(&seen.circle), rules.speed()), rules.motion());
+        body.listen(&seen.circle, seen.time_ns);
+        body
     }
 
     /// A measurement that nearly touches a larger one is a part of it, as an arm is of a person.
@@ -101,12 +237,15 @@ impl State for Body {
             self.outline.correct(seen.outline.as_ref(), rules)?;
         }
         // One scan may take a circle for something else, of which it hardly knows the centre.
+        let mut used = seen.circle;
         if let Some(round) = seen.round.filter(|_| self.outline.is_round())
-            && self.circle.cost(&round, rules.gate())?.is_some()
+            && self.circle.cost(&self.noisy(&round), rules.gate())?.is_some()
         {
-            return self.circle.correct(&round);
+            used = round;
         }
-        self.circle.correct(&seen.circle)
+        self.listen(&used, seen.time_ns);
+        let weighted = self.weighted(&used, seen.trace, rules)?;
+        self.circle.correct(&weighted, seen.evidence() * f64::from(u8::from(rules.has_standing())))
     }
 
     /// At most one measurement per body: the assignment that explains all of them best.
@@ -114,16 +253,19 @@ impl State for Body {
         all: impl ExactSizeIterator<Item = &'a Self> + Clone,
         seen: &[BodyMeasurement],
         wholes: &[usize],
+        from: &Viewpoint,
         rules: &Rules,
     ) -> Result<Vec<Option<usize>>, Error> {
+        let whole = wholes.iter().enumerate().filter(|&(one, &whole)| one == whole).count();
         // Costs are -2 log likelihoods, so that of a new body is that of the density of births.
-        let unassigned = -2.0 * libm::log(rules.parameters().birth_density);
+        let unassigned = -2.0 * libm::log(density(whole, from, rules));
         let count = all.len();
         let mut pairs = Vec::new();
-        for (row, body) in all.enumerate() {
+        for (row, body) in all.clone().enumerate() {
             for (column, measurement) in seen.iter().enumerate() {
                 if wholes[column] == column
-                    && let Some(cost) = body.circle.cost(&measurement.circle, rules.gate())?
+                    && let Some(cost) =
+                        body.circle.cost(&body.noisy(&measurement.circle), rules.gate())?
                     && body.is_alike(measurement)
                 {
                     pairs.push(Pair { row, column, cost });
@@ -136,6 +278,9 @@ impl State for Body {
             if let Some(column) = column {
                 owners[column] = Some(row);
             }
+        }
+        if rules.has_standing() {
+            Self::adopt(all, seen, wholes, &mut owners, rules);
         }
         Ok(owners)
     }
@@ -170,6 +315,18 @@ impl State for Body {
             || P[(4, 4)] > limits.radius * limits.radius
     }
 
+    fn is_lost(&self, rules: &Rules) -> bool {
+        let (state, limit) = (self.reported(), rules.parameters().limits.position);
+        exceeds(&state.covariance.fixed_view::<2, 2>(0, 0).into_owned(), limit * limit)
+    }
+
+    /// The decision between standing and moving has a hysteresis.
+    fn settle(&mut self, rules: &Rules) {
+        let [begin, end] = rules.parameters().standing.hysteresis;
+        let probability = self.circle.standing(rules.motion());
+        self.stands = probability > begin || self.stands && probability >= end;
+    }
+
     /// True if the centre of one body lies inside the other, or the gap between them is small.
     /// Large bodies have corners, between which there may be others: they are never twins.
     fn is_twin(&self, other: &Self, rules: &Rules) -> bool {
@@ -191,6 +348,18 @@ impl State for Body {
 
     fn patience(rules: &Rules) -> Patience {
         rules.parameters().patience
+    }
+}
+
+/// Density of circles without an element, per area and radius [1/m^3]: at least that of all circles
+/// of the scan in the area that it sees.
+fn density(count: usize, from: &Viewpoint, rules: &Rules) -> f64 {
+    let least = rules.parameters().birth_density;
+    match &from.view {
+        Some(view) if rules.has_standing() => {
+            least.max(count.max(1) as f64 / ((view.area() + 1.0) * RADII))
+        }
+        _ => least,
     }
 }
 

@@ -18,7 +18,13 @@ pub(super) trait State: Clone {
     type Measurement;
 
     /// State from the first measurement.
-    fn new(seen: &Self::Measurement, rules: &Rules) -> Self;
+    fn new<'a>(
+        seen: &Self::Measurement,
+        others: impl Iterator<Item = &'a Self>,
+        rules: &Rules,
+    ) -> Self
+    where
+        Self: 'a;
 
     /// True if a measurement without element starts a new one.
     fn is_born(_: &Self::Measurement, _: &Rules) -> bool {
@@ -46,6 +52,7 @@ pub(super) trait State: Clone {
         all: impl ExactSizeIterator<Item = &'a Self> + Clone,
         seen: &[Self::Measurement],
         wholes: &[usize],
+        from: &Viewpoint,
         rules: &Rules,
     ) -> Result<Vec<Option<usize>>, Error>
     where
@@ -54,8 +61,16 @@ pub(super) trait State: Clone {
     /// Visibility of the element in a scan that did not measure it.
     fn look(&self, from: &Viewpoint, rules: &Rules) -> Visibility;
 
-    /// True if the state is too uncertain.
+    /// True if the state is too uncertain for a visible element.
     fn is_vague(&self, rules: &Rules) -> bool;
+
+    /// True if the position is too uncertain to be reported.
+    fn is_lost(&self, _: &Rules) -> bool {
+        false
+    }
+
+    /// Decide what the state is reported as, after a scan.
+    fn settle(&mut self, _: &Rules) {}
 
     /// True if both states are of one object.
     fn is_twin(&self, other: &Self, rules: &Rules) -> bool;
@@ -108,6 +123,8 @@ pub(super) struct Element<S> {
     /// Bits of the last scans, the newest lowest: 1 if the scan measured the element.
     history: u64,
     pub(super) confirmed: bool,
+    /// The position is too uncertain to be reported.
+    lost: bool,
     /// Observation by the newest scan of `watcher`.
     seen: Seen,
     /// Sensor that last measured the element or should have.
@@ -128,6 +145,7 @@ impl<S: State> Element<S> {
             n_measurements: 1,
             history: 1,
             confirmed: false,
+            lost: false,
             seen: Seen::Measured,
             watcher: sensor,
             absent: Misses::default(),
@@ -172,6 +190,17 @@ impl<S: State> Element<S> {
         // Once confirmed an element stays so: being hidden for a while does not take its number
         // away.
         self.confirmed |= hits >= parameters.confirmation.hits;
+    }
+
+    /// Decide what is reported of the element after a scan.
+    pub(super) fn settle(&mut self, rules: &Rules) {
+        self.state.settle(rules);
+        self.lost = self.state.is_lost(rules);
+    }
+
+    /// True if the element is reported: confirmed, and not lost out of sight.
+    pub(super) fn is_reported(&self) -> bool {
+        self.confirmed && !self.lost
     }
 
     /// True if the element is to be removed: not confirmed in time, absent, or too uncertain (eq.

@@ -3,6 +3,7 @@
 use super::independent::{Elements, new_number};
 use super::rules::Rules;
 use super::scan::Placed;
+use super::view::earlier::Earlier;
 use super::{Outcome, seconds};
 use crate::Error;
 use serde::{Deserialize, Serialize};
@@ -22,6 +23,7 @@ struct Entry {
 #[derive(Default, Serialize, Deserialize)]
 pub(super) struct History {
     pub(super) now: Elements,
+    pub(super) earlier: Earlier,
     entries: VecDeque<Entry>,
     newest: Option<(i64, u32)>,
 }
@@ -33,6 +35,7 @@ impl History {
         let is_sound = |entry: &Entry| entry.before.fits(motion) && entry.scan.is_sound();
         self.entries.len() <= MAX_SCANS
             && self.now.fits(motion)
+            && self.earlier.is_sound()
             && self.entries.iter().all(is_sound)
             && self.entries.iter().map(|entry| entry.scan.key()).is_sorted()
     }
@@ -85,6 +88,7 @@ impl History {
         let merged = now.step(rules, &mut scan, &mut number)?;
         let before = std::mem::replace(&mut self.now, now);
         let found = scan.found();
+        self.earlier.keep(&scan.from);
         self.newest = Some(scan.key());
         self.entries.push_back(Entry { before, scan });
         self.forget(rules.parameters().buffer_time);

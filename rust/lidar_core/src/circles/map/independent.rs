@@ -3,7 +3,7 @@
 use super::body::Body;
 use super::element::{Element, State};
 use super::line::Line;
-use super::modes::Motion;
+use super::modes::{Motion, halted};
 use super::parameters::MAX_ELEMENTS;
 use super::rules::Rules;
 use super::scan::{Placed, Seen, too_many};
@@ -31,10 +31,10 @@ impl Elements {
             && self.bodies.iter().all(|body| body.state.fits(motion))
     }
 
-    /// Number of every element, and true if it is confirmed.
+    /// Number of every element, and true if it is reported.
     pub(super) fn numbers(&self) -> impl Iterator<Item = (i64, bool)> {
-        let bodies = self.bodies.iter().map(|body| (body.id, body.confirmed));
-        bodies.chain(self.lines.iter().map(|line| (line.id, line.confirmed)))
+        let bodies = self.bodies.iter().map(|body| (body.id, body.is_reported()));
+        bodies.chain(self.lines.iter().map(|line| (line.id, line.is_reported())))
     }
 
     pub(super) fn holds(&self, id: i64) -> bool {
@@ -83,18 +83,17 @@ impl Elements {
 
     /// Bodies that are not large, predicted to `stamp_ns`.
     pub(super) fn at(&self, rules: &Rules, stamp_ns: i64) -> Vec<MapElement> {
-        let step = rules.motion().step(seconds(self.stamp_ns.unwrap_or(stamp_ns), stamp_ns));
+        let step = rules.motion().coast(seconds(self.stamp_ns.unwrap_or(stamp_ns), stamp_ns));
         let predicted = |body: &Element<Body>| {
-            let mut state = body.state.clone();
-            state.predict(&step);
+            let state = body.state.coasted(&step);
             MapElement {
                 id: body.id,
-                state: state.circle(),
+                state,
                 age: seconds(body.born_ns, stamp_ns),
                 seen_ns: body.seen_ns,
                 n_measurements: body.n_measurements,
                 visible: body.is_visible(),
-                confirmed: body.confirmed,
+                confirmed: body.is_reported(),
             }
         };
         self.bodies.iter().filter(|body| !body.state.outline.is_large()).map(predicted).collect()
@@ -102,11 +101,12 @@ impl Elements {
 
     /// Elements that are no circles, predicted to `stamp_ns`.
     pub(super) fn shapes_at(&self, rules: &Rules, stamp_ns: i64) -> Vec<MapShape> {
-        let step = rules.motion().step(seconds(self.stamp_ns.unwrap_or(stamp_ns), stamp_ns));
+        let step = rules.motion().coast(seconds(self.stamp_ns.unwrap_or(stamp_ns), stamp_ns));
         let bodies = self.bodies.iter().filter_map(|body| {
             let mut outline = body.state.outline.clone();
             outline.predict(&step);
             let (kind, state) = outline.reported()?;
+            let state = if body.state.stands() { halted(state) } else { state };
             Some(shape_of(body, stamp_ns, (kind, state, None)))
         });
         let lines = self.lines.iter().map(|line| {
@@ -163,7 +163,7 @@ fn take_in<S: State>(
     }
     let wholes = S::wholes(&seen.measurements, rules);
     let states = all.iter().map(|one| &one.state);
-    let owners = S::associate(states, &seen.measurements, &wholes, rules)?;
+    let owners = S::associate(states, &seen.measurements, &wholes, from, rules)?;
     let mut is_measured = vec![false; all.len()];
     let known = std::mem::replace(&mut seen.elements, vec![None; owners.len()]);
     for (measurement, row) in owners.iter().enumerate() {
@@ -185,7 +185,8 @@ fn take_in<S: State>(
         let is_new = wholes[index] == index && seen.elements[index].is_none();
         if is_new && S::is_born(measurement, rules) {
             let id = fresh(known[index]);
-            all.push(Element::new(id, S::new(measurement, rules), from.key()));
+            let state = S::new(measurement, all.iter().map(|one| &one.state), rules);
+            all.push(Element::new(id, state, from.key()));
             seen.elements[index] = Some(id);
         }
     }
@@ -202,6 +203,7 @@ fn tidy<S: State>(rules: &Rules, all: &mut Vec<Element<S>>) -> Vec<[i64; 2]> {
     let merged = merge(rules, all);
     for element in all.iter_mut() {
         element.confirm(rules.parameters());
+        element.settle(rules);
     }
     all.retain(|element| !element.is_over(rules));
     merged
@@ -246,7 +248,7 @@ fn shape_of<S: State>(
         age: seconds(element.born_ns, stamp_ns),
         seen_ns: element.seen_ns,
         visible: element.is_visible(),
-        confirmed: element.confirmed,
+        confirmed: element.is_reported(),
     }
 }
 

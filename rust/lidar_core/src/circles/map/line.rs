@@ -199,7 +199,7 @@ impl Line {
 impl State for Line {
     type Measurement = LineMeasurement;
 
-    fn new(seen: &LineMeasurement, rules: &Rules) -> Self {
+    fn new<'a>(seen: &LineMeasurement, _: impl Iterator<Item = &'a Self>, rules: &Rules) -> Self {
         Self::new(seen, rules.lines())
     }
 
@@ -232,6 +232,7 @@ impl State for Line {
         all: impl ExactSizeIterator<Item = &'a Self> + Clone,
         seen: &[LineMeasurement],
         _: &[usize],
+        _: &Viewpoint,
         rules: &Rules,
     ) -> Result<Vec<Option<usize>>, Error> {
         let mut owners = Vec::with_capacity(seen.len());

@@ -24,7 +24,7 @@ mod tests;
 pub use outline::OutlineEstimate;
 pub use parameters::{
     CircleMapParameters, Confirmation, Filter, Independent, Joint, Limits, LineRules, Looking,
-    MAX_ELEMENTS, MAX_MODES, MAX_WINDOW, Mode, Patience,
+    MAX_ELEMENTS, MAX_MODES, MAX_WINDOW, Mode, Patience, Standing,
 };
 pub use scan::{CircleScan, PoseCovariance};
 pub use view::visibility::{SortedView, View, Visibility};
@@ -208,7 +208,9 @@ impl CircleMap {
             Engine::Independent(rules, history) => {
                 // Before the scan is transformed, which would be in vain for a refused stamp.
                 history.is_late((scan.stamp_ns, scan.sensor))?;
-                history.push(rules, Placed::new(scan)?, &mut self.next_id)?
+                let mut placed = Placed::new(scan)?;
+                placed.compare(scan.points, &history.earlier);
+                history.push(rules, placed, &mut self.next_id)?
             }
         };
         let after = self.numbers();

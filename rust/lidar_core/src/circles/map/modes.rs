@@ -5,18 +5,22 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::parameters::{MAX_MODES, Mode};
+use super::parameters::{MAX_MODES, Mode, Standing};
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised, update};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
+/// Largest number of modes, standing included, which comes first.
+const SLOTS: usize = MAX_MODES + 1;
 /// Longest step between two mixings [s].
 const MAX_STEP: f64 = 0.1;
 /// Most steps of one prediction; for longer times the steps become longer.
 const MAX_STEPS: f64 = 600.0;
 /// Largest product of rate and time for which the exponential series is summed.
 const SERIES: f64 = 1e-3;
+/// Least standard deviation of the velocity of what stands, per axis [m/s].
+const STILL_SPEED: f64 = 1e-3;
 /// Least probability of a mode.
 const LEAST: f64 = 1e-30;
 const LN_2_PI: f64 = 1.837_877_066_409_345_3;
@@ -24,7 +28,7 @@ const LN_2_PI: f64 = 1.837_877_066_409_345_3;
 pub(super) type Matrix5 = SMatrix<f64, 5, 5>;
 type Square<const N: usize> = SMatrix<f64, N, N>;
 /// Entry (i, j): probability of mode j after a time, if the mode was i before.
-type Switching = SMatrix<f64, MAX_MODES, MAX_MODES>;
+type Switching = SMatrix<f64, SLOTS, SLOTS>;
 
 /// A measurement of M values of a state of N values: centre x and y, their velocities, then the
 /// values of a random walk.
@@ -110,10 +114,20 @@ fn process_covariance<const N: usize>(dt: f64, density: f64, wander: &[f64]) -> 
     Q
 }
 
+/// Covariance of a random walk of the centre and of the other values over `dt` >= 0 seconds.
+fn wandering<const N: usize>(dt: f64, density: f64, wander: &[f64]) -> Square<N> {
+    let mut Q = process_covariance(dt, 0.0, wander);
+    for axis in 0..2 {
+        Q[(axis, axis)] = density * dt;
+    }
+    Q
+}
+
 /// Motion of elements.
 #[derive(Clone, Debug)]
 pub(super) struct Motion {
     modes: Vec<Mode>,
+    standing: Option<Standing>,
     radius_density: f64,
     turn_density: f64,
     line_density: f64,
@@ -124,6 +138,8 @@ pub(super) struct Motion {
 /// Prediction of states of N values.
 pub(super) struct Move<const N: usize> {
     count: usize,
+    /// Variance of the velocity after standing; None without that mode [m^2/s^2].
+    start: Option<f64>,
     F: Square<N>,
     Q: Vec<Square<N>>,
     switching: Switching,
@@ -147,21 +163,52 @@ impl Step {
 
 impl Motion {
     /// Motion from modes and from the densities of radii and half lengths, of headings, and of
-    /// lines.
-    pub(super) fn new(modes: &[Mode], [radius, turn, line]: [f64; 3]) -> Self {
+    /// lines. Standing, if it has a weight, is the first mode.
+    pub(super) fn new(modes: &[Mode], standing: &Standing, [radius, turn, line]: [f64; 3]) -> Self {
+        let standing = Some(*standing).filter(|one| one.share > 0.0);
         let total: f64 = modes.iter().map(|mode| mode.weight).sum();
-        let modes: Vec<Mode> =
-            modes.iter().map(|mode| Mode { weight: mode.weight / total, ..*mode }).collect();
+        let moving = 1.0 - standing.map_or(0.0, |one| one.share);
+        let mut all: Vec<Mode> = standing.iter().map(still).collect();
+        all.extend(modes.iter().map(|one| Mode { weight: one.weight / total * moving, ..*one }));
+        let modes = all;
         let mut rates = Switching::zeros();
         for (from, mode) in modes.iter().enumerate() {
-            let elsewhere = others(&modes, from).map(|(_, other)| other.weight).sum::<f64>();
+            let stands = |number: usize| standing.filter(|_| number == 0);
+            let elsewhere = others(&modes, from)
+                .filter(|&(number, _)| stands(number).is_none())
+                .map(|(_, other)| other.weight)
+                .sum::<f64>();
             for (to, other) in others(&modes, from) {
-                rates[(from, to)] = other.weight / elsewhere / mode.duration;
+                rates[(from, to)] = match stands(to) {
+                    Some(standing) => 1.0 / standing.moving,
+                    None => other.weight / elsewhere / mode.duration,
+                };
                 // Rows of rates sum to zero, so that probabilities keep summing to one.
                 rates[(from, from)] -= rates[(from, to)];
             }
         }
-        Self { modes, radius_density: radius, turn_density: turn, line_density: line, rates }
+        Self {
+            modes,
+            standing,
+            radius_density: radius,
+            turn_density: turn,
+            line_density: line,
+            rates,
+        }
+    }
+
+    /// Prediction over `dt` seconds in which nothing stops or starts: the mean moves at its
+    /// velocity.
+    pub(super) fn coast(&self, dt: f64) -> Step {
+        let mut motion = self.clone();
+        if motion.standing.is_some() {
+            for mode in 1..SLOTS {
+                motion.rates[(mode, mode)] += motion.rates[(mode, 0)];
+                (motion.rates[(mode, 0)], motion.rates[(0, mode)]) = (0.0, 0.0);
+            }
+            motion.rates[(0, 0)] = 0.0;
+        }
+        motion.step(dt)
     }
 
     /// Prediction over `dt` seconds.
@@ -181,17 +228,26 @@ impl Motion {
         let part = dt / count;
         // Backwards in time the noise acts before the transition.
         let back: Square<N> = transition(part.min(0.0));
-        let Q = self.modes.iter().map(|mode| {
+        let Q = self.modes.iter().enumerate().map(|(number, mode)| {
+            if number == 0 && self.standing.is_some() {
+                return wandering(part.abs(), mode.density, wander);
+            }
             let Q = process_covariance(part.abs(), mode.density, wander);
             symmetrised(back * Q * back.transpose())
         });
         Move {
             count: count as usize,
+            start: self.standing.map(|one| one.start_speed * one.start_speed),
             F: transition(part),
             Q: Q.collect(),
             switching: exponential(&self.rates, part.abs()),
         }
     }
+}
+
+/// Standing as a mode.
+fn still(one: &Standing) -> Mode {
+    Mode { density: one.density, weight: one.share, duration: one.duration }
 }
 
 /// All modes except one, with their numbers.
@@ -225,16 +281,20 @@ fn exponential(rates: &Switching, time: f64) -> Switching {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Modes<const N: usize> {
     states: Vec<Gaussian<N>>,
-    probabilities: [f64; MAX_MODES],
+    probabilities: [f64; SLOTS],
 }
 
 impl<const N: usize> Modes<N> {
     pub(super) fn new(state: Gaussian<N>, motion: &Motion) -> Self {
-        let mut probabilities = [0.0; MAX_MODES];
+        let mut probabilities = [0.0; SLOTS];
         for (probability, mode) in probabilities.iter_mut().zip(&motion.modes) {
             *probability = mode.weight;
         }
-        Self { states: vec![state; motion.modes.len()], probabilities }
+        let mut states = vec![state; motion.modes.len()];
+        if let (Some(_), [first, ..]) = (motion.standing, states.as_mut_slice()) {
+            set_speed(first, 0.0);
+        }
+        Self { states, probabilities }
     }
 
     /// True if a restored state has one part per mode of `motion`.
@@ -245,7 +305,7 @@ impl<const N: usize> Modes<N> {
     /// Predict by `step`.
     pub(super) fn predict(&mut self, step: &Move<N>) {
         for _ in 0..step.count {
-            self.mix(&step.switching);
+            self.mix(step);
             for (state, Q) in self.states.iter_mut().zip(&step.Q) {
                 state.mean = step.F * state.mean;
                 let P = step.F * state.covariance * step.F.transpose();
@@ -255,18 +315,53 @@ impl<const N: usize> Modes<N> {
     }
 
     /// Mixing step: every mode becomes the mean of the modes that it may come from.
-    fn mix(&mut self, switching: &Switching) {
+    fn mix(&mut self, step: &Move<N>) {
         if self.states.len() == 1 {
             return;
         }
         let before = self.clone();
-        for to in 0..self.states.len() {
-            let weights: [f64; MAX_MODES] =
-                std::array::from_fn(|from| before.probabilities[from] * switching[(from, to)]);
-            let total: f64 = weights.iter().sum();
-            self.probabilities[to] = total;
-            self.states[to] = mixture(&before.states, &weights.map(|weight| weight / total));
+        // What stops has no velocity, what starts has any: the velocity does not go over with the
+        // position.
+        let (mut stopped, mut started) = (before.states.clone(), before.states.clone());
+        if let Some(start) = step.start {
+            stopped.iter_mut().skip(1).for_each(|state| set_speed(state, 0.0));
+            started.iter_mut().take(1).for_each(|state| set_speed(state, start));
         }
+        for to in 0..self.states.len() {
+            let weights: [f64; SLOTS] =
+                std::array::from_fn(|from| before.probabilities[from] * step.switching[(from, to)]);
+            let total: f64 = weights.iter().sum();
+            let states = if to == 0 && step.start.is_some() { &stopped } else { &started };
+            self.probabilities[to] = total;
+            // A mode into which nothing leads, and which has no probability itself, stays as it is.
+            if total > 0.0 {
+                self.states[to] = mixture(states, &weights.map(|weight| weight / total));
+            }
+        }
+    }
+
+    /// Probability that the element stands; 0 without that mode.
+    pub(super) fn standing(&self, motion: &Motion) -> f64 {
+        if motion.standing.is_some() { self.probabilities[0] } else { 0.0 }
+    }
+
+    /// Least squared distance of a measurement from the modes, and the one from the first mode.
+    ///
+    /// # Errors
+    /// [`Error::NotPositiveDefinite`] if an innovation covariance cannot be factorised.
+    pub(super) fn distances<const M: usize>(
+        &self,
+        seen: &impl Measures<N, M>,
+    ) -> Result<[f64; 2], Error> {
+        let (mut least, mut first) = (f64::INFINITY, None);
+        for state in &self.states {
+            let Linearised { y, H, R } = seen.against(&state.mean);
+            let S = symmetrised(H * state.covariance * H.transpose() + R);
+            let squared = mahalanobis(&y, &S)?.squared;
+            least = least.min(squared);
+            first = first.or(Some(squared));
+        }
+        Ok([least, first.unwrap_or(least)])
     }
 
     /// Mean and covariance over all modes.
@@ -285,7 +380,7 @@ impl<const N: usize> Modes<N> {
         gate: f64,
     ) -> Result<Option<f64>, Error> {
         let mut best = f64::INFINITY;
-        let mut costs = [f64::INFINITY; MAX_MODES];
+        let mut costs = [f64::INFINITY; SLOTS];
         for (index, state) in self.states.iter().enumerate() {
             let Linearised { y, H, R } = seen.against(&state.mean);
             let S = symmetrised(H * state.covariance * H.transpose() + R);
@@ -300,7 +395,8 @@ impl<const N: usize> Modes<N> {
         Ok((best <= gate).then(|| -2.0 * log_sum(&costs)))
     }
 
-    /// Correct with a measurement.
+    /// Correct with a measurement, and with other `evidence` for the first mode: the logarithm of
+    /// its Bayes factor against the other modes.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`] if an innovation covariance cannot be factorised; the state
@@ -308,8 +404,9 @@ impl<const N: usize> Modes<N> {
     pub(super) fn correct<const M: usize>(
         &mut self,
         seen: &impl Measures<N, M>,
+        evidence: f64,
     ) -> Result<(), Error> {
-        let mut costs = [f64::INFINITY; MAX_MODES];
+        let mut costs = [f64::INFINITY; SLOTS];
         let mut states = Vec::with_capacity(self.states.len());
         for (index, state) in self.states.iter().enumerate() {
             let corrected = update(state, &seen.against(&state.mean))?;
@@ -317,6 +414,7 @@ impl<const N: usize> Modes<N> {
                 - 2.0 * libm::log(self.probabilities[index]);
             states.push(corrected.posterior);
         }
+        costs[0] -= 2.0 * evidence;
         let total = log_sum(&costs);
         for (probability, cost) in self.probabilities.iter_mut().zip(costs).take(states.len()) {
             // No mode is given up for good: zero would stay zero.
@@ -327,8 +425,32 @@ impl<const N: usize> Modes<N> {
     }
 }
 
+/// The state with velocity zero, and with the covariance of its error then: that it moves after all
+/// stays as probable as it is.
+pub(super) fn halted<const N: usize>(mut state: Gaussian<N>) -> Gaussian<N> {
+    let speed = [state.mean[2], state.mean[3]];
+    for row in 0..2 {
+        for column in 0..2 {
+            state.covariance[(row + 2, column + 2)] += speed[row] * speed[column];
+        }
+        state.covariance[(row + 2, row + 2)] += STILL_SPEED * STILL_SPEED;
+        state.mean[row + 2] = 0.0;
+    }
+    state
+}
+
+/// Make the velocity of a state zero, independent of the position, with a variance per axis.
+pub(super) fn set_speed<const N: usize>(state: &mut Gaussian<N>, variance: f64) {
+    for axis in 2..4 {
+        state.mean[axis] = 0.0;
+        state.covariance.row_mut(axis).fill(0.0);
+        state.covariance.column_mut(axis).fill(0.0);
+        state.covariance[(axis, axis)] = variance;
+    }
+}
+
 /// Logarithm of the sum of e^(-cost / 2).
-fn log_sum(costs: &[f64; MAX_MODES]) -> f64 {
+fn log_sum(costs: &[f64; SLOTS]) -> f64 {
     // Relative to the least cost: the terms of a far measurement would all underflow.
     let least = costs.iter().copied().fold(f64::INFINITY, f64::min);
     let sum: f64 = costs.iter().map(|cost| libm::exp(-0.5 * (cost - least))).sum();
@@ -336,7 +458,7 @@ fn log_sum(costs: &[f64; MAX_MODES]) -> f64 {
 }
 
 /// Mean and covariance of a mixture; the weights sum to one.
-fn mixture<const N: usize>(states: &[Gaussian<N>], weights: &[f64; MAX_MODES]) -> Gaussian<N> {
+fn mixture<const N: usize>(states: &[Gaussian<N>], weights: &[f64; SLOTS]) -> Gaussian<N> {
     if let [state] = states {
         return state.clone();
     }
@@ -360,8 +482,20 @@ mod tests {
         let mode = |density, weight, duration| Mode { density, weight, duration };
         Motion::new(
             &[mode(0.01, 0.5, 2.0), mode(1.0, 0.45, 1.0), mode(50.0, 0.05, 0.1)],
+            &Standing { share: 0.0, ..standing() },
             [1e-6, 0.0, 0.0],
         )
+    }
+
+    fn standing() -> Standing {
+        Standing {
+            share: 0.5,
+            duration: 10.0,
+            moving: 20.0,
+            density: 1e-4,
+            start_speed: 1.0,
+            hysteresis: [0.8, 0.2],
+        }
     }
 
     fn measurement(x: f64) -> Measurement {
@@ -395,7 +529,7 @@ mod tests {
         let mut modes = Modes::new(new_state(&measurement(0.0), 1.5), &motion);
         for step in 1..5 {
             modes.predict(&motion.step(0.05).circles);
-            modes.correct(&measurement(0.05 * f64::from(step)))?;
+            modes.correct(&measurement(0.05 * f64::from(step)), 0.0)?;
         }
         let before = modes.combined();
         modes.predict(&motion.step(0.4).circles);
@@ -412,19 +546,46 @@ mod tests {
         let mut modes = Modes::new(new_state(&measurement(0.0), 1.5), &motion);
         for _ in 0..40 {
             modes.predict(&motion.step(0.05).circles);
-            modes.correct(&measurement(0.0))?;
+            modes.correct(&measurement(0.0), 0.0)?;
         }
         modes.predict(&motion.step(0.05).circles);
         assert!(modes.cost(&measurement(0.1), 11.3)?.is_some());
         assert!(modes.cost(&measurement(5.0), 11.3)?.is_none());
-        modes.correct(&measurement(0.1))?;
+        modes.correct(&measurement(0.1), 0.0)?;
         assert!((modes.combined().mean[0] - 0.1).abs() < 0.01);
         Ok(())
     }
 
     #[test]
+    fn what_stands_is_known_to_stand_and_what_leaves_is_noticed() -> Result<(), Error> {
+        let mode = Mode { density: 0.5, weight: 1.0, duration: 2.0 };
+        let motion = Motion::new(&[mode], &standing(), [1e-6, 0.0, 0.0]);
+        let mut modes = Modes::new(new_state(&measurement(0.0), 1.5), &motion);
+        let mut see = |x: f64| -> Result<f64, Error> {
+            modes.predict(&motion.step(0.05).circles);
+            modes.correct(&measurement(x), 0.0)?;
+            Ok(modes.standing(&motion))
+        };
+        for step in 0..40 {
+            see(0.01 * f64::from(step % 2))?;
+        }
+        assert!(see(0.0)? > 0.95);
+        let mut after = 1.0;
+        for step in 1..=10 {
+            after = see(0.5 * 0.05 * f64::from(step))?; // 0.5 m/s for 0.5 s
+        }
+        assert!(after < 0.05, "{after}");
+        for step in 1..=20 {
+            after = see(0.25 + 0.025 * f64::from(step))?;
+        }
+        assert!(after < 0.01, "{after}");
+        Ok(())
+    }
+
+    #[test]
     fn one_mode_costs_what_the_textbook_says() -> Result<(), Error> {
-        let motion = Motion::new(&[Mode { density: 1.0, weight: 3.0, duration: 1.0 }], [0.0; 3]);
+        let mode = Mode { density: 1.0, weight: 3.0, duration: 1.0 };
+        let motion = Motion::new(&[mode], &Standing { share: 0.0, ..standing() }, [0.0; 3]);
         let modes = Modes::new(new_state(&measurement(0.0), 1.0), &motion);
         let got = modes.cost(&measurement(0.01), 11.3)?;
         let expected = 0.5 + 3.0 * libm::log(2e-4) + 3.0 * LN_2_PI;

@@ -117,7 +117,7 @@ impl Outline {
                 Some(state) => {
                     let (mut seen, squared) = nearest(&state.combined(), seen)?;
                     seen.R *= (squared / rules.outline_gate()).max(1.0);
-                    state.correct(&seen)?;
+                    state.correct(&seen, 0.0)?;
                 }
                 None => self.state = Some(started(seen, rules)),
             }

@@ -23,6 +23,24 @@ pub struct Mode {
     pub duration: f64,
 }
 
+/// Standing still, as a mode of motion beside the others.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Standing {
+    /// Share of new elements that stand, below 1; 0: the mode is not used.
+    pub share: f64,
+    /// Mean time that an element stands [s].
+    pub duration: f64,
+    /// Mean time that an element moves until it stands [s].
+    pub moving: f64,
+    /// Density of the random walk of the centre [m^2/s]: the part of an object that is seen
+    /// changes.
+    pub density: f64,
+    /// Standard deviation of the velocity with which an element starts to move, per axis [m/s].
+    pub start_speed: f64,
+    /// Probabilities of standing at which an element begins and ends to be reported as standing.
+    pub hysteresis: [f64; 2],
+}
+
 /// Largest standard deviations of a visible element.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
@@ -87,6 +105,11 @@ pub struct LineRules {
 pub struct Independent {
     /// Modes of motion, 1 to [`MAX_MODES`].
     pub modes: Vec<Mode>,
+    /// Standing still, one more mode.
+    pub standing: Standing,
+    /// Standard deviation of a centre beyond that of its fit, as far as the scans do not show it
+    /// [m].
+    pub center_noise: f64,
     /// Density of the radius' random walk [m^2/s].
     pub radius_density: f64,
     /// Density of the random walk of the headings of ellipses and rectangles [rad^2/s].
@@ -167,6 +190,8 @@ impl Independent {
             within("mode_weight", mode.weight, 1e-6..=1e6, "1e-6 to 1e6")?;
             within("mode_time", mode.duration, 1e-3..=1e6, "0.001 to 1e6")?;
         }
+        self.standing.check()?;
+        not_negative("center_noise", self.center_noise)?;
         within("radius_noise", self.radius_density, 0.0..=1e3, "0 to 1000")?;
         within("turn_noise", self.turn_density, 0.0..=1e3, "0 to 1000")?;
         require_positive("birth_density", self.birth_density)?;
@@ -187,6 +212,23 @@ impl Independent {
         not_negative("see_margin", self.looking.margin)?;
         not_negative("buffer_time", self.buffer_time)?;
         self.lines.check()
+    }
+}
+
+impl Standing {
+    fn check(&self) -> Result<(), Error> {
+        within("standing_share", self.share, 0.0..=0.999, "0 to 0.999")?;
+        within("moving_time", self.moving, 1e-3..=1e6, "0.001 to 1e6")?;
+        within("standing_time", self.duration, 1e-3..=1e6, "0.001 to 1e6")?;
+        within("standing_noise", self.density, 0.0..=1e3, "0 to 1000")?;
+        within("start_speed", self.start_speed, 1e-6..=1e6, "1e-6 to 1e6")?;
+        let [begin, end] = self.hysteresis;
+        require(
+            0.0 <= end && end <= begin && begin <= 1.0,
+            "standing_probability",
+            "two probabilities, the second not above the first",
+            format_args!("{begin} and {end}"),
+        )
     }
 }
 

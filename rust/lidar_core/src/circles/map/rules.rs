@@ -24,7 +24,11 @@ impl Rules {
         speed: f64,
     ) -> Result<Self, Error> {
         let Independent { radius_density, turn_density, lines, .. } = parameters;
-        let motion = Motion::new(&parameters.modes, [radius_density, turn_density, lines.density]);
+        let motion = Motion::new(
+            &parameters.modes,
+            &parameters.standing,
+            [radius_density, turn_density, lines.density],
+        );
         // One probability for all kinds; each kind has its own number of measured values.
         let gate = |freedom| chi2::quantile(probability, freedom);
         let (gate, line_gate, outline_gate) = (gate(3)?, gate(2)?, gate(5)?);
@@ -45,6 +49,11 @@ impl Rules {
 
     pub(super) fn motion(&self) -> &Motion {
         &self.motion
+    }
+
+    /// True if elements may stand.
+    pub(super) fn has_standing(&self) -> bool {
+        self.parameters.standing.share > 0.0
     }
 
     /// Gate of circles: chi-square, 3 degrees of freedom.

@@ -8,6 +8,7 @@ use super::modes::Measurement;
 use super::outline::{OutlineEstimate, OutlineMeasurement};
 use super::parameters::MAX_ELEMENTS;
 use super::place::matrix_of;
+use super::view::earlier::Earlier;
 use super::view::level_pose::LevelPose;
 use super::view::viewpoint::Viewpoint;
 use super::view::visibility::{SortedView, View};
@@ -48,6 +49,9 @@ pub struct CircleScan<'a> {
     /// Outlines of those `estimates` that only represent another shape; empty if there are none.
     /// The filter of the paper ignores them.
     pub outlines: &'a [Option<OutlineEstimate>],
+    /// End points of the rays of each of `estimates`, in the world as seen from above; None: only
+    /// the estimates themselves show what moves. The filter of the paper ignores them.
+    pub points: Option<&'a [Vec<[f64; 2]>]>,
     /// Lines found in the scan. The filter of the paper ignores them.
     pub lines: &'a [ShapeEstimate],
     /// The scan itself; None: all elements should have been measured.
@@ -110,6 +114,8 @@ impl Placed {
                 round: round.as_ref().map(in_world),
                 outline: placed,
                 is_face,
+                time_ns: scan.stamp_ns + libm::round(delay * 1e9) as i64,
+                trace: None,
             }
         };
         let bodies = scan.estimates.iter().enumerate().map(place).collect();
@@ -125,6 +131,14 @@ impl Placed {
             bodies: Seen::new(bodies),
             lines: Seen::new(lines.flatten().collect()),
         })
+    }
+
+    /// Note which bodies are where earlier scans met something.
+    pub(super) fn compare(&mut self, points: Option<&[Vec<[f64; 2]>]>, earlier: &Earlier) {
+        let bodies = self.bodies.measurements.iter_mut();
+        for (body, points) in bodies.zip(points.unwrap_or_default()) {
+            body.trace = earlier.trace(points, self.from.stamp_ns);
+        }
     }
 
     /// Key for the order of scans.
@@ -189,6 +203,10 @@ pub(super) fn check(scan: &CircleScan<'_>) -> Result<LevelPose, Error> {
     check_outlines(scan.outlines, scan.estimates.len())?;
     check_lines(scan.lines)?;
     check_delays(scan.delays, scan.estimates.len())?;
+    let (expected, got) = (scan.estimates.len(), scan.points.map(<[_]>::len));
+    if let Some(got) = got.filter(|&got| got != expected) {
+        return Err(Error::Length { name: "points", expected, got });
+    }
     Ok(LevelPose::of(pose))
 }
 

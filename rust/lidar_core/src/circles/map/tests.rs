@@ -46,6 +46,7 @@ fn scan(step: i64, estimates: &[CircleEstimate]) -> CircleScan<'_> {
         estimates,
         delays: None,
         outlines: &[],
+        points: None,
         lines: &[],
         view: None,
     }

@@ -80,6 +80,17 @@ fn ascending(bearings: &[f64], ranges: &[f64]) -> (Vec<f64>, Vec<f64>) {
     (of(bearings), of(ranges))
 }
 
+/// Answer of a scan to the question if something was at a point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::circles::map) enum Met {
+    /// A ray ended there.
+    Surface,
+    /// All rays beside it passed beyond.
+    Free,
+    /// Hidden, out of view, or no information.
+    Unknown,
+}
+
 /// Numbers of rays that met a circle: passed through, ended on it, ended before it.
 #[derive(Clone, Copy, Debug, Default)]
 struct Votes {
@@ -115,6 +126,47 @@ impl SortedView {
             (surface, looking.margin)
         });
         votes.verdict(looking)
+    }
+
+    /// What the scan met at a point, in its own frame, up to `margin` [m].
+    pub(in crate::circles::map) fn met(&self, [x, y]: [f64; 2], margin: f64) -> Met {
+        let (distance, bearing) = (libm::hypot(x, y), libm::atan2(y, x));
+        let (Some(first), Some(last)) = (self.bearings.first(), self.bearings.last()) else {
+            return Met::Unknown;
+        };
+        let step = (last - first) / (self.bearings.len().max(2) - 1) as f64;
+        let half = (margin / distance.max(margin)).max(step);
+        let mut is_free = false;
+        for turn in [-TAU, 0.0, TAU] {
+            let low = self.bearings.partition_point(|&ray| ray < bearing + turn - half);
+            let high = self.bearings.partition_point(|&ray| ray <= bearing + turn + half);
+            for &range in self.ranges[low..high.max(low)].iter().filter(|range| !range.is_nan()) {
+                if (range - distance).abs() < margin {
+                    return Met::Surface;
+                }
+                if range < distance {
+                    return self.surface_beside([low, high], distance, margin);
+                }
+                is_free = true;
+            }
+        }
+        if is_free && distance < self.range_max { Met::Free } else { Met::Unknown }
+    }
+
+    /// What rays met of which one ended nearer than `distance`.
+    fn surface_beside(&self, [low, high]: [usize; 2], distance: f64, margin: f64) -> Met {
+        let is_there = |range: &f64| (range - distance).abs() < margin;
+        if self.ranges[low..high].iter().any(is_there) { Met::Surface } else { Met::Unknown }
+    }
+
+    /// Area between the sensor and the ends of all rays [m^2].
+    pub(in crate::circles::map) fn area(&self) -> f64 {
+        let pairs = self.bearings.windows(2).zip(&self.ranges);
+        let parts = pairs.filter(|(_, range)| !range.is_nan()).map(|(bearings, range)| {
+            let reach = range.min(self.range_max);
+            0.5 * reach * reach * (bearings[1] - bearings[0])
+        });
+        parts.sum()
     }
 
     /// Visibility of a line in the frame of the scan, whose front is on the left of the way from

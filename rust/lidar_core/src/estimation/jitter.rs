@@ -1,0 +1,129 @@
+//! Noise of measured positions, from how they jitter from scan to scan.
+
+use serde::{Deserialize, Serialize};
+
+/// Longest time that three positions may span [s]: in a longer one an acceleration counts as noise.
+const LONGEST: f64 = 0.5;
+/// Largest stated variance of a position that tells of noise beyond it [m^2].
+const SHARP: f64 = 0.03 * 0.03;
+/// Largest variance of one sample [m^2]: a change of the visible part is no noise.
+const LARGEST: f64 = 0.08 * 0.08;
+/// Number of samples that the mean remembers.
+const MEMORY: f64 = 30.0;
+
+/// A measured position.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct Sample {
+    time_ns: i64,
+    place: [f64; 2],
+    /// Stated variance, mean of both axes [m^2].
+    variance: f64,
+}
+
+/// Variance of positions beyond the one that they state, per axis.
+///
+/// Three positions of an object at constant velocity lie on a line at equal steps of time. Their
+/// departure from it is noise, whatever the object's velocity, so that the estimate needs no model
+/// of motion and holds for standing and for moving objects.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Jitter {
+    newest: Option<Sample>,
+    older: Option<Sample>,
+    /// Mean of all samples; negative if the stated variances are too large [m^2].
+    excess: f64,
+    weight: f64,
+}
+
+impl Jitter {
+    /// Estimate that starts at a variance [m^2] with the weight of so many samples.
+    #[must_use]
+    pub fn new(variance: f64, weight: f64) -> Self {
+        Self { newest: None, older: None, excess: variance, weight }
+    }
+
+    /// Variance to be added to the stated one [m^2], >= 0.
+    #[must_use]
+    pub fn variance(&self) -> f64 {
+        self.excess.max(0.0)
+    }
+
+    /// Mean of all samples [m^2], and their number with that of the start.
+    #[must_use]
+    pub fn mean(&self) -> (f64, f64) {
+        (self.excess, self.weight)
+    }
+
+    /// Take in a position [m] at a time [ns] with the mean of its stated variances [m^2].
+    pub fn add(&mut self, time_ns: i64, place: [f64; 2], variance: f64) {
+        let now = Sample { time_ns, place, variance };
+        if let (Some(newest), Some(older)) = (self.newest, self.older)
+            && let Some(sample) = departure([older, newest, now])
+        {
+            self.weight = (self.weight + 1.0).min(MEMORY);
+            self.excess += (sample.min(LARGEST) - self.excess) / self.weight;
+        }
+        self.older = self.newest;
+        self.newest = Some(now);
+    }
+}
+
+/// Variance of one position beyond the stated ones, from three [m^2].
+fn departure([first, second, third]: [Sample; 3]) -> Option<f64> {
+    let seconds = |from: Sample, to: Sample| {
+        (i128::from(to.time_ns) - i128::from(from.time_ns)) as f64 * 1e-9
+    };
+    let (before, after) = (seconds(first, second), seconds(second, third));
+    let is_sharp = [first, second, third].iter().all(|one| one.variance < SHARP);
+    if !(is_sharp && before > 0.0 && after > 0.0 && before + after < LONGEST) {
+        return None;
+    }
+    let ahead = after / before;
+    // The third minus the second and third's extrapolation: weights 1, -(1 + a) and a.
+    let weights = [ahead * ahead, (1.0 + ahead) * (1.0 + ahead), 1.0];
+    let square: f64 = (0..2)
+        .map(|axis| {
+            let [a, b, c] = [first, second, third].map(|one| one.place[axis]);
+            let off = c - b - (b - a) * ahead;
+            off * off
+        })
+        .sum();
+    let stated: f64 =
+        weights.iter().zip([first, second, third]).map(|(weight, one)| weight * one.variance).sum();
+    Some((0.5 * square - stated) / weights.iter().sum::<f64>())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_moves_steadily_does_not_jitter() {
+        let mut jitter = Jitter::new(0.0, 4.0);
+        for step in 0..40 {
+            let time = 0.08 * f64::from(step);
+            jitter.add(i64::from(step) * 80_000_000, [1.5 * time, -0.7 * time], 0.0);
+        }
+        assert!(jitter.variance() < 1e-20);
+    }
+
+    #[test]
+    fn alternating_positions_show_their_variance() {
+        // +e, -e, +e: every second difference is 4 e, its weights sum to 6.
+        let (mut jitter, e) = (Jitter::new(0.0, 0.0), 0.02);
+        for step in 0..60 {
+            let sign = if step % 2 == 0 { 1.0 } else { -1.0 };
+            jitter.add(step * 50_000_000, [sign * e, 0.0], 1e-5);
+        }
+        assert!((jitter.variance() - (8.0 * e * e / 6.0 - 1e-5)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn vague_positions_and_long_gaps_tell_nothing() {
+        let mut jitter = Jitter::new(1e-4, 4.0);
+        for step in 0..20 {
+            jitter.add(step * 50_000_000, [f64::from(step as u8 % 2), 0.0], 0.01);
+            jitter.add(step * 3_000_000_000 + 1, [0.0, 1.0], 1e-6);
+        }
+        assert_eq!(jitter.mean(), (1e-4, 4.0));
+    }
+}
