@@ -40,28 +40,29 @@ USED_BY = {
 INTRODUCTION = """\
 # Parameters
 
-Made from the configuration models, which are the only source of defaults, ranges and units.
-`lidar-core config init` writes a file that holds all of them with their meaning,
-`lidar-core config show FILE` tells what a file changes, `lidar-core config schema` prints the JSON
-Schema. In a file, a table such as `[voxel_map]` holds the parameters of the model that the
-parameter `voxel_map` is of; `"none"` stands for no value.
+This page is generated from the configuration models, which define defaults, ranges and units.
+`lidar-core config init` writes a file with all parameters and their meaning,
+`lidar-core config show FILE` prints what a file changes, and `lidar-core config schema` prints the
+JSON Schema. In a file, a table such as `[voxel_map]` contains the parameters of the model that
+belongs to the parameter `voxel_map`; `"none"` means no value.
 """
 LONGEST_DEFAULT = 40
 SENSORS_INTRODUCTION = """\
 # Sensors
 
-LiDARs that presets know:
+Presets exist for these LiDARs. Use a preset in one of these ways:
 
 - `lidar = { preset = "vlp-16" }` in a scene, or `lidar-core simulate SCENE --sensor vlp-16`;
 - `lidar-core config init --preset vlp-16`: a file for `detect`; with `--model circles` for
-  `circles` (2D), with `--model scene` a scene to begin with;
-- `sensor.beams`, for rows whose driver drops rays without return.
+  `circles` (2D), with `--model scene` a scene to start from;
+- `sensor.beams`, if the driver drops rays without return.
 
-Numbers are the makers' nominal ones, rounded, and not checked against every current data sheet:
-compare them with that of your revision. Ranges are those on dark surfaces where makers give them;
-noise and shortest ranges are typical values where they give none. Rows are even between the
-outermost where the note does not say otherwise. The patterns of Livox are not published: what
-stands for them has their field of view, their rate, and does not repeat.
+The numbers are rounded nominal values of the makers. They were not checked against every current
+data sheet: compare them with the data sheet of your revision. Ranges are those on dark surfaces, if
+the maker states them. Noise and shortest ranges are typical values, if the maker states none. Rows
+are equally spaced between the outermost rows, unless the note says otherwise. The patterns of
+Livox are not published: the simulated patterns have the same field of view and rate, and do not
+repeat. [Choose your sensor](choose-your-sensor.md) describes how to use each sensor.
 
 """
 SENSOR_COLUMNS = (

@@ -129,7 +129,7 @@ def _refuse_special(place: Path, mode: int) -> None:
     if not stat.S_ISREG(mode):
         kind = _KINDS.get(stat.S_IFMT(mode), "something else")
         raise FormatError(
-            f"{place}: expected a regular file, got {kind}; save what it gives to a file first"
+            f"{place}: expected a regular file, got {kind}; save its data to a file first"
         )
 
 

@@ -31,7 +31,7 @@ class CirclesConfig(Config):
     )
     detector: Annotated[FitMethod | NetworkName, BeforeValidator(checked)] = Field(
         "ml",
-        description="How a circle is estimated from a segment (no unit); it stands before"
+        description="How a circle is estimated from a segment (no unit); it overrides"
         " `fit.method`. Also a network: one that comes with the package, or an .onnx file.",
     )
     preprocess: PreprocessConfig = PreprocessConfig()

@@ -57,7 +57,7 @@ class DatasetConfig(Config):
         0.0,
         ge=0,
         le=1,
-        description="Share of ends of circles where a ray meets circle and background (no unit).",
+        description="Share of edges of circles where a ray hits circle and background (no unit).",
     )
     mixed_depth: float = Field(
         0.1, ge=0, description="How far behind the circle such a ray ends at most [m]."

@@ -77,7 +77,7 @@ class SegmentConfig(Config):
 
     criterion: Literal["both", "cartesian", "polar"] = Field(
         "both",
-        description="Where neighbours have to be close: in polar space (ranges alike, few rays"
+        description="Space in which neighbours must be close: polar space (similar ranges, few rays"
         " between), in Cartesian space, or in both, as published (no unit).",
     )
     bound: Literal["adaptive", "fixed"] = Field(
@@ -127,7 +127,7 @@ class SegmentConfig(Config):
         0.15,
         ge=0,
         le=10,
-        description="Surfaces that meet in a corner are segments of their own if it lies this deep"
+        description="Surfaces with a common corner are separate segments if the corner is this deep"
         " behind the line between their other ends [m]; 0: never, as in the paper.",
     )
     corner_width: float = Field(

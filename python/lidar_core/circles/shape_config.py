@@ -13,8 +13,8 @@ class ShapeConfig(Config):
 
     enabled: bool = Field(
         True,
-        description="Tell lines, rectangles and ellipses from circles, and keep them in the map as"
-        " such. Off: every segment is taken for a circle, as in the paper (no unit).",
+        description="Distinguish lines, rectangles and ellipses from circles, and keep them in the"
+        " map as such. Off: every segment is a circle, as in the paper (no unit).",
     )
     ellipses: bool = Field(
         True,
@@ -38,8 +38,8 @@ class ShapeConfig(Config):
         0.03,
         gt=0,
         le=1,
-        description="Standard deviation of how far the outline of such an object departs from the"
-        " circle that stands for it, added to its covariance [m].",
+        description="Standard deviation of the distance between the outline of such an object and"
+        " the circle that represents it, added to its covariance [m].",
     )
     min_hits: int = Field(
         6,

@@ -76,7 +76,7 @@ def command(
         soft_wrap=True,
     )
     if result.ended_by is not None:
-        errors.print("interrupted: the same command goes on from here")
+        errors.print("interrupted: run the same command to resume")
         raise typer.Exit(INTERRUPTED)
     if summary["failed"]:
         raise typer.Exit(FAILED)

@@ -51,7 +51,7 @@ def show(
     use: UseOption = None,
     preset: PresetOption = None,
     changed: Annotated[
-        bool, typer.Option("--changed", help="Only what differs from the defaults.")
+        bool, typer.Option("--changed", help="Only values that differ from the defaults.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
 ) -> None:

@@ -75,7 +75,7 @@ def command(
     formats: Annotated[
         bool,
         typer.Option(
-            "--formats", callback=_print_formats, is_eager=True, help="List what can be written."
+            "--formats", callback=_print_formats, is_eager=True, help="List the output formats."
         ),
     ] = False,
 ) -> None:
@@ -142,7 +142,7 @@ def _refuse(options: dict[str, Any], what: str) -> None:
     from lidar_core.errors import ConfigError
 
     for name in options:
-        raise ConfigError(f"--{name.replace('_', '-')}: says nothing about {what}")
+        raise ConfigError(f"--{name.replace('_', '-')}: does not apply to {what}")
 
 
 def _write_recording(

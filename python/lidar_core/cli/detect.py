@@ -80,10 +80,10 @@ def command(
 
 
 SKY = {
-    "given": "of the rays: the recording tells which met nothing",
-    "pattern": "of the rays: found from the rows of the sensor",
-    "density": "of the rays: found from the density of the returns",
-    "unknown": "not known: objects before open sky are not found",
+    "given": "of the rays: the recording marks rays without return",
+    "pattern": "of the rays: estimated from the rows of the sensor",
+    "density": "of the rays: estimated from the density of the returns",
+    "unknown": "not known: objects in front of open sky are not found",
 }
 """What `frame.status.sky` says, for people."""
 

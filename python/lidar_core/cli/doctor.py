@@ -137,4 +137,4 @@ def _listed(packages: dict[str, str | None]) -> str:
 
 def _cure(extra: str) -> str:
     command = install_command(extra)
-    return f"in an environment of its own: {command}" if extra in _ALONE else command
+    return f"in a separate environment: {command}" if extra in _ALONE else command

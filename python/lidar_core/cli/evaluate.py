@@ -42,11 +42,11 @@ PREDICTED = (
 )
 TRUE = "NAME.truth.csv of simulate, the recording beside it, a demo's folder, or such a table."
 GATE = "An estimate further from every target is false \\[m]."
-MAX_DISTANCE = "Targets further from the sensor need not be found \\[m]."
-MIN_HITS = "Targets with fewer points need not be found."
-BURN_IN = "First scans, in which no target need be found; by default what the run's folder says."
+MAX_DISTANCE = "Targets further from the sensor do not count \\[m]."
+MIN_HITS = "Targets with fewer points do not count."
+BURN_IN = "Number of first scans that do not count; default: the burn-in of the run."
 SET = "Single value of the configuration, such as order=1; may be repeated."
-IDENTITIES = "HOTA, MOTA and IDF1; by default if the extra `eval` is there."
+IDENTITIES = "HOTA, MOTA and IDF1; default: yes, if the extra `eval` is installed."
 
 
 def command(

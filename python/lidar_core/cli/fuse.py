@@ -37,8 +37,8 @@ RECORDING = (
 )
 MODEL = "How targets move: cv, ca, ct, ctrv, ctra, ctrv-drone, paper."
 METHOD = "Filter: kf, ekf, ukf, ckf, imm."
-ASSOCIATION = "Of many targets: nearest, or joint (JPDA)."
-LAG = "Smooth: every state knows what came up to this much later \\[s]."
+ASSOCIATION = "For many targets: nearest, or joint (JPDA)."
+LAG = "Smooth: use measurements up to this much later for every state \\[s]."
 COLUMN = "Name of a table's column, such as x=pos_x; may be repeated."
 TOPIC = "Topic of a ROS recording, such as radar=/front or pose=/odom; may be repeated."
 TIME_UNIT = "Unit of a table's times: ns, us, ms or s."
@@ -138,7 +138,7 @@ def _many_rows(summary: Mapping[str, Any]) -> list[Row | None]:
         empty = f"{summary['gospa_empty']['distance']:.1f} m"
         rows += [
             Row("GOSPA", f"{summary['gospa']['distance']:.1f} m", remark),
-            Row("GOSPA of an empty output", empty, "without a single track"),
+            Row("GOSPA of an empty output", empty, "no tracks at all"),
         ]
     return [*rows, None, Row("time per scan", f"{summary['us_per_scan']:.0f} us", "")]
 

@@ -39,7 +39,7 @@ def _print_formats(wanted: bool) -> None:
 
 def command(
     recording: Annotated[
-        Path, typer.Argument(help="File or folder to look into; --formats lists what can be read.")
+        Path, typer.Argument(help="File or folder to inspect; --formats lists the formats.")
     ],
     point_time: PointTime = None,
     no_return: NoReturn = None,
@@ -51,7 +51,7 @@ def command(
     formats: Annotated[
         bool,
         typer.Option(
-            "--formats", callback=_print_formats, is_eager=True, help="List what can be read."
+            "--formats", callback=_print_formats, is_eager=True, help="List the input formats."
         ),
     ] = False,
 ) -> None:

@@ -76,7 +76,7 @@ def command(
             if str(json) != "-":  # a file holds what is finished, at any time
                 write_json(done if item == ALL else done[0], json)
     except KeyboardInterrupt as stop:
-        errors.print("interrupted: the same command goes on from here")
+        errors.print("interrupted: run the same command to resume")
         raise typer.Exit(INTERRUPTED) from stop
     if str(json) == "-":
         write_json(done if item == ALL else done[0], json)

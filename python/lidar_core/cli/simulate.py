@@ -45,7 +45,7 @@ def command(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of noise and random motions.")] = 0,
     scans: Annotated[
-        int | None, typer.Option(min=1, help="Length; without it as the scene says.")
+        int | None, typer.Option(min=1, help="Number of scans; default: that of the scene.")
     ] = None,
     threads: Annotated[
         int | None,
@@ -56,7 +56,7 @@ def command(
     """Simulate SCENE into a recording; beside it truth.csv, scene.toml and run.toml."""
     if scene == OVERFLIGHT:
         for name in given({"sensor": sensor, "threads": threads}):
-            raise ConfigError(f"--{name}: says nothing about overflight")
+            raise ConfigError(f"--{name}: does not apply to overflight")
         _overfly(output, seed, scans, json=json)
         return
     from dataclasses import asdict

@@ -70,7 +70,7 @@ def circles(
                 on_epoch=on_epoch,
             )
     except KeyboardInterrupt:
-        errors.print("interrupted: the same command goes on from the last checkpoint")
+        errors.print("interrupted: run the same command to resume from the last checkpoint")
         raise typer.Exit(INTERRUPTED) from None
     _draw(output, errors)
     for part in ("validation", "test"):
@@ -125,7 +125,7 @@ def export(
     if listed is None:
         print("It runs with --trust-model or allow_untrusted=True: no list of trusted models here.")
     else:
-        print(f"Trusted from now on by this user, as {listed} says; others need --trust-model.")
+        print(f"Trusted from now on by this user (listed in {listed}); others need --trust-model.")
 
 
 app.command("circles", help=help_text(circles))(circles)

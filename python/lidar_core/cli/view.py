@@ -65,9 +65,9 @@ def command(
     ]
     if len(chosen) > 1:
         named = ", ".join(f"--{name}" for name in chosen)
-        raise ConfigError(f"view: expected one way to look at it, got {named}")
+        raise ConfigError(f"view: expected at most one viewer or file, got {named}")
     if at is not None and png is None:
-        raise ConfigError("at: says which time --png draws, got no --png")
+        raise ConfigError("at: selects the time of --png, got no --png")
     played = Playback(run)
     if png is not None:
         print(draw_moment(played, png, at=at))

@@ -150,9 +150,9 @@ class ClassifyConfig(Config):
     )
     own_voxels: Literal["expanded", "paper"] = Field(
         "expanded",
-        description="expanded: the search goes on from the voxels that hold the cluster even where"
-        " they are free, so that a wall seen at a grazing angle is not taken for a flying object;"
-        " paper: not (no unit).",
+        description="expanded: the search continues from the voxels of the cluster even if they are"
+        " free, so that a wall seen at a grazing angle is not detected as flying; paper: it does"
+        " not (no unit).",
     )
     max_extent: float | None = Field(
         2.0,
@@ -187,8 +187,8 @@ class ClassifyConfig(Config):
         0.625,
         ge=0,
         le=1,
-        description="A flying object has at least this share of free voxels among the neighbours"
-        " of its own: those behind it may be hidden, not the others (share, no unit).",
+        description="A flying object has at least this share of free voxels around its own voxels:"
+        " only the neighbours behind it may be hidden (share, no unit).",
     )
     upright_height: float | None = Field(
         1.2,
@@ -199,8 +199,8 @@ class ClassifyConfig(Config):
     )
     follow_tracks: bool = Field(
         True,
-        description="Unknown clusters that a confirmed track follows are flying objects, however"
-        " little is known of what is around them (no unit).",
+        description="Unknown clusters that continue a confirmed track are flying objects, even if"
+        " their surroundings are not known (no unit).",
     )
     fill_pockets: bool = Field(
         False,
@@ -333,8 +333,8 @@ class FlyingConfig(Config):
         2.0,
         ge=0,
         le=100,
-        description="Rays clear this much further than `voxel_map.max_range`, so that what is"
-        " around a target at that range has been observed [m].",
+        description="Rays clear this much further than `voxel_map.max_range`, so that the space"
+        " around a target at that range is observed [m].",
     )
     position: Literal["center", "paper"] = Field(
         "center",
@@ -358,11 +358,11 @@ class FlyingConfig(Config):
         0.5,
         gt=0,
         le=1,
-        description="A scan with a larger share of returns in free space is held (share, no unit);"
-        " none: never.",
+        description="A scan with a larger share of returns in free space does not change the map"
+        " (share, no unit); none: every scan does.",
     )
     forget_distance: float | None = Field(
-        None, gt=0, description="The map forgets what is further from the sensor [m]."
+        None, gt=0, description="The map forgets blocks that are further from the sensor [m]."
     )
     on_bad_scan: Literal["raise", "count"] = Field(
         "raise", description="What to do with a scan that cannot be used (no unit)."

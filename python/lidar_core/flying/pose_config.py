@@ -19,15 +19,15 @@ class PoseConfig(Config):
     )
     angle_std: tuple[_Std, _Std, _Std] = Field(
         (0.0, 0.0, 0.0),
-        description="The same of the angles about x, y, z of R = Rz Ry Rx [rad]; if all six are 0,"
-        " poses are taken for certain.",
+        description="Standard deviations of the angles about x, y, z of R = Rz Ry Rx [rad]; if all"
+        " six standard deviations are 0, poses are exact.",
     )
     weighting: Literal["off", "ends", "spread"] = Field(
         "ends",
-        description="Where poses are uncertain, rays that hit something end earlier, for they must"
-        " not clear what their ends may lie in (ends); and a point of the background also pulls"
-        " every voxel that it may lie in, each by the probability of that (spread); or the map is"
-        " updated as if poses were certain (off) (no unit).",
+        description="Effect of uncertain poses. ends: rays with a return end earlier, because they"
+        " must not clear the voxels that may contain their ends; spread: in addition, a point of"
+        " the background updates every voxel that may contain it, weighted by the probability;"
+        " off: the map is updated as if poses were exact (no unit).",
     )
     end_sigmas: float = Field(
         3.0,

@@ -43,7 +43,7 @@ class TrackerConfig(Config):
         ge=0,
         le=10,
         description="A centroid this close to an occupied voxel's centre is background, d_min [m];"
-        " the paper gives no value, its mode takes 1.0 m.",
+        " the paper gives no value; paper mode uses 1.0 m.",
     )
     occupied_adds_extent: bool = Field(
         False,
@@ -76,8 +76,8 @@ class TrackerConfig(Config):
     unseen_acceleration_time: float | None = Field(
         0.3,
         gt=0,
-        description="The same while a track goes on without measurements [s]; none, as in the"
-        " paper: no other.",
+        description="`acceleration_time` while a track continues without measurements [s]; none, as"
+        " in the paper: the same value.",
     )
     process_noise: Literal["paper", "continuous"] = Field(
         "continuous",
@@ -131,8 +131,8 @@ class TrackerConfig(Config):
         gt=0,
         le=1,
         description="A cluster with a side shorter than this share of the track's usual one is"
-        " partly hidden, unless the scan shows that nothing nearer is beside it: what is missing is"
-        " added to its standard deviation (share, no unit); none, as in the paper: never; global"
+        " partly hidden, unless the scan shows that nothing nearer is beside it: the missing part"
+        " is added to its standard deviation (share, no unit); none, as in the paper: never; global"
         " association.",
     )
     size_time: float = Field(
@@ -174,8 +174,8 @@ class TrackerConfig(Config):
         3,
         ge=1,
         le=64,
-        description="A track is reported once so many of the last `confirm_window` sets of"
-        " detections held it (count, no unit); paper: 1.",
+        description="A track is reported once it has a detection in this many of the last"
+        " `confirm_window` sets of detections (count, no unit); paper: 1.",
     )
     confirm_window: int = Field(
         10, ge=1, le=64, description="Sets of detections looked back on (count, no unit)."
@@ -199,15 +199,15 @@ class TrackerConfig(Config):
         0.3,
         ge=0,
         le=10,
-        description="But only while the newest scan shows that nothing is this near to where it"
-        " began: what leaps along the leaves of a tree, or shows itself in a gap that glides along,"
-        " has moved as well [m].",
+        description="But only while the newest scan shows that nothing is this near to its start."
+        " Otherwise leaves of a tree that appear one after the other, or a surface behind a moving"
+        " gap, would count as moved [m].",
     )
     confirm_still_hits: int = Field(
         10,
         ge=1,
         le=64,
-        description="So many weak detections confirm a track that stands still (count, no unit).",
+        description="This many weak detections confirm a static track (count, no unit).",
     )
     confirm_still_window: int = Field(
         20, ge=1, le=64, description="Sets of detections looked back on for them (count, no unit)."
@@ -223,8 +223,8 @@ class TrackerConfig(Config):
     )
     ageing: Literal["paper", "visible"] = Field(
         "visible",
-        description="When a track without a cluster grows towards removal: always, Algorithm 2, or"
-        " only while its region should give returns (no unit).",
+        description="When the uncertainty of a track without a cluster grows towards removal:"
+        " always (Algorithm 2), or only while its region should give returns (no unit).",
     )
     max_coast: float = Field(
         3.0,

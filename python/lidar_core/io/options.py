@@ -145,7 +145,7 @@ class PoseOptions(Span):
     max_extrapolation: float = Field(
         0.1,
         ge=0,
-        description="How long the first or last pose is held before or after its time [s].",
+        description="How long the first and last pose are used before and after their times [s].",
     )
 
     @field_validator("mounting")

@@ -59,5 +59,5 @@ class ScanOdometry:
         except InputError as error:
             raise NoTransformError("KISS-ICP: a scan not later than the one before") from error
         if placed is None:
-            raise NoTransformError("KISS-ICP lost its way")
+            raise NoTransformError("KISS-ICP lost track")
         return PosedScan(scan, placed.poses, placed.stamps_ns, placed.covariance)

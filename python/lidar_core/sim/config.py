@@ -20,7 +20,7 @@ class Body(Config):
     position: Vector = Field((0, 0, 0), description="Origin of the shape's frame [m].")
     rotation: Quaternion = Field((0, 0, 0, 1), description="Attitude (x, y, z, w) (no unit).")
     surface: Surface | None = Field(
-        None, description="How it answers light; none: every ray returns (see there for units)."
+        None, description="Reflection of light; none: every ray returns (see there for units)."
     )
 
 
@@ -30,20 +30,20 @@ class Target(Config):
     shape: Solid = Field(description="Surface (see the kinds for units).")
     motion: Motion = Field(description="Way (see the kinds for units).")
     surface: Surface | None = Field(
-        None, description="How it answers light; none: every ray returns (see there for units)."
+        None, description="Reflection of light; none: every ray returns (see there for units)."
     )
     clutter: bool = Field(
         False,
-        description="An insect, a bird: it gives returns with its own label, but is no target of"
-        " the truth (no unit).",
+        description="An insect or a bird: it gives returns with its own label, but is not in the"
+        " ground truth (no unit).",
     )
 
 
 class Scene(Config):
-    """A world, a sensor in it, and how long it looks."""
+    """A world with a sensor, and the number of scans."""
 
-    bodies: tuple[Body, ...] = Field((), description="What stands (see there for units).")
-    targets: tuple[Target, ...] = Field((), description="What moves (see there for units).")
+    bodies: tuple[Body, ...] = Field((), description="Static bodies (see there for units).")
+    targets: tuple[Target, ...] = Field((), description="Moving targets (see there for units).")
     air: tuple[Particles, ...] = Field(
         (), max_length=256, description="Rain, dust and fog (see the kinds for units)."
     )

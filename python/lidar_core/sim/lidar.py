@@ -70,8 +70,8 @@ class Beam(Config):
     lines: int = Field(9, ge=2, le=64, description="Lines that stand for the beam (no unit).")
     returns: Literal["first", "mean", "mixed"] = Field(
         "first",
-        description="What is reported: the nearest of what the beam meets, the mean of it, or the"
-        " mean of what is less than `pulse_length` behind the nearest (no unit).",
+        description="Reported range: of the nearest surface that the beam hits (first), the mean of"
+        " all (mean), or of those less than `pulse_length` behind the nearest (mixed) (no unit).",
     )
     pulse_length: float = Field(
         0.3, gt=0, description="Echoes nearer to one another than this become one [m]."
@@ -104,16 +104,16 @@ class LidarModel(Config):
     )
     delivery: Literal["rays", "dropped", "zeros", "organised"] = Field(
         "rays",
-        description="What the driver makes of rays without return, of a 3D LiDAR: all rays known"
-        " with their directions, rows left out, rows (0, 0, 0), or rows of NaN; but for the first"
-        " without directions and without a mask (no unit).",
+        description="How the driver of a 3D LiDAR delivers rays without return: as known rays with"
+        " directions (rays), not at all, as rows (0, 0, 0), or as rows of NaN; only rays has"
+        " directions and a mask (no unit).",
     )
     point_times: bool = Field(
         True, description="Whether the driver gives a time per point (no unit)."
     )
     ideal: bool = Field(
         False,
-        description="All rays known, with directions and times, whatever the driver delivers"
+        description="Deliver all rays with directions and times, instead of the driver's data"
         " (no unit).",
     )
     beam: Beam | None = Field(

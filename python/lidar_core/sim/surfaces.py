@@ -18,13 +18,16 @@ class Surface(Config):
     """
 
     reflectivity: float = Field(
-        0.3, ge=0, description="Scattered back at normal incidence (no unit)."
+        0.3, ge=0, description="Share scattered back at normal incidence (no unit)."
     )
     mirror: float = Field(
-        0.0, ge=0, le=1, description="Mirrored at normal incidence; 0: never (no unit)."
+        0.0, ge=0, le=1, description="Share mirrored at normal incidence; 0: never (no unit)."
     )
     clear: float = Field(
-        0.0, ge=0, le=1, description="Passed on, of what is not mirrored (no unit)."
+        0.0,
+        ge=0,
+        le=1,
+        description="Share of the light that is not mirrored and passes through (no unit).",
     )
 
 

@@ -51,7 +51,7 @@ def refusal(
     """
     if len(hosts) != 1 or _host_of(f"//{next(iter(hosts))}") not in LOCAL_NAMES:
         named = ", ".join(repr(host[:LONGEST]) for host in hosts) or "none"
-        return f"asked for host {named}; this server is 127.0.0.1 or localhost"
+        return f"requested host {named}; this server accepts 127.0.0.1 and localhost"
     if len(origins) > 1:
         return "several origins"
     for origin in origins:

@@ -427,7 +427,7 @@ def test_ctrl_c_leaves_whole_files_and_the_same_command_goes_on(batch):
     process.send_signal(signal.SIGINT)
     output = process.communicate(timeout=120)[0]
     assert process.returncode == 130, output
-    assert "interrupted: the same command goes on from here" in output
+    assert "interrupted: run the same command to resume" in output
     done = [name for name, one in records(folder).items() if one["status"] == "done"]
     assert 1 <= len(done) < 8
     assert set(read_columns(next(folder.glob("results.*")))["job"]) >= set(done)

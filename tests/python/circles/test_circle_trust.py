@@ -206,7 +206,7 @@ def test_foreign_operators_and_functions_are_refused(tmp_path):
     path = tmp_path / "a.onnx"
     with pytest.raises(FormatError, match=r"operator Run of 'com\.evil' is none of ONNX's own"):
         check_graph(path, model(node("Run", domain="com.evil")))
-    with pytest.raises(FormatError, match="expected one graph, got a function"):
+    with pytest.raises(FormatError, match="expected one graph, got also a function"):
         check_graph(path, model(node("Identity"), more=entry(25, entry(7, node("Loop")))))
     check_graph(path, model(node("Identity", domain="ai.onnx")))
 

@@ -52,7 +52,7 @@ def test_the_command_refuses_what_it_cannot_write(tmp_path):
     for option, value in (("--sensor", "vlp-16"), ("--threads", 1)):
         out = run_command("overflight", "-o", tmp_path / "x.csv", option, value)
         assert isinstance(out.exception, ConfigError)
-        assert f"{option}: says nothing about overflight" in str(out.exception)
+        assert f"{option}: does not apply to overflight" in str(out.exception)
     assert list(tmp_path.iterdir()) == []
 
 

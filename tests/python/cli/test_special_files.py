@@ -187,7 +187,7 @@ def test_the_command_says_so_in_a_line(place, kind):
         check=False,
     )
     assert done.returncode == 2
-    told = f"expected a regular file, got a {kind}; save what it gives to a file first"
+    told = f"expected a regular file, got a {kind}; save its data to a file first"
     assert done.stderr == f"error: {path}: {told}\n"
 
 

@@ -189,6 +189,15 @@ def test_every_configuration_model_can_be_reached_by_name():
     assert missing == [], "name the model in lidar_core.parameters.MODELS"
 
 
+def test_the_citation_is_of_this_version_and_invents_no_author():
+    text = text_of("CITATION.cff")
+    assert re.search(r"^version: (.*)$", text, re.MULTILINE)[1] == lidar_core.__version__
+    own, _, papers = text.partition("references:")
+    assert "Placeholder" in own
+    assert "given-names" not in own
+    assert papers.count("doi:") == 2
+
+
 def test_the_schema_is_the_golden_one():
     golden = json.loads(text_of("tests/golden/config.schema.json"))
     now = {name: model_named(name).model_json_schema() for name in MODELS}

@@ -1046,7 +1046,7 @@ def test_a_channel_that_stays_unknown_is_given_up():
         time.sleep(0.3)
         source.close()
     assert asked == [[4]] * 10
-    told = f"{place}, channel /none: the server told of it, but does not know it"
+    told = f"{place}, channel /none: the server announced it, but does not accept a subscription"
     assert source.findings.notes == [told]
 
 
@@ -1357,8 +1357,8 @@ def test_a_port_in_use_is_an_error_with_its_cure(circles):
         (["--in", "udp:0", "--pose", "a.txt"], "expected auto, static or kiss for a live stream"),
         (["--in", "udp:0", "--cloud", "/a", "--scan", "/b"], "expected topics of one sort"),
         (["--in", "udp:0", "--scan", "/b", "--capability", "flying"], "flying does not read /b"),
-        (["--in", "udp:0", "--map", "a.pcd", "--scan", "/b"], "map: is for flying objects in clou"),
-        (["--in", "udp:0", "--map", "a.pcd", "--capability", "circles"], "map: is for flying obj"),
+        (["--in", "udp:0", "--map", "a.pcd", "--scan", "/b"], "map: applies only to flying objec"),
+        (["--in", "udp:0", "--map", "a.pcd", "--capability", "circles"], "map: applies only to f"),
         (["--in", "foxglove:http://a"], "expected an address such as ws://.*, got 'http://a'"),
         (
             ["--in", "udp:0", "--stream", "bogus=1"],

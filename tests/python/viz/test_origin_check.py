@@ -52,7 +52,7 @@ def test_programs_and_pages_that_may_connect(host, origin):
     ],
 )
 def test_a_foreign_host_is_refused_as_dns_rebinding(host):
-    assert "this server is 127.0.0.1 or localhost" in refusal([host], [])
+    assert "this server accepts 127.0.0.1 and localhost" in refusal([host], [])
     same = f"http://{host}"
     assert refusal([host], [same], {same}) is not None
 

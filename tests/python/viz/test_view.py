@@ -214,9 +214,9 @@ def test_films_are_mp4_where_ffmpeg_is(circles, tmp_path):
 
 def test_one_way_to_look_at_a_time(circles, tmp_path):
     refused = invoke("view", circles, "--web", "--png", tmp_path / "a.png")
-    assert "expected one way to look at it, got --web, --png" in str(refused.exception)
+    assert "expected at most one viewer or file, got --web, --png" in str(refused.exception)
     refused = invoke("view", circles, "--at", "1")
-    assert "says which time --png draws" in str(refused.exception)
+    assert "selects the time of --png" in str(refused.exception)
 
 
 def test_foxglove_gets_every_message_as_it_is_stored(circles, monkeypatch):

@@ -101,7 +101,7 @@ class CircleNetwork:
         name = self.path.stem if self.path.parent == MODELS else self.path.name
         raise ConfigError(
             f"{place}: the network {name} was trained for {_told(self._scanner)}, got"
-            f" {_told(scanner)}; use a fit in its place, which is for any scanner, as in"
+            f" {_told(scanner)}; use a fit, which works with any scanner, such as"
             " set detector=taubin, or train the network for this scanner"
             " (lidar-core train circles)"
         )
@@ -195,8 +195,8 @@ class CircleNetwork:
         inside = (beam >= 0) & (beam < known.n_beams)
         if np.bincount(owner[inside], minlength=count).min(initial=1) == 0:
             raise InputError(
-                f"bearings: {self.path.name} knows {np.degrees(known.field_of_view):.0f} degrees"
-                f" from {np.degrees(known.angle_min):.0f} on, an object lies outside of them"
+                f"bearings: {self.path.name} covers {np.degrees(known.field_of_view):.0f} degrees"
+                f" from {np.degrees(known.angle_min):.0f} on; an object is outside of this range"
             )
         scans = np.full((count, known.n_beams), np.inf, np.float32)
         place = owner[inside], beam[inside]

@@ -63,7 +63,7 @@ def _check_message(path: Path, kind: str, fields: list[tuple[int, int | bytes]])
     if kind == "inner":
         raise FormatError(f"{path}: control flow (Loop, Scan, If) is refused: a graph in a graph")
     if kind in ("function", "training"):
-        raise FormatError(f"{path}: expected one graph, got a {kind} of its own as well")
+        raise FormatError(f"{path}: expected one graph, got also a {kind}")
     is_external = any(number == _DATA_LOCATION and value != 0 for number, value in fields)
     if kind == "tensor" and (is_external or _EXTERNAL_DATA in numbers):
         raise FormatError(f"{path}: weights in another file (external data) are refused")

@@ -20,20 +20,20 @@ _POSE = (
     "auto: transforms or odometry of the recording; static: the sensor does not move; kiss:"
     " by KISS-ICP; else a poses file, KITTI or TUM."
 )
-_MOUNTING = "Where a sensor sits: PARENT FRAME x y z roll pitch yaw \\[m, rad]; may be repeated."
+_MOUNTING = "Mounting of a sensor: PARENT FRAME x y z roll pitch yaw \\[m, rad]; may be repeated."
 _SET = "Single value, as SECTION.NAME=VALUE of `config show`; may be repeated."
 _CONFIG = "TOML file; the run.toml of an earlier run is also accepted."
-_START = "Leave out what comes before, from the first stamp \\[s]."
-_END = "Leave out what comes after, likewise \\[s]."
-_MCAP = "Write run.mcap for viewers; by default if the extra `viz` is there."
+_START = "Start this long after the first stamp \\[s]."
+_END = "End this long after the first stamp \\[s]."
+_MCAP = "Write run.mcap for viewers; default: yes, if the extra `viz` is installed."
 
 _POINT_TIME = "Time of each point as field:unit:reference, auto or none."
-_NO_RETURN = "What marks a ray without return: auto, zero, nan, max or none."
+_NO_RETURN = "Mark of rays without return: auto, zero, nan, max or none."
 _METADATA = "JSON file of an Ouster capture, if not beside it."
-_RECOVER = "Read what is whole in an MCAP that was cut or not closed."
+_RECOVER = "Read the complete parts of an MCAP that was cut or not closed."
 
 _STAMPS = "Times of scans: own, recorded (when they were stored) or counted (by --scan-rate)."
-_SCAN_RATE = "Scans per second where times are counted, or of a folder without times \\[Hz]."
+_SCAN_RATE = "Scans per second for counted times, or for a folder without times \\[Hz]."
 
 RecordingPath: TypeAlias = Annotated[Path, typer.Argument(help="File or folder to read.")]
 Output: TypeAlias = Annotated[

@@ -118,8 +118,8 @@ def latency_rows(latency: "Latency") -> list[Row | None]:
 
 
 CAUSES = (
-    "likely causes: noise of ranges or poses that is told wrong, clocks of truth and recording that"
-    " differ, another point of the object than its centre as truth"
+    "likely causes: wrong noise settings for ranges or poses, different clocks of ground truth and"
+    " recording, ground truth of another point than the object's centre"
 )
 
 

@@ -209,7 +209,7 @@ def _laszip_record(place: str, data: bytes, head: Head) -> bytes:
         if (user.rstrip(b"\0"), number) == _LASZIP and at + length <= head.points_at:
             return data[at : at + length]
         at += length
-    raise FormatError(f"{place}: compressed, but no record of LASzip says how")
+    raise FormatError(f"{place}: compressed, but the record of LASzip is missing")
 
 
 def _span(place: str, data: bytes, head: Head, packing: Packing) -> tuple[int, int]:

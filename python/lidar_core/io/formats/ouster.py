@@ -30,7 +30,7 @@ NO_RETURN = "zero: range 0 in a received column"
 POINT_TIME = "of each column, by the sensor's clock"
 INSTALL = (
     "reading Ouster recordings needs the package 'ouster-sdk', whose pins clash with other extras:"
-    " give it an environment of its own: python -m venv ouster && ouster/bin/"
+    " create a separate environment: python -m venv ouster && ouster/bin/"
 )
 
 
@@ -217,7 +217,7 @@ class _OusterFrames(Recording):
     [".pcap", ".pcapng", ".bag"],
     sniff=holds_ouster_packets,
     extra="ouster",
-    note="captures with their .json; an environment of its own",
+    note="captures with their .json; needs its own environment",
 )
 class OusterRecording(_OusterFrames):
     """A packet capture with its JSON file, or a bag of packets."""

@@ -54,7 +54,7 @@ class NoReturnRule:
             return
         if self.options.no_return != "auto":
             self.convention = self.options.no_return
-            self.verdict = f"{self.convention}, as the option no_return says"
+            self.verdict = f"{self.convention}, set by the option no_return"
         elif zeros:
             self.convention = "zero"
             self.verdict = f"zero: {zeros} of {rows} rows of a scan are zeros"
@@ -96,12 +96,12 @@ class PointTimeRule:
     def _decide(self, fields: dict[str, NDArray[Any]], stamp_ns: int, place: str) -> None:
         choice = self.options.point_time
         if choice == "none":
-            self.decided, self.verdict = True, "ignored, as the option point_time says"
+            self.decided, self.verdict = True, "ignored, set by the option point_time"
             return
         if choice != "auto":
             name, unit, reference = choice.split(":")
             self.rule, self.decided = (name, unit, reference), True
-            self.verdict = f"{choice}, as the option point_time says"
+            self.verdict = f"{choice}, set by the option point_time"
             return
         names = [name for name in TIME_FIELDS if name in fields]
         if not names:

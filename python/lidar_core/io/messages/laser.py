@@ -59,7 +59,7 @@ class RangeRule:
             return
         if self.options.no_return != "auto":
             self.convention = self.options.no_return
-            self.verdict = f"{self.convention}, as the option no_return says"
+            self.verdict = f"{self.convention}, set by the option no_return"
             return
         seen = (
             ("inf", infinite, "are +inf"),
@@ -112,7 +112,7 @@ class LaserDecoder:
         step = raw.time_increment_ns
         sweep = abs(step) * (len(raw.ranges) - 1) * 1e-9
         if self._options.point_time == "none":
-            return 0, "ignored, as the option point_time says"
+            return 0, "ignored, set by the option point_time"
         if step == 0:
             return 0, "none: time_increment is zero"
         what = f"time_increment of {step} ns, a sweep of {1e3 * sweep:.3g} ms"

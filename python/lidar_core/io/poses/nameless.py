@@ -86,8 +86,8 @@ def carrier_of(
     ]
     choices = " or ".join(f"mounting='{text}'" for text in texts)
     raise UnclearCarrierError(
-        f"odom: poses of {topic!r} name no frame of their own; they may be those of"
-        f" {' or '.join(carriers)}, which carry {frame!r}: say which with {choices}",
+        f"odom: poses of {topic!r} do not name their frame; it may be"
+        f" {' or '.join(carriers)}, which carry {frame!r}: select one with {choices}",
         texts,
     )
 

@@ -185,13 +185,13 @@ class KissOdometry:
         self._lost_in_a_row += 1
         if self._lost_in_a_row == 1:
             self._warn(
-                f"KISS-ICP lost its way at {cloud.stamp_ns} ns: {reason}; the scan is left out"
+                f"KISS-ICP lost track at {cloud.stamp_ns} ns: {reason}; the scan is left out"
             )
         if self._lost_in_a_row < LOST_IN_A_ROW or self._last is None or not len(cloud.points):
             return None
         self._warn(
-            f"KISS-ICP begins anew at {cloud.stamp_ns} ns, after {self._lost_in_a_row} scans that"
-            " it could not place: what is mapped from here on does not fit what was before"
+            f"KISS-ICP restarts at {cloud.stamp_ns} ns, after {self._lost_in_a_row} scans that it"
+            " could not align: the map from here on does not fit the map before"
         )
         self._lost_in_a_row = 0
         return self._begin(cloud, self._last.pose)
@@ -381,6 +381,6 @@ def placed_scans(
     for scan in chain(held, source):
         placed = odometry.place(scan)
         if placed is None:
-            left_out["KISS-ICP lost its way"] += 1
+            left_out["KISS-ICP lost track"] += 1
         else:
             yield scan, placed

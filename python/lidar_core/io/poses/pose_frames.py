@@ -187,7 +187,7 @@ def _shares(
 def advice(verdict: Verdict, *, frame: str, source: str) -> str:
     """The verdict in words, with the cure."""
     fits = (
-        f"{verdict.found:.0%} of the points of one scan then meet those of another, as given"
+        f"{verdict.found:.0%} of the points of one scan then fit another scan, with the given poses"
         f" {verdict.given:.0%}"
     )
     turn, angles = verdict.turn, _angles(verdict.turn)
@@ -199,8 +199,8 @@ def advice(verdict: Verdict, *, frame: str, source: str) -> str:
             []
             if is_own
             else [
-                f"say how the LiDAR sits on what the poses are of: {mounting}, with"
-                " its place in metres instead of 0 0 0"
+                f"state the mounting of the LiDAR on the body of the poses: {mounting}, with"
+                " its position in metres instead of 0 0 0"
             ]
         ),
     ]

@@ -230,7 +230,7 @@ class FoxgloveSource(Source):
         if self._tries[number] >= MAX_TRIES:
             self.findings.note(
                 f"{self._address}, channel {self._channels[number].topic.name}:"
-                " the server told of it, but does not know it"
+                " the server announced it, but does not accept a subscription"
             )
             return
         self._refused.add(number)

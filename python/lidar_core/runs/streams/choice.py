@@ -45,7 +45,7 @@ class PipelineChoice:
             if named and self.capability == wanted:
                 raise ConfigError(f"capability: {wanted} does not read {', '.join(named)}")
         if self.known_map is not None and not self.wants_clouds:
-            raise ConfigError("map: is for flying objects in clouds, got 2D scans")
+            raise ConfigError("map: applies only to flying objects in clouds, got 2D scans")
 
     @property
     def wants_clouds(self) -> bool:

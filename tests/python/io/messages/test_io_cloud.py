@@ -145,7 +145,7 @@ def test_the_option_overrides_the_detection(choice, mask):
         assert scan.no_return is None
     else:
         np.testing.assert_array_equal(scan.no_return, np.array(mask, bool))
-    assert "as the option no_return says" in findings.no_return["/points"]
+    assert "set by the option no_return" in findings.no_return["/points"]
 
 
 def test_the_convention_is_kept_for_later_scans():
@@ -189,7 +189,7 @@ def test_stated_reference_end():
     scan, findings = decode(rows_of([[1, 1, 1], [2, 2, 2]], t=values), point_time="t:us:end")
     np.testing.assert_array_equal(scan.point_time_ns, [BASE_NS - 100_000_000, BASE_NS])
     assert scan.stamp_ns == BASE_NS - 100_000_000
-    assert findings.point_time["/points"] == "t:us:end, as the option point_time says"
+    assert findings.point_time["/points"] == "t:us:end, set by the option point_time"
 
 
 def test_times_that_fit_no_unit_are_ignored_in_words():

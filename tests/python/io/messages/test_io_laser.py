@@ -78,7 +78,7 @@ def test_conventions_are_detected(ranges, expected, verdict):
 def test_the_option_overrides_the_detection(choice, expected):
     scan, findings = decode(sweep([1, 0, NAN, INF, 10]), no_return=choice)
     np.testing.assert_array_equal(scan.ranges, np.array(expected, np.float32))
-    assert "as the option no_return says" in findings.no_return["/scan"]
+    assert "set by the option no_return" in findings.no_return["/scan"]
 
 
 def test_nothing_beyond_the_range_tells_nothing_where_no_mark_is_wanted():

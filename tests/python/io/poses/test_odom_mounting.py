@@ -110,7 +110,7 @@ LEVEL = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 def test_two_frames_that_carry_the_sensor_are_a_question_with_two_answers(tmp_path):
     static = [("base_footprint", "base_link", RAISED), ("base_link", "laser", AHEAD)]
     path = bag(tmp_path, static=static)
-    with pytest.raises(ConfigError, match="may be those of base_link or base_footprint") as asked:
+    with pytest.raises(ConfigError, match="it may be base_link or base_footprint") as asked:
         poses_of(path, odom="/odom")
     answers = [text.split("'")[0] for text in str(asked.value).split("mounting='")[1:]]
     assert len(answers) == 2
@@ -243,7 +243,7 @@ def test_a_stream_asks_which_frame_is_meant():
     poses = LivePoses(PoseOptions(odom="/odom"), LiveConfig())
     for text in ("base_footprint base_link 0 0 0.1 0 0 0", "base_link laser 1 0 0 0 0 0"):
         poses.add(TREE, mounting_of(text), "laser")
-    with pytest.raises(ConfigError, match="may be those of base_link or base_footprint"):
+    with pytest.raises(ConfigError, match="it may be base_link or base_footprint"):
         poses.add(ODOM, Pose(100, "odom", "", np.eye(4)), "laser")
 
 

@@ -219,10 +219,10 @@ def test_the_command_says_what_is_wrong(source, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "error", "text"),
     [
-        (("b.mcap", "--class", "x"), ConfigError, "--class: says nothing about a recording"),
-        (("b.mcap", "--resolution", 1), ConfigError, "--resolution: says nothing about a rec"),
-        (("b.ply", "--start", 1), ConfigError, "--start: says nothing about one cloud or map as"),
-        (("b.ply", "--resolution", 1), ConfigError, "--resolution: says nothing about one cloud"),
+        (("b.mcap", "--class", "x"), ConfigError, "--class: does not apply to a recording"),
+        (("b.mcap", "--resolution", 1), ConfigError, "--resolution: does not apply to a rec"),
+        (("b.ply", "--start", 1), ConfigError, "--start: does not apply to one cloud or map as"),
+        (("b.ply", "--resolution", 1), ConfigError, "--resolution: does not apply to one cloud"),
         (
             ("b.mcap", "--start", 2, "--end", 2),
             ConfigError,

@@ -279,7 +279,7 @@ def test_walls_of_a_map_of_circles_become_segments(tmp_path):
 def test_options_that_say_nothing_about_a_run_are_refused(run, tmp_path, option):
     out = CliRunner().invoke(app, ["convert", str(run), str(tmp_path / "r.json"), option, "1"])
     assert isinstance(out.exception, ConfigError)
-    assert str(out.exception) == f"{option}: says nothing about the objects of a run"
+    assert str(out.exception) == f"{option}: does not apply to the objects of a run"
     assert not (tmp_path / "r.json").exists()
 
 
