@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import cache, wraps
 from inspect import formatannotation, signature
 from pathlib import Path
-from typing import Any, ParamSpec, Self, TypeVar, get_args
+from typing import Any, ClassVar, ParamSpec, Self, TypeVar, get_args
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError, model_validator
@@ -28,6 +28,9 @@ class Config(BaseModel):
     """Base of every configuration model: unknown keys fail, every problem is reported at once."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    removed: ClassVar[Mapping[str, str]] = {}
+    """Parameters of earlier versions that files may still have, and what holds instead."""
 
     def __init__(self, **values: Any) -> None:
         try:
@@ -182,6 +185,8 @@ def _told(problem: Any, model: type[BaseModel]) -> str:
     match problem["type"]:
         case "missing":
             return "has to be given"
+        case "extra_forbidden" if reason := _removed(model).get(str(problem["loc"][-1])):
+            return f"is no parameter any more: {reason}; leave it out"
         case "extra_forbidden":
             return f"no such parameter, got {_short(received)}{_meant(place, fields)}"
         case "value_error" if isinstance(received, dict):
@@ -212,15 +217,32 @@ def _meant(place: str, paths: Iterable[str]) -> str:
 
 def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
     """Parameters of a model and of those inside it, by path; the outer ones first."""
-    found: dict[str, FieldInfo] = {}
+    return {
+        place + name: field
+        for one, place in _models(model).items()
+        for name, field in one.model_fields.items()
+    }
+
+
+def _removed(model: type[BaseModel]) -> dict[str, str]:
+    """Parameters that a model and those inside it had in earlier versions."""
+    return {
+        name: reason
+        for one in _models(model)
+        if issubclass(one, Config)
+        for name, reason in one.removed.items()
+    }
+
+
+def _models(model: type[BaseModel]) -> dict[type[BaseModel], str]:
+    """A model and those inside it, with the beginning of the paths of their parameters."""
     known: dict[type[BaseModel], str] = {model: ""}
     for one in (waiting := [model]):
         for name, field in one.model_fields.items():
-            found[known[one] + name] = field
             inner = [part for part in _parts(field.annotation) if part not in known]
             known |= dict.fromkeys(inner, f"{known[one]}{name}.")
             waiting += inner
-    return found
+    return known
 
 
 def _parts(annotation: Any) -> list[type[BaseModel]]:

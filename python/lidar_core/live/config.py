@@ -1,6 +1,7 @@
 """How a live run waits, forgets and reports."""
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, ClassVar
 
 from pydantic import Field
 
@@ -9,9 +10,16 @@ from lidar_core.config import Config
 TopicName = Annotated[str, Field(min_length=1)]
 
 
+REPORT_INTERVAL = 1.0
+"""Time between two lines on the console [s]."""
+
+
 class LiveConfig(Config):
     """How `lidar-core live` waits, forgets and reports. Source: tests on the loopback."""
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "report_interval": "reports come every second",
+    }
     pose_wait: float = Field(
         0.2,
         ge=0,
@@ -29,9 +37,6 @@ class LiveConfig(Config):
     )
     max_frames: int = Field(
         1000, ge=1, description="Pairs of frames whose transforms are kept (no unit)."
-    )
-    report_interval: float = Field(
-        1.0, gt=0, description="Time between two lines on the console [s]."
     )
     connect_timeout: float = Field(
         10.0, gt=0, description="How long the first connection may take [s]."

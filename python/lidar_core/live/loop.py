@@ -8,7 +8,7 @@ from typing import Any, Generic
 
 from lidar_core.errors import FormatError, LidarCoreError
 from lidar_core.io import NoTransformError, PosedScan
-from lidar_core.live.config import LiveConfig
+from lidar_core.live.config import REPORT_INTERVAL, LiveConfig
 from lidar_core.live.outputs.output import Output
 from lidar_core.live.pipelines import LivePipeline
 from lidar_core.live.poses import LivePoses
@@ -72,7 +72,7 @@ class LiveLoop(Generic[ScanT]):
     topics : sequence of str
         Topics of the LiDARs; empty for the first that brings a scan.
     on_report : callable
-        Told how it goes, every `config.report_interval`.
+        Told how it goes, every second.
     on_silence : callable
         Told once, if no wanted scan comes in the first seconds, what the source has instead.
 
@@ -292,7 +292,7 @@ class LiveLoop(Generic[ScanT]):
     def _report_if_due(self) -> None:
         now = time.monotonic()
         passed = now - self._reported
-        if passed < self._config.report_interval:
+        if passed < REPORT_INTERVAL:
             return
         counts = self.stats.counts()
         counts["dropped"] += self.inbox.dropped.total()

@@ -3,9 +3,10 @@
 Both sensors swivel so that their plane meets the target, and say by how much.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,14 @@ COLUMNS: dict[str, type] = {
 }
 
 
+YAW_PERIOD = 8.0
+"""From one turn to the next alike [s]."""
+PITCH_PERIOD = 3.0
+"""Period of the pitch [s]."""
+TURN_PERIOD = 12.0
+"""From one of its turns to the next alike [s]."""
+
+
 class Overflight(Config):
     """A drone that flies ahead and swings in yaw and pitch, and a target on level ground.
 
@@ -42,6 +51,11 @@ class Overflight(Config):
     who walks.
     """
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "yaw_period": "turns repeat after 8 s",
+        "pitch_period": "pitch has a period of 3 s",
+        "target_turn_period": "turns of the target repeat after 12 s",
+    }
     seconds: float = Field(30.0, gt=0, le=3600, description="Duration [s].")
     rate: float = Field(
         20.0, gt=0, le=1000, description="Rows per second, LiDAR and radar in turn [Hz]."
@@ -49,16 +63,11 @@ class Overflight(Config):
     height: float = Field(6.0, gt=0, le=1000, description="Of the sensors above the target [m].")
     speed: float = Field(1.2, ge=0, le=100, description="Of the drone, along x [m/s].")
     yaw_rate: float = Field(0.5, ge=0, le=10, description="Greatest, to and fro [rad/s].")
-    yaw_period: float = Field(8.0, gt=0, description="From one turn to the next alike [s].")
     pitch_deg: float = Field(5.0, ge=0, le=45, description="Greatest pitch, up and down [deg].")
-    pitch_period: float = Field(3.0, gt=0, description="Period of the pitch [s].")
     target_start: float = Field(8.0, description="Of the target, ahead of the drone [m].")
     target_speed: float = Field(1.4, ge=0, le=100, description="Of the target [m/s].")
     target_turn_rate: float = Field(
         0.3, ge=0, le=10, description="Of the target, greatest, to and fro [rad/s]."
-    )
-    target_turn_period: float = Field(
-        12.0, gt=0, description="From one of its turns to the next alike [s]."
     )
     lidar_std: float = Field(0.05, ge=0, description="Of x and y in the LiDAR's plane [m].")
     radar_std: tuple[float, float, float] = Field(
@@ -147,10 +156,10 @@ def overfly(config: Overflight, *, seed: int) -> Overflown:
     """
     rng = np.random.default_rng([20230703, seed])
     seconds = np.arange(max(2, round(config.seconds * config.rate))) / config.rate
-    swings = 2 * np.pi / config.yaw_period
+    swings = 2 * np.pi / YAW_PERIOD
     yaw = config.yaw_rate / swings * np.sin(swings * seconds)
     yaw_rate = config.yaw_rate * np.cos(swings * seconds)
-    pitch = np.deg2rad(config.pitch_deg) * np.sin(2 * np.pi * seconds / config.pitch_period)
+    pitch = np.deg2rad(config.pitch_deg) * np.sin(2 * np.pi * seconds / PITCH_PERIOD)
     position, velocity = _walk(config, seconds)
     own = np.array([config.speed, 0.0, 0.0])
     drone = seconds[:, None] * own + np.array([0.0, 0.0, config.height])
@@ -178,7 +187,7 @@ def _walk(
     config: Overflight, seconds: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Position and velocity (K, 3) of the target: arcs from row to row."""
-    swings = 2 * np.pi / config.target_turn_period
+    swings = 2 * np.pi / TURN_PERIOD
     heading = config.target_turn_rate / swings * np.sin(swings * seconds)
     flat = np.stack([np.cos(heading), np.sin(heading), 0 * heading], axis=1)
     turns = np.diff(heading)

@@ -14,6 +14,7 @@ from lidar_core.circles import CirclesConfig
 from lidar_core.config import Config, _fields
 from lidar_core.flying import FlyingConfig
 from lidar_core.io import PoseOptions, ReadOptions
+from lidar_core.parameters import MODELS, model_named, models_within
 
 UNIT = re.compile(r"\[[^\]]+\]|no unit")
 
@@ -281,3 +282,23 @@ def test_modes_and_uses_lie_within_the_ranges_of_lengths():
         CirclesConfig.posts(),
     ):
         assert type(made).load(made.model_dump()) == made
+
+
+def test_a_parameter_of_an_earlier_version_is_told_with_what_holds_instead(tmp_path):
+    file = tmp_path / "scene.toml"
+    sensor = '[sensor]\nkind = "stop_and_go"\nstart = [0, 0, 1]\nvelocity = [1, 0, 0]\n'
+    file.write_text(f"{sensor}ramp = 2.0\n")
+    told = (
+        r"scene\.toml: sensor\.stop_and_go\.ramp: is no parameter any more:"
+        r" speeding up and braking take 1 s each; leave it out$"
+    )
+    with pytest.raises(ConfigError, match=told):
+        lidar_core.sim.Scene.read(file)
+    file.write_text(sensor)
+    assert lidar_core.sim.Scene.read(file).sensor.velocity == (1, 0, 0)
+
+
+def test_no_removed_parameter_is_there():
+    for name in MODELS:
+        for model in models_within(model_named(name)):
+            assert not set(model.removed) & set(model.model_fields)

@@ -92,7 +92,7 @@ def live(
     on_message : callable
         Is called with texts: source and outputs, clients refused, what a silent stream has instead.
     on_report : callable
-        Is called with a `Report` every `stream.report_interval`.
+        Is called with a `Report` every second.
 
     Returns
     -------

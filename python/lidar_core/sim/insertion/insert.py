@@ -1,8 +1,8 @@
 """A simulated target in real scans: its rays end on it, all others stay as they were recorded."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,9 +32,16 @@ STANDING = SensorWay(np.zeros(1, np.int64), np.eye(4)[None])
 PLACES_TO_TRY, STEPS_ROUND = 4000, 48
 
 
+SPEED_PERIOD = 6.0
+"""From fastest to fastest [s]."""
+
+
 class InsertedFlight(Config):
     """A sphere that flies circles through space that a real scan shows as free."""
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "speed_period": "the speed repeats after 6 s",
+    }
     scans: int = Field(200, ge=1, description="Length (count, no unit).")
     scan_rate: float = Field(10.0, gt=0, le=1000, description="Scans per second [Hz].")
     radius: float = Field(0.325, gt=0, description="Of the target [m].")
@@ -43,7 +50,6 @@ class InsertedFlight(Config):
     circle: tuple[float, float] = Field((3.0, 6.0), description="Radius of the flight [m].")
     tilt_deg: float = Field(20.0, ge=0, le=90, description="Greatest tilt of the circle [deg].")
     speed: tuple[float, float] = Field((1.0, 4.0), description="Least and greatest [m/s].")
-    speed_period: float = Field(6.0, gt=0, description="From fastest to fastest [s].")
     range_std: float = Field(
         0.03, ge=0, description="Noise added to every range of a repeated scan [m]."
     )
@@ -250,7 +256,7 @@ def _angle(
 ) -> NDArray[np.float64]:
     """Angle on the circle: the speed swings between its least and greatest value."""
     slow, fast = flight.speed
-    rate = 2 * np.pi / flight.speed_period
+    rate = 2 * np.pi / SPEED_PERIOD
     way = (slow + fast) / 2 * seconds + (fast - slow) / 2 * np.sin(rate * seconds) / rate
     return np.asarray(way / np.linalg.norm(circle.axes[0]), np.float64)
 

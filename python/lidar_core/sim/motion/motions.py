@@ -1,6 +1,7 @@
 """Motions of sensors and targets: written down, or random."""
 
-from typing import Annotated, Literal, Self, TypeAlias
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,9 +69,16 @@ class Circle(Config):
         return times, poses(places + np.array(self.center), upright(heading))
 
 
+TILT_PERIOD = 4.0
+"""Period of the tilts [s]."""
+
+
 class Loop(Config):
     """Two straights along x joined by half circles, at constant speed, turning and tilting."""
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "tilt_period": "tilts have a period of 4 s",
+    }
     kind: Literal["loop"] = "loop"
     center: Vector = Field(description="Middle [m].")
     straight: float = Field(ge=0, description="Length of a straight [m].")
@@ -79,13 +87,12 @@ class Loop(Config):
     start: float = Field(0.0, description="Way along the loop at the start [m].")
     yaw_rate: float = Field(0.0, description="Rate of turn [rad/s].")
     tilt_deg: float = Field(0.0, ge=0, le=30, description="Greatest roll and pitch [deg].")
-    tilt_period: float = Field(4.0, gt=0, description="Period of the tilts [s].")
 
     def knots(self, seconds: float) -> Knots:
         """Places along the loop."""
         times = times_of(seconds)
         places = self._places(self.start + self.speed * times) + np.array(self.center)
-        swing = 2 * np.pi * times / self.tilt_period
+        swing = 2 * np.pi * times / TILT_PERIOD
         tilt = np.deg2rad(self.tilt_deg)
         roll, pitch = tilt * np.sin(swing), tilt * np.cos(swing)
         half = np.stack([roll, pitch, self.yaw_rate * times]) / 2

@@ -1,6 +1,7 @@
 """Ways in a horizontal plane, and a vehicle that tilts: motions that tell 2D scanners apart."""
 
-from typing import Literal, Self
+from collections.abc import Mapping
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,13 +39,19 @@ class FigureEight(Config):
         return self
 
 
+RAMP = 1.0
+"""Time of speeding up, and of braking [s]."""
+
+
 class StopAndGo(Config):
     """Legs along a line with a rest after each; after every few of them it turns back."""
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "ramp": "speeding up and braking take 1 s each",
+    }
     kind: Literal["stop_and_go"] = "stop_and_go"
     start: Vector = Field(description="Place at the start [m].")
     velocity: Vector = Field(description="Of the steady part of the first leg [m/s].")
-    ramp: float = Field(1.0, gt=0, description="Time of speeding up, and of braking [s].")
     steady: float = Field(2.0, ge=0, description="Time at the full velocity [s].")
     rest: float = Field(2.0, ge=0, description="Time at rest after a leg [s].")
     legs: int = Field(2, ge=1, description="Legs before it turns back (no unit).")
@@ -52,11 +59,11 @@ class StopAndGo(Config):
     def knots(self, seconds: float) -> Knots:
         """Places along the line."""
         times = times_of(seconds)
-        period = 2 * self.ramp + self.steady + self.rest
+        period = 2 * RAMP + self.steady + self.rest
         leg = np.floor(times / period)
         clock = times - leg * period
         way = self._way(clock)
-        length = self.ramp + self.steady  # in seconds at the full velocity
+        length = RAMP + self.steady  # in seconds at the full velocity
         turn, number = np.divmod(leg, self.legs)
         is_back = turn % 2 == 1
         out = np.where(is_back, (self.legs - number) * length - way, number * length + way)
@@ -66,11 +73,11 @@ class StopAndGo(Config):
 
     def _way(self, clock: NDArray[np.float64]) -> NDArray[np.float64]:
         """Way within a leg, in seconds at the full velocity."""
-        left = np.clip(2 * self.ramp + self.steady - clock, 0, None)  # time to the stop
-        speeding = np.minimum(clock, self.ramp) ** 2 / (2 * self.ramp)
-        braking = np.minimum(left, self.ramp) ** 2 / (2 * self.ramp)
-        going = speeding + np.clip(clock - self.ramp, 0, None)
-        return np.where(left > self.ramp, going, self.ramp + self.steady - braking)
+        left = np.clip(2 * RAMP + self.steady - clock, 0, None)  # time to the stop
+        speeding = np.minimum(clock, RAMP) ** 2 / (2 * RAMP)
+        braking = np.minimum(left, RAMP) ** 2 / (2 * RAMP)
+        going = speeding + np.clip(clock - RAMP, 0, None)
+        return np.where(left > RAMP, going, RAMP + self.steady - braking)
 
 
 class Wandering(Config):
@@ -119,25 +126,35 @@ class Wandering(Config):
         return inside
 
 
+REACH_RATE = 0.8
+"""Angular rate of the way [rad/s]."""
+PITCH_PERIOD = 4.0
+"""Period of the pitch [s]."""
+ROLL_PERIOD = 5.0
+"""Period of the roll [s]."""
+
+
 class Swinging(Config):
     """A vehicle about a place: it moves along a line, turns, pitches and rolls, all as sines."""
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "reach_rate": "the way swings with 0.8 rad/s",
+        "pitch_period": "pitch has a period of 4 s",
+        "roll_period": "roll has a period of 5 s",
+    }
     kind: Literal["swinging"] = "swinging"
     position: Vector = Field(description="Middle [m].")
     reach: Vector = Field((0.5, 0.0, 0.0), description="Greatest way from it [m].")
-    reach_rate: float = Field(0.8, description="Angular rate of the way [rad/s].")
     yaw: float = Field(0.3, description="Greatest turn [rad].")
     yaw_rate: float = Field(0.5, description="Angular rate of the turn [rad/s].")
     pitch_deg: float = Field(15.0, ge=0, lt=90, description="Greatest pitch [deg].")
-    pitch_period: float = Field(4.0, gt=0, description="Period of the pitch [s].")
     roll_deg: float = Field(10.0, ge=0, lt=90, description="Greatest roll [deg].")
-    roll_period: float = Field(5.0, gt=0, description="Period of the roll [s].")
 
     def knots(self, seconds: float) -> Knots:
         """Rz(yaw) Ry(pitch) Rx(roll), all angles zero at the start."""
         times = times_of(seconds)
-        way = np.sin(self.reach_rate * times)[:, None] * np.array(self.reach)
-        roll = np.deg2rad(self.roll_deg) * np.sin(2 * np.pi * times / self.roll_period)
-        pitch = np.deg2rad(self.pitch_deg) * np.sin(2 * np.pi * times / self.pitch_period)
+        way = np.sin(REACH_RATE * times)[:, None] * np.array(self.reach)
+        roll = np.deg2rad(self.roll_deg) * np.sin(2 * np.pi * times / ROLL_PERIOD)
+        pitch = np.deg2rad(self.pitch_deg) * np.sin(2 * np.pi * times / PITCH_PERIOD)
         half = np.stack([roll, pitch, self.yaw * np.sin(self.yaw_rate * times)]) / 2
         return times, poses(way + np.array(self.position), from_angles(np.sin(half), np.cos(half)))

@@ -1,5 +1,8 @@
 """A sensor that is steered while the simulation runs: closed loops of detector and flight."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
@@ -10,18 +13,18 @@ from lidar_core.config import Config, as_config
 from lidar_core.errors import InputError
 from lidar_core.sim.motion.knots import STEP, poses
 
+STIFFNESS = 1.5
+"""Natural frequency of the critically damped controller [rad/s]."""
+
 
 class Steering(Config):
     """Limits of a steered vehicle, and the gains of its controller."""
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "stiffness": "the controller has 1.5 rad/s",
+    }
     speed_max: float = Field(8.0, gt=0, description="Greatest speed [m/s].")
     acceleration_max: float = Field(5.0, gt=0, description="Greatest acceleration [m/s2].")
-    stiffness: float = Field(
-        1.5,
-        gt=0,
-        le=20,
-        description="Natural frequency of the critically damped controller [rad/s].",
-    )
 
 
 class SteeredSensor:
@@ -89,7 +92,7 @@ class SteeredSensor:
 
     def _step(self, goal: NDArray[np.float64], drift: NDArray[np.float64]) -> None:
         """One step of the controller, within the limits of acceleration and speed."""
-        rate = self.steering.stiffness
+        rate = STIFFNESS
         push = rate**2 * (goal - self.position) + 2 * rate * (drift - self.velocity)
         push = _limit(push, self.steering.acceleration_max)
         velocity = _limit(self.velocity + STEP * push, self.steering.speed_max)

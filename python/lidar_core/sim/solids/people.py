@@ -1,7 +1,8 @@
 """Shapes of several surfaces that a 2D scanner meets: people, barrels."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,31 +49,45 @@ class Swing:
         return turned
 
 
+ARM_RADIUS = 0.045
+"""Radius of an arm [m]."""
+ARM_GAP = 0.01
+"""Between trunk and arm [m]."""
+ARM_SWING_DEG = 25.0
+"""Greatest angle of an arm [deg]."""
+LEG_RADIUS = 0.07
+"""Radius of a leg [m]."""
+LEG_SWING_DEG = 20.0
+"""Greatest angle of a leg [deg]."""
+
+
 class Person(Config):
     """Somebody who walks along x: a trunk (elliptic cylinder), a head, arms and legs that swing.
 
     They stand on the origin of their frame. Sizes: about the 50th percentile of men.
     """
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "arm_radius": "an arm is 9 cm thick",
+        "arm_gap": "arms are 1 cm beside the trunk",
+        "arm_swing_deg": "arms swing by 25 deg",
+        "leg_radius": "a leg is 14 cm thick",
+        "leg_swing_deg": "legs swing by 20 deg",
+    }
     kind: Literal["person"] = "person"
     height: Length = Field(1.75, description="From the ground to the top of the head [m].")
     depth: Length = Field(0.24, description="Of the trunk, along x [m].")
     width: Length = Field(0.36, description="Of the trunk without the arms, along y [m].")
-    arm_radius: Length = Field(0.045, description="Radius of an arm [m].")
-    arm_gap: float = Field(0.01, ge=0, description="Between trunk and arm [m].")
-    arm_swing_deg: float = Field(25.0, ge=0, le=80, description="Greatest angle of an arm [deg].")
-    leg_radius: Length = Field(0.07, description="Radius of a leg [m].")
-    leg_swing_deg: float = Field(20.0, ge=0, le=80, description="Greatest angle of a leg [deg].")
     rate: float = Field(0.9, gt=0, le=10, description="Swings, two steps each, per second [Hz].")
 
     def surfaces(self) -> Placed:
         """Trunk, head, left and right arm, left and right leg."""
         shoulder, hip, head = self._heights()
-        arm = self.width / 2 + self.arm_gap + self.arm_radius  # its axis from the middle plane [m]
+        arm = self.width / 2 + ARM_GAP + ARM_RADIUS  # its axis from the middle plane [m]
         arm_length = 0.37 * self.height
         trunk = SimShape.elliptic_cylinder((self.depth / 2, self.width / 2), shoulder - hip)
-        limb = SimShape.cylinder(self.arm_radius, arm_length)
-        leg = SimShape.cylinder(self.leg_radius, hip)
+        limb = SimShape.cylinder(ARM_RADIUS, arm_length)
+        leg = SimShape.cylinder(LEG_RADIUS, hip)
         hang = shoulder - arm_length / 2
         return [
             (trunk, np.array([0, 0, (shoulder + hip) / 2])),
@@ -86,7 +101,7 @@ class Person(Config):
     def swings(self) -> list[Swing | None]:
         """Swing of every surface; arm and leg of one side move in opposite directions."""
         shoulder, hip, _ = self._heights()
-        arm, leg = np.deg2rad([self.arm_swing_deg, self.leg_swing_deg]).tolist()
+        arm, leg = np.deg2rad([ARM_SWING_DEG, LEG_SWING_DEG]).tolist()
         limbs = ((shoulder, arm, 0.0), (shoulder, arm, np.pi), (hip, leg, np.pi), (hip, leg, 0.0))
         moving = [Swing(np.array([0, 0, z]), reach, self.rate, at) for z, reach, at in limbs]
         return [None, None, *moving]
@@ -96,17 +111,23 @@ class Person(Config):
         return 0.82 * self.height, 0.5 * self.height, 0.935 * self.height
 
 
+HOOP = 0.01
+"""How far the hoops stand out [m]."""
+
+
 class Barrel(Config):
     """A drum with two hoops; it stands on the origin of its frame. Sizes: a 200 l drum."""
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "hoop": "hoops stand out by 1 cm",
+    }
     kind: Literal["barrel"] = "barrel"
     radius: Length = Field(0.286, description="Radius between the hoops [m].")
     height: Length = Field(0.88, description="Height [m].")
-    hoop: Length = Field(0.01, description="How far the hoops stand out [m].")
 
     def surfaces(self) -> Placed:
         """Drum and hoops."""
         drum = SimShape.cylinder(self.radius, self.height)
-        hoop = SimShape.cylinder(self.radius + self.hoop, 0.04 * self.height)
+        hoop = SimShape.cylinder(self.radius + HOOP, 0.04 * self.height)
         up = np.array([0.0, 0.0, self.height])
         return [(drum, up / 2), (hoop, up / 3), (hoop, 2 / 3 * up)]
