@@ -143,7 +143,8 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
                 is_refused, wanted = True, limits[0] if limits else wanted
             if is_refused:
                 told = wanted.replace("Input should be", "expected a value")
-                problems.append(f"{name}: {told}, got {_short(value)}")
+                got = type(value).__name__ if isinstance(value, BaseModel) else _short(value)
+                problems.append(f"{name}: {told}, got {got}")
         if problems:
             raise ConfigError("\n".join(problems))
         return function(*args, **kwargs)

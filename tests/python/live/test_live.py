@@ -1341,8 +1341,8 @@ def test_a_port_in_use_is_an_error_with_its_cure(circles):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        ([], "expected one of --in and --replay"),
-        (["--in", "zenoh", "--replay", "a.bag"], "expected one of --in and --replay"),
+        ([], "--in, --replay: expected one of them"),
+        (["--in", "zenoh", "--replay", "a.bag"], "--in, --replay: expected one of them"),
         (["--in", "mqtt"], r"--in mqtt: expected one of zenoh\["),
         (
             ["--in", "ouster:10.0.0.2"],

@@ -126,7 +126,7 @@ def test_a_run_of_rejected_scans_fails_with_the_reason(tmp_path):
 
 def test_what_cannot_be_used_is_refused_before_a_folder_is_made(recordings, tmp_path):
     folder = tmp_path / "run"
-    with pytest.raises(ConfigError, match="expected a FlyingConfig, got CirclesConfig"):
+    with pytest.raises(ConfigError, match=r"expected FlyingConfig .*, got CirclesConfig"):
         runs.detect(recordings["detect"], CirclesConfig(), folder)
     with pytest.raises(ConfigError, match="one target"):
         runs.fuse(recordings["fuse"], MultiTargetConfig(), folder)

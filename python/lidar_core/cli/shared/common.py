@@ -103,7 +103,15 @@ ARGUMENT = re.compile(
     rf"(?<![\w-])(?<!--topic )(?<!--column )({'|'.join(OPTIONS)})=(?!=)(True\b|\"(\w+)\"|)"
 )
 PAIR = re.compile(r'(column|topic)s=\{"(\w+)": \[?"(\w+)"\]?\}')
-PREFIXES = {"source": "--in", "outputs": "--out", "values": "--set", "source, replay": "--in"}
+PREFIXES = {
+    "source": "--in",
+    "source, replay": "--in, --replay:",
+    "outputs": "--out",
+    "rate": "--rate:",
+    "stream": "--stream",
+    "values": "--set",
+}
+UNUSED = re.compile(r"(: |; )(column|topic|time_unit|angle_unit|association)s? (says|is for)")
 PREFIX = re.compile(rf"^({'|'.join(PREFIXES)}): ")
 VALUE = re.compile(r'\bset (?=[\w."]+=)')
 
@@ -111,6 +119,7 @@ VALUE = re.compile(r'\bset (?=[\w."]+=)')
 def as_options(text: str) -> str:
     """A text that names arguments as `name=value`, with the options that give them."""
     text = PREFIX.sub(lambda found: f"{PREFIXES[found[1]]} ", text)
+    text = UNUSED.sub(lambda one: f"{one[1]}--{one[2].replace('_', '-')} {one[3]}", text)
     text = VALUE.sub("--set ", PAIR.sub(r"--\1 \2=\3", text))
 
     def option(found: re.Match[str]) -> str:
