@@ -33,7 +33,8 @@ pub(crate) struct Block {
     pub(crate) tentative: Bits,
     /// Confidently occupied.
     pub(crate) confident: Bits,
-    /// What rays cannot change.
+    /// What rays cannot change. Not saved: bytes may be wrong, and a scan finds it again.
+    #[serde(skip)]
     pub(crate) inert: Inert,
     /// A bit for every row that is held.
     held: u64,

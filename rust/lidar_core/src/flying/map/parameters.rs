@@ -27,7 +27,7 @@ pub enum Rays {
 }
 
 /// Voxels that rays pass without a look at them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Skip {
     /// None: every ray visits every voxel that it crosses.
     Nothing,
