@@ -39,6 +39,8 @@ class Track:
     place: np.ndarray = None
     confirmed: bool = False
     left: bool = False  # nothing is where it began
+    own: float = 0.0  # points of its clusters
+    stray: float = 0.0  # points around it that belong to no track
     points: np.ndarray = None  # of its last cluster
 
     @property
@@ -271,6 +273,15 @@ class Tracker:
             return y, tracks[row].P[:3, :3] + self.widened(R, extent, is_cut, tracks[row])
 
         columns = self.assign(len(tracks), len(found), offset)
+        stray = [row for row in range(len(found)) if row not in columns]
+        for track, column in zip(tracks, columns, strict=True):
+            place = track.r if column is None else found[column][0]
+            near = [row for row in stray if np.linalg.norm(found[row][0] - place) <= 2.0]
+            own = 0 if column is None else len(found[column][5])
+            if not track.confirmed and track.id != -1:
+                track.own = 0.8 * track.own + own
+                few = [n for n in (len(found[row][5]) for row in near) if n <= 3]
+                track.stray = 0.8 * track.stray + sum(few)
         return [None if column is None else found[column] for column in columns]
 
     def new_point_cloud(self, points, occupied, stamp, delays=None):
@@ -419,6 +430,8 @@ class Tracker:
         hits, window = self.c.confirm_hits, self.c.confirm_window
         if self.c.confirm_confidence is None:
             return sum(track.history[-window:]) >= hits
+        if track.stray > track.own:
+            return False
         std = np.sqrt(np.trace(track.P[:3, :3]) / 3)
         away = np.linalg.norm(track.r - track.place) > self.c.confirm_distance + 2 * std
         counted = track.history if track.left and away else track.sure

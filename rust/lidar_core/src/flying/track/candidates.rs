@@ -122,6 +122,7 @@ impl Cluster {
             covariance,
             delay,
             extent: self.extent(),
+            n_points: self.rows.len(),
             is_cut: true,
             row: self.rows.first().copied(),
         }

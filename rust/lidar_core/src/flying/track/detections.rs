@@ -104,7 +104,8 @@ impl Detections<'_> {
             return bad("covariance", "a symmetric positive definite matrix", got);
         }
         let position = Vector3::from(position);
-        Ok(Measurement { position, covariance, delay, extent, is_cut: false, row: None })
+        let (n_points, is_cut, row) = (0, false, None);
+        Ok(Measurement { position, covariance, delay, extent, n_points, is_cut, row })
     }
 }
 
@@ -301,6 +302,7 @@ impl Updater {
             covariance: position_block(&hypothesis.estimate.covariance),
             delay: 0.0,
             extent: hypothesis.extent,
+            n_points: 0,
             is_cut: false,
             row: None,
         };

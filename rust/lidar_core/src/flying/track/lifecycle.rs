@@ -56,6 +56,9 @@ fn is_certain(track: &TrackState, confirmation: &Confirmation) -> bool {
     let enough = |sets: u64, hits: u32, window: u32| last(sets, window).count_ones() >= hits;
     let Confirmation { hits, window, doubt } = *confirmation;
     let Some(doubt) = doubt else { return enough(track.history, hits, window) };
+    if track.stray_points > track.own_points {
+        return false; // it is one of many returns that come and go
+    }
     let spread = position_block(&track.estimate.covariance).trace() / 3.0;
     let reach = doubt.distance + 2.0 * spread.max(0.0).sqrt();
     let has_moved = track.left && (track.position() - track.born_at).norm() > reach;

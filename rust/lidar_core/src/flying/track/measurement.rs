@@ -35,6 +35,8 @@ pub(super) struct Measurement {
     /// Time of the measurement after the state's [s]: a scan takes a while.
     pub(super) delay: f64,
     pub(super) extent: [f64; 3],
+    /// Number of points; 0 for a detection.
+    pub(super) n_points: usize,
     /// True if a part of the target may be hidden.
     pub(super) is_cut: bool,
     /// Row of one of its points in the cloud.

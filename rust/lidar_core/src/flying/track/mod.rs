@@ -5,6 +5,7 @@
 
 mod buffer;
 mod candidates;
+mod company;
 mod detections;
 mod full_state;
 mod lifecycle;

@@ -8,6 +8,9 @@ use crate::estimation::kalman::{Gaussian, Linearised, update};
 use nalgebra::{SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
+/// Weight that the points of a track and around it keep from one scan to the next.
+const COMPANY_KEPT: f64 = 0.8;
+
 /// No number yet: it gets one when it joins the tracks.
 pub(super) const UNNUMBERED: i64 = -1;
 
@@ -34,6 +37,10 @@ pub(super) struct TrackState {
     /// The last sets of detections, as in `history`: 1 where the detection of the track was sure.
     pub(super) sure: u64,
     pub(super) confirmed: bool,
+    /// Points of its own clusters, and of those around it that belong to no track: sums in which
+    /// older scans count less.
+    pub(super) own_points: f64,
+    pub(super) stray_points: f64,
     /// True if the newest cloud shows that nothing is left where it began.
     pub(super) left: bool,
 }
@@ -74,6 +81,8 @@ impl TrackState {
             history: 1,
             sure: 1,
             confirmed: false,
+            own_points: 0.0,
+            stray_points: 0.0,
             left: false,
         }
     }
@@ -134,6 +143,12 @@ impl TrackState {
         for (size, extent) in self.size.iter_mut().zip(self.extent) {
             *size += weight * (extent - *size);
         }
+    }
+
+    /// Count the points of its cluster in a scan, and those around it that belong to no track.
+    pub(super) fn count_points(&mut self, own: usize, stray: usize) {
+        self.own_points = COMPANY_KEPT * self.own_points + own as f64;
+        self.stray_points = COMPANY_KEPT * self.stray_points + stray as f64;
     }
 
     /// Position `delay` seconds after the state's time.

@@ -269,3 +269,34 @@ fn parameters_that_cannot_work_are_refused() {
         assert!(matches!(PointCloudTracker::new(parameters, 1), Err(Error::Parameter { .. })));
     }
 }
+
+/// Detections and points of ten scans, one of each for a track that leaps by 0.3 m, and `stray` points
+/// around it; the number of reported tracks.
+fn tracks_among(stray: usize, own: usize) -> Result<usize, Error> {
+    let doubt = TrackerParameters::default().confirmation;
+    let parameters = TrackerParameters { confirmation: doubt, ..best() };
+    let mut tracker = PointCloudTracker::new(parameters, 1)?;
+    for scan in 0..10 {
+        let stamp_ns = scan * STEP_NS;
+        let height = 0.3 * (scan % 2) as f64;
+        let point = |x: f64, y: f64, z: f64| [x as f32, y as f32, z as f32];
+        let mut points: Vec<_> =
+            (0..own).map(|number| point(0.02 * number as f64, 0.0, height)).collect();
+        // On a circle, further from each other than points of one cluster.
+        points.extend((0..stray).map(|number| {
+            let (sine, cosine) = (0.9 * number as f64).sin_cos();
+            point(1.4 * cosine, 1.4 * sine, 0.0)
+        }));
+        tracker.new_point_cloud(&points, None, &free(), None, stamp_ns)?;
+        detect(&mut tracker, &[[0.0, 0.0, height]], stamp_ns)?;
+    }
+    Ok(tracker.tracks_at(9 * STEP_NS).iter().filter(|track| track.confirmed).count())
+}
+
+#[test]
+fn a_track_among_more_stray_points_than_its_own_is_not_confirmed() -> Result<(), Error> {
+    assert_eq!(tracks_among(6, 3)?, 0); // a pane of glass that returns a few rays
+    assert_eq!(tracks_among(0, 3)?, 1); // alone in the air
+    assert_eq!(tracks_among(6, 12)?, 1); // larger than the flakes of snow around it
+    Ok(())
+}

@@ -1,6 +1,7 @@
 //! updateTrack of Algorithm 2: prediction, association with clusters, correction.
 
 use super::candidates::candidates;
+use super::company::Company;
 use super::measurement::{CloudScan, Measurement, Seeker};
 use super::motion::position_block;
 use super::occupancy::Visibility;
@@ -65,7 +66,11 @@ impl Updater {
         let seekers: Vec<Seeker> = due.iter().map(|(_, track)| self.seeker(track)).collect();
         let found = match self.parameters.association {
             Association::Paper => self.nearest(&seekers, scan)?,
-            Association::Global { .. } => self.one_to_one(&seekers, scan)?,
+            Association::Global { .. } => {
+                let company = self.one_to_one(&seekers, scan)?;
+                company.count(due.iter_mut().map(|(_, track)| &mut **track));
+                company.measured(&seekers, self.parameters.hiding)
+            }
         };
         for (_, track) in &mut due {
             track.left = self.has_left(track, scan);
@@ -194,11 +199,7 @@ impl Updater {
     }
 
     /// Clusters of all regions together, each given to one track at most.
-    fn one_to_one(
-        &self,
-        seekers: &[Seeker],
-        scan: &CloudScan<'_>,
-    ) -> Result<Vec<Option<Measurement>>, Error> {
+    fn one_to_one(&self, seekers: &[Seeker], scan: &CloudScan<'_>) -> Result<Company, Error> {
         // Wide enough that no cluster with its centroid in the region is cut.
         let margin = self.parameters.max_extent.unwrap_or(0.0);
         let mut chosen: Vec<u32> = hits(&self.pool, scan.points, &balls(seekers, margin))
@@ -226,12 +227,7 @@ impl Updater {
                 (y.norm() <= seeker.radius)
                     .then(|| (y, seeker.covariance + seeker.covariance_of(cluster, hiding)))
             })?;
-        let measured = |(cluster, seeker): (Option<usize>, &Seeker)| {
-            let cluster = &clusters[cluster?];
-            let covariance = seeker.covariance_of(cluster, hiding);
-            Some(Measurement { covariance, ..cluster.clone() })
-        };
-        Ok(cluster_of.into_iter().zip(seekers).map(measured).collect())
+        Ok(Company { clusters, cluster_of })
     }
 }
 
