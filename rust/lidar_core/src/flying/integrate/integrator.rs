@@ -94,7 +94,7 @@ impl Integrator {
         let mut skips = map.parameters().skip == Skip::Saturated;
         if skips {
             live.fill(&window, map);
-            skips = live.is_worth_it(&window);
+            skips = live.is_worth_it();
         }
         let task = CastTask { window: &window, source: &source, live: skips.then_some(live) };
         cast_all(workers.pool(), accumulators, &task, &plan.rays, most);

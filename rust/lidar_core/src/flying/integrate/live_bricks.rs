@@ -15,6 +15,8 @@ pub(crate) struct LiveBricks {
     blocks: Vec<Bricks>,
     /// Bricks that are passed.
     n_inert: usize,
+    /// Bricks of the blocks that the map holds or refuses.
+    n_known: usize,
 }
 
 impl LiveBricks {
@@ -23,7 +25,7 @@ impl LiveBricks {
         self.blocks.clear();
         // A block that is missing was never observed.
         self.blocks.resize(window.len(), ALL);
-        self.n_inert = 0;
+        (self.n_inert, self.n_known) = (0, 0);
         // The cost follows the lesser of the two: neither the map nor the window may be walked for nothing.
         if map.blocks.len() < window.len() {
             for block in map.blocks.iter() {
@@ -48,13 +50,14 @@ impl LiveBricks {
 
     fn set(&mut self, index: usize, live: Bricks) {
         self.n_inert += live.count_zeros() as usize;
+        self.n_known += Bricks::BITS as usize;
         self.blocks[index] = live;
     }
 
-    /// True if enough of the window is passed to pay for the search of what is not: one brick in
+    /// True if enough of what is known is passed to pay for the search of what is not: one brick in
     /// sixteen.
-    pub(super) fn is_worth_it(&self, window: &Window) -> bool {
-        16 * self.n_inert > Bricks::BITS as usize * window.n_blocks()
+    pub(super) fn is_worth_it(&self) -> bool {
+        16 * self.n_inert > self.n_known
     }
 
     /// 1 for a brick that holds a voxel which may change, given by that of its block and its own place

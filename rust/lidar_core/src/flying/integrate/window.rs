@@ -77,11 +77,6 @@ impl Window {
         self.len
     }
 
-    /// Blocks of the window.
-    pub(crate) fn n_blocks(&self) -> usize {
-        self.size.iter().product()
-    }
-
     /// True if the marks of the whole window lie in memory.
     pub(crate) fn is_whole(&self) -> bool {
         self.len <= MAX_WHOLE
