@@ -95,8 +95,9 @@ def command(
         out.print(f"warning: {text}")
     if without:
         out.print(f"note: {without} tracks lie at times without truth, and count as false")
-    for text in report.warnings:
-        out.print(f"warning: {as_options(text)}", markup=False, highlight=False, soft_wrap=True)
+    told = [as_options(text) for text in report.warnings]
+    for text in told:
+        out.print(f"warning: {text}", markup=False, highlight=False, soft_wrap=True)
     write_json(
         {
             "command": "evaluate",
@@ -104,8 +105,8 @@ def command(
             "truth": str(true),
             "config": config.model_dump(mode="json"),
             "tracks_without_truth": without,
-            "warnings": warnings,
             **report.to_dict(),
+            "warnings": [*warnings, *told],
         },
         json,
     )
@@ -146,7 +147,7 @@ def _without_truth(
         raise InputError(
             f"{files}: no time in common: {what}; give the truth of the same recording, or allow"
             " for shifted clocks with"
-            f" --set time_tolerance={'SECONDS' if cure is None else f'{cure:.2g}'}"
+            f" set time_tolerance={'SECONDS' if cure is None else f'{cure:.2g}'}"
         )
     return int(without.sum())
 

@@ -100,13 +100,9 @@ class VoxelMap(FullState):
 
     @classmethod
     def _from_state(
-        cls,
-        config: VoxelMapConfig,
-        core: bytes,
-        extra: dict[str, Any],
-        *,
-        threads: int = 1,
+        cls, config: VoxelMapConfig, core: bytes, extra: dict[str, Any], **options: Any
     ) -> Self:
+        threads = options.get("threads", 1)
         return cls._of(config, _core.VoxelMap.from_state(core, threads=threads), threads)
 
     @classmethod
@@ -326,7 +322,9 @@ class VoxelMap(FullState):
             self._map.save(path)
 
     @classmethod
-    def load(cls, path: str | PathLike[str], *, threads: int = 1) -> Self:
+    def load(  # type: ignore[override]  # a map has this option only
+        cls, path: str | PathLike[str], *, threads: int = 1
+    ) -> Self:
         """Read a map written by `save`, a map file or a whole state.
 
         Raises

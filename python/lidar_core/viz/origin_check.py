@@ -58,7 +58,7 @@ def refusal(
         is_local = origin.startswith(("http://", "https://")) and _host_of(origin) in LOCAL_NAMES
         if not is_local and origin.lower() not in allowed:
             is_plain = ORIGIN.fullmatch(origin.lower()) and origin.isprintable()
-            cure = f"; allow_origin={origin[:LONGEST]} lets it in" if is_plain else ""
+            cure = f"; --allow-origin {origin[:LONGEST]} lets it in" if is_plain else ""
             return f"a web page of {origin[:LONGEST]!r}{cure}"
     return None
 

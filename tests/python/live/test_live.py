@@ -1282,7 +1282,7 @@ def test_a_folder_of_a_live_run_is_checked_first(circles, tmp_path):
     twice = CliRunner().invoke(app, [*arguments, "--out", f"mcap:{folder}/run.mcap"])
     assert isinstance(twice.exception, ConfigError)
     assert str(twice.exception) == (
-        f"--out mcap:{folder}/run.mcap: -o {folder} writes this file; leave --out away"
+        f"--out mcap:{folder}/run.mcap: {folder} gets this file; leave it out"
     )
 
 

@@ -352,7 +352,8 @@ class Enough(Exception):  # noqa: N818
 
 WITHOUT_JOBS = {"circles-fig5", "circles-fig7", "circles-table1", "circles-table2"}
 WITHOUT_JOBS |= {"flying-fig3", "flying-fig5", "flying-consistency"}
-WITHOUT_JOBS |= {name for name in items() if name.startswith("fusion-")}
+WITHOUT_JOBS |= {name for name in items() if name.startswith(("fusion-", "tracking-"))}
+WITHOUT_JOBS |= {"circles-real"}  # recordings alone: no seed
 
 
 @pytest.mark.parametrize("name", sorted(set(items()) - WITHOUT_JOBS))

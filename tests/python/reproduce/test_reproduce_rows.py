@@ -28,6 +28,7 @@ def part_of(places, tracks, detections=None):
         "position": places,
         "position_hit": places,
         "hits": np.full((count, targets), 20),
+        "best_burn_in_scans": np.array(BURN_IN),
         "best_detections_scan": np.array([row[0] for row in detections], np.int64),
         "best_detections_position": np.reshape([row[2] for row in detections], (-1, 3)),
         "best_tracks_scan": np.array([row[0] for row in tracks], np.int64),

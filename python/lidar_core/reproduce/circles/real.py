@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar_core.circles import CirclePipeline, CirclesConfig
+from lidar_core.circles import CircleElements, CirclePipeline, CirclesConfig
 from lidar_core.errors import InputError
 from lidar_core.reproduce.circles.real_data.rooms import (
     CORRIDOR,
@@ -67,7 +67,8 @@ def measures(one: Room, scans: int, config: CirclesConfig | None = None) -> list
     seconds = (stamps - stamps[0]) * 1e-9
     (scanner,) = config.scanners.values()
     points = [returns_world(item, scanner.range_max) for item in items]
-    pipeline, maps = CirclePipeline(config), []
+    pipeline = CirclePipeline(config)
+    maps: list[CircleElements | None] = []
     for item in items:
         try:
             maps.append(pipeline.process(item).map)

@@ -162,7 +162,7 @@ def _distance_error(parts: Sequence[Part]) -> float | None:
     errors: list[float] = []
     for part in parts:
         error = np.abs(_distances(part) - FOLLOW_DISTANCE)
-        burn_in = max(int(part[f"{mode}_burn_in_scans"]) for mode in MODES)
+        burn_in = max(int(part[key]) for key in part if key.endswith("_burn_in_scans"))
         reached = np.flatnonzero((error < 1) & (np.arange(len(error)) >= burn_in))
         errors += error[reached[0] :].tolist() if len(reached) else []
     return float(np.mean(errors)) if errors else None

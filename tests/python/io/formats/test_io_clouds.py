@@ -234,7 +234,7 @@ def test_what_cannot_be_written_or_read_is_refused(tmp_path):
     [
         ("a.bt", "detect --map"),
         ("metadata.yaml", "open the folder"),
-        ("a.txt", "--pose"),
+        ("a.txt", "pose=FILE"),
         ("a.mat", "save its tables as CSV"),
         ("a.csv", "lidar-core fuse"),
     ],

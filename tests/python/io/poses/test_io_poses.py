@@ -227,8 +227,8 @@ def test_missing_poses_say_what_was_found_and_what_helps(tmp_path):
         "no pose for frame 'lidar' of topic '/points'",
         "odom -> base",
         "odometry topics: /odom",
-        "--fixed-frame",
-        "--pose static",
+        "fixed_frame=",
+        'pose="static"',
     ):
         assert part in text
 

@@ -128,7 +128,7 @@ def test_the_cure_that_is_printed_cures(tmp_path, flight):
         list(lc.io.posed_scans(recording, pose=file))
     (text,) = [str(one.message) for one in told]
     assert "in another frame than the scans: a camera's (x right, y down, z forward)" in text
-    mounting = text.split('--mounting "')[1].split('"')[0]
+    mounting = text.split('mounting="')[1].split('"')[0]
     with lc.io.open_recording(path) as recording, warnings.catch_warnings():
         warnings.simplefilter("error")
         found = list(lc.io.posed_scans(recording, pose=file, mounting=(mounting,)))

@@ -119,7 +119,7 @@ def vehicle_measures(
     errors, speeds, nees, numbers, still = [], [], [], [], []
     due = np.isfinite(velocity).all(axis=1)
     for number in np.flatnonzero(due):
-        found = seen.maps[number]
+        found = seen.maps[int(number)]
         if found is None or not len(found):
             continue
         off = found.center - place[number]

@@ -142,6 +142,7 @@ pub struct Joint {
 }
 
 /// Filter of the elements.
+#[allow(clippy::large_enum_variant)] // one value per map, made once
 #[derive(Clone, Debug, PartialEq)]
 pub enum Filter {
     /// One filter for all elements and the robot, as published.

@@ -67,7 +67,7 @@ impl Made {
         self.class.push(match (is_away, hits_ball, noise % 50) {
             (true, ..) => INVALID,
             (_, true, _) => {
-                if noise % 2 == 0 {
+                if noise.is_multiple_of(2) {
                     FLYING
                 } else {
                     UNKNOWN
