@@ -1,11 +1,11 @@
 """Targets in clouds as drivers deliver them: what is taken out and put back has as many returns."""
 
-import tarfile
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
+from archives import unpack
 from scipy.spatial import Delaunay
 
 from lidar_core import InputError, sim
@@ -162,8 +162,7 @@ def outdoor(recordings, tmp_path_factory):
     if not packed.exists():
         pytest.skip(f"{packed} is not there")
     folder = tmp_path_factory.mktemp("hap")
-    with tarfile.open(packed) as archive:
-        archive.extractall(folder, filter="data")
+    unpack(packed, folder)
     scans = []
     for path in sorted(folder.glob("**/*.pcd")):
         with open_recording(path) as recording:

@@ -44,7 +44,7 @@ def live(
     output: str | PathLike[str] | None,
     *,
     replay: str | PathLike[str] | None = None,
-    rate: Annotated[float, Field(ge=0)] | None = None,
+    rate: Annotated[float, Field(gt=0)] | None = None,
     outputs: Sequence[str] = (),
     allow_origin: Sequence[str] = (),
     capability: Literal["auto", "flying", "circles"] = "auto",

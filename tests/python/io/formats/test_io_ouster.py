@@ -111,7 +111,7 @@ def test_kitti_poses_fit_the_capture(facts):
 def test_identity_poses_are_no_poses(facts):
     text = facts["poses"]["without"]
     assert "no pose for frame 'os_sensor'" in text
-    assert "--pose static" in text
+    assert 'pose="static"' in text
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from archives import unpack
 from scipy.spatial.transform import Rotation, Slerp
 from typer.testing import CliRunner
 
@@ -396,12 +397,9 @@ def test_without_the_package_the_extra_is_named(monkeypatch):
 @pytest.mark.parametrize("scans", [4, pytest.param(10, marks=pytest.mark.nightly)])
 def test_kiss_on_a_real_street(recordings, tmp_path, scans):
     """Scans of a car without stamps: the way agrees with poses found offline, within 6 %."""
-    import tarfile
-
     folder = recordings / "3d/sequences/street_128_labelled"
-    with tarfile.open(folder / "lidar_rounded_000000-000029.tar.xz") as archive:
-        names = sorted(n for n in archive.getnames() if n.endswith(".pcd"))[:scans]
-        archive.extractall(tmp_path, members=names, filter="data")
+    packed = folder / "lidar_rounded_000000-000029.tar.xz"
+    names = unpack(packed, tmp_path, suffix=".pcd", most=scans)
     known = np.tile(np.eye(4), (30, 1, 1))
     known[:, :3] = np.loadtxt(folder / "poses_icp.txt").reshape(-1, 3, 4)
     place = (tmp_path / names[0]).parent

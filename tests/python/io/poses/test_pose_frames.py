@@ -1,10 +1,10 @@
 """Poses in a wrong frame: recognised by the scans, named with the cure, and no false alarms."""
 
-import tarfile
 import warnings
 
 import numpy as np
 import pytest
+from archives import unpack
 from typer.testing import CliRunner
 
 import lidar_core as lc
@@ -171,9 +171,8 @@ def test_info_tells_of_poses_in_another_frame(tmp_path, flight, is_camera):
 @pytest.mark.parametrize("count", [6, pytest.param(LONG_STREET, marks=pytest.mark.nightly)])
 def test_a_real_street_with_its_poses_and_those_of_a_camera(recordings, tmp_path, count):
     folder = recordings / "3d/sequences/street_128_labelled"
-    with tarfile.open(folder / "lidar_rounded_000000-000029.tar.xz") as archive:
-        names = sorted(name for name in archive.getnames() if name.endswith(".pcd"))[:count]
-        archive.extractall(tmp_path, members=names, filter="data")
+    packed = folder / "lidar_rounded_000000-000029.tar.xz"
+    names = unpack(packed, tmp_path, suffix=".pcd", most=count)
     known = np.tile(np.eye(4), (30, 1, 1))
     known[:, :3] = np.loadtxt(folder / "poses_icp.txt").reshape(-1, 3, 4)
     scans = []
