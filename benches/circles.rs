@@ -2,12 +2,12 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
-use lidar_core::circles::fit::{Fitter, Method};
+use lidar_core::circles::fit::{FitMethod, Fitter};
 use lidar_core::circles::parameters::PipelineParameters;
 use lidar_core::circles::pipeline::{CirclePipeline, RawSweep};
 use lidar_core::circles::preprocess::polar_scan::PolarScan;
 use lidar_core::circles::preprocess::projection::{self, Projection};
-use lidar_core::circles::preprocess::sweep_poses::Sweep;
+use lidar_core::circles::preprocess::sweep_poses::SweepPoses;
 use lidar_core::circles::segment::segmentation::segment;
 use lidar_core::geometry::transform::Transform;
 use std::f64::consts::PI;
@@ -90,7 +90,7 @@ fn stages(c: &mut Criterion) -> Result<(), Error> {
     let ranges: Vec<f64> = ranges(0).into_iter().map(f64::from).collect();
     let [near, far] = parameters.scanner.range_limits;
     let ranges = projection::within_reach(&ranges, near, far);
-    let sweep = Sweep::still(Transform::from_matrix(&POSE));
+    let sweep = SweepPoses::still(Transform::from_matrix(&POSE));
     let raw = PolarScan { ranges, bearings };
     let level = projection::project(&raw, &directions, &sweep, Projection::Exact)?;
     let segments = segment(&level.scan, None, &parameters.segment)?;
@@ -117,7 +117,7 @@ fn stages(c: &mut Criterion) -> Result<(), Error> {
 fn whole(c: &mut Criterion) -> Result<(), Error> {
     let sweeps: Vec<Vec<f32>> = (0..40).map(ranges).collect();
     let mut group = c.benchmark_group("circles");
-    for (name, method) in [("ml", Method::Expected), ("taubin", Method::Taubin)] {
+    for (name, method) in [("ml", FitMethod::Expected), ("taubin", FitMethod::Taubin)] {
         let mut parameters = parameters();
         parameters.fit.method = method;
         let mut pipeline = CirclePipeline::new(parameters)?;

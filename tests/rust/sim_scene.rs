@@ -2,7 +2,7 @@
 
 use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, minus, norm, rotation_from_quaternion};
-use lidar_sim::scene::{Body, Ray, Scene};
+use lidar_sim::scene::{CastRay, Scene, SceneObject};
 use lidar_sim::shape::Shape;
 use proptest::prelude::*;
 
@@ -29,7 +29,7 @@ fn shape() -> impl Strategy<Value = Shape> {
 }
 
 /// Bodies within `reach` of a place that may be far from the origin.
-fn bodies() -> impl Strategy<Value = (Vec<Body>, [f64; 3])> {
+fn bodies() -> impl Strategy<Value = (Vec<SceneObject>, [f64; 3])> {
     (0.01..300.0, prop::array::uniform3(-1e6..1e6), any::<bool>()).prop_flat_map(
         |(reach, place, far)| {
             let center = if far { place } else { [0.0; 3] };
@@ -37,7 +37,7 @@ fn bodies() -> impl Strategy<Value = (Vec<Body>, [f64; 3])> {
                 move |(shape, offset, quaternion)| {
                     let translation = std::array::from_fn(|i| center[i] + reach * offset[i]);
                     let rotation = rotation_from_quaternion(quaternion);
-                    Body {
+                    SceneObject {
                         shape,
                         world_from_shape: Transform { rotation, translation },
                         sway: None,
@@ -51,7 +51,7 @@ fn bodies() -> impl Strategy<Value = (Vec<Body>, [f64; 3])> {
     )
 }
 
-fn numbered(mut bodies: Vec<Body>) -> Vec<Body> {
+fn numbered(mut bodies: Vec<SceneObject>) -> Vec<SceneObject> {
     for (label, body) in bodies.iter_mut().enumerate() {
         body.label = label as i32;
     }
@@ -73,7 +73,7 @@ proptest! {
             let scene = Scene::new(bodies.clone(), vec![])?;
             for (offset, direction) in rays {
                 let origin = std::array::from_fn(|i| center[i] + offset[i]);
-                let ray = Ray { origin, direction };
+                let ray = CastRay { origin, direction };
                 let every = alone.iter().filter_map(|scene| scene.meet(&ray, RANGE_MAX, 0.0));
                 let best = every.min_by(|a, b| {
                     a.distance.total_cmp(&b.distance).then(a.label.cmp(&b.label))
@@ -94,7 +94,7 @@ proptest! {
         let origin: [f64; 3] = std::array::from_fn(|i| center[i] + offset[i]);
         let check = || -> Result<(), Error> {
             let scene = Scene::new(bodies, vec![])?;
-            if let Some(hit) = scene.meet(&Ray { origin, direction }, RANGE_MAX, 0.0) {
+            if let Some(hit) = scene.meet(&CastRay { origin, direction }, RANGE_MAX, 0.0) {
                 let end = std::array::from_fn(|i| origin[i] + hit.distance * direction[i]);
                 assert!(scene.clearance(end, 1.0) < 1e-6); // roundings of 1e6 m
                 assert!((norm(minus(end, origin)) - hit.distance).abs() < 1e-6);

@@ -16,7 +16,7 @@ use lidar_core::flying::classify::classifier::ClassifyParameters;
 use lidar_core::flying::map::parameters::MapParameters;
 use lidar_core::flying::parameters::FlyingParameters;
 use lidar_core::flying::track::TrackerParameters;
-use lidar_core::fusion::{Association, FusionParameters, ManyParameters};
+use lidar_core::fusion::{FusionParameters, ManyParameters, TargetAssociation};
 use pyo3::prelude::*;
 use std::fmt::Debug;
 
@@ -64,7 +64,7 @@ pub(crate) fn default_parameters(model: &str, mode: &str) -> Result<String, Bord
         ("fusion", "paper") => text(&FusionParameters::paper()),
         ("many", "default") => text(&ManyParameters::default()),
         ("many", "joint") => {
-            let association = Association::joint();
+            let association = TargetAssociation::joint();
             text(&ManyParameters { association, ..ManyParameters::default() })
         }
         _ => return Err(unknown("mode", mode)),

@@ -1,6 +1,6 @@
 //! Particles in the air: rain, dust and fog, which give returns of their own.
 
-use crate::parry::Ray;
+use crate::parry::CastRay;
 use crate::shape::refused;
 use lidar_core::Error;
 use lidar_core::geometry::transform::{dot, minus, norm};
@@ -97,7 +97,7 @@ impl Particles {
     /// Distance at which `ray` ends on a particle, from `start` [m] on, `seconds` after time 0.
     /// `depth` is a sample of the standard exponential distribution, the optical depth at which the
     /// ray ends.
-    pub(crate) fn meet(&self, ray: &Ray, start: f64, seconds: f64, depth: f64) -> Option<f64> {
+    pub(crate) fn meet(&self, ray: &CastRay, start: f64, seconds: f64, depth: f64) -> Option<f64> {
         match *self {
             Self::Rain { density, size, beam, least_share } => {
                 // The rate per metre is density * PI / 4 * (beam[0] + beam[1] * l + size)^2.
@@ -130,7 +130,7 @@ impl Particles {
 mod tests {
     use super::*;
 
-    const AHEAD: Ray = Ray { origin: [0.0; 3], direction: [1.0, 0.0, 0.0] };
+    const AHEAD: CastRay = CastRay { origin: [0.0; 3], direction: [1.0, 0.0, 0.0] };
 
     #[test]
     fn a_ray_ends_in_dust_where_its_depth_is_reached() -> Result<(), Error> {

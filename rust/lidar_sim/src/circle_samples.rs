@@ -89,7 +89,7 @@ pub struct Samples {
 }
 
 /// The part of a scan that one circle fills.
-struct Window {
+struct CircleWindow {
     first_ray: u32,
     ranges: Vec<f64>,
 }
@@ -204,7 +204,7 @@ impl Beams {
     }
 
     /// Window of a circle in a scan without noise; None without a hit, or for a scanner inside it.
-    fn window(&self, [x, y, radius]: [f64; 3], half_width: f64) -> Option<Window> {
+    fn window(&self, [x, y, radius]: [f64; 3], half_width: f64) -> Option<CircleWindow> {
         let (distance, bearing) = (libm::hypot(x, y), libm::atan2(y, x));
         let [near, far] = self.range_limits;
         if distance <= radius || distance - radius > far {
@@ -227,11 +227,11 @@ impl Beams {
             };
             ranges.push(if (near..=far).contains(&range) { range } else { f64::INFINITY });
         }
-        Window { first_ray, ranges }.trimmed(self.n_beams)
+        CircleWindow { first_ray, ranges }.trimmed(self.n_beams)
     }
 
     /// Neighbourhood of the ends of a window.
-    fn sides(&self, window: &Window, cut_margins: [f64; 2]) -> [Side; 2] {
+    fn sides(&self, window: &CircleWindow, cut_margins: [f64; 2]) -> [Side; 2] {
         let last = (window.first_ray + window.ranges.len() as u32 - 1) % self.n_beams;
         let turned = self.angle_increment.abs() * (f64::from(self.n_beams) - 0.5);
         let closed = turned >= TAU - self.angle_increment.abs();
@@ -254,7 +254,7 @@ fn turned(angle: f64) -> f64 {
     (angle - (angle / TAU).round() * TAU).abs()
 }
 
-impl Window {
+impl CircleWindow {
     /// Window without misses at its ends; None if there are only misses.
     fn trimmed(mut self, n_beams: u32) -> Option<Self> {
         let from = self.ranges.iter().position(|range| range.is_finite())?;
@@ -304,7 +304,7 @@ impl Maker<'_> {
         number: u64,
         half_width: f64,
         stream: &mut Stream,
-    ) -> Result<([f64; 3], Window), Error> {
+    ) -> Result<([f64; 3], CircleWindow), Error> {
         match self.source {
             Source::Given(circles, times) => {
                 let index = (number / times.max(1)) as usize;
@@ -334,7 +334,7 @@ impl Maker<'_> {
     }
 
     /// Hide a part of the circle by something nearer.
-    fn hide(&self, window: &mut Window, sides: &mut [Side; 2], stream: &mut Stream) {
+    fn hide(&self, window: &mut CircleWindow, sides: &mut [Side; 2], stream: &mut Stream) {
         let [whether, which, first, second] = stream.uniforms();
         if whether >= self.disturbance.occluded_share || window.ranges.len() < 2 {
             return;
@@ -352,14 +352,14 @@ impl Maker<'_> {
             ranges[gone].fill(f64::INFINITY);
             sides_left[side] = Side::Occluded;
         }
-        let left = Window { first_ray: window.first_ray, ranges }.trimmed(self.beams.n_beams);
+        let left = CircleWindow { first_ray: window.first_ray, ranges }.trimmed(self.beams.n_beams);
         if let Some(left) = left {
             (*window, *sides) = (left, sides_left);
         }
     }
 
     /// Let rays at the ends meet circle and background at once.
-    fn mix(&self, window: &mut Window, stream: &mut Stream) {
+    fn mix(&self, window: &mut CircleWindow, stream: &mut Stream) {
         let [first, second, near, far] = stream.uniforms();
         let last = window.ranges.len() - 1;
         for (whether, place, share) in [(first, 0, near), (second, last, far)] {
@@ -369,7 +369,7 @@ impl Maker<'_> {
         }
     }
 
-    fn add_noise(&self, window: &mut Window, range_std: f64, number: u64) {
+    fn add_noise(&self, window: &mut CircleWindow, range_std: f64, number: u64) {
         for (index, pair) in window.ranges.chunks_mut(2).enumerate() {
             let place = random::place(Purpose::CircleNoise, number, index as u32);
             let drawn = random::words(self.seed, place);

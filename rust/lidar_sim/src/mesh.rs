@@ -1,6 +1,6 @@
 //! Triangle meshes and height fields.
 
-use crate::parry::{Bounds, Ray, Tree};
+use crate::parry::{BoundingBox, CastRay, Tree};
 use crate::shape::refused;
 use lidar_core::Error;
 use lidar_core::geometry::transform::{dot, minus, norm};
@@ -39,7 +39,9 @@ impl Mesh {
         }
         let mut boxes =
             budget::vec_with_capacity("mesh", faces.len(), MAX_FACES, "split the mesh")?;
-        boxes.extend(faces.iter().map(|face| Bounds::around(face.map(|v| vertices[v as usize]))));
+        boxes.extend(
+            faces.iter().map(|face| BoundingBox::around(face.map(|v| vertices[v as usize]))),
+        );
         let radius = vertices.iter().map(|&v| norm(v)).fold(0.0, f64::max);
         let triangles = faces.iter().map(|face| {
             let [a, b, c] = face.map(|v| vertices[v as usize]);
@@ -100,12 +102,12 @@ impl Mesh {
         self.radius
     }
 
-    pub(crate) fn meet(&self, ray: &Ray, limit: f64) -> Option<f64> {
+    pub(crate) fn meet(&self, ray: &CastRay, limit: f64) -> Option<f64> {
         self.nearest(ray, limit).map(|(_, distance)| distance)
     }
 
     /// Unit normal of the face that `ray` meets first; the reversed ray if it meets none.
-    pub(crate) fn normal(&self, ray: &Ray) -> [f64; 3] {
+    pub(crate) fn normal(&self, ray: &CastRay) -> [f64; 3] {
         let normal = self.nearest(ray, f64::MAX).map(|(face, _)| {
             let [_, ab, ac] = self.triangles[face as usize];
             cross(ab, ac)
@@ -115,7 +117,7 @@ impl Mesh {
         normal.map(|part| part / length)
     }
 
-    fn nearest(&self, ray: &Ray, limit: f64) -> Option<(u32, f64)> {
+    fn nearest(&self, ray: &CastRay, limit: f64) -> Option<(u32, f64)> {
         self.tree.nearest(ray, limit, |face, _| meet_triangle(ray, &self.triangles[face as usize]))
     }
 
@@ -139,7 +141,7 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 /// # Source
 /// Moeller & Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection", 1997.
 #[inline]
-fn meet_triangle(ray: &Ray, [a, ab, ac]: &[[f64; 3]; 3]) -> Option<f64> {
+fn meet_triangle(ray: &CastRay, [a, ab, ac]: &[[f64; 3]; 3]) -> Option<f64> {
     let p = cross(ray.direction, *ac);
     let scale = dot(*ab, p);
     if scale == 0.0 {
@@ -206,7 +208,7 @@ mod tests {
         assert_eq!(mesh.faces(), [[0, 2, 1], [1, 2, 3]]);
         assert_eq!(mesh.vertices()[3], [1.0, 1.0, 2.0]);
         for (x, y, height) in [(-0.5, -0.5, 0.0), (0.5, 0.5, 1.0), (0.0, 0.0, 0.0)] {
-            let down = Ray { origin: [x, y, 10.0], direction: [0.0, 0.0, -1.0] };
+            let down = CastRay { origin: [x, y, 10.0], direction: [0.0, 0.0, -1.0] };
             assert_eq!(mesh.meet(&down, 100.0), Some(10.0 - height));
         }
         Ok(())

@@ -1,6 +1,6 @@
 //! Random smooth motions without collisions.
 
-use crate::parry::{Bounds, Ray};
+use crate::parry::{BoundingBox, CastRay};
 use crate::random::{Purpose, Stream};
 use crate::scene::{Scene, inverse};
 use crate::shape::refused;
@@ -36,7 +36,7 @@ pub struct Near<'a> {
 #[derive(Clone, Debug)]
 pub struct RandomMotion<'a> {
     /// Box that contains the centre [m].
-    pub bounds: Bounds,
+    pub bounds: BoundingBox,
     /// Greatest speed [m/s].
     pub speed_max: f64,
     /// Greatest acceleration [m/s2].
@@ -107,7 +107,7 @@ impl RandomMotion<'_> {
     /// Three control points on a line: a motion at constant velocity.
     fn start(&self, scene: &Scene, numbers: &mut Stream, in_view: bool) -> Option<Vec<[f64; 3]>> {
         let share = numbers.uniforms();
-        let Bounds { min, max } = self.bounds;
+        let BoundingBox { min, max } = self.bounds;
         let first = std::array::from_fn(|axis| min[axis] + share[axis] * (max[axis] - min[axis]));
         let step = numbers.direction().map(|part| part * share[3] * self.speed_max * STEP);
         let points = vec![first, sum(first, step), sum(first, sum(step, step))];
@@ -178,7 +178,7 @@ impl RandomMotion<'_> {
     }
 
     fn holds(&self, point: [f64; 3]) -> bool {
-        let Bounds { min, max } = self.bounds;
+        let BoundingBox { min, max } = self.bounds;
         (0..3).all(|axis| (min[axis]..=max[axis]).contains(&point[axis]))
     }
 
@@ -199,7 +199,7 @@ impl RandomMotion<'_> {
             let origin = near.sensor.pose_at((seconds * 1e9) as i64).translation;
             let way = minus(place, origin);
             let length = norm(way);
-            let ray = Ray { origin, direction: way.map(|part| part / length) };
+            let ray = CastRay { origin, direction: way.map(|part| part / length) };
             length > 0.0 && scene.meet(&ray, length, 0.0).is_none()
         })
     }

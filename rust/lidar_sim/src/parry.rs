@@ -12,7 +12,7 @@ use std::cell::Cell;
 
 /// A half-line; `direction` has length 1.
 #[derive(Clone, Copy, Debug)]
-pub struct Ray {
+pub struct CastRay {
     /// Start [m].
     pub origin: [f64; 3],
     /// Unit direction.
@@ -21,14 +21,14 @@ pub struct Ray {
 
 /// Axis-aligned box: least and greatest corner [m].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Bounds {
+pub struct BoundingBox {
     /// Least coordinates.
     pub min: [f64; 3],
     /// Greatest coordinates.
     pub max: [f64; 3],
 }
 
-impl Bounds {
+impl BoundingBox {
     /// The smallest box around `points`; inverted (min > max) around none.
     #[must_use]
     pub fn around(points: impl IntoIterator<Item = [f64; 3]>) -> Self {
@@ -57,8 +57,8 @@ pub(crate) struct Tree {
 const MARGIN: f64 = 4e-6;
 
 impl Tree {
-    pub(crate) fn new(boxes: &[Bounds]) -> Self {
-        let all = Bounds::around(boxes.iter().flat_map(|bounds| [bounds.min, bounds.max]));
+    pub(crate) fn new(boxes: &[BoundingBox]) -> Self {
+        let all = BoundingBox::around(boxes.iter().flat_map(|bounds| [bounds.min, bounds.max]));
         let center: [f64; 3] = if boxes.is_empty() {
             [0.0; 3]
         } else {
@@ -81,7 +81,7 @@ impl Tree {
     /// one candidate. Of equal distances it is always the same one.
     pub(crate) fn nearest(
         &self,
-        ray: &Ray,
+        ray: &CastRay,
         limit: f64,
         hit: impl Fn(u32, f64) -> Option<f64>,
     ) -> Option<(u32, f64)> {

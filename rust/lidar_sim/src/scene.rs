@@ -9,7 +9,7 @@ use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, dot, minus, norm};
 use std::f64::consts::TAU;
 
-pub use crate::parry::{Bounds, Ray};
+pub use crate::parry::{BoundingBox, CastRay};
 
 /// Largest number of wide bodies that are kept out of the tree.
 const MOST_WIDE: usize = 8;
@@ -27,7 +27,7 @@ pub struct Sway {
 
 /// A shape at rest, or swaying.
 #[derive(Clone, Debug)]
-pub struct Body {
+pub struct SceneObject {
     /// Its surface.
     pub shape: Shape,
     /// Pose of the body.
@@ -55,7 +55,7 @@ pub struct Mover {
 
 /// End of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Hit {
+pub struct RayHit {
     /// Length of the ray [m].
     pub distance: f64,
     /// Label of the body.
@@ -67,7 +67,7 @@ pub struct Hit {
 /// Bodies at rest in a tree, movers, and particles.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    bodies: Vec<Body>,
+    bodies: Vec<SceneObject>,
     /// Inverse poses of `bodies`.
     shape_from_world: Vec<Transform>,
     /// True for bodies without rotation.
@@ -82,7 +82,7 @@ pub struct Scene {
     objects: Vec<usize>,
     air: Vec<Particles>,
     /// Bodies fixed to the sensor, in its frame, and their inverse poses.
-    carried: Vec<(Body, Transform)>,
+    carried: Vec<(SceneObject, Transform)>,
 }
 
 impl Sway {
@@ -97,7 +97,7 @@ impl Sway {
     }
 }
 
-impl Body {
+impl SceneObject {
     fn is_finite(&self) -> bool {
         let pose = &self.world_from_shape;
         let mut values = pose.rotation.iter().flatten().chain(&pose.translation);
@@ -105,7 +105,7 @@ impl Body {
     }
 
     /// Box around all positions of a swaying body; None for an infinite one.
-    fn bounds(&self) -> Option<Bounds> {
+    fn bounds(&self) -> Option<BoundingBox> {
         let mut bounds = self.shape.bounds(&self.world_from_shape)?;
         let reach = self.sway.map_or([0.0; 3], |sway| sway.reach.map(f64::abs));
         for (axis, reach) in reach.into_iter().enumerate() {
@@ -119,7 +119,7 @@ impl Body {
 impl Scene {
     /// # Errors
     /// [`Error::Value`] if a pose or a sway is not finite.
-    pub fn new(bodies: Vec<Body>, movers: Vec<Mover>) -> Result<Self, Error> {
+    pub fn new(bodies: Vec<SceneObject>, movers: Vec<Mover>) -> Result<Self, Error> {
         let (mut wide, mut bounded, mut boxes) = (Vec::new(), Vec::new(), Vec::new());
         for (index, body) in bodies.iter().enumerate() {
             if !body.is_finite() {
@@ -138,7 +138,7 @@ impl Scene {
         take_wide(&mut wide, &mut bounded, &mut boxes);
         let shape_from_world = bodies.iter().map(|body| inverse(&body.world_from_shape)).collect();
         let is_upright =
-            |body: &Body| body.world_from_shape.rotation == Transform::IDENTITY.rotation;
+            |body: &SceneObject| body.world_from_shape.rotation == Transform::IDENTITY.rotation;
         let upright = bodies.iter().map(is_upright).collect();
         let tree = Tree::new(&boxes);
         Ok(Self {
@@ -171,12 +171,12 @@ impl Scene {
     ///
     /// # Errors
     /// [`Error::Value`] if a pose is not finite.
-    pub fn with_carried(self, bodies: Vec<Body>) -> Result<Self, Error> {
+    pub fn with_carried(self, bodies: Vec<SceneObject>) -> Result<Self, Error> {
         if let Some(index) = bodies.iter().position(|body| !body.is_finite()) {
             let got = format!("{:?}", bodies[index].world_from_shape);
             return Err(Error::Value { name: "carried", expected: "finite", index, got });
         }
-        let of = |body: Body| {
+        let of = |body: SceneObject| {
             let shape_from_lidar = inverse(&body.world_from_shape);
             (body, shape_from_lidar)
         };
@@ -185,13 +185,13 @@ impl Scene {
 
     /// First hit, before `limit` [m], of a ray in `direction` of the sensor's frame on its carrier.
     #[must_use]
-    pub fn meet_carried(&self, direction: [f64; 3], limit: f64) -> Option<Hit> {
-        let ray = Ray { origin: [0.0; 3], direction };
+    pub fn meet_carried(&self, direction: [f64; 3], limit: f64) -> Option<RayHit> {
+        let ray = CastRay { origin: [0.0; 3], direction };
         let mut nearest = None;
         let mut limit = limit;
         for (body, shape_from_lidar) in &self.carried {
             if let Some(distance) = body.shape.meet(&within(shape_from_lidar, &ray), limit) {
-                nearest = Some(Hit { distance, label: body.label, surface: None });
+                nearest = Some(RayHit { distance, label: body.label, surface: None });
                 limit = distance;
             }
         }
@@ -224,18 +224,18 @@ impl Scene {
 
     /// First body that `ray` meets before `limit` [m], `seconds` after time 0.
     #[must_use]
-    pub fn meet(&self, ray: &Ray, limit: f64, seconds: f64) -> Option<Hit> {
+    pub fn meet(&self, ray: &CastRay, limit: f64, seconds: f64) -> Option<RayHit> {
         let test = |index: u32, limit: f64| {
             let index = index as usize;
             let body = &self.bodies[index];
-            let swayed = body.sway.map(|sway| Ray {
+            let swayed = body.sway.map(|sway| CastRay {
                 origin: minus(ray.origin, sway.at(seconds)),
                 direction: ray.direction,
             });
             let ray = swayed.as_ref().unwrap_or(ray);
             if self.upright[index] {
                 let origin = minus(ray.origin, body.world_from_shape.translation);
-                return body.shape.meet(&Ray { origin, direction: ray.direction }, limit);
+                return body.shape.meet(&CastRay { origin, direction: ray.direction }, limit);
             }
             body.shape.meet(&within(&self.shape_from_world[index], ray), limit)
         };
@@ -255,15 +255,15 @@ impl Scene {
         nearest.map(|index| self.hit(index as usize, ray, limit, seconds))
     }
 
-    fn hit(&self, index: usize, ray: &Ray, distance: f64, seconds: f64) -> Hit {
+    fn hit(&self, index: usize, ray: &CastRay, distance: f64, seconds: f64) -> RayHit {
         let body = &self.bodies[index];
         let surface = body.surface.map(|surface| {
             let swayed = body.sway.map_or([0.0; 3], |sway| sway.at(seconds));
             let origin = minus(ray.origin, swayed);
-            let local = within(&self.shape_from_world[index], &Ray { origin, ..*ray });
+            let local = within(&self.shape_from_world[index], &CastRay { origin, ..*ray });
             (surface, body.world_from_shape.rotate(body.shape.normal(&local, distance)))
         });
-        Hit { distance, label: body.label, surface }
+        RayHit { distance, label: body.label, surface }
     }
 
     /// Distance [m] of `point` from the nearest body at its current place, or `limit` if none is
@@ -292,9 +292,9 @@ fn objects_of(movers: &[Mover]) -> Vec<usize> {
 
 /// Move bodies that are at least half as wide as all together to `wide`, a few at most. In the tree
 /// nearly every ray would meet them, but late.
-fn take_wide(wide: &mut Vec<u32>, bounded: &mut Vec<u32>, boxes: &mut Vec<Bounds>) {
-    let size = |bounds: &Bounds| norm(minus(bounds.max, bounds.min));
-    let all = size(&Bounds::around(boxes.iter().flat_map(|bounds| [bounds.min, bounds.max])));
+fn take_wide(wide: &mut Vec<u32>, bounded: &mut Vec<u32>, boxes: &mut Vec<BoundingBox>) {
+    let size = |bounds: &BoundingBox| norm(minus(bounds.max, bounds.min));
+    let all = size(&BoundingBox::around(boxes.iter().flat_map(|bounds| [bounds.min, bounds.max])));
     for place in (0..boxes.len()).rev() {
         if wide.len() < MOST_WIDE && size(&boxes[place]) >= 0.5 * all {
             wide.push(bounded.remove(place));
@@ -313,15 +313,15 @@ pub fn inverse(pose: &Transform) -> Transform {
 }
 
 /// `ray` in the frame of a shape.
-pub(crate) fn within(shape_from_world: &Transform, ray: &Ray) -> Ray {
-    Ray {
+pub(crate) fn within(shape_from_world: &Transform, ray: &CastRay) -> CastRay {
+    CastRay {
         origin: shape_from_world.apply(ray.origin),
         direction: shape_from_world.rotate(ray.direction),
     }
 }
 
 /// True if `ray` passes the sphere of `radius` around `center`.
-pub(crate) fn passes(ray: &Ray, center: [f64; 3], radius: f64) -> bool {
+pub(crate) fn passes(ray: &CastRay, center: [f64; 3], radius: f64) -> bool {
     let to_center = minus(center, ray.origin);
     let along = dot(to_center, ray.direction).max(0.0);
     let miss: [f64; 3] = std::array::from_fn(|axis| to_center[axis] - along * ray.direction[axis]);

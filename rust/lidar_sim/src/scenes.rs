@@ -1,6 +1,6 @@
 //! The fixed scene of all performance figures.
 
-use crate::scene::{Body, Mover, Scene};
+use crate::scene::{Mover, Scene, SceneObject};
 use crate::sensors::{Lidar, Pattern};
 use crate::shape::{Shape, refused};
 use crate::simulate::{self, Task};
@@ -184,7 +184,7 @@ impl Performance {
     }
 }
 
-fn bodies() -> Result<Vec<Body>, Error> {
+fn bodies() -> Result<Vec<SceneObject>, Error> {
     let mut shapes = vec![(Shape::plane([100.0, 100.0])?, [0.0; 3])];
     for [size_x, size_y, height, x, y] in BOXES {
         shapes.push((Shape::cuboid([size_x, size_y, height])?, [x, y, 0.5 * height]));
@@ -192,7 +192,7 @@ fn bodies() -> Result<Vec<Body>, Error> {
     for [radius, height, x, y] in CYLINDERS {
         shapes.push((Shape::cylinder(radius, height)?, [x, y, 0.5 * height]));
     }
-    let body = |(label, (shape, place))| Body {
+    let body = |(label, (shape, place))| SceneObject {
         shape,
         world_from_shape: at(place),
         sway: None,

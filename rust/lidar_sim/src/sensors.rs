@@ -88,7 +88,7 @@ pub struct Lidar {
 
 /// Rays of one scan in the LiDAR's frame.
 #[derive(Clone, Debug)]
-pub struct Sweep {
+pub struct SweepRays {
     /// Unit directions.
     pub directions: Vec<[f64; 3]>,
     /// Firing of every ray.
@@ -154,7 +154,7 @@ impl Lidar {
 
     /// Rays of scan number `scan`.
     #[must_use]
-    pub fn sweep(&self, scan: u64) -> Sweep {
+    pub fn sweep(&self, scan: u64) -> SweepRays {
         match &self.pattern {
             Pattern::Spinning { elevations, columns, azimuth_start, azimuth_per_scan } => {
                 let start = azimuth_start + azimuth_per_scan * scan as f64;
@@ -170,7 +170,7 @@ impl Lidar {
         }
     }
 
-    fn spinning(&self, elevations: &[f64], columns: usize, start: f64) -> Sweep {
+    fn spinning(&self, elevations: &[f64], columns: usize, start: f64) -> SweepRays {
         let turns: Vec<[f64; 2]> = (0..columns)
             .map(|column| TAU * column as f64 / columns as f64 + start)
             .map(|azimuth| [libm::cos(azimuth), libm::sin(azimuth)])
@@ -181,7 +181,7 @@ impl Lidar {
             directions.extend(turns.iter().map(|[x, y]| [flat * x, flat * y, up]));
         }
         let firings = (0..directions.len()).map(|ray| (ray % columns) as u32).collect();
-        Sweep { directions, firings, offsets_ns: self.offsets(columns) }
+        SweepRays { directions, firings, offsets_ns: self.offsets(columns) }
     }
 
     fn rosette(
@@ -191,7 +191,7 @@ impl Lidar {
         elevation: [f64; 2],
         azimuth_half: Option<f64>,
         rates: [f64; 2],
-    ) -> Sweep {
+    ) -> SweepRays {
         let offsets_ns = self.offsets(rays);
         let step = self.period_ns as f64 * 1e-9 / rays as f64;
         let direction = |ray: usize| {
@@ -206,7 +206,7 @@ impl Lidar {
             let flat = libm::cos(height);
             [flat * libm::cos(azimuth), flat * libm::sin(azimuth), libm::sin(height)]
         };
-        Sweep {
+        SweepRays {
             directions: (0..rays).map(direction).collect(),
             firings: (0..rays as u32).collect(),
             offsets_ns,
@@ -290,12 +290,12 @@ fn triangle(phase: f64) -> f64 {
     (2.0 * phase - 1.0).abs()
 }
 
-fn planar(rays: usize, [start, step]: [f64; 2], step_ns: i64) -> Sweep {
+fn planar(rays: usize, [start, step]: [f64; 2], step_ns: i64) -> SweepRays {
     let direction = |ray: usize| {
         let bearing = start + step * ray as f64;
         [libm::cos(bearing), libm::sin(bearing), 0.0]
     };
-    Sweep {
+    SweepRays {
         directions: (0..rays).map(direction).collect(),
         firings: (0..rays as u32).collect(),
         offsets_ns: (0..rays as i64).map(|ray| ray * step_ns).collect(),

@@ -1,7 +1,7 @@
 //! Shapes in their own frame: intersection with rays, and distance from points.
 
 use crate::mesh::Mesh;
-use crate::parry::{Bounds, Ray};
+use crate::parry::{BoundingBox, CastRay};
 use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, dot, norm};
 use std::sync::Arc;
@@ -97,7 +97,7 @@ impl Shape {
     /// Distance [m] along `ray` (in the shape's frame) to the first intersection before `limit`.
     #[must_use]
     #[inline]
-    pub fn meet(&self, ray: &Ray, limit: f64) -> Option<f64> {
+    pub fn meet(&self, ray: &CastRay, limit: f64) -> Option<f64> {
         let found = match self {
             Self::Plane { half_size } => meet_plane(ray, *half_size),
             Self::Box { half_size } => meet_box(ray, *half_size),
@@ -113,7 +113,7 @@ impl Shape {
 
     /// Unit normal, to either side, where `ray` (in the shape's frame) meets it at `distance` [m].
     #[must_use]
-    pub fn normal(&self, ray: &Ray, distance: f64) -> [f64; 3] {
+    pub fn normal(&self, ray: &CastRay, distance: f64) -> [f64; 3] {
         let [x, y, z]: [f64; 3] =
             std::array::from_fn(|axis| ray.origin[axis] + distance * ray.direction[axis]);
         let up = [0.0, 0.0, 1.0];
@@ -181,7 +181,7 @@ impl Shape {
 
     /// Box around the shape at `pose`; None for an infinite shape.
     #[must_use]
-    pub fn bounds(&self, pose: &Transform) -> Option<Bounds> {
+    pub fn bounds(&self, pose: &Transform) -> Option<BoundingBox> {
         let half = match self {
             Self::Plane { half_size: [x, y] } => extent_of_box(pose, [*x, *y, 0.0]),
             Self::Box { half_size } => extent_of_box(pose, *half_size),
@@ -193,10 +193,10 @@ impl Shape {
             }
             Self::Sphere { radius } => [*radius; 3],
             Self::Mesh(mesh) => {
-                return Some(Bounds::around(mesh.vertices().iter().map(|&v| pose.apply(v))));
+                return Some(BoundingBox::around(mesh.vertices().iter().map(|&v| pose.apply(v))));
             }
         };
-        half.iter().all(|length| length.is_finite()).then(|| Bounds {
+        half.iter().all(|length| length.is_finite()).then(|| BoundingBox {
             min: std::array::from_fn(|axis| pose.translation[axis] - half[axis]),
             max: std::array::from_fn(|axis| pose.translation[axis] + half[axis]),
         })
@@ -279,7 +279,7 @@ fn both(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
     [a[0].max(b[0]), a[1].min(b[1])]
 }
 
-fn meet_plane(ray: &Ray, half_size: [f64; 2]) -> Option<f64> {
+fn meet_plane(ray: &CastRay, half_size: [f64; 2]) -> Option<f64> {
     let distance = -ray.origin[2] / ray.direction[2];
     if !(distance >= 0.0 && distance.is_finite()) {
         return None; // parallel, or behind
@@ -288,12 +288,12 @@ fn meet_plane(ray: &Ray, half_size: [f64; 2]) -> Option<f64> {
     (at(0) <= half_size[0] && at(1) <= half_size[1]).then_some(distance)
 }
 
-fn meet_box(ray: &Ray, half_size: [f64; 3]) -> Option<f64> {
+fn meet_box(ray: &CastRay, half_size: [f64; 3]) -> Option<f64> {
     let part = |axis: usize| slab(ray.origin[axis], ray.direction[axis], half_size[axis]);
     first(both(both(part(0), part(1)), part(2)))
 }
 
-fn meet_cylinder(ray: &Ray, radius: f64, half_height: f64) -> Option<f64> {
+fn meet_cylinder(ray: &CastRay, radius: f64, half_height: f64) -> Option<f64> {
     let ([x, y, z], [dx, dy, dz]) = (ray.origin, ray.direction);
     let across = dx * dx + dy * dy;
     let round = if across > 0.0 {
@@ -316,13 +316,13 @@ fn meet_cylinder(ray: &Ray, radius: f64, half_height: f64) -> Option<f64> {
 
 /// Intersection in coordinates scaled by the half axes: there the cylinder is round, and distances
 /// along the ray are unchanged.
-fn meet_elliptic_cylinder(ray: &Ray, [a, b]: [f64; 2], half_height: f64) -> Option<f64> {
+fn meet_elliptic_cylinder(ray: &CastRay, [a, b]: [f64; 2], half_height: f64) -> Option<f64> {
     let scaled = |[x, y, z]: [f64; 3]| [x / a, y / b, z];
-    let ray = Ray { origin: scaled(ray.origin), direction: scaled(ray.direction) };
+    let ray = CastRay { origin: scaled(ray.origin), direction: scaled(ray.direction) };
     meet_cylinder(&ray, 1.0, half_height)
 }
 
-fn meet_sphere(ray: &Ray, radius: f64) -> Option<f64> {
+fn meet_sphere(ray: &CastRay, radius: f64) -> Option<f64> {
     let middle = -dot(ray.origin, ray.direction);
     let near: [f64; 3] =
         std::array::from_fn(|axis| ray.origin[axis] + middle * ray.direction[axis]);
@@ -338,8 +338,8 @@ fn meet_sphere(ray: &Ray, radius: f64) -> Option<f64> {
 mod tests {
     use super::*;
 
-    fn along_x(origin: [f64; 3]) -> Ray {
-        Ray { origin, direction: [1.0, 0.0, 0.0] }
+    fn along_x(origin: [f64; 3]) -> CastRay {
+        CastRay { origin, direction: [1.0, 0.0, 0.0] }
     }
 
     #[test]
@@ -354,7 +354,7 @@ mod tests {
         assert_eq!(cuboid.meet(&along_x([-5.0, 2.1, 0.0]), 100.0), None);
         let cylinder = Shape::cylinder(1.0, 2.0)?;
         assert_eq!(cylinder.meet(&along_x([-5.0, 0.0, 1.0]), 100.0), Some(4.0));
-        let down = Ray { origin: [0.5, 0.0, 9.0], direction: [0.0, 0.0, -1.0] };
+        let down = CastRay { origin: [0.5, 0.0, 9.0], direction: [0.0, 0.0, -1.0] };
         assert_eq!(cylinder.meet(&down, 100.0), Some(8.0)); // the cap
         let endless = Shape::cylinder(1.0, f64::INFINITY)?;
         assert_eq!(endless.meet(&down, 100.0), None);
@@ -384,7 +384,7 @@ mod tests {
         assert_eq!(sphere.normal(&from(0.0, 0.0), 3.0), [-1.0, 0.0, 0.0]);
         let cuboid = Shape::cuboid([2.0, 4.0, 6.0])?;
         assert_eq!(cuboid.normal(&from(1.0, 1.0), 4.0), [1.0, 0.0, 0.0]);
-        let down = Ray { origin: [0.5, 0.0, 9.0], direction: [0.0, 0.0, -1.0] };
+        let down = CastRay { origin: [0.5, 0.0, 9.0], direction: [0.0, 0.0, -1.0] };
         let cylinder = Shape::cylinder(1.0, 2.0)?;
         assert_eq!(cylinder.normal(&down, 8.0), [0.0, 0.0, 1.0]);
         assert_eq!(cylinder.normal(&from(0.0, 0.5), 4.0), [-1.0, 0.0, 0.0]);
@@ -392,7 +392,7 @@ mod tests {
         let met = ellipse.normal(&from(0.6, 0.0), 5.0 - 1.6);
         assert!((met[1] / met[0] + 0.6 / 0.4).abs() < 1e-12); // gradient: x / 4, y / 1
         let slope = Shape::Mesh(Arc::new(Mesh::height_field(&[0.0, 0.0, 2.0, 2.0], 2, 2.0)?));
-        let met = slope.normal(&Ray { origin: [0.1, 0.1, 9.0], ..down }, 8.0);
+        let met = slope.normal(&CastRay { origin: [0.1, 0.1, 9.0], ..down }, 8.0);
         assert!((met[0].abs() - 0.5f64.sqrt()).abs() < 1e-12 && met[0] * met[2] < 0.0);
         Ok(())
     }

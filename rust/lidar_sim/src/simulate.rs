@@ -1,8 +1,8 @@
 //! Simulation of one scan of a scene.
 
 use crate::random::{self, Purpose};
-use crate::scene::{Hit, Ray, Scene, inverse, passes, within};
-use crate::sensors::{Beam, Lidar, Sweep};
+use crate::scene::{CastRay, RayHit, Scene, inverse, passes, within};
+use crate::sensors::{Beam, Lidar, SweepRays};
 use crate::surface::{Fate, Surface, USUAL_REFLECTIVITY, is_seen, signal};
 use crate::trajectory::Trajectory;
 use lidar_core::Error;
@@ -49,9 +49,9 @@ pub struct Task<'a> {
 
 /// Ranges of one scan and their ground truth. Rays are in the order of the sweep.
 #[derive(Clone, Debug)]
-pub struct Scan {
+pub struct SimulatedScan {
     /// Rays in the LiDAR's frame.
-    pub sweep: Sweep,
+    pub sweep: SweepRays,
     /// Range of every ray [m]; +inf is no return, NaN no information.
     pub ranges: Vec<f64>,
     /// Label of the body that every ray met; [`NO_LABEL`] for rays without a range.
@@ -73,10 +73,10 @@ struct Moment {
 ///
 /// # Errors
 /// Errors of [`Lidar::check`].
-pub fn scan(pool: &ThreadPool, task: &Task<'_>) -> Result<Scan, Error> {
+pub fn scan(pool: &ThreadPool, task: &Task<'_>) -> Result<SimulatedScan, Error> {
     task.lidar.check()?;
     let sweep = task.lidar.sweep(task.scan);
-    let parts: Vec<Part> = pool.install(|| {
+    let parts: Vec<ScanPart> = pool.install(|| {
         let moments: Vec<Moment> = sweep
             .offsets_ns
             .par_iter()
@@ -95,20 +95,20 @@ pub fn scan(pool: &ThreadPool, task: &Task<'_>) -> Result<Scan, Error> {
             *total += count;
         }
     }
-    Ok(Scan { sweep, ranges, labels, unoccluded })
+    Ok(SimulatedScan { sweep, ranges, labels, unoccluded })
 }
 
 impl Moment {
     /// Ray in `direction` of the LiDAR's frame.
-    fn ray(&self, direction: [f64; 3]) -> Ray {
-        Ray {
+    fn ray(&self, direction: [f64; 3]) -> CastRay {
+        CastRay {
             origin: self.world_from_lidar.translation,
             direction: self.world_from_lidar.rotate(direction),
         }
     }
 }
 
-struct Part {
+struct ScanPart {
     ranges: Vec<f64>,
     labels: Vec<i32>,
     unoccluded: Vec<u32>,
@@ -131,9 +131,9 @@ impl Task<'_> {
         }
     }
 
-    fn part(&self, sweep: &Sweep, moments: &[Moment], start: usize) -> Part {
+    fn part(&self, sweep: &SweepRays, moments: &[Moment], start: usize) -> ScanPart {
         let end = (start + RAYS_PER_CHUNK).min(sweep.directions.len());
-        let mut part = Part {
+        let mut part = ScanPart {
             ranges: Vec::with_capacity(end - start),
             labels: Vec::with_capacity(end - start),
             unoccluded: vec![0; self.objects()],
@@ -169,29 +169,29 @@ impl Task<'_> {
         turns: &[[f64; 2]],
         moment: &Moment,
         met: &mut [bool],
-    ) -> Option<Hit> {
+    ) -> Option<RayHit> {
         let line = |&[cosine, sine]: &[f64; 2]| {
             moment.ray([cosine * x - sine * y, sine * x + cosine * y, z])
         };
         let limit = self.lidar.range_max;
-        let hits: Vec<Hit> =
+        let hits: Vec<RayHit> =
             turns.iter().filter_map(|turn| self.meet(&line(turn), moment, met, limit)).collect();
         let first = hits.iter().min_by(|a, b| a.distance.total_cmp(&b.distance))?;
         let last = first.distance + self.lidar.beam.map_or(0.0, |beam| beam.echo_length);
         let merged = hits.iter().map(|hit| hit.distance).filter(|&distance| distance <= last);
         let (count, sum) = merged.fold((0.0, 0.0), |(n, sum), value| (n + 1.0, sum + value));
-        Some(Hit { distance: sum / count, ..*first })
+        Some(RayHit { distance: sum / count, ..*first })
     }
 
     /// Hit on the carrier of the sensor, if it is before `hit`, else `hit`.
-    fn own(&self, direction: [f64; 3], hit: Option<Hit>) -> Option<Hit> {
+    fn own(&self, direction: [f64; 3], hit: Option<RayHit>) -> Option<RayHit> {
         let limit = hit.map_or(self.lidar.range_max, |hit| hit.distance);
         self.scene.meet_carried(direction, limit).or(hit)
     }
 
     /// Hit of a ray that may pass surfaces or be mirrored; None if the return is too weak. The
     /// length is that of the whole way.
-    fn seen(&self, ray: &Ray, moment: &Moment, met: &mut [bool], index: u32) -> Option<Hit> {
+    fn seen(&self, ray: &CastRay, moment: &Moment, met: &mut [bool], index: u32) -> Option<RayHit> {
         let mut hit = self.meet(ray, moment, met, self.lidar.range_max)?;
         let extinction = self.scene.extinction();
         if hit.surface.is_none() && extinction == 0.0 {
@@ -216,7 +216,7 @@ impl Task<'_> {
                     );
                     let fading = random::normal(drawn[2], drawn[3]);
                     let label = if is_ghost { GHOST_LABEL } else { hit.label };
-                    return is_seen(power, fading).then_some(Hit { distance, label, ..hit });
+                    return is_seen(power, fading).then_some(RayHit { distance, label, ..hit });
                 }
                 Fate::Mirrored(direction) => {
                     is_ghost = true;
@@ -228,7 +228,7 @@ impl Task<'_> {
             let start = |axis: usize| {
                 ray.origin[axis] + hit.distance * ray.direction[axis] + STEP * ahead[axis]
             };
-            ray = Ray { origin: std::array::from_fn(start), direction: ahead };
+            ray = CastRay { origin: std::array::from_fn(start), direction: ahead };
             hit = self.meet(&ray, moment, &mut unused, self.lidar.range_max - way)?;
         }
         None
@@ -241,7 +241,7 @@ impl Task<'_> {
     }
 
     /// First hit of `ray`; marks in `met` the objects that it meets or would meet.
-    fn meet(&self, ray: &Ray, moment: &Moment, met: &mut [bool], limit: f64) -> Option<Hit> {
+    fn meet(&self, ray: &CastRay, moment: &Moment, met: &mut [bool], limit: f64) -> Option<RayHit> {
         let mut nearest = self.scene.meet(ray, limit, moment.seconds);
         for (index, mover) in self.scene.movers().iter().enumerate() {
             let local = within(&moment.shape_from_world[index], ray);
@@ -255,14 +255,20 @@ impl Task<'_> {
                     let normal = mover.shape.normal(&local, distance);
                     (surface, inverse(&moment.shape_from_world[index]).rotate(normal))
                 });
-                nearest = Some(Hit { distance, label: mover.label, surface });
+                nearest = Some(RayHit { distance, label: mover.label, surface });
             }
         }
         nearest
     }
 
     /// Hit on a particle, if a ray ends on one, else `hit`.
-    fn in_air(&self, ray: &Ray, moment: &Moment, hit: Option<Hit>, index: u32) -> Option<Hit> {
+    fn in_air(
+        &self,
+        ray: &CastRay,
+        moment: &Moment,
+        hit: Option<RayHit>,
+        index: u32,
+    ) -> Option<RayHit> {
         let mut nearest = hit;
         for (group, volumes) in (0_u32..).zip(self.scene.air().chunks(4)) {
             let [ray_at, scan, scan_high, purpose] = random::place(Purpose::Air, self.scan, index);
@@ -272,7 +278,7 @@ impl Task<'_> {
                 let found = volume.meet(ray, self.lidar.range_min, moment.seconds, depth);
                 let limit = nearest.map_or(self.lidar.range_max, |hit| hit.distance);
                 if let Some(distance) = found.filter(|&distance| distance < limit) {
-                    nearest = Some(Hit { distance, label: AIR_LABEL, surface: None });
+                    nearest = Some(RayHit { distance, label: AIR_LABEL, surface: None });
                 }
             }
         }

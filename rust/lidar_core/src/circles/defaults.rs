@@ -3,10 +3,10 @@
 //! These are the only literals of a configuration in Rust. A test holds them against the models of
 //! the Python package, which document each value.
 
-use super::fit::{FitParameters, Method};
+use super::fit::{FitMethod, FitParameters};
 use super::map::{
-    CircleMapParameters, Confirmation, Filter, Independent, Joint, Limits, LineRules, Looking,
-    Mode, Patience, Standing,
+    CircleMapParameters, ElementConfirmation, ElementFilter, Independent, Joint, Limits, LineRules,
+    Looking, MotionMode, Patience, Standing,
 };
 use super::parameters::{PipelineParameters, ScannerParameters};
 use super::preprocess::projection::Projection;
@@ -17,10 +17,10 @@ use super::selection::ShapeParameters;
 /// Nearest and farthest surface that the scanner of the paper measures [m].
 const RANGE_LIMITS: [f64; 2] = [0.1, 10.0];
 /// Modes of motion: density of the acceleration [m^2/s^3], weight, mean time [s].
-const MODES: [Mode; 3] = [
-    Mode { density: 0.1, weight: 0.4, duration: 2.0 },
-    Mode { density: 0.5, weight: 0.599, duration: 2.0 },
-    Mode { density: 200.0, weight: 0.001, duration: 0.1 },
+const MODES: [MotionMode; 3] = [
+    MotionMode { density: 0.1, weight: 0.4, duration: 2.0 },
+    MotionMode { density: 0.5, weight: 0.599, duration: 2.0 },
+    MotionMode { density: 200.0, weight: 0.001, duration: 0.1 },
 ];
 
 /// The scanner of the paper: a Hokuyo UTM-30LX, limited to 10 m.
@@ -80,7 +80,7 @@ impl Default for CornerParameters {
 impl Default for FitParameters {
     fn default() -> Self {
         Self {
-            method: Method::Expected,
+            method: FitMethod::Expected,
             range_std: 0.01,
             beam_half_width: 0.0,
             radius: [0.02, 1.0],
@@ -122,7 +122,7 @@ impl Default for Independent {
             turn_density: 0.01,
             birth_density: 1e-4,
             merge_gap: 0.15,
-            confirmation: Confirmation { hits: 3, window: 5 },
+            confirmation: ElementConfirmation { hits: 3, window: 5 },
             limits: Limits { position: 1.0, velocity: 3.0, radius: 0.3 },
             patience: Patience { scans: 3, absent: 0.25, unmatched: 0.5, hidden: Some(5.0) },
             looking: Looking { margin: 0.15, min_rays: 4 },
@@ -150,7 +150,7 @@ impl Default for Joint {
 impl Default for CircleMapParameters {
     fn default() -> Self {
         Self {
-            filter: Filter::Independent(Independent::default()),
+            filter: ElementFilter::Independent(Independent::default()),
             gate_probability: 0.9999,
             initial_speed: 1.5,
         }
@@ -161,7 +161,7 @@ impl CircleMapParameters {
     /// Map with the joint filter as published.
     #[must_use]
     pub fn paper() -> Self {
-        Self { filter: Filter::Paper(Joint::default()), ..Self::default() }
+        Self { filter: ElementFilter::Paper(Joint::default()), ..Self::default() }
     }
 }
 

@@ -25,7 +25,7 @@ pub struct PreparedSweep {
     pub(super) delays: Option<Vec<f64>>,
     /// Horizontal reach of the scanner [m].
     pub(super) range_limits: [f64; 2],
-    pub(super) timing: Timing,
+    pub(super) timing: CircleTiming,
 }
 
 /// Distance above the nearest range, in standard deviations, within which neighbours of a hit may
@@ -68,7 +68,7 @@ impl PreparedSweep {
 
 /// Milliseconds spent per stage.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Timing {
+pub struct CircleTiming {
     /// Range limitation and projection.
     pub prepare: f64,
     /// Segmentation.
@@ -110,5 +110,5 @@ pub struct CircleFrame {
     /// Elements that are no circles, at the time of the sweep.
     pub map_shapes: Vec<MapShape>,
     /// Time per stage.
-    pub timing: Timing,
+    pub timing: CircleTiming,
 }

@@ -4,7 +4,7 @@ use super::fit::circle::CircleEstimate;
 use super::frame::PreparedSweep;
 use super::map::{CircleMap, MapStats, OutlineEstimate};
 use super::parameters::PipelineParameters;
-use super::selection::{Part, is_certain, is_piece, part, round};
+use super::selection::{MapUse, is_certain, is_piece, part, round};
 use super::shape::{ShapeEstimate, ShapeKind};
 
 /// Segments that go into the map, by number.
@@ -46,11 +46,11 @@ impl Parts {
             let shape = shapes.get(number).zip(parameters.shapes.as_ref());
             let part = part(prepared, number, circle, shape, limits);
             let is_too_near = shape.is_some()
-                && matches!(part, Part::Body(_))
+                && matches!(part, MapUse::Body(_))
                 && prepared.is_too_near(number, limits[0]);
             parts.too_near.push(is_too_near);
-            let part = if is_too_near { Part::Nothing } else { part };
-            let is_on_wall = matches!(part, Part::Body(_))
+            let part = if is_too_near { MapUse::Nothing } else { part };
+            let is_on_wall = matches!(part, MapUse::Body(_))
                 && shape.is_some_and(|(_, rules)| {
                     let is_piece = is_piece(prepared.segments.sides[number]);
                     let least = if is_piece { 0.0 } else { 2.0 * rules.max_size };
@@ -58,7 +58,7 @@ impl Parts {
                 });
             let straight = shape.filter(|(found, _)| found.kind == ShapeKind::Line);
             match (part, straight) {
-                (Part::Body(body), _) if !is_on_wall => {
+                (MapUse::Body(body), _) if !is_on_wall => {
                     parts.bodies.push(number);
                     parts.circles.push(body);
                     let outline = shape.and_then(|(found, rules)| rules.outline(found));
@@ -71,7 +71,7 @@ impl Parts {
                         .outlines
                         .push(outline.map(|one| OutlineEstimate { round: round(), ..one }));
                 }
-                (Part::Body(_) | Part::Line, Some((found, _))) => {
+                (MapUse::Body(_) | MapUse::Line, Some((found, _))) => {
                     parts.lines.push(number);
                     parts.shapes.push(*found);
                 }

@@ -1,14 +1,14 @@
 //! From one sweep of ranges to the map of circles: every stage in one call.
 
-use super::fit::Method;
+use super::fit::FitMethod;
 use super::fit::circle::CircleEstimate;
-use super::frame::{CircleFrame, PreparedSweep, Timing};
-use super::map::SavedMap;
+use super::frame::{CircleFrame, CircleTiming, PreparedSweep};
+use super::map::SavedCircleMap;
 use super::map::{CircleMap, CircleScan, MapElement, MapShape, MapStats, View};
 use super::map_input::{ByKind, Parts};
 use super::parameters::PipelineParameters;
 use super::preprocess::projection;
-use super::preprocess::sweep_poses::Sweep;
+use super::preprocess::sweep_poses::SweepPoses;
 pub use super::raw_sweep::RawSweep;
 use super::raw_sweep::delays;
 use super::scanner::Channel;
@@ -17,7 +17,7 @@ use super::segment::segmentation::segment;
 use super::selection::ShapeParameters;
 use super::shape::ShapeEstimate;
 use crate::Error;
-use crate::geometry::motion::Motion;
+use crate::geometry::motion::ScanPoses;
 use crate::geometry::transform::Transform;
 use crate::util::full_state::{impossible, opened, sealed};
 use crate::util::stopwatch::Clock;
@@ -70,7 +70,7 @@ impl CirclePipeline {
     /// [`CirclePipeline::to_state`] did not make, [`Error::Parameter`] for the state of a pipeline
     /// with other parameters.
     pub fn from_state(parameters: PipelineParameters, bytes: &[u8]) -> Result<Self, Error> {
-        let (names, map): (Vec<String>, SavedMap) = opened(KIND, &parameters, bytes)?;
+        let (names, map): (Vec<String>, SavedCircleMap) = opened(KIND, &parameters, bytes)?;
         let mut pipeline = Self::new(parameters)?;
         for (place, name) in names.into_iter().enumerate() {
             match pipeline.number(&name) {
@@ -122,8 +122,8 @@ impl CirclePipeline {
         self.map
             .check_stamp(raw.stamp_ns, number as u32)
             .map_err(|error| with_name(error, number, raw.scanner))?;
-        let motion = Motion::new(raw.poses, raw.pose_stamps_ns)?;
-        let sweep = Sweep::new(&motion, raw.stamp_ns, raw.ray_time_ns)?;
+        let motion = ScanPoses::new(raw.poses, raw.pose_stamps_ns)?;
+        let sweep = SweepPoses::new(&motion, raw.stamp_ns, raw.ray_time_ns)?;
         let upright = upright(&sweep)?;
         let (level, seen) = channel.level(raw, &sweep, parameters)?;
         let prepare = clock.lap();
@@ -142,7 +142,7 @@ impl CirclePipeline {
             scanner: raw.scanner.into(),
             number,
             range_limits,
-            timing: Timing { prepare, segment: clock.lap(), ..Timing::default() },
+            timing: CircleTiming { prepare, segment: clock.lap(), ..CircleTiming::default() },
         })
     }
 
@@ -152,7 +152,7 @@ impl CirclePipeline {
         let (scan, segments) = (&prepared.level.scan, &prepared.segments);
         let (_, channel) = &mut self.channels[prepared.number];
         let is_done =
-            self.parameters.shapes.is_some() && self.parameters.fit.method == Method::Expected;
+            self.parameters.shapes.is_some() && self.parameters.fit.method == FitMethod::Expected;
         let mut shapes = Vec::new();
         if is_done {
             channel.shaper.fit_both(scan, segments, &mut circles, &mut shapes)?;
@@ -225,7 +225,7 @@ impl CirclePipeline {
             stats,
             map,
             map_shapes,
-            timing: Timing { map: clock.lap(), ..prepared.timing },
+            timing: CircleTiming { map: clock.lap(), ..prepared.timing },
         })
     }
 
@@ -323,7 +323,7 @@ fn with_name(error: Error, number: usize, name: &str) -> Error {
 }
 
 /// Smallest ratio of horizontal to full length over all rays.
-fn upright(sweep: &Sweep) -> Result<f64, Error> {
+fn upright(sweep: &SweepPoses) -> Result<f64, Error> {
     let cosine = sweep.at_stamp().rotation[2][2].abs();
     if cosine < STEEPEST {
         return Err(Error::Value {

@@ -4,7 +4,7 @@ use super::fit::{FitParameters, Fitter};
 use super::parameters::{PipelineParameters, ScannerParameters};
 use super::preprocess::polar_scan::PolarScan;
 use super::preprocess::projection::{self, LevelScan};
-use super::preprocess::sweep_poses::Sweep;
+use super::preprocess::sweep_poses::SweepPoses;
 use super::raw_sweep::RawSweep;
 use super::shape::ShapeFitter;
 use crate::Error;
@@ -46,7 +46,7 @@ impl Channel {
     pub(super) fn level(
         &self,
         raw: &RawSweep<'_>,
-        sweep: &Sweep,
+        sweep: &SweepPoses,
         parameters: &PipelineParameters,
     ) -> Result<(LevelScan, Option<Vec<f64>>), Error> {
         let [near, far] = self.range_limits;

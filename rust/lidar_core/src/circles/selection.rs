@@ -117,7 +117,7 @@ impl ShapeParameters {
 
 /// Use of a segment in the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Part {
+pub(super) enum MapUse {
     /// A round object, or a small one that is nearly round.
     Body(CircleEstimate),
     /// A line.
@@ -134,21 +134,23 @@ pub(super) fn part(
     circle: &CircleEstimate,
     shape: Option<(&ShapeEstimate, &ShapeParameters)>,
     [range_std, max_deviation]: [f64; 2],
-) -> Part {
+) -> MapUse {
     let round = || round(prepared, number, circle, max_deviation);
-    let Some((shape, parameters)) = shape else { return Part::of(round()) };
+    let Some((shape, parameters)) = shape else { return MapUse::of(round()) };
     let off = range_std * (shape.misfit / shape.n_hits as f64).sqrt();
     let sides = prepared.segments.sides[number];
     match shape.kind {
-        ShapeKind::Circle if is_piece(sides) && shape.n_hits < parameters.min_hits => Part::Nothing,
-        ShapeKind::Circle => Part::of(round().filter(is_certain)),
-        _ if off > max_deviation => Part::Nothing,
+        ShapeKind::Circle if is_piece(sides) && shape.n_hits < parameters.min_hits => {
+            MapUse::Nothing
+        }
+        ShapeKind::Circle => MapUse::of(round().filter(is_certain)),
+        _ if off > max_deviation => MapUse::Nothing,
         ShapeKind::Line => {
             let is_face = sides == [Side::Free; 2];
-            parameters.behind(shape).filter(|_| is_face).map_or(Part::Line, Part::Body)
+            parameters.behind(shape).filter(|_| is_face).map_or(MapUse::Line, MapUse::Body)
         }
-        _ if is_piece(sides) => Part::Nothing,
-        ShapeKind::Ellipse | ShapeKind::Rectangle => Part::of(parameters.equivalent(shape)),
+        _ if is_piece(sides) => MapUse::Nothing,
+        ShapeKind::Ellipse | ShapeKind::Rectangle => MapUse::of(parameters.equivalent(shape)),
     }
 }
 
@@ -162,7 +164,7 @@ pub(super) fn round(
     Some(*circle).filter(|_| deviation(prepared, number, circle) <= max_deviation)
 }
 
-impl Part {
+impl MapUse {
     fn of(body: Option<CircleEstimate>) -> Self {
         body.map_or(Self::Nothing, Self::Body)
     }

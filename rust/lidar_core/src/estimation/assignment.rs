@@ -70,11 +70,11 @@ struct Solver {
     row_price: Vec<f64>,
     column_price: Vec<f64>,
     row_of: Vec<Option<usize>>,
-    search: Search,
+    search: PathSearch,
 }
 
 /// Workspace of one shortest-path search; only reached columns are reset, most are never reached.
-struct Search {
+struct PathSearch {
     distance: Vec<f64>,
     from_row: Vec<usize>,
     done: Vec<bool>,
@@ -94,7 +94,7 @@ impl Solver {
             row_price: vec![0.0; rows],
             column_price: vec![0.0; all_columns],
             row_of: vec![None; all_columns],
-            search: Search {
+            search: PathSearch {
                 distance: vec![f64::INFINITY; all_columns],
                 from_row: vec![0; all_columns],
                 done: vec![false; all_columns],
@@ -159,7 +159,7 @@ impl Solver {
     }
 }
 
-impl Search {
+impl PathSearch {
     fn offer(&mut self, column: usize, distance: f64, row: usize) {
         if self.done[column] || distance >= self.distance[column] {
             return;

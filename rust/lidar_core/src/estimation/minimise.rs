@@ -2,7 +2,7 @@
 
 /// First step and stopping rule of the simplex search.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Search {
+pub struct SimplexSearch {
     /// Edge of the first simplex.
     pub step: f64,
     /// The search ends when the values at the corners differ by less.
@@ -20,7 +20,7 @@ pub struct Search {
 /// Nelder & Mead, "A simplex method for function minimization", 1965.
 pub fn minimise<E>(
     start: &[f64],
-    search: &Search,
+    search: &SimplexSearch,
     mut cost: impl FnMut(&[f64]) -> Result<f64, E>,
 ) -> Result<(Vec<f64>, f64), E> {
     let mut simplex = Simplex { cost: |place: &[f64]| cost(place), corners: Vec::new(), calls: 0 };
@@ -118,7 +118,7 @@ mod tests {
     use super::*;
     use std::convert::Infallible;
 
-    const SEARCH: Search = Search { step: 0.5, tolerance: 1e-14, evaluations: 2000 };
+    const SEARCH: SimplexSearch = SimplexSearch { step: 0.5, tolerance: 1e-14, evaluations: 2000 };
 
     #[test]
     fn a_curved_valley_is_followed_to_its_end() -> Result<(), Infallible> {
@@ -134,7 +134,7 @@ mod tests {
     #[test]
     fn errors_and_limits_end_the_search() {
         assert_eq!(minimise(&[0.0], &SEARCH, |_| Err("no")), Err("no"));
-        let few = Search { evaluations: 5, ..SEARCH };
+        let few = SimplexSearch { evaluations: 5, ..SEARCH };
         let mut calls = 0;
         let counted = |place: &[f64]| -> Result<f64, Infallible> {
             calls += 1;

@@ -111,7 +111,7 @@ struct Nested {
     low: [f64; 3],
     high: [f64; 3],
     /// The last two rows, conditional on the rows before.
-    pair: Option<Pair>,
+    pair: Option<CorrelatedPair>,
 }
 
 impl Nested {
@@ -151,7 +151,8 @@ impl Nested {
         let std = |axis: usize| covariance[axis][axis].sqrt();
         let scaled =
             |bound: [f64; 3]| std::array::from_fn(|row| bound[order[row]] / std(order[row]));
-        let pair = if rows >= 2 && rank == rows { Pair::new(&factor, rows - 2) } else { None };
+        let pair =
+            if rows >= 2 && rank == rows { CorrelatedPair::new(&factor, rows - 2) } else { None };
         Self { rows, rank, factor, low: scaled(low), high: scaled(high), pair }
     }
 
@@ -245,13 +246,13 @@ impl Nested {
 }
 
 /// Two normal variables with correlation.
-struct Pair {
+struct CorrelatedPair {
     std: [f64; 2],
     /// Per node of the integral over the correlation r: weight, r, and 1 / 2 (1 - r^2).
     nodes: [[f64; 3]; 30],
 }
 
-impl Pair {
+impl CorrelatedPair {
     /// The rows `first` and the next of a factor, given the rows before; None if their correlation
     /// is too large.
     fn new(factor: &[[f64; 3]; 3], first: usize) -> Option<Self> {

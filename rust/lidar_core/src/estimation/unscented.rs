@@ -34,7 +34,7 @@ impl<const N: usize> Rooted<N> {
 
 /// Sigma-point rule: distance of the points and their weights.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rule {
+pub struct SigmaRule {
     /// Squared distance of the points from the mean, in standard deviations.
     pub spread: f64,
     /// Weight of the central point; negative where `spread` is below the number of states.
@@ -43,7 +43,7 @@ pub struct Rule {
     pub around: f64,
 }
 
-impl Rule {
+impl SigmaRule {
     /// Rule for `states` states; `spread` > 0. With `spread` = `states` it is the cubature rule.
     #[must_use]
     pub fn new(states: usize, spread: f64) -> Self {
@@ -143,7 +143,7 @@ pub fn stacked(upper: &[f64], lower: &[f64]) -> [f64; MAX_ROWS] {
 /// the central weight after all positive terms, since that weight may be negative.
 pub fn transformed<const N: usize>(
     prior: &Rooted<N>,
-    rule: &Rule,
+    rule: &SigmaRule,
     f: impl Fn(&SVector<f64, N>) -> SVector<f64, N>,
 ) -> (SVector<f64, N>, Triangle, SVector<f64, N>) {
     // Deviations from the image of the mean are summed, not the images: coordinates far from the
@@ -218,7 +218,7 @@ mod tests {
         let F = Matrix3::new(1.0, 0.5, 0.0, 0.0, 1.0, 0.5, 0.2, 0.0, 1.0);
         let prior = Rooted::new(Vector3::new(1.0, -2.0, 0.5), &covariance());
         for spread in [3.0, 5.0, 1.0] {
-            let rule = Rule::new(3, spread);
+            let rule = SigmaRule::new(3, spread);
             let (mean, triangle, shift) = transformed(&prior, &rule, |s| F * s);
             let triangle = triangle.weighted(rule.center, stacked(shift.as_slice(), &[]));
             let root = triangle.corner::<3>(0);

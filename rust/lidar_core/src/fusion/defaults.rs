@@ -8,7 +8,7 @@ use super::models::motion::{NoiseForm, Prior};
 use super::sensors::observation::Sensing;
 use super::targets::any_filter::{FusionParameters, Method, Model, Strengths};
 use super::targets::lifecycle::{GyroUse, Life, Loss};
-use super::targets::many::{Association, ManyParameters};
+use super::targets::many::{ManyParameters, TargetAssociation};
 
 /// Probability of the gate for a true measurement.
 const GATE_PROBABILITY: f64 = 0.9999;
@@ -136,13 +136,13 @@ impl Default for ManyParameters {
             max_coast: 2.0,
             max_position_std: 5.0,
             birth_distance: 0.0,
-            association: Association::Nearest,
+            association: TargetAssociation::Nearest,
         }
     }
 }
 
 /// Clutter of 1 in 1000 m^2 (LiDAR) and of 1e-3 / (m rad m/s) (radar), shared out by probabilities.
-impl Association {
+impl TargetAssociation {
     /// Joint probabilistic data association with the defaults of the Python package.
     #[must_use]
     pub fn joint() -> Self {

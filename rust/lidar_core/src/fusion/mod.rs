@@ -30,5 +30,5 @@ pub mod targets;
 
 pub use sensors::measurement::{Measurement, Sensor};
 pub use targets::any_filter::{Filter, FusionParameters, Method, Model, Strengths};
-pub use targets::many::{Assigned, Association, ManyParameters, ManyTargets, TrackState};
+pub use targets::many::{Assigned, ManyParameters, ManyTargets, TargetAssociation, TrackState};
 pub use targets::record::{Record, run, run_batch, smooth};

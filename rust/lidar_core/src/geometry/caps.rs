@@ -103,7 +103,7 @@ impl Directions {
 
     /// Contribution of the uncovered arcs of the rim around a direction to the area.
     fn rim(&self, cap: Cap, others: &[Cap]) -> f64 {
-        let frame = Frame::of(cap);
+        let frame = RimFrame::of(cap);
         let mut cover = Cover::default();
         for &other in others {
             frame.add_covered(&mut cover, other, false);
@@ -134,7 +134,7 @@ impl Directions {
 
     /// Contribution of the rim of one of the other caps to the area.
     fn rim_of_other(&self, index: usize, radius: f64, others: &[Cap]) -> f64 {
-        let frame = Frame::of(others[index]);
+        let frame = RimFrame::of(others[index]);
         let mut cover = Cover::default();
         for (_, &other) in others.iter().enumerate().filter(|(other, _)| *other != index) {
             frame.add_covered(&mut cover, other, false);
@@ -185,7 +185,7 @@ fn cell(unit: [f64; 3], size: f64) -> [i32; 3] {
 }
 
 /// A cap's rim, with angles along it counted from `x` towards `y`.
-struct Frame {
+struct RimFrame {
     center: [f64; 3],
     x: [f64; 3],
     y: [f64; 3],
@@ -193,7 +193,7 @@ struct Frame {
     cosine: f64,
 }
 
-impl Frame {
+impl RimFrame {
     fn of(Cap { center, radius }: Cap) -> Self {
         // The axis furthest from the centre's direction keeps the cross product far from 0.
         let least = (0..3).fold(0, |a, b| if center[b].abs() < center[a].abs() { b } else { a });

@@ -11,12 +11,12 @@ const POSE_SLACK_NS: i64 = 20_000_000;
 
 /// Pose of a scan: one, or a stream of them.
 #[derive(Clone, Copy, Debug)]
-pub struct Motion<'a> {
+pub struct ScanPoses<'a> {
     poses: &'a [[f64; 16]],
     stamps_ns: &'a [i64],
 }
 
-impl<'a> Motion<'a> {
+impl<'a> ScanPoses<'a> {
     /// # Errors
     /// [`Error::Value`] or [`Error::Length`] if poses are not finite, or stamps are missing or not
     /// increasing.
@@ -112,7 +112,7 @@ impl PointPoses {
     /// [`Error::Value`] for the first time outside the stream.
     pub fn fill(
         &mut self,
-        motion: &Motion<'_>,
+        motion: &ScanPoses<'_>,
         name: &'static str,
         times_ns: &[i64],
         is_informative: impl Fn(usize) -> bool,
@@ -168,7 +168,7 @@ mod tests {
     #[test]
     fn a_stream_is_interpolated_and_not_extrapolated() -> Result<(), Error> {
         let poses = [shifted(0.0), shifted(1.0), shifted(3.0)];
-        let motion = Motion::new(&poses, Some(&[0, 100, 200]))?;
+        let motion = ScanPoses::new(&poses, Some(&[0, 100, 200]))?;
         let x = |stamp| motion.at(stamp).map(|pose| pose.translation[0]);
         assert_eq!([x(-5), x(0), x(50), x(150), x(200)], [0.0, 0.0, 0.5, 2.0, 3.0].map(Some));
         assert_eq!(x(200 + POSE_SLACK_NS + 1), None);
@@ -183,10 +183,10 @@ mod tests {
     #[test]
     fn a_bad_stream_is_refused() {
         let poses = [shifted(0.0), shifted(1.0)];
-        assert!(Motion::new(&poses, None).is_err());
-        assert!(Motion::new(&poses, Some(&[5, 5])).is_err());
-        assert!(Motion::new(&poses, Some(&[5])).is_err());
-        assert!(Motion::new(&[shifted(f64::NAN)], None).is_err());
-        assert!(Motion::new(&[], None).is_err());
+        assert!(ScanPoses::new(&poses, None).is_err());
+        assert!(ScanPoses::new(&poses, Some(&[5, 5])).is_err());
+        assert!(ScanPoses::new(&poses, Some(&[5])).is_err());
+        assert!(ScanPoses::new(&[shifted(f64::NAN)], None).is_err());
+        assert!(ScanPoses::new(&[], None).is_err());
     }
 }

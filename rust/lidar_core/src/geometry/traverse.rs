@@ -35,7 +35,7 @@ pub fn traverse(
             key: "voxel_size",
         });
     }
-    let mut walk = Walk::new(lattice, start, end, first, last);
+    let mut walk = SegmentWalk::new(lattice, start, end, first, last);
     while let Some((voxel, length)) = walk.next() {
         if visit(voxel, length).is_break() {
             break;
@@ -51,7 +51,7 @@ pub fn voxel_count(first: Voxel, last: Voxel) -> u64 {
 }
 
 /// The walk itself.
-struct Walk {
+struct SegmentWalk {
     voxel: Voxel,
     last: Voxel,
     step: [i32; 3],
@@ -67,7 +67,7 @@ struct Walk {
     done: bool,
 }
 
-impl Walk {
+impl SegmentWalk {
     fn new(lattice: &Lattice, start: [f64; 3], end: [f64; 3], first: Voxel, last: Voxel) -> Self {
         let from = minus(start, lattice.origin());
         let mut walk = Self {

@@ -2,7 +2,7 @@
 
 use crate::arrays;
 use lidar_core::Error;
-use lidar_core::circles::fit::{FitParameters, Method};
+use lidar_core::circles::fit::{FitMethod, FitParameters};
 use lidar_core::circles::parameters::ScannerParameters;
 use lidar_core::circles::segment::corners::CornerParameters;
 use lidar_core::circles::segment::parameters::{Bound, Criterion, SegmentParameters};
@@ -84,11 +84,11 @@ pub(crate) struct FitConfig {
 impl FitConfig {
     pub(crate) fn parameters(&self, scanner: &ScannerConfig) -> Result<FitParameters, Error> {
         let methods = [
-            ("ml", Method::Expected),
-            ("mode", Method::MostLikely),
-            ("taubin", Method::Taubin),
-            ("pratt", Method::Pratt),
-            ("kasa", Method::Kasa),
+            ("ml", FitMethod::Expected),
+            ("mode", FitMethod::MostLikely),
+            ("taubin", FitMethod::Taubin),
+            ("pratt", FitMethod::Pratt),
+            ("kasa", FitMethod::Kasa),
         ];
         Ok(FitParameters {
             method: arrays::choice("method", &self.method, &methods)?,

@@ -7,9 +7,9 @@ use crate::guard::{Guarded, detached};
 use lidar_core::Error;
 use lidar_core::circles::fit::circle::{Circle, CircleEstimate};
 use lidar_core::circles::map::{
-    CircleMap, CircleMapParameters, CircleScan, Confirmation, Filter, Independent, Joint, Limits,
-    LineRules, Looking, MapElement, MapShape, MapStats, Mode, Patience, PoseCovariance, Standing,
-    View,
+    CircleMap, CircleMapParameters, CircleScan, ElementConfirmation, ElementFilter, Independent,
+    Joint, Limits, LineRules, Looking, MapElement, MapShape, MapStats, MotionMode, Patience,
+    PoseCovariance, Standing, View,
 };
 use lidar_core::circles::preprocess::polar_scan::PolarScan;
 use lidar_core::geometry::transform::Transform;
@@ -65,8 +65,8 @@ impl CircleMapConfig {
         let joint =
             Joint { velocity_step: self.velocity_step, max_eigenvalue: self.max_eigenvalue };
         let filter = match arrays::choice("filter", &self.filter, &FILTERS)? {
-            Kind::Paper => Filter::Paper(joint),
-            Kind::Independent => Filter::Independent(self.independent()),
+            Kind::Paper => ElementFilter::Paper(joint),
+            Kind::Independent => ElementFilter::Independent(self.independent()),
         };
         let Self { gate_probability, initial_speed, .. } = *self;
         Ok(CircleMapParameters { filter, gate_probability, initial_speed })
@@ -76,7 +76,7 @@ impl CircleMapConfig {
         let modes = self.process_noise.iter().zip(&self.mode_weight).zip(&self.mode_time);
         Independent {
             modes: modes
-                .map(|((&density, &weight), &duration)| Mode { density, weight, duration })
+                .map(|((&density, &weight), &duration)| MotionMode { density, weight, duration })
                 .collect(),
             standing: Standing {
                 share: self.standing_share,
@@ -91,7 +91,10 @@ impl CircleMapConfig {
             turn_density: self.turn_noise,
             birth_density: self.birth_density,
             merge_gap: self.merge_gap,
-            confirmation: Confirmation { hits: self.confirm_hits, window: self.confirm_window },
+            confirmation: ElementConfirmation {
+                hits: self.confirm_hits,
+                window: self.confirm_window,
+            },
             limits: Limits {
                 position: self.max_position_std,
                 velocity: self.max_velocity_std,

@@ -7,10 +7,10 @@ use crate::guard::detached;
 use lidar_core::Error;
 use lidar_core::circles::preprocess::polar_scan::PolarScan;
 use lidar_core::circles::preprocess::projection::{self, Projection};
-use lidar_core::circles::preprocess::sweep_poses::Sweep;
+use lidar_core::circles::preprocess::sweep_poses::SweepPoses;
 use lidar_core::circles::segment::segmentation::segment;
 use lidar_core::circles::segment::segments::{Segments, Side};
-use lidar_core::geometry::motion::Motion;
+use lidar_core::geometry::motion::ScanPoses;
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
     PyReadonlyArray3, PyUntypedArrayMethods,
@@ -55,7 +55,7 @@ pub(crate) fn limit_range<'py>(
     let stamps = arrays::maybe_flat("pose_stamps_ns", &pose_stamps_ns)?;
     let times = arrays::maybe_flat("ray_time_ns", &ray_time_ns)?;
     let limited = detached(py, || {
-        let sweep = Sweep::new(&Motion::new(poses, stamps)?, stamp_ns, times)?;
+        let sweep = SweepPoses::new(&ScanPoses::new(poses, stamps)?, stamp_ns, times)?;
         projection::limit_range(ranges, &projection::directions(bearings), &sweep, planes)
     })?;
     Ok(limited.into_pyarray(py))
@@ -81,7 +81,7 @@ pub(crate) fn project_horizontal<'py>(
     let stamps = arrays::maybe_flat("pose_stamps_ns", &pose_stamps_ns)?;
     let times = arrays::maybe_flat("ray_time_ns", &ray_time_ns)?;
     let level = detached(py, || {
-        let sweep = Sweep::new(&Motion::new(poses, stamps)?, stamp_ns, times)?;
+        let sweep = SweepPoses::new(&ScanPoses::new(poses, stamps)?, stamp_ns, times)?;
         let raw = PolarScan { ranges: ranges.to_vec(), bearings: bearings.to_vec() };
         projection::project(&raw, &projection::directions(bearings), &sweep, mode)
     })?;

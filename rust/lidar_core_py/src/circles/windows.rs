@@ -6,7 +6,7 @@ use crate::guard::detached;
 use lidar_core::Error;
 use lidar_core::circles::fit::circle::CircleEstimate;
 use lidar_core::circles::fit::network_window::{
-    ANSWER, CONTEXT, Frame, SLOT_NUMBERS, SLOTS, Window, circle_of, describe,
+    ANSWER, CONTEXT, SLOT_NUMBERS, SLOTS, SegmentWindow, WindowFrame, circle_of, describe,
 };
 use lidar_core::circles::segment::segments::Side;
 use numpy::{
@@ -90,7 +90,7 @@ impl Windows<'_> {
         Ok((slots, context, frames))
     }
 
-    fn window(&self, index: usize) -> Result<Window<'_>, Error> {
+    fn window(&self, index: usize) -> Result<SegmentWindow<'_>, Error> {
         let refused = |name: &'static str, got: String| Error::Value {
             name,
             expected: "ascending places of windows, and known sides",
@@ -109,7 +109,7 @@ impl Windows<'_> {
         let (Some(before), Some(after)) = (side(before), side(after)) else {
             return Err(refused("sides", format!("{:?}", self.sides[index])));
         };
-        Ok(Window {
+        Ok(SegmentWindow {
             bearings,
             ranges,
             sides: [before, after],
@@ -143,7 +143,8 @@ pub(crate) fn circles_from_answers<'py>(
     let answers = arrays::flat("answers", &answers)?.as_chunks::<ANSWER>().0;
     let (mut circles, mut covariances) = (Vec::new(), Vec::new());
     for (&[bearing, scale, distance, radius, hits], answer) in frames.iter().zip(answers) {
-        let frame = Frame { bearing, scale, guess: [distance, radius], n_hits: hits as usize };
+        let frame =
+            WindowFrame { bearing, scale, guess: [distance, radius], n_hits: hits as usize };
         let CircleEstimate { circle, covariance, .. } = circle_of(&frame, answer);
         circles.push([circle.center[0], circle.center[1], circle.radius]);
         covariances.extend(covariance.as_flattened());

@@ -5,11 +5,11 @@ use crate::errors::BorderError;
 use crate::fusion::config::FusionConfig;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
-use lidar_core::estimation::minimise::Search;
+use lidar_core::estimation::minimise::SimplexSearch;
 use lidar_core::fusion::filter::engine::Output;
 use lidar_core::fusion::targets::lifecycle::Outcome;
 use lidar_core::fusion::targets::noise_search::{fit, quantities};
-use lidar_core::fusion::targets::target::Step;
+use lidar_core::fusion::targets::target::FilterStep;
 use lidar_core::fusion::{
     Filter, FusionParameters, Measurement, Record, Sensor, run, run_batch, smooth,
 };
@@ -64,7 +64,7 @@ impl PyMeasurement {
 }
 
 #[pyclass(frozen, name = "FusionStep", module = "lidar_core._core")]
-pub(crate) struct PyFusionStep(Step);
+pub(crate) struct PyFusionStep(FilterStep);
 
 #[pymethods]
 impl PyFusionStep {
@@ -309,7 +309,7 @@ pub(crate) fn fusion_fit_noise(
 ) -> Result<Fitted, BorderError> {
     let targets: Vec<Vec<Measurement>> = targets.iter().map(|target| target.0.clone()).collect();
     let evaluations = arrays::count("evaluations", evaluations)?;
-    let search = Search { step: 0.5, tolerance: 1e-6, evaluations };
+    let search = SimplexSearch { step: 0.5, tolerance: 1e-6, evaluations };
     let (best, likelihood) = detached(py, || {
         let start = config.parameters()?;
         fit(&start, &targets, &quantities(&start, &targets, sensors), least_rate, &search)

@@ -8,7 +8,7 @@ use crate::guard::{Guarded, detached};
 use lidar_core::Error;
 use lidar_core::fusion::targets::many::MAX_SOURCES;
 use lidar_core::fusion::targets::record::padded;
-use lidar_core::fusion::{Assigned, Association, ManyParameters, ManyTargets, TrackState};
+use lidar_core::fusion::{Assigned, ManyParameters, ManyTargets, TargetAssociation, TrackState};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -31,8 +31,8 @@ pub(crate) struct MultiTargetConfig {
 impl MultiTargetConfig {
     pub(crate) fn parameters(&self) -> Result<ManyParameters, Error> {
         let clutter = [self.lidar_clutter, self.radar_clutter];
-        let joint = Association::Joint { detection: self.detection_probability, clutter };
-        let associations = [("nearest", Association::Nearest), ("joint", joint)];
+        let joint = TargetAssociation::Joint { detection: self.detection_probability, clutter };
+        let associations = [("nearest", TargetAssociation::Nearest), ("joint", joint)];
         Ok(ManyParameters {
             filter: self.target.parameters()?,
             confirm_hits: self.confirm_hits,

@@ -4,7 +4,7 @@ use crate::arrays;
 use crate::errors::BorderError;
 use lidar_sim::air::Particles;
 use lidar_sim::motion::{Near, RandomMotion};
-use lidar_sim::scene::Bounds;
+use lidar_sim::scene::BoundingBox;
 use lidar_sim::sensors::{Beam, Lidar, Pattern};
 use lidar_sim::surface::Surface;
 use lidar_sim::trajectory::Trajectory;
@@ -134,7 +134,7 @@ impl MotionConfig {
         seed: (u64, u64),
     ) -> RandomMotion<'a> {
         RandomMotion {
-            bounds: Bounds { min: self.box_min, max: self.box_max },
+            bounds: BoundingBox { min: self.box_min, max: self.box_max },
             speed_max: self.speed_max,
             acceleration_max: self.acceleration_max,
             clearance: self.clearance,

@@ -9,7 +9,7 @@ use lidar_core::geometry::transform::Transform;
 use lidar_core::util::threads;
 use lidar_sim::air::Particles;
 use lidar_sim::mesh::Mesh;
-use lidar_sim::scene::{Body, Mover, Ray, Scene, Sway};
+use lidar_sim::scene::{CastRay, Mover, Scene, SceneObject, Sway};
 use lidar_sim::shape::Shape;
 use lidar_sim::simulate::{self, OWN_LABEL, Task};
 use lidar_sim::trajectory::Trajectory;
@@ -173,7 +173,7 @@ impl SimScene {
         });
         let moving = moving.collect();
         let carried = carried.iter().map(|(shape, pose)| body(shape, pose, OWN_LABEL));
-        let carried = carried.collect::<Result<Vec<Body>, BorderError>>()?;
+        let carried = carried.collect::<Result<Vec<SceneObject>, BorderError>>()?;
         let air = air.into_iter().map(Particles::from).collect();
         let made = detached(py, || {
             let scene = Scene::new(standing, moving)?.with_air(air)?.with_carried(carried)?;
@@ -251,7 +251,7 @@ impl SimScene {
             let rays = origins.par_iter().zip(directions).with_min_len(1024);
             let meet = |(&origin, &direction): (&[f64; 3], &[f64; 3])| {
                 scene
-                    .meet(&Ray { origin, direction }, range_max, 0.0)
+                    .meet(&CastRay { origin, direction }, range_max, 0.0)
                     .map_or((f64::INFINITY, simulate::NO_LABEL), |hit| (hit.distance, hit.label))
             };
             Ok(pool.install(|| rays.map(meet).unzip()))
@@ -289,7 +289,7 @@ impl SimScene {
 }
 
 /// Points (NaN where there is none) and directions in the LiDAR's frame.
-fn rows(made: &simulate::Scan) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
+fn rows(made: &simulate::SimulatedScan) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
     let rays = made.ranges.par_iter().zip(&made.sweep.directions).with_min_len(4096);
     rays.map(|(&range, direction)| {
         let range = if range.is_finite() { range } else { f64::NAN };
@@ -302,10 +302,16 @@ fn body(
     shape: &Py<SimShape>,
     pose: &PyReadonlyArray2<'_, f64>,
     label: i32,
-) -> Result<Body, BorderError> {
+) -> Result<SceneObject, BorderError> {
     let values = arrays::flat("pose", pose)?;
     let world_from_shape = transform(values.as_chunks::<16>().0.first())?;
-    Ok(Body { shape: shape.get().0.clone(), world_from_shape, sway: None, surface: None, label })
+    Ok(SceneObject {
+        shape: shape.get().0.clone(),
+        world_from_shape,
+        sway: None,
+        surface: None,
+        label,
+    })
 }
 
 fn transforms(poses: &PyReadonlyArray3<'_, f64>) -> Result<Vec<Transform>, BorderError> {

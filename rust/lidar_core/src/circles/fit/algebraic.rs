@@ -7,7 +7,7 @@
 
 use super::arc::{Arc, Hit};
 use super::posterior::Estimate;
-use super::{FitParameters, Method};
+use super::{FitMethod, FitParameters};
 use nalgebra::{Matrix3, Vector3};
 
 const MOST_STEPS: usize = 60;
@@ -42,14 +42,14 @@ pub(super) fn held(
     (circle, mut covariance): Estimate,
 ) -> Estimate {
     if circle[2] > HELD * parameters.radius[1] && arc.hits.len() >= FEW {
-        let free = free(arc, Method::Taubin);
+        let free = free(arc, FitMethod::Taubin);
         add_square(&mut covariance, beyond(arc, free, circle, parameters.radius));
     }
     (circle, covariance)
 }
 
 /// Circle of the hits without bounds; None if they lie on a line.
-fn free(arc: &Arc, method: Method) -> Option<[f64; 3]> {
+fn free(arc: &Arc, method: FitMethod) -> Option<[f64; 3]> {
     Moments::of(&arc.hits).and_then(|moments| moments.circle(method))
 }
 
@@ -153,12 +153,12 @@ impl Moments {
     }
 
     /// Centre x, y and radius [m]; None if the points lie on a line.
-    fn circle(&self, method: Method) -> Option<[f64; 3]> {
+    fn circle(&self, method: FitMethod) -> Option<[f64; 3]> {
         let root = match method {
             // Each fit is a generalised eigenvalue problem. Kasa's has the eigenvalue 0 and a bias
             // towards small circles on short arcs, which the other two correct.
-            Method::Kasa => 0.0,
-            Method::Pratt => self.root([4.0, 0.0], 1.0)?,
+            FitMethod::Kasa => 0.0,
+            FitMethod::Pratt => self.root([4.0, 0.0], 1.0)?,
             _ => self.root([0.0, 4.0], 0.0)?,
         };
         let determinant = root * root - root + self.area();
@@ -167,7 +167,7 @@ impl Moments {
         }
         let x = 0.5 * (self.xz * (self.yy - root) - self.yz * self.xy) / determinant;
         let y = 0.5 * (self.yz * (self.xx - root) - self.xz * self.xy) / determinant;
-        let pratt = if method == Method::Pratt { 2.0 * root } else { 0.0 };
+        let pratt = if method == FitMethod::Pratt { 2.0 * root } else { 0.0 };
         let radius = (x * x + y * y + 1.0 + pratt).sqrt();
         let [x0, y0] = self.origin;
         Some([x0 + self.scale * x, y0 + self.scale * y, self.scale * radius])

@@ -15,7 +15,7 @@ pub(super) type Roots = [f64; 2];
 
 /// Value, gradient and second derivatives (00, 01, 11) of the misfit.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Normal {
+pub(super) struct MisfitDerivatives {
     pub(super) misfit: f64,
     pub(super) gradient: [f64; 2],
     pub(super) hessian: [f64; 3],
@@ -59,14 +59,14 @@ pub(in crate::circles) struct Likelihood<'a> {
 
 /// Middle of the angle between two tangents, and half of that angle, as cosines and sines.
 #[derive(Clone, Copy)]
-struct View {
+struct TangentView {
     cosine: f64,
     sine: f64,
     half: [f64; 2], // sine, cosine
 }
 
 /// Intersection of a ray with a circle whose centre is at distance 1.
-struct Met {
+struct Intersection {
     g: f64,
     /// Sine and cosine of the angle to the centre.
     angle: [f64; 2],
@@ -74,13 +74,13 @@ struct Met {
     root: f64,
 }
 
-impl View {
-    fn met(&self, cosine: f64, sine: f64) -> Met {
+impl TangentView {
+    fn met(&self, cosine: f64, sine: f64) -> Intersection {
         let across = sine * self.cosine - cosine * self.sine;
         let along = cosine * self.cosine + sine * self.sine;
         // A beam has a width: rays just beside the tangent return as well, from the flank.
         let root = (self.half[0] * self.half[0] - across * across).max(0.0).sqrt();
-        Met { g: along - root, angle: [across, along], root }
+        Intersection { g: along - root, angle: [across, along], root }
     }
 }
 
@@ -93,11 +93,11 @@ impl Likelihood<'_> {
         [ends[0] - roots[0] * roots[0], ends[1] + roots[1] * roots[1]]
     }
 
-    fn view(&self, roots: Roots) -> View {
+    fn view(&self, roots: Roots) -> TangentView {
         let [low, high] = self.tangents(roots);
         // The sensor is outside: the tangents are less than half a turn apart.
         let (middle, half) = (0.5 * (low + high), (0.5 * (high - low)).clamp(1e-9, 1.57));
-        View {
+        TangentView {
             cosine: libm::cos(middle),
             sine: libm::sin(middle),
             half: [libm::sin(half), libm::cos(half)],
@@ -105,7 +105,7 @@ impl Likelihood<'_> {
     }
 
     /// Best distance without bounds, and the sums of g^2 and g z.
-    fn distance(&self, view: &View) -> (f64, [f64; 2]) {
+    fn distance(&self, view: &TangentView) -> (f64, [f64; 2]) {
         let mut sums = [0.0; 2];
         for hit in &self.arc.hits {
             let g = view.met(hit.cosine, hit.sine).g;
@@ -172,7 +172,7 @@ impl Likelihood<'_> {
     fn with_misses(
         &self,
         roots: Roots,
-        view: &View,
+        view: &TangentView,
         [free, variance]: [f64; 2],
     ) -> (f64, f64, f64) {
         let mut distance = free;
@@ -192,7 +192,7 @@ impl Likelihood<'_> {
 
     /// Logarithm of the probability that rays which returned nothing cross the circle outside the
     /// range limits, and its two derivatives by the distance.
-    fn missed(&self, roots: Roots, view: &View, distance: f64) -> [f64; 3] {
+    fn missed(&self, roots: Roots, view: &TangentView, distance: f64) -> [f64; 3] {
         let mut sums = [0.0; 3];
         let mut add = |bearing: f64, least: f64| {
             let g = view.met(libm::cos(bearing), libm::sin(bearing)).g;
@@ -234,9 +234,9 @@ impl Likelihood<'_> {
 
     /// Half the squared misfit of the ranges over their variance, and its derivatives by the roots
     /// at the best distance (second derivatives by Kaufman's approximation).
-    pub(super) fn normal(&self, roots: Roots) -> Normal {
+    pub(super) fn normal(&self, roots: Roots) -> MisfitDerivatives {
         let view = self.view(roots);
-        let mut sums = Sums::default();
+        let mut sums = HitSums::default();
         for hit in &self.arc.hits {
             sums.add(hit, &view, roots);
         }
@@ -248,7 +248,7 @@ impl Likelihood<'_> {
 
 /// Sums over the hits of g, of its derivatives a by the roots, and of the ranges z.
 #[derive(Default)]
-struct Sums {
+struct HitSums {
     gg: f64,
     gz: f64,
     ga: [f64; 2],
@@ -256,9 +256,9 @@ struct Sums {
     aa: [f64; 3],
 }
 
-impl Sums {
-    fn add(&mut self, hit: &Hit, view: &View, roots: Roots) {
-        let Met { g, angle: [across, along], root } = view.met(hit.cosine, hit.sine);
+impl HitSums {
+    fn add(&mut self, hit: &Hit, view: &TangentView, roots: Roots) {
+        let Intersection { g, angle: [across, along], root } = view.met(hit.cosine, hit.sine);
         // At a tangent the derivative by the bearing is infinite. By the square root it is finite,
         // since the factor that it brings vanishes there.
         let (by_middle, by_half) = if root > 0.0 {
@@ -280,7 +280,7 @@ impl Sums {
     }
 
     /// Normal equations; the residual of a hit is z - d g, its derivatives are -d a - d' g.
-    fn normal(&self, distance: f64, slope: [f64; 2], square: f64, std: f64) -> Normal {
+    fn normal(&self, distance: f64, slope: [f64; 2], square: f64, std: f64) -> MisfitDerivatives {
         let weight = 1.0 / (std * std);
         let misfit = square - distance * (2.0 * self.gz - distance * self.gg);
         let gradient = |k: usize| -distance * (self.za[k] - distance * self.ga[k]);
@@ -288,7 +288,7 @@ impl Sums {
             let mixed = slope[k] * self.ga[l] + slope[l] * self.ga[k];
             distance * distance * self.aa[k + l] + distance * mixed + slope[k] * slope[l] * self.gg
         };
-        Normal {
+        MisfitDerivatives {
             misfit: 0.5 * weight * misfit,
             gradient: [weight * gradient(0), weight * gradient(1)],
             hessian: [weight * second(0, 0), weight * second(0, 1), weight * second(1, 1)],

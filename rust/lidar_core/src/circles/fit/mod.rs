@@ -22,7 +22,7 @@ use posterior::Posterior;
 
 /// Method of the circle fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Method {
+pub enum FitMethod {
     /// Least squares of x^2 + y^2 + a x + b y + c.
     Kasa,
     /// Least squares of Kasa's expression over the squared diameter.
@@ -35,7 +35,7 @@ pub enum Method {
     MostLikely,
 }
 
-impl Method {
+impl FitMethod {
     /// True if only the points count, not their neighbourhood.
     fn is_algebraic(self) -> bool {
         matches!(self, Self::Kasa | Self::Pratt | Self::Taubin)
@@ -46,7 +46,7 @@ impl Method {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FitParameters {
     /// Fit method.
-    pub method: Method,
+    pub method: FitMethod,
     /// Standard deviation of a range [m].
     pub range_std: f64,
     /// Half the beam width within which a circle returns it [rad].

@@ -1,15 +1,15 @@
 //! Minimum of the misfit within bounds of the roots.
 
-use super::likelihood::{Likelihood, Normal, Roots};
+use super::likelihood::{Likelihood, MisfitDerivatives, Roots};
 
 /// Bounds of the two roots.
-pub(super) type Bounds = [[f64; 2]; 2];
+pub(super) type RootBounds = [[f64; 2]; 2];
 
 /// A minimum of the misfit and its derivatives there.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Mode {
+pub(super) struct MisfitMinimum {
     pub(super) roots: Roots,
-    pub(super) normal: Normal,
+    pub(super) normal: MisfitDerivatives,
 }
 
 const MOST_STEPS: usize = 25;
@@ -23,9 +23,10 @@ const STARTS: [f64; 3] = [0.15, 0.5, 0.85];
 pub(super) const LEAST_SHARE: f64 = 0.01;
 
 /// Minimum from the best of a few starts (Levenberg-Marquardt, projected on the bounds).
-pub(super) fn mode(likelihood: &Likelihood<'_>, bounds: &Bounds) -> Mode {
+pub(super) fn mode(likelihood: &Likelihood<'_>, bounds: &RootBounds) -> MisfitMinimum {
     let bounds = &bounds.map(|[low, high]| [low + LEAST_SHARE * (high - low), high]);
-    let mut best = Mode { roots: [0.0; 2], normal: likelihood.normal(inside([0.5; 2], bounds)) };
+    let mut best =
+        MisfitMinimum { roots: [0.0; 2], normal: likelihood.normal(inside([0.5; 2], bounds)) };
     best.normal.misfit = f64::INFINITY;
     // The misfit may have several minima: the descent begins at the best point of a grid.
     for low in STARTS {
@@ -33,7 +34,7 @@ pub(super) fn mode(likelihood: &Likelihood<'_>, bounds: &Bounds) -> Mode {
             let roots = inside([low, high], bounds);
             let normal = likelihood.normal(roots);
             if normal.misfit < best.normal.misfit {
-                best = Mode { roots, normal };
+                best = MisfitMinimum { roots, normal };
             }
         }
     }
@@ -43,7 +44,7 @@ pub(super) fn mode(likelihood: &Likelihood<'_>, bounds: &Bounds) -> Mode {
         let normal = likelihood.normal(roots);
         let fall = best.normal.misfit - normal.misfit;
         if fall >= 0.0 {
-            best = Mode { roots, normal };
+            best = MisfitMinimum { roots, normal };
             // Nearly a Newton step after success, nearly steepest descent after failure.
             damping = (damping * 0.1).max(1e-9);
             if fall < ENOUGH {
@@ -59,7 +60,7 @@ pub(super) fn mode(likelihood: &Likelihood<'_>, bounds: &Bounds) -> Mode {
     best
 }
 
-fn inside(shares: [f64; 2], bounds: &Bounds) -> Roots {
+fn inside(shares: [f64; 2], bounds: &RootBounds) -> Roots {
     [0, 1].map(|side| {
         let [low, high] = bounds[side];
         low + shares[side] * (high - low)
@@ -67,14 +68,14 @@ fn inside(shares: [f64; 2], bounds: &Bounds) -> Roots {
 }
 
 /// True if a root is at a bound and the gradient points beyond it.
-pub(super) fn is_held(mode: &Mode, side: usize, bounds: &Bounds) -> bool {
+pub(super) fn is_held(mode: &MisfitMinimum, side: usize, bounds: &RootBounds) -> bool {
     let ([low, high], root) = (bounds[side], mode.roots[side]);
     let gradient = mode.normal.gradient[side];
     (root <= low && gradient > 0.0) || (root >= high && gradient < 0.0)
 }
 
-fn step(from: &Mode, damping: f64, bounds: &Bounds) -> Roots {
-    let Normal { gradient: [g0, g1], hessian: [h00, h01, h11], .. } = from.normal;
+fn step(from: &MisfitMinimum, damping: f64, bounds: &RootBounds) -> Roots {
+    let MisfitDerivatives { gradient: [g0, g1], hessian: [h00, h01, h11], .. } = from.normal;
     let held = [is_held(from, 0, bounds), is_held(from, 1, bounds)];
     // The small constant keeps a direction without curvature (a single hit) from a division by
     // zero.

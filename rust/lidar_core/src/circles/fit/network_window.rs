@@ -33,7 +33,7 @@ const SMALLEST_RADIUS: f64 = 1e-3;
 
 /// One segment of a scan: its rays from the first hit to the last.
 #[derive(Clone, Copy, Debug)]
-pub struct Window<'a> {
+pub struct SegmentWindow<'a> {
     /// Direction of every ray [rad].
     pub bearings: &'a [f64],
     /// Range of every ray [m]; one that is not finite is no hit.
@@ -52,7 +52,7 @@ pub struct Window<'a> {
 
 /// Frame of a window: it converts an output of the network to a circle.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Frame {
+pub struct WindowFrame {
     /// Bearing of its x axis [rad].
     pub bearing: f64,
     /// Its unit [m].
@@ -77,10 +77,10 @@ struct Hits {
 /// [`Error::Length`] if the arrays differ in length or are not as long as they must be,
 /// [`Error::Value`] if no ray returned or a bearing is not finite.
 pub fn describe(
-    window: &Window<'_>,
+    window: &SegmentWindow<'_>,
     slots: &mut [f32],
     context: &mut [f32],
-) -> Result<Frame, Error> {
+) -> Result<WindowFrame, Error> {
     check(window, slots, context)?;
     let hits = Hits::of(window)?;
     let sine = libm::sin(hits.half_angle);
@@ -93,7 +93,7 @@ pub fn describe(
     let distance = gz / gg;
     let radius = distance * sine;
     // A window of one ray, or one as wide as the view, must not scale its input out of range.
-    let frame = Frame {
+    let frame = WindowFrame {
         bearing: hits.bearing,
         scale: radius.clamp(SCALES[0], SCALES[1]),
         guess: [distance, radius],
@@ -106,7 +106,7 @@ pub fn describe(
 
 /// Circle and covariance that an output of the network stands for.
 #[must_use]
-pub fn circle_of(frame: &Frame, answer: &[f32; ANSWER]) -> CircleEstimate {
+pub fn circle_of(frame: &WindowFrame, answer: &[f32; ANSWER]) -> CircleEstimate {
     let a = answer.map(f64::from);
     let [ahead, radius] = frame.guess;
     let local = [ahead + a[0] * frame.scale, a[1] * frame.scale, radius + a[2] * frame.scale];
@@ -132,7 +132,7 @@ pub fn circle_of(frame: &Frame, answer: &[f32; ANSWER]) -> CircleEstimate {
     }
 }
 
-fn check(window: &Window<'_>, slots: &[f32], context: &[f32]) -> Result<(), Error> {
+fn check(window: &SegmentWindow<'_>, slots: &[f32], context: &[f32]) -> Result<(), Error> {
     let lengths = [
         ("ranges", window.bearings.len(), window.ranges.len()),
         ("slots", SLOTS * SLOT_NUMBERS, slots.len()),
@@ -145,7 +145,7 @@ fn check(window: &Window<'_>, slots: &[f32], context: &[f32]) -> Result<(), Erro
 }
 
 impl Hits {
-    fn of(window: &Window<'_>) -> Result<Self, Error> {
+    fn of(window: &SegmentWindow<'_>) -> Result<Self, Error> {
         let is_hit = |range: &f64| range.is_finite();
         let (Some(first), Some(last)) =
             (window.ranges.iter().position(is_hit), window.ranges.iter().rposition(is_hit))
@@ -180,7 +180,7 @@ fn unit_range(off: f64, sine: f64) -> f64 {
 
 /// Fill the slots with differences from the first guess; returns their root mean square in units of
 /// the frame.
-fn fill_slots(hits: &Hits, frame: &Frame, sine: f64, slots: &mut [f32]) -> f64 {
+fn fill_slots(hits: &Hits, frame: &WindowFrame, sine: f64, slots: &mut [f32]) -> f64 {
     let count = hits.rays.len();
     let used = count.min(SLOTS);
     let mut sums = [[0.0f64; SLOT_NUMBERS]; SLOTS];
@@ -206,9 +206,9 @@ fn fill_slots(hits: &Hits, frame: &Frame, sine: f64, slots: &mut [f32]) -> f64 {
 }
 
 fn fill_context(
-    window: &Window<'_>,
+    window: &SegmentWindow<'_>,
     hits: &Hits,
-    frame: &Frame,
+    frame: &WindowFrame,
     deviation: f64,
     context: &mut [f32],
 ) {
@@ -262,8 +262,8 @@ mod tests {
         (met.iter().map(|off| off + middle).collect(), ranges)
     }
 
-    fn window<'a>(bearings: &'a [f64], ranges: &'a [f64]) -> Window<'a> {
-        Window {
+    fn window<'a>(bearings: &'a [f64], ranges: &'a [f64]) -> SegmentWindow<'a> {
+        SegmentWindow {
             bearings,
             ranges,
             sides: [Side::Free; 2],
@@ -274,7 +274,7 @@ mod tests {
         }
     }
 
-    fn described(window: &Window<'_>) -> Result<(Vec<f32>, Vec<f32>, Frame), Error> {
+    fn described(window: &SegmentWindow<'_>) -> Result<(Vec<f32>, Vec<f32>, WindowFrame), Error> {
         let (mut slots, mut context) = (vec![0.0; SLOTS * SLOT_NUMBERS], vec![0.0; CONTEXT]);
         let frame = describe(window, &mut slots, &mut context)?;
         Ok((slots, context, frame))
@@ -307,7 +307,7 @@ mod tests {
 
     #[test]
     fn answers_add_to_the_first_guess() {
-        let frame = Frame { bearing: FRAC_PI_2, scale: 0.5, guess: [3.0, 0.4], n_hits: 9 };
+        let frame = WindowFrame { bearing: FRAC_PI_2, scale: 0.5, guess: [3.0, 0.4], n_hits: 9 };
         let estimate = circle_of(&frame, &[0.2, 0.1, -0.2, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0]);
         let [x, y] = estimate.circle.center;
         assert!((x + 0.05).abs() < 1e-7 && (y - 3.1).abs() < 1e-7);

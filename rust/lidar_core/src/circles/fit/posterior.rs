@@ -1,8 +1,8 @@
 //! Average of the circles that an arc allows: integrals over the bearings of the two tangents.
 
-use super::Method;
+use super::FitMethod;
 use super::likelihood::{Explained, Likelihood, Roots};
-use super::mode::{Bounds, LEAST_SHARE, Mode, is_held, mode};
+use super::mode::{LEAST_SHARE, MisfitMinimum, RootBounds, is_held, mode};
 
 /// A circle (x, y, radius) and its covariance.
 pub(in crate::circles) type Estimate = ([f64; 3], [[f64; 3]; 3]);
@@ -77,7 +77,7 @@ impl Posterior {
     pub(in crate::circles) fn of(&mut self, likelihood: &Likelihood<'_>) -> Option<Estimate> {
         let mean = self.mean(likelihood)?;
         let about = match likelihood.parameters.method {
-            Method::MostLikely => self.most_likely()?,
+            FitMethod::MostLikely => self.most_likely()?,
             _ => mean,
         };
         Some((about, self.mean_square(about)))
@@ -94,11 +94,16 @@ impl Posterior {
     }
 
     /// Add the nodes of one part of the plane of roots.
-    fn integrate(&mut self, likelihood: &Likelihood<'_>, bounds: &Bounds, mode: &Mode) {
+    fn integrate(
+        &mut self,
+        likelihood: &Likelihood<'_>,
+        bounds: &RootBounds,
+        mode: &MisfitMinimum,
+    ) {
         // The outer integral goes over the side that is better known.
         let size = |side: usize| bounds[side][1] - bounds[side][0];
         let outer = usize::from(size(1) < size(0));
-        let window = Window { likelihood, bounds, mode, outer };
+        let window = RootWindow { likelihood, bounds, mode, outer };
         // The peak has weight zero: it is no part of the average, but a candidate for the most
         // likely circle.
         self.nodes.extend(likelihood.peak(mode.roots));
@@ -192,15 +197,15 @@ fn pieces(likelihood: &Likelihood<'_>, side: usize) -> [Option<[f64; 2]>; 2] {
 }
 
 /// Part of the plane of roots that is integrated.
-struct Window<'a> {
+struct RootWindow<'a> {
     likelihood: &'a Likelihood<'a>,
-    bounds: &'a Bounds,
-    mode: &'a Mode,
+    bounds: &'a RootBounds,
+    mode: &'a MisfitMinimum,
     /// Side of the outer integral.
     outer: usize,
 }
 
-impl Window<'_> {
+impl RootWindow<'_> {
     fn roots(&self, outer: f64, inner: f64) -> Roots {
         if self.outer == 0 { [outer, inner] } else { [inner, outer] }
     }

@@ -1,7 +1,7 @@
 use super::*;
 use crate::circles::segment::segments::Side;
 
-fn parameters(method: Method) -> FitParameters {
+fn parameters(method: FitMethod) -> FitParameters {
     FitParameters { method, range_std: 1e-4, ..FitParameters::default() }
 }
 
@@ -25,8 +25,13 @@ fn segment(rays: std::ops::Range<u32>, sides: [Side; 2]) -> Segments {
 
 #[test]
 fn every_method_finds_a_circle() -> Result<(), Error> {
-    let methods =
-        [Method::Kasa, Method::Pratt, Method::Taubin, Method::Expected, Method::MostLikely];
+    let methods = [
+        FitMethod::Kasa,
+        FitMethod::Pratt,
+        FitMethod::Taubin,
+        FitMethod::Expected,
+        FitMethod::MostLikely,
+    ];
     let mut circles = Vec::new();
     for method in methods {
         let hits = segment(23..58, [Side::Free; 2]);
@@ -47,7 +52,7 @@ fn what_an_occluder_leaves_open_is_bounded_behind_it() -> Result<(), Error> {
         *range = 2.0; // something nearer
     }
     let mut fitter =
-        Fitter::new(FitParameters { range_std: 0.01, ..parameters(Method::Expected) })?;
+        Fitter::new(FitParameters { range_std: 0.01, ..parameters(FitMethod::Expected) })?;
     let mut circles = Vec::new();
     let half = segment(40..58, [Side::Occluded, Side::Free]);
     fitter.fit(&scan, &half, &mut circles)?;
@@ -63,8 +68,13 @@ fn what_an_occluder_leaves_open_is_bounded_behind_it() -> Result<(), Error> {
 
 #[test]
 fn a_circle_held_by_the_largest_radius_is_uncertain_by_what_is_beyond() -> Result<(), Error> {
-    let methods =
-        [Method::Kasa, Method::Pratt, Method::Taubin, Method::Expected, Method::MostLikely];
+    let methods = [
+        FitMethod::Kasa,
+        FitMethod::Pratt,
+        FitMethod::Taubin,
+        FitMethod::Expected,
+        FitMethod::MostLikely,
+    ];
     for method in methods {
         let held = FitParameters { radius: [0.02, 0.25], range_std: 0.01, ..parameters(method) };
         let mut circles = Vec::new();
@@ -91,7 +101,7 @@ fn two_hits_tell_no_radius_where_something_hides_the_rest() -> Result<(), Error>
                 _ => f64::INFINITY,
             };
         }
-        let known = FitParameters { range_std: 0.01, ..parameters(Method::Expected) };
+        let known = FitParameters { range_std: 0.01, ..parameters(FitMethod::Expected) };
         Fitter::new(known)?.fit(&scan, &two, &mut circles)?;
         let std = circles[0].covariance[2][2].sqrt();
         assert!((least..most).contains(&std), "{circles:?}");
@@ -102,7 +112,7 @@ fn two_hits_tell_no_radius_where_something_hides_the_rest() -> Result<(), Error>
 
 #[test]
 fn an_empty_segment_is_refused() -> Result<(), Error> {
-    let mut fitter = Fitter::new(parameters(Method::Expected))?;
+    let mut fitter = Fitter::new(parameters(FitMethod::Expected))?;
     let mut circles = Vec::new();
     let none = segment(0..0, [Side::Free; 2]);
     assert!(matches!(fitter.fit(&scan(), &none, &mut circles), Err(Error::Value { .. })));
@@ -113,7 +123,7 @@ fn an_empty_segment_is_refused() -> Result<(), Error> {
 
 #[test]
 fn parameters_outside_their_range_are_refused() {
-    let good = parameters(Method::Kasa);
+    let good = parameters(FitMethod::Kasa);
     for bad in [
         FitParameters { range_std: 0.0, ..good },
         FitParameters { beam_half_width: -0.1, ..good },

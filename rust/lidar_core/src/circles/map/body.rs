@@ -3,13 +3,15 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::element::{State, exceeds};
-use super::modes::{Measurement, Modes, Motion, Step, halted, new_state};
+use super::modes::{
+    CircleMeasurement, ElementModes, ElementMotion, ElementStep, halted, new_state,
+};
 use super::outline::{Outline, OutlineMeasurement};
 use super::parameters::Patience;
 use super::rules::Rules;
 use super::view::earlier::Trace;
 use super::view::viewpoint::Viewpoint;
-use super::view::visibility::Visibility;
+use super::view::visibility::CircleVisibility;
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
 use crate::estimation::jitter::Jitter;
@@ -43,9 +45,9 @@ const LEAST_RATIO: f64 = 0.5;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct BodyMeasurement {
     /// Circle of the body, or the circle that represents it.
-    pub(super) circle: Measurement,
+    pub(super) circle: CircleMeasurement,
     /// Circle that its rays may show, if its shape looks different.
-    pub(super) round: Option<Measurement>,
+    pub(super) round: Option<CircleMeasurement>,
     /// Outline, if it is no circle.
     pub(super) outline: Option<OutlineMeasurement>,
     /// Only one face was seen, which does not show its kind.
@@ -66,8 +68,8 @@ impl BodyMeasurement {
 
 /// A body: its circle, or the circle that represents it, and its outline.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Body {
-    circle: Modes<5>,
+pub(super) struct RoundBody {
+    circle: ElementModes<5>,
     pub(super) outline: Outline,
     /// Noise of the centre beyond that of the fits: real objects are not round, and rays that graze
     /// their rims end anywhere.
@@ -76,9 +78,9 @@ pub(super) struct Body {
     stands: bool,
 }
 
-impl Body {
+impl RoundBody {
     /// True if the parts of a restored state agree.
-    pub(super) fn fits(&self, motion: &Motion) -> bool {
+    pub(super) fn fits(&self, motion: &ElementMotion) -> bool {
         self.circle.fits(motion) && self.outline.fits(motion)
     }
 
@@ -92,7 +94,7 @@ impl Body {
     }
 
     /// State as it is reported after a time without scans; what stands stays where it is.
-    pub(super) fn coasted(&self, step: &Step) -> Gaussian<5> {
+    pub(super) fn coasted(&self, step: &ElementStep) -> Gaussian<5> {
         let mut later = self.clone();
         later.circle.predict(&step.circles);
         let mut state = later.reported();
@@ -108,7 +110,7 @@ impl Body {
     }
 
     /// A measurement with the noise of this body.
-    fn noisy(&self, seen: &Measurement) -> Measurement {
+    fn noisy(&self, seen: &CircleMeasurement) -> CircleMeasurement {
         let mut seen = *seen;
         for axis in 0..2 {
             seen.R[(axis, axis)] += self.jitter.variance();
@@ -121,10 +123,10 @@ impl Body {
     /// met the same surface: then another part of it is seen.
     fn weighted(
         &self,
-        seen: &Measurement,
+        seen: &CircleMeasurement,
         trace: Option<Trace>,
         rules: &Rules,
-    ) -> Result<Measurement, Error> {
+    ) -> Result<CircleMeasurement, Error> {
         let mut seen = self.noisy(seen);
         let [least, first] = self.circle.distances(&seen)?;
         let has_stayed = trace.is_some_and(|trace| trace >= STAYED)
@@ -135,7 +137,7 @@ impl Body {
     }
 
     /// Take in how the centre jitters.
-    fn listen(&mut self, seen: &Measurement, time_ns: i64) {
+    fn listen(&mut self, seen: &CircleMeasurement, time_ns: i64) {
         let variance = 0.5 * (seen.R[(0, 0)] + seen.R[(1, 1)]);
         self.jitter.add(time_ns, [seen.z[0], seen.z[1]], variance);
     }
@@ -181,7 +183,7 @@ impl Body {
     }
 }
 
-impl State for Body {
+impl State for RoundBody {
     type Measurement = BodyMeasurement;
 
     fn new<'a>(
@@ -197,13 +199,13 @@ impl State for Body {
             (sum + mean * (more - TRUST).max(0.0), weight + (more - TRUST).max(0.0))
         });
         let mut body = Self {
-            circle: Modes::new(new_state(&seen.circle, rules.speed()), rules.motion()),
+            circle: ElementModes::new(new_state(&seen.circle, rules.speed()), rules.motion()),
             outline: Outline::new(seen.outline.as_ref(), rules),
             jitter: Jitter::new((sum / weight).max(known), TRUST),
             stands: false,
         };
         body.circle =
-            Modes::new(new_state(&body.noisy(&seen.circle), rules.speed()), rules.motion());
+            ElementModes::new(new_state(&body.noisy(&seen.circle), rules.speed()), rules.motion());
         body.listen(&seen.circle, seen.time_ns);
         body
     }
@@ -227,7 +229,7 @@ impl State for Body {
         wholes
     }
 
-    fn predict(&mut self, step: &Step) {
+    fn predict(&mut self, step: &ElementStep) {
         self.circle.predict(&step.circles);
         self.outline.predict(step);
     }
@@ -286,15 +288,15 @@ impl State for Body {
     }
 
     /// The body counts as seen through only if rays pass at every place where it may be.
-    fn look(&self, from: &Viewpoint, rules: &Rules) -> Visibility {
-        let Some(view) = &from.view else { return Visibility::SeenThrough };
+    fn look(&self, from: &Viewpoint, rules: &Rules) -> CircleVisibility {
+        let Some(view) = &from.view else { return CircleVisibility::SeenThrough };
         let state = self.circle();
         let ask = |[x, y]: [f64; 2]| {
             let circle = from.pose.level([state.mean[0] + x, state.mean[1] + y], state.mean[4]);
             view.of(&circle, rules.looking())
         };
         let here = ask([0.0, 0.0]);
-        if here != Visibility::SeenThrough {
+        if here != CircleVisibility::SeenThrough {
             return here;
         }
         let around = axes(&state)
@@ -302,7 +304,7 @@ impl State for Body {
             // places around must be free as well.
             .into_iter()
             .flat_map(|axis| LOOK.map(|reach| axis.map(|value| value * reach)));
-        around.map(ask).fold(here, Visibility::max)
+        around.map(ask).fold(here, CircleVisibility::max)
     }
 
     /// True if an eigenvalue of a block of the covariance exceeds its limit, or no radius is left.

@@ -2,12 +2,12 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::modes::Step;
+use super::modes::ElementStep;
 use super::parameters::{Independent, Patience};
 use super::rules::Rules;
 use super::seconds;
 use super::view::viewpoint::Viewpoint;
-use super::view::visibility::Visibility;
+use super::view::visibility::CircleVisibility;
 use crate::Error;
 use nalgebra::SMatrix;
 use serde::{Deserialize, Serialize};
@@ -38,7 +38,7 @@ pub(super) trait State: Clone {
     }
 
     /// Predict the state.
-    fn predict(&mut self, step: &Step);
+    fn predict(&mut self, step: &ElementStep);
 
     /// # Errors
     /// [`Error::NotPositiveDefinite`]; nothing changes then.
@@ -59,7 +59,7 @@ pub(super) trait State: Clone {
         Self: 'a;
 
     /// Visibility of the element in a scan that did not measure it.
-    fn look(&self, from: &Viewpoint, rules: &Rules) -> Visibility;
+    fn look(&self, from: &Viewpoint, rules: &Rules) -> CircleVisibility;
 
     /// True if the state is too uncertain for a visible element.
     fn is_vague(&self, rules: &Rules) -> bool;
@@ -84,14 +84,14 @@ pub(super) trait State: Clone {
 
 /// Observation of an element by the last scan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-enum Seen {
+enum ScanEvidence {
     Measured,
-    Unmeasured(Visibility),
+    Unmeasured(CircleVisibility),
 }
 
-impl Seen {
+impl ScanEvidence {
     fn is_visible(self) -> bool {
-        let hidden = [Visibility::Occluded, Visibility::OutOfView];
+        let hidden = [CircleVisibility::Occluded, CircleVisibility::OutOfView];
         !hidden.map(Self::Unmeasured).contains(&self)
     }
 }
@@ -126,7 +126,7 @@ pub(super) struct Element<S> {
     /// The position is too uncertain to be reported.
     lost: bool,
     /// Observation by the newest scan of `watcher`.
-    seen: Seen,
+    seen: ScanEvidence,
     /// Sensor that last measured the element or should have.
     watcher: u32,
     /// Scans without a measurement: seen through, with returns, hidden.
@@ -146,7 +146,7 @@ impl<S: State> Element<S> {
             history: 1,
             confirmed: false,
             lost: false,
-            seen: Seen::Measured,
+            seen: ScanEvidence::Measured,
             watcher: sensor,
             absent: Misses::default(),
             unmatched: Misses::default(),
@@ -159,20 +159,20 @@ impl<S: State> Element<S> {
         self.seen_ns = stamp_ns;
         self.n_measurements = self.n_measurements.saturating_add(1);
         self.history = self.history << 1 | 1;
-        (self.seen, self.watcher) = (Seen::Measured, sensor);
+        (self.seen, self.watcher) = (ScanEvidence::Measured, sensor);
         // Only an unbroken series of misses removes an element.
         (self.absent, self.unmatched, self.hidden) = Default::default();
     }
 
     /// Count a scan, `dt` seconds after the one before, that did not measure the element. A sensor
     /// from which the element is hidden does not override one that sees it.
-    pub(super) fn unmeasured(&mut self, visibility: Visibility, sensor: u32, dt: f64) {
+    pub(super) fn unmeasured(&mut self, visibility: CircleVisibility, sensor: u32, dt: f64) {
         match visibility {
-            Visibility::SeenThrough => self.absent.add(dt),
-            Visibility::Returns => self.unmatched.add(dt),
-            Visibility::Occluded | Visibility::OutOfView => self.hidden.add(dt),
+            CircleVisibility::SeenThrough => self.absent.add(dt),
+            CircleVisibility::Returns => self.unmatched.add(dt),
+            CircleVisibility::Occluded | CircleVisibility::OutOfView => self.hidden.add(dt),
         }
-        let seen = Seen::Unmeasured(visibility);
+        let seen = ScanEvidence::Unmeasured(visibility);
         if seen.is_visible() || sensor == self.watcher {
             self.history <<= 1;
             (self.seen, self.watcher) = (seen, sensor);

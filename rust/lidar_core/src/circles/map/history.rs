@@ -4,7 +4,7 @@ use super::independent::{Elements, new_number};
 use super::rules::Rules;
 use super::scan::Placed;
 use super::view::earlier::Earlier;
-use super::{Outcome, seconds};
+use super::{MapOutcome, seconds};
 use crate::Error;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -79,7 +79,7 @@ impl History {
         rules: &Rules,
         mut scan: Placed,
         next_id: &mut i64,
-    ) -> Result<Outcome, Error> {
+    ) -> Result<MapOutcome, Error> {
         if self.is_late(scan.key())? {
             return self.insert(rules, scan, next_id);
         }
@@ -93,7 +93,7 @@ impl History {
         self.entries.push_back(Entry { before, scan });
         self.forget(rules.parameters().buffer_time);
         *next_id = number;
-        Ok(Outcome { late: false, found, merged })
+        Ok(MapOutcome { late: false, found, merged })
     }
 
     /// Process a late scan, and all scans after it again.
@@ -102,7 +102,7 @@ impl History {
         rules: &Rules,
         mut scan: Placed,
         next_id: &mut i64,
-    ) -> Result<Outcome, Error> {
+    ) -> Result<MapOutcome, Error> {
         let mut number = *next_id;
         let place = self.entries.partition_point(|entry| entry.scan.key() < scan.key());
         // All work is done on copies: after an error the map is as before.
@@ -133,7 +133,7 @@ impl History {
         let found = self.entries[place].scan.found();
         (self.now, *next_id) = (now, number);
         self.forget(rules.parameters().buffer_time);
-        Ok(Outcome { late: true, found, merged })
+        Ok(MapOutcome { late: true, found, merged })
     }
 
     /// Remove scans older than `buffer_time` [s].

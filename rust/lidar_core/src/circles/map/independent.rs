@@ -1,9 +1,9 @@
 //! The map with a filter per element: one scan after the other.
 
-use super::body::Body;
+use super::body::RoundBody;
 use super::element::{Element, State};
 use super::line::Line;
-use super::modes::{Motion, halted};
+use super::modes::{ElementMotion, halted};
 use super::parameters::MAX_ELEMENTS;
 use super::rules::Rules;
 use super::scan::{Placed, Seen, too_many};
@@ -18,13 +18,13 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Elements {
     stamp_ns: Option<i64>,
-    bodies: Vec<Element<Body>>,
+    bodies: Vec<Element<RoundBody>>,
     lines: Vec<Element<Line>>,
 }
 
 impl Elements {
     /// True if the parts of a restored state agree.
-    pub(super) fn fits(&self, motion: &Motion) -> bool {
+    pub(super) fn fits(&self, motion: &ElementMotion) -> bool {
         self.len() <= MAX_ELEMENTS
             && self.bodies.is_sorted_by(|one, next| one.id < next.id)
             && self.lines.is_sorted_by(|one, next| one.id < next.id)
@@ -84,7 +84,7 @@ impl Elements {
     /// Bodies that are not large, predicted to `stamp_ns`.
     pub(super) fn at(&self, rules: &Rules, stamp_ns: i64) -> Vec<MapElement> {
         let step = rules.motion().coast(seconds(self.stamp_ns.unwrap_or(stamp_ns), stamp_ns));
-        let predicted = |body: &Element<Body>| {
+        let predicted = |body: &Element<RoundBody>| {
             let state = body.state.coasted(&step);
             MapElement {
                 id: body.id,

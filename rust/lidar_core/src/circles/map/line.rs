@@ -3,11 +3,11 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::element::State;
-use super::modes::Step;
+use super::modes::ElementStep;
 use super::parameters::{LineRules, Patience};
 use super::rules::Rules;
 use super::view::viewpoint::Viewpoint;
-use super::view::visibility::Visibility;
+use super::view::visibility::CircleVisibility;
 use crate::Error;
 use crate::circles::preprocess::polar_scan::turn;
 use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised, update};
@@ -209,7 +209,7 @@ impl State for Line {
     }
 
     /// Predict: the ends move at random across the line.
-    fn predict(&mut self, step: &Step) {
+    fn predict(&mut self, step: &ElementStep) {
         // Two independent ends: the mean of their movements shifts the line, their difference over
         // the length turns it.
         let half = (0.5 * self.length()).max(LEAST_HALF);
@@ -249,8 +249,8 @@ impl State for Line {
         Ok(owners)
     }
 
-    fn look(&self, from: &Viewpoint, rules: &Rules) -> Visibility {
-        let Some(view) = &from.view else { return Visibility::SeenThrough };
+    fn look(&self, from: &Viewpoint, rules: &Rules) -> CircleVisibility {
+        let Some(view) = &from.view else { return CircleVisibility::SeenThrough };
         let ends = self.ends().map(|end| from.pose.level(end, 0.0).center);
         view.of_line(ends, rules.looking())
     }

@@ -23,11 +23,11 @@ mod tests;
 
 pub use outline::OutlineEstimate;
 pub use parameters::{
-    CircleMapParameters, Confirmation, Filter, Independent, Joint, Limits, LineRules, Looking,
-    MAX_ELEMENTS, MAX_MODES, MAX_WINDOW, Mode, Patience, Standing,
+    CircleMapParameters, ElementConfirmation, ElementFilter, Independent, Joint, Limits, LineRules,
+    Looking, MAX_ELEMENTS, MAX_MODES, MAX_WINDOW, MotionMode, Patience, Standing,
 };
 pub use scan::{CircleScan, PoseCovariance};
-pub use view::visibility::{SortedView, View, Visibility};
+pub use view::visibility::{CircleVisibility, SortedView, View};
 
 use super::shape::ShapeKind;
 use crate::Error;
@@ -104,13 +104,13 @@ pub struct MapStats {
 }
 
 /// Result of a scan that the elements do not show.
-struct Outcome {
+struct MapOutcome {
     late: bool,
     found: Found,
     merged: Vec<[i64; 2]>,
 }
 
-enum Engine {
+enum MapFilter {
     Paper(JointMap),
     Independent(Box<Rules>, History),
 }
@@ -118,22 +118,22 @@ enum Engine {
 /// Map of circles in the world, updated by scans.
 pub struct CircleMap {
     parameters: CircleMapParameters,
-    engine: Engine,
+    engine: MapFilter,
     next_id: i64,
 }
 
 /// State of a [`CircleMap`] that changes with scans.
 #[derive(Serialize)]
-pub(super) struct MapState<'a> {
-    paper: Option<&'a joint::State>,
+pub(super) struct CircleMapState<'a> {
+    paper: Option<&'a joint::JointState>,
     independent: Option<&'a History>,
     next_id: i64,
 }
 
-/// [`MapState`] as it is read back.
+/// [`CircleMapState`] as it is read back.
 #[derive(Deserialize)]
-pub(super) struct SavedMap {
-    paper: Option<joint::State>,
+pub(super) struct SavedCircleMap {
+    paper: Option<joint::JointState>,
     independent: Option<History>,
     next_id: i64,
 }
@@ -146,10 +146,10 @@ impl CircleMap {
     pub fn new(parameters: CircleMapParameters) -> Result<Self, Error> {
         let (gate, speed) = (parameters.gate()?, parameters.initial_speed);
         let engine = match parameters.filter.clone() {
-            Filter::Paper(joint) => Engine::Paper(JointMap::new(joint, gate, speed)),
-            Filter::Independent(independent) => {
+            ElementFilter::Paper(joint) => MapFilter::Paper(JointMap::new(joint, gate, speed)),
+            ElementFilter::Independent(independent) => {
                 let rules = Rules::new(independent, parameters.gate_probability, speed)?;
-                Engine::Independent(Box::new(rules), History::default())
+                MapFilter::Independent(Box::new(rules), History::default())
             }
         };
         Ok(Self { parameters, engine, next_id: 0 })
@@ -175,18 +175,18 @@ impl CircleMap {
         Ok(map)
     }
 
-    pub(super) fn state(&self) -> MapState<'_> {
+    pub(super) fn state(&self) -> CircleMapState<'_> {
         let (paper, independent) = match &self.engine {
-            Engine::Paper(joint) => (Some(joint.state()), None),
-            Engine::Independent(_, history) => (None, Some(history)),
+            MapFilter::Paper(joint) => (Some(joint.state()), None),
+            MapFilter::Independent(_, history) => (None, Some(history)),
         };
-        MapState { paper, independent, next_id: self.next_id }
+        CircleMapState { paper, independent, next_id: self.next_id }
     }
 
-    pub(super) fn restore(&mut self, saved: SavedMap) -> Result<(), Error> {
+    pub(super) fn restore(&mut self, saved: SavedCircleMap) -> Result<(), Error> {
         match (&mut self.engine, saved.paper, saved.independent) {
-            (Engine::Paper(joint), Some(state), None) => joint.restore(state)?,
-            (Engine::Independent(rules, history), None, Some(read)) if read.fits(rules) => {
+            (MapFilter::Paper(joint), Some(state), None) => joint.restore(state)?,
+            (MapFilter::Independent(rules, history), None, Some(read)) if read.fits(rules) => {
                 *history = read;
             }
             _ => return Err(impossible("a map of circles whose parts do not agree")),
@@ -204,8 +204,8 @@ impl CircleMap {
     pub fn update(&mut self, scan: &CircleScan<'_>) -> Result<MapStats, Error> {
         let before = self.numbers();
         let outcome = match &mut self.engine {
-            Engine::Paper(joint) => joint.update(scan, &mut self.next_id)?,
-            Engine::Independent(rules, history) => {
+            MapFilter::Paper(joint) => joint.update(scan, &mut self.next_id)?,
+            MapFilter::Independent(rules, history) => {
                 // Before the scan is transformed, which would be in vain for a refused stamp.
                 history.is_late((scan.stamp_ns, scan.sensor))?;
                 let mut placed = Placed::new(scan)?;
@@ -235,8 +235,8 @@ impl CircleMap {
     #[must_use]
     pub fn map_at(&self, stamp_ns: i64) -> Vec<MapElement> {
         match &self.engine {
-            Engine::Paper(joint) => joint.at(stamp_ns),
-            Engine::Independent(rules, history) => history.now.at(rules, stamp_ns),
+            MapFilter::Paper(joint) => joint.at(stamp_ns),
+            MapFilter::Independent(rules, history) => history.now.at(rules, stamp_ns),
         }
     }
 
@@ -245,8 +245,8 @@ impl CircleMap {
     #[must_use]
     pub fn shapes_at(&self, stamp_ns: i64) -> Vec<MapShape> {
         match &self.engine {
-            Engine::Paper(_) => Vec::new(),
-            Engine::Independent(rules, history) => history.now.shapes_at(rules, stamp_ns),
+            MapFilter::Paper(_) => Vec::new(),
+            MapFilter::Independent(rules, history) => history.now.shapes_at(rules, stamp_ns),
         }
     }
 
@@ -255,8 +255,8 @@ impl CircleMap {
     #[must_use]
     pub fn is_on_line(&self, points: &[[f64; 2]], std: f64, length: f64) -> bool {
         match &self.engine {
-            Engine::Paper(_) => false,
-            Engine::Independent(rules, history) => {
+            MapFilter::Paper(_) => false,
+            MapFilter::Independent(rules, history) => {
                 history.now.is_on_line(rules, points, std, length)
             }
         }
@@ -268,24 +268,24 @@ impl CircleMap {
     /// [`Error::Time`] for the stamps that [`CircleMap::update`] refuses.
     pub fn check_stamp(&self, stamp_ns: i64, sensor: u32) -> Result<(), Error> {
         match &self.engine {
-            Engine::Paper(joint) => joint.check_stamp((stamp_ns, sensor)),
-            Engine::Independent(_, history) => history.is_late((stamp_ns, sensor)).map(drop),
+            MapFilter::Paper(joint) => joint.check_stamp((stamp_ns, sensor)),
+            MapFilter::Independent(_, history) => history.is_late((stamp_ns, sensor)).map(drop),
         }
     }
 
     /// Remove all elements and scans. Numbers are not used again.
     pub fn reset(&mut self) {
         match &mut self.engine {
-            Engine::Paper(joint) => joint.reset(),
-            Engine::Independent(_, history) => *history = History::default(),
+            MapFilter::Paper(joint) => joint.reset(),
+            MapFilter::Independent(_, history) => *history = History::default(),
         }
     }
 
     /// Numbers of all elements, each with true if it is reported.
     fn numbers(&self) -> Vec<(i64, bool)> {
         match &self.engine {
-            Engine::Paper(joint) => joint.numbers().map(|id| (id, true)).collect(),
-            Engine::Independent(_, history) => history.now.numbers().collect(),
+            MapFilter::Paper(joint) => joint.numbers().map(|id| (id, true)).collect(),
+            MapFilter::Independent(_, history) => history.now.numbers().collect(),
         }
     }
 }

@@ -5,7 +5,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::parameters::{MAX_MODES, Mode, Standing};
+use super::parameters::{MAX_MODES, MotionMode, Standing};
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised, update};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
@@ -39,7 +39,7 @@ pub(super) trait Measures<const N: usize, const M: usize> {
 
 /// A circle in the world.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Measurement {
+pub(super) struct CircleMeasurement {
     /// Centre and radius [m].
     pub(super) z: Vector3<f64>,
     /// Their covariance.
@@ -48,7 +48,7 @@ pub(super) struct Measurement {
     pub(super) delay: f64,
 }
 
-impl Measures<5, 3> for Measurement {
+impl Measures<5, 3> for CircleMeasurement {
     fn against(&self, state: &SVector<f64, 5>) -> Linearised<5, 3> {
         let H = centre_matrix(self.delay);
         Linearised { y: self.z - H * state, H, R: self.R }
@@ -70,7 +70,7 @@ pub(super) fn centre_matrix<const N: usize, const M: usize>(delay: f64) -> SMatr
 }
 
 /// State of eqs 18-20: a circle at rest, of unknown velocity.
-pub(super) fn new_state(measurement: &Measurement, speed: f64) -> Gaussian<5> {
+pub(super) fn new_state(measurement: &CircleMeasurement, speed: f64) -> Gaussian<5> {
     at_rest(measurement.z, measurement.R, measurement.delay, speed)
 }
 
@@ -125,8 +125,8 @@ fn wandering<const N: usize>(dt: f64, density: f64, wander: &[f64]) -> Square<N>
 
 /// Motion of elements.
 #[derive(Clone, Debug)]
-pub(super) struct Motion {
-    modes: Vec<Mode>,
+pub(super) struct ElementMotion {
+    modes: Vec<MotionMode>,
     standing: Option<Standing>,
     radius_density: f64,
     turn_density: f64,
@@ -146,7 +146,7 @@ pub(super) struct Move<const N: usize> {
 }
 
 /// Prediction over a given time, shared by all elements.
-pub(super) struct Step {
+pub(super) struct ElementStep {
     /// Prediction of circles: centre, velocity, radius.
     pub(super) circles: Move<5>,
     /// Prediction of other outlines: centre, velocity, heading, half lengths.
@@ -154,22 +154,28 @@ pub(super) struct Step {
     line_variance: f64,
 }
 
-impl Step {
+impl ElementStep {
     /// Variance of the random walk of lines over the whole step [m^2].
     pub(super) fn line_variance(&self) -> f64 {
         self.line_variance
     }
 }
 
-impl Motion {
+impl ElementMotion {
     /// Motion from modes and from the densities of radii and half lengths, of headings, and of
     /// lines. Standing, if it has a weight, is the first mode.
-    pub(super) fn new(modes: &[Mode], standing: &Standing, [radius, turn, line]: [f64; 3]) -> Self {
+    pub(super) fn new(
+        modes: &[MotionMode],
+        standing: &Standing,
+        [radius, turn, line]: [f64; 3],
+    ) -> Self {
         let standing = Some(*standing).filter(|one| one.share > 0.0);
         let total: f64 = modes.iter().map(|mode| mode.weight).sum();
         let moving = 1.0 - standing.map_or(0.0, |one| one.share);
-        let mut all: Vec<Mode> = standing.iter().map(still).collect();
-        all.extend(modes.iter().map(|one| Mode { weight: one.weight / total * moving, ..*one }));
+        let mut all: Vec<MotionMode> = standing.iter().map(still).collect();
+        all.extend(
+            modes.iter().map(|one| MotionMode { weight: one.weight / total * moving, ..*one }),
+        );
         let modes = all;
         let mut rates = Switching::zeros();
         for (from, mode) in modes.iter().enumerate() {
@@ -199,7 +205,7 @@ impl Motion {
 
     /// Prediction over `dt` seconds in which nothing stops or starts: the mean moves at its
     /// velocity.
-    pub(super) fn coast(&self, dt: f64) -> Step {
+    pub(super) fn coast(&self, dt: f64) -> ElementStep {
         let mut motion = self.clone();
         if motion.standing.is_some() {
             for mode in 1..SLOTS {
@@ -212,9 +218,9 @@ impl Motion {
     }
 
     /// Prediction over `dt` seconds.
-    pub(super) fn step(&self, dt: f64) -> Step {
+    pub(super) fn step(&self, dt: f64) -> ElementStep {
         let size = self.radius_density;
-        Step {
+        ElementStep {
             circles: self.movement(dt, &[size]),
             outlines: self.movement(dt, &[self.turn_density, size, size]),
             line_variance: self.line_density * dt.abs(),
@@ -246,12 +252,12 @@ impl Motion {
 }
 
 /// Standing as a mode.
-fn still(one: &Standing) -> Mode {
-    Mode { density: one.density, weight: one.share, duration: one.duration }
+fn still(one: &Standing) -> MotionMode {
+    MotionMode { density: one.density, weight: one.share, duration: one.duration }
 }
 
 /// All modes except one, with their numbers.
-fn others(modes: &[Mode], but: usize) -> impl Iterator<Item = (usize, &Mode)> {
+fn others(modes: &[MotionMode], but: usize) -> impl Iterator<Item = (usize, &MotionMode)> {
     modes.iter().enumerate().filter(move |&(index, _)| index != but)
 }
 
@@ -279,13 +285,13 @@ fn exponential(rates: &Switching, time: f64) -> Switching {
 
 /// State of an element in every mode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Modes<const N: usize> {
+pub(super) struct ElementModes<const N: usize> {
     states: Vec<Gaussian<N>>,
     probabilities: [f64; SLOTS],
 }
 
-impl<const N: usize> Modes<N> {
-    pub(super) fn new(state: Gaussian<N>, motion: &Motion) -> Self {
+impl<const N: usize> ElementModes<N> {
+    pub(super) fn new(state: Gaussian<N>, motion: &ElementMotion) -> Self {
         let mut probabilities = [0.0; SLOTS];
         for (probability, mode) in probabilities.iter_mut().zip(&motion.modes) {
             *probability = mode.weight;
@@ -298,7 +304,7 @@ impl<const N: usize> Modes<N> {
     }
 
     /// True if a restored state has one part per mode of `motion`.
-    pub(super) fn fits(&self, motion: &Motion) -> bool {
+    pub(super) fn fits(&self, motion: &ElementMotion) -> bool {
         self.states.len() == motion.modes.len()
     }
 
@@ -341,7 +347,7 @@ impl<const N: usize> Modes<N> {
     }
 
     /// Probability that the element stands; 0 without that mode.
-    pub(super) fn standing(&self, motion: &Motion) -> f64 {
+    pub(super) fn standing(&self, motion: &ElementMotion) -> f64 {
         if motion.standing.is_some() { self.probabilities[0] } else { 0.0 }
     }
 
@@ -478,9 +484,9 @@ fn mixture<const N: usize>(states: &[Gaussian<N>], weights: &[f64; SLOTS]) -> Ga
 mod tests {
     use super::*;
 
-    fn motion() -> Motion {
-        let mode = |density, weight, duration| Mode { density, weight, duration };
-        Motion::new(
+    fn motion() -> ElementMotion {
+        let mode = |density, weight, duration| MotionMode { density, weight, duration };
+        ElementMotion::new(
             &[mode(0.01, 0.5, 2.0), mode(1.0, 0.45, 1.0), mode(50.0, 0.05, 0.1)],
             &Standing { share: 0.0, ..standing() },
             [1e-6, 0.0, 0.0],
@@ -498,8 +504,12 @@ mod tests {
         }
     }
 
-    fn measurement(x: f64) -> Measurement {
-        Measurement { z: Vector3::new(x, 1.0, 0.3), R: Matrix3::identity() * 1e-4, delay: 0.0 }
+    fn measurement(x: f64) -> CircleMeasurement {
+        CircleMeasurement {
+            z: Vector3::new(x, 1.0, 0.3),
+            R: Matrix3::identity() * 1e-4,
+            delay: 0.0,
+        }
     }
 
     #[test]
@@ -526,7 +536,7 @@ mod tests {
     #[test]
     fn the_mixture_keeps_its_mean_when_nothing_is_measured() -> Result<(), Error> {
         let motion = motion();
-        let mut modes = Modes::new(new_state(&measurement(0.0), 1.5), &motion);
+        let mut modes = ElementModes::new(new_state(&measurement(0.0), 1.5), &motion);
         for step in 1..5 {
             modes.predict(&motion.step(0.05).circles);
             modes.correct(&measurement(0.05 * f64::from(step)), 0.0)?;
@@ -543,7 +553,7 @@ mod tests {
     #[test]
     fn a_jump_is_within_the_gate_and_followed() -> Result<(), Error> {
         let motion = motion();
-        let mut modes = Modes::new(new_state(&measurement(0.0), 1.5), &motion);
+        let mut modes = ElementModes::new(new_state(&measurement(0.0), 1.5), &motion);
         for _ in 0..40 {
             modes.predict(&motion.step(0.05).circles);
             modes.correct(&measurement(0.0), 0.0)?;
@@ -558,9 +568,9 @@ mod tests {
 
     #[test]
     fn what_stands_is_known_to_stand_and_what_leaves_is_noticed() -> Result<(), Error> {
-        let mode = Mode { density: 0.5, weight: 1.0, duration: 2.0 };
-        let motion = Motion::new(&[mode], &standing(), [1e-6, 0.0, 0.0]);
-        let mut modes = Modes::new(new_state(&measurement(0.0), 1.5), &motion);
+        let mode = MotionMode { density: 0.5, weight: 1.0, duration: 2.0 };
+        let motion = ElementMotion::new(&[mode], &standing(), [1e-6, 0.0, 0.0]);
+        let mut modes = ElementModes::new(new_state(&measurement(0.0), 1.5), &motion);
         let mut see = |x: f64| -> Result<f64, Error> {
             modes.predict(&motion.step(0.05).circles);
             modes.correct(&measurement(x), 0.0)?;
@@ -584,9 +594,9 @@ mod tests {
 
     #[test]
     fn one_mode_costs_what_the_textbook_says() -> Result<(), Error> {
-        let mode = Mode { density: 1.0, weight: 3.0, duration: 1.0 };
-        let motion = Motion::new(&[mode], &Standing { share: 0.0, ..standing() }, [0.0; 3]);
-        let modes = Modes::new(new_state(&measurement(0.0), 1.0), &motion);
+        let mode = MotionMode { density: 1.0, weight: 3.0, duration: 1.0 };
+        let motion = ElementMotion::new(&[mode], &Standing { share: 0.0, ..standing() }, [0.0; 3]);
+        let modes = ElementModes::new(new_state(&measurement(0.0), 1.0), &motion);
         let got = modes.cost(&measurement(0.01), 11.3)?;
         let expected = 0.5 + 3.0 * libm::log(2e-4) + 3.0 * LN_2_PI;
         assert!(got.is_some_and(|cost| (cost - expected).abs() < 1e-9));

@@ -2,7 +2,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::modes::{Measures, Modes, Motion, Step, at_rest, centre_matrix};
+use super::modes::{ElementModes, ElementMotion, ElementStep, Measures, at_rest, centre_matrix};
 use super::rules::Rules;
 use crate::Error;
 use crate::circles::fit::circle::CircleEstimate;
@@ -70,7 +70,7 @@ impl OutlineMeasurement {
 /// Outline of a body.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Outline {
-    state: Option<Modes<7>>,
+    state: Option<ElementModes<7>>,
     /// Weights of the kinds in recent measurements.
     shares: [f64; 3],
     kind: usize,
@@ -80,7 +80,7 @@ pub(super) struct Outline {
 
 impl Outline {
     /// True if the parts of a restored state agree.
-    pub(super) fn fits(&self, motion: &Motion) -> bool {
+    pub(super) fn fits(&self, motion: &ElementMotion) -> bool {
         self.kind < self.shares.len() && self.state.iter().all(|state| state.fits(motion))
     }
 
@@ -96,7 +96,7 @@ impl Outline {
         outline
     }
 
-    pub(super) fn predict(&mut self, step: &Step) {
+    pub(super) fn predict(&mut self, step: &ElementStep) {
         if let Some(state) = &mut self.state {
             state.predict(&step.outlines);
         }
@@ -169,8 +169,8 @@ fn number(kind: ShapeKind) -> usize {
     KINDS.iter().position(|&one| one == kind).unwrap_or(0)
 }
 
-fn started(seen: &OutlineMeasurement, rules: &Rules) -> Modes<7> {
-    Modes::new(at_rest(seen.z, seen.R, seen.delay, rules.speed()), rules.motion())
+fn started(seen: &OutlineMeasurement, rules: &Rules) -> ElementModes<7> {
+    ElementModes::new(at_rest(seen.z, seen.R, seen.delay, rules.speed()), rules.motion())
 }
 
 /// Description of an outline that is nearest to a state, and its squared distance.

@@ -14,7 +14,7 @@ pub const MAX_WINDOW: u32 = 64;
 
 /// Mode of motion: nearly constant velocity, driven by white acceleration.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Mode {
+pub struct MotionMode {
     /// Density of the acceleration [m^2/s^3].
     pub density: f64,
     /// Share of new elements, and of those that leave another mode, with this mode.
@@ -76,7 +76,7 @@ pub struct Looking {
 
 /// An element is reported once `hits` of the last `window` scans measured it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Confirmation {
+pub struct ElementConfirmation {
     /// Number of scans that measured it, >= 1.
     pub hits: u32,
     /// Number of scans that count, `hits` to [`MAX_WINDOW`].
@@ -104,7 +104,7 @@ pub struct LineRules {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Independent {
     /// Modes of motion, 1 to [`MAX_MODES`].
-    pub modes: Vec<Mode>,
+    pub modes: Vec<MotionMode>,
     /// Standing still, one more mode.
     pub standing: Standing,
     /// Standard deviation of a centre beyond that of its fit, as far as the scans do not show it
@@ -119,7 +119,7 @@ pub struct Independent {
     /// Gap between two surfaces below which they are one element [m].
     pub merge_gap: f64,
     /// Rule after which elements are reported.
-    pub confirmation: Confirmation,
+    pub confirmation: ElementConfirmation,
     /// Limits above which elements are too uncertain.
     pub limits: Limits,
     /// Times after which elements without measurement are removed.
@@ -144,7 +144,7 @@ pub struct Joint {
 /// Filter of the elements.
 #[allow(clippy::large_enum_variant)] // one value per map, made once
 #[derive(Clone, Debug, PartialEq)]
-pub enum Filter {
+pub enum ElementFilter {
     /// One filter for all elements and the robot, as published.
     Paper(Joint),
     /// A filter per element.
@@ -155,7 +155,7 @@ pub enum Filter {
 #[derive(Clone, Debug, PartialEq)]
 pub struct CircleMapParameters {
     /// Filter of the elements.
-    pub filter: Filter,
+    pub filter: ElementFilter,
     /// Probability that a true pair passes the gate.
     pub gate_probability: f64,
     /// Standard deviation of a new element's velocity, per axis [m/s].
@@ -171,11 +171,11 @@ impl CircleMapParameters {
     pub(super) fn gate(&self) -> Result<f64, Error> {
         within("initial_speed", self.initial_speed, 1e-6..=1e6, "1e-6 to 1e6")?;
         match &self.filter {
-            Filter::Paper(joint) => {
+            ElementFilter::Paper(joint) => {
                 within("velocity_step", joint.velocity_step, 0.0..=1e3, "0 to 1000")?;
                 require_positive("max_eigenvalue", joint.max_eigenvalue)?;
             }
-            Filter::Independent(independent) => independent.check()?,
+            ElementFilter::Independent(independent) => independent.check()?,
         }
         chi2::quantile(self.gate_probability, 3)
     }
@@ -197,7 +197,7 @@ impl Independent {
         within("turn_noise", self.turn_density, 0.0..=1e3, "0 to 1000")?;
         require_positive("birth_density", self.birth_density)?;
         not_negative("merge_gap", self.merge_gap)?;
-        let Confirmation { hits, window } = self.confirmation;
+        let ElementConfirmation { hits, window } = self.confirmation;
         require(
             (1..=MAX_WINDOW).contains(&window) && (1..=window).contains(&hits),
             "confirm_hits",

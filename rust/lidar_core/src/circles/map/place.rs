@@ -4,7 +4,7 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::line::LineMeasurement;
-use super::modes::Measurement;
+use super::modes::CircleMeasurement;
 use super::outline::{OutlineEstimate, OutlineMeasurement};
 use super::view::level_pose::LevelPose;
 use crate::circles::fit::circle::{Circle, CircleEstimate};
@@ -15,7 +15,7 @@ use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 impl LevelPose {
     /// Transform a circle from the level frame to the world, eq. 18.
-    pub(super) fn place(&self, estimate: &CircleEstimate) -> Measurement {
+    pub(super) fn place(&self, estimate: &CircleEstimate) -> CircleMeasurement {
         let Circle { center: [x, y], radius } = estimate.circle;
         let mut turn = Matrix3::identity();
         turn.fixed_view_mut::<2, 2>(0, 0).copy_from(&self.rotation());
@@ -24,7 +24,7 @@ impl LevelPose {
         let [x0, y0] = self.origin();
         let offset = Vector3::new(x0, y0, 0.0);
         let z = turn * Vector3::new(x, y, radius) + offset;
-        Measurement { z, R: (R + R.transpose()) * 0.5, delay: 0.0 }
+        CircleMeasurement { z, R: (R + R.transpose()) * 0.5, delay: 0.0 }
     }
 
     /// Transform a line from the level frame to the world; None for other shapes. An error of the
@@ -64,7 +64,7 @@ impl LevelPose {
         estimate: &CircleEstimate,
         world_from_lidar: &Transform,
         R_pose: Option<SMatrix<f64, 6, 6>>,
-    ) -> Measurement {
+    ) -> CircleMeasurement {
         let mut measurement = self.place(estimate);
         if let Some(R_pose) = R_pose {
             let J = self.by_pose(estimate.circle.center, world_from_lidar);

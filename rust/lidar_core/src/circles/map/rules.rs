@@ -1,6 +1,6 @@
 //! Rules of the map with a filter per element: parameters, motion, gates.
 
-use super::modes::Motion;
+use super::modes::ElementMotion;
 use super::parameters::{Independent, LineRules, Looking};
 use crate::Error;
 use crate::estimation::chi2;
@@ -8,7 +8,7 @@ use crate::estimation::chi2;
 /// Rules for elements.
 pub(super) struct Rules {
     parameters: Independent,
-    motion: Motion,
+    motion: ElementMotion,
     gate: f64,
     line_gate: f64,
     outline_gate: f64,
@@ -24,7 +24,7 @@ impl Rules {
         speed: f64,
     ) -> Result<Self, Error> {
         let Independent { radius_density, turn_density, lines, .. } = parameters;
-        let motion = Motion::new(
+        let motion = ElementMotion::new(
             &parameters.modes,
             &parameters.standing,
             [radius_density, turn_density, lines.density],
@@ -47,7 +47,7 @@ impl Rules {
         &self.parameters.looking
     }
 
-    pub(super) fn motion(&self) -> &Motion {
+    pub(super) fn motion(&self) -> &ElementMotion {
         &self.motion
     }
 

@@ -4,7 +4,7 @@
 
 use super::body::BodyMeasurement;
 use super::line::LineMeasurement;
-use super::modes::Measurement;
+use super::modes::CircleMeasurement;
 use super::outline::{OutlineEstimate, OutlineMeasurement};
 use super::parameters::MAX_ELEMENTS;
 use super::place::matrix_of;
@@ -96,7 +96,7 @@ impl Placed {
             scan.pose_covariance.map(|rows| SMatrix::from_fn(|row, column| rows[row][column]));
         let place = |(index, estimate): (usize, &CircleEstimate)| {
             let delay = scan.delays.map_or(0.0, |delays| delays[index]);
-            let in_world = |estimate: &CircleEstimate| Measurement {
+            let in_world = |estimate: &CircleEstimate| CircleMeasurement {
                 delay,
                 ..pose.place_circle(estimate, scan.world_from_lidar, R_pose)
             };

@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 const STEP_NS: i64 = 50_000_000;
 
 fn best() -> Independent {
-    let mode = |density, weight, duration| Mode { density, weight, duration };
+    let mode = |density, weight, duration| MotionMode { density, weight, duration };
     Independent {
         modes: vec![mode(0.003, 0.5, 2.0), mode(0.5, 0.48, 2.0), mode(100.0, 0.02, 0.1)],
         birth_density: 0.1,
@@ -19,7 +19,7 @@ fn best() -> Independent {
     }
 }
 
-fn map_of(filter: Filter) -> Result<CircleMap, Error> {
+fn map_of(filter: ElementFilter) -> Result<CircleMap, Error> {
     CircleMap::new(CircleMapParameters { filter, gate_probability: 0.999, initial_speed: 1.5 })
 }
 
@@ -58,13 +58,13 @@ fn wall() -> PolarScan {
     PolarScan { ranges: vec![5.0; bearings.len()], bearings }
 }
 
-fn paper() -> Filter {
-    Filter::Paper(Joint { velocity_step: 0.1, max_eigenvalue: 3.0 })
+fn paper() -> ElementFilter {
+    ElementFilter::Paper(Joint { velocity_step: 0.1, max_eigenvalue: 3.0 })
 }
 
 #[test]
 fn an_element_is_confirmed_moves_and_goes() -> Result<(), Error> {
-    let mut map = map_of(Filter::Independent(best()))?;
+    let mut map = map_of(ElementFilter::Independent(best()))?;
     let mut confirmed = Vec::new();
     for step in 0..40 {
         let stats = map.update(&scan(step, &[circle(3.0 + 0.05 * step as f64, 1.0, 0.3)]))?;
@@ -86,7 +86,7 @@ fn an_element_is_confirmed_moves_and_goes() -> Result<(), Error> {
 #[test]
 fn hidden_elements_stay_and_absent_ones_go() -> Result<(), Error> {
     for (distance, stays) in [(7.0, true), (3.0, false)] {
-        let mut map = map_of(Filter::Independent(best()))?;
+        let mut map = map_of(ElementFilter::Independent(best()))?;
         for step in 0..20 {
             map.update(&scan(step, &[circle(distance, 0.0, 0.3)]))?;
         }
@@ -115,7 +115,7 @@ fn scans_that_come_late_leave_the_same_map() -> Result<(), Error> {
         all
     };
     let (mut straight, mut mixed) =
-        (map_of(Filter::Independent(best()))?, map_of(Filter::Independent(best()))?);
+        (map_of(ElementFilter::Independent(best()))?, map_of(ElementFilter::Independent(best()))?);
     for step in 0..12 {
         straight.update(&scan(step, &circles(step)))?;
     }
@@ -135,7 +135,7 @@ fn scans_that_come_late_leave_the_same_map() -> Result<(), Error> {
 #[test]
 fn what_nearly_touches_becomes_one() -> Result<(), Error> {
     for (gap, count) in [(0.05, 1), (0.2, 2)] {
-        let mut map = map_of(Filter::Independent(best()))?;
+        let mut map = map_of(ElementFilter::Independent(best()))?;
         for step in 0..10 {
             map.update(&scan(step, &[circle(3.0, 0.0, 0.3), circle(3.0, 0.4 + gap, 0.1)]))?;
         }
@@ -148,7 +148,7 @@ fn what_nearly_touches_becomes_one() -> Result<(), Error> {
 
 #[test]
 fn elements_of_one_object_become_one() -> Result<(), Error> {
-    let mut map = map_of(Filter::Independent(best()))?;
+    let mut map = map_of(ElementFilter::Independent(best()))?;
     for step in 0..10 {
         map.update(&scan(step, &[circle(3.0, 0.0, 0.3)]))?;
     }
@@ -161,7 +161,7 @@ fn elements_of_one_object_become_one() -> Result<(), Error> {
 
 #[test]
 fn what_comes_to_touch_another_becomes_one_with_it() -> Result<(), Error> {
-    let mut map = map_of(Filter::Independent(best()))?;
+    let mut map = map_of(ElementFilter::Independent(best()))?;
     let mut merged = Vec::new();
     for step in 0..12 {
         let comes = circle(3.0, 0.9 - 0.04 * step as f64, 0.1);
@@ -174,7 +174,7 @@ fn what_comes_to_touch_another_becomes_one_with_it() -> Result<(), Error> {
 
 #[test]
 fn bad_scans_change_nothing() -> Result<(), Error> {
-    for filter in [paper(), Filter::Independent(best())] {
+    for filter in [paper(), ElementFilter::Independent(best())] {
         let mut map = map_of(filter)?;
         for step in 0..5 {
             map.update(&scan(step, &[circle(3.0, 0.0, 0.3)]))?;
@@ -236,15 +236,18 @@ fn parameters_outside_their_range_are_refused() {
     for change in changes {
         let mut parameters = best();
         change(&mut parameters);
-        assert!(matches!(map_of(Filter::Independent(parameters)), Err(Error::Parameter { .. })));
+        assert!(matches!(
+            map_of(ElementFilter::Independent(parameters)),
+            Err(Error::Parameter { .. })
+        ));
     }
     let joint = Joint { velocity_step: -1.0, max_eigenvalue: 1.0 };
-    assert!(map_of(Filter::Paper(joint)).is_err());
+    assert!(map_of(ElementFilter::Paper(joint)).is_err());
 }
 
 #[test]
 fn a_circle_measured_later_counts_at_its_own_time() -> Result<(), Error> {
-    let mut map = map_of(Filter::Independent(best()))?;
+    let mut map = map_of(ElementFilter::Independent(best()))?;
     for step in 0..40 {
         let circles = [circle(2.0 + 0.05 * step as f64 + 0.02, 0.0, 0.3)]; // 1 m/s, 20 ms later
         let late = CircleScan { delays: Some(&[0.02]), ..scan(step, &circles) };
@@ -266,7 +269,7 @@ fn blind() -> PolarScan {
 
 #[test]
 fn one_of_three_sensors_is_enough() -> Result<(), Error> {
-    let (mut map, blind) = (map_of(Filter::Independent(best()))?, blind());
+    let (mut map, blind) = (map_of(ElementFilter::Independent(best()))?, blind());
     let view = Some(View { scan: &blind, range_min: 0.1, range_max: 10.0 });
     for step in 0..60 {
         let (here, sensor) = ([circle(3.0, 0.0, 0.3)], (step % 3) as u32);
@@ -285,7 +288,7 @@ fn one_of_three_sensors_is_enough() -> Result<(), Error> {
 
 #[test]
 fn what_no_sensor_sees_again_is_never_reported() -> Result<(), Error> {
-    let (mut map, blind) = (map_of(Filter::Independent(best()))?, blind());
+    let (mut map, blind) = (map_of(ElementFilter::Independent(best()))?, blind());
     let view = Some(View { scan: &blind, range_min: 0.1, range_max: 10.0 });
     map.update(&scan(0, &[circle(3.0, 0.0, 0.3)]))?;
     for step in 1..16 {
@@ -297,7 +300,7 @@ fn what_no_sensor_sees_again_is_never_reported() -> Result<(), Error> {
 
 #[test]
 fn a_slow_scanner_may_miss_a_scan() -> Result<(), Error> {
-    let mut map = map_of(Filter::Independent(best()))?;
+    let mut map = map_of(ElementFilter::Independent(best()))?;
     for step in 0..59 {
         let here = [circle(3.0, 0.0, 0.3)];
         let circles = if step % 10 == 9 { &[] } else { &here[..] };
@@ -311,7 +314,7 @@ fn a_slow_scanner_may_miss_a_scan() -> Result<(), Error> {
 
 #[test]
 fn a_number_that_was_removed_never_comes_back() -> Result<(), Error> {
-    let mut map = map_of(Filter::Independent(best()))?;
+    let mut map = map_of(ElementFilter::Independent(best()))?;
     let here = [circle(3.0, 0.0, 0.3)];
     for step in 0..5 {
         map.update(&scan(step, &here))?;
@@ -334,7 +337,7 @@ fn a_number_that_was_removed_never_comes_back() -> Result<(), Error> {
 
 #[test]
 fn sensors_of_one_stamp_come_in_any_order() -> Result<(), Error> {
-    for filter in [paper(), Filter::Independent(best())] {
+    for filter in [paper(), ElementFilter::Independent(best())] {
         let mut map = map_of(filter)?;
         for step in 0..5 {
             for sensor in [2, 0, 1] {
@@ -350,7 +353,7 @@ fn sensors_of_one_stamp_come_in_any_order() -> Result<(), Error> {
 
 #[test]
 fn a_full_buffer_names_its_limit() -> Result<(), Error> {
-    let mut map = map_of(Filter::Independent(Independent { buffer_time: 60.0, ..best() }))?;
+    let mut map = map_of(ElementFilter::Independent(Independent { buffer_time: 60.0, ..best() }))?;
     for step in 0..1_010 {
         map.update(&CircleScan { stamp_ns: step * 1_000_000, ..scan(0, &[]) })?;
     }
@@ -373,7 +376,7 @@ fn walls(step: i64, lines: &[ShapeEstimate]) -> CircleScan<'_> {
 
 #[test]
 fn a_line_grows_with_what_is_seen_of_it_and_waits_while_it_is_hidden() -> Result<(), Error> {
-    let mut map = map_of(Filter::Independent(best()))?;
+    let mut map = map_of(ElementFilter::Independent(best()))?;
     for step in 0..5 {
         let right = 1.0 + 0.2 * step as f64;
         let stats = map.update(&walls(step, &[line(0.0, 6.0, [-1.0, right])]))?;
@@ -401,7 +404,7 @@ fn a_line_grows_with_what_is_seen_of_it_and_waits_while_it_is_hidden() -> Result
 
 #[test]
 fn pieces_of_one_surface_are_one_line_and_its_other_side_is_another() -> Result<(), Error> {
-    let mut map = map_of(Filter::Independent(best()))?;
+    let mut map = map_of(ElementFilter::Independent(best()))?;
     let pieces = [line(0.0, 4.0, [-2.0, -0.3]), line(0.0, 4.0, [0.1, 2.0])];
     for step in 0..6 {
         map.update(&walls(step, &pieces))?;
@@ -423,7 +426,7 @@ fn pieces_of_one_surface_are_one_line_and_its_other_side_is_another() -> Result<
 
 #[test]
 fn what_lies_on_a_reported_line_is_known() -> Result<(), Error> {
-    let mut map = map_of(Filter::Independent(best()))?;
+    let mut map = map_of(ElementFilter::Independent(best()))?;
     let here = [[4.0, 0.0], [4.01, 0.1], [3.99, 0.2]];
     for step in 0..6 {
         assert_eq!(map.is_on_line(&here, 0.01, 1.0), step >= 3);
@@ -441,7 +444,7 @@ fn lines_and_circles_share_their_numbers_and_late_scans_change_nothing() -> Resu
     let lines = [line(0.0, 6.0, [-1.0, 1.0]), line(0.5 * PI, 4.0, [-1.0, 2.0])];
     let posts = [circle(3.0, 0.0, 0.3), circle(2.0, -2.0, 0.2)];
     let of = |order: &[i64]| -> Result<_, Error> {
-        let mut map = map_of(Filter::Independent(best()))?;
+        let mut map = map_of(ElementFilter::Independent(best()))?;
         for &step in order {
             map.update(&CircleScan { lines: &lines, ..scan(step, &posts) })?;
         }
@@ -458,7 +461,7 @@ fn lines_and_circles_share_their_numbers_and_late_scans_change_nothing() -> Resu
 
 #[test]
 fn lines_that_are_none_are_refused() -> Result<(), Error> {
-    let mut map = map_of(Filter::Independent(best()))?;
+    let mut map = map_of(ElementFilter::Independent(best()))?;
     map.update(&walls(0, &[line(0.0, 4.0, [-2.0, 2.0])]))?;
     let before = map.shapes_at(0);
     let good = line(0.0, 4.0, [-2.0, 2.0]);
@@ -482,7 +485,7 @@ fn a_wrong_yaw_turns_a_line_about_the_sensor() -> Result<(), Error> {
     doubt[5][5] = 1e-4;
     let mut rules = best();
     rules.lines.std = 0.0;
-    let mut map = map_of(Filter::Independent(rules))?;
+    let mut map = map_of(ElementFilter::Independent(rules))?;
     let lines = [line(0.0, 4.0, [1.0, 3.0])];
     map.update(&CircleScan { pose_covariance: Some(&doubt), ..walls(0, &lines) })?;
     let known = map.shapes_at(0)[0].state.covariance;
@@ -510,7 +513,7 @@ fn boxed(at: [f64; 2], sides: [f64; 2], heading: f64) -> (CircleEstimate, Outlin
 
 #[test]
 fn a_box_is_a_circle_and_a_rectangle_with_one_number() -> Result<(), Error> {
-    let mut map = map_of(Filter::Independent(best()))?;
+    let mut map = map_of(ElementFilter::Independent(best()))?;
     for step in 0..20 {
         let x = 3.0 + 0.05 * step as f64; // 1 m/s
         let turned = if step % 2 == 0 { 0.3 } else { 0.3 - PI };
@@ -541,7 +544,7 @@ fn a_box_is_a_circle_and_a_rectangle_with_one_number() -> Result<(), Error> {
 
 #[test]
 fn a_circle_that_one_scan_takes_for_something_else_is_followed() -> Result<(), Error> {
-    let mut map = map_of(Filter::Independent(best()))?;
+    let mut map = map_of(ElementFilter::Independent(best()))?;
     let (mut vague, outline) = boxed([5.3, 0.0], [0.6, 0.4], 0.1);
     for (row, diagonal) in vague.covariance.iter_mut().enumerate() {
         diagonal[row] = 0.04;
@@ -559,7 +562,7 @@ fn a_circle_that_one_scan_takes_for_something_else_is_followed() -> Result<(), E
 
 #[test]
 fn what_is_large_is_no_circle_and_takes_in_nothing_small() -> Result<(), Error> {
-    let mut map = map_of(Filter::Independent(best()))?;
+    let mut map = map_of(ElementFilter::Independent(best()))?;
     for step in 0..10 {
         let (body, outline) = boxed([5.0, 0.0], [4.0, 1.8], 0.1);
         let (bodies, outlines) = ([body, circle(5.0, 0.3, 0.2)], [Some(outline), None]);
@@ -574,7 +577,7 @@ fn what_is_large_is_no_circle_and_takes_in_nothing_small() -> Result<(), Error> 
 
 #[test]
 fn outlines_that_are_none_are_refused() -> Result<(), Error> {
-    let mut map = map_of(Filter::Independent(best()))?;
+    let mut map = map_of(ElementFilter::Independent(best()))?;
     let (body, good) = boxed([5.0, 0.0], [0.6, 0.4], 0.1);
     let bodies = [body];
     let mut round = good;

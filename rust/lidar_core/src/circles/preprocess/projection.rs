@@ -1,7 +1,7 @@
 //! Range limitation and horizontal projection, secs. III-A and III-B.
 
 use super::polar_scan::{PolarScan, turn};
-use super::sweep_poses::Sweep;
+use super::sweep_poses::SweepPoses;
 use crate::Error;
 use crate::geometry::transform::{Transform, dot};
 
@@ -52,7 +52,7 @@ pub fn within_reach(ranges: &[f64], range_min: f64, range_max: f64) -> Vec<f64> 
 pub fn limit_range(
     ranges: &[f64],
     directions: &[[f64; 2]],
-    sweep: &Sweep,
+    sweep: &SweepPoses,
     planes: &[[f64; 4]],
 ) -> Result<Vec<f64>, Error> {
     check(ranges, directions.len(), sweep)?;
@@ -120,7 +120,7 @@ fn inside(planes: &[[f64; 4]], origin: [f64; 3], direction: [f64; 3]) -> [f64; 2
 pub fn project(
     raw: &PolarScan,
     directions: &[[f64; 2]],
-    sweep: &Sweep,
+    sweep: &SweepPoses,
     mode: Projection,
 ) -> Result<LevelScan, Error> {
     check(&raw.ranges, directions.len(), sweep)?;
@@ -182,7 +182,7 @@ fn nearest_hits(ranges: &[f64]) -> Vec<f64> {
     nearest.into_iter().map(|(_, reach)| reach).collect()
 }
 
-fn check(ranges: &[f64], got: usize, sweep: &Sweep) -> Result<(), Error> {
+fn check(ranges: &[f64], got: usize, sweep: &SweepPoses) -> Result<(), Error> {
     let expected = ranges.len();
     if got != expected {
         return Err(Error::Length { name: "bearings", expected, got });
@@ -211,11 +211,11 @@ mod tests {
         let ahead = [[1.0, 0.0]; 5];
         let ranges = [3.0, 5.0, 1.0, f64::INFINITY, f64::NAN];
         let slab = [[1.0, 0.0, 0.0, 4.0], [-1.0, 0.0, 0.0, -2.0]]; // 2 <= x <= 4
-        let limited = limit_range(&ranges, &ahead, &Sweep::still(LEVEL), &slab)?;
+        let limited = limit_range(&ranges, &ahead, &SweepPoses::still(LEVEL), &slab)?;
         assert_eq!(limited[..2], [3.0, f64::INFINITY]);
         assert!(limited[2].is_nan() && limited[3] == f64::INFINITY && limited[4].is_nan());
         let beside = [[0.0, 1.0, 0.0, -1.0]]; // y <= -1: never met
-        let limited = limit_range(&ranges[..1], &ahead[..1], &Sweep::still(LEVEL), &beside)?;
+        let limited = limit_range(&ranges[..1], &ahead[..1], &SweepPoses::still(LEVEL), &beside)?;
         assert_eq!(limited, [f64::INFINITY]);
         Ok(())
     }
@@ -223,7 +223,7 @@ mod tests {
     #[test]
     fn a_ray_ahead_is_shortened_by_pitch_and_one_abeam_is_not() -> Result<(), Error> {
         let raw = PolarScan { ranges: vec![2.0, 2.0], bearings: vec![0.0, TAU / 4.0] };
-        let sweep = Sweep::still(pitched(0.3));
+        let sweep = SweepPoses::still(pitched(0.3));
         let rays = directions(&raw.bearings);
         let level = project(&raw, &rays, &sweep, Projection::Exact)?;
         let expected = [2.0 * libm::cos(0.3), 2.0];

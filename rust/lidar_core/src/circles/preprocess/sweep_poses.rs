@@ -1,18 +1,18 @@
 //! Poses of the scanner during a sweep.
 
 use crate::Error;
-use crate::geometry::motion::{Motion, PointPoses};
+use crate::geometry::motion::{PointPoses, ScanPoses};
 use crate::geometry::transform::Transform;
 
 /// Poses `world_from_lidar` of one sweep: at its stamp, and at every ray.
 #[derive(Clone, Debug)]
-pub struct Sweep {
+pub struct SweepPoses {
     at_stamp: Transform,
     /// Poses of the rays; None for a scanner at rest.
     moving: Option<PointPoses>,
 }
 
-impl Sweep {
+impl SweepPoses {
     /// Poses for a scanner at rest, or for rays that are all measured at once.
     #[must_use]
     pub fn still(world_from_lidar: Transform) -> Self {
@@ -24,7 +24,7 @@ impl Sweep {
     /// # Errors
     /// [`Error::Value`] for a time more than 20 ms outside the stream.
     pub fn new(
-        motion: &Motion<'_>,
+        motion: &ScanPoses<'_>,
         stamp_ns: i64,
         ray_time_ns: Option<&[i64]>,
     ) -> Result<Self, Error> {
@@ -93,7 +93,7 @@ mod tests {
             rotation: [[0.0, -1.0, 0.0], [0.6, 0.0, 0.8], [-0.8, 0.0, 0.6]],
             translation: [1.0, 2.0, 3.0],
         };
-        let level = Sweep::still(pose).world_from_level();
+        let level = SweepPoses::still(pose).world_from_level();
         assert_eq!(level.rotation, [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]);
         assert_eq!(level.translation, pose.translation);
     }
@@ -103,12 +103,12 @@ mod tests {
         let shifted =
             |x| [1.0, 0.0, 0.0, x, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
         let poses = [shifted(0.0), shifted(1.0)];
-        let motion = Motion::new(&poses, Some(&[0, 100]))?;
-        let sweep = Sweep::new(&motion, 0, Some(&[0, 25, 50]))?;
+        let motion = ScanPoses::new(&poses, Some(&[0, 100]))?;
+        let sweep = SweepPoses::new(&motion, 0, Some(&[0, 25, 50]))?;
         let x = |ray| sweep.at(ray).translation[0];
         assert_eq!([x(0), x(1), x(2)], [0.0, 0.25, 0.5]);
-        assert!(!Sweep::new(&motion, 0, None)?.is_moving());
-        assert!(Sweep::new(&motion, 1 << 40, None).is_err());
+        assert!(!SweepPoses::new(&motion, 0, None)?.is_moving());
+        assert!(SweepPoses::new(&motion, 1 << 40, None).is_err());
         Ok(())
     }
 }

@@ -1,7 +1,7 @@
 //! Merging of the parts of one surface that something nearer hides in between.
 
 use super::parameters::SegmentParameters;
-use super::sweep::Sweep;
+use super::sweep::HitSweep;
 
 /// Hits `start..end` of a sweep whose neighbours belong together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -13,7 +13,7 @@ pub(super) struct Run {
 /// First run of the object of every run. Two runs are one object if everything between them is
 /// nearer or unknown, their ends are close, and one circle or line fits both.
 pub(super) fn merged(
-    sweep: &Sweep<'_>,
+    sweep: &HitSweep<'_>,
     runs: &[Run],
     parameters: &SegmentParameters,
 ) -> Vec<usize> {
@@ -42,7 +42,7 @@ pub(super) fn merged(
 
 /// Next run that may continue run `first` behind something nearer.
 fn continuation(
-    sweep: &Sweep<'_>,
+    sweep: &HitSweep<'_>,
     runs: &[Run],
     first: usize,
     parameters: &SegmentParameters,

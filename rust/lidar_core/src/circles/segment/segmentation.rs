@@ -4,7 +4,7 @@ use super::corners;
 use super::merge::{self, Run};
 use super::parameters::{Bound, Criterion, SegmentParameters};
 use super::segments::{Segments, Side};
-use super::sweep::Sweep;
+use super::sweep::HitSweep;
 use crate::Error;
 use crate::circles::preprocess::polar_scan::PolarScan;
 use crate::util::budget::check_points;
@@ -31,7 +31,7 @@ pub fn segment(
     let hits: Vec<u32> =
         (0..scan.len()).filter(|&ray| scan.ranges[ray].is_finite()).map(|ray| ray as u32).collect();
     let seen = seen.unwrap_or(&scan.ranges);
-    let mut sweep = Sweep { scan, seen, hits, wraps: scan.is_full_circle() };
+    let mut sweep = HitSweep { scan, seen, hits, wraps: scan.is_full_circle() };
     let runs = sweep.runs(parameters);
     let roots = merge::merged(&sweep, &runs, parameters);
     Ok(sweep.segments(&runs, &roots, parameters))
@@ -59,7 +59,7 @@ fn check(scan: &PolarScan, seen: Option<&[f64]>) -> Result<(), Error> {
     }
 }
 
-impl Sweep<'_> {
+impl HitSweep<'_> {
     /// True if the hits of two rays, neighbours among the hits, belong together.
     fn joins(&self, from: u32, to: u32, parameters: &SegmentParameters) -> bool {
         let ranges = [from, to].map(|ray| self.scan.ranges[ray as usize]);

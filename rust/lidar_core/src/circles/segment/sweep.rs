@@ -3,7 +3,7 @@
 use crate::circles::preprocess::polar_scan::{PolarScan, turn};
 
 /// Joined hits in the order of the sweep, first to last.
-pub(crate) struct Sweep<'a> {
+pub(crate) struct HitSweep<'a> {
     pub(crate) scan: &'a PolarScan,
     /// Ranges before the scan was limited to a volume.
     pub(crate) seen: &'a [f64],
@@ -13,7 +13,7 @@ pub(crate) struct Sweep<'a> {
     pub(crate) wraps: bool,
 }
 
-impl Sweep<'_> {
+impl HitSweep<'_> {
     /// Rays from `from` to `to`, across the seam if necessary.
     pub(super) fn steps(&self, from: u32, to: u32) -> usize {
         let (from, to) = (from as usize, to as usize);

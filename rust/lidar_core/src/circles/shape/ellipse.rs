@@ -6,7 +6,7 @@
 //! these coordinates meets it at (1 - k) (w1 + w2 - sqrt(2 (1 + k) w1 w2)) / (w1^2 + w2^2
 //! - 2 k w1 w2), smooth up to the tangents in the roots of how far these lie beyond the hits.
 
-use super::solve::{Shape, Solved, gain, solve};
+use super::solve::{FittedShape, Solved, gain, solve};
 use crate::circles::fit::arc::{Arc, Edge, Hit};
 use crate::circles::fit::circle::Circle;
 use crate::circles::preprocess::polar_scan::turn;
@@ -85,7 +85,7 @@ impl Ellipse<'_> {
     }
 }
 
-impl Shape<5> for Ellipse<'_> {
+impl FittedShape<5> for Ellipse<'_> {
     fn ranges(&self, parameters: &[f64; 5], ranges: &mut Vec<f64>) {
         let [low, high] = self.tangents(parameters);
         let low = [libm::cos(low), libm::sin(low)];

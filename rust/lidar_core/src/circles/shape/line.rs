@@ -1,6 +1,6 @@
 //! Straight surfaces: one, and two that meet at a right angle.
 
-use super::solve::{Shape, Solved, solve};
+use super::solve::{FittedShape, Solved, solve};
 use crate::circles::fit::arc::{Arc, Hit};
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -19,9 +19,9 @@ fn range_to(angle: f64, distance: f64) -> impl Fn(&Hit) -> f64 {
 }
 
 /// One line: bearing of its normal [rad], distance [m].
-struct Line<'a>(&'a Arc);
+struct LineShape<'a>(&'a Arc);
 
-impl Shape<2> for Line<'_> {
+impl FittedShape<2> for LineShape<'_> {
     fn ranges(&self, &[angle, distance]: &[f64; 2], ranges: &mut Vec<f64>) {
         ranges.extend(self.0.hits.iter().map(range_to(angle, distance)));
     }
@@ -31,7 +31,7 @@ impl Shape<2> for Line<'_> {
 /// that one and of the other [m].
 struct Corner<'a>(&'a Arc);
 
-impl Shape<3> for Corner<'_> {
+impl FittedShape<3> for Corner<'_> {
     fn ranges(&self, &[angle, first, second]: &[f64; 3], ranges: &mut Vec<f64>) {
         let (first, second) = (range_to(angle, first), range_to(angle - FRAC_PI_2, second));
         // A ray is inside once it has passed both faces.
@@ -107,7 +107,7 @@ pub(super) fn fit_line(arc: &Arc, std: f64, most: f64) -> Option<Solved<2>> {
     let [x, y] = sums.mean();
     let distance = x * libm::cos(angle) + y * libm::sin(angle);
     let turned = if distance < 0.0 { PI } else { 0.0 };
-    Some(solve(&Line(arc), arc, std, [angle + turned, distance.abs()], STEP))
+    Some(solve(&LineShape(arc), arc, std, [angle + turned, distance.abs()], STEP))
 }
 
 /// Corner with least misfit to the arc; None if it does not have two faces towards the sensor, or

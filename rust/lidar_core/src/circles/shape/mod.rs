@@ -18,7 +18,7 @@ use super::fit::arc::{Arc, Hit};
 use super::fit::circle::{Circle, CircleEstimate};
 use super::fit::likelihood::Likelihood;
 use super::fit::posterior::Posterior;
-use super::fit::{FitParameters, Method, estimate};
+use super::fit::{FitMethod, FitParameters, estimate};
 use super::preprocess::polar_scan::PolarScan;
 use super::segment::segments::Segments;
 use crate::Error;
@@ -103,7 +103,7 @@ impl ShapeFitter {
     /// [`Error::Parameter`] for a parameter outside its range.
     pub fn new(parameters: FitParameters) -> Result<Self, Error> {
         parameters.check()?;
-        let parameters = FitParameters { method: Method::Expected, ..parameters };
+        let parameters = FitParameters { method: FitMethod::Expected, ..parameters };
         Ok(Self { parameters, arc: Arc::default(), posterior: Posterior::default() })
     }
 

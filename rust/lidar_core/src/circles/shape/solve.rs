@@ -12,7 +12,7 @@ const ENOUGH: f64 = 1e-4;
 const UNKNOWN: f64 = 1.0;
 
 /// A shape of K parameters.
-pub(super) trait Shape<const K: usize> {
+pub(super) trait FittedShape<const K: usize> {
     /// Append the expected ranges of the hits of the arc [m].
     fn ranges(&self, parameters: &[f64; K], ranges: &mut Vec<f64>);
 }
@@ -35,7 +35,7 @@ struct Problem<'a, S> {
 impl<S> Problem<'_, S> {
     fn residuals<const K: usize>(&self, parameters: &[f64; K], into: &mut Vec<f64>)
     where
-        S: Shape<K>,
+        S: FittedShape<K>,
     {
         into.clear();
         self.shape.ranges(parameters, into);
@@ -55,7 +55,7 @@ fn square(residuals: &[f64]) -> f64 {
 
 /// Minimise from `start` (Levenberg-Marquardt, numerical derivatives with `step`).
 pub(super) fn solve<const K: usize>(
-    shape: &impl Shape<K>,
+    shape: &impl FittedShape<K>,
     arc: &Arc,
     std: f64,
     start: [f64; K],
@@ -111,7 +111,7 @@ fn damped<const K: usize>(hessian: &SMatrix<f64, K, K>, damping: f64) -> SMatrix
 
 /// Decrease of the misfit from `at` to its minimum, to first order.
 pub(super) fn gain<const K: usize>(
-    shape: &impl Shape<K>,
+    shape: &impl FittedShape<K>,
     arc: &Arc,
     std: f64,
     at: &[f64; K],
@@ -125,16 +125,16 @@ pub(super) fn gain<const K: usize>(
     known.cholesky().map_or(f64::INFINITY, |factor| gradient.dot(&factor.solve(&gradient)))
 }
 
-type Normal<const K: usize> = (SMatrix<f64, K, K>, SVector<f64, K>);
+type NormalEquations<const K: usize> = (SMatrix<f64, K, K>, SVector<f64, K>);
 
 /// Half the second derivatives and half the gradient of the misfit.
-fn normal_equations<const K: usize, S: Shape<K>>(
+fn normal_equations<const K: usize, S: FittedShape<K>>(
     problem: &Problem<'_, S>,
     at: &[f64; K],
     residuals: &[f64],
     step: f64,
     moved: &mut Vec<f64>,
-) -> Normal<K> {
+) -> NormalEquations<K> {
     let mut columns: [Vec<f64>; K] = std::array::from_fn(|_| Vec::new());
     for (k, column) in columns.iter_mut().enumerate() {
         let mut there = *at;

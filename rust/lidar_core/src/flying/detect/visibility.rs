@@ -1,6 +1,6 @@
 //! Visibility in one scan, for the tracker: is a target in the field of view and not hidden?
 
-use super::center::{Around, Center, Hit, Ray, Region, SightSource};
+use super::center::{Around, Center, Region, SightRay, SightSource, TargetHit};
 use crate::flying::analysis::PoseSpread;
 use crate::flying::scan::prepared::Prepared;
 use crate::flying::track::Visibility;
@@ -58,7 +58,7 @@ impl<'a> ScanView<'a> {
     }
 
     /// True if the ray `row` ends in a ball or passes through it.
-    fn passes(&self, row: usize, ball: &Ball) -> bool {
+    fn passes(&self, row: usize, ball: &TestedBall) -> bool {
         let Some((direction, length)) = self.ray(row) else { return false };
         let (span, radius) = (minus(ball.middle, self.scan.origin(row)), ball.radius);
         let along = dot(span, direction);
@@ -102,7 +102,7 @@ impl<'a> ScanView<'a> {
 
 impl Visibility for ScanView<'_> {
     fn expected(&self, position: [f64; 3], radius: f64) -> bool {
-        let ball = Ball { middle: position, radius: radius.min(self.target_radius) };
+        let ball = TestedBall { middle: position, radius: radius.min(self.target_radius) };
         let (mut passing, rows) = (0, self.scan.points.len());
         for first in (0..rows).step_by(ROWS_AT_A_TIME) {
             let near = self.rows_near(first..rows.min(first + ROWS_AT_A_TIME), &[ball]);
@@ -126,8 +126,8 @@ impl Visibility for ScanView<'_> {
 }
 
 impl SightSource for ScanView<'_> {
-    fn hit(&self, row: usize) -> Hit {
-        Hit::new(self.scan.origin(row), wide(self.scan.points[row]))
+    fn hit(&self, row: usize) -> TargetHit {
+        TargetHit::new(self.scan.origin(row), wide(self.scan.points[row]))
     }
 
     fn around(&self, regions: &[Region]) -> Vec<Around> {
@@ -159,8 +159,9 @@ impl ScanView<'_> {
     /// For every region, the rays of some rows that come near it.
     fn around_in(&self, rows: Range<usize>, regions: &[Region]) -> Vec<Around> {
         let casts = |row: usize| !self.scan.no_ray.as_ref().is_some_and(|no_ray| no_ray[row]);
-        let ball = |region: &Region| Ball { middle: region.middle.into(), radius: region.reach() };
-        let balls: Vec<Ball> = regions.iter().map(ball).collect();
+        let ball =
+            |region: &Region| TestedBall { middle: region.middle.into(), radius: region.reach() };
+        let balls: Vec<TestedBall> = regions.iter().map(ball).collect();
         let mut around = vec![Around::default(); regions.len()];
         for row in self.rows_near(rows, &balls) {
             let Some((way, squared)) = self.way(row) else { continue };
@@ -169,7 +170,7 @@ impl ScanView<'_> {
                 match ball.end(origin, way, squared) {
                     Some(End::Behind) if casts(row) => {
                         let (origin, way) = (Vector3::from(origin), Vector3::from(way));
-                        rays.passing.push(Ray { origin, direction: way.normalize() });
+                        rays.passing.push(SightRay { origin, direction: way.normalize() });
                     }
                     Some(End::InFront) if !self.scan.no_return[row] => rays.n_blocked += 1,
                     _ => {}
@@ -181,7 +182,11 @@ impl ScanView<'_> {
 
     /// Rows, of no more than a chunk, whose rays come near any of some balls: all of them, and a few
     /// more.
-    fn rows_near(&self, rows: Range<usize>, balls: &[Ball]) -> impl Iterator<Item = usize> + use<> {
+    fn rows_near(
+        &self,
+        rows: Range<usize>,
+        balls: &[TestedBall],
+    ) -> impl Iterator<Item = usize> + use<> {
         let (first, lanes) = (rows.start, 0..LANES);
         let near = Arch::new().dispatch(ComeNear { view: self, rows, balls });
         let some = (first..).step_by(LANES).zip(near).filter(|(_, flags)| *flags != 0);
@@ -191,8 +196,8 @@ impl ScanView<'_> {
     }
 
     #[inline(always)]
-    fn lanes(&self, rows: Range<usize>) -> Lanes {
-        let mut lanes = Lanes { origins: [[0.0; LANES]; 3], ways: [[f64::NAN; LANES]; 3] };
+    fn lanes(&self, rows: Range<usize>) -> RayLanes {
+        let mut lanes = RayLanes { origins: [[0.0; LANES]; 3], ways: [[f64::NAN; LANES]; 3] };
         for (lane, row) in rows.enumerate() {
             let Some((way, _)) = self.way(row) else { continue };
             let origin = self.scan.origin(row);
@@ -209,17 +214,17 @@ impl ScanView<'_> {
 struct ComeNear<'a> {
     view: &'a ScanView<'a>,
     rows: Range<usize>,
-    balls: &'a [Ball],
+    balls: &'a [TestedBall],
 }
 
 /// A bit for every row of a chunk.
-type Flags = [u32; ROWS_PER_CHUNK / LANES];
+type RowBits = [u32; ROWS_PER_CHUNK / LANES];
 
 impl WithSimd for ComeNear<'_> {
-    type Output = Flags;
+    type Output = RowBits;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Flags {
+    fn with_simd<S: Simd>(self, _: S) -> RowBits {
         let mut all = [0; ROWS_PER_CHUNK / LANES];
         for (first, flags) in self.rows.clone().step_by(LANES).zip(&mut all) {
             let lanes = self.view.lanes(first..self.rows.end.min(first + LANES));
@@ -233,17 +238,17 @@ impl WithSimd for ComeNear<'_> {
 }
 
 /// Start points and directions of rays; NaN for rays without information.
-struct Lanes {
+struct RayLanes {
     origins: [[f64; LANES]; 3],
     ways: [[f64; LANES]; 3],
 }
 
-impl Lanes {
-    /// Not 0 for rays whose lines come near a ball in front of them, as [`Ball::end`] has it.
+impl RayLanes {
+    /// Not 0 for rays whose lines come near a ball in front of them, as [`TestedBall::end`] has it.
     #[inline(always)]
-    fn near(&self, balls: &[Ball]) -> [u64; LANES] {
+    fn near(&self, balls: &[TestedBall]) -> [u64; LANES] {
         let mut near = [0; LANES];
-        for Ball { middle, radius } in balls {
+        for TestedBall { middle, radius } in balls {
             for (lane, near) in near.iter_mut().enumerate() {
                 let span = std::array::from_fn(|axis| middle[axis] - self.origins[axis][lane]);
                 let way = std::array::from_fn(|axis| self.ways[axis][lane]);
@@ -258,12 +263,12 @@ impl Lanes {
 
 /// Ball that rays are tested against.
 #[derive(Clone, Copy)]
-struct Ball {
+struct TestedBall {
     middle: [f64; 3],
     radius: f64,
 }
 
-impl Ball {
+impl TestedBall {
     /// `squared` is the length of `way` squared, infinite if the ray met nothing; None for rays
     /// that stay away from the ball or end in it.
     fn end(&self, origin: [f64; 3], way: [f64; 3], squared: f64) -> Option<End> {

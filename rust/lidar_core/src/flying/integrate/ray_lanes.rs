@@ -7,7 +7,7 @@
 use super::accumulator::{Accumulator, STEPS};
 use super::live_bricks::LiveBricks;
 use super::mark::UNITS_PER_EDGE;
-use super::ray_segments::{LANES, Lanes, Numbers, Ray, Segments, Source, least, places};
+use super::ray_segments::{LANES, Lanes, Numbers, Ray, RaySegments, Source, least, places};
 use super::stretches::Stretches;
 use super::window::Window;
 use crate::geometry::lattice::whole;
@@ -62,7 +62,7 @@ impl Bundle {
 
     #[inline(always)]
     fn of(window: &Window, source: &Source<'_>, rays: &[Ray]) -> Self {
-        let Segments { start, end } = source.segments(rays).scaled(source.lattice);
+        let RaySegments { start, end } = source.segments(rays).scaled(source.lattice);
         let mut bundle = Self { place: places(&start, window), ..Self::NONE };
         for (count, ray) in bundle.count.iter_mut().zip(rays) {
             *count = ray.count;
@@ -255,7 +255,7 @@ fn walk_bundle<S: Simd, const K: usize>(
 
 /// Rays of a bundle between walls, in vectors. No closures on the way: they would not be inlined
 /// everywhere, and compiled for another vector unit.
-pub(super) struct Way<S: Simd, const K: usize> {
+pub(super) struct BundleWay<S: Simd, const K: usize> {
     /// Position of the next wall along every axis.
     pub(super) wall: [[S::u32s; K]; 3],
     /// Distance from one wall to the next.
@@ -274,7 +274,7 @@ pub(super) fn vectors<S: Simd, const K: usize>(lanes: &Lanes) -> [S::u32s; K] {
 
 /// State of a bundle that walks from voxel to voxel.
 struct Walk<S: Simd, const K: usize> {
-    way: Way<S, K>,
+    way: BundleWay<S, K>,
     end: [S::u32s; K],
     shift: [S::u32s; K],
     mirror: [S::u32s; K],
@@ -288,7 +288,7 @@ impl<S: Simd, const K: usize> Walk<S, K> {
     #[inline(always)]
     fn new(simd: S, window: &Window, bundle: &Bundle) -> Self {
         Self {
-            way: Way {
+            way: BundleWay {
                 wall: std::array::from_fn(|axis| vectors::<S, K>(&bundle.wall[axis])),
                 pace: std::array::from_fn(|axis| vectors::<S, K>(&bundle.pace[axis])),
                 place: vectors::<S, K>(&bundle.place),
@@ -327,7 +327,7 @@ impl<S: Simd, const K: usize> Walk<S, K> {
     }
 }
 
-impl<S: Simd, const K: usize> Way<S, K> {
+impl<S: Simd, const K: usize> BundleWay<S, K> {
     /// Position of the wall that comes first.
     #[inline(always)]
     pub(super) fn first_wall(&self, simd: S, k: usize) -> S::u32s {

@@ -40,7 +40,7 @@ pub(crate) struct Source<'a> {
 }
 
 /// Rays side by side [m]; the last ones may repeat others.
-pub(crate) struct Segments {
+pub(crate) struct RaySegments {
     pub(crate) start: [Numbers; 3],
     pub(crate) end: [Numbers; 3],
 }
@@ -56,7 +56,7 @@ pub(crate) struct Bounds {
 impl Source<'_> {
     /// The segments of up to [`LANES`] rays, at least one.
     #[inline(always)]
-    pub(crate) fn segments(&self, rays: &[Ray]) -> Segments {
+    pub(crate) fn segments(&self, rays: &[Ray]) -> RaySegments {
         let mut index = [rays[0].index as usize; LANES];
         for (index, ray) in index.iter_mut().zip(rays) {
             *index = ray.index as usize;
@@ -66,7 +66,7 @@ impl Source<'_> {
 
     /// The segments of the rays of these entries, whose points are given.
     #[inline(always)]
-    pub(crate) fn between(&self, index: &Indices, points: &[Numbers; 3]) -> Segments {
+    pub(crate) fn between(&self, index: &Indices, points: &[Numbers; 3]) -> RaySegments {
         let (start, mut end) = (self.starts(index), *points);
         let mut along = end;
         for axis in 0..3 {
@@ -83,7 +83,7 @@ impl Source<'_> {
             }
         }
         self.shorten(&start, &along, &margin, &mut end);
-        Segments { start, end }
+        RaySegments { start, end }
     }
 
     /// The points of these entries [m].
@@ -169,7 +169,7 @@ impl Source<'_> {
     #[cold]
     pub(crate) fn check(&self, rays: &[Ray]) -> Result<(), Error> {
         for ray in rays {
-            let Segments { start, end } = self.segments(std::slice::from_ref(ray));
+            let RaySegments { start, end } = self.segments(std::slice::from_ref(ray));
             for point in [start, end].map(|lanes| lanes.map(|axis| axis[0])) {
                 floor(self.lattice.scaled(point)).ok_or(Error::PointOutOfRange { point })?;
             }
@@ -188,7 +188,7 @@ impl Default for Bounds {
 impl Bounds {
     /// Let them hold rays, those whose flags are set.
     #[inline(always)]
-    pub(crate) fn hold(&mut self, Segments { start, end }: &Segments, is_ray: &Flags) {
+    pub(crate) fn hold(&mut self, RaySegments { start, end }: &RaySegments, is_ray: &Flags) {
         for axis in 0..3 {
             for lane in 0..LANES {
                 let (a, b, is_ray) = (start[axis][lane], end[axis][lane], is_ray[lane]);
@@ -214,7 +214,7 @@ impl Bounds {
     }
 }
 
-impl Segments {
+impl RaySegments {
     /// Segments in units of voxels.
     #[inline(always)]
     pub(crate) fn scaled(&self, lattice: &Lattice) -> Self {

@@ -7,7 +7,7 @@
 //! voxels that the whole ray visits there, with the same lengths.
 
 use super::live_bricks::{INSIDE, LiveBricks};
-use super::ray_lanes::{Bundle, NEVER, Way, vectors};
+use super::ray_lanes::{Bundle, BundleWay, NEVER, vectors};
 use super::ray_segments::{LANES, Lanes};
 use super::window::Window;
 use crate::flying::map::blocks::{EDGE_BITS, VOLUME};
@@ -84,7 +84,7 @@ impl Stretches {
         rays: Bundle,
     ) {
         let coarse = Coarse::of(&rays);
-        let mut search = Search::<S, K>::new(simd, window, &coarse);
+        let mut search = BrickSearch::<S, K>::new(simd, window, &coarse);
         let most = coarse.bricks.into_iter().max().unwrap_or(0) as usize;
         for first in (0..most).step_by(BRICKS) {
             let steps = BRICKS.min(most - first);
@@ -240,8 +240,8 @@ fn brick_place(voxel: u32) -> u32 {
 }
 
 /// State of a bundle that walks from brick to brick.
-struct Search<S: Simd, const K: usize> {
-    way: Way<S, K>,
+struct BrickSearch<S: Simd, const K: usize> {
+    way: BundleWay<S, K>,
     mirror: [S::u32s; K],
     bricks: [S::u32s; K],
     step: S::u32s,
@@ -251,13 +251,13 @@ struct Search<S: Simd, const K: usize> {
     axes: [S::u32s; K],
 }
 
-impl<S: Simd, const K: usize> Search<S, K> {
+impl<S: Simd, const K: usize> BrickSearch<S, K> {
     #[inline(always)]
     fn new(simd: S, window: &Window, coarse: &Coarse) -> Self {
         let bits = |axis: usize| simd.splat_u32s(brick_place(window.bits_along(axis)));
         let none = simd.splat_u32s(0);
         Self {
-            way: Way {
+            way: BundleWay {
                 wall: std::array::from_fn(|axis| vectors::<S, K>(&coarse.wall[axis])),
                 pace: std::array::from_fn(|axis| vectors::<S, K>(&coarse.pace[axis])),
                 place: vectors::<S, K>(&coarse.place),

@@ -11,7 +11,7 @@ use std::hash::BuildHasherDefault;
 
 /// Results of the searches for the voxels of a block.
 #[derive(Clone, Copy, Default)]
-struct Mark {
+struct SearchResults {
     /// Some search of this removal has met them.
     met: Bits,
     /// Their group holds enough confident voxels, or held them at the last removal.
@@ -21,7 +21,7 @@ struct Mark {
 /// Marks per slot of the map's pool, and memory. Between removals no voxel is met.
 #[derive(Clone, Default)]
 pub(crate) struct Marks {
-    marks: Vec<Mark>,
+    marks: Vec<SearchResults>,
     /// Slots of which voxels are met.
     touched: Vec<u32>,
     /// Members of the group that is searched.
@@ -38,11 +38,11 @@ impl Marks {
 
     /// Marks of a removal that has come to its end.
     pub(super) fn restored(anchored: Vec<Bits>) -> Self {
-        let mark = |anchored| Mark { anchored, ..Mark::default() };
+        let mark = |anchored| SearchResults { anchored, ..SearchResults::default() };
         Self { marks: anchored.into_iter().map(mark).collect(), ..Self::default() }
     }
 
-    fn at(&mut self, slot: u32) -> &mut Mark {
+    fn at(&mut self, slot: u32) -> &mut SearchResults {
         let mark = &mut self.marks[slot as usize];
         if mark.met.iter().all(|&bits| bits == 0) {
             // No bit is set yet, so the slot is not listed: each is listed once.
@@ -56,12 +56,12 @@ impl Marks {
 const LATELY: usize = 1 << 11;
 
 /// Slot of a block in the map's pool, and the block.
-type Found<'a> = (u32, &'a Block);
+type BlockInSlot<'a> = (u32, &'a Block);
 
 /// Blocks with occupied voxels found lately: a search goes from neighbour to neighbour.
 struct Lately<'a> {
     blocks: &'a Blocks,
-    known: [(Place, Option<Found<'a>>); LATELY],
+    known: [(Place, Option<BlockInSlot<'a>>); LATELY],
 }
 
 impl<'a> Lately<'a> {
@@ -70,7 +70,7 @@ impl<'a> Lately<'a> {
     }
 
     #[inline]
-    fn find(&mut self, place: Place) -> Option<Found<'a>> {
+    fn find(&mut self, place: Place) -> Option<BlockInSlot<'a>> {
         let [x, y, z] = place.0.map(|index| index as usize);
         // Indexed by the low bits of the place: blocks near each other never displace one another.
         let known = &mut self.known[(z & 7) << 8 | (y & 15) << 4 | x & 15];
@@ -103,7 +103,7 @@ impl<'a> Search<'a> {
         min_confident: usize,
         mut marks: Marks,
     ) -> Self {
-        marks.marks.resize(blocks.len(), Mark::default());
+        marks.marks.resize(blocks.len(), SearchResults::default());
         marks.separate.clear();
         Self {
             blocks: Lately::new(blocks),
@@ -160,7 +160,7 @@ impl<'a> Search<'a> {
     }
 
     /// Search the groups of those voxels of an occupied layer that no search has met.
-    fn each_unmet(&mut self, found: Found<'a>, layer: Layer) {
+    fn each_unmet(&mut self, found: BlockInSlot<'a>, layer: Layer) {
         for offset in layer.offsets() {
             if !has(&self.marks.marks[found.0 as usize].met, offset) {
                 self.component(found, layer.place.voxel(offset));
@@ -174,7 +174,7 @@ impl<'a> Search<'a> {
     fn each_around(
         &mut self,
         layer: &Layer,
-        mut visit: impl FnMut(&mut Self, Found<'a>, Layer) -> bool,
+        mut visit: impl FnMut(&mut Self, BlockInSlot<'a>, Layer) -> bool,
     ) -> bool {
         let neighbours = self.neighbours;
         let [x, y, z] = layer.place.0;
@@ -190,7 +190,7 @@ impl<'a> Search<'a> {
     }
 
     /// Search the group of `start` until it is anchored, or known whole and separate.
-    fn component(&mut self, found: Found<'a>, start: Voxel) {
+    fn component(&mut self, found: BlockInSlot<'a>, start: Voxel) {
         let mut members = std::mem::take(&mut self.marks.members);
         members.clear();
         let mut confident = 0;
@@ -224,7 +224,7 @@ impl<'a> Search<'a> {
 
     /// Occupied voxels of a layer that no search has met, or whose group is known to be anchored.
     #[inline]
-    fn open(&self, (slot, block): Found<'_>, z: usize) -> u64 {
+    fn open(&self, (slot, block): BlockInSlot<'_>, z: usize) -> u64 {
         // Anchored voxels are open although they were met: to reach one ends a search.
         block.tentative[z] & (!self.marks.marks[slot as usize].met[z] | self.anchored(slot, z))
     }
@@ -232,7 +232,7 @@ impl<'a> Search<'a> {
     /// Voxels of a layer whose group is known to be anchored.
     #[inline]
     fn anchored(&self, slot: u32, z: usize) -> u64 {
-        let Mark { met, anchored } = &self.marks.marks[slot as usize];
+        let SearchResults { met, anchored } = &self.marks.marks[slot as usize];
         // Before that only what this removal has met: a group that lost voxels may have come apart.
         if self.trusts_last { anchored[z] } else { anchored[z] & met[z] }
     }
@@ -242,7 +242,7 @@ impl<'a> Search<'a> {
     #[inline]
     fn meet(
         &mut self,
-        (slot, block): Found<'_>,
+        (slot, block): BlockInSlot<'_>,
         layer: Layer,
         members: &mut Vec<Layer>,
         confident: &mut usize,

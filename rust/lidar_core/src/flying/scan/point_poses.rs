@@ -2,7 +2,7 @@
 
 use super::raw_scan::RawScan;
 use crate::Error;
-use crate::geometry::motion::{Motion, PointPoses};
+use crate::geometry::motion::{PointPoses, ScanPoses};
 use crate::geometry::transform::Transform;
 
 /// Pose of every row in the frame of the map.
@@ -19,7 +19,7 @@ impl Poses {
     pub(crate) fn find(
         &mut self,
         raw: &RawScan<'_>,
-        motion: &Motion<'_>,
+        motion: &ScanPoses<'_>,
         map_from_world: &Transform,
     ) -> Result<(), Error> {
         let times = raw.point_time_ns.filter(|_| motion.is_stream());

@@ -9,7 +9,7 @@ use crate::flying::point_class::UNKNOWN;
 use crate::flying::sky::source::SkySource;
 use crate::flying::sky::{Look, Moment};
 use crate::geometry::lattice::wide;
-use crate::geometry::motion::Motion;
+use crate::geometry::motion::ScanPoses;
 use crate::geometry::transform::{Transform, norm};
 use crate::util::budget::check_points;
 use rayon::ThreadPool;
@@ -70,7 +70,7 @@ impl Prepared {
         pool: Option<&ThreadPool>,
     ) -> Result<(), Error> {
         check(raw, sensor)?;
-        let motion = Motion::new(raw.poses, raw.pose_stamps_ns)?;
+        let motion = ScanPoses::new(raw.poses, raw.pose_stamps_ns)?;
         let mut poses = std::mem::take(&mut self.poses);
         let found = poses.find(raw, &motion, map_from_world);
         if found.is_ok() {

@@ -20,7 +20,7 @@ pub(super) fn candidates(
     parameters: &TrackerParameters,
 ) -> Vec<Measurement> {
     let max_extent = parameters.max_extent.unwrap_or(f64::INFINITY);
-    let mut found: Vec<(Cluster, Measurement)> = clusters(rows, labels, scan)
+    let mut found: Vec<(CandidateCluster, Measurement)> = clusters(rows, labels, scan)
         .into_iter()
         .filter(|cluster| cluster.extent().iter().all(|&side| side <= max_extent))
         .map(|cluster| {
@@ -42,12 +42,12 @@ pub(super) fn candidates(
     found.into_iter().map(|(_, measurement)| measurement).collect()
 }
 
-fn clusters(rows: &[u32], labels: &[i32], scan: &CloudScan<'_>) -> Vec<Cluster> {
-    let mut clusters: Vec<Cluster> = Vec::new();
+fn clusters(rows: &[u32], labels: &[i32], scan: &CloudScan<'_>) -> Vec<CandidateCluster> {
+    let mut clusters: Vec<CandidateCluster> = Vec::new();
     for (&row, &label) in rows.iter().zip(labels) {
         let Ok(label) = usize::try_from(label) else { continue }; // noise is negative
         if label >= clusters.len() {
-            clusters.resize(label + 1, Cluster::EMPTY);
+            clusters.resize(label + 1, CandidateCluster::EMPTY);
         }
         clusters[label].add(row, scan.points[row as usize]);
     }
@@ -63,7 +63,7 @@ fn clusters(rows: &[u32], labels: &[i32], scan: &CloudScan<'_>) -> Vec<Cluster> 
 }
 
 /// Centres instead of centroids, where the scan knows its rays.
-fn take_centers(found: &mut [(Cluster, Measurement)], scan: &CloudScan<'_>) {
+fn take_centers(found: &mut [(CandidateCluster, Measurement)], scan: &CloudScan<'_>) {
     let rows: Vec<&[u32]> = found.iter().map(|(cluster, _)| cluster.rows.as_slice()).collect();
     let centers = scan.visibility.and_then(|visibility| visibility.centers(&rows));
     for ((_, measurement), center) in found.iter_mut().zip(centers.into_iter().flatten()) {
@@ -77,14 +77,14 @@ fn order<T: Copy + PartialOrd>(one: &[T; 3], other: &[T; 3]) -> Ordering {
 }
 
 #[derive(Clone)]
-struct Cluster {
+struct CandidateCluster {
     /// Rows of its points in the scan, by coordinates.
     rows: Vec<u32>,
     low: [f32; 3],
     high: [f32; 3],
 }
 
-impl Cluster {
+impl CandidateCluster {
     const EMPTY: Self =
         Self { rows: Vec::new(), low: [f32::INFINITY; 3], high: [f32::NEG_INFINITY; 3] };
 

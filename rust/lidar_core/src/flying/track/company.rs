@@ -5,7 +5,7 @@
 
 use super::measurement::{Measurement, Seeker};
 use super::parameters::Hiding;
-use super::state::{TrackState, UNNUMBERED};
+use super::state::{PointTrack, UNNUMBERED};
 use nalgebra::Vector3;
 
 /// Points this near to a track are around it [m].
@@ -36,7 +36,7 @@ impl Company {
     }
 
     /// Count the points of tracks that are not confirmed, and those around them.
-    pub(super) fn count<'a>(&self, tracks: impl Iterator<Item = &'a mut TrackState>) {
+    pub(super) fn count<'a>(&self, tracks: impl Iterator<Item = &'a mut PointTrack>) {
         for (track, cluster) in tracks.zip(&self.cluster_of) {
             if track.confirmed || track.id == UNNUMBERED {
                 continue;

@@ -5,7 +5,7 @@ use super::measurement::{CloudScan, Measurement};
 use super::motion::{position, position_block, position_matrix};
 use super::occupancy::Occupancy;
 use super::parameters::{Association, MAX_TRACKS, MeasurementForm, TrackerParameters};
-use super::state::TrackState;
+use super::state::PointTrack;
 use super::update::Updater;
 use crate::Error;
 use nalgebra::{Matrix3, Vector3};
@@ -38,7 +38,7 @@ impl Detections<'_> {
     pub(super) fn hypotheses(
         &self,
         parameters: &TrackerParameters,
-    ) -> Result<Vec<TrackState>, Error> {
+    ) -> Result<Vec<PointTrack>, Error> {
         let count = self.positions.len();
         if count > MAX_TRACKS {
             return Err(too_many(count));
@@ -57,7 +57,7 @@ impl Detections<'_> {
         (0..count)
             .map(|index| {
                 let detection = self.measurement(index, parameters)?;
-                let mut fresh = TrackState::new(&detection, self.stamp_ns, parameters);
+                let mut fresh = PointTrack::new(&detection, self.stamp_ns, parameters);
                 fresh.sure = u64::from(self.is_sure(index, parameters));
                 Ok(fresh)
             })
@@ -144,11 +144,11 @@ impl Updater {
     /// Vrba et al., Algorithm 2, lines 22-25.
     pub(super) fn replay(
         &self,
-        mut hypotheses: Vec<TrackState>,
+        mut hypotheses: Vec<PointTrack>,
         stamp_ns: i64,
         buffer: &Buffer,
         occupied: &dyn Occupancy,
-    ) -> Result<Vec<TrackState>, Error> {
+    ) -> Result<Vec<PointTrack>, Error> {
         for cloud in buffer.newer_than(stamp_ns) {
             let scan = CloudScan {
                 points: &cloud.points,
@@ -167,8 +167,8 @@ impl Updater {
     /// Give every hypothesis to a track, or make it one; the newest scan is of `scanned_ns`.
     pub(super) fn join(
         &self,
-        tracks: &mut Vec<TrackState>,
-        hypotheses: Vec<TrackState>,
+        tracks: &mut Vec<PointTrack>,
+        hypotheses: Vec<PointTrack>,
         scanned_ns: Option<i64>,
     ) -> Result<Matches, Error> {
         match self.parameters.association {
@@ -178,11 +178,11 @@ impl Updater {
     }
 
     /// Source: Vrba et al., Algorithm 2, lines 26-30; the nearest of the similar tracks counts.
-    fn join_nearest(&self, tracks: &mut Vec<TrackState>, hypotheses: Vec<TrackState>) -> Matches {
+    fn join_nearest(&self, tracks: &mut Vec<PointTrack>, hypotheses: Vec<PointTrack>) -> Matches {
         let radius = &self.parameters.radius;
         let mut matches = Matches::default();
         for hypothesis in hypotheses {
-            let distance = |track: &TrackState| (track.position() - hypothesis.position()).norm();
+            let distance = |track: &PointTrack| (track.position() - hypothesis.position()).norm();
             let reach = hypothesis.radius(radius);
             let nearest = (0..tracks.len())
                 .filter(|&index| distance(&tracks[index]) <= tracks[index].radius(radius) + reach)
@@ -200,8 +200,8 @@ impl Updater {
 
     fn join_one_to_one(
         &self,
-        tracks: &mut Vec<TrackState>,
-        hypotheses: Vec<TrackState>,
+        tracks: &mut Vec<PointTrack>,
+        hypotheses: Vec<PointTrack>,
         scanned_ns: Option<i64>,
     ) -> Result<Matches, Error> {
         let model = &self.parameters.motion;
@@ -209,13 +209,13 @@ impl Updater {
         let Some(now_ns) = hypotheses.first().map(|hypothesis| hypothesis.stamp_ns) else {
             return Ok(Matches::default());
         };
-        let waiting: Vec<(TrackState, f64)> =
+        let waiting: Vec<(PointTrack, f64)> =
             tracks.iter().map(|track| self.waiting(track, now_ns, scanned_ns)).collect();
         // Where a hypothesis is moved to the time of a track, it may go anywhere.
         let is_ahead = waiting.iter().any(|(track, _)| track.stamp_ns > now_ns);
         let furthest = waiting.iter().map(|&(_, reach)| reach).fold(0.0, f64::max);
         let reach = if is_ahead { f64::INFINITY } else { furthest };
-        let rows = hypotheses.iter().map(TrackState::position);
+        let rows = hypotheses.iter().map(PointTrack::position);
         let columns = waiting.iter().map(|(track, _)| track.position());
         let track_of = self.assign(rows, columns, reach, |row, column| {
             let (hypothesis, (track, reach)) = (&hypotheses[row], &waiting[column]);
@@ -234,10 +234,10 @@ impl Updater {
     /// if it was not found in the newest scan.
     fn waiting(
         &self,
-        track: &TrackState,
+        track: &PointTrack,
         now_ns: i64,
         scanned_ns: Option<i64>,
-    ) -> (TrackState, f64) {
+    ) -> (PointTrack, f64) {
         let is_lost = scanned_ns.is_some_and(|scanned_ns| track.seen_ns < scanned_ns);
         let mut waiting = track.clone();
         waiting.predict(track.stamp_ns.max(now_ns), &self.parameters.motion);
@@ -253,9 +253,9 @@ impl Updater {
     /// Give every hypothesis to its track; those that have none become tracks.
     fn feed(
         &self,
-        tracks: &mut Vec<TrackState>,
-        waiting: &[(TrackState, f64)],
-        hypotheses: Vec<TrackState>,
+        tracks: &mut Vec<PointTrack>,
+        waiting: &[(PointTrack, f64)],
+        hypotheses: Vec<PointTrack>,
         track_of: &[Option<usize>],
     ) -> Matches {
         let known = tracks.len();
@@ -282,7 +282,7 @@ impl Updater {
     /// True if the hypothesis is the target of a track once more: a rolling scan may meet a target
     /// at its start and again at its end, partly at least. No further away than a gap inside a
     /// cluster.
-    fn is_seen_twice(&self, hypothesis: &TrackState, tracks: &[TrackState]) -> bool {
+    fn is_seen_twice(&self, hypothesis: &PointTrack, tracks: &[PointTrack]) -> bool {
         let model = &self.parameters.motion;
         let is_fresh = hypothesis.stamp_ns == hypothesis.born_ns;
         let delay = if is_fresh { hypothesis.delay } else { 0.0 };
@@ -292,7 +292,7 @@ impl Updater {
         })
     }
 
-    fn learn(&self, track: &mut TrackState, mut hypothesis: TrackState) -> bool {
+    fn learn(&self, track: &mut PointTrack, mut hypothesis: PointTrack) -> bool {
         let model = &self.parameters.motion;
         let stamp_ns = hypothesis.stamp_ns.max(track.stamp_ns);
         track.predict(stamp_ns, model);

@@ -3,7 +3,7 @@
 use super::PointCloudTracker;
 use super::buffer::Cloud;
 use super::parameters::{MAX_TRACKS, TrackerParameters};
-use super::state::TrackState;
+use super::state::PointTrack;
 use crate::Error;
 use crate::util::full_state::{impossible, opened, sealed};
 use serde::{Deserialize, Serialize};
@@ -16,7 +16,7 @@ const KIND: &str = "tracker";
 pub(crate) struct TrackerState<'a> {
     clouds: &'a VecDeque<Cloud>,
     keeps_points: bool,
-    tracks: &'a [TrackState],
+    tracks: &'a [PointTrack],
     next_id: i64,
 }
 
@@ -25,7 +25,7 @@ pub(crate) struct TrackerState<'a> {
 pub(crate) struct SavedTracker {
     clouds: VecDeque<Cloud>,
     keeps_points: bool,
-    tracks: Vec<TrackState>,
+    tracks: Vec<PointTrack>,
     next_id: i64,
 }
 
@@ -65,7 +65,7 @@ impl PointCloudTracker {
     /// [`Error::Format`] for a state that no tracker has.
     pub(crate) fn restore(&mut self, saved: SavedTracker) -> Result<(), Error> {
         let SavedTracker { clouds, keeps_points, tracks, next_id } = saved;
-        let is_numbered = |track: &TrackState| (0..next_id).contains(&track.id);
+        let is_numbered = |track: &PointTrack| (0..next_id).contains(&track.id);
         if tracks.len() > MAX_TRACKS || !tracks.iter().all(is_numbered) {
             return Err(impossible("tracks that were never numbered"));
         }

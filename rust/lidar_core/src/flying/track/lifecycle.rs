@@ -3,18 +3,18 @@
 use super::motion::{self, position_block};
 use super::pairs::AlongX;
 use super::parameters::{Ageing, Confirmation, Merging, TrackerParameters};
-use super::state::{TrackState, UNNUMBERED, seconds};
+use super::state::{PointTrack, UNNUMBERED, seconds};
 
 /// Remove tracks that have become too uncertain; their numbers.
 ///
 /// # Source
 /// Vrba et al., Algorithm 2, lines 15-17.
 pub(super) fn remove_uncertain(
-    tracks: &mut Vec<TrackState>,
+    tracks: &mut Vec<PointTrack>,
     parameters: &TrackerParameters,
     now_ns: i64,
 ) -> Vec<i64> {
-    let lost = |track: &TrackState| {
+    let lost = |track: &PointTrack| {
         let is_uncertain = motion::radius(&track.aged, &parameters.radius) > parameters.radius.max;
         is_uncertain
             || match parameters.ageing {
@@ -28,7 +28,7 @@ pub(super) fn remove_uncertain(
 /// Enter a set of detections into the history of all tracks: `fed` names those it held, `born`
 /// is the place of the first new one. Returns the numbers of those that are confirmed by it.
 pub(super) fn confirm(
-    tracks: &mut [TrackState],
+    tracks: &mut [PointTrack],
     fed: &[(usize, bool)],
     born: usize,
     parameters: &TrackerParameters,
@@ -52,7 +52,7 @@ pub(super) fn confirm(
 }
 
 /// True if enough sets of detections support a track.
-fn is_certain(track: &TrackState, confirmation: &Confirmation) -> bool {
+fn is_certain(track: &PointTrack, confirmation: &Confirmation) -> bool {
     let enough = |sets: u64, hits: u32, window: u32| last(sets, window).count_ones() >= hits;
     let Confirmation { hits, window, doubt } = *confirmation;
     let Some(doubt) = doubt else { return enough(track.history, hits, window) };
@@ -68,14 +68,14 @@ fn is_certain(track: &TrackState, confirmation: &Confirmation) -> bool {
 
 /// Remove tracks that were never confirmed and that no recent detection held; their numbers.
 pub(super) fn remove_unconfirmed(
-    tracks: &mut Vec<TrackState>,
+    tracks: &mut Vec<PointTrack>,
     parameters: &TrackerParameters,
 ) -> Vec<i64> {
     remove(tracks, |track| !track.confirmed && recent(track, parameters) == 0)
 }
 
 /// Number the tracks that have none; the numbers.
-pub(super) fn number(tracks: &mut [TrackState], next_id: &mut i64) -> Vec<i64> {
+pub(super) fn number(tracks: &mut [PointTrack], next_id: &mut i64) -> Vec<i64> {
     let mut born = Vec::new();
     for track in tracks.iter_mut().filter(|track| track.id == UNNUMBERED) {
         track.id = *next_id;
@@ -89,7 +89,7 @@ pub(super) fn number(tracks: &mut [TrackState], next_id: &mut i64) -> Vec<i64> {
 ///
 /// The elder keeps its number, a confirmed track before any other; the state is that of the one
 /// seen last.
-pub(super) fn merge(tracks: &mut Vec<TrackState>, merging: &Merging) -> Vec<[i64; 2]> {
+pub(super) fn merge(tracks: &mut Vec<PointTrack>, merging: &Merging) -> Vec<[i64; 2]> {
     let mut merged = Vec::new();
     let mut index = if has_twins(tracks, merging) { 0 } else { tracks.len() };
     while index < tracks.len() {
@@ -114,8 +114,8 @@ pub(super) fn merge(tracks: &mut Vec<TrackState>, merging: &Merging) -> Vec<[i64
 }
 
 /// True if any two tracks follow the same target.
-fn has_twins(tracks: &[TrackState], merging: &Merging) -> bool {
-    let sorted = AlongX::of(tracks.iter().map(TrackState::position));
+fn has_twins(tracks: &[PointTrack], merging: &Merging) -> bool {
+    let sorted = AlongX::of(tracks.iter().map(PointTrack::position));
     tracks.iter().enumerate().any(|(one, track)| {
         let x = track.position().x;
         let mut near = sorted.near(x, x, merging.distance);
@@ -123,22 +123,22 @@ fn has_twins(tracks: &[TrackState], merging: &Merging) -> bool {
     })
 }
 
-fn united(kept: TrackState, dropped: TrackState) -> TrackState {
+fn united(kept: PointTrack, dropped: PointTrack) -> PointTrack {
     let n_detections = kept.n_detections.max(dropped.n_detections);
     let history = kept.history | dropped.history;
     let sure = kept.sure | dropped.sure;
     let (id, born_ns, confirmed) = (kept.id, kept.born_ns, kept.confirmed);
     let state = if dropped.seen_ns > kept.seen_ns { dropped } else { kept };
-    TrackState { id, born_ns, confirmed, n_detections, history, sure, ..state }
+    PointTrack { id, born_ns, confirmed, n_detections, history, sure, ..state }
 }
 
-fn is_twin(one: &TrackState, other: &TrackState, merging: &Merging) -> bool {
+fn is_twin(one: &PointTrack, other: &PointTrack, merging: &Merging) -> bool {
     one.stamp_ns == other.stamp_ns
         && (one.position() - other.position()).norm() <= merging.distance
         && (one.velocity() - other.velocity()).norm() <= merging.speed
 }
 
-fn recent(track: &TrackState, parameters: &TrackerParameters) -> u64 {
+fn recent(track: &PointTrack, parameters: &TrackerParameters) -> u64 {
     last(track.history, parameters.confirmation.window)
 }
 
@@ -147,7 +147,7 @@ fn last(sets: u64, window: u32) -> u64 {
     sets & (u64::MAX >> (u64::BITS - window))
 }
 
-fn remove(tracks: &mut Vec<TrackState>, gone: impl Fn(&TrackState) -> bool) -> Vec<i64> {
+fn remove(tracks: &mut Vec<PointTrack>, gone: impl Fn(&PointTrack) -> bool) -> Vec<i64> {
     let removed = tracks.iter().filter(|track| gone(track)).map(|track| track.id).collect();
     tracks.retain(|track| !gone(track));
     removed

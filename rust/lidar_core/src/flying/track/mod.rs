@@ -39,7 +39,7 @@ use crate::util::budget::check_points;
 use buffer::Buffer;
 use measurement::CloudScan;
 use nalgebra::{Matrix3, SMatrix};
-use state::{TrackState, seconds};
+use state::{PointTrack, seconds};
 use update::Updater;
 
 /// A track, predicted to one time.
@@ -112,7 +112,7 @@ pub struct PointCloudTracker {
     updater: Updater,
     buffer: Buffer,
     keeps_points: bool,
-    tracks: Vec<TrackState>,
+    tracks: Vec<PointTrack>,
     next_id: i64,
 }
 
@@ -259,7 +259,7 @@ impl PointCloudTracker {
     /// from where they began.
     #[must_use]
     pub fn moved_by(&self, distance: f64) -> Vec<[f64; 3]> {
-        let moved = |track: &&TrackState| (track.position() - track.born_at).norm() > distance;
+        let moved = |track: &&PointTrack| (track.position() - track.born_at).norm() > distance;
         self.tracks.iter().filter(moved).map(|track| track.position().into()).collect()
     }
 
@@ -280,7 +280,7 @@ impl PointCloudTracker {
         &self.updater.parameters
     }
 
-    fn is_recent(&self, track: &TrackState) -> bool {
+    fn is_recent(&self, track: &PointTrack) -> bool {
         match (self.parameters().ageing, self.buffer.newest_ns()) {
             (Ageing::Visible { report_coast, .. }, Some(newest_ns)) => {
                 seconds(track.seen_ns, newest_ns) <= report_coast
@@ -289,7 +289,7 @@ impl PointCloudTracker {
         }
     }
 
-    fn merge(&self, tracks: &mut Vec<TrackState>) -> Vec<[i64; 2]> {
+    fn merge(&self, tracks: &mut Vec<PointTrack>) -> Vec<[i64; 2]> {
         self.parameters()
             .merging
             .map_or_else(Vec::new, |merging| lifecycle::merge(tracks, &merging))

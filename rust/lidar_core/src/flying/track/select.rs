@@ -17,12 +17,16 @@ pub(super) struct Ball {
 }
 
 /// Index of a point and of a ball that holds it.
-pub(super) type Hit = (u32, u32);
+pub(super) type PointInBall = (u32, u32);
 
 /// All pairs of a point and a ball that holds it, by ascending point, then ball.
-pub(super) fn hits(pool: &rayon::ThreadPool, points: &[[f32; 3]], balls: &[Ball]) -> Vec<Hit> {
+pub(super) fn hits(
+    pool: &rayon::ThreadPool,
+    points: &[[f32; 3]],
+    balls: &[Ball],
+) -> Vec<PointInBall> {
     let Some(regions) = Regions::of(balls) else { return Vec::new() };
-    let parts: Vec<Vec<Hit>> = pool.install(|| {
+    let parts: Vec<Vec<PointInBall>> = pool.install(|| {
         points
             .par_chunks(POINTS_PER_CHUNK)
             .enumerate()
@@ -83,7 +87,7 @@ impl Regions {
         }
     }
 
-    fn hits(&self, offset: usize, points: &[[f32; 3]]) -> Vec<Hit> {
+    fn hits(&self, offset: usize, points: &[[f32; 3]]) -> Vec<PointInBall> {
         let mut hits = Vec::new();
         for (index, point) in points.iter().enumerate() {
             let point = point.map(f64::from);
@@ -100,7 +104,7 @@ impl Regions {
         hits
     }
 
-    fn search(&self, cell: [i32; 3], point: [f64; 3], index: u32, hits: &mut Vec<Hit>) {
+    fn search(&self, cell: [i32; 3], point: [f64; 3], index: u32, hits: &mut Vec<PointInBall>) {
         let start = self.cells.partition_point(|entry| entry.0 < cell);
         for &(_, ball) in self.cells[start..].iter().take_while(|entry| entry.0 == cell) {
             let Ball { center, radius } = self.balls[ball as usize];

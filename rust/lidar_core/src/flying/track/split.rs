@@ -35,12 +35,12 @@ impl<'a> Confirmed<'a> {
 }
 
 /// A point, and its time after the stamp [s].
-struct Place {
+struct TimedPoint {
     at: Vector3<f64>,
     delay: f64,
 }
 
-impl Place {
+impl TimedPoint {
     fn distance(&self, seeker: &Seeker) -> f64 {
         (self.at - seeker.position - seeker.velocity * self.delay).norm()
     }
@@ -63,9 +63,9 @@ impl Division {
         }
         let mut next = labels.iter().max().map_or(0, |&last| last + 1);
         for rows in rows_of(labels, next) {
-            let places: Vec<Place> = rows
+            let places: Vec<TimedPoint> = rows
                 .iter()
-                .map(|&row| Place {
+                .map(|&row| TimedPoint {
                     at: Vector3::from(points[row].map(f64::from)),
                     delay: delays.get(row).copied().map_or(0.0, f64::from),
                 })
@@ -79,7 +79,7 @@ impl Division {
     }
 
     /// Places by the track that owns them; none if the cluster stays whole.
-    fn parts(&self, places: &[Place], confirmed: &Confirmed<'_>) -> Vec<Vec<usize>> {
+    fn parts(&self, places: &[TimedPoint], confirmed: &Confirmed<'_>) -> Vec<Vec<usize>> {
         let owners = self.owners(places, confirmed);
         if owners.len() < 2 {
             return Vec::new();
@@ -99,7 +99,7 @@ impl Division {
     }
 
     /// Tracks near the cluster, each surely apart from those before it.
-    fn owners<'a>(&self, places: &[Place], confirmed: &Confirmed<'a>) -> Vec<&'a Seeker> {
+    fn owners<'a>(&self, places: &[TimedPoint], confirmed: &Confirmed<'a>) -> Vec<&'a Seeker> {
         let Some(first) = places.first() else { return Vec::new() };
         let (mut low, mut high, mut latest) = (first.at, first.at, 0.0_f64);
         for place in places {

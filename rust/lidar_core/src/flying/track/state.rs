@@ -15,7 +15,7 @@ const COMPANY_KEPT: f64 = 0.8;
 pub(super) const UNNUMBERED: i64 = -1;
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct TrackState {
+pub(super) struct PointTrack {
     pub(super) id: i64,
     pub(super) estimate: Gaussian<9>,
     /// The covariance the track would have if time had passed only while it should be visible.
@@ -45,7 +45,7 @@ pub(super) struct TrackState {
     pub(super) left: bool,
 }
 
-impl TrackState {
+impl PointTrack {
     /// A track that starts at a detection. Source: Vrba et al., eqs 32-33.
     pub(super) fn new(
         detection: &Measurement,

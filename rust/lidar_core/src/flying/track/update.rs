@@ -9,7 +9,7 @@ use super::pairs::AlongX;
 use super::parameters::{Ageing, Association, Doubt, Motion, TrackerParameters};
 use super::select::{Ball, hits};
 use super::split::Division;
-use super::state::{TrackState, seconds};
+use super::state::{PointTrack, seconds};
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
 use crate::estimation::{chi2, kalman};
@@ -22,7 +22,7 @@ use std::f64::consts::TAU;
 
 /// Result of an update.
 #[derive(Debug, Default)]
-pub(super) struct Outcome {
+pub(super) struct UpdateOutcome {
     pub(super) corrected: Vec<i64>,
     /// A row of the cluster of each of these.
     pub(super) rows: Vec<u32>,
@@ -58,9 +58,9 @@ impl Updater {
     /// Bring every track that is older than the scan to its time and correct it with its cluster.
     pub(super) fn update(
         &self,
-        tracks: &mut [TrackState],
+        tracks: &mut [PointTrack],
         scan: &CloudScan<'_>,
-    ) -> Result<Outcome, Error> {
+    ) -> Result<UpdateOutcome, Error> {
         let model = &self.parameters.motion;
         let mut due = predicted(tracks, scan.stamp_ns, model);
         let seekers: Vec<Seeker> = due.iter().map(|(_, track)| self.seeker(track)).collect();
@@ -75,7 +75,7 @@ impl Updater {
         for (_, track) in &mut due {
             track.left = self.has_left(track, scan);
         }
-        let mut outcome = Outcome::default();
+        let mut outcome = UpdateOutcome::default();
         for (((dt, track), seeker), measurement) in due.into_iter().zip(&seekers).zip(found) {
             let row = measurement.as_ref().and_then(|measurement| measurement.row);
             match measurement.map(|measurement| track.correct(&measurement)) {
@@ -98,7 +98,7 @@ impl Updater {
     }
 
     /// The bounded uncertainty radius: see [`Ageing`].
-    pub(super) fn search_radius(&self, track: &TrackState) -> f64 {
+    pub(super) fn search_radius(&self, track: &PointTrack) -> f64 {
         let radius = track.radius(&self.parameters.radius);
         match self.parameters.ageing {
             Ageing::Paper => radius,
@@ -134,7 +134,7 @@ impl Updater {
         assign(n_rows, n_columns, &pairs, self.unassigned)
     }
 
-    fn seeker(&self, track: &TrackState) -> Seeker {
+    fn seeker(&self, track: &PointTrack) -> Seeker {
         Seeker {
             position: track.position(),
             velocity: track.velocity(),
@@ -148,7 +148,7 @@ impl Updater {
     /// True if an unconfirmed track is away from where it began, and the scan shows that nothing is
     /// left there. A track that leaps along the leaves of a tree leaves some behind, and one that
     /// follows a gap along what lies behind it leaves a place that nobody sees any more.
-    fn has_left(&self, track: &TrackState, scan: &CloudScan<'_>) -> bool {
+    fn has_left(&self, track: &PointTrack, scan: &CloudScan<'_>) -> bool {
         let Some(Doubt { distance, cleared, .. }) = self.parameters.confirmation.doubt else {
             return false;
         };
@@ -240,10 +240,10 @@ fn reach(seekers: &[Seeker], clusters: &[Measurement]) -> f64 {
 
 /// Tracks that are older than `stamp_ns`, brought to it, each with the time that took [s].
 fn predicted<'a>(
-    tracks: &'a mut [TrackState],
+    tracks: &'a mut [PointTrack],
     stamp_ns: i64,
     model: &Motion,
-) -> Vec<(f64, &'a mut TrackState)> {
+) -> Vec<(f64, &'a mut PointTrack)> {
     let older = tracks.iter_mut().filter(|track| track.stamp_ns < stamp_ns);
     let mut due: Vec<_> = older.map(|track| (seconds(track.stamp_ns, stamp_ns), track)).collect();
     for (_, track) in &mut due {

@@ -30,7 +30,7 @@ pub struct Imm {
 /// Weight and state of every model.
 pub type Modes = Vec<(f64, Arc<dyn Mode>)>;
 
-type Corrected = Result<Option<(Arc<dyn Mode>, Innovation)>, Error>;
+type CorrectedModes = Result<Option<(Arc<dyn Mode>, Innovation)>, Error>;
 
 /// One motion model together with its state.
 pub trait Mode: Send + Sync {
@@ -44,7 +44,7 @@ pub trait Mode: Send + Sync {
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`] as of [`Engine::update`].
-    fn updated(&self, m: &Measurement, platform: &Platform) -> Corrected;
+    fn updated(&self, m: &Measurement, platform: &Platform) -> CorrectedModes;
     /// This model with the covariance of its state multiplied by `factor`.
     fn loosened(&self, factor: f64) -> Arc<dyn Mode>;
     /// State in Cartesian form; states that the model does not have are taken from `other`.
@@ -97,7 +97,7 @@ impl<const N: usize, M: Exchange<N>> Mode for Member<N, M> {
         self.with(state)
     }
 
-    fn updated(&self, m: &Measurement, platform: &Platform) -> Corrected {
+    fn updated(&self, m: &Measurement, platform: &Platform) -> CorrectedModes {
         // Accepted here in any case: only the mixture of all models can decide about the
         // measurement.
         let mut state = self.state.clone();

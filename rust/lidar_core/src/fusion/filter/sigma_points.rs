@@ -5,7 +5,7 @@
 use super::engine::{Believe, Engine, Innovation, Link, Output, Single, mixed, output};
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, Mahalanobis};
-use crate::estimation::unscented::{Rooted, Rule, Triangle, stacked, transformed};
+use crate::estimation::unscented::{Rooted, SigmaRule, Triangle, stacked, transformed};
 use crate::fusion::models::motion::{First, Motion};
 use crate::fusion::models::platform::Platform;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
@@ -18,7 +18,7 @@ pub struct Sigma<const N: usize, M> {
     /// Models and noise.
     pub base: Single<N, M>,
     /// Distance and weights of the points.
-    pub rule: Rule,
+    pub rule: SigmaRule,
     /// Compare the predicted points, those of the noise included, with measurements; otherwise new
     /// points are drawn from the predicted covariance.
     pub carries: bool,
@@ -46,7 +46,7 @@ impl<const N: usize> SigmaState<N> {
     }
 
     /// Sigma points of the state, the central one first.
-    fn points(&self, rule: &Rule) -> Vec<Point<N>> {
+    fn points(&self, rule: &SigmaRule) -> Vec<Point<N>> {
         if !self.points.is_empty() {
             return self.points.clone();
         }
@@ -111,7 +111,7 @@ impl<const N: usize, M: Motion<N>> Sigma<N, M> {
         noise: &[SVector<f64, N>],
         moved: impl Fn(&SVector<f64, N>) -> SVector<f64, N>,
     ) -> Vec<Point<N>> {
-        let Rule { spread, around, .. } = self.rule;
+        let SigmaRule { spread, around, .. } = self.rule;
         let (center, reach) = (moved(&state.mean), libm::sqrt(spread));
         // The noise columns are further dimensions of the state; the central weight pays for their
         // points.

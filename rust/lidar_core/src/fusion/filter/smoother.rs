@@ -9,7 +9,7 @@ use nalgebra::{Matrix6, Vector6};
 
 /// One row of a run: state of the filter, its time, and the transition from the row before.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Row {
+pub struct RunRow {
     /// Time of the state [ns].
     pub stamp_ns: i64,
     /// Output of the filter; None before the target has been seen.
@@ -25,7 +25,7 @@ pub struct Row {
 /// # Source
 /// Rauch, Tung & Striebel, "Maximum likelihood estimates of linear dynamic systems", 1965.
 #[must_use]
-pub fn smoothed(rows: &[Row], lag_ns: Option<i64>) -> Vec<Option<Output>> {
+pub fn smoothed(rows: &[RunRow], lag_ns: Option<i64>) -> Vec<Option<Output>> {
     let Some(lag_ns) = lag_ns else { return back_from(rows, rows.len(), 0) };
     let mut last = 0;
     (0..rows.len())
@@ -41,7 +41,7 @@ pub fn smoothed(rows: &[Row], lag_ns: Option<i64>) -> Vec<Option<Output>> {
 }
 
 /// Smoothed states of rows `first` to `end`, given the measurements of the rows before `end`.
-fn back_from(rows: &[Row], end: usize, first: usize) -> Vec<Option<Output>> {
+fn back_from(rows: &[RunRow], end: usize, first: usize) -> Vec<Option<Output>> {
     let mut states: Vec<Option<Output>> = rows[first..end].iter().map(|row| row.output).collect();
     for index in (first + 1..end).rev() {
         let (earlier, later) = (states[index - 1 - first], states[index - first]);
@@ -124,7 +124,7 @@ mod tests {
         };
         let first = output([0.0, 0.0], [[4.0, 1.0], [1.0, 2.0]]);
         let last = output([1.0, -1.0], [[0.5, 0.1], [0.1, 0.3]]);
-        let row = |stamp_ns, output, link| Row { stamp_ns, output: Some(output), link };
+        let row = |stamp_ns, output, link| RunRow { stamp_ns, output: Some(output), link };
         let rows = [row(0, first, None), row(10, last, Some(link))];
         let whole = smoothed(&rows, None);
         assert!(whole[0].is_some_and(|got| {

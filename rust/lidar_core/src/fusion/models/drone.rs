@@ -2,7 +2,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::heading::{Arc, polar_first, velocity_of};
+use super::heading::{ArcLength, polar_first, velocity_of};
 use super::motion::{First, INPUTS, Motion, Noise, Prior, extended};
 use super::platform::Platform;
 use super::turn::{Turn, direction, rotated};
@@ -22,7 +22,7 @@ pub struct CtrvDroneRate;
 /// State after a step of the sensor's frame, and its derivatives by all six states.
 fn step(s: &Vector5<f64>, rate: f64, dt: f64, platform: &Platform) -> (Vector5<f64>, Columns) {
     let ([x, y, v, heading, w], lever) = (s.data.0[0], platform.lever);
-    let arc = Arc::new(direction(heading), w, dt);
+    let arc = ArcLength::new(direction(heading), w, dt);
     let own = Turn::<2>::new(rate, dt);
     let d = own.turned(0, platform.velocity);
     let [along, aside] = own.turned(1, platform.velocity);

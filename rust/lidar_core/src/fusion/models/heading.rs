@@ -24,12 +24,12 @@ pub struct Ctrv;
 pub struct Ctra;
 
 /// Displacement (A, B) per unit of speed, and its derivatives by the turn rate.
-pub(crate) struct Arc {
+pub(crate) struct ArcLength {
     pub(super) by_speed: [f64; 2],
     pub(super) by_rate: [f64; 2],
 }
 
-impl Arc {
+impl ArcLength {
     pub(crate) fn new(heading: [f64; 2], rate: f64, dt: f64) -> Self {
         let turn = Turn::<2>::new(rate, dt);
         let [along, aside] = turn.turned(1, heading);
@@ -105,7 +105,7 @@ impl Motion<5> for Ctrv {
         _: &Platform,
     ) -> (Vector5<f64>, SMatrix<f64, 5, 5>) {
         let (v, w) = (s[2], s[4]);
-        let arc = Arc::new(direction(s[3]), w, dt);
+        let arc = ArcLength::new(direction(s[3]), w, dt);
         let [A, B] = arc.by_speed;
         let mut F = SMatrix::<f64, 5, 5>::identity();
         (F[(0, 2)], F[(1, 2)]) = (A, B);
@@ -115,7 +115,7 @@ impl Motion<5> for Ctrv {
     }
 
     fn impulses(&self, s: &Vector5<f64>, dt: f64, _: &Platform) -> SMatrix<f64, 5, INPUTS> {
-        let arc = Arc::new(direction(s[3]), s[4], dt);
+        let arc = ArcLength::new(direction(s[3]), s[4], dt);
         let [A, B] = arc.by_speed;
         let [A1, B1] = arc.by_rate.map(|part| part * s[2]);
         let mut columns = SMatrix::<f64, 5, INPUTS>::zeros();

@@ -2,15 +2,15 @@
 
 use super::lifecycle::{GyroUse, Life, Outcome};
 use super::sensor_errors::SensorErrors;
-use super::target::{SavedTarget, Step, Taken, Target};
+use super::target::{FilterStep, SavedTarget, Taken, Target};
 use crate::Error;
 use crate::error::require;
-use crate::estimation::unscented::Rule;
+use crate::estimation::unscented::SigmaRule;
 use crate::fusion::filter::engine::{Engine, Link, Output, Single};
 use crate::fusion::filter::imm::{Imm, Mode, mode};
 use crate::fusion::filter::paper::Paper;
 use crate::fusion::filter::sigma_points::Sigma;
-use crate::fusion::filter::smoother::{Row, smoothed};
+use crate::fusion::filter::smoother::{RunRow, smoothed};
 use crate::fusion::models::cartesian::{ConstantAcceleration, ConstantVelocity, CoordinatedTurn};
 use crate::fusion::models::drone::{CtrvDrone, CtrvDroneRate};
 use crate::fusion::models::heading::{Ctra, Ctrv};
@@ -117,7 +117,7 @@ pub struct Filter(Box<dyn Tracked>);
 
 /// A [`Target`] with any engine.
 trait Tracked: Send + Sync {
-    fn step(&mut self, m: &Measurement) -> Step;
+    fn step(&mut self, m: &Measurement) -> FilterStep;
     fn take(&mut self, m: &Measurement) -> Taken;
     fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]);
     fn stamp_ns(&self) -> i64;
@@ -132,7 +132,7 @@ trait Tracked: Send + Sync {
 }
 
 impl<E: Engine> Tracked for Target<E> {
-    fn step(&mut self, m: &Measurement) -> Step {
+    fn step(&mut self, m: &Measurement) -> FilterStep {
         Target::step(self, m)
     }
 
@@ -255,7 +255,7 @@ impl Filter {
     }
 
     /// Process a measurement.
-    pub fn step(&mut self, m: &Measurement) -> Step {
+    pub fn step(&mut self, m: &Measurement) -> FilterStep {
         self.0.step(m)
     }
 
@@ -305,7 +305,7 @@ pub fn smooth_into(
     parameters: &FusionParameters,
     measurements: &[Measurement],
     lag_ns: Option<i64>,
-    mut visit: impl FnMut(&Step),
+    mut visit: impl FnMut(&FilterStep),
 ) -> Result<SensorErrors, Error> {
     let smooths = !matches!(parameters.model, Model::Paper(_));
     require(smooths, "model", "one that can be smoothed", "\"paper\"")?;
@@ -325,11 +325,11 @@ pub fn smooth_into(
             }
             _ => link.zip(before).map(|(link, before)| link.standing(&before)),
         };
-        rows.push(Row { stamp_ns: step.stamp_ns, output: step.output, link });
+        rows.push(RunRow { stamp_ns: step.stamp_ns, output: step.output, link });
         steps.push(step);
     }
     for (step, output) in steps.iter().zip(smoothed(&rows, lag_ns)) {
-        visit(&Step { output, ..*step });
+        visit(&FilterStep { output, ..*step });
     }
     Ok(filter.errors())
 }
@@ -376,11 +376,11 @@ impl FusionParameters {
         let base = self.single(motion);
         match self.method {
             Method::Sigma { spread, carries } => {
-                let rule = Rule::new(N, spread.unwrap_or((N + 2) as f64));
+                let rule = SigmaRule::new(N, spread.unwrap_or((N + 2) as f64));
                 self.tracked(Sigma { base, rule, carries })
             }
             Method::Cubature => {
-                self.tracked(Sigma { base, rule: Rule::new(N, N as f64), carries: false })
+                self.tracked(Sigma { base, rule: SigmaRule::new(N, N as f64), carries: false })
             }
             _ => self.tracked(base),
         }

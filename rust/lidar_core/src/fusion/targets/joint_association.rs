@@ -34,7 +34,7 @@ pub fn probabilities(tracks: usize, measurements: usize, pairs: &[Pair]) -> Vec<
 }
 
 /// The options of every track of a group: indices of pairs.
-type Group = Vec<Vec<usize>>;
+type TrackOptions = Vec<Vec<usize>>;
 
 /// Indices of the pairs of every track and of every measurement.
 struct Links {
@@ -54,11 +54,11 @@ impl Links {
     }
 
     /// Groups of tracks linked by measurements, with their pairs; ordered by the first track.
-    fn groups(&self, pairs: &[Pair]) -> Vec<Group> {
+    fn groups(&self, pairs: &[Pair]) -> Vec<TrackOptions> {
         let mut is_done = vec![false; self.of_track.len()];
         let mut found = Vec::new();
         for first in 0..self.of_track.len() {
-            let (mut group, mut waiting) = (Group::new(), vec![first]);
+            let (mut group, mut waiting) = (TrackOptions::new(), vec![first]);
             while let Some(row) = waiting.pop() {
                 let options = &self.of_track[row];
                 if std::mem::replace(&mut is_done[row], true) || options.is_empty() {
@@ -90,7 +90,7 @@ impl Links {
 
 /// Sum over all joint events of a group.
 struct Events<'a> {
-    group: &'a Group,
+    group: &'a TrackOptions,
     pairs: &'a [Pair],
     /// Weights of the pairs of each track and of no pair, the largest of which is 1.
     weights: Vec<(Vec<f64>, f64)>,
@@ -105,7 +105,7 @@ struct Events<'a> {
 }
 
 impl<'a> Events<'a> {
-    fn new(group: &'a Group, pairs: &'a [Pair], measurements: usize) -> Self {
+    fn new(group: &'a TrackOptions, pairs: &'a [Pair], measurements: usize) -> Self {
         let weights = group.iter().map(|options| {
             let least = options.iter().map(|index| pairs[*index].cost).fold(0.0, f64::min);
             let weigh = |cost: f64| libm::exp(least - cost);

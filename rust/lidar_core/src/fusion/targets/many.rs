@@ -38,12 +38,12 @@ pub struct ManyParameters {
     /// Least distance of a new track from a track measured by the same scan [m].
     pub birth_distance: f64,
     /// Association of measurements with tracks.
-    pub association: Association,
+    pub association: TargetAssociation,
 }
 
 /// Association of measurements with tracks.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Association {
+pub enum TargetAssociation {
     /// Global nearest neighbour: each measurement belongs to one track or to none.
     Nearest,
     /// Joint probabilistic data association: see

@@ -5,7 +5,7 @@ use super::lifecycle::{Life, Outcome};
 use super::record::in_order;
 use crate::Error;
 use crate::error::require;
-use crate::estimation::minimise::{Search, minimise};
+use crate::estimation::minimise::{SimplexSearch, minimise};
 use crate::fusion::models::motion::Noise;
 use crate::fusion::sensors::measurement::Measurement;
 
@@ -100,7 +100,7 @@ pub fn fit(
     targets: &[Vec<Measurement>],
     fitted: &[Quantity],
     least_rate: f64,
-    search: &Search,
+    search: &SimplexSearch,
 ) -> Result<(FusionParameters, f64), Error> {
     require(
         !matches!(start.model, Model::Paper(_)),

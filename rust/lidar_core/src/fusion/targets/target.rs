@@ -20,7 +20,7 @@ const MANOEUVRE: f64 = 25.0;
 
 /// State of the filter after a measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Step {
+pub struct FilterStep {
     /// Outcome of the measurement.
     pub outcome: Outcome,
     /// Time of the state [ns].
@@ -58,7 +58,7 @@ struct Now<S> {
 
 /// Parts that measurements do not change.
 #[derive(Clone, Debug)]
-struct Rules<E> {
+struct FilterRules<E> {
     engine: E,
     starter: Single<4, ConstantVelocity>,
     life: Life,
@@ -67,7 +67,7 @@ struct Rules<E> {
 /// A filter of one target.
 #[derive(Clone, Debug)]
 pub struct Target<E: Engine> {
-    rules: Rules<E>,
+    rules: FilterRules<E>,
     now: Now<E::State>,
     /// Recent measurements, each with the state after it.
     history: VecDeque<(Measurement, Now<E::State>)>,
@@ -98,7 +98,7 @@ pub struct SavedTarget {
     history: Vec<(Measurement, SavedNow)>,
 }
 
-impl<E: Engine> Rules<E> {
+impl<E: Engine> FilterRules<E> {
     fn saved(&self, now: &Now<E::State>) -> SavedNow {
         let phase = match &now.phase {
             Phase::Unseen => SavedPhase::Unseen,
@@ -205,7 +205,7 @@ impl<E: Engine> Target<E> {
             errors: SensorErrors::default(),
             looseness: 1.0,
         };
-        Self { rules: Rules { engine, starter, life }, now, history: VecDeque::new() }
+        Self { rules: FilterRules { engine, starter, life }, now, history: VecDeque::new() }
     }
 
     /// State that changes with measurements.
@@ -230,9 +230,9 @@ impl<E: Engine> Target<E> {
 
     /// Process a measurement. A late one is inserted at its time, and the later ones are processed
     /// again.
-    pub fn step(&mut self, m: &Measurement) -> Step {
+    pub fn step(&mut self, m: &Measurement) -> FilterStep {
         let (outcome, innovation) = self.take(m);
-        Step { outcome, stamp_ns: self.stamp_ns(), output: self.output(), innovation }
+        FilterStep { outcome, stamp_ns: self.stamp_ns(), output: self.output(), innovation }
     }
 
     /// Like [`Self::step`], but returns only outcome and innovation.

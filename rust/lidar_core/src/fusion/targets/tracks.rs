@@ -3,7 +3,7 @@
 use super::any_filter::{Filter, FusionParameters};
 use super::joint_association::probabilities;
 use super::lifecycle::Outcome;
-use super::many::{Association, MAX_TARGETS, ManyParameters, TrackState};
+use super::many::{MAX_TARGETS, ManyParameters, TargetAssociation, TrackState};
 use super::target::SavedTarget;
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
@@ -73,7 +73,7 @@ pub struct SavedTracks {
 }
 
 #[derive(Clone)]
-struct Track {
+struct TargetTrack {
     id: i64,
     filter: Filter,
     /// One bit per scan of scanners that have seen the track, the last scan lowest: 1 if it was
@@ -92,10 +92,10 @@ struct Track {
 pub struct Tracks {
     /// Filter without a target that holds the motion of the platform.
     unseen: Filter,
-    all: Vec<Track>,
+    all: Vec<TargetTrack>,
 }
 
-impl Association {
+impl TargetAssociation {
     /// Cost of a track and a measurement with this innovation.
     fn cost(&self, m: &Measurement, innovation: &Innovation) -> f64 {
         let distance = innovation.nis + innovation.log_determinant;
@@ -131,9 +131,10 @@ impl Tracks {
 
     /// State that changes with scans.
     pub fn saved(&self) -> SavedTracks {
-        let one = |track: &Track| {
-            let Track { id, history, looks, sources, born_ns, seen_ns, hits, confirmed, .. } =
-                *track;
+        let one = |track: &TargetTrack| {
+            let TargetTrack {
+                id, history, looks, sources, born_ns, seen_ns, hits, confirmed, ..
+            } = *track;
             let filter = track.filter.saved();
             SavedTrack { id, filter, history, looks, sources, born_ns, seen_ns, hits, confirmed }
         };
@@ -154,7 +155,17 @@ impl Tracks {
                 id, history, looks, sources, born_ns, seen_ns, hits, confirmed, ..
             } = *track;
             let filter = with(&track.filter)?;
-            Ok(Track { id, filter, history, looks, sources, born_ns, seen_ns, hits, confirmed })
+            Ok(TargetTrack {
+                id,
+                filter,
+                history,
+                looks,
+                sources,
+                born_ns,
+                seen_ns,
+                hits,
+                confirmed,
+            })
         };
         let all = saved.all.iter().map(one).collect::<Result<_, Error>>()?;
         Ok(Self { unseen: with(&saved.unseen)?, all })
@@ -177,7 +188,7 @@ impl Tracks {
     pub fn at(&self, stamp_ns: i64) -> Vec<TrackState> {
         let states = self.all.iter().filter_map(|track| {
             let output = track.filter.output_at(stamp_ns)?;
-            let Track { id, born_ns, seen_ns, hits, confirmed, .. } = *track;
+            let TargetTrack { id, born_ns, seen_ns, hits, confirmed, .. } = *track;
             Some(TrackState { id, output, born_ns, seen_ns, hits, confirmed })
         });
         let mut states: Vec<TrackState> = states.collect();
@@ -234,7 +245,7 @@ impl Tracks {
         assigned: &mut [Assigned],
     ) -> Result<(), Error> {
         let (pairs, candidates) = self.candidates(parameters, scan, confirmed, assigned);
-        if let Association::Joint { .. } = parameters.association {
+        if let TargetAssociation::Joint { .. } = parameters.association {
             self.associate_jointly(scan, assigned, &pairs, &candidates);
             return Ok(());
         }
@@ -340,7 +351,7 @@ impl Tracks {
             if measured.iter().any(|at| libm::hypot(at[0] - x, at[1] - y) < reach) {
                 continue;
             }
-            let mut track = Track::new(births.of(column), filter, scan);
+            let mut track = TargetTrack::new(births.of(column), filter, scan);
             track.judge(parameters);
             assigned[column].id = Some(track.id);
             self.all.push(track);
@@ -348,7 +359,7 @@ impl Tracks {
     }
 }
 
-impl Track {
+impl TargetTrack {
     fn new(id: i64, filter: Filter, scan: &Scan) -> Self {
         Self {
             id,

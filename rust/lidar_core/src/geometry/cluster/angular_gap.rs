@@ -58,7 +58,7 @@ pub fn label_seen(
 pub struct SeenLabeller {
     near: Labeller,
     bands: Bands,
-    parts: Shelf<Part>,
+    parts: Shelf<BandPoints>,
     sets: Mutex<Sets>,
 }
 
@@ -232,13 +232,13 @@ impl Bands {
 
 /// Points of one band, and what they are linked to.
 #[derive(Default)]
-struct Part {
+struct BandPoints {
     rows: Vec<u32>,
     points: Vec<[f32; 3]>,
     linker: Linker,
 }
 
-impl Part {
+impl BandPoints {
     /// Join what is linked to the points of a band.
     fn link(
         &mut self,

@@ -14,7 +14,7 @@ pub(super) const OCTANT_BITS: u32 = 6;
 /// Octants half as wide as the reach, in cubes of 4 x 4 x 4. Two points of one octant are always
 /// linked (its diagonal is 0.866 of the reach), so octants are what is joined; those of a cube are the
 /// bits of a word.
-pub(crate) struct Grid {
+pub(crate) struct OctantGrid {
     low: [f64; 3],
     /// Octants per metre.
     octants: f64,
@@ -24,7 +24,7 @@ pub(crate) struct Grid {
     pub(super) index_bits: u32,
 }
 
-impl Grid {
+impl OctantGrid {
     /// None if no point is finite.
     pub(crate) fn of(points: &[[f32; 3]], largest: f64) -> Result<Option<Self>, Error> {
         let finite = points.iter().filter(|point| is_finite(**point));

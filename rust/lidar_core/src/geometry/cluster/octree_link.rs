@@ -1,7 +1,7 @@
 //! Points within reach of each other, joined octant by octant.
 
 use super::cube_reach::{InReach, NEXT, OWN, ROWS};
-use super::keys::{Grid, Key, OCTANT_BITS, is_finite};
+use super::keys::{Key, OCTANT_BITS, OctantGrid, is_finite};
 use super::{NO_GROUP, Sets};
 use crate::Error;
 use crate::geometry::lattice::wide;
@@ -61,7 +61,7 @@ impl Linker {
         let Self { short, long, group_of } = self;
         group_of.clear();
         group_of.resize(points.len(), NO_GROUP);
-        match Grid::of(points, largest)? {
+        match OctantGrid::of(points, largest)? {
             None => {}
             // Half the memory to sort; only far outliers need longer keys.
             Some(grid) if grid.key_bits() + grid.index_bits <= u64::BITS => {
@@ -76,7 +76,7 @@ impl Linker {
 /// # Errors
 /// Those of [`Linker::linked`].
 pub(super) fn check_extent(points: &[[f32; 3]], largest: f64) -> Result<(), Error> {
-    Grid::of(points, largest).map(drop)
+    OctantGrid::of(points, largest).map(drop)
 }
 
 /// Octants of one cube that hold points.
@@ -111,12 +111,18 @@ struct Groups<K> {
 
 impl<K: Key> Groups<K> {
     /// Put into `group_of` one of every point's group.
-    fn link(&mut self, points: &[[f32; 3]], grid: &Grid, reach: &impl Reach, group_of: &mut [u32]) {
+    fn link(
+        &mut self,
+        points: &[[f32; 3]],
+        grid: &OctantGrid,
+        reach: &impl Reach,
+        group_of: &mut [u32],
+    ) {
         self.sort(points, grid);
         self.divide(points, grid);
         let mut sets = std::mem::take(&mut self.sets);
         sets.restart(self.len());
-        Arch::new().dispatch(Link { groups: self, grid, reach, sets: &mut sets });
+        Arch::new().dispatch(CubeLinker { groups: self, grid, reach, sets: &mut sets });
         for (group, &root) in sets.roots().iter().enumerate() {
             let stands_for = grid.row(self.order[self.starts[root as usize] as usize]) as u32;
             for &entry in &self.order[self.range(group)] {
@@ -127,7 +133,7 @@ impl<K: Key> Groups<K> {
     }
 
     /// Finite points by key: radix sort, lowest digit first.
-    fn sort(&mut self, points: &[[f32; 3]], grid: &Grid) {
+    fn sort(&mut self, points: &[[f32; 3]], grid: &OctantGrid) {
         let Self { order, spare, .. } = self;
         let entries = points.iter().zip(0..).filter(|(point, _)| is_finite(**point));
         order.clear();
@@ -160,7 +166,7 @@ impl<K: Key> Groups<K> {
     }
 
     /// Find the runs of the sorted points.
-    fn divide(&mut self, points: &[[f32; 3]], grid: &Grid) {
+    fn divide(&mut self, points: &[[f32; 3]], grid: &OctantGrid) {
         let Self { order, points: sorted, starts, cubes, .. } = self;
         sorted.clear();
         // Copied in the order of the keys: points of an octant lie side by side.
@@ -197,14 +203,14 @@ impl<K: Key> Groups<K> {
 
 /// Joins the groups of every cube with each other and with those of the 13 neighbours behind it: on the
 /// vector unit of the machine, for its instructions on bits.
-struct Link<'a, K, R> {
+struct CubeLinker<'a, K, R> {
     groups: &'a Groups<K>,
-    grid: &'a Grid,
+    grid: &'a OctantGrid,
     reach: &'a R,
     sets: &'a mut Sets,
 }
 
-impl<K: Key, R: Reach> WithSimd for Link<'_, K, R> {
+impl<K: Key, R: Reach> WithSimd for CubeLinker<'_, K, R> {
     type Output = ();
 
     #[inline(always)]

@@ -13,7 +13,7 @@ use super::parameters::{Joint, MAX_ELEMENTS};
 use super::place::matrix_of;
 use super::scan::{CircleScan, Found, check, too_many};
 use super::view::level_pose::LevelPose;
-use super::{MapElement, Outcome, seconds};
+use super::{MapElement, MapOutcome, seconds};
 use crate::Error;
 use crate::circles::fit::circle::CircleEstimate;
 use crate::estimation::kalman::{Gaussian, mahalanobis, symmetrised};
@@ -37,7 +37,7 @@ struct Landmark {
 
 /// State of the filter. The robot's pose is an input and not part of it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct State {
+pub(super) struct JointState {
     stamp_ns: Option<i64>,
     /// Sensors that had a scan with that stamp.
     sensors: Vec<u32>,
@@ -50,15 +50,15 @@ pub(super) struct JointMap {
     parameters: Joint,
     gate: f64,
     speed: f64,
-    state: State,
+    state: JointState,
 }
 
 impl JointMap {
     pub(super) fn new(parameters: Joint, gate: f64, speed: f64) -> Self {
-        Self { parameters, gate, speed, state: State::empty() }
+        Self { parameters, gate, speed, state: JointState::empty() }
     }
 
-    pub(super) fn state(&self) -> &State {
+    pub(super) fn state(&self) -> &JointState {
         &self.state
     }
 
@@ -66,7 +66,7 @@ impl JointMap {
     ///
     /// # Errors
     /// [`Error::Format`] if its parts do not agree.
-    pub(super) fn restore(&mut self, state: State) -> Result<(), Error> {
+    pub(super) fn restore(&mut self, state: JointState) -> Result<(), Error> {
         let is_sorted = state.landmarks.is_sorted_by(|one, next| one.id < next.id);
         if !is_sorted || !state.P.is_of(state.landmarks.len()) {
             return Err(impossible("elements and covariance of the joint filter differ"));
@@ -76,7 +76,7 @@ impl JointMap {
     }
 
     pub(super) fn reset(&mut self) {
-        self.state = State::empty();
+        self.state = JointState::empty();
     }
 
     pub(super) fn numbers(&self) -> impl Iterator<Item = i64> {
@@ -105,7 +105,7 @@ impl JointMap {
         &mut self,
         scan: &CircleScan<'_>,
         next_id: &mut i64,
-    ) -> Result<Outcome, Error> {
+    ) -> Result<MapOutcome, Error> {
         self.check_stamp((scan.stamp_ns, scan.sensor))?;
         let pose = check(scan)?;
         let mut state = self.state.clone(); // an error must not leave it half updated
@@ -128,7 +128,7 @@ impl JointMap {
         state.delete(self.parameters.max_eigenvalue);
         (self.state, *next_id) = (state, number);
         let found = Found { circles: elements, lines: Vec::new() };
-        Ok(Outcome { late: false, found, merged: Vec::new() })
+        Ok(MapOutcome { late: false, found, merged: Vec::new() })
     }
 
     /// All elements, one prediction step later.
@@ -156,7 +156,7 @@ impl JointMap {
     }
 }
 
-impl State {
+impl JointState {
     fn empty() -> Self {
         Self { stamp_ns: None, sensors: Vec::new(), landmarks: Vec::new(), P: Covariance::empty() }
     }
@@ -200,7 +200,7 @@ impl State {
         for estimate in estimates {
             let mut best = (gate, None);
             for (index, landmark) in self.landmarks.iter().enumerate() {
-                let model = Model::of(pose, &landmark.x);
+                let model = MeasurementModel::of(pose, &landmark.x);
                 let y = measured(estimate) - model.z;
                 let S = model.innovation_covariance(&self.P, index) + matrix_of(estimate);
                 let distance = mahalanobis(&y, &symmetrised(S))?.squared;
@@ -223,8 +223,8 @@ impl State {
     ) -> Result<(), Error> {
         // All pairs are linearised at the predicted state: the result does not depend on their
         // order.
-        let predicted: Vec<Model> =
-            self.landmarks.iter().map(|landmark| Model::of(pose, &landmark.x)).collect();
+        let predicted: Vec<MeasurementModel> =
+            self.landmarks.iter().map(|landmark| MeasurementModel::of(pose, &landmark.x)).collect();
         let mut dx = vec![0.0; self.P.size()];
         for (estimate, index) in scan.estimates.iter().zip(matches) {
             let Some(index) = *index else { continue };
@@ -305,13 +305,13 @@ impl State {
 }
 
 /// Measurement model of one element, eqs 16-17, and its Jacobians.
-struct Model {
+struct MeasurementModel {
     z: Vector3<f64>,
     H_robot: Matrix3<f64>,
     H_element: Matrix3x5,
 }
 
-impl Model {
+impl MeasurementModel {
     fn of(pose: &LevelPose, x: &SVector<f64, ELEMENT>) -> Self {
         let [px, py] = pose.level([x[0], x[1]], x[4]).center;
         let back = pose.rotation().transpose();
@@ -425,10 +425,12 @@ mod tests {
     #[test]
     fn jacobians_agree_with_differences() {
         let (robot, x, z) = ([1.0, -2.0, 0.8], [4.0, 1.0, 0.3, -0.2, 0.25], [2.0, -1.0, 0.3]);
-        let model = Model::of(&pose(robot), &SVector::from(x));
-        let by_robot = differences(robot, |robot| Model::of(&pose(robot), &SVector::from(x)).z);
+        let model = MeasurementModel::of(&pose(robot), &SVector::from(x));
+        let by_robot =
+            differences(robot, |robot| MeasurementModel::of(&pose(robot), &SVector::from(x)).z);
         assert!((model.H_robot - by_robot).abs().max() < 1e-8);
-        let by_element = differences(x, |x| Model::of(&pose(robot), &SVector::from(x)).z);
+        let by_element =
+            differences(x, |x| MeasurementModel::of(&pose(robot), &SVector::from(x)).z);
         assert!((model.H_element - by_element).abs().max() < 1e-8);
         let (_, G_robot, G_z) = mapped(&pose(robot), &Vector3::from(z));
         let by_robot = differences(robot, |robot| mapped(&pose(robot), &Vector3::from(z)).0);

@@ -24,7 +24,7 @@ pub struct View<'a> {
 
 /// Visibility of a circle in a scan, ordered by how much it leaves open.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-pub enum Visibility {
+pub enum CircleVisibility {
     /// Rays passed beyond its place: it is not there.
     SeenThrough,
     /// Rays ended at its place.
@@ -111,11 +111,11 @@ impl SortedView {
 
     /// Visibility of `circle`, in the frame of the scan.
     #[must_use]
-    pub fn of(&self, circle: &Circle, looking: &Looking) -> Visibility {
+    pub fn of(&self, circle: &Circle, looking: &Looking) -> CircleVisibility {
         let Circle { center: [x, y], radius } = *circle;
         let distance = (x * x + y * y).sqrt();
         if distance <= radius || distance - radius < self.range_min {
-            return Visibility::OutOfView;
+            return CircleVisibility::OutOfView;
         }
         let bearing = libm::atan2(y, x);
         let half = libm::asin(radius / distance).min(FRAC_PI_2);
@@ -172,12 +172,12 @@ impl SortedView {
     /// Visibility of a line in the frame of the scan, whose front is on the left of the way from
     /// its first end to its second.
     #[must_use]
-    pub fn of_line(&self, ends: [[f64; 2]; 2], looking: &Looking) -> Visibility {
+    pub fn of_line(&self, ends: [[f64; 2]; 2], looking: &Looking) -> CircleVisibility {
         let [[x, y], [to_x, to_y]] = ends;
         let length = libm::hypot(to_x - x, to_y - y);
         let distance = (x * to_y - y * to_x) / length; // from the sensor to the line
         if distance.is_nan() || distance <= self.range_min {
-            return Visibility::OutOfView;
+            return CircleVisibility::OutOfView;
         }
         let bearings = [libm::atan2(y, x), libm::atan2(to_y, to_x)];
         let last = bearings[0] + turn(bearings[1] - bearings[0]);
@@ -221,18 +221,18 @@ impl SortedView {
 }
 
 impl Votes {
-    fn verdict(&self, looking: &Looking) -> Visibility {
+    fn verdict(&self, looking: &Looking) -> CircleVisibility {
         let Self { through, on, before } = *self;
         let (known, enough) = (through + on + before, looking.min_rays.max(1));
         if known < enough {
-            Visibility::OutOfView
+            CircleVisibility::OutOfView
         // Half of the rays: a few past the rim of the object are no proof against it.
         } else if through >= enough && 2 * through >= known {
-            Visibility::SeenThrough
+            CircleVisibility::SeenThrough
         } else if on >= enough && on >= before {
-            Visibility::Returns
+            CircleVisibility::Returns
         } else {
-            Visibility::Occluded
+            CircleVisibility::Occluded
         }
     }
 }
@@ -249,7 +249,7 @@ mod tests {
         PolarScan { ranges: bearings.iter().map(|&bearing| range(bearing)).collect(), bearings }
     }
 
-    fn seen(scan: &PolarScan, x: f64, y: f64, radius: f64) -> Result<Visibility, Error> {
+    fn seen(scan: &PolarScan, x: f64, y: f64, radius: f64) -> Result<CircleVisibility, Error> {
         let view = View { scan, range_min: 0.1, range_max: 10.0 }.sorted()?;
         Ok(view.of(&Circle { center: [x, y], radius }, &LOOKING))
     }
@@ -257,21 +257,21 @@ mod tests {
     #[test]
     fn a_wall_hides_what_is_behind_and_open_space_nothing() -> Result<(), Error> {
         let wall = scan(|bearing| if bearing.abs() < 0.5 { 5.0 } else { f64::INFINITY });
-        assert_eq!(seen(&wall, 7.0, 0.0, 0.3)?, Visibility::Occluded);
-        assert_eq!(seen(&wall, 3.0, 0.0, 0.3)?, Visibility::SeenThrough);
-        assert_eq!(seen(&wall, 5.25, 0.0, 0.3)?, Visibility::Returns);
-        assert_eq!(seen(&wall, 0.0, 7.0, 0.3)?, Visibility::SeenThrough);
+        assert_eq!(seen(&wall, 7.0, 0.0, 0.3)?, CircleVisibility::Occluded);
+        assert_eq!(seen(&wall, 3.0, 0.0, 0.3)?, CircleVisibility::SeenThrough);
+        assert_eq!(seen(&wall, 5.25, 0.0, 0.3)?, CircleVisibility::Returns);
+        assert_eq!(seen(&wall, 0.0, 7.0, 0.3)?, CircleVisibility::SeenThrough);
         Ok(())
     }
 
     #[test]
     fn where_no_ray_goes_nothing_is_known() -> Result<(), Error> {
         let open = scan(|_| f64::INFINITY);
-        assert_eq!(seen(&open, -5.0, 0.0, 0.3)?, Visibility::OutOfView); // behind the sensor
-        assert_eq!(seen(&open, 12.0, 0.0, 0.3)?, Visibility::OutOfView); // too far
-        assert_eq!(seen(&open, 0.05, 0.0, 0.3)?, Visibility::OutOfView); // around the sensor
-        assert_eq!(seen(&open, 9.0, 0.0, 0.01)?, Visibility::OutOfView); // too small
-        assert_eq!(seen(&scan(|_| f64::NAN), 5.0, 0.0, 0.3)?, Visibility::OutOfView);
+        assert_eq!(seen(&open, -5.0, 0.0, 0.3)?, CircleVisibility::OutOfView); // behind the sensor
+        assert_eq!(seen(&open, 12.0, 0.0, 0.3)?, CircleVisibility::OutOfView); // too far
+        assert_eq!(seen(&open, 0.05, 0.0, 0.3)?, CircleVisibility::OutOfView); // around the sensor
+        assert_eq!(seen(&open, 9.0, 0.0, 0.01)?, CircleVisibility::OutOfView); // too small
+        assert_eq!(seen(&scan(|_| f64::NAN), 5.0, 0.0, 0.3)?, CircleVisibility::OutOfView);
         Ok(())
     }
 
@@ -280,12 +280,12 @@ mod tests {
         let bearings: Vec<f64> = (0..720).map(|ray| f64::from(ray) * PI / 360.0).collect();
         let ranges = vec![f64::INFINITY; 720];
         let full = PolarScan { ranges, bearings };
-        assert_eq!(seen(&full, 4.0, 0.0, 0.2)?, Visibility::SeenThrough);
+        assert_eq!(seen(&full, 4.0, 0.0, 0.2)?, CircleVisibility::SeenThrough);
         let turned = PolarScan {
             bearings: full.bearings.iter().map(|bearing| libm::remainder(*bearing, TAU)).collect(),
             ..full.clone()
         };
-        assert_eq!(seen(&turned, -4.0, 0.0, 0.2)?, Visibility::SeenThrough);
+        assert_eq!(seen(&turned, -4.0, 0.0, 0.2)?, CircleVisibility::SeenThrough);
         Ok(())
     }
 

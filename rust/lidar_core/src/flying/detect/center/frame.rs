@@ -52,7 +52,7 @@ impl OpenFrame {
         let centroid = view.hits.iter().map(|hit| hit.point).sum::<Vector3<f64>>() / count;
         let origin = view.origin();
         let axes = axes_towards(centroid - origin);
-        let outline = Outline::of(view, &centroid, origin, &axes);
+        let outline = SeenExtent::of(view, &centroid, origin, &axes);
         let [open, closed] = SHARES;
         let share = ((outline.solid_share - open) / (closed - open)).clamp(0.0, 1.0);
         let between = |[open, closed]: [f64; 2]| open + share * (closed - open);
@@ -102,7 +102,7 @@ fn axes_towards(span: Vector3<f64>) -> [Vector3<f64>; 3] {
 }
 
 /// Extent of the target as seen from the sensor.
-struct Outline {
+struct SeenExtent {
     /// Distance of the points from their middle [m].
     reach: f64,
     /// Between neighbouring rays at the target [m].
@@ -110,7 +110,7 @@ struct Outline {
     solid_share: f64,
 }
 
-impl Outline {
+impl SeenExtent {
     fn of(
         view: &Sight,
         centroid: &Vector3<f64>,

@@ -13,7 +13,7 @@ mod sphere;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use sight::{Around, Hit, Ray, Region, Sight, SightSource};
+pub(crate) use sight::{Around, Region, Sight, SightRay, SightSource, TargetHit};
 
 use crate::Error;
 use crate::error::require;
@@ -69,11 +69,13 @@ pub fn target_center(
     check_finite("sensor_origin", &[origin], |_| true)?;
     check_finite("points_world", points, |_| true)?;
     check_finite("passing_directions", passing, |way| norm(way) > 0.0)?;
-    let hits: Vec<Hit> = points.iter().map(|&point| Hit::new(origin, point)).collect();
+    let hits: Vec<TargetHit> = points.iter().map(|&point| TargetHit::new(origin, point)).collect();
     let region = Region::of(&hits);
-    let ray =
-        |&way: &[f64; 3]| Ray { origin: origin.into(), direction: Vector3::from(way).normalize() };
-    let near = |ray: &Ray| ray.aside(&region.middle).norm() <= region.reach();
+    let ray = |&way: &[f64; 3]| SightRay {
+        origin: origin.into(),
+        direction: Vector3::from(way).normalize(),
+    };
+    let near = |ray: &SightRay| ray.aside(&region.middle).norm() <= region.reach();
     let passing = passing.iter().map(ray).filter(near).collect();
     Ok(Center::of(&Sight::new(hits, Around { passing, n_blocked: 0 }), range_std))
 }

@@ -12,7 +12,7 @@ const ENOUGH_BLOCKED: usize = 2;
 
 /// A ray from a sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Ray {
+pub(crate) struct SightRay {
     pub(crate) origin: Vector3<f64>,
     /// Unit vector.
     pub(crate) direction: Vector3<f64>,
@@ -20,8 +20,8 @@ pub(crate) struct Ray {
 
 /// A ray that hit the target.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Hit {
-    pub(crate) ray: Ray,
+pub(crate) struct TargetHit {
+    pub(crate) ray: SightRay,
     pub(crate) point: Vector3<f64>,
 }
 
@@ -29,9 +29,9 @@ pub(crate) struct Hit {
 #[derive(Clone, Debug)]
 pub(crate) struct Sight {
     /// At least one.
-    pub(crate) hits: Vec<Hit>,
+    pub(crate) hits: Vec<TargetHit>,
     /// Rays that went past the target, on either side and through its gaps.
-    pub(crate) passing: Vec<Ray>,
+    pub(crate) passing: Vec<SightRay>,
     /// True if rays beside the points ended nearer, so that a part of the target may be hidden.
     pub(crate) is_cut: bool,
     /// Number of these rays, the first ones, that are near the points.
@@ -51,7 +51,7 @@ pub(crate) struct Region {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Around {
     /// Rays that passed the target and went on behind it.
-    pub(crate) passing: Vec<Ray>,
+    pub(crate) passing: Vec<SightRay>,
     /// Number of rays that ended in front of the target.
     pub(crate) n_blocked: usize,
 }
@@ -59,13 +59,13 @@ pub(crate) struct Around {
 /// A scan that can be asked what it saw.
 pub(crate) trait SightSource {
     /// The hit of a row that has a point.
-    fn hit(&self, row: usize) -> Hit;
+    fn hit(&self, row: usize) -> TargetHit;
     /// For every region, the rays that come within [`MARGIN`] of it.
     fn around(&self, regions: &[Region]) -> Vec<Around>;
 
     /// Sights of targets, given the rows of their points, none of them empty.
     fn sights(&self, targets: &[&[u32]]) -> Vec<Sight> {
-        let hits: Vec<Vec<Hit>> = targets
+        let hits: Vec<Vec<TargetHit>> = targets
             .iter()
             .map(|rows| rows.iter().map(|&row| self.hit(row as usize)).collect())
             .collect();
@@ -75,7 +75,7 @@ pub(crate) trait SightSource {
     }
 }
 
-impl Ray {
+impl SightRay {
     /// Offset of `point` from the nearest place on the line of the ray.
     pub(crate) fn aside(&self, point: &Vector3<f64>) -> Vector3<f64> {
         let span = point - self.origin;
@@ -83,16 +83,16 @@ impl Ray {
     }
 }
 
-impl Hit {
+impl TargetHit {
     pub(crate) fn new(origin: [f64; 3], point: [f64; 3]) -> Self {
         let (origin, point) = (Vector3::from(origin), Vector3::from(point));
         let direction = (point - origin).try_normalize(f64::MIN_POSITIVE);
-        Self { ray: Ray { origin, direction: direction.unwrap_or(Vector3::x()) }, point }
+        Self { ray: SightRay { origin, direction: direction.unwrap_or(Vector3::x()) }, point }
     }
 }
 
 impl Region {
-    pub(crate) fn of(hits: &[Hit]) -> Self {
+    pub(crate) fn of(hits: &[TargetHit]) -> Self {
         let (mut low, mut high) = (Vector3::repeat(f64::MAX), Vector3::repeat(f64::MIN));
         for hit in hits {
             low = low.inf(&hit.point);
@@ -109,7 +109,7 @@ impl Region {
 
 impl Sight {
     /// Sorts what it is given, so that results do not depend on the order of rays.
-    pub(crate) fn new(mut hits: Vec<Hit>, around: Around) -> Self {
+    pub(crate) fn new(mut hits: Vec<TargetHit>, around: Around) -> Self {
         let Around { mut passing, n_blocked } = around;
         let region = Region::of(&hits);
         hits.sort_by(|one, other| order(&one.point, &other.point));
@@ -117,7 +117,7 @@ impl Sight {
             let by_origin = || order(&one.origin, &other.origin);
             order(&one.direction, &other.direction).then_with(by_origin)
         });
-        let is_near = |ray: &&Ray| ray.aside(&region.middle).norm() <= region.radius + NEAR;
+        let is_near = |ray: &&SightRay| ray.aside(&region.middle).norm() <= region.radius + NEAR;
         let mut sorted = Vec::with_capacity(passing.len());
         sorted.extend(passing.iter().filter(is_near));
         let n_near = sorted.len();
@@ -125,7 +125,7 @@ impl Sight {
         Self { hits, passing: sorted, is_cut: n_blocked >= ENOUGH_BLOCKED, n_near }
     }
 
-    pub(super) fn near_passing(&self) -> &[Ray] {
+    pub(super) fn near_passing(&self) -> &[SightRay] {
         &self.passing[..self.n_near]
     }
 

@@ -1,6 +1,6 @@
 //! The ball that points lie on and that passing rays miss.
 
-use super::sight::{Hit, Ray, Sight};
+use super::sight::{Sight, SightRay, TargetHit};
 use super::{Matrix3, Vector3};
 use nalgebra::{SMatrix, SVector};
 
@@ -120,7 +120,7 @@ impl Normal {
     }
 
     /// The noise of a range counts towards the surface by the cosine of the incidence.
-    fn add_hit(&mut self, hit: &Hit, center: &Vector3<f64>, radius: f64, range_std: f64) {
+    fn add_hit(&mut self, hit: &TargetHit, center: &Vector3<f64>, radius: f64, range_std: f64) {
         let offset = hit.point - center;
         let distance = offset.norm().max(1e-9);
         let aside = hit.ray.aside(center).norm();
@@ -130,7 +130,7 @@ impl Normal {
         self.add((distance - radius) * scale, &slope);
     }
 
-    fn add_passing(&mut self, ray: &Ray, center: &Vector3<f64>, radius: f64) {
+    fn add_passing(&mut self, ray: &SightRay, center: &Vector3<f64>, radius: f64) {
         let aside = ray.aside(center);
         let distance = aside.norm().max(1e-9);
         if distance < radius && (center - ray.origin).dot(&ray.direction) > 0.0 {

@@ -30,17 +30,17 @@ impl<F: Fn(Vector3<f64>) -> Option<f64>> Fan<F> {
 }
 
 impl<F: Fn(Vector3<f64>) -> Option<f64>> SightSource for Fan<F> {
-    fn hit(&self, row: usize) -> Hit {
+    fn hit(&self, row: usize) -> TargetHit {
         let way = self.rows()[row];
-        Hit::new([0.0; 3], (way * (self.0)(way).unwrap_or(f64::NAN)).into())
+        TargetHit::new([0.0; 3], (way * (self.0)(way).unwrap_or(f64::NAN)).into())
     }
 
     fn around(&self, regions: &[Region]) -> Vec<Around> {
         let past = |way: &Vector3<f64>| (self.0)(*way).is_none();
-        let ray = |direction| Ray { origin: Vector3::zeros(), direction };
+        let ray = |direction| SightRay { origin: Vector3::zeros(), direction };
         let near = |region: &Region| {
             let rays = self.rows().into_iter().filter(past).map(ray);
-            let is_near = |ray: &Ray| ray.aside(&region.middle).norm() <= region.reach();
+            let is_near = |ray: &SightRay| ray.aside(&region.middle).norm() <= region.reach();
             Around { passing: rays.filter(is_near).collect(), n_blocked: 0 }
         };
         regions.iter().map(near).collect()
@@ -110,7 +110,7 @@ fn the_order_of_rays_does_not_matter() {
 
 #[test]
 fn one_point_without_any_other_ray_is_a_place() -> Result<(), Error> {
-    let hits = vec![Hit::new([0.0; 3], [5.0, 0.0, 0.0])];
+    let hits = vec![TargetHit::new([0.0; 3], [5.0, 0.0, 0.0])];
     let center = Center::of(&Sight::new(hits, Around::default()), STD);
     assert!(center.position.iter().all(|value| value.is_finite()));
     assert!((center.position.x - 5.0).abs() < 0.7 && center.position.y.abs() < 0.01);
