@@ -22,6 +22,8 @@ MOST_IN_A_CIRCLE = {CORE: 2, SIMULATOR: 2, PACKAGE: 0}
 MOST_TESTS_IN_A_FOLDER = 16
 CIRCLES_ACROSS = {CORE: 0, SIMULATOR: 1, PACKAGE: 0}
 """Circles between folders; these numbers only fall."""
+DEFINED_TWICE = {"Measurement", "Motion", "NoiseForm", "Sensor", "State"}
+"""Rust type names that two places define; this set only gets smaller."""
 
 RUST_FLOORS = (
     {"error"},
@@ -64,6 +66,10 @@ def heads_of(root):
 
 
 ROOTS = pytest.mark.parametrize("root", READERS, ids=lambda root: root.parent.name)
+
+
+def test_rust_type_names_are_defined_once():
+    assert set(house.rust_types_defined_twice([CORE])) == DEFINED_TWICE
 
 
 @ROOTS
