@@ -2,7 +2,7 @@
 //!
 //! Source: Vrba et al., eqs 9 and 12.
 
-use super::accumulator::{Accumulator, Slot};
+use super::accumulate::accumulator::{Accumulator, Slot};
 use super::voxel_update::Rule;
 use crate::Error;
 use crate::flying::map::blocks::{Bits, Block, Blocks, Place, VOLUME};

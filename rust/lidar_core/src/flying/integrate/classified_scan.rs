@@ -1,6 +1,6 @@
 //! Input and counts of the update of a map by one scan.
 
-use super::mark::Content;
+use super::accumulate::mark::Content;
 use super::pose_weights::{PoseError, PoseNoise};
 use crate::Error;
 use crate::flying::point_class::{BACKGROUND, FLYING, UNKNOWN};

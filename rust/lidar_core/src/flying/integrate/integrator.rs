@@ -5,17 +5,17 @@
 //!
 //! Source: Vrba et al., eqs 8-12 and 16-22.
 
-use super::accumulator::Accumulator;
+use super::accumulate::accumulator::Accumulator;
+use super::accumulate::live_bricks::LiveBricks;
+use super::accumulate::mark::Content;
+use super::accumulate::window::Window;
 use super::block_update::{MarkedBlock, update_blocks};
 use super::classified_scan::{ClassifiedScan, IntegrateStats, check_classes};
-use super::live_bricks::LiveBricks;
-use super::mark::Content;
 use super::plan::Plan;
 use super::pose_weights::{PoseError, mark_points};
 use super::ray_lanes::CastTask;
 use super::ray_segments::Source;
 use super::walk::{cast_all, merge_ends};
-use super::window::Window;
 use crate::Error;
 use crate::flying::map::parameters::{Rays, Skip};
 use crate::flying::map::voxel_map::VoxelMap;

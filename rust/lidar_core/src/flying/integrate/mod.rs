@@ -1,20 +1,15 @@
 //! A scan into the map: rays cast through blocks, marks per voxel, one update per voxel.
 
-pub(crate) mod accumulator;
+pub(crate) mod accumulate;
 pub(crate) mod block_update;
 pub mod classified_scan;
-pub(crate) mod dense_blocks;
 pub mod integrator;
-pub(crate) mod live_bricks;
-pub(crate) mod mark;
 pub(crate) mod plan;
 pub mod pose_weights;
 pub(crate) mod ray_lanes;
 pub(crate) mod ray_segments;
 #[cfg(test)]
 mod skip_tests;
-pub(crate) mod sparse_blocks;
 pub(crate) mod stretches;
 pub(crate) mod voxel_update;
 pub(crate) mod walk;
-pub(crate) mod window;

@@ -3,8 +3,8 @@
 //! Loops over the lanes of a bundle, which the compiler turns into instructions of the vector unit
 //! that calls them.
 
+use super::accumulate::mark::Content;
 use super::classified_scan::{IntegrateStats, check_lengths, content_of};
-use super::mark::Content;
 use super::ray_segments::{Bounds, Flags, Indices, LANES, Numbers, Ray, Source};
 use crate::Error;
 use crate::flying::point_class::INVALID;

@@ -5,8 +5,8 @@
 //! probability that the point lies there (Vrba et al., eqs 41-46), taken along the map's axes one by
 //! one and for a point in the middle of its voxel, so that all points of a voxel have the same.
 
-use super::accumulator::Accumulator;
-use super::mark::{Content, POINT_UNITS};
+use super::accumulate::accumulator::Accumulator;
+use super::accumulate::mark::{Content, POINT_UNITS};
 use crate::flying::analysis::{PoseSpread, pose_jacobian};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::{Lattice, Voxel};

@@ -4,12 +4,12 @@
 //! whole numbers (docs/adr/0002). Every ray is mirrored so that it runs upwards along all axes. At an
 //! edge or corner the lowest axis goes first, as in `geometry::traverse`.
 
-use super::accumulator::{Accumulator, STEPS};
-use super::live_bricks::LiveBricks;
-use super::mark::UNITS_PER_EDGE;
+use super::accumulate::accumulator::{Accumulator, STEPS};
+use super::accumulate::live_bricks::LiveBricks;
+use super::accumulate::mark::UNITS_PER_EDGE;
+use super::accumulate::window::Window;
 use super::ray_segments::{LANES, Lanes, Numbers, Ray, RaySegments, Source, least, places};
 use super::stretches::Stretches;
-use super::window::Window;
 use crate::geometry::lattice::whole;
 use pulp::{Arch, Simd, WithSimd};
 

@@ -3,8 +3,8 @@
 //! Loops over the lanes of a bundle, which the compiler turns into instructions of the vector unit
 //! that calls them.
 
+use super::accumulate::window::Window;
 use super::classified_scan::{ClassifiedScan, Origins};
-use super::window::Window;
 use crate::Error;
 use crate::flying::map::parameters::MapParameters;
 use crate::geometry::lattice::{Lattice, Voxel, floor, whole, wide};

@@ -6,10 +6,10 @@
 //! that lie before it along every axis are counted by one division, exactly: a stretch visits the
 //! voxels that the whole ray visits there, with the same lengths.
 
-use super::live_bricks::{INSIDE, LiveBricks};
+use super::accumulate::live_bricks::{INSIDE, LiveBricks};
+use super::accumulate::window::Window;
 use super::ray_lanes::{Bundle, BundleWay, NEVER, vectors};
 use super::ray_segments::{LANES, Lanes};
-use super::window::Window;
 use crate::flying::map::blocks::{EDGE_BITS, VOLUME};
 use crate::flying::map::inert::BRICK_BITS;
 use crate::geometry::lattice::whole;

@@ -2,8 +2,10 @@
 //!
 //! Source: Vrba et al., eqs 9 and 12.
 
-use super::dense_blocks::{MarkRow, rows_of};
-use super::mark::{Content, MAX_COUNT, Mark, POINT_UNITS, UNITS_PER_EDGE, tag_and_count};
+use super::accumulate::dense_blocks::{MarkRow, rows_of};
+use super::accumulate::mark::{
+    Content, MAX_COUNT, Mark, POINT_UNITS, UNITS_PER_EDGE, tag_and_count,
+};
 use crate::flying::map::blocks::{Bits, Block, EDGE, Place, Row, VOLUME, assign};
 use crate::flying::map::filter::{Levels, filtered, two_to_minus};
 use crate::flying::map::parameters::RayUnit;

@@ -3,12 +3,12 @@
 //! Lengths are summed as integers in a window of blocks around the rays, so the result depends
 //! neither on the order of the rays nor on the number of threads.
 
-use super::accumulator::Accumulator;
-use super::mark::{RAYS_FROM_EMPTY, RAYS_FROM_FULL};
+use super::accumulate::accumulator::Accumulator;
+use super::accumulate::mark::{RAYS_FROM_EMPTY, RAYS_FROM_FULL};
+use super::accumulate::window::Window;
 use super::ray_lanes::{CastTask, cast};
 use super::ray_segments::{LANES, Ray, Source, places};
 use super::stretches::Stretches;
-use super::window::Window;
 use crate::Error;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::ThreadPool;
@@ -128,8 +128,10 @@ fn take<'a>(chunks: &Mutex<Chunks<'a, Ray>>, thread: usize) -> Option<&'a [Ray]>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flying::integrate::accumulator::Slot;
-    use crate::flying::integrate::mark::{Content, Mark, UNITS_PER_EDGE, tag_and_count};
+    use crate::flying::integrate::accumulate::accumulator::Slot;
+    use crate::flying::integrate::accumulate::mark::{
+        Content, Mark, UNITS_PER_EDGE, tag_and_count,
+    };
     use crate::flying::integrate::ray_segments::tests::with_rays;
     use crate::flying::map::blocks::{Place, VOLUME};
     use crate::geometry::lattice::Lattice;

@@ -3,10 +3,10 @@
 use super::buffer::Buffer;
 use super::measurement::{CloudScan, Measurement};
 use super::motion::{position, position_block, position_matrix};
-use super::occupancy::Occupancy;
 use super::parameters::{Association, MAX_TRACKS, MeasurementForm, TrackerParameters};
 use super::state::PointTrack;
 use super::update::Updater;
+use super::visibility::occupancy::Occupancy;
 use crate::Error;
 use nalgebra::{Matrix3, Vector3};
 

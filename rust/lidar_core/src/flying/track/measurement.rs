@@ -1,7 +1,7 @@
 //! Inputs of a track: a scan, what is measured in it, and where a track looks for it.
 
-use super::occupancy::{Occupancy, Visibility};
 use super::parameters::Hiding;
+use super::visibility::occupancy::{Occupancy, Visibility};
 use nalgebra::{Matrix3, Vector3};
 
 /// Input of an update from one scan.

@@ -11,26 +11,24 @@ mod full_state;
 mod lifecycle;
 mod measurement;
 mod motion;
-mod occupancy;
 mod pairs;
 mod parameters;
-mod select;
 mod split;
 mod state;
 mod update;
-mod view;
+mod visibility;
 
 #[cfg(test)]
 mod tests;
 
 pub use detections::Detections;
 pub(crate) use full_state::{SavedTracker, TrackerState};
-pub use occupancy::{Occupancy, OccupiedPoints, Visibility};
 pub use parameters::{
     Ageing, Association, Confirmation, Doubt, Hiding, MAX_TRACKS, MAX_WINDOW, MeasurementForm,
     Merging, Motion, NoiseForm, Radius, RadiusForm, TrackerParameters,
 };
-pub use view::CloudView;
+pub use visibility::occupancy::{Occupancy, OccupiedPoints, Visibility};
+pub use visibility::view::CloudView;
 
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, symmetrised};

@@ -7,7 +7,7 @@ use crate::flying::map::voxel_map::VoxelMap;
 /// All bricks of a block.
 const ALL: Bricks = Bricks::MAX;
 /// Bits of the place of a brick in its block.
-pub(super) const INSIDE: u32 = 3;
+pub(in crate::flying::integrate) const INSIDE: u32 = 3;
 
 /// For every block of a window, the bricks that hold a voxel which rays may change.
 #[derive(Default)]
@@ -56,20 +56,20 @@ impl LiveBricks {
 
     /// True if enough of what is known is passed to pay for the search of what is not: one brick in
     /// sixteen.
-    pub(super) fn is_worth_it(&self) -> bool {
+    pub(in crate::flying::integrate) fn is_worth_it(&self) -> bool {
         16 * self.n_inert > self.n_known
     }
 
     /// 1 for a brick that holds a voxel which may change, given by that of its block and its own place
     /// there; 0 for others.
     #[inline(always)]
-    pub(super) fn is_live(&self, brick: u32) -> u64 {
+    pub(in crate::flying::integrate) fn is_live(&self, brick: u32) -> u64 {
         let bricks = self.blocks[(brick >> INSIDE) as usize];
         u64::from(bricks >> (brick % (1 << INSIDE)) & 1)
     }
 
     /// True if rays may have met the block at `index` of the window.
-    pub(super) fn has_live(&self, index: usize) -> bool {
+    pub(in crate::flying::integrate) fn has_live(&self, index: usize) -> bool {
         self.blocks[index] != 0
     }
 }

@@ -11,16 +11,16 @@ const MAX_RADIUS: f64 = 1e6;
 
 /// Region of a track.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Ball {
-    pub(super) center: [f64; 3],
-    pub(super) radius: f64,
+pub(in crate::flying::track) struct Ball {
+    pub(in crate::flying::track) center: [f64; 3],
+    pub(in crate::flying::track) radius: f64,
 }
 
 /// Index of a point and of a ball that holds it.
-pub(super) type PointInBall = (u32, u32);
+pub(in crate::flying::track) type PointInBall = (u32, u32);
 
 /// All pairs of a point and a ball that holds it, by ascending point, then ball.
-pub(super) fn hits(
+pub(in crate::flying::track) fn hits(
     pool: &rayon::ThreadPool,
     points: &[[f32; 3]],
     balls: &[Ball],

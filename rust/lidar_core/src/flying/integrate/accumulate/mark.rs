@@ -16,9 +16,10 @@ pub(crate) const UNITS_PER_EDGE: f64 = 16_384.0;
 // sqrt(3) = 1.732 edges; the rest is room for rounded positions.
 const MOST_UNITS: u32 = (1.75 * UNITS_PER_EDGE) as u32;
 /// Number of rays that cannot make an empty mark overflow.
-pub(super) const RAYS_FROM_EMPTY: usize = (u32::MAX / MOST_UNITS) as usize;
+pub(in crate::flying::integrate) const RAYS_FROM_EMPTY: usize = (u32::MAX / MOST_UNITS) as usize;
 /// Number of rays that cannot make a mark of `MAX_COUNT` overflow.
-pub(super) const RAYS_FROM_FULL: usize = ((u32::MAX - MAX_COUNT) / MOST_UNITS) as usize;
+pub(in crate::flying::integrate) const RAYS_FROM_FULL: usize =
+    ((u32::MAX - MAX_COUNT) / MOST_UNITS) as usize;
 
 /// Classes that a voxel's points can have, weakest first: of several the strongest counts
 /// (first matching case of eq. 9: background, then flying or unknown, then rays).
@@ -39,7 +40,7 @@ pub(crate) fn tag_and_count(mark: Mark) -> (u32, u32) {
 /// A mark to which points, or as many units, of class `content` are added. Stronger contents are
 /// greater numbers: arithmetic alone, since no branch could be foreseen.
 #[inline(always)]
-pub(super) fn with_points(mark: Mark, content: Content, units: u32) -> Mark {
+pub(in crate::flying::integrate) fn with_points(mark: Mark, content: Content, units: u32) -> Mark {
     // A weaker mark lies below `none`, so the maximum drops its count. A stronger one lies above
     // `none | MAX_COUNT`, so the last maximum keeps it. The minimum stops a full count before it
     // carries into the class.

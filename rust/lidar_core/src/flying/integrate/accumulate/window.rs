@@ -96,7 +96,7 @@ impl Window {
 
     /// Bits along `axis` of a voxel that is so many after the first.
     #[inline(always)]
-    pub(super) fn bits_at(&self, axis: usize, after: u32) -> u32 {
+    pub(in crate::flying::integrate) fn bits_at(&self, axis: usize, after: u32) -> u32 {
         let (inside, block) = (after % EDGE as u32, after / EDGE as u32);
         // An axis of one block may have its lowest bit at 32: the block is 0 then, whatever the shift.
         inside << (EDGE_BITS as usize * axis) | block.wrapping_shl(self.lowest[axis])
@@ -104,14 +104,14 @@ impl Window {
 
     /// All bits of a place that belong to an axis.
     #[inline(always)]
-    pub(super) fn bits_along(&self, axis: usize) -> u32 {
+    pub(in crate::flying::integrate) fn bits_along(&self, axis: usize) -> u32 {
         let (inside, block) = ((EDGE as u32) - 1, (1u32 << self.bits[axis]) - 1);
         inside << (EDGE_BITS as usize * axis) | block.wrapping_shl(self.lowest[axis])
     }
 
     /// Place of a voxel, if it lies in the window.
     #[inline(always)]
-    pub(super) fn place_of(&self, voxel: Voxel) -> Option<usize> {
+    pub(in crate::flying::integrate) fn place_of(&self, voxel: Voxel) -> Option<usize> {
         let mut after = [0; 3];
         for axis in 0..3 {
             // One comparison for both sides: a voxel below the first wraps to a number beyond any size.

@@ -16,7 +16,7 @@ const EMPTY: u32 = u32::MAX;
 const POINTS_AT_A_TIME: usize = 64;
 
 /// Steps of a ray that are added in one go.
-pub(super) const STEPS: usize = 8;
+pub(in crate::flying::integrate) const STEPS: usize = 8;
 /// Steps of `N` rays side by side.
 pub(crate) type Steps<const N: usize> = [[u32; N]; STEPS];
 
@@ -124,17 +124,17 @@ impl Accumulator {
     }
 
     /// Note that rays were cast which cross so many voxels.
-    pub(super) fn count(&mut self, visits: u64) {
+    pub(in crate::flying::integrate) fn count(&mut self, visits: u64) {
         self.visits += visits;
     }
 
     /// Note that rays left their lengths in so many of the voxels.
-    pub(super) fn count_walked(&mut self, visits: u64) {
+    pub(in crate::flying::integrate) fn count_walked(&mut self, visits: u64) {
         self.walked += visits;
     }
 
     /// Full marks stay full; the rows that rays met are noted. Rays visited `live` bricks alone.
-    pub(super) fn settle(&mut self, live: Option<&LiveBricks>) {
+    pub(in crate::flying::integrate) fn settle(&mut self, live: Option<&LiveBricks>) {
         match self.window {
             Some(window) if window.is_whole() => {
                 let is_met = |&index: &usize| live.is_none_or(|live| live.has_live(index));
@@ -145,7 +145,10 @@ impl Accumulator {
     }
 
     /// Note points, each with its class.
-    pub(super) fn mark_all(&mut self, mut points: impl Iterator<Item = (Voxel, Content)>) {
+    pub(in crate::flying::integrate) fn mark_all(
+        &mut self,
+        mut points: impl Iterator<Item = (Voxel, Content)>,
+    ) {
         let Some(window) = self.window else { return };
         let mut spots = [(0, Content::Rays); POINTS_AT_A_TIME];
         loop {
@@ -194,7 +197,11 @@ impl Accumulator {
 
     /// Mark at a place of the window that is about to be set.
     #[inline(always)]
-    pub(super) fn mark_within(&mut self, window: &Window, place: usize) -> &mut Mark {
+    pub(in crate::flying::integrate) fn mark_within(
+        &mut self,
+        window: &Window,
+        place: usize,
+    ) -> &mut Mark {
         let spot = self.spot_within(window, place);
         &mut self.dense.marks_mut()[spot]
     }

@@ -74,7 +74,7 @@ impl Occupancy for OccupiedPoints {
 }
 
 /// Cell of a point; far away all points share the last cell, which costs time, not correctness.
-pub(super) fn cell_of(point: [f64; 3], cell_size: f64) -> Cell {
+pub(in crate::flying::track) fn cell_of(point: [f64; 3], cell_size: f64) -> Cell {
     point.map(|value| {
         let scaled = value / cell_size;
         let whole = scaled as i32; // towards zero; `floor` is a function call on baseline x86-64

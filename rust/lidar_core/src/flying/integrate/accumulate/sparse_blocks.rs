@@ -12,7 +12,7 @@ use std::hash::BuildHasherDefault;
 pub(crate) struct SparseBlocks {
     slots: HashMap<Place, u32, BuildHasherDefault<Spread>>,
     /// Blocks with their slots.
-    pub(super) opened: Vec<(Place, u32)>,
+    pub(in crate::flying::integrate) opened: Vec<(Place, u32)>,
     /// The last block that was asked for: points side by side share it.
     last: Option<(Place, u32)>,
     /// Per slot, a bit for each row that holds marks; then the index of each such row.
@@ -52,7 +52,7 @@ impl SparseBlocks {
 
     /// Place of a mark that is about to be set.
     #[inline(always)]
-    pub(super) fn spot(&mut self, slot: usize, offset: usize) -> usize {
+    pub(in crate::flying::integrate) fn spot(&mut self, slot: usize, offset: usize) -> usize {
         let (row, at) = (offset / EDGE as usize, offset % EDGE as usize);
         if self.met[slot] >> row & 1 == 0 {
             self.met[slot] |= 1 << row;
@@ -65,7 +65,7 @@ impl SparseBlocks {
 
     /// Marks of all rows.
     #[inline(always)]
-    pub(super) fn marks_mut(&mut self) -> &mut [Mark] {
+    pub(in crate::flying::integrate) fn marks_mut(&mut self) -> &mut [Mark] {
         self.rows.as_flattened_mut()
     }
 

@@ -7,13 +7,13 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 
 /// Marks of a row of x.
-pub(super) type MarkRow = [Mark; EDGE as usize];
+pub(in crate::flying::integrate) type MarkRow = [Mark; EDGE as usize];
 /// Blocks that a thread takes at a time.
 const BLOCKS_AT_A_TIME: usize = 64;
 
 /// Marks of blocks by their slot. All zero between scans.
 #[derive(Default)]
-pub(super) struct DenseBlocks {
+pub(in crate::flying::integrate) struct DenseBlocks {
     marks: Vec<Mark>,
     /// Per block, a bit for each row that holds marks; marks of rays count once they are settled.
     met: Vec<u64>,
@@ -44,13 +44,13 @@ impl DenseBlocks {
 
     /// Marks of all slots.
     #[inline(always)]
-    pub(super) fn marks_mut(&mut self) -> &mut [Mark] {
+    pub(in crate::flying::integrate) fn marks_mut(&mut self) -> &mut [Mark] {
         &mut self.marks
     }
 
     /// Place of a mark that is about to be set.
     #[inline(always)]
-    pub(super) fn spot(&mut self, slot: usize, offset: usize) -> usize {
+    pub(in crate::flying::integrate) fn spot(&mut self, slot: usize, offset: usize) -> usize {
         // 512 voxels are 64 rows of 8: a bit for each fits one word.
         self.met[slot] |= 1 << (offset / EDGE as usize);
         slot * VOLUME + offset

@@ -1,0 +1,8 @@
+//! Sums of one scan per voxel: the window of blocks around its rays, and what each voxel received.
+
+pub(crate) mod accumulator;
+pub(crate) mod dense_blocks;
+pub(crate) mod live_bricks;
+pub(crate) mod mark;
+pub(crate) mod sparse_blocks;
+pub(crate) mod window;
