@@ -298,6 +298,17 @@ def test_a_parameter_of_an_earlier_version_is_told_with_what_holds_instead(tmp_p
     assert lidar_core.sim.Scene.read(file).sensor.velocity == (1, 0, 0)
 
 
+def test_a_parameter_that_another_table_had_is_only_unknown():
+    """A barrel had a radius; a box never had one."""
+    target = {"shape": {"kind": "barrel", "radius": 1.0}, "motion": {"kind": "hover"}}
+    target["motion"]["position"] = [0, 0, 0]
+    with pytest.raises(ConfigError, match=r"barrel\.radius: is no parameter any more: a drum"):
+        lidar_core.sim.Scene.load({"targets": [target]})
+    target["shape"] = {"kind": "box", "size": [1, 1, 1], "radius": 1.0}
+    with pytest.raises(ConfigError, match=r"box\.radius: no such parameter, got 1\.0"):
+        lidar_core.sim.Scene.load({"targets": [target]})
+
+
 def test_no_removed_parameter_is_there():
     for name in MODELS:
         for model in models_within(model_named(name)):

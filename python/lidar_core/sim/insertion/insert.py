@@ -34,6 +34,8 @@ PLACES_TO_TRY, STEPS_ROUND = 4000, 48
 
 SPEED_PERIOD = 6.0
 """From fastest to fastest [s]."""
+TILT_DEG = 20.0
+"""Greatest tilt of the circle of a flight [deg]."""
 
 
 class InsertedFlight(Config):
@@ -41,6 +43,7 @@ class InsertedFlight(Config):
 
     removed: ClassVar[Mapping[str, str]] = {
         "speed_period": "the speed repeats after 6 s",
+        "tilt_deg": "circles are tilted by up to 20 deg",
     }
     scans: int = Field(200, ge=1, description="Length (count, no unit).")
     scan_rate: float = Field(10.0, gt=0, le=1000, description="Scans per second [Hz].")
@@ -48,7 +51,6 @@ class InsertedFlight(Config):
     clearance: float = Field(1.0, ge=0, description="Least free space around the target [m].")
     distance: tuple[float, float] = Field((4.0, 18.0), description="From the sensor [m].")
     circle: tuple[float, float] = Field((3.0, 6.0), description="Radius of the flight [m].")
-    tilt_deg: float = Field(20.0, ge=0, le=90, description="Greatest tilt of the circle [deg].")
     speed: tuple[float, float] = Field((1.0, 4.0), description="Least and greatest [m/s].")
     range_std: float = Field(
         0.03, ge=0, description="Noise added to every range of a repeated scan [m]."
@@ -309,7 +311,7 @@ def _free_circle(rays: _Rays, flight: InsertedFlight, rng: np.random.Generator) 
 def _random_circle(flight: InsertedFlight, rng: np.random.Generator) -> _Circle:
     far = flight.distance[1]
     azimuth, tilt_azimuth = rng.uniform(-np.pi, np.pi, 2)
-    tilt = np.deg2rad(rng.uniform(0, flight.tilt_deg))
+    tilt = np.deg2rad(rng.uniform(0, TILT_DEG))
     radius = rng.uniform(*flight.circle)
     away = rng.uniform(0, far)
     center = np.array(
