@@ -8,11 +8,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 
 from lidar_core.errors import LidarCoreError
+from lidar_core.util.rows import Row
 from lidar_core.util.threads import all_threads
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ READ, WRITTEN = "What is read", "What is written"
 """Groups of options in a `--help`: each is a table as wide as its own names need."""
 
 
+Mode = Literal["best", "paper"]
 Threads: TypeAlias = Annotated[
     int,
     typer.Option(
@@ -145,14 +147,6 @@ def stoppable(command: Callable[..., None]) -> Callable[..., None]:
             raise
 
     return called
-
-
-class Row(NamedTuple):
-    """One line of a table of results."""
-
-    name: str
-    value: str
-    remark: str
 
 
 def consoles(json_file: Path | None) -> "tuple[Console, Console]":
@@ -305,8 +299,3 @@ def write_json(result: Mapping[str, Any] | list[Any], json_file: Path | None) ->
     json_file.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(json_file) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
-
-
-def number(value: float | None, digits: int, unit: str = "") -> str:
-    """A number for people; a dash where there is none."""
-    return "-" if value is None else f"{value:.{digits}f}{unit}"

@@ -81,13 +81,16 @@ pub struct IntegrateStats {
     pub no_return_rays: usize,
     /// Voxels crossed by rays, each crossing counted.
     pub visits: u64,
-    /// Of these, crossings passed in one step with their brick
+    /// Of these, crossings that rays passed in one step
     /// ([`Skip`](crate::flying::map::parameters::Skip)).
     pub visits_skipped: u64,
     /// Voxels that points lie in or that rays visited, without those that they passed.
     pub voxels: usize,
     /// Voxels whose value is another one than before; the same number whatever is passed.
     pub voxels_changed: usize,
+    /// Observed voxels that the map forgot, farthest from the scan first, to stay within
+    /// [`MapParameters::max_voxels`](crate::flying::map::parameters::MapParameters::max_voxels).
+    pub voxels_forgotten: usize,
 }
 
 impl IntegrateStats {

@@ -1,7 +1,6 @@
 //! Marks of one scan: points or ray length per voxel.
 
 use super::dense_blocks::DenseBlocks;
-use super::live_bricks::LiveBricks;
 use super::mark::{Content, Mark, tag_and_count, with_points};
 use super::sparse_blocks::SparseBlocks;
 use super::window::Window;
@@ -133,12 +132,11 @@ impl Accumulator {
         self.walked += visits;
     }
 
-    /// Full marks stay full; the rows that rays met are noted. Rays visited `live` bricks alone.
-    pub(in crate::flying::integrate) fn settle(&mut self, live: Option<&LiveBricks>) {
+    /// Full marks stay full; the rows that rays met are noted. `meets` knows the blocks that they met.
+    pub(in crate::flying::integrate) fn settle(&mut self, meets: impl Fn(usize) -> bool) {
         match self.window {
             Some(window) if window.is_whole() => {
-                let is_met = |&index: &usize| live.is_none_or(|live| live.has_live(index));
-                self.dense.settle(window.indices().filter(is_met));
+                self.dense.settle(window.indices().filter(|index| meets(*index)));
             }
             _ => self.dense.settle(0..self.opened.len()),
         }
