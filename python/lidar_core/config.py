@@ -30,7 +30,8 @@ class Config(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     removed: ClassVar[Mapping[str, str]] = {}
-    """Parameters of earlier versions that files may still have, and what holds instead."""
+    """Parameters of earlier versions that files may still have, and what holds instead; of one that
+    has moved, "write it as" and its new place."""
 
     def __init__(self, **values: Any) -> None:
         try:
@@ -187,7 +188,8 @@ def _told(problem: Any, model: type[BaseModel]) -> str:
         case "missing":
             return "has to be given"
         case "extra_forbidden" if reason := _removed(model, problem["loc"]):
-            return f"is no parameter any more: {reason}; leave it out"
+            cure = "" if reason.startswith("write it as") else "; leave it out"
+            return f"is no parameter any more: {reason}{cure}"
         case "extra_forbidden":
             return f"no such parameter, got {_short(received)}{_meant(place, fields)}"
         case "value_error" if isinstance(received, dict):

@@ -13,7 +13,7 @@ const MOST_LINES: usize = 64;
 /// ratio and a thousand times the root of five have no common measure with each other or with usual
 /// scan rates, so the pattern does not repeat.
 const TURN_RATE: f64 = 16.180_339_887;
-const SWING_RATE: f64 = 2236.067_977;
+const SWING_RATE: f64 = 2_236.067_977;
 
 /// Ray directions of a scan and their firing times.
 #[derive(Clone, Debug)]
