@@ -187,8 +187,8 @@ def _shares(
 def advice(mismatch: FrameMismatch, *, frame: str, source: str) -> str:
     """The mismatch in words, with the cure."""
     fits = (
-        f"{mismatch.found:.0%} of the points of one scan then fit another scan, with the given poses"
-        f" {mismatch.given:.0%}"
+        f"{mismatch.found:.0%} of the points of one scan then fit another scan, with the given"
+        f" poses {mismatch.given:.0%}"
     )
     turn, angles = mismatch.turn, _angles(mismatch.turn)
     is_own = np.array_equal(turn, np.eye(3))
