@@ -2,8 +2,9 @@
 
 use super::body::RoundBody;
 use super::element::{Element, State};
+use super::element_motion::ElementMotion;
 use super::line::Line;
-use super::modes::{ElementMotion, halted};
+use super::modes::halted;
 use super::parameters::MAX_ELEMENTS;
 use super::rules::Rules;
 use super::scan::{Placed, Seen, too_many};

@@ -5,7 +5,9 @@
 //! motion: see [`Independent`].
 
 mod body;
+mod circle_measurement;
 mod element;
+mod element_motion;
 mod history;
 mod independent;
 mod joint;

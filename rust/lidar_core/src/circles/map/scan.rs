@@ -3,8 +3,8 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::body::BodyMeasurement;
+use super::circle_measurement::CircleMeasurement;
 use super::line::LineMeasurement;
-use super::modes::CircleMeasurement;
 use super::outline::{OutlineEstimate, OutlineMeasurement};
 use super::parameters::MAX_ELEMENTS;
 use super::place::matrix_of;
