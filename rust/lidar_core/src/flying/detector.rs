@@ -2,11 +2,9 @@
 
 use super::background::burn_in::BurnIn;
 use super::background::pose_jump::{HeldScan, PoseCheck};
-use super::background::recent_returns::{RecentReturns, Role};
 use super::background::static_points::StaticPoints;
 use super::classify::pockets::free_pockets;
 use super::classify::scan_classifier::{ScanClassifier, ScanToClassify};
-use super::classify::clusters::Cluster;
 use super::detect::detection::Teammate;
 use super::detect::detections::{ScanDetections, ScanToDetect, detect};
 use super::detect::follow_up::{add_followed, update_tracks};
@@ -49,7 +47,6 @@ pub struct FlyingObjectDetector {
     classifier: ScanClassifier,
     integrator: Integrator,
     static_points: StaticPoints,
-    recent: RecentReturns,
     tracker: PointCloudTracker,
 }
 
@@ -73,7 +70,6 @@ impl FlyingObjectDetector {
             classifier: ScanClassifier::default(),
             integrator: Integrator::on(workers.clone()),
             static_points: StaticPoints::default(),
-            recent: RecentReturns::default(),
             tracker: PointCloudTracker::new(parameters.tracker, threads)?,
             workers,
             parameters,
@@ -262,38 +258,15 @@ impl FlyingObjectDetector {
         noise: PoseNoise,
         stamp_ns: i64,
     ) -> Result<ScanDetections, Error> {
-        let Self { parameters, workers, local, teammates, scan, classifier, tracker, recent, .. } =
-            self;
+        let Self { parameters, workers, local, teammates, scan, classifier, tracker, .. } = self;
         let FlyingParameters { target_radius, range_std, .. } = *parameters;
         let view = ScanView::new(scan, target_radius, range_std, noise.spread, workers.pool());
         let map_from_world = local.map_from_world;
-        let lattice = *local.map.lattice();
-        let is_new = |cluster: &Cluster<'_>| recent.is_new(cluster, scan, &lattice, stamp_ns);
-        let input =
-            ScanToDetect { scan, view: &view, teammates, map_from_world, parameters, is_new: &is_new };
+        let input = ScanToDetect { scan, view: &view, teammates, map_from_world, parameters };
         let verdicts = classifier.verdicts().iter().enumerate();
         let mut found = detect(&input, classifier.clusters(), verdicts);
         let followed = update_tracks(tracker, &local.map, &view, scan, &found, stamp_ns)?;
-        add_followed(&input, classifier, &mut found, &followed.confirmed);
-        if parameters.tracker.confirmation.doubt.is_some() {
-            let mut arriving = found.new_clusters.clone();
-            arriving.extend(followed.new.iter().filter_map(|&row| classifier.cluster_of(row)));
-            arriving.sort_unstable();
-            let few = parameters.classify.min_points;
-            let clusters = classifier.clusters();
-            let role = |index: usize| {
-                let is_small = clusters.get(index).members.len() < few;
-                if is_small || arriving.binary_search(&index).is_ok() {
-                    Role::Arrives
-                } else if classifier.verdicts()[index].class == FLYING {
-                    Role::Returns
-                } else {
-                    Role::Stays
-                }
-            };
-            let reach = local.map.parameters().max_range;
-            recent.take(scan, clusters, &lattice, stamp_ns, reach, role);
-        }
+        add_followed(&input, classifier, &mut found, &followed);
         Ok(found)
     }
 
@@ -415,7 +388,6 @@ impl FlyingObjectDetector {
             is_reporting: self.is_reporting,
             held: &self.pose_check.held,
             static_points: self.static_points.saved(),
-            recent: self.recent.saved(),
             tracker: self.tracker.state(),
         };
         sealed(KIND, &self.parameters, &state)
@@ -440,7 +412,6 @@ impl FlyingObjectDetector {
         (detector.scans, detector.burn_in) = (saved.scans, saved.burn_in);
         (detector.is_reporting, detector.pose_check.held) = (saved.is_reporting, saved.held);
         detector.static_points = StaticPoints::restored(saved.static_points);
-        detector.recent = RecentReturns::restored(saved.recent)?;
         detector.tracker.restore(saved.tracker)?;
         Ok(detector)
     }
@@ -473,7 +444,6 @@ impl FlyingObjectDetector {
         self.tracker.reset();
         (self.is_reporting, self.pose_check.held) = (false, None);
         self.static_points.clear();
-        self.recent.clear();
         self.sensors.forget_places();
     }
 }

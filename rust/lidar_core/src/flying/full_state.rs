@@ -2,7 +2,6 @@
 
 use super::background::burn_in::BurnIn;
 use super::background::pose_jump::HeldScan;
-use super::background::recent_returns::BlockSteps;
 use super::background::static_points::PointsOfVoxel;
 use super::detect::detection::Teammate;
 use super::map::blocks::Place;
@@ -25,7 +24,6 @@ pub(super) struct DetectorState<'a> {
     pub(super) is_reporting: bool,
     pub(super) held: &'a Option<HeldScan>,
     pub(super) static_points: Vec<(Place, PointsOfVoxel)>,
-    pub(super) recent: Vec<(Place, BlockSteps)>,
     pub(super) tracker: TrackerState<'a>,
 }
 
@@ -40,6 +38,5 @@ pub(super) struct SavedDetector {
     pub(super) is_reporting: bool,
     pub(super) held: Option<HeldScan>,
     pub(super) static_points: Vec<(Place, PointsOfVoxel)>,
-    pub(super) recent: Vec<(Place, BlockSteps)>,
     pub(super) tracker: SavedTracker,
 }

@@ -3,5 +3,4 @@
 pub(crate) mod burn_in;
 pub mod parameters;
 pub(crate) mod pose_jump;
-pub(crate) mod recent_returns;
 pub(crate) mod static_points;

@@ -22,8 +22,6 @@ pub(crate) struct ScanToDetect<'a> {
     pub(crate) teammates: &'a [Teammate],
     pub(crate) map_from_world: Transform,
     pub(crate) parameters: &'a FlyingParameters,
-    /// Whether a cluster is where nothing was a moment ago.
-    pub(crate) is_new: &'a dyn Fn(&Cluster<'_>) -> bool,
 }
 
 /// Detections and teammates of a scan, in the frame of the map.
@@ -31,8 +29,6 @@ pub(crate) struct ScanToDetect<'a> {
 pub(crate) struct ScanDetections {
     pub(crate) detections: Vec<Detection>,
     pub(crate) teammates: Vec<(i64, Detection)>,
-    /// Clusters of detections that are where nothing was a moment ago, ascending.
-    pub(crate) new_clusters: Vec<usize>,
     /// Rows of points on teammates.
     pub(crate) hidden: Vec<u32>,
 }
@@ -58,10 +54,6 @@ pub(crate) fn detect<'v>(
         }
         let mut detection = Detection::of(scan, &cluster, verdict, input.parameters.range_std);
         detection.confidence *= trust(scan, &cluster);
-        detection.is_new = (input.is_new)(&cluster);
-        if detection.is_new {
-            found.new_clusters.push(index);
-        }
         if let Some(center) = centers.next() {
             detection = detection.at(&center);
         }

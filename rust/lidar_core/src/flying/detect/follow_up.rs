@@ -11,15 +11,8 @@ use crate::flying::track::{Detections, PointCloudTracker};
 use crate::geometry::transform::{minus, norm};
 use std::borrow::Cow;
 
-/// Rows of points that tracks follow, one of each cluster.
-pub(crate) struct Followed {
-    /// Of confirmed tracks.
-    pub(crate) confirmed: Vec<u32>,
-    /// Of confirmed tracks, and of those that began where nothing had been.
-    pub(crate) new: Vec<u32>,
-}
-
-/// Give the scan and its detections to the tracker. Returns what its tracks follow.
+/// Give the scan and its detections to the tracker. Returns rows of points that confirmed tracks
+/// follow.
 ///
 /// # Errors
 /// As [`PointCloudTracker::new_point_cloud`] and [`PointCloudTracker::new_detections`].
@@ -30,7 +23,7 @@ pub(crate) fn update_tracks(
     scan: &Prepared,
     found: &ScanDetections,
     stamp_ns: i64,
-) -> Result<Followed, Error> {
+) -> Result<Vec<u32>, Error> {
     let mut points = Cow::from(&scan.points);
     for &row in &found.hidden {
         points.to_mut()[row as usize] = [f32::NAN; 3]; // no track follows a teammate
@@ -42,25 +35,17 @@ pub(crate) fn update_tracks(
     let extent: Vec<_> = found.detections.iter().map(|found| found.extent).collect();
     let delay: Vec<_> = found.detections.iter().map(|found| found.delay).collect();
     let confidence: Vec<_> = found.detections.iter().map(|found| found.confidence).collect();
-    let is_new: Vec<_> = found.detections.iter().map(|found| found.is_new).collect();
     let detections = Detections {
         stamp_ns,
         delay: Some(&delay),
         confidence: Some(&confidence),
-        is_new: Some(&is_new),
         positions: &positions,
         covariance: Some(&covariance),
         extent: Some(&extent),
     };
     tracker.new_detections(&detections, map)?;
-    let rows = |is_wanted: &dyn Fn(i64) -> bool| {
-        let followed = seen.corrected.iter().zip(&seen.rows);
-        followed.filter(|(id, _)| is_wanted(**id)).map(|(_, &row)| row).collect()
-    };
-    Ok(Followed {
-        confirmed: rows(&|id| tracker.is_confirmed(id)),
-        new: rows(&|id| tracker.is_confirmed(id) || tracker.is_new(id)),
-    })
+    let followed = seen.corrected.into_iter().zip(seen.rows);
+    Ok(followed.filter(|&(id, _)| tracker.is_confirmed(id)).map(|(_, row)| row).collect())
 }
 
 /// Make the unknown clusters that confirmed tracks follow, given a row of each, flying objects and add

@@ -19,7 +19,7 @@ mod way;
 
 pub use emission::RayPattern;
 use emission::{Elevations, Emission};
-pub(crate) use grid::{CELLS, GRID};
+use grid::CELLS;
 pub(crate) use look::{Look, Moment, ON_GROUND};
 
 use crate::Error;

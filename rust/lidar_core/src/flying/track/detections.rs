@@ -28,8 +28,6 @@ pub struct Detections<'a> {
     pub delay: Option<&'a [f64]>,
     /// Confidence of each detection, 0 to 1; without it all are certain.
     pub confidence: Option<&'a [f64]>,
-    /// Whether nothing was at its place a moment ago; without it that is so for all.
-    pub is_new: Option<&'a [bool]>,
 }
 
 impl Detections<'_> {
@@ -50,7 +48,6 @@ impl Detections<'_> {
             ("extent", self.extent.map(<[_]>::len)),
             ("delay", self.delay.map(<[_]>::len)),
             ("confidence", self.confidence.map(<[_]>::len)),
-            ("is_new", self.is_new.map(<[_]>::len)),
         ];
         for (name, length) in lengths {
             if let Some(got) = length.filter(|&length| length != count) {
@@ -62,8 +59,6 @@ impl Detections<'_> {
                 let detection = self.measurement(index, parameters)?;
                 let mut fresh = PointTrack::new(&detection, self.stamp_ns, parameters);
                 fresh.sure = u64::from(self.is_sure(index, parameters));
-                fresh.began_new = self.is_new.is_none_or(|is_new| is_new[index]);
-                fresh.new = u64::from(fresh.began_new);
                 Ok(fresh)
             })
             .collect()
@@ -134,20 +129,11 @@ fn known_covariance(rows: &[[f64; 3]; 3], parameters: &TrackerParameters) -> Mat
     }
 }
 
-/// A detection that went into a track.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Fed {
-    /// Place of the track in the list.
-    pub(super) track: usize,
-    /// Whether the detection was sure, and whether it was where nothing had been.
-    pub(super) is_sure: bool,
-    pub(super) is_new: bool,
-}
-
-/// Detections of a set that fed tracks, in their order.
+/// Which track every set of detections fed.
 #[derive(Debug, Default)]
 pub(super) struct Matches {
-    pub(super) fed: Vec<Fed>,
+    /// Places in the list of tracks, in the order of the detections, and whether these were sure.
+    pub(super) fed: Vec<(usize, bool)>,
     pub(super) rejected: usize,
 }
 
@@ -204,7 +190,7 @@ impl Updater {
             match nearest {
                 Some(index) => {
                     tracks[index].n_detections = tracks[index].n_detections.saturating_add(1);
-                    matches.fed.push(hypothesis.fed(index));
+                    matches.fed.push((index, hypothesis.sure == 1));
                 }
                 None => tracks.push(hypothesis),
             }
@@ -281,7 +267,7 @@ impl Updater {
                 }
                 continue;
             };
-            matches.fed.push(hypothesis.fed(index));
+            matches.fed.push((index, hypothesis.sure == 1));
             // What the track has not seen itself, it learns from the hypothesis.
             if tracks[index].seen_ns < hypothesis.born_ns {
                 tracks[index] = waiting[index].0.clone();

@@ -1,6 +1,5 @@
 //! Birth to removal: numbers, confirmation, merging, deletion.
 
-use super::detections::Fed;
 use super::motion::{self, position_block};
 use super::pairs::AlongX;
 use super::parameters::{Ageing, Confirmation, Merging, TrackerParameters};
@@ -30,7 +29,7 @@ pub(super) fn remove_uncertain(
 /// is the place of the first new one. Returns the numbers of those that are confirmed by it.
 pub(super) fn confirm(
     tracks: &mut [PointTrack],
-    fed: &[Fed],
+    fed: &[(usize, bool)],
     born: usize,
     parameters: &TrackerParameters,
 ) -> Vec<i64> {
@@ -38,13 +37,10 @@ pub(super) fn confirm(
     for track in &mut tracks[..born] {
         track.history <<= 1;
         track.sure <<= 1;
-        track.new <<= 1;
     }
-    for fed in fed {
-        let track = &mut tracks[fed.track];
-        track.history |= 1;
-        track.sure |= u64::from(fed.is_sure);
-        track.new |= u64::from(fed.is_new);
+    for &(index, is_sure) in fed {
+        tracks[index].history |= 1;
+        tracks[index].sure |= u64::from(is_sure);
     }
     for track in tracks.iter_mut().filter(|track| !track.confirmed) {
         if is_certain(track, &parameters.confirmation) {
@@ -66,9 +62,8 @@ fn is_certain(track: &PointTrack, confirmation: &Confirmation) -> bool {
     let spread = position_block(&track.estimate.covariance).trace() / 3.0;
     let reach = doubt.distance + 2.0 * spread.max(0.0).sqrt();
     let has_moved = track.left && (track.position() - track.born_at).norm() > reach;
-    let counted = track.new & if has_moved { track.history } else { track.sure };
-    let is_standing = track.began_new && enough(track.history, doubt.hits, doubt.window);
-    enough(counted, hits, window) || is_standing
+    let counted = if has_moved { track.history } else { track.sure };
+    enough(counted, hits, window) || enough(track.history, doubt.hits, doubt.window)
 }
 
 /// Remove tracks that were never confirmed and that no recent detection held; their numbers.
@@ -131,11 +126,10 @@ fn has_twins(tracks: &[PointTrack], merging: &Merging) -> bool {
 fn united(kept: PointTrack, dropped: PointTrack) -> PointTrack {
     let n_detections = kept.n_detections.max(dropped.n_detections);
     let history = kept.history | dropped.history;
-    let (sure, new) = (kept.sure | dropped.sure, kept.new | dropped.new);
+    let sure = kept.sure | dropped.sure;
     let (id, born_ns, confirmed) = (kept.id, kept.born_ns, kept.confirmed);
-    let began_new = kept.began_new;
     let state = if dropped.seen_ns > kept.seen_ns { dropped } else { kept };
-    PointTrack { id, born_ns, confirmed, n_detections, history, sure, new, began_new, ..state }
+    PointTrack { id, born_ns, confirmed, n_detections, history, sure, ..state }
 }
 
 fn is_twin(one: &PointTrack, other: &PointTrack, merging: &Merging) -> bool {

@@ -245,11 +245,6 @@ impl PointCloudTracker {
         self.tracks.iter().any(|track| track.id == id && track.confirmed)
     }
 
-    /// Whether track `id` is there and began where nothing had been.
-    pub(crate) fn is_new(&self, id: i64) -> bool {
-        self.tracks.iter().any(|track| track.id == id && track.began_new)
-    }
-
     /// Whether a cloud of this time would be taken.
     ///
     /// # Errors

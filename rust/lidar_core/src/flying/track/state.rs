@@ -1,6 +1,5 @@
 //! One track, or one hypothesis on its way to become a track.
 
-use super::detections::Fed;
 use super::measurement::Measurement;
 use super::motion::{self, Matrix9};
 use super::parameters::{Hiding, Motion, Radius, TrackerParameters};
@@ -37,10 +36,6 @@ pub(super) struct PointTrack {
     pub(super) history: u64,
     /// The last sets of detections, as in `history`: 1 where the detection of the track was sure.
     pub(super) sure: u64,
-    /// As in `history`: 1 where the detection was where nothing had been a moment ago.
-    pub(super) new: u64,
-    /// True if that was so of the first one.
-    pub(super) began_new: bool,
     pub(super) confirmed: bool,
     /// Points of its own clusters, and of those around it that belong to no track: sums in which
     /// older scans count less.
@@ -85,8 +80,6 @@ impl PointTrack {
             n_detections: 1,
             history: 1,
             sure: 1,
-            new: 1,
-            began_new: true,
             confirmed: false,
             own_points: 0.0,
             stray_points: 0.0,
@@ -137,11 +130,6 @@ impl PointTrack {
             }
             self.estimate.covariance[(axis, axis)] += position_std * position_std;
         }
-    }
-
-    /// What a detection tells a track that it goes into.
-    pub(super) fn fed(&self, track: usize) -> Fed {
-        Fed { track, is_sure: self.sure == 1, is_new: self.new == 1 }
     }
 
     /// Let `dt` seconds without a measurement count.
