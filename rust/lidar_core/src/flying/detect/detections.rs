@@ -2,7 +2,6 @@
 
 use super::center::Center;
 use super::detection::{Detection, Teammate};
-use super::hole::is_joined;
 use super::visibility::ScanView;
 use crate::flying::classify::classifier::Verdict;
 use crate::flying::classify::clusters::{Cluster, Clusters};
@@ -55,7 +54,6 @@ pub(crate) fn detect<'v>(
         }
         let mut detection = Detection::of(scan, &cluster, verdict, input.parameters.range_std);
         detection.confidence *= trust(scan, &cluster);
-        detection.is_joined = scan.look.is_some() && is_joined(scan, &cluster);
         if let Some(center) = centers.next() {
             detection = detection.at(&center);
         }

@@ -4,5 +4,4 @@ pub mod center;
 pub mod detection;
 pub(crate) mod detections;
 pub(crate) mod follow_up;
-pub(crate) mod hole;
 pub(crate) mod visibility;
