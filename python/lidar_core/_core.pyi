@@ -49,10 +49,14 @@ __all__ = [
     "segment_scan",
     "target_center",
     "traverse",
+    "vector_unit",
+    "vector_units",
 ]
 
 __version__: str
 
+def vector_unit() -> str: ...
+def vector_units() -> list[str]: ...
 def traverse(
     start: NDArray[np.float64],
     end: NDArray[np.float64],
