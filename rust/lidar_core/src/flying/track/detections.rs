@@ -1,7 +1,7 @@
 //! newDetections of Algorithm 2: hypotheses, replay of buffered clouds, association with tracks.
 
 use super::buffer::Buffer;
-use super::measurement::{CloudScan, Measurement};
+use super::measurement::{CloudScan, Evidence, Measurement};
 use super::motion::{position, position_block, position_matrix};
 use super::parameters::{Association, MAX_TRACKS, MeasurementForm, TrackerParameters};
 use super::state::PointTrack;
@@ -131,13 +131,6 @@ fn known_covariance(rows: &[[f64; 3]; 3], parameters: &TrackerParameters) -> Mat
             given + Matrix3::identity() * (parameters.measurement_std * parameters.measurement_std)
         }
     }
-}
-
-/// What a detection tells of the existence of its track.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Evidence {
-    pub(super) is_sure: bool,
-    pub(super) is_joined: bool,
 }
 
 /// Which track every set of detections fed.

@@ -1,6 +1,6 @@
 //! Birth to removal: numbers, confirmation, merging, deletion.
 
-use super::detections::Evidence;
+use super::measurement::Evidence;
 use super::motion::{self, position_block};
 use super::pairs::AlongX;
 use super::parameters::{Ageing, Confirmation, Merging, TrackerParameters};

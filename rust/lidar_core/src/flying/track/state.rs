@@ -1,7 +1,6 @@
 //! One track, or one hypothesis on its way to become a track.
 
-use super::detections::Evidence;
-use super::measurement::Measurement;
+use super::measurement::{Evidence, Measurement};
 use super::motion::{self, Matrix9};
 use super::parameters::{Hiding, Motion, Radius, TrackerParameters};
 use crate::Error;
