@@ -42,6 +42,25 @@ class ScanResult:
     nis: NDArray[np.float64]
 
 
+@dataclass(frozen=True, slots=True)
+class TrackerHealth:
+    """What the scans of a tracker have cost.
+
+    Attributes
+    ----------
+    n_scans : int
+        Scans processed; a late one counts those after it again.
+    n_predictions : int
+        Predictions of a track to the time of a scan: one per track and scan.
+    n_pairs : int
+        Pairs of a track and a measurement that were compared: only near ones.
+    """
+
+    n_scans: int
+    n_predictions: int
+    n_pairs: int
+
+
 class MultiTargetTracker(FullState):
     """Targets that LiDAR and radar see, any number of them.
 
@@ -136,6 +155,10 @@ class MultiTargetTracker(FullState):
         result = self._tracker.process(stamp, number, as_measurements(measurements)._core)
         self._sources[source] = number
         return ScanResult(*result)
+
+    def health(self) -> TrackerHealth:
+        """Return what the scans have cost; a tracker from a saved state begins anew."""
+        return TrackerHealth(*self._tracker.work())
 
     def tracks_at(self, stamp_ns: int, *, confirmed: bool = True) -> TargetTracks:
         """Tracks, predicted to a time.

@@ -41,6 +41,7 @@ MODULES = (
     "fusion.consistency",
     "tracking.noise",
     "tracking.dropout",
+    "tracking.scaling",
 )
 """Modules of this package that declare items, by paper, in the order in which `all` runs them."""
 

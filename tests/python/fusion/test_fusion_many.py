@@ -536,3 +536,23 @@ def test_a_state_with_other_scanners_is_refused(sources):
     core, _ = tracker._state()
     with pytest.raises(FormatError, match="sources: expected up to 64 different names"):
         MultiTargetTracker._from_state(tracker.config, core, {"sources": sources})
+
+
+@pytest.mark.parametrize(("count", "spacing"), [(100, 20.0), (900, 20.0), (100, 0.1)])
+def test_only_near_pairs_are_compared_and_each_track_is_predicted_once(count, spacing):
+    """Targets that are far apart cost in proportion to their number; a crowd costs all pairs."""
+    config = MultiTargetConfig(target=FusionConfig(model="cv", method="kf"))
+    tracker = MultiTargetTracker(config)
+    side = int(count**0.5)
+    places = spacing * np.stack([np.arange(count) % side, np.arange(count) // side], axis=1)
+    scans = 5
+    for k in range(scans):
+        tracker.process(k * STEP_NS, lidar(k * STEP_NS, places), source="lidar")
+    health = tracker.health()
+    looks = count * (scans - 1)
+    assert health.n_scans == scans
+    assert health.n_predictions == looks
+    if spacing > 1:
+        assert looks <= health.n_pairs <= 1.5 * looks
+    else:
+        assert health.n_pairs > 10 * looks

@@ -121,6 +121,9 @@ SHORT = {
         scans=4,
     ),
     "tracking-dropout": Short(("10 m/s, turns back: first fix",), modes=("best_mode",), scans=4),
+    "tracking-scaling": Short(
+        ("pairs compared per target and scan, 1000 targets",), modes=("best_mode",), scans=2
+    ),
 }
 
 

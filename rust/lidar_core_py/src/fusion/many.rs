@@ -6,7 +6,7 @@ use crate::fusion::config::FusionConfig;
 use crate::fusion::filter::PyMeasurements;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
-use lidar_core::fusion::targets::many::MAX_SOURCES;
+use lidar_core::fusion::targets::many::{MAX_SOURCES, TrackingWork};
 use lidar_core::fusion::targets::record::padded;
 use lidar_core::fusion::{Assigned, ManyParameters, ManyTargets, TargetAssociation, TrackState};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
@@ -95,6 +95,14 @@ impl PyMultiTargetTracker {
         let source = u8::try_from(source).unwrap_or(MAX_SOURCES);
         let scan = &measurements.0;
         scan_arrays(py, &self.0.with(py, |tracker| tracker.process(stamp_ns, source, scan))?)
+    }
+
+    /// Scans, predictions and pairs so far.
+    fn work(&self, py: Python<'_>) -> Result<(u64, u64, u64), BorderError> {
+        self.0.with(py, |tracker| {
+            let TrackingWork { scans, predictions, pairs } = tracker.work();
+            Ok((scans, predictions, pairs))
+        })
     }
 
     fn tracks_at<'py>(

@@ -234,6 +234,17 @@ impl Sensing {
         m.matrix3().or_else(|| known.then(|| Matrix3::from_diagonal(&self.pose.into())))
     }
 
+    /// Variances of the values of a LiDAR or radar measurement, as many as the sensor has.
+    #[must_use]
+    pub fn variances(&self, m: &Measurement) -> [f64; 3] {
+        let configured = match m.sensor() {
+            Sensor::Lidar => [self.lidar[0], self.lidar[1], 0.0],
+            Sensor::Radar => self.radar,
+            Sensor::Gyro | Sensor::Pose => [0.0; 3],
+        };
+        m.covariance().map_or(configured, |rows| [rows[0][0], rows[1][1], rows[2][2]])
+    }
+
     fn lidar_noise(&self, m: &Measurement) -> Matrix2<f64> {
         m.matrix2().unwrap_or_else(|| Matrix2::from_diagonal(&self.lidar.into()))
     }

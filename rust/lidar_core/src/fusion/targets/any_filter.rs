@@ -6,7 +6,7 @@ use super::target::{FilterStep, SavedTarget, Taken, Target};
 use crate::Error;
 use crate::error::require;
 use crate::estimation::unscented::SigmaRule;
-use crate::fusion::filter::engine::{Engine, Link, Output, Single};
+use crate::fusion::filter::engine::{Engine, Innovation, Link, Output, Single};
 use crate::fusion::filter::imm::{Imm, Mode, mode};
 use crate::fusion::filter::paper::Paper;
 use crate::fusion::filter::sigma_points::Sigma;
@@ -120,6 +120,9 @@ trait Tracked: Send + Sync {
     fn step(&mut self, m: &Measurement) -> FilterStep;
     fn take(&mut self, m: &Measurement) -> Taken;
     fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]);
+    fn foresee(&mut self, stamp_ns: i64) -> bool;
+    fn innovations(&mut self, m: &Measurement, visit: &mut dyn FnMut(&Innovation)) -> bool;
+    fn score(&mut self, m: &Measurement) -> Option<Innovation>;
     fn stamp_ns(&self) -> i64;
     fn output(&self) -> Option<Output>;
     fn output_at(&self, stamp_ns: i64) -> Option<Output>;
@@ -142,6 +145,18 @@ impl<E: Engine> Tracked for Target<E> {
 
     fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]) {
         Target::absorb(self, stamp_ns, weighted);
+    }
+
+    fn foresee(&mut self, stamp_ns: i64) -> bool {
+        Target::foresee(self, stamp_ns)
+    }
+
+    fn innovations(&mut self, m: &Measurement, visit: &mut dyn FnMut(&Innovation)) -> bool {
+        Target::innovations(self, m, visit)
+    }
+
+    fn score(&mut self, m: &Measurement) -> Option<Innovation> {
+        Target::score(self, m)
     }
 
     fn stamp_ns(&self) -> i64 {
@@ -268,6 +283,27 @@ impl Filter {
     /// come from the target. The probabilities sum to 1 at most; gate and loss are not applied.
     pub fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]) {
         self.0.absorb(stamp_ns, weighted);
+    }
+
+    /// Predict the state to `stamp_ns` and keep the prediction until the state changes; returns
+    /// whether it had to be computed.
+    pub(super) fn foresee(&mut self, stamp_ns: i64) -> bool {
+        self.0.foresee(stamp_ns)
+    }
+
+    /// Visit the innovations of a measurement, of each part of the foreseen state; returns false if
+    /// one of them is not defined.
+    pub(super) fn innovations(
+        &mut self,
+        m: &Measurement,
+        visit: &mut dyn FnMut(&Innovation),
+    ) -> bool {
+        self.0.innovations(m, visit)
+    }
+
+    /// Innovation of a measurement for the foreseen state; None outside the gate.
+    pub(super) fn score(&mut self, m: &Measurement) -> Option<Innovation> {
+        self.0.score(m)
     }
 
     /// Time of the state [ns]; the smallest integer before the first measurement.

@@ -3,7 +3,7 @@
 
 use super::any_filter::FusionParameters;
 use super::lifecycle::Life;
-pub use super::tracks::{Assigned, Scan};
+pub use super::tracks::{Assigned, Scan, TrackingWork};
 use super::tracks::{Births, SavedTracks, Tracks, within};
 use crate::Error;
 use crate::error::require;
@@ -47,7 +47,7 @@ pub enum TargetAssociation {
     /// Global nearest neighbour: each measurement belongs to one track or to none.
     Nearest,
     /// Joint probabilistic data association: see
-    /// [`probabilities`](super::joint_association::probabilities).
+    /// [`probabilities`](crate::tracking::joint_association::probabilities).
     Joint {
         /// Probability that a scan measures a target.
         detection: f64,
@@ -110,6 +110,7 @@ pub struct ManyTargets {
     /// Scans of the last `buffer_ns`, ordered by time.
     history: VecDeque<Past>,
     next_id: i64,
+    work: TrackingWork,
     stamp_ns: Option<i64>,
     /// Time of the last scan dropped from `history`, or before all [ns].
     forgotten_ns: i64,
@@ -134,6 +135,7 @@ impl ManyTargets {
             tracks: Tracks::new(&filter)?,
             history: VecDeque::new(),
             next_id: 0,
+            work: TrackingWork::default(),
             stamp_ns: None,
             forgotten_ns: i64::MIN,
         })
@@ -216,20 +218,32 @@ impl ManyTargets {
     fn insert(&mut self, scan: Scan) -> Result<Vec<Assigned>, Error> {
         let place = self.history.partition_point(|past| past.scan.stamp_ns <= scan.stamp_ns);
         let (stamp_ns, fresh) = (scan.stamp_ns, vec![None; scan.measurements.len()]);
-        let mut tracks = self.history.get(place).map_or(&self.tracks, |past| &past.before).clone();
-        let (mut redone, mut next_id) = (Vec::new(), self.next_id);
+        let is_last = place == self.history.len();
+        let mut tracks = match self.history.get(place) {
+            Some(past) => past.before.clone(),
+            None => self.tracks.moved_out(), // a scan in order needs one copy of the tracks, not two
+        };
+        let (mut redone, mut next_id, mut work) = (Vec::new(), self.next_id, self.work);
         let later = self.history.range(place..).map(|past| (&past.scan, &past.births));
         for (scan, ids) in std::iter::once((&scan, &fresh)).chain(later) {
             let before = tracks.clone();
             let mut births = Births { next_id, ids: ids.clone() };
-            let assigned = tracks.take(&self.parameters, scan, &mut births)?;
+            let assigned = match tracks.take(&self.parameters, scan, &mut births, &mut work) {
+                Ok(assigned) => assigned,
+                Err(error) => {
+                    if is_last {
+                        self.tracks = before;
+                    }
+                    return Err(error);
+                }
+            };
             next_id = births.next_id;
             redone.push(Past { scan: scan.clone(), assigned, births: births.ids, before });
         }
         let assigned = redone.first().map_or(Vec::new(), |past| past.assigned.clone());
         self.history.truncate(place);
         self.history.extend(redone);
-        (self.tracks, self.next_id) = (tracks, next_id);
+        (self.tracks, self.next_id, self.work) = (tracks, next_id, work);
         self.stamp_ns = self.stamp_ns.max(Some(stamp_ns));
         self.forget();
         Ok(assigned)
@@ -252,6 +266,12 @@ impl ManyTargets {
     #[must_use]
     pub fn tracks_at(&self, stamp_ns: i64) -> Vec<TrackState> {
         self.tracks.at(stamp_ns)
+    }
+
+    /// What the scans have cost so far; a tracker from a saved state begins anew.
+    #[must_use]
+    pub fn work(&self) -> TrackingWork {
+        self.work
     }
 
     fn check(&self, stamp_ns: i64, source: u8, scan: &[Measurement]) -> Result<(), Error> {

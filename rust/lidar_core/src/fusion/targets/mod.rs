@@ -1,9 +1,9 @@
 //! Targets over time: one or many, whole recordings, maximum likelihood noise.
 
 pub mod any_filter;
-pub mod joint_association;
 pub mod lifecycle;
 pub mod many;
+pub mod near_pairs;
 pub mod noise_search;
 pub mod record;
 pub mod sensor_errors;

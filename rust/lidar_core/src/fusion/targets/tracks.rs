@@ -1,14 +1,16 @@
 //! Tracks of a tracker of many targets at one time, and their update by a scan.
 
 use super::any_filter::{Filter, FusionParameters};
-use super::joint_association::probabilities;
 use super::lifecycle::Outcome;
 use super::many::{MAX_TARGETS, ManyParameters, TargetAssociation, TrackState};
+use super::near_pairs::ScanIndex;
 use super::target::SavedTarget;
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
+use crate::tracking::joint_association::probabilities;
+use crate::tracking::near::NearIndex;
 use serde::{Deserialize, Serialize};
 
 /// Cost of a track without a measurement although one is in its gate. It is far above that of any
@@ -45,10 +47,22 @@ pub struct Births {
     pub ids: Vec<Option<i64>>,
 }
 
-/// A measurement within the gate of a track.
-struct Candidate {
-    updated: Filter,
-    innovation: Innovation,
+/// What scans have cost so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TrackingWork {
+    /// Scans processed; a late scan counts those after it again.
+    pub scans: u64,
+    /// Predictions of a track to the time of a scan.
+    pub predictions: u64,
+    /// Pairs of a track and a measurement that were compared.
+    pub pairs: u64,
+}
+
+/// Possible pairs of tracks and measurements, each with its innovation.
+#[derive(Default)]
+struct Candidates {
+    pairs: Vec<Pair>,
+    innovations: Vec<Innovation>,
 }
 
 /// Saved form of a track.
@@ -129,6 +143,12 @@ impl Tracks {
         Ok(Self { unseen: Filter::new(filter)?, all: Vec::new() })
     }
 
+    /// The tracks, of which none stay here.
+    #[must_use]
+    pub fn moved_out(&mut self) -> Self {
+        Self { unseen: self.unseen.clone(), all: std::mem::take(&mut self.all) }
+    }
+
     /// State that changes with scans.
     pub fn saved(&self) -> SavedTracks {
         let one = |track: &TargetTrack| {
@@ -205,7 +225,9 @@ impl Tracks {
         parameters: &ManyParameters,
         scan: &Scan,
         births: &mut Births,
+        work: &mut TrackingWork,
     ) -> Result<Vec<Assigned>, Error> {
+        work.scans += 1;
         let (stamp_ns, seen) = (scan.stamp_ns, 1 << scan.source);
         let mut assigned = vec![Assigned::default(); scan.measurements.len()];
         for m in scan.measurements.iter().filter(|m| is_of_platform(m)) {
@@ -220,8 +242,12 @@ impl Tracks {
                 track.looks += 1;
             }
         }
+        let foreseen = self.all.iter_mut().map(|track| u64::from(track.filter.foresee(stamp_ns)));
+        work.predictions += foreseen.sum::<u64>();
+        let index = ScanIndex::new(&scan.measurements, &parameters.filter.sensing);
         for confirmed in [true, false] {
-            self.associate(parameters, scan, confirmed, &mut assigned)?;
+            let candidates = self.candidates(parameters, scan, &index, confirmed, &assigned, work);
+            self.associate(parameters, scan, &candidates, &mut assigned)?;
         }
         let measured = self.measured_at(stamp_ns);
         self.all.iter_mut().for_each(|track| track.judge(parameters));
@@ -231,8 +257,8 @@ impl Tracks {
         Ok(assigned)
     }
 
-    /// Assign measurements without a track to `tracks`. The global nearest neighbour uses the
-    /// likelihood of the innovations.
+    /// Assign measurements to tracks. The global nearest neighbour uses the likelihood of the
+    /// innovations.
     ///
     /// # Source
     /// Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
@@ -241,22 +267,21 @@ impl Tracks {
         &mut self,
         parameters: &ManyParameters,
         scan: &Scan,
-        confirmed: bool,
+        candidates: &Candidates,
         assigned: &mut [Assigned],
     ) -> Result<(), Error> {
-        let (pairs, candidates) = self.candidates(parameters, scan, confirmed, assigned);
         if let TargetAssociation::Joint { .. } = parameters.association {
-            self.associate_jointly(scan, assigned, &pairs, &candidates);
+            self.associate_jointly(scan, assigned, candidates);
             return Ok(());
         }
-        let column_of = assign(self.all.len(), scan.measurements.len(), &pairs, UNASSIGNED)?;
-        for (Pair { row, column, .. }, candidate) in pairs.iter().zip(candidates) {
+        let Candidates { pairs, innovations } = candidates;
+        let column_of = assign(self.all.len(), scan.measurements.len(), pairs, UNASSIGNED)?;
+        for (Pair { row, column, .. }, innovation) in pairs.iter().zip(innovations) {
             if column_of[*row] == Some(*column) {
                 let track = &mut self.all[*row];
-                track.filter = candidate.updated;
+                track.filter.take(&scan.measurements[*column]);
                 track.see(scan);
-                let innovation = Some(candidate.innovation);
-                assigned[*column] = Assigned { id: Some(track.id), innovation };
+                assigned[*column] = Assigned { id: Some(track.id), innovation: Some(*innovation) };
             }
         }
         Ok(())
@@ -264,28 +289,31 @@ impl Tracks {
 
     /// Tracks, confirmed or not, with those measurements in their gates that have no track yet.
     fn candidates(
-        &self,
+        &mut self,
         parameters: &ManyParameters,
         scan: &Scan,
+        index: &ScanIndex,
         confirmed: bool,
         assigned: &[Assigned],
-    ) -> (Vec<Pair>, Vec<Candidate>) {
-        let (mut pairs, mut candidates) = (Vec::new(), Vec::new());
-        let rows = self.all.iter().enumerate().filter(|(_, track)| track.confirmed == confirmed);
-        for (row, track) in rows {
-            for (column, m) in scan.measurements.iter().enumerate() {
-                if assigned[column].id.is_some() || is_of_platform(m) {
-                    continue;
-                }
-                let Some(candidate) = track.candidate(m) else { continue };
-                let cost = parameters.association.cost(m, &candidate.innovation);
+        work: &mut TrackingWork,
+    ) -> Candidates {
+        let (mut found, mut near) = (Candidates::default(), Vec::new());
+        let rows = self.all.iter_mut().enumerate();
+        for (row, track) in rows.filter(|(_, track)| track.confirmed == confirmed) {
+            index.near(&mut track.filter, &parameters.filter.life.gate, &mut near);
+            near.retain(|column| assigned[*column].id.is_none());
+            work.pairs += near.len() as u64;
+            for column in &near {
+                let m = &scan.measurements[*column];
+                let Some(innovation) = track.filter.score(m) else { continue };
+                let cost = parameters.association.cost(m, &innovation);
                 if cost.is_finite() {
-                    pairs.push(Pair { row, column, cost });
-                    candidates.push(candidate);
+                    found.pairs.push(Pair { row, column: *column, cost });
+                    found.innovations.push(innovation);
                 }
             }
         }
-        (pairs, candidates)
+        found
     }
 
     /// Joint probabilistic data association of measurements without a track. A measurement that
@@ -294,20 +322,20 @@ impl Tracks {
         &mut self,
         scan: &Scan,
         assigned: &mut [Assigned],
-        pairs: &[Pair],
-        candidates: &[Candidate],
+        candidates: &Candidates,
     ) {
+        let Candidates { pairs, innovations } = candidates;
         let weights = probabilities(self.all.len(), scan.measurements.len(), pairs);
         let mut of_track = vec![Vec::new(); self.all.len()];
         let mut of_any = vec![(0.0, 0.0, Assigned::default()); assigned.len()]; // sum, largest
-        for ((Pair { row, column, .. }, candidate), weight) in
-            pairs.iter().zip(candidates).zip(weights)
+        for ((Pair { row, column, .. }, innovation), weight) in
+            pairs.iter().zip(innovations).zip(weights)
         {
             of_track[*row].push((weight, scan.measurements[*column]));
             let (sum, most, best) = &mut of_any[*column];
             *sum += weight;
             if weight > *most {
-                let innovation = Some(candidate.innovation);
+                let innovation = Some(*innovation);
                 (*most, *best) = (weight, Assigned { id: Some(self.all[*row].id), innovation });
             }
         }
@@ -322,10 +350,12 @@ impl Tracks {
     }
 
     /// Positions of the tracks that were measured at `stamp_ns`.
-    fn measured_at(&self, stamp_ns: i64) -> Vec<[f64; 2]> {
+    fn measured_at(&self, stamp_ns: i64) -> NearIndex {
         let measured = self.all.iter().filter(|track| track.seen_ns == stamp_ns);
         let outputs = measured.filter_map(|track| track.filter.output_at(stamp_ns));
-        outputs.map(|output| [output.mean[0], output.mean[1]]).collect()
+        let places = outputs.map(|output| [output.mean[0], output.mean[1]]);
+        let finite = places.filter(|place| place.iter().all(|value| value.is_finite()));
+        NearIndex::new(finite.zip(0..).collect())
     }
 
     /// New track for every measurement without one that is far enough from the `measured` tracks.
@@ -333,7 +363,7 @@ impl Tracks {
         &mut self,
         parameters: &ManyParameters,
         scan: &Scan,
-        measured: &[[f64; 2]],
+        measured: &NearIndex,
         births: &mut Births,
         assigned: &mut [Assigned],
     ) {
@@ -346,9 +376,8 @@ impl Tracks {
             let Some(output) = step.output.filter(|_| step.outcome == Outcome::Started) else {
                 continue;
             };
-            let [x, y] = [output.mean[0], output.mean[1]];
-            let reach = parameters.birth_distance;
-            if measured.iter().any(|at| libm::hypot(at[0] - x, at[1] - y) < reach) {
+            let place = [output.mean[0], output.mean[1]];
+            if measured.is_near(place, parameters.birth_distance) {
                 continue;
             }
             let mut track = TargetTrack::new(births.of(column), filter, scan);
@@ -372,14 +401,6 @@ impl TargetTrack {
             hits: 1,
             confirmed: false,
         }
-    }
-
-    /// Filter after a measurement, if that is within its gate.
-    fn candidate(&self, m: &Measurement) -> Option<Candidate> {
-        let mut updated = self.filter.clone();
-        let (outcome, innovation) = updated.take(m);
-        let innovation = innovation.filter(|_| outcome == Outcome::Updated)?;
-        Some(Candidate { updated, innovation })
     }
 
     fn see(&mut self, scan: &Scan) {

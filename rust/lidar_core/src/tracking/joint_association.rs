@@ -21,8 +21,10 @@ pub const MOST_EVENTS: usize = 100_000;
 pub fn probabilities(tracks: usize, measurements: usize, pairs: &[Pair]) -> Vec<f64> {
     let mut found = vec![0.0; pairs.len()];
     let links = Links::new(tracks, measurements, pairs);
+    // One table for all groups: a table per group would cost groups times measurements.
+    let mut is_taken = vec![false; measurements];
     for group in links.groups(pairs) {
-        let mut events = Events::new(&group, pairs, measurements);
+        let mut events = Events::new(&group, pairs, &mut is_taken);
         events.follow(0, 1.0);
         let is_whole = events.count <= MOST_EVENTS;
         let (total, sums) = (events.total, events.sums);
@@ -94,7 +96,7 @@ struct Events<'a> {
     pairs: &'a [Pair],
     /// Weights of the pairs of each track and of no pair, the largest of which is 1.
     weights: Vec<(Vec<f64>, f64)>,
-    is_taken: Vec<bool>,
+    is_taken: &'a mut [bool],
     chosen: Vec<usize>,
     count: usize,
     total: f64,
@@ -105,7 +107,7 @@ struct Events<'a> {
 }
 
 impl<'a> Events<'a> {
-    fn new(group: &'a TrackOptions, pairs: &'a [Pair], measurements: usize) -> Self {
+    fn new(group: &'a TrackOptions, pairs: &'a [Pair], is_taken: &'a mut [bool]) -> Self {
         let weights = group.iter().map(|options| {
             let least = options.iter().map(|index| pairs[*index].cost).fold(0.0, f64::min);
             let weigh = |cost: f64| libm::exp(least - cost);
@@ -120,7 +122,7 @@ impl<'a> Events<'a> {
             group,
             pairs,
             weights: weights.collect(),
-            is_taken: vec![false; measurements],
+            is_taken,
             chosen: Vec::with_capacity(group.len()),
             count: 0,
             total: 0.0,
