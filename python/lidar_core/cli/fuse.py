@@ -36,7 +36,7 @@ RECORDING = (
 )
 MODEL = "How targets move: cv, ca, ct, ctrv, ctra, ctrv-drone, paper."
 METHOD = "Filter: kf, ekf, ukf, ckf, imm."
-ASSOCIATION = "For many targets: nearest, or joint (JPDA)."
+ASSOCIATION = "For many targets: integrated (JIPDA), nearest, or joint (JPDA)."
 LAG = "Smooth: use measurements up to this much later for every state \\[s]."
 COLUMN = "Name of a table's column, such as x=pos_x; may be repeated."
 TOPIC = "Topic of a ROS recording, such as radar=/front or pose=/odom; may be repeated."

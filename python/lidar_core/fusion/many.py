@@ -64,9 +64,10 @@ class TrackerHealth:
 class MultiTargetTracker(FullState):
     """Targets that LiDAR and radar see, any number of them.
 
-    Measurements are assigned by global nearest neighbours, or by joint probabilities, first to the
-    confirmed tracks; what is left starts new ones. With measurements "pose" in a scan, tracks are
-    in the world.
+    Measurements are shared out by joint integrated probabilities: every track has a probability of
+    existence, on which report and end depend. By the other associations measurements go first to
+    confirmed tracks, and counts confirm. With measurements "pose" in a scan, tracks are in the
+    world.
 
     Parameters
     ----------
@@ -168,10 +169,11 @@ class MultiTargetTracker(FullState):
         stamp_ns : int
             A time before the last measurement of a track gives its state at that measurement [ns].
         confirmed : bool
-            Whether tracks that still wait for their confirmation are left out.
+            Whether tracks that are not reported yet are left out.
         """
         stamp = as_stamp(stamp_ns)
-        ids, states, covariances, born, seen, hits, is_sure = self._tracker.tracks_at(stamp)
+        arrays = self._tracker.tracks_at(stamp)
+        ids, states, covariances, born, seen, hits, is_sure, existence = arrays
         if not len(ids):
             width = len(state_names(self.config.target))
             states, covariances = np.empty((0, width)), np.empty((0, width, width))
@@ -186,4 +188,5 @@ class MultiTargetTracker(FullState):
             seen_ns=seen[rows],
             hits=hits[rows],
             confirmed=is_sure[rows],
+            existence=existence[rows],
         )

@@ -14,7 +14,8 @@ class MultiTargetConfig(Config):
     Source: Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and
     Navigation", 2001; Blackman & Popoli, "Design and Analysis of Modern Tracking Systems", 1999;
     Fortmann, Bar-Shalom & Scheffe, "Sonar tracking of multiple targets using joint probabilistic
-    data association", 1983.
+    data association", 1983; Musicki & Evans, "Joint integrated probabilistic data association:
+    JIPDA", 2004.
     """
 
     target: FusionConfig = Field(
@@ -28,7 +29,7 @@ class MultiTargetConfig(Config):
         ge=1,
         le=64,
         description="Scans of the last `confirm_window` that must have measured a track before it"
-        " is confirmed (count, no unit).",
+        " is confirmed, for associations nearest and joint (count, no unit).",
     )
     confirm_window: int = Field(
         5,
@@ -41,7 +42,8 @@ class MultiTargetConfig(Config):
         2.0,
         gt=0,
         le=1e6,
-        description="A track ends when it has not been measured for longer [s].",
+        description="A track ends when it has not been measured for longer, for associations"
+        " nearest and joint [s].",
     )
     max_position_std: float = Field(
         5.0,
@@ -57,17 +59,20 @@ class MultiTargetConfig(Config):
         " of an object are no objects [m].",
     )
 
-    association: Literal["nearest", "joint"] = Field(
-        "nearest",
-        description="Measurements within gates are of the nearest track, all distances together"
-        " (global nearest neighbours); or of all near ones, each with its probability (JPDA)"
-        " (no unit).",
+    association: Literal["integrated", "nearest", "joint"] = Field(
+        "integrated",
+        description="Measurements within gates are of all near tracks, each with its probability,"
+        " and each track has a probability of existence (JIPDA); or of the nearest track, all"
+        " distances together (global nearest neighbours); or of all near ones, confirmed by counts"
+        " (JPDA) (no unit).",
     )
     detection_probability: float = Field(
         0.9,
         gt=0,
         lt=1,
-        description="Probability that a scan measures a target, for association joint (no unit).",
+        description="Probability that a scan measures a target, for associations joint and"
+        " integrated (no unit); with integrated only the first guess, as the two densities and"
+        " `new_target_share`: scans teach better.",
     )
     lidar_clutter: float = Field(
         1e-3, gt=0, le=1e6, description="Density of clutter of the LiDAR, for the same [1/m^2]."
@@ -77,6 +82,34 @@ class MultiTargetConfig(Config):
         gt=0,
         le=1e6,
         description="Density of clutter of the radar, for the same [1/(m rad m/s)].",
+    )
+    new_target_share: float = Field(
+        0.05,
+        gt=0,
+        lt=1,
+        description="Probability that a measurement which no track explains is of a new target, for"
+        " association integrated (no unit).",
+    )
+    lifetime: float = Field(
+        30.0,
+        gt=0,
+        le=1e9,
+        description="Mean time for which a target stays, the first guess for association"
+        " integrated [s].",
+    )
+    report_existence: float = Field(
+        0.95,
+        gt=0,
+        lt=1,
+        description="A track is reported from this probability of existence on, until it falls"
+        " below half of it, for association integrated (no unit).",
+    )
+    delete_existence: float = Field(
+        1e-3,
+        gt=0,
+        lt=1,
+        description="A track ends below this probability of existence, for association integrated"
+        " (no unit).",
     )
 
     @classmethod
@@ -90,6 +123,7 @@ class MultiTargetConfig(Config):
                 initial_speed=6.0,
                 gate_probability=0.999,
             ),
+            association="nearest",
             confirm_hits=3,
             confirm_window=6,
             max_coast=15.0,

@@ -42,6 +42,8 @@ MODULES = (
     "tracking.noise",
     "tracking.dropout",
     "tracking.scaling",
+    "tracking.existence",
+    "tracking.clutter",
 )
 """Modules of this package that declare items, by paper, in the order in which `all` runs them."""
 

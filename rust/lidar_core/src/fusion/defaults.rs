@@ -7,6 +7,7 @@ use super::filter::paper::{Paper, Reading};
 use super::models::motion::{NoiseForm, Prior};
 use super::sensors::observation::Sensing;
 use super::targets::any_filter::{FusionParameters, Method, Model, Strengths};
+use super::targets::integrated::ExistenceParameters;
 use super::targets::lifecycle::{GyroUse, Life, Loss};
 use super::targets::many::{ManyParameters, TargetAssociation};
 
@@ -64,6 +65,7 @@ impl Default for Life {
             memory: Some(200.0),
             loss: Some(Loss { ratio: 4.0, window: 10.0 }),
             radar_starts_speed: true,
+            starts_as_measured: false,
             gyro: GyroUse::Input,
             buffer_ns: 500_000_000,
         }
@@ -126,7 +128,7 @@ impl FusionParameters {
     }
 }
 
-/// Global nearest neighbours.
+/// Probabilities of existence.
 impl Default for ManyParameters {
     fn default() -> Self {
         Self {
@@ -136,7 +138,21 @@ impl Default for ManyParameters {
             max_coast: 2.0,
             max_position_std: 5.0,
             birth_distance: 0.0,
-            association: TargetAssociation::Nearest,
+            association: TargetAssociation::Integrated(ExistenceParameters::default()),
+        }
+    }
+}
+
+/// Targets that stay for half a minute, in clutter that is learnt.
+impl Default for ExistenceParameters {
+    fn default() -> Self {
+        Self {
+            detection: 0.9,
+            clutter: [1e-3, 1e-3],
+            share: 0.05,
+            lifetime: 30.0,
+            report: 0.95,
+            delete: 1e-3,
         }
     }
 }

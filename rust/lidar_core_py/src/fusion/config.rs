@@ -172,6 +172,7 @@ impl FusionConfig {
             memory: self.memory()?,
             loss: self.loss_ratio.map(|ratio| Loss { ratio, window: self.loss_window }),
             radar_starts_speed: choice("start_speed", &self.start_speed, &STARTS)?,
+            starts_as_measured: false,
             gyro: choice("gyro", &self.gyro, &GYROS)?,
             buffer_ns: (self.buffer_time * 1e9).round() as i64,
         })

@@ -6,6 +6,7 @@ use crate::fusion::config::FusionConfig;
 use crate::fusion::filter::PyMeasurements;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
+use lidar_core::fusion::targets::integrated::ExistenceParameters;
 use lidar_core::fusion::targets::many::{MAX_SOURCES, TrackingWork};
 use lidar_core::fusion::targets::record::padded;
 use lidar_core::fusion::{Assigned, ManyParameters, ManyTargets, TargetAssociation, TrackState};
@@ -26,13 +27,26 @@ pub(crate) struct MultiTargetConfig {
     detection_probability: f64,
     lidar_clutter: f64,
     radar_clutter: f64,
+    new_target_share: f64,
+    lifetime: f64,
+    report_existence: f64,
+    delete_existence: f64,
 }
 
 impl MultiTargetConfig {
     pub(crate) fn parameters(&self) -> Result<ManyParameters, Error> {
         let clutter = [self.lidar_clutter, self.radar_clutter];
         let joint = TargetAssociation::Joint { detection: self.detection_probability, clutter };
-        let associations = [("nearest", TargetAssociation::Nearest), ("joint", joint)];
+        let integrated = TargetAssociation::Integrated(ExistenceParameters {
+            detection: self.detection_probability,
+            clutter,
+            share: self.new_target_share,
+            lifetime: self.lifetime,
+            report: self.report_existence,
+            delete: self.delete_existence,
+        });
+        let nearest = TargetAssociation::Nearest;
+        let associations = [("integrated", integrated), ("nearest", nearest), ("joint", joint)];
         Ok(ManyParameters {
             filter: self.target.parameters()?,
             confirm_hits: self.confirm_hits,
@@ -52,7 +66,8 @@ pub(crate) struct PyMultiTargetTracker(Guarded<ManyTargets>);
 type ScanArrays<'py> =
     (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>);
 
-/// Numbers, states, covariances, times of birth and last measurement, measurements, confirmed.
+/// Numbers, states, covariances, times of birth and last measurement, measurements, confirmed,
+/// probabilities of existence.
 type TrackArrays<'py> = (
     Bound<'py, PyArray1<i64>>,
     Bound<'py, PyArray2<f64>>,
@@ -61,6 +76,7 @@ type TrackArrays<'py> = (
     Bound<'py, PyArray1<i64>>,
     Bound<'py, PyArray1<i64>>,
     Bound<'py, PyArray1<bool>>,
+    Bound<'py, PyArray1<f64>>,
 );
 
 #[pymethods]
@@ -147,5 +163,10 @@ fn track_arrays<'py>(
         numbers(|track| track.seen_ns),
         numbers(|track| i64::from(track.hits)),
         tracks.iter().map(|track| track.confirmed).collect::<Vec<bool>>().into_pyarray(py),
+        tracks
+            .iter()
+            .map(|track| track.existence.unwrap_or(f64::NAN))
+            .collect::<Vec<f64>>()
+            .into_pyarray(py),
     ))
 }

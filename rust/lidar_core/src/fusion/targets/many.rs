@@ -2,9 +2,10 @@
 //! and late scans.
 
 use super::any_filter::FusionParameters;
+use super::integrated::ExistenceParameters;
 use super::lifecycle::Life;
 pub use super::tracks::{Assigned, Scan, TrackingWork};
-use super::tracks::{Births, SavedTracks, Tracks, within};
+use super::tracks::{Births, NewNumbers, SavedTracks, Tracks, within};
 use crate::Error;
 use crate::error::require;
 use crate::fusion::filter::engine::Output;
@@ -54,6 +55,10 @@ pub enum TargetAssociation {
         /// Density of clutter of LiDAR [1/m^2] and of radar [1/(m rad m/s)].
         clutter: [f64; 2],
     },
+    /// Joint integrated probabilistic data association: see
+    /// [`associate`](crate::tracking::existence::associate). Every track has a probability of
+    /// existence, on which report and end depend instead of counts and ages.
+    Integrated(ExistenceParameters),
 }
 
 /// A track at one time.
@@ -69,8 +74,10 @@ pub struct TrackState {
     pub seen_ns: i64,
     /// Number of measurements.
     pub hits: u32,
-    /// True if enough scans measured the track.
+    /// True if enough scans measured the track, or if its probability of existence says so.
     pub confirmed: bool,
+    /// Probability that there is a target; None where the association does not estimate it.
+    pub existence: Option<f64>,
 }
 
 /// A processed scan.
@@ -78,7 +85,7 @@ pub struct TrackState {
 struct Past {
     scan: Scan,
     assigned: Vec<Assigned>,
-    births: Vec<Option<i64>>,
+    births: NewNumbers,
     before: Tracks,
 }
 
@@ -87,7 +94,7 @@ struct Past {
 struct SavedPast {
     scan: Scan,
     assigned: Vec<Assigned>,
-    births: Vec<Option<i64>>,
+    births: NewNumbers,
     before: SavedTracks,
 }
 
@@ -126,9 +133,12 @@ impl ManyTargets {
         let ManyParameters { confirm_hits: hits, confirm_window: window, .. } = *parameters;
         let fits = 1 <= hits && hits <= window && window <= u64::BITS;
         require(fits, "confirm_hits", "1 to confirm_window, at most 64", hits)?;
+        let starts_as_measured = matches!(parameters.association, TargetAssociation::Integrated(_));
         let filter = parameters.filter.without_buffer(); // tracks get scans in order
-        let filter =
-            FusionParameters { life: Life { memory: None, loss: None, ..filter.life }, ..filter };
+        let filter = FusionParameters {
+            life: Life { memory: None, loss: None, starts_as_measured, ..filter.life },
+            ..filter
+        };
         Ok(Self {
             parameters: ManyParameters { filter, ..*parameters },
             buffer_ns: parameters.filter.life.buffer_ns,
@@ -198,7 +208,7 @@ impl ManyTargets {
         let key = (empty.parameters, empty.buffer_ns);
         let saved: SavedTargets = opened(KIND, &key, bytes)?;
         let past = |past: SavedPast| {
-            if past.births.len() != past.scan.measurements.len() {
+            if past.births.of_column.len() != past.scan.measurements.len() {
                 return Err(impossible("births and measurements differ in number"));
             }
             let before = empty.tracks.restored(&past.before)?;
@@ -217,7 +227,7 @@ impl ManyTargets {
     /// Insert a scan at its time, and process the later ones again.
     fn insert(&mut self, scan: Scan) -> Result<Vec<Assigned>, Error> {
         let place = self.history.partition_point(|past| past.scan.stamp_ns <= scan.stamp_ns);
-        let (stamp_ns, fresh) = (scan.stamp_ns, vec![None; scan.measurements.len()]);
+        let (stamp_ns, fresh) = (scan.stamp_ns, NewNumbers::of_scan(scan.measurements.len()));
         let is_last = place == self.history.len();
         let mut tracks = match self.history.get(place) {
             Some(past) => past.before.clone(),
@@ -324,6 +334,7 @@ mod tests {
             confirm_hits: 2,
             confirm_window: 3,
             max_position_std: 20.0,
+            association: TargetAssociation::Nearest,
             ..ManyParameters::default()
         })
     }

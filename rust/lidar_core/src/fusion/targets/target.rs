@@ -8,7 +8,7 @@ use crate::fusion::filter::engine::{Believe, Engine, Innovation, Link, Output, S
 use crate::fusion::models::cartesian::ConstantVelocity;
 use crate::fusion::models::platform::{Platform, Pose};
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
-use crate::fusion::sensors::observation::first_sight;
+use crate::fusion::sensors::observation::{first_sight, position_noise};
 use crate::util::full_state::impossible;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -472,6 +472,9 @@ impl<E: Engine> Target<E> {
         };
         if !self.rules.life.radar_starts_speed {
             (first.speed, first.heading) = (0.0, 0.0);
+        }
+        if self.rules.life.starts_as_measured {
+            first.noise = position_noise(m, &self.rules.starter.sensing, sensor.as_ref());
         }
         let state = self.rules.engine.first(&first);
         let cv = self.rules.starter.first(&first);

@@ -1,6 +1,7 @@
 //! Tracks of a tracker of many targets at one time, and their update by a scan.
 
 use super::any_filter::{Filter, FusionParameters};
+use super::integrated::{Belief, IntegratedScan};
 use super::lifecycle::Outcome;
 use super::many::{MAX_TARGETS, ManyParameters, TargetAssociation, TrackState};
 use super::near_pairs::ScanIndex;
@@ -11,7 +12,9 @@ use crate::fusion::filter::engine::Innovation;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::tracking::joint_association::probabilities;
 use crate::tracking::near::NearIndex;
+use crate::tracking::surroundings::{Population, Surroundings};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Cost of a track without a measurement although one is in its gate. It is far above that of any
 /// pair, so that as many tracks as possible get one.
@@ -38,13 +41,22 @@ pub struct Assigned {
     pub innovation: Option<Innovation>,
 }
 
-/// Numbers of the tracks that a scan starts.
+/// Numbers of the tracks that a scan starts; they are kept when the scan is processed again.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct NewNumbers {
+    /// Of tracks that a measurement starts alone, by measurement.
+    pub of_column: Vec<Option<i64>>,
+    /// Of tracks through an older one's place and a measurement, by number and measurement.
+    pub of_pair: BTreeMap<(i64, usize), i64>,
+}
+
+/// Next unused number, and those of the tracks that a scan starts.
 #[derive(Clone, Debug)]
 pub struct Births {
     /// Next unused number.
     pub next_id: i64,
-    /// Numbers by measurement; they are kept when the scan is processed again.
-    pub ids: Vec<Option<i64>>,
+    /// Numbers that the scan has given.
+    pub ids: NewNumbers,
 }
 
 /// What scans have cost so far.
@@ -60,9 +72,9 @@ pub struct TrackingWork {
 
 /// Possible pairs of tracks and measurements, each with its innovation.
 #[derive(Default)]
-struct Candidates {
-    pairs: Vec<Pair>,
-    innovations: Vec<Innovation>,
+pub(super) struct Candidates {
+    pub(super) pairs: Vec<Pair>,
+    pub(super) innovations: Vec<Innovation>,
 }
 
 /// Saved form of a track.
@@ -77,6 +89,7 @@ struct SavedTrack {
     seen_ns: i64,
     hits: u32,
     confirmed: bool,
+    belief: Belief,
 }
 
 /// Saved form of all tracks.
@@ -84,29 +97,36 @@ struct SavedTrack {
 pub struct SavedTracks {
     unseen: SavedTarget,
     all: Vec<SavedTrack>,
+    scanners: BTreeMap<u8, [Surroundings; 2]>,
+    population: Population,
 }
 
 #[derive(Clone)]
-struct TargetTrack {
-    id: i64,
-    filter: Filter,
+pub(super) struct TargetTrack {
+    pub(super) id: i64,
+    pub(super) filter: Filter,
     /// One bit per scan of scanners that have seen the track, the last scan lowest: 1 if it was
     /// measured.
     history: u64,
     looks: u32,
-    sources: u64,
+    pub(super) sources: u64,
     born_ns: i64,
     seen_ns: i64,
-    hits: u32,
-    confirmed: bool,
+    pub(super) hits: u32,
+    pub(super) confirmed: bool,
+    pub(super) belief: Belief,
 }
 
 /// All tracks at one time.
 #[derive(Clone)]
 pub struct Tracks {
     /// Filter without a target that holds the motion of the platform.
-    unseen: Filter,
-    all: Vec<TargetTrack>,
+    pub(super) unseen: Filter,
+    pub(super) all: Vec<TargetTrack>,
+    /// What is known about every scanner, of its LiDAR and its radar measurements.
+    pub(super) scanners: BTreeMap<u8, [Surroundings; 2]>,
+    /// How long targets stay.
+    pub(super) population: Population,
 }
 
 impl TargetAssociation {
@@ -114,7 +134,7 @@ impl TargetAssociation {
     fn cost(&self, m: &Measurement, innovation: &Innovation) -> f64 {
         let distance = innovation.nis + innovation.log_determinant;
         match self {
-            Self::Nearest => distance,
+            Self::Nearest | Self::Integrated(_) => distance,
             Self::Joint { detection, clutter } => {
                 let constant = innovation.count as f64 * libm::log(std::f64::consts::TAU);
                 let density = clutter[usize::from(m.sensor() == Sensor::Radar)];
@@ -126,11 +146,27 @@ impl TargetAssociation {
 
 impl Births {
     /// Number of the track started by measurement `column`.
-    fn of(&mut self, column: usize) -> i64 {
-        let id = self.ids[column].unwrap_or(self.next_id);
+    pub(super) fn of(&mut self, column: usize) -> i64 {
+        let id = self.ids.of_column[column].unwrap_or(self.next_id);
         self.next_id = self.next_id.max(id + 1);
-        self.ids[column] = Some(id);
+        self.ids.of_column[column] = Some(id);
         id
+    }
+
+    /// Number of the track through the place of track `id` and measurement `column`.
+    pub(super) fn of_pair(&mut self, id: i64, column: usize) -> i64 {
+        let next = self.next_id;
+        let new = *self.ids.of_pair.entry((id, column)).or_insert(next);
+        self.next_id = self.next_id.max(new + 1);
+        new
+    }
+}
+
+impl NewNumbers {
+    /// No number has been given yet, in a scan of `count` measurements.
+    #[must_use]
+    pub fn of_scan(count: usize) -> Self {
+        Self { of_column: vec![None; count], of_pair: BTreeMap::new() }
     }
 }
 
@@ -140,25 +176,52 @@ impl Tracks {
     /// # Errors
     /// Errors of [`Filter::new`].
     pub fn new(filter: &FusionParameters) -> Result<Self, Error> {
-        Ok(Self { unseen: Filter::new(filter)?, all: Vec::new() })
+        Ok(Self {
+            unseen: Filter::new(filter)?,
+            all: Vec::new(),
+            scanners: BTreeMap::new(),
+            population: Population::default(),
+        })
     }
 
     /// The tracks, of which none stay here.
     #[must_use]
     pub fn moved_out(&mut self) -> Self {
-        Self { unseen: self.unseen.clone(), all: std::mem::take(&mut self.all) }
+        let (all, scanners) = (std::mem::take(&mut self.all), self.scanners.clone());
+        Self { unseen: self.unseen.clone(), all, scanners, population: self.population }
     }
 
     /// State that changes with scans.
     pub fn saved(&self) -> SavedTracks {
         let one = |track: &TargetTrack| {
             let TargetTrack {
-                id, history, looks, sources, born_ns, seen_ns, hits, confirmed, ..
+                id,
+                history,
+                looks,
+                sources,
+                born_ns,
+                seen_ns,
+                hits,
+                confirmed,
+                belief,
+                ..
             } = *track;
             let filter = track.filter.saved();
-            SavedTrack { id, filter, history, looks, sources, born_ns, seen_ns, hits, confirmed }
+            SavedTrack {
+                id,
+                filter,
+                history,
+                looks,
+                sources,
+                born_ns,
+                seen_ns,
+                hits,
+                confirmed,
+                belief,
+            }
         };
-        SavedTracks { unseen: self.unseen.saved(), all: self.all.iter().map(one).collect() }
+        let (all, scanners) = (self.all.iter().map(one).collect(), self.scanners.clone());
+        SavedTracks { unseen: self.unseen.saved(), all, scanners, population: self.population }
     }
 
     /// Saved tracks, with filters of the parameters of `self`.
@@ -172,7 +235,16 @@ impl Tracks {
         };
         let one = |track: &SavedTrack| {
             let SavedTrack {
-                id, history, looks, sources, born_ns, seen_ns, hits, confirmed, ..
+                id,
+                history,
+                looks,
+                sources,
+                born_ns,
+                seen_ns,
+                hits,
+                confirmed,
+                belief,
+                ..
             } = *track;
             let filter = with(&track.filter)?;
             Ok(TargetTrack {
@@ -185,10 +257,16 @@ impl Tracks {
                 seen_ns,
                 hits,
                 confirmed,
+                belief,
             })
         };
         let all = saved.all.iter().map(one).collect::<Result<_, Error>>()?;
-        Ok(Self { unseen: with(&saved.unseen)?, all })
+        Ok(Self {
+            unseen: with(&saved.unseen)?,
+            all,
+            scanners: saved.scanners.clone(),
+            population: saved.population,
+        })
     }
 
     /// Number of tracks.
@@ -208,8 +286,9 @@ impl Tracks {
     pub fn at(&self, stamp_ns: i64) -> Vec<TrackState> {
         let states = self.all.iter().filter_map(|track| {
             let output = track.filter.output_at(stamp_ns)?;
-            let TargetTrack { id, born_ns, seen_ns, hits, confirmed, .. } = *track;
-            Some(TrackState { id, output, born_ns, seen_ns, hits, confirmed })
+            let TargetTrack { id, born_ns, seen_ns, hits, confirmed, belief, .. } = *track;
+            let existence = Some(belief.existence).filter(|p| !p.is_nan());
+            Some(TrackState { id, output, born_ns, seen_ns, hits, confirmed, existence })
         });
         let mut states: Vec<TrackState> = states.collect();
         states.sort_by_key(|state| state.id);
@@ -245,8 +324,16 @@ impl Tracks {
         let foreseen = self.all.iter_mut().map(|track| u64::from(track.filter.foresee(stamp_ns)));
         work.predictions += foreseen.sum::<u64>();
         let index = ScanIndex::new(&scan.measurements, &parameters.filter.sensing);
+        if let TargetAssociation::Integrated(existence) = &parameters.association {
+            let candidates = self.candidates(parameters, scan, &index, |_| true, &assigned, work);
+            let space = IntegratedScan { parameters, existence, scan };
+            self.integrate(&space, &candidates, births, &mut assigned);
+            within("tracks", self.all.len())?;
+            return Ok(assigned);
+        }
         for confirmed in [true, false] {
-            let candidates = self.candidates(parameters, scan, &index, confirmed, &assigned, work);
+            let wanted = |track: &TargetTrack| track.confirmed == confirmed;
+            let candidates = self.candidates(parameters, scan, &index, wanted, &assigned, work);
             self.associate(parameters, scan, &candidates, &mut assigned)?;
         }
         let measured = self.measured_at(stamp_ns);
@@ -287,19 +374,19 @@ impl Tracks {
         Ok(())
     }
 
-    /// Tracks, confirmed or not, with those measurements in their gates that have no track yet.
+    /// The `wanted` tracks with those measurements in their gates that have no track yet.
     fn candidates(
         &mut self,
         parameters: &ManyParameters,
         scan: &Scan,
         index: &ScanIndex,
-        confirmed: bool,
+        wanted: impl Fn(&TargetTrack) -> bool,
         assigned: &[Assigned],
         work: &mut TrackingWork,
     ) -> Candidates {
         let (mut found, mut near) = (Candidates::default(), Vec::new());
         let rows = self.all.iter_mut().enumerate();
-        for (row, track) in rows.filter(|(_, track)| track.confirmed == confirmed) {
+        for (row, track) in rows.filter(|(_, track)| wanted(track)) {
             index.near(&mut track.filter, &parameters.filter.life.gate, &mut near);
             near.retain(|column| assigned[*column].id.is_none());
             work.pairs += near.len() as u64;
@@ -389,7 +476,7 @@ impl Tracks {
 }
 
 impl TargetTrack {
-    fn new(id: i64, filter: Filter, scan: &Scan) -> Self {
+    pub(super) fn new(id: i64, filter: Filter, scan: &Scan) -> Self {
         Self {
             id,
             filter,
@@ -400,10 +487,11 @@ impl TargetTrack {
             seen_ns: scan.stamp_ns,
             hits: 1,
             confirmed: false,
+            belief: Belief::default(),
         }
     }
 
-    fn see(&mut self, scan: &Scan) {
+    pub(super) fn see(&mut self, scan: &Scan) {
         let seen = 1 << scan.source;
         if self.sources & seen == 0 {
             self.history <<= 1; // the first scan of this scanner that counts
@@ -449,7 +537,7 @@ impl TargetTrack {
     }
 }
 
-fn is_of_platform(m: &Measurement) -> bool {
+pub(super) fn is_of_platform(m: &Measurement) -> bool {
     matches!(m.sensor(), Sensor::Gyro | Sensor::Pose)
 }
 
