@@ -66,12 +66,14 @@ class Hypotheses:
         rows = (self.existence >= low) & (self.existence <= high)
         return Hypotheses(self.existence[rows], self.is_true[rows], self.tracks)
 
-    def bins(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    def bins(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Sums of probabilities and of true hypotheses, and how many there are, by bin."""
         place = np.minimum((self.existence * BINS).astype(np.int64), BINS - 1)
-        sums = (np.bincount(place, of, BINS) for of in (self.existence, self.is_true))
-        told, true = sums
-        return told, true, np.bincount(place, minlength=BINS)
+        told, true, count = np.zeros((3, BINS))
+        np.add.at(told, place, self.existence)
+        np.add.at(true, place, self.is_true)
+        np.add.at(count, place, 1.0)
+        return told, true, count
 
     def calibration_error(self) -> float:
         """Return the expected calibration error."""

@@ -33,7 +33,7 @@ pub struct GatedPair {
 
 /// What a scan says about tracks.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Association {
+pub struct JointEvidence {
     /// Probability of existence of every track.
     pub existence: Vec<f64>,
     /// Probability of every pair: the target exists, and the measurement is of it.
@@ -60,7 +60,7 @@ pub fn survived(existence: f64, dt: f64, lifetime: f64) -> f64 {
 /// Musicki & Evans, "Joint integrated probabilistic data association: JIPDA", 2004; for one track:
 /// Musicki, Evans & Stankovic, "Integrated probabilistic data association", 1994.
 #[must_use]
-pub fn associate(tracks: &[Prospect], measurements: usize, pairs: &[GatedPair]) -> Association {
+pub fn associate(tracks: &[Prospect], measurements: usize, pairs: &[GatedPair]) -> JointEvidence {
     let miss = |track: &Prospect| 1.0 - track.detection * track.existence;
     let cost = |pair: &GatedPair| {
         let track = &tracks[pair.track];
@@ -84,7 +84,7 @@ pub fn associate(tracks: &[Prospect], measurements: usize, pairs: &[GatedPair]) 
     });
     let existence = existence.collect();
     unexplained.iter_mut().for_each(|left| *left = left.max(0.0));
-    Association { existence, pair, unexplained }
+    JointEvidence { existence, pair, unexplained }
 }
 
 #[cfg(test)]

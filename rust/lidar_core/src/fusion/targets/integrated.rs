@@ -7,7 +7,7 @@ use super::tracks::{Assigned, Births, Candidates, Scan, TargetTrack, Tracks, is_
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::tracking::existence::{
-    Association, GatedPair, MOST_CERTAIN, Prospect, associate, survived,
+    GatedPair, JointEvidence, MOST_CERTAIN, Prospect, associate, survived,
 };
 use crate::tracking::near::NearIndex;
 use crate::tracking::surroundings::{ScannerPrior, Surroundings};
@@ -42,6 +42,9 @@ pub struct ExistenceParameters {
     pub delete: f64,
 }
 
+/// A measurement of a scan: stamp [ns], scanner and index.
+pub type Sighting = (i64, u8, usize);
+
 /// Existence of the target of a track.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Belief {
@@ -49,8 +52,8 @@ pub struct Belief {
     pub existence: f64,
     /// Time of that probability [ns].
     pub stamp_ns: i64,
-    /// The last two measurements that were most likely of the track: stamp [ns], scanner and index.
-    pub last: [Option<(i64, u8, usize)>; 2],
+    /// The last two measurements that were most likely of the track.
+    pub last: [Option<Sighting>; 2],
     /// True once the track was certain.
     pub was_certain: bool,
     /// True while a track that was certain counts as ended.
@@ -119,7 +122,7 @@ impl Tracks {
         space: &IntegratedScan<'_>,
         candidates: &Candidates,
         scanner: &[Surroundings; 2],
-    ) -> Association {
+    ) -> JointEvidence {
         let (scan, existence) = (space.scan, space.existence);
         let sensor = scan.measurements.iter().find(|m| !is_of_platform(m)).map(Measurement::sensor);
         // An empty scan: of what its scanner has measured before.
@@ -158,7 +161,12 @@ impl Tracks {
     }
 
     /// Learn what the scanner does.
-    fn learn(&mut self, space: &IntegratedScan<'_>, candidates: &Candidates, found: &Association) {
+    fn learn(
+        &mut self,
+        space: &IntegratedScan<'_>,
+        candidates: &Candidates,
+        found: &JointEvidence,
+    ) {
         let scan = space.scan;
         let mut seen = vec![0.0; self.all.len()];
         for (pair, probability) in candidates.pairs.iter().zip(&found.pair) {
@@ -189,7 +197,7 @@ impl Tracks {
         &mut self,
         space: &IntegratedScan<'_>,
         candidates: &Candidates,
-        found: &Association,
+        found: &JointEvidence,
         births: &mut Births,
         assigned: &mut [Assigned],
     ) -> NearIndex {
@@ -237,7 +245,7 @@ impl Tracks {
         &mut self,
         space: &IntegratedScan<'_>,
         scanner: &[Surroundings; 2],
-        found: &Association,
+        found: &JointEvidence,
         measured: &NearIndex,
         births: &mut Births,
         assigned: &mut [Assigned],
@@ -277,7 +285,7 @@ impl Tracks {
     /// Unite tracks whose last two measurements were the same, unless both are certain: they are
     /// two histories of one target. The probabilities of histories that exclude each other add up.
     fn unite(&mut self) {
-        let mut first: BTreeMap<[Option<(i64, u8, usize)>; 2], usize> = BTreeMap::new();
+        let mut first: BTreeMap<[Option<Sighting>; 2], usize> = BTreeMap::new();
         let mut is_gone = vec![false; self.all.len()];
         for row in 0..self.all.len() {
             let belief = self.all[row].belief;
