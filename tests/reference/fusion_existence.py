@@ -12,7 +12,7 @@ import numpy as np
 from reference.fusion_many import gaussian_step
 
 CERTAIN, DOUBTFUL, MOST = 0.9, 0.5, 1 - 1e-9
-MEMORY, FIRST_SCANS = 300, 5
+MEMORY, FIRST_SCANS, SPEEDS = 300, 5, 50
 PRIORS = {"clutter": 1.0, "detection": 5.0, "share": 20.0, "end": 0.5}
 
 
@@ -99,7 +99,7 @@ class IntegratedTargets:
         self.config, self.gate = config, gate
         self.noise = np.diag(np.square(config.target.lidar_std))
         self.tracks, self.next_id, self.scanners = [], 0, {}
-        self.stayed = self.ends = 0.0
+        self.stayed = self.ends = self.squared = self.speeds = 0.0
 
     def process(self, stamp, places, source):
         self.stamp, self.places, self.source = stamp, places, source
@@ -234,12 +234,16 @@ class IntegratedTargets:
                 continue
             covariance = np.zeros((4, 4))
             covariance[:2, :2] = self.noise
-            covariance[2:, 2:] = np.eye(2) * config.target.initial_speed**2
+            told = config.target.initial_speed**2
+            speed = max((told + self.squared) / (1 + self.speeds), told / 9)
+            covariance[2:, 2:] = np.eye(2) * speed
             track = {
                 "id": self.next_id,
                 "mean": np.array([*place, 0.0, 0.0]),
                 "cov": covariance,
                 "p": probability[column],
+                "start": place,
+                "born": self.stamp,
                 "stamp": self.stamp,
                 "sources": {self.source},
                 "hits": 1,
@@ -275,11 +279,16 @@ class IntegratedTargets:
         self.tracks = [
             track
             for track in self.tracks
-            if track["p"] >= config.delete_existence and np.diag(track["cov"])[:2].max() <= widest
+            if track["p"] >= config.delete_existence
+            and (track["hits"] < 2 or np.diag(track["cov"])[:2].max() <= widest)
         ]
         for track in self.tracks:
             kept = track["confirmed"] and track["p"] >= config.report_existence / 2
             track["confirmed"] = bool(kept or track["p"] >= config.report_existence)
+            if track["p"] > CERTAIN and not track["was_certain"] and self.stamp > track["born"]:
+                away = (track["mean"][:2] - track["start"]) / (self.stamp - track["born"]) * 1e9
+                self.squared = self.squared * (1 - 1 / SPEEDS) + away @ away / 2
+                self.speeds = self.speeds * (1 - 1 / SPEEDS) + 1
             track["was_certain"] |= bool(track["p"] > CERTAIN)
             doubts = track["p"] < (CERTAIN if track["is_doubtful"] else DOUBTFUL)
             if track["was_certain"] and doubts != track["is_doubtful"]:

@@ -19,10 +19,13 @@ class MultiTargetConfig(Config):
     """
 
     target: FusionConfig = Field(
-        FusionConfig(),
+        FusionConfig(
+            method="imm", imm_models=("cv",), imm_quiet=0.1, start_rows=3, initial_speed=15.0
+        ),
         description="The filter of each target; its gate decides which measurements may be one's,"
         " its `buffer_time` how late scans may come. `loss_ratio` and `sensor_noise` are not"
-        " used: a lost track ends, and noise is as configured.",
+        " used: a lost track ends, and noise is as configured. With association integrated,"
+        " `initial_speed` is the first guess: speeds of tracks teach better.",
     )
     confirm_hits: int = Field(
         3,

@@ -129,7 +129,7 @@ def crowds():
             [
                 hypotheses(arena, told(factor), np.random.default_rng([8900, number, run]))
                 for number, arena in enumerate(ARENAS.values())
-                for run in range(8)
+                for run in range(10)
             ]
         )
         for name, factor in FACTORS.items()
@@ -229,3 +229,44 @@ def test_a_single_target_in_clutter_is_followed_by_any_model(model, method):
     away = np.linalg.norm(tracks.position - place, axis=1)
     assert away.min() < 0.6
     assert len(away) <= 2
+
+
+@pytest.mark.parametrize(("step", "scans"), [(0.1, 3), (0.5, 4)])
+@pytest.mark.parametrize("speed", [5.0, 20.0, 30.0])
+def test_targets_that_pass_straight_are_found_at_once(speed, step, scans):
+    """By the third scan; by the fourth of slow scanners, which see it many metres further on."""
+    rng = np.random.default_rng([8903, int(speed)])
+    late, recall = [], []
+    for _ in range(10):
+        tracker, heading = MultiTargetTracker(), rng.uniform(-np.pi, np.pi)
+        way = speed * np.array([np.cos(heading), np.sin(heading)])
+        found = []
+        for k in range(12):
+            stamp, place = round(k * step * 1e9), way * step * (k - 6)
+            stray = rng.uniform(-40, 40, (rng.poisson(1), 2))
+            seen = np.vstack([place + rng.normal(0, 0.15, 2), stray])
+            tracker.process(stamp, lidar(stamp, seen), source="lidar")
+            tracks = tracker.tracks_at(stamp)
+            found.append(bool((np.linalg.norm(tracks.position - place, axis=1) < 1).any()))
+        late.append(found.index(True))
+        recall.append(np.mean(found[3:]))
+    assert np.median(late) < scans
+    assert np.mean(recall) >= 0.95
+
+
+def test_speeds_of_new_targets_are_learnt():
+    """After many slow targets, what appears 3 m from where another was is rather another one."""
+    taught, fresh = MultiTargetTracker(), MultiTargetTracker()
+    rng = np.random.default_rng(8904)
+    places = 10.0 * np.stack(np.meshgrid(np.arange(5), np.arange(4)), axis=-1).reshape(-1, 2)
+    for k in range(12):
+        stamp = k * STEP_NS
+        taught.process(stamp, lidar(stamp, places + rng.normal(0, 0.15, places.shape)), source="s")
+        fresh.process(stamp, [], source="s")
+    after, grown = 12 * STEP_NS, []
+    for tracker in (taught, fresh):
+        tracker.process(after, lidar(after, [[100.0, 0.0]]), source="s")
+        alone = tracker.tracks_at(after + STEP_NS, confirmed=False)
+        row = np.argmin(np.linalg.norm(alone.position - [100.0, 0.0], axis=1))
+        grown.append(alone.covariances[row, 0, 0])
+    assert grown[0] < 0.2 * grown[1]

@@ -128,11 +128,20 @@ impl FusionParameters {
     }
 }
 
-/// Probabilities of existence.
+/// Probabilities of existence, of targets that stand, move evenly, or change their velocity.
 impl Default for ManyParameters {
     fn default() -> Self {
         Self {
-            filter: FusionParameters::default(),
+            filter: FusionParameters {
+                method: Method::Interacting {
+                    models: [true, false, false, false, false],
+                    sojourn: 2.0,
+                    quiet: Some(0.1),
+                },
+                prior: Prior { speed: 225.0, ..Prior::default() },
+                life: Life { start_rows: 3, ..Life::default() },
+                ..FusionParameters::default()
+            },
             confirm_hits: 3,
             confirm_window: 5,
             max_coast: 2.0,

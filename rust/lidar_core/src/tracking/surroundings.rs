@@ -13,6 +13,10 @@ const SHARE_PRIOR: f64 = 20.0;
 const MEMORY: f64 = 300.0;
 /// Weight of the configured lifetime [ends of tracks].
 const END_PRIOR: f64 = 0.5;
+/// Number of targets after which the speed of one counts 1/e.
+const SPEEDS: f64 = 50.0;
+/// Least variance of the speed, over that before any target.
+const SLOWEST: f64 = 1.0 / 9.0;
 /// Scans within which a target is found that was there before: they say nothing about arrivals.
 const FIRST_SCANS: f64 = 5.0;
 /// Limits of the probability of detection.
@@ -122,12 +126,15 @@ impl Surroundings {
     }
 }
 
-/// How long targets stay, learnt from the ends of tracks that were certain.
+/// How long targets stay and how fast they are, learnt from tracks that were certain.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Population {
     /// Sum of the times for which targets existed [s].
     stayed: f64,
     ends: f64,
+    /// Sum of the squared speeds of targets, per axis [m^2/s^2], and their number.
+    squared: f64,
+    speeds: f64,
 }
 
 impl Population {
@@ -139,6 +146,21 @@ impl Population {
     /// Take in that a track which was certain has become doubtful, or the reverse.
     pub fn count_end(&mut self, is_doubtful: bool) {
         self.ends += if is_doubtful { 1.0 } else { -1.0 };
+    }
+
+    /// Take in that a target has moved with the velocity [vx, vy] [m/s].
+    pub fn count_speed(&mut self, [vx, vy]: [f64; 2]) {
+        let kept = 1.0 - 1.0 / SPEEDS;
+        self.squared = kept * self.squared + 0.5 * (vx * vx + vy * vy);
+        self.speeds = kept * self.speeds + 1.0;
+    }
+
+    /// Variance of the speed of new targets per axis [m^2/s^2]; `variance` is that before any
+    /// target. Among slow ones a ninth of it stays, so that a fast one is still found.
+    #[must_use]
+    pub fn speed(&self, variance: f64) -> f64 {
+        let mean = (variance + self.squared) / (1.0 + self.speeds);
+        mean.max(SLOWEST * variance)
     }
 
     /// Mean time for which a target stays [s]; `lifetime` is that before any track has ended.

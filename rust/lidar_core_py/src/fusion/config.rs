@@ -46,6 +46,7 @@ pub(crate) struct FusionConfig {
     sigma_points: String,
     imm_models: Vec<String>,
     imm_sojourn: f64,
+    imm_quiet: Option<f64>,
     published: PublishedModel,
 }
 
@@ -144,7 +145,10 @@ impl FusionConfig {
             ("ekf", Method::Extended),
             ("ukf", Method::Sigma { spread: self.sigma_spread, carries }),
             ("ckf", Method::Cubature),
-            ("imm", Method::Interacting { models, sojourn: self.imm_sojourn }),
+            (
+                "imm",
+                Method::Interacting { models, sojourn: self.imm_sojourn, quiet: self.imm_quiet },
+            ),
         ];
         choice("method", &self.method, &known)
     }

@@ -27,7 +27,7 @@ fn first_cv(first: &First, prior: &Prior) -> Gaussian<4> {
     let [x, y] = first.position;
     // The variance of the speed belongs to both axes: zero across the line of sight is only the
     // mean of what is not measured.
-    let covariance = first.covariance(prior, [prior.speed; 2]);
+    let covariance = first.covariance(prior, [first.spread(prior); 2]);
     Gaussian { mean: Vector4::new(x, y, vx, vy), covariance }
 }
 

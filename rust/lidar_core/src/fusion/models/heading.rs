@@ -71,7 +71,7 @@ pub(super) fn polar_first(first: &First, prior: &Prior) -> Gaussian<4> {
     let [x, y] = first.position;
     // Without a measured speed the line of sight does not show where the target is heading.
     let heading = if first.speed == 0.0 { 0.0 } else { first.heading };
-    let covariance = first.covariance(prior, [prior.speed, prior.heading]);
+    let covariance = first.covariance(prior, [first.spread(prior), prior.heading]);
     Gaussian { mean: Vector4::new(x, y, first.speed, heading), covariance }
 }
 

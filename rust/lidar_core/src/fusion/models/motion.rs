@@ -52,9 +52,17 @@ pub struct First {
     pub heading: f64,
     /// Covariance of the position [m^2]; None for the variances of the prior.
     pub noise: Option<[[f64; 2]; 2]>,
+    /// Variance of the speed [m^2/s^2]; None for that of the prior.
+    pub speed_variance: Option<f64>,
 }
 
 impl First {
+    /// Variance of a speed that is not measured [m^2/s^2].
+    #[must_use]
+    pub fn spread(&self, prior: &Prior) -> f64 {
+        self.speed_variance.unwrap_or(prior.speed)
+    }
+
     /// Covariance of position and of two more states with the given variances.
     #[must_use]
     pub fn covariance(&self, prior: &Prior, variances: [f64; 2]) -> Matrix4<f64> {

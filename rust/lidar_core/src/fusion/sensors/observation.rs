@@ -293,7 +293,13 @@ pub fn position_noise(
 pub fn first_sight(m: &Measurement, sensor: Option<&SensorPose>) -> Option<First> {
     let v = m.values();
     let mut first = match m.sensor() {
-        Sensor::Lidar => First { position: [v[0], v[1]], speed: 0.0, heading: 0.0, noise: None },
+        Sensor::Lidar => First {
+            position: [v[0], v[1]],
+            speed: 0.0,
+            heading: 0.0,
+            noise: None,
+            speed_variance: None,
+        },
         Sensor::Radar => {
             let [cosine, sine] = direction(v[1]);
             First {
@@ -301,6 +307,7 @@ pub fn first_sight(m: &Measurement, sensor: Option<&SensorPose>) -> Option<First
                 speed: v[2],
                 heading: v[1],
                 noise: None,
+                speed_variance: None,
             }
         }
         Sensor::Gyro | Sensor::Pose => return None,
@@ -401,7 +408,13 @@ mod tests {
         let platform = Platform { pose: Some(pose), ..Platform::still() };
         let sensor = platform.sensor_at(0);
         let m = Measurement::new(0, Sensor::Radar, &[3.0, 0.4, 1.5], None)?;
-        let unknown = First { position: [0.0; 2], speed: 0.0, heading: 0.0, noise: None };
+        let unknown = First {
+            position: [0.0; 2],
+            speed: 0.0,
+            heading: 0.0,
+            noise: None,
+            speed_variance: None,
+        };
         let first = first_sight(&m, sensor.as_ref()).unwrap_or(unknown);
         let [x, y] = first.position;
         let s = Vector5::new(x, y, first.speed, first.heading, 0.0);

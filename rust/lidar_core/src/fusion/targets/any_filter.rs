@@ -64,6 +64,9 @@ pub enum Method {
         models: [bool; 5],
         /// Mean time for which a target follows one model [s].
         sojourn: f64,
+        /// Share of the process noise that a second copy of each model has, for targets that move
+        /// evenly or stand; none: no such copies.
+        quiet: Option<f64>,
     },
 }
 
@@ -128,6 +131,7 @@ trait Tracked: Send + Sync {
     fn output_at(&self, stamp_ns: i64) -> Option<Output>;
     fn link(&self, stamp_ns: i64) -> Option<Link>;
     fn looseness(&self) -> f64;
+    fn expect_speed(&mut self, variance: f64);
     fn errors(&self) -> SensorErrors;
     fn boxed(&self) -> Box<dyn Tracked>;
     fn saved(&self) -> SavedTarget;
@@ -179,6 +183,10 @@ impl<E: Engine> Tracked for Target<E> {
         Target::looseness(self)
     }
 
+    fn expect_speed(&mut self, variance: f64) {
+        Target::expect_speed(self, variance);
+    }
+
     fn errors(&self) -> SensorErrors {
         Target::errors(self)
     }
@@ -217,9 +225,14 @@ impl Filter {
             "\"kf\" with model \"cv\" or \"ca\" only",
             format!("{:?}", p.model),
         )?;
-        if let Method::Interacting { models, sojourn } = p.method {
-            let named = MIXABLE.iter().zip(models).filter(|(_, wanted)| *wanted);
-            let modes: Vec<Arc<dyn Mode>> = named.filter_map(|(model, _)| p.mode(*model)).collect();
+        if let Method::Interacting { models, sojourn, quiet } = p.method {
+            let loud = std::iter::once(*p);
+            let shares = loud.chain(quiet.map(|share| p.with_noise(share)));
+            let modes = shares.flat_map(|p| {
+                let named = MIXABLE.iter().zip(models).filter(|(_, wanted)| *wanted);
+                named.filter_map(move |(model, _)| p.mode(*model))
+            });
+            let modes: Vec<Arc<dyn Mode>> = modes.collect();
             require(!modes.is_empty(), "imm_models", "at least one model", "none")?;
             return Ok(Self(p.tracked(Imm::new(modes, sojourn))));
         }
@@ -306,6 +319,11 @@ impl Filter {
         self.0.score(m)
     }
 
+    /// Let the speed of a target seen first have this variance [m^2/s^2] in place of the prior's.
+    pub(super) fn expect_speed(&mut self, variance: f64) {
+        self.0.expect_speed(variance);
+    }
+
     /// Time of the state [ns]; the smallest integer before the first measurement.
     #[must_use]
     pub fn stamp_ns(&self) -> i64 {
@@ -375,6 +393,13 @@ impl FusionParameters {
     #[must_use]
     pub fn without_buffer(&self) -> Self {
         Self { life: Life { buffer_ns: 0, ..self.life }, ..*self }
+    }
+
+    /// The same with process noise of `share` times the strength.
+    fn with_noise(&self, share: f64) -> Self {
+        let Strengths { acceleration, jerk, turn, .. } = self.strengths;
+        let [acceleration, jerk, turn] = [acceleration, jerk, turn].map(|noise| share * noise);
+        Self { strengths: Strengths { acceleration, jerk, turn, ..self.strengths }, ..*self }
     }
 
     fn tracked<E: Engine>(&self, engine: E) -> Box<dyn Tracked> {

@@ -54,6 +54,8 @@ pub struct Belief {
     pub stamp_ns: i64,
     /// The last two measurements that were most likely of the track.
     pub last: [Option<Sighting>; 2],
+    /// Position at the first measurement [m].
+    pub start: [f64; 2],
     /// True once the track was certain.
     pub was_certain: bool,
     /// True while a track that was certain counts as ended.
@@ -70,6 +72,7 @@ impl Default for Belief {
             existence: f64::NAN,
             stamp_ns: 0,
             last: [None; 2],
+            start: [f64::NAN; 2],
             was_certain: false,
             is_doubtful: false,
             will_arrive: false,
@@ -251,6 +254,8 @@ impl Tracks {
         assigned: &mut [Assigned],
     ) {
         let (scan, existence) = (space.scan, space.existence);
+        let mut unseen = self.unseen.clone();
+        unseen.expect_speed(self.population.speed(space.parameters.filter.prior.speed));
         for (column, m) in scan.measurements.iter().enumerate() {
             if is_of_platform(m) {
                 continue;
@@ -260,12 +265,13 @@ impl Tracks {
             if probability < existence.delete {
                 continue;
             }
-            let mut filter = self.unseen.clone();
+            let mut filter = unseen.clone();
             let step = filter.step(m);
             let output = step.output.filter(|_| step.outcome == Outcome::Started);
-            let place = output.map(|output| [output.mean[0], output.mean[1]]);
-            let reach = space.parameters.birth_distance;
-            if place.is_none_or(|place| measured.is_near(place, reach)) {
+            let Some(start) = output.map(|output| [output.mean[0], output.mean[1]]) else {
+                continue;
+            };
+            if measured.is_near(start, space.parameters.birth_distance) {
                 continue;
             }
             let mut track = TargetTrack::new(births.of(column), filter, scan);
@@ -273,6 +279,7 @@ impl Tracks {
                 existence: probability,
                 stamp_ns: scan.stamp_ns,
                 last: [Some((scan.stamp_ns, scan.source, column)), None],
+                start,
                 was_certain: false,
                 is_doubtful: false,
                 will_arrive: scanner[kind(m)].is_settled(),
@@ -319,7 +326,9 @@ impl Tracks {
                 let output = track.filter.output_at(stamp_ns);
                 output.is_some_and(|o| o.covariance[0][0].max(o.covariance[1][1]) <= widest)
             };
-            track.belief.existence >= existence.delete && is_placed()
+            // One measurement leaves the speed open: a slow scanner finds the target far away.
+            let is_young = track.hits < DIVIDED;
+            track.belief.existence >= existence.delete && (is_young || is_placed())
         });
         if self.all.len() > MAX_TARGETS {
             let mut sorted: Vec<f64> =
@@ -336,6 +345,12 @@ impl Tracks {
         let mut arrived = 0;
         for track in &mut self.all {
             let probability = track.belief.existence;
+            if probability > CERTAIN
+                && !track.belief.was_certain
+                && let Some(velocity) = track.mean_velocity(stamp_ns)
+            {
+                self.population.count_speed(velocity);
+            }
             let is_kept = track.confirmed && probability >= KEPT * existence.report;
             track.confirmed = is_kept || probability >= existence.report;
             let Belief { was_certain, is_doubtful, .. } = &mut track.belief;
@@ -358,6 +373,14 @@ impl Tracks {
 }
 
 impl TargetTrack {
+    /// Velocity [vx, vy] from the first measurement to a time [m/s].
+    fn mean_velocity(&self, stamp_ns: i64) -> Option<[f64; 2]> {
+        let dt = stamp_ns.saturating_sub(self.born_ns) as f64 * 1e-9;
+        let now = self.filter.output_at(stamp_ns)?.mean;
+        let start = self.belief.start;
+        (dt > 0.0).then(|| [0, 1].map(|axis| (now[axis] - start[axis]) / dt))
+    }
+
     /// Correct by measurements with their probabilities, given that the target exists.
     fn corrected(&mut self, scan: &Scan, own: &OwnPairs, existence: f64) {
         self.belief.existence = existence;

@@ -193,7 +193,7 @@ mod tests {
     #[test]
     fn near_pairs_are_those_of_comparing_all() -> Result<(), Error> {
         let sigma = Method::Sigma { spread: None, carries: false };
-        let mixed = Method::Interacting { models: [true; 5], sojourn: 1.0 };
+        let mixed = Method::Interacting { models: [true; 5], sojourn: 1.0, quiet: Some(0.1) };
         for (model, method) in [
             (Model::ConstantVelocity, Method::Linear),
             (Model::ConstantVelocity, Method::Extended),

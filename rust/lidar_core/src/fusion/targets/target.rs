@@ -77,6 +77,8 @@ pub struct Target<E: Engine> {
     rules: FilterRules<E>,
     now: Now<E::State>,
     ahead: Option<Ahead<E::State>>,
+    /// Variance of the speed of a target seen first [m^2/s^2]; None for that of the prior.
+    first_speed: Option<f64>,
     /// Recent measurements, each with the state after it.
     history: VecDeque<(Measurement, Now<E::State>)>,
 }
@@ -214,7 +216,7 @@ impl<E: Engine> Target<E> {
             looseness: 1.0,
         };
         let rules = FilterRules { engine, starter, life };
-        Self { rules, now, ahead: None, history: VecDeque::new() }
+        Self { rules, now, ahead: None, first_speed: None, history: VecDeque::new() }
     }
 
     /// State that changes with measurements.
@@ -460,6 +462,11 @@ impl<E: Engine> Target<E> {
         self.now.looseness
     }
 
+    /// Let the speed of a target seen first have this variance [m^2/s^2] in place of the prior's.
+    pub fn expect_speed(&mut self, variance: f64) {
+        self.first_speed = Some(variance);
+    }
+
     /// Noise of the sensors as the measurements show it.
     pub fn errors(&self) -> SensorErrors {
         self.now.errors
@@ -476,6 +483,7 @@ impl<E: Engine> Target<E> {
         if self.rules.life.starts_as_measured {
             first.noise = position_noise(m, &self.rules.starter.sensing, sensor.as_ref());
         }
+        first.speed_variance = self.first_speed;
         let state = self.rules.engine.first(&first);
         let cv = self.rules.starter.first(&first);
         self.now.phase =

@@ -110,7 +110,7 @@ pub(super) struct TargetTrack {
     history: u64,
     looks: u32,
     pub(super) sources: u64,
-    born_ns: i64,
+    pub(super) born_ns: i64,
     seen_ns: i64,
     pub(super) hits: u32,
     pub(super) confirmed: bool,
