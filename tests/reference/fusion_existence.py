@@ -5,13 +5,12 @@ joint events that are counted one by one: for every set of tracks that exist, an
 assignment of measurements.
 """
 
-from itertools import product
-
 import numpy as np
 
 from reference.fusion_many import gaussian_step
 
 CERTAIN, DOUBTFUL, MOST = 0.9, 0.5, 1 - 1e-9
+SHARE, LIFETIME, DELETED = 0.05, 30.0, 1e-3
 MEMORY, FIRST_SCANS, SPEEDS = 300, 5, 50
 PRIORS = {"clutter": 1.0, "detection": 5.0, "share": 20.0, "end": 0.5}
 
@@ -45,28 +44,25 @@ def groups(linked):
 
 
 def events_of_group(existence, detection, ratios):
-    """The same for one group: no target, missed, or measured, of every track."""
-    options = [[None, -1, *np.flatnonzero(row).tolist()] for row in ratios]
-    total, exists, pair = 0.0, np.zeros(len(ratios)), np.zeros(ratios.shape)
-    for event in product(*options):
-        used = [column for column in event if column is not None and column >= 0]
-        if len(used) > len(set(used)):
-            continue
-        weight = 1.0
+    """The same for one group: every track was measured as something, or was not measured."""
+    unseen = 1 - existence * detection  # no target, or missed
+    pair, events = np.zeros(ratios.shape), [((), 1.0)]
+    for row in range(len(ratios)):
+        seen = existence[row] * detection * ratios[row]
+        options = [(-1, unseen[row]), *((column, seen[column]) for column in np.flatnonzero(seen))]
+        events = [
+            ((*event, column), weight * own)
+            for event, weight in events
+            for column, own in options
+            if column < 0 or column not in event
+        ]
+    total = sum(weight for _, weight in events)
+    for event, weight in events:
         for row, column in enumerate(event):
-            if column is None:
-                weight *= 1 - existence[row]
-            elif column < 0:
-                weight *= existence[row] * (1 - detection)
-            else:
-                weight *= existence[row] * detection * ratios[row, column]
-        total += weight
-        for row, column in enumerate(event):
-            if column is not None:
-                exists[row] += weight
-                if column >= 0:
-                    pair[row, column] += weight
-    return exists / total, pair / total
+            if column >= 0:
+                pair[row, column] += weight / total
+    missed = existence * (1 - detection) / unseen
+    return pair.sum(axis=1) + (1 - pair.sum(axis=1)) * missed, pair
 
 
 class Learnt:
@@ -79,7 +75,7 @@ class Learnt:
 
     def density(self):
         area = np.prod(np.maximum(self.high - self.low, 0)) if self.low[0] < np.inf else 0.0
-        exposure = PRIORS["clutter"] / self.config.lidar_clutter
+        exposure = PRIORS["clutter"] / self.config.clutter[0]
         return (PRIORS["clutter"] + self.clutter) / (exposure + self.scans * area)
 
     def detection(self):
@@ -88,7 +84,7 @@ class Learnt:
         return float(np.clip((told + self.hits) / (looks + self.looks), 0.05, 0.99))
 
     def share(self):
-        told = PRIORS["share"] * self.config.new_target_share
+        told = PRIORS["share"] * SHARE
         return (told + self.arrivals) / (PRIORS["share"] + self.clutter + self.arrivals)
 
 
@@ -126,7 +122,7 @@ class IntegratedTargets:
         return numbers
 
     def age(self):
-        lifetime = PRIORS["end"] * self.config.lifetime + self.stayed
+        lifetime = PRIORS["end"] * LIFETIME + self.stayed
         lifetime /= PRIORS["end"] + self.ends
         for track in self.tracks:
             dt = (self.stamp - track["stamp"]) * 1e-9
@@ -230,7 +226,7 @@ class IntegratedTargets:
         config = self.config
         for column, place in enumerate(self.places):
             near = any(np.hypot(*(at - place)) < config.birth_distance for at in measured)
-            if near or probability[column] < config.delete_existence:
+            if near or probability[column] < DELETED:
                 continue
             covariance = np.zeros((4, 4))
             covariance[:2, :2] = self.noise
@@ -279,7 +275,7 @@ class IntegratedTargets:
         self.tracks = [
             track
             for track in self.tracks
-            if track["p"] >= config.delete_existence
+            if track["p"] >= DELETED
             and (track["hits"] < 2 or np.diag(track["cov"])[:2].max() <= widest)
         ]
         for track in self.tracks:

@@ -1,11 +1,14 @@
-"""Configuration of the tracker of many targets, and of boats as a harbour ferry sees them."""
+"""Configuration of the tracker of many targets."""
 
-from typing import Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from lidar_core.config import Config
 from lidar_core.fusion.config import FusionConfig
+
+Density = Annotated[float, Field(gt=0, le=1e6)]
 
 
 class MultiTargetConfig(Config):
@@ -18,6 +21,10 @@ class MultiTargetConfig(Config):
     JIPDA", 2004.
     """
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "lidar_clutter": "write it as the first value of clutter",
+        "radar_clutter": "write it as the second value of clutter",
+    }
     target: FusionConfig = Field(
         FusionConfig(
             method="imm", imm_models=("cv",), imm_quiet=0.1, start_rows=3, initial_speed=15.0
@@ -74,31 +81,14 @@ class MultiTargetConfig(Config):
         gt=0,
         lt=1,
         description="Probability that a scan measures a target, for associations joint and"
-        " integrated (no unit); with integrated only the first guess, as the two densities and"
-        " `new_target_share`: scans teach better.",
+        " integrated (no unit); with integrated only the first guess, as `clutter`: scans teach"
+        " better.",
     )
-    lidar_clutter: float = Field(
-        1e-3, gt=0, le=1e6, description="Density of clutter of the LiDAR, for the same [1/m^2]."
-    )
-    radar_clutter: float = Field(
-        1e-3,
-        gt=0,
-        le=1e6,
-        description="Density of clutter of the radar, for the same [1/(m rad m/s)].",
-    )
-    new_target_share: float = Field(
-        0.05,
-        gt=0,
-        lt=1,
-        description="Probability that a measurement which no track explains is of a new target, for"
-        " association integrated (no unit).",
-    )
-    lifetime: float = Field(
-        30.0,
-        gt=0,
-        le=1e9,
-        description="Mean time for which a target stays, the first guess for association"
-        " integrated [s].",
+
+    clutter: tuple[Density, Density] = Field(
+        (1e-3, 1e-3),
+        description="Densities of clutter of the LiDAR [1/m^2] and of the radar [1/(m rad m/s)],"
+        " for the same.",
     )
     report_existence: float = Field(
         0.95,
@@ -106,13 +96,6 @@ class MultiTargetConfig(Config):
         lt=1,
         description="A track is reported from this probability of existence on, until it falls"
         " below half of it, for association integrated (no unit).",
-    )
-    delete_existence: float = Field(
-        1e-3,
-        gt=0,
-        lt=1,
-        description="A track ends below this probability of existence, for association integrated"
-        " (no unit).",
     )
 
     @classmethod
@@ -139,24 +122,3 @@ class MultiTargetConfig(Config):
         if self.confirm_hits > self.confirm_window:
             raise ValueError("confirm_hits: expected at most confirm_window")
         return self
-
-
-class AutoferryOptions(Config):
-    """Errors of the scanners of the Autoferry recordings, which do not tell any.
-
-    Source: differences from the truth in scenarios 2 and 13, antennas and hulls included.
-    """
-
-    lidar_std: float = Field(
-        3.0, gt=0, le=1e6, description="Standard deviation of the LiDAR's x and y [m]."
-    )
-    radar_std: float = Field(
-        5.0, gt=0, le=1e6, description="Standard deviation of the radar's x and y, near by [m]."
-    )
-    radar_bearing_std: float = Field(
-        0.02,
-        ge=0,
-        le=3,
-        description="Standard deviation of the radar's bearing, added across the line of sight"
-        " [rad].",
-    )

@@ -27,8 +27,7 @@ SMALL = MultiTargetConfig(
         gate_probability=GATE,
     ),
     detection_probability=0.8,
-    lidar_clutter=0.005,
-    delete_existence=0.01,
+    clutter=(0.005, 0.005),
 )
 STEP_NS = 200_000_000
 
@@ -47,13 +46,13 @@ def feed(tracker, scans, source="lidar", start=0):
 def scenes(seed, count):
     """Targets that come near each other, missed now and then, and stray measurements."""
     rng = np.random.default_rng(seed)
-    place, speed = rng.uniform(-12, 12, (3, 2)), rng.normal(0, 1.5, (3, 2))
+    place, speed = rng.uniform(-6, 6, (2, 2)), rng.normal(0, 1.5, (2, 2))
     stamp = 0
     for _ in range(count):
         stamp += int(rng.integers(1, 5)) * 100_000_000
-        seen = (place + speed * stamp * 1e-9)[rng.random(3) < 0.8]
+        seen = (place + speed * stamp * 1e-9)[rng.random(2) < 0.8]
         seen = seen + rng.normal(0, 0.45, seen.shape)
-        stray = rng.uniform(-20, 20, (int(rng.random() < 0.3), 2))
+        stray = rng.uniform(-25, 25, (int(rng.random() < 0.2), 2))
         yield stamp, np.vstack([seen, stray]), str(rng.choice(["left", "right"]))
 
 

@@ -76,9 +76,9 @@ def _measure(request: Request) -> Measured:
         (found,),
         scans=request.scans,
         note="40 x 40 m, 5 scans a second, targets measured with probability .7, default"
-        " configuration; other values of `association` with the default filter of one target. OSPA with c = 1 m, p = 1, after the first 1.1 s."
-        " Goals: OSPA at most .20 m and false tracks at most .03 with 10 false measurements,"
-        " .40 m and .2 with 50.",
+        " configuration; other values of `association` with the default filter of one target."
+        " OSPA with c = 1 m, p = 1, after the first 1.1 s. Goals: OSPA at most .20 m and false"
+        " tracks at most .03 with 10 false measurements, .40 m and .2 with 50.",
         config={"fusion_many": MultiTargetConfig()},
     )
 

@@ -99,7 +99,7 @@ def told(factor: float) -> MultiTargetConfig:
     default = MultiTargetConfig()
     return MultiTargetConfig(
         detection_probability=min(0.99, factor * default.detection_probability),
-        lidar_clutter=factor * default.lidar_clutter,
+        clutter=tuple(factor * density for density in default.clutter),
     )
 
 

@@ -4,12 +4,12 @@
 //! the Python package, which document each value.
 
 use super::filter::paper::{Paper, Reading};
+use super::model::Model;
 use super::models::motion::{NoiseForm, Prior};
 use super::sensors::observation::Sensing;
-use super::targets::any_filter::{FusionParameters, Method, Model, Strengths};
-use super::targets::integrated::ExistenceParameters;
+use super::targets::any_filter::{FusionParameters, Method, Strengths};
 use super::targets::lifecycle::{GyroUse, Life, Loss};
-use super::targets::many::{ManyParameters, TargetAssociation};
+use super::targets::many_parameters::{ExistenceParameters, ManyParameters, TargetAssociation};
 
 /// Probability of the gate for a true measurement.
 const GATE_PROBABILITY: f64 = 0.9999;
@@ -155,14 +155,7 @@ impl Default for ManyParameters {
 /// Targets that stay for half a minute, in clutter that is learnt.
 impl Default for ExistenceParameters {
     fn default() -> Self {
-        Self {
-            detection: 0.9,
-            clutter: [1e-3, 1e-3],
-            share: 0.05,
-            lifetime: 30.0,
-            report: 0.95,
-            delete: 1e-3,
-        }
+        Self { detection: 0.9, clutter: [1e-3, 1e-3], report: 0.95 }
     }
 }
 

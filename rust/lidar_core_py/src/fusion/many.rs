@@ -6,8 +6,7 @@ use crate::fusion::config::FusionConfig;
 use crate::fusion::filter::PyMeasurements;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
-use lidar_core::fusion::targets::integrated::ExistenceParameters;
-use lidar_core::fusion::targets::many::{MAX_SOURCES, TrackingWork};
+use lidar_core::fusion::targets::many::{ExistenceParameters, MAX_SOURCES, TrackingWork};
 use lidar_core::fusion::targets::record::padded;
 use lidar_core::fusion::{Assigned, ManyParameters, ManyTargets, TargetAssociation, TrackState};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
@@ -25,25 +24,18 @@ pub(crate) struct MultiTargetConfig {
     birth_distance: f64,
     association: String,
     detection_probability: f64,
-    lidar_clutter: f64,
-    radar_clutter: f64,
-    new_target_share: f64,
-    lifetime: f64,
+    clutter: [f64; 2],
     report_existence: f64,
-    delete_existence: f64,
 }
 
 impl MultiTargetConfig {
     pub(crate) fn parameters(&self) -> Result<ManyParameters, Error> {
-        let clutter = [self.lidar_clutter, self.radar_clutter];
+        let clutter = self.clutter;
         let joint = TargetAssociation::Joint { detection: self.detection_probability, clutter };
         let integrated = TargetAssociation::Integrated(ExistenceParameters {
             detection: self.detection_probability,
             clutter,
-            share: self.new_target_share,
-            lifetime: self.lifetime,
             report: self.report_existence,
-            delete: self.delete_existence,
         });
         let nearest = TargetAssociation::Nearest;
         let associations = [("integrated", integrated), ("nearest", nearest), ("joint", joint)];

@@ -2,7 +2,7 @@
 //! measurements, report and end.
 
 use super::lifecycle::Outcome;
-use super::many::{MAX_TARGETS, ManyParameters};
+use super::many_parameters::{ExistenceParameters, MAX_TARGETS, ManyParameters};
 use super::tracks::{Assigned, Births, Candidates, Scan, TargetTrack, Tracks, is_of_platform};
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
@@ -17,30 +17,18 @@ use std::collections::BTreeMap;
 /// Measurements up to which a track is divided: each further one starts a track of its own, so that
 /// its speed comes from the places of measurements and not from the mean of several.
 const DIVIDED: u32 = 2;
+/// Probability that a measurement which no track explains is of a new target, before scans show it.
+const SHARE: f64 = 0.05;
+/// Mean time for which a target stays, before tracks show it [s].
+const LIFETIME: f64 = 30.0;
+/// Probability of existence below which a track ends.
+const DELETED: f64 = 1e-3;
 /// Probability of existence from which on looks at a track tell about the scanner.
 const CERTAIN: f64 = 0.9;
 /// Probability of existence below which a track that was certain counts as ended.
 const DOUBTFUL: f64 = 0.5;
 /// Share of `report` below which a reported track is not reported any more.
 const KEPT: f64 = 0.5;
-
-/// Parameters of probabilities of existence. What a scanner does is learnt; the values given here
-/// are those it starts with.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ExistenceParameters {
-    /// Probability that a scan measures a target.
-    pub detection: f64,
-    /// Density of clutter of LiDAR [1/m^2] and of radar [1/(m rad m/s)].
-    pub clutter: [f64; 2],
-    /// Probability that a measurement which no track explains is of a new target.
-    pub share: f64,
-    /// Mean time for which a target stays [s].
-    pub lifetime: f64,
-    /// Probability of existence from which on a track is reported.
-    pub report: f64,
-    /// Probability of existence below which a track ends.
-    pub delete: f64,
-}
 
 /// A measurement of a scan: stamp [ns], scanner and index.
 pub type Sighting = (i64, u8, usize);
@@ -90,13 +78,6 @@ pub(super) struct IntegratedScan<'a> {
 /// The pairs of one track: measurement, probability, innovation.
 type OwnPairs = Vec<(usize, f64, Innovation)>;
 
-impl ExistenceParameters {
-    fn prior(&self, sensor: Sensor) -> ScannerPrior {
-        let clutter = self.clutter[usize::from(sensor == Sensor::Radar)];
-        ScannerPrior { detection: self.detection, clutter, share: self.share }
-    }
-}
-
 impl Tracks {
     /// Process the measurements of a scan whose near pairs are known.
     pub(super) fn integrate(
@@ -134,9 +115,9 @@ impl Tracks {
         } else {
             Sensor::Lidar
         });
-        let prior = existence.prior(sensor);
+        let prior = prior_of(existence, sensor);
         let detection = scanner[usize::from(sensor == Sensor::Radar)].detection(&prior);
-        let lifetime = self.population.lifetime(existence.lifetime);
+        let lifetime = self.population.lifetime(LIFETIME);
         let population = &mut self.population;
         let prospects = self.all.iter_mut().map(|track| {
             let belief = &mut track.belief;
@@ -154,7 +135,7 @@ impl Tracks {
         let pairs = pairs.map(|(pair, innovation)| {
             let m = &scan.measurements[pair.column];
             let axes = innovation.count;
-            let density = scanner[kind(m)].clutter(&existence.prior(m.sensor()), axes);
+            let density = scanner[kind(m)].clutter(&prior_of(existence, m.sensor()), axes);
             let constant = axes as f64 * libm::log(std::f64::consts::TAU);
             let far = innovation.nis + innovation.log_determinant + constant;
             let log_ratio = -0.5 * far - libm::log(density);
@@ -260,9 +241,9 @@ impl Tracks {
             if is_of_platform(m) {
                 continue;
             }
-            let share = scanner[kind(m)].share(&existence.prior(m.sensor()));
+            let share = scanner[kind(m)].share(&prior_of(existence, m.sensor()));
             let probability = found.unexplained[column] * share;
-            if probability < existence.delete {
+            if probability < DELETED {
                 continue;
             }
             let mut filter = unseen.clone();
@@ -328,7 +309,7 @@ impl Tracks {
             };
             // One measurement leaves the speed open: a slow scanner finds the target far away.
             let is_young = track.hits < DIVIDED;
-            track.belief.existence >= existence.delete && (is_young || is_placed())
+            track.belief.existence >= DELETED && (is_young || is_placed())
         });
         if self.all.len() > MAX_TARGETS {
             let mut sorted: Vec<f64> =
@@ -443,6 +424,12 @@ impl TargetTrack {
         }
         parts
     }
+}
+
+/// What a scanner is thought to do before its scans show it.
+fn prior_of(existence: &ExistenceParameters, sensor: Sensor) -> ScannerPrior {
+    let clutter = existence.clutter[usize::from(sensor == Sensor::Radar)];
+    ScannerPrior { detection: existence.detection, clutter, share: SHARE }
 }
 
 fn kind(m: &Measurement) -> usize {

@@ -2,83 +2,24 @@
 //! and late scans.
 
 use super::any_filter::FusionParameters;
-use super::integrated::ExistenceParameters;
 use super::lifecycle::Life;
-pub use super::tracks::{Assigned, Scan, TrackingWork};
+pub use super::many_parameters::{
+    ExistenceParameters, MAX_TARGETS, ManyParameters, TargetAssociation,
+};
+pub use super::tracks::{Assigned, Scan, TrackState, TrackingWork};
 use super::tracks::{Births, NewNumbers, SavedTracks, Tracks, within};
 use crate::Error;
 use crate::error::require;
-use crate::fusion::filter::engine::Output;
 use crate::fusion::sensors::measurement::Measurement;
 use crate::util::full_state::{impossible, opened, sealed};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Largest number of tracks at a time, and of measurements in a scan.
-pub const MAX_TARGETS: usize = 2_000;
 /// Largest number of scanners.
 pub const MAX_SOURCES: u8 = 64;
 /// Largest number of scans, and of tracks in them, kept for late scans.
 const MOST_KEPT: usize = 100_000;
 const KIND: &str = "fusion tracker";
-
-/// All parameters of a tracker of many targets.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ManyParameters {
-    /// Parameters of the filter of each track. Its gate decides which measurements may belong to a
-    /// track, its buffer how late a scan may come.
-    pub filter: FusionParameters,
-    /// A track is confirmed if this many of ...
-    pub confirm_hits: u32,
-    /// ... the last scans, this many and at most 64, measured it.
-    pub confirm_window: u32,
-    /// Longest time without a measurement after which a track is deleted [s].
-    pub max_coast: f64,
-    /// Largest standard deviation of the position in one axis before a track is deleted [m].
-    pub max_position_std: f64,
-    /// Least distance of a new track from a track measured by the same scan [m].
-    pub birth_distance: f64,
-    /// Association of measurements with tracks.
-    pub association: TargetAssociation,
-}
-
-/// Association of measurements with tracks.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum TargetAssociation {
-    /// Global nearest neighbour: each measurement belongs to one track or to none.
-    Nearest,
-    /// Joint probabilistic data association: see
-    /// [`probabilities`](crate::tracking::joint_association::probabilities).
-    Joint {
-        /// Probability that a scan measures a target.
-        detection: f64,
-        /// Density of clutter of LiDAR [1/m^2] and of radar [1/(m rad m/s)].
-        clutter: [f64; 2],
-    },
-    /// Joint integrated probabilistic data association: see
-    /// [`associate`](crate::tracking::existence::associate). Every track has a probability of
-    /// existence, on which report and end depend instead of counts and ages.
-    Integrated(ExistenceParameters),
-}
-
-/// A track at one time.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TrackState {
-    /// Number, never reused.
-    pub id: i64,
-    /// State, predicted to the requested time.
-    pub output: Output,
-    /// Time of the first measurement [ns].
-    pub born_ns: i64,
-    /// Time of the last measurement [ns].
-    pub seen_ns: i64,
-    /// Number of measurements.
-    pub hits: u32,
-    /// True if enough scans measured the track, or if its probability of existence says so.
-    pub confirmed: bool,
-    /// Probability that there is a target; None where the association does not estimate it.
-    pub existence: Option<f64>,
-}
 
 /// A processed scan.
 #[derive(Clone)]
@@ -311,9 +252,10 @@ impl ManyTargets {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fusion::model::Model;
     use crate::fusion::sensors::measurement::Sensor;
     use crate::fusion::sensors::observation::Sensing;
-    use crate::fusion::targets::any_filter::{Model, Strengths};
+    use crate::fusion::targets::any_filter::Strengths;
 
     fn parameters() -> Result<ManyParameters, Error> {
         let filter = FusionParameters {

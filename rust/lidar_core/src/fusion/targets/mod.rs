@@ -4,6 +4,7 @@ pub mod any_filter;
 pub mod integrated;
 pub mod lifecycle;
 pub mod many;
+pub mod many_parameters;
 pub mod near_pairs;
 pub mod noise_search;
 pub mod record;

@@ -129,7 +129,8 @@ impl SensorIndex {
 mod tests {
     use super::*;
     use crate::Error;
-    use crate::fusion::targets::any_filter::{FusionParameters, Method, Model};
+    use crate::fusion::model::Model;
+    use crate::fusion::targets::any_filter::{FusionParameters, Method};
     use crate::fusion::targets::lifecycle::{Life, Outcome};
 
     const STEP_NS: i64 = 100_000_000;

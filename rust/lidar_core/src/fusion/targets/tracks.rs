@@ -3,12 +3,12 @@
 use super::any_filter::{Filter, FusionParameters};
 use super::integrated::{Belief, IntegratedScan};
 use super::lifecycle::Outcome;
-use super::many::{MAX_TARGETS, ManyParameters, TargetAssociation, TrackState};
+use super::many_parameters::{MAX_TARGETS, ManyParameters, TargetAssociation};
 use super::near_pairs::ScanIndex;
 use super::target::SavedTarget;
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
-use crate::fusion::filter::engine::Innovation;
+use crate::fusion::filter::engine::{Innovation, Output};
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::tracking::joint_association::probabilities;
 use crate::tracking::near::NearIndex;
@@ -57,6 +57,25 @@ pub struct Births {
     pub next_id: i64,
     /// Numbers that the scan has given.
     pub ids: NewNumbers,
+}
+
+/// A track at one time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrackState {
+    /// Number, never reused.
+    pub id: i64,
+    /// State, predicted to the requested time.
+    pub output: Output,
+    /// Time of the first measurement [ns].
+    pub born_ns: i64,
+    /// Time of the last measurement [ns].
+    pub seen_ns: i64,
+    /// Number of measurements.
+    pub hits: u32,
+    /// True if enough scans measured the track, or if its probability of existence says so.
+    pub confirmed: bool,
+    /// Probability that there is a target; None where the association does not estimate it.
+    pub existence: Option<f64>,
 }
 
 /// What scans have cost so far.
