@@ -1,5 +1,6 @@
 //! One track, or one hypothesis on its way to become a track.
 
+use super::detections::Evidence;
 use super::measurement::Measurement;
 use super::motion::{self, Matrix9};
 use super::parameters::{Hiding, Motion, Radius, TrackerParameters};
@@ -36,6 +37,8 @@ pub(super) struct PointTrack {
     pub(super) history: u64,
     /// The last sets of detections, as in `history`: 1 where the detection of the track was sure.
     pub(super) sure: u64,
+    /// As in `history`: 1 where the detection may be a part of a surface beside it.
+    pub(super) joined: u64,
     pub(super) confirmed: bool,
     /// Points of its own clusters, and of those around it that belong to no track: sums in which
     /// older scans count less.
@@ -80,6 +83,7 @@ impl PointTrack {
             n_detections: 1,
             history: 1,
             sure: 1,
+            joined: 0,
             confirmed: false,
             own_points: 0.0,
             stray_points: 0.0,
@@ -130,6 +134,11 @@ impl PointTrack {
             }
             self.estimate.covariance[(axis, axis)] += position_std * position_std;
         }
+    }
+
+    /// What the detection that a fresh track began with tells.
+    pub(super) fn evidence(&self) -> Evidence {
+        Evidence { is_sure: self.sure & 1 == 1, is_joined: self.joined & 1 == 1 }
     }
 
     /// Let `dt` seconds without a measurement count.
