@@ -183,6 +183,7 @@ _TargetArrays: TypeAlias = tuple[
     NDArray[np.int64],
     NDArray[np.int64],
     NDArray[np.bool_],
+    NDArray[np.float64],
 ]
 
 def fusion_run(config: object, measurements: Measurements) -> _RunArrays: ...
@@ -593,6 +594,7 @@ class MultiTargetTracker:
     def process(
         self, stamp_ns: int, source: int, measurements: Measurements
     ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]: ...
+    def work(self) -> tuple[int, int, int]: ...
     def tracks_at(self, stamp_ns: int) -> _TargetArrays: ...
 
 @final
