@@ -35,7 +35,7 @@ pub(super) fn confirm(
 ) -> Vec<i64> {
     let mut confirmed = Vec::new();
     for track in &mut tracks[..born] {
-        track.history <<= 1;
+        track.history = track.history << 1 | u64::from(std::mem::take(&mut track.hinted));
         track.sure <<= 1;
     }
     for &(index, is_sure) in fed {

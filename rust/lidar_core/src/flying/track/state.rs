@@ -26,8 +26,11 @@ pub(super) struct PointTrack {
     pub(super) born_at: Vector3<f64>,
     /// When that was measured, after `born_ns` [s].
     pub(super) delay: f64,
-    /// Time of the last measurement.
+    /// Time of the last measurement, and the position then.
     pub(super) seen_ns: i64,
+    pub(super) seen_at: Vector3<f64>,
+    /// Speed then [m/s].
+    pub(super) seen_speed: f64,
     pub(super) extent: [f64; 3],
     /// Usual extent of the target: an average over time [m].
     pub(super) size: [f64; 3],
@@ -36,6 +39,8 @@ pub(super) struct PointTrack {
     pub(super) history: u64,
     /// The last sets of detections, as in `history`: 1 where the detection of the track was sure.
     pub(super) sure: u64,
+    /// True if the newest cloud holds a few points of it in free space.
+    pub(super) hinted: bool,
     pub(super) confirmed: bool,
     /// Points of its own clusters, and of those around it that belong to no track: sums in which
     /// older scans count less.
@@ -75,11 +80,14 @@ impl PointTrack {
             born_at: detection.position,
             delay,
             seen_ns: stamp_ns,
+            seen_at: detection.position,
+            seen_speed: 0.0,
             extent: detection.extent,
             size: detection.extent,
             n_detections: 1,
             history: 1,
             sure: 1,
+            hinted: false,
             confirmed: false,
             own_points: 0.0,
             stray_points: 0.0,
@@ -132,6 +140,11 @@ impl PointTrack {
         }
     }
 
+    /// Length of the way since it was seen, at the speed that it had then [m].
+    pub(super) fn distance_flown(&self) -> f64 {
+        self.seen_speed * seconds(self.seen_ns, self.stamp_ns)
+    }
+
     /// Let `dt` seconds without a measurement count.
     pub(super) fn grow_old(&mut self, dt: f64, model: &Motion) {
         self.aged = motion::predict_covariance(&self.aged, dt, model);
@@ -170,6 +183,7 @@ impl PointTrack {
         self.aged = self.estimate.covariance;
         self.extent = measurement.extent;
         self.seen_ns = self.stamp_ns;
+        (self.seen_at, self.seen_speed) = (self.position(), self.velocity().norm());
         Ok(())
     }
 }
