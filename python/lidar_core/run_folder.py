@@ -39,6 +39,7 @@ FILES = (
     "film.mp4",
     "map.lcvm",
     "picture.png",
+    "report.html",
     "run.mcap",
     RUN_FILE,
     "scene.toml",

@@ -34,6 +34,7 @@ for _name in (
     "doctor",
     "reproduce",
     "view",
+    "report",
     "batch",
     "live",
 ):

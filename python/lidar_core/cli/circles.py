@@ -8,7 +8,6 @@ import typer
 from lidar_core.cli.shared.common import (
     READ,
     WRITTEN,
-    Row,
     consoles,
     given,
     left_out,
@@ -18,6 +17,7 @@ from lidar_core.cli.shared.common import (
     stage_rows,
 )
 from lidar_core.cli.shared.run_options import RunOptions, ScanRate, Stamps, with_options
+from lidar_core.util.rows import Row
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -16,7 +16,6 @@ from lidar_core.cli.shared.common import (
     stage_rows,
     write_json,
 )
-from lidar_core.cli.shared.score_rows import counted_caption, main_rows
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -149,6 +148,8 @@ def _view(
 def _table(
     title: str, summary: dict[str, Any], report: "Evaluation", rule: "EvaluationConfig"
 ) -> "Table":
+    from lidar_core.evaluation.score_rows import counted_caption, main_rows
+
     rows = (
         *main_rows(report),
         None,

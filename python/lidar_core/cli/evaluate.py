@@ -8,21 +8,11 @@ import typer
 
 from lidar_core.cli.shared.common import (
     JsonFile,
-    Row,
     as_options,
     consoles,
     given,
     result_table,
     write_json,
-)
-from lidar_core.cli.shared.score_rows import (
-    consistency_warnings,
-    counted_caption,
-    detail_rows,
-    distance_table,
-    identity_rows,
-    latency_rows,
-    main_rows,
 )
 from lidar_core.errors import InputError
 
@@ -30,7 +20,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lidar_core.evaluation import (
-        DetectionScores,
         Evaluation,
         EvaluationConfig,
         Prediction,
@@ -66,6 +55,7 @@ def command(
     What each figure means is in the guide, under "Evaluation".
     """
     from lidar_core.evaluation import EvaluationConfig, evaluate, read_prediction, read_truth
+    from lidar_core.evaluation.score_rows import consistency_warnings
     from lidar_core.runs.settings import with_assignments
 
     options = {
@@ -90,7 +80,7 @@ def command(
     out, _ = consoles(json)
     without = _without_truth(prediction, truth, config, f"{predicted} and {true}")
     _print(out, report, config, f"{predicted} against {true}")
-    warnings = consistency_warnings(_scores(report))
+    warnings = consistency_warnings(report)
     for text in warnings:
         out.print(f"warning: {text}")
     if without:
@@ -152,22 +142,10 @@ def _without_truth(
     return int(without.sum())
 
 
-def _scores(report: "Evaluation") -> "list[tuple[str, DetectionScores]]":
-    """Scores of tracks and of detections, by name, of those that there are."""
-    both = (("tracks", report.tracks), ("detections", report.detections))
-    return [(what, item) for what, item in both if item is not None]
-
-
 def _print(out: "Console", report: "Evaluation", config: "EvaluationConfig", title: str) -> None:
-    rows: list[Row | None] = [*main_rows(report)]
-    scores = _scores(report)
-    for what, item in scores:
-        rows += detail_rows(item, what)
-    if report.identities is not None:
-        rows += identity_rows(report.identities)
-    if report.latency is not None:
-        rows += latency_rows(report.latency)
-    out.print(result_table(title, rows, caption=counted_caption(config)))
-    table = distance_table(scores)
+    from lidar_core.evaluation.score_rows import all_rows, counted_caption, distance_table
+
+    out.print(result_table(title, all_rows(report), caption=counted_caption(config)))
+    table = distance_table(report)
     if table is not None:
         out.print(table)

@@ -9,9 +9,7 @@ import typer
 from lidar_core.cli.shared.common import (
     READ,
     JsonFile,
-    Row,
     given,
-    number,
     report,
     result_table,
 )
@@ -27,6 +25,7 @@ from lidar_core.cli.shared.run_options import (
     Values,
 )
 from lidar_core.errors import ConfigError
+from lidar_core.util.rows import Row, number
 
 if TYPE_CHECKING:
     from rich.table import Table

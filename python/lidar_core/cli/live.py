@@ -15,18 +15,17 @@ from lidar_core.cli.shared.common import (
     READ,
     WRITTEN,
     OverwriteFile,
-    Row,
     Threads,
     as_options,
     consoles,
     given,
-    number,
     result_table,
     write_json,
 )
 from lidar_core.cli.shared.run_options import PipelineOptions, with_options
 from lidar_core.cli.view import ALLOW_ORIGIN
 from lidar_core.errors import ConfigError
+from lidar_core.util.rows import Row, number
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -61,7 +61,8 @@ class VoxelMapConfig(Config):
         200_000_000,
         gt=0,
         le=10**12,
-        description="Budget of stored voxels, 4.3 bytes each (count, no unit).",
+        description="Budget of stored voxels, 4.3 bytes each (count, no unit). A full map forgets"
+        " what is farthest from the sensor.",
     )
 
     @model_validator(mode="after")

@@ -128,8 +128,8 @@ class FlyingObjectDetector(FullState):
             sensor. The detector is unchanged. With `on_bad_scan="count"` nothing is raised: the
             frame says in `rejected` what was wrong.
         LimitError
-            The map would outgrow its budget, or the scan is of the 65th sensor; the detector is
-            unchanged.
+            The scan alone needs more voxels than the budget of the map has, or it is of the 65th
+            sensor; the detector is unchanged.
         """
         given: dict[str, Any] = {
             "points_lidar": points_lidar,
@@ -160,6 +160,7 @@ class FlyingObjectDetector(FullState):
             sky=status.sky,
             sky_share=status.sky_share,
             own_body=status.own_body,
+            n_forgotten=values["voxels_forgotten"],
         )
         return frame
 
@@ -313,10 +314,11 @@ class FlyingObjectDetector(FullState):
             points, poses, stamp, **options, sensor=name, organised=is_organised
         )
 
-    def _count(self, field: str, **seen: Any) -> None:
+    def _count(self, field: str, *, n_forgotten: int = 0, **seen: Any) -> None:
         """Count one more scan as `field`; `seen` is what it tells of the sensor."""
         with self._counting:
             counts = {name: getattr(self._health, name) + 1 for name in ("received", field)}
+            counts["n_voxels_forgotten"] = self._health.n_voxels_forgotten + n_forgotten
             self._health = replace(self._health, **counts, **seen)
 
     def _rejected(self, stamp: int, reason: str) -> FlyingFrame:

@@ -140,6 +140,8 @@ class Health:
         All scans; those used; those held for a pose that contradicts the map; those refused.
     sky, sky_share, own_body : str, float, float
         Of the last scan used, as in `FlyingStatus`.
+    n_voxels_forgotten : int
+        Observed voxels that the map forgot to stay within `voxel_map.max_voxels`, farthest first.
     """
 
     received: int = 0
@@ -149,3 +151,4 @@ class Health:
     sky: str = "unknown"
     sky_share: float = 0.0
     own_body: float = 0.0
+    n_voxels_forgotten: int = 0

@@ -39,6 +39,9 @@ class IntegrateStats:
         that the scan met.
     n_voxels_changed : int
         Voxels whose value is another one than before; the same number for every `skip`.
+    n_voxels_forgotten : int
+        Observed voxels that the map forgot, those farthest from the scan first, to stay within
+        `VoxelMapConfig.max_voxels`.
     """
 
     n_background: int
@@ -51,6 +54,7 @@ class IntegrateStats:
     n_visits_skipped: int
     n_voxels: int
     n_voxels_changed: int
+    n_voxels_forgotten: int
 
 
 class VoxelMap(FullState):
@@ -58,7 +62,8 @@ class VoxelMap(FullState):
 
     Every voxel holds one value G(v); its state is free, uncertain, tentatively occupied or
     confidently occupied (Vrba et al., eqs 6-12). Memory grows with what was observed, up to
-    `config.max_voxels`. Results do not depend on the order of points, rays or threads.
+    `config.max_voxels`: then the map forgets what is farthest from the scan that needs room,
+    except permanent voxels. Results do not depend on the order of points, rays or threads.
 
     Parameters
     ----------
@@ -150,7 +155,8 @@ class VoxelMap(FullState):
         InputError
             Wrong shape, dtype or class; the map is unchanged.
         LimitError
-            The map would outgrow `config.max_voxels`; the map is unchanged.
+            The scan alone, with the permanent voxels, needs more than `config.max_voxels`; the
+            map is unchanged.
 
         Notes
         -----

@@ -213,6 +213,11 @@ class CirclesRun:
         return self.pipeline.health().received
 
     @property
+    def notes(self) -> list[str]:
+        """Nothing: a map of circles has no budget."""
+        return []
+
+    @property
     def element_ids(self) -> list[int]:
         """Numbers of the elements that were reported."""
         return sorted({number for state in self.maps for number in state.id.tolist()})

@@ -233,6 +233,19 @@ class FlyingRun:
         return len(self.frames) + self.rejected.total()
 
     @property
+    def notes(self) -> list[str]:
+        """That the map was full, if it was."""
+        forgotten = self.detector.health().n_voxels_forgotten
+        budget = self.detector.config.voxel_map.max_voxels
+        if not forgotten:
+            return []
+        return [
+            f"the map reached its budget of {budget:,} voxels and forgot {forgotten:,}, those"
+            f" farthest from the sensor first; set voxel_map.max_voxels={4 * budget} keeps more,"
+            " set forget_distance=METRES keeps less"
+        ]
+
+    @property
     def n_scans(self) -> int:
         """Scans that were processed or held."""
         return len(self.frames)

@@ -25,6 +25,10 @@ class ScanRun(Protocol[ScanT]):
     def n_received(self) -> int:
         """Scans so far, rejected ones included."""
 
+    @property
+    def notes(self) -> list[str]:
+        """What looks wrong so far, in words."""
+
     def take(self, item: PosedScan[ScanT]) -> object:
         """Process one scan."""
 
@@ -113,7 +117,7 @@ class RecordingJob(Generic[ScanT]):
                 "frame_id": source.frame_id,
                 **run.summary(),
                 "without_pose": source.without_pose,
-                "notes": source.notes,
+                "notes": source.notes + run.notes,
                 "ended_early": None if ended_by is None else str(ended_by) or "interrupted",
             }
         files = [*run.write(self.folder), "run.toml", "summary.json"]

@@ -6,6 +6,7 @@ from lidar_core.viz.flying_picture import draw_flying
 from lidar_core.viz.fusion_picture import draw_fusion
 from lidar_core.viz.playback import Moment, Outline, Playback
 from lidar_core.viz.playback_picture import draw_film, draw_moment
+from lidar_core.viz.report import write_report
 from lidar_core.viz.views import CirclesView, FlyingView, FusionView, PlanarLine
 
 __all__ = [
@@ -23,4 +24,5 @@ __all__ = [
     "draw_flying",
     "draw_fusion",
     "draw_moment",
+    "write_report",
 ]

@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 import lidar_core as lc
 from lidar_core.cli import app
-from lidar_core.cli.shared.score_rows import detail_rows
 from lidar_core.errors import ConfigError, FormatError, PluginError, PluginWarning
 from lidar_core.evaluation.metric import METRICS
+from lidar_core.evaluation.score_rows import detail_rows
 from lidar_core.io.readers import READERS, known_formats
 from lidar_core.io.writers import WRITERS, writer_of
 from lidar_core.messages import Pose, Scan

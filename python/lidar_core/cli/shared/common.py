@@ -8,11 +8,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
 from lidar_core.errors import LidarCoreError
+from lidar_core.util.rows import Row
 from lidar_core.util.threads import all_threads
 
 if TYPE_CHECKING:
@@ -145,14 +146,6 @@ def stoppable(command: Callable[..., None]) -> Callable[..., None]:
             raise
 
     return called
-
-
-class Row(NamedTuple):
-    """One line of a table of results."""
-
-    name: str
-    value: str
-    remark: str
 
 
 def consoles(json_file: Path | None) -> "tuple[Console, Console]":
@@ -305,8 +298,3 @@ def write_json(result: Mapping[str, Any] | list[Any], json_file: Path | None) ->
     json_file.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(json_file) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
-
-
-def number(value: float | None, digits: int, unit: str = "") -> str:
-    """A number for people; a dash where there is none."""
-    return "-" if value is None else f"{value:.{digits}f}{unit}"

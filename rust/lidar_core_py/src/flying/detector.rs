@@ -212,6 +212,7 @@ fn frame_dict(py: Python<'_>, frame: Frame) -> Result<Bound<'_, PyDict>, BorderE
     let stats = frame.integrated.unwrap_or_default();
     values.set_item("rays", stats.rays)?;
     values.set_item("visits", stats.visits)?;
+    values.set_item("voxels_forgotten", stats.voxels_forgotten)?;
     let timing = frame.timing;
     let stages = [
         ("prepare", timing.prepare),

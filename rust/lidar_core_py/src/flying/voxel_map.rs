@@ -18,7 +18,7 @@ use std::path::PathBuf;
 
 /// Number of points per class; entries skipped, rays, rays without return; visits, and of these those
 /// that were skipped; voxels, and of these those that changed.
-type Stats = ([usize; 3], [usize; 3], [u64; 2], [usize; 2]);
+type Stats = ([usize; 3], [usize; 3], [u64; 2], [usize; 3]);
 
 #[pyclass(frozen, name = "VoxelMap", module = "lidar_core._core")]
 pub(crate) struct PyVoxelMap(Guarded<MapWithThreads>);
@@ -84,7 +84,7 @@ impl PyVoxelMap {
             stats.points,
             [stats.skipped, stats.rays, stats.no_return_rays],
             [stats.visits, stats.visits_skipped],
-            [stats.voxels, stats.voxels_changed],
+            [stats.voxels, stats.voxels_changed, stats.voxels_forgotten],
         ))
     }
 

@@ -31,18 +31,19 @@ pub(super) struct MarkedBlock {
     before: Bits,
 }
 
-/// Apply the marks of a scan to `map`. Returns the number of voxels that hold marks, and of those
-/// whose value is another one now. `marked` is memory: empty before and after.
+/// Apply the marks of a scan to `map`. Returns the number of voxels that hold marks, of those
+/// whose value is another one now, and of those that were forgotten to have room. `marked` is memory:
+/// empty before and after.
 ///
 /// # Errors
-/// [`Error::Limit`]; the map is unchanged then.
+/// [`Error::Limit`] if the map has no room for the scan alone; the map is unchanged then.
 pub(super) fn update_blocks(
     map: &mut VoxelMap,
     marked: &mut Vec<MarkedBlock>,
     sums: &mut Accumulator,
     weighted: bool,
     pool: Option<&ThreadPool>,
-) -> Result<[usize; 2], Error> {
+) -> Result<[usize; 3], Error> {
     let admitted = sums.marked().filter(|(place, _)| map.admits_some_of(*place));
     marked.extend(admitted.map(|(place, marks)| MarkedBlock {
         home: map.blocks.slot(place),
@@ -54,7 +55,10 @@ pub(super) fn update_blocks(
         changed: [0; 8],
         before: [0; 8],
     }));
-    let taken = take_blocks(&mut map.blocks, marked);
+    let taken = find_room(map, marked).and_then(|forgotten| {
+        take_blocks(&mut map.blocks, marked)?;
+        Ok(forgotten)
+    });
     if taken.is_ok() {
         apply_marks(&Rule::of(map, weighted), marked, sums, pool);
     }
@@ -65,7 +69,23 @@ pub(super) fn update_blocks(
             map.put_back(home, block, &changed, &before);
         }
     }
-    taken.map(|()| [voxels, changed])
+    taken.map(|forgotten| [voxels, changed, forgotten])
+}
+
+/// Have the map forget what is farthest from the scan where its budget has no room for the scan:
+/// the surroundings matter more than where the robot has been. Returns the number of observed voxels
+/// that were forgotten.
+fn find_room(map: &mut VoxelMap, marked: &mut [MarkedBlock]) -> Result<usize, Error> {
+    let missing = marked.iter().filter(|marked| marked.home.is_none()).count();
+    if map.blocks.len() + missing <= map.blocks.max_blocks() {
+        return Ok(0);
+    }
+    let places: Vec<Place> = marked.iter().map(|marked| marked.place).collect();
+    let forgotten = map.make_room(missing, &places)?;
+    for MarkedBlock { place, home, .. } in marked {
+        *home = map.blocks.slot(*place); // the slots have moved
+    }
+    Ok(forgotten)
 }
 
 /// Take the blocks out of the map, made where they are missing: all or none.

@@ -88,6 +88,9 @@ pub struct IntegrateStats {
     pub voxels: usize,
     /// Voxels whose value is another one than before; the same number whatever is passed.
     pub voxels_changed: usize,
+    /// Observed voxels that the map forgot, farthest from the scan first, to stay within
+    /// [`MapParameters::max_voxels`](crate::flying::map::parameters::MapParameters::max_voxels).
+    pub voxels_forgotten: usize,
 }
 
 impl IntegrateStats {

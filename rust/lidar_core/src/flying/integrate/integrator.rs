@@ -121,7 +121,7 @@ impl Integrator {
         (stats.visits, stats.visits_skipped) = (sums.visits(), sums.visits() - sums.walked());
         let weighted = pose_error.is_some_and(PoseError::weighs_points);
         // On an error `is_open` stays set: the next scan starts with new accumulators.
-        [stats.voxels, stats.voxels_changed] =
+        [stats.voxels, stats.voxels_changed, stats.voxels_forgotten] =
             update_blocks(map, blocks, sums, weighted, workers.pool())?;
         sums.clear(workers.pool());
         *is_open = false;

@@ -6,7 +6,8 @@ use crate::geometry::lattice::Voxel;
 use crate::util::full_state::impossible;
 use crate::util::key_hasher::Spread;
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
+use std::cmp::Reverse;
+use std::collections::{HashMap, HashSet};
 use std::hash::{BuildHasherDefault, Hash, Hasher};
 
 /// Voxels along the edge of a block, as a power of two.
@@ -15,6 +16,10 @@ pub(crate) const EDGE_BITS: i32 = 3;
 pub(crate) const EDGE: i32 = 1 << EDGE_BITS;
 /// Voxels in a block.
 pub(crate) const VOLUME: usize = 1 << (3 * EDGE_BITS);
+
+/// Share of the budget that is given up at once, one in this many: what lies farthest from the scan
+/// that found no room.
+const SPARE: usize = 8;
 
 /// Marks a voxel inside a block that no point and no ray has met.
 pub(crate) const NEVER: f32 = f32::NAN;
@@ -51,6 +56,16 @@ impl Block {
     /// True if its parts agree, as they must where bytes told them.
     fn is_whole(&self) -> bool {
         self.rows.len() == self.held.count_ones() as usize
+    }
+
+    /// True if one of its voxels is permanent: somebody told it, and no scan brings it back.
+    fn is_permanent(&self) -> bool {
+        self.rows.iter().flatten().any(|value| value.is_infinite())
+    }
+
+    /// Voxels that were observed.
+    pub(crate) fn observed(&self) -> usize {
+        self.rows.iter().flatten().filter(|value| !value.is_nan()).count()
     }
 
     /// Bytes that the block takes.
@@ -260,11 +275,7 @@ impl Blocks {
             || self.pool.try_reserve(missing).is_err()
             || self.slots.try_reserve(missing).is_err()
         {
-            return Err(Error::Limit {
-                what: format!("a voxel map of {} voxels", wanted * VOLUME),
-                limit: (self.max_blocks * VOLUME) as u64,
-                key: "voxel_map.max_voxels",
-            });
+            return Err(self.refusal(missing));
         }
         Ok(())
     }
@@ -277,6 +288,53 @@ impl Blocks {
             self.pool.push(Some(Box::new(Block::new(place))));
         }
         slot
+    }
+
+    /// Blocks that have to go, so that `missing` more have room; none where they have it already.
+    ///
+    /// Those farthest from the box between `low` and `high` go first, those of the same distance in
+    /// the order of their places. An eighth of the budget goes with them as far as it lies outside
+    /// the box, so that few scans have to make room. What `is_needed` names and what holds permanent
+    /// voxels stays.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] if there is no room without these.
+    pub(crate) fn farthest(
+        &self,
+        missing: usize,
+        [low, high]: [Place; 2],
+        is_needed: impl Fn(Place) -> bool,
+    ) -> Result<HashSet<Place>, Error> {
+        let excess = (self.len() + missing).saturating_sub(self.max_blocks);
+        if excess == 0 {
+            return Ok(HashSet::new());
+        }
+        let away = |place: Place| {
+            let axis = |axis: usize| {
+                let [index, low, high] = [place, low, high].map(|place| i64::from(place.0[axis]));
+                (low - index).max(index - high).max(0)
+            };
+            axis(0).max(axis(1)).max(axis(2))
+        };
+        let mut candidates: Vec<(Reverse<i64>, Place)> = (self.iter())
+            .filter(|block| !is_needed(block.place) && !block.is_permanent())
+            .map(|block| (Reverse(away(block.place)), block.place))
+            .collect();
+        if candidates.len() < excess {
+            return Err(self.refusal(missing));
+        }
+        candidates.sort_unstable();
+        let outside = candidates.partition_point(|&(Reverse(away), _)| away > 0);
+        let count = excess.max(outside.min(self.max_blocks / SPARE));
+        Ok(candidates.into_iter().take(count).map(|(_, place)| place).collect())
+    }
+
+    fn refusal(&self, missing: usize) -> Error {
+        Error::Limit {
+            what: format!("a voxel map of {} voxels", (self.len() + missing) * VOLUME),
+            limit: (self.max_blocks * VOLUME) as u64,
+            key: "voxel_map.max_voxels",
+        }
     }
 
     /// Take over blocks in the order in which they were made.

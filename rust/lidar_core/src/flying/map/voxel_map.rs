@@ -9,6 +9,7 @@ use super::layers::Layer;
 use super::parameters::{MapParameters, Skip};
 use crate::Error;
 use crate::geometry::lattice::{Lattice, Voxel, wide};
+use std::collections::HashSet;
 
 /// The map: values of G(v), four states by default.
 pub struct VoxelMap {
@@ -70,8 +71,7 @@ impl VoxelMap {
     /// Number of voxels that a point or a ray has met.
     #[must_use]
     pub fn observed_voxels(&self) -> usize {
-        let observed = |block: &Block| block.values().filter(|value| !value.is_nan()).count();
-        self.blocks.iter().map(observed).sum()
+        self.blocks.iter().map(Block::observed).sum()
     }
 
     /// G(v) at every point; the initial value where nothing has been observed or can be.
@@ -242,6 +242,34 @@ impl VoxelMap {
         if self.blocks.len() != before {
             self.changes.restart();
         }
+    }
+
+    /// Make room for `missing` blocks beside those at `places`, which stay: forget what is farthest
+    /// from these. Returns the number of observed voxels that were forgotten.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] if that is not enough; the map is unchanged then.
+    pub(crate) fn make_room(&mut self, missing: usize, places: &[Place]) -> Result<usize, Error> {
+        let (low, high) =
+            places.iter().fold(([i32::MAX; 3], [i32::MIN; 3]), |(low, high), place| {
+                let each = |pick: fn(i32, i32) -> i32, bound: [i32; 3]| {
+                    std::array::from_fn(|axis| pick(bound[axis], place.0[axis]))
+                };
+                (each(i32::min, low), each(i32::max, high))
+            });
+        let needed: HashSet<Place> = places.iter().copied().collect();
+        let gone = self
+            .blocks
+            .farthest(missing, [Place(low), Place(high)], |place| needed.contains(&place))?;
+        if gone.is_empty() {
+            return Ok(0);
+        }
+        let lost = |place: &Place| self.blocks.get(*place).map_or(0, Block::observed);
+        let forgotten = gone.iter().map(lost).sum();
+        self.blocks.retain(|place| !gone.contains(&place));
+        // As in `forget`: the slots have moved.
+        self.changes.restart();
+        Ok(forgotten)
     }
 
     /// Forget everything.

@@ -1,9 +1,8 @@
-"""Scores as lines of a table, for every command that prints them."""
+"""Scores as lines of a table, for consoles and pages."""
 
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from lidar_core.cli.shared.common import Row, number
+from lidar_core.util.rows import Row, number
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -18,6 +17,18 @@ if TYPE_CHECKING:
         Spread,
         TrackScores,
     )
+
+
+def all_rows(report: "Evaluation") -> list[Row | None]:
+    """Every score of a run; None draws a line."""
+    rows: list[Row | None] = [*main_rows(report)]
+    for what, item in _scores(report):
+        rows += detail_rows(item, what)
+    if report.identities is not None:
+        rows += identity_rows(report.identities)
+    if report.latency is not None:
+        rows += latency_rows(report.latency)
+    return rows
 
 
 def main_rows(report: "Evaluation") -> list[Row]:
@@ -123,9 +134,9 @@ CAUSES = (
 )
 
 
-def consistency_warnings(scores: "Iterable[tuple[str, DetectionScores]]") -> list[str]:
+def consistency_warnings(report: "Evaluation") -> list[str]:
     """Say whose covariances do not fit the errors, with the likely causes."""
-    found = [(what, item.position_nees) for what, item in scores]
+    found = [(what, item.position_nees) for what, item in _scores(report)]
     return [
         f"{what}: {nees.warning}; {CAUSES}"
         for what, nees in found
@@ -141,12 +152,12 @@ def counted_caption(config: "EvaluationConfig") -> str:
     )
 
 
-def distance_table(scores: "Iterable[tuple[str, DetectionScores]]") -> "Table | None":
+def distance_table(report: "Evaluation") -> "Table | None":
     """Recall, precision and error over distance; None where no distance is known."""
     from rich.table import Table
 
     table = Table("distance", "of", "sightings", "recall", "precision", "mean error")
-    for what, item in scores:
+    for what, item in _scores(report):
         for group in item.over_distance:
             error = None if group.position_error is None else group.position_error.mean
             table.add_row(
@@ -158,6 +169,12 @@ def distance_table(scores: "Iterable[tuple[str, DetectionScores]]") -> "Table | 
                 number(error, 3, " m"),
             )
     return table if table.row_count else None
+
+
+def _scores(report: "Evaluation") -> "list[tuple[str, DetectionScores]]":
+    """Scores of tracks and of detections, by name, of those that there are."""
+    both = (("tracks", report.tracks), ("detections", report.detections))
+    return [(what, item) for what, item in both if item is not None]
 
 
 def _found(scores: "DetectionScores") -> str:

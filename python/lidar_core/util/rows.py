@@ -1,0 +1,16 @@
+"""Lines of a table of results, for consoles and pages."""
+
+from typing import NamedTuple
+
+
+class Row(NamedTuple):
+    """One line of a table of results: a measure, its value, and a remark."""
+
+    name: str
+    value: str
+    remark: str
+
+
+def number(value: float | None, digits: int, unit: str = "") -> str:
+    """A number for people; a dash where there is none."""
+    return "-" if value is None else f"{value:.{digits}f}{unit}"

@@ -1,0 +1,131 @@
+"""Data of the 3-D view of a report: map, points and objects over time, as small numbers."""
+
+from base64 import b64encode
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.messages import ShownClass
+from lidar_core.viz.playback import Moment, Playback
+
+MOST_MOMENTS = 300
+"""Times that the slider has: more are thinned evenly."""
+MOST_POINTS = 500_000
+"""Points of all scans together. A point takes 9 characters of the page."""
+MOST_VOXELS = 40_000
+STEPS = 65_000
+"""Steps per axis of a stored position, which fits 16 bits: 8 mm in a scene of 500 m."""
+
+
+def scene_of(
+    run: Playback, truth: dict[int, NDArray[np.float64]], *, start_ns: int
+) -> dict[str, Any]:
+    """Everything that the 3-D view draws, as plain values.
+
+    Parameters
+    ----------
+    run : Playback
+        The run.
+    truth : dict of int to ndarray, shape (S, 4)
+        Time since `start_ns` [s] and true position [m] of each target.
+    start_ns : int
+        Time that the slider calls 0 [ns].
+
+    Returns
+    -------
+    scene : dict
+        Times [s], and for each time the objects, outlines and points. Positions are in the world
+        frame [m]; those of points and voxels are steps of a lattice, in base64.
+    """
+    moments = list(_picked(run))
+    voxels = _voxels(run.voxel_map)
+    per_scan = MOST_POINTS // max(1, sum(len(moment.points) > 0 for moment in moments))
+    clouds = [_thinned(moment, per_scan) for moment in moments]
+    lattice = _Lattice([voxels, *(points for points, _ in clouds)])
+    return {
+        "planar": run.capability != "flying",
+        "times": [round((moment.stamp_ns - start_ns) * 1e-9, 4) for moment in moments],
+        "lattice": {"origin": lattice.origin.tolist(), "step": lattice.step},
+        "voxels": lattice.packed(voxels),
+        "scans": [
+            {"points": lattice.packed(points), "classes": _base64(classes)}
+            for points, classes in clouds
+        ],
+        "objects": [_objects(moment) for moment in moments],
+        "outlines": [
+            [
+                {"points": np.round(one.points, 3).tolist(), "visible": bool(one.visible)}
+                for one in moment.outlines
+            ]
+            for moment in moments
+        ],
+        "truth": [np.round(way, 3).tolist() for way in truth.values()],
+    }
+
+
+def _picked(run: Playback) -> Iterator[Moment]:
+    """Times with a scan, or all where the run kept none; thinned evenly, the last one included."""
+    with_scan = [moment.stamp_ns for moment in run.moments() if len(moment.points)]
+    stamps = with_scan or [moment.stamp_ns for moment in run.moments()]
+    rows = np.linspace(0, len(stamps) - 1, min(len(stamps), MOST_MOMENTS)).round().astype(int)
+    chosen = {stamps[row] for row in rows.tolist()}
+    for moment in run.moments():
+        if moment.stamp_ns in chosen:
+            yield moment
+
+
+def _thinned(moment: Moment, most: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """At most so many points: first those that are not background, then the background evenly."""
+    is_plain = moment.point_class <= ShownClass.BACKGROUND
+    marked, plain = np.flatnonzero(~is_plain), np.flatnonzero(is_plain)
+    marked = marked[:: max(1, -(-len(marked) // max(1, most)))]
+    room = max(0, most - len(marked))
+    plain = plain[:: max(1, -(-len(plain) // room))] if room else plain[:0]
+    rows = np.concatenate([plain, marked])
+    return moment.points[rows], moment.point_class[rows]
+
+
+def _voxels(path: Path | None) -> NDArray[np.float64]:
+    """Centres of occupied voxels of the map of a run, thinned evenly, shape (V, 3) [m]."""
+    if path is None:
+        return np.empty((0, 3))
+    from lidar_core.flying.voxel_map import VoxelMap
+
+    centers = VoxelMap.load(path).occupied_points()
+    return centers[:: max(1, -(-len(centers) // MOST_VOXELS))]
+
+
+def _objects(moment: Moment) -> list[dict[str, Any]]:
+    objects = moment.objects
+    return [
+        {
+            "id": number,
+            "position": np.round(objects.position[row], 3).tolist(),
+            "velocity": np.round(objects.velocity[row], 3).tolist(),
+            "covariance": objects.covariance[row].ravel().tolist(),
+            "size": np.round(objects.size[row], 3).tolist(),
+        }
+        for row, number in enumerate(objects.id.tolist())
+    ]
+
+
+class _Lattice:
+    """Steps of equal length along all axes that hold all points in 16 bits each."""
+
+    def __init__(self, parts: Sequence[NDArray[Any]]) -> None:
+        known = [part.astype(np.float64) for part in parts if len(part)]
+        low = np.min([part.min(axis=0) for part in known], axis=0) if known else np.zeros(3)
+        high = np.max([part.max(axis=0) for part in known], axis=0) if known else np.ones(3)
+        self.origin = np.asarray(low, np.float64)
+        self.step = max(float((high - low).max()), 1e-3) / STEPS
+
+    def packed(self, points: NDArray[Any]) -> str:
+        """Positions as three unsigned 16-bit numbers each, little endian, in base64."""
+        return _base64(np.round((points - self.origin) / self.step).astype("<u2"))
+
+
+def _base64(values: NDArray[Any]) -> str:
+    return b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")

@@ -1,0 +1,303 @@
+"""The report of a run: what is in it, that nothing in it runs or asks for anything else."""
+
+import base64
+import html
+import json
+import re
+import time
+from html.parser import HTMLParser
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from chromium import CHROMIUM, Browser
+from typer.testing import CliRunner
+
+import lidar_core as lc
+from lidar_core.cli import app
+from lidar_core.errors import FormatError
+from lidar_core.messages import ShownClass
+from lidar_core.viz import Moment, Objects, Playback, write_report
+from lidar_core.viz.report.scene import MOST_MOMENTS, _thinned
+
+SCANS = 15
+needs_chromium = pytest.mark.skipif(
+    CHROMIUM is None, reason="no Chromium; on Debian: apt install chromium"
+)
+HOSTILE = "</script><script>document.title='broken'</script><img src=x onerror=alert(1)>"
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, list(map(str, arguments)))
+
+
+def made(*arguments):
+    done = invoke(*arguments)
+    assert done.exit_code == 0, done.output
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "demo"
+    made("demo", "-o", folder, "--scans", SCANS, "--no-picture")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def circles(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+    made("simulate", "circles", "-o", folder / "a.npz", "--scans", SCANS)
+    made("circles", folder / "a.npz", "-o", folder / "run")
+    return folder / "run"
+
+
+class Page(HTMLParser):
+    """Elements of a page, with the text of each kind."""
+
+    def __init__(self, path):
+        super().__init__(convert_charrefs=True)
+        self.elements, self.texts, self._open = [], {}, []
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        self._open.append(tag)
+        self.texts.setdefault(tag, []).append("")
+
+    def handle_endtag(self, tag):
+        while self._open and self._open.pop() != tag:
+            pass
+
+    def handle_data(self, data):
+        for tag in self._open:
+            self.texts[tag][-1] += data
+
+    @property
+    def scene(self):
+        return json.loads(self.texts["script"][0])
+
+
+def unpacked(scene, text):
+    lattice = scene["lattice"]
+    steps = np.frombuffer(base64.b64decode(text), "<u2").reshape(-1, 3)
+    return np.array(lattice["origin"]) + lattice["step"] * steps
+
+
+def test_a_demo_is_reported_with_its_errors_times_and_configuration(demo, tmp_path):
+    path = write_report(demo, tmp_path / "a" / "demo.html")
+    page = Page(path)
+    heads = page.texts["h2"]
+    assert heads[:3] == ["Warnings", "View", "Picture"]
+    for head in ("Errors", "Time per scan", "Summary", "Configuration and versions"):
+        assert head in heads
+    assert "Consistency" not in heads  # NIS is of fuse
+    cells = page.texts["td"]
+    summary = json.loads((demo / "summary.json").read_text())
+    scores = summary["track_scores"]
+    assert cells[cells.index("recall of tracks") + 1] == f"{scores['recall']:.3f}"
+    assert cells[cells.index("false tracks") + 1] == str(len(scores["false_ids"]))
+    assert cells[cells.index("cluster") + 1].endswith(" ms")
+    assert page.texts["pre"] == [(demo / "run.toml").read_text()]
+    assert f"Objects ({summary['tracks']})" in heads
+
+
+def test_the_view_shows_what_the_run_holds(demo, tmp_path):
+    scene = Page(write_report(demo, tmp_path / "demo.html")).scene
+    run = Playback(demo)
+    moments = list(run.moments())
+    starts = next(run.steps())[0]
+    assert scene["times"] == [
+        pytest.approx((one.stamp_ns - starts) * 1e-9, abs=1e-4) for one in moments
+    ]
+    for moment, objects in zip(moments, scene["objects"], strict=True):
+        assert [one["id"] for one in objects] == moment.objects.id.tolist()
+        for row, one in enumerate(objects):
+            np.testing.assert_allclose(one["position"], moment.objects.position[row], atol=1e-3)
+            np.testing.assert_array_equal(
+                np.reshape(one["covariance"], (3, 3)), moment.objects.covariance[row]
+            )
+    occupied = lc.VoxelMap.load(demo / "map.lcvm").occupied_points()
+    shown = unpacked(scene, scene["voxels"])
+    stride = -(-len(occupied) // len(shown))
+    np.testing.assert_allclose(shown, occupied[::stride], atol=scene["lattice"]["step"])
+    assert len(scene["truth"]) == 2
+    assert not scene["planar"]
+
+
+def test_scans_of_a_recording_are_in_the_view(circles, tmp_path):
+    scene = Page(write_report(circles, tmp_path / "a.html")).scene
+    moments = [one for one in Playback(circles).moments() if len(one.points)]
+    assert scene["planar"]
+    assert len(scene["scans"]) == len(moments) == SCANS
+    for moment, kept in zip(moments, scene["scans"], strict=True):
+        np.testing.assert_allclose(
+            unpacked(scene, kept["points"]), moment.points, atol=scene["lattice"]["step"]
+        )
+
+
+def test_points_that_are_not_background_are_kept_first():
+    rng = np.random.default_rng(0)
+    classes = np.full(10_000, ShownClass.BACKGROUND, np.uint8)
+    classes[::1000] = ShownClass.FLYING
+    nothing = Objects(
+        id=np.empty(0, np.int64),
+        position=np.empty((0, 3)),
+        velocity=np.empty((0, 3)),
+        covariance=np.empty((0, 3, 3)),
+        size=np.empty((0, 3)),
+    )
+    moment = Moment(0, rng.normal(size=(10_000, 3)).astype(np.float32), classes, nothing)
+    points, kept = _thinned(moment, 100)
+    assert len(points) <= 100
+    assert (kept == ShownClass.FLYING).sum() == 10
+    assert len(_thinned(moment, 5)[0]) <= 5
+    assert len(_thinned(moment, 20_000)[0]) == 10_000
+
+
+def test_a_long_run_is_thinned_to_its_end(tmp_path):
+    rows = [f"L {x} {x} {int(1e6 * t)} {x} {x} 1 1" for t, x in _way(5 * MOST_MOMENTS)]
+    (tmp_path / "a.txt").write_text("\n".join(rows) + "\n")
+    made("fuse", tmp_path / "a.txt", "-o", tmp_path / "run", "--no-picture")
+    scene = Page(write_report(tmp_path / "run")).scene
+    assert len(scene["times"]) == MOST_MOMENTS
+    stamps = [stamp for stamp, _ in Playback(tmp_path / "run").steps()]
+    assert scene["times"][-1] == pytest.approx((stamps[-1] - stamps[0]) * 1e-9, abs=1e-4)
+
+
+def _way(count):
+    return [(0.05 * step, 0.05 * step) for step in range(count)]
+
+
+def test_nis_of_fuse_is_reported(tmp_path):
+    rows = [f"L {x} {x} {int(1e6 * t)} {x} {x} 1 1" for t, x in _way(40)]
+    (tmp_path / "a.txt").write_text("\n".join(rows) + "\n")
+    made("fuse", tmp_path / "a.txt", "-o", tmp_path / "run", "--no-picture")
+    made("report", tmp_path / "run")
+    page = Page(tmp_path / "run" / "report.html")
+    assert {"Consistency", "Errors"} <= set(page.texts["h2"])
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    cells = page.texts["td"]
+    assert cells[cells.index("NIS lidar") + 1] == f"{summary['nis']['lidar']['mean']:.2f}"
+
+
+def test_a_run_without_truth_has_no_errors_and_takes_a_truth_that_is_given(circles, tmp_path):
+    without = Page(write_report(circles, tmp_path / "a.html"))
+    assert "Errors" not in without.texts["h2"]
+    truth = circles.parent / "a.truth.csv"
+    path = tmp_path / "b.html"
+    made("report", circles, "-o", path, "--truth", truth)
+    page = Page(path)
+    assert "Errors" in page.texts["h2"]
+    done = invoke("evaluate", circles, truth, "--json", tmp_path / "scores.json")
+    assert done.exit_code == 0, done.output
+    scores = json.loads((tmp_path / "scores.json").read_text())["track_scores"]
+    cells = page.texts["td"]
+    assert cells[cells.index("recall of tracks") + 1] == f"{scores['recall']:.3f}"
+    assert page.scene["truth"]
+
+
+def test_warnings_of_the_run_are_shown_first(circles, tmp_path):
+    path = circles / "summary.json"
+    kept = path.read_text()
+    told = {**json.loads(kept), "warnings": [f"poses are late {HOSTILE}"]}
+    try:
+        path.write_text(json.dumps(told))
+        page = Page(write_report(circles, tmp_path / "a.html"))
+    finally:
+        path.write_text(kept)
+    warning = next(attrs for tag, attrs in page.elements if attrs.get("class") == "warning")
+    assert warning
+    assert HOSTILE in "".join(page.texts["section"][:1])
+
+
+def test_the_page_asks_for_nothing_and_runs_only_its_own_script(circles, tmp_path):
+    path = write_report(circles, tmp_path / "a.html")
+    page = Page(path)
+    links = [
+        value
+        for _, attrs in page.elements
+        for name, value in attrs.items()
+        if name in ("src", "href", "action", "data", "srcset")
+        and not value.startswith(("data:", "#"))
+    ]
+    assert links == []
+    assert [attrs.get("type") for tag, attrs in page.elements if tag == "script"] == [
+        "application/json",
+        None,
+    ]
+    assert not [name for _, attrs in page.elements for name in attrs if name.startswith("on")]
+    policy = next(
+        attrs["content"] for tag, attrs in page.elements if attrs.get("http-equiv") is not None
+    )
+    rules = dict(part.strip().split(" ", 1) for part in policy.split(";"))
+    assert rules["default-src"] == "'none'"
+    assert re.fullmatch(r"'sha256-[\w+/]{43}='", rules["script-src"])
+    assert rules["img-src"] == "data:"
+
+
+def test_names_and_texts_of_a_run_cannot_add_elements(circles, tmp_path):
+    """The command and the configuration hold whatever somebody typed."""
+    run = tmp_path / "run"
+    run.mkdir()
+    for path in circles.iterdir():
+        if path.is_file():
+            (run / path.name).write_bytes(path.read_bytes())
+    note = (run / "run.toml").read_text()
+    (run / "run.toml").write_text(re.sub(r"(?m)^command = .*$", f'command = "{HOSTILE}"', note))
+    plain, hostile = Page(write_report(circles)), Page(write_report(run))
+    assert [tag for tag, _ in hostile.elements] == [tag for tag, _ in plain.elements]
+    assert hostile.texts["code"] == [HOSTILE]
+    assert html.escape(HOSTILE) in (run / "report.html").read_text()
+
+
+def test_what_is_no_run_is_refused(tmp_path, circles):
+    with pytest.raises(FileNotFoundError, match="no such folder"):
+        write_report(tmp_path / "none")
+    with pytest.raises(FormatError, match=r"run\.toml"):
+        write_report(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    done = invoke("report", tmp_path)
+    assert isinstance(done.exception, FormatError)
+    path = circles / "summary.json"
+    kept = path.read_text()
+    try:
+        path.write_text("{")
+        with pytest.raises(FormatError, match=r"summary\.json: expected JSON"):
+            write_report(circles, tmp_path / "a.html")
+    finally:
+        path.write_text(kept)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_next_run_replaces_the_report_of_the_one_before(circles):
+    write_report(circles)
+    assert (circles / "report.html").is_file()
+    made("circles", circles.parent / "a.npz", "-o", circles, "--overwrite")
+    assert not (circles / "report.html").exists()
+
+
+@needs_chromium
+def test_the_view_moves_in_a_browser_that_asks_nobody(demo, tmp_path):
+    path = write_report(demo, tmp_path / "demo.html")
+    with Browser(tmp_path) as browser:
+        browser.open(path.as_uri())
+        until = time.monotonic() + 60
+        while not browser.value("document.getElementById('clock')?.textContent"):
+            assert time.monotonic() < until, "the view does not start"
+            time.sleep(0.2)
+        assert "2 objects" in browser.value("document.getElementById('clock').textContent")
+        last = browser.picture()
+        browser.value(
+            "const s = document.getElementById('time'); s.value = 0;"
+            " s.dispatchEvent(new Event('input'))"
+        )
+        time.sleep(0.5)
+        start = Page(path).scene["times"][0]
+        shown = browser.value("document.getElementById('clock').textContent")
+        assert shown.startswith(f"{start:.2f} s")
+        first = browser.picture()
+        assert (np.abs(first - last).max(axis=2) > 40).sum() > 100
+        blue = np.abs(last - [3, 105, 161]).max(axis=2) < 30
+        assert blue.sum() > 20  # number, box and trail of a track
+        hosts = {urlsplit(one).hostname for one in browser.addresses() if "://" in one}
+    assert not {host for host in hosts if host} - {"127.0.0.1"}
