@@ -187,19 +187,24 @@ class Element:
     weight: float = 4.0
 
     def listen(self, z, R, stamp):
-        """Mean excess of the departures from three places on a line at constant velocity."""
-        self.places = [*self.places[-2:], (stamp * 1e-9, z[:2], np.trace(R[:2, :2]) / 2)]
-        if len(self.places) < 3:
+        """Mean excess of minus the products of departures in a row from constant velocity."""
+        self.places = [*self.places[-3:], (stamp * 1e-9, z[:2], np.trace(R[:2, :2]) / 2)]
+        if len(self.places) < 4:
             return
-        (t0, a, r0), (t1, b, r1), (t2, c, r2) = self.places
-        if not (t0 < t1 < t2 and t2 - t0 < 0.5 and max(r0, r1, r2) < 0.03**2):
+        t, place, r = zip(*self.places, strict=True)
+        off, weights = [], []
+        for i in (0, 1):
+            if not (t[i] < t[i + 1] < t[i + 2] and t[i + 2] - t[i] < 0.5):
+                return
+            k = (t[i + 2] - t[i + 1]) / (t[i + 1] - t[i])
+            weights.append(np.array([k, -1 - k, 1.0]))
+            off.append(weights[i] @ np.array(place[i : i + 3]))
+        if max(r) >= 0.03**2:
             return
-        k = (t2 - t1) / (t1 - t0)
-        off = c - b - k * (b - a)
-        weights = np.array([k**2, (1 + k) ** 2, 1.0])
-        sample = (off @ off / 2 - weights @ [r0, r1, r2]) / weights.sum()
+        both = np.array([weights[0][1] * weights[1][0], weights[0][2] * weights[1][1]])
+        sample = (off[0] @ off[1] / 2 - both @ r[1:3]) / both.sum()
         self.weight = min(self.weight + 1, 30)
-        self.excess += (min(sample, 0.08**2) - self.excess) / self.weight
+        self.excess += (np.clip(sample, -(0.08**2), 0.08**2) - self.excess) / self.weight
 
     def noisy(self, R):
         return R + max(self.excess, 0.0) * np.diag([1, 1, 0])
@@ -372,11 +377,17 @@ class IndependentMap:
     def correct(self, element, z, R, stamp):
         element.listen(z, R, stamp)
         R = element.noisy(R)
-        squared = []
+        far = []
         for x, P in zip(element.x, element.P, strict=True):
             y = z - H @ x
-            squared.append(y @ np.linalg.solve(H @ P @ H.T + R, y))
-        R = R * max(1.0, min(squared) / self.gate)
+            far.append((y @ np.linalg.solve(H @ P @ H.T + R, y), y @ y))
+        squared, length = min(far)
+        if squared > self.gate:
+            x, P = element.combined()
+            if (z[2] - x[4]) ** 2 > 9.0 * (P[4, 4] + R[2, 2]):
+                R = R + length / self.gate * np.eye(3)
+            else:
+                R = R * squared / self.gate
         scores = []
         for j, (x, P) in enumerate(zip(element.x, element.P, strict=True)):
             S = H @ P @ H.T + R
@@ -431,7 +442,7 @@ class IndependentMap:
             worst = np.linalg.eigvalsh(element.reported()[1][:2, :2]).max()
             element.lost = worst >= config.max_position_std**2
             vague = False
-            if element.visible():
+            if element.seen == "measured":
                 x, P = element.combined()
                 vague = (
                     x[4] <= 0

@@ -44,9 +44,9 @@ class VoxelMapConfig(Config):
     )
     skip: Literal["saturated", "none"] = Field(
         "saturated",
-        description="Voxels that rays pass in one step: bricks of 4 x 4 x 4 of which each holds"
-        " exactly `g_free` or is permanent, or none. Maps, detections and tracks are the same to"
-        " the bit (no unit).",
+        description="Voxels that rays pass in one step: those in directions and at distances where"
+        " each holds exactly `g_free` or is permanent, or none. Maps, detections and tracks are the"
+        " same to the bit (no unit).",
     )
     ray_unit: Literal["edges", "metres", "diagonals"] = Field(
         "edges",

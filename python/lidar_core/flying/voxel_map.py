@@ -33,7 +33,7 @@ class IntegrateStats:
     n_visits : int
         Voxels crossed by rays, each crossing counted.
     n_visits_skipped : int
-        Of these, crossings passed in one step with their brick; see `VoxelMapConfig.skip`.
+        Of these, crossings that rays passed in one step; see `VoxelMapConfig.skip`.
     n_voxels : int
         Voxels that hold points or that rays visited, without those passed: with `skip` "none" all
         that the scan met.

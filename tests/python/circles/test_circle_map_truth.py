@@ -202,6 +202,22 @@ def test_identities_survive_an_occlusion_of_two_seconds():
     assert sum(is_kept_through_an_occlusion(4300 + case) for case in range(40)) >= 38
 
 
+def test_what_comes_back_into_view_piece_by_piece_keeps_its_number():
+    """After 4 s the place is known to 1 m at best; then rays meet it that give no circle yet."""
+    circles, rng = CircleMap(), np.random.default_rng(4350)
+    post, screen = (6.0, 0.5, 0.25), (3.0, 0.25, 0.4)
+    none = np.empty((0, 3)), np.empty((0, 3, 3))
+    for k in range(40 + 85 + 8 + 3):
+        z, R = measure(rng, np.array(post[:2]), post[2])
+        is_hidden, is_piece = 40 <= k < 125, 125 <= k < 133
+        scan = (ranges_of([post, screen] if is_hidden else [post]), BEARINGS)
+        seen = none if is_hidden or is_piece else ([z], [R])
+        circles.update(*seen, HERE, k * STEP_NS, scan=scan, range_limits=LIMITS)
+        if k == 124:
+            assert len(circles.map_at(k * STEP_NS)) == 0  # known to less than 1 m
+    assert circles.map_at(136 * STEP_NS).id.tolist() == [0]
+
+
 def test_what_is_gone_goes_within_half_a_second():
     circles, rng = CircleMap(), np.random.default_rng(4400)
     for k in range(40):

@@ -85,3 +85,17 @@ def test_without_shapes_every_segment_is_a_circle():
     frame = pipeline.process(ranges, np.eye(4), 0)
     assert len(frame.shapes) == 0
     assert len(frame.circles) == len(frame.map) == 1
+
+
+def test_a_post_that_looks_like_another_shape_by_chance_is_followed_all_the_same():
+    """Its circle has the covariance that it always has, so that the element does not lag behind."""
+    scene = SCENES.single(0.1, 2, speed=1.5, sensor="swinging", seed=1_000_003_002)
+    errors, others = [], 0
+    for number, (truth, frame) in enumerate(frames(scene, 1_000_003_002)):
+        if number == 180:
+            break
+        others += int((frame.shapes.kind != ShapeKind.CIRCLE).sum())
+        if number >= 40:
+            errors.append(frame.map.center[0] - truth.center[0])
+    assert others >= 3
+    assert np.abs(errors).max() < 0.012

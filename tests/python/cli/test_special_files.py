@@ -42,6 +42,7 @@ COMMANDS = {
     "evaluate, truth": f"evaluate table.csv {OPENED}",
     "export": f"export {OPENED} out.onnx",
     "view": f"view {OPENED} --png out.png",
+    "report": f"report {OPENED} -o out.html",
     "batch": f"batch {OPENED} -o out",
     "live --replay": f"live --replay {OPENED} -o out --pose static",
     "live --config": f"live --replay cloud.npz -o out --pose static --config {OPENED}",
@@ -126,6 +127,26 @@ def test_every_command_refuses_what_is_no_regular_file(place, name, kind):
     assert "special" in str(error), error
     assert "\n" not in str(error)
     assert not list(place.glob("out*")), list(place.iterdir())
+
+
+@pytest.fixture(scope="module")
+def small_run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    rows = "".join(f"{100_000_000 * k},{k},0,0\n" for k in range(20))
+    (folder / "track.csv").write_text("t_ns,x,y,z\n" + rows)
+    made = ["fuse", str(folder / "track.csv"), "-o", str(folder / "run"), "--force"]
+    done = CliRunner().invoke(app, made)
+    assert done.exit_code == 0, (done.output, done.exception)
+    return folder / "run"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_report_refuses_a_truth_that_is_no_regular_file(place, small_run, kind):
+    path = special(place, kind, ".csv")
+    done = run(f"report {small_run} -o page.html --truth {OPENED}", path)
+    assert isinstance(done.exception, LidarCoreError | OSError), (done.output, done.exception)
+    assert "special" in str(done.exception)
+    assert not (place / "page.html").exists()
 
 
 @pytest.mark.parametrize("ending", ENDINGS)

@@ -4,7 +4,7 @@ use super::fit::circle::CircleEstimate;
 use super::frame::PreparedSweep;
 use super::map::{CircleMap, MapStats, OutlineEstimate};
 use super::parameters::PipelineParameters;
-use super::selection::{MapUse, is_certain, is_piece, part, round};
+use super::selection::{MapUse, doubted, is_piece, part};
 use super::shape::{ShapeEstimate, ShapeKind};
 
 /// Segments that go into the map, by number.
@@ -62,11 +62,7 @@ impl Parts {
                     parts.bodies.push(number);
                     parts.circles.push(body);
                     let outline = shape.and_then(|(found, rules)| rules.outline(found));
-                    let doubted = |one| shape.map_or(one, |(_, rules)| rules.doubted(one));
-                    let round = || {
-                        let round = round(prepared, number, circle, limits[1]);
-                        round.filter(is_certain).map(doubted)
-                    };
+                    let round = || doubted(prepared, number, circle, limits);
                     parts
                         .outlines
                         .push(outline.map(|one| OutlineEstimate { round: round(), ..one }));

@@ -10,6 +10,9 @@ use crate::Error;
 use crate::error::require_positive;
 use nalgebra::{Matrix3, Matrix5};
 
+/// Standard deviations by which a mean square of noise may exceed its expectation by chance.
+const CHANCE: f64 = 2.0;
+
 /// Rules for segments that are no circles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShapeParameters {
@@ -80,15 +83,6 @@ impl ShapeParameters {
         is_known.then_some(OutlineEstimate { shape: *shape, is_large, round: None })
     }
 
-    /// Circle of an object that looks like another shape: its rays may depart from the circle by as
-    /// much as shapes do.
-    pub(super) fn doubted(&self, mut circle: CircleEstimate) -> CircleEstimate {
-        for (axis, row) in circle.covariance.iter_mut().enumerate().take(2) {
-            row[axis] += self.model_std * self.model_std;
-        }
-        circle
-    }
-
     /// Circle whose radius is the mean half length.
     fn equivalent(&self, shape: &ShapeEstimate) -> Option<CircleEstimate> {
         let [x, y, long, short, _] = shape.parameters;
@@ -155,13 +149,37 @@ pub(super) fn part(
 }
 
 /// Circle of a segment, if its hits lie on it.
-pub(super) fn round(
+fn round(
     prepared: &PreparedSweep,
     number: usize,
     circle: &CircleEstimate,
     max_deviation: f64,
 ) -> Option<CircleEstimate> {
     Some(*circle).filter(|_| deviation(prepared, number, circle) <= max_deviation)
+}
+
+/// Variance of so many hits around a circle beyond that of their noise, if it is not by chance.
+fn departure(deviation: f64, range_std: f64, count: usize) -> f64 {
+    let by_chance = 1.0 + CHANCE * (2.0 / count as f64).sqrt();
+    (deviation * deviation - range_std * range_std * by_chance).max(0.0)
+}
+
+/// Circle of a segment that looks like another shape, if its hits lie on it. Its centre is as
+/// uncertain as the hits depart from it beyond the noise of ranges: by chance, a circle looks like
+/// another shape now and then, and is known as well then as ever.
+pub(super) fn doubted(
+    prepared: &PreparedSweep,
+    number: usize,
+    circle: &CircleEstimate,
+    [range_std, max_deviation]: [f64; 2],
+) -> Option<CircleEstimate> {
+    let found = deviation(prepared, number, circle);
+    let excess = departure(found, range_std, prepared.segments.rays_of(number).len());
+    let mut circle = *circle;
+    for (axis, row) in circle.covariance.iter_mut().enumerate().take(2) {
+        row[axis] += excess;
+    }
+    (found <= max_deviation && is_certain(&circle)).then_some(circle)
 }
 
 impl MapUse {
@@ -253,6 +271,14 @@ mod tests {
         }));
         face.parameters[3] = 2.0;
         assert!(RULES.behind(&face).is_none());
+    }
+
+    #[test]
+    fn what_departs_from_its_circle_by_chance_is_known_and_what_does_so_clearly_is_not() {
+        assert_eq!(departure(0.012, 0.01, 9), 0.0);
+        assert!(departure(0.03, 0.01, 20) > 7e-4);
+        // More hits tell more: the same deviation is no chance then.
+        assert!(departure(0.012, 0.01, 200) > 0.0);
     }
 
     #[test]

@@ -22,13 +22,15 @@ struct Sample {
 
 /// Variance of positions beyond the one that they state, per axis.
 ///
-/// Three positions of an object at constant velocity lie on a line at equal steps of time. Their
-/// departure from it is noise, whatever the object's velocity, so that the estimate needs no model
-/// of motion and holds for standing and for moving objects.
+/// Three positions of an object at constant velocity lie on a line at equal steps of time. What
+/// departs from it is noise, or a change of the velocity. Noise departs to and fro: the position
+/// that is too far ahead in one three is too far back in the next. So the product of two departures
+/// in a row is negative for noise, and zero or positive for an object that turns, starts or bounces.
+/// The estimate needs no model of motion and holds for standing and for moving objects.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Jitter {
-    newest: Option<Sample>,
-    older: Option<Sample>,
+    /// The last positions, the newest first.
+    recent: [Option<Sample>; 3],
     /// Mean of all samples; negative if the stated variances are too large [m^2].
     excess: f64,
     weight: f64,
@@ -38,7 +40,7 @@ impl Jitter {
     /// Estimate that starts at a variance [m^2] with the weight of so many samples.
     #[must_use]
     pub fn new(variance: f64, weight: f64) -> Self {
-        Self { newest: None, older: None, excess: variance, weight }
+        Self { recent: [None; 3], excess: variance, weight }
     }
 
     /// Variance to be added to the stated one [m^2], >= 0.
@@ -56,40 +58,51 @@ impl Jitter {
     /// Take in a position [m] at a time [ns] with the mean of its stated variances [m^2].
     pub fn add(&mut self, time_ns: i64, place: [f64; 2], variance: f64) {
         let now = Sample { time_ns, place, variance };
-        if let (Some(newest), Some(older)) = (self.newest, self.older)
-            && let Some(sample) = departure([older, newest, now])
+        let [newest, older, oldest] = self.recent;
+        if let (Some(newest), Some(older), Some(oldest)) = (newest, older, oldest)
+            && let Some(sample) = alternation([oldest, older, newest, now])
         {
             self.weight = (self.weight + 1.0).min(MEMORY);
-            self.excess += (sample.min(LARGEST) - self.excess) / self.weight;
+            self.excess += (sample.clamp(-LARGEST, LARGEST) - self.excess) / self.weight;
         }
-        self.older = self.newest;
-        self.newest = Some(now);
+        self.recent = [Some(now), newest, older];
     }
 }
 
-/// Variance of one position beyond the stated ones, from three [m^2].
-fn departure([first, second, third]: [Sample; 3]) -> Option<f64> {
-    let seconds = |from: Sample, to: Sample| {
-        (i128::from(to.time_ns) - i128::from(from.time_ns)) as f64 * 1e-9
-    };
-    let (before, after) = (seconds(first, second), seconds(second, third));
-    let is_sharp = [first, second, third].iter().all(|one| one.variance < SHARP);
-    if !(is_sharp && before > 0.0 && after > 0.0 && before + after < LONGEST) {
-        return None;
-    }
-    let ahead = after / before;
-    // The third minus the second and third's extrapolation: weights 1, -(1 + a) and a.
-    let weights = [ahead * ahead, (1.0 + ahead) * (1.0 + ahead), 1.0];
-    let square: f64 = (0..2)
-        .map(|axis| {
+/// Variance of one position beyond the stated ones, from four [m^2].
+fn alternation(four: [Sample; 4]) -> Option<f64> {
+    let [first, second, third, fourth] = four;
+    let one = Departure::of([first, second, third])?;
+    let two = Departure::of([second, third, fourth])?;
+    let is_sharp = four.iter().all(|sample| sample.variance < SHARP);
+    // The second and the third position are in both.
+    let shared = [one.weights[1] * two.weights[0], one.weights[2] * two.weights[1]];
+    let stated = shared[0] * second.variance + shared[1] * third.variance;
+    let product = 0.5 * (one.off[0] * two.off[0] + one.off[1] * two.off[1]);
+    is_sharp.then(|| (product - stated) / (shared[0] + shared[1]))
+}
+
+/// Departure of the third of three positions from a steady motion.
+struct Departure {
+    /// Weights of the positions in it.
+    weights: [f64; 3],
+    off: [f64; 2],
+}
+
+impl Departure {
+    fn of([first, second, third]: [Sample; 3]) -> Option<Self> {
+        let seconds = |from: Sample, to: Sample| {
+            (i128::from(to.time_ns) - i128::from(from.time_ns)) as f64 * 1e-9
+        };
+        let (before, after) = (seconds(first, second), seconds(second, third));
+        let ahead = after / before;
+        let off = [0, 1].map(|axis| {
             let [a, b, c] = [first, second, third].map(|one| one.place[axis]);
-            let off = c - b - (b - a) * ahead;
-            off * off
-        })
-        .sum();
-    let stated: f64 =
-        weights.iter().zip([first, second, third]).map(|(weight, one)| weight * one.variance).sum();
-    Some((0.5 * square - stated) / weights.iter().sum::<f64>())
+            c - b - (b - a) * ahead
+        });
+        (before > 0.0 && after > 0.0 && before + after < LONGEST)
+            .then_some(Self { weights: [ahead, -(1.0 + ahead), 1.0], off })
+    }
 }
 
 #[cfg(test)]
@@ -108,13 +121,25 @@ mod tests {
 
     #[test]
     fn alternating_positions_show_their_variance() {
-        // +e, -e, +e: every second difference is 4 e, its weights sum to 6.
+        // +e, -e, +e: every second difference is 4 e, with the other sign than the last; its
+        // products have weights -4.
         let (mut jitter, e) = (Jitter::new(0.0, 0.0), 0.02);
         for step in 0..60 {
             let sign = if step % 2 == 0 { 1.0 } else { -1.0 };
             jitter.add(step * 50_000_000, [sign * e, 0.0], 1e-5);
         }
-        assert!((jitter.variance() - (8.0 * e * e / 6.0 - 1e-5)).abs() < 1e-12);
+        assert!((jitter.variance() - (4.0 * e * e - 1e-5)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_turns_round_does_not_jitter() {
+        let (mut jitter, mut place) = (Jitter::new(0.0, 4.0), 0.0);
+        for step in 0..60 {
+            // Back and forth at 1.5 m/s, with a bounce every 0.5 s.
+            place += if step / 10 % 2 == 0 { 0.075 } else { -0.075 };
+            jitter.add(step * 50_000_000, [place, 0.0], 0.0);
+        }
+        assert!(jitter.variance() < 1e-20, "{}", jitter.variance());
     }
 
     #[test]

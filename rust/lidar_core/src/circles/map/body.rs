@@ -4,7 +4,7 @@
 
 use super::element::{State, exceeds};
 use super::modes::{
-    CircleMeasurement, ElementModes, ElementMotion, ElementStep, halted, new_state,
+    CircleMeasurement, Distances, ElementModes, ElementMotion, ElementStep, halted, new_state,
 };
 use super::outline::{Outline, OutlineMeasurement};
 use super::parameters::Patience;
@@ -16,7 +16,7 @@ use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
 use crate::estimation::jitter::Jitter;
 use crate::estimation::kalman::Gaussian;
-use nalgebra::{Matrix2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Offsets from its centre at which a body is looked for, in standard deviations along each axis.
@@ -119,8 +119,9 @@ impl RoundBody {
     }
 
     /// The measurement by which the circle is corrected. One that is outside all gates is weighted
-    /// down until it would be inside; so is one that says that the body moved where earlier scans
-    /// met the same surface: then another part of it is seen.
+    /// down until it would be inside. So is one that says that the body moved where earlier scans
+    /// met the same surface, or that a body that is not round turned at once: then another part of
+    /// it is seen.
     fn weighted(
         &self,
         seen: &CircleMeasurement,
@@ -128,11 +129,29 @@ impl RoundBody {
         rules: &Rules,
     ) -> Result<CircleMeasurement, Error> {
         let mut seen = self.noisy(seen);
-        let [least, first] = self.circle.distances(&seen)?;
-        let has_stayed = trace.is_some_and(|trace| trace >= STAYED)
-            && self.circle.standing(rules.motion()) > LIKELY;
-        let excess = if has_stayed { first / NEAR } else { least / rules.gate() };
-        seen.R *= excess.max(1.0);
+        let motion = rules.motion();
+        let Distances { least, calm, first } = self.circle.distances(&seen, motion)?;
+        let has_stayed =
+            trace.is_some_and(|trace| trace >= STAYED) && self.circle.standing(motion) > LIKELY;
+        let (from, most) = if has_stayed {
+            (first, NEAR)
+        } else if self.outline.is_surely_round() {
+            (least, rules.gate())
+        } else {
+            (calm, NEAR)
+        };
+        if from.squared <= most {
+            return Ok(seen);
+        }
+        let Gaussian { mean, covariance } = self.circle();
+        let growth = seen.z[2] - mean[4];
+        if growth * growth > NEAR * (covariance[(4, 4)] + seen.R[(2, 2)]) {
+            // Another radius: the fit is of another part. Its covariance tells how errors of the
+            // centre and of the radius hang together, and this is none of them.
+            seen.R += Matrix3::identity() * (from.length / most);
+        } else {
+            seen.R *= from.squared / most;
+        }
         Ok(seen)
     }
 

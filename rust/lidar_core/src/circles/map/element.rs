@@ -214,8 +214,9 @@ impl<S: State> Element<S> {
         is_long(self.absent, patience.absent)
             || is_long(self.unmatched, patience.unmatched)
             || patience.hidden.is_some_and(|most| is_long(self.hidden, most))
-            // The covariance of a hidden element may grow; only a visible one is judged by it.
-            || self.is_visible() && self.state.is_vague(rules)
+            // The covariance grows while an element is hidden, and comes back into view as it is;
+            // only what was measured is judged by it.
+            || self.seen == ScanEvidence::Measured && self.state.is_vague(rules)
     }
 
     /// True if two elements are one object. Both must be visible, or must have been so a moment

@@ -21,6 +21,8 @@ const MAX_STEPS: f64 = 600.0;
 const SERIES: f64 = 1e-3;
 /// Least standard deviation of the velocity of what stands, per axis [m/s].
 const STILL_SPEED: f64 = 1e-3;
+/// Weight of a mode below which it is rare.
+const RARE: f64 = 0.01;
 /// Least probability of a mode.
 const LEAST: f64 = 1e-30;
 const LN_2_PI: f64 = 1.837_877_066_409_345_3;
@@ -283,6 +285,27 @@ fn exponential(rates: &Switching, time: f64) -> Switching {
     sum
 }
 
+/// Squared distance of a measurement from a mode, in variances and in squared units.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Distance {
+    pub(super) squared: f64,
+    pub(super) length: f64,
+}
+
+impl Distance {
+    fn nearer(self, other: Self) -> Self {
+        if other.squared < self.squared { other } else { self }
+    }
+}
+
+/// Distances from the nearest mode, the nearest that is not rare, and the first one.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Distances {
+    pub(super) least: Distance,
+    pub(super) calm: Distance,
+    pub(super) first: Distance,
+}
+
 /// State of an element in every mode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct ElementModes<const N: usize> {
@@ -351,23 +374,28 @@ impl<const N: usize> ElementModes<N> {
         if motion.standing.is_some() { self.probabilities[0] } else { 0.0 }
     }
 
-    /// Least squared distance of a measurement from the modes, and the one from the first mode.
+    /// How far a measurement is from the modes.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`] if an innovation covariance cannot be factorised.
     pub(super) fn distances<const M: usize>(
         &self,
         seen: &impl Measures<N, M>,
-    ) -> Result<[f64; 2], Error> {
-        let (mut least, mut first) = (f64::INFINITY, None);
-        for state in &self.states {
+        motion: &ElementMotion,
+    ) -> Result<Distances, Error> {
+        let far = Distance { squared: f64::INFINITY, length: f64::INFINITY };
+        let (mut least, mut calm, mut first) = (far, far, None);
+        for (state, mode) in self.states.iter().zip(&motion.modes) {
             let Linearised { y, H, R } = seen.against(&state.mean);
             let S = symmetrised(H * state.covariance * H.transpose() + R);
-            let squared = mahalanobis(&y, &S)?.squared;
-            least = least.min(squared);
-            first = first.or(Some(squared));
+            let here = Distance { squared: mahalanobis(&y, &S)?.squared, length: y.dot(&y) };
+            least = least.nearer(here);
+            if mode.weight >= RARE {
+                calm = calm.nearer(here);
+            }
+            first = first.or(Some(here));
         }
-        Ok([least, first.unwrap_or(least)])
+        Ok(Distances { least, calm, first: first.unwrap_or(least) })
     }
 
     /// Mean and covariance over all modes.

@@ -27,6 +27,9 @@ pub struct OutlineEstimate {
 const KINDS: [ShapeKind; 3] = [ShapeKind::Circle, ShapeKind::Ellipse, ShapeKind::Rectangle];
 /// Weight of the newest measurement in the kind of a body.
 const NEWEST: f64 = 0.1;
+/// Weight of circles in the recent measurements of what is surely round: a circle looks like another
+/// shape in few scans.
+const SURE: f64 = 0.7;
 /// Lead in weight that another kind needs.
 const AHEAD: f64 = 0.1;
 
@@ -130,6 +133,11 @@ impl Outline {
     /// True if the body is taken for a circle.
     pub(super) fn is_round(&self) -> bool {
         self.kind == 0
+    }
+
+    /// True if the body looks like a circle in nearly all scans.
+    pub(super) fn is_surely_round(&self) -> bool {
+        self.is_round() && self.shares[0] > SURE
     }
 
     /// True if most recent measurements were too large for a circle.

@@ -81,7 +81,7 @@ pub struct IntegrateStats {
     pub no_return_rays: usize,
     /// Voxels crossed by rays, each crossing counted.
     pub visits: u64,
-    /// Of these, crossings passed in one step with their brick
+    /// Of these, crossings that rays passed in one step
     /// ([`Skip`](crate::flying::map::parameters::Skip)).
     pub visits_skipped: u64,
     /// Voxels that points lie in or that rays visited, without those that they passed.

@@ -6,11 +6,12 @@
 //! Source: Vrba et al., eqs 8-12 and 16-22.
 
 use super::accumulate::accumulator::Accumulator;
-use super::accumulate::live_bricks::LiveBricks;
+use super::accumulate::live_cells::LiveCells;
 use super::accumulate::mark::Content;
 use super::accumulate::window::Window;
 use super::block_update::{MarkedBlock, update_blocks};
 use super::classified_scan::{ClassifiedScan, IntegrateStats, check_classes};
+use super::cube_map::CubeMap;
 use super::plan::Plan;
 use super::pose_weights::{PoseError, mark_points};
 use super::ray_lanes::CastTask;
@@ -31,7 +32,8 @@ const LEAST_SCRATCH: usize = 1 << 17;
 pub struct Integrator {
     workers: Workers,
     plan: Plan,
-    live: LiveBricks,
+    cells: LiveCells,
+    live: CubeMap,
     /// One per thread; the first takes the sums of the others.
     accumulators: Vec<Accumulator>,
     blocks: Vec<MarkedBlock>,
@@ -79,7 +81,7 @@ impl Integrator {
     /// # Errors
     /// As [`Integrator::integrate`].
     pub(crate) fn cast(&mut self, map: &VoxelMap, scan: &ClassifiedScan<'_>) -> Result<(), Error> {
-        let Self { workers, plan, live, accumulators, is_open, .. } = self;
+        let Self { workers, plan, cells, live, accumulators, is_open, .. } = self;
         if std::mem::replace(is_open, true) {
             accumulators.fill_with(Accumulator::default); // a scan that was given up
         }
@@ -93,8 +95,8 @@ impl Integrator {
         }
         let mut skips = map.parameters().skip == Skip::Saturated;
         if skips {
-            live.fill(&window, map);
-            skips = live.is_worth_it();
+            cells.fill(&window, map);
+            skips = cells.is_worth_it() && live.fill(&window, cells, &source, &plan.rays);
         }
         let task = CastTask { window: &window, source: &source, live: skips.then_some(live) };
         cast_all(workers.pool(), accumulators, &task, &plan.rays, most);

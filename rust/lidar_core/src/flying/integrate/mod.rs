@@ -3,6 +3,7 @@
 pub(crate) mod accumulate;
 pub(crate) mod block_update;
 pub mod classified_scan;
+pub(crate) mod cube_map;
 pub mod integrator;
 pub(crate) mod plan;
 pub mod pose_weights;

@@ -5,9 +5,9 @@
 //! edge or corner the lowest axis goes first, as in `geometry::traverse`.
 
 use super::accumulate::accumulator::{Accumulator, STEPS};
-use super::accumulate::live_bricks::LiveBricks;
 use super::accumulate::mark::UNITS_PER_EDGE;
 use super::accumulate::window::Window;
+use super::cube_map::CubeMap;
 use super::ray_segments::{LANES, Lanes, Numbers, Ray, RaySegments, Source, least, places};
 use super::stretches::Stretches;
 use crate::geometry::lattice::whole;
@@ -61,13 +61,13 @@ impl Bundle {
     };
 
     #[inline(always)]
-    fn of(window: &Window, source: &Source<'_>, rays: &[Ray]) -> Self {
-        let RaySegments { start, end } = source.segments(rays).scaled(source.lattice);
-        let mut bundle = Self { place: places(&start, window), ..Self::NONE };
+    fn of(window: &Window, segments: &RaySegments, rays: &[Ray]) -> Self {
+        let RaySegments { start, end } = segments;
+        let mut bundle = Self { place: places(start, window), ..Self::NONE };
         for (count, ray) in bundle.count.iter_mut().zip(rays) {
             *count = ray.count;
         }
-        let length = bundle.measure(&start, &end);
+        let length = bundle.measure(start, end);
         for axis in 0..3 {
             bundle.set_walls(axis, &length, &start[axis], &end[axis], window.bits_along(axis));
         }
@@ -159,8 +159,8 @@ impl Bundle {
 pub(crate) struct CastTask<'a> {
     pub(crate) window: &'a Window,
     pub(crate) source: &'a Source<'a>,
-    /// Bricks outside which rays leave nothing, if these are passed.
-    pub(crate) live: Option<&'a LiveBricks>,
+    /// Cells outside which rays leave nothing, if these are passed.
+    pub(crate) live: Option<&'a CubeMap>,
 }
 
 /// Add the length of `rays` inside every voxel they cross. `stretches` is memory.
@@ -204,10 +204,11 @@ impl Cast<'_> {
             Buffers { places: [[[0; LANES]; STEPS]; RUN], lengths: [[[0; LANES]; STEPS]; RUN] };
         stretches.clear();
         for rays in rays.chunks(LANES) {
-            let bundle = Bundle::of(window, source, rays);
+            let segments = source.segments(rays).scaled(source.lattice);
+            let bundle = Bundle::of(window, &segments, rays);
             accumulator.count(bundle.all_visits());
             match live {
-                Some(live) => stretches.find::<S, K>(simd, window, live, bundle),
+                Some(live) => stretches.find(window, live, &segments, bundle),
                 None => walk_bundle::<S, K>(simd, accumulator, window, &bundle, &mut steps),
             }
         }

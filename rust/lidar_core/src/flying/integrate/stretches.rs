@@ -1,26 +1,15 @@
-//! Stretches of rays through bricks that hold a voxel which rays may change.
+//! Stretches of rays through layers that hold a voxel which rays may change.
 //!
-//! Walls of bricks are every fourth wall of the voxels, at the same positions, and are crossed in the
-//! same order. So a bundle walks from brick to brick as it walks from voxel to voxel, and its way
-//! through live bricks is cut out. Such a stretch begins and ends with the crossing of a wall. The walls
-//! that lie before it along every axis are counted by one division, exactly: a stretch visits the
-//! voxels that the whole ray visits there, with the same lengths.
+//! A layer lies between two walls across the axis along which a ray goes furthest. So a stretch begins and
+//! ends with the crossing of a wall. The walls that lie before it along every axis are counted by one
+//! division, exactly: a stretch visits the voxels that the whole ray visits there, with the same lengths.
 
-use super::accumulate::live_bricks::{INSIDE, LiveBricks};
 use super::accumulate::window::Window;
-use super::ray_lanes::{Bundle, BundleWay, NEVER, vectors};
-use super::ray_segments::{LANES, Lanes};
-use crate::flying::map::blocks::{EDGE_BITS, VOLUME};
-use crate::flying::map::inert::BRICK_BITS;
+use super::cube_map::{CubeMap, LAST, direction, grid_at};
+use super::ray_lanes::Bundle;
+use super::ray_segments::{LANES, Lanes, RaySegments};
+use crate::flying::map::blocks::EDGE_BITS;
 use crate::geometry::lattice::whole;
-use pulp::Simd;
-
-/// Bricks of a ray that are looked at together: a bit each.
-const BRICKS: usize = 64;
-/// Lowest bit of the axes in what is noted of a brick; its place lies below.
-const AXES: u32 = 30;
-/// Distance of walls that lie as far apart as a ray is long.
-const FAR: u32 = 1 << 31;
 
 /// Crossing of a wall: its position along the ray, and the number of axes whose walls at this position
 /// have been crossed, the lowest axes first. Before all walls: 0, 0.
@@ -45,21 +34,6 @@ struct Stretch {
 pub(crate) struct Stretches {
     rays: Vec<Bundle>,
     stretches: Vec<Stretch>,
-    noted: Noted,
-}
-
-/// What is noted of bricks along the rays, step by step; the last one has only been entered.
-struct Noted {
-    /// Position at which the ray entered the brick.
-    entered: [Lanes; BRICKS + 1],
-    /// Place of the brick, and axes of the crossing.
-    place: [Lanes; BRICKS + 1],
-}
-
-impl Default for Noted {
-    fn default() -> Self {
-        Self { entered: [[0; LANES]; BRICKS + 1], place: [[0; LANES]; BRICKS + 1] }
-    }
 }
 
 impl Stretches {
@@ -74,51 +48,46 @@ impl Stretches {
         self.stretches.len()
     }
 
-    /// Find the stretches of `rays` through `live` bricks.
+    /// Find the stretches of `rays`, which are `segments`, through `live` layers.
     #[inline(always)]
-    pub(super) fn find<S: Simd, const K: usize>(
+    pub(super) fn find(
         &mut self,
-        simd: S,
         window: &Window,
-        live: &LiveBricks,
+        live: &CubeMap,
+        segments: &RaySegments,
         rays: Bundle,
     ) {
-        let coarse = Coarse::of(&rays);
-        let mut search = BrickSearch::<S, K>::new(simd, window, &coarse);
-        let most = coarse.bricks.into_iter().max().unwrap_or(0) as usize;
-        for first in (0..most).step_by(BRICKS) {
-            let steps = BRICKS.min(most - first);
-            for step in 0..steps {
-                search.note(simd, &mut self.noted, step);
-                search.go_on(simd);
-            }
-            search.note(simd, &mut self.noted, steps);
-            for (lane, &bricks) in coarse.bricks.iter().enumerate() {
-                let left = (bricks as usize).saturating_sub(first).min(steps);
-                self.cut(live, lane, left, bricks as usize <= first + steps);
+        let layered = Layered::of(window, live, segments, &rays);
+        let before = self.stretches.len();
+        for lane in 0..LANES {
+            if rays.visits[lane] > 0 {
+                self.cut(live, &layered, lane);
             }
         }
-        self.rays.push(rays);
+        if self.stretches.len() > before {
+            self.rays.push(rays);
+        }
     }
 
-    /// Cut out what lies in live bricks, of the `len` bricks of a ray that were noted. `is_last`: the ray
-    /// ends in the last of them.
+    /// Cut out what lies in live layers.
     #[inline(always)]
-    fn cut(&mut self, live: &LiveBricks, lane: usize, len: usize, is_last: bool) {
-        let Noted { entered, place } = &self.noted;
-        let mut bits = (0..len).fold(0, |bits, step| {
-            let brick = place[step][lane] & ((1 << AXES) - 1);
-            bits | live.is_live(brick) << step
-        });
+    fn cut(&mut self, live: &CubeMap, layered: &Layered, lane: usize) {
+        let from = layered.from[lane].min(LAST);
+        let last = layered.walls[lane].min(LAST - from);
+        let layers = live.layers(layered.direction[lane]) >> from;
+        let mut layers = layers & u64::MAX >> (LAST - last);
         let ray = (self.rays.len() * LANES + lane) as u32;
-        let crossing =
-            |step: usize| Crossing { at: entered[step][lane], axes: place[step][lane] >> AXES };
-        while bits != 0 {
-            let first = bits.trailing_zeros() as usize;
-            let behind = first + (!(bits >> first)).trailing_zeros() as usize;
-            let to = (behind < len || !is_last).then(|| crossing(behind));
-            self.stretches.push(Stretch { ray, from: crossing(first), to });
-            bits &= u64::MAX.checked_shl(behind as u32).unwrap_or(0);
+        let crossing = |layer: u32| Crossing {
+            at: layered.wall[lane].wrapping_add((layer - 1).wrapping_mul(layered.pace[lane])),
+            axes: layered.axis[lane] + 1,
+        };
+        while layers != 0 {
+            let first = layers.trailing_zeros();
+            let behind = first + (layers >> first).trailing_ones();
+            let from = if first == 0 { Crossing { at: 0, axes: 0 } } else { crossing(first) };
+            let to = (behind <= last).then(|| crossing(behind));
+            self.stretches.push(Stretch { ray, from, to });
+            layers &= u64::MAX.checked_shl(behind).unwrap_or(0);
         }
     }
 
@@ -187,116 +156,82 @@ fn start_at(
     }
 }
 
-/// Rays between the walls of bricks.
-struct Coarse {
-    wall: [Lanes; 3],
-    pace: [Lanes; 3],
-    place: Lanes,
-    mirror: Lanes,
-    /// Bricks that every ray meets.
-    bricks: Lanes,
+/// Rays between the walls of layers, across the axis along which they go furthest.
+struct Layered {
+    axis: Lanes,
+    /// Layer of the start, counted from the eye.
+    from: Lanes,
+    /// Position of the first wall, if the ray crosses one.
+    wall: Lanes,
+    /// Distance from one wall to the next.
+    pace: Lanes,
+    /// Walls that every ray crosses.
+    walls: Lanes,
+    /// Its direction in the map.
+    direction: Lanes,
 }
 
-impl Coarse {
+impl Layered {
     #[inline(always)]
-    fn of(rays: &Bundle) -> Self {
-        const INNER: u32 = (1 << BRICK_BITS) - 1;
-        let mut coarse = Self {
-            wall: [[NEVER; LANES]; 3],
-            pace: [[0; LANES]; 3],
-            place: rays.place.map(brick_place),
-            mirror: rays.mirror.map(brick_place),
-            bricks: [0; LANES],
-        };
-        for axis in 0..3 {
-            for lane in 0..LANES {
-                let (wall, pace) = (rays.wall[axis][lane], rays.pace[axis][lane]);
-                let inside = rays.place[lane] >> (EDGE_BITS as usize * axis) & INNER;
-                let walls = rays.walls[axis][lane];
-                let bricks = (inside + walls) >> BRICK_BITS;
-                // Of a wall that is crossed the position lies at the end or before: nothing wraps.
-                let first = wall.wrapping_add((INNER - inside).wrapping_mul(pace));
-                coarse.wall[axis][lane] = if bricks > 0 { first } else { NEVER };
-                // Walls further apart than a ray is long must not wrap to a position on it.
-                let wide = pace.wrapping_shl(BRICK_BITS);
-                coarse.pace[axis][lane] = if pace < FAR >> BRICK_BITS { wide } else { FAR };
-                coarse.bricks[lane] = coarse.bricks[lane].wrapping_add(bricks);
-            }
-        }
+    fn of(window: &Window, live: &CubeMap, segments: &RaySegments, rays: &Bundle) -> Self {
+        let none = [0; LANES];
+        let mut layered =
+            Self { axis: none, from: none, wall: none, pace: none, walls: none, direction: none };
+        let sight = live.sight();
+        let inner = (1 << sight.layer_bits) - 1;
+        let first = [0, 1, 2].map(|axis| f64::from(window.first(axis)));
+        let RaySegments { start, end } = segments;
         for lane in 0..LANES {
-            // None of rays that only fill the bundle.
-            let bricks = coarse.bricks[lane].wrapping_add(1);
-            coarse.bricks[lane] = if rays.visits[lane] > 0 { bricks } else { 0 };
+            let [x, y, z]: [f64; 3] =
+                std::array::from_fn(|axis| end[axis][lane] - start[axis][lane]);
+            let is_x = (x.abs() >= y.abs()) & (x.abs() >= z.abs());
+            let is_y = !is_x & (y.abs() >= z.abs());
+            let (along, beside) = if is_x {
+                (x, [y, z])
+            } else if is_y {
+                (y, [z, x])
+            } else {
+                (z, [x, y])
+            };
+            let axis = if is_x {
+                0
+            } else if is_y {
+                1
+            } else {
+                2
+            };
+            let of_axis = |of: [u32; 3]| {
+                if is_x {
+                    of[0]
+                } else if is_y {
+                    of[1]
+                } else {
+                    of[2]
+                }
+            };
+            let is_down = along < 0.0;
+            // A ray of length 0 is NaN here: it meets only cells around the eye, which all directions hold.
+            let places = beside.map(|beside| grid_at(beside / along.abs()));
+            layered.direction[lane] = direction(2 * axis + u32::from(is_down), places);
+            layered.axis[lane] = axis;
+
+            let [up, down] =
+                [0, 1].map(|way| of_axis([0, 1, 2].map(|axis: usize| sight.first[axis][way])));
+            let layer = of_axis([0, 1, 2].map(|axis: usize| {
+                whole(start[axis][lane].floor() - first[axis]) >> sight.layer_bits
+            }));
+            layered.from[lane] =
+                if is_down { down.wrapping_sub(layer) } else { layer.wrapping_sub(up) };
+
+            let inside = rays.place[lane] >> (EDGE_BITS as u32 * axis) & inner;
+            let wall = of_axis([0, 1, 2].map(|axis: usize| rays.wall[axis][lane]));
+            let pace = of_axis([0, 1, 2].map(|axis: usize| rays.pace[axis][lane]));
+            let walls = of_axis([0, 1, 2].map(|axis: usize| rays.walls[axis][lane]));
+            // Of a wall that is crossed the position lies at the end or before: nothing wraps.
+            layered.wall[lane] = wall.wrapping_add((inner - inside).wrapping_mul(pace));
+            layered.pace[lane] = pace.wrapping_shl(sight.layer_bits);
+            layered.walls[lane] = (inside + walls) >> sight.layer_bits;
         }
-        coarse
-    }
-}
-
-/// Place of the brick that holds a voxel, both in the window: that of its block, and three bits.
-#[inline(always)]
-fn brick_place(voxel: u32) -> u32 {
-    let half = |axis: u32| voxel >> (EDGE_BITS as u32 * axis + BRICK_BITS) & 1;
-    (voxel / VOLUME as u32) << INSIDE | half(2) << 2 | half(1) << 1 | half(0)
-}
-
-/// State of a bundle that walks from brick to brick.
-struct BrickSearch<S: Simd, const K: usize> {
-    way: BundleWay<S, K>,
-    mirror: [S::u32s; K],
-    bricks: [S::u32s; K],
-    step: S::u32s,
-    /// Position at which the ray entered its brick.
-    entered: [S::u32s; K],
-    /// Axes of that crossing, at their place in what is noted.
-    axes: [S::u32s; K],
-}
-
-impl<S: Simd, const K: usize> BrickSearch<S, K> {
-    #[inline(always)]
-    fn new(simd: S, window: &Window, coarse: &Coarse) -> Self {
-        let bits = |axis: usize| simd.splat_u32s(brick_place(window.bits_along(axis)));
-        let none = simd.splat_u32s(0);
-        Self {
-            way: BundleWay {
-                wall: std::array::from_fn(|axis| vectors::<S, K>(&coarse.wall[axis])),
-                pace: std::array::from_fn(|axis| vectors::<S, K>(&coarse.pace[axis])),
-                place: vectors::<S, K>(&coarse.place),
-                bits: std::array::from_fn(bits),
-            },
-            mirror: vectors::<S, K>(&coarse.mirror),
-            bricks: vectors::<S, K>(&coarse.bricks),
-            step: none,
-            entered: [none; K],
-            axes: [none; K],
-        }
-    }
-
-    /// Write down the bricks that the rays are in. Rays that have arrived are in the first one.
-    #[inline(always)]
-    fn note(&self, simd: S, noted: &mut Noted, step: usize) {
-        let none = simd.splat_u32s(0);
-        let places = S::as_mut_simd_u32s(&mut noted.place[step]).0;
-        let entered = S::as_mut_simd_u32s(&mut noted.entered[step]).0;
-        for k in 0..K {
-            let going = simd.greater_than_u32s(self.bricks[k], self.step);
-            let here = simd.xor_u32s(self.way.place[k], self.mirror[k]);
-            let here = simd.select_u32s(going, here, none);
-            places[k] = simd.or_u32s(here, self.axes[k]);
-            entered[k] = self.entered[k];
-        }
-    }
-
-    /// Go on to the next bricks.
-    #[inline(always)]
-    fn go_on(&mut self, simd: S) {
-        let axes = [1, 2, 3].map(|axes| simd.splat_u32s(axes << AXES));
-        for k in 0..K {
-            let first = self.way.first_wall(simd, k);
-            let [along_x, along_y] = self.way.cross(simd, k, first);
-            let other = simd.select_u32s(along_y, axes[1], axes[2]);
-            self.axes[k] = simd.select_u32s(along_x, axes[0], other);
-            self.entered[k] = first;
-        }
-        self.step = simd.add_u32s(self.step, simd.splat_u32s(1));
+        layered
     }
 }

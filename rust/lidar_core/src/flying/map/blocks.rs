@@ -113,7 +113,7 @@ impl Block {
     /// Store the values of a row that is held, of which none crosses a bound.
     #[inline]
     pub(crate) fn set_row(&mut self, row: usize, values: &Row) {
-        (0..2).for_each(|half| self.inert.forget(row * EDGE as usize + 4 * half));
+        self.inert.forget_row(row);
         if let Some(stored) = self.row_mut(row) {
             *stored = *values;
         }

@@ -6,20 +6,22 @@
 
 use super::blocks::{EDGE, Row};
 
-/// Voxels along the edge of a brick, as a power of two.
-pub(crate) const BRICK_BITS: u32 = 2;
+/// Voxels along the edge of a cell, as a power of two.
+pub(crate) const CELL_BITS: u32 = 1;
+/// CellBits along the edge of a block.
+pub(crate) const CELLS: u32 = EDGE as u32 >> CELL_BITS;
 
-/// Bricks of 4 x 4 x 4 voxels in a block: a bit for each, along x first, then y, then z.
-pub(crate) type Bricks = u8;
+/// CellBits of 2 x 2 x 2 voxels in a block: a bit for each, along x first, then y, then z.
+pub(crate) type CellBits = u64;
 
-/// Half rows of a block, four voxels along x, that are known to be inert.
+/// Pairs of voxels along x that are known to be inert.
 ///
 /// A bit that is missing costs time; one that is wrong would change results. So whoever writes a value
 /// clears it, and only who has looked at the values sets it.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Inert {
-    /// A bit for every row: for its first four voxels, and for its last four.
-    halves: [u64; 2],
+    /// A bit for every row: for its first pair of voxels, the second and so on.
+    pairs: [u64; CELLS as usize],
 }
 
 impl Inert {
@@ -27,37 +29,44 @@ impl Inert {
     #[inline]
     pub(crate) fn forget(&mut self, offset: usize) {
         let (row, at) = (offset / EDGE as usize, offset % EDGE as usize);
-        self.halves[at >> BRICK_BITS] &= !(1 << row);
+        self.pairs[at >> CELL_BITS] &= !(1 << row);
+    }
+
+    /// The voxels of a row are about to be written.
+    #[inline]
+    pub(crate) fn forget_row(&mut self, row: usize) {
+        self.pairs.iter_mut().for_each(|pairs| *pairs &= !(1 << row));
     }
 
     /// Look at the values of a row; rays pull it towards `g_free`.
     #[inline(always)]
     pub(crate) fn note(&mut self, row: usize, values: &Row, g_free: f32) {
-        let is_inert = |value: f32| {
-            // Of bits: -0.0 would become 0.0.
-            (value.to_bits() == g_free.to_bits()) | (value.abs() == f32::INFINITY)
-        };
-        let (halves, _) = values.as_chunks::<{ 1 << BRICK_BITS }>();
-        for (bits, half) in self.halves.iter_mut().zip(halves) {
-            let all = half.iter().fold(true, |all, &value| all & is_inert(value));
-            *bits = *bits & !(1 << row) | u64::from(all) << row;
+        // Of bits: -0.0 would become 0.0.
+        let is_inert = values
+            .map(|value| (value.to_bits() == g_free.to_bits()) | (value.abs() == f32::INFINITY));
+        for (bits, pair) in self.pairs.iter_mut().zip(is_inert.as_chunks::<2>().0) {
+            *bits = *bits & !(1 << row) | u64::from(pair[0] & pair[1]) << row;
         }
     }
 
     /// True if all voxels of a row are known to be inert.
     #[inline(always)]
     pub(crate) fn holds(&self, row: usize) -> bool {
-        (self.halves[0] & self.halves[1]) >> row & 1 == 1
+        self.pairs.iter().fold(1, |all, pairs| all & pairs >> row) & 1 == 1
     }
 
-    /// Bricks that may hold a voxel that is not inert.
-    pub(crate) fn live_bricks(&self) -> Bricks {
-        /// Rows of the first brick: four along y, in each of four layers of z.
-        const ROWS: u64 = 0x0F0F_0F0F;
-        (0..8).fold(0, |live, brick| {
-            let rows = ROWS << (4 * (brick >> 1 & 1) + 32 * (brick >> 2));
-            live | Bricks::from(self.halves[brick & 1] & rows != rows) << brick
-        })
+    /// CellBits that may hold a voxel that is not inert.
+    pub(crate) fn live_cells(&self) -> CellBits {
+        let mut inert = 0;
+        for (x, pairs) in self.pairs.iter().enumerate() {
+            // A byte per layer of z, and in it a bit per y: two rows of two layers make a cell.
+            let rows = pairs & pairs >> 1;
+            let cells = rows & rows >> 8 & 0x0055_0055_0055_0055;
+            // Bits 2 y + 16 z move to 4 y + 16 z.
+            let cells = (cells | cells << 4) & 0x0505_0505_0505_0505;
+            inert |= ((cells | cells << 2) & 0x1111_1111_1111_1111) << x;
+        }
+        !inert
     }
 }
 
@@ -67,22 +76,24 @@ mod tests {
     use crate::flying::map::blocks::offset_of;
 
     #[test]
-    fn a_brick_is_passed_once_all_its_voxels_are_inert() {
+    fn a_cell_is_passed_once_all_its_voxels_are_inert() {
         let free = -1000.0;
-        for brick in 0..8 {
-            let [x, y, z] = [brick & 1, brick >> 1 & 1, brick >> 2].map(|at| 4 * at);
+        for cell in 0..64 {
+            let [x, y, z] = [cell & 3, cell >> 2 & 3, cell >> 4].map(|at| 2 * at);
             let mut inert = Inert::default();
-            for row in 0..16 {
-                assert_eq!(inert.live_bricks(), 0xFF);
+            for row in 0..4 {
+                assert_eq!(inert.live_cells(), u64::MAX);
                 let mut values = [-990.0; EDGE as usize];
-                values[x as usize..x as usize + 4].fill(free);
-                values[x as usize + 2] = f32::NEG_INFINITY;
-                let offset = offset_of([0, y + row % 4, z + row / 4]);
+                values[x as usize] = free;
+                values[x as usize + 1] = f32::NEG_INFINITY;
+                let offset = offset_of([0, y + row % 2, z + row / 2]);
                 inert.note(offset / EDGE as usize, &values, free);
             }
-            assert_eq!(inert.live_bricks(), !(1 << brick));
-            inert.forget(offset_of([x + 3, y + 3, z]));
-            assert_eq!(inert.live_bricks(), 0xFF);
+            assert_eq!(inert.live_cells(), !(1 << cell));
+            let mut other = inert;
+            inert.forget(offset_of([x + 1, y + 1, z]));
+            other.forget_row(offset_of([0, y, z + 1]) / EDGE as usize);
+            assert_eq!([inert, other].map(|inert| inert.live_cells()), [u64::MAX; 2]);
         }
     }
 

@@ -31,8 +31,8 @@ pub enum Rays {
 pub enum Skip {
     /// None: every ray visits every voxel that it crosses.
     Nothing,
-    /// Bricks of 4 x 4 x 4 voxels that all hold `g_free` to the bit, or are permanent: no ray changes
-    /// them. Values, states and files are those of [`Skip::Nothing`], to the bit; only a scan that
+    /// Those in directions and at distances where all hold `g_free` to the bit, or are permanent: no ray
+    /// changes them. Values, states and files are those of [`Skip::Nothing`], to the bit; only a scan that
     /// [`Skip::Nothing`] refuses, since it touches too many voxels, may be accepted.
     Saturated,
 }

@@ -2,7 +2,7 @@
 
 pub(crate) mod accumulator;
 pub(crate) mod dense_blocks;
-pub(crate) mod live_bricks;
+pub(crate) mod live_cells;
 pub(crate) mod mark;
 pub(crate) mod sparse_blocks;
 pub(crate) mod window;

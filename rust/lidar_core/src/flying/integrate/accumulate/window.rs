@@ -94,6 +94,19 @@ impl Window {
         self.low[axis] << EDGE_BITS
     }
 
+    /// Voxels along an axis.
+    pub(crate) fn extent(&self, axis: usize) -> u32 {
+        (self.size[axis] << EDGE_BITS) as u32 // at most 2^14
+    }
+
+    /// First voxel of the block at `index`, counted from the first of the window.
+    pub(crate) fn corner(&self, index: usize) -> [u32; 3] {
+        std::array::from_fn(|axis| {
+            let block = index >> (self.lowest[axis] - INSIDE) & ((1 << self.bits[axis]) - 1);
+            (block << EDGE_BITS) as u32
+        })
+    }
+
     /// Bits along `axis` of a voxel that is so many after the first.
     #[inline(always)]
     pub(in crate::flying::integrate) fn bits_at(&self, axis: usize, after: u32) -> u32 {

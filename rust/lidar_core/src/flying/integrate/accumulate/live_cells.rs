@@ -1,25 +1,29 @@
-//! Bricks of a window that hold a voxel which rays may change.
+//! CellBits of a window that hold a voxel which rays may change.
 
 use super::window::Window;
-use crate::flying::map::inert::Bricks;
+use crate::flying::map::inert::CellBits;
 use crate::flying::map::voxel_map::VoxelMap;
 
-/// All bricks of a block.
-const ALL: Bricks = Bricks::MAX;
-/// Bits of the place of a brick in its block.
-pub(in crate::flying::integrate) const INSIDE: u32 = 3;
+/// All cells of a block.
+pub(in crate::flying::integrate) const ALL: CellBits = CellBits::MAX;
 
-/// For every block of a window, the bricks that hold a voxel which rays may change.
+/// For every block of a window, the cells that hold a voxel which rays may change.
 #[derive(Default)]
-pub(crate) struct LiveBricks {
-    blocks: Vec<Bricks>,
-    /// Bricks that are passed.
+pub(crate) struct LiveCells {
+    blocks: Vec<CellBits>,
+    /// CellBits that are passed.
     n_inert: usize,
-    /// Bricks of the blocks that the map holds or refuses.
+    /// CellBits of the blocks that the map holds or refuses.
     n_known: usize,
 }
 
-impl LiveBricks {
+impl LiveCells {
+    /// CellBits of blocks by their index.
+    #[cfg(test)]
+    pub(in crate::flying::integrate) fn of(blocks: Vec<CellBits>) -> Self {
+        Self { blocks, ..Self::default() }
+    }
+
     /// Look at what `map` holds in `window`.
     pub(crate) fn fill(&mut self, window: &Window, map: &VoxelMap) {
         self.blocks.clear();
@@ -30,13 +34,13 @@ impl LiveBricks {
         if map.blocks.len() < window.len() {
             for block in map.blocks.iter() {
                 if let Some(index) = window.index_of(block.place) {
-                    self.set(index, block.inert.live_bricks());
+                    self.set(index, block.inert.live_cells());
                 }
             }
         } else {
             for index in window.indices() {
                 if let Some(block) = map.blocks.get(window.place(index)) {
-                    self.set(index, block.inert.live_bricks());
+                    self.set(index, block.inert.live_cells());
                 }
             }
         }
@@ -48,28 +52,20 @@ impl LiveBricks {
         }
     }
 
-    fn set(&mut self, index: usize, live: Bricks) {
+    fn set(&mut self, index: usize, live: CellBits) {
         self.n_inert += live.count_zeros() as usize;
-        self.n_known += Bricks::BITS as usize;
+        self.n_known += CellBits::BITS as usize;
         self.blocks[index] = live;
     }
 
-    /// True if enough of what is known is passed to pay for the search of what is not: one brick in
+    /// True if enough of what is known is passed to pay for the search of what is not: one cell in
     /// sixteen.
     pub(in crate::flying::integrate) fn is_worth_it(&self) -> bool {
         16 * self.n_inert > self.n_known
     }
 
-    /// 1 for a brick that holds a voxel which may change, given by that of its block and its own place
-    /// there; 0 for others.
-    #[inline(always)]
-    pub(in crate::flying::integrate) fn is_live(&self, brick: u32) -> u64 {
-        let bricks = self.blocks[(brick >> INSIDE) as usize];
-        u64::from(bricks >> (brick % (1 << INSIDE)) & 1)
-    }
-
-    /// True if rays may have met the block at `index` of the window.
-    pub(in crate::flying::integrate) fn has_live(&self, index: usize) -> bool {
-        self.blocks[index] != 0
+    /// CellBits of the block at `index` of the window.
+    pub(in crate::flying::integrate) fn at(&self, index: usize) -> CellBits {
+        self.blocks[index]
     }
 }
