@@ -258,8 +258,9 @@ impl FlyingObjectDetector {
         noise: PoseNoise,
         stamp_ns: i64,
     ) -> Result<ScanDetections, Error> {
-        let Self { parameters, workers, local, teammates, scan, classifier, tracker, burn_in, .. } =
-            self;
+        let Self {
+            parameters, workers, local, teammates, scan, classifier, tracker, burn_in, ..
+        } = self;
         let FlyingParameters { target_radius, range_std, .. } = *parameters;
         let view = ScanView::new(scan, target_radius, range_std, noise.spread, workers.pool());
         let map_from_world = local.map_from_world;
@@ -268,8 +269,7 @@ impl FlyingObjectDetector {
         let mut found = detect(&input, classifier.clusters(), verdicts);
         let (background_extent, pool) = (burn_in.background_extent(parameters), workers.pool());
         let classified = ScanToClassify { scan, local, background_extent, parameters, pool };
-        let followed =
-            update_tracks(tracker, &classified, classifier, &view, &found, stamp_ns)?;
+        let followed = update_tracks(tracker, &classified, classifier, &view, &found, stamp_ns)?;
         add_followed(&input, classifier, &mut found, &followed);
         Ok(found)
     }

@@ -223,7 +223,8 @@ impl Judge<'_> {
         radius: i32,
     ) -> Verdict {
         let unknown = || Verdict { class: UNKNOWN, ..Verdict::default() };
-        if cluster.members.len() < self.parameters.min_points || self.is_gated(cluster, group_extent)
+        if cluster.members.len() < self.parameters.min_points
+            || self.is_gated(cluster, group_extent)
         {
             return unknown();
         }

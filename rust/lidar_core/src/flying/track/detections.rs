@@ -3,7 +3,7 @@
 use super::buffer::Buffer;
 use super::measurement::{CloudScan, Measurement};
 use super::motion::{position, position_block, position_matrix};
-use super::parameters::{Association, MAX_TRACKS, MeasurementForm, TrackerParameters};
+use super::parameters::{Association, MAX_TRACKS, MeasurementForm, Motion, TrackerParameters};
 use super::state::PointTrack;
 use super::update::Updater;
 use super::visibility::occupancy::Occupancy;
@@ -155,7 +155,8 @@ struct Waiting {
 impl Waiting {
     /// Largest distance of its detections from where it is predicted [m].
     fn furthest(&self) -> f64 {
-        let turned = self.strayed.map_or(0.0, |_| (self.track.position() - self.track.seen_at).norm());
+        let turned =
+            self.strayed.map_or(0.0, |_| (self.track.position() - self.track.seen_at).norm());
         self.reach + turned
     }
 
@@ -192,12 +193,22 @@ impl Waiting {
 
     /// The track after a turn that led to a detection: its motion is not known any more. None if the
     /// target went on as predicted.
-    fn turned_to(&self, found: &PointTrack) -> Option<PointTrack> {
+    fn turned_to(&self, found: &PointTrack, model: &Motion) -> Option<PointTrack> {
+        let mut found = found.clone();
+        found.predict(found.stamp_ns.max(self.track.stamp_ns), model);
         let turned = cost(&self.from_seen(&found.estimate)?);
         let is_turned = self.from_predicted(&found.estimate).is_none_or(|one| turned < cost(&one));
-        let PointTrack { estimate, aged, stamp_ns, seen_ns, seen_at, extent, .. } = found.clone();
-        let track = self.track.clone();
-        is_turned.then_some(PointTrack { estimate, aged, stamp_ns, seen_ns, seen_at, extent, ..track })
+        let PointTrack { estimate, aged, stamp_ns, seen_ns, seen_at, extent, .. } = found;
+        let known = self.track.clone();
+        is_turned.then_some(PointTrack {
+            estimate,
+            aged,
+            stamp_ns,
+            seen_ns,
+            seen_at,
+            extent,
+            ..known
+        })
     }
 }
 
@@ -337,7 +348,7 @@ impl Updater {
             matches.fed.push((index, hypothesis.sure == 1));
             // What the track has not seen itself, it learns from the hypothesis.
             if tracks[index].seen_ns < hypothesis.born_ns {
-                let turned = waiting[index].turned_to(&hypothesis);
+                let turned = waiting[index].turned_to(&hypothesis, &self.parameters.motion);
                 let is_turned = turned.is_some();
                 tracks[index] = turned.unwrap_or_else(|| waiting[index].track.clone());
                 let is_known = is_turned || self.learn(&mut tracks[index], hypothesis);
