@@ -163,24 +163,24 @@ impl Waiting {
     /// Difference to a detection and its covariance, of the more probable of the places where the
     /// target may be; None if the detection is out of reach.
     fn offset(&self, detection: &Gaussian<9>) -> Option<Offset> {
-        match (self.from_predicted(detection), self.from_seen(detection)) {
+        match (self.if_ahead(detection), self.if_turned(detection)) {
             (Some(one), Some(other)) if cost(&other) < cost(&one) => Some(other),
             (one, other) => one.or(other),
         }
     }
 
-    fn from_predicted(&self, detection: &Gaussian<9>) -> Option<Offset> {
+    fn if_ahead(&self, detection: &Gaussian<9>) -> Option<Offset> {
         let covariance = position_block(&self.track.estimate.covariance);
-        self.from(self.track.position(), covariance, detection)
+        self.offset_to(self.track.position(), covariance, detection)
     }
 
     /// As if the target had turned since it was seen.
-    fn from_seen(&self, detection: &Gaussian<9>) -> Option<Offset> {
+    fn if_turned(&self, detection: &Gaussian<9>) -> Option<Offset> {
         let std = self.strayed?;
-        self.from(self.track.seen_at, Matrix3::identity() * (std * std), detection)
+        self.offset_to(self.track.seen_at, Matrix3::identity() * (std * std), detection)
     }
 
-    fn from(
+    fn offset_to(
         &self,
         place: Vector3<f64>,
         covariance: Matrix3<f64>,
@@ -196,8 +196,8 @@ impl Waiting {
     fn turned_to(&self, found: &PointTrack, model: &Motion) -> Option<PointTrack> {
         let mut found = found.clone();
         found.predict(found.stamp_ns.max(self.track.stamp_ns), model);
-        let turned = cost(&self.from_seen(&found.estimate)?);
-        let is_turned = self.from_predicted(&found.estimate).is_none_or(|one| turned < cost(&one));
+        let turned = cost(&self.if_turned(&found.estimate)?);
+        let is_turned = self.if_ahead(&found.estimate).is_none_or(|one| turned < cost(&one));
         let PointTrack { estimate, aged, stamp_ns, seen_ns, seen_at, extent, .. } = found;
         let known = self.track.clone();
         is_turned.then_some(PointTrack {
