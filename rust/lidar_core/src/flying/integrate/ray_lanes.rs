@@ -391,7 +391,7 @@ mod tests {
             run(Cast { accumulator: &mut sums, task, rays: &rays, stretches });
             Ok(())
         })?;
-        sums.settle(None);
+        sums.settle(|_| true);
         let slots: Vec<_> = sums.marked().collect();
         Ok(slots.iter().flat_map(|&(_, slot)| *sums.block(slot, &mut [0; VOLUME]).0).collect())
     }

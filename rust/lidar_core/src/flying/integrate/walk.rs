@@ -88,6 +88,7 @@ pub(crate) fn cast_all(
     most: usize,
 ) {
     let chunks = Mutex::new(rays.chunks(RAYS_PER_CHUNK));
+    let meets = |index| task.live.is_none_or(|live| live.meets(index));
     let work = |(number, accumulator): (usize, &mut Accumulator)| {
         accumulator.aim(*task.window, most);
         let mut stretches = Stretches::default();
@@ -95,7 +96,7 @@ pub(crate) fn cast_all(
         while let Some(rays) = take(&chunks, number) {
             let count = rays.iter().map(|ray| ray.count as usize).sum();
             if room < count {
-                accumulator.settle(task.live);
+                accumulator.settle(meets);
                 // Settled marks are at most `MAX_COUNT`: so many more rays cannot overflow them.
                 room = RAYS_FROM_FULL;
             }
@@ -105,7 +106,7 @@ pub(crate) fn cast_all(
                 break;
             }
         }
-        accumulator.settle(task.live);
+        accumulator.settle(meets);
     };
     match pool {
         Some(pool) => pool.install(|| {

@@ -5,7 +5,6 @@ use super::mark::{Content, Mark, tag_and_count, with_points};
 use super::sparse_blocks::SparseBlocks;
 use super::window::Window;
 use crate::Error;
-use crate::flying::integrate::cube_map::CubeMap;
 use crate::flying::map::blocks::{Place, VOLUME, offset_of};
 use crate::geometry::lattice::Voxel;
 use rayon::ThreadPool;
@@ -133,12 +132,11 @@ impl Accumulator {
         self.walked += visits;
     }
 
-    /// Full marks stay full; the rows that rays met are noted. `live` knows the blocks that they met.
-    pub(in crate::flying::integrate) fn settle(&mut self, live: Option<&CubeMap>) {
+    /// Full marks stay full; the rows that rays met are noted. `meets` knows the blocks that they met.
+    pub(in crate::flying::integrate) fn settle(&mut self, meets: impl Fn(usize) -> bool) {
         match self.window {
             Some(window) if window.is_whole() => {
-                let is_met = |&index: &usize| live.is_none_or(|live| live.meets(index));
-                self.dense.settle(window.indices().filter(is_met));
+                self.dense.settle(window.indices().filter(|index| meets(*index)));
             }
             _ => self.dense.settle(0..self.opened.len()),
         }
