@@ -9,7 +9,6 @@ from scipy.special import expit
 MARGIN, NEAR = 0.4, 0.15
 RADIUS_MEAN, RADIUS_STD, PLACE_STD = 0.3, 0.25, 0.5
 PASSING_STD, LEAST_COSINE = 0.01, 0.3
-POINT_STD, IMAGINED = 0.12, 2  # a few points tell little of the width of a frame
 
 
 class Rays:
@@ -64,7 +63,7 @@ def frame(points, origin, passing, std):
     lift = 0.06 * level * radius * (np.eye(3)[2] - sight[2] * sight)
     along = np.outer(sight, sight)
     covariance = (
-        (scatter * count + IMAGINED * POINT_STD**2 * np.eye(3)) / (count * (count + IMAGINED - 1))
+        scatter / count
         + (np.eye(3) - along) * (gap**2 / (12 * np.sqrt(count)) + 0.02**2)
         + along * (shift_std**2 + std**2 / count)
     )

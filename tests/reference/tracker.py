@@ -28,11 +28,6 @@ def cost(pair):
     return y @ np.linalg.solve(S, y) + np.log(np.linalg.det(S))
 
 
-def either(track):
-    """Sets of detections in which there was something of a track, a few points at least."""
-    return [one or other for one, other in zip(track.history, track.hints, strict=True)]
-
-
 @dataclass
 class Track:
     x: np.ndarray
@@ -51,8 +46,6 @@ class Track:
     place: np.ndarray = None
     seen_at: np.ndarray = None
     seen_speed: float = 0.0
-    hints: list[bool] = field(default_factory=lambda: [False])
-    hinted: bool = False  # too few points of it for a detection are in free space
     confirmed: bool = False
     left: bool = False  # nothing is where it began
     own: float = 0.0  # points of its clusters
@@ -443,8 +436,6 @@ class Tracker:
             events.born.append(track.id)
         for track in self.tracks[:known]:
             track.history.append(False)
-            track.hints.append(track.hinted)
-            track.hinted = False
             track.sure.append(False)
         for index, is_sure in fed:
             self.tracks[index].history[-1] = True
@@ -455,7 +446,7 @@ class Tracker:
                 track.confirmed = True
                 events.confirmed.append(track.id)
         events.removed = self.remove(
-            lambda track: not track.confirmed and not any(either(track)[-window:])
+            lambda track: not track.confirmed and not any(track.history[-window:])
         )
         events.merged = self.merge()
         return events
@@ -468,7 +459,7 @@ class Tracker:
             return False
         std = np.sqrt(np.trace(track.P[:3, :3]) / 3)
         away = np.linalg.norm(track.r - track.place) > self.c.confirm_distance + 2 * std
-        counted = either(track) if track.left and away else track.sure
+        counted = track.history if track.left and away else track.sure
         many = sum(track.history[-self.c.confirm_still_window :]) >= self.c.confirm_still_hits
         return many or sum(counted[-window:]) >= hits
 
@@ -506,7 +497,6 @@ class Tracker:
                 n_detections=max(kept.n_detections, gone.n_detections),
                 history=united(kept.history, gone.history),
                 sure=united(kept.sure, gone.sure),
-                hints=united(kept.hints, gone.hints),
             )
             self.tracks = [track for track in self.tracks if track is not other]
         self.tracks.sort(key=lambda track: track.id)

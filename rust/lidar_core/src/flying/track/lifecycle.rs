@@ -36,7 +36,6 @@ pub(super) fn confirm(
     let mut confirmed = Vec::new();
     for track in &mut tracks[..born] {
         track.history <<= 1;
-        track.hints = track.hints << 1 | u64::from(std::mem::take(&mut track.hinted));
         track.sure <<= 1;
     }
     for &(index, is_sure) in fed {
@@ -63,7 +62,7 @@ fn is_certain(track: &PointTrack, confirmation: &Confirmation) -> bool {
     let spread = position_block(&track.estimate.covariance).trace() / 3.0;
     let reach = doubt.distance + 2.0 * spread.max(0.0).sqrt();
     let has_moved = track.left && (track.position() - track.born_at).norm() > reach;
-    let counted = if has_moved { track.history | track.hints } else { track.sure };
+    let counted = if has_moved { track.history } else { track.sure };
     enough(counted, hits, window) || enough(track.history, doubt.hits, doubt.window)
 }
 
@@ -127,10 +126,10 @@ fn has_twins(tracks: &[PointTrack], merging: &Merging) -> bool {
 fn united(kept: PointTrack, dropped: PointTrack) -> PointTrack {
     let n_detections = kept.n_detections.max(dropped.n_detections);
     let history = kept.history | dropped.history;
-    let (sure, hints) = (kept.sure | dropped.sure, kept.hints | dropped.hints);
+    let sure = kept.sure | dropped.sure;
     let (id, born_ns, confirmed) = (kept.id, kept.born_ns, kept.confirmed);
     let state = if dropped.seen_ns > kept.seen_ns { dropped } else { kept };
-    PointTrack { id, born_ns, confirmed, n_detections, history, sure, hints, ..state }
+    PointTrack { id, born_ns, confirmed, n_detections, history, sure, ..state }
 }
 
 fn is_twin(one: &PointTrack, other: &PointTrack, merging: &Merging) -> bool {
@@ -140,7 +139,7 @@ fn is_twin(one: &PointTrack, other: &PointTrack, merging: &Merging) -> bool {
 }
 
 fn recent(track: &PointTrack, parameters: &TrackerParameters) -> u64 {
-    last(track.history | track.hints, parameters.confirmation.window)
+    last(track.history, parameters.confirmation.window)
 }
 
 /// The newest `window` of the sets of detections.

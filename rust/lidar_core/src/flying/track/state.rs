@@ -39,11 +39,6 @@ pub(super) struct PointTrack {
     pub(super) history: u64,
     /// The last sets of detections, as in `history`: 1 where the detection of the track was sure.
     pub(super) sure: u64,
-    /// The last sets of detections, as in `history`: 1 where there were too few points of it for a
-    /// detection, but in free space.
-    pub(super) hints: u64,
-    /// True if the newest cloud holds such points.
-    pub(super) hinted: bool,
     pub(super) confirmed: bool,
     /// Points of its own clusters, and of those around it that belong to no track: sums in which
     /// older scans count less.
@@ -90,8 +85,6 @@ impl PointTrack {
             n_detections: 1,
             history: 1,
             sure: 1,
-            hints: 0,
-            hinted: false,
             confirmed: false,
             own_points: 0.0,
             stray_points: 0.0,

@@ -27,10 +27,6 @@ const SHIFT_STD: [f64; 2] = [0.5, 0.2];
 const LIFT: f64 = 0.06;
 /// Part of the standard deviation across the line of sight that no number of points removes [m].
 const ASIDE_STD: f64 = 0.02;
-/// Standard deviation of a point of a frame about its middle [m], and the number of imagined points
-/// that say so: two or three points that happen to lie beside each other tell nothing of its width.
-const POINT_STD: f64 = 0.12;
-const IMAGINED_POINTS: f64 = 2.0;
 /// A ball's centre lies behind the centroid of its near side by this share of its radius.
 const BALL_SHIFT: f64 = 0.66;
 /// Smallest radius to start with [m].
@@ -64,8 +60,6 @@ impl OpenFrame {
         let sight = axes[2];
         let offsets = || view.hits.iter().map(|hit| hit.point - centroid);
         let scatter: Matrix3<f64> = offsets().map(|offset| offset * offset.transpose()).sum();
-        let imagined = Matrix3::identity() * (IMAGINED_POINTS * POINT_STD * POINT_STD);
-        let spread = (scatter + imagined) / (count * (count - 1.0 + IMAGINED_POINTS));
         let along = sight * sight.transpose();
         let gap = outline.ray_gap * outline.ray_gap / (12.0 * count.sqrt());
         let level = (1.0 - sight.z.abs() / WHOLE_DISC).max(0.0);
@@ -75,7 +69,7 @@ impl OpenFrame {
         let lift = (Vector3::z() - sight * sight.z) * (LIFT * level * radius); // across the sight
         Self {
             position: centroid + sight * shift + lift,
-            covariance: spread
+            covariance: scatter / (count * count)
                 + (Matrix3::identity() - along) * (gap + ASIDE_STD * ASIDE_STD)
                 + along * (shift_std * shift_std + range_std * range_std / count),
             radius,
