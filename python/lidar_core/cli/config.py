@@ -2,18 +2,18 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.shared.common import OverwriteFile
+from lidar_core.cli.fit import command as fit
+from lidar_core.cli.shared.common import Mode, OverwriteFile
 from lidar_core.parameters import MODELS
 from lidar_core.uses import USES
 
 if TYPE_CHECKING:
     from lidar_core.config import Config
 
-Mode = Literal["best", "paper"]
 SchemaModel = Annotated[str, typer.Option("--model", help=f"{', '.join(MODELS)}.")]
 ModelOption = Annotated[
     str | None,
@@ -37,7 +37,10 @@ UseOption = Annotated[
     typer.Option(help="; ".join(f"{name}: {use.title}" for name, use in USES.items()) + "."),
 ]
 
-app = typer.Typer(help="Show, start and describe configuration files (TOML).", no_args_is_help=True)
+app = typer.Typer(
+    help="Show, start, fit and describe configuration files (TOML).", no_args_is_help=True
+)
+app.command("fit")(fit)
 
 
 @app.command()

@@ -6,12 +6,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lidar_core.cli.shared.common import (
-    READ,
-    JsonFile,
-    given,
-    report,
-    result_table,
+from lidar_core.cli.shared.common import JsonFile, given, report, result_table
+from lidar_core.cli.shared.measurement_options import (
+    AngleUnit,
+    ColumnNames,
+    Method,
+    Model,
+    TimeUnit,
+    Topics,
+    columns_of,
+    topics_of,
 )
 from lidar_core.cli.shared.run_options import (
     ChosenMode,
@@ -24,7 +28,6 @@ from lidar_core.cli.shared.run_options import (
     Start,
     Values,
 )
-from lidar_core.errors import ConfigError
 from lidar_core.util.rows import Row, number
 
 if TYPE_CHECKING:
@@ -34,14 +37,9 @@ RECORDING = (
     "L/R text, a table (CSV, Parquet, .npz), a ROS recording (.bag, .db3, .mcap, folder), or"
     " detections of Autoferry (.json)."
 )
-MODEL = "How targets move: cv, ca, ct, ctrv, ctra, ctrv-drone, paper."
-METHOD = "Filter: kf, ekf, ukf, ckf, imm."
 ASSOCIATION = "For many targets: nearest, or joint (JPDA)."
 LAG = "Smooth: use measurements up to this much later for every state \\[s]."
-COLUMN = "Name of a table's column, such as x=pos_x; may be repeated."
-TOPIC = "Topic of a ROS recording, such as radar=/front or pose=/odom; may be repeated."
-TIME_UNIT = "Unit of a table's times: ns, us, ms or s."
-ANGLE_UNIT = "Unit of a table's angles: rad or deg."
+FIT = "Find the noise of motion and sensors from the measurements first, as `config fit` does."
 FORCE = "Go on with measurements whose NIS is beyond reason."
 
 
@@ -49,19 +47,20 @@ def command(
     recording: Annotated[Path, typer.Argument(help=RECORDING)],
     *,
     output: Output,
-    model: Annotated[str | None, typer.Option(help=MODEL)] = None,
-    method: Annotated[str | None, typer.Option(help=METHOD)] = None,
+    model: Model = None,
+    method: Method = None,
     lag: Annotated[float | None, typer.Option(help=LAG)] = None,
     association: Annotated[str | None, typer.Option(help=ASSOCIATION)] = None,
-    column: Annotated[list[str], typer.Option(help=COLUMN, rich_help_panel=READ)] = [],  # noqa: B006
-    topic: Annotated[list[str], typer.Option(help=TOPIC, rich_help_panel=READ)] = [],  # noqa: B006
-    time_unit: Annotated[str | None, typer.Option(help=TIME_UNIT, rich_help_panel=READ)] = None,
-    angle_unit: Annotated[str | None, typer.Option(help=ANGLE_UNIT, rich_help_panel=READ)] = None,
+    column: ColumnNames = [],  # noqa: B006
+    topic: Topics = [],  # noqa: B006
+    time_unit: TimeUnit = None,
+    angle_unit: AngleUnit = None,
     start: Start = 0.0,
     end: End = None,
     mode: ChosenMode = "best",
     config: ConfigFile = None,
     values: Values = [],  # noqa: B006
+    fit_noise: Annotated[bool, typer.Option("--fit-noise", help=FIT)] = False,
     force: Annotated[bool, typer.Option("--force", help=FORCE)] = False,
     mcap: Mcap = None,
     picture: Picture = True,
@@ -76,7 +75,6 @@ def command(
     from lidar_core import runs
     from lidar_core.io import Span
 
-    columns = _pairs("column", column, "x=pos_x")
     result = runs.fuse(
         recording,
         runs.ConfigChoice(mode, config, tuple(values)),
@@ -85,28 +83,18 @@ def command(
         method=method,
         association=association,
         lag=lag,
-        columns={ours: theirs[-1] for ours, theirs in columns.items()},
-        topics=_pairs("topic", topic, "radar=/front"),
+        columns=columns_of(column),
+        topics=topics_of(topic),
         time_unit=time_unit,
         angle_unit=angle_unit,
         span=Span.load(given({"start": start, "end": end})),
+        fit_noise=fit_noise,
         force=force,
         mcap=mcap,
         picture=picture,
         overwrite=overwrite,
     )
     report(result, _table(result.summary, recording.name), json)
-
-
-def _pairs(option: str, texts: list[str], example: str) -> dict[str, list[str]]:
-    """Options OURS=THEIRS; whatever is ours may have several."""
-    found: dict[str, list[str]] = {}
-    for text in texts:
-        ours, equals, theirs = text.partition("=")
-        if not (ours and equals and theirs):
-            raise ConfigError(f"--{option} {text}: expected OURS=THEIRS, such as {example}")
-        found.setdefault(ours, []).append(theirs)
-    return found
 
 
 def _table(summary: Mapping[str, Any], name: str) -> "Table":

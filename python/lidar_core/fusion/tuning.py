@@ -52,8 +52,8 @@ def fit_noise(
     Notes
     -----
     Maximum of the likelihood of the innovations, found by Nelder & Mead's method over the
-    logarithms of the values, each within a factor of 1000 of where it begins. Gates are open
-    meanwhile. Deterministic.
+    logarithms of the values, from the best places of a coarse grid, each value within a factor of
+    1000 of where it begins. Gates are open meanwhile. Deterministic.
     """
     if not 0 <= least_range_rate_std <= MAX_STD:
         raise InputError(

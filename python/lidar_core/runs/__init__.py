@@ -3,7 +3,7 @@
 from lidar_core.runs.batch_jobs import BatchResult, batch
 from lidar_core.runs.circle_map import circles
 from lidar_core.runs.flying import detect
-from lidar_core.runs.fusion import fuse
+from lidar_core.runs.fusion import fit_config, fuse
 from lidar_core.runs.result import RunResult
 from lidar_core.runs.settings import ConfigChoice
 from lidar_core.runs.streams.live import LiveResult, live
@@ -16,6 +16,7 @@ __all__ = [
     "batch",
     "circles",
     "detect",
+    "fit_config",
     "fuse",
     "live",
 ]

@@ -14,11 +14,15 @@ from lidar_core.fusion import (
     DetectionScan,
     FusionConfig,
     MeasurementLog,
+    Measurements,
     MultiTargetConfig,
     TableOptions,
     read_autoferry,
     read_bag,
     read_measurements,
+)
+from lidar_core.fusion import (
+    fit_noise as fit_noise_of,
 )
 from lidar_core.fusion.plausibility import implausible
 from lidar_core.fusion.recordings.table import TABLES
@@ -49,6 +53,7 @@ def fuse(
     time_unit: str | None = None,
     angle_unit: str | None = None,
     span: Span | None = None,
+    fit_noise: bool = False,
     force: bool = False,
     mcap: bool | None = None,
     picture: bool = True,
@@ -77,6 +82,8 @@ def fuse(
         Of a table: ns, us, ms or s; rad or deg.
     span : Span, optional
         Part of the recording to use, from its first measurement [s].
+    fit_noise : bool
+        Find the noise of motion and sensors from the measurements first, as `fit_config` does.
     force : bool
         Go on with measurements of one target whose NIS is beyond reason.
     mcap, picture, overwrite
@@ -97,21 +104,16 @@ def fuse(
     """
     source = Path(recording)
     folder, writes_mcap = folder_to_write(output, mcap=mcap, overwrite=overwrite, reads=source)
-    read = {
-        "columns": columns,
-        "topics": topics,
-        "time_unit": time_unit,
-        "angle_unit": angle_unit,
-    }
     ways = {"model": model, "method": method, "association": association}
     job = _FuseJob(
         source,
         config,
         {name: value for name, value in ways.items() if value is not None},
-        {name: value for name, value in read.items() if value},
+        _given(columns=columns, topics=topics, time_unit=time_unit, angle_unit=angle_unit),
         span or Span(),
         lag,
         force,
+        fit_noise,
     )
     run = job.run()
     folder.begin()
@@ -130,6 +132,68 @@ def fuse(
     return RunResult(folder.path, summary, tuple(files), tuple(notes))
 
 
+@checked
+def fit_config(
+    recordings: str | PathLike[str] | Sequence[str | PathLike[str]],
+    config: FusionConfig | ConfigChoice | None = None,
+    *,
+    model: str | None = None,
+    method: str | None = None,
+    columns: Mapping[str, str] | None = None,
+    topics: Mapping[str, Sequence[str]] | None = None,
+    time_unit: str | None = None,
+    angle_unit: str | None = None,
+    span: Span | None = None,
+) -> FusionConfig:
+    """Find the noise of motion and sensors from recordings, as `lidar-core config fit` does.
+
+    Parameters
+    ----------
+    recordings : str, Path, or sequence of them
+        Measurements of one target each: L/R text, tables, ROS recordings. No truth is needed.
+    config : FusionConfig, ConfigChoice or None
+        Model and method, and where the search begins; None is best mode.
+    model, method : str, optional
+        These values of the configuration instead of its own.
+    columns, topics, time_unit, angle_unit, span
+        As in `fuse`, for every recording.
+
+    Returns
+    -------
+    FusionConfig
+        `config` with the noise under which the measurements are most likely.
+
+    Raises
+    ------
+    ConfigError
+        A recording of many targets; model paper; a value that cannot be used.
+    InputError
+        Too few measurements.
+    FormatError
+        A recording cannot be read.
+
+    See Also
+    --------
+    lidar_core.fusion.fit_noise : the same for measurements in memory.
+    """
+    places = [recordings] if isinstance(recordings, str | PathLike) else list(recordings)
+    if not places:
+        raise InputError("recordings: expected at least one, got none")
+    read = _given(columns=columns, topics=topics, time_unit=time_unit, angle_unit=angle_unit)
+    jobs = [_FuseJob(Path(place), config, {}, read, span or Span()) for place in places]
+    targets = [_in_order(job.log()) for job in jobs]
+    chosen = _with(config, _given(model=model, method=method))
+    return fit_noise_of(targets, config_of_run(chosen, FusionConfig, "fusion"))
+
+
+@dataclass(frozen=True, slots=True)
+class _Scans:
+    """Detections of many targets, and what wrote them."""
+
+    scans: list[DetectionScan]
+    source: str
+
+
 @dataclass(frozen=True, slots=True)
 class _FuseJob:
     """A recording of measurements, and how to fuse them."""
@@ -139,16 +203,37 @@ class _FuseJob:
     ways: Mapping[str, str]
     read: Mapping[str, Any]
     span: Span
-    lag: float | None
-    force: bool
+    lag: float | None = None
+    force: bool = False
+    fit_noise: bool = False
 
     def run(self) -> TargetRun | ManyRun:
         """Read the recording, and filter or track."""
+        found, reading = self._found()
+        if isinstance(found, MeasurementLog):
+            return self._one(found, reading)
+        return self._many(found, reading)
+
+    def log(self) -> MeasurementLog:
+        """The measurements of one target, within the span.
+
+        Raises
+        ------
+        ConfigError
+            The recording holds many targets.
+        """
+        found, _ = self._found()
+        if not isinstance(found, MeasurementLog):
+            raise ConfigError(f"{self.recording}: many targets; noise is found from one")
+        return self._within(found)
+
+    def _found(self) -> tuple[MeasurementLog | _Scans, Mapping[str, Config]]:
+        """What the recording holds, and how it was read."""
         recording = self.recording
         if recording.suffix == ".json":
             self._check_read("detections of Autoferry", ())
             reading = {"fusion_autoferry": AutoferryOptions()}
-            return self._many(read_autoferry(recording), reading, "Autoferry")
+            return _Scans(read_autoferry(recording), "Autoferry"), reading
         if recording.is_dir() or recording.suffix.lower() in BAGS:
             self._check_read("a ROS recording", ("topics",))
             return self._bag()
@@ -156,9 +241,9 @@ class _FuseJob:
         of_tables = ("columns", "time_unit", "angle_unit")
         self._check_read(*(("a table", of_tables) if is_table else ("L/R text", ())))
         options = TableOptions.load(dict(self.read))
-        return self._one(read_measurements(recording, options), {"fusion_table": options})
+        return read_measurements(recording, options), {"fusion_table": options}
 
-    def _bag(self) -> TargetRun | ManyRun:
+    def _bag(self) -> tuple[MeasurementLog | _Scans, Mapping[str, Config]]:
         """One target, unless a message holds several or an association was asked for."""
         options = BagOptions.load(dict(self.read))
         scans, reading = read_bag(self.recording, options), {"fusion_bag": options}
@@ -167,41 +252,46 @@ class _FuseJob:
             or isinstance(self.config, MultiTargetConfig)
             or any(len(scan.measurements) > 1 for scan in scans)
         ):
-            return self._many(scans, reading, "ROS")
+            return _Scans(scans, "ROS"), reading
         measurements = [m for scan in scans for m in scan.measurements]
-        return self._one(MeasurementLog(measurements, None, "ROS"), reading)
+        return MeasurementLog(measurements, None, "ROS"), reading
 
     def _one(self, log: MeasurementLog, reading: Mapping[str, Config]) -> TargetRun:
         if "association" in self.ways or isinstance(self.config, MultiTargetConfig):
             raise ConfigError(f"{self.recording}: one target; association is for many")
         chosen = config_of_run(_with(self.config, self.ways), FusionConfig, "fusion")
-        kept = log.rows(self._kept([m.stamp_ns for m in log.measurements]))
+        kept = self._within(log)
         if chosen.model == "ctrv-drone" and any(m.sensor == "pose" for m in kept.measurements):
             raise ConfigError(
                 f"{self.recording}: model ctrv-drone is for measurements without poses"
                 " of the platform, which are here; ctrv takes them in"
             )
+        if self.fit_noise:
+            chosen = fit_noise_of(_in_order(kept), chosen)
         made = TargetRun.of(kept, chosen, {**reading, "span": self.span}, lag=self.lag)
         doubt = implausible(made.log.measurements, chosen)
         if doubt is not None and not self.force:
             raise InputError(f"{self.recording}: {doubt}. force=True goes on nevertheless")
         return made if doubt is None else replace(made, implausible=str(doubt))
 
-    def _many(
-        self, scans: list[DetectionScan], reading: Mapping[str, Config], source: str
-    ) -> ManyRun:
+    def _many(self, found: _Scans, reading: Mapping[str, Config]) -> ManyRun:
         choice = self.config
         is_paper = isinstance(choice, ConfigChoice) and choice.mode == "paper"
-        if self.lag is not None or is_paper or isinstance(choice, FusionConfig):
-            raise ConfigError(f"{self.recording}: many targets; lag and mode paper are for one")
-        base = MultiTargetConfig.boats() if source == "Autoferry" else MultiTargetConfig()
+        of_one = self.lag is not None or self.fit_noise
+        if of_one or is_paper or isinstance(choice, FusionConfig):
+            told = "lag, fit_noise and mode paper are for one"
+            raise ConfigError(f"{self.recording}: many targets; {told}")
+        base = MultiTargetConfig.boats() if found.source == "Autoferry" else MultiTargetConfig()
         ways = {
             name if name == "association" else f"target.{name}": value
             for name, value in self.ways.items()
         }
         chosen = config_of_run(_with(choice, ways), MultiTargetConfig, "fusion_many", base=base)
-        kept = [scans[row] for row in self._kept([scan.stamp_ns for scan in scans])]
-        return ManyRun.of(kept, chosen, {**reading, "span": self.span}, source=source)
+        kept = [found.scans[row] for row in self._kept([one.stamp_ns for one in found.scans])]
+        return ManyRun.of(kept, chosen, {**reading, "span": self.span}, source=found.source)
+
+    def _within(self, log: MeasurementLog) -> MeasurementLog:
+        return log.rows(self._kept([m.stamp_ns for m in log.measurements]))
 
     def _kept(self, stamps: Sequence[int]) -> list[int]:
         """Rows within the span, of those with these times.
@@ -225,6 +315,15 @@ class _FuseJob:
         for name in self.read:
             if name not in used:
                 raise ConfigError(f"{self.recording}: {name} says nothing about {what}")
+
+
+def _in_order(log: MeasurementLog) -> Measurements:
+    return Measurements(sorted(log.measurements, key=lambda one: one.stamp_ns))
+
+
+def _given(**values: Any) -> dict[str, Any]:
+    """Values that are not None and not empty."""
+    return {name: value for name, value in values.items() if value}
 
 
 def _with(config: Any, ways: Mapping[str, str]) -> Any:

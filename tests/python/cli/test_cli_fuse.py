@@ -10,6 +10,7 @@ import pytest
 from matplotlib.image import imread
 from typer.testing import CliRunner
 
+import lidar_core as lc
 from lidar_core import ConfigError, FormatError, InputError
 from lidar_core.cli import app
 from lidar_core.extras import install_command
@@ -366,3 +367,89 @@ def test_a_target_that_is_never_seen_leaves_whole_files(tmp_path):
     result = result_of(path, "-o", tmp_path / "run")
     assert result["outcomes"] == {"told": 5}
     assert (tmp_path / "run" / "picture.png").exists()
+
+
+def fit(*arguments):
+    return CliRunner().invoke(app, ["config", "fit", *map(str, arguments)])
+
+
+def noisy(path, lidar_std, seed, count=400):
+    """A target on a circle, seen by a LiDAR with this noise."""
+    rng = np.random.default_rng(seed)
+    lines = ["t_ns,x,y"]
+    for k in range(count):
+        turned = 0.02 * k
+        x, y = 10 * np.cos(turned), 10 * np.sin(turned)
+        x, y = np.array([x, y]) + rng.normal(0, lidar_std, 2)
+        lines.append(f"{50_000_000 * k},{x},{y}")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_config_fit_finds_the_noise_and_fuse_reads_its_file(tmp_path):
+    """The noise that made the recordings comes out, and the filter with it is consistent."""
+    for std in (0.05, 0.6):
+        places = [noisy(tmp_path / f"{seed}.csv", std, SEED + seed) for seed in range(2)]
+        done = fit(*places, "-o", tmp_path / "fit.toml", "--overwrite", "--method", "ukf")
+        assert done.exit_code == 0, done.output or done.exception
+        assert "lidar_std" in done.output
+        fitted = FusionConfig.read(tmp_path / "fit.toml")
+        assert fitted.method == "ukf"
+        assert fitted.lidar_std == pytest.approx((std, std), rel=0.1)
+        assert fitted == lc.runs.fit_config(places, method="ukf")
+        out = ["-o", tmp_path / "run", "--overwrite", "--no-picture"]
+        summary = result_of(places[0], *out, "--config", tmp_path / "fit.toml")
+        assert summary["nis"]["lidar"]["mean"] == pytest.approx(2, abs=0.35)
+
+
+def test_fuse_with_fit_noise_is_fuse_with_the_file_of_config_fit(tmp_path):
+    place = noisy(tmp_path / "a.csv", 0.6, SEED)
+    assert fit(place, "-o", tmp_path / "fit.toml").exit_code == 0
+    out = ["-o", tmp_path / "run", "--overwrite", "--no-picture"]
+    states = []
+    for ways in (["--fit-noise"], ["--config", tmp_path / "fit.toml"], []):
+        result_of(place, *out, *ways)
+        states.append(read_columns(tmp_path / "run" / "states.parquet"))
+    of_fit, of_file, plain = ({n: np.asarray(s[n]) for n in ("x", "y")} for s in states)
+    assert all(np.array_equal(of_fit[name], of_file[name]) for name in of_fit)
+    assert not np.array_equal(of_fit["x"], plain["x"])
+
+
+def test_config_fit_uses_the_span_alone(tmp_path):
+    """Noise of the first half is .05 m, of the second .6 m."""
+    quiet, loud = (noisy(tmp_path / f"{s}.csv", s, SEED).read_text() for s in (0.05, 0.6))
+    later = [line for line in loud.splitlines()[1:] if int(line.split(",")[0]) >= 10**10]
+    head = quiet.splitlines()[:201]
+    both = tmp_path / "both.csv"
+    both.write_text("\n".join([*head, *later]) + "\n")
+    first = lc.runs.fit_config(both, span=lc.io.Span(end=9.9))
+    second = lc.runs.fit_config(both, span=lc.io.Span(start=10.1))
+    assert first.lidar_std[0] == pytest.approx(0.05, rel=0.15)
+    assert second.lidar_std[0] == pytest.approx(0.6, rel=0.15)
+
+
+def test_config_fit_refuses_what_it_cannot_use(tmp_path):
+    short = noisy(tmp_path / "short.csv", 0.1, SEED, count=12)
+    with pytest.raises(InputError, match="measurements"):
+        lc.runs.fit_config(short)
+    with pytest.raises(InputError, match="expected at least one"):
+        lc.runs.fit_config([])
+    place = noisy(tmp_path / "a.csv", 0.1, SEED)
+    done = fit(place, "--mode", "paper")
+    assert isinstance(done.exception, ConfigError), done.output
+    kept = tmp_path / "kept.toml"
+    kept.write_text("mine")
+    done = fit(place, "-o", kept)
+    assert isinstance(done.exception, ConfigError)
+    assert kept.read_text() == "mine"
+    done = fit(tmp_path / "nothing.csv")
+    assert isinstance(done.exception, OSError), done.exception
+
+
+def test_the_noise_of_many_targets_is_not_sought(recordings, tmp_path):
+    boats = recordings / "2d/autoferry/scenario17/scenario17_detections.json"
+    with pytest.raises(ConfigError, match="many targets"):
+        lc.runs.fit_config(boats)
+    with pytest.raises(ConfigError, match="fit_noise"):
+        lc.runs.fuse(boats, None, tmp_path / "run", fit_noise=True)
+    assert not (tmp_path / "run").exists()

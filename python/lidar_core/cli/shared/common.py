@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 
@@ -33,6 +33,7 @@ READ, WRITTEN = "What is read", "What is written"
 """Groups of options in a `--help`: each is a table as wide as its own names need."""
 
 
+Mode = Literal["best", "paper"]
 Threads: TypeAlias = Annotated[
     int,
     typer.Option(

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
 
 import typer
 
-from lidar_core.cli.config import Mode
-from lidar_core.cli.shared.common import READ, WRITTEN, JsonFile, given
+from lidar_core.cli.shared.common import READ, WRITTEN, JsonFile, Mode, given
 
 if TYPE_CHECKING:
     from lidar_core.io import PoseOptions

@@ -13,6 +13,12 @@ use crate::fusion::sensors::measurement::Measurement;
 const SETTLED: usize = 10;
 /// Largest factor by which a value may change, up or down.
 const WIDEST: f64 = 1e3;
+/// Factors on all process noise, and on all deviations of sensors, at which the search looks first.
+const COARSE: [f64; 5] = [0.01, 0.1, 1.0, 10.0, 100.0];
+/// Number of the best of these places from which the search goes on.
+const STARTS: usize = 6;
+/// Spread of log likelihoods at which one of these searches ends; the best one goes on.
+const COARSE_TOLERANCE: f64 = 0.1;
 
 /// Quantities that can be fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,6 +99,9 @@ pub fn quantities(
 /// measurements of all targets, and the log likelihood. A fitted deviation of the range rate is at
 /// least `least_rate` [m/s].
 ///
+/// The likelihood has several maxima, since a filter with little noise may lose a target that turns.
+/// So the search begins at the best places of a coarse grid, and goes on where it ended best.
+///
 /// # Errors
 /// Errors of [`Filter::new`]; [`Error::Value`] if there are too few measurements.
 pub fn fit(
@@ -129,8 +138,37 @@ pub fn fit(
         parameters
     };
     let cost = |logs: &[f64]| log_likelihood(&scaled(logs), &targets).map(|value| -value);
-    let (logs, least) = minimise(&vec![0.0; fitted.len()], search, cost)?;
+    let evaluations = search.evaluations / 10;
+    let coarse = SimplexSearch { tolerance: COARSE_TOLERANCE, evaluations, ..*search };
+    let mut best = (f64::INFINITY, vec![0.0; fitted.len()]);
+    for start in coarse_starts(fitted, cost)? {
+        let (place, value) = minimise(&start, &coarse, cost)?;
+        if value < best.0 {
+            best = (value, place);
+        }
+    }
+    let (logs, least) = minimise(&best.1, search, cost)?;
     Ok((scaled(&logs), -least))
+}
+
+/// Places of the coarse grid with the least cost, the best first.
+fn coarse_starts(
+    fitted: &[Quantity],
+    cost: impl Fn(&[f64]) -> Result<f64, Error>,
+) -> Result<Vec<Vec<f64>>, Error> {
+    let is_process = |quantity: &Quantity| matches!(quantity, Quantity::Process(_));
+    let sensors: &[f64] = if fitted.iter().all(is_process) { &[1.0] } else { &COARSE };
+    let mut places = Vec::with_capacity(COARSE.len() * sensors.len());
+    for process in COARSE {
+        for sensor in sensors {
+            let factor = |one| if is_process(one) { process } else { *sensor };
+            let logs: Vec<f64> = fitted.iter().map(|one| libm::log(factor(one))).collect();
+            let value = cost(&logs)?;
+            places.push((if value.is_nan() { f64::INFINITY } else { value }, logs));
+        }
+    }
+    places.sort_by(|a, b| a.0.total_cmp(&b.0));
+    Ok(places.into_iter().take(STARTS).map(|(_, logs)| logs).collect())
 }
 
 impl Quantity {

@@ -1,0 +1,45 @@
+"""Options of commands that read measurements of LiDAR and radar."""
+
+from typing import Annotated, TypeAlias
+
+import typer
+
+from lidar_core.cli.shared.common import READ
+from lidar_core.errors import ConfigError
+
+_MODEL = "How targets move: cv, ca, ct, ctrv, ctra, ctrv-drone, paper."
+_METHOD = "Filter: kf, ekf, ukf, ckf, imm."
+_COLUMN = "Name of a table's column, such as x=pos_x; may be repeated."
+_TOPIC = "Topic of a ROS recording, such as radar=/front or pose=/odom; may be repeated."
+_TIME_UNIT = "Unit of a table's times: ns, us, ms or s."
+_ANGLE_UNIT = "Unit of a table's angles: rad or deg."
+
+Model: TypeAlias = Annotated[str | None, typer.Option(help=_MODEL)]
+Method: TypeAlias = Annotated[str | None, typer.Option(help=_METHOD)]
+ColumnNames: TypeAlias = Annotated[
+    list[str], typer.Option("--column", help=_COLUMN, rich_help_panel=READ)
+]
+Topics: TypeAlias = Annotated[list[str], typer.Option("--topic", help=_TOPIC, rich_help_panel=READ)]
+TimeUnit: TypeAlias = Annotated[str | None, typer.Option(help=_TIME_UNIT, rich_help_panel=READ)]
+AngleUnit: TypeAlias = Annotated[str | None, typer.Option(help=_ANGLE_UNIT, rich_help_panel=READ)]
+
+
+def columns_of(texts: list[str]) -> dict[str, str]:
+    """Options --column OURS=THEIRS; the last one of a name counts."""
+    found = _pairs("column", texts, "x=pos_x")
+    return {ours: theirs[-1] for ours, theirs in found.items()}
+
+
+def topics_of(texts: list[str]) -> dict[str, list[str]]:
+    """Options --topic OURS=THEIRS; whatever is ours may have several."""
+    return _pairs("topic", texts, "radar=/front")
+
+
+def _pairs(option: str, texts: list[str], example: str) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for text in texts:
+        ours, equals, theirs = text.partition("=")
+        if not (ours and equals and theirs):
+            raise ConfigError(f"--{option} {text}: expected OURS=THEIRS, such as {example}")
+        found.setdefault(ours, []).append(theirs)
+    return found
