@@ -19,6 +19,7 @@ from scipy.stats import chi2
 
 EYE = np.eye(3)
 H = np.hstack([EYE, np.zeros((3, 6))])
+LONG_UNSEEN = 0.3  # [s]
 LOITER_SHARE = 0.5  # of the way that a target may have flown, it is from where it was seen
 
 
@@ -26,6 +27,11 @@ def cost(pair):
     """-2 ln of the likelihood of a difference, without what all share."""
     y, S = pair
     return y @ np.linalg.solve(S, y) + np.log(np.linalg.det(S))
+
+
+def either(track):
+    """Sets of detections in which there was something of a track, a few points at least."""
+    return [one or other for one, other in zip(track.history, track.hints, strict=True)]
 
 
 @dataclass
@@ -46,6 +52,9 @@ class Track:
     place: np.ndarray = None
     seen_at: np.ndarray = None
     seen_speed: float = 0.0
+    found_at: np.ndarray = None  # after it had been out of sight for long
+    hints: list[bool] = field(default_factory=lambda: [False])
+    hinted: bool = False  # too few points of it for a detection are in free space
     confirmed: bool = False
     left: bool = False  # nothing is where it began
     own: float = 0.0  # points of its clusters
@@ -140,6 +149,8 @@ class Tracker:
         track.P = (track.P + track.P.T) / 2
         track.aged = track.P
         track.extent = np.asarray(extent, float)
+        if (track.stamp - track.seen) * 1e-9 > LONG_UNSEEN:
+            track.found_at = z
         track.seen = track.stamp
         track.seen_at, track.seen_speed = track.r, np.linalg.norm(track.x[3:6])
 
@@ -340,7 +351,7 @@ class Tracker:
             sure = [not weak or bool(confidence[index] >= self.c.confirm_confidence)]
             size = np.zeros(3)
             new = Track(x, P, P, stamp, stamp, stamp, size, size, delay=late, sure=sure, place=z)
-            new.seen_at = z
+            new.seen_at = new.found_at = z
             fresh.append(new)
         for time, points, delays in self.buffer:
             if time > stamp:
@@ -436,6 +447,8 @@ class Tracker:
             events.born.append(track.id)
         for track in self.tracks[:known]:
             track.history.append(False)
+            track.hints.append(track.hinted)
+            track.hinted = False
             track.sure.append(False)
         for index, is_sure in fed:
             self.tracks[index].history[-1] = True
@@ -446,7 +459,7 @@ class Tracker:
                 track.confirmed = True
                 events.confirmed.append(track.id)
         events.removed = self.remove(
-            lambda track: not track.confirmed and not any(track.history[-window:])
+            lambda track: not track.confirmed and not any(either(track)[-window:])
         )
         events.merged = self.merge()
         return events
@@ -458,8 +471,10 @@ class Tracker:
         if track.stray > track.own:
             return False
         std = np.sqrt(np.trace(track.P[:3, :3]) / 3)
-        away = np.linalg.norm(track.r - track.place) > self.c.confirm_distance + 2 * std
-        counted = track.history if track.left and away else track.sure
+        reach = self.c.confirm_distance + 2 * std
+        has_moved = track.left and np.linalg.norm(track.r - track.place) > reach
+        is_far = np.linalg.norm(track.r - track.found_at) > reach
+        counted = (either(track) if is_far else track.history) if has_moved else track.sure
         many = sum(track.history[-self.c.confirm_still_window :]) >= self.c.confirm_still_hits
         return many or sum(counted[-window:]) >= hits
 
@@ -497,6 +512,7 @@ class Tracker:
                 n_detections=max(kept.n_detections, gone.n_detections),
                 history=united(kept.history, gone.history),
                 sure=united(kept.sure, gone.sure),
+                hints=united(kept.hints, gone.hints),
             )
             self.tracks = [track for track in self.tracks if track is not other]
         self.tracks.sort(key=lambda track: track.id)

@@ -11,6 +11,9 @@ use serde::{Deserialize, Serialize};
 /// Weight that the points of a track and around it keep from one scan to the next.
 const COMPANY_KEPT: f64 = 0.8;
 
+/// What is found again after this time may be something else near by [s].
+const LONG_UNSEEN: f64 = 0.3;
+
 /// No number yet: it gets one when it joins the tracks.
 pub(super) const UNNUMBERED: i64 = -1;
 
@@ -29,6 +32,8 @@ pub(super) struct PointTrack {
     /// Time of the last measurement, and the position then.
     pub(super) seen_ns: i64,
     pub(super) seen_at: Vector3<f64>,
+    /// Where it was found again after it had been out of sight for long, or the first detection.
+    pub(super) found_at: Vector3<f64>,
     /// Speed then [m/s].
     pub(super) seen_speed: f64,
     pub(super) extent: [f64; 3],
@@ -39,6 +44,11 @@ pub(super) struct PointTrack {
     pub(super) history: u64,
     /// The last sets of detections, as in `history`: 1 where the detection of the track was sure.
     pub(super) sure: u64,
+    /// The last sets of detections, as in `history`: 1 where there were too few points of it for a
+    /// detection, but in free space.
+    pub(super) hints: u64,
+    /// True if the newest cloud holds such points.
+    pub(super) hinted: bool,
     pub(super) confirmed: bool,
     /// Points of its own clusters, and of those around it that belong to no track: sums in which
     /// older scans count less.
@@ -79,12 +89,15 @@ impl PointTrack {
             delay,
             seen_ns: stamp_ns,
             seen_at: detection.position,
+            found_at: detection.position,
             seen_speed: 0.0,
             extent: detection.extent,
             size: detection.extent,
             n_detections: 1,
             history: 1,
             sure: 1,
+            hints: 0,
+            hinted: false,
             confirmed: false,
             own_points: 0.0,
             stray_points: 0.0,
@@ -179,6 +192,9 @@ impl PointTrack {
         self.estimate = update(&self.estimate, &model)?.posterior;
         self.aged = self.estimate.covariance;
         self.extent = measurement.extent;
+        if seconds(self.seen_ns, self.stamp_ns) > LONG_UNSEEN {
+            self.found_at = measurement.position;
+        }
         self.seen_ns = self.stamp_ns;
         (self.seen_at, self.seen_speed) = (self.position(), self.velocity().norm());
         Ok(())
