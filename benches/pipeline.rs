@@ -65,6 +65,7 @@ fn track(c: &mut Criterion) -> Result<(), Error> {
                         extent: None,
                         delay: None,
                         confidence: None,
+                        is_joined: None,
                     };
                     let seen = tracker.new_point_cloud(&cloud, None, &occupied, None, stamp_ns);
                     std::hint::black_box(seen.is_ok());

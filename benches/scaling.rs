@@ -156,6 +156,7 @@ fn tracking(count: u32) -> Result<f64, Error> {
                 extent: None,
                 delay: None,
                 confidence: None,
+                is_joined: None,
             };
             tracker.new_point_cloud(&cloud, None, &occupied, None, stamp_ns)?;
             tracker.new_detections(&detections, &occupied)?;

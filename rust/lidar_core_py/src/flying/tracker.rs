@@ -213,6 +213,7 @@ impl PyPointCloudTracker {
             extent: arrays::maybe_rows3("extent", &extent)?,
             delay: arrays::maybe_flat("delay", &delay)?,
             confidence: None,
+            is_joined: None,
         };
         let occupied = arrays::rows3("occupied", &occupied)?;
         let stats = self.0.with(py, |tracker| {

@@ -27,6 +27,8 @@ pub struct Detection {
     /// 0 to 1: share of free voxels around it, less for few points; 0 if only a track tells that it
     /// flies.
     pub confidence: f64,
+    /// True if a hole in the scan joins it to a surface: it may be a part of that.
+    pub is_joined: bool,
 }
 
 /// A known flying object that is not to be reported.
@@ -70,6 +72,7 @@ impl Detection {
             }),
             n_points: cluster.members.len(),
             confidence,
+            is_joined: false,
         }
     }
 

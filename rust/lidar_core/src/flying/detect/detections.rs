@@ -2,6 +2,7 @@
 
 use super::center::Center;
 use super::detection::{Detection, Teammate};
+use super::hole::is_joined;
 use super::visibility::ScanView;
 use crate::flying::classify::classifier::Verdict;
 use crate::flying::classify::clusters::{Cluster, Clusters};
@@ -43,6 +44,7 @@ pub(crate) fn detect<'v>(
     let ScanToDetect { scan, view, .. } = *input;
     let mut found = ScanDetections::default();
     let mut centers = centers(input, clusters, verdicts.clone()).into_iter();
+    let is_flying = flying_rows(scan, clusters, verdicts.clone());
     for (index, verdict) in verdicts {
         let cluster = clusters.get(index);
         let mate = input.teammate_at(cluster.centroid).filter(|_| verdict.class != BACKGROUND);
@@ -54,6 +56,7 @@ pub(crate) fn detect<'v>(
         }
         let mut detection = Detection::of(scan, &cluster, verdict, input.parameters.range_std);
         detection.confidence *= trust(scan, &cluster);
+        detection.is_joined = scan.look.is_some() && is_joined(scan, &cluster, &is_flying);
         if let Some(center) = centers.next() {
             detection = detection.at(&center);
         }
@@ -78,6 +81,23 @@ fn centers<'v>(
     let flying = verdicts.filter(|(_, verdict)| flies(verdict));
     let rows: Vec<&[u32]> = flying.map(|(index, _)| clusters.get(index).members).collect();
     input.view.centers_of(&rows)
+}
+
+/// Whether each row of a scan is of a flying cluster; empty where rays without return are given, so that
+/// no hole has to be asked for.
+fn flying_rows<'v>(
+    scan: &Prepared,
+    clusters: &Clusters,
+    verdicts: impl Iterator<Item = (usize, &'v Verdict)>,
+) -> Vec<bool> {
+    if scan.look.is_none() {
+        return Vec::new();
+    }
+    let mut is_flying = vec![false; scan.points.len()];
+    for (index, _) in verdicts.filter(|(_, verdict)| verdict.class == FLYING) {
+        clusters.get(index).members.iter().for_each(|&row| is_flying[row as usize] = true);
+    }
+    is_flying
 }
 
 /// Factor on the confidence: less than 1 where free space around a target is known from the sky only.

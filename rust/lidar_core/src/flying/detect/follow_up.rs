@@ -39,8 +39,10 @@ pub(crate) fn update_tracks(
     let extent: Vec<_> = found.detections.iter().map(|found| found.extent).collect();
     let delay: Vec<_> = found.detections.iter().map(|found| found.delay).collect();
     let confidence: Vec<_> = found.detections.iter().map(|found| found.confidence).collect();
+    let is_joined: Vec<_> = found.detections.iter().map(|found| found.is_joined).collect();
     let detections = Detections {
         stamp_ns,
+        is_joined: Some(&is_joined),
         delay: Some(&delay),
         confidence: Some(&confidence),
         positions: &positions,

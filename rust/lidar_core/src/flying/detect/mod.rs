@@ -4,4 +4,5 @@ pub mod center;
 pub mod detection;
 pub(crate) mod detections;
 pub(crate) mod follow_up;
+pub(crate) mod hole;
 pub(crate) mod visibility;

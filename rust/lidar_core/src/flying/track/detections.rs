@@ -29,6 +29,8 @@ pub struct Detections<'a> {
     pub delay: Option<&'a [f64]>,
     /// Confidence of each detection, 0 to 1; without it all are certain.
     pub confidence: Option<&'a [f64]>,
+    /// Whether each may be a part of a surface beside it; without it none is.
+    pub is_joined: Option<&'a [bool]>,
 }
 
 impl Detections<'_> {
@@ -49,6 +51,7 @@ impl Detections<'_> {
             ("extent", self.extent.map(<[_]>::len)),
             ("delay", self.delay.map(<[_]>::len)),
             ("confidence", self.confidence.map(<[_]>::len)),
+            ("is_joined", self.is_joined.map(<[_]>::len)),
         ];
         for (name, length) in lengths {
             if let Some(got) = length.filter(|&length| length != count) {
@@ -60,6 +63,7 @@ impl Detections<'_> {
                 let detection = self.measurement(index, parameters)?;
                 let mut fresh = PointTrack::new(&detection, self.stamp_ns, parameters);
                 fresh.sure = u64::from(self.is_sure(index, parameters));
+                fresh.joined = u64::from(self.is_joined.is_some_and(|joined| joined[index]));
                 Ok(fresh)
             })
             .collect()
@@ -130,11 +134,18 @@ fn known_covariance(rows: &[[f64; 3]; 3], parameters: &TrackerParameters) -> Mat
     }
 }
 
+/// What a detection tells of the existence of its track.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Evidence {
+    pub(super) is_sure: bool,
+    pub(super) is_joined: bool,
+}
+
 /// Which track every set of detections fed.
 #[derive(Debug, Default)]
 pub(super) struct Matches {
-    /// Places in the list of tracks, in the order of the detections, and whether these were sure.
-    pub(super) fed: Vec<(usize, bool)>,
+    /// Places in the list of tracks, in the order of the detections, and what these tell.
+    pub(super) fed: Vec<(usize, Evidence)>,
     pub(super) rejected: usize,
 }
 
@@ -274,7 +285,7 @@ impl Updater {
             match nearest {
                 Some(index) => {
                     tracks[index].n_detections = tracks[index].n_detections.saturating_add(1);
-                    matches.fed.push((index, hypothesis.sure == 1));
+                    matches.fed.push((index, hypothesis.evidence()));
                 }
                 None => tracks.push(hypothesis),
             }
@@ -345,7 +356,7 @@ impl Updater {
                 }
                 continue;
             };
-            matches.fed.push((index, hypothesis.sure == 1));
+            matches.fed.push((index, hypothesis.evidence()));
             // What the track has not seen itself, it learns from the hypothesis.
             if tracks[index].seen_ns < hypothesis.born_ns {
                 let turned = waiting[index].turned_to(&hypothesis, &self.parameters.motion);

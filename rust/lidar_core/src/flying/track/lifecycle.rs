@@ -1,10 +1,14 @@
 //! Birth to removal: numbers, confirmation, merging, deletion.
 
+use super::detections::Evidence;
 use super::motion::{self, position_block};
 use super::pairs::AlongX;
 use super::parameters::{Ageing, Confirmation, Merging, TrackerParameters};
 use super::state::{PointTrack, UNNUMBERED, seconds};
 use nalgebra::Vector3;
+
+/// Detections that seem to fly which one that seems joined to a surface outweighs.
+const JOINED_WEIGHT: u32 = 6;
 
 /// Remove tracks that have become too uncertain; their numbers.
 ///
@@ -30,7 +34,7 @@ pub(super) fn remove_uncertain(
 /// is the place of the first new one. Returns the numbers of those that are confirmed by it.
 pub(super) fn confirm(
     tracks: &mut [PointTrack],
-    fed: &[(usize, bool)],
+    fed: &[(usize, Evidence)],
     born: usize,
     parameters: &TrackerParameters,
 ) -> Vec<i64> {
@@ -39,10 +43,13 @@ pub(super) fn confirm(
         track.history <<= 1;
         track.hints = track.hints << 1 | u64::from(std::mem::take(&mut track.hinted));
         track.sure <<= 1;
+        track.joined <<= 1;
     }
-    for &(index, is_sure) in fed {
-        tracks[index].history |= 1;
-        tracks[index].sure |= u64::from(is_sure);
+    for &(index, evidence) in fed {
+        let track = &mut tracks[index];
+        track.history |= 1;
+        track.sure |= u64::from(evidence.is_sure);
+        track.joined |= u64::from(evidence.is_joined);
     }
     for track in tracks.iter_mut().filter(|track| !track.confirmed) {
         if is_certain(track, &parameters.confirmation) {
@@ -61,6 +68,9 @@ fn is_certain(track: &PointTrack, confirmation: &Confirmation) -> bool {
     if track.stray_points > track.own_points {
         return false; // it is one of many returns that come and go
     }
+    if may_be_joined(track) {
+        return false; // it is probably a part of a surface
+    }
     let spread = position_block(&track.estimate.covariance).trace() / 3.0;
     let reach = doubt.distance + 2.0 * spread.max(0.0).sqrt();
     let is_far_from = |place: Vector3<f64>| (track.position() - place).norm() > reach;
@@ -70,6 +80,13 @@ fn is_certain(track: &PointTrack, confirmation: &Confirmation) -> bool {
         false => track.sure,
     };
     enough(counted, hits, window) || enough(track.history, doubt.hits, doubt.window)
+}
+
+/// True if a track is more likely a part of a surface than a target: one in a hundred detections of
+/// targets seems joined to a surface, half of those of parts do. So one of them outweighs six others.
+fn may_be_joined(track: &PointTrack) -> bool {
+    let joined = track.joined.count_ones();
+    JOINED_WEIGHT * joined > (track.history & !track.joined).count_ones()
 }
 
 /// Remove tracks that were never confirmed and that no recent detection held; their numbers.
@@ -133,9 +150,10 @@ fn united(kept: PointTrack, dropped: PointTrack) -> PointTrack {
     let n_detections = kept.n_detections.max(dropped.n_detections);
     let history = kept.history | dropped.history;
     let (sure, hints) = (kept.sure | dropped.sure, kept.hints | dropped.hints);
+    let joined = kept.joined | dropped.joined;
     let (id, born_ns, confirmed) = (kept.id, kept.born_ns, kept.confirmed);
     let state = if dropped.seen_ns > kept.seen_ns { dropped } else { kept };
-    PointTrack { id, born_ns, confirmed, n_detections, history, sure, hints, ..state }
+    PointTrack { id, born_ns, confirmed, n_detections, history, sure, hints, joined, ..state }
 }
 
 fn is_twin(one: &PointTrack, other: &PointTrack, merging: &Merging) -> bool {

@@ -1,5 +1,6 @@
 //! One track, or one hypothesis on its way to become a track.
 
+use super::detections::Evidence;
 use super::measurement::Measurement;
 use super::motion::{self, Matrix9};
 use super::parameters::{Hiding, Motion, Radius, TrackerParameters};
@@ -49,6 +50,8 @@ pub(super) struct PointTrack {
     pub(super) hints: u64,
     /// True if the newest cloud holds such points.
     pub(super) hinted: bool,
+    /// As in `history`: 1 where the detection may be a part of a surface beside it.
+    pub(super) joined: u64,
     pub(super) confirmed: bool,
     /// Points of its own clusters, and of those around it that belong to no track: sums in which
     /// older scans count less.
@@ -98,6 +101,7 @@ impl PointTrack {
             sure: 1,
             hints: 0,
             hinted: false,
+            joined: 0,
             confirmed: false,
             own_points: 0.0,
             stray_points: 0.0,
@@ -153,6 +157,11 @@ impl PointTrack {
     /// Length of the way since it was seen, at the speed that it had then [m].
     pub(super) fn distance_flown(&self) -> f64 {
         self.seen_speed * seconds(self.seen_ns, self.stamp_ns)
+    }
+
+    /// What the detection that a fresh track began with tells.
+    pub(super) fn evidence(&self) -> Evidence {
+        Evidence { is_sure: self.sure & 1 == 1, is_joined: self.joined & 1 == 1 }
     }
 
     /// Let `dt` seconds without a measurement count.

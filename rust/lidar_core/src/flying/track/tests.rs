@@ -33,6 +33,7 @@ fn detect(
         extent: None,
         delay: None,
         confidence: None,
+        is_joined: None,
     };
     tracker.new_detections(&detections, &free())
 }
@@ -110,6 +111,7 @@ fn confirming_set(confidence: f64, speed: f64, left: &[f32]) -> Result<Option<i6
             extent: None,
             delay: None,
             confidence: Some(&[confidence]),
+            is_joined: None,
         };
         if !tracker.new_detections(&found, &free())?.confirmed.is_empty() {
             return Ok(Some(set));
