@@ -13,7 +13,7 @@ use crate::geometry::transform::{dot, minus, norm};
 /// Returns this much nearer or further away are those of something else [m].
 const DEPTH: f64 = 1.0;
 /// Longest hole [m]: a leg, the side of a car.
-const LONGEST: f64 = 2.0;
+const LONGEST: f64 = 1.5;
 /// Surfaces nearer to a cluster are parts of it [m].
 const SHORTEST: f64 = 0.2;
 /// Usual returns are counted this far around the edge of a cluster [m].
@@ -21,10 +21,14 @@ const AROUND: f64 = 2.5;
 /// Narrowest hole [m]; surfaces may lie this far beside its end.
 const NARROWEST: f64 = 0.3;
 const ASIDE: f64 = 0.4;
+/// Usual returns at the level of a hole are counted this far on both sides of it [m].
+const BESIDE: f64 = 1.0;
+/// A hole is this share of the way to the surface, in its middle: rows of a sensor are not straight.
+const MIDDLE: f64 = 0.6;
 /// Share of the usual returns that a hole still gives, and how many times more likely it must be than
 /// no hole.
 const LEAK: f64 = 0.15;
-const ODDS: f64 = 100.0;
+const ODDS: f64 = 20.0;
 /// Returns further aside than this angle are not looked at: square of the cosine of 37 degrees.
 const AHEAD_SQUARED: f64 = 0.64;
 
@@ -56,14 +60,26 @@ pub(crate) fn is_joined(scan: &Prepared, cluster: &Cluster<'_>, is_flying: &[boo
         let edge = if sign > 0.0 { high[axis] } else { -low[axis] };
         let middle = 0.5 * (low[across] + high[across]);
         let half = 0.5 * (high[across] - low[across]).max(NARROWEST);
-        has_hole(&seen, half, |place| [sign * place[axis] - edge, (place[across] - middle).abs()])
+        let is_sky = |along: f64| {
+            let mut place = [middle; 2];
+            place[axis] = sign * (edge + 0.5 * along);
+            scan.look.as_ref().is_some_and(|look| look.is_sky_at(view.direction(place)))
+        };
+        has_hole(&seen, half, is_sky, |place| {
+            [sign * place[axis] - edge, (place[across] - middle).abs()]
+        })
     })
 }
 
 /// True if a hole begins at the edge of a cluster and ends at a surface. `beside` gives the distance
 /// of a place beyond that edge, and from the middle of the cluster across it; the hole is `half` as
 /// wide as twice that.
-fn has_hole(seen: &[Seen], half: f64, beside: impl Fn([f64; 2]) -> [f64; 2]) -> bool {
+fn has_hole(
+    seen: &[Seen],
+    half: f64,
+    is_sky: impl Fn(f64) -> bool,
+    beside: impl Fn([f64; 2]) -> [f64; 2],
+) -> bool {
     let (mut all, mut column, mut row) = (0.0, 0.0, Vec::new());
     for one in seen {
         let [along, aside] = beside(one.place);
@@ -76,25 +92,48 @@ fn has_hole(seen: &[Seen], half: f64, beside: impl Fn([f64; 2]) -> [f64; 2]) -> 
         }
     }
     row.sort_unstable_by(|one, other| one.0.total_cmp(&other.0));
-    let (length_share, width_share) = (0.5 / AROUND, half / AROUND);
-    let mut lit = 0.0;
-    for (before, &(along, aside, one)) in row.iter().enumerate() {
-        if one.is_surface && along >= SHORTEST && aside <= half + ASIDE {
-            // Sensors with rows leave gaps: what the row and the column of the hole hold elsewhere
-            // is usual, too.
-            let length_share = along * length_share;
-            let usual = [
-                all * length_share * width_share,
-                before as f64 * width_share,
-                column * length_share,
-            ];
-            if usual.into_iter().all(|usual| is_dark(lit, usual)) {
-                return true;
-            }
+    let (length_share, width_share) = (MIDDLE * 0.5 / AROUND, half / AROUND);
+    let level_share = half / (half + BESIDE);
+    let (mut to_begin, mut to_end) = (Counted::of(&row, half), Counted::of(&row, half));
+    for &(end, aside, one) in &row {
+        if !one.is_surface || end < SHORTEST || aside > half + ASIDE {
+            continue;
         }
-        lit += f64::from(u8::from(one.is_else && aside <= half));
+        to_begin.count_to(0.5 * (1.0 - MIDDLE) * end);
+        to_end.count_to(0.5 * (1.0 + MIDDLE) * end);
+        let (lit, level) = (to_end.lit - to_begin.lit, to_end.level - to_begin.level);
+        // Sensors with rows leave gaps: what the row and the column of the hole hold elsewhere is
+        // usual, too.
+        let length_share = end * length_share;
+        let usual = [all * length_share * width_share, level * level_share, column * length_share];
+        if usual.into_iter().all(|usual| is_dark(lit, usual)) && !is_sky(end) {
+            return true;
+        }
     }
     false
+}
+
+/// Returns beside a cluster in the order of their distance from its edge, counted up to one.
+struct Counted<'a> {
+    rest: std::iter::Peekable<std::slice::Iter<'a, (f64, f64, &'a Seen)>>,
+    half: f64,
+    /// At the level of a hole, in it and on both sides.
+    level: f64,
+    /// In it, at another range.
+    lit: f64,
+}
+
+impl<'a> Counted<'a> {
+    fn of(row: &'a [(f64, f64, &'a Seen)], half: f64) -> Self {
+        Self { rest: row.iter().peekable(), half, level: 0.0, lit: 0.0 }
+    }
+
+    fn count_to(&mut self, distance: f64) {
+        while let Some(&(_, aside, one)) = self.rest.next_if(|(along, ..)| *along < distance) {
+            self.level += f64::from(u8::from(aside <= self.half + BESIDE));
+            self.lit += f64::from(u8::from(one.is_else && aside <= self.half));
+        }
+    }
 }
 
 /// True if `count` returns are more likely those of a hole than of nothing, where `usual` ones come
@@ -137,6 +176,13 @@ impl View {
             false => [1.0, 0.0, 0.0],
         };
         Some(Self { origin, range, ahead, right, up: cross(right, ahead) })
+    }
+
+    /// Direction of a place in the plane through the cluster.
+    fn direction(&self, [right, up]: [f64; 2]) -> [f64; 3] {
+        [0, 1, 2].map(|axis| {
+            self.range * self.ahead[axis] + right * self.right[axis] + up * self.up[axis]
+        })
     }
 
     /// Where a point is seen in the plane through the cluster across the line of sight [m], and how
