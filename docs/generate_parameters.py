@@ -24,7 +24,6 @@ USED_BY = {
     "flight": "`lidar_core.sim`: a target in a real scan",
     "flying": "`lidar-core detect --config`, `lidar_core.flying.FlyingObjectDetector`",
     "fusion": "`lidar-core fuse`, `lidar_core.fusion.TargetFilter`, `lidar_core.fusion.run`",
-    "fusion_autoferry": "`lidar-core fuse`, `lidar_core.fusion.read_autoferry`",
     "fusion_bag": "`lidar-core fuse`, `lidar_core.fusion.read_bag`",
     "fusion_many": "`lidar-core fuse`, `lidar_core.fusion.MultiTargetTracker`",
     "fusion_table": "`lidar-core fuse`, `lidar_core.fusion.read_measurements`",

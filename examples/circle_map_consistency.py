@@ -13,9 +13,10 @@ POSE_VARIANCE = np.diag([1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-5])  # [m^2], [rad^2]
 
 def switching(config: CircleMapConfig) -> np.ndarray:
     """Probabilities of the modes after a step, by the mode before; the first is standing."""
-    weight = np.array(config.mode_weight) / sum(config.mode_weight)
+    _, weight, times = np.array(config.modes).T
+    weight = weight / weight.sum()
     rates = np.zeros((len(weight) + 1, len(weight) + 1))
-    rates[1:, 1:] = weight / (1 - weight)[:, None] / np.array(config.mode_time)[:, None]
+    rates[1:, 1:] = weight / (1 - weight)[:, None] / times[:, None]
     rates[1:, 0], rates[0, 1:] = 1 / config.moving_time, weight / config.standing_time
     np.fill_diagonal(rates, 0.0)
     np.fill_diagonal(rates, -rates.sum(axis=1))
@@ -28,7 +29,7 @@ def noise(config: CircleMapConfig, mode: int) -> np.ndarray:
     block = [[STEP**3 / 3, STEP**2 / 2], [STEP**2 / 2, STEP]]
     both = np.zeros((5, 5))
     if mode:
-        both[:4, :4] = np.kron(block, np.eye(2)) * config.process_noise[mode - 1]
+        both[:4, :4] = np.kron(block, np.eye(2)) * config.modes[mode - 1][0]
     else:
         both[:2, :2] = np.eye(2) * config.standing_noise * STEP
     both[4, 4] = config.radius_noise * STEP
@@ -38,8 +39,8 @@ def noise(config: CircleMapConfig, mode: int) -> np.ndarray:
 def run(config: CircleMapConfig, rng: np.random.Generator) -> np.ndarray:
     """Normalised squared error of the element of one target, step by step."""
     modes, nees = switching(config), np.full(STEPS, np.nan)
-    share, weight = config.standing_share, np.array(config.mode_weight) / sum(config.mode_weight)
-    weight = np.r_[share, (1 - share) * weight]
+    share, weight = config.standing_share, np.array(config.modes)[:, 1]
+    weight = np.r_[share, (1 - share) * weight / weight.sum()]
     mode = rng.choice(len(weight), p=weight)
     velocity = config.initial_speed * rng.normal(size=2)
     state = np.r_[rng.uniform(2, 6), rng.uniform(-3, 3), velocity, rng.uniform(0.1, 0.5)]

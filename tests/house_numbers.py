@@ -247,6 +247,17 @@ def public_parameters() -> int:
 # Both
 
 
+def files_naming(pattern: str, rust: Iterable[Path], package: Path) -> list[str]:
+    """Product files that name something; items of the papers and tests are left out."""
+    paths = [path for root in rust for path in rust_modules(root).values()]
+    paths += [path for path in package.rglob("*.py") if "reproduce" not in path.parts]
+    return [
+        path.name
+        for path in paths
+        if re.search(pattern, without_tests(path.read_text(encoding="utf-8")))
+    ]
+
+
 def largest_folder(roots: Iterable[Path]) -> tuple[int, str]:
     """Most source files that lie in one folder, and which folder."""
     flat = Counter(
@@ -287,6 +298,9 @@ def main(root: Path) -> None:
     print(f"comments per 100 lines in arithmetic: {100 * comments / max(lines, 1):.1f}")
     print(f"statements: Rust {rust_statements(rust)}, Python {python_statements(package)}")
     print(f"public parameters: {public_parameters()}")
+    print(
+        "files that name the motion model CTRA:", *files_naming(r'\bCtra\b|"ctra"', rust, package)
+    )
 
 
 if __name__ == "__main__":

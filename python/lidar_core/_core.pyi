@@ -35,6 +35,7 @@ __all__ = [
     "fit_circles",
     "fit_shapes",
     "fusion_fit_noise",
+    "fusion_models",
     "fusion_outcomes",
     "fusion_run",
     "fusion_run_batch",
@@ -187,6 +188,7 @@ def fusion_smooth(
 def fusion_run_batch(
     config: object, targets: Sequence[Measurements], *, threads: int
 ) -> list[_RunArrays]: ...
+def fusion_models() -> list[tuple[str, list[str], str, bool]]: ...
 def fusion_fit_noise(
     config: object,
     targets: Sequence[Measurements],

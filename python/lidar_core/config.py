@@ -30,7 +30,8 @@ class Config(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     removed: ClassVar[Mapping[str, str]] = {}
-    """Parameters of earlier versions that files may still have, and what holds instead."""
+    """Parameters of earlier versions that files may still have, and what holds instead; of one that
+    has moved, "write it as" and its new place."""
 
     def __init__(self, **values: Any) -> None:
         try:
@@ -186,8 +187,9 @@ def _told(problem: Any, model: type[BaseModel]) -> str:
     match problem["type"]:
         case "missing":
             return "has to be given"
-        case "extra_forbidden" if reason := _removed(model).get(str(problem["loc"][-1])):
-            return f"is no parameter any more: {reason}; leave it out"
+        case "extra_forbidden" if reason := _removed(model, problem["loc"]):
+            cure = "" if reason.startswith("write it as") else "; leave it out"
+            return f"is no parameter any more: {reason}{cure}"
         case "extra_forbidden":
             return f"no such parameter, got {_short(received)}{_meant(place, fields)}"
         case "value_error" if isinstance(received, dict):
@@ -225,14 +227,20 @@ def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
     }
 
 
-def _removed(model: type[BaseModel]) -> dict[str, str]:
-    """Parameters that a model and those inside it had in earlier versions."""
-    return {
-        name: reason
-        for one in _models(model)
-        if issubclass(one, Config)
-        for name, reason in one.removed.items()
-    }
+def _removed(model: type[BaseModel], place: tuple[int | str, ...]) -> str | None:
+    """What holds instead of the parameter at `place`, if its model had it in earlier versions."""
+    tables = [model]
+    for part in place[:-1]:
+        if inner := [one.model_fields[part] for one in tables if part in one.model_fields]:
+            tables = [table for field in inner for table in _parts(field.annotation)]
+        else:  # entry of a list or a dictionary, or the kind by which a table was chosen
+            tables = [one for one in tables if _kind(one) == part] or tables
+    reasons = [one.removed for one in tables if issubclass(one, Config)]
+    return next((known[str(place[-1])] for known in reasons if place[-1] in known), None)
+
+
+def _kind(model: type[BaseModel]) -> object:
+    return model.model_fields["kind"].default if "kind" in model.model_fields else None
 
 
 def _models(model: type[BaseModel]) -> dict[type[BaseModel], str]:

@@ -23,7 +23,6 @@ MODELS = {
     "flight": "lidar_core.sim:InsertedFlight",
     "flying": "lidar_core.flying:FlyingConfig",
     "fusion": "lidar_core.fusion:FusionConfig",
-    "fusion_autoferry": "lidar_core.fusion:AutoferryOptions",
     "fusion_bag": "lidar_core.fusion:BagOptions",
     "fusion_many": "lidar_core.fusion:MultiTargetConfig",
     "fusion_table": "lidar_core.fusion:TableOptions",

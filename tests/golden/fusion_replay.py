@@ -172,9 +172,7 @@ NOISE = {"acceleration_noise", "jerk_noise", "turn_noise", "lidar_std", "radar_s
 def _many(record, _threads, association, model, method):
     """Targets that come and go, clutter, two scanners, some scans late."""
     target = FusionConfig(model=model, method=method, buffer_time=0.6)
-    config = MultiTargetConfig(
-        target=target, association=association, lidar_clutter=0.01, radar_clutter=0.01
-    )
+    config = MultiTargetConfig(target=target, association=association, clutter=(0.01, 0.01))
     tracker = MultiTargetTracker(config)
     rng = np.random.default_rng(SEED)
     start, velocity = rng.uniform(-8, 8, (5, 2)), rng.uniform(-2, 2, (5, 2))

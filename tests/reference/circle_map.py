@@ -16,6 +16,13 @@ from scipy.stats import chi2, multivariate_normal
 H = np.zeros((3, 5))
 H[0, 0] = H[1, 1] = H[2, 4] = 1.0
 LONGEST_STEP = 0.1
+# Rules of the map that are no parameters.
+STANDS, MOVES = 0.8, 0.4  # probabilities
+BIRTH_DENSITY = 1e-4  # [1/m^3]
+MOST_VELOCITY_STD, MOST_RADIUS_STD = 3.0, 0.3  # [m/s], [m]
+LEAST_MISSES, LEAST_RAYS = 3, 4
+ABSENT_TIME, UNMATCHED_TIME = 0.25, 0.5  # [s]
+SEE_MARGIN = 0.15  # [m]
 ORDER = ["seen through", "returns", "occluded", "out of view"]
 
 
@@ -226,8 +233,8 @@ class Element:
         )
         return x, P
 
-    def is_long(self, name, most, config):
-        enough = self.misses.get(name, 0) >= config.min_misses
+    def is_long(self, name, most):
+        enough = self.misses.get(name, 0) >= LEAST_MISSES
         return most is not None and enough and getattr(self, name) > most
 
     def visible(self):
@@ -238,13 +245,14 @@ class IndependentMap:
     def __init__(self, config):
         self.config = config
         self.gate = chi2.ppf(config.gate_probability, 3)
-        moving = np.array(config.mode_weight) / sum(config.mode_weight)
+        self.densities, weights, times = np.array(config.modes).T
+        moving = weights / weights.sum()
         n = len(moving)
         among = np.zeros((n, n))
         for i in range(n):
             for j in range(n):
                 if i != j:
-                    among[i, j] = moving[j] / (1 - moving[i]) / config.mode_time[i]
+                    among[i, j] = moving[j] / (1 - moving[i]) / times[i]
         self.stops = config.standing_share > 0
         if self.stops:
             share = config.standing_share
@@ -276,7 +284,7 @@ class IndependentMap:
         config = self.config
         if self.stops and j == 0:
             return part * np.diag([config.standing_noise] * 2 + [0, 0, config.radius_noise])
-        return white_noise(part, config.process_noise[j - self.stops], config.radius_noise)
+        return white_noise(part, self.densities[j - self.stops], config.radius_noise)
 
     def predicted(self, element, dt, rates=None):
         x, P, mu = list(element.x), list(element.P), element.mu
@@ -315,7 +323,7 @@ class IndependentMap:
                 element.x, element.P, element.mu = self.predicted(element, dt)
         wholes = whole_of([z for z, _ in measurements], self.config.merge_gap)
         whole = sum(one == row for row, one in enumerate(wholes))
-        density = max(self.config.birth_density, max(whole, 1) / ((area + 1) * 0.5))
+        density = max(BIRTH_DENSITY, max(whole, 1) / ((area + 1) * 0.5))
         row_of = self.associate(measurements, wholes, density if self.stops else None)
         numbers = [None] * len(measurements)
         for k, element in enumerate(self.elements):
@@ -358,7 +366,7 @@ class IndependentMap:
                 p = self.likelihood(element, z, R)
                 if p > 0 and wholes[row] == row:
                     cost[k, row] = -2 * np.log(p)
-            cost[k, m + k] = -2 * np.log(density or self.config.birth_density)
+            cost[k, m + k] = -2 * np.log(density or BIRTH_DENSITY)
         chosen = zip(*linear_sum_assignment(cost), strict=True)
         row_of = {int(k): int(row) for k, row in chosen if row < m}
         for row in range(m if density else 0):
@@ -400,7 +408,7 @@ class IndependentMap:
         element.mu = weight / weight.sum()
 
     def create(self, z, R, stamp):
-        known, more = self.config.center_noise**2, [e.weight - 4.0 for e in self.elements]
+        known, more = 0.002**2, [e.weight - 4.0 for e in self.elements]
         shown = sum(e.excess * w for e, w in zip(self.elements, more, strict=True))
         excess = max(known, (known * 4.0 + shown) / (4.0 + sum(more)))
         modes = len(self.weight)
@@ -420,7 +428,7 @@ class IndependentMap:
         while k < len(self.elements):
             one = self.elements[k]
             others, gap = self.elements[k + 1 :], config.merge_gap
-            moment = config.unmatched_time
+            moment = UNMATCHED_TIME
             twins = [other for other in others if is_twin(one, other, gap, moment)]
             if not twins:
                 k += 1
@@ -436,9 +444,8 @@ class IndependentMap:
             recent = sum(element.history[-window:])
             element.confirmed |= recent >= config.confirm_hits
             if self.stops:
-                begin, end = config.standing_probability
                 stood, p = element.stands, element.mu[0]
-                element.stands = p > begin or (stood and p >= end)
+                element.stands = p > STANDS or (stood and p >= MOVES)
             worst = np.linalg.eigvalsh(element.reported()[1][:2, :2]).max()
             element.lost = worst >= config.max_position_std**2
             vague = False
@@ -447,14 +454,14 @@ class IndependentMap:
                 vague = (
                     x[4] <= 0
                     or np.linalg.eigvalsh(P[:2, :2]).max() >= config.max_position_std**2
-                    or np.linalg.eigvalsh(P[2:4, 2:4]).max() >= config.max_velocity_std**2
-                    or P[4, 4] > config.max_radius_std**2
+                    or np.linalg.eigvalsh(P[2:4, 2:4]).max() >= MOST_VELOCITY_STD**2
+                    or P[4, 4] > MOST_RADIUS_STD**2
                 )
             if not (
                 (not element.confirmed and not recent)
-                or element.is_long("absent", config.absent_time, config)
-                or element.is_long("unmatched", config.unmatched_time, config)
-                or element.is_long("hidden", config.max_coast, config)
+                or element.is_long("absent", ABSENT_TIME)
+                or element.is_long("unmatched", UNMATCHED_TIME)
+                or element.is_long("hidden", config.max_coast)
                 or vague
             ):
                 kept.append(element)
@@ -563,15 +570,15 @@ def seen(ranges, bearings, limits, config, x, y, radius):
     meets = np.abs(off) < np.arcsin(radius / d)
     across = d * np.sin(off[meets])
     surface = d * np.cos(off[meets]) - np.sqrt(radius**2 - across**2)
-    known = ~np.isnan(ranges[meets]) & (surface <= limits[1] - config.see_margin)
+    known = ~np.isnan(ranges[meets]) & (surface <= limits[1] - SEE_MARGIN)
     gap = (ranges[meets] - surface)[known]
-    through, before = (gap > config.see_margin).sum(), (gap < -config.see_margin).sum()
+    through, before = (gap > SEE_MARGIN).sum(), (gap < -SEE_MARGIN).sum()
     on = len(gap) - through - before
-    if len(gap) < config.min_rays:
+    if len(gap) < LEAST_RAYS:
         return "out of view"
-    if through >= config.min_rays and 2 * through >= len(gap):
+    if through >= LEAST_RAYS and 2 * through >= len(gap):
         return "seen through"
-    return "returns" if on >= config.min_rays and on >= before else "occluded"
+    return "returns" if on >= LEAST_RAYS and on >= before else "occluded"
 
 
 def looker(ranges, bearings, limits, config, pose):

@@ -240,7 +240,7 @@ class Detector:
         directions = self.spans / np.linalg.norm(self.spans, axis=1, keepdims=True)
 
         def view(position, radius):
-            radius = min(radius, self.c.target_radius)
+            radius = min(radius, 0.325)  # of the smallest target
             arm = position - places
             along = np.einsum("ij,ij->i", arm, directions)
             aside = np.einsum("ij,ij->i", arm, arm) - along**2

@@ -140,7 +140,7 @@ class JointTargets(ManyTargets):
                 nis = self.distance(track, places[column], noise)
                 if nis <= self.gate:
                     density = np.exp(-nis / 2) / np.sqrt(np.linalg.det(2 * np.pi * spread))
-                    inside[column] = config.detection_probability * density / config.lidar_clutter
+                    inside[column] = config.detection_probability * density / config.clutter[0]
             options.append({-1: 1 - config.detection_probability, **inside})
         weights = np.zeros((len(tracks), len(places)))
         total = 0.0

@@ -19,6 +19,11 @@ from scipy.stats import chi2
 
 EYE = np.eye(3)
 H = np.hstack([EYE, np.zeros((3, 6))])
+# Of the rules that are no parameters, as the text of `Doubt`, `Hiding`, `Merging` in Rust has them.
+UNSEEN_TIME, SIZE_TIME = 0.3, 2.0  # [s]
+MOVED, CLEARED = 0.5, 0.3  # [m]
+STILL_HITS, STILL_WINDOW = 10, 20
+MERGE_SPEED = 1.0  # [m/s]
 
 
 @dataclass
@@ -76,12 +81,10 @@ class Tracker:
     def model(self, dt, unseen=False):
         """Transition and process noise over `dt` >= 0 [s]."""
         tau = self.c.acceleration_time
-        if unseen and self.c.unseen_acceleration_time is not None:
-            tau = self.c.unseen_acceleration_time
+        if unseen and tau is not None:
+            tau = UNSEEN_TIME
         F = np.kron([[0, 1, 0], [0, 0, 1], [0, 0, 0 if tau is None else -1 / tau]], EYE)
-        std = np.repeat(
-            [self.c.process_position, self.c.process_velocity, self.c.process_acceleration], 3
-        )
+        std = np.repeat(self.c.process_std, 3)
         L = np.diag(std**2)
         if self.c.process_noise == "paper":
             return expm(F * dt), L if dt > 0 else np.zeros((9, 9))
@@ -116,11 +119,11 @@ class Tracker:
     def radius(self, P):
         determinant = np.linalg.det(H @ P @ H.T)
         root = np.cbrt(determinant) if self.c.radius == "paper" else determinant ** (1 / 6)
-        return max(self.c.radius_min, self.c.radius_scale * root)
+        return max(self.c.radius_limits[0], self.c.radius_scale * root)
 
     def reach(self, track):
         r = self.radius(track.P)
-        return r if self.c.ageing == "paper" else min(r, self.c.radius_max)
+        return r if self.c.ageing == "paper" else min(r, self.c.radius_limits[1])
 
     def correct(self, track, z, R, extent, delay=0.0):
         H = np.hstack([EYE, delay * EYE, delay**2 / 2 * EYE])
@@ -147,15 +150,11 @@ class Tracker:
         for rows in [part for parts in divided for part in parts]:
             own = points[rows]
             centroid, extent = own.mean(axis=0), np.ptp(own, axis=0)
-            too_many = (
-                self.c.cluster_max_points is not None and len(own) > self.c.cluster_max_points
-            )
             too_large = self.c.max_extent is not None and extent.max() > self.c.max_extent
             near = len(occupied) and np.linalg.norm(occupied - centroid, axis=1).min()
-            if len(own) < self.c.cluster_min_points or too_many or too_large:
+            if too_large:
                 continue
-            wider = np.linalg.norm(extent) if self.c.occupied_adds_extent else 0.0
-            if len(occupied) and near <= self.c.occupied_distance + wider:
+            if len(occupied) and near <= self.c.occupied_distance:
                 continue
             R = self.c.measurement_std**2 * EYE
             if self.c.measurement != "paper":
@@ -192,8 +191,7 @@ class Tracker:
         if len(owners) < 2:
             return [rows]
         nearest = np.argmin([from_track(track) for track in owners], axis=0)
-        parts = [rows[nearest == owner] for owner in np.unique(nearest)]
-        return [rows] if min(map(len, parts)) < self.c.cluster_min_points else parts
+        return [rows[nearest == owner] for owner in np.unique(nearest)]
 
     def widened(self, R, extent, is_cut, track):
         """Covariance of a cluster of which a part may be hidden."""
@@ -232,10 +230,10 @@ class Tracker:
         else:
             found = self.one_to_one(due, points, occupied, delays)
         for track in due:
-            far = np.linalg.norm(track.r - track.place) > self.c.confirm_distance
+            far = np.linalg.norm(track.r - track.place) > MOVED
             gaps = np.linalg.norm(points - track.place, axis=1)
-            nothing = (gaps > self.c.confirm_cleared).all()
-            is_seen = self.view is None or self.view(track.place, self.c.confirm_cleared)
+            nothing = (gaps > CLEARED).all()
+            is_seen = self.view is None or self.view(track.place, CLEARED)
             track.left = not track.confirmed and far and nothing and is_seen
         for track, cluster, dt in zip(due, found, elapsed, strict=True):
             if cluster is None:
@@ -245,7 +243,7 @@ class Tracker:
                 z, R, extent, delay, is_cut, track.points = cluster
                 self.correct(track, z, self.widened(R, extent, is_cut, track), extent, delay)
                 if self.c.hidden_share is not None:
-                    track.size = extent + np.exp(-dt / self.c.size_time) * (track.size - extent)
+                    track.size = extent + np.exp(-dt / SIZE_TIME) * (track.size - extent)
         return [track.id for track, cluster in zip(due, found, strict=True) if cluster is not None]
 
     def inside(self, points, track, margin=0.0):
@@ -301,7 +299,7 @@ class Tracker:
     def is_lost(self, track, stamp):
         coasting = (stamp - track.seen) * 1e-9
         too_long = self.c.ageing == "visible" and coasting > self.c.max_coast
-        return self.radius(track.aged) > self.c.radius_max or too_long
+        return self.radius(track.aged) > self.c.radius_limits[1] or too_long
 
     def remove(self, gone):
         removed = [track.id for track in self.tracks if gone(track)]
@@ -314,13 +312,13 @@ class Tracker:
         fresh = []
         for index, z in enumerate(positions):
             P = np.zeros((9, 9))
-            P[:3, :3] = self.c.initial_position**2 * EYE
+            P[:3, :3] = self.c.initial_std[0] ** 2 * EYE
             if covariance is not None:
                 P[:3, :3] = covariance[index]
                 if self.c.measurement == "cluster":
                     P[:3, :3] += self.c.measurement_std**2 * EYE
-            P[3:6, 3:6] = self.c.initial_velocity**2 * EYE
-            P[6:, 6:] = self.c.initial_acceleration**2 * EYE
+            P[3:6, 3:6] = self.c.initial_std[1] ** 2 * EYE
+            P[6:, 6:] = self.c.initial_std[2] ** 2 * EYE
             late = 0.0 if delay is None or self.c.measurement == "paper" else delay[index]
             J = np.eye(9)
             J[:3, 3:6] = -late * EYE  # r = z - v * delay
@@ -335,7 +333,7 @@ class Tracker:
         for time, points, delays in self.buffer:
             if time > stamp:
                 self.update(fresh, time, points, occupied, delays)
-        fresh = [track for track in fresh if self.radius(track.P) <= self.c.radius_max]
+        fresh = [track for track in fresh if self.radius(track.P) <= self.c.radius_limits[1]]
         known = len(self.tracks)
         fed = self.join_nearest(fresh) if self.c.association == "paper" else self.join(fresh)
         return self.finish(fed, known)
@@ -393,8 +391,8 @@ class Tracker:
         dt = (stamp - track.seen) * 1e-9
         strayed = np.kron([dt**2 / 2, dt, 1.0], EYE) * acceleration
         waiting.P = P + strayed.T @ strayed
-        waiting.P[:3, :3] += self.c.initial_position**2 * EYE
-        return waiting, self.c.radius_max
+        waiting.P[:3, :3] += self.c.initial_std[0] ** 2 * EYE
+        return waiting, self.c.radius_limits[1]
 
     def is_seen_twice(self, new, known):
         late = new.delay if new.stamp == new.born else 0.0
@@ -433,9 +431,9 @@ class Tracker:
         if track.stray > track.own:
             return False
         std = np.sqrt(np.trace(track.P[:3, :3]) / 3)
-        away = np.linalg.norm(track.r - track.place) > self.c.confirm_distance + 2 * std
+        away = np.linalg.norm(track.r - track.place) > MOVED + 2 * std
         counted = track.history if track.left and away else track.sure
-        many = sum(track.history[-self.c.confirm_still_window :]) >= self.c.confirm_still_hits
+        many = sum(track.history[-STILL_WINDOW:]) >= STILL_HITS
         return many or sum(counted[-window:]) >= hits
 
     def merge(self):
@@ -449,7 +447,7 @@ class Tracker:
                 for other in self.tracks[index + 1 :]
                 if other.stamp == one.stamp
                 and np.linalg.norm(other.r - one.r) <= self.c.merge_distance
-                and np.linalg.norm((other.x - one.x)[3:6]) <= self.c.merge_speed
+                and np.linalg.norm((other.x - one.x)[3:6]) <= MERGE_SPEED
             ]
             if not twins:
                 index += 1

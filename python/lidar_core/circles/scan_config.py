@@ -1,7 +1,7 @@
 """Configuration of what is done to a scan before circles are fitted."""
 
-import math
-from typing import Literal, Self
+from collections.abc import Mapping
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -75,22 +75,18 @@ class SegmentConfig(Config):
     "Line Extraction in 2D Range Images for Mobile Robotics", 2004.
     """
 
-    criterion: Literal["both", "cartesian", "polar"] = Field(
-        "both",
-        description="Space in which neighbours must be close: polar space (similar ranges, few rays"
-        " between), in Cartesian space, or in both, as published (no unit).",
-    )
+    removed: ClassVar[Mapping[str, str]] = {
+        "criterion": "neighbours are close in polar and in Cartesian space",
+        "merge_deviation": "merged parts lie within 3 cm of one circle or line",
+        "corner_width": "walls at a corner end 1.2 m apart at least",
+        "near_margin": "objects within 0.15 m of the nearest range may go on below it",
+        "far_margin": "objects within 1.2 m of the farthest range may go on beyond it",
+        "incidence": "surfaces are met at 10 deg at least",
+    }
     bound: Literal["adaptive", "fixed"] = Field(
         "adaptive",
         description="How close: as far as the angle between rays allows on a surface, or"
         " `distance` everywhere (no unit).",
-    )
-    incidence: float = Field(
-        math.radians(10.0),
-        ge=0.02,
-        le=1.5,
-        description="Smallest angle between a ray and a surface of one object, adaptive bound"
-        " [rad].",
     )
     slack: float = Field(
         0.09,
@@ -116,25 +112,12 @@ class SegmentConfig(Config):
         description="Parts of a surface that something nearer hides in part are one object if"
         " their ends are closer than this [m]; 0: never.",
     )
-    merge_deviation: float = Field(
-        0.03,
-        gt=0,
-        le=1,
-        description="Root mean square distance of merged parts from one circle or line, at most"
-        " [m].",
-    )
     corner_depth: float = Field(
         0.15,
         ge=0,
         le=10,
         description="Surfaces with a common corner are separate segments if the corner is this deep"
         " behind the line between their other ends [m]; 0: never, as in the paper.",
-    )
-    corner_width: float = Field(
-        1.2,
-        gt=0,
-        le=100,
-        description="Only if those ends are so far apart [m]: smaller things are one object.",
     )
     min_points: int = Field(
         4, ge=1, le=100_000, description="Smaller segments are dropped (count, no unit)."
@@ -145,19 +128,6 @@ class SegmentConfig(Config):
         le=1,
         description="Segments with a smaller share of all rays are dropped (share, no unit);"
         " paper: 0.003.",
-    )
-    near_margin: float = Field(
-        0.15,
-        ge=0,
-        le=10,
-        description="An object this close to the nearest range may go on below it unseen [m].",
-    )
-    far_margin: float = Field(
-        1.2,
-        ge=0,
-        le=100,
-        description="An object this close to the farthest range may go on beyond it unseen: the"
-        " diameter of the largest [m].",
     )
 
     @classmethod

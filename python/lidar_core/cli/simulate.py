@@ -92,12 +92,11 @@ def _overfly(output: Path, seed: int, rows: int | None, *, json: Path | None) ->
     from lidar_core.fusion import write_overflight
     from lidar_core.io.files.sole import sole_writer
     from lidar_core.sim import Overflight, overfly
+    from lidar_core.sim.overflight import RATE
 
     if output.suffix != ".csv":
         raise ConfigError(f"--output: expected a .csv for overflight, got {output}")
-    config = Overflight()
-    if rows is not None:
-        config = Overflight(seconds=rows / config.rate)
+    config = Overflight() if rows is None else Overflight(seconds=rows / RATE)
     with sole_writer(output):
         made = overfly(config, seed=seed)
         write_overflight(output, made)

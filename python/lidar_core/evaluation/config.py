@@ -1,7 +1,8 @@
 """Configuration of the evaluation: the only source of its defaults and ranges."""
 
+from collections.abc import Mapping
 from itertools import pairwise
-from typing import Annotated, Self
+from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
@@ -13,6 +14,9 @@ Edge = Annotated[float, Field(ge=0)]
 class EvaluationConfig(Config):
     """Conditions for found targets and sightings, and groups of the results."""
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "order": "OSPA and GOSPA have the order 2",
+    }
     gate: float = Field(
         1.0,
         gt=0,
@@ -36,12 +40,6 @@ class EvaluationConfig(Config):
         min_length=2,
         description="Edges of the groups by distance from the sensor [m]; a group holds its far"
         " edge.",
-    )
-    order: float = Field(
-        2.0,
-        ge=1,
-        le=16,
-        description="Order p of OSPA and GOSPA (no unit). Source: Rahmathullah et al., 2017.",
     )
     band: float = Field(
         0.95,

@@ -36,6 +36,9 @@ from lidar_core.evaluation.types import (
     Truth,
 )
 
+ORDER = 2.0
+"""Order p of OSPA and GOSPA (no unit). Source: Rahmathullah et al., 2017."""
+
 
 def eligible(
     position: ArrayLike,
@@ -245,7 +248,7 @@ def _set_scores(
     rows = []
     for here, there in scans(estimates, truth):
         table = distances_at(estimates, here, truth, there)
-        distance, parts = set_distances(table, cutoff=config.gate, order=config.order)
+        distance, parts = set_distances(table, cutoff=config.gate, order=ORDER)
         rows.append((distance, parts.distance, parts.localisation, parts.missed, parts.false))
     return SetScores(len(rows), *np.mean(rows, axis=0).tolist()) if rows else None
 

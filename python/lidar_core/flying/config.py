@@ -1,6 +1,7 @@
 """Configuration of the flying-object detector: the only source of defaults and ranges."""
 
-from typing import Literal, Self
+from collections.abc import Mapping
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -262,6 +263,10 @@ class SeedConfig(Config):
     Other seeds are an a-priori map: `FlyingObjectDetector.set_occupied`, `load_map`.
     """
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "standing_shift": "points that stand move by 4 cm at most",
+        "standing_track_distance": "a track 0.5 m from its start follows nothing that stands",
+    }
     burn_in_scans: int = Field(
         10,
         ge=0,
@@ -290,19 +295,6 @@ class SeedConfig(Config):
         description="What holds its place in so many scans of the burn-in, 3 at least, is"
         " background, however small; 0 for none (count, no unit).",
     )
-    standing_shift: float = Field(
-        0.04,
-        ge=0,
-        le=1,
-        description="Its points move this much at most between the halves of the burn-in; those"
-        " of a target that flies through a voxel move across it [m].",
-    )
-    standing_track_distance: float = Field(
-        0.5,
-        ge=0,
-        le=10,
-        description="A track this far from where it began follows no such thing [m].",
-    )
     ground_height: float | None = Field(
         None, description="Clusters that reach below this height are background, world frame [m]."
     )
@@ -317,6 +309,9 @@ class SeedConfig(Config):
 class FlyingConfig(Config):
     """The flying-object detector: `FlyingConfig()` is best mode, `.paper()` the paper, Table II."""
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "target_radius": "the smallest target has a radius of 0.325 m",
+    }
     voxel_map: VoxelMapConfig = VoxelMapConfig()
     cluster: ClusterConfig = ClusterConfig()
     classify: ClassifyConfig = ClassifyConfig()
@@ -347,13 +342,6 @@ class FlyingConfig(Config):
         ge=0,
         le=1,
         description="Standard deviation of a range, for detection covariances [m].",
-    )
-    target_radius: float = Field(
-        0.325,
-        gt=0,
-        le=10,
-        description="Radius of the smallest target: where its rays are free, a track should be"
-        " seen [m].",
     )
     mismatch_share: float | None = Field(
         0.5,

@@ -143,7 +143,11 @@ class FlyingObjectDetector(FullState):
             "sensor": sensor,
         }
         try:
-            posed = posed_of(points_lidar, name="points_lidar")
+            posed = (
+                points_lidar
+                if isinstance(points_lidar, PosedScan)
+                else posed_of(points_lidar, name="points_lidar")
+            )
             stamp, values = self._process(**(given if posed is None else _arrays_of(posed, given)))
         except InputError as error:
             self._count("rejected")

@@ -1,7 +1,8 @@
 """Configuration of one LiDAR, and the rays of some that are sold."""
 
 import math
-from typing import Literal, Self, TypeAlias
+from collections.abc import Mapping
+from typing import ClassVar, Literal, Self, TypeAlias
 
 from pydantic import Field
 
@@ -46,6 +47,9 @@ and highest elevation, largest azimuth [rad] and the rays of a scan."""
 class SensorConfig(Config):
     """One LiDAR: its own robot in view, and the rays that its driver drops."""
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "learn_mask_range": "the robot is looked for within 1 m",
+    }
     min_range: float = Field(0.3, ge=0, le=20, description="Nearer returns are not used [m].")
     self_box: Box | None = Field(
         None, description="Lower and upper corner of the robot, lidar frame [m]."
@@ -63,13 +67,6 @@ class SensorConfig(Config):
         le=MOST_SCANS,
         description="First scans in which the directions towards the robot are learnt, 0 for none"
         " (count, no unit).",
-    )
-    learn_mask_range: float = Field(
-        1.0,
-        gt=0,
-        le=20,
-        description="Where returns keep coming from nearer than this, there is the robot: they,"
-        " and rays without return in their directions, are not used [m].",
     )
     mask_empty_only: bool = Field(
         False,

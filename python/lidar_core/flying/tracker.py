@@ -170,7 +170,7 @@ class PointCloudTracker(FullState):
         stamp_ns : int
             Time the detections describe [ns].
         covariance : array_like, shape (M, 3, 3), optional
-            Their covariances [m^2]; without it, `config.initial_position` holds.
+            Their covariances [m^2]; without it, `config.initial_std` holds.
         extent : array_like, shape (M, 3), optional
             Sides of their bounding boxes [m].
         time_ns : array_like, shape (M,), int64, optional

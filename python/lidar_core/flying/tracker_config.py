@@ -1,11 +1,15 @@
 """Configuration of the multi-target tracker: the only source of its defaults and ranges."""
 
-from typing import Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from lidar_core.config import Config
-from lidar_core.flying.config_types import MOST_POINTS
+
+NotNegative = Annotated[float, Field(ge=0)]
+Triple = tuple[NotNegative, NotNegative, NotNegative]
+Radius = Annotated[float, Field(gt=0, le=100)]
 
 
 class TrackerConfig(Config):
@@ -16,20 +20,31 @@ class TrackerConfig(Config):
     Source: Vrba et al., sec. III-F and Algorithm 2; paper's values: Table II.
     """
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "cluster_min_points": "a single point is a cluster",
+        "cluster_max_points": "clusters have any number of points",
+        "occupied_adds_extent": "the centroid alone counts",
+        "unseen_acceleration_time": "accelerations of hidden targets fade within 0.3 s",
+        "radius_min": "write it as the first value of radius_limits",
+        "radius_max": "write it as the second value of radius_limits",
+        "process_position": "write it as the first value of process_std",
+        "process_velocity": "write it as the second value of process_std",
+        "process_acceleration": "write it as the third value of process_std",
+        "initial_position": "write it as the first value of initial_std",
+        "initial_velocity": "write it as the second value of initial_std",
+        "initial_acceleration": "write it as the third value of initial_std",
+        "size_time": "the usual size follows within 2 s",
+        "confirm_distance": "a track 0.5 m from its start has moved",
+        "confirm_cleared": "the start of a track is free if nothing is within 0.3 m",
+        "confirm_still_hits": "10 of 20 weak detections confirm a static track",
+        "confirm_still_window": "10 of 20 weak detections confirm a static track",
+        "merge_speed": "tracks of one target differ by 1 m/s at most",
+    }
     buffer_size: int = Field(
         10, ge=1, le=1000, description="Clouds kept for late detections, N_buf (count, no unit)."
     )
     cluster_distance: float = Field(
         0.5, gt=0, le=10, description="Largest gap inside a cluster [m]; paper: d_cluster, 0.25 m."
-    )
-    cluster_min_points: int = Field(
-        1, ge=1, le=MOST_POINTS, description="Smaller clusters are no targets (count, no unit)."
-    )
-    cluster_max_points: int | None = Field(
-        None,
-        ge=1,
-        le=MOST_POINTS,
-        description="Larger clusters are no targets (count, no unit); none: no limit.",
     )
     max_extent: float | None = Field(
         2.0,
@@ -45,11 +60,6 @@ class TrackerConfig(Config):
         description="A centroid this close to an occupied voxel's centre is background, d_min [m];"
         " the paper gives no value; paper mode uses 1.0 m.",
     )
-    occupied_adds_extent: bool = Field(
-        False,
-        description="The diagonal of the cluster's box is added to `occupied_distance`, as in the"
-        " authors' code (no unit).",
-    )
     radius: Literal["paper", "sixth-root"] = Field(
         "sixth-root",
         description="Root of the determinant in the uncertainty radius: cube root, eq. 26, or sixth"
@@ -58,14 +68,10 @@ class TrackerConfig(Config):
     radius_scale: float = Field(
         1.22, gt=0, description="Multiplier of the uncertainty radius, c_r (no unit); paper: 0.5."
     )
-    radius_min: float = Field(
-        1.5, gt=0, le=100, description="Smallest uncertainty radius, r_min [m]."
-    )
-    radius_max: float = Field(
-        3.0,
-        gt=0,
-        le=100,
-        description="Tracks with a larger uncertainty radius are removed, r_max [m].",
+    radius_limits: tuple[Radius, Radius] = Field(
+        (1.5, 3.0),
+        description="Smallest uncertainty radius, r_min, and the largest, r_max, above which a"
+        " track is removed [m].",
     )
     acceleration_time: float | None = Field(
         1.0,
@@ -73,48 +79,21 @@ class TrackerConfig(Config):
         description="Time constant with which accelerations fade [s]; none, as in eq. 27 of the"
         " paper: they stay.",
     )
-    unseen_acceleration_time: float | None = Field(
-        0.3,
-        gt=0,
-        description="`acceleration_time` while a track continues without measurements [s]; none, as"
-        " in the paper: the same value.",
-    )
     process_noise: Literal["paper", "continuous"] = Field(
         "continuous",
         description="Growth of uncertainty: the same at every step, eq. 31, or white noise in"
         " continuous time (no unit).",
     )
-    process_position: float = Field(
-        0.0,
-        ge=0,
-        le=10,
-        description="Noise of the position, Xi_r: per step [m], or root of a density [m/s^0.5];"
-        " paper: 0.5 m.",
+    process_std: Triple = Field(
+        (0.0, 0.1, 4.0),
+        description="Noise of position, velocity and acceleration, Xi_r, Xi_v, Xi_a: per step [m],"
+        " [m/s], [m/s^2], or roots of densities [m/s^0.5], [m/s^1.5], [m/s^2.5]; paper: 0.5, 0.5,"
+        " 0.1.",
     )
-    process_velocity: float = Field(
-        0.1,
-        ge=0,
-        description="Noise of the velocity, Xi_v: per step [m/s], or root of a density [m/s^1.5];"
-        " paper: 0.5 m/s.",
-    )
-    process_acceleration: float = Field(
-        4.0,
-        ge=0,
-        description="Noise of the acceleration, Xi_a: per step [m/s^2], or root of a density"
-        " [m/s^2.5]; paper: 0.1 m/s^2.",
-    )
-    initial_position: float = Field(
-        0.3,
-        gt=0,
-        le=20,
-        description="Standard deviation of a new track's position where the detection has no"
-        " covariance, P_0,r [m]; paper: 0.5 m.",
-    )
-    initial_velocity: float = Field(
-        4.0, gt=0, description="Same of the velocity, P_0,v [m/s]; paper: 3 m/s."
-    )
-    initial_acceleration: float = Field(
-        3.0, gt=0, description="Same of the acceleration, P_0,a [m/s^2]; paper: 3 m/s^2."
+    initial_std: Triple = Field(
+        (0.3, 4.0, 3.0),
+        description="Standard deviations of a new track's position, where the detection has no"
+        " covariance [m], velocity [m/s] and acceleration [m/s^2], > 0, P_0; paper: 0.5, 3, 3.",
     )
     measurement: Literal["paper", "cluster", "center"] = Field(
         "center",
@@ -134,9 +113,6 @@ class TrackerConfig(Config):
         " partly hidden, unless the scan shows that nothing nearer is beside it: the missing part"
         " is added to its standard deviation (share, no unit); none, as in the paper: never; global"
         " association.",
-    )
-    size_time: float = Field(
-        2.0, gt=0, description="Time constant of the usual size of a track's clusters [s]."
     )
     association: Literal["paper", "global"] = Field(
         "global",
@@ -184,42 +160,15 @@ class TrackerConfig(Config):
         0.7,
         ge=0,
         le=1,
-        description="Detections of less confidence confirm a track only once it has moved, or as"
-        " `confirm_still_hits`: weak ones that stand still may be background that has just come"
+        description="Detections of less confidence confirm a track only once it has moved, or 10 of"
+        " 20 at one place: weak ones that stand still may be background that has just come"
         " into view (share, no unit); none, as in the paper: all count.",
-    )
-    confirm_distance: float = Field(
-        0.5,
-        ge=0,
-        le=10,
-        description="A track this far from where it began has moved, with two standard deviations"
-        " of its position on top [m].",
-    )
-    confirm_cleared: float = Field(
-        0.3,
-        ge=0,
-        le=10,
-        description="But only while the newest scan shows that nothing is this near to its start."
-        " Otherwise leaves of a tree that appear one after the other, or a surface behind a moving"
-        " gap, would count as moved [m].",
-    )
-    confirm_still_hits: int = Field(
-        10,
-        ge=1,
-        le=64,
-        description="This many weak detections confirm a static track (count, no unit).",
-    )
-    confirm_still_window: int = Field(
-        20, ge=1, le=64, description="Sets of detections looked back on for them (count, no unit)."
     )
     merge_distance: float | None = Field(
         0.3,
         ge=0,
         le=10,
         description="Tracks this close are one target [m]; none, as in the paper: never.",
-    )
-    merge_speed: float = Field(
-        1.0, ge=0, description="Tracks whose velocities differ by more are two targets [m/s]."
     )
     ageing: Literal["paper", "visible"] = Field(
         "visible",
@@ -241,12 +190,14 @@ class TrackerConfig(Config):
 
     @model_validator(mode="after")
     def _values_fit_together(self) -> Self:
-        if self.radius_min > self.radius_max:
-            raise ValueError("expected radius_min <= radius_max")
+        if self.radius_limits[0] > self.radius_limits[1]:
+            raise ValueError("radius_limits: expected the smallest radius first")
         if self.confirm_hits > self.confirm_window:
             raise ValueError("expected confirm_hits <= confirm_window")
-        if self.confirm_still_hits > self.confirm_still_window:
-            raise ValueError("expected confirm_still_hits <= confirm_still_window")
+        if self.initial_std[0] > 20 or min(self.initial_std) <= 0:
+            raise ValueError("initial_std: expected values > 0, the first <= 20 m")
+        if self.process_std[0] > 10:
+            raise ValueError("process_std: expected at most 10 m as the first value")
         return self
 
     @classmethod
@@ -259,14 +210,9 @@ class TrackerConfig(Config):
             radius="paper",
             radius_scale=0.5,
             acceleration_time=None,
-            unseen_acceleration_time=None,
             process_noise="paper",
-            process_position=0.5,
-            process_velocity=0.5,
-            process_acceleration=0.1,
-            initial_position=0.5,
-            initial_velocity=3.0,
-            initial_acceleration=3.0,
+            process_std=(0.5, 0.5, 0.1),
+            initial_std=(0.5, 3.0, 3.0),
             measurement="paper",
             measurement_std=1.0,
             hidden_share=None,

@@ -4,7 +4,7 @@ from lidar_core.fusion.config import FusionConfig, PublishedModel
 from lidar_core.fusion.coverage import TargetCoverage, empty_gospa, mean_gospa, target_coverage
 from lidar_core.fusion.filter import FilterHealth, TargetFilter
 from lidar_core.fusion.many import MultiTargetTracker, ScanResult
-from lidar_core.fusion.many_config import AutoferryOptions, MultiTargetConfig
+from lidar_core.fusion.many_config import MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, Measurements
 from lidar_core.fusion.recordings.autoferry import DetectionScan, read_autoferry
 from lidar_core.fusion.recordings.bags import BagOptions, read_bag
@@ -17,7 +17,6 @@ from lidar_core.fusion.tuning import fit_noise
 from lidar_core.objects import TargetTracks
 
 __all__ = [
-    "AutoferryOptions",
     "BagOptions",
     "DetectionScan",
     "FilterHealth",

@@ -1,10 +1,21 @@
 """Configuration of the fusion filter: the only source of its defaults and ranges."""
 
-from typing import Literal, Self
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, ClassVar, Literal, Self, TypeAlias
 
 from pydantic import Field, model_validator
 
+from lidar_core._core import fusion_models
 from lidar_core.config import Config
+
+_MODELS = fusion_models()
+_MEANINGS = "; ".join(f"{title} [{', '.join(states)}]" for _, states, title, _ in _MODELS)
+if TYPE_CHECKING:  # type checkers cannot read the names from the core
+    ModelName: TypeAlias = str
+    MixableName: TypeAlias = str
+else:
+    ModelName = Literal[tuple(name for name, *_ in _MODELS)]
+    MixableName = Literal[tuple(name for name, *_, can_mix in _MODELS if can_mix)]
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -63,14 +74,13 @@ class FusionConfig(Config):
     Applications to Tracking and Navigation", 2001.
     """
 
-    model: Literal["cv", "ca", "ct", "ctrv", "ctra", "ctrv-drone", "paper"] = Field(
-        "ctrv",
-        description="How targets move (no unit): constant velocity [x, y, vx, vy]; constant"
-        " acceleration [x, y, vx, vy, ax, ay]; coordinated turn [x, y, vx, vy, w]; constant turn"
-        " rate and velocity [x, y, v, theta, w]; the same with acceleration"
-        " [x, y, v, theta, w, a]; CTRV in the frame of a sensor that moves; the model as published,"
-        " errors included [x, y, v, theta, w, w_d], whose method is its own.",
-    )
+    removed: ClassVar[Mapping[str, str]] = {
+        "start_noise": "targets that start accelerate by 4 m/s^2",
+        "initial_platform_rate": "the platform's first turn rate is uncertain by 1 rad/s",
+        "range_min": "a radar measures a position from 0.1 m on",
+        "noise_memory": "noise is estimated over 200 measurements",
+    }
+    model: ModelName = Field("ctrv", description=f"How targets move (no unit): {_MEANINGS}.")
     method: Literal["kf", "ekf", "ukf", "ckf", "imm"] = Field(
         "ekf",
         description="Linear Kalman filter, which takes radar as a position, of models cv and ca;"
@@ -90,7 +100,7 @@ class FusionConfig(Config):
         description="Sigma points that ukf compares with a measurement: new ones, drawn from the"
         " predicted covariance; or those of the prediction, as courses do (no unit).",
     )
-    imm_models: tuple[Literal["cv", "ca", "ct", "ctrv", "ctra"], ...] = Field(
+    imm_models: tuple[MixableName, ...] = Field(
         ("cv", "ctrv"), min_length=1, description="Models that imm mixes (no unit)."
     )
     imm_sojourn: float = Field(
@@ -129,12 +139,6 @@ class FusionConfig(Config):
         description="The same of the platform, where its turn rate is a state [rad/s^1.5], or"
         " discrete [rad/s^2].",
     )
-    start_noise: float = Field(
-        4.0,
-        gt=0,
-        le=1e6,
-        description="Acceleration of a target that starts, constant over a step [m/s^2].",
-    )
     lidar_std: Pair = Field(
         (0.15, 0.15), description="Standard deviations of x and y of the LiDAR [m], > 0."
     )
@@ -150,12 +154,6 @@ class FusionConfig(Config):
         (0.0, 0.0, 0.0),
         description="Standard deviations of x, y [m] and yaw [rad] of the platform's poses, >= 0:"
         " what they make of a place enters the noise of LiDAR and radar; zeros: exact.",
-    )
-    range_min: float = Field(
-        0.1,
-        gt=0,
-        description="Nearer to the sensor than this, range and bearing of the radar are taken as"
-        " a position [m].",
     )
     gyro: Literal["input", "measurement", "none"] = Field(
         "input",
@@ -190,9 +188,6 @@ class FusionConfig(Config):
     initial_acceleration: float = Field(
         3.0, gt=0, le=1e6, description="Same of the acceleration [m/s^2]."
     )
-    initial_platform_rate: float = Field(
-        1.0, gt=0, le=1e3, description="Same of the platform's turn rate [rad/s]."
-    )
     gate_probability: float | None = Field(
         0.9999,
         gt=0,
@@ -215,12 +210,6 @@ class FusionConfig(Config):
         " covariance (no unit): estimated from the measurements, starting with `lidar_std` and"
         " `radar_std`; or these as they are. With estimated a measurement beyond the gate also"
         " makes the state less certain where its motion is in doubt rather than the measurement.",
-    )
-    noise_memory: float = Field(
-        200.0,
-        ge=10,
-        le=1e6,
-        description="Measurements of a sensor over which its noise is estimated (count, no unit).",
     )
     buffer_time: float = Field(
         0.5,

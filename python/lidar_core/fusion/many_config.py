@@ -1,11 +1,14 @@
-"""Configuration of the tracker of many targets, and of boats as a harbour ferry sees them."""
+"""Configuration of the tracker of many targets."""
 
-from typing import Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from lidar_core.config import Config
 from lidar_core.fusion.config import FusionConfig
+
+Density = Annotated[float, Field(gt=0, le=1e6)]
 
 
 class MultiTargetConfig(Config):
@@ -17,6 +20,10 @@ class MultiTargetConfig(Config):
     data association", 1983.
     """
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "lidar_clutter": "write it as the first value of clutter",
+        "radar_clutter": "write it as the second value of clutter",
+    }
     target: FusionConfig = Field(
         FusionConfig(),
         description="The filter of each target; its gate decides which measurements may be one's,"
@@ -69,14 +76,11 @@ class MultiTargetConfig(Config):
         lt=1,
         description="Probability that a scan measures a target, for association joint (no unit).",
     )
-    lidar_clutter: float = Field(
-        1e-3, gt=0, le=1e6, description="Density of clutter of the LiDAR, for the same [1/m^2]."
-    )
-    radar_clutter: float = Field(
-        1e-3,
-        gt=0,
-        le=1e6,
-        description="Density of clutter of the radar, for the same [1/(m rad m/s)].",
+
+    clutter: tuple[Density, Density] = Field(
+        (1e-3, 1e-3),
+        description="Densities of clutter of the LiDAR [1/m^2] and of the radar [1/(m rad m/s)],"
+        " for the same.",
     )
 
     @classmethod
@@ -102,24 +106,3 @@ class MultiTargetConfig(Config):
         if self.confirm_hits > self.confirm_window:
             raise ValueError("confirm_hits: expected at most confirm_window")
         return self
-
-
-class AutoferryOptions(Config):
-    """Errors of the scanners of the Autoferry recordings, which do not tell any.
-
-    Source: differences from the truth in scenarios 2 and 13, antennas and hulls included.
-    """
-
-    lidar_std: float = Field(
-        3.0, gt=0, le=1e6, description="Standard deviation of the LiDAR's x and y [m]."
-    )
-    radar_std: float = Field(
-        5.0, gt=0, le=1e6, description="Standard deviation of the radar's x and y, near by [m]."
-    )
-    radar_bearing_std: float = Field(
-        0.02,
-        ge=0,
-        le=3,
-        description="Standard deviation of the radar's bearing, added across the line of sight"
-        " [rad].",
-    )

@@ -3,17 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core._core import fusion_models
 from lidar_core.fusion.config import FusionConfig
 
-STATES: dict[str, tuple[str, ...]] = {
-    "cv": ("x", "y", "vx", "vy"),
-    "ca": ("x", "y", "vx", "vy", "ax", "ay"),
-    "ct": ("x", "y", "vx", "vy", "w"),
-    "ctrv": ("x", "y", "v", "theta", "w"),
-    "ctra": ("x", "y", "v", "theta", "w", "a"),
-    "ctrv-drone": ("x", "y", "v", "theta", "w", "w_d"),
-    "paper": ("x", "y", "v", "theta", "w", "w_d"),
-}
+STATES: dict[str, tuple[str, ...]] = {name: tuple(states) for name, states, *_ in fusion_models()}
 """Names of states by model; w_d of ctrv-drone is there unless a gyro is an input."""
 
 

@@ -12,6 +12,12 @@ TopicName = Annotated[str, Field(min_length=1)]
 
 REPORT_INTERVAL = 1.0
 """Time between two lines on the console [s]."""
+POSE_HISTORY = 10.0
+"""Poses this much older than the newest scan are forgotten [s]: no scan waits for so long."""
+RETRY_INTERVAL = 1.0
+"""Time between two attempts to connect again [s]."""
+MAX_POSES = 10_000
+"""Messages with poses that wait to be read. Source: limits table of SECURITY.md."""
 
 
 class LiveConfig(Config):
@@ -19,6 +25,9 @@ class LiveConfig(Config):
 
     removed: ClassVar[Mapping[str, str]] = {
         "report_interval": "reports come every second",
+        "pose_history": "poses are forgotten after 10 s",
+        "retry_interval": "a connection is tried again after 1 s",
+        "max_poses": "10,000 messages with poses may wait",
     }
     pose_wait: float = Field(
         0.2,
@@ -26,23 +35,14 @@ class LiveConfig(Config):
         description="How long a scan waits for the pose of its last point; after it the newest"
         " pose counts, if it is not older than `poses.max_extrapolation` [s].",
     )
-    pose_history: float = Field(
-        10.0, gt=0, description="Poses this much older than the newest scan are forgotten [s]."
-    )
     max_waiting: int = Field(
         8, ge=1, description="Scans of one LiDAR that wait for their poses (no unit)."
-    )
-    max_poses: int = Field(
-        10_000, ge=1, description="Messages with poses that wait to be read (no unit)."
     )
     max_frames: int = Field(
         1000, ge=1, description="Pairs of frames whose transforms are kept (no unit)."
     )
     connect_timeout: float = Field(
         10.0, gt=0, description="How long the first connection may take [s]."
-    )
-    retry_interval: float = Field(
-        1.0, gt=0, description="Time between two attempts to connect again [s]."
     )
     domain: int = Field(0, ge=0, le=232, description="Domain of ROS 2 over Zenoh (no unit).")
     transform_topics: tuple[TopicName, ...] = Field(

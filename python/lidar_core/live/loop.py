@@ -8,7 +8,7 @@ from typing import Any, Generic
 
 from lidar_core.errors import FormatError, LidarCoreError
 from lidar_core.io import NoTransformError, PosedScan
-from lidar_core.live.config import REPORT_INTERVAL, LiveConfig
+from lidar_core.live.config import MAX_POSES, REPORT_INTERVAL, LiveConfig
 from lidar_core.live.outputs.output import Output
 from lidar_core.live.pipelines import LivePipeline
 from lidar_core.live.poses import LivePoses
@@ -97,7 +97,7 @@ class LiveLoop(Generic[ScanT]):
         on_silence: Callable[[list[str]], None] = lambda advertised: None,
     ) -> None:
         self.stats = LiveStats()
-        self.inbox = Inbox(max_poses=config.max_poses)
+        self.inbox = Inbox(max_poses=MAX_POSES)
         self.pipeline: LivePipeline[ScanT] | None = None
         self._source = source
         self._make: Callable[[type], LivePipeline[ScanT] | None] = pipeline

@@ -11,7 +11,7 @@ from lidar_core.io.messages.ros import POSE_TYPES
 from lidar_core.io.poses.nameless import LOOKED_AT, carrier_of, same_movement
 from lidar_core.io.poses.posed import KISS, WORLD_FRAME, pose_stamps, span_ns
 from lidar_core.io.records import Topic
-from lidar_core.live.config import LiveConfig
+from lidar_core.live.config import POSE_HISTORY, LiveConfig
 from lidar_core.live.scan_odometry import ScanOdometry
 from lidar_core.messages import Pose, ScanT
 
@@ -224,6 +224,6 @@ class LivePoses:
         return buffer
 
     def _forget(self, stamp_ns: int) -> None:
-        oldest_ns = stamp_ns - round(self._config.pose_history * 1e9)
+        oldest_ns = stamp_ns - round(POSE_HISTORY * 1e9)
         for buffer in (self._transforms, *self._odometry.values()):
             buffer.forget(oldest_ns)

@@ -167,7 +167,6 @@ class FlyingRun:
         self.gate_reason = "no scan was processed"
         self.gate_is_open = False
         self.gate_opened_at: int | None = None
-        self.burn_in_scans = 0
         self.sky = "unknown"
         self._shares: list[tuple[float, float]] = []
         self.rejected: Counter[str] = Counter()
@@ -213,7 +212,6 @@ class FlyingRun:
         self._flying.append(self._cloud[frame.point_class == PointClass.FLYING])
         status = frame.status
         self.gate_reason, self.gate_is_open = status.reason, status.gate_open
-        self.burn_in_scans += status.is_burn_in
         if status.gate_open and self.gate_opened_at is None:
             self.gate_opened_at = len(self.frames)
         self.sky = status.sky if status.sky != "unknown" else self.sky
@@ -249,6 +247,11 @@ class FlyingRun:
     def n_scans(self) -> int:
         """Scans that were processed or held."""
         return len(self.frames)
+
+    @property
+    def burn_in_scans(self) -> int:
+        """Scans so far in which nothing was reported yet."""
+        return sum(frame.status.is_burn_in for frame in self.frames)
 
     @property
     def latency(self) -> Latency | None:

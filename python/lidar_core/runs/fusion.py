@@ -9,7 +9,6 @@ from typing import Any
 from lidar_core.config import Config, checked
 from lidar_core.errors import ConfigError, InputError
 from lidar_core.fusion import (
-    AutoferryOptions,
     BagOptions,
     DetectionScan,
     FusionConfig,
@@ -232,8 +231,7 @@ class _FuseJob:
         recording = self.recording
         if recording.suffix == ".json":
             self._check_read("detections of Autoferry", ())
-            reading = {"fusion_autoferry": AutoferryOptions()}
-            return _Scans(read_autoferry(recording), "Autoferry"), reading
+            return _Scans(read_autoferry(recording), "Autoferry"), {}
         if recording.is_dir() or recording.suffix.lower() in BAGS:
             self._check_read("a ROS recording", ("topics",))
             return self._bag()

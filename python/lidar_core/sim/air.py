@@ -1,6 +1,7 @@
 """Rain, dust and fog, whose returns belong to no object."""
 
-from typing import Annotated, Literal, TypeAlias
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import Field
 
@@ -19,21 +20,14 @@ class Rain(Config):
     that is enough is a typical value.
     """
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "beam_size": "a ray is 9.5 mm wide where it leaves the sensor",
+        "beam_divergence": "a ray widens by 3.1 mrad",
+        "least_share": "a drop is seen from 1 % of the ray's section",
+    }
     kind: Literal["rain"] = "rain"
     density: float = Field(10.0, gt=0, description="Drops of that size [1/m^3].")
     drop_size: float = Field(0.003, gt=0, description="Diameter of a drop [m].")
-    beam_size: float = Field(
-        0.0095, gt=0, description="Diameter of a ray where it leaves the sensor [m]."
-    )
-    beam_divergence: float = Field(
-        0.0031, gt=0, description="Growth of that diameter with the range [rad]."
-    )
-    least_share: float = Field(
-        0.01,
-        gt=0,
-        le=1,
-        description="A drop is seen while it fills this share of the ray's section (no unit).",
-    )
 
 
 class Dust(Config):
@@ -56,6 +50,9 @@ class Fog(Config):
     sooner (`Surface`; those that state nothing count as of reflectivity 0.3, met head-on).
     """
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "speckle_range": "droplets give returns up to 6 m away",
+    }
     kind: Literal["fog"] = "fog"
     visibility: float = Field(
         gt=0, description="Distance at which 2 % of the contrast are left (Koschmieder) [m]."
@@ -63,7 +60,6 @@ class Fog(Config):
     speckle: float = Field(
         0.01, ge=0, description="Returns of droplets per metre of a ray's way [1/m]."
     )
-    speckle_range: float = Field(6.0, gt=0, description="Up to where droplets give returns [m].")
 
     @property
     def extinction(self) -> float:

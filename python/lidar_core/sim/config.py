@@ -1,6 +1,7 @@
 """A scene: static bodies, moving targets and the sensor; read from TOML."""
 
-from typing import Self
+from collections.abc import Mapping
+from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
@@ -42,6 +43,9 @@ class Target(Config):
 class Scene(Config):
     """A world with a sensor, and the number of scans."""
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "pose_rate": "there are 100 poses per second",
+    }
     bodies: tuple[Body, ...] = Field((), description="Static bodies (see there for units).")
     targets: tuple[Target, ...] = Field((), description="Moving targets (see there for units).")
     air: tuple[Particles, ...] = Field(
@@ -61,7 +65,6 @@ class Scene(Config):
     )
     scans: int = Field(60, ge=1, le=1_000_000, description="Length of the recording [scans].")
     start_ns: int = Field(0, ge=0, le=2**62, description="Start of the first scan [ns].")
-    pose_rate: float = Field(100.0, gt=0, le=10_000, description="Poses per second [Hz].")
 
     def idealised(self) -> Self:
         """Return the same scene in clear air, where everything returns and all rays are known.

@@ -1,7 +1,7 @@
 """Models of 3D and 2D LiDARs, and presets of some that are sold."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -32,6 +32,10 @@ class Rosette(Config):
     not on a maker's formula.
     """
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "turn_rate": "it makes 16.18 turns or swings in azimuth per second",
+        "swing_rate": "it swings 2236 times per second in elevation",
+    }
     kind: Literal["rosette"] = "rosette"
     rays: int = Field(20_000, ge=1, le=4_000_000, description="Rays per scan (no unit).")
     elevation_min_deg: float = Field(ge=-90, le=90, description="Lowest elevation [deg].")
@@ -39,8 +43,6 @@ class Rosette(Config):
     azimuth_half_deg: float | None = Field(
         None, gt=0, lt=180, description="Azimuth to either side of the x axis; none: turns [deg]."
     )
-    turn_rate: float = Field(16.180_339_887, gt=0, description="Turns, or swings, in azimuth [Hz].")
-    swing_rate: float = Field(2236.067_977, gt=0, description="Swings in elevation [Hz].")
 
 
 class Planar(Config):

@@ -38,6 +38,8 @@ COLUMNS: dict[str, type] = {
 
 YAW_PERIOD = 8.0
 """From one turn to the next alike [s]."""
+RATE = 20.0
+"""Rows per second, LiDAR and radar in turn [Hz]."""
 PITCH_PERIOD = 3.0
 """Period of the pitch [s]."""
 TURN_PERIOD = 12.0
@@ -55,11 +57,9 @@ class Overflight(Config):
         "yaw_period": "turns repeat after 8 s",
         "pitch_period": "pitch has a period of 3 s",
         "target_turn_period": "turns of the target repeat after 12 s",
+        "rate": "there are 20 rows per second",
     }
     seconds: float = Field(30.0, gt=0, le=3600, description="Duration [s].")
-    rate: float = Field(
-        20.0, gt=0, le=1000, description="Rows per second, LiDAR and radar in turn [Hz]."
-    )
     height: float = Field(6.0, gt=0, le=1000, description="Of the sensors above the target [m].")
     speed: float = Field(1.2, ge=0, le=100, description="Of the drone, along x [m/s].")
     yaw_rate: float = Field(0.5, ge=0, le=10, description="Greatest, to and fro [rad/s].")
@@ -155,7 +155,7 @@ def overfly(config: Overflight, *, seed: int) -> Overflown:
     ((20, 3), [8.0, 0.0, 0.0])
     """
     rng = np.random.default_rng([20230703, seed])
-    seconds = np.arange(max(2, round(config.seconds * config.rate))) / config.rate
+    seconds = np.arange(max(2, round(config.seconds * RATE))) / RATE
     swings = 2 * np.pi / YAW_PERIOD
     yaw = config.yaw_rate / swings * np.sin(swings * seconds)
     yaw_rate = config.yaw_rate * np.cos(swings * seconds)
@@ -192,7 +192,7 @@ def _walk(
     flat = np.stack([np.cos(heading), np.sin(heading), 0 * heading], axis=1)
     turns = np.diff(heading)
     middle = heading[:-1] + turns / 2
-    chords = config.target_speed / config.rate * np.sinc(turns / 2 / np.pi)
+    chords = config.target_speed / RATE * np.sinc(turns / 2 / np.pi)
     steps = chords[:, None] * np.stack([np.cos(middle), np.sin(middle), 0 * middle], axis=1)
     start = np.array([[config.target_start, 0.0, 0.0]])
     return np.cumsum(np.vstack([start, steps]), axis=0), config.target_speed * flat

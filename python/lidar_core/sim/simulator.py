@@ -20,6 +20,9 @@ from lidar_core.sim.solids.shapes import Cylinder, Sway, Tree
 from lidar_core.sim.surfaces import Answers
 from lidar_core.sim.truth import SimulatedScan, SimulatedSweep
 
+POSE_RATE = 100.0
+"""Poses per second within a scan [Hz]: as self-localisation with an IMU gives them."""
+
 
 class Simulator:
     """A scene at work: any scan of it, in any order. The same seed gives the same bits.
@@ -175,7 +178,7 @@ class Simulator:
     def _pose_stamps(self, start_ns: int) -> NDArray[np.int64]:
         """Over the scan that starts at `start_ns`, ends included."""
         lidar = self.scene.lidar
-        count = max(2, 1 + int(np.ceil(self.scene.pose_rate / lidar.scan_rate)))
+        count = max(2, 1 + int(np.ceil(POSE_RATE / lidar.scan_rate)))
         return start_ns + np.linspace(0, lidar.period_ns, count).round().astype(np.int64)
 
     def truth(

@@ -40,6 +40,8 @@ mod _core {
     #[pymodule_export]
     use super::flying::voxel_map::PyVoxelMap;
     #[pymodule_export]
+    use super::fusion::config::fusion_models;
+    #[pymodule_export]
     use super::fusion::filter::{
         PyFusionStep, PyMeasurement, PyMeasurements, PyTargetFilter, fusion_fit_noise,
         fusion_outcomes, fusion_run, fusion_run_batch, fusion_smooth,

@@ -9,6 +9,16 @@ use std::f64::consts::PI;
 /// Largest number of volumes of one scene.
 pub const MAX_VOLUMES: usize = 256;
 
+/// Diameter of a ray where it leaves the sensor [m], and its growth with the range [rad]: those of
+/// an Ouster OS1, from its data sheet.
+const BEAM: [f64; 2] = [0.0095, 0.0031];
+
+/// Share of a ray's section that a drop must fill to be seen, a typical value of sensors.
+const VISIBLE_SHARE: f64 = 0.01;
+
+/// Up to here droplets of fog give returns [m]: from further away too little light comes back.
+const SPECKLE_RANGE: f64 = 6.0;
+
 /// A volume of particles. Every ray of every scan meets other particles: they are far smaller than
 /// the gaps between rays, and move far between scans.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,10 +29,6 @@ pub enum Particles {
         density: f64,
         /// Diameter of a drop [m].
         size: f64,
-        /// Diameter of a ray where it leaves the sensor [m], and its growth [m/m].
-        beam: [f64; 2],
-        /// Least share of the ray's cross-section that a visible drop fills.
-        least_share: f64,
     },
     /// A ball of dust that drifts.
     Dust {
@@ -43,8 +49,6 @@ pub enum Particles {
         extinction: f64,
         /// Rate of returns from droplets per metre [1/m].
         speckle: f64,
-        /// Largest range of returns from droplets [m].
-        reach: f64,
     },
 }
 
@@ -57,12 +61,9 @@ impl Particles {
             false => Err(refused(name, "finite and > 0", &value)),
         };
         match *self {
-            Self::Rain { density, size, beam, least_share } => {
+            Self::Rain { density, size } => {
                 positive("density", density)?;
-                positive("size", size)?;
-                positive("beam", beam[0])?;
-                positive("beam", beam[1])?;
-                positive("least_share", least_share)
+                positive("size", size)
             }
             Self::Dust { center, velocity, radius, growth, free_path } => {
                 if !center.iter().chain(&velocity).all(|value| value.is_finite()) {
@@ -74,9 +75,8 @@ impl Particles {
                 positive("radius", radius)?;
                 positive("free_path", free_path)
             }
-            Self::Fog { extinction, speckle, reach } => {
+            Self::Fog { extinction, speckle } => {
                 positive("extinction", extinction)?;
-                positive("reach", reach)?;
                 match speckle.is_finite() && speckle >= 0.0 {
                     true => Ok(()),
                     false => Err(refused("speckle", "finite and >= 0", &speckle)),
@@ -99,12 +99,13 @@ impl Particles {
     /// ray ends.
     pub(crate) fn meet(&self, ray: &CastRay, start: f64, seconds: f64, depth: f64) -> Option<f64> {
         match *self {
-            Self::Rain { density, size, beam, least_share } => {
-                // The rate per metre is density * PI / 4 * (beam[0] + beam[1] * l + size)^2.
-                let width = |length: f64| beam[0] + beam[1] * length + size;
-                let cube = width(start).powi(3) + 12.0 * beam[1] * depth / (PI * density);
-                let distance = (libm::cbrt(cube) - beam[0] - size) / beam[1];
-                let seen_up_to = (size / least_share.sqrt() - beam[0]) / beam[1];
+            Self::Rain { density, size } => {
+                let [first, growth] = BEAM;
+                // The rate per metre is density * PI / 4 * (first + growth * l + size)^2.
+                let width = |length: f64| first + growth * length + size;
+                let cube = width(start).powi(3) + 12.0 * growth * depth / (PI * density);
+                let distance = (libm::cbrt(cube) - first - size) / growth;
+                let seen_up_to = (size / VISIBLE_SHARE.sqrt() - first) / growth;
                 (distance <= seen_up_to).then_some(distance)
             }
             Self::Dust { center, velocity, radius, growth, free_path } => {
@@ -118,9 +119,9 @@ impl Particles {
                 let distance = (along - half).max(start) + free_path * depth;
                 (distance <= along + half).then_some(distance)
             }
-            Self::Fog { speckle, reach, .. } => {
+            Self::Fog { speckle, .. } => {
                 let distance = start + depth / speckle; // infinite without droplets
-                (distance <= reach).then_some(distance)
+                (distance <= SPECKLE_RANGE).then_some(distance)
             }
         }
     }
@@ -152,26 +153,23 @@ mod tests {
 
     #[test]
     fn rain_is_met_at_the_rate_of_its_drops() -> Result<(), Error> {
-        let rain = |least_share| Particles::Rain {
-            density: 100.0,
-            size: 0.003,
-            beam: [0.0095, 0.0031],
-            least_share,
-        };
-        rain(0.01).check()?;
+        let rain = Particles::Rain { density: 100.0, size: 0.003 };
+        rain.check()?;
         // Sum of the rate over small steps: the depth that reaches the far end.
         let rate = |l: f64| 100.0 * PI / 4.0 * (0.0095 + 0.0031 * l + 0.003).powi(2);
-        let depth: f64 = (0..4000).map(|k| 1e-3 * rate(1.0 + 1e-3 * (f64::from(k) + 0.5))).sum();
-        let found = rain(1e-6).meet(&AHEAD, 1.0, 0.0, depth);
+        let depth = |millimetres: i32| -> f64 {
+            (0..millimetres).map(|k| 1e-3 * rate(1.0 + 1e-3 * (f64::from(k) + 0.5))).sum()
+        };
+        let found = rain.meet(&AHEAD, 1.0, 0.0, depth(4000));
         assert!(found.is_some_and(|distance| (distance - 5.0).abs() < 1e-6));
-        assert!(rain(0.01).meet(&AHEAD, 1.0, 0.0, depth).is_some()); // seen up to 6.6 m
-        assert!(rain(0.04).meet(&AHEAD, 1.0, 0.0, depth).is_none()); // up to 1.8 m
+        assert!(rain.meet(&AHEAD, 1.0, 0.0, depth(5600)).is_some()); // at 6.6 m, seen up to 6.61 m
+        assert!(rain.meet(&AHEAD, 1.0, 0.0, depth(5630)).is_none());
         Ok(())
     }
 
     #[test]
     fn fog_gives_returns_near_the_sensor_only() -> Result<(), Error> {
-        let fog = |speckle| Particles::Fog { extinction: 0.02, speckle, reach: 6.0 };
+        let fog = |speckle| Particles::Fog { extinction: 0.02, speckle };
         fog(0.1).check()?;
         assert_eq!(fog(0.1).meet(&AHEAD, 0.5, 0.0, 0.25), Some(3.0));
         assert_eq!(fog(0.1).meet(&AHEAD, 0.5, 0.0, 0.6), None);
@@ -183,7 +181,7 @@ mod tests {
 
     #[test]
     fn impossible_air_is_refused() {
-        let rain = Particles::Rain { density: 0.0, size: 0.1, beam: [0.1; 2], least_share: 0.1 };
+        let rain = Particles::Rain { density: 0.0, size: 0.1 };
         assert!(rain.check().is_err());
     }
 }

@@ -9,6 +9,12 @@ use std::f64::consts::TAU;
 /// Largest number of lines of a beam.
 const MOST_LINES: usize = 64;
 
+/// Turns, or swings, of a rosette in azimuth, and its swings in elevation [Hz]. Ten times the golden
+/// ratio and a thousand times the root of five have no common measure with each other or with usual
+/// scan rates, so the pattern does not repeat.
+const TURN_RATE: f64 = 16.180_339_887;
+const SWING_RATE: f64 = 2_236.067_977;
+
 /// Ray directions of a scan and their firing times.
 #[derive(Clone, Debug)]
 pub enum Pattern {
@@ -33,10 +39,6 @@ pub enum Pattern {
         elevation: [f64; 2],
         /// Largest azimuth to either side of the x axis [rad]; None for whole turns.
         azimuth_half: Option<f64>,
-        /// Turns, or swings of the azimuth, per second [Hz].
-        turn_rate: f64,
-        /// Swings of the elevation per second [Hz].
-        swing_rate: f64,
     },
     /// Single rays in the plane z = 0: a 2D LiDAR.
     Planar {
@@ -160,8 +162,8 @@ impl Lidar {
                 let start = azimuth_start + azimuth_per_scan * scan as f64;
                 self.spinning(elevations, *columns, start)
             }
-            Pattern::Rosette { rays, elevation, azimuth_half, turn_rate, swing_rate } => {
-                self.rosette(scan, *rays, *elevation, *azimuth_half, [*turn_rate, *swing_rate])
+            Pattern::Rosette { rays, elevation, azimuth_half } => {
+                self.rosette(scan, *rays, *elevation, *azimuth_half)
             }
             Pattern::Planar { rays, angle_min, angle_increment, time_increment_ns } => {
                 let step_ns = if self.snapshot { 0 } else { *time_increment_ns };
@@ -190,13 +192,12 @@ impl Lidar {
         rays: usize,
         elevation: [f64; 2],
         azimuth_half: Option<f64>,
-        rates: [f64; 2],
     ) -> SweepRays {
         let offsets_ns = self.offsets(rays);
         let step = self.period_ns as f64 * 1e-9 / rays as f64;
         let direction = |ray: usize| {
             let time = (scan as f64 * rays as f64 + ray as f64) * step;
-            let [turn, swing] = [rates[0] * time, rates[1] * time].map(f64::fract);
+            let [turn, swing] = [TURN_RATE * time, SWING_RATE * time].map(f64::fract);
             let azimuth = match azimuth_half {
                 Some(half) => half * (2.0 * triangle(turn) - 1.0),
                 None => TAU * turn,

@@ -84,7 +84,7 @@ UNREAD = {
 def test_a_change_of_any_value_is_seen(model):
     config = DEFAULTS[model, "default"]
     paths = list(leaves(config))
-    assert len(paths) > 20
+    assert len(paths) > 15
     unseen = {
         ".".join(path) for path in paths if not differing(model, "default", changed(config, path))
     }

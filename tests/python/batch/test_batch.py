@@ -11,6 +11,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from commands import running
 from hypothesis import given
 from hypothesis import strategies as st
 from repository import ROOT
@@ -412,20 +413,15 @@ def test_ctrl_c_leaves_whole_files_and_the_same_command_goes_on(batch):
         .replace("--seed {seed}", "--seed {seed} --scans 40")
     )
     folder = batch.parent / "out"
-    program = "from lidar_core.cli import main; main()"
-    process = subprocess.Popen(
-        [sys.executable, "-c", program, "batch", batch, "-o", folder, "--workers", "1"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    limit = time.monotonic() + 120
-    while time.monotonic() < limit and not any(
-        one["status"] == "done" for one in records(folder).values()
-    ):
-        time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    output = process.communicate(timeout=120)[0]
+    arguments = ("batch", batch, "-o", folder, "--workers", 1)
+    with running(*arguments, stderr=subprocess.STDOUT) as process:
+        limit = time.monotonic() + 120
+        while time.monotonic() < limit and not any(
+            one["status"] == "done" for one in records(folder).values()
+        ):
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        output = process.communicate(timeout=120)[0]
     assert process.returncode == 130, output
     assert "interrupted: run the same command to resume" in output
     done = [name for name, one in records(folder).items() if one["status"] == "done"]

@@ -142,7 +142,8 @@ def test_an_element_without_a_radius_goes(config):
 
 def test_modes_at_the_ends_of_their_ranges_keep_the_map_sound():
     for weights, times in [((1e6, 1e-6), (1e-3, 1e6)), ((1e-6, 1e6), (1e-3, 1e-3))]:
-        config = CircleMapConfig(process_noise=(0.0, 10.0), mode_weight=weights, mode_time=times)
+        modes = tuple(zip((0.0, 10.0), weights, times, strict=True))
+        config = CircleMapConfig(modes=modes)
         circles = CircleMap(config)
         for step in range(40):
             feed(circles, step, [3.0, 0.01 * step, 0.3])
@@ -233,12 +234,12 @@ def test_refused_calls_change_nothing(config, change, text):
     "values",
     [
         {"confirm_hits": 6},
-        {"process_noise": (1.0,)},
-        {"mode_time": (0.0, 1.0, 1.0)},
-        {"mode_time": (1e-300, 1.0, 1.0)},
-        {"mode_weight": (1.0, 1.0, 1e-17)},
-        {"mode_weight": (1e308, 1e308, 1.0)},
-        {"process_noise": (0.1, -1.0, 1.0)},
+        {"modes": ()},
+        {"modes": ((0.1, 1.0, 0.0),)},
+        {"modes": ((0.1, 1.0, 1e-300),)},
+        {"modes": ((0.1, 1.0, 1.0), (0.1, 1e-17, 1.0))},
+        {"modes": ((0.1, 1e308, 1.0), (0.1, 1.0, 1.0))},
+        {"modes": ((0.1, 1.0, 1.0), (-1.0, 1.0, 1.0))},
         {"filter": "paper", "velocity_step": 1e200},
         {"filter": "joint"},
         {"gate_probability": 1.0},

@@ -185,13 +185,13 @@ def assert_like_the_oracle(ranges, bearings, corner_depth=0.0):
     groups, sides = oracle.segment(
         ranges,
         bearings,
-        incidence=config.incidence,
+        incidence=np.deg2rad(10.0),
         slack=config.slack,
         max_gap=1,
-        corner=(config.corner_depth, config.corner_width),
+        corner=(config.corner_depth, 1.2),
         min_points=2,
         limits=(0.1, 10.0),
-        margins=(config.near_margin, config.far_margin),
+        margins=(0.15, 1.2),
     )
     got = {
         tuple(found.rays_of(number)): found.sides[number - 1].tolist()

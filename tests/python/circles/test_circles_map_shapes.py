@@ -159,9 +159,7 @@ def fine(monkeypatch):
     monkeypatch.setitem(globals(), "SCANNER", FINE)
     return CirclesConfig(
         scanner=FINE,
-        map=CircleMapConfig(
-            process_noise=(1e-6,), mode_weight=(1.0,), mode_time=(1.0,), turn_noise=0.0
-        ),
+        map=CircleMapConfig(modes=((1e-6, 1.0, 1.0),), turn_noise=0.0),
     )
 
 

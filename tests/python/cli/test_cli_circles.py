@@ -7,17 +7,18 @@ import sys
 import time
 import tomllib
 from dataclasses import replace
+from functools import partial
 from itertools import count
 
 import numpy as np
 import pytest
+from commands import invoke, json_of, running
 from repository import ROOT
-from typer.testing import CliRunner
 
 import lidar_core.io
 from lidar_core import ConfigError, FormatError, InputError, sim
 from lidar_core.circles import CirclePipeline, CirclesConfig
-from lidar_core.cli import app, main
+from lidar_core.cli import main
 from lidar_core.io import PosedScan, open_recording, posed_laser_scans, read_columns, write_npz
 from lidar_core.messages import LaserScan, Pose
 from lidar_core.runs.circle_map import CirclesRun
@@ -27,18 +28,7 @@ from lidar_core.viz.film import film_ending
 SCANS, RADIUS = 60, 0.3
 POSITION_ERROR, RADIUS_ERROR = 0.02, 0.01
 """Of an element that has been seen for a second [m]."""
-PROGRAM = "import sys; sys.argv[0] = 'lidar-core'; from lidar_core.cli import main; main()"
-
-
-def run_command(*arguments):
-    return CliRunner().invoke(app, ["circles", *map(str, arguments)])
-
-
-def result_of(*arguments):
-    """The result of a run that must succeed."""
-    out = run_command(*arguments, "--json", "-")
-    assert out.exit_code == 0, out.output
-    return json.loads(out.stdout)
+run_command, result_of = partial(invoke, "circles"), partial(json_of, "circles")
 
 
 @pytest.fixture(scope="module")
@@ -105,9 +95,7 @@ def test_the_element_lies_where_the_truth_says(recording, run):
 
 def test_the_folder_can_be_scored(recording, run):
     folder, _ = run
-    out = CliRunner().invoke(app, ["evaluate", str(folder), str(recording), "--json", "-"])
-    assert out.exit_code == 0, out.output
-    result = json.loads(out.stdout)
+    result = json_of("evaluate", folder, recording)
     assert result["track_scores"]["position_error"]["rmse"] < 2 * POSITION_ERROR
     assert result["detection_scores"]["n_false"] == 0
     assert result["latency_ms"]["total"]["mean"] > 0
@@ -368,20 +356,15 @@ def test_points_of_long_runs_are_thinned(recording, monkeypatch):
 def test_ctrl_c_leaves_whole_files_and_ends_with_130(recordings, tmp_path):
     folder = tmp_path / "run"
     log = recordings / "2d/radish/intel.clf.bz2"
-    process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, "circles", str(log), "-o", str(folder), "--no-picture"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    for _ in count():
-        assert process.poll() is None, process.communicate()
-        if folder.exists():
-            break
-        time.sleep(0.05)
-    time.sleep(0.5)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=120)
+    with running("circles", log, "-o", folder, "--no-picture") as process:
+        for _ in count():
+            assert process.poll() is None, process.communicate()
+            if folder.exists():
+                break
+            time.sleep(0.05)
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=120)
     assert process.returncode == 130, errors
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["ended_early"] == "interrupted"
@@ -438,11 +421,7 @@ def test_a_vehicle_is_followed_as_motion_capture_says(recordings, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert "129 of 130 scans" in done.stdout
-    out = CliRunner().invoke(
-        app, ["evaluate", str(run), str(truth), "--gate", "0.5", "--no-identities", "--json", "-"]
-    )
-    assert out.exit_code == 0, out.output
-    scores = json.loads(out.stdout)["track_scores"]
+    scores = json_of("evaluate", run, truth, "--gate", 0.5, "--no-identities")["track_scores"]
     assert scores["recall"] > 0.95
     assert scores["position_error"]["rmse"] < ERROR_OF_THE_VEHICLE
 

@@ -3,13 +3,13 @@
 import json
 import sys
 import tomllib
+from functools import partial
 
 import numpy as np
 import pytest
+from commands import invoke
 from matplotlib.image import imread
-from typer.testing import CliRunner
 
-from lidar_core.cli import app
 from lidar_core.extras import install_command
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 
@@ -17,8 +17,7 @@ SCANS = 14
 TABLE = ["recall of tracks", "position error", "false tracks", "time per scan", "map memory"]
 
 
-def run_command(*arguments):
-    return CliRunner().invoke(app, ["demo", *map(str, arguments)])
+run_command = partial(invoke, "demo")
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +67,7 @@ def test_the_folder_holds_what_the_guide_says(demo):
 def test_the_folder_can_be_evaluated_again(demo, tmp_path):
     folder, _, result = demo
     again = tmp_path / "again.json"
-    out = CliRunner().invoke(app, ["evaluate", str(folder), str(folder), "--json", str(again)])
+    out = invoke("evaluate", folder, folder, "--json", again)
     assert out.exit_code == 0, out.output
     values = json.loads(again.read_text())
     for name in ("track_scores", "detection_scores", "latency_ms"):

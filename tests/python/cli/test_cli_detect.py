@@ -11,12 +11,13 @@ import sys
 import time
 import tomllib
 from dataclasses import replace
+from functools import partial
 from itertools import count
 
 import numpy as np
 import pytest
+from commands import command_line, invoke, json_of, running
 from flying_scenes import drone, yard
-from typer.testing import CliRunner
 
 from lidar_core import (
     ConfigError,
@@ -27,27 +28,15 @@ from lidar_core import (
     run_folder,
     sim,
 )
-from lidar_core.cli import app
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 from lidar_core.io import McapWriter, open_recording, posed_scans, write_npz
 from lidar_core.messages import Pose, Scan
 
 SCANS = 20
 FLIGHT = drone((6.0, 4.0, 3.5), (5.0, 6.0, 4.0))
-PROGRAM = "import sys; sys.argv[0] = 'lidar-core'; from lidar_core.cli import main; main()"
+run_command, result_of = partial(invoke, "detect"), partial(json_of, "detect")
 POSITION_ERROR = 0.4
 """Of a track of a ball of radius 0.325 m, of which one side is seen [m]."""
-
-
-def run_command(*arguments):
-    return CliRunner().invoke(app, ["detect", *map(str, arguments)])
-
-
-def result_of(*arguments):
-    """The result of a run that must succeed."""
-    out = run_command(*arguments, "--json", "-")
-    assert out.exit_code == 0, out.output
-    return json.loads(out.stdout)
 
 
 @pytest.fixture(scope="module")
@@ -154,7 +143,7 @@ def test_repeating_opens_the_gate(recording, tmp_path):
 
 def test_a_part_of_a_recording_is_the_same_as_a_recording_of_that_part(recording, tmp_path):
     part, span = tmp_path / "part.npz", ("--start", "0.25", "--end", "0.6")
-    converted = CliRunner().invoke(app, ["convert", str(recording), str(part), *span])
+    converted = invoke("convert", recording, part, *span)
     assert converted.exit_code == 0, converted.output
     plain = ("--no-picture", "--no-mcap")
     whole = result_of(part, "-o", tmp_path / "a", *plain)
@@ -346,20 +335,14 @@ def test_without_the_viz_extra_there_is_no_mcap(recording, tmp_path, monkeypatch
 def test_ctrl_c_leaves_whole_files_and_ends_with_130(recording, tmp_path):
     folder = tmp_path / "run"
     arguments = ["detect", recording, "-o", folder, "--repeat", "100000", "--pose", "static"]
-    process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
-    )
-    for _ in count():
-        if list(folder.glob(".run.mcap*")) or process.poll() is not None:
-            break
-        time.sleep(0.05)
-    time.sleep(1.0)
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=60)
+    with running(*arguments, env=os.environ | {"PYTHONUNBUFFERED": "1"}) as process:
+        for _ in count():
+            if list(folder.glob(".run.mcap*")) or process.poll() is not None:
+                break
+            time.sleep(0.05)
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
     assert "interrupted" in err
     assert "time per scan" in out
@@ -432,7 +415,7 @@ def test_real_ouster_recordings_without_a_flyer(name, recordings, ouster_python,
     given = pose if pose == "static" else data / pose
     arguments = ["detect", data / name, "-o", tmp_path / "a", "--pose", given, "--json", "-"]
     done = subprocess.run(
-        [ouster_python, "-c", PROGRAM, *map(str, arguments)],
+        command_line(*arguments, python=ouster_python),
         capture_output=True,
         text=True,
         check=False,
@@ -448,7 +431,7 @@ def test_broken_ouster_files_are_refused(recordings, ouster_python, tmp_path):
     for file in files:
         arguments = ["detect", file, "-o", tmp_path / "a", "--pose", "static"]
         done = subprocess.run(
-            [ouster_python, "-c", PROGRAM, *map(str, arguments)],
+            command_line(*arguments, python=ouster_python),
             capture_output=True,
             text=True,
             check=False,

@@ -1,18 +1,17 @@
 """`lidar-core fuse`: measurements in, run folders out."""
 
 import csv
-import json
 import sys
 import tomllib
+from functools import partial
 
 import numpy as np
 import pytest
+from commands import invoke, json_of
 from matplotlib.image import imread
-from typer.testing import CliRunner
 
 import lidar_core as lc
 from lidar_core import ConfigError, FormatError, InputError
-from lidar_core.cli import app
 from lidar_core.extras import install_command
 from lidar_core.fusion import (
     FusionConfig,
@@ -32,14 +31,8 @@ EXACT = 1e-12
 SEED = 6200
 
 
-def command(*arguments):
-    return CliRunner().invoke(app, ["fuse", *map(str, arguments)])
-
-
-def result_of(*arguments):
-    out = command(*arguments, "--json", "-")
-    assert out.exit_code == 0, out.output or out.exception
-    return json.loads(out.stdout)
+command, result_of = partial(invoke, "fuse"), partial(json_of, "fuse")
+fit = partial(invoke, "config", "fit")
 
 
 def rows(count=60):
@@ -101,8 +94,7 @@ def test_a_recording_becomes_a_run_folder(recordings, tmp_path):
 def test_a_run_is_scored_by_evaluate(recordings, tmp_path):
     folder = tmp_path / "run"
     result_of(recordings / OBJ_POSE, "-o", folder, "--no-picture")
-    scored = CliRunner().invoke(app, ["evaluate", str(folder), str(folder), "--json", "-"])
-    scores = json.loads(scored.stdout)["track_scores"]
+    scores = json_of("evaluate", folder, folder)["track_scores"]
     assert scores["n_found"] == scores["n_eligible"] == 500
     assert scores["n_matched"] == scores["n_estimates"]
 
@@ -174,7 +166,7 @@ def test_a_run_is_played_in_the_world(tmp_path):
     tracks, truth = read_columns(folder / "run.mcap"), [8.0 - 0.05, 2.0]
     assert len(tracks["t_ns"]) == 60
     np.testing.assert_allclose([tracks["x"][-1], tracks["y"][-1]], truth, atol=0.5)
-    drawn = CliRunner().invoke(app, ["view", str(folder), "--png", str(tmp_path / "a.png")])
+    drawn = invoke("view", folder, "--png", tmp_path / "a.png")
     assert drawn.exit_code == 0, drawn.output
     assert not (tmp_path / "none").exists()
     none = result_of(path, "-o", tmp_path / "none", "--no-picture", "--no-mcap")
@@ -367,10 +359,6 @@ def test_a_target_that_is_never_seen_leaves_whole_files(tmp_path):
     result = result_of(path, "-o", tmp_path / "run")
     assert result["outcomes"] == {"told": 5}
     assert (tmp_path / "run" / "picture.png").exists()
-
-
-def fit(*arguments):
-    return CliRunner().invoke(app, ["config", "fit", *map(str, arguments)])
 
 
 def noisy(path, lidar_std, seed, count=400):

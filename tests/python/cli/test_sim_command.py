@@ -7,21 +7,19 @@ import re
 import subprocess
 import sys
 import tomllib
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import invoke
 
 from lidar_core import ConfigError, sim
-from lidar_core.cli import app
 from lidar_core.io import open_recording
 from lidar_core.io.files.sole import sole_writer
 from lidar_core.messages import LaserScan
 
-
-def run_command(*arguments):
-    return CliRunner().invoke(app, ["simulate", *map(str, arguments)])
+run_command = partial(invoke, "simulate")
 
 
 def test_the_command_writes_the_same_bytes_again(tmp_path):

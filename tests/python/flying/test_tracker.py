@@ -448,9 +448,7 @@ def simulated(config, rng, targets, scans):
     """States drawn from the filter's own model, far apart, one row per scan."""
     A, Q = oracle.Tracker(config).model(0.1)
     root = np.linalg.cholesky(Q + 1e-18 * np.eye(9))
-    spread = np.repeat(
-        [config.initial_position, config.initial_velocity, config.initial_acceleration], 3
-    )
+    spread = np.repeat(config.initial_std, 3)
     x = rng.normal(size=(targets, 9)) * spread
     for _ in range(scans):
         yield x
@@ -460,8 +458,9 @@ def simulated(config, rng, targets, scans):
 def consistency(config, scans=120, targets=200, factor=1.0):
     """NIS and NEES, (scans, targets), of targets that obey the model of `config`."""
     rng = np.random.default_rng(1)
+    *slow, acceleration = config.process_std
     tracker = PointCloudTracker(
-        config.model_copy(update={"process_acceleration": config.process_acceleration * factor})
+        config.model_copy(update={"process_std": (*slow, acceleration * factor)})
     )
     site = 200.0 * np.stack(
         [np.arange(targets) % 15, np.arange(targets) // 15, np.zeros(targets)], 1
@@ -492,8 +491,8 @@ def consistency(config, scans=120, targets=200, factor=1.0):
 
 CONSISTENT = BEST.model_copy(
     update=AT_ONCE
-    | {"gate_probability": 1 - 1e-12, "clutter_density": 1e-30, "radius_min": 60.0}
-    | {"radius_max": 60.0, "max_extent": None}
+    | {"gate_probability": 1 - 1e-12, "clutter_density": 1e-30, "max_extent": None}
+    | {"radius_limits": (60.0, 60.0)}
 )
 
 
@@ -678,7 +677,7 @@ def test_empty_tracks_have_their_shapes():
 @pytest.mark.parametrize(
     ("values", "text"),
     [
-        ({"radius_min": 4.0}, "radius_min <= radius_max"),
+        ({"radius_limits": (4.0, 3.0)}, "radius_limits: expected the smallest"),
         ({"confirm_hits": 11}, "confirm_hits <= confirm_window"),
         ({"measurement_std": 0}, "measurement_std"),
         ({"association": "jpda"}, "association"),

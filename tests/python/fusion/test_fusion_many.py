@@ -12,7 +12,6 @@ from lidar_core.cli import app
 from lidar_core.errors import ConfigError, FormatError, InputError, LimitError
 from lidar_core.estimation import chi2_quantile
 from lidar_core.fusion import (
-    AutoferryOptions,
     FusionConfig,
     Measurement,
     MultiTargetConfig,
@@ -61,7 +60,7 @@ def feed(tracker, scans, source="lidar"):
 @given(seed=st.integers(6300, 6999))
 def test_the_tracker_agrees_with_the_oracle(association, seed):
     rng = np.random.default_rng(seed)
-    config = SMALL.model_copy(update={"association": association, "lidar_clutter": 0.02})
+    config = SMALL.model_copy(update={"association": association, "clutter": (0.02, 1e-3)})
     tracker = MultiTargetTracker(config)
     kind = ManyTargets if association == "nearest" else JointTargets
     oracle = kind(config, gate=chi2_quantile(GATE, degrees=2))
@@ -90,7 +89,7 @@ def test_the_tracker_agrees_with_the_oracle(association, seed):
 def test_a_single_target_in_clutter_is_followed_by_its_probabilities(model, method):
     rng = np.random.default_rng(7400)
     target = FusionConfig.load({"model": model, "method": method, "lidar_std": (0.2, 0.2)})
-    config = MultiTargetConfig(target=target, association="joint", lidar_clutter=0.01)
+    config = MultiTargetConfig(target=target, association="joint", clutter=(0.01, 1e-3))
     tracker = MultiTargetTracker(config)
     for k in range(80):
         stamp, place = k * 100_000_000, np.array([2.0 + 0.3 * k, 1.0 + 0.1 * k])
@@ -111,7 +110,7 @@ def test_scans_in_any_order_give_what_the_oracle_gets_in_order(association, seed
     config = SMALL.model_copy(
         update={
             "association": association,
-            "lidar_clutter": 0.02,
+            "clutter": (0.02, 1e-3),
             "target": SMALL.target.model_copy(update={"buffer_time": 2.0}),
         }
     )
@@ -320,9 +319,7 @@ def test_north_and_east_become_y_and_x(tmp_path):
         entry(1, 12.0, []),
     ]
     truth = [[{"targetID": 7, "position": [20.0, 30.0, 0.0], "time": 11.4}], [], [], []]
-    scans = read_autoferry(
-        scenario(tmp_path, entries, truth), AutoferryOptions(radar_std=4.0, radar_bearing_std=0.1)
-    )
+    scans = read_autoferry(scenario(tmp_path, entries, truth))
     order = [(scan.source, scan.stamp_ns) for scan in scans]
     assert order == [
         ("lidar", 10_250_000_000),
@@ -333,7 +330,7 @@ def test_north_and_east_become_y_and_x(tmp_path):
     first, second = scans[1].measurements
     assert first.values.tolist() == [11.0, 6.0]
     assert second.values.tolist() == [-99.0, 2.0]
-    np.testing.assert_allclose(second.covariance, [[16, 0], [0, 16 + 100]], atol=1e-9)
+    np.testing.assert_allclose(second.covariance, [[25, 0], [0, 25 + (0.02 * 100) ** 2]], atol=1e-9)
     assert scans[1].truth[7].tolist() == [30.0, 20.0]
     assert scans[2].measurements == []
     assert scans[2].sensor.tolist() == [1.0, 2.0]

@@ -38,8 +38,10 @@ def make_pose(seed=0, stamp_ns=BASE_NS, *, is_static=False):
     return Pose(stamp_ns, "map", "base", matrix, is_static=is_static, topic=topic)
 
 
-def assert_same_scan(a, b):
-    for name in Scan.__slots__:
+def assert_same_fields(a, b):
+    """Two messages of one class are equal in every value and type."""
+    assert type(a) is type(b)
+    for name in type(a).__slots__:
         left, right = getattr(a, name), getattr(b, name)
         if isinstance(left, np.ndarray):
             assert left.dtype == right.dtype, name

@@ -124,6 +124,12 @@ def test_floors_see_what_runs_up():
     assert upward(imports, floors) == {("low", "high"), ("one", "two")}
 
 
+def test_a_motion_model_is_named_in_its_own_file_and_in_the_list_of_models():
+    roots = [CORE, ROOT / "rust/lidar_core_py/src"]
+    named = house.files_naming(r'\bCtra\b|"ctra"', roots, PACKAGE)
+    assert sorted(named) == ["heading.rs", "model.rs"]
+
+
 # One home per default
 
 DEFAULT = re.compile(r"impl Default for (\w+)")

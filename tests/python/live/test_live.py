@@ -160,8 +160,9 @@ def test_poses_without_child_frame_are_those_of_the_sensor_or_what_carries_it():
     assert mounted.posed(laser(100)).world_from_lidar[0, 3] == 6.0
 
 
-def test_poses_are_forgotten_and_frames_are_limited():
-    poses = LivePoses(PoseOptions(), LiveConfig(pose_history=1.0, max_frames=5))
+def test_poses_are_forgotten_and_frames_are_limited(monkeypatch):
+    monkeypatch.setattr("lidar_core.live.poses.POSE_HISTORY", 1.0)
+    poses = LivePoses(PoseOptions(), LiveConfig(max_frames=5))
     for stamp in range(100):
         poses.add(TF, pose(stamp * 10**9), "laser")
         poses.add(TF, pose(stamp * 10**9, child=f"other{stamp}"), "laser")
@@ -1016,7 +1017,8 @@ def refusing_server(channels, knows):
 QUIET = 3
 
 
-def test_channels_that_a_server_tells_of_too_early_are_subscribed_again():
+def test_channels_that_a_server_tells_of_too_early_are_subscribed_again(monkeypatch):
+    monkeypatch.setattr("lidar_core.live.sources.foxglove.RETRY_INTERVAL", 0.05)
     channels = [
         laser_channel(1, "/known"),
         laser_channel(2, "/new"),
@@ -1026,7 +1028,7 @@ def test_channels_that_a_server_tells_of_too_early_are_subscribed_again():
         port, asked = served
         inbox = Inbox(max_poses=1)
         source = FoxgloveSource(
-            f"ws://127.0.0.1:{port}", StreamTopics(), ReadOptions(), LiveConfig(retry_interval=0.05)
+            f"ws://127.0.0.1:{port}", StreamTopics(), ReadOptions(), LiveConfig()
         )
         source.start(inbox)
         wait_until(lambda: len(inbox._scans) == 2)
@@ -1036,11 +1038,11 @@ def test_channels_that_a_server_tells_of_too_early_are_subscribed_again():
     assert source.findings.notes == []
 
 
-def test_a_channel_that_stays_unknown_is_given_up():
+def test_a_channel_that_stays_unknown_is_given_up(monkeypatch):
+    monkeypatch.setattr("lidar_core.live.sources.foxglove.RETRY_INTERVAL", 0.01)
     with refusing_server([laser_channel(4, "/none")], lambda number, times: False) as (port, asked):
         place, inbox = f"ws://127.0.0.1:{port}", Inbox(max_poses=1)
-        config = LiveConfig(retry_interval=0.01)
-        source = FoxgloveSource(place, StreamTopics(), ReadOptions(), config)
+        source = FoxgloveSource(place, StreamTopics(), ReadOptions(), LiveConfig())
         source.start(inbox)
         wait_until(lambda: source.findings.notes)
         time.sleep(0.3)
@@ -1362,7 +1364,7 @@ def test_a_port_in_use_is_an_error_with_its_cure(circles):
         (["--in", "foxglove:http://a"], "expected an address such as ws://.*, got 'http://a'"),
         (
             ["--in", "udp:0", "--stream", "bogus=1"],
-            "--stream bogus: .*; known are pose_wait, pose_",
+            "--stream bogus: .*; known are pose_wait, max_",
         ),
         (
             ["--in", "udp:0", "--stream", "bogus"],

@@ -2,16 +2,16 @@
 
 import json
 import tomllib
+from functools import partial
 from importlib import import_module
 from typing import NamedTuple
 
 import numpy as np
 import pytest
+from commands import invoke
 from matplotlib.image import imread
-from typer.testing import CliRunner
 
 from lidar_core import ConfigError, reproduce, sim
-from lidar_core.cli import app
 from lidar_core.reproduce import COLUMNS, Item, Measured, Request, Row
 from lidar_core.reproduce.jobs import Job, run
 from lidar_core.reproduce.registry import MODULES, declared, item_named, items
@@ -147,8 +147,7 @@ def its_recordings(request, monkeypatch):
         monkeypatch.setenv("LIDAR_CORE_DATA", str(request.getfixturevalue("recordings")))
 
 
-def run_command(*arguments):
-    return CliRunner().invoke(app, ["reproduce", *map(str, arguments)])
+run_command = partial(invoke, "reproduce")
 
 
 def item(name, measure, **more):

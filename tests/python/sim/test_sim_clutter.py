@@ -28,11 +28,12 @@ def test_rain_takes_the_share_of_rays_that_its_drops_fill():
     made = first(air=(rain,))
     is_drop = made.label == AIR
     found = ranges(made)[is_drop]
-    furthest = (rain.drop_size / rain.least_share**0.5 - rain.beam_size) / rain.beam_divergence
+    beam, divergence, least_share = 0.0095, 0.0031, 0.01  # of an OS1, see lidar_sim::air
+    furthest = (rain.drop_size / least_share**0.5 - beam) / divergence
     assert found.min() >= 0.5
     assert found.max() <= furthest
     steps = np.linspace(0.5, furthest, 20_001)
-    width = rain.beam_size + rain.beam_divergence * steps + rain.drop_size
+    width = beam + divergence * steps + rain.drop_size
     depth = np.trapezoid(rain.density * np.pi / 4 * width**2, steps)
     share = 1 - np.exp(-depth)
     spread = np.sqrt(share * (1 - share) / len(is_drop))

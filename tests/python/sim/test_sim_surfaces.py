@@ -96,7 +96,7 @@ def test_a_mirror_shows_a_target_where_it_is_not():
 
 @pytest.mark.parametrize("visibility", [30.0, 120.0])
 def test_fog_fades_and_speckles_as_the_oracle_says(visibility):
-    fog = sim.Fog(visibility=visibility, speckle=0.02, speckle_range=6.0)
+    fog = sim.Fog(visibility=visibility, speckle=0.02)
     made = made_of(ball(20.0, reflectivity=0.3), air=(fog,), lidar=lidar(range_min=1.0))
     extinction = 3.912 / visibility
     air = oracle.speckle(0.02, 1.0, 6.0)

@@ -6,13 +6,13 @@ import json
 import socket
 import struct
 import subprocess
-import sys
 import time
 from importlib.util import find_spec
 from threading import Thread
 
 import numpy as np
 import pytest
+from commands import running
 from mcap.reader import make_reader
 from typer.testing import CliRunner
 
@@ -23,7 +23,6 @@ from lidar_core.viz.foxglove_server import BACKLOG, FoxgloveServer, ServedLog, s
 from lidar_core.viz.origin_check import allowed_origins, refusal
 
 FOXGLOVE = "https://app.foxglove.dev"
-MAIN = "from lidar_core.cli import main; main()"
 PATIENCE_S = 60
 needs_rerun = pytest.mark.skipif(find_spec("rerun") is None, reason="rerun-sdk is not installed")
 
@@ -168,23 +167,6 @@ def run(tmp_path_factory):
     return folder / "run"
 
 
-@contextlib.contextmanager
-def served(*arguments):
-    """A command that serves; yields what it says first, as lines of both streams."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", MAIN, *map(str, arguments)],
-        text=True,
-        bufsize=1,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-    )
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
-
-
 def port_told(process):
     for line in process.stdout:
         if "://127.0.0.1:" in line:
@@ -200,7 +182,8 @@ def test_view_and_live_ask_for_host_and_origin(run, command, allowed):
         "view": ["view", run, "--foxglove", "--port", 0],
         "live": ["live", "--replay", run.parent / "a.npz", "--rate", 0.02, "--out", "foxglove:0"],
     }
-    with served(*told[command], *(["--allow-origin", FOXGLOVE] if allowed else [])) as process:
+    more = ["--allow-origin", FOXGLOVE] if allowed else []
+    with running(*told[command], *more, stderr=subprocess.STDOUT) as process:
         check_server(port_told(process), allowed=allowed)
         if not allowed:
             for line in process.stdout:

@@ -11,10 +11,9 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from chromium import CHROMIUM, Browser
-from typer.testing import CliRunner
+from commands import invoke
 
 import lidar_core as lc
-from lidar_core.cli import app
 from lidar_core.errors import FormatError
 from lidar_core.messages import ShownClass
 from lidar_core.viz import Moment, Objects, Playback, write_report
@@ -25,10 +24,6 @@ needs_chromium = pytest.mark.skipif(
     CHROMIUM is None, reason="no Chromium; on Debian: apt install chromium"
 )
 HOSTILE = "</script><script>document.title='broken'</script><img src=x onerror=alert(1)>"
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, list(map(str, arguments)))
 
 
 def made(*arguments):

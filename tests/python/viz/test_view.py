@@ -10,14 +10,13 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from commands import invoke, running
 from matplotlib import rc_context
 from mcap.reader import make_reader
 from PIL import Image
-from typer.testing import CliRunner
 
 import lidar_core as lc
 import lidar_core.io
-from lidar_core.cli import app
 from lidar_core.errors import ConfigError, FormatError, LinkError, MissingExtraError
 from lidar_core.viz import Objects, Playback, draw_film, draw_moment
 from lidar_core.viz.film import film_ending
@@ -28,10 +27,6 @@ SCANS = 15
 needs_rerun = pytest.mark.skipif(
     find_spec("rerun") is None and not os.environ.get("CI"), reason="rerun-sdk is not installed"
 )
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, list(map(str, arguments)))
 
 
 def run_of(folder, scene, command):
@@ -247,20 +242,12 @@ def test_foxglove_gets_every_message_as_it_is_stored(circles, monkeypatch):
 
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_and_sigterm_end_the_server(circles, by):
-    program = "from lidar_core.cli import main; main()"
-    process = subprocess.Popen(
-        [sys.executable, "-c", program, "view", str(circles), "--foxglove", "--port", "0"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    killer = threading.Timer(60, process.kill)
-    killer.start()
-    try:
+    with running("view", circles, "--foxglove", "--port", 0) as process:
+        killer = threading.Timer(60, process.kill)
+        killer.start()
         assert process.stdout.readline().startswith("ws://127.0.0.1:")
         process.send_signal(by)
         _, errors = process.communicate()
-    finally:
         killer.cancel()
     assert process.returncode == 0, errors
 

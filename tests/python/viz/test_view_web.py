@@ -8,9 +8,8 @@ import os
 import re
 import socket
 import subprocess
-import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from html.parser import HTMLParser
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.util import find_spec
@@ -20,6 +19,7 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 from chromium import CHROMIUM, Browser
+from commands import running
 from typer.testing import CliRunner
 
 from lidar_core.cli import app
@@ -28,7 +28,6 @@ from lidar_core.viz.rerun_page import HEADERS, POLICY, RerunPage
 
 PATIENCE_S = 180
 ORANGE = (255, 90, 25)  # of objects and their numbers
-MAIN = "from lidar_core.cli import main; main()"
 FOREIGN = "foreign.example"
 HARMLESS = {"'none'", "'self'", "'wasm-unsafe-eval'", "'unsafe-inline'", "data:", "blob:"}
 needs_chromium = pytest.mark.skipif(
@@ -53,14 +52,7 @@ def run(tmp_path_factory):
 @contextmanager
 def served(*arguments):
     """A command in a process of its own; yields the address that it prints."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", MAIN, *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        bufsize=1,
-    )
-    try:
+    with running(*arguments, stderr=subprocess.STDOUT) as process:
         told = ""
         for line in process.stdout:
             told += line
@@ -69,14 +61,9 @@ def served(*arguments):
         assert found, told
         Thread(target=process.stdout.read, daemon=True).start()
         yield found[0]
-    finally:
         process.send_signal(2)
-        try:
+        with suppress(subprocess.TimeoutExpired):
             process.wait(20)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        process.stdout.close()
 
 
 # Without a browser

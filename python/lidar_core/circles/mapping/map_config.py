@@ -1,10 +1,17 @@
 """Configuration of the semantic map: the only source of its defaults and ranges."""
 
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from lidar_core.config import Config
+
+Mode = tuple[
+    Annotated[float, Field(ge=0, le=1e6)],
+    Annotated[float, Field(ge=1e-6, le=1e6)],
+    Annotated[float, Field(ge=1e-3, le=1e6)],
+]
 
 
 class CircleMapConfig(Config):
@@ -16,6 +23,25 @@ class CircleMapConfig(Config):
     Source: Sanchez-Lopez et al., sec. V.
     """
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "standing_probability": "an element stands from 0.8 on, and moves below 0.4",
+        "birth_density": "circles of no element have a density of 1e-4 per m^3",
+        "max_velocity_std": "the velocity may be uncertain by 3 m/s",
+        "max_radius_std": "the radius may be uncertain by 0.3 m",
+        "min_misses": "three scans in a row have to miss an element",
+        "absent_time": "what rays pass goes after 0.25 s",
+        "unmatched_time": "what is no circle any more goes after 0.5 s",
+        "see_margin": "rays that end within 0.15 m belong to an element",
+        "min_rays": "an element that fewer than 4 rays meet is out of view",
+        "line_gap": "stretches of a line with a gap above 0.5 m are two",
+        "line_length": "new lines have 0.5 m at least",
+        "line_reach": "hits within 3 standard deviations of a line are its own",
+        "process_noise": "write it as the first value of each entry of modes",
+        "mode_weight": "write it as the second value of each entry of modes",
+        "mode_time": "write it as the third value of each entry of modes",
+        "center_noise": "centres of new elements jitter by 2 mm",
+        "line_coast": "lines stay for 60 s after they were last seen",
+    }
     filter: Literal["paper", "independent"] = Field(
         "independent",
         description="What keeps the elements: one filter for the robot and all of them, eqs 8-33,"
@@ -36,33 +62,21 @@ class CircleMapConfig(Config):
         description="Standard deviation of a new element's velocity, per axis, n_gv of eq. 19"
         " [m/s]; the paper gives none.",
     )
-    process_noise: tuple[Annotated[float, Field(ge=0, le=1e6)], ...] = Field(
-        (0.1, 0.5, 200.0),
+    modes: tuple[Mode, ...] = Field(
+        ((0.1, 0.4, 2.0), (0.5, 0.599, 2.0), (200.0, 0.001, 0.1)),
         min_length=1,
         max_length=4,
-        description="Densities of the white acceleration of the modes between which an element"
-        ' switches [m^2/s^3]: steady, manoeuvring, sudden turn; `filter` "independent", as all'
-        " that follows up to `line_coast`.",
-    )
-    mode_weight: tuple[Annotated[float, Field(ge=1e-6, le=1e6)], ...] = Field(
-        (0.4, 0.599, 0.001),
-        min_length=1,
-        max_length=4,
-        description="Share of each mode among new elements and among those that change their mode"
-        " (no unit).",
-    )
-    mode_time: tuple[Annotated[float, Field(ge=1e-3, le=1e6)], ...] = Field(
-        (2.0, 2.0, 0.1),
-        min_length=1,
-        max_length=4,
-        description="Mean time that each mode lasts [s].",
+        description="Modes between which an element switches: density of its white acceleration"
+        " [m^2/s^3], share among new elements and among those that change their mode (no unit),"
+        " mean time that it lasts [s]. The defaults: steady, manoeuvring, sudden turn; `filter`"
+        ' "independent", as all that follows up to `line_std`.',
     )
     standing_share: float = Field(
         0.5,
         ge=0,
         le=0.999,
         description="Share of new elements that stand still, one more mode beside those of"
-        " `mode_weight`; 0: no element is known to stand (no unit).",
+        " `modes`; 0: no element is known to stand (no unit).",
     )
     standing_time: float = Field(
         10.0, ge=1e-3, le=1e6, description="Mean time that an element stands [s]."
@@ -84,20 +98,6 @@ class CircleMapConfig(Config):
         description="Standard deviation of the velocity with which an element starts to move, per"
         " axis [m/s].",
     )
-    standing_probability: tuple[
-        Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=0, le=1)]
-    ] = Field(
-        (0.8, 0.4),
-        description="Probabilities of standing above which an element begins, and below which it"
-        " ends, to be reported as standing: without velocity (no unit).",
-    )
-    center_noise: float = Field(
-        0.002,
-        ge=0,
-        le=0.1,
-        description="Standard deviation of centres beyond that of their fits, until the scans show"
-        " it: real objects are not round [m].",
-    )
     radius_noise: float = Field(
         1e-6,
         ge=0,
@@ -110,12 +110,6 @@ class CircleMapConfig(Config):
         le=1e3,
         description="Density of the random walk of the headings of ellipses and rectangles"
         " [rad^2/s]; their half lengths wander as radii do.",
-    )
-    birth_density: float = Field(
-        1e-4,
-        gt=0,
-        description="Density of circles that belong to no element, per area and radius [1/m^3]: a"
-        " circle joins an element that explains it better.",
     )
     merge_gap: float = Field(
         0.15,
@@ -141,45 +135,11 @@ class CircleMapConfig(Config):
         description="An element that is not hidden goes when the standard deviation of its centre"
         " in its worst direction is larger, eq. 33 for a block of the covariance [m].",
     )
-    max_velocity_std: float = Field(3.0, gt=0, description="Same of the velocity [m/s].")
-    max_radius_std: float = Field(0.3, gt=0, le=10, description="Same of the radius [m].")
-    min_misses: int = Field(
-        3,
-        ge=1,
-        le=1_000,
-        description="Scans in a row that must miss an element before one of the times that follow"
-        " lets it go: a slow scanner may miss one (count, no unit).",
-    )
-    absent_time: float = Field(
-        0.25,
-        ge=0,
-        description="An element goes when rays have passed wherever it may be for longer without"
-        " a measurement [s].",
-    )
-    unmatched_time: float = Field(
-        0.5,
-        ge=0,
-        description="An element goes when rays have ended at its place for longer, but no circle"
-        " was found there [s].",
-    )
     max_coast: float | None = Field(
         5.0,
         ge=0,
         description="An element goes when it has been hidden or out of view for longer without a"
         " measurement [s]; none: never.",
-    )
-    see_margin: float = Field(
-        0.15,
-        ge=0,
-        le=5,
-        description="A ray that ends nearer to the surface of an element than this belongs to it"
-        " [m].",
-    )
-    min_rays: int = Field(
-        4,
-        ge=1,
-        le=10_000,
-        description="An element that fewer rays meet is out of view (count, no unit).",
     )
     buffer_time: float = Field(
         0.25,
@@ -192,37 +152,13 @@ class CircleMapConfig(Config):
         1e-6,
         ge=0,
         description="Density of the random walk of the ends of a line, across it [m^2/s]: it lets"
-        " lines follow a pose that drifts; ours, as all that follows up to `line_coast`.",
+        " lines follow a pose that drifts; ours, as `line_std`.",
     )
     line_std: float = Field(
         0.01,
         ge=0,
         le=0.5,
         description="Standard deviation of how far surfaces depart from a straight line [m].",
-    )
-    line_gap: float = Field(
-        0.5,
-        ge=0,
-        le=20,
-        description="Stretches of one line with a longer gap between them are two [m].",
-    )
-    line_length: float = Field(
-        0.5,
-        ge=0,
-        le=20,
-        description="Shorter stretches make no new line: they may be parts of anything [m].",
-    )
-    line_reach: float = Field(
-        3.0,
-        ge=0,
-        description="Hits that lie off a line of the map by less, as root mean square, are its own:"
-        " they are no circle (standard deviations, no unit).",
-    )
-    line_coast: float | None = Field(
-        60.0,
-        ge=0,
-        description="A line goes when it has been hidden or out of view for longer [s]; none:"
-        " never.",
     )
     velocity_step: float = Field(
         0.1,
@@ -246,9 +182,7 @@ class CircleMapConfig(Config):
         """
         return cls(
             initial_speed=0.01,
-            process_noise=(1e-6,),
-            mode_weight=(1.0,),
-            mode_time=(1.0,),
+            modes=((1e-6, 1.0, 1.0),),
             standing_share=0.0,
             max_coast=None,
         )
@@ -262,8 +196,4 @@ class CircleMapConfig(Config):
     def _fits(self) -> Self:
         if self.confirm_hits > self.confirm_window:
             raise ValueError("expected confirm_hits <= confirm_window")
-        if self.standing_probability[1] > self.standing_probability[0]:
-            raise ValueError("expected standing_probability[1] <= standing_probability[0]")
-        if not len(self.process_noise) == len(self.mode_weight) == len(self.mode_time):
-            raise ValueError("expected process_noise, mode_weight and mode_time of one length")
         return self

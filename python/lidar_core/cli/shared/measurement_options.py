@@ -7,7 +7,7 @@ import typer
 from lidar_core.cli.shared.common import READ
 from lidar_core.errors import ConfigError
 
-_MODEL = "How targets move: cv, ca, ct, ctrv, ctra, ctrv-drone, paper."
+_MODEL = "How targets move, such as cv, ctrv or paper; all: lidar-core config init --model fusion."
 _METHOD = "Filter: kf, ekf, ukf, ckf, imm."
 _COLUMN = "Name of a table's column, such as x=pos_x; may be repeated."
 _TOPIC = "Topic of a ROS recording, such as radar=/front or pose=/odom; may be repeated."

@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.config import as_config
 from lidar_core.errors import FormatError
 from lidar_core.files import check_regular
-from lidar_core.fusion.many_config import AutoferryOptions
 from lidar_core.fusion.measurement import Measurement
 from lidar_core.io.files.guard import check_size, reading
 
@@ -21,6 +19,13 @@ DETECTIONS, TRUTH = "_detections.json", "_groundTruth.json"
 SOURCES = {1: "lidar", 2: "radar"}
 MAX_TIME = 9e9
 """Largest time that int64 nanoseconds hold [s]."""
+LIDAR_STD, RADAR_STD = 3.0, 5.0
+"""Standard deviations of x and y [m]: the recordings state none.
+
+Source: differences from the truth in scenarios 2 and 13, antennas and hulls included.
+"""
+RADAR_BEARING_STD = 0.02
+"""Standard deviation of the radar's bearing, added across the line of sight [rad]; same source."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,17 +53,13 @@ class DetectionScan:
     truth: Mapping[int, NDArray[np.float64]]
 
 
-def read_autoferry(
-    path: str | Path, options: AutoferryOptions | None = None
-) -> list[DetectionScan]:
+def read_autoferry(path: str | Path) -> list[DetectionScan]:
     """Read the LiDAR and radar scans of a scenario; x is east and y north of its origin.
 
     Parameters
     ----------
     path : str or Path
         NAME_detections.json; NAME_groundTruth.json is read where it lies beside it.
-    options : AutoferryOptions, optional
-        Errors of the scanners.
 
     Returns
     -------
@@ -79,7 +80,7 @@ def read_autoferry(
     Source: Helgesen et al., "Heterogeneous multi-sensor tracking for an autonomous surface
     vehicle in a littoral environment", Ocean Engineering 252, 2022.
     """
-    place, options = Path(path), as_config(options, AutoferryOptions)
+    place = Path(path)
     entries = _entries(place)
     beside = place.with_name(place.name.replace(DETECTIONS, TRUTH))
     truths = _entries(beside) if beside != place and beside.is_file() else [[]] * len(entries)
@@ -91,7 +92,7 @@ def read_autoferry(
     for number, (entry, truth) in enumerate(zip(entries, truths, strict=True)):
         with reading(f"{place}, entry {number}"):
             if int(entry["sensorID"]) in SOURCES:
-                scans.append(_scan(entry, truth, options))
+                scans.append(_scan(entry, truth))
     return sorted(scans, key=lambda scan: scan.stamp_ns)
 
 
@@ -110,7 +111,7 @@ def _entries(place: Path) -> list[Any]:
     return entries
 
 
-def _scan(entry: Mapping[str, Any], truth: Any, options: AutoferryOptions) -> DetectionScan:
+def _scan(entry: Mapping[str, Any], truth: Any) -> DetectionScan:
     time = float(entry["time"])
     if not abs(time) <= MAX_TIME:
         raise FormatError(f"expected a time in seconds, got {time}")
@@ -125,17 +126,15 @@ def _scan(entry: Mapping[str, Any], truth: Any, options: AutoferryOptions) -> De
         for target in targets
     }
     measurements = [
-        Measurement(stamp_ns, "lidar", sensor + offset, _covariance(offset, source, options))
+        Measurement(stamp_ns, "lidar", sensor + offset, _covariance(offset, source))
         for offset in offsets
     ]
     return DetectionScan(stamp_ns, source, measurements, sensor, places)
 
 
-def _covariance(
-    offset: NDArray[np.float64], source: str, options: AutoferryOptions
-) -> NDArray[np.float64]:
+def _covariance(offset: NDArray[np.float64], source: str) -> NDArray[np.float64]:
     if source == "lidar":
-        return np.eye(2) * options.lidar_std**2
-    across = np.array([-offset[1], offset[0]]) * options.radar_bearing_std  # as long as the range
-    covariance: NDArray[np.float64] = np.eye(2) * options.radar_std**2 + np.outer(across, across)
+        return np.eye(2) * LIDAR_STD**2
+    across = np.array([-offset[1], offset[0]]) * RADAR_BEARING_STD  # as long as the range
+    covariance: NDArray[np.float64] = np.eye(2) * RADAR_STD**2 + np.outer(across, across)
     return covariance

@@ -20,7 +20,7 @@ from lidar_core.io import ReadOptions, Topic
 from lidar_core.io.messages.foxglove import FoxgloveDecoder, foxglove_kind
 from lidar_core.io.messages.ros import RosDecoder, kind_of, ros_name
 from lidar_core.io.records import POSE_KINDS, SCAN_KINDS, Record
-from lidar_core.live.config import LiveConfig
+from lidar_core.live.config import RETRY_INTERVAL, LiveConfig
 from lidar_core.live.sources.inbox import Inbox
 from lidar_core.live.sources.source import Source, StreamTopics
 from lidar_core.messages import Message
@@ -148,7 +148,7 @@ class FoxgloveSource(Source):
                     inbox.fail(self._unreachable())
                     return
             self._connected.clear()
-            self._ended.wait(self._config.retry_interval)
+            self._ended.wait(RETRY_INTERVAL)
 
     def _connect(self) -> Any:
         return self._client.connect(
@@ -234,7 +234,7 @@ class FoxgloveSource(Source):
             )
             return
         self._refused.add(number)
-        soon = time.monotonic() + self._config.retry_interval
+        soon = time.monotonic() + RETRY_INTERVAL
         self._ask_again_at = min(self._ask_again_at, soon)
 
     def _wanted(self, channels: Iterable[Any]) -> Iterable[int]:

@@ -58,7 +58,7 @@ def _own_model(config: TrackerConfig, seed: int, runs: int) -> Array:
     noise = stated_std(config)
     truth = _draw_states(config, rng, runs)
     measured = truth[:, :, :3] + rng.normal(size=(runs, STEPS, 3)) * noise
-    first = config.initial_position if config.measurement == "paper" else noise
+    first = config.initial_std[0] if config.measurement == "paper" else noise
     measured[:, 0] = truth[:, 0, :3] + rng.normal(size=(runs, 3)) * first
     values = np.full((runs, STEPS), np.nan)
     for run in range(runs):
@@ -83,14 +83,13 @@ def stated_std(config: TrackerConfig) -> float:
 
 def _draw_states(config: TrackerConfig, rng: np.random.Generator, runs: int) -> Array:
     """States (runs, steps, 9) that obey the motion model of `config`, by its equations."""
-    spread = (0.0, config.initial_velocity, config.initial_acceleration)
-    std = (config.process_position, config.process_velocity, config.process_acceleration)
+    spread = (0.0, *config.initial_std[1:])
     per_step = config.process_noise == "paper"
     count = 1 if per_step else SUBSTEPS
     dt = SECONDS / count
     time = config.acceleration_time
     keep = 1.0 if time is None else np.exp(-dt / time)
-    scale = np.array(std) * (1.0 if per_step else np.sqrt(dt))
+    scale = np.array(config.process_std) * (1.0 if per_step else np.sqrt(dt))
     r, v, a = (rng.normal(size=(runs, 3)) * one for one in spread)
     states = [np.concatenate([r, v, a], axis=1)]
     for step in range((STEPS - 1) * count):

@@ -18,6 +18,7 @@ from lidar_core.fusion import (
 from lidar_core.reproduce.common import BLUE, COLOURS, MODES
 from lidar_core.reproduce.types import Item, Measured, Request, Row
 from lidar_core.sim import Overflight, Overflown, overfly
+from lidar_core.sim.overflight import RATE
 
 SETTLED = 40
 """Rows at the start that do not count."""
@@ -68,7 +69,7 @@ def _follow(made: Overflown, mode: str) -> SpaceTrack:
         return in_space(position, covariance, sight.elevation, sight.elevation_variance, made.drone)
     seen = [one for pair in zip(_poses(made), _flat(made, sight), strict=True) for one in pair]
     found = run(seen, FusionConfig())
-    drift = np.full(len(made.yaw), DRIFT**2 / made.config.rate)
+    drift = np.full(len(made.yaw), DRIFT**2 / RATE)
     return in_space(
         found.states[1::2, :2],
         found.covariances[1::2, :2, :2],

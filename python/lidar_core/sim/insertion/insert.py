@@ -34,6 +34,10 @@ PLACES_TO_TRY, STEPS_ROUND = 4000, 48
 
 SPEED_PERIOD = 6.0
 """From fastest to fastest [s]."""
+SCAN_RATE = 10.0
+"""Scans per second [Hz]."""
+TILT_DEG = 20.0
+"""Greatest tilt of the circle of a flight [deg]."""
 
 
 class InsertedFlight(Config):
@@ -41,14 +45,14 @@ class InsertedFlight(Config):
 
     removed: ClassVar[Mapping[str, str]] = {
         "speed_period": "the speed repeats after 6 s",
+        "tilt_deg": "circles are tilted by up to 20 deg",
+        "scan_rate": "there are 10 scans per second",
     }
     scans: int = Field(200, ge=1, description="Length (count, no unit).")
-    scan_rate: float = Field(10.0, gt=0, le=1000, description="Scans per second [Hz].")
     radius: float = Field(0.325, gt=0, description="Of the target [m].")
     clearance: float = Field(1.0, ge=0, description="Least free space around the target [m].")
     distance: tuple[float, float] = Field((4.0, 18.0), description="From the sensor [m].")
     circle: tuple[float, float] = Field((3.0, 6.0), description="Radius of the flight [m].")
-    tilt_deg: float = Field(20.0, ge=0, le=90, description="Greatest tilt of the circle [deg].")
     speed: tuple[float, float] = Field((1.0, 4.0), description="Least and greatest [m/s].")
     range_std: float = Field(
         0.03, ge=0, description="Noise added to every range of a repeated scan [m]."
@@ -206,7 +210,7 @@ def with_target(
     target = SolidTarget(Sphere(radius=flight.radius) if shape is None else shape)
     rng = np.random.default_rng([20240607, seed])
     circle = _free_circle(_rays(scans[0]), flight, rng)
-    period_ns = round(1e9 / flight.scan_rate)
+    period_ns = round(1e9 / SCAN_RATE)
     for number in range(flight.scans):
         source = scans[number % len(scans)]
         scan = _retime(_noisy(source, flight.range_std, rng), number * period_ns)
@@ -309,7 +313,7 @@ def _free_circle(rays: _Rays, flight: InsertedFlight, rng: np.random.Generator) 
 def _random_circle(flight: InsertedFlight, rng: np.random.Generator) -> _Circle:
     far = flight.distance[1]
     azimuth, tilt_azimuth = rng.uniform(-np.pi, np.pi, 2)
-    tilt = np.deg2rad(rng.uniform(0, flight.tilt_deg))
+    tilt = np.deg2rad(rng.uniform(0, TILT_DEG))
     radius = rng.uniform(*flight.circle)
     away = rng.uniform(0, far)
     center = np.array(

@@ -41,6 +41,10 @@ class FigureEight(Config):
 
 RAMP = 1.0
 """Time of speeding up, and of braking [s]."""
+STEADY, REST = 2.0, 2.0
+"""Time at the full velocity, and at rest after a leg [s]."""
+LEGS = 2
+"""Legs before it turns back."""
 
 
 class StopAndGo(Config):
@@ -48,54 +52,62 @@ class StopAndGo(Config):
 
     removed: ClassVar[Mapping[str, str]] = {
         "ramp": "speeding up and braking take 1 s each",
+        "steady": "it keeps its velocity for 2 s",
+        "rest": "it rests for 2 s after a leg",
+        "legs": "it turns back after two legs",
     }
     kind: Literal["stop_and_go"] = "stop_and_go"
     start: Vector = Field(description="Place at the start [m].")
     velocity: Vector = Field(description="Of the steady part of the first leg [m/s].")
-    steady: float = Field(2.0, ge=0, description="Time at the full velocity [s].")
-    rest: float = Field(2.0, ge=0, description="Time at rest after a leg [s].")
-    legs: int = Field(2, ge=1, description="Legs before it turns back (no unit).")
 
     def knots(self, seconds: float) -> Knots:
         """Places along the line."""
         times = times_of(seconds)
-        period = 2 * RAMP + self.steady + self.rest
+        period = 2 * RAMP + STEADY + REST
         leg = np.floor(times / period)
         clock = times - leg * period
         way = self._way(clock)
-        length = RAMP + self.steady  # in seconds at the full velocity
-        turn, number = np.divmod(leg, self.legs)
+        length = RAMP + STEADY  # in seconds at the full velocity
+        turn, number = np.divmod(leg, LEGS)
         is_back = turn % 2 == 1
-        out = np.where(is_back, (self.legs - number) * length - way, number * length + way)
+        out = np.where(is_back, (LEGS - number) * length - way, number * length + way)
         places = np.array(self.start) + out[:, None] * np.array(self.velocity)
         heading = np.arctan2(self.velocity[1], self.velocity[0]) + np.pi * is_back
         return times, poses(places, upright(heading))
 
     def _way(self, clock: NDArray[np.float64]) -> NDArray[np.float64]:
         """Way within a leg, in seconds at the full velocity."""
-        left = np.clip(2 * RAMP + self.steady - clock, 0, None)  # time to the stop
+        left = np.clip(2 * RAMP + STEADY - clock, 0, None)  # time to the stop
         speeding = np.minimum(clock, RAMP) ** 2 / (2 * RAMP)
         braking = np.minimum(left, RAMP) ** 2 / (2 * RAMP)
         going = speeding + np.clip(clock - RAMP, 0, None)
-        return np.where(left > RAMP, going, RAMP + self.steady - braking)
+        return np.where(left > RAMP, going, RAMP + STEADY - braking)
+
+
+WANDERING_TIME = 2.0
+"""Memory of a wandering velocity [s]: that of somebody who strolls about."""
+LOW, HIGH = (1.5, -4.0), (7.0, 4.0)
+"""Corners of the rectangle in which it wanders, in front of a scanner at the origin [m]."""
 
 
 class Wandering(Config):
     """A velocity that forgets itself (Ornstein-Uhlenbeck per axis), reflected at a rectangle."""
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "time_constant": "the velocity forgets itself within 2 s",
+        "low": "the rectangle begins at x = 1.5 m, y = -4 m",
+        "high": "the rectangle ends at x = 7 m, y = 4 m",
+    }
     kind: Literal["wandering"] = "wandering"
     start: Vector = Field(description="Place at the start [m].")
     speed: float = Field(gt=0, description="Root mean square of the speed [m/s].")
-    time_constant: float = Field(2.0, gt=0, description="Memory of the velocity [s].")
-    low: tuple[float, float] = Field((1.5, -4.0), description="Least x and y [m].")
-    high: tuple[float, float] = Field((7.0, 4.0), description="Greatest x and y [m].")
     seed: int = Field(0, ge=0, description="Seed of the velocity (no unit).")
 
     @model_validator(mode="after")
     def _starts_inside(self) -> Self:
-        inside = zip(self.low, self.start[:2], self.high, strict=True)
-        if not all(low <= value <= high and low < high for low, value, high in inside):
-            raise ValueError("expected low <= start <= high, low < high")
+        inside = zip(LOW, self.start[:2], HIGH, strict=True)
+        if not all(low <= value <= high for low, value, high in inside):
+            raise ValueError(f"expected a start between {LOW} and {HIGH}")
         return self
 
     def knots(self, seconds: float) -> Knots:
@@ -111,7 +123,7 @@ class Wandering(Config):
     def _velocity(self, count: int) -> NDArray[np.float64]:
         """Shape (count, 2), at rest first."""
         drawn = np.random.default_rng([20240607, self.seed]).normal(size=(count - 1, 2))
-        keep = float(np.exp(-WANDERING_STEP / self.time_constant))
+        keep = float(np.exp(-WANDERING_STEP / WANDERING_TIME))
         drawn *= np.sqrt(1 - keep**2) * self.speed / np.sqrt(2)
         velocity = np.zeros((count, 2))
         for number, kick in enumerate(drawn):
@@ -120,7 +132,7 @@ class Wandering(Config):
 
     def _reflect(self, free: NDArray[np.float64]) -> NDArray[np.float64]:
         """Places of a way without walls, folded into the rectangle."""
-        low, side = np.array(self.low), np.subtract(self.high, self.low)
+        low, side = np.array(LOW), np.subtract(HIGH, LOW)
         folded = np.mod(free - low, 2 * side)
         inside: NDArray[np.float64] = low + np.where(folded > side, 2 * side - folded, folded)
         return inside
@@ -132,6 +144,8 @@ PITCH_PERIOD = 4.0
 """Period of the pitch [s]."""
 ROLL_PERIOD = 5.0
 """Period of the roll [s]."""
+YAW_RATE = 0.5
+"""Angular rate of the turn [rad/s]."""
 
 
 class Swinging(Config):
@@ -141,12 +155,12 @@ class Swinging(Config):
         "reach_rate": "the way swings with 0.8 rad/s",
         "pitch_period": "pitch has a period of 4 s",
         "roll_period": "roll has a period of 5 s",
+        "yaw_rate": "the turn swings with 0.5 rad/s",
     }
     kind: Literal["swinging"] = "swinging"
     position: Vector = Field(description="Middle [m].")
     reach: Vector = Field((0.5, 0.0, 0.0), description="Greatest way from it [m].")
     yaw: float = Field(0.3, description="Greatest turn [rad].")
-    yaw_rate: float = Field(0.5, description="Angular rate of the turn [rad/s].")
     pitch_deg: float = Field(15.0, ge=0, lt=90, description="Greatest pitch [deg].")
     roll_deg: float = Field(10.0, ge=0, lt=90, description="Greatest roll [deg].")
 
@@ -156,5 +170,5 @@ class Swinging(Config):
         way = np.sin(REACH_RATE * times)[:, None] * np.array(self.reach)
         roll = np.deg2rad(self.roll_deg) * np.sin(2 * np.pi * times / ROLL_PERIOD)
         pitch = np.deg2rad(self.pitch_deg) * np.sin(2 * np.pi * times / PITCH_PERIOD)
-        half = np.stack([roll, pitch, self.yaw * np.sin(self.yaw_rate * times)]) / 2
+        half = np.stack([roll, pitch, self.yaw * np.sin(YAW_RATE * times)]) / 2
         return times, poses(way + np.array(self.position), from_angles(np.sin(half), np.cos(half)))

@@ -49,6 +49,8 @@ class Swing:
         return turned
 
 
+TRUNK = (0.24, 0.36)
+"""Depth of a trunk along x, and its width without the arms along y [m]."""
 ARM_RADIUS = 0.045
 """Radius of an arm [m]."""
 ARM_GAP = 0.01
@@ -73,19 +75,20 @@ class Person(Config):
         "arm_swing_deg": "arms swing by 25 deg",
         "leg_radius": "a leg is 14 cm thick",
         "leg_swing_deg": "legs swing by 20 deg",
+        "depth": "a trunk is 0.24 m deep",
+        "width": "a trunk is 0.36 m wide",
     }
     kind: Literal["person"] = "person"
     height: Length = Field(1.75, description="From the ground to the top of the head [m].")
-    depth: Length = Field(0.24, description="Of the trunk, along x [m].")
-    width: Length = Field(0.36, description="Of the trunk without the arms, along y [m].")
     rate: float = Field(0.9, gt=0, le=10, description="Swings, two steps each, per second [Hz].")
 
     def surfaces(self) -> Placed:
         """Trunk, head, left and right arm, left and right leg."""
+        depth, width = TRUNK
         shoulder, hip, head = self._heights()
-        arm = self.width / 2 + ARM_GAP + ARM_RADIUS  # its axis from the middle plane [m]
+        arm = width / 2 + ARM_GAP + ARM_RADIUS  # its axis from the middle plane [m]
         arm_length = 0.37 * self.height
-        trunk = SimShape.elliptic_cylinder((self.depth / 2, self.width / 2), shoulder - hip)
+        trunk = SimShape.elliptic_cylinder((depth / 2, width / 2), shoulder - hip)
         limb = SimShape.cylinder(ARM_RADIUS, arm_length)
         leg = SimShape.cylinder(LEG_RADIUS, hip)
         hang = shoulder - arm_length / 2
@@ -94,8 +97,8 @@ class Person(Config):
             (SimShape.sphere(0.065 * self.height), np.array([0, 0, head])),
             (limb, np.array([0, arm, hang])),
             (limb, np.array([0, -arm, hang])),
-            (leg, np.array([0, self.width / 4, hip / 2])),
-            (leg, np.array([0, -self.width / 4, hip / 2])),
+            (leg, np.array([0, width / 4, hip / 2])),
+            (leg, np.array([0, -width / 4, hip / 2])),
         ]
 
     def swings(self) -> list[Swing | None]:
@@ -111,6 +114,8 @@ class Person(Config):
         return 0.82 * self.height, 0.5 * self.height, 0.935 * self.height
 
 
+DRUM_RADIUS = 0.286
+"""Radius of a 200 l drum between its hoops [m]."""
 HOOP = 0.01
 """How far the hoops stand out [m]."""
 
@@ -120,10 +125,15 @@ class Barrel(Config):
 
     removed: ClassVar[Mapping[str, str]] = {
         "hoop": "hoops stand out by 1 cm",
+        "radius": "a drum has a radius of 0.286 m",
     }
     kind: Literal["barrel"] = "barrel"
-    radius: Length = Field(0.286, description="Radius between the hoops [m].")
     height: Length = Field(0.88, description="Height [m].")
+
+    @property
+    def radius(self) -> float:
+        """Radius between the hoops [m]."""
+        return DRUM_RADIUS
 
     def surfaces(self) -> Placed:
         """Drum and hoops."""

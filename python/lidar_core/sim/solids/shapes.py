@@ -1,6 +1,7 @@
 """Shapes of a scene, and their surfaces in the core."""
 
-from typing import Annotated, Literal, TypeAlias
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from pydantic import Field
@@ -54,18 +55,17 @@ class Cylinder(Config):
 
 
 class EllipticCylinder(Config):
-    """A cylinder along z with an elliptic cross section."""
+    """A cylinder along z with an elliptic cross section, and without ends."""
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "height": "it has no ends",
+    }
     kind: Literal["elliptic_cylinder"] = "elliptic_cylinder"
     half_axes: tuple[Length, Length] = Field(description="Half axes along x and y [m].")
-    height: Length | None = Field(
-        None, description="Length along z [m]; without it the cylinder has no ends."
-    )
 
     def surfaces(self) -> Placed:
         """One surface."""
-        height = self.height or float("inf")
-        return [(SimShape.elliptic_cylinder(self.half_axes, height), np.zeros(3))]
+        return [(SimShape.elliptic_cylinder(self.half_axes, float("inf")), np.zeros(3))]
 
 
 class Sphere(Config):

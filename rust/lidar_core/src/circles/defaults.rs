@@ -11,7 +11,7 @@ use super::map::{
 use super::parameters::{PipelineParameters, ScannerParameters};
 use super::preprocess::projection::Projection;
 use super::segment::corners::CornerParameters;
-use super::segment::parameters::{Bound, Criterion, SegmentParameters};
+use super::segment::parameters::{Bound, INCIDENCE, SegmentParameters};
 use super::selection::ShapeParameters;
 
 /// Nearest and farthest surface that the scanner of the paper measures [m].
@@ -39,8 +39,7 @@ impl Default for ScannerParameters {
 impl Default for SegmentParameters {
     fn default() -> Self {
         Self {
-            criterion: Criterion::Both,
-            bound: Bound::Adaptive { incidence: 10.0_f64.to_radians(), slack: 0.09 },
+            bound: Bound::Adaptive { incidence: INCIDENCE, slack: 0.09 },
             max_gap: 2,
             merge_distance: 0.5,
             merge_deviation: 0.03,
@@ -93,14 +92,7 @@ impl Default for FitParameters {
 /// Shape rules of the best mode.
 impl Default for ShapeParameters {
     fn default() -> Self {
-        Self {
-            ellipses: true,
-            rectangles: true,
-            faces: true,
-            max_size: 0.5,
-            model_std: 0.03,
-            min_hits: 6,
-        }
+        Self { max_size: 0.5, model_std: 0.03, min_hits: 6 }
     }
 }
 

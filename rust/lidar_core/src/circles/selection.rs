@@ -16,12 +16,6 @@ const CHANCE: f64 = 2.0;
 /// Rules for segments that are no circles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShapeParameters {
-    /// Use ellipses in the map.
-    pub ellipses: bool,
-    /// Use rectangles in the map.
-    pub rectangles: bool,
-    /// Use lines without neighbours in the map, as circles behind them.
-    pub faces: bool,
     /// Largest half length of a line that is used as a circle, and of every object that is reported
     /// as a circle [m].
     pub max_size: f64,
@@ -40,15 +34,6 @@ impl ShapeParameters {
         require_positive("model_std", self.model_std)
     }
 
-    fn takes(&self, kind: ShapeKind) -> bool {
-        match kind {
-            ShapeKind::Circle => true,
-            ShapeKind::Ellipse => self.ellipses,
-            ShapeKind::Rectangle => self.rectangles,
-            ShapeKind::Line => false, // of unknown depth: see `behind`
-        }
-    }
-
     /// Circle that represents a line without neighbours: its middle lies behind the line.
     fn behind(&self, shape: &ShapeEstimate) -> Option<CircleEstimate> {
         let [start, end] = shape.ends()?;
@@ -60,7 +45,7 @@ impl ShapeParameters {
         for (axis, row) in covariance.iter_mut().enumerate() {
             row[axis] = spread;
         }
-        (self.faces && half > 0.0 && half <= self.max_size).then_some(CircleEstimate {
+        (half > 0.0 && half <= self.max_size).then_some(CircleEstimate {
             circle: Circle {
                 center: [0, 1].map(|i| 0.5 * (start[i] + end[i]) + depth * normal[i]),
                 radius: half,
@@ -88,7 +73,8 @@ impl ShapeParameters {
         let [x, y, long, short, _] = shape.parameters;
         let scale = shape.kind.half_length().unwrap_or(1.0);
         let radius = 0.5 * scale * (long + short);
-        let is_usable = self.takes(shape.kind) && radius > 0.0;
+        // The depth of a line is unknown: see `behind`.
+        let is_usable = shape.kind != ShapeKind::Line && radius > 0.0;
         let slope = 0.5 * scale;
         let c = &shape.covariance;
         let with_radius = |i: usize| slope * (c[i][2] + c[i][3]);
@@ -218,14 +204,7 @@ fn deviation(prepared: &PreparedSweep, number: usize, estimate: &CircleEstimate)
 mod tests {
     use super::*;
 
-    const RULES: ShapeParameters = ShapeParameters {
-        ellipses: true,
-        rectangles: true,
-        faces: true,
-        max_size: 0.5,
-        model_std: 0.02,
-        min_hits: 6,
-    };
+    const RULES: ShapeParameters = ShapeParameters { max_size: 0.5, model_std: 0.02, min_hits: 6 };
 
     fn shape(kind: ShapeKind, long: f64, short: f64) -> ShapeEstimate {
         let mut covariance = [[0.0; 5]; 5];
@@ -249,13 +228,11 @@ mod tests {
     }
 
     #[test]
-    fn what_is_straight_or_not_wanted_stays_out_and_what_is_large_is_told() {
-        let few = ShapeParameters { rectangles: false, ..RULES };
+    fn what_is_straight_stays_out_and_what_is_large_is_told() {
         let large = |long| RULES.outline(&shape(ShapeKind::Ellipse, long, 0.1));
         assert!(large(0.6).is_some_and(|outline| outline.is_large));
         assert!(large(0.4).is_some_and(|outline| !outline.is_large));
         assert!(RULES.equivalent(&shape(ShapeKind::Line, 0.4, 0.1)).is_none());
-        assert!(few.equivalent(&shape(ShapeKind::Rectangle, 0.4, 0.1)).is_none());
         assert!(RULES.equivalent(&shape(ShapeKind::Ellipse, 0.0, 0.0)).is_none());
         assert!(ShapeParameters { max_size: 0.0, ..RULES }.check().is_err());
     }

@@ -191,6 +191,41 @@ impl PoseParameters {
     }
 }
 
+/// Targets accelerate for about a second; what is not seen for long rather goes straight on.
+impl Default for Motion {
+    fn default() -> Self {
+        Self {
+            acceleration_time: Some(1.0),
+            unseen_time: Some(0.3),
+            form: NoiseForm::Continuous,
+            std: [0.0, 0.1, 4.0],
+        }
+    }
+}
+
+/// Two seconds are long beside the time between two scans, and short beside a change of distance
+/// that changes the visible size.
+impl Default for Hiding {
+    fn default() -> Self {
+        Self { share: 0.75, time: 2.0 }
+    }
+}
+
+/// Half of the last 20 sets confirm what stands still: leaves and edges that come into view are
+/// seen for a shorter time.
+impl Default for Doubt {
+    fn default() -> Self {
+        Self { confidence: 0.7, distance: 0.5, cleared: 0.3, hits: 10, window: 20 }
+    }
+}
+
+/// Two targets that fly past each other differ by more than 1 m/s.
+impl Default for Merging {
+    fn default() -> Self {
+        Self { distance: 0.3, speed: 1.0 }
+    }
+}
+
 /// Best mode.
 impl Default for TrackerParameters {
     fn default() -> Self {
@@ -199,33 +234,17 @@ impl Default for TrackerParameters {
             clustering: Clustering { max_distance: 0.5, ..Clustering::default() },
             max_extent: Some(2.0),
             occupied_distance: 0.7,
-            occupied_adds_extent: false,
             radius: Radius { form: RadiusForm::SixthRoot, scale: 1.22, min: 1.5, max: 3.0 },
-            motion: Motion {
-                acceleration_time: Some(1.0),
-                unseen_time: Some(0.3),
-                form: NoiseForm::Continuous,
-                std: [0.0, 0.1, 4.0],
-            },
+            motion: Motion::default(),
             initial_std: [0.3, 4.0, 3.0],
             measurement: MeasurementForm::Center,
             measurement_std: 0.07,
-            hiding: Some(Hiding { share: 0.75, time: 2.0 }),
+            hiding: Some(Hiding::default()),
             association: Association::Global { gate_probability: 0.9999, clutter_density: 1e-5 },
             rejoin_acceleration: Some(2.0),
             split_distance: Some(0.8),
-            confirmation: Confirmation {
-                hits: 3,
-                window: 10,
-                doubt: Some(Doubt {
-                    confidence: 0.7,
-                    distance: 0.5,
-                    cleared: 0.3,
-                    hits: 10,
-                    window: 20,
-                }),
-            },
-            merging: Some(Merging { distance: 0.3, speed: 1.0 }),
+            confirmation: Confirmation { hits: 3, window: 10, doubt: Some(Doubt::default()) },
+            merging: Some(Merging::default()),
             ageing: Ageing::Visible { max_coast: 3.0, report_coast: 0.3 },
         }
     }

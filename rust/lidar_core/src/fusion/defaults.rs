@@ -4,9 +4,10 @@
 //! the Python package, which document each value.
 
 use super::filter::paper::{Paper, Reading};
+use super::model::Model;
 use super::models::motion::{NoiseForm, Prior};
 use super::sensors::observation::Sensing;
-use super::targets::any_filter::{FusionParameters, Method, Model, Strengths};
+use super::targets::any_filter::{FusionParameters, Method, Strengths};
 use super::targets::lifecycle::{GyroUse, Life, Loss};
 use super::targets::many::{ManyParameters, TargetAssociation};
 

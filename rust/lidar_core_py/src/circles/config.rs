@@ -5,7 +5,7 @@ use lidar_core::Error;
 use lidar_core::circles::fit::{FitMethod, FitParameters};
 use lidar_core::circles::parameters::ScannerParameters;
 use lidar_core::circles::segment::corners::CornerParameters;
-use lidar_core::circles::segment::parameters::{Bound, Criterion, SegmentParameters};
+use lidar_core::circles::segment::parameters::{Bound, INCIDENCE, SegmentParameters};
 use lidar_core::circles::selection::ShapeParameters;
 use pyo3::prelude::*;
 
@@ -31,42 +31,29 @@ impl ScannerConfig {
 
 #[derive(FromPyObject)]
 pub(crate) struct SegmentConfig {
-    criterion: String,
     bound: String,
-    incidence: f64,
     slack: f64,
     distance: f64,
     max_gap: usize,
     merge_distance: f64,
-    merge_deviation: f64,
     corner_depth: f64,
-    corner_width: f64,
     min_points: usize,
     min_fraction: f64,
-    near_margin: f64,
-    far_margin: f64,
 }
 
 impl SegmentConfig {
     pub(crate) fn parameters(&self, scanner: &ScannerConfig) -> Result<SegmentParameters, Error> {
-        let criteria = [
-            ("both", Criterion::Both),
-            ("cartesian", Criterion::Cartesian),
-            ("polar", Criterion::Polar),
-        ];
-        let adaptive = Bound::Adaptive { incidence: self.incidence, slack: self.slack };
+        let adaptive = Bound::Adaptive { incidence: INCIDENCE, slack: self.slack };
         let bounds = [("adaptive", adaptive), ("fixed", Bound::Fixed(self.distance))];
         Ok(SegmentParameters {
-            criterion: arrays::choice("criterion", &self.criterion, &criteria)?,
             bound: arrays::choice("bound", &self.bound, &bounds)?,
             max_gap: self.max_gap,
             merge_distance: self.merge_distance,
-            merge_deviation: self.merge_deviation,
-            corner: CornerParameters { depth: self.corner_depth, width: self.corner_width },
+            corner: CornerParameters { depth: self.corner_depth, ..CornerParameters::default() },
             min_points: self.min_points,
             min_fraction: self.min_fraction,
             range_limits: [scanner.range_min, scanner.range_max],
-            cut_margins: [self.near_margin, self.far_margin],
+            ..SegmentParameters::default()
         })
     }
 }
@@ -104,23 +91,12 @@ impl FitConfig {
 #[derive(FromPyObject)]
 pub(crate) struct ShapeConfig {
     enabled: bool,
-    ellipses: bool,
-    rectangles: bool,
-    faces: bool,
     max_size: f64,
-    model_std: f64,
-    min_hits: usize,
 }
 
 impl ShapeConfig {
     pub(crate) fn parameters(&self) -> Option<ShapeParameters> {
-        self.enabled.then_some(ShapeParameters {
-            ellipses: self.ellipses,
-            rectangles: self.rectangles,
-            faces: self.faces,
-            max_size: self.max_size,
-            model_std: self.model_std,
-            min_hits: self.min_hits,
-        })
+        self.enabled
+            .then_some(ShapeParameters { max_size: self.max_size, ..ShapeParameters::default() })
     }
 }

@@ -8,8 +8,8 @@ use lidar_core::Error;
 use lidar_core::circles::fit::circle::{Circle, CircleEstimate};
 use lidar_core::circles::map::{
     CircleMap, CircleMapParameters, CircleScan, ElementConfirmation, ElementFilter, Independent,
-    Joint, Limits, LineRules, Looking, MapElement, MapShape, MapStats, MotionMode, Patience,
-    PoseCovariance, Standing, View,
+    Joint, Limits, LineRules, MapElement, MapShape, MapStats, MotionMode, Patience, PoseCovariance,
+    Standing, View,
 };
 use lidar_core::circles::preprocess::polar_scan::PolarScan;
 use lidar_core::geometry::transform::Transform;
@@ -24,38 +24,22 @@ pub(crate) struct CircleMapConfig {
     filter: String,
     gate_probability: f64,
     initial_speed: f64,
-    process_noise: Vec<f64>,
-    mode_weight: Vec<f64>,
-    mode_time: Vec<f64>,
+    modes: Vec<(f64, f64, f64)>,
     standing_share: f64,
     standing_time: f64,
     moving_time: f64,
     standing_noise: f64,
     start_speed: f64,
-    standing_probability: (f64, f64),
-    center_noise: f64,
     radius_noise: f64,
     turn_noise: f64,
-    birth_density: f64,
     merge_gap: f64,
     confirm_hits: u32,
     confirm_window: u32,
     max_position_std: f64,
-    max_velocity_std: f64,
-    max_radius_std: f64,
-    min_misses: u32,
-    absent_time: f64,
-    unmatched_time: f64,
     max_coast: Option<f64>,
-    see_margin: f64,
-    min_rays: usize,
     buffer_time: f64,
     line_noise: f64,
     line_std: f64,
-    line_gap: f64,
-    line_length: f64,
-    line_reach: f64,
-    line_coast: Option<f64>,
     velocity_step: f64,
     max_eigenvalue: f64,
 }
@@ -73,49 +57,30 @@ impl CircleMapConfig {
     }
 
     fn independent(&self) -> Independent {
-        let modes = self.process_noise.iter().zip(&self.mode_weight).zip(&self.mode_time);
+        let own = Independent::default();
+        let mode = |&(density, weight, duration): &_| MotionMode { density, weight, duration };
         Independent {
-            modes: modes
-                .map(|((&density, &weight), &duration)| MotionMode { density, weight, duration })
-                .collect(),
+            modes: self.modes.iter().map(mode).collect(),
             standing: Standing {
                 share: self.standing_share,
                 duration: self.standing_time,
                 moving: self.moving_time,
                 density: self.standing_noise,
                 start_speed: self.start_speed,
-                hysteresis: [self.standing_probability.0, self.standing_probability.1],
+                ..own.standing
             },
-            center_noise: self.center_noise,
             radius_density: self.radius_noise,
             turn_density: self.turn_noise,
-            birth_density: self.birth_density,
             merge_gap: self.merge_gap,
             confirmation: ElementConfirmation {
                 hits: self.confirm_hits,
                 window: self.confirm_window,
             },
-            limits: Limits {
-                position: self.max_position_std,
-                velocity: self.max_velocity_std,
-                radius: self.max_radius_std,
-            },
-            patience: Patience {
-                scans: self.min_misses,
-                absent: self.absent_time,
-                unmatched: self.unmatched_time,
-                hidden: self.max_coast,
-            },
-            looking: Looking { margin: self.see_margin, min_rays: self.min_rays },
+            limits: Limits { position: self.max_position_std, ..own.limits },
+            patience: Patience { hidden: self.max_coast, ..own.patience },
             buffer_time: self.buffer_time,
-            lines: LineRules {
-                density: self.line_noise,
-                std: self.line_std,
-                gap: self.line_gap,
-                length: self.line_length,
-                reach: self.line_reach,
-                coast: self.line_coast,
-            },
+            lines: LineRules { density: self.line_noise, std: self.line_std, ..own.lines },
+            ..own
         }
     }
 }

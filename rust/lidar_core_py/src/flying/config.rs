@@ -29,7 +29,6 @@ pub(crate) struct FlyingConfig {
     range_margin: f64,
     position: String,
     range_std: f64,
-    target_radius: f64,
     mismatch_share: Option<f64>,
     forget_distance: Option<f64>,
 }
@@ -77,8 +76,6 @@ struct SeedConfig {
     burn_in_period: Option<f64>,
     burn_in_extent: f64,
     standing_scans: u32,
-    standing_shift: f64,
-    standing_track_distance: f64,
     ground_height: Option<f64>,
     take_off_height: Option<f64>,
 }
@@ -90,7 +87,6 @@ struct SensorConfig {
     blind_sectors: Vec<[f64; 4]>,
     self_mask: Option<Vec<bool>>,
     learn_mask_scans: u32,
-    learn_mask_range: f64,
     mask_empty_only: bool,
     find_body: bool,
     beam_table: BeamTable,
@@ -129,9 +125,9 @@ impl FlyingConfig {
             centers: arrays::choice("position", &self.position, &POSITIONS)?,
             pose: self.pose.parameters()?,
             range_std: self.range_std,
-            target_radius: self.target_radius,
             mismatch_share: self.mismatch_share,
             forget_distance: self.forget_distance,
+            ..FlyingParameters::default()
         })
     }
 }
@@ -153,10 +149,9 @@ impl SeedConfig {
             burn_in_period: self.burn_in_period,
             burn_in_extent: self.burn_in_extent,
             standing_scans: self.standing_scans,
-            standing_shift: self.standing_shift,
-            standing_track_distance: self.standing_track_distance,
             ground_height: self.ground_height,
             take_off_height: self.take_off_height,
+            ..SeedParameters::default()
         }
     }
 }
@@ -232,7 +227,6 @@ impl SensorConfig {
             blind_sectors: self.blind_sectors,
             self_mask: self.self_mask,
             learn_mask_scans: self.learn_mask_scans,
-            learn_mask_range: self.learn_mask_range,
             mask_empty_only: self.mask_empty_only,
             beams: match beam_rays(&self.beam_table) {
                 Some(rays) => Beams::Known(rays),
@@ -246,6 +240,7 @@ impl SensorConfig {
                 .collect(),
             find_body: self.find_body,
             returns_per_ray: self.returns_per_ray,
+            ..SensorParameters::default()
         }
     }
 }

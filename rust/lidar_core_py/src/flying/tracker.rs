@@ -20,28 +20,18 @@ use pyo3::types::PyBytes;
 pub(crate) struct TrackerConfig {
     buffer_size: usize,
     cluster_distance: f64,
-    cluster_min_points: usize,
-    cluster_max_points: Option<usize>,
     max_extent: Option<f64>,
     occupied_distance: f64,
-    occupied_adds_extent: bool,
     radius: String,
     radius_scale: f64,
-    radius_min: f64,
-    radius_max: f64,
+    radius_limits: [f64; 2],
     acceleration_time: Option<f64>,
-    unseen_acceleration_time: Option<f64>,
     process_noise: String,
-    process_position: f64,
-    process_velocity: f64,
-    process_acceleration: f64,
-    initial_position: f64,
-    initial_velocity: f64,
-    initial_acceleration: f64,
+    process_std: [f64; 3],
+    initial_std: [f64; 3],
     measurement: String,
     measurement_std: f64,
     hidden_share: Option<f64>,
-    size_time: f64,
     association: String,
     gate_probability: f64,
     clutter_density: f64,
@@ -50,12 +40,7 @@ pub(crate) struct TrackerConfig {
     confirm_hits: u32,
     confirm_window: u32,
     confirm_confidence: Option<f64>,
-    confirm_distance: f64,
-    confirm_cleared: f64,
-    confirm_still_hits: u32,
-    confirm_still_window: u32,
     merge_distance: Option<f64>,
-    merge_speed: f64,
     ageing: String,
     max_coast: f64,
     report_coast: f64,
@@ -73,20 +58,17 @@ const MEASUREMENT_FORMS: [(&str, MeasurementForm); 3] = [
 
 impl TrackerConfig {
     fn radius(&self) -> Result<Radius, Error> {
-        Ok(Radius {
-            form: arrays::choice("radius", &self.radius, &RADIUS_FORMS)?,
-            scale: self.radius_scale,
-            min: self.radius_min,
-            max: self.radius_max,
-        })
+        let [min, max] = self.radius_limits;
+        let form = arrays::choice("radius", &self.radius, &RADIUS_FORMS)?;
+        Ok(Radius { form, scale: self.radius_scale, min, max })
     }
 
     fn motion(&self) -> Result<Motion, Error> {
         Ok(Motion {
             acceleration_time: self.acceleration_time,
-            unseen_time: self.unseen_acceleration_time,
+            unseen_time: self.acceleration_time.and(Motion::default().unseen_time),
             form: arrays::choice("process_noise", &self.process_noise, &NOISE_FORMS)?,
-            std: [self.process_position, self.process_velocity, self.process_acceleration],
+            std: self.process_std,
         })
     }
 
@@ -94,13 +76,9 @@ impl TrackerConfig {
         Confirmation {
             hits: self.confirm_hits,
             window: self.confirm_window,
-            doubt: self.confirm_confidence.map(|confidence| Doubt {
-                confidence,
-                distance: self.confirm_distance,
-                cleared: self.confirm_cleared,
-                hits: self.confirm_still_hits,
-                window: self.confirm_still_window,
-            }),
+            doubt: self
+                .confirm_confidence
+                .map(|confidence| Doubt { confidence, ..Doubt::default() }),
         }
     }
 
@@ -120,27 +98,20 @@ impl TrackerConfig {
     pub(crate) fn parameters(&self) -> Result<TrackerParameters, Error> {
         Ok(TrackerParameters {
             buffer_size: self.buffer_size,
-            clustering: Clustering {
-                max_distance: self.cluster_distance,
-                min_points: self.cluster_min_points,
-                max_points: self.cluster_max_points,
-            },
+            clustering: Clustering { max_distance: self.cluster_distance, ..Clustering::default() },
             max_extent: self.max_extent,
             occupied_distance: self.occupied_distance,
-            occupied_adds_extent: self.occupied_adds_extent,
             radius: self.radius()?,
             motion: self.motion()?,
-            initial_std: [self.initial_position, self.initial_velocity, self.initial_acceleration],
+            initial_std: self.initial_std,
             measurement: arrays::choice("measurement", &self.measurement, &MEASUREMENT_FORMS)?,
             measurement_std: self.measurement_std,
-            hiding: self.hidden_share.map(|share| Hiding { share, time: self.size_time }),
+            hiding: self.hidden_share.map(|share| Hiding { share, ..Hiding::default() }),
             association: self.association()?,
             rejoin_acceleration: self.rejoin_acceleration,
             split_distance: self.split_distance,
             confirmation: self.confirmation(),
-            merging: self
-                .merge_distance
-                .map(|distance| Merging { distance, speed: self.merge_speed }),
+            merging: self.merge_distance.map(|distance| Merging { distance, ..Merging::default() }),
             ageing: self.ageing()?,
         })
     }

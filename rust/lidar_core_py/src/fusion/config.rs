@@ -3,9 +3,9 @@
 use crate::arrays::choice;
 use lidar_core::Error;
 use lidar_core::fusion::filter::paper::{Paper, Reading};
+use lidar_core::fusion::model::{self, MIXABLE};
 use lidar_core::fusion::models::motion::{NoiseForm, Prior};
 use lidar_core::fusion::sensors::observation::Sensing;
-use lidar_core::fusion::targets::any_filter::MIXABLE;
 use lidar_core::fusion::targets::lifecycle::{GyroUse, Life, Loss};
 use lidar_core::fusion::{FusionParameters, Method, Model, Strengths};
 use pyo3::prelude::*;
@@ -20,12 +20,10 @@ pub(crate) struct FusionConfig {
     jerk_noise: f64,
     turn_noise: f64,
     platform_noise: f64,
-    start_noise: f64,
     lidar_std: [f64; 2],
     radar_std: [f64; 3],
     gyro_std: f64,
     pose_std: [f64; 3],
-    range_min: f64,
     gyro: String,
     lever_arm: [f64; 2],
     start_rows: u32,
@@ -35,12 +33,10 @@ pub(crate) struct FusionConfig {
     initial_heading: f64,
     initial_turn_rate: f64,
     initial_acceleration: f64,
-    initial_platform_rate: f64,
     gate_probability: Option<f64>,
     loss_ratio: Option<f64>,
     loss_window: f64,
     sensor_noise: String,
-    noise_memory: f64,
     buffer_time: f64,
     sigma_spread: Option<f64>,
     sigma_points: String,
@@ -61,14 +57,6 @@ struct PublishedModel {
     elevation: f64,
 }
 
-const MODELS: [(&str, Model); 6] = [
-    ("cv", Model::ConstantVelocity),
-    ("ca", Model::ConstantAcceleration),
-    ("ct", Model::CoordinatedTurn),
-    ("ctrv", Model::Ctrv),
-    ("ctra", Model::Ctra),
-    ("ctrv-drone", Model::CtrvDrone),
-];
 const READINGS: [(&str, Reading); 4] =
     [("a", Reading::A), ("b", Reading::B), ("c", Reading::C), ("d", Reading::D)];
 const POINTS: [(&str, bool); 2] = [("redrawn", false), ("carried", true)];
@@ -95,7 +83,7 @@ impl FusionConfig {
                 jerk: self.jerk_noise,
                 turn: self.turn_noise,
                 platform: self.platform_noise,
-                start: self.start_noise,
+                ..Strengths::default()
             },
             prior: self.prior(),
             sensing: Sensing {
@@ -103,8 +91,8 @@ impl FusionConfig {
                 radar: self.radar_std.map(squared),
                 gyro: squared(self.gyro_std),
                 pose: self.pose_std.map(squared),
-                range_min: self.range_min,
                 convert_radar: method == Method::Linear,
+                ..Sensing::default()
             },
             life: self.life()?,
             lever: self.lever_arm,
@@ -113,7 +101,7 @@ impl FusionConfig {
 
     fn model(&self) -> Result<Model, Error> {
         if self.model != "paper" {
-            return choice("model", &self.model, &MODELS);
+            return model_named("model", &self.model);
         }
         Ok(Model::Paper(Paper {
             reading: choice("published.reading", &self.published.reading, &READINGS)?,
@@ -134,9 +122,9 @@ impl FusionConfig {
 
     fn method(&self) -> Result<Method, Error> {
         let carries = choice("sigma_points", &self.sigma_points, &POINTS)?;
-        let mut models = [false; 5];
+        let mut models = MIXABLE.map(|_| false);
         for name in &self.imm_models {
-            let model = choice("imm_models", name, &MODELS)?;
+            let model = model_named("imm_models", name)?;
             MIXABLE.iter().zip(&mut models).for_each(|(known, used)| *used |= *known == model);
         }
         let known = [
@@ -156,26 +144,36 @@ impl FusionConfig {
             heading: squared(self.initial_heading),
             turn_rate: squared(self.initial_turn_rate),
             acceleration: squared(self.initial_acceleration),
-            platform_rate: squared(self.initial_platform_rate),
+            ..Prior::default()
         }
     }
 
-    fn memory(&self) -> Result<Option<f64>, Error> {
-        let estimates = choice("sensor_noise", &self.sensor_noise, &NOISES)?;
-        Ok(estimates.then_some(self.noise_memory))
-    }
-
     fn life(&self) -> Result<Life, Error> {
+        let estimates = choice("sensor_noise", &self.sensor_noise, &NOISES)?;
         Ok(Life {
             start_rows: self.start_rows,
             gate: Life::gates(self.gate_probability)?,
-            memory: self.memory()?,
+            memory: Life::default().memory.filter(|_| estimates),
             loss: self.loss_ratio.map(|ratio| Loss { ratio, window: self.loss_window }),
             radar_starts_speed: choice("start_speed", &self.start_speed, &STARTS)?,
             gyro: choice("gyro", &self.gyro, &GYROS)?,
             buffer_ns: (self.buffer_time * 1e9).round() as i64,
         })
     }
+}
+
+fn model_named(key: &'static str, name: &str) -> Result<Model, Error> {
+    choice(key, name, &model::models().map(|entry| (entry.name, entry.model)))
+}
+
+/// Name, names of the states, meaning, and whether `imm` can mix it, of every motion model.
+#[pyfunction]
+pub(crate) fn fusion_models() -> Vec<(&'static str, Vec<&'static str>, &'static str, bool)> {
+    let of = |entry: model::ModelEntry| {
+        let can_mix = MIXABLE.contains(&entry.model);
+        (entry.name, entry.states.to_vec(), entry.title, can_mix)
+    };
+    model::models().map(of).to_vec()
 }
 
 fn squared(value: f64) -> f64 {

@@ -24,14 +24,15 @@ pub(crate) struct MultiTargetConfig {
     birth_distance: f64,
     association: String,
     detection_probability: f64,
-    lidar_clutter: f64,
-    radar_clutter: f64,
+    clutter: [f64; 2],
 }
 
 impl MultiTargetConfig {
     pub(crate) fn parameters(&self) -> Result<ManyParameters, Error> {
-        let clutter = [self.lidar_clutter, self.radar_clutter];
-        let joint = TargetAssociation::Joint { detection: self.detection_probability, clutter };
+        let joint = TargetAssociation::Joint {
+            detection: self.detection_probability,
+            clutter: self.clutter,
+        };
         let associations = [("nearest", TargetAssociation::Nearest), ("joint", joint)];
         Ok(ManyParameters {
             filter: self.target.parameters()?,

@@ -45,8 +45,6 @@ enum PatternConfig {
         elevation_min_deg: f64,
         elevation_max_deg: f64,
         azimuth_half_deg: Option<f64>,
-        turn_rate: f64,
-        swing_rate: f64,
     },
     Planar {
         beams: i64,
@@ -79,14 +77,10 @@ impl PatternConfig {
                 elevation_min_deg: min,
                 elevation_max_deg: max,
                 azimuth_half_deg,
-                turn_rate,
-                swing_rate,
             } => Pattern::Rosette {
                 rays: arrays::count("rays", rays)?,
                 elevation: [min.to_radians(), max.to_radians()],
                 azimuth_half: azimuth_half_deg.map(f64::to_radians),
-                turn_rate,
-                swing_rate,
             },
             Self::Planar { beams, angle_min, angle_increment, time_increment_ns } => {
                 let rays = arrays::count("beams", beams)?;
@@ -167,32 +161,19 @@ impl SurfaceConfig {
 /// The fields of `Rain`, `Dust` and `Fog`.
 #[derive(FromPyObject)]
 pub(crate) enum ParticlesConfig {
-    Rain { density: f64, drop_size: f64, beam_size: f64, beam_divergence: f64, least_share: f64 },
+    Rain { density: f64, drop_size: f64 },
     Dust { center: [f64; 3], velocity: [f64; 3], radius: f64, growth: f64, free_path: f64 },
-    Fog { extinction: f64, speckle: f64, speckle_range: f64 },
+    Fog { extinction: f64, speckle: f64 },
 }
 
 impl From<ParticlesConfig> for Particles {
     fn from(config: ParticlesConfig) -> Self {
         match config {
-            ParticlesConfig::Rain {
-                density,
-                drop_size,
-                beam_size,
-                beam_divergence,
-                least_share,
-            } => Self::Rain {
-                density,
-                size: drop_size,
-                beam: [beam_size, beam_divergence],
-                least_share,
-            },
+            ParticlesConfig::Rain { density, drop_size } => Self::Rain { density, size: drop_size },
             ParticlesConfig::Dust { center, velocity, radius, growth, free_path } => {
                 Self::Dust { center, velocity, radius, growth, free_path }
             }
-            ParticlesConfig::Fog { extinction, speckle, speckle_range } => {
-                Self::Fog { extinction, speckle, reach: speckle_range }
-            }
+            ParticlesConfig::Fog { extinction, speckle } => Self::Fog { extinction, speckle },
         }
     }
 }

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from ros_files import Ros
+from small_messages import BASE_NS, assert_same_fields
 from typer.testing import CliRunner
 
 import lidar_core as lc
@@ -20,7 +21,6 @@ from lidar_core.io.options import ReadOptions
 from lidar_core.io.records import Findings
 from lidar_core.messages import LaserScan, Pose, Scan
 
-BASE_NS = 1_700_000_000_123_456_789
 INF, NAN = np.inf, np.nan
 STORAGES = [(1, "bag"), (2, "sqlite3"), (2, "mcap")]
 
@@ -35,16 +35,6 @@ def decode(raw, **options):
     findings = Findings()
     decoder = LaserDecoder(raw.topic, ReadOptions(**options), findings)
     return decoder.scan(raw, place="here"), findings
-
-
-def assert_same_sweep(a, b):
-    for name in LaserScan.__slots__:
-        left, right = getattr(a, name), getattr(b, name)
-        if isinstance(left, np.ndarray):
-            assert left.dtype == right.dtype, name
-            np.testing.assert_array_equal(left, right, err_msg=name)
-        else:
-            assert left == right, name
 
 
 # What ranges mean
@@ -190,7 +180,7 @@ def test_ros_scans(tmp_path, version, storage, kind):
     with lc.io.open_recording(path) as recording:
         (scan,) = recording
         info = recording.info()
-    assert_same_sweep(
+    assert_same_fields(
         scan,
         sweep(
             [1, INF, 3],
@@ -254,7 +244,7 @@ def test_2d_scans_come_back_as_written(tmp_path_factory, name, seed):
         back = [item for item in recording if isinstance(item, LaserScan)]
         kinds = {topic.name: topic.kind for topic in recording.topics()}
     for a, b in zip(scans, back, strict=True):
-        assert_same_sweep(a, b)
+        assert_same_fields(a, b)
     assert kinds == {"/scan": "planar", "/tf": "pose"}
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ros_files import ROS1, ROS2
 from rosbags.highlevel import AnyReader
-from small_messages import BASE_NS, assert_same_scan, make_pose, make_scan
+from small_messages import BASE_NS, assert_same_fields, make_pose, make_scan
 from typer.testing import CliRunner
 
 import lidar_core as lc
@@ -63,7 +63,7 @@ def read(path):
 def assert_same(given, found, *, covariance=True):
     assert type(given) is type(found)
     if isinstance(given, Scan):
-        assert_same_scan(replace(given, points=given.points.reshape(found.points.shape)), found)
+        assert_same_fields(replace(given, points=given.points.reshape(found.points.shape)), found)
     elif isinstance(given, Pose):
         np.testing.assert_allclose(found.matrix, given.matrix, rtol=0, atol=1e-9)
         for name in ("stamp_ns", "frame_id", "child_frame_id", "is_static", "topic"):

@@ -2,16 +2,9 @@
 
 use super::corners::CornerParameters;
 
-/// Space in which neighbours have to be close.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Criterion {
-    /// Polar space: similar ranges, and few rays between.
-    Polar,
-    /// Cartesian space: small distance between the points.
-    Cartesian,
-    /// Polar and Cartesian space, as published.
-    Both,
-}
+/// Smallest angle between a ray and a surface of one object, 10 degrees [rad]: at a smaller one the
+/// adaptive bound would join what stands one behind the other.
+pub const INCIDENCE: f64 = std::f64::consts::PI / 18.0;
 
 /// Bound on the distance of neighbours.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,8 +24,6 @@ pub enum Bound {
 /// Parameters of the segmentation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SegmentParameters {
-    /// Space in which neighbours have to be close.
-    pub criterion: Criterion,
     /// Bound on the distance of neighbours.
     pub bound: Bound,
     /// Most rays without return between neighbours in polar space.

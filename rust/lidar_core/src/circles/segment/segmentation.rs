@@ -2,7 +2,7 @@
 
 use super::corners;
 use super::merge::{self, Run};
-use super::parameters::{Bound, Criterion, SegmentParameters};
+use super::parameters::{Bound, SegmentParameters};
 use super::segments::{Segments, Side};
 use super::sweep::HitSweep;
 use crate::Error;
@@ -159,10 +159,10 @@ impl HitSweep<'_> {
     }
 }
 
-/// True if two hits, `steps` rays and `angle` [rad] apart, belong together.
+/// True if two hits, `steps` rays and `angle` [rad] apart, belong together: in polar space, where
+/// ranges are similar and few rays between, and in Cartesian space, eq. 6.
 fn are_close([a, b]: [f64; 2], angle: f64, steps: usize, parameters: &SegmentParameters) -> bool {
-    let polar = parameters.criterion != Criterion::Cartesian;
-    if polar && steps > parameters.max_gap + 1 {
+    if steps > parameters.max_gap + 1 {
         return false;
     }
     let (near, jump) = (a.min(b), (a - b).abs());
@@ -173,8 +173,8 @@ fn are_close([a, b]: [f64; 2], angle: f64, steps: usize, parameters: &SegmentPar
             adaptive(near, step, incidence) + near * (angle - step) + slack
         }
     };
-    if parameters.criterion == Criterion::Polar || jump > bound {
-        return jump <= bound;
+    if jump > bound {
+        return false;
     }
     let sine = libm::sin(0.5 * angle);
     jump * jump + 4.0 * a * b * sine * sine <= bound * bound

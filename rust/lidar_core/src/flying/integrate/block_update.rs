@@ -5,7 +5,8 @@
 use super::accumulate::accumulator::{Accumulator, Slot};
 use super::voxel_update::Rule;
 use crate::Error;
-use crate::flying::map::blocks::{Bits, Block, Blocks, Place, VOLUME};
+use crate::flying::map::block_shape::{Bits, VOLUME};
+use crate::flying::map::blocks::{Block, Blocks, Place};
 use crate::flying::map::voxel_map::VoxelMap;
 use rayon::ThreadPool;
 use rayon::prelude::*;

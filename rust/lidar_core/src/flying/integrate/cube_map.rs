@@ -9,7 +9,7 @@ use super::accumulate::live_cells::{ALL, LiveCells};
 use super::accumulate::window::Window;
 use super::classified_scan::Origins;
 use super::ray_segments::{Ray, Source, least};
-use crate::flying::map::blocks::{EDGE, EDGE_BITS};
+use crate::flying::map::block_shape::{EDGE, EDGE_BITS};
 use crate::flying::map::inert::{CELL_BITS, CELLS};
 use crate::geometry::lattice::whole;
 use std::ops::Range;
@@ -279,7 +279,7 @@ mod tests {
     use crate::flying::integrate::ray_lanes::CastTask;
     use crate::flying::integrate::ray_segments::tests::with_rays;
     use crate::flying::integrate::walk::cast_all;
-    use crate::flying::map::blocks::VOLUME;
+    use crate::flying::map::block_shape::VOLUME;
 
     type Segment = ([f64; 3], [f32; 3]);
 

@@ -2,6 +2,7 @@
 
 pub(crate) mod accumulate;
 pub(crate) mod block_update;
+pub(crate) mod bundle;
 pub mod classified_scan;
 pub(crate) mod cube_map;
 pub mod integrator;

@@ -5,10 +5,10 @@
 //! division, exactly: a stretch visits the voxels that the whole ray visits there, with the same lengths.
 
 use super::accumulate::window::Window;
+use super::bundle::Bundle;
 use super::cube_map::{CubeMap, LAST, direction, grid_at};
-use super::ray_lanes::Bundle;
 use super::ray_segments::{LANES, Lanes, RaySegments};
-use crate::flying::map::blocks::EDGE_BITS;
+use crate::flying::map::block_shape::EDGE_BITS;
 use crate::geometry::lattice::whole;
 
 /// Crossing of a wall: its position along the ray, and the number of axes whose walls at this position

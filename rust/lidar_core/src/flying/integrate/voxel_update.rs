@@ -6,7 +6,8 @@ use super::accumulate::dense_blocks::{MarkRow, rows_of};
 use super::accumulate::mark::{
     Content, MAX_COUNT, Mark, POINT_UNITS, UNITS_PER_EDGE, tag_and_count,
 };
-use crate::flying::map::blocks::{Bits, Block, EDGE, Place, Row, VOLUME, assign};
+use crate::flying::map::block_shape::{Bits, EDGE, Row, VOLUME, assign};
+use crate::flying::map::blocks::{Block, Place};
 use crate::flying::map::filter::{Levels, filtered, two_to_minus};
 use crate::flying::map::parameters::RayUnit;
 use crate::flying::map::voxel_map::VoxelMap;

@@ -134,7 +134,8 @@ mod tests {
         Content, Mark, UNITS_PER_EDGE, tag_and_count,
     };
     use crate::flying::integrate::ray_segments::tests::with_rays;
-    use crate::flying::map::blocks::{Place, VOLUME};
+    use crate::flying::map::block_shape::VOLUME;
+    use crate::flying::map::blocks::Place;
     use crate::geometry::lattice::Lattice;
     use crate::geometry::transform::{minus, norm};
     use crate::geometry::traverse::traverse;

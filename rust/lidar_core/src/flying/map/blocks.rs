@@ -1,5 +1,6 @@
 //! Storage of the voxel map: cubes of 8 x 8 x 8 voxels, and in them rows of 8, made when first met.
 
+use super::block_shape::{Bits, EDGE, EDGE_BITS, Row, VOLUME, has};
 use super::inert::Inert;
 use crate::Error;
 use crate::geometry::lattice::Voxel;
@@ -10,25 +11,12 @@ use std::cmp::Reverse;
 use std::collections::{HashMap, HashSet};
 use std::hash::{BuildHasherDefault, Hash, Hasher};
 
-/// Voxels along the edge of a block, as a power of two.
-pub(crate) const EDGE_BITS: i32 = 3;
-/// Voxels along the edge of a block.
-pub(crate) const EDGE: i32 = 1 << EDGE_BITS;
-/// Voxels in a block.
-pub(crate) const VOLUME: usize = 1 << (3 * EDGE_BITS);
-
 /// Share of the budget that is given up at once, one in this many: what lies farthest from the scan
 /// that found no room.
 const SPARE: usize = 8;
 
 /// Marks a voxel inside a block that no point and no ray has met.
 pub(crate) const NEVER: f32 = f32::NAN;
-
-/// One bit per voxel of a block: a word per layer of z, a byte per row of x.
-pub(crate) type Bits = [u64; EDGE as usize];
-
-/// Values of the voxels of a row of x.
-pub(crate) type Row = [f32; EDGE as usize];
 
 /// Values of 512 voxels: of those rows that were met.
 #[derive(Clone, Serialize, Deserialize)]
@@ -168,21 +156,6 @@ impl Place {
 pub(crate) fn offset_of(voxel: Voxel) -> usize {
     // The lowest bits of two's complement are the place in the block for negative indices too.
     ((voxel[0] & 7) | (voxel[1] & 7) << EDGE_BITS | (voxel[2] & 7) << (2 * EDGE_BITS)) as usize
-}
-
-#[inline]
-pub(crate) fn has(bits: &Bits, offset: usize) -> bool {
-    bits[offset >> 6] >> (offset & 63) & 1 == 1
-}
-
-#[inline]
-pub(crate) fn assign(bits: &mut Bits, offset: usize, value: bool) {
-    let mask = 1 << (offset & 63);
-    if value {
-        bits[offset >> 6] |= mask;
-    } else {
-        bits[offset >> 6] &= !mask;
-    }
 }
 
 impl Hash for Place {

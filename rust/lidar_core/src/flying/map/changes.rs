@@ -1,6 +1,7 @@
 //! Changes of a voxel map since the last removal of separate background.
 
-use super::blocks::{Bits, EDGE, Place};
+use super::block_shape::{Bits, EDGE};
+use super::blocks::Place;
 use super::islands::Marks;
 use super::layers::{Layer, Neighbours};
 use super::parameters::Separation;

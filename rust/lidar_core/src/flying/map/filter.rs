@@ -2,7 +2,8 @@
 //!
 //! Source: Vrba et al., eqs 7 and 12.
 
-use super::blocks::{Block, assign};
+use super::block_shape::assign;
+use super::blocks::Block;
 
 /// The two bounds whose crossing the bits of a block record.
 #[derive(Clone, Copy)]

@@ -4,14 +4,14 @@
 //! 64 bits, keep * g + (1 - keep) * g differs from g by far less than half a step of 32 bits. An
 //! infinite value is permanent. Both are inert; a voxel that was never observed is not.
 
-use super::blocks::{EDGE, Row};
+use super::block_shape::{EDGE, Row};
 
 /// Voxels along the edge of a cell, as a power of two.
 pub(crate) const CELL_BITS: u32 = 1;
-/// CellBits along the edge of a block.
+/// Cells along the edge of a block.
 pub(crate) const CELLS: u32 = EDGE as u32 >> CELL_BITS;
 
-/// CellBits of 2 x 2 x 2 voxels in a block: a bit for each, along x first, then y, then z.
+/// Cells of 2 x 2 x 2 voxels in a block: a bit for each, along x first, then y, then z.
 pub(crate) type CellBits = u64;
 
 /// Pairs of voxels along x that are known to be inert.
@@ -55,7 +55,7 @@ impl Inert {
         self.pairs.iter().fold(1, |all, pairs| all & pairs >> row) & 1 == 1
     }
 
-    /// CellBits that may hold a voxel that is not inert.
+    /// Cells that may hold a voxel that is not inert.
     pub(crate) fn live_cells(&self) -> CellBits {
         let mut inert = 0;
         for (x, pairs) in self.pairs.iter().enumerate() {

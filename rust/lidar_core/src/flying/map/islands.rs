@@ -2,7 +2,8 @@
 //!
 //! Voxels are taken a layer of a block at a time, as the bits of a word.
 
-use super::blocks::{Bits, Block, Blocks, Place, has};
+use super::block_shape::{Bits, has};
+use super::blocks::{Block, Blocks, Place};
 use super::layers::{Layer, Neighbours};
 use crate::geometry::lattice::Voxel;
 use crate::util::key_hasher::Spread;

@@ -1,6 +1,7 @@
 //! Voxels of one layer of a block as the bits of a word, and what lies around them.
 
-use super::blocks::{EDGE, EDGE_BITS, Place, offset_of};
+use super::block_shape::{EDGE, EDGE_BITS};
+use super::blocks::{Place, offset_of};
 use crate::Error;
 use crate::error::require;
 use crate::geometry::lattice::Voxel;

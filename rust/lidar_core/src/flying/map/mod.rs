@@ -1,5 +1,6 @@
 //! The voxel map: states, storage, removal of separate background, files.
 
+pub(crate) mod block_shape;
 pub(crate) mod blocks;
 pub(crate) mod changes;
 pub mod filter;

@@ -4,7 +4,8 @@
 //! ascending order of place (3 x i32, 512 x f32), in version 2 the robot itself
 //! ([`super::saved_body`]), CRC-32 of everything before it. A map without a robot has version 1.
 
-use super::blocks::{EDGE, NEVER, Place, VOLUME};
+use super::block_shape::{EDGE, VOLUME};
+use super::blocks::{NEVER, Place};
 use super::parameters::{MapParameters, RayUnit, Rays};
 use super::reader::{Reader, format_error};
 use super::saved_body::{SavedBody, read_bodies, write_bodies};

@@ -2,7 +2,8 @@
 //!
 //! Source: Vrba et al., sec. III-A, eqs 6-12; permanent voxels: sec. III-E.
 
-use super::blocks::{Bits, Block, Blocks, Cursor, Place, VOLUME, offset_of};
+use super::block_shape::{Bits, VOLUME};
+use super::blocks::{Block, Blocks, Cursor, Place, offset_of};
 use super::changes::Changes;
 use super::filter::{Levels, filtered, two_to_minus};
 use super::layers::Layer;

@@ -2,7 +2,6 @@
 
 use super::measurement::{CloudScan, Measurement};
 use super::parameters::{MeasurementForm, TrackerParameters};
-use crate::geometry::transform::norm;
 use nalgebra::{Matrix3, Vector3};
 use std::cmp::Ordering;
 
@@ -28,11 +27,8 @@ pub(super) fn candidates(
             (cluster, measurement)
         })
         .filter(|(_, measurement)| {
-            let reach = match parameters.occupied_adds_extent {
-                true => parameters.occupied_distance + norm(measurement.extent),
-                false => parameters.occupied_distance,
-            };
-            !scan.occupied.any_within(measurement.position.into(), reach)
+            let position = measurement.position.into();
+            !scan.occupied.any_within(position, parameters.occupied_distance)
         })
         .collect();
     found.sort_by(|(_, one), (_, other)| order(&one.position.into(), &other.position.into()));

@@ -172,8 +172,6 @@ pub struct TrackerParameters {
     pub max_extent: Option<f64>,
     /// A centroid this close to an occupied voxel's centre is background, d_min [m].
     pub occupied_distance: f64,
-    /// The diagonal of the cluster's box is added to that distance.
-    pub occupied_adds_extent: bool,
     /// Uncertainty radius.
     pub radius: Radius,
     /// Motion model.

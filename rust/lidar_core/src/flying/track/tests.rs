@@ -96,7 +96,7 @@ fn one_cluster_corrects_one_track_only() -> Result<(), Error> {
 /// The set, counted from 1, that confirms a target which is seen with `confidence` at `speed`,
 /// where points at `left` [m] stay.
 fn confirming_set(confidence: f64, speed: f64, left: &[f32]) -> Result<Option<i64>, Error> {
-    let doubt = Some(Doubt { confidence: 0.8, distance: 1.0, cleared: 0.3, hits: 12, window: 20 });
+    let doubt = Some(Doubt { confidence: 0.8, distance: 1.0, hits: 12, ..Doubt::default() });
     let confirmation = Confirmation { hits: 3, window: 10, doubt };
     let mut tracker = PointCloudTracker::new(TrackerParameters { confirmation, ..best() }, 1)?;
     for set in 1..=30 {

@@ -4,9 +4,10 @@
 
 use super::motion::{First, INPUTS, Motion, Noise, Prior, extended};
 use super::platform::Platform;
+use super::state_conversion::{ANY_RATE, Exchange, capped, through, turn_rate};
 use super::turn::{Turn, direction, rotated};
 use crate::estimation::kalman::Gaussian;
-use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector4, Vector5, Vector6};
+use nalgebra::{Matrix2, Matrix6, SMatrix, SVector, Vector2, Vector4, Vector5, Vector6};
 
 /// Constant velocity, driven by acceleration: [x, y, vx, vy].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -193,6 +194,60 @@ impl Motion<5> for CoordinatedTurn {
 
     fn after_velocity(&self, cv: &Gaussian<4>, prior: &Prior) -> Option<Gaussian<5>> {
         Some(extended(cv, &[prior.turn_rate]))
+    }
+}
+
+impl Exchange<4> for ConstantVelocity {
+    fn cartesian(&self, state: &Gaussian<4>, other: Option<&Gaussian<6>>) -> Gaussian<6> {
+        let (mut mean, mut covariance) = (Vector6::zeros(), Matrix6::zeros());
+        mean.fixed_rows_mut::<4>(0).copy_from(&state.mean);
+        covariance.fixed_view_mut::<4, 4>(0, 0).copy_from(&state.covariance);
+        if let Some(other) = other {
+            // Only the block on the diagonal is copied: correlations of two different models would
+            // not fit together, and the matrix could become indefinite.
+            mean.fixed_rows_mut::<2>(4).copy_from(&other.mean.fixed_rows::<2>(4));
+            let known = other.covariance.fixed_view::<2, 2>(4, 4);
+            covariance.fixed_view_mut::<2, 2>(4, 4).copy_from(&known);
+        }
+        Gaussian { mean, covariance }
+    }
+
+    fn adopted(&self, cartesian: &Gaussian<6>) -> Gaussian<4> {
+        Gaussian {
+            mean: cartesian.mean.fixed_rows::<4>(0).into(),
+            covariance: cartesian.covariance.fixed_view::<4, 4>(0, 0).into(),
+        }
+    }
+}
+
+impl Exchange<6> for ConstantAcceleration {
+    fn cartesian(&self, state: &Gaussian<6>, _: Option<&Gaussian<6>>) -> Gaussian<6> {
+        state.clone()
+    }
+
+    fn adopted(&self, cartesian: &Gaussian<6>) -> Gaussian<6> {
+        cartesian.clone()
+    }
+}
+
+impl Exchange<5> for CoordinatedTurn {
+    fn cartesian(&self, state: &Gaussian<5>, _: Option<&Gaussian<6>>) -> Gaussian<6> {
+        let [x, y, vx, vy, w] = state.mean.data.0[0];
+        let mut J = SMatrix::<f64, 6, 5>::zeros();
+        J.fixed_view_mut::<4, 4>(0, 0).fill_with_identity();
+        (J[(4, 3)], J[(5, 2)]) = (-w, w);
+        (J[(4, 4)], J[(5, 4)]) = (-vy, vx);
+        through(&state.covariance, &J, Vector6::new(x, y, vx, vy, -w * vy, w * vx))
+    }
+
+    fn adopted(&self, cartesian: &Gaussian<6>) -> Gaussian<5> {
+        let [x, y, vx, vy, _, _] = cartesian.mean.data.0[0];
+        let (rate, row) = turn_rate(&cartesian.mean);
+        let mut J = SMatrix::<f64, 5, 6>::zeros();
+        J.fixed_view_mut::<4, 4>(0, 0).fill_with_identity();
+        J.set_row(4, &row.transpose());
+        let mean = Vector5::new(x, y, vx, vy, rate);
+        capped(through(&cartesian.covariance, &J, mean), 4, ANY_RATE)
     }
 }
 

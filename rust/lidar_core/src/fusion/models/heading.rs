@@ -4,14 +4,13 @@
 
 use super::motion::{First, INPUTS, Motion, Noise, Prior, extended};
 use super::platform::Platform;
+use super::state_conversion::{ANY_HEADING, ANY_RATE, Exchange, along, capped, spread, through};
 use super::turn::{Turn, direction};
 use crate::estimation::kalman::Gaussian;
-use nalgebra::{Matrix2x4, SMatrix, SVector, Vector2, Vector4, Vector5, Vector6};
+use nalgebra::{Matrix2x4, Matrix6, SMatrix, SVector, Vector2, Vector4, Vector5, Vector6};
 
 /// Speed below which a velocity has no heading [m/s].
 const SLOWEST: f64 = 1e-3;
-/// Variance of an unknown heading [rad^2].
-const ANY_HEADING: f64 = 4.0;
 
 /// Constant turn rate and velocity, driven by acceleration along the heading and by angular
 /// acceleration: [x, y, v, theta, w].
@@ -251,6 +250,40 @@ impl Motion<6> for Ctra {
 
     fn after_velocity(&self, cv: &Gaussian<4>, prior: &Prior) -> Option<Gaussian<6>> {
         Some(extended(&polar_from(cv), &[prior.turn_rate, prior.acceleration]))
+    }
+}
+
+impl Exchange<5> for Ctrv {
+    fn cartesian(&self, state: &Gaussian<5>, _: Option<&Gaussian<6>>) -> Gaussian<6> {
+        spread(state)
+    }
+
+    fn adopted(&self, cartesian: &Gaussian<6>) -> Gaussian<5> {
+        let (values, part) = along(&cartesian.mean);
+        let m = &cartesian.mean;
+        let mut J = SMatrix::<f64, 5, 6>::zeros();
+        (J[(0, 0)], J[(1, 1)]) = (1.0, 1.0);
+        J.fixed_view_mut::<3, 6>(2, 0).copy_from(&part.fixed_rows::<3>(0));
+        let mean = Vector5::new(m[0], m[1], values[0], values[1], values[2]);
+        let state = through(&cartesian.covariance, &J, mean);
+        capped(capped(state, 3, ANY_HEADING), 4, ANY_RATE)
+    }
+}
+
+impl Exchange<6> for Ctra {
+    fn cartesian(&self, state: &Gaussian<6>, _: Option<&Gaussian<6>>) -> Gaussian<6> {
+        spread(state)
+    }
+
+    fn adopted(&self, cartesian: &Gaussian<6>) -> Gaussian<6> {
+        let (values, part) = along(&cartesian.mean);
+        let m = &cartesian.mean;
+        let mut J = Matrix6::zeros();
+        (J[(0, 0)], J[(1, 1)]) = (1.0, 1.0);
+        J.fixed_view_mut::<4, 6>(2, 0).copy_from(&part);
+        let mean = Vector6::new(m[0], m[1], values[0], values[1], values[2], values[3]);
+        let state = through(&cartesian.covariance, &J, mean);
+        capped(capped(state, 3, ANY_HEADING), 4, ANY_RATE)
     }
 }
 

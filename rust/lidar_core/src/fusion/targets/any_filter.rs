@@ -11,34 +11,15 @@ use crate::fusion::filter::imm::{Imm, Mode, mode};
 use crate::fusion::filter::paper::Paper;
 use crate::fusion::filter::sigma_points::Sigma;
 use crate::fusion::filter::smoother::{RunRow, smoothed};
-use crate::fusion::models::cartesian::{ConstantAcceleration, ConstantVelocity, CoordinatedTurn};
-use crate::fusion::models::drone::{CtrvDrone, CtrvDroneRate};
-use crate::fusion::models::heading::{Ctra, Ctrv};
+use crate::fusion::model::{ForMixable, ForMotion, MIXABLE, Model};
+use crate::fusion::models::cartesian::ConstantVelocity;
 use crate::fusion::models::motion::{Motion, Noise, NoiseForm, Prior, ProcessNoise};
 use crate::fusion::models::platform::Platform;
+use crate::fusion::models::state_conversion::Exchange;
 use crate::fusion::sensors::measurement::Measurement;
 use crate::fusion::sensors::observation::Sensing;
 use crate::util::full_state::{opened, sealed};
 use std::sync::Arc;
-
-/// Motion model of the targets.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Model {
-    /// [x, y, vx, vy].
-    ConstantVelocity,
-    /// [x, y, vx, vy, ax, ay].
-    ConstantAcceleration,
-    /// [x, y, vx, vy, w].
-    CoordinatedTurn,
-    /// [x, y, v, theta, w].
-    Ctrv,
-    /// [x, y, v, theta, w, a].
-    Ctra,
-    /// [x, y, v, theta, w] in the frame of a sensor that moves; with w_d unless a gyro is an input.
-    CtrvDrone,
-    /// [x, y, v, theta, w, w_d] as published; method, prior and deviations come from elsewhere.
-    Paper(Paper),
-}
 
 /// Estimation method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,20 +42,11 @@ pub enum Method {
     /// ignored.
     Interacting {
         /// Models that take part, as indices into [`MIXABLE`].
-        models: [bool; 5],
+        models: [bool; MIXABLE.len()],
         /// Mean time for which a target follows one model [s].
         sojourn: f64,
     },
 }
-
-/// Order of the models that can be mixed.
-pub const MIXABLE: [Model; 5] = [
-    Model::ConstantVelocity,
-    Model::ConstantAcceleration,
-    Model::CoordinatedTurn,
-    Model::Ctrv,
-    Model::Ctra,
-];
 
 /// Strengths of process noise, in the units that `form` asks for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -204,24 +176,13 @@ impl Filter {
         )?;
         if let Method::Interacting { models, sojourn } = p.method {
             let named = MIXABLE.iter().zip(models).filter(|(_, wanted)| *wanted);
-            let modes: Vec<Arc<dyn Mode>> = named.filter_map(|(model, _)| p.mode(*model)).collect();
+            let modes: Vec<Arc<dyn Mode>> =
+                named.filter_map(|(model, _)| model.with_mixable(ModeOf(p))).collect();
             require(!modes.is_empty(), "imm_models", "at least one model", "none")?;
             return Ok(Self(p.tracked(Imm::new(modes, sojourn))));
         }
-        Ok(Self(match p.model {
-            Model::ConstantVelocity => p.target(ConstantVelocity),
-            Model::ConstantAcceleration => p.target(ConstantAcceleration),
-            Model::CoordinatedTurn => p.target(CoordinatedTurn),
-            Model::Ctrv => p.target(Ctrv),
-            Model::Ctra => p.target(Ctra),
-            Model::CtrvDrone if p.life.gyro == GyroUse::Input => p.target(CtrvDrone),
-            Model::CtrvDrone => p.target(CtrvDroneRate),
-            Model::Paper(published) => {
-                let Strengths { acceleration, turn, platform, .. } = p.strengths;
-                let std = [acceleration, turn, platform];
-                p.tracked(Paper { std, prior: p.prior, ..published })
-            }
-        }))
+        let has_gyro = p.life.gyro == GyroUse::Input;
+        Ok(Self(p.model.with_motion(has_gyro, TargetOf(p))))
     }
 
     /// State that changes with measurements.
@@ -353,17 +314,6 @@ impl FusionParameters {
         Box::new(Target::new(engine, starter, self.life, platform))
     }
 
-    fn mode(&self, model: Model) -> Option<Arc<dyn Mode>> {
-        match model {
-            Model::ConstantVelocity => Some(mode(self.single(ConstantVelocity))),
-            Model::ConstantAcceleration => Some(mode(self.single(ConstantAcceleration))),
-            Model::CoordinatedTurn => Some(mode(self.single(CoordinatedTurn))),
-            Model::Ctrv => Some(mode(self.single(Ctrv))),
-            Model::Ctra => Some(mode(self.single(Ctra))),
-            Model::CtrvDrone | Model::Paper(_) => None,
-        }
-    }
-
     fn single<const N: usize, M: Motion<N>>(&self, motion: M) -> Single<N, M> {
         let noise = ProcessNoise {
             form: self.strengths.form,
@@ -384,6 +334,34 @@ impl FusionParameters {
             }
             _ => self.tracked(base),
         }
+    }
+}
+
+/// A target whose motion is that of a model.
+struct TargetOf<'a>(&'a FusionParameters);
+
+impl ForMotion for TargetOf<'_> {
+    type Output = Box<dyn Tracked>;
+
+    fn run<const N: usize, M: Motion<N>>(self, motion: M) -> Self::Output {
+        self.0.target(motion)
+    }
+
+    fn published(self, paper: Paper) -> Self::Output {
+        let Strengths { acceleration, turn, platform, .. } = self.0.strengths;
+        let std = [acceleration, turn, platform];
+        self.0.tracked(Paper { std, prior: self.0.prior, ..paper })
+    }
+}
+
+/// A mode of [`Imm`] whose motion is that of a model.
+struct ModeOf<'a>(&'a FusionParameters);
+
+impl ForMixable for ModeOf<'_> {
+    type Output = Arc<dyn Mode>;
+
+    fn run<const N: usize, M: Exchange<N>>(self, motion: M) -> Self::Output {
+        mode(self.0.single(motion))
     }
 }
 

@@ -281,9 +281,10 @@ impl ManyTargets {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fusion::model::Model;
     use crate::fusion::sensors::measurement::Sensor;
     use crate::fusion::sensors::observation::Sensing;
-    use crate::fusion::targets::any_filter::{Model, Strengths};
+    use crate::fusion::targets::any_filter::Strengths;
 
     fn parameters() -> Result<ManyParameters, Error> {
         let filter = FusionParameters {

@@ -1,11 +1,12 @@
 //! Noise by maximum likelihood: what process and sensor noise make the measurements most likely.
 
-use super::any_filter::{Filter, FusionParameters, Method, Model};
+use super::any_filter::{Filter, FusionParameters, Method};
 use super::lifecycle::{Life, Outcome};
 use super::record::in_order;
 use crate::Error;
 use crate::error::require;
 use crate::estimation::minimise::{SimplexSearch, minimise};
+use crate::fusion::model::Model;
 use crate::fusion::models::motion::Noise;
 use crate::fusion::sensors::measurement::Measurement;
 
@@ -73,14 +74,13 @@ pub fn quantities(
     sensors: bool,
 ) -> Vec<Quantity> {
     use crate::fusion::sensors::measurement::Sensor;
-    let process: &[Noise] = match (parameters.method, parameters.model) {
-        (Method::Interacting { .. }, _) => &[Noise::Acceleration, Noise::Jerk, Noise::Turn],
-        (_, Model::Ctra) => &[Noise::Jerk, Noise::Turn],
-        (_, Model::ConstantVelocity) => &[Noise::Acceleration],
-        (_, Model::ConstantAcceleration) => &[Noise::Jerk],
-        _ => &[Noise::Acceleration, Noise::Turn],
+    let all = [Noise::Acceleration, Noise::Jerk, Noise::Turn];
+    let used = match parameters.method {
+        Method::Interacting { .. } => all.to_vec(),
+        _ => parameters.model.noises(),
     };
-    let mut found: Vec<Quantity> = process.iter().map(|noise| Quantity::Process(*noise)).collect();
+    let process = all.iter().filter(|noise| used.contains(noise));
+    let mut found: Vec<Quantity> = process.map(|noise| Quantity::Process(*noise)).collect();
     let plain = |sensor| {
         let mut all = targets.iter().flatten();
         sensors && all.any(|m| m.sensor() == sensor && m.covariance().is_none())

@@ -1,7 +1,7 @@
 //! Marks of many blocks, and which of their rows hold any.
 
 use super::mark::{MAX_COUNT, Mark};
-use crate::flying::map::blocks::{EDGE, VOLUME};
+use crate::flying::map::block_shape::{EDGE, VOLUME};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::ThreadPool;
 use rayon::prelude::*;

@@ -2,7 +2,8 @@
 
 use super::dense_blocks::{MarkRow, rows_of};
 use super::mark::Mark;
-use crate::flying::map::blocks::{EDGE, Place, VOLUME};
+use crate::flying::map::block_shape::{EDGE, VOLUME};
+use crate::flying::map::blocks::Place;
 use crate::util::key_hasher::Spread;
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;

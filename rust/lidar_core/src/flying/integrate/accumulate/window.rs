@@ -1,7 +1,8 @@
 //! Blocks that bound the rays of one scan.
 
 use crate::Error;
-use crate::flying::map::blocks::{EDGE, EDGE_BITS, Place};
+use crate::flying::map::block_shape::{EDGE, EDGE_BITS};
+use crate::flying::map::blocks::Place;
 use crate::geometry::lattice::Voxel;
 
 /// Most blocks in the window of one scan: a voxel's place then fits 32 bits.
@@ -161,7 +162,8 @@ fn order_of(size: [u64; 3], bits: [u32; 3]) -> [usize; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flying::map::blocks::{VOLUME, offset_of};
+    use crate::flying::map::block_shape::VOLUME;
+    use crate::flying::map::blocks::offset_of;
 
     #[test]
     fn bits_of_a_voxel_are_the_index_of_its_block_and_its_place_there() -> Result<(), Error> {

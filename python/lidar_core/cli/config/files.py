@@ -1,4 +1,4 @@
-"""`lidar-core config`: what can be set, what is set, and files to start from."""
+"""`lidar-core config show`, `init` and `schema`: what can be set, what is set, and a first file."""
 
 import json
 from pathlib import Path
@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.fit import command as fit
 from lidar_core.cli.shared.common import Mode, OverwriteFile
 from lidar_core.parameters import MODELS
 from lidar_core.uses import USES
@@ -37,13 +36,7 @@ UseOption = Annotated[
     typer.Option(help="; ".join(f"{name}: {use.title}" for name, use in USES.items()) + "."),
 ]
 
-app = typer.Typer(
-    help="Show, start, fit and describe configuration files (TOML).", no_args_is_help=True
-)
-app.command("fit")(fit)
 
-
-@app.command()
 def show(
     file: Annotated[
         Path | None, typer.Argument(help="TOML file, a run.toml, or its folder.")
@@ -86,7 +79,6 @@ def show(
     Console().print(table)
 
 
-@app.command()
 def init(
     *,
     output: Annotated[
@@ -114,7 +106,6 @@ def init(
     print(output)
 
 
-@app.command()
 def schema(*, model: SchemaModel = "flying") -> None:
     """Print the JSON Schema, for editors and checks."""
     from lidar_core.parameters import model_named
