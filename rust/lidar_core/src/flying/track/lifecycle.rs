@@ -8,7 +8,7 @@ use super::state::{PointTrack, UNNUMBERED, seconds};
 use nalgebra::Vector3;
 
 /// Detections that seem to fly which one that seems joined to a surface outweighs.
-const JOINED_WEIGHT: u32 = 6;
+const JOINED_WEIGHT: u32 = 4;
 
 /// Remove tracks that have become too uncertain; their numbers.
 ///
@@ -82,8 +82,8 @@ fn is_certain(track: &PointTrack, confirmation: &Confirmation) -> bool {
     enough(counted, hits, window) || enough(track.history, doubt.hits, doubt.window)
 }
 
-/// True if a track is more likely a part of a surface than a target: one in a hundred detections of
-/// targets seems joined to a surface, half of those of parts do. So one of them outweighs six others.
+/// True if a track is more likely a part of a surface than a target: one in thirty detections of
+/// targets seems joined to a surface, half of those of parts do. So one of them outweighs four others.
 fn may_be_joined(track: &PointTrack) -> bool {
     let joined = track.joined.count_ones();
     JOINED_WEIGHT * joined > (track.history & !track.joined).count_ones()
