@@ -56,7 +56,7 @@ pub(crate) fn detect<'v>(
         }
         let mut detection = Detection::of(scan, &cluster, verdict, input.parameters.range_std);
         detection.confidence *= trust(scan, &cluster);
-        detection.is_joined = scan.look.is_some() && is_joined(scan, &cluster, &is_flying);
+        detection.is_joined = !is_flying.is_empty() && is_joined(scan, &cluster, &is_flying);
         if let Some(center) = centers.next() {
             detection = detection.at(&center);
         }
@@ -83,8 +83,8 @@ fn centers<'v>(
     input.view.centers_of(&rows)
 }
 
-/// Whether each row of a scan is of a flying cluster; empty where rays without return are given, so that
-/// no hole has to be asked for.
+/// Whether each row of a scan is of a flying cluster; empty where rays without return are given, so
+/// that no hole has to be asked for.
 fn flying_rows<'v>(
     scan: &Prepared,
     clusters: &Clusters,

@@ -13,7 +13,7 @@ use crate::geometry::transform::{dot, minus, norm};
 /// Returns this much nearer or further away are those of something else [m].
 const DEPTH: f64 = 1.0;
 /// Longest hole [m]: a leg, the side of a car.
-const LONGEST: f64 = 2.0;
+const LONGEST: f64 = 1.5;
 /// Surfaces nearer to a cluster are parts of it [m].
 const SHORTEST: f64 = 0.2;
 /// Usual returns are counted this far around the edge of a cluster [m].
@@ -21,10 +21,14 @@ const AROUND: f64 = 2.5;
 /// Narrowest hole [m]; surfaces may lie this far beside its end.
 const NARROWEST: f64 = 0.3;
 const ASIDE: f64 = 0.4;
+/// Usual returns at the level of a hole are counted this far on both sides of it [m].
+const BESIDE: f64 = 1.0;
+/// A hole is this share of the way to the surface, in its middle: rows of a sensor are not straight.
+const MIDDLE: f64 = 0.6;
 /// Share of the usual returns that a hole still gives, and how many times more likely it must be than
 /// no hole.
 const LEAK: f64 = 0.15;
-const ODDS: f64 = 100.0;
+const ODDS: f64 = 20.0;
 /// Returns further aside than this angle are not looked at: square of the cosine of 37 degrees.
 const AHEAD_SQUARED: f64 = 0.64;
 
@@ -56,14 +60,26 @@ pub(crate) fn is_joined(scan: &Prepared, cluster: &Cluster<'_>, is_flying: &[boo
         let edge = if sign > 0.0 { high[axis] } else { -low[axis] };
         let middle = 0.5 * (low[across] + high[across]);
         let half = 0.5 * (high[across] - low[across]).max(NARROWEST);
-        has_hole(&seen, half, |place| [sign * place[axis] - edge, (place[across] - middle).abs()])
+        let is_sky = |along: f64| {
+            let mut place = [middle; 2];
+            place[axis] = sign * (edge + 0.5 * along);
+            scan.look.as_ref().is_some_and(|look| look.is_sky_at(view.direction(place)))
+        };
+        has_hole(&seen, half, is_sky, |place| {
+            [sign * place[axis] - edge, (place[across] - middle).abs()]
+        })
     })
 }
 
 /// True if a hole begins at the edge of a cluster and ends at a surface. `beside` gives the distance
 /// of a place beyond that edge, and from the middle of the cluster across it; the hole is `half` as
 /// wide as twice that.
-fn has_hole(seen: &[Seen], half: f64, beside: impl Fn([f64; 2]) -> [f64; 2]) -> bool {
+fn has_hole(
+    seen: &[Seen],
+    half: f64,
+    is_sky: impl Fn(f64) -> bool,
+    beside: impl Fn([f64; 2]) -> [f64; 2],
+) -> bool {
     let (mut all, mut column, mut row) = (0.0, 0.0, Vec::new());
     for one in seen {
         let [along, aside] = beside(one.place);
@@ -76,25 +92,48 @@ fn has_hole(seen: &[Seen], half: f64, beside: impl Fn([f64; 2]) -> [f64; 2]) -> 
         }
     }
     row.sort_unstable_by(|one, other| one.0.total_cmp(&other.0));
-    let (length_share, width_share) = (0.5 / AROUND, half / AROUND);
-    let mut lit = 0.0;
-    for (before, &(along, aside, one)) in row.iter().enumerate() {
-        if one.is_surface && along >= SHORTEST && aside <= half + ASIDE {
-            // Sensors with rows leave gaps: what the row and the column of the hole hold elsewhere
-            // is usual, too.
-            let length_share = along * length_share;
-            let usual = [
-                all * length_share * width_share,
-                before as f64 * width_share,
-                column * length_share,
-            ];
-            if usual.into_iter().all(|usual| is_dark(lit, usual)) {
-                return true;
-            }
+    let (length_share, width_share) = (MIDDLE * 0.5 / AROUND, half / AROUND);
+    let level_share = half / (half + BESIDE);
+    let (mut to_begin, mut to_end) = (Counted::of(&row, half), Counted::of(&row, half));
+    for &(end, aside, one) in &row {
+        if !one.is_surface || end < SHORTEST || aside > half + ASIDE {
+            continue;
         }
-        lit += f64::from(u8::from(one.is_else && aside <= half));
+        to_begin.count_to(0.5 * (1.0 - MIDDLE) * end);
+        to_end.count_to(0.5 * (1.0 + MIDDLE) * end);
+        let (lit, level) = (to_end.lit - to_begin.lit, to_end.level - to_begin.level);
+        // Sensors with rows leave gaps: what the row and the column of the hole hold elsewhere is
+        // usual, too.
+        let length_share = end * length_share;
+        let usual = [all * length_share * width_share, level * level_share, column * length_share];
+        if usual.into_iter().all(|usual| is_dark(lit, usual)) && !is_sky(end) {
+            return true;
+        }
     }
     false
+}
+
+/// Returns beside a cluster in the order of their distance from its edge, counted up to one.
+struct Counted<'a> {
+    rest: std::iter::Peekable<std::slice::Iter<'a, (f64, f64, &'a Seen)>>,
+    half: f64,
+    /// At the level of a hole, in it and on both sides.
+    level: f64,
+    /// In it, at another range.
+    lit: f64,
+}
+
+impl<'a> Counted<'a> {
+    fn of(row: &'a [(f64, f64, &'a Seen)], half: f64) -> Self {
+        Self { rest: row.iter().peekable(), half, level: 0.0, lit: 0.0 }
+    }
+
+    fn count_to(&mut self, distance: f64) {
+        while let Some(&(_, aside, one)) = self.rest.next_if(|(along, ..)| *along < distance) {
+            self.level += f64::from(u8::from(aside <= self.half + BESIDE));
+            self.lit += f64::from(u8::from(one.is_else && aside <= self.half));
+        }
+    }
 }
 
 /// True if `count` returns are more likely those of a hole than of nothing, where `usual` ones come
@@ -139,6 +178,13 @@ impl View {
         Some(Self { origin, range, ahead, right, up: cross(right, ahead) })
     }
 
+    /// Direction of a place in the plane through the cluster.
+    fn direction(&self, [right, up]: [f64; 2]) -> [f64; 3] {
+        [0, 1, 2].map(|axis| {
+            self.range * self.ahead[axis] + right * self.right[axis] + up * self.up[axis]
+        })
+    }
+
     /// Where a point is seen in the plane through the cluster across the line of sight [m], and how
     /// much further away than the cluster it is [m].
     fn seen(&self, point: [f64; 3]) -> Option<([f64; 2], f64)> {
@@ -153,4 +199,162 @@ impl View {
 
 fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flying::classify::clusters::Clusters;
+    use crate::geometry::transform::Transform;
+
+    /// Height of the sensor above the ground, distances of the object and of the wall behind it [m].
+    const GROUND: f64 = -1.5;
+    const OBJECT: f64 = 10.0;
+    const WALL: f64 = 16.0;
+
+    /// What rays see of a person whose legs return nothing, of the body alone, or of two bodies.
+    #[derive(Clone, Copy, PartialEq)]
+    enum Shown {
+        DarkLegs,
+        Body,
+        TwoBodies,
+    }
+
+    /// Returns in front of the sensor, their clusters' labels, and whether they are of the sky.
+    fn scene(shown: Shown, row_step_deg: f64, has_wall: bool) -> (Prepared, Vec<i32>) {
+        let (mut points, mut labels) = (Vec::new(), Vec::new());
+        let rows = (24.0 / row_step_deg) as i32;
+        for row in -rows / 2..=rows / 2 {
+            for column in -40..=40 {
+                let slope = libm::tan((f64::from(row) * row_step_deg).to_radians());
+                let aside = libm::tan((f64::from(column) * 0.3).to_radians());
+                let at = |distance: f64| [distance, aside * distance, slope * distance];
+                let [_, y, z] = at(OBJECT);
+                let is_body = y.abs() < 0.25 && (-0.6..0.2).contains(&z);
+                let is_leg = y.abs() < 0.25 && z < -0.6;
+                let is_other = (y - 1.0).abs() < 0.25 && (-0.6..0.2).contains(&z);
+                let ground = GROUND / slope.min(-1e-9);
+                let (point, label) = if is_body {
+                    (at(OBJECT), 0)
+                } else if shown == Shown::TwoBodies && is_other {
+                    (at(OBJECT), 1)
+                } else if shown == Shown::DarkLegs && is_leg && ground > OBJECT {
+                    continue;
+                } else if ground < WALL {
+                    (at(ground), -1)
+                } else if has_wall {
+                    (at(WALL), -1)
+                } else {
+                    continue;
+                };
+                points.push(point.map(|value| value as f32));
+                labels.push(label);
+            }
+        }
+        let mut scan = Prepared::default();
+        scan.pose = Transform::IDENTITY;
+        scan.points = points;
+        (scan, labels)
+    }
+
+    /// Whether the first cluster is joined, where clusters `flying` seem to fly.
+    fn joined(scan: &Prepared, labels: &[i32], flying: &[i32]) -> bool {
+        let mut clusters = Clusters::default();
+        clusters.fill(&scan.points, labels);
+        let is_flying: Vec<bool> = labels.iter().map(|label| flying.contains(label)).collect();
+        is_joined(scan, &clusters.get(0), &is_flying)
+    }
+
+    #[test]
+    fn dark_legs_join_a_body_to_the_ground() {
+        let (scan, labels) = scene(Shown::DarkLegs, 0.3, true);
+        assert!(joined(&scan, &labels, &[0]));
+    }
+
+    #[test]
+    fn a_body_with_returns_from_behind_below_it_is_alone() {
+        for step in [0.3, 1.0, 2.0] {
+            let (scan, labels) = scene(Shown::Body, step, true);
+            assert!(!joined(&scan, &labels, &[0]), "rows {step} deg apart");
+        }
+    }
+
+    #[test]
+    fn open_sky_around_a_body_is_no_hole() {
+        for step in [0.3, 1.0, 2.0] {
+            let (scan, labels) = scene(Shown::Body, step, false);
+            assert!(!joined(&scan, &labels, &[0]), "rows {step} deg apart");
+        }
+    }
+
+    #[test]
+    fn what_flies_beside_a_body_is_no_surface() {
+        let (scan, labels) = scene(Shown::TwoBodies, 0.3, true);
+        let mut cut = Prepared::default();
+        cut.pose = scan.pose;
+        let keeps = |point: &[f32; 3], label: i32| {
+            label >= 0 || !(0.25..0.75).contains(&(10.0 * point[1] / point[0]))
+        };
+        let kept: Vec<usize> =
+            (0..labels.len()).filter(|&row| keeps(&scan.points[row], labels[row])).collect();
+        cut.points = kept.iter().map(|&row| scan.points[row]).collect();
+        let labels: Vec<i32> = kept.iter().map(|&row| labels[row]).collect();
+        assert!(joined(&cut, &labels, &[0])); // nothing returns from between them
+        assert!(!joined(&cut, &labels, &[0, 1]));
+    }
+
+    /// The definition, one hole at a time.
+    fn has_hole_plainly(seen: &[Seen], half: f64) -> bool {
+        let count = |holds: &dyn Fn(f64, f64, &Seen) -> bool| {
+            let is_in = |one: &&Seen| {
+                let [along, aside] = [one.place[0], one.place[1].abs()];
+                along.abs() < AROUND && aside < AROUND && holds(along, aside, one)
+            };
+            seen.iter().filter(is_in).count() as f64
+        };
+        seen.iter().any(|end| {
+            let [length, aside] = [end.place[0], end.place[1].abs()];
+            if !end.is_surface || !(SHORTEST..LONGEST).contains(&length) || aside > half + ASIDE {
+                return false;
+            }
+            let middle = 0.5 * (1.0 - MIDDLE) * length..0.5 * (1.0 + MIDDLE) * length;
+            let lit =
+                count(&|along, aside, one| middle.contains(&along) && aside <= half && one.is_else);
+            let area = [MIDDLE * length / (2.0 * AROUND), 2.0 * half / (2.0 * AROUND)];
+            let usual = [
+                count(&|_, _, _| true) * area[0] * area[1],
+                count(&|along, aside, _| middle.contains(&along) && aside <= half + BESIDE) * half
+                    / (half + BESIDE),
+                count(&|_, aside, _| aside <= half) * area[0],
+            ];
+            usual.iter().all(|&usual| is_dark(lit, usual))
+        })
+    }
+
+    #[test]
+    fn holes_are_those_of_the_definition() {
+        let mut state = 12_345_u64;
+        let mut uniform = move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (state >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        let mut found = [0; 2];
+        for round in 0..200 {
+            let (half, cleared) = (0.15 + 0.3 * uniform(), 2.0 * uniform());
+            let mut seen = Vec::new();
+            for _ in 0..600 {
+                let place = [6.0 * uniform() - 3.0, 6.0 * uniform() - 3.0];
+                let is_level = uniform() < 0.2;
+                let is_cleared = (0.0..cleared).contains(&place[0]) && place[1].abs() < half;
+                if !is_cleared || uniform() < 0.05 {
+                    seen.push(Seen { place, is_else: !is_level, is_surface: is_level });
+                }
+            }
+            let holes = has_hole(&seen, half, |_| false, |[x, y]| [x, y.abs()]);
+            assert_eq!(holes, has_hole_plainly(&seen, half), "round {round}");
+            assert!(!has_hole(&seen, half, |_| true, |[x, y]| [x, y.abs()]), "all of it is sky");
+            found[usize::from(holes)] += 1;
+        }
+        assert!(found.iter().all(|&count| count > 20), "{found:?}");
+    }
 }

@@ -156,6 +156,11 @@ impl Look {
         sky as f64 / all.max(1) as f64
     }
 
+    /// Whether a direction is sky.
+    pub(crate) fn is_sky_at(&self, direction: [f64; 3]) -> bool {
+        self.is_sky[GRID.cell(direction)]
+    }
+
     /// Height below which things are on the ground, relative to the sensor [m].
     pub(crate) fn ground(&self) -> f64 {
         if self.has_ground { self.low() } else { f64::NEG_INFINITY }
